@@ -1,0 +1,1 @@
+"""From a skinned surface to α and β: welding, weight gradients, influence slots."""

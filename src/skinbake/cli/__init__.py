@@ -1,0 +1,1 @@
+"""The command line: declarations, messages, exit codes. Nothing else prints."""

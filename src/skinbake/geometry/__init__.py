@@ -1,0 +1,1 @@
+"""Geometry on plain arrays: triangles, tangent frames, dual quaternions, poses of joints."""

@@ -1,0 +1,52 @@
+"""The arrays that travel between the parts: a skinned primitive before and after baking.
+
+Axis letters, units and frames are those of CONVENTIONS.md.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray: TypeAlias = npt.NDArray[np.floating]
+Float64Array: TypeAlias = npt.NDArray[np.float64]
+Float32Array: TypeAlias = npt.NDArray[np.float32]
+IntArray: TypeAlias = npt.NDArray[np.integer]
+BoolArray: TypeAlias = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class SkinnedPrimitive:
+    """One skinned primitive of a mesh, as the vertex shader reads it, in mesh space.
+
+    positions (V, 3) float32 or float64, length unit of POSITION. normals (V, 3), any length.
+    tangents (V, 4), w is the handedness, or None. joints (V, K) integer, weights (V, K) as stored
+    (normalised integers decoded, the sum not yet mended). triangles (T, 3) integer, every index < V,
+    strips and fans already unrolled in winding order. K is 4 × the number of influence sets.
+    """
+
+    positions: FloatArray
+    normals: FloatArray
+    tangents: FloatArray | None
+    joints: IntArray
+    weights: FloatArray
+    triangles: IntArray
+
+
+@dataclass(frozen=True, slots=True)
+class BakedPrimitive:
+    """What bake computed for one primitive.
+
+    alpha, beta (V, K − 1) float32, 1 / length unit of POSITION: ∇w · t0 and ∇w · b0 of slots 1 … K − 1;
+    slot 0's entry is minus their sum. joints, weights (V, K) as stored after adoption, None where
+    nothing was adopted. frame is ``tangent`` or ``normal``.
+    """
+
+    alpha: Float32Array
+    beta: Float32Array
+    joints: IntArray | None
+    weights: FloatArray | None
+    frame: str

@@ -1,0 +1,1 @@
+"""From path to arrays and back: the document, its accessors, its skinned primitives."""
