@@ -41,12 +41,16 @@ class BakedPrimitive:
     """What bake computed for one primitive.
 
     alpha, beta (V, K − 1) float32, 1 / length unit of POSITION: ∇w · t0 and ∇w · b0 of slots 1 … K − 1;
-    slot 0's entry is minus their sum. joints, weights (V, K) as stored after adoption, None where
-    nothing was adopted. frame is ``tangent`` or ``normal``.
+    slot 0's entry is minus their sum. adopted_joints (V, K) int64: the joint that a free slot adopts, −1
+    where a slot stays as it is. frame is ``tangent`` or ``normal``.
     """
 
     alpha: Float32Array
     beta: Float32Array
-    joints: IntArray | None
-    weights: FloatArray | None
+    adopted_joints: npt.NDArray[np.int64]
     frame: str
+
+    @property
+    def adopts(self) -> bool:
+        """Tell whether any slot adopts a joint."""
+        return bool((self.adopted_joints >= 0).any())

@@ -1,0 +1,49 @@
+"""The one definition of what a triangle's corner adds to the gradient at its vertex.
+
+At a corner with edges e1, e2 to the two other corners, A2 = |e1 × e2| and n = e1 × e2, the gradient of a
+function that is linear on the triangle is
+
+    ∇w = (w1 − w0) (e2 × n) / A2² + (w2 − w0) (n × e1) / A2²
+
+and the vertex takes the mean of its corners' ∇w under one of four weightings. Max's, 1 / (|e1|² |e2|²)
+times A2, is the default: N. Max, *Weights for Computing Vertex Normals from Facet Normals*, Journal of
+Graphics Tools 4(2), 1999.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+MAX, ANGLE, AREA, ANGLE_AREA = range(4)
+WEIGHTINGS = {"max": MAX, "angle": ANGLE, "area": AREA, "angle-area": ANGLE_AREA}
+
+
+def corner_coefficients(e1: Any, e2: Any, weighting: int) -> Any:
+    """Return (weight, c1, c2) of a corner: its weight, and the weight times the gradients of both hats.
+
+    e1, e2 are triples of components (numbers or equal arrays) of the edges at the corner; c1 and c2 are
+    such triples: the corner adds c1 (w1 − w0) + c2 (w2 − w0) to the vertex's sum. The triangle must have an
+    area. The arithmetic holds for numbers and arrays alike: the array code calls this function as it stands,
+    the kernel for large meshes compiles it.
+    """
+    e1x, e1y, e1z = e1
+    e2x, e2y, e2z = e2
+    nx = e1y * e2z - e1z * e2y
+    ny = e1z * e2x - e1x * e2z
+    nz = e1x * e2y - e1y * e2x
+    squared_area2 = nx * nx + ny * ny + nz * nz
+    area2 = np.sqrt(squared_area2)
+    if weighting == MAX:
+        weight = area2 / ((e1x * e1x + e1y * e1y + e1z * e1z) * (e2x * e2x + e2y * e2y + e2z * e2z))
+    elif weighting == AREA:
+        weight = area2
+    else:
+        weight = np.arctan2(area2, e1x * e2x + e1y * e2y + e1z * e2z)
+        if weighting == ANGLE_AREA:
+            weight = weight * area2
+    scale = weight / squared_area2
+    c1 = ((e2y * nz - e2z * ny) * scale, (e2z * nx - e2x * nz) * scale, (e2x * ny - e2y * nx) * scale)
+    c2 = ((ny * e1z - nz * e1y) * scale, (nz * e1x - nx * e1z) * scale, (nx * e1y - ny * e1x) * scale)
+    return weight, c1, c2

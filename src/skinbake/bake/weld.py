@@ -1,0 +1,144 @@
+"""Weld the copies that glTF makes of a surface point, without welding across hard edges."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from skinbake.bake.influences import WeightField
+from skinbake.geometry.skinned import BoolArray, Float32Array, FloatArray
+
+Labels = npt.NDArray[np.int64]
+
+PAIRED_GROUP = 32
+"""Groups of at most this many distinct normals are compared pair by pair; larger ones grow step by step."""
+
+LINKED_GROUP = 4096
+"""Points with more distinct normals than this weld equal normals only: comparing all would take minutes."""
+
+
+def weld(
+    positions: FloatArray, normals: Float32Array, field: WeightField, *, crease_angle: float
+) -> Labels:
+    """Return the weld class (V,) of every vertex, numbered from 0.
+
+    positions (V, 3) in mesh space, normals (V, 3) unit, field the normalised weights of the same vertices,
+    crease_angle in radians. Two vertices are copies of one surface point where position (−0 = +0) and
+    influences are equal, whatever the order of the slots; copies are one class where their normals differ
+    by at most the crease angle, or where a chain of such copies joins them. The result depends on neither
+    vertex nor slot order, except for the numbers of the classes.
+    """
+    points = equal_rows(_position_keys(positions), _influence_keys(field))
+    oriented = equal_rows(points[:, None], _bits(normals))
+    count = int(oriented.max(initial=-1)) + 1
+    first = np.empty(count, dtype=np.int64)
+    first[oriented[::-1]] = np.arange(len(oriented))[::-1]
+    labels = _link_by_angle(points[first], normals[first].astype(np.float64), crease_angle)
+    return labels[oriented]
+
+
+def equal_rows(*columns: npt.NDArray[np.generic]) -> Labels:
+    """Return a label (V,) from 0 for every row, the same for rows that are equal in all columns.
+
+    Rows are brought together by a 64-bit hash and then compared in full, so a collision costs time, not
+    correctness.
+    """
+    keys = np.concatenate([column.astype(np.uint64, copy=False) for column in columns], axis=1)
+    hashed = _hash(keys)
+    order = np.argsort(hashed, kind="stable")
+    differs = np.any(keys[order[1:]] != keys[order[:-1]], axis=1)
+    same_hash = hashed[order[1:]] == hashed[order[:-1]]
+    if (differs & same_hash).any():
+        order = np.lexsort(keys.T)
+        differs = np.any(keys[order[1:]] != keys[order[:-1]], axis=1)
+    labels = np.empty(len(keys), dtype=np.int64)
+    labels[order] = np.concatenate([[0], np.cumsum(differs)]) if len(keys) else order
+    return labels
+
+
+def _hash(keys: npt.NDArray[np.uint64]) -> npt.NDArray[np.uint64]:
+    """Mix every row into 64 bits (multiply and xor-shift, as in splitmix64)."""
+    state = np.full(len(keys), 0x9E3779B97F4A7C15, dtype=np.uint64)
+    for column in keys.T:
+        state = (state ^ column) * np.uint64(0xBF58476D1CE4E5B9)
+        state ^= state >> np.uint64(29)
+    return state
+
+
+def _bits(values: FloatArray) -> npt.NDArray[np.generic]:
+    """Return the bit patterns of floats as unsigned integers, −0 made +0."""
+    flat = np.ascontiguousarray(values + values.dtype.type(0))
+    return flat.view(np.uint32 if flat.dtype == np.float32 else np.uint64)
+
+
+def _position_keys(positions: FloatArray) -> npt.NDArray[np.generic]:
+    return _bits(positions)
+
+
+def _influence_keys(field: WeightField) -> npt.NDArray[np.uint64]:
+    """Return (V, K) keys: joint and float32 weight of every influence, in joint order, empty ones last."""
+    weights = np.ascontiguousarray(field.weights.astype(np.float32)).view(np.uint32).astype(np.uint64)
+    keys = (field.joints.astype(np.uint64) << np.uint64(32)) | weights
+    keys[field.weights == 0] = np.iinfo(np.uint64).max
+    return np.asarray(np.sort(keys, axis=1))
+
+
+def _link_by_angle(points: Labels, normals: npt.NDArray[np.float64], crease_angle: float) -> Labels:
+    """Return single-linkage classes of rows that share a point and have normals within the angle."""
+    order = np.argsort(points, kind="stable")
+    starts = np.flatnonzero(np.diff(points[order], prepend=-1))
+    sizes = np.diff(np.append(starts, len(order)))
+    labels = np.arange(len(points))
+    for size in range(2, PAIRED_GROUP + 1):
+        members = order[starts[sizes == size][:, None] + np.arange(size)]
+        if len(members):
+            _link_groups(members, normals, crease_angle, labels)
+    for start, size in zip(starts[sizes > PAIRED_GROUP], sizes[sizes > PAIRED_GROUP], strict=True):
+        if size <= LINKED_GROUP:
+            _grow_group(order[start : start + size], normals, crease_angle, labels)
+    return np.unique(labels, return_inverse=True)[1].astype(np.int64)
+
+
+def _link_groups(members: Labels, normals: npt.NDArray[np.float64], angle: float, labels: Labels) -> None:
+    """Link within groups (G, S) of equal size at once: every row takes the least label it can reach."""
+    near = _within(normals[members][:, :, None], normals[members][:, None, :], angle)
+    local = np.tile(np.arange(members.shape[1]), (len(members), 1))
+    while True:
+        reached = np.where(near, local[:, None, :], members.shape[1]).min(axis=2)
+        if np.array_equal(reached, local):
+            break
+        local = reached
+    labels[members] = np.take_along_axis(members, local, axis=1)
+
+
+def _grow_group(members: Labels, normals: npt.NDArray[np.float64], angle: float, labels: Labels) -> None:
+    """Link within one large group: grow a class from a seed until no remaining row is near it."""
+    remaining = members
+    while len(remaining):
+        seed, frontier, remaining = remaining[0], [remaining[0]], remaining[1:]
+        while frontier and len(remaining):
+            near = _within(normals[remaining], normals[frontier.pop()], angle)
+            labels[remaining[near]] = seed
+            frontier.extend(remaining[near])
+            remaining = remaining[~near]
+
+
+def _within(first: npt.NDArray[np.float64], second: npt.NDArray[np.float64], angle: float) -> BoolArray:
+    """Tell where two unit vectors differ by at most an angle, exactly also for small ones."""
+    if angle >= np.pi:
+        return np.ones(np.broadcast_shapes(first.shape, second.shape)[:-1], dtype=np.bool_)
+    chord = np.linalg.norm(first - second, axis=-1)
+    return np.asarray(chord <= 2.0 * np.sin(angle / 2.0), dtype=np.bool_)
+
+
+def concatenated(fields: Sequence[WeightField]) -> WeightField:
+    """Return the weight fields of several primitives as one, filled up to the largest number of slots."""
+    influences = max(field.joints.shape[1] for field in fields)
+    joints, weights = [], []
+    for field in fields:
+        missing = ((0, 0), (0, influences - field.joints.shape[1]))
+        joints.append(np.pad(field.joints, missing, constant_values=-1))
+        weights.append(np.pad(field.weights, missing))
+    return WeightField(np.concatenate(joints), np.concatenate(weights))

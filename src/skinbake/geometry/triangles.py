@@ -1,0 +1,73 @@
+"""Triangles of a mesh: unrolled from glTF's modes, freed of those without an area, measured."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray, IntArray
+
+TRIANGLES, TRIANGLE_STRIP, TRIANGLE_FAN = 4, 5, 6
+"""Values of ``primitive.mode`` that draw a surface (glTF 2.0, §5.24.4)."""
+
+DEGENERATE_AREA = 1e-10
+"""A triangle whose doubled area is at most this share of its longest squared edge has no area.
+
+float32 positions leave about 1e-7 of relative noise in the height of a sliver that was meant to be flat;
+what is a thousand times flatter than that was never a surface.
+"""
+
+
+def unrolled(indices: IntArray, mode: int) -> npt.NDArray[np.int64]:
+    """Return the triangles (T, 3) that an index list (N,) draws in ``mode``.
+
+    Odd triangles of a strip are turned, so that every triangle keeps the winding of the first; a fan's
+    triangles are (i + 1, i + 2, 0), as glTF 2.0 §3.7.2.1 says. Surplus indices of a list are ignored.
+    """
+    corners = indices.astype(np.int64, copy=False)
+    if mode == TRIANGLES:
+        return corners[: len(corners) // 3 * 3].reshape(-1, 3)
+    count = max(len(corners) - 2, 0)
+    if mode == TRIANGLE_FAN:
+        return np.stack([corners[1:][:count], corners[2:], np.repeat(corners[:1], count)], axis=1)
+    first = np.arange(count)
+    odd = first % 2
+    return np.stack([corners[first], corners[first + 1 + odd], corners[first + 2 - odd]], axis=1)
+
+
+def proper(positions: FloatArray, triangles: IntArray) -> BoolArray:
+    """Tell for each triangle (T, 3) whether it has an area: a mask (T,), see DEGENERATE_AREA."""
+    first, second, doubled_area = _edges(positions, triangles)
+    third = second - first
+    longest = np.maximum.reduce([_squared(first), _squared(second), _squared(third)])
+    return np.asarray(np.sqrt(_squared(doubled_area)) > DEGENERATE_AREA * longest, dtype=np.bool_)
+
+
+def smooth_normals(positions: FloatArray, triangles: IntArray, groups: IntArray) -> Float64Array:
+    """Return unit normals (V, 3), averaged over all triangles at a vertex group, weighted after Max (1999).
+
+    groups (V,) names the vertices that share one normal. A vertex without a proper triangle gets (0, 0, 1).
+    """
+    total = np.zeros((int(groups.max(initial=-1)) + 1, 3))
+    for turn in range(3):
+        corners = np.roll(triangles, -turn, axis=1)
+        first, second, cross = _edges(positions, corners)
+        scale = _squared(first) * _squared(second)
+        weighted = np.divide(cross, scale[:, None], out=np.zeros_like(cross), where=scale[:, None] > 0)
+        for axis in range(3):
+            total[:, axis] += np.bincount(groups[corners[:, 0]], weighted[:, axis], len(total))
+    length = np.sqrt(_squared(total))[:, None]
+    unit = np.divide(total, length, out=np.tile([0.0, 0.0, 1.0], (len(total), 1)), where=length > 0)
+    return np.asarray(unit[groups])
+
+
+def _edges(positions: FloatArray, corners: IntArray) -> tuple[Float64Array, Float64Array, Float64Array]:
+    """Return both edges at the first corner and their cross product, each (T, 3) float64."""
+    points = positions.astype(np.float64, copy=False)
+    origin = points[corners[:, 0]]
+    first, second = points[corners[:, 1]] - origin, points[corners[:, 2]] - origin
+    return first, second, np.cross(first, second)
+
+
+def _squared(vectors: Float64Array) -> Float64Array:
+    return np.asarray(np.einsum("ij,ij->i", vectors, vectors))

@@ -1,0 +1,169 @@
+"""Accessors to arrays: every component type, normalised, interleaved, sparse (glTF 2.0, §3.6.2)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from skinbake.errors import InputError, Place
+from skinbake.geometry.skinned import FloatArray
+from skinbake.gltf.document import Document
+from skinbake.gltf.json_access import JsonObject, index, integer, member
+
+COMPONENT_TYPES: dict[int, np.dtype[np.generic]] = {
+    5120: np.dtype("<i1"),
+    5121: np.dtype("<u1"),
+    5122: np.dtype("<i2"),
+    5123: np.dtype("<u2"),
+    5125: np.dtype("<u4"),
+    5126: np.dtype("<f4"),
+}
+COMPONENT_CODES = {dtype: code for code, dtype in COMPONENT_TYPES.items()}
+COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
+TYPES = {count: name for name, count in COMPONENTS.items()}
+
+UNBACKED_LIMIT = 1 << 24
+"""Elements that an accessor without a buffer view may claim: its zeros cost the file nothing."""
+
+
+@dataclass(frozen=True, slots=True)
+class StoredArray:
+    """An accessor's elements as stored: values (count, components) of its component type."""
+
+    values: npt.NDArray[np.generic]
+    normalized: bool
+
+    def decoded(self) -> FloatArray:
+        """Return the values as the vertex shader reads them.
+
+        FLOAT stays float32, without a copy. Integers become float64, divided by the type's largest value
+        (and clamped at −1) where normalised: 255ths and 65535ths then sum to one exactly enough.
+        """
+        values = self.values
+        if values.dtype.kind == "f":
+            return values.astype(np.float32, copy=False)
+        decoded = values.astype(np.float64)
+        if not self.normalized:
+            return decoded
+        return np.maximum(decoded / np.iinfo(values.dtype).max, -1.0)  # type: ignore[type-var]
+
+
+def read_accessor(document: Document, number: int, place: Place) -> StoredArray:
+    """Return the elements of accessor ``number``, sparse substitution applied.
+
+    The array may be a read-only, strided view of the buffer. Raises InputError where the accessor, its
+    buffer view or its buffer contradict each other or the bytes that are there.
+    """
+    accessor = document.objects("accessors")[number]
+    dtype, components = _format(accessor, number, place)
+    count = integer(accessor, "count", place, minimum=1)
+    values = _dense(document, accessor, (dtype, components, count), place)
+    if "sparse" in accessor:
+        values = _substituted(document, member(accessor, "sparse", place), values, place)
+    return StoredArray(values, accessor.get("normalized") is True and dtype.kind != "f")
+
+
+def element_count(document: Document, number: int, place: Place) -> int:
+    """Return an accessor's declared number of elements, without touching its data."""
+    return integer(document.objects("accessors")[number], "count", place, minimum=1)
+
+
+def _format(accessor: JsonObject, number: int, place: Place) -> tuple[np.dtype[np.generic], int]:
+    dtype = _component_dtype(accessor)
+    kind = accessor.get("type")
+    components = COMPONENTS.get(kind) if isinstance(kind, str) else None
+    if dtype is None or components is None:
+        raise InputError(
+            f"accessor {number} has type {kind!r} of component type {accessor.get('componentType')!r}, "
+            "which glTF does not know",
+            place,
+        )
+    return dtype, components
+
+
+def _component_dtype(holder: JsonObject) -> np.dtype[np.generic] | None:
+    code = holder.get("componentType")
+    return COMPONENT_TYPES.get(code) if isinstance(code, int) else None
+
+
+def _dense(
+    document: Document,
+    accessor: JsonObject,
+    shape: tuple[np.dtype[np.generic], int, int],
+    place: Place,
+) -> npt.NDArray[np.generic]:
+    dtype, components, count = shape
+    views = document.objects("bufferViews")
+    view_index = index(accessor, "bufferView", len(views), place)
+    if view_index is not None:
+        offset = integer(accessor, "byteOffset", place, default=0)
+        return _view_array(document, view_index, offset, shape, place)
+    if count > UNBACKED_LIMIT:
+        raise InputError(
+            f"an accessor without a buffer view claims {count} elements; at most {UNBACKED_LIMIT} are believed",
+            place,
+        )
+    return np.zeros((count, components), dtype)
+
+
+def _view_array(
+    document: Document,
+    view_index: int,
+    offset: int,
+    shape: tuple[np.dtype[np.generic], int, int],
+    place: Place,
+) -> npt.NDArray[np.generic]:
+    dtype, components, count = shape
+    view = document.objects("bufferViews")[view_index]
+    data = view_bytes(document, view_index, place)
+    element = dtype.itemsize * components
+    stride = integer(view, "byteStride", place, default=element, minimum=1)
+    if stride < element:
+        raise InputError(f"buffer view {view_index} has byteStride {stride} for elements of {element} bytes", place)
+    end = offset + stride * (count - 1) + element
+    if end > len(data):
+        raise InputError(
+            f"{count} elements need {end} bytes of buffer view {view_index}, which has {len(data)}", place
+        )
+    return np.ndarray((count, components), dtype, data, offset, (stride, dtype.itemsize))
+
+
+def view_bytes(document: Document, view_index: int, place: Place) -> memoryview:
+    """Return the bytes of one buffer view; InputError where it does not fit its buffer."""
+    view = document.objects("bufferViews")[view_index]
+    buffer_index = index(view, "buffer", len(document.objects("buffers")), place)
+    if buffer_index is None:
+        raise InputError(f"buffer view {view_index} names no buffer", place)
+    start = integer(view, "byteOffset", place, default=0)
+    length = integer(view, "byteLength", place, minimum=1)
+    data = document.buffer(buffer_index)
+    if start + length > len(data):
+        raise InputError(
+            f"buffer view {view_index} ends at byte {start + length} of buffer {buffer_index}, "
+            f"which has {len(data)}",
+            place,
+        )
+    return data[start : start + length]
+
+
+def _substituted(
+    document: Document, sparse: JsonObject, dense: npt.NDArray[np.generic], place: Place
+) -> npt.NDArray[np.generic]:
+    count = integer(sparse, "count", place, minimum=1)
+    where, what = member(sparse, "indices", place), member(sparse, "values", place)
+    dtype = _component_dtype(where)
+    if dtype is None or dtype.kind != "u":
+        raise InputError("a sparse accessor's indices are not unsigned integers", place)
+    views = document.objects("bufferViews")
+    index_view, value_view = index(where, "bufferView", len(views), place), index(what, "bufferView", len(views), place)
+    if index_view is None or value_view is None:
+        raise InputError("a sparse accessor names no buffer view for its indices or values", place)
+    offsets = integer(where, "byteOffset", place, default=0), integer(what, "byteOffset", place, default=0)
+    positions = _view_array(document, index_view, offsets[0], (dtype, 1, count), place)[:, 0].astype(np.int64)
+    if positions.max() >= len(dense):
+        raise InputError(f"a sparse accessor replaces element {positions.max()} of {len(dense)}", place)
+    values = dense.copy()
+    values[positions] = _view_array(document, value_view, offsets[1], (dense.dtype, dense.shape[1], count), place)
+    return values

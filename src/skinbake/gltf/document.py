@@ -1,0 +1,173 @@
+"""The glTF document: the parsed JSON and its buffers, kept as they came (glTF 2.0 specification, §3).
+
+pygltflib loses data as a whole-file reader and writer, so the document *is* the parsed JSON: what nobody
+touches is written back as it was read, unknown keys, key order and all.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from skinbake.errors import InputError, Place, UnsupportedFeatureError
+from skinbake.gltf import json_access, resources
+from skinbake.gltf.glb import Bytes, GlbChunks, split_glb
+
+GLB_SUFFIXES = (".glb", ".vrm")
+GLTF_SUFFIX = ".gltf"
+STDIO = "-"
+
+
+@dataclass(frozen=True, slots=True)
+class Document:
+    """A glTF document. Treat it as immutable: edits make a new one and share what they do not change.
+
+    ``name`` is what messages call it, ``folder`` where its relative URIs start. ``is_glb`` tells the
+    container. ``binary`` is the BIN chunk in pieces (None: no such chunk), ``new_files`` what the document
+    refers to by a relative URI and has to be written beside it. ``raw`` is the file's text or container
+    as read, while nothing has been edited.
+    """
+
+    name: str
+    folder: Path
+    json: json_access.JsonObject
+    is_glb: bool
+    binary: tuple[Bytes, ...] | None = None
+    other_chunks: tuple[tuple[int, Bytes], ...] = ()
+    new_files: dict[str, tuple[Bytes, ...]] = field(default_factory=dict)
+    indent: str | None = None
+    raw: Bytes | None = None
+    _loaded: dict[int, memoryview] = field(default_factory=dict, repr=False)
+    _checked: dict[str, list[json_access.JsonObject]] = field(default_factory=dict, repr=False)
+
+    @property
+    def place(self) -> Place:
+        """Where messages about the whole document point."""
+        return Place(self.name)
+
+    def edited(self, **changes: Any) -> Document:
+        """Return a copy with fields replaced, no longer equal to the bytes it was read from."""
+        return replace(self, raw=None, _loaded={}, _checked={}, **changes)
+
+    def objects(self, key: str) -> list[json_access.JsonObject]:
+        """Return a top-level array of objects (``accessors``, ``meshes`` …), empty where absent."""
+        if key not in self._checked:
+            self._checked[key] = json_access.objects(self.json, key, self.place)
+        return self._checked[key]
+
+    def buffer(self, index: int) -> memoryview:
+        """Return the ``byteLength`` bytes of one buffer.
+
+        Raises InputError where its URI cannot be resolved or holds fewer bytes than declared.
+        """
+        if index not in self._loaded:
+            self._loaded[index] = self._load_buffer(index)
+        return self._loaded[index]
+
+    def _load_buffer(self, index: int) -> memoryview:
+        buffer = self.objects("buffers")[index]
+        length = json_access.integer(buffer, "byteLength", self.place, minimum=1)
+        uri = json_access.text(buffer, "uri", self.place)
+        if uri is not None:
+            new = self.new_files.get(uri)
+            data: Bytes = joined(new) if new else resources.read_resource(uri, self.folder, self.place)
+        elif index == 0 and self.binary is not None:
+            data = joined(self.binary)
+        else:
+            raise InputError(f"buffer {index} has no URI and there is no BIN chunk that holds it", self.place)
+        if len(data) < length:
+            raise InputError(
+                f"buffer {index} is cut short: it declares {length} bytes, {len(data)} are there", self.place
+            )
+        return memoryview(data)[:length]
+
+
+def joined(pieces: Sequence[Bytes]) -> Bytes:
+    """Return the pieces as one run of bytes, without a copy where there is only one."""
+    return pieces[0] if len(pieces) == 1 else b"".join(pieces)
+
+
+def read_document(path: str) -> Document:
+    """Read ``.gltf``, ``.glb`` or ``.vrm`` by suffix, or a GLB from standard input for ``-``.
+
+    Buffers of a ``.gltf`` are read when they are first needed. Raises InputError where the file cannot be
+    read or is not glTF 2.
+    """
+    if path == STDIO:
+        return parse_glb(sys.stdin.buffer.read(), "<stdin>", Path())
+    file = Path(path)
+    suffix = file.suffix.lower()
+    if suffix != GLTF_SUFFIX and suffix not in GLB_SUFFIXES:
+        raise InputError("expected a file named .glb, .gltf or .vrm", Place(path))
+    try:
+        data = file.read_bytes()
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise InputError(f"cannot be read: {reason}", Place(path)) from error
+    return (parse_gltf if suffix == GLTF_SUFFIX else parse_glb)(data, path, file.parent)
+
+
+def parse_glb(data: Bytes, name: str, folder: Path) -> Document:
+    """Return the document of a GLB's bytes; InputError where they are not one."""
+    chunks: GlbChunks = split_glb(data, Place(name))
+    return Document(
+        name=name,
+        folder=folder,
+        json=_parse_json(bytes(chunks.json), Place(name)),
+        is_glb=True,
+        binary=None if chunks.binary is None else (chunks.binary,),
+        other_chunks=chunks.others,
+        raw=data,
+    )
+
+
+def parse_gltf(data: bytes, name: str, folder: Path) -> Document:
+    """Return the document of a ``.gltf`` file's text; InputError where it is not one."""
+    if data[:4] == b"glTF":
+        raise InputError("this is a GLB container; name it .glb instead", Place(name))
+    return Document(
+        name=name,
+        folder=folder,
+        json=_parse_json(data, Place(name)),
+        is_glb=False,
+        indent=_indentation(data),
+        raw=data,
+    )
+
+
+def _parse_json(data: bytes, place: Place) -> json_access.JsonObject:
+    try:
+        root = json.loads(data.decode("utf-8-sig"), parse_constant=_reject_constant)
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"its JSON cannot be parsed: {error}", place) from error
+    if not isinstance(root, dict):
+        raise InputError("its JSON is not an object", place)
+    _check_version(json_access.member(root, "asset", place), place)
+    return root
+
+
+def _check_version(asset: json_access.JsonObject, place: Place) -> None:
+    version = json_access.text(asset, "version", place)
+    if version is None:
+        raise InputError('it does not say which glTF version it is: "asset.version" is missing', place)
+    least = json_access.text(asset, "minVersion", place) or "2.0"
+    if version.split(".")[0] != "2" or least != "2.0":
+        raise UnsupportedFeatureError(f"glTF version {max(version, least)}; only 2.0 is supported", place)
+
+
+def _reject_constant(name: str) -> float:
+    raise ValueError(f"{name} is not valid JSON")
+
+
+def _indentation(data: bytes) -> str | None:
+    """Return the white space before the first key, None for text on one line."""
+    _, newline, rest = data[:256].partition(b"\n")
+    if not newline:
+        return None
+    line = rest.split(b"\n")[0]
+    return line[: len(line) - len(line.lstrip())].decode("ascii", "replace")
+

@@ -1,0 +1,109 @@
+"""Split and join the chunks of a GLB container (glTF 2.0 specification, §4 "GLB file format")."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TypeAlias
+
+from skinbake.errors import InputError, OutputError, Place, UnsupportedFeatureError
+
+Bytes: TypeAlias = bytes | memoryview
+
+MAGIC = b"glTF"
+CHUNK_JSON = 0x4E4F534A
+CHUNK_BIN = 0x004E4942
+HEADER = struct.Struct("<4sII")
+CHUNK_HEADER = struct.Struct("<II")
+MAX_LENGTH = 2**32 - 1
+
+
+@dataclass(frozen=True, slots=True)
+class GlbChunks:
+    """The chunks of one GLB, in file order. ``binary`` is None where there is no BIN chunk.
+
+    ``others`` are chunks of unknown type that follow, kept so that they can be written back.
+    """
+
+    json: Bytes
+    binary: Bytes | None
+    others: tuple[tuple[int, Bytes], ...]
+
+
+def split_glb(data: Bytes, place: Place) -> GlbChunks:
+    """Return the chunks of a GLB without copying them.
+
+    Raises InputError where the header or a chunk header contradicts the bytes that are there, and
+    UnsupportedFeatureError for a container version other than 2.
+    """
+    view = memoryview(data)
+    if len(view) < HEADER.size:
+        raise InputError(f"not a GLB: {len(view)} bytes are shorter than the 12-byte header", place)
+    magic, version, length = HEADER.unpack_from(view)
+    if magic != MAGIC:
+        raise InputError(
+            "not a GLB: it does not begin with 'glTF'; if it is JSON, name it .gltf instead", place
+        )
+    if version != 2:
+        raise UnsupportedFeatureError(f"GLB container version {version}; only version 2 is supported", place)
+    if length != len(view):
+        what = "is cut short" if length > len(view) else "has trailing bytes"
+        raise InputError(f"the GLB {what}: its header says {length} bytes, it has {len(view)}", place)
+    return _sort_chunks(_chunks(view, place), place)
+
+
+def _chunks(view: memoryview, place: Place) -> list[tuple[int, memoryview]]:
+    chunks = []
+    offset = HEADER.size
+    while offset < len(view):
+        if offset + CHUNK_HEADER.size > len(view):
+            raise InputError(f"the GLB is cut short inside the chunk header at byte {offset}", place)
+        length, kind = CHUNK_HEADER.unpack_from(view, offset)
+        start = offset + CHUNK_HEADER.size
+        if length % 4 or start + length > len(view):
+            raise InputError(
+                f"the GLB chunk at byte {offset} has length {length}: "
+                f"not a multiple of 4, or more than the {len(view) - start} bytes left",
+                place,
+            )
+        chunks.append((kind, view[start : start + length]))
+        offset = start + length
+    return chunks
+
+
+def _sort_chunks(chunks: list[tuple[int, memoryview]], place: Place) -> GlbChunks:
+    if not chunks or chunks[0][0] != CHUNK_JSON:
+        raise InputError("the first chunk of the GLB is not JSON", place)
+    binary: memoryview | None = None
+    rest = chunks[1:]
+    if rest and rest[0][0] == CHUNK_BIN:
+        binary, rest = rest[0][1], rest[1:]
+    if any(kind in {CHUNK_JSON, CHUNK_BIN} for kind, _ in rest):
+        raise InputError("the GLB has a second JSON or BIN chunk, or one out of its place", place)
+    return GlbChunks(chunks[0][1], binary, tuple(rest))
+
+
+def join_glb(
+    json_bytes: bytes, binary: Sequence[Bytes] | None, others: Sequence[tuple[int, Bytes]]
+) -> list[Bytes]:
+    """Return the pieces of a GLB file in order, ready to be written one after the other.
+
+    ``binary`` is given as pieces so that large buffers are never copied together; None writes no BIN
+    chunk. Raises OutputError where the whole exceeds the 4 GiB that the header can say.
+    """
+    parts: list[Bytes] = _chunk(CHUNK_JSON, [json_bytes], b" ")
+    if binary is not None:
+        parts += _chunk(CHUNK_BIN, binary, b"\0")
+    for kind, chunk in others:
+        parts += _chunk(kind, [chunk], b"\0")
+    length = HEADER.size + sum(len(part) for part in parts)
+    if length > MAX_LENGTH:
+        raise OutputError(f"the GLB would have {length} bytes, over the format's limit of 4 GiB; write .gltf")
+    return [HEADER.pack(MAGIC, 2, length), *parts]
+
+
+def _chunk(kind: int, pieces: Sequence[Bytes], pad: bytes) -> list[Bytes]:
+    length = sum(len(piece) for piece in pieces)
+    padding = pad * (-length % 4)
+    return [CHUNK_HEADER.pack(length + len(padding), kind), *pieces, padding]

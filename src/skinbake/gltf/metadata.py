@@ -1,0 +1,63 @@
+"""What bake notes in the file: ``extras.skinbake`` of each baked primitive (CONVENTIONS.md holds the schema)."""
+
+from __future__ import annotations
+
+import hashlib
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from skinbake.geometry.frames import TANGENT_FRAME
+from skinbake.geometry.skinned import SkinnedPrimitive
+from skinbake.gltf.additions import KEY
+from skinbake.gltf.document import Document
+from skinbake.gltf.json_access import JsonObject
+
+VERSION = 1
+
+
+def digests(primitive: SkinnedPrimitive, frame: str) -> dict[str, str]:
+    """Return a digest of each array that α and β depend on, by name.
+
+    Each is the first 32 hexadecimal digits of the SHA-256 of the decoded values, tightly packed and little
+    endian: float32 for POSITION, NORMAL, TANGENT (only where the frame uses it) and WEIGHTS, uint16 for
+    JOINTS, uint32 for the unrolled triangles. So storing the same values in another way changes nothing.
+    """
+    arrays: dict[str, tuple[npt.NDArray[Any], str]] = {
+        "POSITION": (primitive.positions, "<f4"),
+        "NORMAL": (primitive.normals, "<f4"),
+        "JOINTS": (primitive.joints, "<u2"),
+        "WEIGHTS": (primitive.weights, "<f4"),
+        "indices": (primitive.triangles, "<u4"),
+    }
+    if frame == TANGENT_FRAME and primitive.tangents is not None:
+        arrays["TANGENT"] = (primitive.tangents, "<f4")
+    return {
+        name: hashlib.sha256(np.ascontiguousarray(values, dtype=dtype).data).hexdigest()[:32]
+        for name, (values, dtype) in arrays.items()
+    }
+
+
+def read_metadata(document: Document, primitive: JsonObject) -> JsonObject | None:
+    """Return what bake noted of a primitive, None where it is not baked.
+
+    It stands in the primitive's ``extras``, or, where those are not an object, in the ``extras`` of its
+    first α accessor.
+    """
+    found = _noted(primitive)
+    if found is not None:
+        return found
+    attributes, accessors = primitive.get("attributes"), document.objects("accessors")
+    for number in attributes.values() if isinstance(attributes, dict) else ():
+        if isinstance(number, int) and 0 <= number < len(accessors):
+            found = _noted(accessors[number])
+            if found is not None:
+                return found
+    return None
+
+
+def _noted(holder: JsonObject) -> JsonObject | None:
+    extras = holder.get("extras")
+    note = extras.get(KEY) if isinstance(extras, dict) else None
+    return note if isinstance(note, dict) and isinstance(note.get("version"), int) else None

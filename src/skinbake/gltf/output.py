@@ -1,0 +1,249 @@
+"""Write a document: everything beside its target first, whole or not at all, nothing overwritten but the target."""
+
+from __future__ import annotations
+
+import json
+import os
+import secrets
+import stat
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+
+from skinbake.errors import Notice, OutputError, Place
+from skinbake.gltf import resources
+from skinbake.gltf.additions import content_digest
+from skinbake.gltf.document import STDIO, Document
+from skinbake.gltf.glb import Bytes, join_glb
+from skinbake.gltf.json_access import JsonObject
+
+
+def write_document(document: Document, target: str) -> list[Notice]:
+    """Write a document to ``target``, whose suffix its container must match, or to stdout for ``-``.
+
+    Files that a relative URI names are copied beside the target where it is in another folder. A file that
+    is there already is left alone: where its content is the same it serves, else ours gets a name of its own
+    and the URI follows. URIs that lead out of the document's folder are not copied but rewritten. A document
+    that was not edited is written as the bytes it was read from. Raises OutputError; then nothing has been
+    written.
+    """
+    if target == STDIO:
+        _write_stdout(_serialised(document))
+        return []
+    path = Path(os.path.realpath(target))
+    _check_target(path, target)
+    document, beside, notices = _with_files_beside(document, path.parent)
+    _write_files({**beside, path: _serialised(document)}, target)
+    return notices
+
+
+def _serialised(document: Document) -> Sequence[Bytes]:
+    if document.raw is not None:
+        return [document.raw]
+    text = _json_bytes(document)
+    return join_glb(text, document.binary, document.other_chunks) if document.is_glb else [text]
+
+
+def _json_bytes(document: Document) -> bytes:
+    """Return the JSON as UTF-8, indented as it came; escapes where its strings hold lone surrogates."""
+    separators = (",", ":") if document.indent is None else (",", ": ")
+    end = "" if document.indent is None else "\n"
+
+    def dumped(ascii_only: bool) -> str:
+        return json.dumps(
+            document.json,
+            ensure_ascii=ascii_only,
+            allow_nan=False,
+            indent=document.indent,
+            separators=separators,
+        )
+
+    try:
+        try:
+            return (dumped(False) + end).encode("utf-8")
+        except UnicodeEncodeError:
+            return (dumped(True) + end).encode("ascii")
+    except (ValueError, RecursionError) as error:
+        raise OutputError(f"its JSON cannot be written: {error}", document.place) from error
+
+
+def _write_stdout(pieces: Sequence[Bytes]) -> None:
+    try:
+        for piece in pieces:
+            sys.stdout.buffer.write(piece)
+        sys.stdout.buffer.flush()
+    except OSError as error:
+        raise OutputError(f"cannot be written: {error.strerror}", Place("<stdout>")) from error
+
+
+def _check_target(path: Path, target: str) -> None:
+    if not path.parent.is_dir():
+        raise OutputError("its folder does not exist", Place(target))
+    if path.exists() and not path.is_file():
+        raise OutputError("it exists and is not a regular file", Place(target))
+    if path.exists() and not os.access(path, os.W_OK):
+        raise OutputError("it exists and is read-only", Place(target))
+
+
+@dataclass(frozen=True, slots=True)
+class _Resource:
+    """A file that the document names: in which array, at which index, under which URI."""
+
+    array: str
+    number: int
+    uri: str
+
+
+def _with_files_beside(
+    document: Document, folder: Path
+) -> tuple[Document, dict[Path, Sequence[Bytes]], list[Notice]]:
+    """Return the document with URIs that hold from ``folder``, the files to write there, and notices."""
+    files: dict[Path, Sequence[Bytes]] = {}
+    renamed: list[tuple[_Resource, str]] = []
+    missing: list[str] = []
+    same_folder = document.folder.resolve() == folder
+    for resource in _relative_resources(document):
+        pieces: Sequence[Bytes] | None = document.new_files.get(resource.uri)
+        name = resources.relative_path(resource.uri)
+        if pieces is None:
+            if same_folder:
+                continue
+            source = resources.locate(resource.uri, document.folder)
+            if not source.is_file():
+                missing.append(resource.uri)
+                continue
+            if _leads_out(name):
+                renamed.append((resource, _relative_uri(source, folder)))
+                continue
+            name = source.relative_to(document.folder).as_posix()
+            pieces = [_read(source)]
+        free = _free_name(folder, name, pieces)
+        if free != name:
+            renamed.append((resource, resources.path_uri(free)))
+        if not (folder / free).exists():
+            files[folder / free] = pieces
+    notices = [
+        Notice("file-missing", f'"{uri}", which it names, is not beside it and was not copied', document.place)
+        for uri in missing
+    ]
+    return (_with_uris(document, renamed) if renamed else document), files, notices
+
+
+def _relative_resources(document: Document) -> Iterator[_Resource]:
+    for array in ("buffers", "images"):
+        for number, entry in enumerate(document.objects(array)):
+            uri = entry.get("uri")
+            if isinstance(uri, str) and resources.is_relative(uri):
+                yield _Resource(array, number, uri)
+
+
+def _leads_out(name: str) -> bool:
+    depth = 0
+    for part in PurePosixPath(name.replace("\\", "/")).parts:
+        depth += -1 if part == ".." else 1
+        if depth < 0:
+            return True
+    return False
+
+
+def _relative_uri(source: Path, folder: Path) -> str:
+    try:
+        return resources.path_uri(Path(os.path.relpath(source.resolve(), folder)).as_posix())
+    except ValueError:  # another drive
+        return source.resolve().as_uri()
+
+
+def _read(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise OutputError(f"cannot be copied: {error.strerror}", Place(str(path))) from error
+
+
+def _free_name(folder: Path, name: str, pieces: Sequence[Bytes]) -> str:
+    """Return ``name``, or one made from the content where another file has that name already."""
+    if not _occupied(folder / name, pieces):
+        return name
+    path = PurePosixPath(name)
+    other = str(path.with_name(f"{path.stem}-{content_digest(tuple(pieces))}{path.suffix}"))
+    if _occupied(folder / other, pieces):
+        raise OutputError(f"a file of that name with other content is in the way: {other}", Place(str(folder)))
+    return other
+
+
+def _occupied(path: Path, pieces: Sequence[Bytes]) -> bool:
+    if not os.path.lexists(path):
+        return False
+    length = sum(len(piece) for piece in pieces)
+    return not (path.is_file() and path.stat().st_size == length and path.read_bytes() == b"".join(pieces))
+
+
+def _with_uris(document: Document, renamed: Sequence[tuple[_Resource, str]]) -> Document:
+    root: JsonObject = dict(document.json)
+    for resource, uri in renamed:
+        entries = list(root[resource.array])
+        entries[resource.number] = {**entries[resource.number], "uri": uri}
+        root[resource.array] = entries
+    return document.edited(json=root)
+
+
+def _write_files(files: dict[Path, Sequence[Bytes]], target: str) -> None:
+    """Write all files under temporary names, then rename them, the last one last."""
+    with _undone_on_failure() as (folders, temporary, created):
+        try:
+            for path, pieces in files.items():
+                _make_folders(path.parent, folders)
+                temporary.append(_write_temporary(path, pieces))
+            for path, name in zip(files, temporary, strict=True):
+                is_new = not path.exists()
+                name.replace(path)
+                if is_new:
+                    created.append(path)
+        except OSError as error:
+            raise OutputError(f"cannot be written: {error.strerror or error}", Place(target)) from error
+
+
+@contextmanager
+def _undone_on_failure() -> Iterator[tuple[list[Path], list[Path], list[Path]]]:
+    """Remove the listed folders, temporary files and new files where the block fails or is interrupted."""
+    folders: list[Path] = []
+    temporary: list[Path] = []
+    created: list[Path] = []
+    try:
+        yield folders, temporary, created
+    except BaseException:
+        for path in (*temporary, *created):
+            path.unlink(missing_ok=True)
+        for folder in reversed(folders):
+            folder.rmdir()
+        raise
+
+
+def _make_folders(folder: Path, made: list[Path]) -> None:
+    missing = []
+    while not folder.exists():
+        missing.append(folder)
+        folder = folder.parent
+    for path in reversed(missing):
+        path.mkdir()
+        made.append(path)
+
+
+def _write_temporary(path: Path, pieces: Sequence[Bytes]) -> Path:
+    """Write beside ``path`` with the mode it has, or a new file's; remove what a failure leaves."""
+    name = path.with_name(f".skinbake-{secrets.token_hex(6)}.tmp")
+    descriptor = os.open(name, os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0), 0o666)
+    try:
+        with os.fdopen(descriptor, "wb", buffering=0) as file:
+            if path.exists():
+                name.chmod(stat.S_IMODE(path.stat().st_mode))
+            for piece in pieces:
+                view = memoryview(piece)
+                while len(view):
+                    view = view[file.write(view) :]
+    except BaseException:
+        name.unlink(missing_ok=True)
+        raise
+    return name

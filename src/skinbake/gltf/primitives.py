@@ -1,0 +1,240 @@
+"""Skinned primitives: from the document to arrays, with a reason for each one that is left out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from skinbake.errors import InputError, Notice, Place, UnsupportedFeatureError
+from skinbake.geometry.skinned import FloatArray, IntArray, SkinnedPrimitive
+from skinbake.geometry.triangles import TRIANGLE_FAN, TRIANGLES, unrolled
+from skinbake.gltf.accessors import StoredArray, element_count, read_accessor
+from skinbake.gltf.document import Document
+from skinbake.gltf.json_access import JsonObject, index, integer, member, objects, text
+
+UNSIGNED = ("u1", "u2")
+DRACO = "KHR_draco_mesh_compression"
+MESHOPT = ("EXT_meshopt_compression", "KHR_meshopt_compression")
+
+
+@dataclass(frozen=True, slots=True)
+class PrimitiveSource:
+    """One primitive of a skinned mesh in the document: its JSON, and where it stands."""
+
+    mesh: int
+    primitive: int
+    json: JsonObject
+    joint_count: int
+    place: Place
+
+    @property
+    def attributes(self) -> JsonObject:
+        """Return the JSON object that maps attribute names to accessor indices."""
+        return member(self.json, "attributes", self.place)
+
+    @property
+    def influence_sets(self) -> int:
+        """Return how many ``JOINTS_n`` sets the primitive has, counted from 0 without a gap."""
+        attributes = self.attributes
+        count = 0
+        while f"JOINTS_{count}" in attributes:
+            count += 1
+        return count
+
+
+@dataclass(frozen=True, slots=True)
+class StoredInfluences:
+    """One influence set as stored: joints (V, 4), weights (V, 4) of their component types."""
+
+    joints: StoredArray
+    weights: StoredArray
+
+
+def skinned_sources(document: Document) -> tuple[list[PrimitiveSource], list[Notice]]:
+    """Return the primitives that a node with a skin draws, and notices on half-skinned ones.
+
+    A primitive counts as skinned where its mesh is used by a node with a skin *and* it has JOINTS_0.
+    ``joint_count`` is the smallest number of joints of all skins that its mesh is used with. Raises
+    InputError where nodes, skins or meshes contradict each other.
+    """
+    joint_counts = _joint_counts(document)
+    sources, notices = [], []
+    for source in _all_sources(document, joint_counts):
+        has_joints = "JOINTS_0" in source.attributes
+        if source.mesh in joint_counts and has_joints:
+            sources.append(source)
+        elif has_joints:
+            notices.append(
+                Notice("no-skin", "skipped: it has joints, but no node gives its mesh a skin", source.place)
+            )
+        elif source.mesh in joint_counts:
+            notices.append(
+                Notice("no-joints", "skipped: its node has a skin, but it has no JOINTS_0", source.place)
+            )
+    return sources, notices
+
+
+def _joint_counts(document: Document) -> dict[int, int]:
+    skins, meshes = document.objects("skins"), document.objects("meshes")
+    counts: dict[int, int] = {}
+    for node in document.objects("nodes"):
+        mesh = index(node, "mesh", len(meshes), document.place)
+        skin = index(node, "skin", len(skins), document.place)
+        if mesh is None or skin is None:
+            continue
+        joints = skins[skin].get("joints")
+        if not isinstance(joints, list) or not joints:
+            raise InputError(f"skin {skin} has no joints", document.place)
+        counts[mesh] = min(counts.get(mesh, len(joints)), len(joints))
+    return counts
+
+
+def _all_sources(document: Document, joint_counts: dict[int, int]) -> Iterator[PrimitiveSource]:
+    for number, mesh in enumerate(document.objects("meshes")):
+        place = Place(document.name, number, text(mesh, "name", document.place))
+        for position, primitive in enumerate(objects(mesh, "primitives", place)):
+            here = Place(place.file, place.mesh, place.mesh_name, position)
+            yield PrimitiveSource(number, position, primitive, joint_counts.get(number, 0), here)
+
+
+def refuse_compressed(document: Document, source: PrimitiveSource) -> None:
+    """Raise UnsupportedFeatureError, naming the extension, where the primitive's data is compressed."""
+    accessors, views = document.objects("accessors"), document.objects("bufferViews")
+    if DRACO in member(source.json, "extensions", source.place):
+        raise _compressed(DRACO, source.place)
+    numbers = [index(source.attributes, name, len(accessors), source.place) for name in source.attributes]
+    numbers.append(index(source.json, "indices", len(accessors), source.place))
+    for number in numbers:
+        view = None if number is None else index(accessors[number], "bufferView", len(views), source.place)
+        for extension in () if view is None else member(views[view], "extensions", source.place):
+            if extension in MESHOPT:
+                raise _compressed(extension, source.place)
+
+
+def _compressed(extension: str, place: Place) -> UnsupportedFeatureError:
+    return UnsupportedFeatureError(
+        f"its geometry is compressed with {extension}, which this version cannot decode; "
+        "bake the asset before it is compressed",
+        place,
+    )
+
+
+def reason_to_skip(document: Document, source: PrimitiveSource, *, generate_normals: bool) -> Notice | None:
+    """Return why a skinned primitive cannot be baked, None where it can."""
+    mode = integer(source.json, "mode", source.place, default=TRIANGLES)
+    if mode > TRIANGLE_FAN:
+        raise InputError(f'"mode" is {mode}; glTF knows 0 to {TRIANGLE_FAN}', source.place)
+    if mode < TRIANGLES:
+        kind = "points" if mode == 0 else "lines"
+        return Notice("no-surface", f"skipped: it draws {kind}, which have no surface", source.place)
+    if "POSITION" not in source.attributes:
+        return Notice("no-positions", "skipped: it has no POSITION", source.place)
+    if "NORMAL" not in source.attributes and not generate_normals:
+        return Notice(
+            "no-normals", "skipped: it has no NORMAL; --generate-normals adds smooth ones", source.place
+        )
+    if len(read_triangles(document, source)) == 0:
+        return Notice("no-triangles", "skipped: it has not one whole triangle", source.place)
+    return None
+
+
+def read_primitive(document: Document, source: PrimitiveSource) -> SkinnedPrimitive:
+    """Return the arrays of one skinned primitive.
+
+    normals is (0, 3) where there is no NORMAL. Raises InputError where an attribute has a format that
+    glTF does not allow, values that are not finite, another count than POSITION, or a joint index past
+    the skin's joints at a weight other than zero.
+    """
+    positions = _decoded(document, source, "POSITION", 3)
+    count = len(positions)
+    normals = _decoded(document, source, "NORMAL", 3, count) if "NORMAL" in source.attributes else np.zeros((0, 3))
+    has_tangent = "TANGENT" in source.attributes and "NORMAL" in source.attributes
+    tangents = _decoded(document, source, "TANGENT", 4, count) if has_tangent else None
+    influences = read_influences(document, source, count)
+    joints = np.concatenate([entry.joints.values.astype(np.int64) for entry in influences], axis=1)
+    weights = np.concatenate([entry.weights.decoded() for entry in influences], axis=1)
+    if not np.isfinite(weights).all():
+        raise InputError("its weights are not all finite numbers", source.place.at("WEIGHTS_0"))
+    _check_joints(joints, weights, source)
+    return SkinnedPrimitive(positions, normals, tangents, joints, weights, read_triangles(document, source))
+
+
+def read_influences(document: Document, source: PrimitiveSource, count: int) -> list[StoredInfluences]:
+    """Return every influence set of a primitive with ``count`` vertices, as stored."""
+    sets = []
+    for number in range(source.influence_sets):
+        joints = _stored(document, source, f"JOINTS_{number}", 4, count)
+        weights = _stored(document, source, f"WEIGHTS_{number}", 4, count)
+        if joints.values.dtype.str[1:] not in UNSIGNED:
+            raise InputError("joints must be unsigned bytes or shorts", source.place.at(f"JOINTS_{number}"))
+        if weights.values.dtype.kind != "f" and not (
+            weights.normalized and weights.values.dtype.str[1:] in UNSIGNED
+        ):
+            raise InputError(
+                "weights must be floats, or normalised unsigned bytes or shorts",
+                source.place.at(f"WEIGHTS_{number}"),
+            )
+        sets.append(StoredInfluences(joints, weights))
+    return sets
+
+
+def read_triangles(document: Document, source: PrimitiveSource) -> npt.NDArray[np.int64]:
+    """Return the primitive's triangles (T, 3), strips and fans unrolled; InputError for an index ≥ V."""
+    place = source.place.at("indices")
+    count = element_count(document, _accessor_index(document, source, "POSITION"), source.place.at("POSITION"))
+    number = index(source.json, "indices", len(document.objects("accessors")), place)
+    if number is None:
+        indices: IntArray = np.arange(count)
+    else:
+        stored = read_accessor(document, number, place).values
+        if stored.dtype.kind != "u" or stored.shape[1] != 1:
+            raise InputError("indices must be scalars of an unsigned integer type", place)
+        indices = stored[:, 0]  # type: ignore[assignment]
+        if indices.max() >= count:
+            raise InputError(f"index {indices.max()} refers past the {count} vertices", place)
+    return unrolled(indices, integer(source.json, "mode", place, default=TRIANGLES))
+
+
+def _accessor_index(document: Document, source: PrimitiveSource, attribute: str) -> int:
+    place = source.place.at(attribute)
+    number = index(source.attributes, attribute, len(document.objects("accessors")), place)
+    if number is None:
+        raise InputError(f"it has no {attribute}", source.place)
+    return number
+
+
+def _stored(
+    document: Document, source: PrimitiveSource, attribute: str, components: int, count: int | None = None
+) -> StoredArray:
+    place = source.place.at(attribute)
+    number = _accessor_index(document, source, attribute)
+    declared = element_count(document, number, place)
+    if count is not None and declared != count:
+        raise InputError(f"it has {declared} elements, POSITION has {count}", place)
+    stored = read_accessor(document, number, place)
+    if stored.values.shape[1] != components:
+        raise InputError(f"it has {stored.values.shape[1]} components, {components} are needed", place)
+    return stored
+
+
+def _decoded(
+    document: Document, source: PrimitiveSource, attribute: str, components: int, count: int | None = None
+) -> FloatArray:
+    values = _stored(document, source, attribute, components, count).decoded()
+    if not np.isfinite(values).all():
+        raise InputError("its values are not all finite numbers", source.place.at(attribute))
+    return values
+
+
+def _check_joints(joints: npt.NDArray[np.int64], weights: FloatArray, source: PrimitiveSource) -> None:
+    outside = (joints >= source.joint_count) & (weights != 0)
+    if outside.any():
+        vertex, slot = np.argwhere(outside)[0]
+        raise InputError(
+            f"vertex {vertex} is weighted to joint {joints[vertex, slot]} of a skin with {source.joint_count}; "
+            f"{np.count_nonzero(outside.any(axis=1))} vertices are",
+            source.place.at(f"JOINTS_{slot // 4}"),
+        )

@@ -1,0 +1,83 @@
+"""What the URIs of buffers and images stand for: data in the URI, a file beside the document, or elsewhere."""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import re
+from pathlib import Path
+from urllib.parse import quote, unquote, unquote_to_bytes
+
+from skinbake.errors import InputError, Place
+
+_SCHEME = re.compile(r"^[A-Za-z][A-Za-z0-9+.\-]+:")
+
+
+def is_data_uri(uri: str) -> bool:
+    """Tell whether the URI carries its data itself."""
+    return uri[:5].lower() == "data:"
+
+
+def is_relative(uri: str) -> bool:
+    """Tell whether the URI names a file relative to the document (a relative reference of RFC 3986)."""
+    return bool(uri) and not _SCHEME.match(uri) and not uri.startswith(("/", "\\"))
+
+
+def decode_data_uri(uri: str, place: Place) -> bytes:
+    """Return the bytes of a ``data:`` URI, base64 or percent-encoded; InputError where it is malformed."""
+    header, comma, payload = uri.partition(",")
+    if not comma:
+        raise InputError("a data: URI has no comma before its data", place)
+    if not header.lower().endswith(";base64"):
+        return unquote_to_bytes(payload)
+    try:
+        return base64.b64decode(unquote(payload) if "%" in payload else payload, validate=True)
+    except binascii.Error as error:
+        raise InputError(f"a data: URI does not hold valid base64: {error}", place) from error
+
+
+def encode_data_uri(data: bytes) -> str:
+    """Return the bytes as the ``data:`` URI of a glTF buffer."""
+    return "data:application/octet-stream;base64," + base64.b64encode(data).decode("ascii")
+
+
+def relative_path(uri: str) -> str:
+    """Return the path that a relative URI names, percent-encoding undone, query and fragment cut off."""
+    return unquote(uri.split("#")[0].split("?")[0])
+
+
+def path_uri(path: str) -> str:
+    """Return the relative URI of a path with forward slashes."""
+    return quote(path, safe="/!$&'()*+,;=@~-._")
+
+
+def locate(uri: str, folder: Path) -> Path:
+    """Return the file that a relative URI names, seen from ``folder``.
+
+    Percent-encoding is undone; a file that carries the encoded name literally, as some exporters write
+    it, is found where the decoded one is absent.
+    """
+    decoded = folder / relative_path(uri)
+    literal = folder / uri
+    return literal if "%" in uri and not decoded.exists() and literal.exists() else decoded
+
+
+def read_resource(uri: str, folder: Path, place: Place) -> bytes:
+    """Return the bytes that a buffer's URI stands for.
+
+    Raises InputError where the file is missing or unreadable, the data URI is malformed, or the URI has
+    another scheme or an absolute path: a model does not get to read arbitrary files or the network.
+    """
+    if is_data_uri(uri):
+        return decode_data_uri(uri, place)
+    if not is_relative(uri):
+        raise InputError(f'the URI "{_short(uri)}" is neither relative nor a data: URI', place)
+    try:
+        return locate(uri, folder).read_bytes()
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise InputError(f'cannot read "{_short(uri)}" beside it: {reason}', place) from error
+
+
+def _short(uri: str) -> str:
+    return uri if len(uri) <= 80 else f"{uri[:77]}…"

@@ -1,0 +1,97 @@
+"""What a replay takes and gives: a surface at rest with its weight gradients, and the same surface skinned."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from skinbake.geometry.skinned import BoolArray, FloatArray, IntArray
+
+DEFAULT_CAP = 0.9
+"""The limit of the paper's published demo, for callers that switch the cap on without a figure of their own."""
+
+
+class Baseline(StrEnum):
+    """The standard normal that algorithm 1 stands for under linear blend skinning."""
+
+    BLENDED = "blended"
+    """(Σ w M) n, the paper's own and three.js's."""
+    INVERSE_TRANSPOSE = "inverse-transpose"
+    """(Σ w M)⁻ᵀ n, as Bevy."""
+    COFACTOR = "cofactor"
+    """(Σ w cof M) n, as Filament."""
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """How an algorithm departs from the paper: a cap for 3, 5 and 6 (None is off), a baseline for 1."""
+
+    cap: float | None = None
+    baseline: Baseline = Baseline.BLENDED
+
+
+@dataclass(frozen=True, slots=True)
+class RestSurface:
+    """A skinned surface at rest, in mesh space, with the derivatives of its weights.
+
+    positions, normals, tangents (t0), bitangents (b0) (V, 3) floating; the frame is taken to be orthonormal.
+    joints (V, K) integer, each below the J of the poses that it meets; weights (V, K), summing to one.
+    alpha, beta (V, K − 1): ∇w · t0 and ∇w · b0 of slots 1 … K − 1, 1 / length unit of POSITION. gradients (V, K, 3),
+    ∇w of every slot for algorithm 2, or None to have them rebuilt from alpha and beta.
+    """
+
+    positions: FloatArray
+    normals: FloatArray
+    tangents: FloatArray
+    bitangents: FloatArray
+    joints: IntArray
+    weights: FloatArray
+    alpha: FloatArray
+    beta: FloatArray
+    gradients: FloatArray | None = None
+
+    def weight_gradients(self) -> FloatArray:
+        """Return ∇w (V, K, 3): as given, else α t0 + β b0, slot 0's being minus the sum of the others'.
+
+        Along n0, which no tangent of the surface sees, the rebuilt gradient is zero.
+        """
+        if self.gradients is not None:
+            return self.gradients
+        others = (
+            self.alpha[:, :, None] * self.tangents[:, None, :]
+            + self.beta[:, :, None] * self.bitangents[:, None, :]
+        )
+        return np.concatenate([-others.sum(axis=1, keepdims=True), others], axis=1)
+
+    def handedness(self) -> FloatArray:
+        """Return the sign (V,) of (t0 × b0) · n0: −1 where the frame is mirrored, 1 also where it is flat.
+
+        t' × b' lies along the normal of an unmirrored frame and against that of a mirrored one.
+        """
+        volume = np.einsum("vi,vi->v", np.cross(self.tangents, self.bitangents), self.normals)
+        return np.where(volume < 0, -1.0, 1.0)
+
+    def joints_in_use(self, joint_count: int) -> BoolArray:
+        """Return which of the joints (J,) have a weight or a weight derivative at any vertex."""
+        derivative = (self.alpha != 0) | (self.beta != 0)
+        active = self.weights != 0
+        active[:, 1:] |= derivative
+        active[:, 0] |= derivative.any(axis=1)
+        used = np.zeros(joint_count, dtype=np.bool_)
+        used[self.joints[active]] = True
+        return used
+
+
+@dataclass(frozen=True, slots=True)
+class SkinnedSurface:
+    """The surface in P poses: positions, normals, tangents, bitangents, each (P, V, 3).
+
+    Normals are *not* unit, and neither are the tangents, which are images under the differential of skinning.
+    """
+
+    positions: FloatArray
+    normals: FloatArray
+    tangents: FloatArray
+    bitangents: FloatArray

@@ -1,0 +1,188 @@
+"""The gradient at a mesh's vertices as a sparse matrix: libigl's triangle gradients, averaged over welds.
+
+Source: Max, *Weights for computing vertex normals from facet normals* (1999), for the average; Tarini,
+Panozzo, Sorkine-Hornung, *Accurate and efficient lighting for skinned models* (2014), for α and β. It
+shares no code with the kernel that bakes: an error in one must not hide in both.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal, TypeAlias, get_args
+
+import numpy as np
+
+from skinbake.errors import InputError
+from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray, SkinnedPrimitive
+from skinbake.verify.influences import Int64Array, carrying_slots, weight_field
+from skinbake.verify.welds import weld_classes
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+Weighting: TypeAlias = Literal["max", "angle", "area", "angle-area"]
+Frame: TypeAlias = tuple[FloatArray, FloatArray]
+
+# A triangle is a line or a point when its doubled area is at most this share of its longest squared edge.
+_DEGENERATE = 1e-10
+
+
+@dataclass(frozen=True, slots=True)
+class GradientOperator:
+    """The linear map from a field on a mesh's vertices to the field's gradient at the same vertices.
+
+    x, y, z: sparse (V, V) float64, 1 / length unit of POSITION. V runs over the vertices of all primitives,
+    concatenated in order; counts holds the number of each. The row of a vertex without triangles is zero.
+    """
+
+    x: csr_array
+    y: csr_array
+    z: csr_array
+    counts: tuple[int, ...]
+
+    def along(self, directions: FloatArray) -> csr_array:
+        """Return the sparse (V, V) float64 derivative along one direction per vertex.
+
+        directions (V, 3), mesh space; a direction's length scales its derivative.
+        """
+        scale = np.asarray(directions, dtype=np.float64)
+        return _scaled(self.x, scale[:, 0]) + _scaled(self.y, scale[:, 1]) + _scaled(self.z, scale[:, 2])
+
+    @property
+    def slices(self) -> list[slice]:
+        """Where each primitive's vertices lie among the mesh's."""
+        ends = np.cumsum(self.counts).tolist()
+        return [slice(end - count, end) for end, count in zip(ends, self.counts, strict=True)]
+
+
+def gradient_operator(
+    primitives: Sequence[SkinnedPrimitive],
+    *,
+    weighting: Weighting = "max",
+    crease_angle_degrees: float = 15.0,
+) -> GradientOperator:
+    """Build the gradient operator over the welded vertices of one mesh.
+
+    A vertex takes the weighted mean of libigl's gradients over the corners of its weld class
+    (``weld_classes``), divided by the total weight of *all* of them, so that the gradients of weights that
+    sum to one sum to zero. With e1, e2 a corner's edges, θ its angle and A = |e1 × e2|, its weight is A /
+    (|e1|² |e2|²) for ``max``, θ for ``angle``, A for ``area``, θ A for ``angle-area``.
+
+    Triangles that are lines or points, or have a non-finite corner, are ignored. Raises InputError for an
+    index outside its primitive, which libigl would not survive, and ValueError for an unknown weighting.
+    """
+    if weighting not in get_args(Weighting):
+        raise ValueError(f"weighting {weighting!r}, expected one of {', '.join(get_args(Weighting))}")
+    import igl  # noqa: PLC0415  here, for most runs of the program never need it
+    from scipy.sparse import csr_array  # noqa: PLC0415
+
+    counts = tuple(len(primitive.positions) for primitive in primitives)
+    positions = np.concatenate([primitive.positions for primitive in primitives]).astype(np.float64)
+    triangles = _sound_triangles(positions, _all_triangles(primitives))
+    classes = weld_classes(primitives, crease_angle_degrees=crease_angle_degrees)
+    averages = _averages(_corner_weights(positions, triangles, weighting), classes[triangles], classes)
+    if not len(triangles):
+        empty = csr_array((len(positions), len(positions)), dtype=np.float64)
+        return GradientOperator(empty, empty, empty, counts)
+
+    # Positions that no sound triangle uses may be NaN: nothing of them may reach libigl.
+    used = np.zeros(len(positions), dtype=bool)
+    used[triangles] = True
+    per_triangle = csr_array(igl.grad(np.where(used[:, None], positions, 0.0), triangles))
+    n = len(triangles)
+    x, y, z = ((averages @ per_triangle[axis * n : (axis + 1) * n])[classes] for axis in range(3))
+    return GradientOperator(x, y, z, counts)
+
+
+def expected_alpha_beta(
+    operator: GradientOperator, primitives: Sequence[SkinnedPrimitive], frames: Sequence[Frame]
+) -> list[tuple[Float64Array, Float64Array]]:
+    """Return α = ∇w · t0 and β = ∇w · b0 of the joint in every slot: per primitive two (V, K) float64.
+
+    frames: per primitive t0 and b0, each (V, 3), mesh space. Where a joint stands in several slots of a
+    vertex, the first slot with a positive weight, or else the first, carries its gradient and the others
+    hold 0. Slot 0 holds its own joint's gradient; a file stores minus the sum of the other slots there, and
+    the two differ at vertices with neighbours' joints outside their own set.
+    """
+    field = weight_field(primitives)
+    alpha, beta = (
+        operator.along(np.concatenate([frame[axis] for frame in frames])) @ field for axis in range(2)
+    )
+    result = []
+    for primitive, rows in zip(primitives, operator.slices, strict=True):
+        carries = carrying_slots(primitive)
+        result.append(
+            (_named_entries(alpha[rows], primitive, carries), _named_entries(beta[rows], primitive, carries))
+        )
+    return result
+
+
+def _named_entries(derivatives: csr_array, primitive: SkinnedPrimitive, carries: BoolArray) -> Float64Array:
+    """Look up, in a (V, J) sparse matrix, the entry of the joint that each slot names."""
+    rows = np.broadcast_to(np.arange(len(primitive.joints))[:, None], primitive.joints.shape)
+    joints = primitive.joints.astype(np.int64)
+    found = np.zeros(joints.shape)
+    found[carries] = np.asarray(derivatives[rows[carries], joints[carries]]).ravel()
+    return found
+
+
+def _all_triangles(primitives: Sequence[SkinnedPrimitive]) -> Int64Array:
+    """Concatenate the triangles, with indices into the concatenated vertices."""
+    parts = [np.zeros((0, 3), dtype=np.int64)]
+    offset = 0
+    for number, primitive in enumerate(primitives):
+        count, triangles = len(primitive.positions), primitive.triangles.astype(np.int64)
+        if triangles.size and not (triangles.min() >= 0 and triangles.max() < count):
+            raise InputError(
+                f"primitive {number}: indices from {triangles.min()} to {triangles.max()}, "
+                f"expected 0 to {count - 1}"
+            )
+        parts.append(triangles + offset)
+        offset += count
+    return np.concatenate(parts)
+
+
+def _sound_triangles(positions: Float64Array, triangles: Int64Array) -> Int64Array:
+    """Keep the triangles that have an area; a comparison with NaN is false and drops the triangle."""
+    corners = positions[triangles]
+    with np.errstate(invalid="ignore", over="ignore"):
+        edges = np.roll(corners, -1, axis=1) - corners
+        doubled_areas = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
+        longest = (edges**2).sum(axis=2).max(axis=1, initial=0.0)
+        sound: Int64Array = triangles[doubled_areas > _DEGENERATE * longest]
+    return sound
+
+
+def _corner_weights(positions: Float64Array, triangles: Int64Array, weighting: Weighting) -> Float64Array:
+    """Weigh each corner (T, 3) of sound triangles."""
+    corners = positions[triangles]
+    following = np.roll(corners, -1, axis=1) - corners
+    preceding = np.roll(corners, 1, axis=1) - corners
+    area: Float64Array = np.linalg.norm(np.cross(following, preceding), axis=2)
+    if weighting == "area":
+        return area
+    if weighting == "max":
+        weight: Float64Array = area / ((following**2).sum(axis=2) * (preceding**2).sum(axis=2))
+        return weight
+    angle: Float64Array = np.arctan2(area, (following * preceding).sum(axis=2))
+    return angle if weighting == "angle" else angle * area
+
+
+def _averages(weights: Float64Array, corner_classes: Int64Array, classes: Int64Array) -> csr_array:
+    """Build the sparse (classes, T) matrix averaging over each class's corners: rows sum to 1 or are 0."""
+    from scipy.sparse import csr_array  # noqa: PLC0415
+
+    count = int(classes.max(initial=-1)) + 1
+    totals = np.bincount(corner_classes.ravel(), weights.ravel(), minlength=count)
+    columns = np.repeat(np.arange(len(weights)), 3)
+    shares = weights.ravel() / totals[corner_classes.ravel()]
+    return csr_array((shares, (corner_classes.ravel(), columns)), shape=(count, len(weights)))
+
+
+def _scaled(matrix: csr_array, rows: Float64Array) -> csr_array:
+    """Multiply each row of a sparse matrix by a number."""
+    from scipy.sparse import csr_array  # noqa: PLC0415
+
+    data = matrix.data * np.repeat(rows, np.diff(matrix.indptr))
+    return csr_array((data, matrix.indices, matrix.indptr), shape=matrix.shape)

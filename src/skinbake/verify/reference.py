@@ -1,0 +1,133 @@
+"""The normals that skinned surfaces should have, measured on the deformed mesh and owing nothing to α and β.
+
+The discrete gradient of ``operator`` is applied to the deformed positions and to the rest positions alike:
+two tangents before, two after. F maps the one frame onto the other, and the reference normal is cof(F) n0,
+the image of the authored normal under the cofactor of F.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray
+from skinbake.verify.operator import GradientOperator
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+# Below this sine between its two tangents a frame has no normal: float32 positions leave no digit of it.
+_FLAT = 1e-6
+# Vertices × poses in flight: the dozen temporaries of a block stay in the cache and memory stays bounded.
+_BLOCK = 1 << 16
+
+
+@dataclass(frozen=True, slots=True)
+class RestFrames:
+    """What the reference needs of the rest pose.
+
+    tangents: sparse (2V, V), the derivative along t0, then along b0. coefficients (3, V): n0 in the rest
+    frame (a, b, ĉ), with c = a × b, divided by |c|. areas (V,): |c|. valid (V,): the frame and n0 are
+    usable.
+    """
+
+    tangents: csr_array
+    coefficients: Float64Array
+    areas: Float64Array
+    valid: BoolArray
+
+
+def rest_frames(
+    operator: GradientOperator,
+    positions: FloatArray,
+    normals: FloatArray,
+    tangents: FloatArray,
+    bitangents: FloatArray,
+) -> RestFrames:
+    """Measure the rest pose, once for any number of poses.
+
+    All arrays are (V, 3) over the mesh's concatenated vertices, in mesh space: the rest positions, n0 of
+    any length, t0 and b0. A vertex without triangles, with a flat frame, or with a zero or non-finite n0 is
+    not valid.
+    """
+    from scipy.sparse import vstack  # noqa: PLC0415
+
+    along = vstack([operator.along(tangents), operator.along(bitangents)], format="csr")
+    a, b = _tangents(along, np.asarray(positions, dtype=np.float64)[None])
+    with np.errstate(all="ignore"):
+        c = _cross(a, b)
+        areas = _length(c)[:, 0]
+        n0 = np.asarray(normals, dtype=np.float64).T[:, :, None]
+        n0 = n0 / _length(n0)
+        # cof([a b ĉ])⁻¹ n0 = [a b ĉ]ᵀ n0 / det, and det = |c|.
+        coefficients = np.stack([_dot(a, n0), _dot(b, n0), _dot(c, n0) / areas[:, None]])[:, :, 0] / areas
+        flat = areas <= _FLAT * (_length(a) * _length(b))[:, 0]
+    valid = ~flat & np.isfinite(coefficients).all(axis=0)
+    return RestFrames(along, coefficients, areas, valid)
+
+
+def reference_normals(rest: RestFrames, deformed: FloatArray) -> tuple[Float64Array, BoolArray]:
+    """Return the reference normals of a deformed mesh, and where they are valid.
+
+    deformed (P, V, 3): the skinned positions over the mesh's concatenated vertices, in any one space per
+    pose. The normals are (P, V, 3) float64 unit vectors in that space, the mask is (P, V). It is false, and
+    the normal NaN, where the rest frame is not valid or the deformed one is flat.
+
+    With c = a × b of the tangents a, b and ĉ its direction, F takes a0, b0, ĉ0 to a1, b1,
+    ĉ1 sqrt(|c1| / |c0|). The factor keeps a uniform scale uniform: joint matrices with an overall 0.01 are
+    common. So at rest, and under any rotation and uniform scale, cof(F) n0 is n0 or its image up to
+    rounding, authored normals included.
+    """
+    count = max(1, _BLOCK // max(1, deformed.shape[1]))
+    normals = np.empty(deformed.shape)
+    for start in range(0, len(deformed), count):
+        block = slice(start, start + count)
+        normals[block] = _block_normals(rest, np.asarray(deformed[block], dtype=np.float64))
+    return normals, np.isfinite(normals[..., 0])
+
+
+def _block_normals(rest: RestFrames, deformed: Float64Array) -> Float64Array:
+    """Compute (P, V, 3) reference normals, NaN where undefined."""
+    along_a, along_b, along_c = rest.coefficients[:, :, None]
+    with np.errstate(all="ignore"):
+        a, b = _tangents(rest.tangents, deformed)
+        c = _cross(a, b)
+        area = _length(c)
+        # The third column ĉ1 sqrt(|c1| / |c0|).
+        m = c / np.sqrt(area * rest.areas[:, None])
+        # The columns of the cofactor matrix are the cross products of the other two.
+        normal = along_a * _cross(b, m) + along_b * _cross(m, a) + along_c * c
+        normal /= _length(normal)
+        flat = area <= _FLAT * _length(a) * _length(b)
+    normal[:, flat | ~rest.valid[:, None] | ~np.isfinite(normal).all(axis=0)] = np.nan
+    poses_first: Float64Array = normal.transpose(2, 1, 0)
+    return poses_first
+
+
+def _tangents(along: csr_array, positions: Float64Array) -> tuple[Float64Array, Float64Array]:
+    """Differentiate (P, V, 3) positions: two (3, V, P) arrays, so that a component is one plane."""
+    poses, count, _ = positions.shape
+    columns = np.ascontiguousarray(positions.transpose(1, 2, 0)).reshape(count, 3 * poses)
+    both = (along @ columns).reshape(2, count, 3, poses)
+    return both[0].transpose(1, 0, 2), both[1].transpose(1, 0, 2)
+
+
+def _cross(first: Float64Array, second: Float64Array) -> Float64Array:
+    """Cross (3, ...) arrays along the first axis."""
+    x, y, z = first
+    u, v, w = second
+    return np.stack([y * w - z * v, z * u - x * w, x * v - y * u])
+
+
+def _dot(first: Float64Array, second: Float64Array) -> Float64Array:
+    """Dot (3, ...) arrays along the first axis."""
+    products: Float64Array = first[0] * second[0] + first[1] * second[1] + first[2] * second[2]
+    return products
+
+
+def _length(vectors: Float64Array) -> Float64Array:
+    """Measure (3, ...) arrays along the first axis."""
+    lengths: Float64Array = np.sqrt(_dot(vectors, vectors))
+    return lengths

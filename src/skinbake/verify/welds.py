@@ -1,0 +1,73 @@
+"""Which vertices of a mesh are one point of its surface: glTF splits a vertex wherever any attribute differs.
+
+Rows are numbered by sorting, and chains of similar normals are the connected components of a graph.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from skinbake.geometry.skinned import Float64Array, SkinnedPrimitive
+from skinbake.verify.influences import Int64Array, influence_keys
+
+
+def weld_classes(primitives: Sequence[SkinnedPrimitive], *, crease_angle_degrees: float = 15.0) -> Int64Array:
+    """Return the number of each vertex's weld class: (V,) int64 over all primitives, from 0 without gaps.
+
+    One class are vertices whose positions are equal (−0 is +0), whose influences are equal (joint → w / Σw,
+    in any slot order, compared in float32), and which a chain of normals joins where neighbours differ by
+    at most ``crease_angle_degrees``, in any primitive of the mesh. Normals may have any length; a zero or
+    non-finite one welds only with one of identical bits.
+    """
+    from scipy.sparse import coo_array  # noqa: PLC0415
+    from scipy.sparse.csgraph import connected_components  # noqa: PLC0415
+
+    positions = np.concatenate([primitive.positions for primitive in primitives]).astype(np.float64)
+    normals = np.concatenate([primitive.normals for primitive in primitives]).astype(np.float64)
+    joints, shares = influence_keys(primitives)
+    # Adding zero turns −0 into +0; the rows are then compared bit by bit, so that NaN is a value as any
+    # other.
+    places = _row_numbers(np.hstack([(positions + 0.0).view(np.int64), joints, shares.view(np.int32)]))
+    # Copies that differ in nothing collapse here, which leaves few pairs to compare by angle.
+    nodes = _row_numbers(np.column_stack([places, normals.view(np.int64)]))
+    firsts = np.unique(nodes, return_index=True)[1]
+    pairs = _close_pairs(places[firsts], normals[firsts], np.radians(crease_angle_degrees))
+    links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(firsts), len(firsts)))
+    labels: Int64Array = connected_components(links, directed=False)[1].astype(np.int64)
+    return labels[nodes]
+
+
+def _row_numbers(rows: Int64Array) -> Int64Array:
+    """Give equal rows equal numbers, (V,) from 0 without gaps."""
+    order = np.lexsort(rows.T)
+    ordered = rows[order]
+    starts = np.ones(len(rows), dtype=bool)
+    starts[1:] = (ordered[1:] != ordered[:-1]).any(axis=1)
+    numbers = np.empty(len(rows), dtype=np.int64)
+    numbers[order] = np.cumsum(starts) - 1
+    return numbers
+
+
+def _close_pairs(places: Int64Array, normals: Float64Array, angle: float) -> Int64Array:
+    """List the pairs (N, 2) at one place whose normals differ by at most ``angle`` radians."""
+    from scipy.spatial import cKDTree  # noqa: PLC0415
+
+    with np.errstate(invalid="ignore", divide="ignore"):
+        # Scaled before squaring: a normal of any length that the type can hold has a direction.
+        scaled = normals / np.abs(normals).max(axis=1, initial=0.0, keepdims=True)
+        units = scaled / np.linalg.norm(scaled, axis=1, keepdims=True)
+    shared = np.bincount(places, minlength=len(places))[places] > 1
+    candidates = np.flatnonzero(shared & np.isfinite(units).all(axis=1))
+    if not len(candidates):
+        return np.zeros((0, 2), dtype=np.int64)
+    # Places lie 4 apart on the first axis and normals within 2 of one another: only pairs at one place are
+    # near.
+    tree = cKDTree(np.column_stack([4.0 * places[candidates], units[candidates]]))
+    chord = 2.0 * np.sin(min(angle, np.pi) / 2.0)
+    near = candidates[tree.query_pairs(chord * (1.0 + 1e-9) + 1e-12, output_type="ndarray")]
+    first, second = units[near[:, 0]], units[near[:, 1]]
+    between = np.arctan2(np.linalg.norm(np.cross(first, second), axis=1), (first * second).sum(axis=1))
+    close: Int64Array = near[between <= angle]
+    return close

@@ -1,0 +1,1 @@
+"""Tests of skinbake; the folders mirror src/skinbake."""

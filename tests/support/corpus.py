@@ -1,0 +1,88 @@
+"""Find the corpus of real models, which is not part of this repository.
+
+It is looked for at SKINBAKE_CORPUS, else at ../shared/corpus beside the repository. Without it the tests
+that need it are skipped, in a strict run too: it is data, not a tool. At module level `parameters` keeps
+the other tests of the module running; every other function here skips the whole module.
+"""
+
+from __future__ import annotations
+
+import csv
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeVar
+
+import pytest
+
+if TYPE_CHECKING:
+    from pytest import ParameterSet
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+NOT_HERE = "the corpus of real models is not here: set SKINBAKE_CORPUS"
+
+Item = TypeVar("Item", Path, tuple[Path, str])
+
+
+def find_corpus() -> Path | None:
+    """Return the corpus folder, or None where it is not."""
+    told = os.environ.get("SKINBAKE_CORPUS")
+    folder = Path(told) if told else REPOSITORY.parent / "shared" / "corpus"
+    return folder if (folder / "public" / "ATTRIBUTION.tsv").is_file() else None
+
+
+def require_corpus() -> Path:
+    """Return the corpus folder, or skip the test (or the module being collected)."""
+    folder = find_corpus()
+    if folder is None:
+        pytest.skip(NOT_HERE, allow_module_level=True)
+    return folder
+
+
+def valid_models() -> list[Path]:
+    """Return the 52 public and 13 derived models: .gltf, .glb and .vrm files, in the order of the index."""
+    corpus = require_corpus()
+    public = [corpus / "public" / row["file"] for row in _rows(corpus / "public" / "ATTRIBUTION.tsv")]
+    derived = [corpus / "derived" / row["path"] for row in _rows(corpus / "derived" / "INDEX.tsv")]
+    return public + derived
+
+
+def invalid_models() -> list[tuple[Path, str]]:
+    """Return the 339 broken or odd files, each with the verdict of the index.
+
+    A verdict is ``ERROR``, ``WARN``, ``see note``, or starts with ``valid``.
+    """
+    folder = require_corpus() / "invalid"
+    return [(folder / row["path"], row["verdict"]) for row in _rows(folder / "INDEX.tsv")]
+
+
+def model(name: str) -> Path:
+    """Return one model by its path below ``public`` or ``derived``, such as ``CesiumMan/CesiumMan.glb``."""
+    corpus = require_corpus()
+    for folder in ("public", "derived"):
+        if (corpus / folder / name).is_file():
+            return corpus / folder / name
+    raise FileNotFoundError(f"{name} is in neither public nor derived of {corpus}")
+
+
+def parameters(models: Callable[[], list[Item]]) -> list[ParameterSet]:
+    """Return ``models()`` for pytest.mark.parametrize, with readable ids; one skipped case without a corpus.
+
+    ``@pytest.mark.parametrize("path", parameters(valid_models))`` or
+    ``@pytest.mark.parametrize("case", parameters(invalid_models))``.
+    """
+    corpus = find_corpus()
+    if corpus is None:
+        return [pytest.param(None, id="no-corpus", marks=pytest.mark.skip(reason=NOT_HERE))]
+    cases = models()
+    return [pytest.param(case, id=_path(case).relative_to(corpus).as_posix()) for case in cases]
+
+
+def _path(case: Path | tuple[Path, str]) -> Path:
+    return case if isinstance(case, Path) else case[0]
+
+
+def _rows(index: Path) -> list[dict[str, str]]:
+    # The notes hold quotes and commas of their own: tabs alone separate.
+    with index.open(encoding="utf-8", newline="") as lines:
+        return list(csv.DictReader(lines, delimiter="\t", quoting=csv.QUOTE_NONE))
