@@ -6,14 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from skinbake.bake.gradients import weight_gradients
-from skinbake.bake.influences import NO_JOINT, WeightDefects, WeightField, weight_field
+from skinbake.bake.influences import NO_JOINT, WeightDefects, weight_field
 from skinbake.bake.slots import ADOPT, SlotGradients, assign
 from skinbake.bake.weld import concatenated, weld
 from skinbake.geometry import frames
-from skinbake.geometry.skinned import BakedPrimitive, FloatArray, IntArray, SkinnedPrimitive
+from skinbake.geometry.skinned import BakedPrimitive, FloatArray, SkinnedPrimitive
 from skinbake.geometry.triangles import proper
 
 AUTO = "auto"
@@ -73,34 +72,59 @@ def bake_mesh(
     results = []
     for number, primitive in enumerate(primitives):
         rows = slice(starts[number], starts[number + 1])
-        kind, frame, deviation, bad = _rest_frame(primitive, normals[rows], settings.frame)
-        slots = assign(gradients, classes[rows], fields[number], frame, neighbours=settings.neighbours)
+        frame = rest_frame(primitive, settings.frame)
+        slots = assign(
+            gradients,
+            classes[rows],
+            fields[number],
+            (frame.tangents, frame.bitangents),
+            neighbours=settings.neighbours,
+        )
         findings = BakeFindings(
             weights=defects[number],
             degenerate_triangles=int(np.count_nonzero(~masks[number])),
             zero_normals=int(np.count_nonzero(~primitive.normals.any(axis=1))),
-            tangent_deviation=deviation,
-            bad_tangents=bad,
+            tangent_deviation=frame.deviation,
+            bad_tangents=frame.deviating,
             adopting_vertices=int(np.count_nonzero((slots.adopted != NO_JOINT).any(axis=1))),
             overflowing_vertices=slots.overflowing,
             lost=slots.lost,
         )
-        results.append((_baked(slots, kind), findings))
+        results.append((_baked(slots, frame.kind), findings))
     return results
 
 
-def _rest_frame(
-    primitive: SkinnedPrimitive, normals: npt.NDArray[np.float32], choice: str
-) -> tuple[str, tuple[FloatArray, FloatArray], float, int]:
-    """Return the frame's kind, (t0, b0), the tangents' largest deviation in degrees and how many deviate."""
-    deviation, bad = 0.0, 0
+@dataclass(frozen=True, slots=True)
+class RestFrame:
+    """The frame (t0, b0), each (V, 3), that one primitive is baked for, and how its TANGENT fares.
+
+    kind is ``tangent`` or ``normal``; deviation the largest angle in degrees by which t0 × b0 leans from n0
+    at a vertex of a triangle, deviating how many vertices lean more than TANGENT_TOLERANCE.
+    """
+
+    kind: str
+    tangents: FloatArray
+    bitangents: FloatArray
+    deviation: float = 0.0
+    deviating: int = 0
+
+
+def rest_frame(primitive: SkinnedPrimitive, choice: str) -> RestFrame:
+    """Return the rest frame of a primitive with normals; choice is ``auto``, ``tangent`` or ``normal``.
+
+    ``auto`` takes TANGENT where it is orthonormal enough at every vertex, else the frame from NORMAL.
+    """
+    normals = frames.unit_normals(primitive.normals)
+    deviation, deviating = 0.0, 0
     if primitive.tangents is not None and choice != frames.NORMAL_FRAME:
         used = np.unique(primitive.triangles)
         angles = frames.tangent_deviation(normals[used], primitive.tangents[used])
-        deviation, bad = float(angles.max(initial=0.0)), int(np.count_nonzero(angles > TANGENT_TOLERANCE))
-        if choice == frames.TANGENT_FRAME or bad == 0:
-            return frames.TANGENT_FRAME, frames.frame_from_tangent(normals, primitive.tangents), deviation, bad
-    return frames.NORMAL_FRAME, frames.frame_from_normal(normals), deviation, bad
+        deviation = float(angles.max(initial=0.0))
+        deviating = int(np.count_nonzero(angles > TANGENT_TOLERANCE))
+        if choice == frames.TANGENT_FRAME or deviating == 0:
+            pair = frames.frame_from_tangent(normals, primitive.tangents)
+            return RestFrame(frames.TANGENT_FRAME, *pair, deviation, deviating)
+    return RestFrame(frames.NORMAL_FRAME, *frames.frame_from_normal(normals), deviation, deviating)
 
 
 def _baked(slots: SlotGradients, frame: str) -> BakedPrimitive:

@@ -30,13 +30,18 @@ def weld(
     by at most the crease angle, or where a chain of such copies joins them. The result depends on neither
     vertex nor slot order, except for the numbers of the classes.
     """
-    points = equal_rows(_position_keys(positions), _influence_keys(field))
+    points = equal_rows(_bits(positions), _influence_keys(field))
     oriented = equal_rows(points[:, None], _bits(normals))
     count = int(oriented.max(initial=-1)) + 1
     first = np.empty(count, dtype=np.int64)
     first[oriented[::-1]] = np.arange(len(oriented))[::-1]
     labels = _link_by_angle(points[first], normals[first].astype(np.float64), crease_angle)
     return labels[oriented]
+
+
+def equal_positions(positions: FloatArray) -> Labels:
+    """Return a label (V,) for every vertex, the same for equal positions (−0 = +0)."""
+    return equal_rows(_bits(positions))
 
 
 def equal_rows(*columns: npt.NDArray[np.generic]) -> Labels:
@@ -71,10 +76,6 @@ def _bits(values: FloatArray) -> npt.NDArray[np.generic]:
     """Return the bit patterns of floats as unsigned integers, −0 made +0."""
     flat = np.ascontiguousarray(values + values.dtype.type(0))
     return flat.view(np.uint32 if flat.dtype == np.float32 else np.uint64)
-
-
-def _position_keys(positions: FloatArray) -> npt.NDArray[np.generic]:
-    return _bits(positions)
 
 
 def _influence_keys(field: WeightField) -> npt.NDArray[np.uint64]:

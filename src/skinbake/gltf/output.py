@@ -20,23 +20,37 @@ from skinbake.gltf.glb import Bytes, join_glb
 from skinbake.gltf.json_access import JsonObject
 
 
-def write_document(document: Document, target: str) -> list[Notice]:
-    """Write a document to ``target``, whose suffix its container must match, or to stdout for ``-``.
+@dataclass(frozen=True, slots=True)
+class PlannedOutput:
+    """Everything that writing a document will do: the pieces of each file, the target's last, and notices."""
+
+    target: str
+    files: dict[Path, Sequence[Bytes]]
+    notices: list[Notice]
+
+    def write(self) -> None:
+        """Write all files, or raise OutputError and leave everything as it was."""
+        if self.target == STDIO:
+            _write_stdout(self.files[Path(STDIO)])
+        else:
+            _write_files(self.files, self.target)
+
+
+def plan_output(document: Document, target: str) -> PlannedOutput:
+    """Return how a document goes to ``target``, whose suffix its container must match, or stdout for ``-``.
 
     Files that a relative URI names are copied beside the target where it is in another folder. A file that
     is there already is left alone: where its content is the same it serves, else ours gets a name of its own
     and the URI follows. URIs that lead out of the document's folder are not copied but rewritten. A document
-    that was not edited is written as the bytes it was read from. Raises OutputError; then nothing has been
-    written.
+    that was not edited is written as the bytes it was read from. Raises OutputError where the target cannot
+    be written.
     """
     if target == STDIO:
-        _write_stdout(_serialised(document))
-        return []
+        return PlannedOutput(target, {Path(STDIO): _serialised(document)}, [])
     path = Path(os.path.realpath(target))
     _check_target(path, target)
     document, beside, notices = _with_files_beside(document, path.parent)
-    _write_files({**beside, path: _serialised(document)}, target)
-    return notices
+    return PlannedOutput(target, {**beside, path: _serialised(document)}, notices)
 
 
 def _serialised(document: Document) -> Sequence[Bytes]:

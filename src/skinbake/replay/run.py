@@ -17,7 +17,7 @@ from skinbake.replay.surface import Baseline, Options, RestSurface, SkinnedSurfa
 
 # Bytes of one component of a block: four slots of twelve components and their temporaries then fit a 1 MiB
 # cache. Measured at 10,000 vertices × 100 poses: within a tenth of the best from 8 to 32 KiB, a third slower at 256.
-_BLOCK_BYTES = 16384
+_BLOCK_BYTES = 32768
 
 
 def replay(

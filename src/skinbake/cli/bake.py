@@ -1,0 +1,148 @@
+"""``skinbake bake``."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import click
+
+from skinbake.cli import exit_codes
+from skinbake.cli.console import console, message_options
+from skinbake.cli.targets import STDIO, check_readable_suffix, check_target, pair_up
+
+
+def _pattern(ctx: click.Context, param: click.Parameter, value: str) -> str:
+    if not value.startswith("_") or "{set}" not in value:
+        raise click.BadParameter("must begin with an underscore, as glTF wants, and contain {set}")
+    return value
+
+
+@click.command("bake")
+@click.argument("inputs", nargs=-1, required=True, metavar="INPUT...")
+@click.option("-o", "--output", metavar="FILE", help="Where to write; - for a GLB on stdout.")
+@click.option("--out-dir", metavar="DIR", help="Write each input under its own name into this folder.")
+@click.option("--in-place", is_flag=True, help="Replace each input by its baked version.")
+@click.option("--dry-run", is_flag=True, help="Do everything but write.")
+@click.option("--json", "as_json", is_flag=True, help="Print the results as JSON.")
+@click.option(
+    "--weighting",
+    type=click.Choice(["max", "angle", "area", "angle-area"]),
+    default="max",
+    show_default=True,
+    help="How triangles at a vertex are weighted (Max 1999 is the most accurate).",
+)
+@click.option(
+    "--crease-angle",
+    type=click.FloatRange(0, 180),
+    default=15.0,
+    show_default=True,
+    metavar="DEG",
+    help="Copies of a vertex whose normals differ by more are a hard edge.",
+)
+@click.option(
+    "--neighbours",
+    type=click.Choice(["adopt", "drop"]),
+    default="adopt",
+    show_default=True,
+    help="What becomes of joints that only a vertex's neighbours have: into free slots, or dropped.",
+)
+@click.option(
+    "--frame",
+    type=click.Choice(["auto", "tangent", "normal"]),
+    default="auto",
+    show_default=True,
+    help="Take the tangent frame from TANGENT, or from NORMAL alone; auto prefers TANGENT.",
+)
+@click.option("--generate-normals", is_flag=True, help="Add smooth NORMALs where a primitive has none.")
+@click.option(
+    "--alpha-name", default="_SKINBAKE_ALPHA_{set}", show_default=True, callback=_pattern, metavar="PATTERN"
+)
+@click.option(
+    "--beta-name", default="_SKINBAKE_BETA_{set}", show_default=True, callback=_pattern, metavar="PATTERN"
+)
+@click.option("--require-baked", is_flag=True, help="Fail (3) where nothing in a file can be baked.")
+@click.option("--warnings-as-errors", is_flag=True, help="Fail (3), and write nothing, where there are warnings.")
+@message_options
+def command(inputs: tuple[str, ...], **given: Any) -> None:
+    """Add α/β, the skin-weight gradients along tangent and bitangent, to every skinned primitive.
+
+    INPUT is a .glb, .gltf or .vrm file, or - for a GLB on stdin. Everything that bake does not add stays as
+    it is. A file in which nothing can be baked passes through unchanged, with a warning. Bake last:
+    tools that reorder influences or quantise positions falsify α and β.
+    """
+    targets = _targets(inputs, given)
+    say = console(
+        verbose=given["verbose"],
+        quiet=given["quiet"],
+        color=given["color"],
+        results_on_stderr=given["output"] == STDIO,
+    )
+    from skinbake.commands.bake import bake_file
+    from skinbake.report.bake import as_json, closing_line
+
+    options = _options(given)
+    results, code = [], exit_codes.OK
+    for source, target in targets:
+        result = bake_file(source, target, options)
+        results.append(result)
+        say.notices(result.notices)
+        if result.error is not None:
+            say.error(result.error)
+            code = max(code, exit_codes.of_error(result.error))
+        if not given["as_json"]:
+            say.result(closing_line(result, dry_run=options.dry_run))
+    if given["as_json"]:
+        say.document(as_json(results, exit_code=code, dry_run=options.dry_run))
+    sys.exit(code)
+
+
+def _options(given: dict[str, Any]) -> Any:
+    """Return the BakeOptions that the command line asks for."""
+    import math
+
+    from skinbake.bake.baker import BakeSettings
+    from skinbake.commands.bake import BakeOptions
+    from skinbake.gltf.baked import AttributeNames
+
+    return BakeOptions(
+        settings=BakeSettings(
+            weighting=given["weighting"],
+            crease_angle=math.radians(given["crease_angle"]),
+            neighbours=given["neighbours"],
+            frame=given["frame"],
+        ),
+        names=AttributeNames(given["alpha_name"], given["beta_name"]),
+        generate_normals=given["generate_normals"],
+        require_baked=given["require_baked"],
+        warnings_as_errors=given["warnings_as_errors"],
+        dry_run=given["dry_run"],
+    )
+
+
+def _targets(inputs: tuple[str, ...], given: dict[str, Any]) -> list[tuple[str, str | None]]:
+    """Return (input, output) pairs, or raise click.UsageError for a combination that makes no sense."""
+    if given["alpha_name"] == given["beta_name"]:
+        raise click.UsageError("--alpha-name and --beta-name must differ")
+    chosen = [name for name in ("output", "out_dir", "in_place") if given[name]]
+    if len(chosen) > 1 or (not chosen and not given["dry_run"]):
+        raise click.UsageError("give one of -o/--output, --out-dir and --in-place")
+    for source in inputs:
+        check_readable_suffix(source)
+    if inputs.count(STDIO) > 1:
+        raise click.UsageError("stdin can be read once only")
+    if given["output"]:
+        if len(inputs) > 1:
+            raise click.UsageError("-o takes one input; use --out-dir for several")
+        if given["output"] == STDIO and given["as_json"]:
+            raise click.UsageError("stdout cannot take both the GLB and --json")
+        check_target(inputs[0], given["output"])
+        return [(inputs[0], given["output"])]
+    if given["in_place"]:
+        if STDIO in inputs:
+            raise click.UsageError("--in-place needs files")
+        return [(source, source) for source in dict.fromkeys(inputs)]
+    if given["out_dir"]:
+        return pair_up(inputs, Path(given["out_dir"]))
+    return [(source, None) for source in inputs]

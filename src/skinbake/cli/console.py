@@ -1,0 +1,73 @@
+"""What a person reads: results on stdout, messages on stderr, colour where it is wanted."""
+
+from __future__ import annotations
+
+import json
+import logging
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+import click
+
+from skinbake.errors import Notice, SkinbakeError
+
+Command = TypeVar("Command", bound=Callable[..., Any])
+
+
+@dataclass(frozen=True, slots=True)
+class Console:
+    """How to talk: verbosity −1 says errors only, 0 warnings and results too, 1 and more details."""
+
+    verbosity: int
+    color: bool | None
+    results_on_stderr: bool = False
+
+    def result(self, line: str) -> None:
+        """Print a line of the result."""
+        if self.verbosity >= 0:
+            click.echo(line, err=self.results_on_stderr, color=self.color)
+
+    def document(self, content: Any) -> None:
+        """Print a JSON document: the result that scripts asked for, whatever the verbosity."""
+        click.echo(json.dumps(content, indent=2, ensure_ascii=False), color=self.color)
+
+    def notices(self, notices: Iterable[Notice]) -> None:
+        """Print warnings."""
+        if self.verbosity >= 0:
+            for notice in notices:
+                self._message("warning", "yellow", str(notice))
+
+    def error(self, error: SkinbakeError) -> None:
+        """Print an error."""
+        self._message("error", "red", str(error))
+
+    def _message(self, kind: str, color: str, text: str) -> None:
+        click.echo(f"{click.style(kind + ':', fg=color, bold=True)} {text}", err=True, color=self.color)
+
+
+def message_options(command: Command) -> Command:
+    """Add the options that say how much is said: -v, -q, --color."""
+    for option in (
+        click.option(
+            "--color",
+            type=click.Choice(["auto", "always", "never"]),
+            default="auto",
+            help="Colour messages; auto does where they go to a terminal and NO_COLOR is not set.",
+        ),
+        click.option("-q", "--quiet", is_flag=True, help="Print errors only."),
+        click.option("-v", "--verbose", count=True, help="Print more; twice for debugging."),
+    ):
+        command = option(command)
+    return command
+
+
+def console(*, verbose: int, quiet: bool, color: str, results_on_stderr: bool = False) -> Console:
+    """Return the console that the message options ask for, and set up logging to match."""
+    import os
+
+    chosen = {"always": True, "never": False, "auto": False if os.environ.get("NO_COLOR") else None}[color]
+    if verbose:
+        level = logging.DEBUG if verbose > 1 else logging.INFO
+        logging.basicConfig(level=level, format="%(name)s: %(message)s")
+    return Console(-1 if quiet else verbose, chosen, results_on_stderr)

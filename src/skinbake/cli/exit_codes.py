@@ -1,0 +1,18 @@
+"""Exit codes: the worst of several files is the one returned."""
+
+from __future__ import annotations
+
+from skinbake.errors import InputError, OutputError, SkinbakeError
+
+OK = 0
+VERIFICATION = 1
+USAGE = 2
+INPUT = 3
+OUTPUT = 4
+
+
+def of_error(error: SkinbakeError) -> int:
+    """Return the exit code that an error stands for."""
+    if isinstance(error, OutputError):
+        return OUTPUT
+    return INPUT if isinstance(error, InputError) else VERIFICATION

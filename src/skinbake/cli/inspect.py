@@ -1,0 +1,36 @@
+"""``skinbake inspect``."""
+
+from __future__ import annotations
+
+import sys
+from typing import Any
+
+import click
+
+from skinbake.cli import exit_codes
+from skinbake.cli.console import console, message_options
+from skinbake.cli.targets import check_readable_suffix
+from skinbake.errors import SkinbakeError
+
+
+@click.command("inspect")
+@click.argument("source", metavar="INPUT")
+@click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON.")
+@message_options
+def command(source: str, **given: Any) -> None:
+    """Show what is skinned, how influences and frames are stored, what is baked and how large it is."""
+    check_readable_suffix(source)
+    say = console(verbose=given["verbose"], quiet=given["quiet"], color=given["color"])
+    from skinbake.commands.inspect import inspect_file
+    from skinbake.report.inspect import as_json, as_text
+
+    try:
+        result = inspect_file(source)
+    except SkinbakeError as error:
+        say.error(error)
+        sys.exit(exit_codes.of_error(error))
+    say.notices(result.notices)
+    if given["as_json"]:
+        say.document(as_json(result))
+    else:
+        say.result(as_text(result))

@@ -1,0 +1,63 @@
+"""The ``skinbake`` command: subcommands imported only when they run."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+
+import click
+
+from skinbake import __version__
+from skinbake.cli import exit_codes
+
+COMMANDS = {
+    "bake": "Add α/β to every skinned primitive of glTF files.",
+    "inspect": "Show what is skinned in a file, and what is baked into it.",
+    "strip": "Write a file as it was before bake.",
+}
+
+
+class LazyGroup(click.Group):
+    """A group that knows its commands by name and imports a command's module when it is used."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Return the commands in the order in which people meet them."""
+        return list(COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """Import the command's module, None for an unknown name."""
+        if cmd_name not in COMMANDS:
+            return None
+        command: click.Command = importlib.import_module(f"skinbake.cli.{cmd_name}").command
+        return command
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """List the commands from the table, so that help imports none of them."""
+        with formatter.section("Commands"):
+            formatter.write_dl(list(COMMANDS.items()))
+
+
+@click.group(
+    cls=LazyGroup,
+    context_settings={"help_option_names": ["-h", "--help"]},
+    epilog="Exit codes: 0 fine, 1 verification failed, 2 usage, 3 input cannot be read or is invalid, "
+    "4 output cannot be written. With several files the worst is returned.",
+)
+@click.version_option(__version__, prog_name="skinbake")
+def main() -> None:
+    """Correct lighting for skinned glTF models: bake skin-weight gradients into vertex attributes."""
+
+
+def entry_point() -> None:
+    """Run the command line; nothing that a file or a disk can do ends in a traceback."""
+    try:
+        main(prog_name="skinbake")
+    except Exception as error:
+        if "-vv" in sys.argv:
+            raise
+        click.echo(
+            f"error: skinbake failed where it should not: {type(error).__name__}: {error}\n"
+            "Please report it with the file that caused it; -vv shows where.",
+            err=True,
+        )
+        sys.exit(exit_codes.INPUT)

@@ -1,0 +1,44 @@
+"""``skinbake strip``."""
+
+from __future__ import annotations
+
+import sys
+from typing import Any
+
+import click
+
+from skinbake.cli import exit_codes
+from skinbake.cli.console import console, message_options
+from skinbake.cli.targets import STDIO, check_readable_suffix, check_target
+from skinbake.errors import SkinbakeError
+
+
+@click.command("strip")
+@click.argument("source", metavar="INPUT")
+@click.option("-o", "--output", required=True, metavar="FILE", help="Where to write; - for a GLB on stdout.")
+@click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
+@click.option("--warnings-as-errors", is_flag=True, help="Fail (3), and write nothing, where there are warnings.")
+@message_options
+def command(source: str, **given: Any) -> None:
+    """Write the document as it was before bake: equal JSON, and the original influences."""
+    check_readable_suffix(source)
+    check_target(source, given["output"])
+    to_stdout = given["output"] == STDIO
+    if to_stdout and given["as_json"]:
+        raise click.UsageError("stdout cannot take both the GLB and --json")
+    say = console(
+        verbose=given["verbose"], quiet=given["quiet"], color=given["color"], results_on_stderr=to_stdout
+    )
+    from skinbake.commands.strip import strip_file
+    from skinbake.report.strip import as_json, closing_line
+
+    try:
+        result = strip_file(source, given["output"], warnings_as_errors=given["warnings_as_errors"])
+    except SkinbakeError as error:
+        say.error(error)
+        sys.exit(exit_codes.of_error(error))
+    say.notices(result.notices)
+    if given["as_json"]:
+        say.document(as_json(result))
+    else:
+        say.result(closing_line(result))

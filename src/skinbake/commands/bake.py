@@ -1,0 +1,211 @@
+"""``skinbake bake``: read a document, bake every skinned primitive, write it."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from skinbake.bake.baker import TANGENT_TOLERANCE, BakeFindings, BakeSettings, bake_mesh
+from skinbake.bake.influences import SUM_TOLERANCE
+from skinbake.bake.normals import with_smooth_normals
+from skinbake.errors import InputError, Notice, OutputError, Place, SkinbakeError
+from skinbake.geometry.frames import TANGENT_FRAME
+from skinbake.geometry.skinned import BakedPrimitive, SkinnedPrimitive
+from skinbake.gltf.baked import AttributeNames, Baked, with_baked
+from skinbake.gltf.container import for_target
+from skinbake.gltf.document import STDIO, Document, read_document
+from skinbake.gltf.json_access import JsonObject
+from skinbake.gltf.output import plan_output
+from skinbake.gltf.primitives import (
+    PrimitiveSource,
+    read_primitive,
+    reason_to_skip,
+    refuse_compressed,
+    skinned_sources,
+)
+from skinbake.gltf.resources import is_relative, locate
+from skinbake.gltf.strip import stripped
+from skinbake.report.bake import BakedCounts, FileResult, Status
+
+
+@dataclass(frozen=True, slots=True)
+class BakeOptions:
+    """The options of ``skinbake bake`` that do not name files."""
+
+    settings: BakeSettings = field(default_factory=BakeSettings)
+    names: AttributeNames = field(default_factory=AttributeNames)
+    generate_normals: bool = False
+    require_baked: bool = False
+    warnings_as_errors: bool = False
+    dry_run: bool = False
+
+
+def bake_file(source: str, target: str | None, options: BakeOptions) -> FileResult:
+    """Bake one file and write it to ``target`` (nowhere for None, or on a dry run).
+
+    Never raises SkinbakeError: what fails is in the result, and then nothing has been written.
+    """
+    notices: list[Notice] = []
+    try:
+        return _bake_file(source, target, options, notices)
+    except SkinbakeError as error:
+        return FileResult(source, target, "failed", notices=tuple(notices), error=error)
+    except MemoryError:
+        error = InputError("it needs more memory than there is", Place(source))
+        return FileResult(source, target, "failed", notices=tuple(notices), error=error)
+
+
+def _bake_file(source: str, target: str | None, options: BakeOptions, notices: list[Notice]) -> FileResult:
+    document = read_document(source)
+    if target is not None:
+        _refuse_own_input(source, target, document)
+        document, found = for_target(document, target)
+        notices += found
+    result, primitives, skipped = bake_document(document, options, notices)
+    if not primitives:
+        reason = "none of its skinned primitives can be baked" if skipped else "nothing in it is skinned"
+        if options.require_baked:
+            raise InputError(f"{reason} (--require-baked)", document.place)
+        notices.append(Notice("nothing-baked", f"passed through unchanged: {reason}", document.place))
+    planned = plan_output(result, target) if target is not None else None
+    if planned is not None:
+        notices += planned.notices
+    if options.warnings_as_errors and notices:
+        raise InputError("not written: there are warnings (--warnings-as-errors)", document.place)
+    if planned is not None and not options.dry_run:
+        planned.write()
+    status: Status = "baked" if primitives else "unchanged"
+    return FileResult(source, target, status, tuple(primitives), skipped, tuple(notices))
+
+
+def _refuse_own_input(source: str, target: str, document: Document) -> None:
+    """Raise OutputError where the target is a file that the input consists of, other than the input itself."""
+    if target == STDIO or source == STDIO or not Path(target).exists():
+        return
+    for array in ("buffers", "images"):
+        for entry in document.objects(array):
+            uri = entry.get("uri")
+            named = locate(uri, document.folder) if isinstance(uri, str) and is_relative(uri) else None
+            if named is not None and named.exists() and named.samefile(target):
+                raise OutputError("it is a file that the input consists of", Place(target))
+
+
+def bake_document(
+    document: Document, options: BakeOptions, notices: list[Notice]
+) -> tuple[Document, list[tuple[Place, BakedCounts]], int]:
+    """Return the baked document, what was baked, and how many skinned primitives were skipped.
+
+    An earlier bake is undone first. A document in which nothing can be baked is returned as it is. What had
+    to be assumed is added to ``notices``. Raises InputError.
+    """
+    original, _, found = stripped(document)
+    notices += found
+    sources, found = skinned_sources(original)
+    notices += found
+    by_mesh: dict[int, list[PrimitiveSource]] = defaultdict(list)
+    for source in sources:
+        refuse_compressed(original, source)
+        reason = reason_to_skip(original, source, generate_normals=options.generate_normals)
+        reason = reason or _reason_of_frame(source, options)
+        if reason is None:
+            by_mesh[source.mesh].append(source)
+        else:
+            notices.append(reason)
+    baked: list[Baked] = []
+    results: list[tuple[Place, BakedCounts]] = []
+    for mesh_sources in by_mesh.values():
+        _bake_sources(original, mesh_sources, options, notices, baked, results)
+    skipped = len(sources) - len(baked)
+    if not baked:
+        return document, [], skipped
+    written, lengths = with_baked(original, baked, options.names)
+    counts = [(place, replace(c, added_bytes=n)) for (place, c), n in zip(results, lengths, strict=True)]
+    return written, counts, skipped
+
+
+def _reason_of_frame(source: PrimitiveSource, options: BakeOptions) -> Notice | None:
+    if options.settings.frame != TANGENT_FRAME or {"NORMAL", "TANGENT"} <= source.attributes.keys():
+        return None
+    return Notice(
+        "no-tangents", "skipped: it has no TANGENT; --frame auto takes the frame from NORMAL", source.place
+    )
+
+
+def _bake_sources(
+    document: Document,
+    sources: list[PrimitiveSource],
+    options: BakeOptions,
+    notices: list[Notice],
+    baked: list[Baked],
+    results: list[tuple[Place, BakedCounts]],
+) -> None:
+    """Bake the primitives of one mesh together; append to ``baked``, ``results`` and ``notices``."""
+    primitives = with_smooth_normals([read_primitive(document, source) for source in sources])
+    outcomes = bake_mesh(primitives, options.settings)
+    for source, primitive, (outcome, findings) in zip(sources, primitives, outcomes, strict=True):
+        notices += _assumptions(source, primitive, outcome, findings)
+        baked.append(Baked(source, primitive, outcome, _noted_settings(options.settings)))
+        results.append((source.place, _counts(source, primitive, outcome, findings)))
+
+
+def _counts(
+    source: PrimitiveSource, primitive: SkinnedPrimitive, outcome: BakedPrimitive, findings: BakeFindings
+) -> BakedCounts:
+    return BakedCounts(
+        vertices=len(primitive.positions),
+        triangles=len(primitive.triangles),
+        degenerate_triangles=findings.degenerate_triangles,
+        influences=primitive.joints.shape[1],
+        frame=outcome.frame,
+        generated_normals="NORMAL" not in source.attributes,
+        adopting_vertices=findings.adopting_vertices,
+        overflowing_vertices=findings.overflowing_vertices,
+        lost_gradient=findings.lost,
+        added_bytes=0,
+    )
+
+
+def _noted_settings(settings: BakeSettings) -> JsonObject:
+    return {
+        "weighting": settings.weighting,
+        "creaseAngle": round(float(np.degrees(settings.crease_angle)), 6),
+        "neighbours": settings.neighbours,
+    }
+
+
+def _assumptions(
+    source: PrimitiveSource, primitive: SkinnedPrimitive, outcome: BakedPrimitive, findings: BakeFindings
+) -> list[Notice]:
+    """Return one notice for each kind of thing that had to be assumed."""
+    weights = findings.weights
+    outside = ((primitive.joints >= source.joint_count) & (primitive.weights == 0)).any(axis=1)
+    forced = outcome.frame == TANGENT_FRAME
+    consequence = "used all the same, as asked" if forced else "the frame is taken from NORMAL instead"
+    table = [
+        ("weights-negative", weights.negative, "{} vertices have negative weights: taken as 0"),
+        ("weights-zero", weights.all_zero, "{} vertices have no weight at all: taken as bound to slot 0's joint"),
+        (
+            "weights-sum",
+            weights.not_normalised,
+            f"the weights of {{}} vertices do not sum to 1 within {SUM_TOLERANCE}: taken as divided by their sum",
+        ),
+        ("joints-repeated", weights.repeated_joint, "{} vertices name a joint twice: its weights are added up"),
+        (
+            "joints-outside-skin",
+            int(np.count_nonzero(outside)),
+            f"{{}} vertices name a joint past the skin's {source.joint_count}, at weight 0: ignored",
+        ),
+        (
+            "tangents-skewed",
+            findings.bad_tangents,
+            f"at {{}} vertices TANGENT × bitangent leans more than {TANGENT_TOLERANCE}° from NORMAL "
+            f"(up to {findings.tangent_deviation:.3g}°): {consequence}",
+        ),
+        ("normals-zero", findings.zero_normals, "{} vertices have a NORMAL without length: taken as (0, 0, 1)"),
+    ]
+    return [
+        Notice(code, text.format(f"{count:,}"), source.place, count) for code, count, text in table if count
+    ]

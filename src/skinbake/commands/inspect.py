@@ -1,0 +1,101 @@
+"""``skinbake inspect``: what is skinned in a file, and what is baked into it and how."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+
+import numpy as np
+
+from skinbake.bake.baker import AUTO, rest_frame
+from skinbake.bake.influences import weight_field
+from skinbake.gltf.accessors import TYPES, read_accessor
+from skinbake.gltf.document import Document, read_document
+from skinbake.gltf.metadata import digests, read_metadata
+from skinbake.gltf.primitives import (
+    PrimitiveSource,
+    read_primitive,
+    reason_to_skip,
+    refuse_compressed,
+    skinned_sources,
+)
+from skinbake.report.inspect import AttributeSummary, BakeSummary, InspectResult, PrimitiveSummary
+
+COMPONENT_NAMES = {
+    "i1": "BYTE",
+    "u1": "UNSIGNED_BYTE",
+    "i2": "SHORT",
+    "u2": "UNSIGNED_SHORT",
+    "u4": "UNSIGNED_INT",
+    "f4": "FLOAT",
+}
+
+
+def inspect_file(source: str) -> InspectResult:
+    """Return a summary of one file; raises SkinbakeError where it cannot be read."""
+    document = read_document(source)
+    sources, notices = skinned_sources(document)
+    primitives = []
+    for entry in sources:
+        refuse_compressed(document, entry)
+        reason = reason_to_skip(document, entry, generate_normals=False)
+        if reason is not None:
+            notices.append(reason)
+        if reason is None or reason.code == "no-normals":
+            primitives.append(_summary(document, entry))
+    return InspectResult(
+        input=source,
+        byte_length=_byte_length(document),
+        meshes=len(document.objects("meshes")),
+        skins=len(document.objects("skins")),
+        animations=len(document.objects("animations")),
+        primitives=tuple(primitives),
+        notices=tuple(notices),
+    )
+
+
+def _byte_length(document: Document) -> int:
+    outside = sum(
+        len(document.buffer(number))
+        for number, buffer in enumerate(document.objects("buffers"))
+        if not str(buffer.get("uri", "data:")).startswith("data:")
+    )
+    return len(document.raw or b"") + outside
+
+
+def _summary(document: Document, source: PrimitiveSource) -> PrimitiveSummary:
+    primitive = read_primitive(document, source)
+    _, defects = weight_field(primitive)
+    sums = primitive.weights.astype(np.float64).sum(axis=1)
+    attributes = [_attribute(document, source, name) for name in source.attributes]
+    metadata = read_metadata(document, source.json)
+    bake = None
+    if metadata is not None:
+        noted = metadata.get("digest")
+        now = digests(primitive, str(metadata.get("frame")))
+        changed = [name for name in now if not isinstance(noted, dict) or noted.get(name) != now[name]]
+        names = {*metadata.get("alpha", ()), *metadata.get("beta", ())}
+        size = sum(attribute.byte_length for attribute in attributes if attribute.name in names)
+        bake = BakeSummary(metadata, tuple(changed), size)
+    targets = source.json.get("targets")
+    return PrimitiveSummary(
+        place=source.place,
+        vertices=len(primitive.positions),
+        triangles=len(primitive.triangles),
+        joints=source.joint_count,
+        influence_sets=source.influence_sets,
+        influences=int(np.count_nonzero(primitive.weights > 0, axis=1).max(initial=0)),
+        weight_sums=(float(sums.min()), float(sums.max())),
+        defects=asdict(defects),
+        frame=rest_frame(primitive, AUTO).kind if len(primitive.normals) else "none: no NORMAL",
+        attributes=tuple(attributes),
+        morph_targets=len(targets) if isinstance(targets, list) else 0,
+        bake=bake,
+    )
+
+
+def _attribute(document: Document, source: PrimitiveSource, name: str) -> AttributeSummary:
+    stored = read_accessor(document, source.attributes[name], source.place.at(name))
+    values = stored.values
+    component = COMPONENT_NAMES[values.dtype.str[1:]]
+    kind = f"{TYPES[values.shape[1]]} {component}{' normalised' if stored.normalized else ''}"
+    return AttributeSummary(name, kind, values.size * values.dtype.itemsize)

@@ -1,0 +1,27 @@
+"""``skinbake strip``: the document as it was before bake."""
+
+from __future__ import annotations
+
+from skinbake.errors import InputError, Notice, Place
+from skinbake.gltf.container import for_target
+from skinbake.gltf.document import read_document
+from skinbake.gltf.output import plan_output
+from skinbake.gltf.strip import stripped
+from skinbake.report.strip import StripResult
+
+
+def strip_file(source: str, target: str, *, warnings_as_errors: bool = False) -> StripResult:
+    """Write a document without what bake added to it; raises SkinbakeError, and then nothing is written."""
+    document, count, notices = stripped(read_document(source))
+    if count == 0:
+        notices.append(Notice("nothing-baked", "passed through unchanged: it holds no bake", Place(source)))
+    document, found = for_target(document, target)
+    planned = plan_output(document, target)
+    notices += [*found, *planned.notices]
+    if warnings_as_errors and notices:
+        raise InputError(
+            f"not written: {'; '.join(notice.message for notice in notices)} (--warnings-as-errors)",
+            Place(source),
+        )
+    planned.write()
+    return StripResult(source, target, count, tuple(notices))

@@ -1,0 +1,117 @@
+"""What bake did: the result of each file, as a closing line and as JSON."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
+
+from skinbake.errors import Notice, Place, SkinbakeError
+from skinbake.report.notices import counted, error_fields, notice_list, place_fields
+
+SCHEMA = "skinbake.bake/1"
+
+Status = Literal["baked", "unchanged", "failed"]
+
+
+@dataclass(frozen=True, slots=True)
+class BakedCounts:
+    """What was baked into one primitive, in numbers.
+
+    adopting_vertices took joints of their neighbours into free slots, overflowing_vertices had more such
+    joints than free slots; lost_gradient is the share of the summed gradient magnitude that no slot holds.
+    added_bytes is what the primitive added to the file.
+    """
+
+    vertices: int
+    triangles: int
+    degenerate_triangles: int
+    influences: int
+    frame: str
+    generated_normals: bool
+    adopting_vertices: int
+    overflowing_vertices: int
+    lost_gradient: float
+    added_bytes: int
+
+
+@dataclass(frozen=True, slots=True)
+class FileResult:
+    """What became of one input.
+
+    output is None where nothing was to be written. skipped counts the skinned primitives that were left
+    out, error says why a file failed.
+    """
+
+    input: str
+    output: str | None
+    status: Status
+    primitives: tuple[tuple[Place, BakedCounts], ...] = ()
+    skipped: int = 0
+    notices: tuple[Notice, ...] = ()
+    error: SkinbakeError | None = None
+
+
+def closing_line(result: FileResult, *, dry_run: bool) -> str:
+    """Return one line that says what was baked, skipped and assumed, in numbers."""
+    where = result.input if result.output in {None, result.input} else f"{result.input} -> {result.output}"
+    if dry_run:
+        where = f"{result.input} (dry run)"
+    if result.status == "failed":
+        return f"{where}: failed"
+    counts = [count for _, count in result.primitives]
+    parts = [f"{result.status}: {_baked(counts)}" if counts else result.status]
+    if result.skipped:
+        parts.append(f"{counted(result.skipped, 'skinned primitive')} skipped")
+    adopting = sum(count.adopting_vertices for count in counts)
+    if adopting:
+        parts.append(f"{counted(adopting, 'vertex', 'vertices')} adopted joints")
+    overflowing = sum(count.overflowing_vertices for count in counts)
+    if overflowing:
+        parts.append(
+            f"{counted(overflowing, 'vertex', 'vertices')} had no slot left for some "
+            f"({_lost(counts):.2%} of the gradient lost)"
+        )
+    degenerate = sum(count.degenerate_triangles for count in counts)
+    if degenerate:
+        parts.append(f"{counted(degenerate, 'triangle')} without area ignored")
+    if result.notices:
+        parts.append(counted(len(result.notices), "warning"))
+    return f"{where}: {', '.join(parts)}"
+
+
+def _baked(counts: Sequence[BakedCounts]) -> str:
+    vertices = sum(count.vertices for count in counts)
+    size = sum(count.added_bytes for count in counts)
+    frames = " and ".join(sorted({count.frame for count in counts}))
+    return (
+        f"{counted(len(counts), 'primitive')}, {counted(vertices, 'vertex', 'vertices')}, "
+        f"frame from {frames}, {size:,} bytes added"
+    )
+
+
+def _lost(counts: Sequence[BakedCounts]) -> float:
+    """Return the mean share lost, primitives weighted by their vertices."""
+    vertices = sum(count.vertices for count in counts)
+    return sum(count.lost_gradient * count.vertices for count in counts) / vertices
+
+
+def as_json(results: Sequence[FileResult], *, exit_code: int, dry_run: bool) -> dict[str, Any]:
+    """Return the results as one JSON object; CONVENTIONS.md documents its members."""
+    return {
+        "schema": SCHEMA,
+        "dry_run": dry_run,
+        "exit_code": exit_code,
+        "files": [
+            {
+                "input": result.input,
+                "output": result.output,
+                "status": result.status,
+                "skipped": result.skipped,
+                "primitives": [{**place_fields(place), **asdict(counts)} for place, counts in result.primitives],
+                "warnings": notice_list(result.notices),
+                "error": error_fields(result.error),
+            }
+            for result in results
+        ],
+    }

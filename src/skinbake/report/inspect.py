@@ -1,0 +1,151 @@
+"""What a file holds, as text for people and as JSON."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from skinbake.errors import Notice, Place
+from skinbake.report.notices import counted, notice_list, place_fields
+
+SCHEMA = "skinbake.inspect/1"
+
+
+@dataclass(frozen=True, slots=True)
+class AttributeSummary:
+    """How one attribute is stored, like ``VEC3 FLOAT``, and its size in bytes, tightly packed."""
+
+    name: str
+    format: str
+    byte_length: int
+
+
+@dataclass(frozen=True, slots=True)
+class BakeSummary:
+    """What the metadata says of a bake, which arrays changed since, and the size of α and β."""
+
+    metadata: dict[str, Any]
+    changed: tuple[str, ...]
+    byte_length: int
+
+
+@dataclass(frozen=True, slots=True)
+class PrimitiveSummary:
+    """One skinned primitive.
+
+    influences is the largest number of positive weights at a vertex, weight_sums the least and largest sum
+    as stored; defects counts the vertices whose weights need an assumption, by kind. frame is what
+    ``--frame auto`` takes.
+    """
+
+    place: Place
+    vertices: int
+    triangles: int
+    joints: int
+    influence_sets: int
+    influences: int
+    weight_sums: tuple[float, float]
+    defects: dict[str, int]
+    frame: str
+    attributes: tuple[AttributeSummary, ...]
+    morph_targets: int
+    bake: BakeSummary | None
+
+
+@dataclass(frozen=True, slots=True)
+class InspectResult:
+    """What a file holds: its size, its skins and animations, its skinned primitives, and what is left out."""
+
+    input: str
+    byte_length: int
+    meshes: int
+    skins: int
+    animations: int
+    primitives: tuple[PrimitiveSummary, ...]
+    notices: tuple[Notice, ...]
+
+
+def as_text(result: InspectResult) -> str:
+    """Return the summary as lines for a terminal."""
+    lines = [
+        f"{result.input}: {result.byte_length:,} bytes, {counted(result.meshes, 'mesh', 'meshes')}, "
+        f"{counted(result.skins, 'skin')}, {counted(result.animations, 'animation')}, "
+        f"{counted(len(result.primitives), 'skinned primitive')}"
+    ]
+    for primitive in result.primitives:
+        lines += _primitive_lines(primitive)
+    return "\n".join(lines)
+
+
+def _primitive_lines(primitive: PrimitiveSummary) -> Iterator[str]:
+    name = f' "{primitive.place.mesh_name}"' if primitive.place.mesh_name else ""
+    yield f"  mesh {primitive.place.mesh}{name}, primitive {primitive.place.primitive}"
+    yield (
+        f"    surface     {counted(primitive.vertices, 'vertex', 'vertices')}, "
+        f"{counted(primitive.triangles, 'triangle')}"
+        + (f", {counted(primitive.morph_targets, 'morph target')}" if primitive.morph_targets else "")
+    )
+    low, high = primitive.weight_sums
+    yield (
+        f"    influences  up to {primitive.influences} of {4 * primitive.influence_sets} slots used, "
+        f"{counted(primitive.joints, 'joint')}, weights sum to {low:.6g} … {high:.6g}"
+    )
+    for kind, count in primitive.defects.items():
+        if count:
+            yield f"    weights     {counted(count, 'vertex', 'vertices')} {kind.replace('_', ' ')}"
+    yield f"    frame       {primitive.frame}"
+    stored = ", ".join(f"{attribute.name} {attribute.format}" for attribute in primitive.attributes)
+    yield f"    attributes  {stored}"
+    yield f"    baked       {_bake_text(primitive.bake)}"
+
+
+def _bake_text(bake: BakeSummary | None) -> str:
+    if bake is None:
+        return "no"
+    noted = bake.metadata
+    state = f"but {', '.join(bake.changed)} changed since: bake again" if bake.changed else "up to date"
+    return (
+        f"by {noted.get('generator', 'skinbake')}, frame from {noted.get('frame')}, weighting "
+        f"{noted.get('weighting')}, neighbours {noted.get('neighbours')}, {bake.byte_length:,} bytes, {state}"
+    )
+
+
+def as_json(result: InspectResult) -> dict[str, Any]:
+    """Return the summary as one JSON object; CONVENTIONS.md documents its members."""
+    return {
+        "schema": SCHEMA,
+        "input": result.input,
+        "bytes": result.byte_length,
+        "meshes": result.meshes,
+        "skins": result.skins,
+        "animations": result.animations,
+        "primitives": [_primitive_json(primitive) for primitive in result.primitives],
+        "warnings": notice_list(result.notices),
+    }
+
+
+def _primitive_json(primitive: PrimitiveSummary) -> dict[str, Any]:
+    return {
+        **place_fields(primitive.place),
+        "vertices": primitive.vertices,
+        "triangles": primitive.triangles,
+        "joints": primitive.joints,
+        "influence_sets": primitive.influence_sets,
+        "influences": primitive.influences,
+        "weight_sums": list(primitive.weight_sums),
+        "defects": primitive.defects,
+        "frame": primitive.frame,
+        "attributes": {
+            attribute.name: {"format": attribute.format, "bytes": attribute.byte_length}
+            for attribute in primitive.attributes
+        },
+        "morph_targets": primitive.morph_targets,
+        "baked": None
+        if primitive.bake is None
+        else {
+            "metadata": primitive.bake.metadata,
+            "changed": list(primitive.bake.changed),
+            "bytes": primitive.bake.byte_length,
+        },
+    }

@@ -1,0 +1,40 @@
+"""Places, notices and errors as JSON."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+from skinbake.errors import Notice, Place, SkinbakeError
+
+
+def place_fields(place: Place) -> dict[str, Any]:
+    """Return where something is: the members that are known, without the file."""
+    fields = {
+        "mesh": place.mesh,
+        "mesh_name": place.mesh_name,
+        "primitive": place.primitive,
+        "attribute": place.attribute,
+    }
+    return {key: value for key, value in fields.items() if value is not None}
+
+
+def notice_list(notices: Iterable[Notice]) -> list[dict[str, Any]]:
+    """Return notices as JSON objects with a stable ``code``."""
+    return [
+        {"code": notice.code, "message": notice.message, "count": notice.count, **place_fields(notice.place)}
+        for notice in notices
+    ]
+
+
+def error_fields(error: SkinbakeError | None) -> dict[str, Any] | None:
+    """Return an error as a JSON object, None where there is none."""
+    if error is None:
+        return None
+    where = place_fields(error.place) if error.place else {}
+    return {"kind": type(error).__name__, "message": error.message, **where}
+
+
+def counted(count: int, singular: str, plural: str | None = None) -> str:
+    """Return ``1 primitive``, ``2,000 vertices``."""
+    return f"{count:,} {singular if count == 1 else plural or singular + 's'}"
