@@ -69,6 +69,10 @@ def test_percentiles_of_equal_weights_are_the_ones_one_counts() -> None:
     assert (summary.p95, summary.p99, summary.max) == (950.0, 990.0, 1000.0)
     assert summary.mean == pytest.approx(500.5)
     assert errors[summary.worst_pose, summary.worst_vertex] == 1000.0
+    # Here the rounded sum of 57 areas of 60 falls short of 95 % of the sum of all.
+    summary = summarise(np.arange(1.0, 61.0)[None], np.full(60, 0.7))
+    assert summary is not None
+    assert (summary.p95, summary.p99) == (57.0, 60.0)
 
 
 def test_a_large_area_moves_the_percentile() -> None:
@@ -76,7 +80,7 @@ def test_a_large_area_moves_the_percentile() -> None:
     summary = summarise(errors, np.array([1.0, 8.0, 200.0]))
     assert summary is not None
     assert (summary.p95, summary.p99) == (3.0, 3.0)
-    summary = summarise(errors, np.array([1.0, 97.0, 2.0]))
+    summary = summarise(np.array([[3.0, 1.0, 2.0]]), np.array([2.0, 1.0, 97.0]))
     assert summary is not None
     assert (summary.p95, summary.p99) == (2.0, 3.0)
 

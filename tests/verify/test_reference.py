@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,6 +12,8 @@ from skinbake.verify import reference
 from skinbake.verify.metrics import angular_errors, vertex_areas
 from skinbake.verify.operator import gradient_operator
 from skinbake.verify.reference import RestFrames, reference_normals, rest_frames
+
+NEARLY_A_LINE = np.array([[1.0, 0.5, 0.2], [0.0, 1e-9, 0.0], [0.0, 0.0, 1e-9]])
 
 
 def at_rest(surface: AnalyticSurface, normals: Float64Array | None = None) -> RestFrames:
@@ -60,6 +63,7 @@ def test_rigid_motion_and_uniform_scale_rotate_the_normals(scale: float) -> None
     normals, _ = reference_normals(at_rest(surface, n0), moved)
     for seed in range(3):
         assert angular_errors(normals[seed], n0 @ rotation(seed).T).max() < 1e-6
+    assert np.abs(np.linalg.norm(normals, axis=2) - 1.0).max() < 1e-12
 
 
 def test_an_affine_map_acts_by_its_cofactors() -> None:
@@ -103,22 +107,39 @@ def test_vertices_without_a_frame_are_masked_and_nan() -> None:
     n0 = surface.primitive.normals.astype(np.float64)
     n0[3], n0[5] = 0.0, np.nan
     surface.tangents[7] = surface.bitangents[7]
-    normals, valid = reference_normals(at_rest(surface, n0), surface.primitive.positions[None])
-    assert np.flatnonzero(~valid[0]).tolist() == [3, 5, 7]
+    surface.tangents[9] = surface.bitangents[9] + 1e-9 * surface.tangents[9]
+    rest = at_rest(surface, n0)
+    normals, valid = reference_normals(rest, surface.primitive.positions[None])
+    assert (rest.valid == valid[0]).all()
+    assert np.flatnonzero(~valid[0]).tolist() == [3, 5, 7, 9]
     assert (np.isnan(normals).all(axis=2) == ~valid).all()
+
+
+def test_a_collapsed_rest_pose_has_no_reference_in_any_other() -> None:
+    surface = analytic_surface(200, "jittered")
+    collapsed = replace(surface.primitive, positions=surface.primitive.positions @ NEARLY_A_LINE.T)
+    # The operator is that of the sound mesh: of this one, libigl would see no triangle.
+    rest = rest_frames(
+        gradient_operator([surface.primitive]),
+        collapsed.positions,
+        collapsed.normals,
+        surface.tangents,
+        surface.bitangents,
+    )
+    normals, valid = reference_normals(rest, surface.deformed(bends([MILD])))
+    assert not valid.any()
+    assert np.isnan(normals).all()
 
 
 def test_a_pose_that_collapses_the_surface_is_masked_and_no_other() -> None:
     surface = analytic_surface(200, "jittered")
-    rest = surface.primitive.positions
-    nothing, line, broken = (
-        0.0 * rest + 4.0,
-        rest * [1.0, 0.0, 0.0],
-        np.where(np.arange(len(rest)) == 0, np.nan, rest.T).T,
-    )
-    normals, valid = reference_normals(at_rest(surface), np.stack([rest, nothing, line, broken]))
+    rest = surface.primitive.positions.astype(np.float64)
+    one_broken = rest.copy()
+    one_broken[0, 2] = np.nan
+    collapsed = [np.full_like(rest, 4.0), rest * [1.0, 0.0, 0.0], rest @ NEARLY_A_LINE.T]
+    normals, valid = reference_normals(at_rest(surface), np.stack([rest, one_broken, *collapsed]))
     assert valid[0].all()
-    assert not valid[1:3].any()
-    assert not valid[3, 0]
-    assert valid[3, -1]
-    assert (np.isfinite(normals).all(axis=2) == valid).all()
+    assert not valid[1, 0]
+    assert valid[1, -1]
+    assert not valid[2:].any()
+    assert (np.isnan(normals).all(axis=2) == ~valid).all()

@@ -13,7 +13,7 @@ import numpy as np
 
 from skinbake.bake import corner
 
-corner_coefficients = numba.njit(corner.corner_coefficients)
+corner_coefficients = numba.njit(corner.corner_coefficients, error_model="numpy")
 
 
 @numba.njit(cache=True)
@@ -35,93 +35,94 @@ def corners_by_class(triangles: Any, classes: Any, count: int) -> Any:
     return offsets, corners
 
 
-@numba.njit(cache=True)
-def add_difference(
-    sums: Any, touched: Any, stamp: Any, mark: int, joints: Any, weights: Any, origin: int, end: int, c: Any
-) -> int:
-    """Add c (w_end − w_origin) of every joint to the sums; return how many joints are touched by now."""
-    influences = joints.shape[1]
-    used = touched[0]
-    for turn in range(2):
-        here, there = (end, origin) if turn == 0 else (origin, end)
-        for k in range(influences):
-            joint = joints[here, k]
-            if joint < 0:
-                continue
-            difference = weights[here, k]
-            shared = False
-            for m in range(influences):
-                if joints[there, m] == joint:
-                    difference -= weights[there, m]
-                    shared = True
-                    break
-            if difference == 0.0 or (turn == 1 and shared):
-                continue
-            if turn == 1:
-                difference = -difference
-            if stamp[joint] != mark:
-                stamp[joint] = mark
-                used += 1
-                touched[used] = joint
-                sums[joint, 0] = 0.0
-                sums[joint, 1] = 0.0
-                sums[joint, 2] = 0.0
-            sums[joint, 0] += c[0] * difference
-            sums[joint, 1] += c[1] * difference
-            sums[joint, 2] += c[2] * difference
-    touched[0] = used
-    return int(used)
-
-
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def gather(
     positions: Any, triangles: Any, joints: Any, weights: Any, classes: Any, count: int, weighting: int
 ) -> Any:
-    """Return (offsets, joints, gradients) of every weld class; arguments as in weight_gradients."""
+    """Return (offsets, joints, gradients) of every weld class; arguments as in weight_gradients.
+
+    positions and weights float64; triangles, joints and classes int32. Around one class a joint has a local
+    number, in the order in which it is met: the class's own joints first, so that the weight at the class is
+    a look-up and every sum runs over differences of weights.
+    """
     corner_offsets, corners = corners_by_class(triangles, classes, count)
+    influences = joints.shape[1]
     joint_count = max(joints.max(), 0) + 1
-    sums = np.zeros((joint_count, 3))
-    stamp = np.full(joint_count, -1, np.int64)
-    touched = np.zeros(joint_count + 1, np.int64)
+    local = np.full(joint_count, -1, np.int64)
+    met = np.empty(joint_count, np.int64)
+    seen = np.full(joint_count, -1, np.int64)
+    own = np.empty(joint_count)
+    sums = np.empty((joint_count, 3))
     offsets = np.zeros(count + 1, np.int64)
-    capacity = 8 * count + 16
-    out_joints = np.empty(capacity, np.int64)
-    out_gradients = np.empty((capacity, 3))
+    out_joints = np.empty(6 * count + 16, np.int64)
+    out_gradients = np.empty((6 * count + 16, 3))
+    visit = 0
     for c in range(count):
-        touched[0] = 0
+        used = 0
+        own_used = 0
         total = 0.0
         for position in range(corner_offsets[c], corner_offsets[c + 1]):
-            t, i = divmod(corners[position], 3)
-            origin, first, second = triangles[t, i], triangles[t, (i + 1) % 3], triangles[t, (i + 2) % 3]
-            e1 = (
-                positions[first, 0] - positions[origin, 0],
-                positions[first, 1] - positions[origin, 1],
-                positions[first, 2] - positions[origin, 2],
+            t = corners[position] // 3
+            i = corners[position] - 3 * t
+            origin = triangles[t, i]
+            ends = (triangles[t, (i + 1) % 3], triangles[t, (i + 2) % 3])
+            x, y, z = positions[origin, 0], positions[origin, 1], positions[origin, 2]
+            share, c1, c2 = corner_coefficients(
+                (positions[ends[0], 0] - x, positions[ends[0], 1] - y, positions[ends[0], 2] - z),
+                (positions[ends[1], 0] - x, positions[ends[1], 1] - y, positions[ends[1], 2] - z),
+                weighting,
             )
-            e2 = (
-                positions[second, 0] - positions[origin, 0],
-                positions[second, 1] - positions[origin, 1],
-                positions[second, 2] - positions[origin, 2],
-            )
-            weight, c1, c2 = corner_coefficients(e1, e2, weighting)
-            total += weight
-            add_difference(sums, touched, stamp, c, joints, weights, origin, first, c1)
-            add_difference(sums, touched, stamp, c, joints, weights, origin, second, c2)
-        used = touched[0]
+            total += share
+            if own_used == 0:
+                for k in range(influences):
+                    if weights[origin, k] > 0.0:
+                        joint = joints[origin, k]
+                        local[joint], met[used], own[used], seen[used] = used, joint, weights[origin, k], -1
+                        sums[used, 0], sums[used, 1], sums[used, 2] = 0.0, 0.0, 0.0
+                        used += 1
+                own_used = used
+            for side in range(2):
+                end = ends[side]
+                gx, gy, gz = c1 if side == 0 else c2
+                visit += 1
+                for k in range(influences):
+                    weight = weights[end, k]
+                    if weight == 0.0:
+                        continue
+                    joint = joints[end, k]
+                    n = local[joint]
+                    if n < 0:
+                        n = used
+                        local[joint], met[n], own[n] = n, joint, 0.0
+                        sums[n, 0], sums[n, 1], sums[n, 2] = 0.0, 0.0, 0.0
+                        used += 1
+                    seen[n] = visit
+                    difference = weight - own[n]
+                    sums[n, 0] += gx * difference
+                    sums[n, 1] += gy * difference
+                    sums[n, 2] += gz * difference
+                for n in range(own_used):
+                    if seen[n] != visit:
+                        sums[n, 0] -= gx * own[n]
+                        sums[n, 1] -= gy * own[n]
+                        sums[n, 2] -= gz * own[n]
         start = offsets[c]
-        if start + used > capacity:
-            capacity = 2 * capacity + used
-            wider_joints = np.empty(capacity, np.int64)
-            wider_joints[:start] = out_joints[:start]
-            out_joints = wider_joints
-            wider_gradients = np.empty((capacity, 3))
-            wider_gradients[:start] = out_gradients[:start]
-            out_gradients = wider_gradients
-        ascending = np.sort(touched[1 : used + 1])
-        for entry in range(used):
-            joint = ascending[entry]
-            out_joints[start + entry] = joint
+        if start + used > len(out_joints):
+            out_joints = np.append(out_joints, np.empty(len(out_joints) + used, np.int64))
+            out_gradients = np.append(out_gradients, np.empty((len(out_gradients) + used, 3)), axis=0)
+        kept = 0
+        for n in range(used):
+            local[met[n]] = -1
+            if sums[n, 0] == 0.0 and sums[n, 1] == 0.0 and sums[n, 2] == 0.0:
+                continue
+            place = start + kept
+            while place > start and out_joints[place - 1] > met[n]:
+                out_joints[place] = out_joints[place - 1]
+                out_gradients[place] = out_gradients[place - 1]
+                place -= 1
+            out_joints[place] = met[n]
             for axis in range(3):
-                out_gradients[start + entry, axis] = sums[joint, axis] / total
-        offsets[c + 1] = start + used
-    return offsets, out_joints[: offsets[-1]].copy(), out_gradients[: offsets[-1]].copy()
+                out_gradients[place, axis] = sums[n, axis] / total
+            kept += 1
+        offsets[c + 1] = start + kept
+    return offsets, out_joints[: offsets[-1]], out_gradients[: offsets[-1]]

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -11,8 +13,8 @@ from skinbake.bake.corner import WEIGHTINGS, corner_coefficients
 from skinbake.bake.influences import WeightField
 from skinbake.geometry.skinned import Float64Array, FloatArray, IntArray
 
-COMPILED_FROM = 60_000
-"""Triangles from which the compiled kernel is worth importing its compiler, about 0.4 s."""
+COMPILED_FROM = 200_000
+"""Triangles from which the compiled kernel is worth its start: half a second from its cache, seconds before."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,22 +48,28 @@ def weight_gradients(
     """
     method = WEIGHTINGS[weighting]
     count = int(classes.max(initial=-1)) + 1
-    if len(triangles) >= COMPILED_FROM:
-        compiled = _compiled_gather()
-        if compiled is not None:
-            points = np.ascontiguousarray(positions, dtype=np.float64)
-            corners = np.ascontiguousarray(triangles, dtype=np.int64)
-            return VertexGradients(*compiled(points, corners, field.joints, field.weights, classes, count, method))
-    return _gather(positions.astype(np.float64), triangles, field, classes, count, method)
+    gather = _compiled_gather() if len(triangles) >= COMPILED_FROM else None
+    if gather is None:
+        return _gather(positions.astype(np.float64), triangles, field, classes, count, method)
+    rows = gather(
+        positions.astype(np.float64),
+        triangles.astype(np.int32),
+        field.joints.astype(np.int32),
+        field.weights,
+        classes.astype(np.int32),
+        count,
+        method,
+    )
+    return VertexGradients(*rows)
 
 
-def _compiled_gather():  # type: ignore[no-untyped-def]
+def _compiled_gather() -> Callable[..., Any] | None:
     """Return the compiled kernel, None where its compiler is not installed."""
     try:
         from skinbake.bake.compiled import gather  # noqa: PLC0415  (0.4 s to import)
     except ImportError:
         return None
-    return gather
+    return gather  # type: ignore[no-any-return]
 
 
 def _gather(

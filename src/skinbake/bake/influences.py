@@ -26,6 +26,10 @@ class WeightField:
     joints: npt.NDArray[np.int64]
     weights: Float64Array
 
+    def rows(self, vertices: npt.NDArray[np.int64]) -> WeightField:
+        """Return the field of some vertices."""
+        return WeightField(self.joints[vertices], self.weights[vertices])
+
 
 @dataclass(frozen=True, slots=True)
 class WeightDefects:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,7 +10,7 @@ import numpy.typing as npt
 
 from skinbake.bake.gradients import VertexGradients
 from skinbake.bake.influences import NO_JOINT, WeightField
-from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray
+from skinbake.geometry.skinned import Float64Array, FloatArray
 
 ADOPT, DROP = "adopt", "drop"
 
@@ -52,16 +53,42 @@ def assign(
     ``neighbours`` is ``adopt``, joints that vary around the vertex and are not among its influences of
     positive weight move into slots of weight zero, the largest gradients first.
     """
-    foreign = _foreign_entries(gradients, classes, field)
+    entries = _Entries(gradients, classes)
+    foreign = _foreign(entries, field)
     adopted = np.full(field.joints.shape, NO_JOINT, dtype=np.int64)
     named = field.joints
-    if neighbours == ADOPT:
+    if neighbours == ADOPT and len(foreign.vertices):
         adopted = _adopt(foreign, field)
-        named = np.where(adopted != NO_JOINT, adopted, np.where(field.weights > 0, field.joints, NO_JOINT))
-        named = _with_unchanged_slots(named, field)
-    alpha, beta, held = _project(gradients, classes, named, frame)
-    overflowing, lost = _losses(gradients, classes, foreign, named, held)
-    return SlotGradients(alpha, beta, adopted, overflowing, lost)
+        named = _named_slots(adopted, field)
+    alpha, beta, held = _project(entries, named, frame)
+    lost = 1.0 - held / entries.total if entries.total > 0 else 0.0
+    placed = (named[foreign.vertices] == foreign.joints[:, None]).any(axis=1)
+    overflowing = len(np.unique(foreign.vertices[~placed]))
+    return SlotGradients(alpha, beta, adopted, overflowing, max(lost, 0.0))
+
+
+class _Entries:
+    """The gradients' entries seen from V vertices, one rank at a time: the first of each, the second …
+
+    Vertices are many and ranks are few, so whole arrays of vertices are worked on at once.
+    """
+
+    def __init__(self, gradients: VertexGradients, classes: npt.NDArray[np.int64]) -> None:
+        self._start = gradients.offsets[classes]
+        self._count = gradients.offsets[classes + 1] - self._start
+        self.gradients = gradients
+        g = gradients.gradients
+        self.magnitude = np.sqrt(g[:, 0] ** 2 + g[:, 1] ** 2 + g[:, 2] ** 2)
+        running = np.concatenate([[0.0], np.cumsum(self.magnitude)])
+        self.sums = running[self._start + self._count] - running[self._start]
+        self.total = float(self.sums.sum())
+
+    def ranks(self) -> Iterator[tuple[npt.NDArray[np.int64] | slice, npt.NDArray[np.int64]]]:
+        """Yield, rank by rank, the vertices that have an entry of that rank, and the entries' numbers."""
+        for rank in range(int(self._count.max(initial=0))):
+            has = self._count > rank
+            vertices = slice(None) if has.all() else np.flatnonzero(has)
+            yield vertices, self._start[vertices] + rank
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,42 +100,21 @@ class _Foreign:
     magnitudes: Float64Array
 
 
-def _entries(
-    gradients: VertexGradients, classes: npt.NDArray[np.int64], rank: int
-) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """Return the vertices that have an entry of this rank, and the entries' numbers."""
-    entry = gradients.offsets[classes] + rank
-    vertices = np.flatnonzero(entry < gradients.offsets[classes + 1])
-    return vertices, entry[vertices]
-
-
-def _ranks(gradients: VertexGradients) -> range:
-    return range(int(np.diff(gradients.offsets).max(initial=0)))
-
-
-def _foreign_entries(
-    gradients: VertexGradients, classes: npt.NDArray[np.int64], field: WeightField
-) -> _Foreign:
-    magnitude = np.linalg.norm(gradients.gradients, axis=1)
-    total = _row_sums(gradients, magnitude)[classes]
-    vertices, joints, magnitudes = [], [], []
-    for rank in _ranks(gradients):
-        vertex, entry = _entries(gradients, classes, rank)
-        joint = gradients.joints[entry]
-        own = ((field.joints[vertex] == joint[:, None]) & (field.weights[vertex] > 0)).any(axis=1)
-        foreign = ~own & (magnitude[entry] > NEGLIGIBLE * total[vertex])
-        vertices.append(vertex[foreign])
-        joints.append(joint[foreign])
-        magnitudes.append(magnitude[entry[foreign]])
-    if not vertices:
-        empty = np.empty(0, dtype=np.int64)
-        return _Foreign(empty, empty, np.empty(0))
-    return _Foreign(np.concatenate(vertices), np.concatenate(joints), np.concatenate(magnitudes))
-
-
-def _row_sums(gradients: VertexGradients, values: Float64Array) -> Float64Array:
-    running = np.concatenate([[0.0], np.cumsum(values)])
-    return np.asarray(running[gradients.offsets[1:]] - running[gradients.offsets[:-1]])
+def _foreign(entries: _Entries, field: WeightField) -> _Foreign:
+    found: list[tuple[npt.NDArray[np.int64], npt.NDArray[np.int64], Float64Array]] = []
+    everyone = np.arange(len(field.joints))
+    own_joints = np.where(field.weights > 0, field.joints, NO_JOINT)
+    for vertices, numbers in entries.ranks():
+        joints, magnitudes = entries.gradients.joints[numbers], entries.magnitude[numbers]
+        own = own_joints[vertices]
+        foreign = magnitudes > NEGLIGIBLE * entries.sums[vertices]
+        for slot in range(own.shape[1]):
+            foreign &= own[:, slot] != joints
+        found.append((everyone[vertices][foreign], joints[foreign], magnitudes[foreign]))
+    if not found:
+        nothing = np.empty(0, dtype=np.int64)
+        return _Foreign(nothing, nothing, np.empty(0))
+    return _Foreign(*(np.concatenate(column) for column in zip(*found, strict=True)))
 
 
 def _adopt(foreign: _Foreign, field: WeightField) -> npt.NDArray[np.int64]:
@@ -116,56 +122,45 @@ def _adopt(foreign: _Foreign, field: WeightField) -> npt.NDArray[np.int64]:
     order = np.lexsort((foreign.joints, -foreign.magnitudes, foreign.vertices))
     vertices, joints = foreign.vertices[order], foreign.joints[order]
     rank = np.arange(len(vertices)) - np.searchsorted(vertices, vertices)
-    free = field.weights == 0
-    free_first = np.argsort(~free[vertices], axis=1, kind="stable")
-    fits = rank < np.count_nonzero(free, axis=1)[vertices]
+    free = field.weights[vertices] == 0
+    free_first = np.argsort(~free, axis=1, kind="stable")
+    fits = rank < np.count_nonzero(free, axis=1)
     slot = free_first[fits, rank[fits]]
     adopted = np.full(field.joints.shape, NO_JOINT, dtype=np.int64)
     adopted[vertices[fits], slot] = joints[fits]
     return adopted
 
 
-def _with_unchanged_slots(named: npt.NDArray[np.int64], field: WeightField) -> npt.NDArray[np.int64]:
-    """Let free slots that adopt nothing keep the joint they name in the file, unless it stands elsewhere."""
-    named = named.copy()
-    for slot in range(named.shape[1]):
-        joint = field.joints[:, slot]
-        stays = (named[:, slot] == NO_JOINT) & ~(named == joint[:, None]).any(axis=1)
-        named[stays, slot] = joint[stays]
+def _named_slots(adopted: npt.NDArray[np.int64], field: WeightField) -> npt.NDArray[np.int64]:
+    """Return the joint whose gradient each slot carries (V, K), −1 for none.
+
+    A slot that adopts nothing keeps the joint that it names in the file, also at weight zero, unless that
+    joint has moved into another slot.
+    """
+    named = np.where(adopted != NO_JOINT, adopted, field.joints)
+    rows = np.flatnonzero((adopted != NO_JOINT).any(axis=1))
+    moved = (field.joints[rows, :, None] == adopted[rows, None, :]).any(axis=2) & (adopted[rows] == NO_JOINT)
+    named[rows] = np.where(moved, NO_JOINT, named[rows])
     return named
 
 
 def _project(
-    gradients: VertexGradients,
-    classes: npt.NDArray[np.int64],
-    named: npt.NDArray[np.int64],
-    frame: tuple[FloatArray, FloatArray],
-) -> tuple[Float64Array, Float64Array, BoolArray]:
-    """Return α, β (V, K), and which entries of which vertices a slot holds, as a flat mask by rank."""
+    entries: _Entries, named: npt.NDArray[np.int64], frame: tuple[FloatArray, FloatArray]
+) -> tuple[Float64Array, Float64Array, float]:
+    """Return α, β (V, K), and the gradient magnitude that some slot holds, summed over vertices."""
     alpha, beta = np.zeros(named.shape), np.zeros(named.shape)
-    held = []
-    for rank in _ranks(gradients):
-        vertex, entry = _entries(gradients, classes, rank)
-        at = named[vertex] == gradients.joints[entry][:, None]
-        row, slot = np.nonzero(at)
-        gradient = gradients.gradients[entry[row]]
-        alpha[vertex[row], slot] = np.einsum("ij,ij->i", gradient, frame[0][vertex[row]])
-        beta[vertex[row], slot] = np.einsum("ij,ij->i", gradient, frame[1][vertex[row]])
-        held.append(at.any(axis=1))
-    return alpha, beta, np.concatenate(held) if held else np.zeros(0, dtype=np.bool_)
-
-
-def _losses(
-    gradients: VertexGradients,
-    classes: npt.NDArray[np.int64],
-    foreign: _Foreign,
-    named: npt.NDArray[np.int64],
-    held: BoolArray,
-) -> tuple[int, float]:
-    """Return at how many vertices a foreign joint found no slot, and the share of the gradient lost."""
-    placed = (named[foreign.vertices] == foreign.joints[:, None]).any(axis=1)
-    overflowing = len(np.unique(foreign.vertices[~placed]))
-    entries = [_entries(gradients, classes, rank)[1] for rank in _ranks(gradients)]
-    magnitude = np.linalg.norm(gradients.gradients[np.concatenate(entries)], axis=1) if entries else np.zeros(0)
-    whole = float(magnitude.sum())
-    return overflowing, float(magnitude[~held].sum()) / whole if whole else 0.0
+    everyone = np.arange(len(named))
+    held = 0.0
+    for vertices, numbers in entries.ranks():
+        here = everyone[vertices]
+        joints = entries.gradients.joints[numbers]
+        gradients = entries.gradients.gradients[numbers]
+        along_t = np.einsum("ij,ij->i", gradients, frame[0][vertices])
+        along_b = np.einsum("ij,ij->i", gradients, frame[1][vertices])
+        magnitudes = entries.magnitude[numbers]
+        for slot in range(named.shape[1]):
+            at = named[vertices, slot] == joints
+            alpha[here[at], slot] = along_t[at]
+            beta[here[at], slot] = along_b[at]
+            held += float(magnitudes[at].sum())
+    return alpha, beta, held

@@ -30,13 +30,16 @@ def weld(
     by at most the crease angle, or where a chain of such copies joins them. The result depends on neither
     vertex nor slot order, except for the numbers of the classes.
     """
-    points = equal_rows(_bits(positions), _influence_keys(field))
-    oriented = equal_rows(points[:, None], _bits(normals))
-    count = int(oriented.max(initial=-1)) + 1
-    first = np.empty(count, dtype=np.int64)
-    first[oriented[::-1]] = np.arange(len(oriented))[::-1]
-    labels = _link_by_angle(points[first], normals[first].astype(np.float64), crease_angle)
-    return labels[oriented]
+    labels = equal_positions(positions)
+    copies = np.flatnonzero(np.bincount(labels)[labels] > 1)
+    if len(copies) == 0:
+        return labels
+    points = equal_rows(labels[copies, None], _influence_keys(field.rows(copies)))
+    oriented = equal_rows(points[:, None], _bits(normals[copies]))
+    first = np.unique(oriented, return_index=True)[1]
+    linked = _link_by_angle(points[first], normals[copies[first]].astype(np.float64), crease_angle)
+    labels[copies] = len(labels) + linked[oriented]
+    return np.unique(labels, return_inverse=True)[1].astype(np.int64)
 
 
 def equal_positions(positions: FloatArray) -> Labels:
@@ -52,7 +55,7 @@ def equal_rows(*columns: npt.NDArray[np.generic]) -> Labels:
     """
     keys = np.concatenate([column.astype(np.uint64, copy=False) for column in columns], axis=1)
     hashed = _hash(keys)
-    order = np.argsort(hashed, kind="stable")
+    order = np.argsort(hashed)
     differs = np.any(keys[order[1:]] != keys[order[:-1]], axis=1)
     same_hash = hashed[order[1:]] == hashed[order[:-1]]
     if (differs & same_hash).any():

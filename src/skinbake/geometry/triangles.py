@@ -64,9 +64,12 @@ def smooth_normals(positions: FloatArray, triangles: IntArray, groups: IntArray)
 def _edges(positions: FloatArray, corners: IntArray) -> tuple[Float64Array, Float64Array, Float64Array]:
     """Return both edges at the first corner and their cross product, each (T, 3) float64."""
     points = positions.astype(np.float64, copy=False)
-    origin = points[corners[:, 0]]
-    first, second = points[corners[:, 1]] - origin, points[corners[:, 2]] - origin
-    return first, second, np.cross(first, second)
+    origin, one, other = (points[column] for column in corners.T)
+    first, second = one - origin, other - origin
+    ax, ay, az = first.T
+    bx, by, bz = second.T
+    cross = np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=1)
+    return first, second, cross
 
 
 def _squared(vectors: Float64Array) -> Float64Array:

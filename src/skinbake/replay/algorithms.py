@@ -1,4 +1,4 @@
-"""The six algorithms by number: 1–5 of Tarini et al. 2014 (supplemental material), 6 derived in ``dqs.exact``."""
+"""The six algorithms by number: 1–5 of Tarini et al. 2014 (supplemental material), 6 of ``dqs.exact``."""
 
 from __future__ import annotations
 

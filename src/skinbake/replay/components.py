@@ -1,8 +1,9 @@
-"""Vectors and matrices as tuples of components, so that one algorithm runs on arrays and on a counting scalar.
+"""Vectors and matrices as tuples of components: one algorithm runs on arrays and on a counting scalar.
 
-A component is an elementwise value: an ndarray that broadcasts over (poses, vertices), or a ``counting.Count``. Sums
-are written in the order in which a product meets an addition, which is one multiply-add for Tarini et al. 2014 (supplemental
-material, §1). No function changes its arguments; ``+=`` only ever adds to a value that the function itself made.
+A component is an elementwise value: an ndarray that broadcasts over (poses, vertices), or a
+``counting.Count``. Sums are written in the order in which a product meets an addition, which is one
+multiply-add for Tarini et al. 2014 (supplemental material, §1). No function changes its arguments; ``+=``
+only ever adds to a value that the function itself made.
 """
 
 from __future__ import annotations
@@ -23,7 +24,8 @@ LineMark: TypeAlias = Callable[[int], None]
 class RestVertex:
     """What an algorithm may read of a vertex at rest: the fields of RestSurface, component by component.
 
-    weights and gradients have one entry a slot; alpha and beta one a slot after the first. handedness is 1 or −1.
+    weights and gradients have one entry a slot; alpha and beta one a slot after the first. handedness is 1 or
+    −1.
     """
 
     position: Vector
@@ -39,7 +41,7 @@ class RestVertex:
 
 @dataclass(frozen=True, slots=True)
 class PosedVertex:
-    """What every algorithm computes: position, normal (not unit), tangent and bitangent of the posed vertex."""
+    """What every algorithm computes of a posed vertex; the normal is not unit."""
 
     position: Vector
     normal: Vector
@@ -156,8 +158,8 @@ def sign_of(value: Component) -> Component:
 def corrected(base: Vector, correction: Vector, cap: float) -> Vector:
     """Return base + correction, the correction shortened to at most cap × |base|.
 
-    The limit of the paper's published demo, made relative to |base|: beyond it a fold turns the normal inside out.
-    Where the base has no length there is nothing to be relative to, and the correction stays as it is.
+    The limit of the paper's published demo, made relative to |base|: beyond it a fold turns the normal inside
+    out. Where the base has no length there is nothing to be relative to, and the correction stays as it is.
     """
     allowed = cap * cap * dot(base, base)
     length = dot(correction, correction)

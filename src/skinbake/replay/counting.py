@@ -1,13 +1,13 @@
-"""What each algorithm costs, counted by running it on a scalar that counts (Tarini et al. 2014, supplemental material).
+"""What each algorithm costs, counted by running it on a scalar that counts (Tarini et al. 2014, supplement).
 
 The rules, which are the paper's where it states them and else the only ones that give its figures:
 
-- a multiplication costs one multiply-add; an addition costs one, unless a product made in the same line meets it: the two
-  fuse, and the addition is free. A product fuses once;
+- a multiplication costs one multiply-add; an addition costs one, unless a product made in the same line meets
+  it: the two fuse, and the addition is free. A product fuses once;
 - a division and a reciprocal square root cost one each;
-- a sign (−x, ± of a hemisphere or a handedness) and a comparison are free, as operand modifiers of every instruction set.
+- the sign of a hemisphere or a handedness is free: instruction sets have it as a modifier of an operand.
 
-These give every line of the paper but three, where it charges more than the code needs: SURCHARGES, below.
+These give every line of the paper but three kinds, where it charges more than the code needs: SURCHARGES.
 """
 
 from __future__ import annotations
@@ -32,21 +32,17 @@ SURCHARGES = (
     Surcharge(
         frozenset({(Algorithm.LBS_APPROXIMATED, 2), (Algorithm.LBS_DIRECT, 5)}),
         3,
-        "T p is charged 12, the homogeneous coordinate 1 included; q = M p of the same matrix size is charged 9",
+        "T p is charged 12, the homogeneous 1 included, where q = M p of the same size is charged 9",
     ),
     Surcharge(
-        frozenset(
-            {(Algorithm.DQS_APPROXIMATED, 1), (Algorithm.DQS_ACCURATE, 1), (Algorithm.DQS_EXACT, 1)}
-        ),
+        frozenset({(Algorithm.DQS_APPROXIMATED, 1), (Algorithm.DQS_ACCURATE, 1), (Algorithm.DQS_EXACT, 1)}),
         4,
-        "mixing is charged 12 an influence, 8 to add and 4 to find the hemisphere, slot 0 included, which needs no test",
+        "mixing is charged 12 an influence, 8 to add and 4 for the hemisphere, also of slot 0, its pivot",
     ),
     Surcharge(
-        frozenset(
-            {(Algorithm.DQS_APPROXIMATED, 3), (Algorithm.DQS_ACCURATE, 3), (Algorithm.DQS_EXACT, 3)}
-        ),
+        frozenset({(Algorithm.DQS_APPROXIMATED, 3), (Algorithm.DQS_ACCURATE, 3), (Algorithm.DQS_EXACT, 3)}),
         3,
-        "a position is charged 27, a difference of positions 24: adding p to its displacement is charged apart",
+        "a position is charged 27, one for differences 24: adding p to its displacement is charged apart",
     ),
 )
 """The assumptions about the paper's figures, all of them; algorithm 6 is charged as 4 and 5 are."""
@@ -112,7 +108,7 @@ class Count:
         return Sign()
 
     def _fuses(self) -> bool:
-        """Tell whether this is a product of the current line that no addition has met yet, and let it be met."""
+        """Return whether this is a product of the current line that has met no addition; now it has."""
         fresh = self._product_of == self._tally.current
         self._product_of = None
         return fresh
@@ -121,7 +117,8 @@ class Count:
 def multiply_adds(algorithm: Algorithm, influences: int) -> dict[int, int]:
     """Return the multiply-adds of each numbered line, for N ≥ 1 influences a vertex, in the paper's options.
 
-    Their sum is the algorithm's cost a vertex. Algorithm 6's lines are those of ``dqs.exact``: 36 N + 118 in all.
+    Their sum is the algorithm's cost a vertex. Algorithm 6's lines are those of ``dqs.exact``: 36 N + 118 in
+    all.
     """
     tally = Tally()
     columns = 8 if algorithm.uses_dual_quaternions else 12
@@ -160,10 +157,11 @@ def _vertex(tally: Tally, influences: int) -> RestVertex:
 
 @dataclass(frozen=True, slots=True)
 class StoredTypes:
-    """Bytes of the stored vertex data: whole attributes, then one number of those that grow with the influences.
+    """Bytes of stored vertex data: whole attributes, then single numbers of those that grow with N.
 
-    The defaults are glTF's commonest: float positions, normals and tangents (with handedness), 8-bit joints, float
-    weights, float gradients. ``gradient_scale`` is what an encoding with a scale a vertex adds to each of α and β.
+    The defaults are glTF's commonest: float positions, normals and tangents (with handedness), 8-bit joints,
+    float weights, float gradients. ``gradient_scale`` is what an encoding with a scale a vertex adds to each
+    of α and β.
     """
 
     position: int = 12
@@ -189,10 +187,12 @@ class VertexBytes:
 
 
 def vertex_bytes(algorithm: Algorithm, influences: int, stored: StoredTypes | None = None) -> VertexBytes:
-    """Return the bytes of a vertex with N ≥ 1 influences (the paper's §1–5: a[s] is 3 numbers a slot, α and β 2 (N − 1)).
+    """Return the bytes of a vertex with N ≥ 1 influences.
 
+    Added are a[s], 3 numbers a slot, or α and β, 2 (N − 1) numbers (the paper's §2 and §3).
     The normal is counted for all: algorithms 3, 5 and 6 need none, but glTF rebuilds b0 from it. A joint of
-    plain skinning data has one index and one weight. With a single influence there are no derivatives to store.
+    plain skinning data has one index and one weight. With a single influence there are no derivatives to
+    store.
     """
     types = stored or StoredTypes()
     plain = types.position + types.normal + types.tangent + influences * (types.joint + types.weight)

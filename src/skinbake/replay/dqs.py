@@ -1,7 +1,8 @@
-"""Dual quaternion skinning: algorithms 4 and 5 of Tarini et al. 2014 (supplemental material, §4–5), and 6, ours.
+"""Dual quaternion skinning: algorithms 4 and 5 of Tarini et al. 2014 (supplement, §4–5), and 6, ours.
 
-A dual quaternion Q[s] comes as its eight components (r₀, r, d₀, d): real part, dual part, each scalar first. One uniform
-scale common to all joints is no matter of theirs: position, tangent and bitangent arrive already scaled.
+A dual quaternion Q[s] comes as its eight components (r₀, r, d₀, d): real part, dual part, each scalar first.
+One uniform scale common to all joints is no matter of theirs: position, tangent and bitangent arrive already
+scaled.
 """
 
 from __future__ import annotations
@@ -88,21 +89,23 @@ def exact(vertex: RestVertex, quaternions: Sequence[Vector], options: Options, l
         i = r × p + r₀ p + d            h = r × i + r₀ d − d₀ r
         k = 2 / (r₀² + |r|²)            p' = p + δ,  δ = k h
 
-    (with a unit b this is Kavan's p + 2 r × (r × p + r₀ p) + 2 (r₀ d − d₀ r + r × d)). Along a curve with tangent t
-    the weights change by α, hence b by ḃ = Σ α σ Q = Σ α (σ Q[s] − Q[s₀]), since Σ α = 0. The product rule gives
+    (with a unit b this is Kavan's p + 2 r × (r × p + r₀ p) + 2 (r₀ d − d₀ r + r × d)). Along a curve with
+    tangent t the weights change by α, hence b by ḃ = Σ α σ Q = Σ α (σ Q[s] − Q[s₀]), since Σ α = 0. The
+    product rule gives
 
         i̇ = ṙ × p + ṙ₀ p + ḋ + r × t + r₀ t
         ḣ = ṙ × i + r × i̇ + ṙ₀ d + r₀ ḋ − ḋ₀ r − d₀ ṙ
         k̇ = −k² (r₀ ṙ₀ + r · ṙ)
         t' = t + k ḣ + k̇ h = t + k (ḣ − (r₀ ṙ₀ + r · ṙ) δ)
 
-    and b' likewise with β. With ω = 2 vec(ṙ r*), ρ = 2 r · ṙ, ν = 2 vec(ḋ r*), τ = 2 vec(d r*), all of the unit mix, it is
+    and b' likewise with β. With ω = 2 vec(ṙ r*), ρ = 2 r · ṙ, ν = 2 vec(ḋ r*), τ = 2 vec(d r*), all of the
+    unit mix, it is
 
         t' = R t + ω × (p' − τ/2) + ν − (ρ/2) τ − (r · d) ω
 
-    whose last term is easily lost: r · d is 0 for each joint and for planar motions, but not for a mix of spatial
-    ones. With ``options.cap``, t' − R t is the correction that is limited. A mix of length zero leaves the vertex
-    where it is.
+    whose last term is easily lost: r · d is 0 for each joint and for planar motions, but not for a mix of
+    spatial ones. With ``options.cap``, t' − R t is the correction that is limited. A mix of length zero
+    leaves the vertex where it is.
     """
     line(1)
     signs = _hemispheres(quaternions)
@@ -146,7 +149,8 @@ class _Blend:
         """Return t' = t + k (ḣ − (r₀ ṙ₀ + r · ṙ) δ) for the rate ḃ at which the mix changes along t."""
         real, vector, dual, dual_vector = _parts(self.mixed)
         real_rate, vector_rate, dual_rate, dual_vector_rate = _parts(rate)
-        # Terms with t come first: they have the shape of the whole block, also where a single influence makes ḃ = 0.
+        # Terms with t come first: they have the shape of the whole block, also where a single influence makes
+        # ḃ = 0.
         lever_rate = plus_scaled(dual_vector_rate, real, tangent)
         lever_rate = plus_cross(lever_rate, vector, tangent)
         lever_rate = plus_scaled(lever_rate, real_rate, self.position)

@@ -1,6 +1,7 @@
-"""Linear blend skinning: algorithms 1, 2 and 3 of Tarini et al. 2014 (supplemental material, §1–3), line by line.
+"""Linear blend skinning: algorithms 1, 2 and 3 of Tarini et al. 2014 (supplement, §1–3), line by line.
 
-Joint matrices M[s] come as their upper three rows, one matrix a slot. ``line(n)`` announces the paper's line n.
+Joint matrices M[s] come as their upper three rows, one matrix a slot. ``line(n)`` announces the paper's line
+n.
 """
 
 from __future__ import annotations
@@ -52,9 +53,9 @@ def approximated(
 def direct(vertex: RestVertex, matrices: Sequence[Rows], options: Options, line: LineMark) -> PosedVertex:
     """Run algorithm 2: build the Jacobian J = T + Σ q aᵀ of the skinned position, and invert it.
 
-    The text applies J to every vector of lines 6–8; only the tangents of lines 7 and 8 go through J, the normal of
-    line 6 through its inverse transpose J' of line 4. J⁻ᵀ n stays on the side of J n: where a fold or a mirrored
-    joint makes det J negative it is opposite to algorithm 3's t' × b' = det J · J⁻ᵀ n. Where
+    The text applies J to every vector of lines 6–8; only the tangents of lines 7 and 8 go through J, the
+    normal of line 6 through its inverse transpose J' of line 4. J⁻ᵀ n stays on the side of J n: where a fold
+    or a mirrored joint makes det J negative it is opposite to algorithm 3's t' × b' = det J · J⁻ᵀ n. Where
     det J is 0, cof(J) n is returned. ``options`` change nothing here.
     """
     line(1)

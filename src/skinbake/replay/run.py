@@ -15,9 +15,9 @@ from skinbake.replay.algorithms import STEPS, Algorithm
 from skinbake.replay.components import PosedVertex, RestVertex, Rows, Vector, scaled
 from skinbake.replay.surface import Baseline, Options, RestSurface, SkinnedSurface
 
-# Bytes of one component of a block: four slots of twelve components and their temporaries then fit a 1 MiB
-# cache. Measured at 10,000 vertices × 100 poses: within a tenth of the best from 8 to 32 KiB, a third slower at 256.
-_BLOCK_BYTES = 32768
+# Bytes of one component of a block, some sixty of which are alive at a time. Measured at 10,000 vertices ×
+# 100 poses: flat from 32 to 256 KiB, half as long again at 16, where the interpreter begins to show.
+_BLOCK_BYTES = 65536
 
 
 def replay(
@@ -32,14 +32,16 @@ def replay(
 ) -> SkinnedSurface:
     """Skin a rest surface by joint matrices (P, J, 4, 4), with the frame that the algorithm gives it.
 
-    Every number is converted to ``dtype`` (float32 or float64) first, and so is the result, in mesh space moved by
-    the joint matrices. Normals are not unit. ``cap`` limits the length of the correction of t' and of b' to cap × |T t|
-    and cap × |T b| in algorithms 3, 5 and 6 (DEFAULT_CAP is the published figure; None is off); ``baseline`` chooses
-    the normal of algorithm 1. Both are ignored by the algorithms that they do not concern.
+    Every number is converted to ``dtype`` (float32 or float64) first, and so is the result, in mesh space
+    moved by the joint matrices. Normals are not unit. ``cap`` limits the length of the correction of t' and
+    of b' to cap × |T t| and cap × |T b| in algorithms 3, 5 and 6 (DEFAULT_CAP is the published figure; None
+    is off); ``baseline`` chooses the normal of algorithm 1. Both are ignored by the algorithms that they do
+    not concern.
 
-    Algorithms 4–6 apply the scale common to all joints of a pose to p, t and b first; a joint in use that is not rigid
-    beyond it, within ``tolerance``, raises UnsupportedFeatureError (ask ``rigid_motions`` beforehand). A
-    vertex without weight collapses to the origin under linear blending and stays in place under dual quaternions.
+    Algorithms 4–6 apply the scale common to all joints of a pose to p, t and b first; a joint in use that is
+    not rigid beyond it, within ``tolerance``, raises UnsupportedFeatureError (ask ``rigid_motions``
+    beforehand). A vertex without weight collapses to the origin under linear blending and stays in place
+    under dual quaternions.
     """
     motions = _motions(algorithm, rest, joint_matrices, tolerance)
     vertices = _Vertices.of(rest, dtype)
@@ -61,7 +63,7 @@ def _ignore_line(number: int) -> None:
 
 @dataclass(frozen=True, slots=True)
 class _Motions:
-    """Joint motions as a table (components, P, J), the uniform scale (P,), and how many components make a row."""
+    """Joint motions as a table (components, P, J), the uniform scale (P,), and a row's length or None."""
 
     table: FloatArray
     scale: FloatArray
@@ -149,7 +151,7 @@ class _Vertices:
 
 
 def _blocks(poses: int, vertices: int, itemsize: int) -> Iterator[tuple[slice, slice]]:
-    """Cut poses × vertices into blocks of one size: part of a pose, or several whole poses of a small mesh."""
+    """Cut poses × vertices into blocks of one size: part of a pose, or several poses of a small mesh."""
     size = _BLOCK_BYTES // itemsize
     pose_step = max(1, size // max(1, vertices))
     for vertex in range(0, vertices, size):

@@ -1,4 +1,4 @@
-"""What a replay takes and gives: a surface at rest with its weight gradients, and the same surface skinned."""
+"""What a replay takes and gives: a surface at rest with its weight gradients, and the surface skinned."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from skinbake.geometry.skinned import BoolArray, FloatArray, IntArray
 
 DEFAULT_CAP = 0.9
-"""The limit of the paper's published demo, for callers that switch the cap on without a figure of their own."""
+"""The limit of the paper's published demo, for callers that switch the cap on without another figure."""
 
 
 class Baseline(StrEnum):
@@ -37,8 +37,8 @@ class RestSurface:
     """A skinned surface at rest, in mesh space, with the derivatives of its weights.
 
     positions, normals, tangents (t0), bitangents (b0) (V, 3) floating; the frame is taken to be orthonormal.
-    joints (V, K) integer, each below the J of the poses that it meets; weights (V, K), summing to one.
-    alpha, beta (V, K − 1): ∇w · t0 and ∇w · b0 of slots 1 … K − 1, 1 / length unit of POSITION. gradients (V, K, 3),
+    joints (V, K) integer, each below the J of the poses that it meets; weights (V, K), summing to one. alpha,
+    beta (V, K − 1): ∇w · t0 and ∇w · b0 of slots 1 … K − 1, 1 / length unit of POSITION. gradients (V, K, 3),
     ∇w of every slot for algorithm 2, or None to have them rebuilt from alpha and beta.
     """
 

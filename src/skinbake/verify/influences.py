@@ -59,7 +59,6 @@ def weight_field(primitives: Sequence[SkinnedPrimitive]) -> csr_array:
     rows = np.repeat(np.arange(sum(counts)), np.repeat(slots, counts))
     field = csr_array((data, (rows, columns)), shape=(sum(counts), int(columns.max(initial=-1)) + 1))
     field.eliminate_zeros()
-    field.sort_indices()
     return field
 
 

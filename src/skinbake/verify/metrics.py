@@ -103,9 +103,17 @@ def summarise(
 def _weighted_percentiles(
     values: Float64Array, weights: Float64Array, shares: tuple[float, ...]
 ) -> list[float]:
-    """Invert the cumulative weight of the sorted values."""
-    order = np.argsort(values)
-    cumulative = np.cumsum(weights[order])
-    # Rounding may leave the sum below its own share by a few units: they must not push a percentile up.
-    places = np.searchsorted(cumulative, np.array(shares) * cumulative[-1] * (1.0 - 1e-12))
-    return [float(value) for value in values[order][places]]
+    """Invert the cumulative weight of the sorted values, for ascending shares."""
+    # A histogram finds where the first share is reached, and only the values from there on are sorted: a
+    # tenth of the time on millions. Its bins are the leading bits of float32 numbers, which order as the
+    # numbers do.
+    bins = values.astype(np.float32).view(np.int32) >> 16
+    reached = np.cumsum(np.bincount(bins, weights))
+    # Rounding may leave a sum below its own share by a few units: they must not push a percentile up.
+    wanted = np.array(shares) * reached[-1] * (1.0 - 1e-9)
+    first = int(np.searchsorted(reached, wanted[0]))
+    tail = bins >= first
+    order = np.argsort(values[tail])
+    cumulative = np.cumsum(weights[tail][order]) + (reached[first - 1] if first else 0.0)
+    places = np.minimum(np.searchsorted(cumulative, wanted), len(order) - 1)
+    return [float(value) for value in values[tail][order][places]]

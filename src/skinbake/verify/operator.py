@@ -86,10 +86,7 @@ def gradient_operator(
         empty = csr_array((len(positions), len(positions)), dtype=np.float64)
         return GradientOperator(empty, empty, empty, counts)
 
-    # Positions that no sound triangle uses may be NaN: nothing of them may reach libigl.
-    used = np.zeros(len(positions), dtype=bool)
-    used[triangles] = True
-    per_triangle = csr_array(igl.grad(np.where(used[:, None], positions, 0.0), triangles))
+    per_triangle = csr_array(igl.grad(positions, triangles))
     n = len(triangles)
     x, y, z = ((averages @ per_triangle[axis * n : (axis + 1) * n])[classes] for axis in range(3))
     return GradientOperator(x, y, z, counts)

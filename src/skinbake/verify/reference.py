@@ -60,11 +60,10 @@ def rest_frames(
         c = _cross(a, b)
         areas = _length(c)[:, 0]
         n0 = np.asarray(normals, dtype=np.float64).T[:, :, None]
-        n0 = n0 / _length(n0)
         # cof([a b ĉ])⁻¹ n0 = [a b ĉ]ᵀ n0 / det, and det = |c|.
         coefficients = np.stack([_dot(a, n0), _dot(b, n0), _dot(c, n0) / areas[:, None]])[:, :, 0] / areas
         flat = areas <= _FLAT * (_length(a) * _length(b))[:, 0]
-    valid = ~flat & np.isfinite(coefficients).all(axis=0)
+    valid = ~flat & np.isfinite(coefficients).all(axis=0) & coefficients.any(axis=0)
     return RestFrames(along, coefficients, areas, valid)
 
 
@@ -100,8 +99,9 @@ def _block_normals(rest: RestFrames, deformed: Float64Array) -> Float64Array:
         # The columns of the cofactor matrix are the cross products of the other two.
         normal = along_a * _cross(b, m) + along_b * _cross(m, a) + along_c * c
         normal /= _length(normal)
-        flat = area <= _FLAT * _length(a) * _length(b)
-    normal[:, flat | ~rest.valid[:, None] | ~np.isfinite(normal).all(axis=0)] = np.nan
+        # Not "flat if below": a comparison with NaN is false, and a broken position leaves no normal.
+        sound = area > _FLAT * _length(a) * _length(b)
+    normal[:, ~(sound & rest.valid[:, None])] = np.nan
     poses_first: Float64Array = normal.transpose(2, 1, 0)
     return poses_first
 

@@ -1,0 +1,107 @@
+"""Transforms of joints: interpolated, composed, passed down the hierarchy (glTF 2.0, §3.5 and appendix C)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from skinbake.geometry.skinned import Float64Array
+
+STEP, LINEAR, CUBICSPLINE = "STEP", "LINEAR", "CUBICSPLINE"
+
+
+def interpolated(
+    times: Float64Array, values: Float64Array, at: Float64Array, *, method: str, rotation: bool
+) -> Float64Array:
+    """Return an animated property at the times ``at`` (P,), each (P, C).
+
+    times (N,) ascend, in seconds; values are (N, C), or (N, 3, C) as in-tangent, value, out-tangent for
+    CUBICSPLINE. Before the first and after the last key the value stays. Rotations, quaternions in whatever
+    component order, are interpolated along the shorter arc for LINEAR and normalised.
+    """
+    last = len(times) - 1
+    before = np.clip(np.searchsorted(times, at, side="right") - 1, 0, max(last - 1, 0))
+    after = np.minimum(before + 1, last)
+    span = times[after] - times[before]
+    share = np.divide(at - times[before], span, out=np.zeros_like(at), where=span > 0)
+    share = np.clip(share, 0.0, 1.0)
+    if method == CUBICSPLINE:
+        result = _hermite(values[before], values[after], share[:, None], span[:, None])
+    elif method == STEP:
+        result = np.where((share >= 1.0)[:, None], values[after], values[before])
+    elif rotation:
+        return _slerp(values[before], values[after], share)
+    else:
+        result = values[before] * (1.0 - share[:, None]) + values[after] * share[:, None]
+    return normalised(result) if rotation else result
+
+
+def _hermite(left: Float64Array, right: Float64Array, s: Float64Array, span: Float64Array) -> Float64Array:
+    """Return the cubic Hermite spline of glTF 2.0, appendix C.5; left and right (P, 3, C), s in 0 … 1."""
+    s2, s3 = s * s, s * s * s
+    return (
+        (2 * s3 - 3 * s2 + 1) * left[:, 1]
+        + span * (s3 - 2 * s2 + s) * left[:, 2]
+        + (3 * s2 - 2 * s3) * right[:, 1]
+        + span * (s3 - s2) * right[:, 0]
+    )
+
+
+def _slerp(first: Float64Array, second: Float64Array, share: Float64Array) -> Float64Array:
+    """Return quaternions (P, 4) on the shorter arc; linear where the arc is too short for its sine."""
+    first, second = normalised(first), normalised(second)
+    cosine = np.einsum("pc,pc->p", first, second)
+    second = np.where(cosine[:, None] < 0, -second, second)
+    angle = np.arccos(np.minimum(np.abs(cosine), 1.0))
+    sine = np.sin(angle)
+    short = sine < 1e-9
+    safe = np.where(short, 1.0, sine)
+    a = np.where(short, 1.0 - share, np.sin((1.0 - share) * angle) / safe)
+    b = np.where(short, share, np.sin(share * angle) / safe)
+    return normalised(a[:, None] * first + b[:, None] * second)
+
+
+def normalised(quaternions: Float64Array) -> Float64Array:
+    """Return unit quaternions (…, 4); one without length becomes the identity (w, x, y, z) = (1, 0, 0, 0)."""
+    length = np.linalg.norm(quaternions, axis=-1, keepdims=True)
+    identity = np.broadcast_to([1.0, 0.0, 0.0, 0.0], quaternions.shape).copy()
+    return np.divide(quaternions, length, out=identity, where=length > 0)
+
+
+def rotation_matrices(quaternions: Float64Array) -> Float64Array:
+    """Return rotation matrices (…, 3, 3) of unit quaternions (…, 4) as (w, x, y, z)."""
+    w, x, y, z = np.moveaxis(quaternions, -1, 0)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
+
+
+def composed(translations: Float64Array, rotations: Float64Array, scales: Float64Array) -> Float64Array:
+    """Return matrices (…, 4, 4) that scale (…, 3), rotate (…, 4; w first), then translate (…, 3)."""
+    matrices = np.zeros((*translations.shape[:-1], 4, 4))
+    matrices[..., :3, :3] = rotation_matrices(rotations) * scales[..., None, :]
+    matrices[..., :3, 3] = translations
+    matrices[..., 3, 3] = 1.0
+    return matrices
+
+
+def global_transforms(local: Float64Array, parents: Sequence[int]) -> Float64Array:
+    """Return global transforms (N, P, 4, 4) of local ones; parents precede children, −1 has none."""
+    result = np.empty_like(local)
+    for node, parent in enumerate(parents):
+        result[node] = local[node] if parent < 0 else result[parent] @ local[node]
+    return result
+
+
+def random_rotations(shape: tuple[int, ...], angle: float, seed: int) -> Float64Array:
+    """Return unit quaternions (…, 4), w first: uniform axes, angles uniform in ± ``angle`` radians."""
+    generator = np.random.default_rng(seed)
+    axes: npt.NDArray[np.float64] = generator.normal(size=(*shape, 3))
+    axes /= np.linalg.norm(axes, axis=-1, keepdims=True)
+    half = 0.5 * generator.uniform(-angle, angle, size=(*shape, 1))
+    return np.concatenate([np.cos(half), np.sin(half) * axes], axis=-1)

@@ -1,0 +1,244 @@
+"""Joint matrices of a skin, posed by the file's own animations, at random, or at rest (glTF 2.0, §3.7.3, §3.11)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from skinbake.errors import InputError, Place
+from skinbake.geometry import poses
+from skinbake.geometry.skinned import Float64Array
+from skinbake.gltf.accessors import read_accessor
+from skinbake.gltf.document import Document
+from skinbake.gltf.json_access import JsonObject, index, member, objects, text
+
+PATHS = {"translation": 3, "rotation": 4, "scale": 3}
+
+
+@dataclass(frozen=True, slots=True)
+class Channel:
+    """One animated property of one node.
+
+    times (N,) in seconds; values (N, C), (N, 3, C) for CUBICSPLINE; rotations have w first.
+    """
+
+    node: int
+    path: str
+    method: str
+    times: Float64Array
+    values: Float64Array
+
+
+@dataclass(frozen=True, slots=True)
+class Clip:
+    """One animation: what it is called, its length in seconds, the channels that move nodes."""
+
+    name: str
+    duration: float
+    channels: tuple[Channel, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Skeleton:
+    """A skin's joints and all their ancestors, parents before children.
+
+    nodes (N,) are document indices, parents (N,) positions in this list or −1. translations, rotations (w
+    first), scales are those of the nodes at rest, each (N, 3 or 4); matrices holds, by position, the nodes
+    that have a matrix instead. joints (J,) are positions of the skin's joints, inverse_bind (J, 4, 4).
+    """
+
+    nodes: tuple[int, ...]
+    parents: tuple[int, ...]
+    translations: Float64Array
+    rotations: Float64Array
+    scales: Float64Array
+    joints: npt.NDArray[np.int64]
+    inverse_bind: Float64Array
+    matrices: dict[int, Float64Array] = field(default_factory=dict)
+
+    def joint_matrices(
+        self, animated: dict[tuple[int, str], Float64Array], turned: Float64Array | None, count: int
+    ) -> Float64Array:
+        """Return joint matrices (P, J, 4, 4): global transform × inverse bind matrix.
+
+        animated maps (node of the document, path) to its values in P poses; turned (J, P, 4) are rotations
+        added to the joints' own, or None. The transform of the node that draws the mesh plays no part.
+        """
+        local = np.stack([self._local(position, animated, count) for position in range(len(self.nodes))])
+        if turned is not None:
+            extra = np.zeros((*turned.shape[:2], 4, 4))
+            extra[..., :3, :3] = poses.rotation_matrices(turned)
+            extra[..., 3, 3] = 1.0
+            local[self.joints] = local[self.joints] @ extra
+        joints = poses.global_transforms(local, self.parents)[self.joints]
+        return np.ascontiguousarray(np.swapaxes(joints @ self.inverse_bind[:, None], 0, 1))
+
+    def _local(
+        self, position: int, animated: dict[tuple[int, str], Float64Array], count: int
+    ) -> Float64Array:
+        node = self.nodes[position]
+        if position in self.matrices:
+            return np.broadcast_to(self.matrices[position], (count, 4, 4))
+        parts = [
+            animated.get((node, path), np.broadcast_to(rest[position], (count, rest.shape[1])))
+            for path, rest in zip(PATHS, (self.translations, self.rotations, self.scales), strict=True)
+        ]
+        return poses.composed(*parts)
+
+
+def rest_pose(skeleton: Skeleton) -> Float64Array:
+    """Return the joint matrices (1, J, 4, 4) of the nodes as the file has them."""
+    return skeleton.joint_matrices({}, None, 1)
+
+
+def random_poses(skeleton: Skeleton, count: int, *, angle: float, seed: int) -> Float64Array:
+    """Return joint matrices (P, J, 4, 4) with every joint turned at random by up to ``angle`` radians."""
+    turned = poses.random_rotations((len(skeleton.joints), count), angle, seed)
+    return skeleton.joint_matrices({}, turned, count)
+
+
+def clip_poses(skeleton: Skeleton, clip: Clip, at: Float64Array) -> Float64Array:
+    """Return the joint matrices (P, J, 4, 4) of a clip at the times ``at`` (P,) in seconds."""
+    animated = {
+        (channel.node, channel.path): poses.interpolated(
+            channel.times, channel.values, at, method=channel.method, rotation=channel.path == "rotation"
+        )
+        for channel in clip.channels
+    }
+    return skeleton.joint_matrices(animated, None, len(at))
+
+
+def read_skeleton(document: Document, skin_index: int) -> Skeleton:
+    """Return a skin's joints with their ancestors; InputError where hierarchy or matrices are broken."""
+    skin, place = document.objects("skins")[skin_index], document.place
+    nodes = document.objects("nodes")
+    listed = skin.get("joints")
+    if not isinstance(listed, list) or not listed:
+        raise InputError(f"skin {skin_index} has no joints", place)
+    joints = [index({"joint": joint}, "joint", len(nodes), place) for joint in listed]
+    parents = _parents(document)
+    order = _ancestors_first([joint for joint in joints if joint is not None], parents, place)
+    where = {node: position for position, node in enumerate(order)}
+    matrices = {
+        position: _numbers(nodes[node], "matrix", np.eye(4).ravel(), place).reshape(4, 4).T
+        for position, node in enumerate(order)
+        if "matrix" in nodes[node]
+    }
+    rotations = np.stack([_numbers(nodes[n], "rotation", np.array([0.0, 0, 0, 1]), place) for n in order])
+    return Skeleton(
+        nodes=tuple(order),
+        parents=tuple(where[parents[node]] if node in parents else -1 for node in order),
+        translations=np.stack([_numbers(nodes[n], "translation", np.zeros(3), place) for n in order]),
+        rotations=poses.normalised(rotations[:, [3, 0, 1, 2]]),
+        scales=np.stack([_numbers(nodes[n], "scale", np.ones(3), place) for n in order]),
+        joints=np.array([where[joint] for joint in joints if joint is not None]),
+        inverse_bind=_inverse_bind(document, skin, len(joints)),
+        matrices=matrices,
+    )
+
+
+def _parents(document: Document) -> dict[int, int]:
+    nodes = document.objects("nodes")
+    parents: dict[int, int] = {}
+    for number, node in enumerate(nodes):
+        children = node.get("children", [])
+        if not isinstance(children, list):
+            raise InputError(f"node {number} has children that are not an array", document.place)
+        for child in children:
+            position = index({"child": child}, "child", len(nodes), document.place)
+            if position is not None and parents.setdefault(position, number) != number:
+                raise InputError(f"node {position} has two parents", document.place)
+    return parents
+
+
+def _ancestors_first(joints: Sequence[int], parents: dict[int, int], place: Place) -> list[int]:
+    order: dict[int, None] = {}
+    for joint in joints:
+        chain: list[int] = []
+        node: int | None = joint
+        while node is not None and node not in order:
+            if node in chain:
+                raise InputError(f"node {node} is its own ancestor", place)
+            chain.append(node)
+            node = parents.get(node)
+        order.update(dict.fromkeys(reversed(chain)))
+    return list(order)
+
+
+def _numbers(node: JsonObject, key: str, default: Float64Array, place: Place) -> Float64Array:
+    value = node.get(key)
+    if value is None:
+        return default
+    numeric = isinstance(value, list) and all(
+        isinstance(entry, int | float) and not isinstance(entry, bool) for entry in value
+    )
+    if not numeric or len(value) != len(default):
+        raise InputError(f'a node\'s "{key}" must be {len(default)} numbers', place)
+    return np.array(value, dtype=np.float64)
+
+
+def _inverse_bind(document: Document, skin: JsonObject, count: int) -> Float64Array:
+    place = document.place
+    number = index(skin, "inverseBindMatrices", len(document.objects("accessors")), place)
+    if number is None:
+        return np.broadcast_to(np.eye(4), (count, 4, 4))
+    values = read_accessor(document, number, place).decoded().astype(np.float64)
+    if values.shape[1] != 16 or len(values) < count or not np.isfinite(values[:count]).all():
+        raise InputError(f"inverseBindMatrices must be {count} finite 4 × 4 matrices", place)
+    return np.swapaxes(values[:count].reshape(-1, 4, 4), 1, 2)
+
+
+def read_clips(document: Document) -> list[Clip]:
+    """Return the animations that move, turn or scale nodes; InputError where one is broken."""
+    clips = []
+    for number, animation in enumerate(document.objects("animations")):
+        place = document.place
+        samplers = objects(animation, "samplers", place)
+        channels = []
+        for channel in objects(animation, "channels", place):
+            found = _channel(document, samplers, channel)
+            if found is not None:
+                channels.append(found)
+        if channels:
+            name = text(animation, "name", place) or f"animation {number}"
+            clips.append(Clip(name, max(float(c.times[-1]) for c in channels), tuple(channels)))
+    return clips
+
+
+def _channel(document: Document, samplers: list[JsonObject], channel: JsonObject) -> Channel | None:
+    """Return one channel, None where it moves no node or animates something else (morph weights, pointers)."""
+    place = document.place
+    target = member(channel, "target", place)
+    node = index(target, "node", len(document.objects("nodes")), place)
+    path = text(target, "path", place)
+    sampler_index = index(channel, "sampler", len(samplers), place)
+    if node is None or path not in PATHS or sampler_index is None:
+        return None
+    sampler = samplers[sampler_index]
+    accessors = document.objects("accessors")
+    source, output = (index(sampler, key, len(accessors), place) for key in ("input", "output"))
+    if source is None or output is None:
+        raise InputError("an animation sampler lacks its input or output", place)
+    times = read_accessor(document, source, place).decoded().astype(np.float64)
+    values = read_accessor(document, output, place).decoded().astype(np.float64)
+    method = text(sampler, "interpolation", place) or poses.LINEAR
+    return Channel(node, path, method, times[:, 0], _key_values(values, len(times), method, path, place))
+
+
+def _key_values(values: Float64Array, count: int, method: str, path: str, place: Place) -> Float64Array:
+    """Return a sampler's output by key, (N, C) or (N, 3, C), rotations with w first."""
+    if method not in {poses.STEP, poses.LINEAR, poses.CUBICSPLINE}:
+        raise InputError(f"an animation sampler has the unknown interpolation {method!r}", place)
+    each = 3 if method == poses.CUBICSPLINE else 1
+    if values.shape != (each * count, PATHS[path]) or not np.isfinite(values).all():
+        raise InputError(
+            f"an animation sampler for {path} needs {each * count} finite outputs of {PATHS[path]} components, "
+            f"found {values.shape[0]} of {values.shape[1]}",
+            place,
+        )
+    if path == "rotation":
+        values = values[:, [3, 0, 1, 2]]
+    return values.reshape(count, 3, -1) if each == 3 else values

@@ -1,0 +1,1 @@
+"""The replay against finite differences of an analytic skinned surface, and the counts against the paper."""
