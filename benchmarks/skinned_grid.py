@@ -27,11 +27,15 @@ def grid_arrays(side: int) -> dict[str, np.ndarray]:
     along = u * (JOINTS - 4)
     first = np.minimum(along.astype(np.int64), JOINTS - 5)
     t = along - first
-    weights = np.stack([(1 - t) ** 3, 3 * t**3 - 6 * t**2 + 4, -3 * t**3 + 3 * t**2 + 3 * t + 1, t**3], axis=1)
+    weights = np.stack(
+        [(1 - t) ** 3, 3 * t**3 - 6 * t**2 + 4, -3 * t**3 + 3 * t**2 + 3 * t + 1, t**3], axis=1
+    )
     weights[:, 0] = 6 - weights[:, 1:].sum(axis=1)
     row, column = np.meshgrid(np.arange(side - 1), np.arange(side - 1), indexing="ij")
     corner = (row * side + column).ravel()
-    quads = np.stack([corner, corner + 1, corner + side, corner + 1, corner + side + 1, corner + side], axis=1)
+    quads = np.stack(
+        [corner, corner + 1, corner + side, corner + 1, corner + side + 1, corner + side], axis=1
+    )
     return {
         "POSITION": positions,
         "NORMAL": normals.astype(np.float32),
@@ -61,7 +65,9 @@ def glb_bytes(arrays: dict[str, np.ndarray]) -> bytes:
         accessors.append(accessor)
         blob += values.tobytes()
     names = [name for name in arrays if name != "indices"]
-    joints = [{"name": f"joint{j}", **({"children": [j + 1]} if j + 1 < JOINTS else {})} for j in range(JOINTS)]
+    joints = [
+        {"name": f"joint{j}", **({"children": [j + 1]} if j + 1 < JOINTS else {})} for j in range(JOINTS)
+    ]
     root = {
         "asset": {"version": "2.0", "generator": "skinned_grid.py"},
         "scene": 0,
@@ -69,11 +75,7 @@ def glb_bytes(arrays: dict[str, np.ndarray]) -> bytes:
         "nodes": [*joints, {"mesh": 0, "skin": 0}],
         "skins": [{"joints": list(range(JOINTS))}],
         "meshes": [
-            {
-                "primitives": [
-                    {"attributes": {name: n for n, name in enumerate(names)}, "indices": len(names)}
-                ]
-            }
+            {"primitives": [{"attributes": {name: n for n, name in enumerate(names)}, "indices": len(names)}]}
         ],
         "accessors": accessors,
         "bufferViews": views,
@@ -81,7 +83,9 @@ def glb_bytes(arrays: dict[str, np.ndarray]) -> bytes:
     }
     text = json.dumps(root, separators=(",", ":")).encode()
     text += b" " * (-len(text) % 4)
-    chunks = struct.pack("<II", len(text), 0x4E4F534A) + text + struct.pack("<II", len(blob), 0x004E4942) + blob
+    chunks = (
+        struct.pack("<II", len(text), 0x4E4F534A) + text + struct.pack("<II", len(blob), 0x004E4942) + blob
+    )
     return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
 
 

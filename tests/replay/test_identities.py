@@ -11,6 +11,7 @@ from skinbake.errors import UnsupportedFeatureError
 from skinbake.geometry.dual_quaternions import RigidMotions, rigid_motions
 from skinbake.replay import run
 from skinbake.replay.algorithms import Algorithm
+from skinbake.replay.components import PosedVertex
 from skinbake.replay.run import replay
 from skinbake.replay.surface import RestSurface, SkinnedSurface
 from tests import analytic
@@ -170,6 +171,23 @@ def test_float32_is_float64_rounded(algorithm: Algorithm) -> None:
     assert analytic.degrees_between(narrow.normals, wide.normals).max() < 0.01
 
 
+@pytest.mark.parametrize("algorithm", Algorithm)
+@pytest.mark.parametrize("cap", [None, 0.9])
+def test_float32_is_never_widened_on_the_way(
+    algorithm: Algorithm, cap: float | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A replay in float32 stands for what a shader computes."""
+    seen: set[np.dtype[np.floating]] = set()
+
+    def record(_: object, pose: slice, part: slice, vertex: PosedVertex) -> None:
+        for field in ("position", "normal", "tangent", "bitangent"):
+            seen.update(component.dtype for component in getattr(vertex, field))
+
+    monkeypatch.setattr(run, "_write", record)
+    replay(algorithm, rest_surface(sample()), poses(), dtype=np.float32, cap=cap)
+    assert seen == {np.dtype(np.float32)}
+
+
 @pytest.mark.parametrize("size", [8, 64, 8 * 1000, 1 << 20])
 @pytest.mark.parametrize("algorithm", [Algorithm.LBS_ACCURATE, Algorithm.DQS_EXACT])
 def test_the_size_of_a_block_changes_nothing(
@@ -220,6 +238,8 @@ def test_an_adopted_joint_without_weight_counts_by_its_derivative() -> None:
     rest = rest_surface(sample(), slots(sample(), heaviest_first=False))
     weightless = replace(rest, weights=np.tile([1.0, 0.0, 0.0], (len(rest.weights), 1)))
     assert weightless.joints_in_use(4).tolist() == [True, True, True, False]
+    pivot = replace(rest, weights=np.tile([0.0, 1.0, 0.0], (len(rest.weights), 1)))
+    assert pivot.joints_in_use(4).tolist() == [True, True, True, False]
     flat = replace(weightless, alpha=np.zeros_like(rest.alpha), beta=np.zeros_like(rest.beta))
     assert flat.joints_in_use(4).tolist() == [True, False, False, False]
 

@@ -9,13 +9,14 @@ import numpy as np
 
 from skinbake.bake.gradients import weight_gradients
 from skinbake.bake.influences import NO_JOINT, WeightDefects, weight_field
-from skinbake.bake.slots import ADOPT, SlotGradients, assign
+from skinbake.bake.slots import SlotGradients, assign, shared_capacity
 from skinbake.bake.weld import concatenated, weld
 from skinbake.geometry import frames
 from skinbake.geometry.skinned import BakedPrimitive, FloatArray, SkinnedPrimitive
 from skinbake.geometry.triangles import proper
 
 AUTO = "auto"
+ADOPT, DROP = "adopt", "drop"
 
 TANGENT_TOLERANCE = 0.1
 """Degrees by which t0 × b0 may lean from n0 before a TANGENT is not used."""
@@ -61,14 +62,18 @@ def bake_mesh(
     fields, defects = zip(*(weight_field(primitive) for primitive in primitives), strict=True)
     field = concatenated(fields)
     positions = np.concatenate([primitive.positions for primitive in primitives])
-    normals = np.concatenate([frames.unit_normals(primitive.normals) for primitive in primitives])
+    normals = np.concatenate([primitive.normals for primitive in primitives])
     starts = np.cumsum([0, *(len(primitive.positions) for primitive in primitives)])
     masks = [proper(primitive.positions, primitive.triangles) for primitive in primitives]
     triangles = np.concatenate(
-        [primitive.triangles[mask] + start for primitive, mask, start in zip(primitives, masks, starts, strict=False)]
+        [
+            primitive.triangles[mask] + start
+            for primitive, mask, start in zip(primitives, masks, starts, strict=False)
+        ]
     )
     classes = weld(positions, normals, field, crease_angle=settings.crease_angle)
     gradients = weight_gradients(positions, triangles, field, classes, weighting=settings.weighting)
+    capacity = shared_capacity(field, classes) if settings.neighbours == ADOPT else None
     results = []
     for number, primitive in enumerate(primitives):
         rows = slice(starts[number], starts[number + 1])
@@ -78,7 +83,7 @@ def bake_mesh(
             classes[rows],
             fields[number],
             (frame.tangents, frame.bitangents),
-            neighbours=settings.neighbours,
+            None if capacity is None else capacity[rows],
         )
         findings = BakeFindings(
             weights=defects[number],

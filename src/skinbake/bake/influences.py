@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from skinbake.geometry.skinned import Float64Array, SkinnedPrimitive
+from skinbake.geometry.skinned import BoolArray, Float64Array, SkinnedPrimitive
 
 SUM_TOLERANCE = 1e-3
 """How far Σw may be from 1 before it is worth a warning: below, it is the rounding of stored weights."""
@@ -20,15 +20,18 @@ class WeightField:
     """The normalised weights of V vertices: joints (V, K) int64, weights (V, K) float64, Σ over K is 1.
 
     Every joint stands in one slot of a vertex only: repeats have joint −1 and weight 0, their weight
-    added to the slot that keeps the joint. Slots keep the places they have in the file.
+    added to the slot that keeps the joint. Slots keep the places they have in the file. free (V, K) tells
+    which slots may adopt a joint: those stored with weight 0, unless the vertex has no weight at all, where
+    the smallest weight would be the whole.
     """
 
     joints: npt.NDArray[np.int64]
     weights: Float64Array
+    free: BoolArray
 
     def rows(self, vertices: npt.NDArray[np.int64]) -> WeightField:
         """Return the field of some vertices."""
-        return WeightField(self.joints[vertices], self.weights[vertices])
+        return WeightField(self.joints[vertices], self.weights[vertices], self.free[vertices])
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +53,7 @@ def weight_field(primitive: SkinnedPrimitive) -> tuple[WeightField, WeightDefect
     """
     joints = primitive.joints.astype(np.int64)
     weights = primitive.weights.astype(np.float64)
+    free = (weights == 0) & weights.any(axis=1, keepdims=True)
     negative = weights < 0
     weights[negative] = 0.0
     total = weights.sum(axis=1)
@@ -64,7 +68,7 @@ def weight_field(primitive: SkinnedPrimitive) -> tuple[WeightField, WeightDefect
         repeated_joint=repeated,
     )
     weights /= total[:, None]
-    return WeightField(joints, weights), defects
+    return WeightField(joints, weights, free), defects
 
 
 def _merge_repeats(joints: npt.NDArray[np.int64], weights: Float64Array) -> int:

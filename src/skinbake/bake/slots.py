@@ -12,8 +12,6 @@ from skinbake.bake.gradients import VertexGradients
 from skinbake.bake.influences import NO_JOINT, WeightField
 from skinbake.geometry.skinned import Float64Array, FloatArray
 
-ADOPT, DROP = "adopt", "drop"
-
 NEGLIGIBLE = 1e-4
 """Share of a vertex's gradient below which a neighbour's joint is not worth a slot.
 
@@ -43,28 +41,39 @@ def assign(
     classes: npt.NDArray[np.int64],
     field: WeightField,
     frame: tuple[FloatArray, FloatArray],
-    *,
-    neighbours: str,
+    capacity: npt.NDArray[np.int64] | None,
 ) -> SlotGradients:
     """Return α and β per slot of V vertices.
 
     classes (V,) names each vertex's row of ``gradients``; field holds its normalised influences (V, K);
-    frame its t0 and b0, each (V, 3). A slot carries the gradient of the joint that it names; where
-    ``neighbours`` is ``adopt``, joints that vary around the vertex and are not among its influences of
-    positive weight move into slots of weight zero, the largest gradients first.
+    frame its t0 and b0, each (V, 3). A slot carries the gradient of the joint that it names. capacity (V,)
+    is how many joints each vertex may adopt (see ``shared_capacity``), None for none at all: joints that
+    vary around the vertex and are not among its influences of positive weight move into free slots, the
+    largest gradients first.
     """
     entries = _Entries(gradients, classes)
     foreign = _foreign(entries, field)
     adopted = np.full(field.joints.shape, NO_JOINT, dtype=np.int64)
     named = field.joints
-    if neighbours == ADOPT and len(foreign.vertices):
-        adopted = _adopt(foreign, field)
+    if capacity is not None and len(foreign.vertices):
+        adopted = _adopt(foreign, field, capacity)
         named = _named_slots(adopted, field)
     alpha, beta, held = _project(entries, named, frame)
     lost = 1.0 - held / entries.total if entries.total > 0 else 0.0
     placed = (named[foreign.vertices] == foreign.joints[:, None]).any(axis=1)
     overflowing = len(np.unique(foreign.vertices[~placed]))
     return SlotGradients(alpha, beta, adopted, overflowing, max(lost, 0.0))
+
+
+def shared_capacity(field: WeightField, classes: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+    """Return how many joints each vertex (V,) may adopt: as many as every copy of its surface point can.
+
+    Copies that adopted differently would no longer be one vertex to whoever reads the baked file.
+    """
+    free = np.count_nonzero(field.free, axis=1)
+    least = np.full(int(classes.max(initial=-1)) + 1, field.free.shape[1])
+    np.minimum.at(least, classes, free)
+    return np.asarray(least[classes])
 
 
 class _Entries:
@@ -117,14 +126,13 @@ def _foreign(entries: _Entries, field: WeightField) -> _Foreign:
     return _Foreign(*(np.concatenate(column) for column in zip(*found, strict=True)))
 
 
-def _adopt(foreign: _Foreign, field: WeightField) -> npt.NDArray[np.int64]:
+def _adopt(foreign: _Foreign, field: WeightField, capacity: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
     """Return the joint that each free slot adopts (V, K): the largest gradients into the first free slots."""
     order = np.lexsort((foreign.joints, -foreign.magnitudes, foreign.vertices))
     vertices, joints = foreign.vertices[order], foreign.joints[order]
     rank = np.arange(len(vertices)) - np.searchsorted(vertices, vertices)
-    free = field.weights[vertices] == 0
-    free_first = np.argsort(~free, axis=1, kind="stable")
-    fits = rank < np.count_nonzero(free, axis=1)
+    free_first = np.argsort(~field.free[vertices], axis=1, kind="stable")
+    fits = rank < capacity[vertices]
     slot = free_first[fits, rank[fits]]
     adopted = np.full(field.joints.shape, NO_JOINT, dtype=np.int64)
     adopted[vertices[fits], slot] = joints[fits]

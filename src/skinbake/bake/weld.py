@@ -8,7 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from skinbake.bake.influences import WeightField
-from skinbake.geometry.skinned import BoolArray, Float32Array, FloatArray
+from skinbake.geometry.frames import unit_vectors
+from skinbake.geometry.skinned import BoolArray, FloatArray
 
 Labels = npt.NDArray[np.int64]
 
@@ -18,14 +19,15 @@ PAIRED_GROUP = 32
 LINKED_GROUP = 4096
 """Points with more distinct normals than this weld equal normals only: comparing all would take minutes."""
 
+ROUNDING = 1e-12
+"""Slack in the length of a chord: the sides of a regular prism meet at exactly a crease angle of their own."""
 
-def weld(
-    positions: FloatArray, normals: Float32Array, field: WeightField, *, crease_angle: float
-) -> Labels:
+
+def weld(positions: FloatArray, normals: FloatArray, field: WeightField, *, crease_angle: float) -> Labels:
     """Return the weld class (V,) of every vertex, numbered from 0.
 
-    positions (V, 3) in mesh space, normals (V, 3) unit, field the normalised weights of the same vertices,
-    crease_angle in radians. Two vertices are copies of one surface point where position (−0 = +0) and
+    positions (V, 3) in mesh space, normals (V, 3) of any length, field the normalised weights of the same
+    vertices, crease_angle in radians. Two vertices are copies of one surface point where position (−0 = +0) and
     influences are equal, whatever the order of the slots; copies are one class where their normals differ
     by at most the crease angle, or where a chain of such copies joins them. The result depends on neither
     vertex nor slot order, except for the numbers of the classes.
@@ -37,7 +39,7 @@ def weld(
     points = equal_rows(labels[copies, None], _influence_keys(field.rows(copies)))
     oriented = equal_rows(points[:, None], _bits(normals[copies]))
     first = np.unique(oriented, return_index=True)[1]
-    linked = _link_by_angle(points[first], normals[copies[first]].astype(np.float64), crease_angle)
+    linked = _link_by_angle(points[first], unit_vectors(normals[copies[first]]), crease_angle)
     labels[copies] = len(labels) + linked[oriented]
     return np.unique(labels, return_inverse=True)[1].astype(np.int64)
 
@@ -134,15 +136,16 @@ def _within(first: npt.NDArray[np.float64], second: npt.NDArray[np.float64], ang
     if angle >= np.pi:
         return np.ones(np.broadcast_shapes(first.shape, second.shape)[:-1], dtype=np.bool_)
     chord = np.linalg.norm(first - second, axis=-1)
-    return np.asarray(chord <= 2.0 * np.sin(angle / 2.0), dtype=np.bool_)
+    return np.asarray(chord <= 2.0 * np.sin(angle / 2.0) + ROUNDING, dtype=np.bool_)
 
 
 def concatenated(fields: Sequence[WeightField]) -> WeightField:
     """Return the weight fields of several primitives as one, filled up to the largest number of slots."""
     influences = max(field.joints.shape[1] for field in fields)
-    joints, weights = [], []
+    joints, weights, free = [], [], []
     for field in fields:
         missing = ((0, 0), (0, influences - field.joints.shape[1]))
         joints.append(np.pad(field.joints, missing, constant_values=-1))
         weights.append(np.pad(field.weights, missing))
-    return WeightField(np.concatenate(joints), np.concatenate(weights))
+        free.append(np.pad(field.free, missing))
+    return WeightField(np.concatenate(joints), np.concatenate(weights), np.concatenate(free))

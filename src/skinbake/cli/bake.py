@@ -63,7 +63,9 @@ def _pattern(ctx: click.Context, param: click.Parameter, value: str) -> str:
     "--beta-name", default="_SKINBAKE_BETA_{set}", show_default=True, callback=_pattern, metavar="PATTERN"
 )
 @click.option("--require-baked", is_flag=True, help="Fail (3) where nothing in a file can be baked.")
-@click.option("--warnings-as-errors", is_flag=True, help="Fail (3), and write nothing, where there are warnings.")
+@click.option(
+    "--warnings-as-errors", is_flag=True, help="Fail (3), and write nothing, where there are warnings."
+)
 @message_options
 def command(inputs: tuple[str, ...], **given: Any) -> None:
     """Add α/β, the skin-weight gradients along tangent and bitangent, to every skinned primitive.

@@ -17,7 +17,9 @@ from skinbake.errors import SkinbakeError
 @click.argument("source", metavar="INPUT")
 @click.option("-o", "--output", required=True, metavar="FILE", help="Where to write; - for a GLB on stdout.")
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
-@click.option("--warnings-as-errors", is_flag=True, help="Fail (3), and write nothing, where there are warnings.")
+@click.option(
+    "--warnings-as-errors", is_flag=True, help="Fail (3), and write nothing, where there are warnings."
+)
 @message_options
 def command(source: str, **given: Any) -> None:
     """Write the document as it was before bake: equal JSON, and the original influences."""

@@ -186,13 +186,21 @@ def _assumptions(
     consequence = "used all the same, as asked" if forced else "the frame is taken from NORMAL instead"
     table = [
         ("weights-negative", weights.negative, "{} vertices have negative weights: taken as 0"),
-        ("weights-zero", weights.all_zero, "{} vertices have no weight at all: taken as bound to slot 0's joint"),
+        (
+            "weights-zero",
+            weights.all_zero,
+            "{} vertices have no weight at all: taken as bound to slot 0's joint",
+        ),
         (
             "weights-sum",
             weights.not_normalised,
             f"the weights of {{}} vertices do not sum to 1 within {SUM_TOLERANCE}: taken as divided by their sum",
         ),
-        ("joints-repeated", weights.repeated_joint, "{} vertices name a joint twice: its weights are added up"),
+        (
+            "joints-repeated",
+            weights.repeated_joint,
+            "{} vertices name a joint twice: its weights are added up",
+        ),
         (
             "joints-outside-skin",
             int(np.count_nonzero(outside)),
@@ -204,7 +212,11 @@ def _assumptions(
             f"at {{}} vertices TANGENT × bitangent leans more than {TANGENT_TOLERANCE}° from NORMAL "
             f"(up to {findings.tangent_deviation:.3g}°): {consequence}",
         ),
-        ("normals-zero", findings.zero_normals, "{} vertices have a NORMAL without length: taken as (0, 0, 1)"),
+        (
+            "normals-zero",
+            findings.zero_normals,
+            "{} vertices have a NORMAL without length: taken as (0, 0, 1)",
+        ),
     ]
     return [
         Notice(code, text.format(f"{count:,}"), source.place, count) for code, count, text in table if count

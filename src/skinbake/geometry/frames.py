@@ -10,12 +10,16 @@ TANGENT_FRAME = "tangent"
 NORMAL_FRAME = "normal"
 
 
+def unit_vectors(vectors: FloatArray) -> Float64Array:
+    """Return vectors (V, 3) normalised, float64; one without a length becomes (0, 0, 1)."""
+    wide = vectors.astype(np.float64)
+    length = np.linalg.norm(wide, axis=1, keepdims=True)
+    return np.divide(wide, length, out=np.tile([0.0, 0.0, 1.0], (len(wide), 1)), where=length > 0)
+
+
 def unit_normals(normals: FloatArray) -> Float32Array:
     """Return NORMAL (V, 3) normalised, float32; a vector without a length becomes (0, 0, 1)."""
-    wide = normals.astype(np.float64)
-    length = np.linalg.norm(wide, axis=1, keepdims=True)
-    unit = np.divide(wide, length, out=np.tile([0.0, 0.0, 1.0], (len(wide), 1)), where=length > 0)
-    return unit.astype(np.float32)
+    return unit_vectors(normals).astype(np.float32)
 
 
 def frame_from_normal(normals: Float32Array) -> tuple[Float32Array, Float32Array]:

@@ -121,7 +121,9 @@ def _view_array(
     element = dtype.itemsize * components
     stride = integer(view, "byteStride", place, default=element, minimum=1)
     if stride < element:
-        raise InputError(f"buffer view {view_index} has byteStride {stride} for elements of {element} bytes", place)
+        raise InputError(
+            f"buffer view {view_index} has byteStride {stride} for elements of {element} bytes", place
+        )
     end = offset + stride * (count - 1) + element
     if end > len(data):
         raise InputError(
@@ -157,7 +159,10 @@ def _substituted(
     if dtype is None or dtype.kind != "u":
         raise InputError("a sparse accessor's indices are not unsigned integers", place)
     views = document.objects("bufferViews")
-    index_view, value_view = index(where, "bufferView", len(views), place), index(what, "bufferView", len(views), place)
+    index_view, value_view = (
+        index(where, "bufferView", len(views), place),
+        index(what, "bufferView", len(views), place),
+    )
     if index_view is None or value_view is None:
         raise InputError("a sparse accessor names no buffer view for its indices or values", place)
     offsets = integer(where, "byteOffset", place, default=0), integer(what, "byteOffset", place, default=0)
@@ -165,5 +170,7 @@ def _substituted(
     if positions.max() >= len(dense):
         raise InputError(f"a sparse accessor replaces element {positions.max()} of {len(dense)}", place)
     values = dense.copy()
-    values[positions] = _view_array(document, value_view, offsets[1], (dense.dtype, dense.shape[1], count), place)
+    values[positions] = _view_array(
+        document, value_view, offsets[1], (dense.dtype, dense.shape[1], count), place
+    )
     return values

@@ -106,9 +106,7 @@ class Additions:
         if self._into_binary:
             buffers[0] = {**buffers[0], "byteLength": self._base + self._length}
             root["buffers"] = buffers
-            return self._document.edited(
-                json=root, binary=(*(self._document.binary or ()), *self._pieces)
-            )
+            return self._document.edited(json=root, binary=(*(self._document.binary or ()), *self._pieces))
         uri, new_files = self._stored_pieces()
         root["buffers"] = [*buffers, {"uri": uri, "byteLength": self._length}]
         return self._document.edited(json=root, new_files={**self._document.new_files, **new_files})

@@ -24,9 +24,7 @@ UNIT = 65535
 """Integer weights are kept as unsigned shorts, where an adopted slot has 1 and the largest gives it up."""
 
 
-def with_adopted(
-    sets: Sequence[StoredInfluences], adopted: npt.NDArray[np.int64]
-) -> list[StoredInfluences]:
+def with_adopted(sets: Sequence[StoredInfluences], adopted: npt.NDArray[np.int64]) -> list[StoredInfluences]:
     """Return the influence sets with adopted joints in place; arrays without a change are the same objects.
 
     adopted (V, K) is the joint that each slot adopts, −1 where it stays. Unsigned bytes become shorts where
@@ -47,14 +45,21 @@ def with_adopted(
 def _dues(
     sets: Sequence[StoredInfluences], slots: Sequence[npt.NDArray[np.int64]]
 ) -> list[npt.NDArray[np.int64]]:
-    """Return per set (V, 4) how many units each slot gives up: a vertex's largest weight pays for all."""
+    """Return per set (V, 4) how many units each slot gives up: a vertex's largest weight pays for all.
+
+    Of equal weights the one of the lowest joint pays, so that copies of a vertex with their slots in another
+    order still agree.
+    """
     weights = np.concatenate([stored.weights.decoded() for stored in sets], axis=1)
+    joints = np.concatenate([stored.joints.values.astype(np.int64) for stored in sets], axis=1)
+    largest = weights == weights.max(axis=1, keepdims=True)
+    payer = np.where(largest, joints, np.iinfo(np.int64).max).argmin(axis=1)
     units = np.zeros(len(weights), dtype=np.int64)
     for stored, slot in zip(sets, slots, strict=True):
         if stored.weights.values.dtype.kind != "f":
             units += np.count_nonzero(slot >= 0, axis=1)
     dues = np.zeros(weights.shape, dtype=np.int64)
-    dues[np.arange(len(weights)), weights.argmax(axis=1)] = units
+    dues[np.arange(len(weights)), payer] = units
     return [dues[:, 4 * number : 4 * number + 4] for number in range(len(sets))]
 
 
@@ -67,9 +72,7 @@ def _new_joints(stored: StoredArray, slot: npt.NDArray[np.int64]) -> StoredArray
     return replace(stored, values=values)
 
 
-def _new_weights(
-    stored: StoredArray, slot: npt.NDArray[np.int64], due: npt.NDArray[np.int64]
-) -> StoredArray:
+def _new_weights(stored: StoredArray, slot: npt.NDArray[np.int64], due: npt.NDArray[np.int64]) -> StoredArray:
     if not (slot >= 0).any() and not due.any():
         return stored
     if stored.values.dtype.kind == "f":

@@ -18,6 +18,7 @@ from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject
 from skinbake.gltf.primitives import PrimitiveSource, read_influences
 
+
 @dataclass(frozen=True, slots=True)
 class AttributeNames:
     """Patterns of the attribute names; ``{set}`` stands for the influence set's number."""
@@ -44,7 +45,9 @@ class Baked:
     settings: JsonObject
 
 
-def with_baked(document: Document, baked: Sequence[Baked], names: AttributeNames) -> tuple[Document, list[int]]:
+def with_baked(
+    document: Document, baked: Sequence[Baked], names: AttributeNames
+) -> tuple[Document, list[int]]:
     """Return the document with α, β, metadata and adopted influences added, and the bytes each primitive added.
 
     The document must not hold an earlier bake. A NORMAL is added where the primitive has none. Raises
@@ -89,7 +92,10 @@ def _written(document: Document, additions: Additions, item: Baked, names: Attri
         note["keepExtras"] = True
     for number, (alpha_name, beta_name) in enumerate(chosen):
         own = {KEY: note} if beside and number == 0 else None
-        for name, values, accessor_extras in ((alpha_name, alpha[number], own), (beta_name, beta[number], None)):
+        for name, values, accessor_extras in (
+            (alpha_name, alpha[number], own),
+            (beta_name, beta[number], None),
+        ):
             if name in attributes:
                 raise InputError(
                     f"it has an attribute {name} already, which skinbake did not write; "

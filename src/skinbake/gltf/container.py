@@ -32,20 +32,23 @@ def _as_glb(document: Document) -> Document:
     first = {key: value for key, value in buffers[0].items() if key != "uri"}
     root = {**document.json, "buffers": [first, *buffers[1:]]}
     padding = bytes(-len(data) % 4)
-    return document.edited(json=root, is_glb=True, indent=None, binary=(data, padding) if padding else (data,))
+    return document.edited(
+        json=root, is_glb=True, indent=None, binary=(data, padding) if padding else (data,)
+    )
 
 
 def _as_gltf(document: Document, stem: str) -> tuple[Document, list[Notice]]:
     notices = []
-    if document.other_chunks:
+    if document.other_chunks or document.trailing:
         notices.append(
             Notice(
                 "chunks-dropped",
-                f"{len(document.other_chunks)} GLB chunks of unknown type have no place in a .gltf",
+                f"{len(document.other_chunks)} GLB chunks of unknown type and {len(document.trailing)} trailing "
+                "bytes have no place in a .gltf",
                 document.place,
             )
         )
-    changes = {"is_glb": False, "indent": "  ", "binary": None, "other_chunks": ()}
+    changes = {"is_glb": False, "indent": "  ", "binary": None, "other_chunks": (), "trailing": b""}
     buffers = document.objects("buffers")
     if document.binary is None or not buffers or "uri" in buffers[0]:
         return document.edited(**changes), notices

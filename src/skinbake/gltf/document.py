@@ -28,7 +28,8 @@ class Document:
 
     ``name`` is what messages call it, ``folder`` where its relative URIs start. ``is_glb`` tells the
     container. ``binary`` is the BIN chunk in pieces (None: no such chunk), ``new_files`` what the document
-    refers to by a relative URI and has to be written beside it. ``raw`` is the file's text or container
+    refers to by a relative URI and has to be written beside it. ``other_chunks`` and ``trailing`` are what a
+    GLB holds besides. ``raw`` is the file's text or container
     as read, while nothing has been edited.
     """
 
@@ -38,6 +39,7 @@ class Document:
     is_glb: bool
     binary: tuple[Bytes, ...] | None = None
     other_chunks: tuple[tuple[int, Bytes], ...] = ()
+    trailing: Bytes = b""
     new_files: dict[str, tuple[Bytes, ...]] = field(default_factory=dict)
     indent: str | None = None
     raw: Bytes | None = None
@@ -121,6 +123,7 @@ def parse_glb(data: Bytes, name: str, folder: Path) -> Document:
         is_glb=True,
         binary=None if chunks.binary is None else (chunks.binary,),
         other_chunks=chunks.others,
+        trailing=chunks.trailing,
         raw=data,
     )
 
@@ -155,8 +158,9 @@ def _check_version(asset: json_access.JsonObject, place: Place) -> None:
     if version is None:
         raise InputError('it does not say which glTF version it is: "asset.version" is missing', place)
     least = json_access.text(asset, "minVersion", place) or "2.0"
-    if version.split(".")[0] != "2" or least != "2.0":
-        raise UnsupportedFeatureError(f"glTF version {max(version, least)}; only 2.0 is supported", place)
+    for found in (version.split(".")[0] == "2" or version, least == "2.0" or least):
+        if found is not True:
+            raise UnsupportedFeatureError(f'it wants glTF version "{found}"; only 2.0 is supported', place)
 
 
 def _reject_constant(name: str) -> float:
@@ -170,4 +174,3 @@ def _indentation(data: bytes) -> str | None:
         return None
     line = rest.split(b"\n")[0]
     return line[: len(line) - len(line.lstrip())].decode("ascii", "replace")
-

@@ -23,12 +23,14 @@ MAX_LENGTH = 2**32 - 1
 class GlbChunks:
     """The chunks of one GLB, in file order. ``binary`` is None where there is no BIN chunk.
 
-    ``others`` are chunks of unknown type that follow, kept so that they can be written back.
+    ``others`` are chunks of unknown type that follow, ``trailing`` bytes past the length that the header
+    says; both are kept so that they can be written back.
     """
 
     json: Bytes
     binary: Bytes | None
     others: tuple[tuple[int, Bytes], ...]
+    trailing: Bytes
 
 
 def split_glb(data: Bytes, place: Place) -> GlbChunks:
@@ -47,10 +49,10 @@ def split_glb(data: Bytes, place: Place) -> GlbChunks:
         )
     if version != 2:
         raise UnsupportedFeatureError(f"GLB container version {version}; only version 2 is supported", place)
-    if length != len(view):
-        what = "is cut short" if length > len(view) else "has trailing bytes"
-        raise InputError(f"the GLB {what}: its header says {length} bytes, it has {len(view)}", place)
-    return _sort_chunks(_chunks(view, place), place)
+    if length > len(view):
+        raise InputError(f"the GLB is cut short: its header says {length} bytes, it has {len(view)}", place)
+    json_chunk, binary, others = _sorted_chunks(_chunks(view[:length], place), place)
+    return GlbChunks(json_chunk, binary, others, view[length:])
 
 
 def _chunks(view: memoryview, place: Place) -> list[tuple[int, memoryview]]:
@@ -72,7 +74,9 @@ def _chunks(view: memoryview, place: Place) -> list[tuple[int, memoryview]]:
     return chunks
 
 
-def _sort_chunks(chunks: list[tuple[int, memoryview]], place: Place) -> GlbChunks:
+def _sorted_chunks(
+    chunks: list[tuple[int, memoryview]], place: Place
+) -> tuple[memoryview, memoryview | None, tuple[tuple[int, memoryview], ...]]:
     if not chunks or chunks[0][0] != CHUNK_JSON:
         raise InputError("the first chunk of the GLB is not JSON", place)
     binary: memoryview | None = None
@@ -81,7 +85,7 @@ def _sort_chunks(chunks: list[tuple[int, memoryview]], place: Place) -> GlbChunk
         binary, rest = rest[0][1], rest[1:]
     if any(kind in {CHUNK_JSON, CHUNK_BIN} for kind, _ in rest):
         raise InputError("the GLB has a second JSON or BIN chunk, or one out of its place", place)
-    return GlbChunks(chunks[0][1], binary, tuple(rest))
+    return chunks[0][1], binary, tuple(rest)
 
 
 def join_glb(

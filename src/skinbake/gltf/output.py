@@ -57,7 +57,9 @@ def _serialised(document: Document) -> Sequence[Bytes]:
     if document.raw is not None:
         return [document.raw]
     text = _json_bytes(document)
-    return join_glb(text, document.binary, document.other_chunks) if document.is_glb else [text]
+    if not document.is_glb:
+        return [text]
+    return [*join_glb(text, document.binary, document.other_chunks), document.trailing]
 
 
 def _json_bytes(document: Document) -> bytes:
@@ -138,11 +140,15 @@ def _with_files_beside(
             renamed.append((resource, resources.path_uri(free)))
         if not (folder / free).exists():
             files[folder / free] = pieces
-    notices = [
-        Notice("file-missing", f'"{uri}", which it names, is not beside it and was not copied', document.place)
-        for uri in missing
-    ]
+    notices = [_missing_notice(missing, document.place)] if missing else []
     return (_with_uris(document, renamed) if renamed else document), files, notices
+
+
+def _missing_notice(missing: Sequence[str], place: Place) -> Notice:
+    shown = ", ".join(missing[:3]) + (", …" if len(missing) > 3 else "")
+    count = len(missing)
+    files = "1 file that it names is" if count == 1 else f"{count} files that it names are"
+    return Notice("file-missing", f"{files} not beside it and cannot be copied: {shown}", place, count)
 
 
 def _relative_resources(document: Document) -> Iterator[_Resource]:
@@ -183,7 +189,9 @@ def _free_name(folder: Path, name: str, pieces: Sequence[Bytes]) -> str:
     path = PurePosixPath(name)
     other = str(path.with_name(f"{path.stem}-{content_digest(tuple(pieces))}{path.suffix}"))
     if _occupied(folder / other, pieces):
-        raise OutputError(f"a file of that name with other content is in the way: {other}", Place(str(folder)))
+        raise OutputError(
+            f"a file of that name with other content is in the way: {other}", Place(str(folder))
+        )
     return other
 
 

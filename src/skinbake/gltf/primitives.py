@@ -150,7 +150,9 @@ def read_primitive(document: Document, source: PrimitiveSource) -> SkinnedPrimit
     """
     positions = _decoded(document, source, "POSITION", 3)
     count = len(positions)
-    normals = _decoded(document, source, "NORMAL", 3, count) if "NORMAL" in source.attributes else np.zeros((0, 3))
+    normals = (
+        _decoded(document, source, "NORMAL", 3, count) if "NORMAL" in source.attributes else np.zeros((0, 3))
+    )
     has_tangent = "TANGENT" in source.attributes and "NORMAL" in source.attributes
     tangents = _decoded(document, source, "TANGENT", 4, count) if has_tangent else None
     influences = read_influences(document, source, count)
@@ -184,7 +186,9 @@ def read_influences(document: Document, source: PrimitiveSource, count: int) -> 
 def read_triangles(document: Document, source: PrimitiveSource) -> npt.NDArray[np.int64]:
     """Return the primitive's triangles (T, 3), strips and fans unrolled; InputError for an index ≥ V."""
     place = source.place.at("indices")
-    count = element_count(document, _accessor_index(document, source, "POSITION"), source.place.at("POSITION"))
+    count = element_count(
+        document, _accessor_index(document, source, "POSITION"), source.place.at("POSITION")
+    )
     number = index(source.json, "indices", len(document.objects("accessors")), place)
     if number is None:
         indices: IntArray = np.arange(count)

@@ -29,7 +29,9 @@ def stripped(document: Document) -> tuple[Document, int, list[Notice]]:
         for position, primitive in enumerate(primitives):
             here = Place(place.file, place.mesh, place.mesh_name, position)
             note = read_metadata(document, primitive)
-            restored.append(primitive if note is None else _restored(document, primitive, note, here, notices))
+            restored.append(
+                primitive if note is None else _restored(document, primitive, note, here, notices)
+            )
             count += note is not None
             removed |= _accessors_of(primitive) - _accessors_of(restored[-1])
         meshes.append({**mesh, "primitives": restored} if primitives else mesh)
@@ -75,9 +77,7 @@ def _restored(
     return written
 
 
-def _still_the_same(
-    document: Document, attributes: JsonObject, former: dict[str, Any], place: Place
-) -> bool:
+def _still_the_same(document: Document, attributes: JsonObject, former: dict[str, Any], place: Place) -> bool:
     """Tell whether the noted accessors still hold the influences that the adopted ones were made from."""
     accessors = document.objects("accessors")
     for name, number in former.items():
@@ -102,9 +102,7 @@ def _still_the_same(
     return True
 
 
-def _without(
-    document: Document, root: JsonObject, removed: set[int], notices: list[Notice]
-) -> Document:
+def _without(document: Document, root: JsonObject, removed: set[int], notices: list[Notice]) -> Document:
     """Return the document without the accessors, and without the buffer views and bytes only they used."""
     accessors = document.objects("accessors")
     kept_accessors = _without_tail(accessors, removed)

@@ -108,7 +108,9 @@ def as_json(results: Sequence[FileResult], *, exit_code: int, dry_run: bool) -> 
                 "output": result.output,
                 "status": result.status,
                 "skipped": result.skipped,
-                "primitives": [{**place_fields(place), **asdict(counts)} for place, counts in result.primitives],
+                "primitives": [
+                    {**place_fields(place), **asdict(counts)} for place, counts in result.primitives
+                ],
                 "warnings": notice_list(result.notices),
                 "error": error_fields(result.error),
             }
