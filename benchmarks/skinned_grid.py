@@ -17,8 +17,7 @@ JOINTS = 32
 
 def grid_arrays(side: int) -> dict[str, np.ndarray]:
     """Return the attributes of a wavy grid of side × side vertices, four influences each, along x."""
-    u, v = np.meshgrid(np.linspace(0, 1, side), np.linspace(0, 1, side), indexing="ij")
-    u, v = u.ravel(), v.ravel()
+    u, v = (axis.ravel() for axis in np.meshgrid(*[np.linspace(0, 1, side)] * 2, indexing="ij"))
     height = 0.02 * np.sin(9 * u) * np.cos(7 * v)
     positions = np.stack([4 * u, height, 4 * v], axis=1).astype(np.float32)
     slope_u, slope_v = 0.045 * np.cos(9 * u) * np.cos(7 * v), -0.035 * np.sin(9 * u) * np.sin(7 * v)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from tests import analytic
 
 from skinbake.geometry.dual_quaternions import (
     RIGID_TOLERANCE,
@@ -13,6 +12,7 @@ from skinbake.geometry.dual_quaternions import (
     quaternions_from_rotations,
     rigid_motions,
 )
+from tests import analytic
 
 AXES = (
     np.array(

@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from fixtures.make_fixtures import FOLDER
 
+from fixtures.make_fixtures import FOLDER
 from tests.support import corpus, gltf_transform, khronos, node
 from tests.support.gltf_reading import DRACO, MESHOPT, read
 from tests.support.khronos import Finding, Report

@@ -14,7 +14,7 @@ from skinbake.bake.influences import WeightField
 from skinbake.geometry.skinned import Float64Array, FloatArray, IntArray
 
 COMPILED_FROM = 200_000
-"""Triangles from which the compiled kernel is worth its start: half a second from its cache, seconds before."""
+"""Triangles from which the compiled kernel is worth its start: half a second, seconds without its cache."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +69,7 @@ def _compiled_gather() -> Callable[..., Any] | None:
         from skinbake.bake.compiled import gather  # noqa: PLC0415  (0.4 s to import)
     except ImportError:
         return None
-    return gather  # type: ignore[no-any-return]
+    return gather
 
 
 def _gather(

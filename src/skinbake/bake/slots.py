@@ -77,7 +77,7 @@ def shared_capacity(field: WeightField, classes: npt.NDArray[np.int64]) -> npt.N
 
 
 class _Entries:
-    """The gradients' entries seen from V vertices, one rank at a time: the first of each, the second …
+    """The gradients' entries seen from V vertices, one rank at a time: all first ones, all second ones.
 
     Vertices are many and ranks are few, so whole arrays of vertices are worked on at once.
     """

@@ -20,15 +20,15 @@ LINKED_GROUP = 4096
 """Points with more distinct normals than this weld equal normals only: comparing all would take minutes."""
 
 ROUNDING = 1e-12
-"""Slack in the length of a chord: the sides of a regular prism meet at exactly a crease angle of their own."""
+"""Slack in the length of a chord: the sides of a prism of 24 meet at 15°, the crease angle itself."""
 
 
 def weld(positions: FloatArray, normals: FloatArray, field: WeightField, *, crease_angle: float) -> Labels:
     """Return the weld class (V,) of every vertex, numbered from 0.
 
     positions (V, 3) in mesh space, normals (V, 3) of any length, field the normalised weights of the same
-    vertices, crease_angle in radians. Two vertices are copies of one surface point where position (−0 = +0) and
-    influences are equal, whatever the order of the slots; copies are one class where their normals differ
+    vertices, crease_angle in radians. Two vertices are copies of one surface point where position (−0 = +0)
+    and influences are equal, whatever the order of the slots; copies are one class where their normals differ
     by at most the crease angle, or where a chain of such copies joins them. The result depends on neither
     vertex nor slot order, except for the numbers of the classes.
     """

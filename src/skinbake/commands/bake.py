@@ -52,10 +52,10 @@ def bake_file(source: str, target: str | None, options: BakeOptions) -> FileResu
     try:
         return _bake_file(source, target, options, notices)
     except SkinbakeError as error:
-        return FileResult(source, target, "failed", notices=tuple(notices), error=error)
+        failure = error
     except MemoryError:
-        error = InputError("it needs more memory than there is", Place(source))
-        return FileResult(source, target, "failed", notices=tuple(notices), error=error)
+        failure = InputError("it needs more memory than there is", Place(source))
+    return FileResult(source, target, "failed", notices=tuple(notices), error=failure)
 
 
 def _bake_file(source: str, target: str | None, options: BakeOptions, notices: list[Notice]) -> FileResult:
@@ -82,8 +82,8 @@ def _bake_file(source: str, target: str | None, options: BakeOptions, notices: l
 
 
 def _refuse_own_input(source: str, target: str, document: Document) -> None:
-    """Raise OutputError where the target is a file that the input consists of, other than the input itself."""
-    if target == STDIO or source == STDIO or not Path(target).exists():
+    """Raise OutputError where the target is a buffer or image of the input."""
+    if STDIO in {target, source} or not Path(target).exists():
         return
     for array in ("buffers", "images"):
         for entry in document.objects(array):
@@ -194,7 +194,7 @@ def _assumptions(
         (
             "weights-sum",
             weights.not_normalised,
-            f"the weights of {{}} vertices do not sum to 1 within {SUM_TOLERANCE}: taken as divided by their sum",
+            f"the weights of {{}} vertices miss a sum of 1 by over {SUM_TOLERANCE}: taken as divided by it",
         ),
         (
             "joints-repeated",

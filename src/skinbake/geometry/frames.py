@@ -14,7 +14,8 @@ def unit_vectors(vectors: FloatArray) -> Float64Array:
     """Return vectors (V, 3) normalised, float64; one without a length becomes (0, 0, 1)."""
     wide = vectors.astype(np.float64)
     length = np.linalg.norm(wide, axis=1, keepdims=True)
-    return np.divide(wide, length, out=np.tile([0.0, 0.0, 1.0], (len(wide), 1)), where=length > 0)
+    unit = np.divide(wide, length, out=np.tile([0.0, 0.0, 1.0], (len(wide), 1)), where=length > 0)
+    return np.asarray(unit)
 
 
 def unit_normals(normals: FloatArray) -> Float32Array:

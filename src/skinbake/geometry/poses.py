@@ -67,7 +67,7 @@ def normalised(quaternions: Float64Array) -> Float64Array:
     """Return unit quaternions (…, 4); one without length becomes the identity (w, x, y, z) = (1, 0, 0, 0)."""
     length = np.linalg.norm(quaternions, axis=-1, keepdims=True)
     identity = np.broadcast_to([1.0, 0.0, 0.0, 0.0], quaternions.shape).copy()
-    return np.divide(quaternions, length, out=identity, where=length > 0)
+    return np.asarray(np.divide(quaternions, length, out=identity, where=length > 0))
 
 
 def rotation_matrices(quaternions: Float64Array) -> Float64Array:

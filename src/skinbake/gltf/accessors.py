@@ -47,7 +47,7 @@ class StoredArray:
         decoded = values.astype(np.float64)
         if not self.normalized:
             return decoded
-        return np.maximum(decoded / np.iinfo(values.dtype).max, -1.0)  # type: ignore[type-var]
+        return np.asarray(np.maximum(decoded / np.iinfo(values.dtype.str).max, -1.0))
 
 
 def read_accessor(document: Document, number: int, place: Place) -> StoredArray:
@@ -102,7 +102,7 @@ def _dense(
         return _view_array(document, view_index, offset, shape, place)
     if count > UNBACKED_LIMIT:
         raise InputError(
-            f"an accessor without a buffer view claims {count} elements; at most {UNBACKED_LIMIT} are believed",
+            f"an accessor without a buffer view claims {count} elements, over the limit of {UNBACKED_LIMIT}",
             place,
         )
     return np.zeros((count, components), dtype)

@@ -64,7 +64,7 @@ class Additions:
         number = len(self._document.objects("accessors")) + len(self._accessors)
         self._accessors.append(
             {
-                "bufferView": self._add_view(memoryview(data).cast("B")),
+                "bufferView": self._add_view(data.data.cast("B")),
                 "componentType": COMPONENT_CODES[data.dtype],
                 "count": len(data),
                 "type": TYPES[data.shape[1]],

@@ -1,4 +1,4 @@
-"""Joint matrices of a skin, posed by the file's own animations, at random, or at rest (glTF 2.0, §3.7.3, §3.11)."""
+"""Joint matrices of a skin: by the file's animations, at random, or at rest (glTF 2.0, §3.7.3, §3.11)."""
 
 from __future__ import annotations
 
@@ -209,7 +209,7 @@ def read_clips(document: Document) -> list[Clip]:
 
 
 def _channel(document: Document, samplers: list[JsonObject], channel: JsonObject) -> Channel | None:
-    """Return one channel, None where it moves no node or animates something else (morph weights, pointers)."""
+    """Return one channel, None where it moves no node or animates something else, like morph weights."""
     place = document.place
     target = member(channel, "target", place)
     node = index(target, "node", len(document.objects("nodes")), place)
@@ -235,8 +235,8 @@ def _key_values(values: Float64Array, count: int, method: str, path: str, place:
     each = 3 if method == poses.CUBICSPLINE else 1
     if values.shape != (each * count, PATHS[path]) or not np.isfinite(values).all():
         raise InputError(
-            f"an animation sampler for {path} needs {each * count} finite outputs of {PATHS[path]} components, "
-            f"found {values.shape[0]} of {values.shape[1]}",
+            f"an animation sampler for {path} needs {each * count} finite outputs of {PATHS[path]} "
+            f"components, found {values.shape[0]} of {values.shape[1]}",
             place,
         )
     if path == "rotation":

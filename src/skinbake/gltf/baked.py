@@ -48,7 +48,7 @@ class Baked:
 def with_baked(
     document: Document, baked: Sequence[Baked], names: AttributeNames
 ) -> tuple[Document, list[int]]:
-    """Return the document with α, β, metadata and adopted influences added, and the bytes each primitive added.
+    """Return the document with α, β, metadata and adopted influences, and the bytes each primitive added.
 
     The document must not hold an earlier bake. A NORMAL is added where the primitive has none. Raises
     InputError where an attribute of the chosen name exists already.

@@ -43,8 +43,8 @@ def _as_gltf(document: Document, stem: str) -> tuple[Document, list[Notice]]:
         notices.append(
             Notice(
                 "chunks-dropped",
-                f"{len(document.other_chunks)} GLB chunks of unknown type and {len(document.trailing)} trailing "
-                "bytes have no place in a .gltf",
+                f"{len(document.other_chunks)} GLB chunks of unknown type and {len(document.trailing)} "
+                "trailing bytes have no place in a .gltf",
                 document.place,
             )
         )

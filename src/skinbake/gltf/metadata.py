@@ -1,4 +1,4 @@
-"""What bake notes in the file: ``extras.skinbake`` of each baked primitive (CONVENTIONS.md holds the schema)."""
+"""What bake notes in the file: ``extras.skinbake`` of each baked primitive, as CONVENTIONS.md has it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Write a document: everything beside its target first, whole or not at all, nothing overwritten but the target."""
+"""Write a document and the files beside it, whole or not at all, overwriting nothing but the target."""
 
 from __future__ import annotations
 
@@ -263,7 +263,7 @@ def _write_temporary(path: Path, pieces: Sequence[Bytes]) -> Path:
                 name.chmod(stat.S_IMODE(path.stat().st_mode))
             for piece in pieces:
                 view = memoryview(piece)
-                while len(view):
+                while view:
                     view = view[file.write(view) :]
     except BaseException:
         name.unlink(missing_ok=True)

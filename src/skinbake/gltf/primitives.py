@@ -238,7 +238,7 @@ def _check_joints(joints: npt.NDArray[np.int64], weights: FloatArray, source: Pr
     if outside.any():
         vertex, slot = np.argwhere(outside)[0]
         raise InputError(
-            f"vertex {vertex} is weighted to joint {joints[vertex, slot]} of a skin with {source.joint_count}; "
-            f"{np.count_nonzero(outside.any(axis=1))} vertices are",
+            f"vertex {vertex} is weighted to joint {joints[vertex, slot]} of a skin with "
+            f"{source.joint_count}; {np.count_nonzero(outside.any(axis=1))} vertices are",
             source.place.at(f"JOINTS_{slot // 4}"),
         )

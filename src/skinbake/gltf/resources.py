@@ -1,4 +1,4 @@
-"""What the URIs of buffers and images stand for: data in the URI, a file beside the document, or elsewhere."""
+"""What the URIs of buffers and images stand for: data in the URI, or a file beside the document."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def encode_data_uri(data: bytes) -> str:
 
 def relative_path(uri: str) -> str:
     """Return the path that a relative URI names, percent-encoding undone, query and fragment cut off."""
-    return unquote(uri.split("#")[0].split("?")[0])
+    return unquote(uri.split("#", maxsplit=1)[0].split("?", maxsplit=1)[0])
 
 
 def path_uri(path: str) -> str:

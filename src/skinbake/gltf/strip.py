@@ -15,13 +15,16 @@ from skinbake.gltf.metadata import read_metadata
 
 
 def stripped(document: Document) -> tuple[Document, int, list[Notice]]:
-    """Return the document as it was before bake, how many primitives were baked, and what could not be undone.
+    """Return the document as before bake, how many primitives were baked, and what could not be undone.
 
     A document that holds no bake is returned as it is. Accessors, buffer views and bytes are removed where
     they still stand at the end, as bake put them; where another tool has rearranged the file since, they
     stay behind unused, and a notice says so. Raises InputError where the file's structure is broken.
     """
-    meshes, removed, notices, count = [], set[int](), [], 0
+    meshes: list[JsonObject] = []
+    removed: set[int] = set()
+    notices: list[Notice] = []
+    count = 0
     for number, mesh in enumerate(document.objects("meshes")):
         place = Place(document.name, number, text(mesh, "name", document.place))
         primitives = objects(mesh, "primitives", place)

@@ -49,7 +49,7 @@ def weight_field(primitives: Sequence[SkinnedPrimitive]) -> csr_array:
     A joint that stands in several slots of a vertex gets their sum. J is one more than the largest joint
     index in any slot, used or not.
     """
-    from scipy.sparse import csr_array  # noqa: PLC0415
+    from scipy.sparse import csr_array
 
     weights = [normalised_weights(primitive.weights, primitive.joints) for primitive in primitives]
     counts = [len(primitive.joints) for primitive in primitives]

@@ -74,8 +74,8 @@ def gradient_operator(
     """
     if weighting not in get_args(Weighting):
         raise ValueError(f"weighting {weighting!r}, expected one of {', '.join(get_args(Weighting))}")
-    import igl  # noqa: PLC0415  here, for most runs of the program never need it
-    from scipy.sparse import csr_array  # noqa: PLC0415
+    import igl
+    from scipy.sparse import csr_array
 
     counts = tuple(len(primitive.positions) for primitive in primitives)
     positions = np.concatenate([primitive.positions for primitive in primitives]).astype(np.float64)
@@ -168,7 +168,7 @@ def _corner_weights(positions: Float64Array, triangles: Int64Array, weighting: W
 
 def _averages(weights: Float64Array, corner_classes: Int64Array, classes: Int64Array) -> csr_array:
     """Build the sparse (classes, T) matrix averaging over each class's corners: rows sum to 1 or are 0."""
-    from scipy.sparse import csr_array  # noqa: PLC0415
+    from scipy.sparse import csr_array
 
     count = int(classes.max(initial=-1)) + 1
     totals = np.bincount(corner_classes.ravel(), weights.ravel(), minlength=count)
@@ -179,7 +179,7 @@ def _averages(weights: Float64Array, corner_classes: Int64Array, classes: Int64A
 
 def _scaled(matrix: csr_array, rows: Float64Array) -> csr_array:
     """Multiply each row of a sparse matrix by a number."""
-    from scipy.sparse import csr_array  # noqa: PLC0415
+    from scipy.sparse import csr_array
 
     data = matrix.data * np.repeat(rows, np.diff(matrix.indptr))
     return csr_array((data, matrix.indices, matrix.indptr), shape=matrix.shape)

@@ -52,7 +52,7 @@ def rest_frames(
     any length, t0 and b0. A vertex without triangles, with a flat frame, or with a zero or non-finite n0 is
     not valid.
     """
-    from scipy.sparse import vstack  # noqa: PLC0415
+    from scipy.sparse import vstack
 
     along = vstack([operator.along(tangents), operator.along(bitangents)], format="csr")
     a, b = _tangents(along, np.asarray(positions, dtype=np.float64)[None])

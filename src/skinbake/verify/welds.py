@@ -21,8 +21,8 @@ def weld_classes(primitives: Sequence[SkinnedPrimitive], *, crease_angle_degrees
     at most ``crease_angle_degrees``, in any primitive of the mesh. Normals may have any length; a zero or
     non-finite one welds only with one of identical bits.
     """
-    from scipy.sparse import coo_array  # noqa: PLC0415
-    from scipy.sparse.csgraph import connected_components  # noqa: PLC0415
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
 
     positions = np.concatenate([primitive.positions for primitive in primitives]).astype(np.float64)
     normals = np.concatenate([primitive.normals for primitive in primitives]).astype(np.float64)
@@ -52,7 +52,7 @@ def _row_numbers(rows: Int64Array) -> Int64Array:
 
 def _close_pairs(places: Int64Array, normals: Float64Array, angle: float) -> Int64Array:
     """List the pairs (N, 2) at one place whose normals differ by at most ``angle`` radians."""
-    from scipy.spatial import cKDTree  # noqa: PLC0415
+    from scipy.spatial import cKDTree
 
     with np.errstate(invalid="ignore", divide="ignore"):
         # Scaled before squaring: a normal of any length that the type can hold has a direction.
