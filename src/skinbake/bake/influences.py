@@ -29,7 +29,7 @@ class WeightField:
     weights: Float64Array
     free: BoolArray
 
-    def rows(self, vertices: npt.NDArray[np.int64]) -> WeightField:
+    def rows(self, vertices: npt.NDArray[np.int64] | slice) -> WeightField:
         """Return the field of some vertices."""
         return WeightField(self.joints[vertices], self.weights[vertices], self.free[vertices])
 

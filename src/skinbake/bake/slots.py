@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +17,10 @@ NEGLIGIBLE = 1e-4
 It changes the correction of a tangent by a ten-thousandth: at a correction as long as the tangent itself
 less than 0.01°.
 """
+
+
+BLOCK = 1 << 15
+"""Vertices worked on at a time: the arrays of a block stay in the processor's cache."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,18 +54,23 @@ def assign(
     vary around the vertex and are not among its influences of positive weight move into free slots, the
     largest gradients first.
     """
-    entries = _Entries(gradients, classes)
-    foreign = _foreign(entries, field)
+    alpha, beta = np.empty(field.joints.shape), np.empty(field.joints.shape)
     adopted = np.full(field.joints.shape, NO_JOINT, dtype=np.int64)
-    named = field.joints
-    if capacity is not None and len(foreign.vertices):
-        adopted = _adopt(foreign, field, capacity)
-        named = _named_slots(adopted, field)
-    alpha, beta, held = _project(entries, named, frame)
-    lost = 1.0 - held / entries.total if entries.total > 0 else 0.0
-    placed = (named[foreign.vertices] == foreign.joints[:, None]).any(axis=1)
-    overflowing = len(np.unique(foreign.vertices[~placed]))
-    return SlotGradients(alpha, beta, adopted, overflowing, max(lost, 0.0))
+    overflowing, homeless, total = 0, 0.0, 0.0
+    for start in range(0, len(classes), BLOCK):
+        rows = slice(start, start + BLOCK)
+        entries = _Entries(gradients, classes[rows])
+        part = field.rows(rows)
+        foreign = _foreign(entries, part)
+        named = part.joints
+        if capacity is not None and len(foreign.vertices):
+            adopted[rows] = _adopt(foreign, part, capacity[rows])
+            named = _named_slots(adopted[rows], part)
+        alpha[rows], beta[rows], unheld = _project(entries, named, (frame[0][rows], frame[1][rows]))
+        placed = (named[foreign.vertices] == foreign.joints[:, None]).any(axis=1)
+        overflowing += len(np.unique(foreign.vertices[~placed]))
+        homeless, total = homeless + unheld, total + float(entries.sums.sum())
+    return SlotGradients(alpha, beta, adopted, overflowing, homeless / total if total > 0 else 0.0)
 
 
 def shared_capacity(field: WeightField, classes: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
@@ -76,28 +84,34 @@ def shared_capacity(field: WeightField, classes: npt.NDArray[np.int64]) -> npt.N
     return np.asarray(least[classes])
 
 
+@dataclass(frozen=True, slots=True)
+class _Rank:
+    """The entries of one rank: whose they are, which they are, and how long their gradients are."""
+
+    vertices: npt.NDArray[np.int64]
+    numbers: npt.NDArray[np.int64]
+    magnitudes: Float64Array
+
+
 class _Entries:
     """The gradients' entries seen from V vertices, one rank at a time: all first ones, all second ones.
 
-    Vertices are many and ranks are few, so whole arrays of vertices are worked on at once.
+    Vertices are many and ranks are few, so whole arrays of vertices are worked on at once. sums (V,) adds
+    up the magnitudes at each vertex.
     """
 
     def __init__(self, gradients: VertexGradients, classes: npt.NDArray[np.int64]) -> None:
-        self._start = gradients.offsets[classes]
-        self._count = gradients.offsets[classes + 1] - self._start
+        start = gradients.offsets[classes]
+        count = gradients.offsets[classes + 1] - start
         self.gradients = gradients
-        g = gradients.gradients
-        self.magnitude = np.sqrt(g[:, 0] ** 2 + g[:, 1] ** 2 + g[:, 2] ** 2)
-        running = np.concatenate([[0.0], np.cumsum(self.magnitude)])
-        self.sums = running[self._start + self._count] - running[self._start]
-        self.total = float(self.sums.sum())
-
-    def ranks(self) -> Iterator[tuple[npt.NDArray[np.int64] | slice, npt.NDArray[np.int64]]]:
-        """Yield, rank by rank, the vertices that have an entry of that rank, and the entries' numbers."""
-        for rank in range(int(self._count.max(initial=0))):
-            has = self._count > rank
-            vertices = slice(None) if has.all() else np.flatnonzero(has)
-            yield vertices, self._start[vertices] + rank
+        self.sums = np.zeros(len(classes))
+        self.ranks: list[_Rank] = []
+        for rank in range(int(count.max(initial=0))):
+            vertices = np.flatnonzero(count > rank)
+            numbers = start[vertices] + rank
+            x, y, z = gradients.gradients[numbers].T
+            self.ranks.append(_Rank(vertices, numbers, np.sqrt(x * x + y * y + z * z)))
+            self.sums[vertices] += self.ranks[-1].magnitudes
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,19 +124,13 @@ class _Foreign:
 
 
 def _foreign(entries: _Entries, field: WeightField) -> _Foreign:
-    found: list[tuple[npt.NDArray[np.int64], npt.NDArray[np.int64], Float64Array]] = []
-    everyone = np.arange(len(field.joints))
+    found = [(np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64), np.empty(0))]
     own_joints = np.where(field.weights > 0, field.joints, NO_JOINT)
-    for vertices, numbers in entries.ranks():
-        joints, magnitudes = entries.gradients.joints[numbers], entries.magnitude[numbers]
-        own = own_joints[vertices]
-        foreign = magnitudes > NEGLIGIBLE * entries.sums[vertices]
-        for slot in range(own.shape[1]):
-            foreign &= own[:, slot] != joints
-        found.append((everyone[vertices][foreign], joints[foreign], magnitudes[foreign]))
-    if not found:
-        nothing = np.empty(0, dtype=np.int64)
-        return _Foreign(nothing, nothing, np.empty(0))
+    for rank in entries.ranks:
+        joints = entries.gradients.joints[rank.numbers]
+        foreign = rank.magnitudes > NEGLIGIBLE * entries.sums[rank.vertices]
+        foreign &= ~(own_joints[rank.vertices] == joints[:, None]).any(axis=1)
+        found.append((rank.vertices[foreign], joints[foreign], rank.magnitudes[foreign]))
     return _Foreign(*(np.concatenate(column) for column in zip(*found, strict=True)))
 
 
@@ -155,20 +163,15 @@ def _named_slots(adopted: npt.NDArray[np.int64], field: WeightField) -> npt.NDAr
 def _project(
     entries: _Entries, named: npt.NDArray[np.int64], frame: tuple[FloatArray, FloatArray]
 ) -> tuple[Float64Array, Float64Array, float]:
-    """Return α, β (V, K), and the gradient magnitude that some slot holds, summed over vertices."""
+    """Return α, β (V, K), and the gradient magnitude that no slot holds, summed over vertices."""
     alpha, beta = np.zeros(named.shape), np.zeros(named.shape)
-    everyone = np.arange(len(named))
-    held = 0.0
-    for vertices, numbers in entries.ranks():
-        here = everyone[vertices]
-        joints = entries.gradients.joints[numbers]
-        gradients = entries.gradients.gradients[numbers]
-        along_t = np.einsum("ij,ij->i", gradients, frame[0][vertices])
-        along_b = np.einsum("ij,ij->i", gradients, frame[1][vertices])
-        magnitudes = entries.magnitude[numbers]
-        for slot in range(named.shape[1]):
-            at = named[vertices, slot] == joints
-            alpha[here[at], slot] = along_t[at]
-            beta[here[at], slot] = along_b[at]
-            held += float(magnitudes[at].sum())
-    return alpha, beta, held
+    unheld = 0.0
+    for rank in entries.ranks:
+        at = named[rank.vertices] == entries.gradients.joints[rank.numbers][:, None]
+        row, slot = np.nonzero(at)
+        held = rank.vertices[row]
+        gradients = entries.gradients.gradients[rank.numbers[row]]
+        alpha[held, slot] = np.einsum("ij,ij->i", gradients, frame[0][held])
+        beta[held, slot] = np.einsum("ij,ij->i", gradients, frame[1][held])
+        unheld += float(rank.magnitudes[~at.any(axis=1)].sum())
+    return alpha, beta, unheld

@@ -41,7 +41,7 @@ def weld(positions: FloatArray, normals: FloatArray, field: WeightField, *, crea
     first = np.unique(oriented, return_index=True)[1]
     linked = _link_by_angle(points[first], unit_vectors(normals[copies[first]]), crease_angle)
     labels[copies] = len(labels) + linked[oriented]
-    return np.unique(labels, return_inverse=True)[1].astype(np.int64)
+    return _numbered(labels)
 
 
 def equal_positions(positions: FloatArray) -> Labels:
@@ -65,7 +65,21 @@ def equal_rows(*columns: npt.NDArray[np.generic]) -> Labels:
         differs = np.any(keys[order[1:]] != keys[order[:-1]], axis=1)
     labels = np.empty(len(keys), dtype=np.int64)
     labels[order] = np.concatenate([[0], np.cumsum(differs)]) if len(keys) else order
-    return labels
+    return _numbered(labels)
+
+
+def _numbered(labels: Labels) -> Labels:
+    """Return the labels renumbered in the order in which vertices meet them.
+
+    Neighbours on the surface then stay neighbours in memory: gathering by labels in hash order took three
+    times as long.
+    """
+    first = np.empty(int(labels.max(initial=-1)) + 1, dtype=np.int64)
+    first[labels[::-1]] = np.arange(len(labels))[::-1]
+    leader = first[labels]
+    leads = np.zeros(len(labels), dtype=np.bool_)
+    leads[leader] = True
+    return np.asarray((np.cumsum(leads) - 1)[leader])
 
 
 def _hash(keys: npt.NDArray[np.uint64]) -> npt.NDArray[np.uint64]:
@@ -104,7 +118,7 @@ def _link_by_angle(points: Labels, normals: npt.NDArray[np.float64], crease_angl
     for start, size in zip(starts[sizes > PAIRED_GROUP], sizes[sizes > PAIRED_GROUP], strict=True):
         if size <= LINKED_GROUP:
             _grow_group(order[start : start + size], normals, crease_angle, labels)
-    return np.unique(labels, return_inverse=True)[1].astype(np.int64)
+    return labels
 
 
 def _link_groups(members: Labels, normals: npt.NDArray[np.float64], angle: float, labels: Labels) -> None:
@@ -141,6 +155,8 @@ def _within(first: npt.NDArray[np.float64], second: npt.NDArray[np.float64], ang
 
 def concatenated(fields: Sequence[WeightField]) -> WeightField:
     """Return the weight fields of several primitives as one, filled up to the largest number of slots."""
+    if len(fields) == 1:
+        return fields[0]
     influences = max(field.joints.shape[1] for field in fields)
     joints, weights, free = [], [], []
     for field in fields:
