@@ -60,9 +60,7 @@ def mean_error(
 # which have neighbours on one side only, are of order 1. Three seeds, as one has a tenth of scatter.
 @pytest.mark.parametrize(("triangulation", "order"), [("irregular", 1.5), ("jittered", 1.8)])
 def test_max_weighted_normals_converge(triangulation: Triangulation, order: float) -> None:
-    coarse, fine = (
-        [mean_error(count, triangulation, seed) for seed in SEEDS] for count in (700, 5600)
-    )
+    coarse, fine = ([mean_error(count, triangulation, seed) for seed in SEEDS] for count in (700, 5600))
     spacing = math.sqrt(np.mean([count for _, count in fine]) / np.mean([count for _, count in coarse]))
     drop = np.mean([error for error, _ in coarse]) / np.mean([error for error, _ in fine])
     assert math.log(drop) / math.log(spacing) >= order

@@ -125,9 +125,7 @@ def degenerate() -> SkinnedPrimitive:
             [5.0, 5.0, 5.0],  # of no triangle
         ]
     )
-    faces = np.array(
-        [[0, 1, 2], [0, 1, 1], [2, 2, 2], [0, 1, 3], [0, 2, 4], [0, 5, 6]]
-    ) + count
+    faces = np.array([[0, 1, 2], [0, 1, 1], [2, 2, 2], [0, 1, 3], [0, 2, 4], [0, 5, 6]]) + count
     faces = np.concatenate([faces, [[0, 0, 1], [0, 1, 0]]])
     return SkinnedPrimitive(
         np.concatenate([surface.positions, extra]),
@@ -151,10 +149,10 @@ def test_both_paths_ignore_what_has_no_area_without_a_warning(
 def empty(vertices: int) -> SkinnedPrimitive:
     return SkinnedPrimitive(
         np.zeros((vertices, 3), dtype=np.float32),
-        np.tile(np.float32([0, 0, 1]), (vertices, 1)),
+        np.tile(np.array([0, 0, 1], dtype=np.float32), (vertices, 1)),
         None,
         np.tile([3, 0, 0, 0], (vertices, 1)),
-        np.tile(np.float32([1, 0, 0, 0]), (vertices, 1)),
+        np.tile(np.array([1, 0, 0, 0], dtype=np.float32), (vertices, 1)),
         np.zeros((0, 3), dtype=np.int64),
     )
 
@@ -192,7 +190,8 @@ def test_both_paths_bake_the_same_file(name: str, monkeypatch: pytest.MonkeyPatc
         ]
 
     def joints(outcome: BakedPrimitive) -> list[list[int]]:
-        return np.sort(outcome.adopted_joints, axis=1).tolist()
+        listed: list[list[int]] = np.sort(outcome.adopted_joints, axis=1).tolist()
+        return listed
 
     for (plain, own), (compiled, numbers) in zip(bake(WHOLE_ARRAYS), bake(COMPILED), strict=True):
         assert joints(compiled) == joints(plain)

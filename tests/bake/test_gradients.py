@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from skinbake.bake.baker import BakeSettings
-from skinbake.geometry.skinned import Float64Array, SkinnedPrimitive
+from skinbake.geometry.skinned import FloatArray, SkinnedPrimitive
 from skinbake.verify.operator import Weighting, expected_alpha_beta, gradient_operator
 from tests.bake.models import (
     AFRAME_HAND,
@@ -54,7 +54,7 @@ TOLERANCE = 1e-6
 
 
 def relative_deviation(
-    stored: Sequence[StoredPrimitive], weights: Sequence[Float64Array], weighting: Weighting = "max"
+    stored: Sequence[StoredPrimitive], weights: Sequence[FloatArray], weighting: Weighting = "max"
 ) -> float:
     """Return the largest |α − expected| of slots 1 … K − 1, relative to the primitive's largest; β too.
 
@@ -68,9 +68,7 @@ def relative_deviation(
     worst = 0.0
     for primitive, (alpha, beta) in zip(stored, expected, strict=True):
         largest = max(np.abs(alpha).max(), np.abs(beta).max())
-        off = max(
-            np.abs(primitive.alpha - alpha[:, 1:]).max(), np.abs(primitive.beta - beta[:, 1:]).max()
-        )
+        off = max(np.abs(primitive.alpha - alpha[:, 1:]).max(), np.abs(primitive.beta - beta[:, 1:]).max())
         worst = max(worst, off / largest if largest > 0 else off)
     return worst
 

@@ -21,8 +21,8 @@ class WeightField:
 
     Every joint stands in one slot of a vertex only: repeats have joint −1 and weight 0, their weight
     added to the slot that keeps the joint. Slots keep the places they have in the file. free (V, K) tells
-    which slots may adopt a joint: those stored with weight 0, unless the vertex has no weight at all, where
-    the smallest weight would be the whole.
+    which slots may adopt a joint: those stored with weight 0, unless the vertex has next to no weight (a sum
+    of at most SUM_TOLERANCE), where the smallest weight would be a share of it, or the whole.
     """
 
     joints: npt.NDArray[np.int64]
@@ -53,10 +53,10 @@ def weight_field(primitive: SkinnedPrimitive) -> tuple[WeightField, WeightDefect
     """
     joints = primitive.joints.astype(np.int64)
     weights = primitive.weights.astype(np.float64)
-    free = (weights == 0) & weights.any(axis=1, keepdims=True)
     negative = weights < 0
     weights[negative] = 0.0
     total = weights.sum(axis=1)
+    free = (primitive.weights == 0) & (total > SUM_TOLERANCE)[:, None]
     empty = total == 0
     weights[empty, 0] = 1.0
     total[empty] = 1.0

@@ -38,6 +38,11 @@ class Console:
             for notice in notices:
                 self._message("warning", "yellow", str(notice))
 
+    def problems(self, problems: Iterable[Notice]) -> None:
+        """Print what a check found wrong: errors, whatever the verbosity."""
+        for problem in problems:
+            self._message("error", "red", str(problem))
+
     def error(self, error: SkinbakeError) -> None:
         """Print an error."""
         self._message("error", "red", str(error))

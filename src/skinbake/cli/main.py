@@ -12,6 +12,7 @@ from skinbake.cli import exit_codes
 
 COMMANDS = {
     "bake": "Add α/β to every skinned primitive of glTF files.",
+    "verify": "Check a baked file, and measure its lighting in degrees.",
     "inspect": "Show what is skinned in a file, and what is baked into it.",
     "strip": "Write a file as it was before bake.",
 }

@@ -129,7 +129,10 @@ def _view_array(
         raise InputError(
             f"{count} elements need {end} bytes of buffer view {view_index}, which has {len(data)}", place
         )
-    return np.ndarray((count, components), dtype, data, offset, (stride, dtype.itemsize))
+    # The stride of a single element may be past all numbers that an address can have.
+    return np.ndarray(
+        (count, components), dtype, data, offset, (stride if count > 1 else element, dtype.itemsize)
+    )
 
 
 def view_bytes(document: Document, view_index: int, place: Place) -> memoryview:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import binascii
 import re
 from pathlib import Path
 from urllib.parse import quote, unquote, unquote_to_bytes
@@ -20,7 +19,7 @@ def is_data_uri(uri: str) -> bool:
 
 def is_relative(uri: str) -> bool:
     """Tell whether the URI names a file relative to the document (a relative reference of RFC 3986)."""
-    return bool(uri) and not _SCHEME.match(uri) and not uri.startswith(("/", "\\"))
+    return bool(uri) and not _SCHEME.match(uri) and not unquote(uri).startswith(("/", "\\"))
 
 
 def decode_data_uri(uri: str, place: Place) -> bytes:
@@ -28,12 +27,12 @@ def decode_data_uri(uri: str, place: Place) -> bytes:
     header, comma, payload = uri.partition(",")
     if not comma:
         raise InputError("a data: URI has no comma before its data", place)
-    if not header.lower().endswith(";base64"):
-        return unquote_to_bytes(payload)
     try:
+        if not header.lower().endswith(";base64"):
+            return unquote_to_bytes(payload)
         return base64.b64decode(unquote(payload) if "%" in payload else payload, validate=True)
-    except binascii.Error as error:
-        raise InputError(f"a data: URI does not hold valid base64: {error}", place) from error
+    except ValueError as error:  # binascii.Error, or characters that no byte stands for
+        raise InputError(f"a data: URI does not hold what it says: {error}", place) from error
 
 
 def encode_data_uri(data: bytes) -> str:

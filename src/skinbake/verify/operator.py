@@ -93,21 +93,27 @@ def gradient_operator(
 
 
 def expected_alpha_beta(
-    operator: GradientOperator, primitives: Sequence[SkinnedPrimitive], frames: Sequence[Frame]
+    operator: GradientOperator,
+    primitives: Sequence[SkinnedPrimitive],
+    frames: Sequence[Frame],
+    *,
+    named: Sequence[SkinnedPrimitive] | None = None,
 ) -> list[tuple[Float64Array, Float64Array]]:
     """Return α = ∇w · t0 and β = ∇w · b0 of the joint in every slot: per primitive two (V, K) float64.
 
     frames: per primitive t0 and b0, each (V, 3), mesh space. Where a joint stands in several slots of a
     vertex, the first slot with a positive weight, or else the first, carries its gradient and the others
     hold 0. Slot 0 holds its own joint's gradient; a file stores minus the sum of the other slots there, and
-    the two differ at vertices with neighbours' joints outside their own set.
+    the two differ at vertices with neighbours' joints outside their own set. ``named`` are the same
+    primitives with the joints that the slots name now, where that is no longer what the weights come from:
+    after adoption.
     """
     field = weight_field(primitives)
     alpha, beta = (
         operator.along(np.concatenate([frame[axis] for frame in frames])) @ field for axis in range(2)
     )
     result = []
-    for primitive, rows in zip(primitives, operator.slices, strict=True):
+    for primitive, rows in zip(named or primitives, operator.slices, strict=True):
         carries = carrying_slots(primitive)
         result.append(
             (_named_entries(alpha[rows], primitive, carries), _named_entries(beta[rows], primitive, carries))
@@ -119,6 +125,7 @@ def _named_entries(derivatives: csr_array, primitive: SkinnedPrimitive, carries:
     """Look up, in a (V, J) sparse matrix, the entry of the joint that each slot names."""
     rows = np.broadcast_to(np.arange(len(primitive.joints))[:, None], primitive.joints.shape)
     joints = primitive.joints.astype(np.int64)
+    carries = carries & (joints < derivatives.shape[1])
     found = np.zeros(joints.shape)
     found[carries] = np.asarray(derivatives[rows[carries], joints[carries]]).ravel()
     return found

@@ -67,7 +67,9 @@ def rest_frames(
     return RestFrames(along, coefficients, areas, valid)
 
 
-def reference_normals(rest: RestFrames, deformed: FloatArray) -> tuple[Float64Array, BoolArray]:
+def reference_normals(
+    rest: RestFrames, deformed: FloatArray, sides: FloatArray | None = None
+) -> tuple[Float64Array, BoolArray]:
     """Return the reference normals of a deformed mesh, and where they are valid.
 
     deformed (P, V, 3): the skinned positions over the mesh's concatenated vertices, in any one space per
@@ -77,17 +79,20 @@ def reference_normals(rest: RestFrames, deformed: FloatArray) -> tuple[Float64Ar
     With c = a × b of the tangents a, b and ĉ its direction, F takes a0, b0, ĉ0 to a1, b1,
     ĉ1 sqrt(|c1| / |c0|). The factor keeps a uniform scale uniform: joint matrices with an overall 0.01 are
     common. So at rest, and under any rotation and uniform scale, cof(F) n0 is n0 or its image up to
-    rounding, authored normals included.
+    rounding, authored normals included. sides (P, V) is −1 where the joints mirror a vertex, 1 elsewhere and
+    by default: its third column points to the other side of the surface, so that F is the mirror, and the
+    normal is −cof(F) n0, which stays outside.
     """
     count = max(1, _BLOCK // max(1, deformed.shape[1]))
     normals = np.empty(deformed.shape)
     for start in range(0, len(deformed), count):
         block = slice(start, start + count)
-        normals[block] = _block_normals(rest, np.asarray(deformed[block], dtype=np.float64))
+        side = 1.0 if sides is None else np.asarray(sides[block], dtype=np.float64).T
+        normals[block] = _block_normals(rest, np.asarray(deformed[block], dtype=np.float64), side)
     return normals, np.isfinite(normals[..., 0])
 
 
-def _block_normals(rest: RestFrames, deformed: Float64Array) -> Float64Array:
+def _block_normals(rest: RestFrames, deformed: Float64Array, side: Float64Array | float) -> Float64Array:
     """Compute (P, V, 3) reference normals, NaN where undefined."""
     along_a, along_b, along_c = rest.coefficients[:, :, None]
     with np.errstate(all="ignore"):
@@ -96,8 +101,9 @@ def _block_normals(rest: RestFrames, deformed: Float64Array) -> Float64Array:
         area = _length(c)
         # The third column ĉ1 sqrt(|c1| / |c0|).
         m = c / np.sqrt(area * rest.areas[:, None])
-        # The columns of the cofactor matrix are the cross products of the other two.
-        normal = along_a * _cross(b, m) + along_b * _cross(m, a) + along_c * c
+        # The columns of the cofactor matrix are the cross products of the other two; the third column's
+        # side turns the first two of them, and the normal's turns all three.
+        normal = along_a * _cross(b, m) + along_b * _cross(m, a) + along_c * side * c
         normal /= _length(normal)
         # Not "flat if below": a comparison with NaN is false, and a broken position leaves no normal.
         sound = area > _FLAT * _length(a) * _length(b)

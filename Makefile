@@ -1,0 +1,77 @@
+# Everything a developer runs, by name. `make bake` needs python3 (3.11 or newer, with venv) and nothing else.
+
+PYTHON ?= python3
+WORKERS ?= 2
+
+BIN := .venv/bin
+PACKAGE := .venv/package.stamp
+DEV := .venv/dev.stamp
+NODE_MODULES := tests/support/node_modules/.stamp
+EXAMPLE := fixtures/bent_tube.glb
+
+# What the caller's shell has set up for other projects must not leak into .venv.
+unexport PYTHONHOME PYTHONPATH VIRTUAL_ENV
+
+.DEFAULT_GOAL := help
+.DELETE_ON_ERROR:
+.PHONY: help bake test check lint fixtures picture bench clean
+
+help: ## List the targets
+	@awk 'BEGIN { FS = ":.*## " } /^[a-z]+:.*## / { printf "  make %-9s %s\n", $$1, $$2 }' Makefile
+
+bake: $(PACKAGE) ## Set up .venv, bake a fixture into build/, and print what it gained
+	@mkdir -p build
+	$(BIN)/skinbake bake $(EXAMPLE) --out-dir build
+	$(BIN)/skinbake verify build/$(notdir $(EXAMPLE))
+
+test: $(DEV) $(NODE_MODULES) ## Set up .venv and tests/support, and run the tests
+	$(BIN)/python -m pytest -n $(WORKERS)
+
+check: lint test ## Run every check: style, types, layers, fixtures, tests
+
+lint: $(DEV)
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+	$(BIN)/python -m fixtures.make_fixtures --check
+
+fixtures: $(DEV) ## Write fixtures/ anew
+	$(BIN)/python -m fixtures.make_fixtures
+
+picture: $(DEV) ## Draw docs/bend.png anew
+	$(BIN)/python benchmarks/bend_picture.py docs/bend.png
+
+bench: $(DEV) ## Run the benchmarks: how good the normals are on the example, how long a large bake takes
+	@mkdir -p build
+	$(BIN)/python benchmarks/bend_picture.py build/bend.png
+	$(BIN)/python benchmarks/skinned_grid.py 1000000 build/grid.glb
+	@echo "bake a skinned grid of a million vertices, twice: the first run may compile"
+	@for run in 1 2; do bash -c 'time $(BIN)/skinbake bake build/grid.glb -o build/grid_baked.glb'; done
+
+clean: ## Remove everything that make made
+	rm -rf .venv build dist tests/support/node_modules src/*.egg-info
+	rm -rf .pytest_cache .mypy_cache .ruff_cache .import_linter_cache
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+.venv/created.stamp:
+	@$(PYTHON) -c 'import sys; sys.version_info >= (3, 11) or sys.exit("skinbake needs Python 3.11 or newer; set PYTHON=…")'
+	$(PYTHON) -m venv .venv
+	@touch $@
+
+# setuptools and pip of an old distribution are enough: nothing here is newer than PEP 660.
+$(PACKAGE): .venv/created.stamp pyproject.toml
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
+	@touch $@
+
+$(DEV): .venv/created.stamp pyproject.toml
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	@touch $(PACKAGE) $@
+
+# Independent glTF tools; the tests that need them are skipped where npm is absent (SKINBAKE_STRICT=1: fail).
+$(NODE_MODULES): tests/support/package-lock.json
+	@if command -v npm >/dev/null; then \
+	  echo "npm ci --prefix tests/support" && \
+	  npm ci --prefix tests/support --no-audit --no-fund --loglevel=error && \
+	  touch $@; \
+	else echo "npm is not installed: tests that need it are skipped"; fi

@@ -1,0 +1,78 @@
+"""``skinbake verify``: whether a file still carries the right α/β, and what they are worth on it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from skinbake.commands.baked_views import BakedView, baked_views, is_baked
+from skinbake.commands.lighting import Lighting, Progress, VerifyOptions
+from skinbake.commands.staleness import mesh_operator, staleness
+from skinbake.errors import InputError, Notice, Place, SkinbakeError
+from skinbake.gltf.document import Document, read_document
+from skinbake.gltf.primitives import PrimitiveSource, reason_to_skip, refuse_compressed, skinned_sources
+from skinbake.report.verify import Check, FileVerdict
+
+
+def verify_file(source: str, options: VerifyOptions, progress: Progress | None = None) -> FileVerdict:
+    """Verify one file. Never raises SkinbakeError: what cannot be read is in the verdict."""
+    try:
+        verdict = _verify_file(source, options, progress or (lambda what, done, total: None))
+    except SkinbakeError as error:
+        return FileVerdict(source, error=error)
+    except MemoryError:
+        return FileVerdict(source, error=InputError("it needs more memory than there is", Place(source)))
+    if options.warnings_as_errors and verdict.notices and verdict.error is None:
+        problem = Check("warnings", "failed", verdict.notices)
+        return replace(verdict, checks=(*verdict.checks, problem))
+    return verdict
+
+
+def _verify_file(source: str, options: VerifyOptions, progress: Progress) -> FileVerdict:
+    document = read_document(source)
+    sources, notices = skinned_sources(document)
+    wanted: list[PrimitiveSource] = []
+    for entry in sources:
+        refuse_compressed(document, entry)
+        reason = reason_to_skip(document, entry, generate_normals=False)
+        if reason is None:
+            wanted.append(entry)
+        else:
+            notices.append(reason)
+    if not any(is_baked(document, entry) for entry in wanted):
+        return _unbaked(document, options, notices)
+    views, problems = baked_views(document, wanted)
+    structure = Check("structure", "failed" if problems else "passed", tuple(problems), _counted(views))
+    if problems:
+        rest = [Check(name, "skipped", (), "structure failed") for name in ("freshness", "lighting")]
+        return FileVerdict(source, (structure, *rest), notices=tuple(notices))
+    meshes = [
+        [view for view in views if view.source.mesh == mesh] for mesh in {v.source.mesh: None for v in views}
+    ]
+    operators = [mesh_operator(mesh_views) for mesh_views in meshes]
+    problems = [
+        p
+        for mesh, operator in zip(meshes, operators, strict=True)
+        for p in staleness(document, mesh, operator)
+    ]
+    fresh = Check("freshness", "failed" if problems else "passed", tuple(problems))
+    lighting = Lighting(document, options, progress)
+    verdict = lighting.measured(meshes, operators)
+    checks = (structure, fresh, *verdict.checks)
+    return replace(verdict, checks=checks, notices=(*notices, *verdict.notices))
+
+
+def _unbaked(document: Document, options: VerifyOptions, notices: list[Notice]) -> FileVerdict:
+    missing = Notice("not-baked", "nothing in it is baked", document.place)
+    if options.require_baked:
+        check = Check(
+            "structure", "failed", (replace(missing, message="nothing in it is baked: run skinbake bake"),)
+        )
+        return FileVerdict(document.name, (check,), notices=tuple(notices))
+    check = Check("structure", "skipped", (), "nothing in it is baked")
+    return FileVerdict(document.name, (check,), notices=(*notices, missing))
+
+
+def _counted(views: Sequence[BakedView]) -> str:
+    vertices = sum(len(view.now.positions) for view in views)
+    return f"{len(views)} baked primitive{'s' if len(views) != 1 else ''}, {vertices:,} vertices"

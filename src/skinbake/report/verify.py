@@ -1,0 +1,209 @@
+"""What verify found: checks passed or failed, and how lighting fares, as text, JSON and JUnit XML."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+from xml.etree import ElementTree
+
+from skinbake.errors import Notice, Place, SkinbakeError
+from skinbake.report.notices import counted, error_fields, notice_list, place_fields
+
+SCHEMA = "skinbake.verify/1"
+
+Outcome = Literal["passed", "failed", "skipped"]
+
+METHOD_NAMES = {"lbs": "linear blend skinning", "dqs": "dual quaternion skinning"}
+LIGHTING_NAMES = {
+    "approximated": "standard",
+    "direct": "direct",
+    "accurate": "accurate",
+    "exact": "exact",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """One question that was asked of a file; problems say what is wrong where, and what to do."""
+
+    name: str
+    outcome: Outcome
+    problems: tuple[Notice, ...] = ()
+    remark: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Worst:
+    """Where the largest error is: place, vertex, and the pose by clip and time in seconds, or by number."""
+
+    place: Place
+    vertex: int
+    clip: str
+    time: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class ErrorFigures:
+    """Angular error of normals in degrees, weighted by rest area over all vertices and poses."""
+
+    mean: float
+    p95: float
+    p99: float
+    max: float
+    worst: Worst
+
+
+Normals = dict[str, dict[str, ErrorFigures]]
+"""Figures by method (lbs, dqs) and lighting (approximated, direct, accurate, exact)."""
+
+
+@dataclass(frozen=True, slots=True)
+class FileVerdict:
+    """What verify says of one file.
+
+    poses describes what the lighting was measured over. without_dqs says why dual quaternions were left out,
+    None where they were not.
+    """
+
+    input: str
+    checks: tuple[Check, ...] = ()
+    normals: Normals | None = None
+    primitives: tuple[tuple[Place, Normals], ...] = ()
+    poses: str = ""
+    without_dqs: str | None = None
+    notices: tuple[Notice, ...] = ()
+    error: SkinbakeError | None = None
+
+    @property
+    def passed(self) -> bool:
+        """Tell whether the file was read and no check failed."""
+        return self.error is None and all(check.outcome != "failed" for check in self.checks)
+
+
+def gain(figures: dict[str, ErrorFigures]) -> float | None:
+    """Return the standard mean error divided by the accurate one, None where the latter is 0."""
+    if "accurate" not in figures or figures["accurate"].mean <= 0:
+        return None
+    return figures["approximated"].mean / figures["accurate"].mean
+
+
+def as_text(verdict: FileVerdict) -> str:
+    """Return the verdict as a short aligned table."""
+    lines = [f"{verdict.input}: {'passed' if verdict.passed else 'FAILED'}"]
+    width = max((len(check.name) for check in verdict.checks), default=0)
+    for check in verdict.checks:
+        remark = f"  {check.remark}" if check.remark else ""
+        lines.append(f"  {check.name:<{width}}  {check.outcome}{remark}")
+    if verdict.normals:
+        lines += _table(verdict.normals)
+        lines.append(
+            f"  Angle in degrees between each method's normals and the true ones, over {verdict.poses}."
+        )
+    if verdict.without_dqs:
+        lines.append(f"  Dual quaternions left out: {verdict.without_dqs}.")
+    return "\n".join(lines)
+
+
+def _table(normals: Normals) -> Iterator[str]:
+    yield f"  {'':<24}{'mean':>8}{'p95':>8}{'p99':>8}{'max':>8}  worst at"
+    for method, figures in normals.items():
+        for lighting, error in figures.items():
+            name = f"{method.upper()} {LIGHTING_NAMES[lighting]}"
+            numbers = "".join(f"{value:8.2f}" for value in (error.mean, error.p95, error.p99, error.max))
+            yield f"  {name:<24}{numbers}  {_where(error.worst)}"
+        factor = gain(figures)
+        if factor is not None:
+            yield f"  {method.upper() + ' gain':<24}{factor:7.2f}x  standard mean / accurate mean"
+
+
+def _where(worst: Worst) -> str:
+    place = worst.place
+    name = f' "{place.mesh_name}"' if place.mesh_name else ""
+    time = "" if worst.time is None else f" at {worst.time:.2f} s"
+    return f"mesh {place.mesh}{name}, primitive {place.primitive}, vertex {worst.vertex}, {worst.clip}{time}"
+
+
+def as_json(verdicts: Sequence[FileVerdict], *, exit_code: int) -> dict[str, Any]:
+    """Return the verdicts as one JSON object; CONVENTIONS.md documents its members."""
+    return {
+        "schema": SCHEMA,
+        "exit_code": exit_code,
+        "files": [
+            {
+                "input": verdict.input,
+                "passed": verdict.passed,
+                "checks": [
+                    {
+                        "name": check.name,
+                        "outcome": check.outcome,
+                        "remark": check.remark,
+                        "problems": notice_list(check.problems),
+                    }
+                    for check in verdict.checks
+                ],
+                "poses": verdict.poses or None,
+                "normals": None if verdict.normals is None else _normals_json(verdict.normals),
+                "primitives": [
+                    {**place_fields(place), "normals": _normals_json(normals)}
+                    for place, normals in verdict.primitives
+                ],
+                "without_dqs": verdict.without_dqs,
+                "warnings": notice_list(verdict.notices),
+                "error": error_fields(verdict.error),
+            }
+            for verdict in verdicts
+        ],
+    }
+
+
+def _normals_json(normals: Normals) -> dict[str, Any]:
+    result: dict[str, Any] = {}
+    for method, figures in normals.items():
+        result[method] = {lighting: _figures_json(error) for lighting, error in figures.items()}
+        result[method]["gain"] = gain(figures)
+    return result
+
+
+def _figures_json(error: ErrorFigures) -> dict[str, Any]:
+    return {
+        "mean": error.mean,
+        "p95": error.p95,
+        "p99": error.p99,
+        "max": error.max,
+        "worst": {
+            **place_fields(error.worst.place),
+            "vertex": error.worst.vertex,
+            "clip": error.worst.clip,
+            "time": error.worst.time,
+        },
+    }
+
+
+def as_junit(verdicts: Sequence[FileVerdict]) -> str:
+    """Return the verdicts as JUnit XML: a suite per file, a case per check."""
+    root = ElementTree.Element("testsuites", name="skinbake verify")
+    for verdict in verdicts:
+        suite = ElementTree.SubElement(root, "testsuite", name=verdict.input)
+        cases = [_case(suite, check) for check in verdict.checks]
+        if verdict.error is not None:
+            case = ElementTree.SubElement(suite, "testcase", name="read", classname="skinbake.verify")
+            ElementTree.SubElement(case, "error", message=str(verdict.error))
+            cases.append("error")
+        suite.set("tests", str(len(cases)))
+        suite.set("failures", str(cases.count("failed")))
+        suite.set("errors", str(cases.count("error")))
+        suite.set("skipped", str(cases.count("skipped")))
+    ElementTree.indent(root)
+    return ElementTree.tostring(root, encoding="unicode", xml_declaration=True) + "\n"
+
+
+def _case(suite: ElementTree.Element, check: Check) -> str:
+    case = ElementTree.SubElement(suite, "testcase", name=check.name, classname="skinbake.verify")
+    if check.outcome == "failed":
+        message = counted(len(check.problems), "problem")
+        failure = ElementTree.SubElement(case, "failure", message=message)
+        failure.text = "\n".join(str(problem) for problem in check.problems)
+    elif check.outcome == "skipped":
+        ElementTree.SubElement(case, "skipped", message=check.remark)
+    return check.outcome

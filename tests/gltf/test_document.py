@@ -1,0 +1,184 @@
+"""Reading documents: what is refused, and that what nobody touches is written as it was read."""
+
+from __future__ import annotations
+
+import io
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from fixtures.builder import pack_glb
+from skinbake.errors import InputError, UnsupportedFeatureError
+from skinbake.gltf.document import Document, parse_glb, parse_gltf, read_document
+from skinbake.gltf.output import plan_output
+from tests.gltf.models import FOLDER, KEY, SHARED, bake, copied, edited
+
+ASSET = '"asset": {"version": "2.0"}'
+
+
+def parse(text: str | bytes) -> Document:
+    return parse_gltf(text if isinstance(text, bytes) else text.encode(), "model.gltf", Path())
+
+
+@pytest.mark.parametrize("name", ["model.obj", "model", "model.glb.bak", "gltf"])
+def test_an_unknown_suffix_is_refused(tmp_path: Path, name: str) -> None:
+    (tmp_path / name).write_text(f"{{{ASSET}}}")
+    with pytest.raises(InputError, match=r"\.glb, \.gltf or \.vrm"):
+        read_document(str(tmp_path / name))
+
+
+@pytest.mark.parametrize("name", ["MODEL.GLB", "avatar.vrm", "avatar.VRM"])
+def test_the_suffix_tells_a_glb_whatever_its_case(tmp_path: Path, name: str) -> None:
+    (tmp_path / name).write_bytes((FOLDER / "seam.glb").read_bytes())
+    assert read_document(str(tmp_path / name)).is_glb
+
+
+@pytest.mark.parametrize(
+    "name", ["missing.glb", "missing/model.gltf", "folder.glb", "nul\0.glb", "x" * 300 + ".glb"]
+)
+def test_what_cannot_be_opened_is_an_input_error_that_names_it(tmp_path: Path, name: str) -> None:
+    (tmp_path / "folder.glb").mkdir()
+    with pytest.raises(InputError, match="cannot be read: ") as caught:
+        read_document(str(tmp_path / name))
+    assert str(caught.value).startswith(str(tmp_path / name))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "cannot be parsed"),
+        ("{", "cannot be parsed"),
+        (b"\xff\xfe{}", "cannot be parsed"),
+        (f"{{{ASSET}}} trailing", "cannot be parsed"),
+        (f'{{{ASSET}, "a": NaN}}', "NaN is not valid JSON"),
+        (f'{{{ASSET}, "a": -Infinity}}', "-Infinity is not valid JSON"),
+        (f'{{{ASSET}, "a": {"[" * 100_000}{"]" * 100_000}}}', "cannot be parsed"),
+        (f'{{{ASSET}, "a": {"1" * 5000}}}', "cannot be parsed"),
+        ("[]", "not an object"),
+        ("null", "not an object"),
+        ("{}", '"asset.version" is missing'),
+        ('{"asset": []}', '"asset" must be an object'),
+        ('{"asset": {"version": 2.0}}', '"version" must be a string'),
+        ('{"asset": {"version": "2.0", "minVersion": 2}}', '"minVersion" must be a string'),
+        ("glTF\x02\0\0\0", r"name it \.glb"),
+    ],
+)
+def test_what_is_no_gltf_is_refused(text: str | bytes, message: str) -> None:
+    with pytest.raises(InputError, match=message) as caught:
+        parse(text)
+    assert str(caught.value).startswith("model.gltf: ")
+
+
+@pytest.mark.parametrize("version", ["1.0", "1.1", "3.0", "", "20"])
+def test_other_versions_are_unsupported(version: str) -> None:
+    with pytest.raises(UnsupportedFeatureError, match=r'wants glTF version ".*"; only 2\.0'):
+        parse(json.dumps({"asset": {"version": version}}))
+
+
+def test_a_newer_minimal_version_is_unsupported() -> None:
+    with pytest.raises(UnsupportedFeatureError, match=r'version "2\.1"'):
+        parse('{"asset": {"version": "2.1", "minVersion": "2.1"}}')
+    assert parse('{"asset": {"version": "2.1", "minVersion": "2.0"}}').objects("meshes") == []
+
+
+@pytest.mark.parametrize("value", ["{}", "3", '"text"', "[1]", "[{}, null]"])
+def test_a_top_level_array_of_anything_but_objects_is_refused(value: str) -> None:
+    document = parse(f'{{{ASSET}, "meshes": {value}}}')
+    with pytest.raises(InputError, match='"meshes" must be an array of objects'):
+        document.objects("meshes")
+
+
+@pytest.mark.parametrize(
+    ("buffer", "message"),
+    [
+        ({"byteLength": 4}, "no URI and there is no BIN chunk"),
+        ({"byteLength": 5, "uri": "data:;base64,AAAAAA=="}, "declares 5 bytes, 4 are there"),
+        ({"byteLength": 0, "uri": "data:;base64,AAAAAA=="}, '"byteLength" must be'),
+        ({"uri": "data:;base64,AAAAAA=="}, '"byteLength" must be'),
+        ({"byteLength": True, "uri": "data:;base64,AAAAAA=="}, '"byteLength" must be'),
+        ({"byteLength": 4, "uri": 4}, '"uri" must be a string'),
+        ({"byteLength": 10**30, "uri": "data:;base64,AAAAAA=="}, "4 are there"),
+    ],
+)
+def test_a_buffer_without_its_bytes_is_refused(buffer: dict[str, Any], message: str) -> None:
+    document = parse(json.dumps({"asset": {"version": "2.0"}, "buffers": [buffer]}))
+    with pytest.raises(InputError, match=message):
+        document.buffer(0)
+
+
+def test_a_buffer_ends_where_it_says() -> None:
+    uri = "data:;base64,AQIDBA=="
+    buffers = [{"byteLength": 2, "uri": uri}]
+    document = parse(json.dumps({"asset": {"version": "2.0"}, "buffers": buffers}))
+    assert bytes(document.buffer(0)) == b"\x01\x02"
+
+
+def test_only_the_first_buffer_of_a_glb_is_its_bin_chunk() -> None:
+    content = {"asset": {"version": "2.0"}, "buffers": [{"byteLength": 4}, {"byteLength": 4}]}
+    document = parse_glb(pack_glb(content, b"data"), "model.glb", Path())
+    assert bytes(document.buffer(0)) == b"data"
+    with pytest.raises(InputError, match="buffer 1 has no URI"):
+        document.buffer(1)
+
+
+def test_a_glb_comes_from_stdin(monkeypatch: pytest.MonkeyPatch) -> None:
+    data = (FOLDER / "seam.glb").read_bytes()
+    monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(data)))
+    document = read_document("-")
+    assert (document.name, document.raw) == ("<stdin>", data)
+
+
+@pytest.mark.parametrize("indent", [None, 1, 2, 4, "\t"])
+def test_the_indentation_stays(tmp_path: Path, indent: int | str | None) -> None:
+    source = copied(SHARED, tmp_path)
+    content = json.loads(source.read_text(encoding="utf-8"))
+    source.write_text(json.dumps(content, indent=indent), encoding="utf-8")
+    bake(source, tmp_path / "baked.gltf")
+    first, *lines = (tmp_path / "baked.gltf").read_text(encoding="utf-8").split("\n")
+    if indent is None:
+        assert lines == []
+    else:
+        assert first == "{"
+        white = indent if isinstance(indent, str) else " " * indent
+        assert lines[0].startswith(f'{white}"')
+
+
+def test_numbers_and_strings_stay_what_they_were(tmp_path: Path) -> None:
+    odd = {
+        "integer": 1,
+        "float": 1.0,
+        "negative zero": -0.0,
+        "small": 5e-324,
+        "exact": 0.1,
+        "long": 1234567890123456789012345678901234567890,
+        "text": 'α "quoted" \\ \u2028 \x7f 😀',
+        "": {"": None},
+        "nested": [[], [{}], True, False],
+    }
+    source = edited(SHARED, tmp_path, lambda content: content["extras"].update(odd))
+    bake(source, tmp_path / "baked.gltf")
+    extras = json.loads((tmp_path / "baked.gltf").read_text(encoding="utf-8"))["extras"]
+    assert json.dumps({key: extras[key] for key in odd}) == json.dumps(odd)
+
+
+def test_lone_surrogates_are_written_as_escapes(tmp_path: Path) -> None:
+    source = edited(SHARED, tmp_path, lambda content: content["extras"].update(odd="\ud800 α"))
+    bake(source, tmp_path / "baked.gltf")
+    assert b'"\\ud800 \\u03b1"' in (tmp_path / "baked.gltf").read_bytes()
+
+
+def test_a_byte_order_mark_is_read_over(tmp_path: Path) -> None:
+    source = copied(SHARED, tmp_path)
+    source.write_bytes(b"\xef\xbb\xbf" + source.read_bytes())
+    bake(source, tmp_path / "baked.gltf")
+    assert KEY in (tmp_path / "baked.gltf").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("name", [SHARED, "seam.glb"])
+def test_a_document_that_nobody_edits_is_written_byte_for_byte(tmp_path: Path, name: str) -> None:
+    source = copied(name, tmp_path)
+    plan_output(read_document(str(source)), str(tmp_path / f"copy{source.suffix}")).write()
+    assert (tmp_path / f"copy{source.suffix}").read_bytes() == source.read_bytes()

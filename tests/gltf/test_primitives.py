@@ -1,0 +1,304 @@
+"""From the document to arrays: which primitives are skinned, which are skipped and why, what is refused."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fixtures.builder import AnyArray, JsonObject
+from skinbake.errors import InputError, UnsupportedFeatureError
+from skinbake.geometry.skinned import SkinnedPrimitive
+from skinbake.gltf.document import Document, read_document
+from skinbake.gltf.primitives import (
+    PrimitiveSource,
+    read_primitive,
+    reason_to_skip,
+    refuse_compressed,
+    skinned_sources,
+)
+from skinbake.gltf.resources import encode_data_uri
+from tests.gltf.models import SHARED, Change, Part, copied, edited, sheet, write_model
+from tests.support.gltf_reading import read
+
+
+def sources(path: Path) -> tuple[Document, list[PrimitiveSource]]:
+    document = read_document(str(path))
+    return document, skinned_sources(document)[0]
+
+
+def primitive_of(path: Path, number: int = 0) -> SkinnedPrimitive:
+    document, found = sources(path)
+    return read_primitive(document, found[number])
+
+
+def skip_code(path: Path, *, generate_normals: bool = False) -> str | None:
+    document, (source,) = sources(path)
+    reason = reason_to_skip(document, source, generate_normals=generate_normals)
+    return reason.code if reason else None
+
+
+@pytest.mark.parametrize("name", ["two_sets.glb", "weights_u8.glb", "weights_u16.glb", "mirrored_tangent.glb"])
+def test_arrays_are_those_of_the_independent_reader(name: str, tmp_path: Path) -> None:
+    path = copied(name, tmp_path)
+    primitive, model = primitive_of(path), read(path)
+    joints, weights = model.influences()
+    assert (primitive.positions == model.attribute("POSITION")).all()
+    assert (primitive.normals == model.attribute("NORMAL")).all()
+    assert (primitive.joints == joints).all()
+    assert (primitive.weights == weights).all()
+    assert (primitive.triangles == model.triangles()).all()
+    assert (primitive.tangents is None) is not model.has_attribute("TANGENT")
+    if primitive.tangents is not None:
+        assert (primitive.tangents == model.attribute("TANGENT")).all()
+
+
+def test_interleaved_arrays_and_data_uris_are_read(tmp_path: Path) -> None:
+    path = copied(SHARED, tmp_path)
+    model = read(path)
+    for number in range(2):
+        primitive = primitive_of(path, number)
+        assert (primitive.positions == model.attribute("POSITION", 0, number)).all()
+        assert (primitive.triangles == model.triangles(0, number)).all()
+
+
+@pytest.mark.parametrize("mode", [4, 5, 6])
+@pytest.mark.parametrize("is_indexed", [True, False])
+def test_strips_fans_and_lists_unroll_as_the_independent_reader_does(
+    tmp_path: Path, mode: int, is_indexed: bool
+) -> None:
+    # 20 indices are not a multiple of three: the list's last two draw nothing.
+    indices = np.arange(20)[::-1] if is_indexed else None
+    path = write_model(tmp_path / "sheet.glb", [Part(sheet().attributes, indices, mode)])
+    triangles = primitive_of(path).triangles
+    assert len(triangles) == (6 if mode == 4 else 18)
+    assert (triangles == read(path).triangles()).all()
+
+
+@pytest.mark.parametrize(("component", "dtype"), [(5121, "<u1"), (5123, "<u2"), (5125, "<u4")])
+def test_indices_have_any_unsigned_type(tmp_path: Path, component: int, dtype: str) -> None:
+    corners = np.asarray(sheet().indices).reshape(-1)
+    raw = corners.astype(dtype).tobytes()
+
+    def retype(content: JsonObject) -> None:
+        content["buffers"].append({"byteLength": len(raw), "uri": encode_data_uri(raw)})
+        content["bufferViews"].append({"buffer": 1, "byteLength": len(raw)})
+        view = len(content["bufferViews"]) - 1
+        number = content["meshes"][0]["primitives"][0]["indices"]
+        content["accessors"][number] |= {"bufferView": view, "componentType": component}
+
+    path = write_model(tmp_path / "sheet.glb", [sheet()], change=retype)
+    assert (primitive_of(path).triangles.reshape(-1) == corners).all()
+
+
+def test_a_mesh_is_skinned_where_a_node_gives_it_a_skin(tmp_path: Path) -> None:
+    def change(content: JsonObject) -> None:
+        primitive = content["meshes"][0]["primitives"][0]
+        rigid = {**primitive, "attributes": {"POSITION": primitive["attributes"]["POSITION"]}}
+        content["meshes"] += [{"name": "loose", "primitives": [primitive]}, {"primitives": [rigid]}]
+        content["meshes"].append({"name": "never drawn", "primitives": [primitive]})
+        content["nodes"] += [{"mesh": 1}, {"mesh": 2, "skin": 0}, {"mesh": 0}, {"skin": 0}]
+
+    document = read_document(str(edited("seam.glb", tmp_path, change)))
+    found, notices = skinned_sources(document)
+    assert [(source.mesh, source.primitive) for source in found] == [(0, 0)]
+    assert [(notice.code, notice.place.mesh) for notice in notices] == [
+        ("no-skin", 1),
+        ("no-joints", 2),
+        ("no-skin", 3),
+    ]
+    assert notices[0].place.mesh_name == "loose"
+
+
+def test_the_smallest_skin_bounds_the_joints(tmp_path: Path) -> None:
+    def change(content: JsonObject) -> None:
+        content["skins"].append({"joints": content["skins"][0]["joints"][:2]})
+        content["nodes"].append({"mesh": 0, "skin": 1})
+
+    document, (source,) = sources(edited("seam.glb", tmp_path, change))
+    assert source.joint_count == 2
+    with pytest.raises(InputError, match="is weighted to joint 2 of a skin with 2"):
+        read_primitive(document, source)
+
+
+def test_a_joint_past_the_skin_may_stand_at_weight_zero(tmp_path: Path) -> None:
+    joints = np.tile(np.array([0, 1, 7, 0], np.uint8), (20, 1))
+    weights = np.tile(np.array([0.5, 0.5, 0, 0], np.float32), (20, 1))
+    path = write_model(tmp_path / "a.glb", [sheet(JOINTS_0=joints, WEIGHTS_0=weights)])
+    assert primitive_of(path).joints.max() == 7
+    weights[3] = [0.5, 0.25, 0.25, 0]
+    weights[9] = [0.5, 0.25, 0, 0.25]
+    path = write_model(tmp_path / "b.glb", [sheet(JOINTS_0=joints, WEIGHTS_0=weights)])
+    with pytest.raises(InputError, match="vertex 3 is weighted to joint 7 of a skin with 2; 1 vertices are"):
+        primitive_of(path)
+
+
+def test_a_skin_needs_no_inverse_bind_matrices(tmp_path: Path) -> None:
+    path = edited("seam.glb", tmp_path, lambda content: content["skins"][0].pop("inverseBindMatrices"))
+    assert len(primitive_of(path).positions) == 198
+
+
+@pytest.mark.parametrize(
+    ("mode", "code"), [(0, "no-surface"), (1, "no-surface"), (2, "no-surface"), (3, "no-surface"), (4, None)]
+)
+def test_points_and_lines_are_skipped(tmp_path: Path, mode: int, code: str | None) -> None:
+    path = write_model(tmp_path / "sheet.glb", [Part(sheet().attributes, sheet().indices, mode)])
+    assert skip_code(path) == code
+
+
+@pytest.mark.parametrize(
+    ("part", "code"),
+    [
+        (sheet(NORMAL=None), "no-normals"),
+        (sheet(POSITION=None), "no-positions"),
+        (Part(sheet().attributes, np.array([0, 1])), "no-triangles"),
+        (Part(sheet().attributes, np.array([0, 1]), mode=5), "no-triangles"),
+    ],
+)
+def test_a_primitive_that_cannot_be_baked_is_skipped_with_a_reason(
+    tmp_path: Path, part: Part, code: str
+) -> None:
+    path = write_model(tmp_path / "sheet.glb", [part])
+    assert skip_code(path) == code
+
+
+def test_generated_normals_lift_one_reason_only(tmp_path: Path) -> None:
+    path = write_model(tmp_path / "sheet.glb", [sheet(NORMAL=None)])
+    assert skip_code(path, generate_normals=True) is None
+    path = write_model(tmp_path / "bare.glb", [sheet(NORMAL=None, POSITION=None)])
+    assert skip_code(path, generate_normals=True) == "no-positions"
+
+
+Extension = tuple[str, Callable[[JsonObject, str], Any]]
+COMPRESSED: list[Extension] = [
+    (
+        "KHR_draco_mesh_compression",
+        lambda content, name: content["meshes"][0]["primitives"][0].update(extensions={name: {}}),
+    ),
+    *(
+        (name, lambda content, name: content["bufferViews"][2].update(extensions={name: {}}))
+        for name in ("EXT_meshopt_compression", "KHR_meshopt_compression")
+    ),
+]
+
+
+@pytest.mark.parametrize(("name", "compress"), COMPRESSED)
+def test_compression_is_refused_by_its_name(
+    tmp_path: Path, name: str, compress: Callable[[JsonObject, str], Any]
+) -> None:
+    path = edited("seam.glb", tmp_path, lambda content: compress(content, name))
+    document, (source,) = sources(path)
+    with pytest.raises(UnsupportedFeatureError, match=f"compressed with {name}"):
+        refuse_compressed(document, source)
+
+
+def test_compressed_animations_alone_are_none_of_our_business(tmp_path: Path) -> None:
+    def change(content: JsonObject) -> None:
+        content["bufferViews"][-1]["extensions"] = {"EXT_meshopt_compression": {}}
+
+    path = edited("bent_tube.glb", tmp_path, change)
+    document, (source,) = sources(path)
+    refuse_compressed(document, source)
+
+
+def constant(value: float, dtype: type[np.generic], *, columns: int = 4, rows: int = 20) -> AnyArray:
+    return np.full((rows, columns), value, dtype)
+
+
+U8, U16, F4 = np.uint8, np.uint16, np.float32
+WRONG_ARRAYS: list[tuple[dict[str, AnyArray | None], str]] = [
+    ({"NORMAL": constant(np.inf, F4, columns=3)}, "NORMAL: its values are not all finite"),
+    ({"TANGENT": constant(np.nan, F4)}, "TANGENT: its values are not all finite"),
+    ({"WEIGHTS_0": constant(-np.inf, F4)}, "WEIGHTS_0: its weights are not all finite"),
+    ({"NORMAL": constant(1, F4, columns=3, rows=19)}, "NORMAL: it has 19 elements, POSITION has 20"),
+    ({"JOINTS_0": constant(0, U8, rows=21)}, "JOINTS_0: it has 21 elements, POSITION has 20"),
+    ({"TANGENT": constant(1, F4, rows=1)}, "TANGENT: it has 1 elements, POSITION has 20"),
+    ({"POSITION": constant(0, F4, columns=2)}, "POSITION: it has 2 components, 3 are needed"),
+    ({"NORMAL": constant(0, F4)}, "NORMAL: it has 4 components, 3 are needed"),
+    ({"TANGENT": constant(1, F4, columns=3)}, "TANGENT: it has 3 components, 4 are needed"),
+    ({"JOINTS_0": constant(0, U16, columns=2)}, "JOINTS_0: it has 2 components, 4 are needed"),
+    ({"JOINTS_0": constant(0, F4)}, "JOINTS_0: joints must be unsigned bytes or shorts"),
+    ({"WEIGHTS_0": None}, "it has no WEIGHTS_0"),
+    ({"JOINTS_1": constant(0, U8)}, "it has no WEIGHTS_1"),
+]
+
+
+@pytest.mark.parametrize(("arrays", "message"), WRONG_ARRAYS)
+def test_wrong_arrays_are_refused(
+    tmp_path: Path, arrays: dict[str, AnyArray | None], message: str
+) -> None:
+    path = write_model(tmp_path / "sheet.glb", [sheet(**arrays)])
+    with pytest.raises(InputError, match=message) as caught:
+        primitive_of(path)
+    assert str(caught.value).startswith(f'{path}: mesh 0 "sheet", primitive 0')
+
+
+def test_a_position_that_is_no_number_is_refused(tmp_path: Path) -> None:
+    path = write_model(tmp_path / "sheet.glb", [sheet()])
+    model = read(path)
+    first = model.attribute("POSITION")[0].astype(np.float32).tobytes()
+    assert path.read_bytes().count(first) == 1
+    path.write_bytes(path.read_bytes().replace(first, np.full(3, np.nan, np.float32).tobytes()))
+    with pytest.raises(InputError, match="POSITION: its values are not all finite"):
+        primitive_of(path)
+
+
+def set_accessor(attribute: str, **members: Any) -> Change:
+    def change(content: JsonObject) -> None:
+        number = content["meshes"][0]["primitives"][0]["attributes"][attribute]
+        content["accessors"][number] |= members
+
+    return change
+
+
+def set_primitive(**members: Any) -> Change:
+    return lambda content: content["meshes"][0]["primitives"][0].update(members)
+
+
+def set_attribute(name: str, value: Any) -> Change:
+    return lambda content: content["meshes"][0]["primitives"][0]["attributes"].update({name: value})
+
+
+WRONG_JSON: list[tuple[Change, str]] = [
+    (set_accessor("WEIGHTS_0", componentType=5121), "weights must be floats, or normalised unsigned"),
+    (set_accessor("WEIGHTS_0", componentType=5120, normalized=True), "weights must be floats, or normalised"),
+    (set_accessor("JOINTS_0", componentType=5120), "joints must be unsigned bytes or shorts"),
+    (set_primitive(mode=7), '"mode" is 7; glTF knows 0 to 6'),
+    (set_primitive(mode="4"), '"mode" must be an integer'),
+    (set_primitive(indices=99), '"indices" refers to entry 99'),
+    (set_primitive(indices=0), "indices must be scalars of an unsigned integer type"),
+    (set_primitive(attributes=[]), '"attributes" must be an object'),
+    (set_primitive(extensions=3), '"extensions" must be an object'),
+    (set_attribute("POSITION", 99), '"POSITION" refers to entry 99'),
+    (set_attribute("POSITION", "0"), '"POSITION" must be an integer'),
+    (set_attribute("NORMAL", True), '"NORMAL" must be an integer'),
+    (set_attribute("COLOR_0", -1), '"COLOR_0" must be an integer'),
+    (lambda content: content["nodes"][0].update(mesh=9), '"mesh" refers to entry 9'),
+    (lambda content: content["nodes"][0].update(skin=9), '"skin" refers to entry 9'),
+    (lambda content: content["nodes"][0].update(skin=1.5), '"skin" must be an integer'),
+    (lambda content: content["skins"][0].update(joints=[]), "skin 0 has no joints"),
+    (lambda content: content["skins"][0].pop("joints"), "skin 0 has no joints"),
+    (lambda content: content["meshes"][0].update(primitives={}), '"primitives" must be an array'),
+    (lambda content: content["meshes"][0].update(name=5), '"name" must be a string'),
+]
+
+
+@pytest.mark.parametrize(("change", "message"), WRONG_JSON)
+def test_wrong_json_is_refused(tmp_path: Path, change: Change, message: str) -> None:
+    path = edited("seam.glb", tmp_path, change)
+    with pytest.raises(InputError, match=message) as caught:
+        document, found = sources(path)
+        for source in found:
+            refuse_compressed(document, source)
+            reason_to_skip(document, source, generate_normals=False)
+            read_primitive(document, source)
+    assert str(caught.value).startswith(str(path))
+
+
+def test_an_index_past_the_vertices_is_refused(tmp_path: Path) -> None:
+    path = write_model(tmp_path / "sheet.glb", [Part(sheet().attributes, np.array([0, 1, 20]))])
+    with pytest.raises(InputError, match="indices: index 20 refers past the 20 vertices"):
+        primitive_of(path)
