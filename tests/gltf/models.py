@@ -137,9 +137,10 @@ def note(content: JsonObject, mesh: int = 0, primitive: int = 0) -> JsonObject |
     """Return what bake noted of a primitive: in its extras, else in those of its first α accessor."""
     found = content["meshes"][mesh]["primitives"][primitive]
     holders = [found, *(content["accessors"][number] for number in found["attributes"].values())]
-    notes = [holder["extras"][KEY] for holder in holders if KEY in _members(holder.get("extras"))]
-    assert len(notes) <= 1
-    return notes[0] if notes else None
+    notes = [_members(_members(holder.get("extras")).get(KEY)) for holder in holders]
+    ours = [dict(found) for found in notes if "digest" in found]
+    assert len(ours) <= 1
+    return ours[0] if ours else None
 
 
 def _members(value: object) -> Mapping[str, Any]:
@@ -160,7 +161,7 @@ def without_additions(before: JsonObject, after: JsonObject) -> JsonObject:
             assert own["attributes"][name] == accessor != primitive["attributes"][name]
             primitive["attributes"][name] = accessor
         extras = primitive.get("extras")
-        if isinstance(extras, dict):
+        if isinstance(extras, dict) and KEY not in _members(own.get("extras")):
             del extras[KEY]
             if not extras and "extras" not in own:
                 del primitive["extras"]

@@ -41,7 +41,9 @@ def skip_code(path: Path, *, generate_normals: bool = False) -> str | None:
     return reason.code if reason else None
 
 
-@pytest.mark.parametrize("name", ["two_sets.glb", "weights_u8.glb", "weights_u16.glb", "mirrored_tangent.glb"])
+@pytest.mark.parametrize(
+    "name", ["two_sets.glb", "weights_u8.glb", "weights_u16.glb", "mirrored_tangent.glb"]
+)
 def test_arrays_are_those_of_the_independent_reader(name: str, tmp_path: Path) -> None:
     path = copied(name, tmp_path)
     primitive, model = primitive_of(path), read(path)
@@ -227,9 +229,7 @@ WRONG_ARRAYS: list[tuple[dict[str, AnyArray | None], str]] = [
 
 
 @pytest.mark.parametrize(("arrays", "message"), WRONG_ARRAYS)
-def test_wrong_arrays_are_refused(
-    tmp_path: Path, arrays: dict[str, AnyArray | None], message: str
-) -> None:
+def test_wrong_arrays_are_refused(tmp_path: Path, arrays: dict[str, AnyArray | None], message: str) -> None:
     path = write_model(tmp_path / "sheet.glb", [sheet(**arrays)])
     with pytest.raises(InputError, match=message) as caught:
         primitive_of(path)

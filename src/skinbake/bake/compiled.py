@@ -77,8 +77,12 @@ def gather(
                 for k in range(influences):
                     if weights[origin, k] > 0.0:
                         joint = joints[origin, k]
-                        local[joint], met[used], own[used], seen[used] = used, joint, weights[origin, k], -1
-                        sums[used, 0], sums[used, 1], sums[used, 2] = 0.0, 0.0, 0.0
+                        local[joint] = used
+                        met[used] = joint
+                        own[used] = weights[origin, k]
+                        seen[used] = -1
+                        for axis in range(3):
+                            sums[used, axis] = 0.0
                         used += 1
                 own_used = used
             for side in range(2):
@@ -93,8 +97,11 @@ def gather(
                     n = local[joint]
                     if n < 0:
                         n = used
-                        local[joint], met[n], own[n] = n, joint, 0.0
-                        sums[n, 0], sums[n, 1], sums[n, 2] = 0.0, 0.0, 0.0
+                        local[joint] = n
+                        met[n] = joint
+                        own[n] = 0.0
+                        for axis in range(3):
+                            sums[n, axis] = 0.0
                         used += 1
                     seen[n] = visit
                     difference = weight - own[n]
@@ -108,8 +115,13 @@ def gather(
                         sums[n, 2] -= gz * own[n]
         start = offsets[c]
         if start + used > len(out_joints):
-            out_joints = np.append(out_joints, np.empty(len(out_joints) + used, np.int64))
-            out_gradients = np.append(out_gradients, np.empty((len(out_gradients) + used, 3)), axis=0)
+            wider_joints = np.empty(2 * len(out_joints) + used, np.int64)
+            wider_gradients = np.empty((2 * len(out_joints) + used, 3))
+            for place in range(start):
+                wider_joints[place] = out_joints[place]
+                for axis in range(3):
+                    wider_gradients[place, axis] = out_gradients[place, axis]
+            out_joints, out_gradients = wider_joints, wider_gradients
         kept = 0
         for n in range(used):
             local[met[n]] = -1
@@ -118,7 +130,8 @@ def gather(
             place = start + kept
             while place > start and out_joints[place - 1] > met[n]:
                 out_joints[place] = out_joints[place - 1]
-                out_gradients[place] = out_gradients[place - 1]
+                for axis in range(3):
+                    out_gradients[place, axis] = out_gradients[place - 1, axis]
                 place -= 1
             out_joints[place] = met[n]
             for axis in range(3):

@@ -125,11 +125,12 @@ class _Foreign:
 
 def _foreign(entries: _Entries, field: WeightField) -> _Foreign:
     found = [(np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64), np.empty(0))]
-    own_joints = np.where(field.weights > 0, field.joints, NO_JOINT)
+    own_joints = np.ascontiguousarray(np.where(field.weights > 0, field.joints, NO_JOINT).T)
     for rank in entries.ranks:
         joints = entries.gradients.joints[rank.numbers]
         foreign = rank.magnitudes > NEGLIGIBLE * entries.sums[rank.vertices]
-        foreign &= ~(own_joints[rank.vertices] == joints[:, None]).any(axis=1)
+        for column in own_joints:
+            foreign &= column[rank.vertices] != joints
         found.append((rank.vertices[foreign], joints[foreign], rank.magnitudes[foreign]))
     return _Foreign(*(np.concatenate(column) for column in zip(*found, strict=True)))
 
@@ -168,10 +169,10 @@ def _project(
     unheld = 0.0
     for rank in entries.ranks:
         at = named[rank.vertices] == entries.gradients.joints[rank.numbers][:, None]
-        row, slot = np.nonzero(at)
+        row, slot = np.divmod(np.flatnonzero(at), named.shape[1])
         held = rank.vertices[row]
         gradients = entries.gradients.gradients[rank.numbers[row]]
         alpha[held, slot] = np.einsum("ij,ij->i", gradients, frame[0][held])
         beta[held, slot] = np.einsum("ij,ij->i", gradients, frame[1][held])
-        unheld += float(rank.magnitudes[~at.any(axis=1)].sum())
+        unheld += float(rank.magnitudes.sum() - rank.magnitudes[row].sum()) if len(row) < len(at) else 0.0
     return alpha, beta, unheld

@@ -57,10 +57,20 @@ def _pattern(ctx: click.Context, param: click.Parameter, value: str) -> str:
 )
 @click.option("--generate-normals", is_flag=True, help="Add smooth NORMALs where a primitive has none.")
 @click.option(
-    "--alpha-name", default="_SKINBAKE_ALPHA_{set}", show_default=True, callback=_pattern, metavar="PATTERN"
+    "--alpha-name",
+    default="_SKINBAKE_ALPHA_{set}",
+    show_default=True,
+    callback=_pattern,
+    metavar="PATTERN",
+    help="Name of the α attributes; {set} is the influence set's number.",
 )
 @click.option(
-    "--beta-name", default="_SKINBAKE_BETA_{set}", show_default=True, callback=_pattern, metavar="PATTERN"
+    "--beta-name",
+    default="_SKINBAKE_BETA_{set}",
+    show_default=True,
+    callback=_pattern,
+    metavar="PATTERN",
+    help="Name of the β attributes.",
 )
 @click.option("--require-baked", is_flag=True, help="Fail (3) where nothing in a file can be baked.")
 @click.option(

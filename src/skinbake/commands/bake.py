@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections import defaultdict
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -29,6 +30,8 @@ from skinbake.gltf.primitives import (
 from skinbake.gltf.resources import is_relative, locate
 from skinbake.gltf.strip import stripped
 from skinbake.report.bake import BakedCounts, FileResult, Status
+
+logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +73,8 @@ def _bake_file(source: str, target: str | None, options: BakeOptions, notices: l
         if options.require_baked:
             raise InputError(f"{reason} (--require-baked)", document.place)
         notices.append(Notice("nothing-baked", f"passed through unchanged: {reason}", document.place))
-    planned = plan_output(result, target) if target is not None else None
+    untouched = result is document and target == source and source != STDIO
+    planned = None if target is None or untouched else plan_output(result, target)
     if planned is not None:
         notices += planned.notices
     if options.warnings_as_errors and notices:
@@ -148,7 +152,9 @@ def _bake_sources(
     for source, primitive, (outcome, findings) in zip(sources, primitives, outcomes, strict=True):
         notices += _assumptions(source, primitive, outcome, findings)
         baked.append(Baked(source, primitive, outcome, _noted_settings(options.settings)))
-        results.append((source.place, _counts(source, primitive, outcome, findings)))
+        counts = _counts(source, primitive, outcome, findings)
+        logger.info("%s: %s", source.place, counts)
+        results.append((source.place, counts))
 
 
 def _counts(

@@ -87,7 +87,8 @@ def _written(document: Document, additions: Additions, item: Baked, names: Attri
     chosen = [names.of(number) for number in range(len(alpha))]
     note["alpha"], note["beta"] = [name for name, _ in chosen], [name for _, name in chosen]
     extras = item.source.json.get("extras")
-    beside = extras is not None and not isinstance(extras, dict)
+    # A null is what somebody wrote too, and a member of our name that is no note of ours is somebody's.
+    beside = "extras" in item.source.json and (not isinstance(extras, dict) or KEY in extras)
     if extras == {}:
         note["keepExtras"] = True
     for number, (alpha_name, beta_name) in enumerate(chosen):

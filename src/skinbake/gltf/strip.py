@@ -72,7 +72,7 @@ def _restored(
             )
     written = {**primitive, "attributes": attributes}
     extras = primitive.get("extras")
-    if isinstance(extras, dict):
+    if isinstance(extras, dict) and extras.get(KEY) is note:
         left = {key: value for key, value in extras.items() if key != KEY}
         written["extras"] = left
         if not left and not note.get("keepExtras"):

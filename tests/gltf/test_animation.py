@@ -1,0 +1,436 @@
+"""Joint matrices of skins, against a recursive evaluation of the file by scipy and the tests' own reader."""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.interpolate import CubicHermiteSpline
+from scipy.spatial.transform import Rotation, Slerp
+
+from fixtures.make_fixtures import FOLDER
+from skinbake.errors import InputError
+from skinbake.geometry.skinned import Float64Array
+from skinbake.gltf.animation import clip_poses, random_poses, read_clips, read_skeleton, rest_pose
+from skinbake.gltf.document import Document, parse_gltf, read_document
+from tests.support import corpus
+from tests.support.gltf_reading import GltfFile, read
+
+JsonObject = dict[str, Any]
+TYPES = {1: "SCALAR", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
+COMPONENTS = {np.dtype("f4"): 5126, np.dtype("i1"): 5120, np.dtype("u2"): 5123, np.dtype("i2"): 5122}
+
+
+# Another evaluation: one node, one time, one matrix at a time
+
+
+def sampled(file: GltfFile, sampler: JsonObject, path: str, at: float) -> Float64Array:
+    times = file.values(sampler["input"])[:, 0]
+    values = file.values(sampler["output"])
+    method = sampler.get("interpolation", "LINEAR")
+    at = float(np.clip(at, times[0], times[-1]))
+    if method == "STEP" or len(times) == 1:
+        key: Float64Array = values[int(np.searchsorted(times, at, side="right")) - 1]
+        return key
+    left = min(int(np.searchsorted(times, at, side="right")) - 1, len(times) - 2)
+    span = times[left : left + 2]
+    if method == "CUBICSPLINE":
+        keys = values.reshape(len(times), 3, -1)[left : left + 2]
+        spline = CubicHermiteSpline(span, keys[:, 1], [keys[0, 2], keys[1, 0]])
+        cubic: Float64Array = spline(at)
+        return cubic
+    if path == "rotation":
+        arc: Float64Array = Slerp(span, Rotation.from_quat(values[left : left + 2]))(at).as_quat()
+        return arc
+    return np.array([np.interp(at, times, column) for column in values.T])
+
+
+def local_matrix(node: JsonObject, moved: dict[str, Float64Array]) -> Float64Array:
+    if "matrix" in node:
+        return np.array(node["matrix"], dtype=float).reshape(4, 4).T
+    matrix = np.eye(4)
+    turn = moved.get("rotation", np.array(node.get("rotation", [0, 0, 0, 1]), dtype=float))
+    scale = moved.get("scale", np.array(node.get("scale", [1, 1, 1]), dtype=float))
+    matrix[:3, :3] = Rotation.from_quat(turn).as_matrix() @ np.diag(scale)
+    matrix[:3, 3] = moved.get("translation", np.array(node.get("translation", [0, 0, 0]), dtype=float))
+    return matrix
+
+
+def global_matrix(file: GltfFile, number: int, moved: dict[int, dict[str, Float64Array]]) -> Float64Array:
+    nodes = file.content["nodes"]
+    own = local_matrix(nodes[number], moved.get(number, {}))
+    above = [place for place, node in enumerate(nodes) if number in node.get("children", [])]
+    return global_matrix(file, above[0], moved) @ own if above else own
+
+
+def expected_matrices(file: GltfFile, skin: int, clip: int | None, at: float) -> Float64Array:
+    """Return the joint matrices (J, 4, 4) of one moment."""
+    moved: dict[int, dict[str, Float64Array]] = {}
+    animation = {"channels": [], "samplers": []} if clip is None else file.content["animations"][clip]
+    for channel in animation["channels"]:
+        target = channel["target"]
+        if "node" in target and target["path"] != "weights":
+            sampler = animation["samplers"][channel["sampler"]]
+            moved.setdefault(target["node"], {})[target["path"]] = sampled(file, sampler, target["path"], at)
+    description = file.content["skins"][skin]
+    joints = description["joints"]
+    bind = np.tile(np.eye(4), (len(joints), 1, 1))
+    if "inverseBindMatrices" in description:
+        bind = file.matrices(description["inverseBindMatrices"])
+    return np.stack(
+        [global_matrix(file, joint, moved) @ inverse for joint, inverse in zip(joints, bind, strict=False)]
+    )
+
+
+def assert_poses_as_expected(path: Path, *, moments: int, clips: int) -> None:
+    document, file = read_document(str(path)), read(path)
+    found_clips = read_clips(document)
+    assert len(found_clips) == len(file.content.get("animations", []))
+    for skin in range(len(file.content["skins"])):
+        skeleton = read_skeleton(document, skin)
+        at_rest = expected_matrices(file, skin, None, 0.0)
+        # Products of a dozen matrices with entries up to the size of the model.
+        tolerance = 1e-12 * max(1.0, float(np.abs(at_rest).max()))
+        assert np.abs(rest_pose(skeleton)[0] - at_rest).max() < tolerance
+        for number, clip in list(enumerate(found_clips))[:clips]:
+            # Before the first key, in between, after the last.
+            rng = np.random.default_rng(number)
+            at = np.concatenate([[-1.0], rng.uniform(0.0, clip.duration, moments), [clip.duration + 1.0]])
+            found = clip_poses(skeleton, clip, at)
+            expected = np.stack([expected_matrices(file, skin, number, moment) for moment in at.tolist()])
+            assert np.abs(found - expected).max() < tolerance
+
+
+@pytest.mark.parametrize("name", ["bent_tube.glb", "shared_accessors.gltf"])
+def test_a_fixtures_clips_pose_it_as_a_recursive_evaluation_does(name: str) -> None:
+    assert_poses_as_expected(FOLDER / name, moments=5, clips=2)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "CesiumMan/CesiumMan.glb",
+        "Mannequiny/mannequiny-0.3.0.glb",
+        "Alien/Alien_Scolitex.gltf",
+        "asset-generator/Animation_Skin/Animation_Skin_06.gltf",
+        "asset-generator/Animation_Skin/Animation_Skin_02.gltf",
+    ],
+)
+def test_a_models_clips_pose_it_as_a_recursive_evaluation_does(name: str) -> None:
+    assert_poses_as_expected(corpus.model(name), moments=2, clips=2)
+
+
+# Small documents
+
+
+class Builder:
+    """Collects accessors of a glTF document whose one buffer is a data URI."""
+
+    def __init__(self) -> None:
+        self.data = b""
+        self.json: JsonObject = {"asset": {"version": "2.0"}, "accessors": [], "bufferViews": []}
+
+    def accessor(self, values: object, *, normalized: bool = False) -> int:
+        array = np.asarray(values)
+        array = array.astype(np.float32) if array.dtype.kind == "f" else array
+        array = array.reshape(len(array), -1)
+        raw = array.tobytes()
+        self.json["bufferViews"].append({"buffer": 0, "byteOffset": len(self.data), "byteLength": len(raw)})
+        self.json["accessors"].append(
+            {
+                "bufferView": len(self.json["bufferViews"]) - 1,
+                "componentType": COMPONENTS[array.dtype],
+                "count": len(array),
+                "type": TYPES[array.shape[1]],
+                "normalized": normalized,
+            }
+        )
+        self.data += raw + b"\0" * (-len(raw) % 4)
+        return len(self.json["accessors"]) - 1
+
+    def text(self) -> bytes:
+        uri = "data:application/octet-stream;base64," + base64.b64encode(self.data).decode()
+        buffers = [{"byteLength": len(self.data), "uri": uri}] if self.data else []
+        return json.dumps({**self.json, "buffers": buffers}).encode()
+
+    def document(self) -> Document:
+        return parse_gltf(self.text(), "small.gltf", Path())
+
+
+def arm(*, inverse_bind: bool = True) -> Builder:
+    """Make a root, a shoulder with a matrix, an elbow and, listed first in the skin, a hand."""
+    builder = Builder()
+    builder.json["nodes"] = [
+        {"children": [2], "translation": [0.0, 1.0, 0.0], "scale": [2.0, 2.0, 2.0]},
+        {"name": "hand", "translation": [0.0, 0.5, 0.0], "scale": [1.0, 0.5, 1.0]},
+        {"children": [3], "matrix": [0, 1, 0, 0, -1, 0, 0, 0, 0, 0, 1, 0, 0, 3, 0, 1]},
+        {"children": [1], "rotation": [0.0, 0.0, 0.6, 0.8], "translation": [0.0, 1.0, 0.25]},
+    ]
+    builder.json["skins"] = [{"joints": [1, 2, 3]}]
+    if inverse_bind:
+        matrices = np.random.default_rng(4).normal(size=(3, 4, 4))
+        matrices[:, :, 3] = [0.0, 0.0, 0.0, 1.0]
+        builder.json["skins"][0]["inverseBindMatrices"] = builder.accessor(matrices)
+    return builder
+
+
+def animate(
+    builder: Builder,
+    *,
+    path: str = "rotation",
+    node: int | None = 3,
+    method: str | None = "LINEAR",
+    times: object = (0.0, 1.0, 2.5),
+    values: object = ((0.0, 0.0, 0.0, 1.0), (0.0, 0.6, 0.0, 0.8), (0.8, 0.0, 0.0, 0.6)),
+    normalized: bool = False,
+) -> None:
+    """Add a clip of one channel."""
+    sampler: JsonObject = {
+        "input": builder.accessor(np.array(times)),
+        "output": builder.accessor(np.array(values), normalized=normalized),
+    }
+    if method is not None:
+        sampler["interpolation"] = method
+    target = {"path": path} if node is None else {"path": path, "node": node}
+    builder.json.setdefault("animations", []).append(
+        {"samplers": [sampler], "channels": [{"sampler": 0, "target": target}]}
+    )
+
+
+def check(builder: Builder, tmp_path: Path) -> None:
+    path = tmp_path / "small.gltf"
+    path.write_bytes(builder.text())
+    assert_poses_as_expected(path, moments=8, clips=9)
+
+
+def test_the_rest_pose_has_matrices_ancestors_and_any_order_of_joints(tmp_path: Path) -> None:
+    builder = arm()
+    path = tmp_path / "small.gltf"
+    path.write_bytes(builder.text())
+    found = rest_pose(read_skeleton(builder.document(), 0))
+    assert found.shape == (1, 3, 4, 4)
+    assert found[0] == pytest.approx(expected_matrices(read(path), 0, None, 0.0), abs=1e-14)
+
+
+def test_without_inverse_bind_matrices_joint_matrices_are_global_transforms() -> None:
+    skeleton = read_skeleton(arm(inverse_bind=False).document(), 0)
+    # By hand: the root doubles and lifts by 1, the shoulder turns X to Y and lifts by 3 (so 2 · 3 + 1 = 7).
+    shoulder = [[0, -2, 0, 0], [2, 0, 0, 7], [0, 0, 2, 0], [0, 0, 0, 1]]
+    assert rest_pose(skeleton)[0, 1] == pytest.approx(np.array(shoulder), abs=1e-15)
+    # The elbow's rotation (0, 0, 0.6, 0.8) has cosine 0.28 and sine 0.96.
+    turn = np.array([[0.28, -0.96, 0, 0], [0.96, 0.28, 0, 1], [0, 0, 1, 0.25], [0, 0, 0, 1]])
+    assert rest_pose(skeleton)[0, 2] == pytest.approx(np.array(shoulder) @ turn, abs=1e-15)
+
+
+def test_the_more_inverse_bind_matrices_than_joints_the_first_count() -> None:
+    builder = arm(inverse_bind=False)
+    matrices = np.tile(np.diag([2.0, 3.0, 4.0, 1.0]), (5, 1, 1))
+    builder.json["skins"][0]["inverseBindMatrices"] = builder.accessor(matrices)
+    plain = rest_pose(read_skeleton(arm(inverse_bind=False).document(), 0))
+    assert rest_pose(read_skeleton(builder.document(), 0)) == pytest.approx(plain @ matrices[0], abs=1e-14)
+
+
+@pytest.mark.parametrize("method", ["STEP", "LINEAR", None])
+@pytest.mark.parametrize("path", ["translation", "rotation", "scale"])
+def test_every_path_is_animated_by_every_method(method: str | None, path: str, tmp_path: Path) -> None:
+    builder = arm()
+    rng = np.random.default_rng(2)
+    animate(builder, path=path, method=method, values=rng.normal(size=(3, 4 if path == "rotation" else 3)))
+    check(builder, tmp_path)
+
+
+@pytest.mark.parametrize("path", ["translation", "rotation", "scale"])
+def test_every_path_is_animated_by_cubic_splines(path: str, tmp_path: Path) -> None:
+    builder = arm()
+    values = np.random.default_rng(2).normal(size=(9, 4 if path == "rotation" else 3))
+    animate(builder, path=path, method="CUBICSPLINE", values=values)
+    check(builder, tmp_path)
+
+
+def test_normalised_integer_outputs_are_decoded(tmp_path: Path) -> None:
+    builder = arm()
+    values = np.array([[0, 0, 0, 127], [0, 76, 0, 102], [-76, 0, 0, 102]], dtype=np.int8)
+    animate(builder, values=values, normalized=True)
+    animate(builder, values=values.astype(np.int16) * 258, normalized=True, method="STEP")
+    check(builder, tmp_path)
+
+
+def test_an_ancestor_outside_the_skin_moves_its_joints(tmp_path: Path) -> None:
+    builder = arm()
+    animate(builder, node=0, path="translation", values=[[0, 0, 0.0], [5, 0, 0], [0, 0, -3]])
+    check(builder, tmp_path)
+    document = builder.document()
+    clip = read_clips(document)[0]
+    found = clip_poses(read_skeleton(document, 0), clip, np.array([0.0, 1.0]))
+    assert np.abs(found[1] - found[0]).max() > 1.0
+
+
+def test_channels_that_move_no_node_are_left_out_and_so_are_clips_without_others() -> None:
+    builder = arm()
+    animate(builder, node=None)
+    animate(builder, path="weights", values=[0.0, 1.0, 0.0])
+    animate(builder, path="pointer")
+    animate(builder)
+    clips = read_clips(builder.document())
+    assert [clip.name for clip in clips] == ["animation 3"]
+    assert [channel.node for channel in clips[0].channels] == [3]
+    assert clips[0].duration == 2.5
+
+
+def test_a_clip_lasts_as_long_as_its_longest_channel_and_keeps_its_name() -> None:
+    builder = arm()
+    animate(builder, times=[0.0, 1.0, 4.0])
+    animate(builder)
+    first, second = builder.json["animations"]
+    second["samplers"] += first["samplers"]
+    second["channels"].append({"sampler": 1, "target": {"node": 1, "path": "rotation"}})
+    second["name"] = "wave"
+    assert [(clip.name, clip.duration) for clip in read_clips(builder.document())] == [
+        ("animation 0", 4.0),
+        ("wave", 4.0),
+    ]
+
+
+# Random poses
+
+
+def turns(document: Document, skin: int, matrices: Float64Array) -> Float64Array:
+    """Return by how much each joint is turned against its rest, about its own origin: (P, J) radians."""
+    skeleton = read_skeleton(document, skin)
+    bind = np.linalg.inv(skeleton.inverse_bind)
+    found = []
+    for pose in [rest_pose(skeleton)[0], *matrices]:
+        placed = dict(zip(skeleton.joints.tolist(), pose @ bind, strict=True))
+        above = [skeleton.parents[joint] for joint in skeleton.joints.tolist()]
+        # A joint whose parent is no joint hangs on something that no pose moves.
+        found.append(
+            [
+                np.linalg.inv(placed.get(parent, np.eye(4))) @ own
+                for parent, own in zip(above, placed.values(), strict=True)
+            ]
+        )
+    locals_ = np.array(found)
+    extra = np.linalg.inv(locals_[0]) @ locals_[1:]
+    poses, joints = extra.shape[:2]
+    sizes: Float64Array = Rotation.from_matrix(extra[:, :, :3, :3].reshape(-1, 3, 3)).magnitude()
+    assert np.abs(extra[..., :3, 3]).max() < 1e-6
+    return sizes.reshape(poses, joints)
+
+
+def test_random_poses_turn_every_joint_within_the_angle_and_come_from_the_seed() -> None:
+    document = read_document(str(FOLDER / "bent_tube.glb"))
+    skeleton = read_skeleton(document, 0)
+    angle = np.radians(25.0)
+    found = random_poses(skeleton, 40, angle=angle, seed=5)
+    assert found.shape == (40, 3, 4, 4)
+    sizes = turns(document, 0, found)
+    # Inverse bind matrices are float32.
+    assert sizes.max() <= angle + 1e-6
+    assert (sizes.max(axis=0) > 0.9 * angle).all()
+    assert np.array_equal(found, random_poses(skeleton, 40, angle=angle, seed=5))
+    assert not np.array_equal(found, random_poses(skeleton, 40, angle=angle, seed=6))
+    assert random_poses(skeleton, 1, angle=0.0, seed=5) == pytest.approx(rest_pose(skeleton), abs=1e-15)
+
+
+def test_random_poses_of_a_real_skeleton_stay_within_the_angle() -> None:
+    document = read_document(str(corpus.model("CesiumMan/CesiumMan.glb")))
+    angle = np.radians(30.0)
+    sizes = turns(document, 0, random_poses(read_skeleton(document, 0), 10, angle=angle, seed=1))
+    # Inverse bind matrices are float32.
+    assert sizes.max() <= angle + 1e-5
+    assert sizes.mean() == pytest.approx(angle / 2, rel=0.2)
+
+
+# Broken files
+
+
+def skeleton_of(builder: Builder) -> None:
+    read_skeleton(builder.document(), 0)
+
+
+def clips_of(builder: Builder) -> None:
+    read_clips(builder.document())
+
+
+def edited(change: Callable[[JsonObject], object]) -> Builder:
+    builder = arm()
+    animate(builder)
+    change(builder.json)
+    return builder
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda json: json["nodes"][1].update(children=[0]), "is its own ancestor"),
+        (lambda json: json["nodes"][1].update(children=[1]), "two parents|own ancestor"),
+        (lambda json: json["nodes"][0].update(children=[0, 2]), "is its own ancestor"),
+        (lambda json: json["nodes"][0].update(children=[2, 3]), "node 3 has two parents"),
+        (lambda json: json["nodes"][0].update(children=2), "children that are not an array"),
+        (lambda json: json["nodes"][0].update(children=[9]), "refers to entry 9"),
+        (lambda json: json["skins"][0].update(joints=[]), "skin 0 has no joints"),
+        (lambda json: json["skins"][0].pop("joints"), "skin 0 has no joints"),
+        (lambda json: json["skins"][0].update(joints=[1, 7]), "refers to entry 7"),
+        (lambda json: json["nodes"][2].update(matrix=[1.0] * 15), '"matrix" must be 16 numbers'),
+        (lambda json: json["nodes"][3].update(rotation="none"), '"rotation" must be 4 numbers'),
+        (lambda json: json["nodes"][3].update(translation=[1, 2, None]), '"translation" must be 3'),
+        (lambda json: json["nodes"][3].update(scale=[True, 1, 1]), '"scale" must be 3 numbers'),
+        (lambda json: json["skins"][0].update(inverseBindMatrices=1), "3 finite 4 × 4 matrices"),
+        (lambda json: json["skins"][0].update(inverseBindMatrices=99), "refers to entry 99"),
+        (lambda json: json["accessors"][0].update(count=2), "3 finite 4 × 4 matrices"),
+    ],
+)
+def test_a_broken_skeleton_is_refused(change: Callable[[JsonObject], object], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        skeleton_of(edited(change))
+
+
+def test_inverse_bind_matrices_must_be_finite() -> None:
+    builder = arm(inverse_bind=False)
+    matrices = np.tile(np.eye(4), (3, 1, 1))
+    matrices[2, 1, 1] = np.inf
+    builder.json["skins"][0]["inverseBindMatrices"] = builder.accessor(matrices)
+    with pytest.raises(InputError, match="finite"):
+        skeleton_of(builder)
+
+
+def _sampler(json: JsonObject) -> JsonObject:
+    found: JsonObject = json["animations"][0]["samplers"][0]
+    return found
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda json: _sampler(json).pop("input"), "lacks its input or output"),
+        (lambda json: _sampler(json).pop("output"), "lacks its input or output"),
+        (lambda json: _sampler(json).update(interpolation="BEZIER"), "unknown interpolation 'BEZIER'"),
+        (lambda json: _sampler(json).update(interpolation="CUBICSPLINE"), "needs 9 finite outputs"),
+        (lambda json: _sampler(json).update(output=0), "needs 3 finite outputs of 4 components"),
+        (lambda json: _sampler(json).update(output=77), "refers to entry 77"),
+        (lambda json: json["animations"][0]["channels"][0].update(sampler=5), "refers to entry 5"),
+        (
+            lambda json: json["animations"][0]["channels"][0]["target"].update(node=40),
+            "refers to entry 40",
+        ),
+        (
+            lambda json: json["animations"][0]["channels"][0]["target"].update(path="scale"),
+            "3 finite outputs of 3 components",
+        ),
+    ],
+)
+def test_a_broken_animation_is_refused(change: Callable[[JsonObject], object], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        clips_of(edited(change))
+
+
+def test_outputs_must_be_finite() -> None:
+    builder = arm()
+    animate(builder, values=[[0.0, 0, 0, 1], [np.nan, 0, 0, 1], [0, 0, 0, 1]])
+    with pytest.raises(InputError, match="finite"):
+        clips_of(builder)

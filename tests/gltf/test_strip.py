@@ -1,0 +1,282 @@
+"""Strip gives back the document as it was; what another tool did to the file since is met with care."""
+
+from __future__ import annotations
+
+import copy
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fixtures.builder import JsonObject
+from skinbake.bake.baker import BakeSettings
+from skinbake.commands.bake import BakeOptions, bake_file
+from skinbake.commands.inspect import inspect_file
+from skinbake.commands.strip import strip_file
+from skinbake.errors import InputError
+from skinbake.gltf.baked import AttributeNames
+from tests.gltf.models import (
+    FIXTURES,
+    FOLDER,
+    KEY,
+    SHARED,
+    Change,
+    assert_buffers_kept,
+    bake,
+    baked,
+    copied,
+    edited,
+    note,
+    primitives,
+    rewritten,
+    sheet,
+    stripped,
+    write_model,
+)
+from tests.support.gltf_reading import GltfFile, read
+
+OPTIONS: list[dict[str, Any]] = [
+    {},
+    {"names": AttributeNames("_A{set}", "_B{set}")},
+    {"settings": BakeSettings(weighting="angle", neighbours="drop", frame="normal")},
+]
+
+
+def assert_restored(before: GltfFile, after: GltfFile) -> None:
+    assert json.dumps(after.content) == json.dumps(before.content)
+    assert after.binary_chunk == before.binary_chunk
+    assert_buffers_kept(before, after)
+
+
+@pytest.mark.parametrize("options", OPTIONS, ids=["default", "names", "drop"])
+@pytest.mark.parametrize("name", FIXTURES)
+def test_strip_undoes_a_bake(name: str, options: dict[str, Any], tmp_path: Path) -> None:
+    source = copied(name, tmp_path)
+    bake(source, tmp_path / f"baked_{name}", **options)
+    assert_restored(read(source), stripped(tmp_path / f"baked_{name}", tmp_path / f"stripped_{name}"))
+
+
+def test_strip_of_a_glb_gives_back_its_very_bytes(tmp_path: Path) -> None:
+    """The fixtures' writer and ours put JSON alike, so that here the whole file is comparable."""
+    bake(FOLDER / "foreign_joints.glb", tmp_path / "baked.glb")
+    strip_file(str(tmp_path / "baked.glb"), str(tmp_path / "stripped.glb"))
+    assert (tmp_path / "stripped.glb").read_bytes() == (FOLDER / "foreign_joints.glb").read_bytes()
+
+
+@pytest.mark.parametrize("extras", [{}, {"a": 1}, [], "text", 0, None, False, {"skinbake": "mine"}])
+def test_strip_gives_back_any_extras(extras: Any, tmp_path: Path) -> None:
+    path = edited(
+        "seam.glb", tmp_path, lambda content: content["meshes"][0]["primitives"][0].update(extras=extras)
+    )
+    bake(path, tmp_path / "baked.glb")
+    assert_restored(read(path), stripped(tmp_path / "baked.glb", tmp_path / "stripped.glb"))
+
+
+def test_strip_takes_generated_normals_out(tmp_path: Path) -> None:
+    path = write_model(tmp_path / "sheet.glb", [sheet(NORMAL=None)])
+    bake(path, tmp_path / "baked.glb", generate_normals=True)
+    assert read(tmp_path / "baked.glb").has_attribute("NORMAL")
+    assert_restored(read(path), stripped(tmp_path / "baked.glb", tmp_path / "stripped.glb"))
+
+
+def test_strip_gives_back_the_influences_from_before_adoption(tmp_path: Path) -> None:
+    for name in ("foreign_joints.glb", "weights_u8.glb"):
+        before, after = read(FOLDER / name), baked(FOLDER / name, tmp_path / name)
+        assert (after.influences()[1] != before.influences()[1]).any()
+        back = stripped(tmp_path / name, tmp_path / f"stripped_{name}")
+        for number in range(2):
+            assert (back.influences()[number] == before.influences()[number]).all()
+        assert back.stored_attribute("WEIGHTS_0").dtype == before.stored_attribute("WEIGHTS_0").dtype
+
+
+def test_a_document_without_arrays_of_its_own_is_given_back(tmp_path: Path) -> None:
+    """Every accessor of it is zeros that no buffer holds: bake adds the first buffer."""
+    content = {
+        "asset": {"version": "2.0"},
+        "accessors": [
+            {"componentType": 5126, "count": 3, "type": "VEC3"},
+            {"componentType": 5126, "count": 3, "type": "VEC4"},
+            {"componentType": 5121, "count": 3, "type": "VEC4"},
+        ],
+        "meshes": [
+            {"primitives": [{"attributes": {"POSITION": 0, "NORMAL": 0, "JOINTS_0": 2, "WEIGHTS_0": 1}}]}
+        ],
+        "skins": [{"joints": [0]}],
+        "nodes": [{"mesh": 0, "skin": 0}],
+    }
+    path = tmp_path / "zeros.gltf"
+    path.write_text(json.dumps(content), encoding="utf-8")
+    baked(path, tmp_path / "baked.gltf")
+    assert_restored(read(path), stripped(tmp_path / "baked.gltf", tmp_path / "stripped.gltf"))
+
+
+@pytest.mark.parametrize("name", ["seam.glb", SHARED])
+def test_a_document_without_a_bake_passes_through(name: str, tmp_path: Path) -> None:
+    source = copied(name, tmp_path)
+    result = strip_file(str(source), str(tmp_path / f"stripped_{name}"))
+    assert (result.primitives, [notice.code for notice in result.notices]) == (0, ["nothing-baked"])
+    assert (tmp_path / f"stripped_{name}").read_bytes() == source.read_bytes()
+
+
+def test_strip_with_warnings_as_errors_writes_nothing(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"it holds no bake \(--warnings-as-errors\)"):
+        strip_file(str(FOLDER / "seam.glb"), str(tmp_path / "out.glb"), warnings_as_errors=True)
+    assert list(tmp_path.iterdir()) == []
+
+
+class TestAfterOtherTools:
+    """A baked file that was changed; strip must leave a valid file, and say what it could not undo."""
+
+    def changed(self, name: str, tmp_path: Path, change: Change) -> tuple[GltfFile, GltfFile, list[str]]:
+        """Return the changed file, what strip makes of it, and the codes of its notices."""
+        model = baked(copied(name, tmp_path), tmp_path / f"baked_{name}")
+        change(model.content)
+        path = rewritten(model, tmp_path / f"changed_{name}")
+        target = tmp_path / f"stripped_{name}"
+        result = strip_file(str(path), str(target))
+        return read(path), read(target), [notice.code for notice in result.notices]
+
+    def test_an_accessor_that_came_later_stays(self, tmp_path: Path) -> None:
+        def change(content: JsonObject) -> None:
+            content["accessors"].append({"componentType": 5126, "count": 198, "type": "VEC2"})
+            number = len(content["accessors"]) - 1
+            content["meshes"][0]["primitives"][0]["attributes"]["TEXCOORD_1"] = number
+
+        before, after, codes = self.changed("seam.glb", tmp_path, change)
+        assert codes == ["bytes-left"]
+        assert (after.attribute("TEXCOORD_1") == 0).all()
+        assert list(after.primitive(0)["attributes"]) == [
+            name for name in before.primitive(0)["attributes"] if not name.startswith("_SKINBAKE")
+        ]
+
+    def test_a_second_primitive_that_still_uses_our_accessors_keeps_them(self, tmp_path: Path) -> None:
+        """Another tool dropped one primitive's extras: it is no longer known as baked, but still refers."""
+        path = write_model(tmp_path / "twice.glb", [sheet(), sheet()])
+        before = baked(path, tmp_path / "baked.glb")
+        first, second = (before.primitive(0, number) for number in range(2))
+        assert first["attributes"]["_SKINBAKE_ALPHA_0"] == second["attributes"]["_SKINBAKE_ALPHA_0"]
+        del second["extras"]
+        rewritten(before, tmp_path / "changed.glb")
+        strip_file(str(tmp_path / "changed.glb"), str(tmp_path / "stripped.glb"))
+        after = read(tmp_path / "stripped.glb")
+        for name in ("_SKINBAKE_ALPHA_0", "_SKINBAKE_BETA_0"):
+            assert not after.has_attribute(name, 0, 0)
+            assert (after.attribute(name, 0, 1) == before.attribute(name, 0, 1)).all()
+
+    def test_influences_that_are_gone_leave_the_adopted_ones(self, tmp_path: Path) -> None:
+        def change(content: JsonObject) -> None:
+            found = note(content)
+            assert found is not None
+            weights = found["adopted"]["WEIGHTS_0"]
+            found_in = content["meshes"][0]["primitives"][0]["extras"][KEY]
+            found_in["adopted"]["JOINTS_0"] = weights
+
+        before, after, codes = self.changed("foreign_joints.glb", tmp_path, change)
+        assert "adopted-kept" in codes
+        assert (after.influences()[0] == before.influences()[0]).all()
+        assert (after.influences()[1] == before.influences()[1]).all()
+        assert not after.has_attribute("_SKINBAKE_ALPHA_0")
+
+    def test_reordered_accessors_are_left_where_they_are(self, tmp_path: Path) -> None:
+        def change(content: JsonObject) -> None:
+            last = len(content["accessors"]) - 1
+            content["accessors"].append(content["accessors"][0])
+            content["accessors"][0] = copy.deepcopy(content["accessors"][last])
+            attributes = content["meshes"][0]["primitives"][0]["attributes"]
+            swap = {0: last + 1, last: 0}
+            for name, number in attributes.items():
+                attributes[name] = swap.get(number, number)
+
+        before, after, codes = self.changed("seam.glb", tmp_path, change)
+        assert codes == ["bytes-left"]
+        assert (after.attribute("POSITION") == before.attribute("POSITION")).all()
+
+    def test_a_file_that_was_changed_bakes_again(self, tmp_path: Path) -> None:
+        def change(content: JsonObject) -> None:
+            content["accessors"].append({"componentType": 5126, "count": 112, "type": "VEC2"})
+            number = len(content["accessors"]) - 1
+            content["meshes"][0]["primitives"][0]["attributes"]["TEXCOORD_0"] = number
+
+        path = edited("foreign_joints.glb", tmp_path, lambda content: None)
+        model = baked(path, tmp_path / "baked.glb")
+        change(model.content)
+        rewritten(model, tmp_path / "changed.glb")
+        bake(tmp_path / "changed.glb", tmp_path / "again.glb")
+        again = read(tmp_path / "again.glb")
+        for name in ("_SKINBAKE_ALPHA_0", "_SKINBAKE_BETA_0"):
+            assert (again.attribute(name) == model.attribute(name)).all()
+
+
+MANGLED: list[tuple[str, Any]] = [
+    ("alpha", 5),
+    ("alpha", [[1]]),
+    ("alpha", {"a": 1}),
+    ("beta", None),
+    ("generated", 7),
+    ("generated", [None]),
+    ("adopted", []),
+    ("adopted", {"JOINTS_0": "x", "WEIGHTS_0": 10**30}),
+    ("adopted", {"JOINTS_0": -1}),
+    ("adopted", {"JOINTS_0": 0}),
+    ("frame", []),
+    ("digest", [1, 2]),
+    ("digest", {"POSITION": None}),
+    ("version", 99),
+    ("influences", "four"),
+]
+
+
+@pytest.mark.parametrize(("member", "value"), MANGLED)
+def test_a_mangled_note_crashes_nothing(member: str, value: Any, tmp_path: Path) -> None:
+    model = baked(FOLDER / "foreign_joints.glb", tmp_path / "baked.glb")
+    model.primitive(0)["extras"][KEY][member] = value
+    path = str(rewritten(model, tmp_path / "mangled.glb"))
+    for attempt in (
+        lambda: strip_file(path, str(tmp_path / "stripped.glb")),
+        lambda: inspect_file(path),
+    ):
+        try:
+            attempt()
+        except InputError as error:
+            assert str(error).startswith(path)
+    result = bake_file(path, str(tmp_path / "again.glb"), BakeOptions())
+    assert result.error is None or isinstance(result.error, InputError)
+
+
+def test_a_noted_primitive_without_attributes_crashes_nothing(tmp_path: Path) -> None:
+    def change(content: JsonObject) -> None:
+        primitive = content["meshes"][0]["primitives"][0]
+        primitive["extras"] = {KEY: {"version": 1, "alpha": ["_A"], "beta": ["_B"]}}
+        del primitive["attributes"]
+
+    path = edited("seam.glb", tmp_path, change)
+    try:
+        strip_file(str(path), str(tmp_path / "stripped.glb"))
+    except InputError as error:
+        assert str(error).startswith(str(path))
+
+
+@pytest.mark.parametrize(
+    "values", [{"bufferByteLength": -1}, {"bufferByteLength": 10**9}, {"bufferByteLength": "4"}]
+)
+def test_a_mangled_undo_note_leaves_the_bytes(values: JsonObject, tmp_path: Path) -> None:
+    model = baked(FOLDER / "seam.glb", tmp_path / "baked.glb")
+    (first,) = [view for view in model.content["bufferViews"] if KEY in view.get("extras", {})]
+    first["extras"][KEY] = values
+    path = rewritten(model, tmp_path / "mangled.glb")
+    strip_file(str(path), str(tmp_path / "stripped.glb"))
+    after = read(tmp_path / "stripped.glb")
+    for name in ("POSITION", "NORMAL", "JOINTS_0", "WEIGHTS_0"):
+        assert np.array_equal(after.attribute(name), model.attribute(name))
+    assert not after.has_attribute("_SKINBAKE_ALPHA_0")
+
+
+def test_every_primitive_of_every_mesh_is_stripped(tmp_path: Path) -> None:
+    path = write_model(tmp_path / "sheet.glb", [sheet(), sheet(), sheet(NORMAL=None)])
+    bake(path, tmp_path / "baked.glb")
+    result = strip_file(str(tmp_path / "baked.glb"), str(tmp_path / "stripped.glb"))
+    assert result.primitives == 2
+    content = read(tmp_path / "stripped.glb").content
+    assert KEY not in json.dumps([primitive for _, _, primitive in primitives(content)])
