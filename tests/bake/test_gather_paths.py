@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import sys
 from collections.abc import Sequence
 
 import numpy as np
@@ -107,6 +108,32 @@ def test_both_paths_agree_on_fixtures(name: str, weighting: str, monkeypatch: py
 def test_both_paths_agree_on_real_models(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     for primitives in meshes_of(path_of(name)).values():
         assert_paths_agree(primitives, "max", monkeypatch)
+
+
+def test_the_compiled_path_is_taken_from_a_number_of_triangles_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    [primitives] = meshes_of(path_of("foreign_joints.glb")).values()
+    compiled = gradients._compiled_gather()
+    assert compiled is not None
+    calls: list[int] = []
+
+    def counted(*arguments: object) -> object:
+        calls.append(1)
+        return compiled(*arguments)
+
+    monkeypatch.setattr(gradients, "_compiled_gather", lambda: counted)
+    count = len(primitives[0].triangles)
+    for least, taken in ((count + 1, 0), (count, 1)):
+        gathered(primitives, "max", least, monkeypatch)
+        assert len(calls) == taken
+
+
+def test_without_a_compiler_large_meshes_take_the_other_path(monkeypatch: pytest.MonkeyPatch) -> None:
+    [primitives] = meshes_of(path_of("foreign_joints.glb")).values()
+    expected, joints = gathered(primitives, "max", WHOLE_ARRAYS, monkeypatch)
+    # None in sys.modules makes the import fail, as where numba is not installed.
+    monkeypatch.setitem(sys.modules, "skinbake.bake.compiled", None)
+    found, _ = gathered(primitives, "max", COMPILED, monkeypatch)
+    assert np.array_equal(dense(found, joints), dense(expected, joints))
 
 
 def degenerate() -> SkinnedPrimitive:
@@ -217,6 +244,6 @@ def test_many_joints_at_one_vertex_outgrow_the_kernels_first_guess(monkeypatch: 
     )
     table = assert_paths_agree([part], "max", monkeypatch)
     assert np.count_nonzero(table[0].any(axis=1)) == spokes + 1
-    # By symmetry every spoke's joint pulls along its spoke with the same strength. A hub of a regular fan
-    # has, with hats of slope 1 along the spoke, Σ cos² = spokes / 2 over spokes: 2 / spokes.
+    # By symmetry every spoke's joint has a gradient c (cos θ, sin θ) along its spoke. The mean is exact for
+    # the linear field x, which is cos θ at the rim: Σ cos θ · c cos θ = c · spokes / 2 = 1.
     assert np.linalg.norm(table[0], axis=1)[1:] == pytest.approx(np.full(spokes, 2.0 / spokes), rel=1e-9)

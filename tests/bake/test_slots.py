@@ -303,9 +303,11 @@ def test_a_joint_that_hardly_varies_takes_no_slot() -> None:
     assert 0.0 < findings.lost < NEGLIGIBLE
 
 
+@pytest.mark.parametrize("name", ["foreign_joints.glb", "weights_u8.glb"])
 @pytest.mark.parametrize("block", [1, 7, 1000])
-def test_the_size_of_a_block_changes_nothing(block: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    [primitives] = meshes_of(path_of("foreign_joints.glb")).values()
+def test_the_size_of_a_block_changes_nothing(name: str, block: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    # In the second the vertices have from none to three slots free.
+    [primitives] = meshes_of(path_of(name)).values()
     [(expected, numbers)] = bake_mesh(primitives, BakeSettings())
     monkeypatch.setattr(slots, "BLOCK", block)
     [(found, own)] = bake_mesh(primitives, BakeSettings())

@@ -78,6 +78,8 @@ NEEDLE = 1e-6
         ([[0, 0, 0], [1, 1, 1], [2, 2, 2]], False),
         ([[0, 0, 0], [1, 0, 0], [0.5, 1e-11, 0]], False),
         ([[1e-11, 0, 0], [0, 0, 0], [1, 0, 0]], False),
+        ([[0, 0, 0], [0, 5e-11, 0], [1, 0, 0]], False),
+        ([[0, 0, 0], [0, 2e-10, 0], [1, 0, 0]], True),
     ],
 )
 def test_a_triangle_has_an_area_whatever_its_size_and_first_corner(

@@ -8,13 +8,13 @@ import struct
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from fixtures.builder import JsonObject, pack_glb
-from skinbake.commands.bake import bake_file
+from skinbake.commands.bake import BakeOptions, bake_file
 from skinbake.commands.strip import strip_file
+from skinbake.errors import OutputError
 from tests.gltf.models import (
     FOLDER,
     SHARED,
@@ -295,23 +295,15 @@ class TestSameFolder:
 
     def test_the_target_may_not_be_a_file_of_the_input(self, tmp_path: Path) -> None:
         source = with_image(tmp_path, "texture.glb", "texture.glb")
-        result = bake_file(str(source), str(tmp_path / "texture.glb"), options())
+        result = bake_file(str(source), str(tmp_path / "texture.glb"), BakeOptions())
         assert "a file that the input consists of" in str(result.error)
         assert (tmp_path / "texture.glb").read_bytes() == PNG + b"texture.glb"
 
     def test_strip_does_not_write_over_a_file_of_the_input(self, tmp_path: Path) -> None:
-        from skinbake.errors import OutputError
-
         source = with_image(tmp_path, "texture.glb", "texture.glb")
         with pytest.raises(OutputError, match="a file that the input consists of"):
             strip_file(str(source), str(tmp_path / "texture.glb"))
         assert (tmp_path / "texture.glb").read_bytes() == PNG + b"texture.glb"
-
-
-def options() -> Any:
-    from skinbake.commands.bake import BakeOptions
-
-    return BakeOptions()
 
 
 class TestStandardStreams:
@@ -323,7 +315,7 @@ class TestStandardStreams:
         process = self.run("bake", "-", "-o", "-", data=(FOLDER / "seam.glb").read_bytes())
         bake(FOLDER / "seam.glb", tmp_path / "baked.glb")
         assert (process.returncode, process.stdout) == (0, (tmp_path / "baked.glb").read_bytes())
-        assert process.stderr.decode().startswith("- -> -: baked: 1 primitive")
+        assert process.stderr.decode().startswith("-: baked: 1 primitive")
         back = self.run("strip", "-", "-o", "-", data=process.stdout)
         assert (back.returncode, back.stdout) == (0, (FOLDER / "seam.glb").read_bytes())
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -12,6 +13,8 @@ import numpy.typing as npt
 from skinbake.bake.corner import WEIGHTINGS, corner_coefficients
 from skinbake.bake.influences import WeightField
 from skinbake.geometry.skinned import Float64Array, FloatArray, IntArray
+
+logger = logging.getLogger(__name__)
 
 COMPILED_FROM = 200_000
 """Triangles from which the compiled kernel is worth its start: half a second, seconds without its cache."""
@@ -67,7 +70,8 @@ def _compiled_gather() -> Callable[..., Any] | None:
     """Return the compiled kernel, None where its compiler is not installed."""
     try:
         from skinbake.bake.compiled import gather  # noqa: PLC0415  (0.4 s to import)
-    except ImportError:
+    except ImportError as error:
+        logger.info("the compiled kernel is not to be had (%s): large meshes take longer", error)
         return None
     return gather
 

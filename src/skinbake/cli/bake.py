@@ -92,7 +92,7 @@ def command(inputs: tuple[str, ...], **given: Any) -> None:
         results_on_stderr=given["output"] == STDIO,
     )
     from skinbake.commands.bake import bake_file
-    from skinbake.report.bake import as_json, closing_line
+    from skinbake.report.bake import as_json, closing_line, detail_lines
 
     options = _options(given)
     results, code = [], exit_codes.OK
@@ -103,6 +103,7 @@ def command(inputs: tuple[str, ...], **given: Any) -> None:
         if result.error is not None:
             say.error(result.error)
             code = max(code, exit_codes.of_error(result.error))
+        say.details(detail_lines(result))
         if not given["as_json"]:
             say.result(closing_line(result, dry_run=options.dry_run))
     if given["as_json"]:

@@ -38,6 +38,12 @@ class Console:
             for notice in notices:
                 self._message("warning", "yellow", str(notice))
 
+    def details(self, lines: Iterable[str]) -> None:
+        """Print what only -v wants to know."""
+        if self.verbosity > 0:
+            for line in lines:
+                click.echo(line, err=True, color=self.color)
+
     def problems(self, problems: Iterable[Notice]) -> None:
         """Print what a check found wrong: errors, whatever the verbosity."""
         for problem in problems:

@@ -15,6 +15,7 @@ COMMANDS = {
     "verify": "Check a baked file, and measure its lighting in degrees.",
     "inspect": "Show what is skinned in a file, and what is baked into it.",
     "strip": "Write a file as it was before bake.",
+    "cost": "Multiply-adds and bytes per vertex of the paper's algorithms.",
 }
 
 

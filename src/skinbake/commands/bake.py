@@ -2,24 +2,22 @@
 
 from __future__ import annotations
 
-import logging
 from collections import defaultdict
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 
 import numpy as np
 
 from skinbake.bake.baker import TANGENT_TOLERANCE, BakeFindings, BakeSettings, bake_mesh
 from skinbake.bake.influences import SUM_TOLERANCE
 from skinbake.bake.normals import with_smooth_normals
-from skinbake.errors import InputError, Notice, OutputError, Place, SkinbakeError
+from skinbake.errors import InputError, Notice, Place, SkinbakeError
 from skinbake.geometry.frames import TANGENT_FRAME
 from skinbake.geometry.skinned import BakedPrimitive, SkinnedPrimitive
 from skinbake.gltf.baked import AttributeNames, Baked, with_baked
 from skinbake.gltf.container import for_target
 from skinbake.gltf.document import STDIO, Document, read_document
 from skinbake.gltf.json_access import JsonObject
-from skinbake.gltf.output import plan_output
+from skinbake.gltf.output import plan_output, refuse_own_input
 from skinbake.gltf.primitives import (
     PrimitiveSource,
     read_primitive,
@@ -27,11 +25,8 @@ from skinbake.gltf.primitives import (
     refuse_compressed,
     skinned_sources,
 )
-from skinbake.gltf.resources import is_relative, locate
 from skinbake.gltf.strip import stripped
 from skinbake.report.bake import BakedCounts, FileResult, Status
-
-logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +59,7 @@ def bake_file(source: str, target: str | None, options: BakeOptions) -> FileResu
 def _bake_file(source: str, target: str | None, options: BakeOptions, notices: list[Notice]) -> FileResult:
     document = read_document(source)
     if target is not None:
-        _refuse_own_input(source, target, document)
+        refuse_own_input(document, source, target)
         document, found = for_target(document, target)
         notices += found
     result, primitives, skipped = bake_document(document, options, notices)
@@ -83,18 +78,6 @@ def _bake_file(source: str, target: str | None, options: BakeOptions, notices: l
         planned.write()
     status: Status = "baked" if primitives else "unchanged"
     return FileResult(source, target, status, tuple(primitives), skipped, tuple(notices))
-
-
-def _refuse_own_input(source: str, target: str, document: Document) -> None:
-    """Raise OutputError where the target is a buffer or image of the input."""
-    if STDIO in {target, source} or not Path(target).exists():
-        return
-    for array in ("buffers", "images"):
-        for entry in document.objects(array):
-            uri = entry.get("uri")
-            named = locate(uri, document.folder) if isinstance(uri, str) and is_relative(uri) else None
-            if named is not None and named.exists() and named.samefile(target):
-                raise OutputError("it is a file that the input consists of", Place(target))
 
 
 def bake_document(
@@ -152,9 +135,7 @@ def _bake_sources(
     for source, primitive, (outcome, findings) in zip(sources, primitives, outcomes, strict=True):
         notices += _assumptions(source, primitive, outcome, findings)
         baked.append(Baked(source, primitive, outcome, _noted_settings(options.settings)))
-        counts = _counts(source, primitive, outcome, findings)
-        logger.info("%s: %s", source.place, counts)
-        results.append((source.place, counts))
+        results.append((source.place, _counts(source, primitive, outcome, findings)))
 
 
 def _counts(

@@ -10,7 +10,7 @@ from skinbake.bake.baker import AUTO, rest_frame
 from skinbake.bake.influences import weight_field
 from skinbake.gltf.accessors import TYPES, read_accessor
 from skinbake.gltf.document import Document, read_document
-from skinbake.gltf.metadata import digests, read_metadata
+from skinbake.gltf.metadata import digests, noted_names, read_metadata
 from skinbake.gltf.primitives import (
     PrimitiveSource,
     read_primitive,
@@ -73,7 +73,7 @@ def _summary(document: Document, source: PrimitiveSource) -> PrimitiveSummary:
         noted = metadata.get("digest")
         now = digests(primitive, str(metadata.get("frame")))
         changed = [name for name in now if not isinstance(noted, dict) or noted.get(name) != now[name]]
-        names = {*metadata.get("alpha", ()), *metadata.get("beta", ())}
+        names = {*noted_names(metadata, "alpha"), *noted_names(metadata, "beta")}
         size = sum(attribute.byte_length for attribute in attributes if attribute.name in names)
         bake = BakeSummary(metadata, tuple(changed), size)
     targets = source.json.get("targets")

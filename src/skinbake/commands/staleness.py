@@ -7,28 +7,33 @@ from typing import Any
 
 import numpy as np
 
-from skinbake.commands.baked_views import BakedView
-from skinbake.errors import InputError, Notice
+from skinbake.commands.baked_views import WEIGHTINGS, BakedView
+from skinbake.errors import Notice
 from skinbake.gltf.accessors import read_accessor
 from skinbake.gltf.document import Document
 from skinbake.verify import freshness
 from skinbake.verify.operator import GradientOperator, expected_alpha_beta, gradient_operator
 
-WEIGHTINGS = ("max", "angle", "area", "angle-area")
-BAKE_LAST = "bake last: run skinbake bake on what the last tool wrote"
+BAKE_LAST = "Bake last: run skinbake bake on the file that the last tool wrote"
+BAKE_AGAIN = "bake again"
+
+EDITED_ALONE = {
+    "POSITION": "its vertices moved",
+    "NORMAL": "its normals flipped, recomputed or edited",
+    "TANGENT": "its tangents recomputed or edited",
+    "WEIGHTS": "its weights edited",
+    "JOINTS": "its joints edited",
+    "indices": "its triangles edited",
+}
+"""What it looks like where one array changed, or one and those that follow from it."""
 
 
 def mesh_operator(views: Sequence[BakedView], weighting: str | None = None) -> GradientOperator:
     """Return the gradient operator of one mesh, weighted as its metadata says or as ``weighting`` does."""
     noted = views[0].metadata
-    chosen: Any = weighting or noted.get("weighting")
-    crease = noted.get("creaseAngle")
-    if chosen not in WEIGHTINGS or not isinstance(crease, int | float):
-        raise InputError(
-            "its metadata names no weighting or crease angle that is known", views[0].source.place
-        )
+    chosen: Any = weighting or noted["weighting"]
     return gradient_operator(
-        [view.before for view in views], weighting=chosen, crease_angle_degrees=float(crease)
+        [view.before for view in views], weighting=chosen, crease_angle_degrees=float(noted["creaseAngle"])
     )
 
 
@@ -48,23 +53,24 @@ def _comparisons(views: Sequence[BakedView], operator: GradientOperator) -> list
         [(view.tangents, view.bitangents) for view in views],
         named=[view.now for view in views],
     )
+    reach = sum(np.asarray(abs(part).sum(axis=1)).ravel() for part in (operator.x, operator.y, operator.z))
     return [
-        freshness.compare((view.alpha, view.beta), (alpha[:, 1:], beta[:, 1:]))
-        for view, (alpha, beta) in zip(views, expected, strict=True)
+        freshness.compare((view.alpha, view.beta), (alpha[:, 1:], beta[:, 1:]), reach=reach[rows])
+        for view, (alpha, beta), rows in zip(views, expected, operator.slices, strict=True)
     ]
 
 
 def _staleness_notice(
     document: Document, view: BakedView, views: Sequence[BakedView], comparison: freshness.Comparison
 ) -> Notice:
-    what = _likely_cause(document, view, views, comparison)
-    changed = f"{', '.join(view.changed)} changed since its bake; " if view.changed else ""
+    changed = f"{_listed(view.changed)} changed since its bake, and " if view.changed else ""
     differ = (
         "α/β still fit"
         if comparison.agrees
-        else f"α/β are wrong at {comparison.differing:,} of {len(view.alpha):,} vertices "
-        f"(by up to {comparison.largest:.2g} of the vertex's largest, at vertex {comparison.worst})"
+        else f"α/β are wrong at {comparison.differing:,} of {comparison.count:,} vertices, "
+        f"most at vertex {comparison.worst}"
     )
+    what = _likely_cause(document, view, views, comparison)
     return Notice("stale", f"{changed}{differ}. {what}", view.source.place, comparison.differing)
 
 
@@ -73,31 +79,67 @@ def _likely_cause(
 ) -> str:
     """Say what the difference looks like, and what to do."""
     if view.changed:
-        causes = _changes_of_tools(document, view, comparison)
-        return f"It looks {' and '.join(causes) or 'edited'} after its bake: {BAKE_LAST}"
-    if comparison.factor is not None:
-        return f"All of them are {comparison.factor:.4g} times what they should be: bake again"
+        return (
+            f"It looks like this was done after the bake: {_doings(document, view, comparison)}. {BAKE_LAST}"
+        )
     if comparison.reordered:
-        return "They stand in the wrong slots: bake again"
+        return f"They stand in the wrong slots: {BAKE_AGAIN}"
+    if comparison.factors is not None:
+        return f"{_factors(comparison.factors)} what they should be: {BAKE_AGAIN}"
     weighting = _weighting_that_fits(view, views)
     if weighting is not None:
-        return f'They were made with the weighting "{weighting}", not as its metadata says: bake again'
-    return "α/β themselves were edited or damaged: bake again"
+        noted = view.metadata["weighting"]
+        return f'They were made with the weighting "{weighting}", not "{noted}" as noted: {BAKE_AGAIN}'
+    return f"They were edited or damaged, nothing else was: {BAKE_AGAIN}"
 
 
-def _changes_of_tools(document: Document, view: BakedView, comparison: freshness.Comparison) -> list[str]:
-    """Return which of the usual tools' doings explain the arrays that changed."""
-    causes = []
+def _factors(factors: tuple[float, float]) -> str:
+    off = [
+        f"{name} are {factor:.4g} times"
+        for name, factor in zip("αβ", factors, strict=True)
+        if abs(factor - 1.0) > freshness.RELATIVE_TOLERANCE
+    ]
+    return " and ".join(off)
+
+
+def _doings(document: Document, view: BakedView, comparison: freshness.Comparison) -> str:
+    """Return what the usual tools do that explains the arrays that changed."""
+    doings = []
+    if _is_quantised(document, view):
+        doings.append("its vertices quantised")
+    if "POSITION" in view.changed and comparison.factors is not None:
+        doings.append(f"its vertices rescaled (by {comparison.factors[0]:.4g})")
+    if {"JOINTS", "WEIGHTS"} & set(view.changed) and comparison.reordered:
+        doings.append("its influences re-sorted")
+    if not doings and comparison.mostly_agrees:
+        # α and β moved along with the vertices that they belong to.
+        if view.changed == ("indices",):
+            doings.append("its triangles re-ordered")
+        elif {"POSITION", "NORMAL"} <= set(view.changed):
+            doings.append("its vertices re-ordered, merged or split")
+    return _listed(doings or [_edit(view.changed)])
+
+
+def _is_quantised(document: Document, view: BakedView) -> bool:
     position = read_accessor(document, view.source.attributes["POSITION"], view.source.place).values
-    if "POSITION" in view.changed and position.dtype.kind != "f":
-        causes.append("quantised")
-    if "POSITION" in view.changed and comparison.factor:
-        causes.append(f"rescaled by {comparison.factor:.4g}")
-    if {"JOINTS", "WEIGHTS"} & set(view.changed) and (comparison.reordered or _sorted_by_weight(view)):
-        causes.append("its influences re-sorted")
-    if view.changed == ("indices",) and comparison.agrees:
-        causes.append("re-indexed")
-    return causes
+    return "POSITION" in view.changed and position.dtype.kind != "f"
+
+
+def _edit(changed: Sequence[str]) -> str:
+    """Return what changed digests say where nothing else tells more."""
+    if len(changed) == 1:
+        return EDITED_ALONE[changed[0]]
+    if set(changed) <= {"NORMAL", "TANGENT"}:
+        return EDITED_ALONE["NORMAL"]
+    if set(changed) <= {"POSITION", "NORMAL", "TANGENT"}:
+        return EDITED_ALONE["POSITION"]
+    if set(changed) <= {"JOINTS", "WEIGHTS"}:
+        return EDITED_ALONE["WEIGHTS"]
+    return "the mesh simplified or edited" if "indices" in changed else "the mesh edited"
+
+
+def _listed(words: Sequence[str]) -> str:
+    return ", ".join(words[:-1]) + (" and " if len(words) > 1 else "") + words[-1]
 
 
 def _weighting_that_fits(view: BakedView, views: Sequence[BakedView]) -> str | None:
@@ -107,7 +149,3 @@ def _weighting_that_fits(view: BakedView, views: Sequence[BakedView]) -> str | N
             if comparisons[list(views).index(view)].agrees:
                 return weighting
     return None
-
-
-def _sorted_by_weight(view: BakedView) -> bool:
-    return bool((np.diff(view.now.weights, axis=1) <= 0).all())

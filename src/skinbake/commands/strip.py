@@ -5,14 +5,16 @@ from __future__ import annotations
 from skinbake.errors import InputError, Notice, Place
 from skinbake.gltf.container import for_target
 from skinbake.gltf.document import read_document
-from skinbake.gltf.output import plan_output
+from skinbake.gltf.output import plan_output, refuse_own_input
 from skinbake.gltf.strip import stripped
 from skinbake.report.strip import StripResult
 
 
 def strip_file(source: str, target: str, *, warnings_as_errors: bool = False) -> StripResult:
     """Write a document without what bake added to it; raises SkinbakeError, and then nothing is written."""
-    document, count, notices = stripped(read_document(source))
+    document = read_document(source)
+    refuse_own_input(document, source, target)
+    document, count, notices = stripped(document)
     if count == 0:
         notices.append(Notice("nothing-baked", "passed through unchanged: it holds no bake", Place(source)))
     document, found = for_target(document, target)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from pathlib import Path
 
 from skinbake.errors import Notice
@@ -39,20 +40,21 @@ def _as_glb(document: Document) -> Document:
 
 def _as_gltf(document: Document, stem: str) -> tuple[Document, list[Notice]]:
     notices = []
-    if document.other_chunks or document.trailing:
-        notices.append(
-            Notice(
-                "chunks-dropped",
-                f"{len(document.other_chunks)} GLB chunks of unknown type and {len(document.trailing)} "
-                "trailing bytes have no place in a .gltf",
-                document.place,
-            )
-        )
-    changes = {"is_glb": False, "indent": "  ", "binary": None, "other_chunks": (), "trailing": b""}
     buffers = document.objects("buffers")
-    if document.binary is None or not buffers or "uri" in buffers[0]:
+    meant = bool(buffers) and "uri" not in buffers[0]
+    unmeant = document.binary is not None and not meant
+    if document.other_chunks or document.trailing or unmeant:
+        message = (
+            f"{len(document.other_chunks)} GLB chunks of unknown type and {len(document.trailing)} trailing bytes"
+            f"{' and a BIN chunk that no buffer means' if unmeant else ''} have no place in a .gltf"
+        )
+        notices.append(Notice("chunks-dropped", message, document.place))
+    changes = {"is_glb": False, "indent": "  ", "binary": None, "other_chunks": (), "trailing": b""}
+    if document.binary is None or not meant:
         return document.edited(**changes), notices
-    uri = resources.path_uri(f"{stem}.bin")
+    taken = {buffer.get("uri") for buffer in buffers} | {i.get("uri") for i in document.objects("images")}
+    names = (f"{stem}{'' if n == 0 else f'-{n}'}.bin" for n in itertools.count())
+    uri = next(uri for uri in map(resources.path_uri, names) if uri not in taken)
     length = integer(buffers[0], "byteLength", document.place)
     data = memoryview(joined(document.binary))[:length]
     root = {**document.json, "buffers": [{**buffers[0], "uri": uri}, *buffers[1:]]}

@@ -158,10 +158,9 @@ def _check_version(asset: json_access.JsonObject, place: Place) -> None:
     if version is None:
         raise InputError('it does not say which glTF version it is: "asset.version" is missing', place)
     least = json_access.text(asset, "minVersion", place) or "2.0"
-    if version.split(".")[0] != "2":
-        raise UnsupportedFeatureError(f'its glTF version is "{version}"; only 2.0 is supported', place)
-    if least != "2.0":
-        raise UnsupportedFeatureError(f'it needs at least glTF "{least}"; only 2.0 is supported', place)
+    if version.split(".")[0] != "2" or least != "2.0":
+        wanted = version if least == "2.0" else least
+        raise UnsupportedFeatureError(f'it wants glTF version "{wanted}"; only 2.0 is supported', place)
 
 
 def _reject_constant(name: str) -> float:

@@ -57,6 +57,12 @@ def read_metadata(document: Document, primitive: JsonObject) -> JsonObject | Non
     return None
 
 
+def noted_names(note: JsonObject, key: str) -> list[str]:
+    """Return the attribute names under ``alpha``, ``beta`` or ``generated``, none where they are no list."""
+    names = note.get(key)
+    return [name for name in names if isinstance(name, str)] if isinstance(names, list) else []
+
+
 def _noted(holder: JsonObject) -> JsonObject | None:
     extras = holder.get("extras")
     note = extras.get(KEY) if isinstance(extras, dict) else None

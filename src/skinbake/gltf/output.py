@@ -47,10 +47,24 @@ def plan_output(document: Document, target: str) -> PlannedOutput:
     """
     if target == STDIO:
         return PlannedOutput(target, {Path(STDIO): _serialised(document)}, [])
-    path = Path(os.path.realpath(target))
-    _check_target(path, target)
-    document, beside, notices = _with_files_beside(document, path.parent)
+    try:
+        path = Path(os.path.realpath(target))
+        _check_target(path, target)
+        document, beside, notices = _with_files_beside(document, path.parent)
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise OutputError(f"cannot be written: {reason}", Place(target)) from error
     return PlannedOutput(target, {**beside, path: _serialised(document)}, notices)
+
+
+def refuse_own_input(document: Document, source: str, target: str) -> None:
+    """Raise OutputError where the target is a buffer or image of the document read from ``source``."""
+    if STDIO in {target, source} or not resources.is_file(Path(target)):
+        return
+    for resource in _relative_resources(document):
+        named = resources.locate(resource.uri, document.folder)
+        if resources.is_file(named) and named.samefile(target):
+            raise OutputError("it is a file that the input consists of", Place(target))
 
 
 def _serialised(document: Document) -> Sequence[Bytes]:
@@ -97,7 +111,7 @@ def _write_stdout(pieces: Sequence[Bytes]) -> None:
 def _check_target(path: Path, target: str) -> None:
     if not path.parent.is_dir():
         raise OutputError("its folder does not exist", Place(target))
-    if path.exists() and not path.is_file():
+    if path.is_symlink() or (path.exists() and not path.is_file()):
         raise OutputError("it exists and is not a regular file", Place(target))
     if path.exists() and not os.access(path, os.W_OK):
         raise OutputError("it exists and is read-only", Place(target))
@@ -127,10 +141,10 @@ def _with_files_beside(
             if same_folder:
                 continue
             source = resources.locate(resource.uri, document.folder)
-            if not source.is_file():
+            if not resources.is_file(source):
                 missing.append(resource.uri)
                 continue
-            if _leads_out(name):
+            if name.startswith(".."):
                 renamed.append((resource, _relative_uri(source, folder)))
                 continue
             name = source.relative_to(document.folder).as_posix()
@@ -157,15 +171,6 @@ def _relative_resources(document: Document) -> Iterator[_Resource]:
             uri = entry.get("uri")
             if isinstance(uri, str) and resources.is_relative(uri):
                 yield _Resource(array, number, uri)
-
-
-def _leads_out(name: str) -> bool:
-    depth = 0
-    for part in PurePosixPath(name.replace("\\", "/")).parts:
-        depth += -1 if part == ".." else 1
-        if depth < 0:
-            return True
-    return False
 
 
 def _relative_uri(source: Path, folder: Path) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import posixpath
 import re
 from pathlib import Path
 from urllib.parse import quote, unquote, unquote_to_bytes
@@ -41,8 +42,12 @@ def encode_data_uri(data: bytes) -> str:
 
 
 def relative_path(uri: str) -> str:
-    """Return the path that a relative URI names, percent-encoding undone, query and fragment cut off."""
-    return unquote(uri.split("#", maxsplit=1)[0].split("?", maxsplit=1)[0])
+    """Return the path that a relative URI names, dots resolved as in RFC 3986, §5.2.4.
+
+    Percent-encoding is undone, query and fragment are cut off. It begins with ``..`` where it leads out of
+    the document's folder.
+    """
+    return posixpath.normpath(unquote(uri.split("#", maxsplit=1)[0].split("?", maxsplit=1)[0]))
 
 
 def path_uri(path: str) -> str:
@@ -58,7 +63,15 @@ def locate(uri: str, folder: Path) -> Path:
     """
     decoded = folder / relative_path(uri)
     literal = folder / uri
-    return literal if "%" in uri and not decoded.exists() and literal.exists() else decoded
+    return literal if "%" in uri and not is_file(decoded) and is_file(literal) else decoded
+
+
+def is_file(path: Path) -> bool:
+    """Tell whether a path is a file; a name that no file can have is none."""
+    try:
+        return path.is_file()
+    except (OSError, ValueError):
+        return False
 
 
 def read_resource(uri: str, folder: Path, place: Place) -> bytes:

@@ -7,11 +7,12 @@ from typing import Any
 import numpy as np
 
 from skinbake.errors import InputError, Notice, Place
+from skinbake.gltf import json_access
 from skinbake.gltf.accessors import read_accessor
 from skinbake.gltf.additions import BUFFER_ADDED, BUFFER_LENGTH, KEY
 from skinbake.gltf.document import Document, joined
 from skinbake.gltf.json_access import JsonObject, objects, text
-from skinbake.gltf.metadata import read_metadata
+from skinbake.gltf.metadata import noted_names, read_metadata
 
 
 def stripped(document: Document) -> tuple[Document, int, list[Notice]]:
@@ -23,6 +24,7 @@ def stripped(document: Document) -> tuple[Document, int, list[Notice]]:
     """
     meshes: list[JsonObject] = []
     removed: set[int] = set()
+    in_use: set[int] = set()
     notices: list[Notice] = []
     count = 0
     for number, mesh in enumerate(document.objects("meshes")):
@@ -37,10 +39,12 @@ def stripped(document: Document) -> tuple[Document, int, list[Notice]]:
             )
             count += note is not None
             removed |= _accessors_of(primitive) - _accessors_of(restored[-1])
+            in_use |= _accessors_of(restored[-1])
         meshes.append({**mesh, "primitives": restored} if primitives else mesh)
     if count == 0:
         return document, 0, []
-    return _without(document, {**document.json, "meshes": meshes}, removed, notices), count, notices
+    root = {**document.json, "meshes": meshes}
+    return _without(document, root, removed - in_use, notices), count, notices
 
 
 def _accessors_of(primitive: JsonObject) -> set[int]:
@@ -53,9 +57,9 @@ def _restored(
     document: Document, primitive: JsonObject, note: JsonObject, place: Place, notices: list[Notice]
 ) -> JsonObject:
     """Return the primitive's JSON without our attributes and metadata, its own influences back in place."""
-    attributes = dict(primitive["attributes"])
+    attributes = dict(json_access.member(primitive, "attributes", place))
     for key in ("alpha", "beta", "generated"):
-        for name in note.get(key) or ():
+        for name in noted_names(note, key):
             attributes.pop(name, None)
     former = note.get("adopted")
     if isinstance(former, dict) and former:
@@ -70,7 +74,7 @@ def _restored(
                     place,
                 )
             )
-    written = {**primitive, "attributes": attributes}
+    written = {**primitive, "attributes": attributes} if "attributes" in primitive else dict(primitive)
     extras = primitive.get("extras")
     if isinstance(extras, dict) and extras.get(KEY) is note:
         left = {key: value for key, value in extras.items() if key != KEY}
@@ -112,7 +116,8 @@ def _without(document: Document, root: JsonObject, removed: set[int], notices: l
     views = {accessors[number].get("bufferView") for number in range(len(kept_accessors), len(accessors))}
     all_views = document.objects("bufferViews")
     kept_views = _without_tail(all_views, {view for view in views if isinstance(view, int)})
-    root["accessors"], root["bufferViews"] = kept_accessors, kept_views
+    _put_back(root, "accessors", kept_accessors)
+    _put_back(root, "bufferViews", kept_views)
     first = all_views[len(kept_views)] if len(kept_views) < len(all_views) else {}
     extras = first.get("extras")
     undo = extras.get(KEY) if isinstance(extras, dict) else None
@@ -130,6 +135,14 @@ def _without(document: Document, root: JsonObject, removed: set[int], notices: l
     return _shrunk(document, root, first, undo)
 
 
+def _put_back(root: JsonObject, key: str, entries: list[JsonObject]) -> None:
+    """Set a top-level array, or remove it where nothing is left: glTF allows no empty one."""
+    if entries:
+        root[key] = entries
+    else:
+        root.pop(key, None)
+
+
 def _without_tail(entries: list[JsonObject], removed: set[int]) -> list[JsonObject]:
     """Return the entries up to the last one that is not to be removed."""
     end = len(entries)
@@ -145,7 +158,7 @@ def _shrunk(document: Document, root: JsonObject, first: JsonObject, undo: JsonO
         if first.get("buffer") != len(buffers) - 1:
             return document.edited(json=root)
         uri = buffers.pop().get("uri")
-        root["buffers"] = buffers
+        _put_back(root, "buffers", buffers)
         new_files = {name: pieces for name, pieces in document.new_files.items() if name != uri}
         return document.edited(json=root, new_files=new_files)
     start, length = first.get("byteOffset"), undo.get(BUFFER_LENGTH)

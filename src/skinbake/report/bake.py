@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
@@ -78,6 +78,18 @@ def closing_line(result: FileResult, *, dry_run: bool) -> str:
     if result.notices:
         parts.append(counted(len(result.notices), "warning"))
     return f"{where}: {', '.join(parts)}"
+
+
+def detail_lines(result: FileResult) -> Iterator[str]:
+    """Yield a line for each baked primitive, for those who asked for more."""
+    for place, count in result.primitives:
+        yield (
+            f"{place}: {counted(count.vertices, 'vertex', 'vertices')}, "
+            f"{counted(count.triangles, 'triangle')}, {count.influences} slots, frame from {count.frame}, "
+            f"{counted(count.adopting_vertices, 'vertex', 'vertices')} adopting, "
+            f"{count.overflowing_vertices:,} overflowing, {count.lost_gradient:.2%} of the gradient lost, "
+            f"{count.added_bytes:,} bytes"
+        )
 
 
 def _baked(counts: Sequence[BakedCounts]) -> str:

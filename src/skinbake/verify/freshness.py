@@ -15,23 +15,30 @@ float32 storage and two routes to the same mean differ by 1e-6; an α scaled by 
 """
 
 FLOOR = 1e-5
-"""Share of the primitive's largest entry below which a vertex's entries are rounding."""
+"""Share below which entries are rounding: of the primitive's largest, or of the vertex's reach."""
+
+EXPLAINED = 0.2
+"""Share of a vertex's difference that a cause may leave: quantised positions leave noise of their own."""
+
+MOST = 0.9
+"""Share of the vertices that a cause must explain. The rest are rounding's, or were welded."""
 
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
     """How stored α and β (V, K − 1) differ from recomputed ones.
 
-    differing counts the vertices that exceed the tolerance, largest is the largest difference relative to
-    the vertex's largest entry, worst its vertex. factor is the one number that the stored entries are of
-    the recomputed ones, None where there is none; reordered tells whether each vertex has the right
-    entries in other slots.
+    differing counts the vertices that exceed the tolerance, of count; largest is the largest difference
+    relative to the vertex's largest entry, worst its vertex. factors are the two numbers that α and β have
+    been multiplied by, None where there are none. reordered tells whether the vertices have the right
+    entries (up to factors) in other slots.
     """
 
     differing: int
+    count: int
     largest: float
     worst: int
-    factor: float | None
+    factors: tuple[float, float] | None
     reordered: bool
 
     @property
@@ -39,56 +46,98 @@ class Comparison:
         """Tell whether no vertex differs."""
         return self.differing == 0
 
+    @property
+    def mostly_agrees(self) -> bool:
+        """Tell whether few enough vertices differ to say that the mesh is still the same."""
+        return self.differing <= (1.0 - MOST) * self.count
+
 
 def compare(
     stored: tuple[FloatArray, FloatArray],
     expected: tuple[FloatArray, FloatArray],
     *,
+    reach: FloatArray | None = None,
     tolerance: float = RELATIVE_TOLERANCE,
 ) -> Comparison:
-    """Compare stored with recomputed α and β, each a pair of (V, K − 1), in 1 / length unit of POSITION."""
-    found, wanted = (np.stack(pair, axis=2).astype(np.float64) for pair in (stored, expected))
-    scale = _scales(wanted)
-    difference = np.abs(found - wanted).max(axis=(1, 2), initial=0.0) / scale
+    """Compare stored with recomputed α and β, each a pair of (V, K − 1), in 1 / length unit of POSITION.
+
+    reach (V,), in the same unit, is the most that the derivative of a weight could be at each vertex: where
+    a weight is constant, both sides are rounding, and only this tells.
+    """
+    found, wanted = (_with_pivot(np.stack(pair, axis=2).astype(np.float64)) for pair in (stored, expected))
+    scale = _scales(wanted, reach)
+    difference = _distance(found[:, 1:], wanted[:, 1:]) / scale
     differing = difference > tolerance
-    worst = int(difference.argmax()) if len(difference) else 0
+    factors, reordered = None, False
+    if differing.any():
+        cause = _Cause(scale, difference, differing, tolerance)
+        factors = _factors(found, wanted, cause)
+        if factors is None:
+            found, wanted = _by_size(found), _by_size(wanted)
+            reordered = cause.explains(_distance(found, wanted))
+            if not reordered:
+                factors = _factors(found, wanted, cause)
+                reordered = factors is not None
     return Comparison(
         differing=int(np.count_nonzero(differing)),
+        count=len(difference),
         largest=float(difference.max(initial=0.0)),
-        worst=worst,
-        factor=_common_factor(found, wanted, tolerance) if differing.any() else None,
-        reordered=bool(differing.any() and _is_reordered(found, wanted, scale, differing, tolerance)),
+        worst=int(difference.argmax()) if len(difference) else 0,
+        factors=factors,
+        reordered=reordered,
     )
 
 
-def _scales(wanted: Float64Array) -> Float64Array:
-    """Return what a difference at each vertex is measured against (V,), slot 0's entry included."""
-    with_pivot = np.concatenate([wanted, -wanted.sum(axis=1, keepdims=True)], axis=1)
-    own = np.abs(with_pivot).max(axis=(1, 2), initial=0.0)
-    largest = own.max(initial=0.0)
-    return np.maximum(own, FLOOR * largest) if largest > 0 else np.ones(len(wanted))
+@dataclass(frozen=True, slots=True)
+class _Cause:
+    """What a cause has to explain: by vertex (V,), the scale, the relative difference, whether it counts."""
+
+    scale: Float64Array
+    difference: Float64Array
+    differing: BoolArray
+    tolerance: float
+
+    def explains(self, left: Float64Array) -> bool:
+        """Tell whether little enough is left (V,) at most vertices, and at most of those that differ."""
+        allowed = np.maximum(self.tolerance, EXPLAINED * self.difference)
+        explained = left <= allowed * self.scale
+        return bool(explained[self.differing].mean() >= MOST and explained.mean() >= MOST)
 
 
-def _common_factor(found: Float64Array, wanted: Float64Array, tolerance: float) -> float | None:
-    """Return the factor that turns wanted into found at nearly all vertices, None where there is none."""
-    norm = float((wanted * wanted).sum())
-    if norm == 0.0:
+def _with_pivot(slots: Float64Array) -> Float64Array:
+    """Return the entries of all slots (V, K, 2): slot 0's is minus the sum of the others'."""
+    return np.concatenate([-slots.sum(axis=1, keepdims=True), slots], axis=1)
+
+
+def _distance(found: Float64Array, wanted: Float64Array) -> Float64Array:
+    """Return each vertex's largest difference of any slot, (V,)."""
+    distance: Float64Array = np.abs(found - wanted).max(axis=(1, 2), initial=0.0)
+    return distance
+
+
+def _scales(wanted: Float64Array, reach: FloatArray | None) -> Float64Array:
+    """Return what a difference at each vertex is measured against (V,)."""
+    own = np.abs(wanted).max(axis=(1, 2), initial=0.0)
+    scale = np.maximum(own, FLOOR * own.max(initial=0.0))
+    if reach is not None:
+        scale = np.maximum(scale, FLOOR * reach)
+    return np.where(scale > 0.0, scale, 1.0)
+
+
+def _factors(found: Float64Array, wanted: Float64Array, cause: _Cause) -> tuple[float, float] | None:
+    """Return what turns the wanted α and β into those found, None where nothing does."""
+    norms = (wanted * wanted).sum(axis=(0, 1))
+    factors = np.divide((found * wanted).sum(axis=(0, 1)), norms, out=np.ones(2), where=norms > 0.0)
+    if not cause.explains(_distance(found, factors * wanted)):
         return None
-    factor = float((found * wanted).sum()) / norm
-    left = np.abs(found - factor * wanted).max(axis=(1, 2), initial=0.0)
-    fits = left <= 10 * tolerance * abs(factor) * _scales(wanted)
-    return factor if np.count_nonzero(fits) >= 0.99 * len(fits) else None
+    return float(factors[0]), float(factors[1])
 
 
-def _is_reordered(
-    found: Float64Array, wanted: Float64Array, scale: Float64Array, differing: BoolArray, tolerance: float
-) -> bool:
-    """Tell whether most differing vertices hold the wanted entries, slot 0's included, in another order."""
+def _by_size(slots: Float64Array) -> Float64Array:
+    """Return each vertex's slots (V, K, 2) in an order that depends on their entries alone.
 
-    def ordered(values: Float64Array) -> Float64Array:
-        whole = np.concatenate([-values.sum(axis=1, keepdims=True), values], axis=1)
-        return np.sort(whole[differing], axis=1)
-
-    left = np.abs(ordered(found) - ordered(wanted)).max(axis=(1, 2), initial=0.0)
-    same = left <= 10 * tolerance * scale[differing]
-    return bool(np.count_nonzero(same) >= 0.5 * len(same))
+    An entry's α and β stay together: sorted each by itself, an α negated between two joints would look like
+    two slots exchanged.
+    """
+    key = slots @ np.array([1.0, 0.618])
+    return np.take_along_axis(slots, np.argsort(key, axis=1)[:, :, None], axis=1)

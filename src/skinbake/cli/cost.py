@@ -1,0 +1,60 @@
+"""``skinbake cost``."""
+
+from __future__ import annotations
+
+import sys
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from skinbake.cli import exit_codes
+from skinbake.cli.console import console, message_options
+from skinbake.cli.targets import check_readable_suffix
+from skinbake.errors import SkinbakeError
+
+if TYPE_CHECKING:
+    from skinbake.report.cost import CostResult
+
+
+@click.command("cost")
+@click.argument("source", required=False, metavar="[FILE]")
+@click.option(
+    "--influences",
+    type=click.IntRange(1, 64),
+    metavar="N",
+    help="Line by line for N influences a vertex, 1 to 64, instead of a table for 1 to 8.",
+)
+@click.option("--json", "as_json", is_flag=True, help="Print the costs as JSON.")
+@message_options
+def command(source: str | None, influences: int | None, **given: Any) -> None:
+    """Count multiply-adds and bytes per vertex of the paper's algorithms 1 to 5, and of 6.
+
+    For FILE, a .glb, .gltf or .vrm file, or - for a GLB on stdin: with the influences, types and vertices that
+    it stores, per vertex, per frame, and for the whole file.
+    """
+    if source is not None and influences is not None:
+        raise click.UsageError("--influences N and FILE exclude each other: a file has its own influences")
+    if source is not None:
+        check_readable_suffix(source)
+    say = console(verbose=given["verbose"], quiet=given["quiet"], color=given["color"])
+    from skinbake.report.cost import FileCosts, as_json, as_text
+
+    try:
+        result = _count(source, influences)
+    except SkinbakeError as error:
+        say.error(error)
+        sys.exit(exit_codes.of_error(error))
+    if isinstance(result, FileCosts):
+        say.notices(result.notices)
+    if given["as_json"]:
+        say.document(as_json(result))
+    else:
+        say.result(as_text(result))
+
+
+def _count(source: str | None, influences: int | None) -> CostResult:
+    from skinbake.commands.cost import cost_by_influences, cost_of_file, cost_of_influences
+
+    if source is not None:
+        return cost_of_file(source)
+    return cost_by_influences() if influences is None else cost_of_influences(influences)

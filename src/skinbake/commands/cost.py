@@ -1,0 +1,203 @@
+"""``skinbake cost``: the paper's algorithms in multiply-adds and bytes, for N influences or for a file."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from skinbake.errors import Notice
+from skinbake.geometry.skinned import SkinnedPrimitive
+from skinbake.gltf.accessors import read_accessor
+from skinbake.gltf.document import Document, read_document
+from skinbake.gltf.metadata import read_metadata
+from skinbake.gltf.primitives import (
+    PrimitiveSource,
+    read_primitive,
+    reason_to_skip,
+    refuse_compressed,
+    skinned_sources,
+)
+from skinbake.replay.algorithms import Algorithm
+from skinbake.replay.counting import (
+    Cost,
+    StoredTypes,
+    VertexBytes,
+    cost_table,
+    multiply_adds,
+    vertex_bytes,
+)
+from skinbake.report.cost import (
+    CostTable,
+    FileCosts,
+    FrameCost,
+    FrameCosts,
+    InfluenceCosts,
+    PrimitiveCosts,
+    VertexCost,
+    VertexCosts,
+)
+
+TABLE = range(1, 9)
+"""The numbers of influences of the table: one or two influence sets of glTF."""
+
+ALIGNMENT = 4
+"""Bytes of which a vertex attribute's element takes a multiple (glTF 2.0, §3.6.2.4)."""
+
+
+def cost_of_influences(influences: int) -> InfluenceCosts:
+    """Return what a vertex with N ≥ 1 influences costs, its data in glTF's commonest types."""
+    return InfluenceCosts(influences, _reported(cost_table(influences)))
+
+
+def cost_by_influences() -> CostTable:
+    """Return what vertices with 1 … 8 influences cost."""
+    return CostTable(tuple(cost_of_influences(influences) for influences in TABLE))
+
+
+def cost_of_file(source: str) -> FileCosts:
+    """Return what the skinned primitives of one file cost; raises SkinbakeError where it cannot be read.
+
+    Those that bake skips are left out, with a notice. A file without any costs nothing.
+    """
+    document = read_document(source)
+    sources, notices = skinned_sources(document)
+    draws = _draws(document)
+    primitives = []
+    for entry in sources:
+        found = _costs(document, entry, draws[entry.mesh])
+        if isinstance(found, Notice):
+            notices.append(found)
+        else:
+            primitives.append(found)
+    return FileCosts(
+        input=source,
+        primitives=tuple(primitives),
+        vertices=sum(primitive.vertices * primitive.draws for primitive in primitives),
+        total=_sum([primitive.per_frame for primitive in primitives]),
+        notices=tuple(notices),
+    )
+
+
+def _draws(document: Document) -> Counter[int]:
+    """Return how many nodes draw each mesh with a skin; ``skinned_sources`` has checked the indices."""
+    return Counter(
+        int(node["mesh"]) for node in document.objects("nodes") if "mesh" in node and "skin" in node
+    )
+
+
+def _costs(document: Document, source: PrimitiveSource, draws: int) -> PrimitiveCosts | Notice:
+    """Return what one skinned primitive costs, or why bake would skip it."""
+    refuse_compressed(document, source)
+    reason = reason_to_skip(document, source, generate_normals=False)
+    if reason is not None:
+        return reason
+    primitive = read_primitive(document, source)
+    layout = _layout(document, source)
+    influences, vertices = primitive.joints.shape[1], _vertices_in_use(primitive)
+    per_vertex = _reported(_file_costs(influences, layout))
+    return PrimitiveCosts(
+        place=source.place,
+        vertices=vertices,
+        draws=draws,
+        influences=influences,
+        baked=bool(layout.baked),
+        stored={**layout.plain, **layout.baked},
+        per_vertex=per_vertex,
+        per_frame=_times(per_vertex, vertices * draws),
+    )
+
+
+def _vertices_in_use(primitive: SkinnedPrimitive) -> int:
+    """Return how many vertices the triangles refer to: primitives often share accessors larger than that."""
+    used = np.zeros(len(primitive.positions), dtype=np.bool_)
+    used[primitive.triangles] = True
+    return int(np.count_nonzero(used))
+
+
+@dataclass(frozen=True, slots=True)
+class _Layout:
+    """Bytes a vertex by attribute: of plain skinning, and of α and β (none: not baked).
+
+    gradient is the bytes of one number of α and β, as stored or as bake would store it.
+    """
+
+    plain: dict[str, int]
+    baked: dict[str, int]
+    gradient: int
+
+
+def _layout(document: Document, source: PrimitiveSource) -> _Layout:
+    surface = [name for name in ("POSITION", "NORMAL", "TANGENT") if name in source.attributes]
+    influences = [f"{kind}_{n}" for n in range(source.influence_sets) for kind in ("JOINTS", "WEIGHTS")]
+    plain, _ = _sizes(document, source, surface + influences)
+    baked, components = _sizes(document, source, _baked_names(document, source))
+    return _Layout(plain, baked, max(components, default=StoredTypes().gradient))
+
+
+def _baked_names(document: Document, source: PrimitiveSource) -> list[str]:
+    """Return the attributes of α and β that the metadata names, none where one of them is gone."""
+    metadata = read_metadata(document, source.json) or {}
+    names = [name for key in ("alpha", "beta") for name in _strings(metadata.get(key))]
+    return names if all(name in source.attributes for name in names) else []
+
+
+def _strings(value: object) -> list[str]:
+    return [entry for entry in value if isinstance(entry, str)] if isinstance(value, list) else []
+
+
+def _sizes(
+    document: Document, source: PrimitiveSource, names: Sequence[str]
+) -> tuple[dict[str, int], list[int]]:
+    """Return the bytes of one element of each attribute, aligned, and of one of its components."""
+    elements, components = {}, []
+    for name in names:
+        values = read_accessor(document, source.attributes[name], source.place.at(name)).values
+        size = values.dtype.itemsize * values.shape[1]
+        elements[name] = -(-size // ALIGNMENT) * ALIGNMENT
+        components.append(values.dtype.itemsize)
+    return elements, components
+
+
+def _file_costs(influences: int, layout: _Layout) -> dict[Algorithm, Cost]:
+    """Return the cost of all algorithms at a vertex stored like this.
+
+    No file stores algorithm 2's ∇w: it is counted in the type of α and β.
+    """
+    plain, stored = sum(layout.plain.values()), StoredTypes(gradient=layout.gradient)
+    costs = {}
+    for algorithm in Algorithm:
+        added = vertex_bytes(algorithm, influences, stored).added
+        if added and layout.baked and algorithm is not Algorithm.LBS_DIRECT:
+            added = sum(layout.baked.values())
+        costs[algorithm] = Cost(multiply_adds(algorithm, influences), VertexBytes(plain, added))
+    return costs
+
+
+def _reported(costs: dict[Algorithm, Cost]) -> VertexCosts:
+    return {
+        int(algorithm): VertexCost(
+            cost.multiply_adds, cost.vertex_bytes.total, cost.vertex_bytes.added, cost.lines
+        )
+        for algorithm, cost in costs.items()
+    }
+
+
+def _times(costs: VertexCosts, vertices: int) -> FrameCosts:
+    return {
+        number: FrameCost(cost.multiply_adds * vertices, cost.bytes * vertices, cost.added_bytes * vertices)
+        for number, cost in costs.items()
+    }
+
+
+def _sum(frames: Sequence[FrameCosts]) -> FrameCosts:
+    return {
+        int(algorithm): FrameCost(
+            multiply_adds=sum(frame[algorithm].multiply_adds for frame in frames),
+            bytes=sum(frame[algorithm].bytes for frame in frames),
+            added_bytes=sum(frame[algorithm].added_bytes for frame in frames),
+        )
+        for algorithm in Algorithm
+    }

@@ -1,0 +1,274 @@
+"""What the paper's algorithms cost, as short tables and as JSON.
+
+``--json`` prints one object, ``skinbake.cost/1``. *costs* are four members, each an object by algorithm number
+("1" … "6"):
+
+| member | values | |
+|---|---|---|
+| ``multiply_adds`` | integer | a vertex |
+| ``bytes`` | integer | that the vertex shader reads a vertex |
+| ``added_bytes`` | integer | those among them that plain skinning does not read: α and β, or ∇w for "2" |
+| ``lines`` | object of integers | multiply-adds a vertex, by line number of the algorithm ("1" …) |
+
+With ``--influences N``:
+
+| member | type | |
+|---|---|---|
+| ``schema`` | string | ``"skinbake.cost/1"`` |
+| ``influences`` | integer | N |
+| and *costs* | | |
+
+Without an argument: ``schema``, and ``table[]``, one object for each N of 1 … 8 with ``influences`` and *costs*.
+
+For a file:
+
+| member | type | |
+|---|---|---|
+| ``schema``, ``input`` | string | |
+| ``primitives[]`` | array | skinned ones that a bake takes: *place*, and |
+| ``.vertices`` | integer | that its triangles refer to |
+| ``.draws`` | integer | nodes that draw its mesh with a skin: so often a frame |
+| ``.influences`` | integer | N: 4 × the number of ``JOINTS_n`` sets |
+| ``.baked`` | boolean | false: α and β are counted as bake would store them |
+| ``.stored`` | object of integers | bytes a vertex by attribute, each rounded up to glTF's 4-byte alignment |
+| . and *costs* | | |
+| ``.per_frame`` | object | ``multiply_adds``, ``bytes``, ``added_bytes`` by algorithm number: a vertex × vertices × draws |
+| ``total`` | object | ``vertices`` (a frame: vertices × draws) and the members of ``per_frame``, summed over all primitives |
+| ``warnings[]`` | array of *notice* | |
+"""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+from skinbake.errors import Notice, Place
+from skinbake.report.notices import counted, notice_list, place_fields
+
+SCHEMA = "skinbake.cost/1"
+
+NAMES = {
+    1: "LBS standard",
+    2: "LBS direct",
+    3: "LBS accurate",
+    4: "DQS standard",
+    5: "DQS accurate",
+    6: "DQS exact",
+}
+
+RULES = (
+    "Multiply-adds are counted by the rules of the supplement to Tarini, Panozzo and Sorkine-Hornung 2014 "
+    "(doi:10.1111/cgf.12330), which charges T p 12, mixing dual quaternions 12 an influence and moving a "
+    "position by one 27; algorithm 6 is not the paper's and is charged alike."
+)
+ASSUMED_TYPES = (
+    "Bytes are those of float position (12), normal (12) and tangent (16), and of an 8-bit joint and a float "
+    "weight an influence; added to them are float α and β of all influences but one, or ∇w of all for algorithm 2."
+)
+FILE_TYPES = (
+    "N is every stored influence slot, used or not; bytes are those that the vertex shader reads, each attribute "
+    "in multiples of 4, added ones those of α and β, or of ∇w for algorithm 2; a frame skins each vertex of a "
+    "triangle once a node that draws it, morph targets and a tangent frame built from NORMAL not counted."
+)
+WIDTH = 100
+
+
+@dataclass(frozen=True, slots=True)
+class VertexCost:
+    """One algorithm at one vertex: multiply-adds in all and by line number, bytes read, those that it adds."""
+
+    multiply_adds: int
+    bytes: int
+    added_bytes: int
+    lines: Mapping[int, int]
+
+
+VertexCosts: TypeAlias = Mapping[int, VertexCost]
+"""By algorithm number, 1 … 6."""
+
+
+@dataclass(frozen=True, slots=True)
+class FrameCost:
+    """One algorithm over all vertices that a frame skins."""
+
+    multiply_adds: int
+    bytes: int
+    added_bytes: int
+
+
+FrameCosts: TypeAlias = Mapping[int, FrameCost]
+"""By algorithm number, 1 … 6."""
+
+
+@dataclass(frozen=True, slots=True)
+class InfluenceCosts:
+    """A vertex with a number of influences, its data in glTF's commonest types."""
+
+    influences: int
+    costs: VertexCosts
+
+
+@dataclass(frozen=True, slots=True)
+class CostTable:
+    """Vertices with several numbers of influences."""
+
+    rows: tuple[InfluenceCosts, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class PrimitiveCosts:
+    """One skinned primitive: how many vertices are skinned how often, what is stored, what that costs.
+
+    stored is bytes a vertex by attribute; baked tells whether α and β are among them.
+    """
+
+    place: Place
+    vertices: int
+    draws: int
+    influences: int
+    baked: bool
+    stored: Mapping[str, int]
+    per_vertex: VertexCosts
+    per_frame: FrameCosts
+
+
+@dataclass(frozen=True, slots=True)
+class FileCosts:
+    """A file: its skinned primitives, their sum (vertices × draws, costs a frame), and what is left out."""
+
+    input: str
+    primitives: tuple[PrimitiveCosts, ...]
+    vertices: int
+    total: FrameCosts
+    notices: tuple[Notice, ...]
+
+
+CostResult: TypeAlias = InfluenceCosts | CostTable | FileCosts
+
+
+def as_text(result: CostResult) -> str:
+    """Return the costs as tables for a terminal, and a sentence each on what operations and bytes are."""
+    if isinstance(result, FileCosts):
+        return "\n".join(_file_lines(result))
+    lines = _single_lines(result) if isinstance(result, InfluenceCosts) else _table_lines(result)
+    return "\n".join([*lines, *_wrapped(RULES), *_wrapped(ASSUMED_TYPES)])
+
+
+def _wrapped(sentence: str) -> list[str]:
+    return textwrap.wrap(sentence, WIDTH)
+
+
+def _label(number: int) -> str:
+    return f"{number}  {NAMES[number]:<14}"
+
+
+def _single_lines(result: InfluenceCosts) -> Iterator[str]:
+    yield f"Per vertex with {counted(result.influences, 'influence')}"
+    yield f"  {'':<17}{'multiply-adds':>15}{'bytes':>8}{'added':>8}  multiply-adds line by line"
+    for number, cost in result.costs.items():
+        by_line = " + ".join(str(count) for count in cost.lines.values())
+        yield f"  {_label(number)}{cost.multiply_adds:15,}{cost.bytes:8,}{cost.added_bytes:8,}  {by_line}"
+
+
+def _table_lines(result: CostTable) -> Iterator[str]:
+    yield from _grid("Multiply-adds per vertex", result.rows, "multiply_adds")
+    yield from _grid("Bytes per vertex", result.rows, "bytes")
+
+
+def _grid(title: str, rows: Sequence[InfluenceCosts], figure: str) -> Iterator[str]:
+    yield title
+    yield f"  {'N influences':<17}" + "".join(f"{row.influences:6}" for row in rows)
+    for number in NAMES:
+        figures = (getattr(row.costs[number], figure) for row in rows)
+        yield f"  {_label(number)}" + "".join(f"{value:6}" for value in figures)
+
+
+def _file_lines(result: FileCosts) -> Iterator[str]:
+    yield (
+        f"{result.input}: {counted(len(result.primitives), 'skinned primitive')}, "
+        f"{counted(result.vertices, 'vertex', 'vertices')} a frame"
+    )
+    if not result.primitives:
+        return
+    for primitive in result.primitives:
+        yield from _primitive_lines(primitive)
+    if len(result.primitives) > 1:
+        yield "  the whole file"
+        yield f"    {'per frame':<17}{'multiply-adds':>17}{'bytes':>15}{'added':>14}"
+        for number, frame in result.total.items():
+            yield f"    {_label(number)}{_frame_figures(frame)}"
+    yield from _wrapped(RULES)
+    yield from _wrapped(FILE_TYPES)
+
+
+def _primitive_lines(primitive: PrimitiveCosts) -> Iterator[str]:
+    name = f' "{primitive.place.mesh_name}"' if primitive.place.mesh_name else ""
+    often = f" × {primitive.draws} nodes" if primitive.draws > 1 else ""
+    yield (
+        f"  mesh {primitive.place.mesh}{name}, primitive {primitive.place.primitive}: "
+        f"{counted(primitive.vertices, 'vertex', 'vertices')}{often}, "
+        f"{counted(primitive.influences, 'influence')}"
+    )
+    stored = ", ".join(f"{attribute} {size}" for attribute, size in primitive.stored.items())
+    yield f"    bytes stored per vertex: {stored}" + ("" if primitive.baked else "; α, β as bake would")
+    yield f"    {'':<17}{'per vertex:':>15}{'':16}{'per frame:':>17}"
+    yield f"    {'':<17}" + "".join(
+        f"{title:>{width}}"
+        for title, width in zip(("multiply-adds", "bytes", "added") * 2, (15, 8, 8, 17, 15, 14), strict=True)
+    )
+    for number, cost in primitive.per_vertex.items():
+        vertex = f"{cost.multiply_adds:15,}{cost.bytes:8,}{cost.added_bytes:8,}"
+        yield f"    {_label(number)}{vertex}{_frame_figures(primitive.per_frame[number])}"
+
+
+def _frame_figures(cost: FrameCost) -> str:
+    return f"{cost.multiply_adds:17,}{cost.bytes:15,}{cost.added_bytes:14,}"
+
+
+def as_json(result: CostResult) -> dict[str, Any]:
+    """Return the costs as one JSON object; the module's docstring documents its members."""
+    if isinstance(result, InfluenceCosts):
+        return {"schema": SCHEMA, **_influences_json(result)}
+    if isinstance(result, CostTable):
+        return {"schema": SCHEMA, "table": [_influences_json(row) for row in result.rows]}
+    return {
+        "schema": SCHEMA,
+        "input": result.input,
+        "primitives": [_primitive_json(primitive) for primitive in result.primitives],
+        "total": {"vertices": result.vertices, **_figures_json(result.total)},
+        "warnings": notice_list(result.notices),
+    }
+
+
+def _influences_json(row: InfluenceCosts) -> dict[str, Any]:
+    return {"influences": row.influences, **_vertex_json(row.costs)}
+
+
+def _primitive_json(primitive: PrimitiveCosts) -> dict[str, Any]:
+    return {
+        **place_fields(primitive.place),
+        "vertices": primitive.vertices,
+        "draws": primitive.draws,
+        "influences": primitive.influences,
+        "baked": primitive.baked,
+        "stored": dict(primitive.stored),
+        **_vertex_json(primitive.per_vertex),
+        "per_frame": _figures_json(primitive.per_frame),
+    }
+
+
+def _vertex_json(costs: VertexCosts) -> dict[str, Any]:
+    lines = {
+        str(number): {str(line): count for line, count in cost.lines.items()}
+        for number, cost in costs.items()
+    }
+    return {**_figures_json(costs), "lines": lines}
+
+
+def _figures_json(costs: VertexCosts | FrameCosts) -> dict[str, Any]:
+    return {
+        figure: {str(number): getattr(cost, figure) for number, cost in costs.items()}
+        for figure in ("multiply_adds", "bytes", "added_bytes")
+    }

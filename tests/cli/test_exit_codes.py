@@ -1,0 +1,284 @@
+"""Exit codes: 0 fine, 2 usage, 3 input, 4 output; the worst of several inputs; and who writes nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+
+from skinbake.cli import exit_codes
+from skinbake.errors import (
+    InputError,
+    OutputError,
+    SkinbakeError,
+    UnsupportedFeatureError,
+    VerificationError,
+)
+from tests.cli.running import invoke, run
+from tests.gltf.models import FOLDER, copied, edited, sheet, write_model
+from tests.support.gltf_reading import read
+
+ALPHA = "_SKINBAKE_ALPHA_0"
+SEAM = str(FOLDER / "seam.glb")
+TUBE = str(FOLDER / "bent_tube.glb")
+
+
+@pytest.mark.parametrize(
+    ("error", "code"),
+    [(VerificationError, 1), (InputError, 3), (UnsupportedFeatureError, 3), (OutputError, 4)],
+)
+def test_every_error_has_its_code(error: type[SkinbakeError], code: int) -> None:
+    assert exit_codes.of_error(error("because")) == code
+
+
+def names(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir())
+
+
+class TestBake:
+    def test_fine_is_0(self, tmp_path: Path) -> None:
+        assert invoke("bake", SEAM, "-o", tmp_path / "out.glb").exit_code == 0
+        assert read(tmp_path / "out.glb").has_attribute(ALPHA)
+
+    @pytest.mark.parametrize(
+        "name", ["missing.glb", "folder.glb", "empty.glb", "text.gltf", "x" * 300 + ".glb"]
+    )
+    def test_an_input_that_cannot_be_read_is_3(self, name: str, tmp_path: Path) -> None:
+        (tmp_path / "folder.glb").mkdir()
+        (tmp_path / "empty.glb").touch()
+        (tmp_path / "text.gltf").write_text("hello", encoding="utf-8")
+        (tmp_path / "out").mkdir()
+        result = invoke("bake", tmp_path / name, "-o", tmp_path / "out" / "out.glb")
+        assert result.exit_code == 3
+        assert f"error: {tmp_path / name}: " in result.stderr
+        assert names(tmp_path / "out") == []
+
+    @pytest.mark.parametrize("name", ["missing/out.glb", "folder.glb", "y" * 300 + ".glb"])
+    def test_an_output_that_cannot_be_written_is_4(self, name: str, tmp_path: Path) -> None:
+        (tmp_path / "folder.glb").mkdir()
+        result = invoke("bake", SEAM, "-o", tmp_path / name)
+        assert result.exit_code == 4
+        assert f"error: {tmp_path / name}: " in result.stderr
+        assert names(tmp_path) == ["folder.glb"]
+
+    def test_all_inputs_are_tried_and_the_worst_code_returned(self, tmp_path: Path) -> None:
+        broken = tmp_path / "broken.glb"
+        broken.touch()
+        folder = tmp_path / "out"
+        folder.mkdir()
+        result = invoke("bake", broken, SEAM, "--out-dir", folder)
+        assert (result.exit_code, names(folder)) == (3, ["seam.glb"])
+        (folder / "bent_tube.glb").mkdir()
+        result = invoke("bake", TUBE, broken, FOLDER / "two_sets.glb", "--out-dir", folder)
+        assert (result.exit_code, names(folder)) == (4, ["bent_tube.glb", "seam.glb", "two_sets.glb"])
+        lines = result.stdout.splitlines()
+        assert [line.split(": ")[1] for line in lines] == ["failed", "failed", "baked"]
+
+    def test_an_input_that_breaks_skinbake_does_not_stop_the_others(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        from skinbake.commands import bake
+
+        original = bake.bake_document
+
+        def breaking(document: object, *others: object) -> object:
+            if "two_sets" in document.name:  # type: ignore[attr-defined]
+                raise RuntimeError("a defect of skinbake")
+            return original(document, *others)  # type: ignore[arg-type]
+
+        monkeypatch.setattr(bake, "bake_document", breaking)
+        result = invoke("bake", FOLDER / "two_sets.glb", SEAM, "--out-dir", tmp_path)
+        assert result.exit_code == 3
+        assert names(tmp_path) == ["seam.glb"]
+
+    def test_too_little_memory_is_3(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        from skinbake.commands import bake
+
+        def exhausted(*arguments: object) -> object:
+            raise MemoryError
+
+        monkeypatch.setattr(bake, "bake_document", exhausted)
+        result = invoke("bake", SEAM, "-o", tmp_path / "out.glb")
+        assert result.exit_code == 3
+        assert "it needs more memory than there is" in result.stderr
+
+    def test_nothing_to_bake_is_0_with_a_warning(self, tmp_path: Path) -> None:
+        path = write_model(tmp_path / "bare.glb", [sheet(NORMAL=None)])
+        result = invoke("bake", path, "-o", tmp_path / "out.glb")
+        assert result.exit_code == 0
+        assert "passed through unchanged: none of its skinned primitives can be baked" in result.stderr
+        assert (tmp_path / "out.glb").read_bytes() == path.read_bytes()
+
+    def test_nothing_skinned_is_said_differently(self, tmp_path: Path) -> None:
+        path = edited("seam.glb", tmp_path, lambda content: content["nodes"][0].pop("skin"))
+        result = invoke("bake", path, "-o", tmp_path / "out.glb")
+        assert "passed through unchanged: nothing in it is skinned" in result.stderr
+
+    def test_nothing_to_bake_is_3_where_it_is_required(self, tmp_path: Path) -> None:
+        path = write_model(tmp_path / "bare.glb", [sheet(NORMAL=None)])
+        result = invoke("bake", path, "-o", tmp_path / "out.glb", "--require-baked")
+        assert result.exit_code == 3
+        assert "(--require-baked)" in result.stderr
+        assert names(tmp_path) == ["bare.glb"]
+        assert invoke("bake", SEAM, "-o", tmp_path / "out.glb", "--require-baked").exit_code == 0
+
+    def test_warnings_as_errors_write_nothing(self, tmp_path: Path) -> None:
+        path = write_model(tmp_path / "half.glb", [sheet(), sheet(NORMAL=None)])
+        assert invoke("bake", path, "-o", tmp_path / "out.glb").exit_code == 0
+        (tmp_path / "out.glb").unlink()
+        result = invoke("bake", path, "-o", tmp_path / "out.glb", "--warnings-as-errors")
+        assert result.exit_code == 3
+        assert names(tmp_path) == ["half.glb"]
+        # The reason is said, not only that there was one.
+        assert "skipped: it has no NORMAL" in result.stderr
+        assert invoke("bake", SEAM, "-o", tmp_path / "out.glb", "--warnings-as-errors").exit_code == 0
+
+    def test_a_dry_run_writes_nothing_and_returns_the_same_code(self, tmp_path: Path) -> None:
+        source = copied("seam.glb", tmp_path / "in")
+        before = source.read_bytes()
+        (tmp_path / "broken.glb").touch()
+        (tmp_path / "out").mkdir()
+        for target in (
+            ["-o", tmp_path / "out" / "a.glb"],
+            ["--out-dir", tmp_path / "out"],
+            ["--in-place"],
+            [],
+        ):
+            result = invoke("bake", source, *target, "--dry-run")
+            assert (result.exit_code, "(dry run): baked" in result.stdout) == (0, True)
+        assert invoke("bake", tmp_path / "broken.glb", "--dry-run").exit_code == 3
+        assert invoke("bake", source, "-o", tmp_path / "no" / "a.glb", "--dry-run").exit_code == 4
+        assert (names(tmp_path / "in"), names(tmp_path / "out")) == (["seam.glb"], [])
+        assert source.read_bytes() == before
+
+    def test_a_dry_run_to_stdout_writes_nothing_there(self) -> None:
+        result = invoke("bake", SEAM, "-o", "-", "--dry-run")
+        assert (result.exit_code, result.stdout_bytes) == (0, b"")
+
+    def test_in_place_replaces_every_input_once(self, tmp_path: Path) -> None:
+        first, second = copied("seam.glb", tmp_path), copied("two_sets.glb", tmp_path)
+        result = invoke("bake", first, second, first, "--in-place")
+        assert result.exit_code == 0
+        assert len(result.stdout.splitlines()) == 2
+        assert read(first).has_attribute(ALPHA)
+        assert read(second).has_attribute(ALPHA)
+        assert names(tmp_path) == ["seam.glb", "two_sets.glb"]
+
+
+class TestUsage:
+    """Everything here is 2, says why, and touches no file."""
+
+    @pytest.mark.parametrize(
+        ("arguments", "message"),
+        [
+            ([], "Missing argument"),
+            (["{seam}"], "give one of -o/--output, --out-dir and --in-place"),
+            (["{seam}", "-o", "{dir}/a.glb", "--in-place"], "give one of"),
+            (["{seam}", "-o", "{dir}/a.glb", "--out-dir", "{dir}"], "give one of"),
+            (["{seam}", "--in-place", "--out-dir", "{dir}"], "give one of"),
+            (["{seam}", "{tube}", "-o", "{dir}/a.glb"], "-o takes one input"),
+            (["model.obj", "-o", "{dir}/a.glb"], "model.obj: expected a name that ends in .glb"),
+            (["model", "-o", "{dir}/a.glb"], "expected a name"),
+            (["{seam}", "-o", "{dir}/a.fbx"], "a.fbx: expected a name that ends in .glb"),
+            (["{seam}", "-o", "{dir}"], "expected a name"),
+            (["{seam}", "-o", "{seam}"], "is the input; use --in-place"),
+            (["{own}/seam.glb", "-o", "{own}/../own/seam.glb"], "is the input; use --in-place"),
+            (["{own}/seam.glb", "-o", "{own}/link.glb"], "is the input; use --in-place"),
+            (["{own}/seam.glb", "--out-dir", "{own}"], "is the input; use --in-place"),
+            (["{seam}", "{own}/seam.glb", "--out-dir", "{dir}"], "would both become"),
+            (["-", "--out-dir", "{dir}"], "--out-dir needs inputs that have a name"),
+            (["-", "--in-place"], "--in-place needs files"),
+            (["-", "-", "--dry-run"], "stdin can be read once only"),
+            (["{seam}", "-o", "-", "--json"], "stdout cannot take both"),
+            (["{seam}", "-o", "{dir}/a.glb", "--weighting", "uniform"], "'uniform' is not one of"),
+            (["{seam}", "-o", "{dir}/a.glb", "--frame", "none"], "'none' is not one of"),
+            (["{seam}", "-o", "{dir}/a.glb", "--neighbours", "keep"], "'keep' is not one of"),
+            (["{seam}", "-o", "{dir}/a.glb", "--crease-angle", "-1"], "-1.0 is not in the range"),
+            (["{seam}", "-o", "{dir}/a.glb", "--crease-angle", "181"], "181.0 is not in the range"),
+            (["{seam}", "-o", "{dir}/a.glb", "--crease-angle", "nan"], "--crease-angle"),
+            (["{seam}", "-o", "{dir}/a.glb", "--alpha-name", "ALPHA_{set}"], "begin with an underscore"),
+            (["{seam}", "-o", "{dir}/a.glb", "--beta-name", "_BETA"], "contain {set}"),
+            (
+                ["{seam}", "-o", "{dir}/a.glb", "--alpha-name", "_X{set}", "--beta-name", "_X{set}"],
+                "must differ",
+            ),
+            (["{seam}", "-o", "{dir}/a.glb", "--color", "blue"], "'blue' is not one of"),
+            (["{seam}", "-o", "{dir}/a.glb", "--no-such"], "No such option"),
+        ],
+    )
+    def test_bake(self, arguments: Sequence[str], message: str, tmp_path: Path) -> None:
+        (tmp_path / "out").mkdir()
+        copied("seam.glb", tmp_path / "own")
+        (tmp_path / "own" / "link.glb").symlink_to("seam.glb")
+        places = {"seam": SEAM, "tube": TUBE, "dir": tmp_path / "out", "own": tmp_path / "own"}
+        filled = [argument if "{set}" in argument else argument.format_map(places) for argument in arguments]
+        before = (tmp_path / "own" / "seam.glb").read_bytes(), Path(SEAM).read_bytes()
+        result = invoke("bake", *filled)
+        assert result.exit_code == 2, result.stderr
+        assert message in " ".join(result.stderr.split())
+        assert result.stdout == ""
+        assert names(tmp_path / "out") == []
+        assert before == ((tmp_path / "own" / "seam.glb").read_bytes(), Path(SEAM).read_bytes())
+
+    @pytest.mark.parametrize(
+        ("arguments", "message"),
+        [
+            (["strip", SEAM], "Missing option '-o'"),
+            (["strip", SEAM, "-o", SEAM], "is the input; use --in-place to replace it"),
+            (["strip", SEAM, "-o", "-", "--json"], "stdout cannot take both"),
+            (["strip", SEAM, "-o", "a.txt"], "expected a name"),
+            (["strip", SEAM, TUBE, "-o", "a.glb"], "unexpected extra argument"),
+            (["inspect"], "Missing argument"),
+            (["inspect", "model.fbx"], "expected a name"),
+            (["inspect", SEAM, TUBE], "unexpected extra argument"),
+            (["frobnicate"], "No such command 'frobnicate'"),
+            (["--no-such"], "No such option"),
+        ],
+    )
+    def test_other_commands(self, arguments: Sequence[str], message: str) -> None:
+        result = invoke(*arguments)
+        assert result.exit_code == 2
+        assert message in " ".join(result.stderr.split())
+
+    def test_a_usage_error_does_not_recommend_an_option_that_is_not_there(self) -> None:
+        result = invoke("strip", SEAM, "-o", SEAM)
+        assert "--in-place" not in result.stderr or "--in-place" in invoke("strip", "--help").stdout
+
+
+class TestStripAndInspect:
+    def test_codes(self, tmp_path: Path) -> None:
+        (tmp_path / "broken.glb").touch()
+        assert invoke("inspect", SEAM).exit_code == 0
+        assert invoke("inspect", tmp_path / "broken.glb").exit_code == 3
+        assert invoke("inspect", tmp_path / "missing.gltf").exit_code == 3
+        assert invoke("strip", SEAM, "-o", tmp_path / "out.glb").exit_code == 0
+        assert invoke("strip", tmp_path / "broken.glb", "-o", tmp_path / "a.glb").exit_code == 3
+        assert invoke("strip", SEAM, "-o", tmp_path / "no" / "a.glb").exit_code == 4
+        assert invoke("strip", SEAM, "-o", tmp_path / "b.glb", "--warnings-as-errors").exit_code == 3
+        assert names(tmp_path) == ["broken.glb", "out.glb"]
+
+    def test_compressed_files_are_3_and_the_extension_is_named(self, tmp_path: Path) -> None:
+        name = "KHR_draco_mesh_compression"
+        path = edited(
+            "seam.glb",
+            tmp_path,
+            lambda content: content["meshes"][0]["primitives"][0].update(extensions={name: {}}),
+        )
+        for arguments in (["bake", path, "-o", tmp_path / "out.glb"], ["inspect", path]):
+            result = invoke(*arguments)
+            assert result.exit_code == 3
+            assert name in result.stderr
+        assert names(tmp_path) == ["seam.glb"]
+
+
+def test_the_codes_leave_the_process(tmp_path: Path) -> None:
+    """What the other tests see in this process is what a shell sees."""
+    (tmp_path / "broken.glb").touch()
+    found = [
+        run("bake", SEAM, "--dry-run").returncode,
+        run("bake", SEAM).returncode,
+        run("bake", tmp_path / "broken.glb", "--dry-run").returncode,
+        run("bake", SEAM, "-o", tmp_path / "no" / "a.glb").returncode,
+    ]
+    assert found == [0, 2, 3, 4]

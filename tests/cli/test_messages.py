@@ -1,0 +1,177 @@
+"""What people read: results on stdout, messages on stderr, as much and as colourful as they want."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.cli.running import invoke, run
+from tests.gltf.models import FIXTURES, FOLDER, bake, edited, sheet, write_model
+
+SEAM = FOLDER / "seam.glb"
+ESCAPE = "\x1b["
+
+
+@pytest.fixture
+def warned(tmp_path: Path) -> Path:
+    """A file of two primitives: one to be skipped, one with 20 vertices whose weights sum to ½."""
+    weights = np.tile(np.array([0.25, 0.25, 0, 0], np.float32), (20, 1))
+    return write_model(tmp_path / "warned.glb", [sheet(NORMAL=None), sheet(WEIGHTS_0=weights)])
+
+
+def test_warnings_name_file_mesh_and_primitive_and_are_aggregated(warned: Path) -> None:
+    result = invoke("bake", warned, "--dry-run")
+    assert result.stderr.splitlines() == [
+        f'warning: {warned}: mesh 0 "sheet", primitive 0: skipped: it has no NORMAL; '
+        "--generate-normals adds smooth ones",
+        f'warning: {warned}: mesh 0 "sheet", primitive 1: the weights of 20 vertices miss a sum of 1 '
+        "by over 0.001: taken as divided by it",
+    ]
+
+
+def test_errors_name_file_mesh_primitive_and_attribute(tmp_path: Path) -> None:
+    def cut(content: dict[str, object]) -> None:
+        content["accessors"][3]["count"] = 3  # type: ignore[index]
+
+    path = edited("seam.glb", tmp_path, cut)
+    result = invoke("bake", path, "--dry-run")
+    assert result.stderr.startswith(f'error: {path}: mesh 0 "seam", primitive 0, ')
+    assert "it has 3 elements, POSITION has 198" in result.stderr
+
+
+def test_the_closing_line_counts(warned: Path, tmp_path: Path) -> None:
+    result = invoke("bake", warned, "-o", tmp_path / "out.glb")
+    (line,) = result.stdout.splitlines()
+    assert line == (
+        f"{warned} -> {tmp_path / 'out.glb'}: baked: 1 primitive, 20 vertices, frame from normal, "
+        "480 bytes added, 1 skinned primitive skipped, 2 warnings"
+    )
+
+
+def test_the_closing_line_tells_adoption_and_degenerate_triangles(tmp_path: Path) -> None:
+    result = invoke("bake", FOLDER / "foreign_joints.glb", "--dry-run")
+    assert "vertices adopted joints" in result.stdout
+    part = sheet()
+    flat = part.attributes["POSITION"].copy()
+    flat[0] = flat[1]
+    path = write_model(tmp_path / "flat.glb", [sheet(POSITION=flat)])
+    assert "1 triangle without area ignored" in invoke("bake", path, "--dry-run").stdout
+
+
+def test_the_closing_line_tells_what_was_lost(tmp_path: Path) -> None:
+    """Every slot is taken and every neighbour has other joints: nothing can be adopted."""
+    joints = (np.arange(80).reshape(20, 4) % 40).astype(np.uint8)
+    weights = np.full((20, 4), 0.25, np.float32)
+    path = write_model(tmp_path / "full.glb", [sheet(JOINTS_0=joints, WEIGHTS_0=weights)], joints=40)
+    result = invoke("bake", path, "--dry-run")
+    assert "20 vertices had no slot left for some (" in result.stdout
+    assert "% of the gradient lost)" in result.stdout
+
+
+def test_one_line_closes_each_file(tmp_path: Path) -> None:
+    result = invoke("bake", *(FOLDER / name for name in FIXTURES), "--out-dir", tmp_path)
+    lines = result.stdout.splitlines()
+    assert [line.split(" -> ")[0] for line in lines] == [str(FOLDER / name) for name in FIXTURES]
+    assert result.stderr == ""
+
+
+def test_quiet_leaves_errors_only(warned: Path, tmp_path: Path) -> None:
+    result = invoke("bake", warned, "-o", tmp_path / "out.glb", "-q")
+    assert (result.stdout, result.stderr) == ("", "")
+    (tmp_path / "broken.glb").touch()
+    result = invoke("bake", tmp_path / "broken.glb", "-o", tmp_path / "out.glb", "-q")
+    assert result.stdout == ""
+    assert result.stderr.startswith("error: ")
+
+
+def test_verbose_says_more(warned: Path) -> None:
+    plain = run("bake", warned, "--dry-run")
+    more = run("bake", warned, "--dry-run", "-v")
+    assert len(more.stderr) > len(plain.stderr)
+    assert more.stdout.startswith(plain.stdout.rstrip()[:20])
+
+
+def test_results_make_way_for_a_glb_on_stdout() -> None:
+    result = invoke("bake", SEAM, "-o", "-")
+    assert result.stdout_bytes.startswith(b"glTF")
+    assert "baked: 1 primitive" in result.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "environment", "is_coloured"),
+    [
+        ([], {}, False),
+        (["--color", "always"], {}, True),
+        (["--color", "always"], {"NO_COLOR": "1"}, True),
+        (["--color", "never"], {}, False),
+        (["--color", "auto"], {"NO_COLOR": "1"}, False),
+    ],
+)
+def test_colour_follows_the_option(
+    arguments: list[str], environment: dict[str, str], is_coloured: bool, warned: Path
+) -> None:
+    result = invoke("bake", warned, "--dry-run", *arguments, env=environment)
+    assert (ESCAPE in result.stderr) == is_coloured
+    assert ESCAPE not in result.stdout
+
+
+@pytest.mark.parametrize("no_color", ["", "1"])
+def test_colour_goes_to_terminals_only_and_not_against_no_color(no_color: str, warned: Path) -> None:
+    pty = pytest.importorskip("pty")
+    import os
+    import subprocess
+    import sys
+
+    leader, follower = pty.openpty()
+    environment = {**os.environ, "NO_COLOR": no_color, "TERM": "xterm"}
+    if not no_color:
+        del environment["NO_COLOR"]
+    command = [sys.executable, "-m", "skinbake", "bake", str(warned), "--dry-run"]
+    subprocess.run(command, stderr=follower, stdout=subprocess.DEVNULL, env=environment, check=True)
+    os.close(follower)
+    shown = os.read(leader, 10_000).decode()
+    os.close(leader)
+    assert "skipped: it has no NORMAL" in shown
+    assert (ESCAPE in shown) == (not no_color)
+
+
+def test_a_name_cannot_forge_lines_or_colours(tmp_path: Path) -> None:
+    name = "x\nerror: forged\x1b[31m"
+    path = write_model(
+        tmp_path / "sheet.glb",
+        [sheet(NORMAL=None)],
+        change=lambda content: content["meshes"][0].update(name=name),
+    )
+    result = invoke("bake", path, "--dry-run")
+    assert "\nerror: forged" not in result.stderr
+    assert "\x1b" not in result.stderr
+
+
+class TestInspect:
+    def test_it_says_what_is_skinned_and_what_is_baked(self, tmp_path: Path) -> None:
+        before = invoke("inspect", FOLDER / "two_primitives.glb").stdout
+        assert before.count("baked       no") == 2
+        assert 'mesh 0 "cut", primitive 1' in before
+        assert "VEC4 UNSIGNED_BYTE" in before
+        bake(FOLDER / "two_primitives.glb", tmp_path / "baked.glb")
+        after = invoke("inspect", tmp_path / "baked.glb").stdout
+        assert after.count("frame from normal, weighting max, neighbours adopt") == 2
+        assert after.count("up to date") == 2
+
+    def test_it_counts_defects_of_the_weights(self, warned: Path) -> None:
+        result = invoke("inspect", warned)
+        assert "20 vertices not normalised" in result.stdout
+        assert "none: no NORMAL" in result.stdout
+        assert "skipped: it has no NORMAL" in result.stderr
+
+    def test_it_shows_attributes_of_any_type_that_gltf_knows(self, tmp_path: Path) -> None:
+        def add(content: dict[str, list[dict[str, object]]]) -> None:
+            for kind in ("MAT2", "MAT3", "MAT4"):
+                content["accessors"].append({"componentType": 5126, "count": 198, "type": kind})
+                number = len(content["accessors"]) - 1
+                content["meshes"][0]["primitives"][0]["attributes"][f"_{kind}"] = number  # type: ignore[index]
+
+        path = edited("seam.glb", tmp_path, add)
+        assert "_MAT3 MAT3 FLOAT" in invoke("inspect", path).stdout

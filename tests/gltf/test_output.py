@@ -1,0 +1,291 @@
+"""Writing is whole or not at all: whatever fails, nothing is left behind and the old file is intact."""
+
+from __future__ import annotations
+
+import errno
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from skinbake.commands.bake import BakeOptions, bake_file
+from skinbake.commands.strip import strip_file
+from skinbake.errors import OutputError
+from skinbake.gltf.document import read_document
+from skinbake.gltf.output import plan_output
+from tests.gltf.models import FOLDER, SHARED, SHARED_BIN, bake, copied, edited
+from tests.support.gltf_reading import read
+
+if sys.platform == "win32":
+    pytest.skip("modes, links and limits of POSIX", allow_module_level=True)
+
+Tree = dict[str, bytes | str | None]
+
+
+def tree(folder: Path) -> Tree:
+    """Return everything below a folder: bytes of files, targets of links, None for folders."""
+    found: Tree = {}
+    for path in folder.rglob("*"):
+        name = path.relative_to(folder).as_posix()
+        if path.is_symlink():
+            found[name] = f"-> {path.readlink()}"
+        else:
+            found[name] = path.read_bytes() if path.is_file() else None
+    return found
+
+
+def write(source: Path, target: Path) -> OutputError:
+    """Bake into a target that cannot be written, and return the error."""
+    result = bake_file(str(source), str(target), BakeOptions())
+    assert isinstance(result.error, OutputError), result
+    assert result.status == "failed"
+    return result.error
+
+
+@contextmanager
+def failing(name: str, call: int, error: BaseException) -> Iterator[list[tuple[Any, ...]]]:
+    """Let the n-th call of a function of ``os`` raise; yield the arguments of all calls."""
+    original: Callable[..., Any] = getattr(os, name)
+    calls: list[tuple[Any, ...]] = []
+
+    def wrapped(*arguments: Any, **options: Any) -> Any:
+        calls.append(arguments)
+        if len(calls) == call:
+            raise error
+        return original(*arguments, **options)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(os, name, wrapped)
+        yield calls
+
+
+@pytest.fixture
+def source(tmp_path: Path) -> Path:
+    """A .gltf with a .bin and an image in a folder, all of which another folder will need."""
+    path = edited(SHARED, tmp_path / "in", lambda content: content.update(images=[{"uri": "tex/deep/a.png"}]))
+    (path.parent / "tex" / "deep").mkdir(parents=True)
+    (path.parent / "tex" / "deep" / "a.png").write_bytes(b"image")
+    return path
+
+
+@pytest.fixture
+def target(tmp_path: Path) -> Path:
+    """An existing file where the result goes, with a neighbour."""
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "model.gltf").write_bytes(b"the old file")
+    (tmp_path / "out" / "neighbour.txt").write_bytes(b"of no concern")
+    return tmp_path / "out" / "model.gltf"
+
+
+NO_SPACE = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+class TestFailures:
+    @pytest.mark.parametrize("call", [1, 2, 3, 4])
+    def test_a_rename_that_fails_leaves_everything_as_it_was(
+        self, source: Path, target: Path, call: int
+    ) -> None:
+        before = tree(target.parent.parent)
+        with failing("replace", call, NO_SPACE) as calls:
+            error = write(source, target)
+        assert len(calls) == call
+        assert str(error) == f"{target}: cannot be written: No space left on device"
+        assert tree(target.parent.parent) == before
+
+    @pytest.mark.parametrize("call", [1, 2, 3, 4])
+    def test_a_file_that_cannot_be_made_leaves_everything_as_it_was(
+        self, source: Path, target: Path, call: int
+    ) -> None:
+        before = tree(target.parent.parent)
+        with failing("open", call, NO_SPACE) as calls:
+            write(source, target)
+        assert len(calls) == call
+        assert tree(target.parent.parent) == before
+
+    def test_a_folder_that_cannot_be_made_leaves_everything_as_it_was(
+        self, source: Path, target: Path
+    ) -> None:
+        before = tree(target.parent.parent)
+        with failing("mkdir", 2, NO_SPACE):
+            write(source, target)
+        assert tree(target.parent.parent) == before
+
+    @pytest.mark.parametrize("function", ["replace", "open", "mkdir"])
+    @pytest.mark.parametrize("call", [1, 2])
+    def test_an_interrupt_leaves_nothing(self, source: Path, target: Path, function: str, call: int) -> None:
+        before = tree(target.parent.parent)
+        with failing(function, call, KeyboardInterrupt()), pytest.raises(KeyboardInterrupt):
+            bake_file(str(source), str(target), BakeOptions())
+        assert tree(target.parent.parent) == before
+
+    @pytest.mark.parametrize("limit", [100, 2000, 10_000])
+    def test_a_full_disk_leaves_everything_as_it_was(self, source: Path, target: Path, limit: int) -> None:
+        """A real limit on the size of files: writes stop midway in the .bin or in the JSON."""
+        before = tree(target.parent.parent)
+        script = (
+            "import resource, sys; resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv.pop(1)),) * 2); "
+            "from skinbake.cli.main import entry_point; entry_point()"
+        )
+        process = subprocess.run(
+            [sys.executable, "-B", "-c", script, str(limit), "bake", str(source), "-o", str(target)],
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert process.returncode == 4, process.stderr
+        assert "cannot be written: File too large" in process.stderr
+        assert tree(target.parent.parent) == before
+
+    def test_strip_fails_as_cleanly(self, tmp_path: Path, target: Path) -> None:
+        baked = tmp_path / "baked.glb"
+        bake(FOLDER / "seam.glb", baked)
+        before = tree(tmp_path)
+        with failing("replace", 1, NO_SPACE), pytest.raises(OutputError, match="No space left"):
+            strip_file(str(baked), str(target.with_suffix(".glb")))
+        assert tree(tmp_path) == before
+
+    def test_in_place_the_input_survives(self, tmp_path: Path) -> None:
+        path = copied("seam.glb", tmp_path)
+        before = tree(tmp_path)
+        with failing("replace", 1, NO_SPACE):
+            write(path, path)
+        assert tree(tmp_path) == before
+
+
+class TestTargets:
+    def test_a_folder_in_the_way_is_refused(self, tmp_path: Path) -> None:
+        (tmp_path / "model.glb").mkdir()
+        assert "is not a regular file" in str(write(FOLDER / "seam.glb", tmp_path / "model.glb"))
+
+    def test_a_missing_folder_is_not_made(self, tmp_path: Path) -> None:
+        error = write(FOLDER / "seam.glb", tmp_path / "missing" / "model.glb")
+        assert str(error) == f"{tmp_path}/missing/model.glb: its folder does not exist"
+        assert tree(tmp_path) == {}
+
+    def test_a_file_for_a_folder_is_refused(self, tmp_path: Path) -> None:
+        (tmp_path / "file").write_bytes(b"x")
+        write(FOLDER / "seam.glb", tmp_path / "file" / "model.glb")
+        assert tree(tmp_path) == {"file": b"x"}
+
+    def test_a_name_too_long_for_the_disk_is_an_output_error(self, tmp_path: Path) -> None:
+        write(FOLDER / "seam.glb", tmp_path / ("x" * 300 + ".glb"))
+        assert tree(tmp_path) == {}
+
+    def test_a_read_only_file_is_not_replaced(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        target = tmp_path / "model.glb"
+        target.write_bytes(b"old")
+        target.chmod(0o444)
+        # The superuser may write anything: then only the answer of access() can say no.
+        monkeypatch.setattr(os, "access", lambda path, mode: False)
+        assert "read-only" in str(write(FOLDER / "seam.glb", target))
+        assert target.read_bytes() == b"old"
+
+    @pytest.mark.skipif(os.geteuid() == 0, reason="the superuser may write into any folder")
+    def test_a_read_only_folder_is_an_output_error(self, tmp_path: Path) -> None:
+        folder = tmp_path / "locked"
+        folder.mkdir()
+        folder.chmod(0o555)
+        try:
+            assert "Permission denied" in str(write(FOLDER / "seam.glb", folder / "model.glb"))
+            assert tree(folder) == {}
+        finally:
+            folder.chmod(0o755)
+
+    def test_a_file_system_that_takes_no_files_is_an_output_error(self) -> None:
+        if not Path("/proc/self").is_dir():
+            pytest.skip("no /proc here")
+        write(FOLDER / "seam.glb", Path("/proc/self/model.glb"))
+
+    def test_an_image_that_cannot_be_read_is_an_output_error(
+        self, source: Path, target: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        before = tree(target.parent)
+        original = Path.read_bytes
+
+        def read_bytes(path: Path) -> bytes:
+            if path.suffix == ".png":
+                raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+            return original(path)
+
+        monkeypatch.setattr(Path, "read_bytes", read_bytes)
+        assert "a.png: cannot be copied: Permission denied" in str(write(source, target))
+        assert tree(target.parent) == before
+
+    def test_a_name_that_is_taken_twice_is_refused(self, source: Path, target: Path) -> None:
+        """Somebody's files stand under the buffer's name and under the one made from its content."""
+        folder = target.parent
+        (folder / SHARED_BIN).write_bytes(b"somebody's")
+        bake(source, target)
+        (other,) = [path for path in folder.iterdir() if path.name.startswith("shared accessors-")]
+        other.write_bytes(b"somebody else's")
+        target.write_bytes(b"the old file")
+        before = tree(folder)
+        assert "is in the way" in str(write(source, target))
+        assert tree(folder) == before
+
+
+class TestModesAndLinks:
+    @pytest.mark.parametrize(("umask", "mode"), [(0o022, 0o644), (0o027, 0o640), (0o077, 0o600)])
+    def test_new_files_follow_the_umask(self, source: Path, target: Path, umask: int, mode: int) -> None:
+        target.unlink()
+        before = os.umask(umask)
+        try:
+            bake(source, target)
+        finally:
+            os.umask(before)
+        written = [path for path in target.parent.rglob("*") if path.is_file()]
+        written = [path for path in written if path.name != "neighbour.txt"]
+        assert len(written) == 4
+        assert {path.stat().st_mode & 0o777 for path in written} == {mode}
+
+    @pytest.mark.parametrize("mode", [0o600, 0o664, 0o755])
+    def test_a_replaced_file_keeps_its_mode(self, source: Path, target: Path, mode: int) -> None:
+        target.chmod(mode)
+        bake(source, target)
+        assert target.stat().st_mode & 0o777 == mode
+        assert read(target).has_attribute("_SKINBAKE_ALPHA_0")
+
+    def test_a_link_stays_and_its_file_is_replaced(self, tmp_path: Path) -> None:
+        (tmp_path / "real").mkdir()
+        (tmp_path / "real" / "model.glb").write_bytes(b"old")
+        link = tmp_path / "link.glb"
+        link.symlink_to("real/model.glb")
+        bake(FOLDER / "seam.glb", link)
+        assert link.is_symlink()
+        assert read(tmp_path / "real" / "model.glb").has_attribute("_SKINBAKE_ALPHA_0")
+        assert sorted(tree(tmp_path)) == ["link.glb", "real", "real/model.glb"]
+
+    def test_a_link_to_nothing_yet_is_followed(self, tmp_path: Path) -> None:
+        link = tmp_path / "link.glb"
+        link.symlink_to("new.glb")
+        bake(FOLDER / "seam.glb", link)
+        assert link.is_symlink()
+        assert read(tmp_path / "new.glb").has_attribute("_SKINBAKE_ALPHA_0")
+
+    def test_files_go_beside_the_file_that_a_link_stands_for(self, source: Path, tmp_path: Path) -> None:
+        (tmp_path / "real").mkdir()
+        (tmp_path / "link.gltf").symlink_to("real/model.gltf")
+        bake(source, tmp_path / "link.gltf")
+        assert read(tmp_path / "real" / "model.gltf").attribute("_SKINBAKE_ALPHA_0", 0, 1).any()
+        assert (tmp_path / "real" / SHARED_BIN).is_file()
+
+
+class TestOrder:
+    def test_the_document_is_renamed_last(self, source: Path, target: Path) -> None:
+        """Whoever looks meanwhile finds the old document, or the new one with all its files."""
+        with failing("replace", 0, NO_SPACE) as calls:
+            bake(source, target)
+        renamed = [Path(arguments[1]).name for arguments in calls]
+        assert len(renamed) == 4
+        assert renamed[-1] == "model.gltf"
+
+    def test_planning_writes_nothing(self, source: Path, target: Path) -> None:
+        before = tree(target.parent.parent)
+        planned = plan_output(read_document(str(source)), str(target))
+        assert {path.name for path in planned.files} == {"model.gltf", SHARED_BIN, "a.png"}
+        assert tree(target.parent.parent) == before
