@@ -30,6 +30,7 @@ from tests.bake.models import (
     meshes_of,
     path_of,
 )
+from tests.surfaces import analytic_surface
 
 FILES = [
     "foreign_joints.glb",
@@ -303,11 +304,19 @@ def test_a_joint_that_hardly_varies_takes_no_slot() -> None:
     assert 0.0 < findings.lost < NEGLIGIBLE
 
 
-@pytest.mark.parametrize("name", ["foreign_joints.glb", "weights_u8.glb"])
+def motley() -> SkinnedPrimitive:
+    """Return a surface on which every vertex has joints of its own, and none to three slots free."""
+    surface = analytic_surface(300, "random", seed=3).primitive
+    rng = np.random.default_rng(3)
+    count = len(surface.positions)
+    weights = rng.random((count, 4)) * (np.arange(4) <= rng.integers(0, 4, (count, 1)))
+    joints = rng.permuted(np.tile(np.arange(12), (count, 1)), axis=1)[:, :4]
+    return replace(surface, joints=joints, weights=weights)
+
+
 @pytest.mark.parametrize("block", [1, 7, 1000])
-def test_the_size_of_a_block_changes_nothing(name: str, block: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    # In the second the vertices have from none to three slots free.
-    [primitives] = meshes_of(path_of(name)).values()
+def test_the_size_of_a_block_changes_nothing(block: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    primitives = [motley()]
     [(expected, numbers)] = bake_mesh(primitives, BakeSettings())
     monkeypatch.setattr(slots, "BLOCK", block)
     [(found, own)] = bake_mesh(primitives, BakeSettings())

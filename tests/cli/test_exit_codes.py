@@ -265,7 +265,8 @@ class TestStripAndInspect:
             tmp_path,
             lambda content: content["meshes"][0]["primitives"][0].update(extensions={name: {}}),
         )
-        for arguments in (["bake", path, "-o", tmp_path / "out.glb"], ["inspect", path]):
+        commands: list[list[str | Path]] = [["bake", path, "-o", tmp_path / "out.glb"], ["inspect", path]]
+        for arguments in commands:
             result = invoke(*arguments)
             assert result.exit_code == 3
             assert name in result.stderr

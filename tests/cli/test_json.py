@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
-import jsonschema
+import jsonschema  # type: ignore[import-untyped]
 import pytest
 
 from tests.cli.running import document, invoke, run
@@ -248,15 +249,14 @@ def test_strip(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["\ud800", 'quo"te\\', "line\nbreak", "α 😀"])
 def test_any_name_that_json_can_hold_comes_through(name: str, tmp_path: Path) -> None:
     path = edited("seam.glb", tmp_path, lambda content: content["meshes"][0].update(name=name))
-    for arguments in (["bake", path, "--dry-run"], ["inspect", path]):
+    commands: list[list[str | Path]] = [["bake", path, "--dry-run"], ["inspect", path]]
+    for arguments in commands:
         process = run(*arguments, "--json", env={"PYTHONIOENCODING": "utf-8"})
         assert process.returncode == 0, process.stderr
         assert name_in(process.stdout) == name
 
 
 def name_in(stdout: bytes) -> str:
-    import json
-
     found = json.loads(stdout)
     holder = found["files"][0] if "files" in found else found
     name: str = holder["primitives"][0]["mesh_name"]

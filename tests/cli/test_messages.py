@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -120,10 +123,6 @@ def test_colour_follows_the_option(
 @pytest.mark.parametrize("no_color", ["", "1"])
 def test_colour_goes_to_terminals_only_and_not_against_no_color(no_color: str, warned: Path) -> None:
     pty = pytest.importorskip("pty")
-    import os
-    import subprocess
-    import sys
-
     leader, follower = pty.openpty()
     environment = {**os.environ, "NO_COLOR": no_color, "TERM": "xterm"}
     if not no_color:

@@ -29,8 +29,8 @@ if TYPE_CHECKING:
 def command(source: str | None, influences: int | None, **given: Any) -> None:
     """Count multiply-adds and bytes per vertex of the paper's algorithms 1 to 5, and of 6.
 
-    For FILE, a .glb, .gltf or .vrm file, or - for a GLB on stdin: with the influences, types and vertices that
-    it stores, per vertex, per frame, and for the whole file.
+    FILE is a .glb, .gltf or .vrm file, or - for a GLB on stdin: then with the influences, types and vertices
+    that it stores, per vertex, per frame, and for the whole file.
     """
     if source is not None and influences is not None:
         raise click.UsageError("--influences N and FILE exclude each other: a file has its own influences")

@@ -2,20 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from skinbake.errors import Notice
+from skinbake.bake.baker import TANGENT_TOLERANCE
+from skinbake.errors import InputError, Notice
 from skinbake.geometry import frames
 from skinbake.geometry.skinned import FloatArray, SkinnedPrimitive
 from skinbake.gltf.accessors import read_accessor
 from skinbake.gltf.document import Document
-from skinbake.gltf.json_access import JsonObject
+from skinbake.gltf.json_access import JsonObject, index
 from skinbake.gltf.metadata import VERSION, digests, read_metadata
-from skinbake.gltf.primitives import PrimitiveSource, read_primitive, skinned_sources
-from skinbake.gltf.strip import stripped
+from skinbake.gltf.primitives import PrimitiveSource, read_primitive
+
+WEIGHTINGS = ("max", "angle", "area", "angle-area")
+FRAMES = (frames.NORMAL_FRAME, frames.TANGENT_FRAME)
+BAKE = "run skinbake bake"
+
+ADOPTION_TOLERANCE = 1e-4
+"""By how much adoption may change a weight: four slots of 1/65535, and rounding."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,76 +58,116 @@ def baked_views(
     document: Document, sources: Sequence[PrimitiveSource]
 ) -> tuple[list[BakedView], list[Notice]]:
     """Return every baked primitive that holds together, and a problem for each that does not."""
-    original, _, _ = stripped(document)
-    before = {(entry.mesh, entry.primitive): entry for entry in skinned_sources(original)[0]}
     views, problems = [], []
     for source in sources:
-        found = _view(document, source, original, before[source.mesh, source.primitive])
+        found = _view(document, source)
         if isinstance(found, BakedView):
             views.append(found)
+            problems += _skewed(found)
         else:
             problems.append(found)
-    return views, problems
+    return views, [*problems, *_contradictions(views)]
 
 
-def _view(
-    document: Document, source: PrimitiveSource, original: Document, former: PrimitiveSource
-) -> BakedView | Notice:
+def _view(document: Document, source: PrimitiveSource) -> BakedView | Notice:
     metadata = read_metadata(document, source.json)
     if metadata is None:
-        what = (
-            "has α/β but no metadata: a tool dropped its extras; "
-            if is_baked(document, source)
-            else "is not baked; "
-        )
-        return Notice("metadata-missing", f"it {what}run skinbake bake", source.place)
+        what = "has α/β but no metadata that can be read" if is_baked(document, source) else "is not baked"
+        return Notice("metadata-missing", f"it {what}: {BAKE}", source.place)
     if metadata.get("version") != VERSION:
-        return Notice(
-            "version", f"its metadata has version {metadata.get('version')}, not {VERSION}", source.place
-        )
+        message = f"its metadata has version {metadata.get('version')}, this skinbake reads {VERSION}: {BAKE}"
+        return Notice("version", message, source.place)
+    wrong = next(_wrong_members(metadata, source), None)
+    if wrong is not None:
+        return Notice("metadata-broken", f"its metadata is damaged: {wrong}; {BAKE}", source.place)
     now = read_primitive(document, source)
     arrays = []
     for key in ("alpha", "beta"):
-        found = _stored_slots(document, source, metadata, key, now)
+        found = _stored_slots(document, source, metadata[key], now)
         if isinstance(found, Notice):
             return found
         arrays.append(found)
-    frame = _rest_frame(now, str(metadata.get("frame")))
+    frame = _rest_frame(now, metadata["frame"])
     if frame is None:
-        return Notice("frame", "it was baked for TANGENT, which it no longer has: bake again", source.place)
-    noted = metadata.get("digest")
-    current = digests(now, str(metadata["frame"]))
-    changed = tuple(n for n in current if not isinstance(noted, dict) or noted.get(n) != current[n])
-    before = now if {"JOINTS", "WEIGHTS"} & set(changed) else read_primitive(original, former)
-    before = replace(before, normals=now.normals)
+        message = (
+            "it was baked for TANGENT, which was removed since (some tools do where no material needs it). "
+            f"Bake last: {BAKE} on the file that the last tool wrote"
+        )
+        return Notice("frame", message, source.place)
+    current = digests(now, metadata["frame"])
+    changed = tuple(name for name in current if metadata["digest"].get(name) != current[name])
+    before = _before_adoption(document, source, metadata, now, changed)
     return BakedView(source, metadata, now, before, arrays[0], arrays[1], frame[0], frame[1], changed)
 
 
+def _wrong_members(metadata: JsonObject, source: PrimitiveSource) -> Iterator[str]:
+    """Yield what is wrong with each member of the metadata that is not as CONVENTIONS.md has it."""
+    if metadata.get("frame") not in FRAMES:
+        yield f'"frame" is {_shown(metadata.get("frame"))}'
+    if metadata.get("weighting") not in WEIGHTINGS:
+        yield f'"weighting" is {_shown(metadata.get("weighting"))}'
+    angle = metadata.get("creaseAngle")
+    if isinstance(angle, bool) or not isinstance(angle, int | float) or not 0 <= angle <= 180:
+        yield f'"creaseAngle" is {_shown(angle)}'
+    slots, now = metadata.get("influences"), 4 * source.influence_sets
+    if isinstance(slots, bool) or slots != now:
+        yield f'"influences" is {_shown(slots)}, and it has {now} a vertex'
+    for key in ("alpha", "beta"):
+        names = metadata.get(key)
+        if not _are_names(names) or len(names) != source.influence_sets:
+            yield f'"{key}" is {_shown(names)}, not an attribute for each influence set'
+    digest = metadata.get("digest")
+    if not isinstance(digest, dict) or not digest:
+        yield f'"digest" is {_shown(digest)}'
+        return
+    wanted = {"POSITION", "NORMAL", "JOINTS", "WEIGHTS", "indices"}
+    if metadata.get("frame") == frames.TANGENT_FRAME:
+        wanted.add("TANGENT")
+    for name in sorted(wanted):
+        if not isinstance(digest.get(name), str):
+            yield f'"digest" holds {_shown(digest.get(name))} for {name}'
+
+
+def _are_names(value: Any) -> bool:
+    return isinstance(value, list) and all(isinstance(name, str) for name in value)
+
+
+def _shown(value: object) -> str:
+    if value is None:
+        return "missing"
+    shown = repr(value)
+    return shown if len(shown) <= 40 else f"{shown[:40]}…"
+
+
 def _stored_slots(
-    document: Document, source: PrimitiveSource, metadata: JsonObject, key: str, primitive: SkinnedPrimitive
+    document: Document, source: PrimitiveSource, names: Sequence[str], primitive: SkinnedPrimitive
 ) -> FloatArray | Notice:
     """Return α or β of slots 1 … K − 1, (V, K − 1), or the problem with it."""
-    names = metadata.get(key)
-    if not isinstance(names, list) or len(names) != source.influence_sets:
-        return Notice(
-            "metadata-broken", f'its metadata names no "{key}" for every influence set', source.place
-        )
     parts = []
     for number, name in enumerate(names):
-        place = source.place.at(str(name))
-        if name not in source.attributes:
-            message = "this attribute, which its metadata names, is missing: removed or renamed; bake again"
+        place = source.place.at(name)
+        accessor = index(source.attributes, name, len(document.objects("accessors")), place)
+        if accessor is None:
+            message = f"its metadata names this attribute, which was removed or renamed since: {BAKE}"
             return Notice("attribute-missing", message, place)
-        values = read_accessor(document, source.attributes[name], place).values
+        values = read_accessor(document, accessor, place).values
         components = 3 if number == 0 else 4
-        if values.dtype != np.float32 or values.shape != (len(primitive.positions), components):
+        if values.dtype != np.float32:
             message = (
-                f"expected {len(primitive.positions)} FLOAT vectors of {components}, found "
-                f"{values.shape[0]} of {values.shape[1]} ({values.dtype}): bake again"
+                f"it is stored as {values.dtype.name}, FLOAT is needed: it looks quantised after its bake. "
+                f"Bake last: {BAKE} on the file that the last tool wrote, or keep the tool off this attribute"
             )
             return Notice("attribute-format", message, place)
-        if not np.isfinite(values).all():
-            return Notice("attribute-not-finite", "it holds values that are not finite: bake again", place)
+        if values.shape != (len(primitive.positions), components):
+            message = (
+                f"it holds {values.shape[0]:,} vectors of {values.shape[1]}, expected "
+                f"{len(primitive.positions):,} of {components}: {BAKE}"
+            )
+            return Notice("attribute-format", message, place)
+        broken = int(np.count_nonzero(~np.isfinite(values).all(axis=1)))
+        if broken:
+            message = f"at {broken:,} vertices it is not a finite number: {BAKE}"
+            return Notice("attribute-not-finite", message, place, broken)
         parts.append(values)
     return np.concatenate(parts, axis=1).astype(np.float32)
 
@@ -131,3 +180,64 @@ def _rest_frame(primitive: SkinnedPrimitive, kind: str) -> tuple[FloatArray, Flo
     if primitive.tangents is None:
         return None
     return frames.frame_from_tangent(normals, primitive.tangents)
+
+
+def _before_adoption(
+    document: Document,
+    source: PrimitiveSource,
+    metadata: JsonObject,
+    now: SkinnedPrimitive,
+    changed: Sequence[str],
+) -> SkinnedPrimitive:
+    """Return the primitive with the influences from before its bake, or as it is now where they are gone.
+
+    α and β come from those; the weights that adoption gave its slots are too small to matter much. Another
+    tool may have put something else where the metadata says that they are.
+    """
+    former = metadata.get("adopted")
+    if not isinstance(former, dict) or not former or {"JOINTS", "WEIGHTS"} & set(changed):
+        return now
+    attributes = {**source.attributes, **{name: former[name] for name in former if name in source.attributes}}
+    try:
+        before = read_primitive(document, replace(source, json={**source.json, "attributes": attributes}))
+    except InputError:
+        return now
+    if before.joints.shape != now.joints.shape:
+        return now
+    moved = (before.joints != now.joints) & (before.weights != 0)
+    if moved.any() or np.abs(before.weights - now.weights).max(initial=0.0) > ADOPTION_TOLERANCE:
+        return now
+    return before
+
+
+def _skewed(view: BakedView) -> Iterator[Notice]:
+    """Yield a problem where the rest frame's normal is not the one stored."""
+    if view.metadata["frame"] != frames.TANGENT_FRAME or view.now.tangents is None or "TANGENT" in view.changed:
+        return
+    used = np.unique(view.now.triangles)
+    normals = frames.unit_normals(view.now.normals[used])
+    angles = frames.tangent_deviation(normals, view.now.tangents[used])
+    count, largest = int(np.count_nonzero(angles > TANGENT_TOLERANCE)), float(angles.max(initial=0.0))
+    if count:
+        message = (
+            f"at {count:,} vertices TANGENT × bitangent leans more than {TANGENT_TOLERANCE}° from NORMAL "
+            f"(up to {largest:.3g}°), and so does the lighting at rest: {BAKE} with --frame normal"
+        )
+        yield Notice("tangents-skewed", message, view.source.place, count)
+
+
+def _contradictions(views: Sequence[BakedView]) -> Iterator[Notice]:
+    """Yield a problem for each primitive whose settings are not those of its mesh's first: they are gathered
+    together, so one bake made them all.
+    """
+    first: dict[int, BakedView] = {}
+    for view in views:
+        other = first.setdefault(view.source.mesh, view)
+        for key in ("weighting", "creaseAngle"):
+            ours, theirs = view.metadata[key], other.metadata[key]
+            if ours != theirs and not (key == "creaseAngle" and math.isclose(ours, theirs)):
+                message = (
+                    f'its metadata is damaged: "{key}" is {_shown(ours)}, and {_shown(theirs)} in primitive '
+                    f"{other.source.primitive} of the same mesh; {BAKE}"
+                )
+                yield Notice("metadata-broken", message, view.source.place)

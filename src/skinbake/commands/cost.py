@@ -12,7 +12,7 @@ from skinbake.errors import Notice
 from skinbake.geometry.skinned import SkinnedPrimitive
 from skinbake.gltf.accessors import read_accessor
 from skinbake.gltf.document import Document, read_document
-from skinbake.gltf.metadata import read_metadata
+from skinbake.gltf.metadata import noted_names, read_metadata
 from skinbake.gltf.primitives import (
     PrimitiveSource,
     read_primitive,
@@ -138,14 +138,11 @@ def _layout(document: Document, source: PrimitiveSource) -> _Layout:
 
 
 def _baked_names(document: Document, source: PrimitiveSource) -> list[str]:
-    """Return the attributes of α and β that the metadata names, none where one of them is gone."""
-    metadata = read_metadata(document, source.json) or {}
-    names = [name for key in ("alpha", "beta") for name in _strings(metadata.get(key))]
-    return names if all(name in source.attributes for name in names) else []
-
-
-def _strings(value: object) -> list[str]:
-    return [entry for entry in value if isinstance(entry, str)] if isinstance(value, list) else []
+    """Return the attributes of α and β that the metadata names, none where one of them is missing."""
+    note = read_metadata(document, source.json) or {}
+    names = [name for key in ("alpha", "beta") for name in noted_names(note, key)]
+    complete = len(names) == 2 * source.influence_sets and all(name in source.attributes for name in names)
+    return names if complete else []
 
 
 def _sizes(

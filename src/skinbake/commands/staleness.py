@@ -15,7 +15,7 @@ from skinbake.verify import freshness
 from skinbake.verify.operator import GradientOperator, expected_alpha_beta, gradient_operator
 
 BAKE_LAST = "Bake last: run skinbake bake on the file that the last tool wrote"
-BAKE_AGAIN = "bake again"
+BAKE_AGAIN = "run skinbake bake again"
 
 EDITED_ALONE = {
     "POSITION": "its vertices moved",

@@ -10,6 +10,7 @@ from skinbake.commands.lighting import Lighting, Progress, VerifyOptions
 from skinbake.commands.staleness import mesh_operator, staleness
 from skinbake.errors import InputError, Notice, Place, SkinbakeError
 from skinbake.gltf.document import Document, read_document
+from skinbake.gltf.metadata import read_metadata
 from skinbake.gltf.primitives import PrimitiveSource, reason_to_skip, refuse_compressed, skinned_sources
 from skinbake.report.verify import Check, FileVerdict
 
@@ -30,22 +31,15 @@ def verify_file(source: str, options: VerifyOptions, progress: Progress | None =
 
 def _verify_file(source: str, options: VerifyOptions, progress: Progress) -> FileVerdict:
     document = read_document(source)
-    sources, notices = skinned_sources(document)
-    wanted: list[PrimitiveSource] = []
-    for entry in sources:
-        refuse_compressed(document, entry)
-        reason = reason_to_skip(document, entry, generate_normals=False)
-        if reason is None:
-            wanted.append(entry)
-        else:
-            notices.append(reason)
-    if not any(is_baked(document, entry) for entry in wanted):
+    wanted, lost, notices = _sorted_out(document)
+    if not lost and not any(is_baked(document, entry) for entry in wanted):
         return _unbaked(document, options, notices)
     views, problems = baked_views(document, wanted)
+    problems = [*lost, *problems]
     structure = Check("structure", "failed" if problems else "passed", tuple(problems), _counted(views))
     if problems:
         rest = [Check(name, "skipped", (), "structure failed") for name in ("freshness", "lighting")]
-        return FileVerdict(source, (structure, *rest), notices=tuple(notices))
+        return FileVerdict(document.name, (structure, *rest), notices=tuple(notices))
     meshes = [
         [view for view in views if view.source.mesh == mesh] for mesh in {v.source.mesh: None for v in views}
     ]
@@ -60,6 +54,39 @@ def _verify_file(source: str, options: VerifyOptions, progress: Progress) -> Fil
     verdict = lighting.measured(meshes, operators)
     checks = (structure, fresh, *verdict.checks)
     return replace(verdict, checks=checks, notices=(*notices, *verdict.notices))
+
+
+def _sorted_out(document: Document) -> tuple[list[PrimitiveSource], list[Notice], list[Notice]]:
+    """Return the skinned primitives that can be baked, problems of those that are but no longer could be,
+    and notices on the others that were left out.
+    """
+    sources, notices = skinned_sources(document)
+    wanted: list[PrimitiveSource] = []
+    skipped = [notice for notice in notices if notice.code == "no-joints"]
+    for entry in sources:
+        refuse_compressed(document, entry)
+        reason = reason_to_skip(document, entry, generate_normals=False)
+        if reason is None:
+            wanted.append(entry)
+        else:
+            notices.append(reason)
+            skipped.append(reason)
+    lost = [_lost(notice) for notice in skipped if _has_metadata(document, notice)]
+    baked_ones = {(notice.code, notice.place) for notice in lost}
+    return wanted, lost, [notice for notice in notices if (notice.code, notice.place) not in baked_ones]
+
+
+def _has_metadata(document: Document, notice: Notice) -> bool:
+    mesh, primitive = notice.place.mesh, notice.place.primitive
+    if mesh is None or primitive is None:
+        return False
+    found = document.objects("meshes")[mesh]["primitives"][primitive]
+    return read_metadata(document, found) is not None
+
+
+def _lost(notice: Notice) -> Notice:
+    message = f"it is baked, and has lost what α/β are for ({notice.message}): run skinbake bake"
+    return replace(notice, message=message.replace("skipped: ", ""))
 
 
 def _unbaked(document: Document, options: VerifyOptions, notices: list[Notice]) -> FileVerdict:

@@ -1,39 +1,30 @@
 """What the paper's algorithms cost, as short tables and as JSON.
 
-``--json`` prints one object, ``skinbake.cost/1``. *costs* are four members, each an object by algorithm number
-("1" … "6"):
+``--json`` prints one object, ``skinbake.cost/1``. *costs* are four members of it or of one of its entries,
+each an object by algorithm number ("1" … "6"):
 
 | member | values | |
 |---|---|---|
-| ``multiply_adds`` | integer | a vertex |
-| ``bytes`` | integer | that the vertex shader reads a vertex |
+| ``multiply_adds`` | integer | per vertex |
+| ``bytes`` | integer | that the vertex shader reads per vertex |
 | ``added_bytes`` | integer | those among them that plain skinning does not read: α and β, or ∇w for "2" |
-| ``lines`` | object of integers | multiply-adds a vertex, by line number of the algorithm ("1" …) |
+| ``lines`` | object of integers | multiply-adds per vertex, by line number of the algorithm ("1" …) |
 
-With ``--influences N``:
-
-| member | type | |
-|---|---|---|
-| ``schema`` | string | ``"skinbake.cost/1"`` |
-| ``influences`` | integer | N |
-| and *costs* | | |
-
-Without an argument: ``schema``, and ``table[]``, one object for each N of 1 … 8 with ``influences`` and *costs*.
-
+With ``--influences N``: ``schema``, ``influences`` (integer, N) and *costs*.
+Without an argument: ``schema``, and ``table[]``, for each N of 1 … 8 an object of ``influences`` and *costs*.
 For a file:
 
 | member | type | |
 |---|---|---|
 | ``schema``, ``input`` | string | |
-| ``primitives[]`` | array | skinned ones that a bake takes: *place*, and |
+| ``primitives[]`` | array | skinned ones that bake takes: *place*, *costs*, and |
 | ``.vertices`` | integer | that its triangles refer to |
-| ``.draws`` | integer | nodes that draw its mesh with a skin: so often a frame |
+| ``.draws`` | integer | nodes that draw its mesh with a skin: so often a frame skins it |
 | ``.influences`` | integer | N: 4 × the number of ``JOINTS_n`` sets |
 | ``.baked`` | boolean | false: α and β are counted as bake would store them |
-| ``.stored`` | object of integers | bytes a vertex by attribute, each rounded up to glTF's 4-byte alignment |
-| . and *costs* | | |
-| ``.per_frame`` | object | ``multiply_adds``, ``bytes``, ``added_bytes`` by algorithm number: a vertex × vertices × draws |
-| ``total`` | object | ``vertices`` (a frame: vertices × draws) and the members of ``per_frame``, summed over all primitives |
+| ``.stored`` | object of integers | bytes per vertex by attribute, in multiples of 4 as glTF aligns them |
+| ``.per_frame`` | object | ``multiply_adds``, ``bytes``, ``added_bytes`` as above, × vertices × draws |
+| ``total`` | object | ``vertices`` (× draws), and the members of ``per_frame`` over all primitives |
 | ``warnings[]`` | array of *notice* | |
 """
 
@@ -60,24 +51,25 @@ NAMES = {
 
 RULES = (
     "Multiply-adds are counted by the rules of the supplement to Tarini, Panozzo and Sorkine-Hornung 2014 "
-    "(doi:10.1111/cgf.12330), which charges T p 12, mixing dual quaternions 12 an influence and moving a "
+    "(doi:10.1111/cgf.12330), which charges T p 12, mixing dual quaternions 12 per influence and moving a "
     "position by one 27; algorithm 6 is not the paper's and is charged alike."
 )
-ASSUMED_TYPES = (
-    "Bytes are those of float position (12), normal (12) and tangent (16), and of an 8-bit joint and a float "
-    "weight an influence; added to them are float α and β of all influences but one, or ∇w of all for algorithm 2."
+ADDED = "those added are α and β of all influences but one, or ∇w of all for algorithm 2"
+COMMON_TYPES = (
+    "Bytes are those of float position (12), normal (12) and tangent (16), with an 8-bit joint and a float "
+    f"weight per influence; {ADDED}, as floats."
 )
-FILE_TYPES = (
-    "N is every stored influence slot, used or not; bytes are those that the vertex shader reads, each attribute "
-    "in multiples of 4, added ones those of α and β, or of ∇w for algorithm 2; a frame skins each vertex of a "
-    "triangle once a node that draws it, morph targets and a tangent frame built from NORMAL not counted."
+STORED_TYPES = (
+    f"Bytes are those of every stored slot, used or not, each attribute in multiples of 4; {ADDED}. "
+    "A frame skins each vertex of a triangle once for every node that draws it. Not counted: morph targets, "
+    "and building a tangent frame from NORMAL."
 )
 WIDTH = 100
 
 
 @dataclass(frozen=True, slots=True)
 class VertexCost:
-    """One algorithm at one vertex: multiply-adds in all and by line number, bytes read, those that it adds."""
+    """One algorithm at one vertex: multiply-adds in all and by line number, bytes read, and those it adds."""
 
     multiply_adds: int
     bytes: int
@@ -153,7 +145,7 @@ def as_text(result: CostResult) -> str:
     if isinstance(result, FileCosts):
         return "\n".join(_file_lines(result))
     lines = _single_lines(result) if isinstance(result, InfluenceCosts) else _table_lines(result)
-    return "\n".join([*lines, *_wrapped(RULES), *_wrapped(ASSUMED_TYPES)])
+    return "\n".join([*lines, *_wrapped(RULES), *_wrapped(COMMON_TYPES)])
 
 
 def _wrapped(sentence: str) -> list[str]:
@@ -200,7 +192,7 @@ def _file_lines(result: FileCosts) -> Iterator[str]:
         for number, frame in result.total.items():
             yield f"    {_label(number)}{_frame_figures(frame)}"
     yield from _wrapped(RULES)
-    yield from _wrapped(FILE_TYPES)
+    yield from _wrapped(STORED_TYPES)
 
 
 def _primitive_lines(primitive: PrimitiveCosts) -> Iterator[str]:

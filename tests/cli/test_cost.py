@@ -1,0 +1,400 @@
+"""skinbake cost: the paper's figures, a file's own bytes counted by hand, and what ends in which exit code."""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import numpy as np
+import pytest
+
+from tests.cli.running import document, invoke, run
+from tests.cli.test_json import COUNT, PLACE, TEXT, WARNINGS, strict
+from tests.gltf.models import FOLDER, SHARED, bake, edited, sheet, write_model
+
+DOI = "doi:10.1111/cgf.12330"
+NAMES = ["LBS standard", "LBS direct", "LBS accurate", "DQS standard", "DQS accurate", "DQS exact"]
+
+# Right margin of the supplemental material's pseudo-code, n being its N_max; 6 is 36 N + 118 by dqs.exact.
+PAPER: dict[str, Callable[[int], list[int]]] = {
+    "1": lambda n: [12 * n, 12, 9, 9, 9],
+    "2": lambda n: [12 * n, 9 * n, 9 * n, 31, 12, 9, 9, 9],
+    "3": lambda n: [9 * n, 9 * n, 3 * n - 3, 9 + 3 * n - 3, 9 + 3 * n - 3, 6, 3 * n - 3],
+    "4": lambda n: [12 * n, 13, 27, 18, 18, 18],
+    "5": lambda n: [12 * n, 13, 27, 24 * n, 3 * n - 3, 18 + 3 * n - 3, 18 + 3 * n - 3, 6],
+}
+EXACT = {1: 154, 2: 190, 3: 226, 4: 262, 5: 298, 6: 334, 7: 370, 8: 406}
+
+
+def paper(influences: int) -> dict[str, int]:
+    totals = {number: sum(lines(influences)) for number, lines in PAPER.items()}
+    return {**totals, "6": EXACT[influences]}
+
+
+def by_number(plain: int, direct: int, accurate: int) -> dict[str, int]:
+    """Bytes by algorithm: standard lighting, algorithm 2, and the three that read α and β."""
+    return {"1": plain, "2": direct, "3": accurate, "4": plain, "5": accurate, "6": accurate}
+
+
+def cost(*arguments: str | Path) -> Any:
+    result = invoke("cost", *arguments, "--json")
+    assert result.exit_code == 0, result.stderr
+    return document(result)
+
+
+FIGURES = {number: COUNT for number in "123456"}
+LINES = {"type": "object", "patternProperties": {"^[1-9]$": COUNT}, "additionalProperties": False}
+SUMS = {"multiply_adds": strict(FIGURES), "bytes": strict(FIGURES), "added_bytes": strict(FIGURES)}
+COSTS = {**SUMS, "lines": strict({number: LINES for number in "123456"})}
+SCHEMA = {"const": "skinbake.cost/1"}
+SINGLE = strict({"schema": SCHEMA, "influences": COUNT, **COSTS})
+TABLE = strict(
+    {"schema": SCHEMA, "table": {"type": "array", "items": strict({"influences": COUNT, **COSTS})}}
+)
+PRIMITIVE = strict(
+    {
+        "mesh": COUNT,
+        "primitive": COUNT,
+        "vertices": COUNT,
+        "draws": {"type": "integer", "minimum": 1},
+        "influences": {"type": "integer", "multipleOf": 4},
+        "baked": {"type": "boolean"},
+        "stored": {"type": "object", "additionalProperties": {"type": "integer", "multipleOf": 4}},
+        **COSTS,
+        "per_frame": strict(SUMS),
+    },
+    optional=PLACE,
+)
+FILE = strict(
+    {
+        "schema": SCHEMA,
+        "input": TEXT,
+        "primitives": {"type": "array", "items": PRIMITIVE},
+        "total": strict({"vertices": COUNT, **SUMS}),
+        "warnings": WARNINGS,
+    }
+)
+
+
+def test_json_has_the_documented_shape(tmp_path: Path) -> None:
+    bake(FOLDER / "two_sets.glb", tmp_path / "baked.glb")
+    jsonschema.validate(cost(), TABLE)
+    jsonschema.validate(cost("--influences", "3"), SINGLE)
+    for path in (FOLDER / SHARED, FOLDER / "weights_u16.glb", tmp_path / "baked.glb"):
+        jsonschema.validate(cost(path), FILE)
+
+
+class TestNumberOfInfluences:
+    def test_four_cost_what_the_paper_s_table_says(self) -> None:
+        found = cost("--influences", "4")
+        assert found["multiply_adds"] == {"1": 87, "2": 190, "3": 132, "4": 142, "5": 253, "6": 262}
+        # 12 + 12 + 16 of position, normal, tangent and 4 × (1 + 4) of influences are 60; ∇w is 4 × 3 floats,
+        # α and β are 3 floats each.
+        assert found["bytes"] == by_number(60, 60 + 48, 60 + 24)
+        assert found["added_bytes"] == by_number(0, 48, 24)
+
+    @pytest.mark.parametrize("influences", range(1, 9))
+    def test_every_line_costs_what_the_paper_says(self, influences: int) -> None:
+        found = cost("--influences", str(influences))
+        for number, lines in PAPER.items():
+            expected = {str(line): count for line, count in enumerate(lines(influences), start=1)}
+            assert found["lines"][number] == expected
+        assert found["multiply_adds"] == paper(influences)
+        assert sum(found["lines"]["6"].values()) == EXACT[influences]
+
+    def test_the_table_goes_from_one_to_eight(self) -> None:
+        found = cost()["table"]
+        assert [row["influences"] for row in found] == [1, 2, 3, 4, 5, 6, 7, 8]
+        for n, row in enumerate(found, start=1):
+            assert row["multiply_adds"] == paper(n)
+            assert row["bytes"] == by_number(40 + 5 * n, 40 + 5 * n + 12 * n, 40 + 5 * n + 8 * (n - 1))
+
+    def test_sixty_four_is_the_most(self) -> None:
+        assert cost("--influences", "64")["multiply_adds"]["1"] == 12 * 64 + 39
+
+
+class TestFile:
+    def test_two_influence_sets(self) -> None:
+        found = cost(FOLDER / "two_sets.glb")
+        (primitive,) = found["primitives"]
+        assert (primitive["vertices"], primitive["draws"], primitive["influences"]) == (256, 1, 8)
+        assert primitive["multiply_adds"] == paper(8)
+        # Float position and normal, no tangent, twice 4 joints of 1 byte and 4 weights of 4: 64. ∇w is 8 × 3
+        # floats, α and β are 7 floats each.
+        assert primitive["bytes"] == by_number(64, 64 + 96, 64 + 56)
+        assert primitive["added_bytes"] == by_number(0, 96, 56)
+        frame = primitive["per_frame"]
+        assert frame["multiply_adds"] == {number: 256 * count for number, count in paper(8).items()}
+        assert frame["bytes"] == by_number(16_384, 40_960, 30_720)
+        assert frame["added_bytes"] == by_number(0, 24_576, 14_336)
+        assert found["total"] == {"vertices": 256, **frame}
+        assert found["warnings"] == []
+
+    def test_integer_weights_and_joints(self) -> None:
+        """Float position and normal, 4 joints of 2 bytes, 4 weights of 1: 36; 4 × 1 and 4 × 2 too."""
+        for name in ("weights_u8.glb", "weights_u16.glb"):
+            found = cost(FOLDER / name)
+            (primitive,) = found["primitives"]
+            assert primitive["multiply_adds"] == paper(4)
+            assert primitive["bytes"] == by_number(36, 36 + 48, 36 + 24)
+            assert found["total"]["vertices"] == 187
+            assert found["total"]["bytes"] == by_number(6_732, 15_708, 11_220)
+        assert primitive["stored"] == {"POSITION": 12, "NORMAL": 12, "JOINTS_0": 4, "WEIGHTS_0": 8}
+
+    def test_a_tangent_counts_where_it_is_stored(self) -> None:
+        (primitive,) = cost(FOLDER / "mirrored_tangent.glb")["primitives"]
+        assert primitive["bytes"] == by_number(12 + 12 + 16 + 4 + 16, 60 + 48, 60 + 24)
+
+    def test_attributes_take_multiples_of_four_bytes(self, tmp_path: Path) -> None:
+        """A VEC3 of bytes takes 4, one of shorts 8: glTF wants every element aligned."""
+        part = sheet()
+        position = np.round(part.attributes["POSITION"] * 1000).astype(np.int16)
+        normal = np.round(part.attributes["NORMAL"] * 127).astype(np.int8)
+        path = write_model(tmp_path / "small.glb", [sheet(POSITION=position, NORMAL=normal)])
+        (primitive,) = cost(path)["primitives"]
+        assert primitive["stored"] == {"POSITION": 8, "NORMAL": 4, "JOINTS_0": 4, "WEIGHTS_0": 16}
+        assert primitive["bytes"] == by_number(32, 32 + 48, 32 + 24)
+
+    def test_influence_sets_may_be_of_different_types(self, tmp_path: Path) -> None:
+        second = {"JOINTS_1": np.zeros((20, 4), np.uint16), "WEIGHTS_1": np.zeros((20, 4), np.float32)}
+        path = write_model(tmp_path / "mixed.glb", [sheet(**second)])
+        (primitive,) = cost(path)["primitives"]
+        assert primitive["bytes"]["1"] == 12 + 12 + (4 + 16) + (8 + 16)
+
+    def test_the_whole_file_is_the_sum_of_its_primitives(self) -> None:
+        found = cost(FOLDER / "two_primitives.glb")
+        assert [primitive["vertices"] for primitive in found["primitives"]] == [121, 77]
+        assert found["total"]["vertices"] == 198
+        assert found["total"]["multiply_adds"] == {number: 198 * count for number, count in paper(4).items()}
+        assert found["total"]["bytes"] == by_number(198 * 44, 198 * 92, 198 * 68)
+        assert found["total"]["added_bytes"] == by_number(0, 198 * 48, 198 * 24)
+
+    def test_vertices_count_where_triangles_use_them_and_as_often_as_nodes_draw_them(self) -> None:
+        """Two halves of 7 × 9 vertices in accessors of 13 × 9, drawn by two nodes."""
+        found = cost(FOLDER / SHARED)
+        assert [(entry["vertices"], entry["draws"]) for entry in found["primitives"]] == [(63, 2), (63, 2)]
+        assert found["primitives"][0]["per_frame"]["bytes"]["1"] == 63 * 2 * 44
+        assert found["total"]["vertices"] == 252
+        assert found["total"]["multiply_adds"]["3"] == 252 * 132
+
+    def test_stdin(self) -> None:
+        data = (FOLDER / "weights_u8.glb").read_bytes()
+        process = run("cost", "-", stdin=data)
+        assert (process.returncode, process.stderr) == (0, b"")
+        assert b"187 vertices" in process.stdout
+
+
+class TestBakedFile:
+    def test_alpha_and_beta_cost_what_bake_was_expected_to_store(self, tmp_path: Path) -> None:
+        bake(FOLDER / "two_sets.glb", tmp_path / "baked.glb", neighbours="drop")
+        (before,) = cost(FOLDER / "two_sets.glb")["primitives"]
+        (after,) = cost(tmp_path / "baked.glb")["primitives"]
+        assert (before.pop("baked"), after.pop("baked")) == (False, True)
+        assert after.pop("stored") == before.pop("stored") | {
+            "_SKINBAKE_ALPHA_0": 12,
+            "_SKINBAKE_ALPHA_1": 16,
+            "_SKINBAKE_BETA_0": 12,
+            "_SKINBAKE_BETA_1": 16,
+        }
+        assert after == before
+
+    def test_alpha_and_beta_count_in_the_type_that_is_stored(self, tmp_path: Path) -> None:
+        """As shorts: VEC3 takes 8 bytes, VEC4 8; ∇w would take 8 × 3 × 2."""
+        path = self.changed(tmp_path, lambda accessor: accessor.update(componentType=5122))
+        (primitive,) = cost(path)["primitives"]
+        assert primitive["baked"] is True
+        assert primitive["added_bytes"] == by_number(0, 48, 4 * 8)
+
+    @pytest.mark.parametrize("name", ["_SKINBAKE_BETA_1", "_SKINBAKE_ALPHA_0"])
+    def test_half_a_bake_is_none(self, name: str, tmp_path: Path) -> None:
+        def drop(content: Any) -> None:
+            del content["meshes"][0]["primitives"][0]["attributes"][name]
+
+        (primitive,) = cost(self.changed(tmp_path, lambda _: None, drop))["primitives"]
+        assert primitive["baked"] is False
+        assert "_SKINBAKE_BETA_0" not in primitive["stored"]
+        assert primitive["added_bytes"] == by_number(0, 96, 56)
+
+    @pytest.mark.parametrize("names", [None, 7, [7, 8], ["POSITION"], {}])
+    def test_metadata_that_names_nothing_is_no_bake(self, names: object, tmp_path: Path) -> None:
+        def spoil(content: Any) -> None:
+            content["meshes"][0]["primitives"][0]["extras"]["skinbake"].update(alpha=names, beta=names)
+
+        (primitive,) = cost(self.changed(tmp_path, lambda _: None, spoil))["primitives"]
+        assert primitive["baked"] is False
+        assert primitive["added_bytes"] == by_number(0, 96, 56)
+
+    @staticmethod
+    def changed(
+        folder: Path, accessor: Callable[[Any], object], content: Callable[[Any], object] = lambda _: None
+    ) -> Path:
+        """Bake a file, then change the accessors of α and β, and the rest."""
+        bake(FOLDER / "two_sets.glb", folder / "two_sets.glb", neighbours="drop")
+
+        def change(found: Any) -> None:
+            for name, number in found["meshes"][0]["primitives"][0]["attributes"].items():
+                if name.startswith("_SKINBAKE"):
+                    accessor(found["accessors"][number])
+            content(found)
+
+        return rewritten_in_place(folder / "two_sets.glb", change)
+
+
+def rewritten_in_place(path: Path, change: Callable[[Any], object]) -> Path:
+    from tests.gltf.models import rewritten
+    from tests.support.gltf_reading import read
+
+    model = read(path)
+    change(model.content)
+    return rewritten(model, path)
+
+
+class TestText:
+    def test_one_number_of_influences(self) -> None:
+        text = invoke("cost", "--influences", "4").stdout
+        rows = [line.split() for line in text.splitlines() if re.match(r"  [1-6]  ", line)]
+        assert [" ".join(row[1:3]) for row in rows] == NAMES
+        assert [int(row[3]) for row in rows] == [87, 190, 132, 142, 253, 262]
+        assert [int(row[4]) for row in rows] == [60, 108, 84, 60, 84, 84]
+        assert [int(row[5]) for row in rows] == [0, 48, 24, 0, 24, 24]
+        assert "36 + 36 + 9 + 18 + 18 + 6 + 9" in text
+        assert DOI in text
+
+    def test_table(self) -> None:
+        text = invoke("cost").stdout
+        rows = [line for line in text.splitlines() if re.match(r"  [1-6]  ", line)]
+        assert len({len(row) for row in rows}) == 1  # aligned
+        counts = [[int(value) for value in row.split()[3:]] for row in rows]
+        assert counts[:6] == [[paper(n)[number] for n in range(1, 9)] for number in "123456"]
+        assert counts[8] == [45, 58, 71, 84, 97, 110, 123, 136]
+        assert DOI in text
+
+    def test_file(self) -> None:
+        text = invoke("cost", FOLDER / SHARED).stdout
+        assert text.startswith(f"{FOLDER / SHARED}: 2 skinned primitives, 252 vertices a frame\n")
+        assert 'mesh 0 "shared", primitive 1: 63 vertices × 2 nodes, 4 influences' in text
+        rows = [line for line in text.splitlines() if re.match(r"    [1-6]  ", line)]
+        assert rows[8].split()[3:] == ["132", "68", "24", "16,632", "8,568", "3,024"]
+        assert rows[14].split()[3:] == ["33,264", "17,136", "6,048"]
+        assert [len({len(row) for row in part}) for part in (rows[:12], rows[12:])] == [1, 1]
+        assert DOI in text
+
+    def test_one_primitive_is_not_added_up(self) -> None:
+        assert "the whole file" not in invoke("cost", FOLDER / "seam.glb").stdout
+
+    @pytest.mark.parametrize("arguments", [[], ["--influences", "4"], [str(FOLDER / SHARED)]])
+    def test_lines_are_short(self, arguments: list[str]) -> None:
+        text = invoke("cost", *arguments).stdout.replace(str(FOLDER), "fixtures")
+        assert max(map(len, text.splitlines())) <= 110
+
+    @pytest.mark.parametrize("encoding", ["ascii", "cp1252"])
+    def test_any_encoding_of_the_terminal_will_do(self, encoding: str) -> None:
+        for arguments in ([], [FOLDER / SHARED]):
+            process = run("cost", *arguments, env={"PYTHONIOENCODING": encoding, "PYTHONUTF8": "0"})
+            assert (process.returncode, process.stderr) == (0, b"")
+
+    def test_quiet_leaves_json_alone(self) -> None:
+        assert invoke("cost", "-q").output == ""
+        assert cost("-q")["table"]
+
+
+class TestNothingToCount:
+    def test_a_primitive_that_bake_skips_costs_nothing_and_is_named(self, tmp_path: Path) -> None:
+        path = write_model(tmp_path / "bare.glb", [sheet(), sheet(NORMAL=None)])
+        result = invoke("cost", path, "--json")
+        found = document(result)
+        assert [entry["primitive"] for entry in found["primitives"]] == [0]
+        assert [(entry["code"], entry["primitive"]) for entry in found["warnings"]] == [("no-normals", 1)]
+        assert found["total"]["vertices"] == 20
+        assert "no NORMAL" in result.stderr
+
+    def test_a_file_without_skins(self, tmp_path: Path) -> None:
+        path = edited("seam.glb", tmp_path, unskinned)
+        found = cost(path)
+        jsonschema.validate(found, FILE)
+        assert found["primitives"] == []
+        assert found["total"]["bytes"] == by_number(0, 0, 0)
+        result = invoke("cost", path)
+        assert result.exit_code == 0
+        assert result.stdout == f"{path}: 0 skinned primitives, 0 vertices a frame\n"
+
+
+def unskinned(content: Any) -> None:
+    for node in content["nodes"]:
+        node.pop("skin", None)
+
+
+class TestErrors:
+    @pytest.mark.parametrize(
+        "arguments",
+        [
+            ["--influences", "0"],
+            ["--influences", "65"],
+            ["--influences", "four"],
+            ["--influences", "4.0"],
+            ["--influences"],
+            ["--influences", "4", str(FOLDER / "seam.glb")],
+            ["model.fbx"],
+            [str(FOLDER / "seam.glb"), str(FOLDER / "two_sets.glb")],
+            ["--frame", "normal"],
+        ],
+    )
+    def test_wrong_usage_is_2(self, arguments: list[str]) -> None:
+        result = invoke("cost", *arguments)
+        assert (result.exit_code, result.stdout) == (2, "")
+        assert "Usage: skinbake cost" in result.stderr
+
+    @pytest.mark.parametrize("flags", [[], ["--json"]])
+    @pytest.mark.parametrize("name", ["missing.glb", "folder.glb", "empty.glb", "short.glb", "text.gltf"])
+    def test_a_file_that_cannot_be_read_is_3(self, name: str, flags: list[str], tmp_path: Path) -> None:
+        (tmp_path / "folder.glb").mkdir()
+        (tmp_path / "empty.glb").touch()
+        (tmp_path / "short.glb").write_bytes((FOLDER / "seam.glb").read_bytes()[:5_000])
+        (tmp_path / "text.gltf").write_text("hello", encoding="utf-8")
+        process = run("cost", tmp_path / name, *flags)
+        assert (process.returncode, process.stdout) == (3, b"")
+        assert process.stderr.startswith(f"error: {tmp_path / name}: ".encode())
+        assert b"Traceback" not in process.stderr
+        assert b"should not" not in process.stderr
+
+    @pytest.mark.parametrize(
+        ("primitive", "message"),
+        [
+            ({"attributes": {"NORMAL": 9_999}}, 'primitive 0, NORMAL: "NORMAL" refers to entry 9999'),
+            ({"attributes": {"WEIGHTS_0": None}}, "WEIGHTS_0"),
+            ({"attributes": {"JOINTS_1": 0}}, "primitive 0"),
+            ({"extensions": {"KHR_draco_mesh_compression": {}}}, "KHR_draco_mesh_compression"),
+        ],
+    )
+    def test_data_that_is_wrong_is_3_and_says_where(
+        self, primitive: dict[str, dict[str, Any]], message: str, tmp_path: Path
+    ) -> None:
+        def spoil(content: Any) -> None:
+            found = content["meshes"][0]["primitives"][0]
+            for key, members in primitive.items():
+                found[key] = {**found.get(key, {}), **members}
+
+        process = run("cost", edited("seam.glb", tmp_path, spoil))
+        assert (process.returncode, process.stdout) == (3, b"")
+        assert message.encode() in process.stderr
+        assert b"Traceback" not in process.stderr
+        assert b"should not" not in process.stderr
+
+
+def test_help_imports_nothing_heavy() -> None:
+    program = (
+        "import sys; from skinbake.cli.main import main; main(['cost', '--help'], standalone_mode=False);"
+        "print(sorted({'numpy', 'skinbake.replay', 'skinbake.commands', 'skinbake.report'} & set(sys.modules)),"
+        " file=sys.stderr)"
+    )
+    process = run(command=("-c", program))
+    assert process.stdout.startswith(b"Usage: ")
+    assert process.stderr.split() == [b"[]"]
+
+
+def test_this_python_is_the_one_that_is_tested() -> None:
+    assert sys.version_info >= (3, 11)
