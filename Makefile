@@ -42,12 +42,10 @@ fixtures: $(DEV) ## Write fixtures/ anew
 picture: $(DEV) ## Draw docs/bend.png anew
 	$(BIN)/python benchmarks/bend_picture.py docs/bend.png
 
-bench: $(DEV) ## Run the benchmarks: how good the normals are on the example, how long a large bake takes
+bench: $(DEV) $(NODE_MODULES) ## Run the benchmarks: normals on the example, time of a bake against a peer
 	@mkdir -p build
 	$(BIN)/python benchmarks/bend_picture.py build/bend.png
-	$(BIN)/python benchmarks/skinned_grid.py 1000000 build/grid.glb
-	@echo "bake a skinned grid of a million vertices, twice: the first run may compile"
-	@for run in 1 2; do bash -c 'time $(BIN)/skinbake bake build/grid.glb -o build/grid_baked.glb'; done
+	$(BIN)/python -m benchmarks.bake_speed
 
 clean: ## Remove everything that make made
 	rm -rf .venv build dist tests/support/node_modules src/*.egg-info

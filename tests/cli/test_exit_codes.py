@@ -165,6 +165,14 @@ class TestBake:
         assert read(second).has_attribute(ALPHA)
         assert names(tmp_path) == ["seam.glb", "two_sets.glb"]
 
+    def test_in_place_a_file_with_nothing_to_bake_is_not_touched(self, tmp_path: Path) -> None:
+        path = write_model(tmp_path / "bare.glb", [sheet(NORMAL=None)])
+        before = path.stat()
+        result = invoke("bake", path, "--in-place")
+        assert (result.exit_code, "passed through unchanged" in result.stderr) == (0, True)
+        after = path.stat()
+        assert (after.st_ino, after.st_mtime_ns) == (before.st_ino, before.st_mtime_ns)
+
 
 class TestUsage:
     """Everything here is 2, says why, and touches no file."""

@@ -106,7 +106,7 @@ def test_a_defect_is_a_sentence_and_a_traceback_only_where_it_is_asked_for() -> 
         assert b"Traceback" in process.stderr, flags
 
 
-@pytest.mark.parametrize("encoding", ["ascii", "latin-1", "cp1252", "utf-8"])
+@pytest.mark.parametrize("encoding", ["latin-1", "cp1252"])
 @pytest.mark.parametrize("arguments", [["--help"], ["bake", "--help"], ["inspect", str(SEAM)]])
 def test_any_encoding_of_the_terminal_will_do(encoding: str, arguments: list[str]) -> None:
     """Output to a pipe on Windows is cp1252, which has no α."""
@@ -169,8 +169,8 @@ def test_closed_streams_are_not_defects_of_skinbake(command: str) -> None:
 
 
 def test_an_interrupt_ends_without_a_traceback_or_a_file(tmp_path: Path) -> None:
-    if sys.platform == "win32":
-        pytest.skip("signals of POSIX")
+    if sys.platform != "linux":
+        pytest.skip("needs the signals of POSIX and /proc")
     process = subprocess.Popen(
         [sys.executable, "-m", "skinbake", "bake", "-", "-o", str(tmp_path / "out.glb")],
         stdin=subprocess.PIPE,

@@ -275,6 +275,19 @@ def test_contradictions_are_refused(path: tuple[str | int, ...], key: str, value
     assert str(caught.value).startswith('made.gltf: mesh 0 "body", primitive 0, POSITION: ')
 
 
+def test_a_sparse_index_just_past_the_end_is_refused() -> None:
+    for number, refused in ((5, False), (6, True)):
+        made = plain()
+        data = bytearray(base64.b64decode(made["buffers"][0]["uri"].split(",")[1]))
+        data[48:52] = struct.pack("<I", number)
+        made["buffers"][0]["uri"] = "data:;base64," + base64.b64encode(data).decode()
+        if refused:
+            with pytest.raises(InputError, match="a sparse accessor replaces element 6 of 6"):
+                read(made)
+        else:
+            assert read(made).values[5].tolist() == [7, 8]
+
+
 MISSING: list[tuple[Callable[[JsonObject], Any], str]] = [
     (lambda made: made["accessors"][0].pop("count"), '"count" must be'),
     (lambda made: made["bufferViews"][0].pop("byteLength"), '"byteLength" must be'),

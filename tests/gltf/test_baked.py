@@ -18,7 +18,9 @@ from fixtures.builder import AnyArray, JsonObject
 from skinbake.bake.baker import BakeSettings
 from skinbake.commands.bake import BakeOptions, bake_file
 from skinbake.errors import InputError
+from skinbake.gltf.additions import Additions
 from skinbake.gltf.baked import AttributeNames
+from skinbake.gltf.document import read_document
 from skinbake.gltf.resources import encode_data_uri
 from tests.gltf.models import (
     FIXTURES,
@@ -207,6 +209,20 @@ class TestSharedAccessors:
         assert first[ALPHA] != first[BETA]
 
 
+def test_equal_bytes_of_different_formats_are_not_shared() -> None:
+    additions = Additions(read_document(str(FOLDER / "seam.glb")))
+    shorts = np.arange(8, dtype=np.uint16).reshape(2, 4)
+    formats: list[tuple[AnyArray, bool]] = [
+        (shorts, False),
+        (shorts, True),
+        (shorts.view(np.uint8).reshape(4, 4), False),
+    ]
+    formats += [(shorts.view(np.uint8).reshape(2, 8)[:, :4].copy().view(np.float32), False)]
+    numbers = [additions.add(values, normalized=normalized) for values, normalized in formats]
+    assert len(set(numbers)) == len(formats)
+    assert [additions.add(values, normalized=normalized) for values, normalized in formats] == numbers
+
+
 class TestUnbaked:
     def test_unskinned_primitives_are_untouched(self, tmp_path: Path) -> None:
         def change(content: JsonObject) -> None:
@@ -384,6 +400,27 @@ def leaning(degrees: float) -> Part:
     normals = sheet().attributes["NORMAL"].astype(float)
     leaned = np.cos(angle) * tangents + np.sin(angle) * normals
     return sheet(TANGENT=np.column_stack([leaned, np.ones(20)]).astype(np.float32))
+
+
+class TestValuesThatAreNoNumbers:
+    @pytest.mark.parametrize("attribute", ["NORMAL", "TANGENT"])
+    def test_alpha_and_beta_are_numbers_all_the_same(self, attribute: str, tmp_path: Path) -> None:
+        tangents, _ = tangent_frame(sheet())
+        arrays = {
+            "NORMAL": sheet().attributes["NORMAL"].copy(),
+            "TANGENT": np.column_stack([tangents, np.ones(20)]).astype(np.float32),
+        }
+        arrays[attribute][3] = np.nan
+        arrays[attribute][7, 0] = np.inf
+        path = write_model(tmp_path / "sheet.glb", [sheet(**arrays)])
+        result = bake(path, tmp_path / "baked.glb")
+        assert result.status == "baked"
+        # A normal that is taken as (0, 0, 1) has its tangent leaning, which is said too.
+        assert {notice.count for notice in result.notices} == {2}
+        assert any(attribute in notice.message for notice in result.notices)
+        after = read(tmp_path / "baked.glb")
+        assert np.isfinite(after.attribute(ALPHA)).all()
+        assert np.isfinite(after.attribute(BETA)).all()
 
 
 class TestGeneratedNormals:

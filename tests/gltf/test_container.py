@@ -117,6 +117,13 @@ class TestGlbToGltf:
         expected["buffers"][0]["uri"] = first
         assert json.dumps(without_additions(expected, after.content)) == json.dumps(expected)
 
+    def test_the_file_ends_where_the_buffer_does(self, tmp_path: Path) -> None:
+        """The BIN chunk's padding is the container's, not the buffer's."""
+        content = {"asset": {"version": "2.0"}, "buffers": [{"byteLength": 5}]}
+        (tmp_path / "five.glb").write_bytes(pack_glb(content, b"12345"))
+        bake(tmp_path / "five.glb", tmp_path / "five.gltf")
+        assert (tmp_path / "five.bin").read_bytes() == b"12345"
+
     def test_there_and_back_is_the_same_document(self, tmp_path: Path) -> None:
         bake(FOLDER / "seam.glb", tmp_path / "model.gltf")
         strip_file(str(tmp_path / "model.gltf"), str(tmp_path / "back.glb"))
@@ -252,6 +259,23 @@ class TestAnotherFolder:
         # A reader of URIs resolves the dots before it asks the disk (RFC 3986, §5.2.4).
         found = Path(os.path.normpath(tmp_path / "out" / str(image)))
         assert found.read_bytes() == PNG + b"skin.png"
+
+    def test_two_models_with_buffers_of_one_name_share_a_folder(self, tmp_path: Path) -> None:
+        """As many exporters write them: scene.gltf and scene.bin, one pair a folder."""
+        (tmp_path / "out").mkdir()
+        models = []
+        for name in ("seam.glb", "hard_edge.glb"):
+            source = tmp_path / name[:-4] / name.replace(".glb", ".gltf")
+            source.parent.mkdir()
+            model = read(FOLDER / name)
+            model.content["buffers"][0]["uri"] = "scene.bin"
+            (source.parent / "scene.bin").write_bytes(model.binary_chunk or b"")
+            rewritten(model, source)
+            baked(source, tmp_path / "out" / source.name)
+            models.append(source)
+        for source in models:
+            assert_buffers_kept(read(source), read(tmp_path / "out" / source.name))
+        assert len(names(tmp_path / "out")) == 6
 
     def test_missing_images_are_counted_and_the_bake_goes_on(self, tmp_path: Path) -> None:
         source = with_image(tmp_path / "in", "gone.png", None)

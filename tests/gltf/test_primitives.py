@@ -115,10 +115,12 @@ def test_a_mesh_is_skinned_where_a_node_gives_it_a_skin(tmp_path: Path) -> None:
     assert notices[0].place.mesh_name == "loose"
 
 
-def test_the_smallest_skin_bounds_the_joints(tmp_path: Path) -> None:
+@pytest.mark.parametrize("order", [(0, 1), (1, 0)])
+def test_the_smallest_skin_bounds_the_joints(tmp_path: Path, order: tuple[int, int]) -> None:
     def change(content: JsonObject) -> None:
         content["skins"].append({"joints": content["skins"][0]["joints"][:2]})
-        content["nodes"].append({"mesh": 0, "skin": 1})
+        content["nodes"][0]["skin"] = order[0]
+        content["nodes"].append({"mesh": 0, "skin": order[1]})
 
     document, (source,) = sources(edited("seam.glb", tmp_path, change))
     assert source.joint_count == 2
@@ -212,8 +214,6 @@ def constant(value: float, dtype: type[np.generic], *, columns: int = 4, rows: i
 
 U8, U16, F4 = np.uint8, np.uint16, np.float32
 WRONG_ARRAYS: list[tuple[dict[str, AnyArray | None], str]] = [
-    ({"NORMAL": constant(np.inf, F4, columns=3)}, "NORMAL: its values are not all finite"),
-    ({"TANGENT": constant(np.nan, F4)}, "TANGENT: its values are not all finite"),
     ({"WEIGHTS_0": constant(-np.inf, F4)}, "WEIGHTS_0: its weights are not all finite"),
     ({"NORMAL": constant(1, F4, columns=3, rows=19)}, "NORMAL: it has 19 elements, POSITION has 20"),
     ({"JOINTS_0": constant(0, U8, rows=21)}, "JOINTS_0: it has 21 elements, POSITION has 20"),

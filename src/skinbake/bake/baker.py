@@ -88,7 +88,7 @@ def bake_mesh(
         findings = BakeFindings(
             weights=defects[number],
             degenerate_triangles=int(np.count_nonzero(~masks[number])),
-            zero_normals=int(np.count_nonzero(~primitive.normals.any(axis=1))),
+            zero_normals=int(np.count_nonzero(~frames.has_direction(primitive.normals))),
             tangent_deviation=frame.deviation,
             bad_tangents=frame.deviating,
             adopting_vertices=int(np.count_nonzero((slots.adopted != NO_JOINT).any(axis=1))),

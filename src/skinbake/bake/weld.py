@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from skinbake.bake.influences import WeightField
-from skinbake.geometry.frames import unit_vectors
+from skinbake.geometry.frames import has_direction, unit_vectors
 from skinbake.geometry.skinned import BoolArray, FloatArray
 
 Labels = npt.NDArray[np.int64]
@@ -29,7 +29,8 @@ def weld(positions: FloatArray, normals: FloatArray, field: WeightField, *, crea
     positions (V, 3) in mesh space, normals (V, 3) of any length, field the normalised weights of the same
     vertices, crease_angle in radians. Two vertices are copies of one surface point where position (−0 = +0)
     and influences are equal, whatever the order of the slots; copies are one class where their normals differ
-    by at most the crease angle, or where a chain of such copies joins them. The result depends on neither
+    by at most the crease angle, or where a chain of such copies joins them; a normal without a direction is
+    near none but its equals. The result depends on neither
     vertex nor slot order, except for the numbers of the classes.
     """
     labels = equal_positions(positions)
@@ -39,7 +40,9 @@ def weld(positions: FloatArray, normals: FloatArray, field: WeightField, *, crea
     points = equal_rows(labels[copies, None], _influence_keys(field.rows(copies)))
     oriented = equal_rows(points[:, None], _bits(normals[copies]))
     first = np.unique(oriented, return_index=True)[1]
-    linked = _link_by_angle(points[first], unit_vectors(normals[copies[first]]), crease_angle)
+    distinct = normals[copies[first]]
+    directions = np.where(has_direction(distinct)[:, None], unit_vectors(distinct), np.nan)
+    linked = _link_by_angle(points[first], directions, crease_angle)
     labels[copies] = len(labels) + linked[oriented]
     return _numbered(labels)
 
@@ -124,6 +127,7 @@ def _link_by_angle(points: Labels, normals: npt.NDArray[np.float64], crease_angl
 def _link_groups(members: Labels, normals: npt.NDArray[np.float64], angle: float, labels: Labels) -> None:
     """Link within groups (G, S) of equal size at once: every row takes the least label it can reach."""
     near = _within(normals[members][:, :, None], normals[members][:, None, :], angle)
+    near |= np.eye(members.shape[1], dtype=np.bool_)
     local = np.tile(np.arange(members.shape[1]), (len(members), 1))
     while True:
         reached = np.where(near, local[:, None, :], members.shape[1]).min(axis=2)
@@ -146,9 +150,7 @@ def _grow_group(members: Labels, normals: npt.NDArray[np.float64], angle: float,
 
 
 def _within(first: npt.NDArray[np.float64], second: npt.NDArray[np.float64], angle: float) -> BoolArray:
-    """Tell where two unit vectors differ by at most an angle, exactly also for small ones."""
-    if angle >= np.pi:
-        return np.ones(np.broadcast_shapes(first.shape, second.shape)[:-1], dtype=np.bool_)
+    """Tell where two unit vectors differ by at most an angle, exactly also for small ones; NaN never does."""
     chord = np.linalg.norm(first - second, axis=-1)
     return np.asarray(chord <= 2.0 * np.sin(angle / 2.0) + ROUNDING, dtype=np.bool_)
 

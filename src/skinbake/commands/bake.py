@@ -202,7 +202,7 @@ def _assumptions(
         (
             "normals-zero",
             findings.zero_normals,
-            "{} vertices have a NORMAL without length: taken as (0, 0, 1)",
+            "{} vertices have a NORMAL without a direction: taken as (0, 0, 1)",
         ),
     ]
     return [

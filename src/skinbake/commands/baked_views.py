@@ -58,7 +58,8 @@ def baked_views(
     document: Document, sources: Sequence[PrimitiveSource]
 ) -> tuple[list[BakedView], list[Notice]]:
     """Return every baked primitive that holds together, and a problem for each that does not."""
-    views, problems = [], []
+    views: list[BakedView] = []
+    problems: list[Notice] = []
     for source in sources:
         found = _view(document, source)
         if isinstance(found, BakedView):
@@ -114,7 +115,7 @@ def _wrong_members(metadata: JsonObject, source: PrimitiveSource) -> Iterator[st
         yield f'"influences" is {_shown(slots)}, and it has {now} a vertex'
     for key in ("alpha", "beta"):
         names = metadata.get(key)
-        if not _are_names(names) or len(names) != source.influence_sets:
+        if not isinstance(names, list) or not _are_names(names, source.influence_sets):
             yield f'"{key}" is {_shown(names)}, not an attribute for each influence set'
     digest = metadata.get("digest")
     if not isinstance(digest, dict) or not digest:
@@ -128,8 +129,8 @@ def _wrong_members(metadata: JsonObject, source: PrimitiveSource) -> Iterator[st
             yield f'"digest" holds {_shown(digest.get(name))} for {name}'
 
 
-def _are_names(value: Any) -> bool:
-    return isinstance(value, list) and all(isinstance(name, str) for name in value)
+def _are_names(values: list[Any], count: int) -> bool:
+    return len(values) == count and all(isinstance(value, str) for value in values)
 
 
 def _shown(value: object) -> str:
@@ -212,7 +213,11 @@ def _before_adoption(
 
 def _skewed(view: BakedView) -> Iterator[Notice]:
     """Yield a problem where the rest frame's normal is not the one stored."""
-    if view.metadata["frame"] != frames.TANGENT_FRAME or view.now.tangents is None or "TANGENT" in view.changed:
+    if (
+        view.metadata["frame"] != frames.TANGENT_FRAME
+        or view.now.tangents is None
+        or "TANGENT" in view.changed
+    ):
         return
     used = np.unique(view.now.triangles)
     normals = frames.unit_normals(view.now.normals[used])
@@ -227,8 +232,9 @@ def _skewed(view: BakedView) -> Iterator[Notice]:
 
 
 def _contradictions(views: Sequence[BakedView]) -> Iterator[Notice]:
-    """Yield a problem for each primitive whose settings are not those of its mesh's first: they are gathered
-    together, so one bake made them all.
+    """Yield a problem for each primitive whose settings are not those of its mesh's first primitive.
+
+    The primitives of a mesh are gathered together: one bake made them all.
     """
     first: dict[int, BakedView] = {}
     for view in views:

@@ -12,6 +12,7 @@ from skinbake.errors import Notice
 from skinbake.geometry.skinned import SkinnedPrimitive
 from skinbake.gltf.accessors import read_accessor
 from skinbake.gltf.document import Document, read_document
+from skinbake.gltf.json_access import integer
 from skinbake.gltf.metadata import noted_names, read_metadata
 from skinbake.gltf.primitives import (
     PrimitiveSource,
@@ -60,18 +61,21 @@ def cost_by_influences() -> CostTable:
 def cost_of_file(source: str) -> FileCosts:
     """Return what the skinned primitives of one file cost; raises SkinbakeError where it cannot be read.
 
-    Those that bake skips are left out, with a notice. A file without any costs nothing.
+    Those without a surface are left out, and those without a NORMAL count as if bake had added one, each
+    with a notice. A file without skinned primitives costs nothing.
     """
     document = read_document(source)
     sources, notices = skinned_sources(document)
     draws = _draws(document)
     primitives = []
     for entry in sources:
-        found = _costs(document, entry, draws[entry.mesh])
-        if isinstance(found, Notice):
-            notices.append(found)
-        else:
-            primitives.append(found)
+        refuse_compressed(document, entry)
+        notice = reason_to_skip(document, entry, generate_normals=True)
+        if notice is None:
+            primitives.append(_costs(document, entry, draws[entry.mesh]))
+            notice = _missing_normal(entry)
+        if notice is not None:
+            notices.append(notice)
     return FileCosts(
         input=source,
         primitives=tuple(primitives),
@@ -88,12 +92,14 @@ def _draws(document: Document) -> Counter[int]:
     )
 
 
-def _costs(document: Document, source: PrimitiveSource, draws: int) -> PrimitiveCosts | Notice:
-    """Return what one skinned primitive costs, or why bake would skip it."""
-    refuse_compressed(document, source)
-    reason = reason_to_skip(document, source, generate_normals=False)
-    if reason is not None:
-        return reason
+def _missing_normal(source: PrimitiveSource) -> Notice | None:
+    if "NORMAL" in source.attributes:
+        return None
+    message = "it has no NORMAL: counted with the one that bake --generate-normals adds"
+    return Notice("no-normals", message, source.place)
+
+
+def _costs(document: Document, source: PrimitiveSource, draws: int) -> PrimitiveCosts:
     primitive = read_primitive(document, source)
     layout = _layout(document, source)
     influences, vertices = primitive.joints.shape[1], _vertices_in_use(primitive)
@@ -130,9 +136,11 @@ class _Layout:
 
 
 def _layout(document: Document, source: PrimitiveSource) -> _Layout:
-    surface = [name for name in ("POSITION", "NORMAL", "TANGENT") if name in source.attributes]
     influences = [f"{kind}_{n}" for n in range(source.influence_sets) for kind in ("JOINTS", "WEIGHTS")]
-    plain, _ = _sizes(document, source, surface + influences)
+    has_normal = "NORMAL" in source.attributes  # without one, TANGENT is ignored
+    surface = [name for name in ("NORMAL", "TANGENT") if has_normal and name in source.attributes]
+    plain, _ = _sizes(document, source, ["POSITION", *surface, *influences])
+    plain.setdefault("NORMAL", StoredTypes().normal)
     baked, components = _sizes(document, source, _baked_names(document, source))
     return _Layout(plain, baked, max(components, default=StoredTypes().gradient))
 
@@ -151,7 +159,8 @@ def _sizes(
     """Return the bytes of one element of each attribute, aligned, and of one of its components."""
     elements, components = {}, []
     for name in names:
-        values = read_accessor(document, source.attributes[name], source.place.at(name)).values
+        place = source.place.at(name)
+        values = read_accessor(document, integer(source.attributes, name, place), place).values
         size = values.dtype.itemsize * values.shape[1]
         elements[name] = -(-size // ALIGNMENT) * ALIGNMENT
         components.append(values.dtype.itemsize)

@@ -15,6 +15,7 @@ from skinbake.geometry.skinned import BoolArray, FloatArray
 from skinbake.gltf.animation import read_clips
 from skinbake.gltf.document import Document
 from skinbake.replay.surface import Baseline, RestSurface
+from skinbake.report.notices import counted
 from skinbake.report.verify import Check, ErrorFigures, FileVerdict, Normals, Worst, gain
 from skinbake.verify.influences import normalised_weights
 from skinbake.verify.lighting import IDENTITY_TOLERANCE, LightingErrors, lighting_errors, not_rigid_joints
@@ -89,8 +90,9 @@ class Lighting:
         return replace(verdict, notices=tuple(self._mirrored(meshes)))
 
     def _pose_sets(self, mesh: int) -> list[PoseSet]:
+        # Some exporters write 3.0; that they are indices was seen when the primitives were read.
         skins = {
-            node["skin"]: None
+            int(node["skin"]): None
             for node in self._document.objects("nodes")
             if node.get("mesh") == mesh and "skin" in node
         }
@@ -108,8 +110,8 @@ class Lighting:
                 )
                 if count:
                     message = (
-                        f"{count} joints mirror (their matrices have a negative determinant): t' × b' points "
-                        "inside there, and the shader must turn it round"
+                        f"{counted(count, 'joint mirrors', 'joints mirror')} (negative determinant): t' × b' "
+                        "points inside there, and the shader must turn it round"
                     )
                     yield Notice(
                         "joints-mirror", message, replace(views[0].source.place, primitive=None), count
@@ -144,17 +146,24 @@ class Lighting:
         self._progress(self._document.name, self._done, self._total)
 
     def _identity_check(self) -> Check:
-        remark = f"algorithm 3 = algorithm 2 within {self._identity:.1g}°"
+        remark = f"direct and accurate (algorithms 2 and 3) agree within {self._identity:.1g}°"
         if self._identity <= IDENTITY_TOLERANCE:
             return Check("identity", "passed", (), remark)
-        message = f"algorithms 2 and 3 differ by {self._identity:.2g}°: they should agree to rounding"
-        return Check("identity", "failed", (Notice("identity", message, self._document.place),), remark)
+        message = (
+            f"direct and accurate normals (algorithms 2 and 3) differ by {self._identity:.2g}°, and should "
+            "agree to rounding: this is a fault of skinbake, please report it"
+        )
+        return Check("identity", "failed", (Notice("identity", message, self._document.place),))
 
     def _verdict(self, poses: Sequence[PoseSet], without_dqs: str | None) -> FileVerdict:
         normals = _figures(self._segments)
         seconds = sum(clip.duration for clip in self._clips)
         identity = self._identity_check()
         checks = [identity] if "lbs" in normals else []
+        if not normals:
+            checks.append(
+                Check("lighting", "skipped", (), "there is no true normal at any vertex in these poses")
+            )
         limits = _exceeded(normals, self._options, self._document.place)
         asked = (self._options.max_mean_error, self._options.max_p95_error, self._options.min_gain)
         if any(limit is not None for limit in asked):

@@ -53,7 +53,7 @@ def _comparisons(views: Sequence[BakedView], operator: GradientOperator) -> list
         [(view.tangents, view.bitangents) for view in views],
         named=[view.now for view in views],
     )
-    reach = sum(np.asarray(abs(part).sum(axis=1)).ravel() for part in (operator.x, operator.y, operator.z))
+    reach = np.sum([abs(part).sum(axis=1) for part in (operator.x, operator.y, operator.z)], axis=0)
     return [
         freshness.compare((view.alpha, view.beta), (alpha[:, 1:], beta[:, 1:]), reach=reach[rows])
         for view, (alpha, beta), rows in zip(views, expected, operator.slices, strict=True)
@@ -102,14 +102,21 @@ def _factors(factors: tuple[float, float]) -> str:
     return " and ".join(off)
 
 
+def _common(factors: tuple[float, float] | None) -> float | None:
+    if factors is None or abs(factors[0] - factors[1]) > freshness.RELATIVE_TOLERANCE:
+        return None
+    return factors[0]
+
+
 def _doings(document: Document, view: BakedView, comparison: freshness.Comparison) -> str:
     """Return what the usual tools do that explains the arrays that changed."""
     doings = []
     if _is_quantised(document, view):
         doings.append("its vertices quantised")
-    if "POSITION" in view.changed and comparison.factors is not None:
-        doings.append(f"its vertices rescaled (by {comparison.factors[0]:.4g})")
-    if {"JOINTS", "WEIGHTS"} & set(view.changed) and comparison.reordered:
+    scale = comparison.rescaled or _common(comparison.factors)
+    if "POSITION" in view.changed and scale is not None:
+        doings.append(f"its vertices rescaled (by {scale:.3g})")
+    if {"JOINTS", "WEIGHTS"} & set(view.changed) and comparison.resorted:
         doings.append("its influences re-sorted")
     if not doings and comparison.mostly_agrees:
         # α and β moved along with the vertices that they belong to.

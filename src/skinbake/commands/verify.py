@@ -57,8 +57,9 @@ def _verify_file(source: str, options: VerifyOptions, progress: Progress) -> Fil
 
 
 def _sorted_out(document: Document) -> tuple[list[PrimitiveSource], list[Notice], list[Notice]]:
-    """Return the skinned primitives that can be baked, problems of those that are but no longer could be,
-    and notices on the others that were left out.
+    """Return the skinned primitives that can be baked, problems, and notices on what was left out.
+
+    A primitive that is baked and no longer can be is a problem.
     """
     sources, notices = skinned_sources(document)
     wanted: list[PrimitiveSource] = []

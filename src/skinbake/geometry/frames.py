@@ -4,22 +4,27 @@ from __future__ import annotations
 
 import numpy as np
 
-from skinbake.geometry.skinned import Float32Array, Float64Array, FloatArray
+from skinbake.geometry.skinned import BoolArray, Float32Array, Float64Array, FloatArray
 
 TANGENT_FRAME = "tangent"
 NORMAL_FRAME = "normal"
 
 
 def unit_vectors(vectors: FloatArray) -> Float64Array:
-    """Return vectors (V, 3) normalised, float64; one without a length becomes (0, 0, 1)."""
+    """Return vectors (V, 3) normalised, float64; one without a finite length becomes (0, 0, 1)."""
     wide = vectors.astype(np.float64)
-    length = np.linalg.norm(wide, axis=1, keepdims=True)
-    unit = np.divide(wide, length, out=np.tile([0.0, 0.0, 1.0], (len(wide), 1)), where=length > 0)
-    return np.asarray(unit)
+    sound = has_direction(vectors)[:, None]
+    length = np.linalg.norm(np.where(sound, wide, 1.0), axis=1, keepdims=True)
+    return np.where(sound, wide / length, [0.0, 0.0, 1.0])
+
+
+def has_direction(vectors: FloatArray) -> BoolArray:
+    """Tell which vectors (V, 3) have a length other than zero, and finite components."""
+    return np.asarray(np.isfinite(vectors).all(axis=1) & vectors.any(axis=1))
 
 
 def unit_normals(normals: FloatArray) -> Float32Array:
-    """Return NORMAL (V, 3) normalised, float32; a vector without a length becomes (0, 0, 1)."""
+    """Return NORMAL (V, 3) normalised, float32; one without a finite length becomes (0, 0, 1)."""
     return unit_vectors(normals).astype(np.float32)
 
 
@@ -41,18 +46,22 @@ def frame_from_normal(normals: Float32Array) -> tuple[Float32Array, Float32Array
 
 
 def frame_from_tangent(normals: Float32Array, tangents: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return t0 = TANGENT.xyz and b0 = (n0 × t0) · TANGENT.w, each (V, 3), of tangents (V, 4)."""
-    tangent, handedness = tangents[:, :3], tangents[:, 3:]
+    """Return t0 = TANGENT.xyz and b0 = (n0 × t0) · TANGENT.w, each (V, 3), of tangents (V, 4).
+
+    A tangent that is not finite counts as zero: nothing is baked along it.
+    """
+    sound = np.where(np.isfinite(tangents).all(axis=1, keepdims=True), tangents, tangents.dtype.type(0))
+    tangent, handedness = sound[:, :3], sound[:, 3:]
     return tangent, np.cross(normals, tangent) * handedness
 
 
 def tangent_deviation(normals: Float32Array, tangents: FloatArray) -> Float64Array:
     """Return how far t0 × b0 (turned by the handedness) leans from n0: (V,) degrees.
 
-    180 where TANGENT has no length, or a handedness other than 1 or −1.
+    180 where TANGENT has no finite length, or a handedness other than 1 or −1.
     """
     tangent, bitangent = frame_from_tangent(normals, tangents.astype(np.float64))
-    handedness = tangents[:, 3].astype(np.float64)
+    handedness = np.nan_to_num(tangents[:, 3].astype(np.float64))
     rebuilt = np.cross(tangent, bitangent) * handedness[:, None]
     sine = np.linalg.norm(np.cross(normals, rebuilt), axis=1)
     cosine = np.einsum("ij,ij->i", normals.astype(np.float64), rebuilt)

@@ -157,12 +157,12 @@ def _parents(document: Document) -> dict[int, int]:
 def _ancestors_first(joints: Sequence[int], parents: dict[int, int], place: Place) -> list[int]:
     order: dict[int, None] = {}
     for joint in joints:
-        chain: list[int] = []
+        chain: dict[int, None] = {}
         node: int | None = joint
         while node is not None and node not in order:
             if node in chain:
                 raise InputError(f"node {node} is its own ancestor", place)
-            chain.append(node)
+            chain[node] = None
             node = parents.get(node)
         order.update(dict.fromkeys(reversed(chain)))
     return list(order)
@@ -225,6 +225,8 @@ def _channel(document: Document, samplers: list[JsonObject], channel: JsonObject
     times = read_accessor(document, source, place).decoded().astype(np.float64)
     values = read_accessor(document, output, place).decoded().astype(np.float64)
     method = text(sampler, "interpolation", place) or poses.LINEAR
+    if times.shape[1] != 1 or not np.isfinite(times).all() or (np.diff(times[:, 0]) < 0).any():
+        raise InputError("an animation sampler's times must be finite, ascending scalars", place)
     return Channel(node, path, method, times[:, 0], _key_values(values, len(times), method, path, place))
 
 

@@ -44,10 +44,9 @@ def _as_gltf(document: Document, stem: str) -> tuple[Document, list[Notice]]:
     meant = bool(buffers) and "uri" not in buffers[0]
     unmeant = document.binary is not None and not meant
     if document.other_chunks or document.trailing or unmeant:
-        message = (
-            f"{len(document.other_chunks)} GLB chunks of unknown type and {len(document.trailing)} trailing bytes"
-            f"{' and a BIN chunk that no buffer means' if unmeant else ''} have no place in a .gltf"
-        )
+        chunks = f"{len(document.other_chunks)} GLB chunks of unknown type"
+        also = " and a BIN chunk that no buffer means" if unmeant else ""
+        message = f"{chunks} and {len(document.trailing)} trailing bytes{also} have no place in a .gltf"
         notices.append(Notice("chunks-dropped", message, document.place))
     changes = {"is_glb": False, "indent": "  ", "binary": None, "other_chunks": (), "trailing": b""}
     if document.binary is None or not meant:

@@ -145,8 +145,9 @@ def read_primitive(document: Document, source: PrimitiveSource) -> SkinnedPrimit
     """Return the arrays of one skinned primitive.
 
     normals is (0, 3) where there is no NORMAL. Raises InputError where an attribute has a format that
-    glTF does not allow, values that are not finite, another count than POSITION, or a joint index past
-    the skin's joints at a weight other than zero.
+    glTF does not allow or another count than POSITION, where positions or weights are not finite, or for a
+    joint index past the skin's joints at a weight other than zero. Normals and tangents that are not finite
+    are left to whoever uses them.
     """
     positions = _decoded(document, source, "POSITION", 3)
     count = len(positions)
@@ -228,7 +229,7 @@ def _decoded(
     document: Document, source: PrimitiveSource, attribute: str, components: int, count: int | None = None
 ) -> FloatArray:
     values = _stored(document, source, attribute, components, count).decoded()
-    if not np.isfinite(values).all():
+    if attribute == "POSITION" and not np.isfinite(values).all():
         raise InputError("its values are not all finite numbers", source.place.at(attribute))
     return values
 

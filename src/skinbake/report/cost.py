@@ -17,7 +17,7 @@ For a file:
 | member | type | |
 |---|---|---|
 | ``schema``, ``input`` | string | |
-| ``primitives[]`` | array | skinned ones that bake takes: *place*, *costs*, and |
+| ``primitives[]`` | array | skinned ones with a surface: *place*, *costs*, and |
 | ``.vertices`` | integer | that its triangles refer to |
 | ``.draws`` | integer | nodes that draw its mesh with a skin: so often a frame skins it |
 | ``.influences`` | integer | N: 4 × the number of ``JOINTS_n`` sets |
@@ -26,6 +26,8 @@ For a file:
 | ``.per_frame`` | object | ``multiply_adds``, ``bytes``, ``added_bytes`` as above, × vertices × draws |
 | ``total`` | object | ``vertices`` (× draws), and the members of ``per_frame`` over all primitives |
 | ``warnings[]`` | array of *notice* | |
+
+A missing NORMAL counts as the one that ``bake --generate-normals`` adds (warning ``no-normals``).
 """
 
 from __future__ import annotations

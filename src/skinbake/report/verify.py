@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -21,6 +22,15 @@ LIGHTING_NAMES = {
     "accurate": "accurate",
     "exact": "exact",
 }
+
+ROUNDING = 1e-4
+"""Degrees below which a mean error is float32 rounding: dividing by it would tell nothing."""
+
+XML_DECLARATION = '<?xml version="1.0" encoding="UTF-8"?>\n'
+"""By hand: ElementTree names the locale's encoding for a text, and the file is written in UTF-8."""
+
+NOT_IN_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+"""Characters that XML 1.0 cannot hold, not even escaped; glTF names can."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,8 +92,8 @@ class FileVerdict:
 
 
 def gain(figures: dict[str, ErrorFigures]) -> float | None:
-    """Return the standard mean error divided by the accurate one, None where the latter is 0."""
-    if "accurate" not in figures or figures["accurate"].mean <= 0:
+    """Return the standard mean error divided by the accurate one, None where the latter is rounding."""
+    if "accurate" not in figures or figures["accurate"].mean < ROUNDING:
         return None
     return figures["approximated"].mean / figures["accurate"].mean
 
@@ -194,8 +204,12 @@ def as_junit(verdicts: Sequence[FileVerdict]) -> str:
         suite.set("failures", str(cases.count("failed")))
         suite.set("errors", str(cases.count("error")))
         suite.set("skipped", str(cases.count("skipped")))
+    for element in root.iter():
+        element.text = element.text and NOT_IN_XML.sub("\ufffd", element.text)
+        for key, value in element.items():
+            element.set(key, NOT_IN_XML.sub("\ufffd", value))
     ElementTree.indent(root)
-    return ElementTree.tostring(root, encoding="unicode", xml_declaration=True) + "\n"
+    return XML_DECLARATION + ElementTree.tostring(root, encoding="unicode") + "\n"
 
 
 def _case(suite: ElementTree.Element, check: Check) -> str:

@@ -23,15 +23,21 @@ EXPLAINED = 0.2
 MOST = 0.9
 """Share of the vertices that a cause must explain. The rest are rounding's, or were welded."""
 
+ROUGH = 0.1
+"""Relative difference that quantised positions and normals leave in many gradients' lengths."""
+
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
     """How stored α and β (V, K − 1) differ from recomputed ones.
 
     differing counts the vertices that exceed the tolerance, of count; largest is the largest difference
-    relative to the vertex's largest entry, worst its vertex. factors are the two numbers that α and β have
-    been multiplied by, None where there are none. reordered tells whether the vertices have the right
-    entries (up to factors) in other slots.
+    relative to the vertex's largest entry, worst its vertex.
+
+    What explains the difference exactly: factors are the two numbers that α and β have been multiplied by,
+    None where there are none; reordered tells whether the vertices have the right entries in other slots.
+    What explains it roughly, whatever else noise and other normals did: the positions were multiplied by
+    rescaled (None: they were not), and resorted tells whether the slots are in another order.
     """
 
     differing: int
@@ -40,6 +46,8 @@ class Comparison:
     worst: int
     factors: tuple[float, float] | None
     reordered: bool
+    rescaled: float | None
+    resorted: bool
 
     @property
     def agrees(self) -> bool:
@@ -68,16 +76,14 @@ def compare(
     scale = _scales(wanted, reach)
     difference = _distance(found[:, 1:], wanted[:, 1:]) / scale
     differing = difference > tolerance
-    factors, reordered = None, False
+    factors, reordered, rescaled, resorted = None, False, None, False
     if differing.any():
         cause = _Cause(scale, difference, differing, tolerance)
         factors = _factors(found, wanted, cause)
-        if factors is None:
-            found, wanted = _by_size(found), _by_size(wanted)
-            reordered = cause.explains(_distance(found, wanted))
-            if not reordered:
-                factors = _factors(found, wanted, cause)
-                reordered = factors is not None
+        reordered = factors is None and cause.explains(_distance(_by_size(found), _by_size(wanted)))
+        lengths = np.linalg.norm(found, axis=2), np.linalg.norm(wanted, axis=2)
+        rescaled = _length_ratio(*lengths)
+        resorted = _is_resorted(lengths[0] / (rescaled or 1.0), lengths[1])
     return Comparison(
         differing=int(np.count_nonzero(differing)),
         count=len(difference),
@@ -85,6 +91,8 @@ def compare(
         worst=int(difference.argmax()) if len(difference) else 0,
         factors=factors,
         reordered=reordered,
+        rescaled=rescaled,
+        resorted=resorted,
     )
 
 
@@ -141,3 +149,30 @@ def _by_size(slots: Float64Array) -> Float64Array:
     """
     key = slots @ np.array([1.0, 0.618])
     return np.take_along_axis(slots, np.argsort(key, axis=1)[:, :, None], axis=1)
+
+
+def _length_ratio(found: Float64Array, wanted: Float64Array) -> float | None:
+    """Return the common ratio of gradient lengths (V, K), None where there is none but 1.
+
+    A vertex's length over all slots depends neither on their order nor on the frame, which other normals
+    turn: quantised to 8 bits they leave half of the vertices within a tenth of the true ratio.
+    """
+    lengths, others = np.linalg.norm(found, axis=1), np.linalg.norm(wanted, axis=1)
+    usable = others > FLOOR * others.max(initial=0.0)
+    if not usable.any():
+        return None
+    ratios = lengths[usable] / others[usable]
+    ratio = float(np.median(ratios))
+    near = np.abs(ratios - ratio) < ROUGH * ratio
+    return ratio if near.mean() >= 0.5 and abs(ratio - 1.0) > ROUGH / 2.0 else None
+
+
+def _is_resorted(found: Float64Array, wanted: Float64Array) -> bool:
+    """Tell whether most gradient lengths (V, K) that do not fit would fit in another order of the slots."""
+    largest = np.maximum(wanted.max(axis=1), FLOOR * wanted.max(initial=0.0))
+    apart = np.abs(found - wanted).max(axis=1) > 2.0 * ROUGH * largest
+    sorted_apart = (
+        np.abs(np.sort(found, axis=1) - np.sort(wanted, axis=1)).max(axis=1) > 2.0 * ROUGH * largest
+    )
+    moved = apart & ~sorted_apart
+    return bool(np.count_nonzero(moved) >= max(0.5 * np.count_nonzero(apart), (1.0 - MOST) * len(moved), 1))
