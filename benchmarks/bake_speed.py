@@ -1,6 +1,6 @@
 """Time `skinbake bake` as a whole process, against glTF-Transform on the same files in the same run.
 
-Usage: python benchmarks/bake_speed.py [--runs N] [--vertices N] [MODEL ...]
+Usage: python -m benchmarks.bake_speed [--runs N] [--vertices N] [MODEL ...]
 
 Without models a fixture is baked. A grid of --vertices skinned vertices (a million by default) is made for
 the occasion. The peer is `gltf-transform tangents`, which also computes one attribute a vertex from the

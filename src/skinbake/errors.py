@@ -14,6 +14,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 
+def printable(text: str) -> str:
+    """Return text from a file with control characters escaped: a name cannot forge lines or colours."""
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in text)
+
+
 @dataclass(frozen=True, slots=True)
 class Place:
     """Where in which file: every message about data carries one."""
@@ -28,17 +33,22 @@ class Place:
         """Return this place, narrowed to one attribute (or ``indices``) of the primitive."""
         return replace(self, attribute=attribute)
 
-    def __str__(self) -> str:
-        """Read like ``hero.glb: mesh 2 "Body", primitive 0, WEIGHTS_0``."""
+    @property
+    def within_file(self) -> str:
+        """Read like ``mesh 2 "Body", primitive 0, WEIGHTS_0``; empty for the file as a whole."""
         parts = []
         if self.mesh is not None:
-            name = f' "{self.mesh_name}"' if self.mesh_name else ""
+            name = f' "{printable(self.mesh_name)}"' if self.mesh_name else ""
             parts.append(f"mesh {self.mesh}{name}")
         if self.primitive is not None:
             parts.append(f"primitive {self.primitive}")
         if self.attribute is not None:
-            parts.append(self.attribute)
-        return f"{self.file}: {', '.join(parts)}" if parts else self.file
+            parts.append(printable(self.attribute))
+        return ", ".join(parts)
+
+    def __str__(self) -> str:
+        """Read like ``hero.glb: mesh 2 "Body", primitive 0, WEIGHTS_0``."""
+        return f"{self.file}: {self.within_file}" if self.within_file else self.file
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,6 +80,15 @@ class SkinbakeError(Exception):
 
 class InputError(SkinbakeError):
     """The input cannot be read, or is not valid glTF."""
+
+
+def defect(error: Exception, file: str) -> InputError:
+    """Return what to say of an exception that should not have come up, while other files are tried."""
+    return InputError(
+        f"skinbake failed where it should not: {type(error).__name__}: {error}. "
+        "Please report it with the file; -vv shows where",
+        Place(file),
+    )
 
 
 class UnsupportedFeatureError(InputError):

@@ -233,7 +233,7 @@ class TestUsage:
         ("arguments", "message"),
         [
             (["strip", SEAM], "Missing option '-o'"),
-            (["strip", SEAM, "-o", SEAM], "is the input; use --in-place to replace it"),
+            (["strip", SEAM, "-o", SEAM], "is the input; choose another name"),
             (["strip", SEAM, "-o", "-", "--json"], "stdout cannot take both"),
             (["strip", SEAM, "-o", "a.txt"], "expected a name"),
             (["strip", SEAM, TUBE, "-o", "a.glb"], "unexpected extra argument"),

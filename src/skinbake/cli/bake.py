@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from skinbake.cli import exit_codes
-from skinbake.cli.console import console, message_options
+from skinbake.cli.console import console, finite, message_options
 from skinbake.cli.targets import STDIO, check_readable_suffix, check_target, pair_up
 
 
@@ -38,6 +38,7 @@ def _pattern(ctx: click.Context, param: click.Parameter, value: str) -> str:
     type=click.FloatRange(0, 180),
     default=15.0,
     show_default=True,
+    callback=finite,
     metavar="DEG",
     help="Copies of a vertex whose normals differ by more are a hard edge.",
 )

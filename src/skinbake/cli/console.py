@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import logging
+import math
+import sys
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
 import click
 
-from skinbake.errors import Notice, SkinbakeError
+from skinbake.errors import Notice, OutputError, Place, SkinbakeError, printable
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -26,11 +29,14 @@ class Console:
     def result(self, line: str) -> None:
         """Print a line of the result."""
         if self.verbosity >= 0:
-            click.echo(line, err=self.results_on_stderr, color=self.color)
+            _echo(line, err=self.results_on_stderr, color=self.color)
 
     def document(self, content: Any) -> None:
         """Print a JSON document: the result that scripts asked for, whatever the verbosity."""
-        click.echo(json.dumps(content, indent=2, ensure_ascii=False), color=self.color)
+        text = json.dumps(content, indent=2, ensure_ascii=False)
+        if not _encodable(text):
+            text = json.dumps(content, indent=2)
+        _echo(text, err=False, color=self.color)
 
     def notices(self, notices: Iterable[Notice]) -> None:
         """Print warnings."""
@@ -42,7 +48,7 @@ class Console:
         """Print what only -v wants to know."""
         if self.verbosity > 0:
             for line in lines:
-                click.echo(line, err=True, color=self.color)
+                _echo(line, err=True, color=self.color)
 
     def problems(self, problems: Iterable[Notice]) -> None:
         """Print what a check found wrong: errors, whatever the verbosity."""
@@ -54,7 +60,34 @@ class Console:
         self._message("error", "red", str(error))
 
     def _message(self, kind: str, color: str, text: str) -> None:
-        click.echo(f"{click.style(kind + ':', fg=color, bold=True)} {text}", err=True, color=self.color)
+        styled = click.style(f"{kind}:", fg=color, bold=True)
+        _echo(f"{styled} {printable(text)}", err=True, color=self.color)
+
+
+def _encodable(text: str) -> bool:
+    """Tell whether stdout's encoding holds the text."""
+    try:
+        text.encode(sys.stdout.encoding or "utf-8")
+    except (UnicodeEncodeError, AttributeError):
+        return False
+    return True
+
+
+def _echo(text: str, *, err: bool, color: bool | None) -> None:
+    """Print a line; OutputError where the stream cannot take it, unless its reader has merely left."""
+    try:
+        click.echo(text, err=err, color=color)
+    except OSError as error:
+        if error.errno == errno.EPIPE:
+            raise
+        raise OutputError(f"cannot be written: {error.strerror}", Place("<stdout>")) from error
+
+
+def finite(ctx: click.Context, param: click.Parameter, value: float | None) -> float | None:
+    """Refuse NaN, which every range of click lets through."""
+    if value is not None and not math.isfinite(value):
+        raise click.BadParameter("must be a finite number")
+    return value
 
 
 def message_options(command: Command) -> Command:

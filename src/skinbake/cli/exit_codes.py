@@ -9,6 +9,8 @@ VERIFICATION = 1
 USAGE = 2
 INPUT = 3
 OUTPUT = 4
+INTERRUPTED = 130
+"""By Ctrl-C, as shells have it."""
 
 
 def of_error(error: SkinbakeError) -> int:

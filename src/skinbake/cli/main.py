@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import importlib
+import io
+import logging
 import sys
 
 import click
 
 from skinbake import __version__
 from skinbake.cli import exit_codes
+from skinbake.errors import SkinbakeError
+
+logger = logging.getLogger(__name__)
 
 COMMANDS = {
     "bake": "Add α/β to every skinned primitive of glTF files.",
@@ -51,12 +56,22 @@ def main() -> None:
 
 
 def entry_point() -> None:
-    """Run the command line; nothing that a file or a disk can do ends in a traceback."""
+    """Run the command line; nothing that a file, a disk or a terminal can do ends in a traceback."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")  # α on a terminal that knows no Greek
     try:
-        main(prog_name="skinbake")
+        sys.exit(main(prog_name="skinbake", standalone_mode=False))
+    except click.ClickException as error:
+        error.show()
+        sys.exit(error.exit_code)
+    except click.Abort:
+        sys.exit(exit_codes.INTERRUPTED)
+    except SkinbakeError as error:
+        click.echo(f"error: {error}", err=True)
+        sys.exit(exit_codes.of_error(error))
     except Exception as error:
-        if "-vv" in sys.argv:
-            raise
+        logger.debug("where it failed", exc_info=True)
         click.echo(
             f"error: skinbake failed where it should not: {type(error).__name__}: {error}\n"
             "Please report it with the file that caused it; -vv shows where.",

@@ -24,7 +24,7 @@ from skinbake.errors import SkinbakeError
 def command(source: str, **given: Any) -> None:
     """Write the document as it was before bake: equal JSON, and the original influences."""
     check_readable_suffix(source)
-    check_target(source, given["output"])
+    check_target(source, given["output"], instead="choose another name")
     to_stdout = given["output"] == STDIO
     if to_stdout and given["as_json"]:
         raise click.UsageError("stdout cannot take both the GLB and --json")

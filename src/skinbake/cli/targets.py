@@ -17,14 +17,25 @@ def check_readable_suffix(source: str) -> None:
         raise click.UsageError(f"{source}: expected a name that ends in {', '.join(SUFFIXES)}, or -")
 
 
-def check_target(source: str, target: str) -> None:
-    """Raise click.UsageError where the target has no known suffix, or is the input itself."""
+def check_target(source: str, target: str, *, instead: str = "use --in-place to replace it") -> None:
+    """Raise click.UsageError where the target has no known suffix, or is the input itself.
+
+    ``instead`` is what to do in the latter case.
+    """
     if target == STDIO:
         return
     if Path(target).suffix.lower() not in SUFFIXES:
         raise click.UsageError(f"{target}: expected a name that ends in {', '.join(SUFFIXES)}, or -")
-    if source != STDIO and Path(source).exists() and Path(target).exists() and Path(target).samefile(source):
-        raise click.UsageError(f"{target} is the input; use --in-place to replace it")
+    if source != STDIO and _same_file(source, target):
+        raise click.UsageError(f"{target} is the input; {instead}")
+
+
+def _same_file(first: str, second: str) -> bool:
+    """Tell whether two names are one file; names that no disk takes are none."""
+    try:
+        return Path(first).samefile(second)
+    except (OSError, ValueError):
+        return False
 
 
 def pair_up(inputs: Sequence[str], folder: Path) -> list[tuple[str, str | None]]:

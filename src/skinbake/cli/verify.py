@@ -151,7 +151,7 @@ def _write(path: str, text: str, say: Console) -> int:
 
 @contextmanager
 def _progress(say: Console) -> Iterator[Callable[[str, int, int], None]]:
-    """Yield a callback that shows a bar on stderr once the work has taken some time."""
+    """Yield a callback that shows a bar once the work has taken some time, where stderr is a terminal."""
     started = time.monotonic()
     bar: Any = None
     tasks: dict[str, Any] = {}
@@ -164,10 +164,13 @@ def _progress(say: Console) -> Iterator[Callable[[str, int, int], None]]:
             from rich.console import Console as RichConsole
             from rich.progress import Progress
 
-            bar = Progress(console=RichConsole(stderr=True), transient=True)
+            stderr = RichConsole(stderr=True, no_color=say.color is False)
+            bar = Progress(console=stderr, transient=True, disable=not stderr.is_terminal)
             bar.start()
         if what not in tasks:
-            tasks[what] = bar.add_task(what)
+            from rich.markup import escape
+
+            tasks[what] = bar.add_task(escape(what))
         bar.update(tasks[what], completed=done, total=total)
 
     try:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections import defaultdict
 from dataclasses import dataclass, field, replace
 
@@ -10,7 +11,7 @@ import numpy as np
 from skinbake.bake.baker import TANGENT_TOLERANCE, BakeFindings, BakeSettings, bake_mesh
 from skinbake.bake.influences import SUM_TOLERANCE
 from skinbake.bake.normals import with_smooth_normals
-from skinbake.errors import InputError, Notice, Place, SkinbakeError
+from skinbake.errors import InputError, Notice, Place, SkinbakeError, defect
 from skinbake.geometry.frames import TANGENT_FRAME
 from skinbake.geometry.skinned import BakedPrimitive, SkinnedPrimitive
 from skinbake.gltf.baked import AttributeNames, Baked, with_baked
@@ -28,6 +29,8 @@ from skinbake.gltf.primitives import (
 from skinbake.gltf.strip import stripped
 from skinbake.report.bake import BakedCounts, FileResult, Status
 
+logger = logging.getLogger(__name__)
+
 
 @dataclass(frozen=True, slots=True)
 class BakeOptions:
@@ -44,7 +47,7 @@ class BakeOptions:
 def bake_file(source: str, target: str | None, options: BakeOptions) -> FileResult:
     """Bake one file and write it to ``target`` (nowhere for None, or on a dry run).
 
-    Never raises SkinbakeError: what fails is in the result, and then nothing has been written.
+    Raises nothing: what fails is in the result, and then nothing has been written.
     """
     notices: list[Notice] = []
     try:
@@ -53,6 +56,9 @@ def bake_file(source: str, target: str | None, options: BakeOptions) -> FileResu
         failure = error
     except MemoryError:
         failure = InputError("it needs more memory than there is", Place(source))
+    except Exception as error:  # a defect of ours: the other files of a build must not suffer from it
+        logger.debug("where it failed", exc_info=True)
+        failure = defect(error, source)
     return FileResult(source, target, "failed", notices=tuple(notices), error=failure)
 
 
@@ -116,8 +122,9 @@ def bake_document(
 def _reason_of_frame(source: PrimitiveSource, options: BakeOptions) -> Notice | None:
     if options.settings.frame != TANGENT_FRAME or {"NORMAL", "TANGENT"} <= source.attributes.keys():
         return None
+    lacking = "NORMAL" if "NORMAL" not in source.attributes else "TANGENT"
     return Notice(
-        "no-tangents", "skipped: it has no TANGENT; --frame auto takes the frame from NORMAL", source.place
+        "no-tangents", f"skipped: it has no {lacking}; --frame auto takes the frame from NORMAL", source.place
     )
 
 

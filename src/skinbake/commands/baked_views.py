@@ -75,8 +75,9 @@ def _view(document: Document, source: PrimitiveSource) -> BakedView | Notice:
     if metadata is None:
         what = "has α/β but no metadata that can be read" if is_baked(document, source) else "is not baked"
         return Notice("metadata-missing", f"it {what}: {BAKE}", source.place)
-    if metadata.get("version") != VERSION:
-        message = f"its metadata has version {metadata.get('version')}, this skinbake reads {VERSION}: {BAKE}"
+    version = metadata.get("version")
+    if isinstance(version, bool) or version != VERSION:
+        message = f"its metadata has version {_shown(version)}, this skinbake reads {VERSION}: {BAKE}"
         return Notice("version", message, source.place)
     wrong = next(_wrong_members(metadata, source), None)
     if wrong is not None:
@@ -121,12 +122,12 @@ def _wrong_members(metadata: JsonObject, source: PrimitiveSource) -> Iterator[st
     if not isinstance(digest, dict) or not digest:
         yield f'"digest" is {_shown(digest)}'
         return
-    wanted = {"POSITION", "NORMAL", "JOINTS", "WEIGHTS", "indices"}
+    wanted = ["POSITION", "NORMAL", "JOINTS", "WEIGHTS", "indices"]
     if metadata.get("frame") == frames.TANGENT_FRAME:
-        wanted.add("TANGENT")
-    for name in sorted(wanted):
+        wanted.append("TANGENT")
+    for name in wanted:
         if not isinstance(digest.get(name), str):
-            yield f'"digest" holds {_shown(digest.get(name))} for {name}'
+            yield f'"digest" of {name} is {_shown(digest.get(name))}'
 
 
 def _are_names(values: list[Any], count: int) -> bool:

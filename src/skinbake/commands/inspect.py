@@ -8,8 +8,9 @@ import numpy as np
 
 from skinbake.bake.baker import AUTO, rest_frame
 from skinbake.bake.influences import weight_field
-from skinbake.gltf.accessors import TYPES, read_accessor
+from skinbake.gltf.accessors import described
 from skinbake.gltf.document import Document, read_document
+from skinbake.gltf.json_access import index
 from skinbake.gltf.metadata import digests, noted_names, read_metadata
 from skinbake.gltf.primitives import (
     PrimitiveSource,
@@ -19,15 +20,6 @@ from skinbake.gltf.primitives import (
     skinned_sources,
 )
 from skinbake.report.inspect import AttributeSummary, BakeSummary, InspectResult, PrimitiveSummary
-
-COMPONENT_NAMES = {
-    "i1": "BYTE",
-    "u1": "UNSIGNED_BYTE",
-    "i2": "SHORT",
-    "u2": "UNSIGNED_SHORT",
-    "u4": "UNSIGNED_INT",
-    "f4": "FLOAT",
-}
 
 
 def inspect_file(source: str) -> InspectResult:
@@ -94,8 +86,7 @@ def _summary(document: Document, source: PrimitiveSource) -> PrimitiveSummary:
 
 
 def _attribute(document: Document, source: PrimitiveSource, name: str) -> AttributeSummary:
-    stored = read_accessor(document, source.attributes[name], source.place.at(name))
-    values = stored.values
-    component = COMPONENT_NAMES[values.dtype.str[1:]]
-    kind = f"{TYPES[values.shape[1]]} {component}{' normalised' if stored.normalized else ''}"
-    return AttributeSummary(name, kind, values.size * values.dtype.itemsize)
+    place = source.place.at(name)
+    number = index(source.attributes, name, len(document.objects("accessors")), place)
+    stored, size = described(document, number or 0, place)
+    return AttributeSummary(name, stored, size)

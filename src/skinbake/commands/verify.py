@@ -19,6 +19,7 @@ def verify_file(source: str, options: VerifyOptions, progress: Progress | None =
     """Verify one file. Never raises SkinbakeError: what cannot be read is in the verdict."""
     try:
         verdict = _verify_file(source, options, progress or (lambda what, done, total: None))
+        verdict = replace(verdict, input=source)
     except SkinbakeError as error:
         return FileVerdict(source, error=error)
     except MemoryError:

@@ -24,7 +24,17 @@ COMPONENT_CODES = {dtype: code for code, dtype in COMPONENT_TYPES.items()}
 COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 TYPES = {count: name for name, count in COMPONENTS.items()}
 
-UNBACKED_LIMIT = 1 << 24
+COMPONENT_NAMES = {
+    5120: "BYTE",
+    5121: "UNSIGNED_BYTE",
+    5122: "SHORT",
+    5123: "UNSIGNED_SHORT",
+    5125: "UNSIGNED_INT",
+    5126: "FLOAT",
+}
+MATRIX_ROWS = {"MAT2": 2, "MAT3": 3, "MAT4": 4}
+
+UNBACKED_LIMIT = 1 << 20
 """Elements that an accessor without a buffer view may claim: its zeros cost the file nothing."""
 
 
@@ -65,6 +75,24 @@ def read_accessor(document: Document, number: int, place: Place) -> StoredArray:
     return StoredArray(values, accessor.get("normalized") is True and dtype.kind != "f")
 
 
+def described(document: Document, number: int, place: Place) -> tuple[str, int]:
+    """Return how an accessor is stored, like ``VEC3 FLOAT``, and its size in bytes when tightly packed.
+
+    Raises InputError where its type or count is not what glTF allows; its data is not touched.
+    """
+    accessor = document.objects("accessors")[number]
+    kind, dtype = accessor.get("type"), _component_dtype(accessor)
+    rows = MATRIX_ROWS.get(kind) if isinstance(kind, str) else None
+    components = COMPONENTS.get(kind) if isinstance(kind, str) and rows is None else rows
+    if dtype is None or components is None:
+        raise _unknown_format(accessor, number, place)
+    column = components * dtype.itemsize
+    size = column if rows is None else rows * (column + -column % 4)  # columns of matrices are aligned
+    name = COMPONENT_NAMES[accessor["componentType"]]
+    suffix = " normalised" if accessor.get("normalized") is True else ""
+    return f"{kind} {name}{suffix}", size * integer(accessor, "count", place, minimum=1)
+
+
 def element_count(document: Document, number: int, place: Place) -> int:
     """Return an accessor's declared number of elements, without touching its data."""
     return integer(document.objects("accessors")[number], "count", place, minimum=1)
@@ -75,12 +103,17 @@ def _format(accessor: JsonObject, number: int, place: Place) -> tuple[np.dtype[n
     kind = accessor.get("type")
     components = COMPONENTS.get(kind) if isinstance(kind, str) else None
     if dtype is None or components is None:
-        raise InputError(
-            f"accessor {number} has type {kind!r} of component type {accessor.get('componentType')!r}, "
-            "which glTF does not know",
-            place,
-        )
+        raise _unknown_format(accessor, number, place)
     return dtype, components
+
+
+def _unknown_format(accessor: JsonObject, number: int, place: Place) -> InputError:
+    kind, code = accessor.get("type"), accessor.get("componentType")
+    known = isinstance(kind, str) and kind in MATRIX_ROWS and _component_dtype(accessor) is not None
+    verdict = "cannot stand here" if known else "glTF does not know"
+    return InputError(
+        f"accessor {number} has type {kind!r} of component type {code!r}, which {verdict}", place
+    )
 
 
 def _component_dtype(holder: JsonObject) -> np.dtype[np.generic] | None:

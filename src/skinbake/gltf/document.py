@@ -100,7 +100,7 @@ def read_document(path: str) -> Document:
     read or is not glTF 2.
     """
     if path == STDIO:
-        return parse_glb(sys.stdin.buffer.read(), "<stdin>", Path())
+        return parse_glb(_read_stdin(), "<stdin>", Path())
     file = Path(path)
     suffix = file.suffix.lower()
     if suffix != GLTF_SUFFIX and suffix not in GLB_SUFFIXES:
@@ -111,6 +111,15 @@ def read_document(path: str) -> Document:
         reason = getattr(error, "strerror", None) or error
         raise InputError(f"cannot be read: {reason}", Place(path)) from error
     return (parse_gltf if suffix == GLTF_SUFFIX else parse_glb)(data, path, file.parent)
+
+
+def _read_stdin() -> bytes:
+    try:
+        return sys.stdin.buffer.read()
+    except (AttributeError, OSError) as error:  # AttributeError: stdin is closed
+        raise InputError(
+            f"cannot be read: {getattr(error, 'strerror', None) or 'it is closed'}", Place("<stdin>")
+        ) from error
 
 
 def parse_glb(data: Bytes, name: str, folder: Path) -> Document:

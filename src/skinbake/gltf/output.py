@@ -8,11 +8,11 @@ import secrets
 import stat
 import sys
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
-from skinbake.errors import Notice, OutputError, Place
+from skinbake.errors import InputError, Notice, OutputError, Place
 from skinbake.gltf import resources
 from skinbake.gltf.additions import content_digest
 from skinbake.gltf.document import STDIO, Document
@@ -95,8 +95,8 @@ def _json_bytes(document: Document) -> bytes:
             return (dumped(False) + end).encode("utf-8")
         except UnicodeEncodeError:
             return (dumped(True) + end).encode("ascii")
-    except (ValueError, RecursionError) as error:
-        raise OutputError(f"its JSON cannot be written: {error}", document.place) from error
+    except (ValueError, RecursionError) as error:  # numbers past a double's range, nesting past all sense
+        raise InputError(f"its JSON cannot be written back: {error}", document.place) from error
 
 
 def _write_stdout(pieces: Sequence[Bytes]) -> None:
@@ -104,8 +104,9 @@ def _write_stdout(pieces: Sequence[Bytes]) -> None:
         for piece in pieces:
             sys.stdout.buffer.write(piece)
         sys.stdout.buffer.flush()
-    except OSError as error:
-        raise OutputError(f"cannot be written: {error.strerror}", Place("<stdout>")) from error
+    except (AttributeError, OSError) as error:  # AttributeError: stdout is closed
+        reason = getattr(error, "strerror", None) or "it is closed"
+        raise OutputError(f"cannot be written: {reason}", Place("<stdout>")) from error
 
 
 def _check_target(path: Path, target: str) -> None:
@@ -242,9 +243,11 @@ def _undone_on_failure() -> Iterator[tuple[list[Path], list[Path], list[Path]]]:
         yield folders, temporary, created
     except BaseException:
         for path in (*temporary, *created):
-            path.unlink(missing_ok=True)
+            with suppress(OSError):
+                path.unlink(missing_ok=True)
         for folder in reversed(folders):
-            folder.rmdir()
+            with suppress(OSError):
+                folder.rmdir()
         raise
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import os
 import posixpath
 import re
 from pathlib import Path
@@ -52,18 +53,18 @@ def relative_path(uri: str) -> str:
 
 def path_uri(path: str) -> str:
     """Return the relative URI of a path with forward slashes."""
-    return quote(path, safe="/!$&'()*+,;=@~-._")
+    return quote(os.fsencode(path), safe="/!$&'()*+,;=@~-._")
 
 
 def locate(uri: str, folder: Path) -> Path:
     """Return the file that a relative URI names, seen from ``folder``.
 
-    Percent-encoding is undone; a file that carries the encoded name literally, as some exporters write
-    it, is found where the decoded one is absent.
+    Percent-encoding is undone; a file that carries the URI's characters literally, ``%20`` or ``#`` among
+    them, as some exporters write it, is found where the decoded one is absent.
     """
     decoded = folder / relative_path(uri)
     literal = folder / uri
-    return literal if "%" in uri and not is_file(decoded) and is_file(literal) else decoded
+    return literal if not is_file(decoded) and is_file(literal) else decoded
 
 
 def is_file(path: Path) -> bool:

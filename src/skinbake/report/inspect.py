@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from skinbake.errors import Notice, Place
+from skinbake.errors import Notice, Place, printable
 from skinbake.report.notices import counted, notice_list, place_fields
 
 SCHEMA = "skinbake.inspect/1"
@@ -79,8 +79,7 @@ def as_text(result: InspectResult) -> str:
 
 
 def _primitive_lines(primitive: PrimitiveSummary) -> Iterator[str]:
-    name = f' "{primitive.place.mesh_name}"' if primitive.place.mesh_name else ""
-    yield f"  mesh {primitive.place.mesh}{name}, primitive {primitive.place.primitive}"
+    yield f"  {primitive.place.within_file}"
     yield (
         f"    surface     {counted(primitive.vertices, 'vertex', 'vertices')}, "
         f"{counted(primitive.triangles, 'triangle')}"
@@ -95,7 +94,7 @@ def _primitive_lines(primitive: PrimitiveSummary) -> Iterator[str]:
         if count:
             yield f"    weights     {counted(count, 'vertex', 'vertices')} {kind.replace('_', ' ')}"
     yield f"    frame       {primitive.frame}"
-    stored = ", ".join(f"{attribute.name} {attribute.format}" for attribute in primitive.attributes)
+    stored = ", ".join(f"{printable(a.name)} {a.format}" for a in primitive.attributes)
     yield f"    attributes  {stored}"
     yield f"    baked       {_bake_text(primitive.bake)}"
 
@@ -105,9 +104,10 @@ def _bake_text(bake: BakeSummary | None) -> str:
         return "no"
     noted = bake.metadata
     state = f"but {', '.join(bake.changed)} changed since: bake again" if bake.changed else "up to date"
+    generator = printable(str(noted.get("generator", "skinbake")))
     return (
-        f"by {noted.get('generator', 'skinbake')}, frame from {noted.get('frame')}, weighting "
-        f"{noted.get('weighting')}, neighbours {noted.get('neighbours')}, {bake.byte_length:,} bytes, {state}"
+        f"by {generator}, frame from {noted.get('frame')}, weighting {noted.get('weighting')}, "
+        f"neighbours {noted.get('neighbours')}, {bake.byte_length:,} bytes, {state}"
     )
 
 

@@ -1,0 +1,147 @@
+"""What glTF-Transform's commands make of a baked file, each really run; docs/lighting.md has the table.
+
+====================================================  ====================================================
+command                                               baked file afterwards
+====================================================  ====================================================
+copy, dedup, flatten, join, center, resample, sparse,
+unlit, metalrough, partition, palette, instance       fresh
+prune                                                 fresh; a bake for TANGENT fails where it drops TANGENT
+reorder, weld, unweld, tangents                       stale: vertices re-ordered, merged or split
+simplify                                              stale: simplified or edited
+optimize, without compression                         stale, or no TANGENT any more
+quantize                                              α/β no longer FLOAT; where they are left alone, stale:
+                                                      quantised, rescaled, re-sorted
+meshopt, draco                                        cannot be read: compressed
+====================================================  ====================================================
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from tests.support import corpus, gltf_transform
+from tests.verify.baked_files import CESIUM_MAN, Answer, Editable, baked, source, verify
+
+FEW = ("--poses", "random:2", "--method", "lbs")
+BAKE_LAST = "Bake last"
+Transform = Callable[..., Answer]
+
+
+@pytest.fixture(scope="module")
+def transform(tmp_path_factory: pytest.TempPathFactory) -> Transform:
+    """Return a function that bakes a model, runs glTF-Transform on it, and verifies what came out."""
+    gltf_transform.require_node()
+    bakes: dict[str, Path] = {}
+
+    def run(name: str, command: str, *options: str, suffix: str = ".glb") -> Answer:
+        if name not in bakes:
+            bakes[name] = baked(source(name), tmp_path_factory.mktemp("baked"))
+        target = tmp_path_factory.mktemp(command) / f"out{suffix}"
+        process = gltf_transform.run([command, bakes[name], target, *options])
+        assert process.returncode == 0, process.stderr
+        return verify(target, *FEW)
+
+    return run
+
+
+@pytest.mark.parametrize(
+    "command", ["copy", "prune", "dedup", "resample", "sparse", "unlit", "flatten", "join", "metalrough"]
+)
+def test_what_leaves_the_geometry_alone_leaves_the_bake_fresh(transform: Transform, command: str) -> None:
+    answer = transform("foreign_joints.glb", command)
+    assert answer.exit_code == 0, answer.messages
+    assert answer.failed == []
+
+
+def test_a_copy_as_separate_files_is_fresh(transform: Transform) -> None:
+    assert transform("two_primitives.glb", "copy", suffix=".gltf").exit_code == 0
+
+
+@pytest.mark.parametrize("command", ["reorder", "weld", "unweld"])
+def test_other_vertices_are_told_from_damage(transform: Transform, command: str) -> None:
+    """α and β travel with their vertices and still fit; only the digests are of another order."""
+    answer = transform("bent_tube.glb", command)
+    message = stale(answer)
+    assert "α/β still fit" in message
+    assert "its vertices re-ordered, merged or split" in message
+
+
+def test_simplified_is_recognised(transform: Transform) -> None:
+    message = stale(transform("bent_tube.glb", "simplify", "--ratio", "0.5", "--error", "0.01"))
+    assert "α/β are wrong at" in message
+    assert "the mesh simplified or edited" in message
+
+
+def test_optimized_is_recognised(transform: Transform) -> None:
+    message = stale(
+        transform("bent_tube.glb", "optimize", "--compress", "false", "--texture-compress", "false")
+    )
+    assert "its vertices re-ordered, merged or split" in message
+
+
+@pytest.mark.parametrize("command", ["prune", "optimize"])
+def test_a_dropped_tangent_is_recognised(transform: Transform, command: str) -> None:
+    options = ("--compress", "false", "--texture-compress", "false") if command == "optimize" else ()
+    answer = transform("mirrored_tangent.glb", command, *options)
+    (problem,) = answer.problems("structure")
+    assert (answer.exit_code, problem["code"]) == (1, "frame")
+    assert "TANGENT, which was removed" in problem["message"]
+    assert BAKE_LAST in problem["message"]
+
+
+def test_quantised_attributes_are_recognised(transform: Transform) -> None:
+    answer = transform("bent_tube.glb", "quantize")
+    (problem,) = answer.problems("structure")
+    assert (answer.exit_code, problem["code"]) == (1, "attribute-format")
+    assert "looks quantised after its bake" in problem["message"]
+    assert BAKE_LAST in problem["message"]
+
+
+@pytest.mark.skipif(corpus.find_corpus() is None, reason=corpus.NOT_HERE)
+def test_quantised_rescaled_and_re_sorted_positions_are_recognised(transform: Transform) -> None:
+    """glTF-Transform leaves attributes with values beyond ±1 alone, so α and β stay FLOAT here."""
+    message = stale(transform(CESIUM_MAN, "quantize"))
+    assert "POSITION, NORMAL, JOINTS and WEIGHTS changed" in message
+    # Half of 2 by its largest half-extent, 0.75 m.
+    assert "its vertices quantised, its vertices rescaled (by 1.33) and its influences re-sorted" in message
+
+
+def test_quantised_positions_alone_are_recognised(transform: Transform) -> None:
+    message = stale(transform("foreign_joints.glb", "quantize"))
+    assert "its vertices quantised and its vertices rescaled (by 0.667)" in message
+
+
+@pytest.mark.parametrize(
+    ("command", "extension"),
+    [("meshopt", "EXT_meshopt_compression"), ("draco", "KHR_draco_mesh_compression")],
+)
+def test_compressed_geometry_is_refused_by_name(transform: Transform, command: str, extension: str) -> None:
+    answer = transform("bent_tube.glb", command)
+    assert answer.exit_code == 3
+    assert answer.file["error"]["kind"] == "UnsupportedFeatureError"
+    assert extension in answer.file["error"]["message"]
+
+
+@pytest.mark.parametrize("command", ["weld", "reorder", "simplify"])
+def test_what_to_do_about_it_works(transform: Transform, tmp_path: Path, command: str) -> None:
+    """Bake last: what the tool wrote, its old bake still in it, can be baked and is fresh again."""
+    path = baked(source("foreign_joints.glb"), tmp_path)
+    changed, folder = tmp_path / "changed.glb", tmp_path / "again"
+    process = gltf_transform.run([command, path, changed])
+    assert process.returncode == 0, process.stderr
+    assert verify(changed, *FEW).exit_code == 1
+    folder.mkdir()
+    again = baked(changed, folder)
+    assert verify(again, *FEW).exit_code == 0
+    assert "_SKINBAKE_ALPHA_0" in Editable(again).primitive()["attributes"]
+
+
+def stale(answer: Answer) -> str:
+    (problem,) = answer.problems("freshness")
+    assert (answer.exit_code, problem["code"]) == (1, "stale")
+    message = str(problem["message"])
+    assert BAKE_LAST in message
+    return message
