@@ -42,10 +42,11 @@ fixtures: $(DEV) ## Write fixtures/ anew
 picture: $(DEV) ## Draw docs/bend.png anew
 	$(BIN)/python benchmarks/bend_picture.py docs/bend.png
 
-bench: $(DEV) $(NODE_MODULES) ## Run the benchmarks: normals on the example, time of a bake against a peer
+bench: $(DEV) $(NODE_MODULES) ## Run the benchmarks: normals on the example, times of bake and replay against peers
 	@mkdir -p build
 	$(BIN)/python benchmarks/bend_picture.py build/bend.png
 	$(BIN)/python -m benchmarks.bake_speed
+	$(BIN)/python -m benchmarks.replay_speed
 
 clean: ## Remove everything that make made
 	rm -rf .venv build dist tests/support/node_modules src/*.egg-info
