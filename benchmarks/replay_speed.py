@@ -78,9 +78,7 @@ def main() -> None:
     runs = parser.parse_args().runs
     rest, matrices = rest_surface(), joint_matrices()
     peer = median_seconds(lambda: plain_skinning(rest, matrices), runs)
-    print(
-        f"{VERTICES:,} vertices × {POSES} poses, {INFLUENCES} influences, numpy {np.__version__}, median of {runs}"
-    )
+    print(f"{VERTICES:,} vertices × {POSES} poses, {INFLUENCES} influences, median of {runs} runs")
     print(f"{'':<22}{'float64':>9}{'ratio':>8}{'float32':>9}{'ratio':>8}")
     print(f"{'libigl, positions':<22}{peer:>9.3f}{1.0:>8.2f}")
     for algorithm in Algorithm:
