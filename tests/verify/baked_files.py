@@ -87,7 +87,7 @@ class Editable:
         return found
 
     def array(self, name: str, number: int = 0) -> AnyArray:
-        """Return an attribute, or ``indices``, (count, components) as stored; writing to it edits the file."""
+        """Return an attribute, or ``indices``, (count, components) as stored; writing to it edits it."""
         primitive = self.primitive(number)
         accessor = primitive["indices"] if name == "indices" else primitive["attributes"][name]
         return self.stored(accessor)

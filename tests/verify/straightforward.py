@@ -61,7 +61,7 @@ class Character:
         return result
 
     def errors(self, time: float) -> tuple[Array, Array, Array]:
-        """Return the errors of standard and accurate LBS normals in degrees, (V,) each, and the areas (V,)."""
+        """Return the errors of standard and accurate LBS normals in degrees, and the areas: (V,) each."""
         file = self.file
         positions, normals = file.attribute("POSITION"), unit(file.attribute("NORMAL"))
         joints, weights = file.influences()
@@ -150,7 +150,8 @@ def between(times: Array, values: Array, time: float, *, rotation: bool) -> Arra
     if cosine > 1 - 1e-12:
         return np.array(second)
     angle = np.arccos(cosine)
-    return np.array(np.sin((1 - share) * angle) * first + np.sin(share * angle) * second) / np.sin(angle)
+    turned: Array = (np.sin((1 - share) * angle) * first + np.sin(share * angle) * second) / np.sin(angle)
+    return turned
 
 
 def duff(normals: Array) -> tuple[Array, Array]:

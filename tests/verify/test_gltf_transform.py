@@ -1,4 +1,4 @@
-"""What glTF-Transform's commands make of a baked file, each really run; docs/lighting.md has the table.
+"""What glTF-Transform's commands make of a baked file, each of them really run.
 
 ====================================================  ====================================================
 command                                               baked file afterwards

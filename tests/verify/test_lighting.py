@@ -55,7 +55,7 @@ def test_the_figures_are_those_of_a_straightforward_computation(tmp_path: Path) 
         valid = np.isfinite(each)
         weights = np.where(valid, errors[0][2], 0.0)
         mean = np.average(np.where(valid, each, 0.0), weights=weights)
-        assert found[lighting_name]["mean"] == pytest.approx(mean, rel=0.01)
+        assert found[lighting_name]["mean"] == pytest.approx(mean, rel=1e-6)
         assert found[lighting_name]["mean"] > 1.0
         # A percentile is an error that occurs, so a little less than its share of the area lies above it.
         for key, share in (("p95", 0.05), ("p99", 0.01)):
@@ -73,9 +73,8 @@ def test_the_worst_sample_is_where_it_says(tmp_path: Path) -> None:
         worst = found[lighting_name]["worst"]
         assert (worst["mesh"], worst["primitive"], worst["clip"]) == (0, 0, 'clip "animation 0"')
         errors = character.errors(worst["time"])[place]
-        # A fold of next to no area amplifies the rounding of α and β to a fraction of a degree.
-        assert errors[worst["vertex"]] == pytest.approx(found[lighting_name]["max"], abs=0.5)
-        assert np.nanmax(errors) == pytest.approx(found[lighting_name]["max"], abs=0.5)
+        assert errors[worst["vertex"]] == pytest.approx(found[lighting_name]["max"], abs=1e-3)
+        assert np.nanmax(errors) == pytest.approx(found[lighting_name]["max"], abs=1e-3)
 
 
 def test_the_worst_sample_names_the_primitive_and_its_own_vertex(tmp_path: Path) -> None:
@@ -146,7 +145,9 @@ def rest_surface(view: Any) -> RestSurface:
 
 def unit_normals(normals: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
     length = np.linalg.norm(normals.astype(float), axis=1, keepdims=True)
-    return np.divide(normals, length, out=np.tile([0.0, 0.0, 1.0], (len(normals), 1)), where=length > 0)
+    out = np.tile([0.0, 0.0, 1.0], (len(normals), 1))
+    np.divide(normals, length, out=out, where=length > 0)
+    return out
 
 
 @pytest.mark.parametrize("name", FIXTURES)
@@ -366,11 +367,11 @@ def test_a_stale_bake_lights_worse(tmp_path: Path) -> None:
     assert answer.file["normals"]["lbs"]["accurate"]["mean"] > 3 * fresh
 
 
-@pytest.mark.parametrize("bend", ["mild", "medium", "strong"])
+@pytest.mark.parametrize("bend", analytic.BENDS)
 def test_with_gradients_of_the_mesh_algorithm_6_has_at_most_a_quarter_of_algorithm_5_s_error(
     bend: str,
 ) -> None:
-    # Measured, 5 and 6: mild 1.39° 0.08°, medium 5.07° 0.33°, strong 9.39° 0.58°.
+    # Measured, 5 and 6: mild 1.60° 0.02°, medium 5.26° 0.08°, strong 10.05° 0.15°, screw 8.51° 0.33°.
     accurate, exact = mesh_gradient_errors(bend, Algorithm.DQS_ACCURATE, Algorithm.DQS_EXACT)
     assert 0 < exact <= 0.25 * accurate
     assert accurate > 1.0

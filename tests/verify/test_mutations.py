@@ -341,7 +341,8 @@ def test_metadata_of_odd_types_is_told_in_a_sentence(
 
 @pytest.mark.parametrize("digest", ["POSITION", "NORMAL", "JOINTS", "WEIGHTS", "indices"])
 def test_every_digest_is_needed(bakes: Callable[[str], Path], tmp_path: Path, digest: str) -> None:
-    for value in (None, 5, []):
+    odd: list[Any] = [None, 5, []]
+    for value in odd:
         model = Editable(bakes("bent_tube.glb"))
         model.metadata()["digest"][digest] = value
         answer = verify(model.write(tmp_path / HERE), *FEW)
@@ -358,7 +359,7 @@ def test_the_former_influences_may_be_gone(bakes: Callable[[str], Path], tmp_pat
     for name in ("foreign_joints.glb", "two_sets.glb", "weights_u8.glb"):
         model = Editable(bakes(name))
         assert model.metadata()["adopted"]
-        model.metadata()["adopted"] = {key: 0 for key in model.metadata()["adopted"]}
+        model.metadata()["adopted"] = dict.fromkeys(model.metadata()["adopted"], 0)
         answer = verify(model.write(tmp_path / HERE), *FEW)
         assert answer.exit_code == 0, (name, answer.messages)
 

@@ -168,9 +168,12 @@ def _progress(say: Console) -> Iterator[Callable[[str, int, int], None]]:
             bar = Progress(console=stderr, transient=True, disable=not stderr.is_terminal)
             bar.start()
         if what not in tasks:
+            from pathlib import PurePath
+
             from rich.markup import escape
 
-            tasks[what] = bar.add_task(escape(what))
+            # A whole path would leave no room for the bar.
+            tasks[what] = bar.add_task(escape(PurePath(what).name))
         bar.update(tasks[what], completed=done, total=total)
 
     try:

@@ -1,0 +1,264 @@
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import jsonschema
+import pytest
+from click.testing import CliRunner, Result
+
+from skinbake.cli.main import main
+from tests.report.test_verify import SCHEMA
+from tests.verify.baked_files import Editable, baked, source
+
+
+def run(*arguments: str | Path, data: bytes | None = None) -> Result:
+    result = CliRunner().invoke(main, ["verify", *map(str, arguments)], input=data)
+    assert result.exception is None or isinstance(result.exception, SystemExit), result.exception
+    return result
+
+
+@pytest.fixture
+def good(tmp_path: Path) -> Path:
+    """A file that passes."""
+    return baked(source("seam.glb"), tmp_path)
+
+
+@pytest.fixture
+def bad(good: Path, tmp_path: Path) -> Path:
+    """A file that was edited after its bake."""
+    model = Editable(good)
+    model.array("POSITION")[:] *= 2
+    return model.write(tmp_path / "bad.glb")
+
+
+def test_a_good_file_exits_0_and_a_bad_one_1(good: Path, bad: Path) -> None:
+    passed, failed = run(good), run(bad)
+    assert (passed.exit_code, passed.stderr) == (0, "")
+    assert passed.stdout.splitlines()[0] == f"{good}: passed"
+    assert failed.exit_code == 1
+    assert failed.stdout.splitlines()[0] == f"{bad}: FAILED"
+    assert failed.stderr.startswith(f'error: {bad}: mesh 0 "seam", primitive 0: POSITION changed')
+
+
+def test_several_files_return_the_worst_code_and_all_are_told(good: Path, bad: Path, tmp_path: Path) -> None:
+    gone, text = tmp_path / "gone.glb", tmp_path / "text.glb"
+    text.write_text("nothing of a GLB")
+    for files, code in (
+        ([good, bad], 1),
+        ([bad, good], 1),
+        ([bad, gone, good], 3),
+        ([text, good], 3),
+        ([good, good], 0),
+    ):
+        result = run("--json", *files)
+        assert result.exit_code == code
+        document = json.loads(result.stdout)
+        assert [entry["input"] for entry in document["files"]] == [str(file) for file in files]
+        jsonschema.validate(document, SCHEMA)
+
+
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [
+        ("bent_tube.glb", ["--samples", "4"]),
+        ("two_primitives.glb", ["--poses", "random:3", "--max-mean-error", "0.01"]),
+        ("shared_accessors.gltf", ["--samples", "2", "--method", "dqs"]),
+        ("foreign_joints.glb", ["--poses", "rest"]),
+    ],
+)
+def test_json_is_pure_and_as_documented(tmp_path: Path, name: str, options: list[str]) -> None:
+    path = baked(source(name), tmp_path)
+    result = run("--json", *options, path)
+    document = json.loads(result.stdout)
+    jsonschema.validate(document, SCHEMA)
+    assert document["exit_code"] == result.exit_code
+    for entry in document["files"][0]["primitives"]:
+        for method, figures in entry["normals"].items():
+            assert figures.keys() == document["files"][0]["normals"][method].keys()
+    unbaked = run("--json", "--require-baked", source(name), tmp_path / "gone.glb")
+    jsonschema.validate(json.loads(unbaked.stdout), SCHEMA)
+    assert unbaked.exit_code == 3
+
+
+def test_quiet_prints_errors_only(good: Path, bad: Path) -> None:
+    assert run("-q", good).output == ""
+    result = run("-q", bad)
+    assert (result.exit_code, result.stdout) == (1, "")
+    assert result.stderr.count("error:") == 1
+    unbaked = run("-q", source("seam.glb"))
+    assert (unbaked.exit_code, unbaked.output) == (0, "")
+    assert "warning:" in run(source("seam.glb")).stderr
+    # A script that asks for JSON gets it all the same.
+    assert json.loads(run("-q", "--json", bad).stdout)["exit_code"] == 1
+
+
+def test_stdin_is_a_glb_called_dash(good: Path, bad: Path) -> None:
+    assert run("-", data=good.read_bytes()).exit_code == 0
+    result = run("--json", "-", data=bad.read_bytes())
+    assert result.exit_code == 1
+    assert json.loads(result.stdout)["files"][0]["input"] == "-"
+    assert run("-", data=b"").exit_code == 3
+    twice = run("-", "-", data=good.read_bytes())
+    assert twice.exit_code == 2
+    assert "stdin can be read once only" in twice.stderr
+
+
+def test_stdin_of_a_real_process(good: Path) -> None:
+    process = subprocess.run(
+        [sys.executable, "-m", "skinbake", "verify", "--json", "-"],
+        input=good.read_bytes(),
+        capture_output=True,
+        check=False,
+    )
+    assert (process.returncode, process.stderr) == (0, b"")
+    assert json.loads(process.stdout)["files"][0]["passed"] is True
+
+
+def test_junit_is_written_beside_the_result(good: Path, bad: Path, tmp_path: Path) -> None:
+    report = tmp_path / "report.xml"
+    result = run("--junit", report, good, bad, tmp_path / "gone.glb")
+    assert result.exit_code == 3
+    root = ElementTree.parse(report).getroot()
+    assert [suite.get("failures") for suite in root] == ["0", "1", "0"]
+    assert [suite.get("errors") for suite in root] == ["0", "0", "1"]
+    (failure,) = root.iter("failure")
+    assert failure.text is not None
+    assert "POSITION changed since its bake" in failure.text
+    assert "rescaled (by 2)" in failure.text
+    assert f"{good}: passed" in result.stdout
+    assert json.loads(run("--json", "--junit", report, good).stdout)["exit_code"] == 0
+
+
+def test_junit_that_cannot_be_written_exits_4(good: Path, bad: Path, tmp_path: Path) -> None:
+    for target in (tmp_path / "no" / "such" / "folder.xml", tmp_path):
+        for file in (good, bad):
+            result = run("--junit", target, "--json", file)
+            assert result.exit_code == 4
+            assert f"error: {target}: cannot be written" in result.stderr
+            assert json.loads(result.stdout)["exit_code"] == 4
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        [],
+        ["hero.fbx"],
+        ["--poses", "dance", "a.glb"],
+        ["--poses", "random:0", "a.glb"],
+        ["--poses", "random:x", "a.glb"],
+        ["--poses", "rest:3", "a.glb"],
+        ["--samples", "0", "a.glb"],
+        ["--angle", "181", "a.glb"],
+        ["--method", "ocs", "a.glb"],
+        ["--baseline", "none", "a.glb"],
+        ["--cap", "0", "a.glb"],
+        ["--max-mean-error", "-1", "a.glb"],
+    ],
+)
+def test_usage_errors_exit_2(arguments: list[str]) -> None:
+    result = run(*arguments)
+    assert result.exit_code == 2
+    assert "Usage:" in result.stderr
+
+
+def test_help_names_every_option() -> None:
+    text = run("--help").stdout
+    options = (
+        "method poses samples angle seed baseline cap max-mean-error max-p95-error min-gain require-baked"
+    )
+    for option in (*options.split(), "warnings-as-errors", "json", "junit"):
+        assert f"--{option}" in text
+
+
+class Clock:
+    """A clock that runs a second a look, or stands still."""
+
+    def __init__(self, step: float) -> None:
+        self.now, self.step = 0.0, step
+
+    def __call__(self) -> float:
+        self.now += self.step
+        return self.now
+
+
+@pytest.fixture
+def clocked(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], None]:
+    """Return a function that sets verify's clock."""
+
+    def set_clock(step: float) -> None:
+        monkeypatch.setattr("skinbake.cli.verify.time.monotonic", Clock(step))
+
+    return set_clock
+
+
+@pytest.fixture
+def terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Make rich believe that stderr is a terminal."""
+    monkeypatch.setenv("TTY_COMPATIBLE", "1")
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.delenv("NO_COLOR", raising=False)
+
+
+@pytest.mark.usefixtures("terminal")
+def test_slow_work_shows_a_bar_on_stderr(good: Path, clocked: Callable[[float], None]) -> None:
+    clocked(1000.0)
+    result = run("--json", good)
+    assert "100%" in result.stderr
+    assert "seam.glb" in result.stderr
+    assert json.loads(result.stdout)["exit_code"] == 0
+    assert "100%" not in run("-q", good).stderr
+
+
+@pytest.mark.usefixtures("terminal")
+def test_quick_work_shows_none(good: Path, clocked: Callable[[float], None]) -> None:
+    clocked(0.0)
+    assert run(good).stderr == ""
+
+
+def test_a_log_gets_no_bar(good: Path, clocked: Callable[[float], None]) -> None:
+    clocked(1000.0)
+    assert run(good).stderr == ""
+
+
+@pytest.mark.usefixtures("terminal")
+def test_a_name_is_no_markup_for_the_bar(
+    good: Path, tmp_path: Path, clocked: Callable[[float], None]
+) -> None:
+    odd = tmp_path / "[bold]hero.glb"
+    odd.write_bytes(good.read_bytes())
+    clocked(1000.0)
+    result = run(odd)
+    assert result.exit_code == 0
+    assert "[bold]hero.glb" in result.stderr
+
+
+def test_odd_names_do_not_end_in_a_traceback(good: Path, tmp_path: Path) -> None:
+    model = Editable(good)
+    model.content["meshes"][0]["name"] = "lone \ud800 and \x1b[31m bell \x07"
+    model.array("POSITION")[:] *= 2
+    path, report = model.write(tmp_path / "odd.glb"), tmp_path / "report.xml"
+    for options in (["--junit", str(report)], ["--json"]):
+        process = subprocess.run(
+            [sys.executable, "-m", "skinbake", "verify", *options, str(path)],
+            capture_output=True,
+            check=False,
+            env={**os.environ, "PYTHONIOENCODING": "utf-8"},
+        )
+        assert process.returncode == 1, process.stderr
+        assert b"Traceback" not in process.stderr
+    ElementTree.parse(report)
+
+
+def test_numbers_are_the_same_in_text_and_json(good: Path) -> None:
+    text = run(good).stdout
+    figures: dict[str, Any] = json.loads(run("--json", good).stdout)["files"][0]["normals"]["lbs"]
+    line = next(line for line in text.splitlines() if "LBS accurate" in line)
+    shown = [f"{figures['accurate'][key]:.2f}" for key in ("mean", "p95", "p99", "max")]
+    assert line.split()[2:6] == shown

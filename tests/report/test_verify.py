@@ -1,0 +1,250 @@
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from typing import Any
+from xml.etree import ElementTree
+
+import jsonschema
+import pytest
+
+from skinbake.errors import InputError, Notice, Place
+from skinbake.report.verify import (
+    Check,
+    ErrorFigures,
+    FileVerdict,
+    Normals,
+    Worst,
+    as_json,
+    as_junit,
+    as_text,
+    gain,
+)
+
+PLACE = Place("hero.glb", 2, "Body", 1)
+
+DEGREES = {"type": "number", "minimum": 0, "maximum": 180}
+PLACE_MEMBERS: dict[str, Any] = {
+    "mesh": {"type": "integer", "minimum": 0},
+    "mesh_name": {"type": "string"},
+    "primitive": {"type": "integer", "minimum": 0},
+    "attribute": {"type": "string"},
+}
+
+
+def closed(required: dict[str, Any], optional: dict[str, Any] | None = None) -> dict[str, Any]:
+    return {
+        "type": "object",
+        "properties": required | (optional or {}),
+        "required": sorted(required),
+        "additionalProperties": False,
+    }
+
+
+NOTICES = {
+    "type": "array",
+    "items": closed(
+        {
+            "code": {"type": "string"},
+            "message": {"type": "string"},
+            "count": {"type": "integer", "minimum": 0},
+        },
+        PLACE_MEMBERS,
+    ),
+}
+WORST = closed(
+    {
+        "mesh": PLACE_MEMBERS["mesh"],
+        "primitive": PLACE_MEMBERS["primitive"],
+        "vertex": {"type": "integer", "minimum": 0},
+        "clip": {"type": "string"},
+        "time": {"type": ["number", "null"]},
+    },
+    {"mesh_name": PLACE_MEMBERS["mesh_name"]},
+)
+FIGURES = closed({"mean": DEGREES, "p95": DEGREES, "p99": DEGREES, "max": DEGREES, "worst": WORST})
+GAIN = {"type": ["number", "null"], "minimum": 0}
+NORMALS = closed(
+    {},
+    {
+        "lbs": closed({"approximated": FIGURES, "direct": FIGURES, "accurate": FIGURES, "gain": GAIN}),
+        "dqs": closed({"approximated": FIGURES, "accurate": FIGURES, "exact": FIGURES, "gain": GAIN}),
+    },
+)
+SCHEMA = closed(
+    {
+        "schema": {"const": "skinbake.verify/1"},
+        "exit_code": {"enum": [0, 1, 3, 4]},
+        "files": {
+            "type": "array",
+            "items": closed(
+                {
+                    "input": {"type": "string"},
+                    "passed": {"type": "boolean"},
+                    "checks": {
+                        "type": "array",
+                        "items": closed(
+                            {
+                                "name": {
+                                    "enum": [
+                                        "structure",
+                                        "freshness",
+                                        "identity",
+                                        "lighting",
+                                        "limits",
+                                        "warnings",
+                                    ]
+                                },
+                                "outcome": {"enum": ["passed", "failed", "skipped"]},
+                                "remark": {"type": "string"},
+                                "problems": NOTICES,
+                            }
+                        ),
+                    },
+                    "poses": {"type": ["string", "null"]},
+                    "normals": {"anyOf": [{"type": "null"}, NORMALS]},
+                    "primitives": {
+                        "type": "array",
+                        "items": closed(
+                            {
+                                "mesh": PLACE_MEMBERS["mesh"],
+                                "primitive": PLACE_MEMBERS["primitive"],
+                                "normals": NORMALS,
+                            },
+                            {"mesh_name": PLACE_MEMBERS["mesh_name"]},
+                        ),
+                    },
+                    "without_dqs": {"type": ["string", "null"]},
+                    "warnings": NOTICES,
+                    "error": {
+                        "anyOf": [
+                            {"type": "null"},
+                            closed(
+                                {"kind": {"type": "string"}, "message": {"type": "string"}}, PLACE_MEMBERS
+                            ),
+                        ]
+                    },
+                }
+            ),
+        },
+    }
+)
+"""The JSON document, with no member that is not listed; CONVENTIONS.md says it in words."""
+
+
+def figure(mean: float) -> ErrorFigures:
+    return ErrorFigures(mean, 2 * mean, 3 * mean, 4 * mean, Worst(PLACE, 7, 'clip "run"', 0.25))
+
+
+def lit(standard: float = 4.0, accurate: float = 1.0) -> Normals:
+    return {
+        "lbs": {"approximated": figure(standard), "direct": figure(accurate), "accurate": figure(accurate)},
+        "dqs": {
+            "approximated": figure(standard),
+            "accurate": figure(accurate),
+            "exact": figure(accurate / 2),
+        },
+    }
+
+
+PASSED = FileVerdict(
+    "hero.glb",
+    (Check("structure", "passed", (), "1 baked primitive, 9 vertices"), Check("freshness", "passed")),
+    lit(),
+    ((PLACE, lit()),),
+    "60 poses of 3 clips (12 s)",
+)
+STALE = Notice("stale", "POSITION changed since its bake. Bake last", PLACE, 5)
+FAILED = FileVerdict(
+    "old.glb",
+    (
+        Check("structure", "passed"),
+        Check("freshness", "failed", (STALE, replace(STALE, place=Place("old.glb", 0)))),
+        Check("lighting", "skipped", (), "structure failed"),
+    ),
+    notices=(Notice("joints-mirror", "3 joints mirror", PLACE, 3),),
+)
+UNREADABLE = FileVerdict("no.glb", error=InputError("cannot be read", Place("no.glb")))
+
+
+def test_json_is_as_the_schema_has_it() -> None:
+    document = as_json([PASSED, FAILED, UNREADABLE], exit_code=3)
+    jsonschema.validate(document, SCHEMA)
+    assert json.loads(json.dumps(document, allow_nan=False)) == document
+    assert [entry["passed"] for entry in document["files"]] == [True, False, False]
+    assert document["files"][0]["normals"]["lbs"]["approximated"]["p99"] == 12.0
+    assert document["files"][0]["primitives"][0]["normals"]["dqs"]["exact"]["mean"] == 0.5
+    assert document["files"][2]["error"] == {"kind": "InputError", "message": "cannot be read"}
+
+
+@pytest.mark.parametrize("member", ["normals", "checks", "primitives", "without_dqs", "input", "error"])
+def test_the_schema_notices_a_missing_member(member: str) -> None:
+    document = as_json([PASSED], exit_code=0)
+    del document["files"][0][member]
+    with pytest.raises(jsonschema.ValidationError):
+        jsonschema.validate(document, SCHEMA)
+
+
+def test_gain_is_a_ratio_of_means_unless_the_error_is_rounding() -> None:
+    assert gain(lit()["lbs"]) == 4.0
+    assert gain(lit(accurate=1e-6)["lbs"]) is None
+    assert gain({}) is None
+    assert "gain" not in as_text(replace(PASSED, normals=lit(accurate=1e-6)))
+
+
+def test_the_table_is_aligned_and_says_what_it_means() -> None:
+    lines = as_text(PASSED).splitlines()
+    assert lines[0] == "hero.glb: passed"
+    assert lines[1] == "  structure  passed  1 baked primitive, 9 vertices"
+    table = [line for line in lines if line.startswith(("  LBS", "  DQS")) and "gain" not in line]
+    assert len(table) == 6
+    assert {line[24:58].count(".") for line in table} == {4}
+    assert len({line.index("mesh 2") for line in table}) == 1
+    assert table[0].split()[:6] == ["LBS", "standard", "4.00", "8.00", "12.00", "16.00"]
+    assert table[0].endswith('mesh 2 "Body", primitive 1, vertex 7, clip "run" at 0.25 s')
+    assert any(line.startswith("  LBS gain") and "4.00x" in line for line in lines)
+    assert "over 60 poses of 3 clips (12 s)." in lines[-1]
+    assert "degrees" in lines[-1]
+    assert max(len(line) for line in lines) < 130
+
+
+def test_a_failed_file_says_so_first() -> None:
+    assert as_text(FAILED).splitlines()[0] == "old.glb: FAILED"
+    assert "lighting   skipped  structure failed" in as_text(FAILED)
+    assert as_text(UNREADABLE) == "no.glb: FAILED"
+    left_out = as_text(replace(PASSED, without_dqs='"Arm" is not rigid'))
+    assert left_out.endswith('Dual quaternions left out: "Arm" is not rigid.')
+
+
+def test_junit_counts_a_suite_a_file_and_a_case_a_check() -> None:
+    root = ElementTree.fromstring(as_junit([PASSED, FAILED, UNREADABLE]))
+    assert root.tag == "testsuites"
+    counts = [
+        {key: suite.get(key) for key in ("name", "tests", "failures", "errors", "skipped")} for suite in root
+    ]
+    assert counts == [
+        {"name": "hero.glb", "tests": "2", "failures": "0", "errors": "0", "skipped": "0"},
+        {"name": "old.glb", "tests": "3", "failures": "1", "errors": "0", "skipped": "1"},
+        {"name": "no.glb", "tests": "1", "failures": "0", "errors": "1", "skipped": "0"},
+    ]
+    assert [case.get("name") for case in root[1]] == ["structure", "freshness", "lighting"]
+    failure = root[1][1].find("failure")
+    assert failure is not None
+    assert failure.get("message") == "2 problems"
+    assert failure.text is not None
+    assert failure.text.splitlines() == [str(problem) for problem in FAILED.checks[1].problems]
+    error = root[2][0].find("error")
+    assert error is not None
+    assert error.get("message") == "no.glb: cannot be read"
+
+
+def test_junit_is_well_formed_whatever_names_hold() -> None:
+    name = 'a\x00\x1b<&>"\ud800\uffff ß 𝕊'
+    problem = Notice("stale", name, Place(name, 0, name))
+    verdict = FileVerdict(
+        name, (Check("freshness", "failed", (problem,), name), Check("x", "skipped", (), name))
+    )
+    text = as_junit([verdict, FileVerdict(name, error=InputError(name, Place(name)))])
+    suites = list(ElementTree.fromstring(text.encode()))
+    assert suites[0].get("name") == 'a\ufffd\ufffd<&>"\ufffd\ufffd ß 𝕊'
+    assert text.startswith('<?xml version="1.0" encoding="UTF-8"?>\n')
