@@ -54,6 +54,7 @@ def test_several_files_return_the_worst_code_and_all_are_told(good: Path, bad: P
         ([good, bad], 1),
         ([bad, good], 1),
         ([bad, gone, good], 3),
+        ([gone, bad], 3),
         ([text, good], 3),
         ([good, good], 0),
     ):

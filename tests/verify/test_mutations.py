@@ -362,6 +362,10 @@ def test_the_former_influences_may_be_gone(bakes: Callable[[str], Path], tmp_pat
         model.metadata()["adopted"] = dict.fromkeys(model.metadata()["adopted"], 0)
         answer = verify(model.write(tmp_path / HERE), *FEW)
         assert answer.exit_code == 0, (name, answer.messages)
+    model = Editable(bakes("foreign_joints.glb"))
+    others = model.stored(model.metadata()["adopted"]["JOINTS_0"])
+    others[:] = np.where(others > 0, others - 1, 3)
+    assert verify(model.write(tmp_path / HERE), *FEW).exit_code == 0
 
 
 def test_an_unbaked_file_passes_unless_it_must_be_baked(tmp_path: Path) -> None:

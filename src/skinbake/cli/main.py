@@ -5,7 +5,9 @@ from __future__ import annotations
 import importlib
 import io
 import logging
+import os
 import sys
+from contextlib import suppress
 
 import click
 
@@ -78,3 +80,17 @@ def entry_point() -> None:
             err=True,
         )
         sys.exit(exit_codes.INPUT)
+    finally:
+        _settle(sys.stdout)
+        _settle(sys.stderr)
+
+
+def _settle(stream: object) -> None:
+    """Let go of what a stream could not write, lest the interpreter trips over it at its end."""
+    if not isinstance(stream, io.TextIOWrapper):
+        return
+    try:
+        stream.flush()
+    except (OSError, ValueError):
+        with suppress(OSError):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())

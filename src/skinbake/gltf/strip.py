@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -111,18 +113,8 @@ def _still_the_same(document: Document, attributes: JsonObject, former: dict[str
 
 def _without(document: Document, root: JsonObject, removed: set[int], notices: list[Notice]) -> Document:
     """Return the document without the accessors, and without the buffer views and bytes only they used."""
-    accessors = document.objects("accessors")
-    kept_accessors = _without_tail(accessors, removed)
-    views = {accessors[number].get("bufferView") for number in range(len(kept_accessors), len(accessors))}
-    all_views = document.objects("bufferViews")
-    kept_views = _without_tail(all_views, {view for view in views if isinstance(view, int)})
-    _put_back(root, "accessors", kept_accessors)
-    _put_back(root, "bufferViews", kept_views)
-    first = all_views[len(kept_views)] if len(kept_views) < len(all_views) else {}
-    extras = first.get("extras")
-    undo = extras.get(KEY) if isinstance(extras, dict) else None
-    complete = len(accessors) - len(kept_accessors) == len(removed) and isinstance(undo, dict)
-    if not complete:
+    tail = _tail_of_bake(document, removed)
+    if tail is None:
         notices.append(
             Notice(
                 "bytes-left",
@@ -130,9 +122,49 @@ def _without(document: Document, root: JsonObject, removed: set[int], notices: l
                 document.place,
             )
         )
-    if not isinstance(undo, dict):
         return document.edited(json=root)
-    return _shrunk(document, root, first, undo)
+    accessors, views = document.objects("accessors"), document.objects("bufferViews")
+    _put_back(root, "accessors", accessors[: len(accessors) - len(removed)])
+    _put_back(root, "bufferViews", views[: tail.first_view])
+    return _shrunk(document, root, views[tail.first_view], tail.undo)
+
+
+@dataclass(frozen=True, slots=True)
+class _Tail:
+    """Where the buffer views of a bake begin, and what it noted of the buffer as it was."""
+
+    first_view: int
+    undo: JsonObject
+
+
+def _tail_of_bake(document: Document, removed: set[int]) -> _Tail | None:
+    """Return the end of the document that is the bake's alone, None where it is no longer as bake left it.
+
+    Other tools renumber accessors, and put several into one buffer view: then nothing can be cut off.
+    """
+    accessors, views = document.objects("accessors"), document.objects("bufferViews")
+    kept = len(accessors) - len(removed)
+    ours = {accessors[number].get("bufferView") for number in removed}
+    first = len(views) - len(ours)
+    if removed != set(range(kept, len(accessors))) or ours != set(range(first, len(views))):
+        return None
+    others = (*_views_of(accessors[:kept]), *_views_of(document.objects("images")))
+    extras = views[first].get("extras") if ours else None
+    undo = extras.get(KEY) if isinstance(extras, dict) else None
+    if not isinstance(undo, dict) or any(view >= first for view in others):
+        return None
+    return _Tail(first, undo)
+
+
+def _views_of(holders: list[JsonObject]) -> Iterator[int]:
+    """Yield the buffer views that accessors, sparse ones included, or images refer to."""
+    for holder in holders:
+        sparse = holder.get("sparse")
+        parts = [sparse.get("indices"), sparse.get("values")] if isinstance(sparse, dict) else []
+        for part in (holder, *parts):
+            view = part.get("bufferView") if isinstance(part, dict) else None
+            if isinstance(view, int):
+                yield view
 
 
 def _put_back(root: JsonObject, key: str, entries: list[JsonObject]) -> None:
@@ -141,14 +173,6 @@ def _put_back(root: JsonObject, key: str, entries: list[JsonObject]) -> None:
         root[key] = entries
     else:
         root.pop(key, None)
-
-
-def _without_tail(entries: list[JsonObject], removed: set[int]) -> list[JsonObject]:
-    """Return the entries up to the last one that is not to be removed."""
-    end = len(entries)
-    while end and end - 1 in removed:
-        end -= 1
-    return entries[:end]
 
 
 def _shrunk(document: Document, root: JsonObject, first: JsonObject, undo: JsonObject) -> Document:
