@@ -14,7 +14,7 @@ unexport PYTHONHOME PYTHONPATH VIRTUAL_ENV
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help bake test check lint fixtures picture bench clean
+.PHONY: help bake test check lint fixtures picture table bench clean
 
 help: ## List the targets
 	@awk 'BEGIN { FS = ":.*## " } /^[a-z]+:.*## / { printf "  make %-9s %s\n", $$1, $$2 }' Makefile
@@ -41,6 +41,9 @@ fixtures: $(DEV) ## Write fixtures/ anew
 
 picture: $(DEV) ## Draw docs/bend.png anew
 	$(BIN)/python benchmarks/bend_picture.py docs/bend.png
+
+table: $(DEV) ## Write docs/lighting.md anew, from the models of SKINBAKE_CORPUS or ../shared/corpus
+	$(BIN)/python -m benchmarks.corpus_table
 
 bench: $(DEV) $(NODE_MODULES) ## Run the benchmarks: normals on the example, times of bake and replay against peers
 	@mkdir -p build

@@ -133,7 +133,7 @@ SCHEMA = closed(
 
 
 def figure(mean: float) -> ErrorFigures:
-    return ErrorFigures(mean, 2 * mean, 3 * mean, 4 * mean, Worst(PLACE, 7, 'clip "run"', 0.25))
+    return ErrorFigures(mean, 2 * mean, 3 * mean, 4 * mean, Worst(PLACE, 7, "run", 0.25))
 
 
 def lit(standard: float = 4.0, accurate: float = 1.0) -> Normals:

@@ -71,7 +71,7 @@ def test_the_worst_sample_is_where_it_says(tmp_path: Path) -> None:
     character = Character.read(path)
     for lighting_name, place in (("approximated", 0), ("accurate", 1)):
         worst = found[lighting_name]["worst"]
-        assert (worst["mesh"], worst["primitive"], worst["clip"]) == (0, 0, 'clip "animation 0"')
+        assert (worst["mesh"], worst["primitive"], worst["clip"]) == (0, 0, "animation 0")
         errors = character.errors(worst["time"])[place]
         assert errors[worst["vertex"]] == pytest.approx(found[lighting_name]["max"], abs=1e-3)
         assert np.nanmax(errors) == pytest.approx(found[lighting_name]["max"], abs=1e-3)

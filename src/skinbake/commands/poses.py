@@ -85,7 +85,7 @@ def _sampled(
     for clip in clips:
         at = np.linspace(0.0, clip.duration, each)
         matrices.append(clip_poses(skeleton, clip, at))
-        names += [f'clip "{clip.name}"'] * each
+        names += [clip.name] * each
         times += at.tolist()
     return PoseSet(joint_names, np.concatenate(matrices), tuple(names), tuple(times))
 

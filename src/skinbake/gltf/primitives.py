@@ -117,7 +117,7 @@ def refuse_compressed(document: Document, source: PrimitiveSource) -> None:
 def _compressed(extension: str, place: Place) -> UnsupportedFeatureError:
     return UnsupportedFeatureError(
         f"its geometry is compressed with {extension}, which this version cannot decode; "
-        "bake the asset before it is compressed",
+        "bake a copy that is not compressed",
         place,
     )
 

@@ -8,20 +8,15 @@ from dataclasses import dataclass
 from typing import Any, Literal
 from xml.etree import ElementTree
 
-from skinbake.errors import Notice, Place, SkinbakeError
+from skinbake.errors import Notice, Place, SkinbakeError, printable
 from skinbake.report.notices import counted, error_fields, notice_list, place_fields
 
 SCHEMA = "skinbake.verify/1"
 
 Outcome = Literal["passed", "failed", "skipped"]
 
-METHOD_NAMES = {"lbs": "linear blend skinning", "dqs": "dual quaternion skinning"}
-LIGHTING_NAMES = {
-    "approximated": "standard",
-    "direct": "direct",
-    "accurate": "accurate",
-    "exact": "exact",
-}
+SHOWN_LIGHTINGS = {"approximated": "standard", "accurate": "accurate", "exact": "exact"}
+"""What the table shows, and how it calls it. Direct lighting is accurate lighting up to its sign in folds."""
 
 ROUNDING = 1e-4
 """Degrees below which a mean error is float32 rounding: dividing by it would tell nothing."""
@@ -45,7 +40,10 @@ class Check:
 
 @dataclass(frozen=True, slots=True)
 class Worst:
-    """Where the largest error is: place, vertex, and the pose by clip and time in seconds, or by number."""
+    """Where the largest error is: place, vertex, clip and time in seconds.
+
+    Where the pose is of no clip, time is None and clip says which it is, like ``random pose 3``.
+    """
 
     place: Place
     vertex: int
@@ -118,20 +116,20 @@ def as_text(verdict: FileVerdict) -> str:
 def _table(normals: Normals) -> Iterator[str]:
     yield f"  {'':<24}{'mean':>8}{'p95':>8}{'p99':>8}{'max':>8}  worst at"
     for method, figures in normals.items():
-        for lighting, error in figures.items():
-            name = f"{method.upper()} {LIGHTING_NAMES[lighting]}"
-            numbers = "".join(f"{value:8.2f}" for value in (error.mean, error.p95, error.p99, error.max))
-            yield f"  {name:<24}{numbers}  {_where(error.worst)}"
+        for lighting, shown in SHOWN_LIGHTINGS.items():
+            if lighting in figures:
+                error = figures[lighting]
+                numbers = "".join(f"{value:8.2f}" for value in (error.mean, error.p95, error.p99, error.max))
+                yield f"  {method.upper() + ' ' + shown:<24}{numbers}  {_where(error.worst)}"
         factor = gain(figures)
         if factor is not None:
             yield f"  {method.upper() + ' gain':<24}{factor:7.2f}x  standard mean / accurate mean"
 
 
 def _where(worst: Worst) -> str:
-    place = worst.place
-    name = f' "{place.mesh_name}"' if place.mesh_name else ""
-    time = "" if worst.time is None else f" at {worst.time:.2f} s"
-    return f"mesh {place.mesh}{name}, primitive {place.primitive}, vertex {worst.vertex}, {worst.clip}{time}"
+    pose = printable(worst.clip)
+    when = pose if worst.time is None else f'clip "{pose}" at {worst.time:.2f} s'
+    return f"{worst.place.within_file}, vertex {worst.vertex}, {when}"
 
 
 def as_json(verdicts: Sequence[FileVerdict], *, exit_code: int) -> dict[str, Any]:
