@@ -66,14 +66,13 @@ def _bake_file(source: str, target: str | None, options: BakeOptions, notices: l
     document = read_document(source)
     if target is not None:
         refuse_own_input(document, source, target)
-        document, found = for_target(document, target)
-        notices += found
-    result, primitives, skipped = bake_document(document, options, notices)
+    original, _, undone = stripped(document)
+    prepared, moved = (original, []) if target is None else for_target(original, target)
+    found = [*undone, *moved]
+    result, primitives, skipped = bake_document(prepared, options, found)
     if not primitives:
-        reason = "none of its skinned primitives can be baked" if skipped else "nothing in it is skinned"
-        if options.require_baked:
-            raise InputError(f"{reason} (--require-baked)", document.place)
-        notices.append(Notice("nothing-baked", f"passed through unchanged: {reason}", document.place))
+        result, found = _passed_through(document, target, skipped, options, found[len(undone) + len(moved) :])
+    notices += found
     untouched = result is document and target == source and source != STDIO
     planned = None if target is None or untouched else plan_output(result, target)
     if planned is not None:
@@ -86,22 +85,32 @@ def _bake_file(source: str, target: str | None, options: BakeOptions, notices: l
     return FileResult(source, target, status, tuple(primitives), skipped, tuple(notices))
 
 
+def _passed_through(
+    document: Document, target: str | None, skipped: int, options: BakeOptions, notices: list[Notice]
+) -> tuple[Document, list[Notice]]:
+    """Return a document in which nothing can be baked as it came, an earlier bake included, and why."""
+    reason = "none of its skinned primitives can be baked" if skipped else "nothing in it is skinned"
+    if options.require_baked:
+        raise InputError(f"{reason} (--require-baked)", document.place)
+    result, moved = (document, []) if target is None else for_target(document, target)
+    last = Notice("nothing-baked", f"passed through unchanged: {reason}", document.place)
+    return result, [*moved, *notices, last]
+
+
 def bake_document(
     document: Document, options: BakeOptions, notices: list[Notice]
 ) -> tuple[Document, list[tuple[Place, BakedCounts]], int]:
     """Return the baked document, what was baked, and how many skinned primitives were skipped.
 
-    An earlier bake is undone first. A document in which nothing can be baked is returned as it is. What had
-    to be assumed is added to ``notices``. Raises InputError.
+    The document holds no earlier bake (``stripped``). One in which nothing can be baked is returned as it is.
+    What had to be assumed is added to ``notices``. Raises InputError.
     """
-    original, _, found = stripped(document)
-    notices += found
-    sources, found = skinned_sources(original)
+    sources, found = skinned_sources(document)
     notices += found
     by_mesh: dict[int, list[PrimitiveSource]] = defaultdict(list)
     for source in sources:
-        refuse_compressed(original, source)
-        reason = reason_to_skip(original, source, generate_normals=options.generate_normals)
+        refuse_compressed(document, source)
+        reason = reason_to_skip(document, source, generate_normals=options.generate_normals)
         reason = reason or _reason_of_frame(source, options)
         if reason is None:
             by_mesh[source.mesh].append(source)
@@ -110,11 +119,11 @@ def bake_document(
     baked: list[Baked] = []
     results: list[tuple[Place, BakedCounts]] = []
     for mesh_sources in by_mesh.values():
-        _bake_sources(original, mesh_sources, options, notices, baked, results)
+        _bake_sources(document, mesh_sources, options, notices, baked, results)
     skipped = len(sources) - len(baked)
     if not baked:
         return document, [], skipped
-    written, lengths = with_baked(original, baked, options.names)
+    written, lengths = with_baked(document, baked, options.names)
     counts = [(place, replace(c, added_bytes=n)) for (place, c), n in zip(results, lengths, strict=True)]
     return written, counts, skipped
 

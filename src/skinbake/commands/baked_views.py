@@ -10,21 +10,19 @@ from typing import Any
 import numpy as np
 
 from skinbake.bake.baker import TANGENT_TOLERANCE
-from skinbake.errors import InputError, Notice
+from skinbake.errors import Notice
 from skinbake.geometry import frames
 from skinbake.geometry.skinned import FloatArray, SkinnedPrimitive
 from skinbake.gltf.accessors import read_accessor
 from skinbake.gltf.document import Document
+from skinbake.gltf.former import former_attributes
 from skinbake.gltf.json_access import JsonObject, index
-from skinbake.gltf.metadata import VERSION, digests, read_metadata
+from skinbake.gltf.metadata import VERSION, changed_arrays, read_metadata
 from skinbake.gltf.primitives import PrimitiveSource, read_primitive
 
 WEIGHTINGS = ("max", "angle", "area", "angle-area")
 FRAMES = (frames.NORMAL_FRAME, frames.TANGENT_FRAME)
 BAKE = "run skinbake bake"
-
-ADOPTION_TOLERANCE = 1e-4
-"""By how much adoption may change a weight: four slots of 1/65535, and rounding."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,9 +94,8 @@ def _view(document: Document, source: PrimitiveSource) -> BakedView | Notice:
             f"Bake last: {BAKE} on the file that the last tool wrote"
         )
         return Notice("frame", message, source.place)
-    current = digests(now, metadata["frame"])
-    changed = tuple(name for name in current if metadata["digest"].get(name) != current[name])
-    before = _before_adoption(document, source, metadata, now, changed)
+    changed = changed_arrays(metadata, now)
+    before = _before_adoption(document, source, metadata, now)
     return BakedView(source, metadata, now, before, arrays[0], arrays[1], frame[0], frame[1], changed)
 
 
@@ -185,31 +182,17 @@ def _rest_frame(primitive: SkinnedPrimitive, kind: str) -> tuple[FloatArray, Flo
 
 
 def _before_adoption(
-    document: Document,
-    source: PrimitiveSource,
-    metadata: JsonObject,
-    now: SkinnedPrimitive,
-    changed: Sequence[str],
+    document: Document, source: PrimitiveSource, metadata: JsonObject, now: SkinnedPrimitive
 ) -> SkinnedPrimitive:
     """Return the primitive with the influences from before its bake, or as it is now where they are gone.
 
-    α and β come from those; the weights that adoption gave its slots are too small to matter much. Another
-    tool may have put something else where the metadata says that they are.
+    α and β come from those; the weights that adoption gave its slots are too small to matter much.
     """
-    former = metadata.get("adopted")
-    if not isinstance(former, dict) or not former or {"JOINTS", "WEIGHTS"} & set(changed):
+    former = former_attributes(document, source.attributes, metadata, source.place)
+    if not former:
         return now
-    attributes = {**source.attributes, **{name: former[name] for name in former if name in source.attributes}}
-    try:
-        before = read_primitive(document, replace(source, json={**source.json, "attributes": attributes}))
-    except InputError:
-        return now
-    if before.joints.shape != now.joints.shape:
-        return now
-    moved = (before.joints != now.joints) & (before.weights != 0)
-    if moved.any() or np.abs(before.weights - now.weights).max(initial=0.0) > ADOPTION_TOLERANCE:
-        return now
-    return before
+    attributes = {**source.attributes, **former}
+    return read_primitive(document, replace(source, json={**source.json, "attributes": attributes}))
 
 
 def _skewed(view: BakedView) -> Iterator[Notice]:

@@ -11,7 +11,7 @@ from skinbake.bake.influences import weight_field
 from skinbake.gltf.accessors import described
 from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.json_access import index
-from skinbake.gltf.metadata import digests, noted_names, read_metadata
+from skinbake.gltf.metadata import changed_arrays, noted_names, read_metadata
 from skinbake.gltf.primitives import (
     PrimitiveSource,
     read_primitive,
@@ -19,6 +19,7 @@ from skinbake.gltf.primitives import (
     refuse_compressed,
     skinned_sources,
 )
+from skinbake.gltf.resources import is_data_uri
 from skinbake.report.inspect import AttributeSummary, BakeSummary, InspectResult, PrimitiveSummary
 
 
@@ -49,7 +50,7 @@ def _byte_length(document: Document) -> int:
     outside = sum(
         len(document.buffer(number))
         for number, buffer in enumerate(document.objects("buffers"))
-        if not str(buffer.get("uri", "data:")).startswith("data:")
+        if isinstance(uri := buffer.get("uri"), str) and not is_data_uri(uri)
     )
     return len(document.raw or b"") + outside
 
@@ -62,12 +63,10 @@ def _summary(document: Document, source: PrimitiveSource) -> PrimitiveSummary:
     metadata = read_metadata(document, source.json)
     bake = None
     if metadata is not None:
-        noted = metadata.get("digest")
-        now = digests(primitive, str(metadata.get("frame")))
-        changed = [name for name in now if not isinstance(noted, dict) or noted.get(name) != now[name]]
+        changed = changed_arrays(metadata, primitive)
         names = {*noted_names(metadata, "alpha"), *noted_names(metadata, "beta")}
         size = sum(attribute.byte_length for attribute in attributes if attribute.name in names)
-        bake = BakeSummary(metadata, tuple(changed), size)
+        bake = BakeSummary(metadata, changed, size)
     targets = source.json.get("targets")
     return PrimitiveSummary(
         place=source.place,

@@ -40,7 +40,7 @@ class Additions:
         self._length = 0
         self._shared: dict[tuple[str, int, bytes], int] = {}
         buffers = document.objects("buffers")
-        self._into_binary = document.binary is not None and bool(buffers) and "uri" not in buffers[0]
+        self._into_binary = document.has_binary_buffer
         self._base = sum(len(piece) for piece in document.binary or ()) if self._into_binary else 0
         self._buffer = 0 if self._into_binary else len(buffers)
 

@@ -81,7 +81,9 @@ def _written(document: Document, additions: Additions, item: Baked, names: Attri
         note["generated"] = ["NORMAL"]
     primitive = item.primitive
     if item.result.adopts:
+        before = metadata.digests(primitive, item.result.frame)
         note["adopted"], primitive = _adopt(document, additions, item, attributes)
+        note["formerDigest"] = {name: before[name] for name in ("JOINTS", "WEIGHTS")}
     note["digest"] = metadata.digests(primitive, item.result.frame)
     alpha, beta = _by_set(item.result.alpha), _by_set(item.result.beta)
     chosen = [names.of(number) for number in range(len(alpha))]
@@ -128,7 +130,7 @@ def _adopt(
             (f"WEIGHTS_{number}", new.weights, new.weights is not old.weights),
         ):
             if changed:
-                former[name] = attributes[name]
+                former[name] = int(attributes[name])
                 attributes[name] = additions.add(stored.values, normalized=stored.normalized)
     joints = np.concatenate([entry.joints.values.astype(np.int64) for entry in after], axis=1)
     weights = np.concatenate([entry.weights.decoded() for entry in after], axis=1)

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Iterator
 from pathlib import Path
 
 from skinbake.errors import Notice
 from skinbake.gltf import resources
-from skinbake.gltf.document import GLB_SUFFIXES, STDIO, Document, joined
+from skinbake.gltf.document import GLB_SUFFIXES, STDIO, Document
 from skinbake.gltf.glb import Bytes
-from skinbake.gltf.json_access import integer
 
 
 def for_target(document: Document, target: str) -> tuple[Document, list[Notice]]:
@@ -39,25 +39,35 @@ def _as_glb(document: Document) -> Document:
 
 
 def _as_gltf(document: Document, stem: str) -> tuple[Document, list[Notice]]:
-    notices = []
-    buffers = document.objects("buffers")
-    meant = bool(buffers) and "uri" not in buffers[0]
-    unmeant = document.binary is not None and not meant
-    if document.other_chunks or document.trailing or unmeant:
-        chunks = f"{len(document.other_chunks)} GLB chunks of unknown type"
-        also = " and a BIN chunk that no buffer means" if unmeant else ""
-        message = f"{chunks} and {len(document.trailing)} trailing bytes{also} have no place in a .gltf"
-        notices.append(Notice("chunks-dropped", message, document.place))
     changes = {"is_glb": False, "indent": "  ", "binary": None, "other_chunks": (), "trailing": b""}
-    if document.binary is None or not meant:
+    notices = list(_dropped(document))
+    if not document.has_binary_buffer:
         return document.edited(**changes), notices
-    taken = {buffer.get("uri") for buffer in buffers} | {i.get("uri") for i in document.objects("images")}
+    buffers = document.objects("buffers")
+    taken = {
+        resources.relative_path(uri)
+        for entry in (*buffers, *document.objects("images"))
+        if isinstance(uri := entry.get("uri"), str) and resources.is_relative(uri)
+    }
     names = (f"{stem}{'' if n == 0 else f'-{n}'}.bin" for n in itertools.count())
-    uri = next(uri for uri in map(resources.path_uri, names) if uri not in taken)
-    length = integer(buffers[0], "byteLength", document.place)
-    data = memoryview(joined(document.binary))[:length]
+    uri = resources.path_uri(next(name for name in names if name not in taken))
     root = {**document.json, "buffers": [{**buffers[0], "uri": uri}, *buffers[1:]]}
-    return document.edited(json=root, new_files={**document.new_files, uri: (data,)}, **changes), notices
+    new_files = {**document.new_files, uri: (document.buffer(0),)}
+    return document.edited(json=root, new_files=new_files, **changes), notices
+
+
+def _dropped(document: Document) -> Iterator[Notice]:
+    """Yield a notice on what a GLB holds and a ``.gltf`` cannot."""
+    lost = []
+    if document.other_chunks:
+        lost.append(f"{len(document.other_chunks)} GLB chunks of unknown type")
+    if document.binary is not None and not document.has_binary_buffer:
+        lost.append("a BIN chunk that no buffer means")
+    if document.trailing:
+        lost.append(f"{len(document.trailing)} trailing bytes")
+    if lost:
+        verb = "has" if len(lost) == 1 and not lost[0][0].isdigit() else "have"
+        yield Notice("chunks-dropped", f"{' and '.join(lost)} {verb} no place in a .gltf", document.place)
 
 
 def _self_contained(document: Document) -> Document:

@@ -51,6 +51,12 @@ class Document:
         """Where messages about the whole document point."""
         return Place(self.name)
 
+    @property
+    def has_binary_buffer(self) -> bool:
+        """Tell whether buffer 0 is the BIN chunk: there is one, and the buffer has no URI."""
+        buffers = self.objects("buffers")
+        return self.binary is not None and bool(buffers) and buffers[0].get("uri") is None
+
     def edited(self, **changes: Any) -> Document:
         """Return a copy with fields replaced, no longer equal to the bytes it was read from."""
         return replace(self, raw=None, _loaded={}, _checked={}, **changes)
@@ -77,8 +83,8 @@ class Document:
         if uri is not None:
             new = self.new_files.get(uri)
             data: Bytes = joined(new) if new else resources.read_resource(uri, self.folder, self.place)
-        elif index == 0 and self.binary is not None:
-            data = joined(self.binary)
+        elif index == 0 and self.has_binary_buffer:
+            data = joined(self.binary or ())
         else:
             raise InputError(f"buffer {index} has no URI and there is no BIN chunk that holds it", self.place)
         if len(data) < length:

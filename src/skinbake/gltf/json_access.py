@@ -55,6 +55,23 @@ def index(parent: Mapping[str, Any], key: str, length: int, place: Place) -> int
     return value
 
 
+def accessor_number(value: object) -> int | None:
+    """Return a reference to an accessor as an integer, None where it is none; 3.0 is 3, as in ``integer``."""
+    if isinstance(value, float) and value.is_integer():
+        return int(value)
+    return value if isinstance(value, int) and not isinstance(value, bool) else None
+
+
+def entries_of(value: object) -> list[JsonObject]:
+    """Return the objects of an array whatever it is, for a search that must not stop at a broken entry."""
+    return [entry for entry in value if isinstance(entry, dict)] if isinstance(value, list) else []
+
+
+def values_of(value: object) -> list[Any]:
+    """Return the values of an object, none where it is something else."""
+    return list(value.values()) if isinstance(value, dict) else []
+
+
 def text(parent: Mapping[str, Any], key: str, place: Place) -> str | None:
     """Return the string under ``key``, None where there is none; InputError where it is something else."""
     value = parent.get(key)

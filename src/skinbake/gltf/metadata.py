@@ -12,7 +12,7 @@ from skinbake.geometry.frames import TANGENT_FRAME
 from skinbake.geometry.skinned import SkinnedPrimitive
 from skinbake.gltf.additions import KEY
 from skinbake.gltf.document import Document
-from skinbake.gltf.json_access import JsonObject
+from skinbake.gltf.json_access import JsonObject, accessor_number
 
 VERSION = 1
 
@@ -33,10 +33,20 @@ def digests(primitive: SkinnedPrimitive, frame: str) -> dict[str, str]:
     }
     if frame == TANGENT_FRAME and primitive.tangents is not None:
         arrays["TANGENT"] = (primitive.tangents, "<f4")
-    return {
-        name: hashlib.sha256(np.ascontiguousarray(values, dtype=dtype).data).hexdigest()[:32]
-        for name, (values, dtype) in arrays.items()
-    }
+    return {name: array_digest(values, dtype) for name, (values, dtype) in arrays.items()}
+
+
+def array_digest(values: npt.NDArray[Any], dtype: str) -> str:
+    """Return the digest of one array, its values first converted to ``dtype``."""
+    return hashlib.sha256(np.ascontiguousarray(values, dtype=dtype).data).hexdigest()[:32]
+
+
+def changed_arrays(note: JsonObject, primitive: SkinnedPrimitive) -> tuple[str, ...]:
+    """Return the names of the arrays whose digest is not the noted one, missing ones included."""
+    noted = note.get("digest")
+    noted = noted if isinstance(noted, dict) else {}
+    now = digests(primitive, str(note.get("frame")))
+    return tuple(name for name in {**now, **noted} if noted.get(name) != now.get(name))
 
 
 def read_metadata(document: Document, primitive: JsonObject) -> JsonObject | None:
@@ -49,8 +59,9 @@ def read_metadata(document: Document, primitive: JsonObject) -> JsonObject | Non
     if found is not None:
         return found
     attributes, accessors = primitive.get("attributes"), document.objects("accessors")
-    for number in attributes.values() if isinstance(attributes, dict) else ():
-        if isinstance(number, int) and 0 <= number < len(accessors):
+    for value in attributes.values() if isinstance(attributes, dict) else ():
+        number = accessor_number(value)
+        if number is not None and 0 <= number < len(accessors):
             found = _noted(accessors[number])
             if found is not None:
                 return found

@@ -7,7 +7,7 @@ import os
 import secrets
 import stat
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
@@ -145,12 +145,12 @@ def _with_files_beside(
             if not resources.is_file(source):
                 missing.append(resource.uri)
                 continue
-            if name.startswith(".."):
+            if name == ".." or name.startswith("../"):
                 renamed.append((resource, _relative_uri(source, folder)))
                 continue
             name = source.relative_to(document.folder).as_posix()
             pieces = [_read(source)]
-        free = _free_name(folder, name, pieces)
+        free = _free_name(folder, name, pieces, files)
         if free != name:
             renamed.append((resource, resources.path_uri(free)))
         if not (folder / free).exists():
@@ -188,9 +188,12 @@ def _read(path: Path) -> bytes:
         raise OutputError(f"cannot be copied: {error.strerror}", Place(str(path))) from error
 
 
-def _free_name(folder: Path, name: str, pieces: Sequence[Bytes]) -> str:
-    """Return ``name``, or one made from the content where another file has that name already."""
-    if not _occupied(folder / name, pieces):
+def _free_name(
+    folder: Path, name: str, pieces: Sequence[Bytes], planned: Mapping[Path, Sequence[Bytes]]
+) -> str:
+    """Return ``name``, or one made from the content where another file has or will have that name."""
+    other_comes = folder / name in planned and b"".join(planned[folder / name]) != b"".join(pieces)
+    if not other_comes and not _occupied(folder / name, pieces):
         return name
     path = PurePosixPath(name)
     other = str(path.with_name(f"{path.stem}-{content_digest(tuple(pieces))}{path.suffix}"))
@@ -229,6 +232,7 @@ def _write_files(files: dict[Path, Sequence[Bytes]], target: str) -> None:
                 name.replace(path)
                 if is_new:
                     created.append(path)
+            created.clear()  # from here on an interrupt no longer undoes anything
         except OSError as error:
             raise OutputError(f"cannot be written: {error.strerror or error}", Place(target)) from error
 

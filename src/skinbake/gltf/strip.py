@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import Any
 
-import numpy as np
-
-from skinbake.errors import InputError, Notice, Place
+from skinbake.errors import Notice, Place
 from skinbake.gltf import json_access
-from skinbake.gltf.accessors import read_accessor
 from skinbake.gltf.additions import BUFFER_ADDED, BUFFER_LENGTH, KEY
 from skinbake.gltf.document import Document, joined
-from skinbake.gltf.json_access import JsonObject, objects, text
+from skinbake.gltf.former import former_attributes
+from skinbake.gltf.json_access import JsonObject, integer, objects, text
 from skinbake.gltf.metadata import noted_names, read_metadata
 
 
@@ -26,56 +23,63 @@ def stripped(document: Document) -> tuple[Document, int, list[Notice]]:
     """
     meshes: list[JsonObject] = []
     removed: set[int] = set()
-    in_use: set[int] = set()
     notices: list[Notice] = []
     count = 0
     for number, mesh in enumerate(document.objects("meshes")):
         place = Place(document.name, number, text(mesh, "name", document.place))
-        primitives = objects(mesh, "primitives", place)
         restored = []
-        for position, primitive in enumerate(primitives):
+        for position, primitive in enumerate(objects(mesh, "primitives", place)):
             here = Place(place.file, place.mesh, place.mesh_name, position)
             note = read_metadata(document, primitive)
-            restored.append(
-                primitive if note is None else _restored(document, primitive, note, here, notices)
-            )
-            count += note is not None
-            removed |= _accessors_of(primitive) - _accessors_of(restored[-1])
-            in_use |= _accessors_of(restored[-1])
-        meshes.append({**mesh, "primitives": restored} if primitives else mesh)
+            if note is None:
+                restored.append(primitive)
+                continue
+            count += 1
+            written, notice = _restored(document, primitive, note, here)
+            restored.append(written)
+            notices += [notice] if notice else []
+            removed |= _attribute_accessors(primitive) - _attribute_accessors(written)
+        meshes.append({**mesh, "primitives": restored} if restored else mesh)
     if count == 0:
         return document, 0, []
     root = {**document.json, "meshes": meshes}
-    return _without(document, root, removed - in_use, notices), count, notices
+    return _without(document, root, removed - _accessors_in_use(root), notices), count, notices
 
 
-def _accessors_of(primitive: JsonObject) -> set[int]:
-    attributes = primitive.get("attributes")
-    values = attributes.values() if isinstance(attributes, dict) else ()
-    return {number for number in values if isinstance(number, int)}
+def _attribute_accessors(primitive: JsonObject) -> set[int]:
+    return _numbers(json_access.values_of(primitive.get("attributes")))
+
+
+def _accessors_in_use(root: JsonObject) -> set[int]:
+    """Return every accessor that glTF 2.0 itself refers to; what extensions refer to cannot be known."""
+    values: list[object] = []
+    for mesh in json_access.entries_of(root.get("meshes")):
+        for primitive in json_access.entries_of(mesh.get("primitives")):
+            values += [*json_access.values_of(primitive.get("attributes")), primitive.get("indices")]
+            for target in json_access.entries_of(primitive.get("targets")):
+                values += target.values()
+    for skin in json_access.entries_of(root.get("skins")):
+        values.append(skin.get("inverseBindMatrices"))
+    for animation in json_access.entries_of(root.get("animations")):
+        for sampler in json_access.entries_of(animation.get("samplers")):
+            values += [sampler.get("input"), sampler.get("output")]
+    return _numbers(values)
+
+
+def _numbers(values: Iterable[object]) -> set[int]:
+    return {number for value in values if (number := json_access.accessor_number(value)) is not None}
 
 
 def _restored(
-    document: Document, primitive: JsonObject, note: JsonObject, place: Place, notices: list[Notice]
-) -> JsonObject:
+    document: Document, primitive: JsonObject, note: JsonObject, place: Place
+) -> tuple[JsonObject, Notice | None]:
     """Return the primitive's JSON without our attributes and metadata, its own influences back in place."""
     attributes = dict(json_access.member(primitive, "attributes", place))
     for key in ("alpha", "beta", "generated"):
         for name in noted_names(note, key):
             attributes.pop(name, None)
-    former = note.get("adopted")
-    if isinstance(former, dict) and former:
-        if _still_the_same(document, attributes, former, place):
-            attributes.update(former)
-        else:
-            notices.append(
-                Notice(
-                    "adopted-kept",
-                    "the influences from before its bake are no longer in the file: joints that bake adopted "
-                    "stay, with weights too small to see",
-                    place,
-                )
-            )
+    former = former_attributes(document, attributes, note, place)
+    attributes.update(former or {})
     written = {**primitive, "attributes": attributes} if "attributes" in primitive else dict(primitive)
     extras = primitive.get("extras")
     if isinstance(extras, dict) and extras.get(KEY) is note:
@@ -83,32 +87,13 @@ def _restored(
         written["extras"] = left
         if not left and not note.get("keepExtras"):
             del written["extras"]
-    return written
-
-
-def _still_the_same(document: Document, attributes: JsonObject, former: dict[str, Any], place: Place) -> bool:
-    """Tell whether the noted accessors still hold the influences that the adopted ones were made from."""
-    accessors = document.objects("accessors")
-    for name, number in former.items():
-        if name not in attributes or not isinstance(number, int) or not 0 <= number < len(accessors):
-            return False
-        if not name.startswith("JOINTS_"):
-            continue
-        weights_name = name.replace("JOINTS", "WEIGHTS")
-        weights_number = former.get(weights_name, attributes.get(weights_name))
-        if not isinstance(weights_number, int) or not 0 <= weights_number < len(accessors):
-            return False
-        try:
-            before = read_accessor(document, number, place.at(name)).values
-            weights = read_accessor(document, weights_number, place.at(weights_name)).values
-            now = read_accessor(document, attributes[name], place.at(name)).values
-        except (InputError, IndexError, TypeError):
-            return False
-        if before.shape != now.shape or weights.shape != now.shape:
-            return False
-        if np.any((before != now) & (weights != 0)):
-            return False
-    return True
+    if former is not None:
+        return written, None
+    message = (
+        "the influences from before its bake are gone, or were edited since: joints that bake adopted stay, "
+        "with weights too small to see"
+    )
+    return written, Notice("adopted-kept", message, place)
 
 
 def _without(document: Document, root: JsonObject, removed: set[int], notices: list[Notice]) -> Document:
@@ -140,20 +125,41 @@ class _Tail:
 def _tail_of_bake(document: Document, removed: set[int]) -> _Tail | None:
     """Return the end of the document that is the bake's alone, None where it is no longer as bake left it.
 
-    Other tools renumber accessors, and put several into one buffer view: then nothing can be cut off.
+    Other tools renumber accessors, put several into one buffer view, and append: then nothing can be cut off.
     """
     accessors, views = document.objects("accessors"), document.objects("bufferViews")
     kept = len(accessors) - len(removed)
+    if not removed or removed != set(range(kept, len(accessors))):
+        return None
     ours = {accessors[number].get("bufferView") for number in removed}
     first = len(views) - len(ours)
-    if removed != set(range(kept, len(accessors))) or ours != set(range(first, len(views))):
+    if ours != set(range(first, len(views))):
         return None
-    others = (*_views_of(accessors[:kept]), *_views_of(document.objects("images")))
-    extras = views[first].get("extras") if ours else None
+    extras = views[first].get("extras")
     undo = extras.get(KEY) if isinstance(extras, dict) else None
+    others = (*_views_of(accessors[:kept]), *_views_of(document.objects("images")))
     if not isinstance(undo, dict) or any(view >= first for view in others):
         return None
-    return _Tail(first, undo)
+    return _Tail(first, undo) if _is_at_the_end(document, views, first, undo) else None
+
+
+def _is_at_the_end(document: Document, views: list[JsonObject], first: int, undo: JsonObject) -> bool:
+    """Tell whether nothing that stays lies in the buffer, or the part of it, that is to be cut off."""
+    buffers = document.objects("buffers")
+    buffer, start = views[first].get("buffer"), views[first].get("byteOffset")
+    if undo.get(BUFFER_ADDED):
+        return buffer == len(buffers) - 1 and all(view.get("buffer") != buffer for view in views[:first])
+    length = undo.get(BUFFER_LENGTH)
+    if buffer != 0 or not document.has_binary_buffer:
+        return False
+    if not isinstance(start, int) or not isinstance(length, int) or not 0 < length <= start:
+        return False
+    ends = (
+        integer(view, "byteOffset", document.place, default=0) + integer(view, "byteLength", document.place)
+        for view in views[:first]
+        if view.get("buffer") == 0
+    )
+    return start <= len(joined(document.binary or ())) and all(end <= start for end in ends)
 
 
 def _views_of(holders: list[JsonObject]) -> Iterator[int]:
@@ -179,17 +185,10 @@ def _shrunk(document: Document, root: JsonObject, first: JsonObject, undo: JsonO
     """Return the document with the buffer as it was before the view ``first`` was added."""
     buffers = list(document.objects("buffers"))
     if undo.get(BUFFER_ADDED):
-        if first.get("buffer") != len(buffers) - 1:
-            return document.edited(json=root)
         uri = buffers.pop().get("uri")
         _put_back(root, "buffers", buffers)
         new_files = {name: pieces for name, pieces in document.new_files.items() if name != uri}
         return document.edited(json=root, new_files=new_files)
-    start, length = first.get("byteOffset"), undo.get(BUFFER_LENGTH)
-    binary = joined(document.binary or ())
-    if first.get("buffer") != 0 or not isinstance(start, int) or not isinstance(length, int):
-        return document.edited(json=root)
-    if not 0 < length <= start <= len(binary):
-        return document.edited(json=root)
-    root["buffers"] = [{**buffers[0], "byteLength": length}, *buffers[1:]]
-    return document.edited(json=root, binary=(memoryview(binary)[:start],))
+    root["buffers"] = [{**buffers[0], "byteLength": undo[BUFFER_LENGTH]}, *buffers[1:]]
+    binary = memoryview(joined(document.binary or ()))
+    return document.edited(json=root, binary=(binary[: first["byteOffset"]],))

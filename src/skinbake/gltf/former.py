@@ -1,0 +1,54 @@
+"""The influences from before adoption, known again by their content: other tools renumber accessors."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from skinbake.errors import InputError, Place
+from skinbake.gltf.accessors import read_accessor
+from skinbake.gltf.document import Document
+from skinbake.gltf.json_access import JsonObject, index
+from skinbake.gltf.metadata import array_digest
+
+
+def former_attributes(
+    document: Document, attributes: JsonObject, note: JsonObject, place: Place
+) -> dict[str, int] | None:
+    """Return the accessors to put back where bake adopted joints, empty where it adopted none.
+
+    None where they must not be put back: the accessors that the metadata names no longer hold the influences
+    from before, or the adopted ones have been edited since, which would be lost.
+    """
+    former, noted, digest = note.get("adopted"), note.get("formerDigest"), note.get("digest")
+    if former is None:
+        return {}
+    if not isinstance(former, dict) or not isinstance(digest, dict):
+        return None
+    try:
+        count = len(document.objects("accessors"))
+        numbers = {name: index(former, name, count, place.at(name)) for name in former}
+        found = {name: number for name, number in numbers.items() if number is not None}
+        now = _influence_digests(document, attributes, place)
+        before = _influence_digests(document, {**attributes, **found}, place)
+    except InputError:
+        return None
+    unedited = now == {name: digest.get(name) for name in now}
+    return found if unedited and before == noted else None
+
+
+def _influence_digests(document: Document, attributes: JsonObject, place: Place) -> dict[str, str]:
+    """Return the digests of JOINTS and WEIGHTS, all sets side by side, as the metadata has them."""
+    count = len(document.objects("accessors"))
+    result = {}
+    for kind, dtype in (("JOINTS", "<u2"), ("WEIGHTS", "<f4")):
+        sets: list[npt.NDArray[Any]] = []
+        while (number := index(attributes, f"{kind}_{len(sets)}", count, place)) is not None:
+            stored = read_accessor(document, number, place)
+            sets.append(stored.values if kind == "JOINTS" else stored.decoded())
+        if not sets or len({len(values) for values in sets}) > 1:
+            raise InputError(f"its {kind} sets do not belong together", place)
+        result[kind] = array_digest(np.concatenate(sets, axis=1), dtype)
+    return result
