@@ -5,8 +5,9 @@ The tree::
     SkinbakeError
     ├── InputError                  the file cannot be read, or is not valid glTF        exit 3
     │   └── UnsupportedFeatureError it is valid, and this version cannot process it      exit 3
-    ├── OutputError                 the result cannot be written                         exit 4
-    └── VerificationError           the file was read and does not pass                  exit 1
+    └── OutputError                 the result cannot be written                         exit 4
+
+A file that was read and does not pass verification is no error: it is a verdict (exit 1).
 """
 
 from __future__ import annotations
@@ -97,7 +98,3 @@ class UnsupportedFeatureError(InputError):
 
 class OutputError(SkinbakeError):
     """The output cannot be written."""
-
-
-class VerificationError(SkinbakeError):
-    """The input was read and does not pass verification."""

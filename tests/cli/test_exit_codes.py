@@ -13,7 +13,6 @@ from skinbake.errors import (
     OutputError,
     SkinbakeError,
     UnsupportedFeatureError,
-    VerificationError,
 )
 from tests.cli.running import invoke, run
 from tests.gltf.models import FOLDER, copied, edited, sheet, write_model
@@ -26,7 +25,7 @@ TUBE = str(FOLDER / "bent_tube.glb")
 
 @pytest.mark.parametrize(
     ("error", "code"),
-    [(VerificationError, 1), (InputError, 3), (UnsupportedFeatureError, 3), (OutputError, 4)],
+    [(InputError, 3), (UnsupportedFeatureError, 3), (OutputError, 4)],
 )
 def test_every_error_has_its_code(error: type[SkinbakeError], code: int) -> None:
     assert exit_codes.of_error(error("because")) == code

@@ -67,6 +67,7 @@ BAKED = strict(
         "adopting_vertices": COUNT,
         "overflowing_vertices": COUNT,
         "lost_gradient": {"type": "number", "minimum": 0, "maximum": 1},
+        "gradient": {"type": "number", "minimum": 0},
         "added_bytes": COUNT,
     },
     optional={"mesh_name": {"type": "string"}},

@@ -106,7 +106,7 @@ class TestEveryFixture:
             }
             assert {key: found[key] for key in expected} == expected
             assert found["generator"].startswith("skinbake ")
-            known = {*expected, "generator", "digest", "adopted", "generated", "keepExtras"}
+            known = {*expected, "generator", "digest", "adopted", "formerDigest", "generated", "keepExtras"}
             assert set(found) <= known
 
     def test_baking_twice_is_baking_once(self, name: str, tmp_path: Path) -> None:

@@ -32,9 +32,10 @@ class Character:
     def read(path: Path, clip: int = 0) -> Character:
         return Character(gltf_reading.read(path), clip)
 
-    def duration(self) -> float:
+    def first_and_last_key(self) -> tuple[float, float]:
         samplers = self.file.content["animations"][self.clip]["samplers"]
-        return max(float(self.file.values(sampler["input"]).max()) for sampler in samplers)
+        times = np.concatenate([self.file.values(sampler["input"]).ravel() for sampler in samplers])
+        return float(times.min()), float(times.max())
 
     def joint_matrices(self, time: float) -> list[Array]:
         nodes = self.file.content["nodes"]

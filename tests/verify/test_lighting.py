@@ -48,7 +48,7 @@ def test_the_figures_are_those_of_a_straightforward_computation(tmp_path: Path) 
     path = baked(source(CESIUM_MAN), tmp_path)
     found = figures(path, "--samples", "3", "--method", "lbs")["lbs"]
     character = Character.read(path)
-    times = np.linspace(0.0, character.duration(), 3)
+    times = np.linspace(*character.first_and_last_key(), 3)
     errors = [character.errors(time) for time in times]
     for lighting_name, place in (("approximated", 0), ("accurate", 1)):
         each = np.stack([one[place] for one in errors])

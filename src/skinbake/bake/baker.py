@@ -37,8 +37,8 @@ class BakeFindings:
     """What baking one primitive met, in numbers.
 
     tangent_deviation is the largest angle in degrees between t0 × b0 and n0, 0 without TANGENT;
-    bad_tangents how many vertices exceed TANGENT_TOLERANCE. lost is the share of the gradient that no slot
-    holds.
+    bad_tangents how many vertices exceed TANGENT_TOLERANCE. magnitude is the summed length of the gradients,
+    in 1 / length unit, lost the share of it that no slot holds.
     """
 
     weights: WeightDefects
@@ -48,6 +48,7 @@ class BakeFindings:
     bad_tangents: int
     adopting_vertices: int
     overflowing_vertices: int
+    magnitude: float
     lost: float
 
 
@@ -93,6 +94,7 @@ def bake_mesh(
             bad_tangents=frame.deviating,
             adopting_vertices=int(np.count_nonzero((slots.adopted != NO_JOINT).any(axis=1))),
             overflowing_vertices=slots.overflowing,
+            magnitude=slots.magnitude,
             lost=slots.lost,
         )
         results.append((_baked(slots, frame.kind), findings))

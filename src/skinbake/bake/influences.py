@@ -12,6 +12,9 @@ from skinbake.geometry.skinned import BoolArray, Float64Array, SkinnedPrimitive
 SUM_TOLERANCE = 1e-3
 """How far Σw may be from 1 before it is worth a warning: below, it is the rounding of stored weights."""
 
+ADOPTING_SUM = 1e-3
+"""Σw above which a vertex may adopt: its largest weight must afford 1/65535 for each adopted slot."""
+
 NO_JOINT = -1
 
 
@@ -56,7 +59,7 @@ def weight_field(primitive: SkinnedPrimitive) -> tuple[WeightField, WeightDefect
     negative = weights < 0
     weights[negative] = 0.0
     total = weights.sum(axis=1)
-    free = (primitive.weights == 0) & (total > SUM_TOLERANCE)[:, None]
+    free = (primitive.weights == 0) & (total > ADOPTING_SUM)[:, None]
     empty = total == 0
     weights[empty, 0] = 1.0
     total[empty] = 1.0

@@ -29,13 +29,15 @@ class SlotGradients:
 
     alpha, beta (V, K) float64, slot 0 included. adopted (V, K) int64: the joint that a slot adopts, −1
     elsewhere. overflowing: vertices with more foreign joints than free slots (all that have any, where
-    none are adopted). lost: share of the summed gradient magnitude that no slot holds, which falls to s0.
+    none are adopted). magnitude: the lengths of all joints' gradients summed over the vertices, in 1 / length
+    unit; lost: the share of it that no slot holds, and that falls to s0.
     """
 
     alpha: Float64Array
     beta: Float64Array
     adopted: npt.NDArray[np.int64]
     overflowing: int
+    magnitude: float
     lost: float
 
 
@@ -70,7 +72,8 @@ def assign(
         placed = (named[foreign.vertices] == foreign.joints[:, None]).any(axis=1)
         overflowing += len(np.unique(foreign.vertices[~placed]))
         homeless, total = homeless + unheld, total + float(entries.sums.sum())
-    return SlotGradients(alpha, beta, adopted, overflowing, homeless / total if total > 0 else 0.0)
+    lost = homeless / total if total > 0 else 0.0
+    return SlotGradients(alpha, beta, adopted, overflowing, total, lost)
 
 
 def shared_capacity(field: WeightField, classes: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:

@@ -29,9 +29,9 @@ def weld(positions: FloatArray, normals: FloatArray, field: WeightField, *, crea
     positions (V, 3) in mesh space, normals (V, 3) of any length, field the normalised weights of the same
     vertices, crease_angle in radians. Two vertices are copies of one surface point where position (−0 = +0)
     and influences are equal, whatever the order of the slots; copies are one class where their normals differ
-    by at most the crease angle, or where a chain of such copies joins them; a normal without a direction is
-    near none but its equals. The result depends on neither
-    vertex nor slot order, except for the numbers of the classes.
+    by at most the crease angle, or where a chain of such copies joins them. A normal without a direction
+    welds only with a bit-identical one. The result depends on neither vertex nor slot order, except for the
+    numbers of the classes.
     """
     labels = equal_positions(positions)
     copies = np.flatnonzero(np.bincount(labels)[labels] > 1)

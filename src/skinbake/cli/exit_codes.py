@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from skinbake.errors import InputError, OutputError, SkinbakeError
+from skinbake.errors import OutputError, SkinbakeError
 
 OK = 0
 VERIFICATION = 1
@@ -15,6 +15,4 @@ INTERRUPTED = 130
 
 def of_error(error: SkinbakeError) -> int:
     """Return the exit code that an error stands for."""
-    if isinstance(error, OutputError):
-        return OUTPUT
-    return INPUT if isinstance(error, InputError) else VERIFICATION
+    return OUTPUT if isinstance(error, OutputError) else INPUT

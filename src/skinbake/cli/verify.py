@@ -11,7 +11,7 @@ from typing import Any
 import click
 
 from skinbake.cli import exit_codes
-from skinbake.cli.console import Console, console, message_options
+from skinbake.cli.console import Console, console, finite, message_options
 from skinbake.cli.targets import STDIO, check_readable_suffix
 
 PROGRESS_AFTER = 2.0
@@ -48,6 +48,7 @@ def _poses(ctx: click.Context, param: click.Parameter, value: str) -> tuple[str,
 @click.option(
     "--angle",
     type=click.FloatRange(0, 180),
+    callback=finite,
     default=30.0,
     show_default=True,
     metavar="DEG",
@@ -64,11 +65,26 @@ def _poses(ctx: click.Context, param: click.Parameter, value: str) -> tuple[str,
 @click.option(
     "--cap",
     type=click.FloatRange(0, min_open=True),
+    callback=finite,
     help="Limit the correction of a tangent to this share of it (the authors' demo: 0.9); off by default.",
 )
-@click.option("--max-mean-error", type=click.FloatRange(0), metavar="DEG", help="Fail above this mean.")
-@click.option("--max-p95-error", type=click.FloatRange(0), metavar="DEG", help="Fail above this percentile.")
-@click.option("--min-gain", type=click.FloatRange(0), metavar="X", help="Fail below this gain over standard.")
+@click.option(
+    "--max-mean-error", type=click.FloatRange(0), callback=finite, metavar="DEG", help="Fail above this mean."
+)
+@click.option(
+    "--max-p95-error",
+    type=click.FloatRange(0),
+    callback=finite,
+    metavar="DEG",
+    help="Fail above this percentile.",
+)
+@click.option(
+    "--min-gain",
+    type=click.FloatRange(0),
+    callback=finite,
+    metavar="X",
+    help="Fail below this gain over standard.",
+)
 @click.option("--require-baked", is_flag=True, help="Fail where a file holds no bake.")
 @click.option("--warnings-as-errors", is_flag=True, help="Fail where there are warnings.")
 @click.option("--json", "as_json", is_flag=True, help="Print the results as JSON.")

@@ -166,6 +166,7 @@ def _counts(
         generated_normals="NORMAL" not in source.attributes,
         adopting_vertices=findings.adopting_vertices,
         overflowing_vertices=findings.overflowing_vertices,
+        gradient=findings.magnitude,
         lost_gradient=findings.lost,
         added_bytes=0,
     )

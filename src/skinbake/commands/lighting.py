@@ -157,7 +157,7 @@ class Lighting:
 
     def _verdict(self, poses: Sequence[PoseSet], without_dqs: str | None) -> FileVerdict:
         normals = _figures(self._segments)
-        seconds = sum(clip.duration for clip in self._clips)
+        seconds = sum(clip.duration - clip.start for clip in self._clips)
         identity = self._identity_check()
         checks = [identity] if "lbs" in normals else []
         if not normals:

@@ -83,7 +83,7 @@ def _sampled(
     each = samples or max(3, round(SHARED_SAMPLES / len(clips)))
     matrices, names, times = [], [], []
     for clip in clips:
-        at = np.linspace(0.0, clip.duration, each)
+        at = np.linspace(clip.start, clip.duration, each)
         matrices.append(clip_poses(skeleton, clip, at))
         names += [clip.name] * each
         times += at.tolist()

@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from dataclasses import replace
 
 from skinbake.commands.baked_views import BakedView, baked_views, is_baked
 from skinbake.commands.lighting import Lighting, Progress, VerifyOptions
 from skinbake.commands.staleness import mesh_operator, staleness
-from skinbake.errors import InputError, Notice, Place, SkinbakeError
+from skinbake.errors import InputError, Notice, Place, SkinbakeError, defect
 from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.metadata import read_metadata
 from skinbake.gltf.primitives import PrimitiveSource, reason_to_skip, refuse_compressed, skinned_sources
 from skinbake.report.verify import Check, FileVerdict
 
+logger = logging.getLogger(__name__)
+
 
 def verify_file(source: str, options: VerifyOptions, progress: Progress | None = None) -> FileVerdict:
-    """Verify one file. Never raises SkinbakeError: what cannot be read is in the verdict."""
+    """Verify one file. Raises nothing: what cannot be read is in the verdict."""
     try:
         verdict = _verify_file(source, options, progress or (lambda what, done, total: None))
         verdict = replace(verdict, input=source)
@@ -24,6 +27,9 @@ def verify_file(source: str, options: VerifyOptions, progress: Progress | None =
         return FileVerdict(source, error=error)
     except MemoryError:
         return FileVerdict(source, error=InputError("it needs more memory than there is", Place(source)))
+    except Exception as error:  # a defect of ours: the other files must not suffer from it
+        logger.debug("where it failed", exc_info=True)
+        return FileVerdict(source, error=defect(error, source))
     if options.warnings_as_errors and verdict.notices and verdict.error is None:
         problem = Check("warnings", "failed", verdict.notices)
         return replace(verdict, checks=(*verdict.checks, problem))

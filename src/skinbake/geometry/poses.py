@@ -18,8 +18,8 @@ def interpolated(
     """Return an animated property at the times ``at`` (P,), each (P, C).
 
     times (N,) ascend, in seconds; values are (N, C), or (N, 3, C) as in-tangent, value, out-tangent for
-    CUBICSPLINE. Before the first and after the last key the value stays. Rotations, quaternions in whatever
-    component order, are interpolated along the shorter arc for LINEAR and normalised.
+    CUBICSPLINE. Before the first and after the last key the value stays. Rotations are quaternions
+    (w, x, y, z), interpolated along the shorter arc for LINEAR, and normalised.
     """
     last = len(times) - 1
     before = np.clip(np.searchsorted(times, at, side="right") - 1, 0, max(last - 1, 0))

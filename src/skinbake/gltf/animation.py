@@ -34,11 +34,16 @@ class Channel:
 
 @dataclass(frozen=True, slots=True)
 class Clip:
-    """One animation: what it is called, its length in seconds, the channels that move nodes."""
+    """One animation: what it is called, and the channels that move nodes.
+
+    start and duration are its first and last key, in seconds: glTF's clips run from 0, and those that an
+    exporter cut from a longer take begin later.
+    """
 
     name: str
     duration: float
     channels: tuple[Channel, ...]
+    start: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,7 +209,9 @@ def read_clips(document: Document) -> list[Clip]:
                 channels.append(found)
         if channels:
             name = text(animation, "name", place) or f"animation {number}"
-            clips.append(Clip(name, max(float(c.times[-1]) for c in channels), tuple(channels)))
+            start = min(float(channel.times[0]) for channel in channels)
+            duration = max(float(channel.times[-1]) for channel in channels)
+            clips.append(Clip(name, duration, tuple(channels), start))
     return clips
 
 

@@ -15,7 +15,28 @@ from skinbake.gltf.accessors import StoredArray, element_count, read_accessor
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject, index, integer, member, objects, text
 
-UNSIGNED = ("u1", "u2")
+FLOAT = ("f4", False)
+NORMALISED_SIGNED = (("i1", True), ("i2", True))
+FORMATS: dict[str, tuple[tuple[str, bool], ...]] = {
+    "POSITION": (FLOAT, *((kind, flag) for kind in ("i1", "u1", "i2", "u2") for flag in (False, True))),
+    "NORMAL": (FLOAT, *NORMALISED_SIGNED),
+    "TANGENT": (FLOAT, *NORMALISED_SIGNED),
+    "WEIGHTS": (FLOAT, ("u1", True), ("u2", True)),
+    "JOINTS": (("u1", False), ("u2", False), ("u1", True), ("u2", True)),
+}
+"""Component types, and whether normalised, of glTF 2.0 §3.7.2.1 and KHR_mesh_quantization.
+
+A "normalized" on JOINTS means nothing and is let pass: an index is an index.
+"""
+
+EXPECTED = {
+    "POSITION": "positions must be floats, or signed or unsigned bytes or shorts",
+    "NORMAL": "normals must be floats, or normalised signed bytes or shorts",
+    "TANGENT": "tangents must be floats, or normalised signed bytes or shorts",
+    "WEIGHTS": "weights must be floats, or normalised unsigned bytes or shorts",
+    "JOINTS": "joints must be unsigned bytes or shorts",
+}
+
 DRACO = "KHR_draco_mesh_compression"
 MESHOPT = ("EXT_meshopt_compression", "KHR_meshopt_compression")
 
@@ -150,6 +171,8 @@ def read_primitive(document: Document, source: PrimitiveSource) -> SkinnedPrimit
     are left to whoever uses them.
     """
     positions = _decoded(document, source, "POSITION", 3)
+    if not np.isfinite(positions).all():
+        raise InputError("its values are not all finite numbers", source.place.at("POSITION"))
     count = len(positions)
     normals = (
         _decoded(document, source, "NORMAL", 3, count) if "NORMAL" in source.attributes else np.zeros((0, 3))
@@ -171,15 +194,6 @@ def read_influences(document: Document, source: PrimitiveSource, count: int) -> 
     for number in range(source.influence_sets):
         joints = _stored(document, source, f"JOINTS_{number}", 4, count)
         weights = _stored(document, source, f"WEIGHTS_{number}", 4, count)
-        if joints.values.dtype.str[1:] not in UNSIGNED:
-            raise InputError("joints must be unsigned bytes or shorts", source.place.at(f"JOINTS_{number}"))
-        if weights.values.dtype.kind != "f" and not (
-            weights.normalized and weights.values.dtype.str[1:] in UNSIGNED
-        ):
-            raise InputError(
-                "weights must be floats, or normalised unsigned bytes or shorts",
-                source.place.at(f"WEIGHTS_{number}"),
-            )
         sets.append(StoredInfluences(joints, weights))
     return sets
 
@@ -222,16 +236,16 @@ def _stored(
     stored = read_accessor(document, number, place)
     if stored.values.shape[1] != components:
         raise InputError(f"it has {stored.values.shape[1]} components, {components} are needed", place)
+    if (stored.values.dtype.str[1:], stored.normalized) not in FORMATS[attribute.split("_", maxsplit=1)[0]]:
+        kind = f"{'normalised ' if stored.normalized else ''}{stored.values.dtype.name}"
+        raise InputError(f"{EXPECTED[attribute.split('_', maxsplit=1)[0]]}, found {kind}", place)
     return stored
 
 
 def _decoded(
     document: Document, source: PrimitiveSource, attribute: str, components: int, count: int | None = None
 ) -> FloatArray:
-    values = _stored(document, source, attribute, components, count).decoded()
-    if attribute == "POSITION" and not np.isfinite(values).all():
-        raise InputError("its values are not all finite numbers", source.place.at(attribute))
-    return values
+    return _stored(document, source, attribute, components, count).decoded()
 
 
 def _check_joints(joints: npt.NDArray[np.int64], weights: FloatArray, source: PrimitiveSource) -> None:

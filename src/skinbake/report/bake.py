@@ -19,7 +19,8 @@ class BakedCounts:
     """What was baked into one primitive, in numbers.
 
     adopting_vertices took joints of their neighbours into free slots, overflowing_vertices had more such
-    joints than free slots; lost_gradient is the share of the summed gradient magnitude that no slot holds.
+    joints than free slots; gradient is the summed length of the weight gradients, in 1 / length unit, and
+    lost_gradient the share of it that no slot holds.
     added_bytes is what the primitive added to the file.
     """
 
@@ -31,6 +32,7 @@ class BakedCounts:
     generated_normals: bool
     adopting_vertices: int
     overflowing_vertices: int
+    gradient: float
     lost_gradient: float
     added_bytes: int
 
@@ -103,9 +105,9 @@ def _baked(counts: Sequence[BakedCounts]) -> str:
 
 
 def _lost(counts: Sequence[BakedCounts]) -> float:
-    """Return the mean share lost, primitives weighted by their vertices."""
-    vertices = sum(count.vertices for count in counts)
-    return sum(count.lost_gradient * count.vertices for count in counts) / vertices
+    """Return the share of all primitives' gradients together that is lost."""
+    whole = sum(count.gradient for count in counts)
+    return sum(count.lost_gradient * count.gradient for count in counts) / whole if whole else 0.0
 
 
 def as_json(results: Sequence[FileResult], *, exit_code: int, dry_run: bool) -> dict[str, Any]:
