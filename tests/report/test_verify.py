@@ -230,7 +230,10 @@ def test_junit_counts_a_suite_a_file_and_a_case_a_check() -> None:
     assert [case.get("name") for case in root[1]] == ["structure", "freshness", "lighting"]
     failure = root[1][1].find("failure")
     assert failure is not None
-    assert failure.get("message") == "2 problems"
+    assert (
+        failure.get("message")
+        == 'hero.glb: mesh 2 "Body", primitive 1: POSITION changed since its bake. Bake last (and 1 more)'
+    )
     assert failure.text is not None
     assert failure.text.splitlines() == [str(problem) for problem in FAILED.checks[1].problems]
     error = root[2][0].find("error")

@@ -22,7 +22,11 @@ def _pattern(ctx: click.Context, param: click.Parameter, value: str) -> str:
 @click.command("bake")
 @click.argument("inputs", nargs=-1, required=True, metavar="INPUT...")
 @click.option("-o", "--output", metavar="FILE", help="Where to write; - for a GLB on stdout.")
-@click.option("--out-dir", metavar="DIR", help="Write each input under its own name into this folder.")
+@click.option(
+    "--out-dir",
+    metavar="DIR",
+    help="Write each input under its own name into this folder, made where it is missing.",
+)
 @click.option("--in-place", is_flag=True, help="Replace each input by its baked version.")
 @click.option("--dry-run", is_flag=True, help="Do everything but write.")
 @click.option("--json", "as_json", is_flag=True, help="Print the results as JSON.")
@@ -132,6 +136,7 @@ def _options(given: dict[str, Any]) -> Any:
         require_baked=given["require_baked"],
         warnings_as_errors=given["warnings_as_errors"],
         dry_run=given["dry_run"],
+        make_folder=bool(given["out_dir"]),
     )
 
 

@@ -6,6 +6,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import click
@@ -13,6 +14,7 @@ import click
 from skinbake.cli import exit_codes
 from skinbake.cli.console import Console, console, finite, message_options
 from skinbake.cli.targets import STDIO, check_readable_suffix
+from skinbake.errors import OutputError, Place
 
 PROGRESS_AFTER = 2.0
 """Seconds of work before a progress bar is shown."""
@@ -44,7 +46,11 @@ def _poses(ctx: click.Context, param: click.Parameter, value: str) -> tuple[str,
     metavar="WHICH",
     help="animation (the file's own clips), random:N, or rest.",
 )
-@click.option("--samples", type=click.IntRange(1), help="Poses of each clip; default 60 shared by all clips.")
+@click.option(
+    "--samples",
+    type=click.IntRange(1),
+    help="Poses of each clip; by default about 60 in all, at least 3 a clip.",
+)
 @click.option(
     "--angle",
     type=click.FloatRange(0, 180),
@@ -153,10 +159,6 @@ def _options(given: dict[str, Any]) -> Any:
 
 def _write(path: str, text: str, say: Console) -> int:
     """Write the JUnit file; return the exit code."""
-    from pathlib import Path
-
-    from skinbake.errors import OutputError, Place
-
     try:
         Path(path).write_text(text, encoding="utf-8")
     except OSError as error:

@@ -42,6 +42,7 @@ class BakeOptions:
     require_baked: bool = False
     warnings_as_errors: bool = False
     dry_run: bool = False
+    make_folder: bool = False
 
 
 def bake_file(source: str, target: str | None, options: BakeOptions) -> FileResult:
@@ -74,7 +75,9 @@ def _bake_file(source: str, target: str | None, options: BakeOptions, notices: l
         result, found = _passed_through(document, target, skipped, options, found[len(undone) + len(moved) :])
     notices += found
     untouched = result is document and target == source and source != STDIO
-    planned = None if target is None or untouched else plan_output(result, target)
+    planned = (
+        None if target is None or untouched else plan_output(result, target, make_folder=options.make_folder)
+    )
     if planned is not None:
         notices += planned.notices
     if options.warnings_as_errors and notices:

@@ -63,8 +63,9 @@ def _summary(document: Document, source: PrimitiveSource) -> PrimitiveSummary:
     metadata = read_metadata(document, source.json)
     bake = None
     if metadata is not None:
-        changed = changed_arrays(metadata, primitive)
         names = {*noted_names(metadata, "alpha"), *noted_names(metadata, "beta")}
+        gone = sorted(names - source.attributes.keys())
+        changed = (*changed_arrays(metadata, primitive), *gone)
         size = sum(attribute.byte_length for attribute in attributes if attribute.name in names)
         bake = BakeSummary(metadata, changed, size)
     targets = source.json.get("targets")

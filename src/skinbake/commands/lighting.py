@@ -167,7 +167,7 @@ class Lighting:
         limits = _exceeded(normals, self._options, self._document.place)
         asked = (self._options.max_mean_error, self._options.max_p95_error, self._options.min_gain)
         if any(limit is not None for limit in asked):
-            checks.append(Check("limits", "failed" if limits else "passed", tuple(limits)))
+            checks.append(_limits_check(limits, normals, self._options))
         places = {segment.place: None for segments in self._segments.values() for segment in segments}
         by_primitive = tuple(
             (place, _figures({m: [s for s in ss if s.place == place] for m, ss in self._segments.items()}))
@@ -181,6 +181,14 @@ class Lighting:
             described(self._options.poses, poses, seconds),
             without_dqs,
         )
+
+
+def _limits_check(problems: Sequence[Notice], normals: Normals, options: VerifyOptions) -> Check:
+    if problems:
+        return Check("limits", "failed", tuple(problems), "; ".join(problem.message for problem in problems))
+    bends = any(gain(figures) is not None for figures in normals.values())
+    remark = "no gain to hold to --min-gain: nothing bends in these poses"
+    return Check("limits", "passed", (), remark if options.min_gain is not None and not bends else "")
 
 
 def _not_rigid(rest: Sequence[RestSurface], poses: PoseSet) -> list[str]:

@@ -40,7 +40,7 @@ def _verify_file(source: str, options: VerifyOptions, progress: Progress) -> Fil
     document = read_document(source)
     wanted, lost, notices = _sorted_out(document)
     if not lost and not any(is_baked(document, entry) for entry in wanted):
-        return _unbaked(document, options, notices)
+        return _unbaked(document, options, notices, bakeable=bool(wanted))
     views, problems = baked_views(document, wanted)
     problems = [*lost, *problems]
     structure = Check("structure", "failed" if problems else "passed", tuple(problems), _counted(views))
@@ -97,13 +97,16 @@ def _lost(notice: Notice) -> Notice:
     return replace(notice, message=message.replace("skipped: ", ""))
 
 
-def _unbaked(document: Document, options: VerifyOptions, notices: list[Notice]) -> FileVerdict:
+def _unbaked(
+    document: Document, options: VerifyOptions, notices: list[Notice], *, bakeable: bool
+) -> FileVerdict:
     missing = Notice("not-baked", "nothing in it is baked", document.place)
     if options.require_baked:
-        check = Check(
-            "structure", "failed", (replace(missing, message="nothing in it is baked: run skinbake bake"),)
+        advice = (
+            "run skinbake bake" if bakeable else "nothing in it can be; --require-baked is for characters"
         )
-        return FileVerdict(document.name, (check,), notices=tuple(notices))
+        problem = replace(missing, message=f"nothing in it is baked: {advice}")
+        return FileVerdict(document.name, (Check("structure", "failed", (problem,)),), notices=tuple(notices))
     check = Check("structure", "skipped", (), "nothing in it is baked")
     return FileVerdict(document.name, (check,), notices=(*notices, missing))
 

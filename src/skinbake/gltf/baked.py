@@ -101,7 +101,8 @@ def _written(document: Document, additions: Additions, item: Baked, names: Attri
         ):
             if name in attributes:
                 raise InputError(
-                    f"it has an attribute {name} already, which skinbake did not write; "
+                    f"it has an attribute {name} already, and no metadata that says that it is skinbake's "
+                    "(did a tool drop the extras?): remove it, bake from the source file, or "
                     "choose other names with --alpha-name and --beta-name",
                     item.source.place,
                 )

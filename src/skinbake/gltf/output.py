@@ -36,20 +36,20 @@ class PlannedOutput:
             _write_files(self.files, self.target)
 
 
-def plan_output(document: Document, target: str) -> PlannedOutput:
+def plan_output(document: Document, target: str, *, make_folder: bool = False) -> PlannedOutput:
     """Return how a document goes to ``target``, whose suffix its container must match, or stdout for ``-``.
 
     Files that a relative URI names are copied beside the target where it is in another folder. A file that
     is there already is left alone: where its content is the same it serves, else ours gets a name of its own
     and the URI follows. URIs that lead out of the document's folder are not copied but rewritten. A document
-    that was not edited is written as the bytes it was read from. Raises OutputError where the target cannot
-    be written.
+    that was not edited is written as the bytes it was read from. The target's folder must exist, unless
+    ``make_folder``. Raises OutputError where the target cannot be written.
     """
     if target == STDIO:
         return PlannedOutput(target, {Path(STDIO): _serialised(document)}, [])
     try:
         path = Path(os.path.realpath(target))
-        _check_target(path, target)
+        _check_target(path, target, make_folder=make_folder)
         document, beside, notices = _with_files_beside(document, path.parent)
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
@@ -109,8 +109,8 @@ def _write_stdout(pieces: Sequence[Bytes]) -> None:
         raise OutputError(f"cannot be written: {reason}", Place("<stdout>")) from error
 
 
-def _check_target(path: Path, target: str) -> None:
-    if not path.parent.is_dir():
+def _check_target(path: Path, target: str, *, make_folder: bool) -> None:
+    if not path.parent.is_dir() and not (make_folder and not os.path.lexists(path.parent)):
         raise OutputError("its folder does not exist", Place(target))
     if path.is_symlink() or (path.exists() and not path.is_file()):
         raise OutputError("it exists and is not a regular file", Place(target))

@@ -137,8 +137,8 @@ def refuse_compressed(document: Document, source: PrimitiveSource) -> None:
 
 def _compressed(extension: str, place: Place) -> UnsupportedFeatureError:
     return UnsupportedFeatureError(
-        f"its geometry is compressed with {extension}, which this version cannot decode; "
-        "bake a copy that is not compressed",
+        f"its geometry is compressed with {extension}, which this version cannot decode; bake a copy that is "
+        "not compressed, and ship it so: compressing after a bake spoils α/β",
         place,
     )
 

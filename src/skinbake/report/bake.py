@@ -60,7 +60,7 @@ def closing_line(result: FileResult, *, dry_run: bool) -> str:
     if dry_run:
         where = f"{result.input} (dry run)"
     if result.status == "failed":
-        return f"{where}: failed"
+        return f"{result.input}: failed, nothing written"
     counts = [count for _, count in result.primitives]
     parts = [f"{result.status}: {_baked(counts)}" if counts else result.status]
     if result.skipped:
@@ -71,7 +71,7 @@ def closing_line(result: FileResult, *, dry_run: bool) -> str:
     overflowing = sum(count.overflowing_vertices for count in counts)
     if overflowing:
         parts.append(
-            f"{counted(overflowing, 'vertex', 'vertices')} had no slot left for some "
+            f"{counted(overflowing, 'vertex', 'vertices')} left some of their neighbours' joints out "
             f"({_lost(counts):.2%} of the gradient lost)"
         )
     degenerate = sum(count.degenerate_triangles for count in counts)

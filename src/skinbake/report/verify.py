@@ -9,7 +9,7 @@ from typing import Any, Literal
 from xml.etree import ElementTree
 
 from skinbake.errors import Notice, Place, SkinbakeError, printable
-from skinbake.report.notices import counted, error_fields, notice_list, place_fields
+from skinbake.report.notices import error_fields, notice_list, place_fields
 
 SCHEMA = "skinbake.verify/1"
 
@@ -123,7 +123,8 @@ def _table(normals: Normals) -> Iterator[str]:
                 yield f"  {method.upper() + ' ' + shown:<24}{numbers}  {_where(error.worst)}"
         factor = gain(figures)
         if factor is not None:
-            yield f"  {method.upper() + ' gain':<24}{factor:7.2f}x  standard mean / accurate mean"
+            hint = "" if factor >= 1 else "; below 1: a coarse mesh or hard edges, try --crease-angle"
+            yield f"  {method.upper() + ' gain':<24}{factor:7.2f}x  standard mean / accurate mean{hint}"
 
 
 def _where(worst: Worst) -> str:
@@ -213,7 +214,8 @@ def as_junit(verdicts: Sequence[FileVerdict]) -> str:
 def _case(suite: ElementTree.Element, check: Check) -> str:
     case = ElementTree.SubElement(suite, "testcase", name=check.name, classname="skinbake.verify")
     if check.outcome == "failed":
-        message = counted(len(check.problems), "problem")
+        more = f" (and {len(check.problems) - 1} more)" if len(check.problems) > 1 else ""
+        message = f"{check.problems[0]}{more}" if check.problems else check.remark
         failure = ElementTree.SubElement(case, "failure", message=message)
         failure.text = "\n".join(str(problem) for problem in check.problems)
     elif check.outcome == "skipped":

@@ -1,0 +1,135 @@
+"""What stood in a file before its bake is put back only where that loses nothing of what came after."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fixtures.builder import JsonObject
+from skinbake.commands.bake import BakeOptions, bake_file
+from skinbake.commands.strip import strip_file
+from tests.gltf.models import FOLDER, Change, baked, copied, rewritten
+from tests.support.gltf_reading import GltfFile, read
+
+
+def edited(name: str, tmp_path: Path, change: Change) -> Path:
+    model = baked(copied(name, tmp_path), tmp_path / f"baked_{name}")
+    change(model.content)
+    return rewritten(model, tmp_path / f"edited_{name}")
+
+
+def swapped_weights(path: Path, tmp_path: Path) -> tuple[Path, np.ndarray]:
+    """Swap the first two weights of every vertex in the accessor that the baked primitive now has."""
+    model = read(path)
+    number = model.primitive(0)["attributes"]["WEIGHTS_0"]
+    accessor = model.content["accessors"][number]
+    view = model.content["bufferViews"][accessor["bufferView"]]
+    data = bytearray(path.read_bytes())
+    start = data.index(bytes(model.buffer_view(accessor["bufferView"])))
+    values = model.stored(number).copy()
+    values[:, [0, 1]] = values[:, [1, 0]]
+    data[start : start + view["byteLength"]] = values.tobytes()
+    target = tmp_path / f"swapped_{path.name}"
+    target.write_bytes(data)
+    return target, read(target).attribute("WEIGHTS_0")
+
+
+@pytest.mark.parametrize("name", ["weights_u8.glb", "weights_u16.glb"])
+def test_weights_edited_after_a_bake_survive_the_next_bake_and_strip(name: str, tmp_path: Path) -> None:
+    first = tmp_path / f"first_{name}"
+    bake_file(str(FOLDER / name), str(first), BakeOptions())
+    changed, weights = swapped_weights(first, tmp_path)
+    assert not np.array_equal(weights, read(first).attribute("WEIGHTS_0"))
+    result = bake_file(str(changed), str(tmp_path / "again.glb"), BakeOptions())
+    assert "adopted-kept" in [notice.code for notice in result.notices]
+    now = read(tmp_path / "again.glb").attribute("WEIGHTS_0")
+    assert np.abs(now - weights).max() <= 4 / 65535
+    strip_file(str(changed), str(tmp_path / "stripped.glb"))
+    assert np.array_equal(read(tmp_path / "stripped.glb").attribute("WEIGHTS_0"), weights)
+
+
+def test_a_note_that_names_the_adopted_accessors_themselves_is_not_believed(tmp_path: Path) -> None:
+    """A tool that renumbers accessors leaves the note as it is, and its numbers can hit anything."""
+
+    def change(content: JsonObject) -> None:
+        primitive = content["meshes"][0]["primitives"][0]
+        note = primitive["extras"]["skinbake"]
+        note["adopted"] = {name: primitive["attributes"][name] for name in note["adopted"]}
+
+    path = edited("foreign_joints.glb", tmp_path, change)
+    result = strip_file(str(path), str(tmp_path / "stripped.glb"))
+    assert "adopted-kept" in [notice.code for notice in result.notices]
+
+
+def test_indices_written_as_floats_change_nothing(tmp_path: Path) -> None:
+    def change(content: JsonObject) -> None:
+        attributes = content["meshes"][0]["primitives"][0]["attributes"]
+        attributes.update({name: float(number) for name, number in attributes.items()})
+
+    source = read(copied("foreign_joints.glb", tmp_path))
+    change(source.content)
+    path = rewritten(source, tmp_path / "floats.glb")
+    once, twice, back = (tmp_path / f"{name}.glb" for name in ("once", "twice", "back"))
+    bake_file(str(path), str(once), BakeOptions())
+    bake_file(str(once), str(twice), BakeOptions())
+    assert once.read_bytes() == twice.read_bytes()
+    strip_file(str(once), str(back))
+    assert read(back).content == read(path).content
+
+
+def test_an_accessor_of_the_bake_that_a_morph_target_shares_stays(tmp_path: Path) -> None:
+    def change(content: JsonObject) -> None:
+        primitive = content["meshes"][0]["primitives"][0]
+        primitive["targets"] = [{"POSITION": primitive["attributes"]["_SKINBAKE_ALPHA_0"]}]
+
+    path = edited("seam.glb", tmp_path, change)
+    strip_file(str(path), str(tmp_path / "stripped.glb"))
+    after: GltfFile = read(tmp_path / "stripped.glb")
+    assert after.primitive(0)["targets"][0]["POSITION"] < len(after.content["accessors"])
+
+
+def test_a_baked_glb_becomes_the_same_gltf_as_the_one_it_was_baked_from(tmp_path: Path) -> None:
+    baked_glb = tmp_path / "foreign_joints.glb"
+    bake_file(str(FOLDER / "foreign_joints.glb"), str(baked_glb), BakeOptions())
+    for folder, source in (("one", FOLDER / "foreign_joints.glb"), ("two", baked_glb)):
+        (tmp_path / folder).mkdir()
+        bake_file(str(source), str(tmp_path / folder / "x.gltf"), BakeOptions())
+    first, second = (sorted((tmp_path / folder).iterdir()) for folder in ("one", "two"))
+    assert [path.read_bytes() for path in first] == [path.read_bytes() for path in second]
+
+
+def test_a_file_that_can_no_longer_be_baked_passes_through_with_its_bake(tmp_path: Path) -> None:
+    baked_glb = tmp_path / "seam.glb"
+    bake_file(str(FOLDER / "seam.glb"), str(baked_glb), BakeOptions())
+    from skinbake.bake.baker import BakeSettings
+
+    options = BakeOptions(settings=BakeSettings(frame="tangent"))
+    result = bake_file(str(baked_glb), str(tmp_path / "out.glb"), options)
+    assert result.status == "unchanged"
+    assert (tmp_path / "out.glb").read_bytes() == baked_glb.read_bytes()
+
+
+def test_an_image_that_has_the_name_of_the_new_bin_keeps_its_bytes(tmp_path: Path) -> None:
+    (tmp_path / "in").mkdir()
+    source = read(copied("seam.glb", tmp_path / "in"))
+    source.content["images"] = [{"uri": "./clash.bin"}]
+    path = rewritten(source, tmp_path / "in" / "seam.glb")
+    (tmp_path / "in" / "clash.bin").write_bytes(b"picture")
+    (tmp_path / "out").mkdir()
+    bake_file(str(path), str(tmp_path / "out" / "clash.gltf"), BakeOptions())
+    assert (tmp_path / "out" / "clash.bin").read_bytes() == b"picture"
+    assert read(tmp_path / "out" / "clash.gltf").attribute("_SKINBAKE_ALPHA_0").any()
+
+
+def test_a_folder_for_results_is_made_and_goes_again_where_nothing_comes_of_it(tmp_path: Path) -> None:
+    options = BakeOptions(make_folder=True)
+    target = tmp_path / "new" / "deeper" / "seam.glb"
+    assert bake_file(str(FOLDER / "seam.glb"), str(target), options).status == "baked"
+    assert target.is_file()
+    broken = tmp_path / "broken.glb"
+    broken.write_bytes(b"glTF")
+    other = tmp_path / "other" / "broken.glb"
+    assert bake_file(str(broken), str(other), options).status == "failed"
+    assert not other.parent.exists()
