@@ -81,9 +81,8 @@ def _written(document: Document, additions: Additions, item: Baked, names: Attri
         note["generated"] = ["NORMAL"]
     primitive = item.primitive
     if item.result.adopts:
-        before = metadata.digests(primitive, item.result.frame)
+        note["formerDigest"] = metadata.influence_digests(primitive.joints, primitive.weights)
         note["adopted"], primitive = _adopt(document, additions, item, attributes)
-        note["formerDigest"] = {name: before[name] for name in ("JOINTS", "WEIGHTS")}
     note["digest"] = metadata.digests(primitive, item.result.frame)
     alpha, beta = _by_set(item.result.alpha), _by_set(item.result.beta)
     chosen = [names.of(number) for number in range(len(alpha))]

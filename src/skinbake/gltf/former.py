@@ -11,7 +11,7 @@ from skinbake.errors import InputError, Place
 from skinbake.gltf.accessors import read_accessor
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject, index
-from skinbake.gltf.metadata import array_digest
+from skinbake.gltf.metadata import influence_digests
 
 
 def former_attributes(
@@ -42,13 +42,11 @@ def former_attributes(
 def _influence_digests(document: Document, attributes: JsonObject, place: Place) -> dict[str, str]:
     """Return the digests of JOINTS and WEIGHTS, all sets side by side, as the metadata has them."""
     count = len(document.objects("accessors"))
-    result = {}
-    for kind, dtype in (("JOINTS", "<u2"), ("WEIGHTS", "<f4")):
-        sets: list[npt.NDArray[Any]] = []
-        while (number := index(attributes, f"{kind}_{len(sets)}", count, place)) is not None:
+    sets: dict[str, list[npt.NDArray[Any]]] = {"JOINTS": [], "WEIGHTS": []}
+    for kind, arrays in sets.items():
+        while (number := index(attributes, f"{kind}_{len(arrays)}", count, place)) is not None:
             stored = read_accessor(document, number, place)
-            sets.append(stored.values if kind == "JOINTS" else stored.decoded())
-        if not sets or len({len(values) for values in sets}) > 1:
+            arrays.append(stored.values if kind == "JOINTS" else stored.decoded())
+        if not arrays or len({len(values) for values in arrays}) > 1:
             raise InputError(f"its {kind} sets do not belong together", place)
-        result[kind] = array_digest(np.concatenate(sets, axis=1), dtype)
-    return result
+    return influence_digests(*(np.concatenate(arrays, axis=1) for arrays in sets.values()))

@@ -27,13 +27,17 @@ def digests(primitive: SkinnedPrimitive, frame: str) -> dict[str, str]:
     arrays: dict[str, tuple[npt.NDArray[Any], str]] = {
         "POSITION": (primitive.positions, "<f4"),
         "NORMAL": (primitive.normals, "<f4"),
-        "JOINTS": (primitive.joints, "<u2"),
-        "WEIGHTS": (primitive.weights, "<f4"),
         "indices": (primitive.triangles, "<u4"),
     }
     if frame == TANGENT_FRAME and primitive.tangents is not None:
         arrays["TANGENT"] = (primitive.tangents, "<f4")
-    return {name: array_digest(values, dtype) for name, (values, dtype) in arrays.items()}
+    influences = influence_digests(primitive.joints, primitive.weights)
+    return {**{name: array_digest(values, dtype) for name, (values, dtype) in arrays.items()}, **influences}
+
+
+def influence_digests(joints: npt.NDArray[Any], weights: npt.NDArray[Any]) -> dict[str, str]:
+    """Return the digests of joints and weights (V, K) alone, as ``digests`` has them."""
+    return {"JOINTS": array_digest(joints, "<u2"), "WEIGHTS": array_digest(weights, "<f4")}
 
 
 def array_digest(values: npt.NDArray[Any], dtype: str) -> str:

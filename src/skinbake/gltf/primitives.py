@@ -157,9 +157,18 @@ def reason_to_skip(document: Document, source: PrimitiveSource, *, generate_norm
         return Notice(
             "no-normals", "skipped: it has no NORMAL; --generate-normals adds smooth ones", source.place
         )
-    if len(read_triangles(document, source)) == 0:
+    if _triangle_count(document, source, mode) == 0:
         return Notice("no-triangles", "skipped: it has not one whole triangle", source.place)
     return None
+
+
+def _triangle_count(document: Document, source: PrimitiveSource, mode: int) -> int:
+    """Return how many triangles are drawn, from the number of indices or vertices alone."""
+    number = index(source.json, "indices", len(document.objects("accessors")), source.place)
+    if number is None:
+        number = _accessor_index(document, source, "POSITION")
+    count = element_count(document, number, source.place)
+    return count // 3 if mode == TRIANGLES else max(count - 2, 0)
 
 
 def read_primitive(document: Document, source: PrimitiveSource) -> SkinnedPrimitive:
