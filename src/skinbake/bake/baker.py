@@ -68,7 +68,7 @@ def bake_mesh(
     masks = [proper(primitive.positions, primitive.triangles) for primitive in primitives]
     triangles = np.concatenate(
         [
-            primitive.triangles[mask] + start
+            (primitive.triangles if mask.all() else primitive.triangles[mask]) + start
             for primitive, mask, start in zip(primitives, masks, starts, strict=False)
         ]
     )

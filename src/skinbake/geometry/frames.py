@@ -13,9 +13,12 @@ NORMAL_FRAME = "normal"
 def unit_vectors(vectors: FloatArray) -> Float64Array:
     """Return vectors (V, 3) normalised, float64; one without a finite length becomes (0, 0, 1)."""
     wide = vectors.astype(np.float64)
+    x, y, z = wide.T
+    length = np.sqrt(x * x + y * y + z * z)[:, None]
     sound = has_direction(vectors)[:, None]
-    length = np.linalg.norm(np.where(sound, wide, 1.0), axis=1, keepdims=True)
-    return np.where(sound, wide / length, [0.0, 0.0, 1.0])
+    if sound.all():
+        return np.asarray(wide / length)
+    return np.where(sound, wide / np.where(sound, length, 1.0), [0.0, 0.0, 1.0])
 
 
 def has_direction(vectors: FloatArray) -> BoolArray:
