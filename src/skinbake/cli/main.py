@@ -6,8 +6,10 @@ import importlib
 import io
 import logging
 import os
+import signal
 import sys
 from contextlib import suppress
+from threading import Event, current_thread, main_thread
 
 import click
 
@@ -62,6 +64,7 @@ def entry_point() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")  # α on a terminal that knows no Greek
+    interrupted = _watch_for_interrupts()
     try:
         sys.exit(main(prog_name="skinbake", standalone_mode=False))
     except click.ClickException as error:
@@ -73,6 +76,8 @@ def entry_point() -> None:
         click.echo(f"error: {error}", err=True)
         sys.exit(exit_codes.of_error(error))
     except Exception as error:
+        if interrupted.is_set():  # in an import Ctrl-C comes out as an ImportError
+            sys.exit(exit_codes.INTERRUPTED)
         logger.debug("where it failed", exc_info=True)
         click.echo(
             f"error: skinbake failed where it should not: {type(error).__name__}: {error}\n"
@@ -83,6 +88,19 @@ def entry_point() -> None:
     finally:
         _settle(sys.stdout)
         _settle(sys.stderr)
+
+
+def _watch_for_interrupts() -> Event:
+    """Return an event that Ctrl-C sets before it raises KeyboardInterrupt as ever."""
+    interrupted = Event()
+
+    def note(signum: int, frame: object) -> None:
+        interrupted.set()
+        raise KeyboardInterrupt
+
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler and current_thread() is main_thread():
+        signal.signal(signal.SIGINT, note)
+    return interrupted
 
 
 def _settle(stream: object) -> None:
