@@ -176,6 +176,8 @@ def test_an_interrupt_ends_without_a_traceback_or_a_file(tmp_path: Path) -> None
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
+        # Started in the background, a shell's children ignore Ctrl-C; this one is to hear it.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
     # It waits for stdin once numpy is there.
     deadline = time.monotonic() + 20
