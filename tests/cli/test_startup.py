@@ -168,16 +168,22 @@ def test_closed_streams_are_not_defects_of_skinbake(command: str) -> None:
     assert b"should not" not in process.stderr
 
 
+HEARING = """
+import os, signal, sys
+signal.signal(signal.SIGINT, signal.SIG_DFL)
+os.execv(sys.executable, [sys.executable, *sys.argv[1:]])
+"""
+# Children of a shell's background job ignore Ctrl-C; this one is to hear it.
+
+
 def test_an_interrupt_ends_without_a_traceback_or_a_file(tmp_path: Path) -> None:
     if sys.platform != "linux":
         pytest.skip("needs the signals of POSIX and /proc")
     process = subprocess.Popen(
-        [sys.executable, "-m", "skinbake", "bake", "-", "-o", str(tmp_path / "out.glb")],
+        [sys.executable, "-c", HEARING, "-m", "skinbake", "bake", "-", "-o", str(tmp_path / "out.glb")],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
-        # Started in the background, a shell's children ignore Ctrl-C; this one is to hear it.
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
     # It waits for stdin once numpy is there.
     deadline = time.monotonic() + 20
