@@ -5,7 +5,8 @@ The tree::
     SkinbakeError
     ├── InputError                  the file cannot be read, or is not valid glTF        exit 3
     │   └── UnsupportedFeatureError it is valid, and this version cannot process it      exit 3
-    └── OutputError                 the result cannot be written                         exit 4
+    ├── OutputError                 the result cannot be written                         exit 4
+    └── ChoiceError                 options that exclude each other                      exit 2
 
 A file that was read and does not pass verification is no error: it is a verdict (exit 1).
 """
@@ -98,3 +99,7 @@ class UnsupportedFeatureError(InputError):
 
 class OutputError(SkinbakeError):
     """The output cannot be written."""
+
+
+class ChoiceError(SkinbakeError):
+    """What was asked for does not exist, or contradicts itself."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from skinbake.errors import OutputError, SkinbakeError
+from skinbake.errors import ChoiceError, OutputError, SkinbakeError
 
 OK = 0
 VERIFICATION = 1
@@ -15,4 +15,6 @@ INTERRUPTED = 130
 
 def of_error(error: SkinbakeError) -> int:
     """Return the exit code that an error stands for."""
+    if isinstance(error, ChoiceError):
+        return USAGE
     return OUTPUT if isinstance(error, OutputError) else INPUT

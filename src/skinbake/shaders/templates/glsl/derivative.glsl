@@ -1,0 +1,20 @@
+#ifndef SKINBAKE_DERIVATIVE@{ "_CAPPED" if cap is not none }
+#define SKINBAKE_DERIVATIVE@{ "_CAPPED" if cap is not none }
+// The derivative of p + delta along t, where the mix b changes at the rate db; delta = k h, i as in the caller.
+//% if cap is none
+vec3 skinbake_derivative(mat2x4 b, float k, vec3 p, vec3 i, vec3 delta, vec3 t, mat2x4 db)
+//% else
+vec3 skinbake_derivative(mat2x4 b, float k, vec3 p, vec3 i, vec3 delta, vec3 t, mat2x4 db, float cap)
+//% endif
+{
+    vec3 di = b[0].w * t + db[1].xyz + cross(b[0].xyz, t) + db[0].w * p + cross(db[0].xyz, p);
+    vec3 dh = b[0].w * db[1].xyz + cross(b[0].xyz, di) + cross(db[0].xyz, i)
+            + db[0].w * b[1].xyz - db[1].w * b[0].xyz - b[1].w * db[0].xyz - dot(b[0], db[0]) * delta;
+//% if cap is none
+    return t + k * dh;
+//% else
+    vec3 turn = cross(b[0].xyz, b[0].w * t + cross(b[0].xyz, t));
+    return skinbake_capped(t + k * turn, k * (dh - turn), cap);
+//% endif
+}
+#endif

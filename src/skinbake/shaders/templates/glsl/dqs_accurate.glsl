@@ -1,0 +1,19 @@
+// The frame moves by the normalised mix b, corrected as if the mix blended positions: algorithm 6 does not assume that.
+// Q: the dual quaternions of slots 0 ... @{ influences - 1 }, as skinbake_dual_quaternion() has them.
+skinbake_Vertex skinbake_dqs_accurate(vec3 p, skinbake_Frame frame, mat2x4 Q[@{ influences }]@{ params(weight_params + gradient_params) })
+{
+//% include "glsl/mix.glsl"
+//% include "glsl/unit.glsl"
+    skinbake_Vertex v;
+    v.position = p + 2.0 * skinbake_half_displacement(b, p); // 3
+//% for slot in (slots if others else [])
+    vec3 q@{ slot.index } = 2.0 * skinbake_half_displacement(Q[@{ slot.index }], p);@{ " // 4: each joint's Q(p) - p" if loop.first }
+//% endfor
+//% for slot in others
+    vec3 d@{ slot.index } = q@{ slot.index } - q0;@{ " // 5" if loop.first }
+//% endfor
+    v.tangent = @{ corrected("skinbake_rotated(b[0], frame.tangent)", sum("alpha", "d%d", others)) }; // 6
+    v.bitangent = @{ corrected("skinbake_rotated(b[0], frame.bitangent)", sum("beta", "d%d", others)) }; // 7
+    v.normal = @{ handed("cross(v.tangent, v.bitangent)") }; // 8
+    return v;
+}

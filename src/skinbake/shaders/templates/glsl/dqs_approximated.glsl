@@ -1,0 +1,13 @@
+// The frame moves by the normalised mix b, as if the weights were constant over the surface.
+// Q: the dual quaternions of slots 0 ... @{ influences - 1 }, as skinbake_dual_quaternion() has them.
+skinbake_Vertex skinbake_dqs_approximated(vec3 p, skinbake_Frame frame, mat2x4 Q[@{ influences }]@{ params(weight_params) })
+{
+//% include "glsl/mix.glsl"
+//% include "glsl/unit.glsl"
+    skinbake_Vertex v;
+    v.position = p + 2.0 * skinbake_half_displacement(b, p); // 3
+    v.normal = skinbake_rotated(b[0], frame.normal); // 4
+    v.tangent = skinbake_rotated(b[0], frame.tangent); // 5
+    v.bitangent = skinbake_rotated(b[0], frame.bitangent); // 6
+    return v;
+}

@@ -1,0 +1,23 @@
+// The frame moves by the derivative of the skinned position along t0 and b0.
+// M: the joint matrices (joint's global transform * its inverse bind matrix) of slots 0 ... @{ influences - 1 }.
+skinbake_Vertex skinbake_lbs_accurate(vec3 p, skinbake_Frame frame, mat4 M[@{ influences }]@{ params(weight_params + gradient_params) })
+{
+//% for slot in slots
+    @{ "mat3 T =" if loop.first else "        +" } @{ slot.weight } * mat3(M[@{ slot.index }])@{ ";" if loop.last }@{ " // 1" if loop.first }
+//% endfor
+//% for slot in slots
+    vec3 q@{ slot.index } = skinbake_moved(M[@{ slot.index }], p);@{ " // 2" if loop.first }
+//% endfor
+//% for slot in others
+    vec3 d@{ slot.index } = q@{ slot.index } - q0;@{ " // 3" if loop.first }
+//% endfor
+    skinbake_Vertex v;
+    v.tangent = @{ corrected("T * frame.tangent", sum("alpha", "d%d", others)) }; // 4
+    v.bitangent = @{ corrected("T * frame.bitangent", sum("beta", "d%d", others)) }; // 5
+    v.normal = @{ handed("cross(v.tangent, v.bitangent)") }; // 6
+//% if mirrored_joints
+    v.normal *= dot(cross(M[0][0].xyz, M[0][1].xyz), M[0][2].xyz) < 0.0 ? -1.0 : 1.0; // outside, where joints mirror
+//% endif
+    v.position = q0@{ " + " ~ sum("weight", "d%d", others) if others }; // 7
+    return v;
+}

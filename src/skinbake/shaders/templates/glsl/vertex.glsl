@@ -1,0 +1,18 @@
+#ifndef SKINBAKE_VERTEX
+#define SKINBAKE_VERTEX
+// A skinned vertex. None of its vectors is of unit length; tangent and bitangent are the images of t0 and b0.
+struct skinbake_Vertex {
+    vec3 position;
+    vec3 normal;
+    vec3 tangent;
+    vec3 bitangent;
+};
+
+// The tangent frame at rest.
+struct skinbake_Frame {
+    vec3 normal;
+    vec3 tangent;
+    vec3 bitangent;
+    float handedness; // n0 = handedness * cross(t0, b0) / |t0|^2
+};
+#endif

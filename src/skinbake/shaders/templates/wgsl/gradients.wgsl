@@ -1,0 +1,8 @@
+// The weight gradients of all slots, which a baked file holds as alpha and beta: a[s] = alpha[s] t0 + beta[s] b0.
+fn skinbake_gradients(frame: skinbake_Frame@{ params(gradient_params) }) -> array<vec3<f32>, @{ influences }> {
+//% for slot in others
+    let a@{ slot.index } = @{ slot.alpha } * frame.tangent + @{ slot.beta } * frame.bitangent;
+//% endfor
+    let a0 = @{ "-(" ~ joined(" + ", "a%d", others) ~ ")" if others else "vec3<f32>(0.0)" };
+    return array<vec3<f32>, @{ influences }>(@{ joined(", ", "a%d", slots) });
+}

@@ -1,0 +1,23 @@
+// The frame moves by the derivative of the skinned position along t0 and b0.
+// M: the joint matrices (joint's global transform * its inverse bind matrix) of slots 0 ... @{ influences - 1 }.
+fn skinbake_lbs_accurate(p: vec3<f32>, frame: skinbake_Frame, M: array<mat4x4<f32>, @{ influences }>@{ params(weight_params + gradient_params) }) -> skinbake_Vertex {
+//% for slot in slots
+    @{ "let T =" if loop.first else "      +" } @{ slot.weight } * skinbake_upper(M[@{ slot.index }])@{ ";" if loop.last }@{ " // 1" if loop.first }
+//% endfor
+//% for slot in slots
+    let q@{ slot.index } = skinbake_moved(M[@{ slot.index }], p);@{ " // 2" if loop.first }
+//% endfor
+//% for slot in others
+    let d@{ slot.index } = q@{ slot.index } - q0;@{ " // 3" if loop.first }
+//% endfor
+    let tangent = @{ corrected("T * frame.tangent", sum("alpha", "d%d", others)) }; // 4
+    let bitangent = @{ corrected("T * frame.bitangent", sum("beta", "d%d", others)) }; // 5
+//% if mirrored_joints
+    let outside = select(1.0, -1.0, dot(cross(M[0][0].xyz, M[0][1].xyz), M[0][2].xyz) < 0.0); // where joints mirror
+    let normal = outside * @{ handed("cross(tangent, bitangent)") }; // 6
+//% else
+    let normal = @{ handed("cross(tangent, bitangent)") }; // 6
+//% endif
+    let position = q0@{ " + " ~ sum("weight", "d%d", others) if others }; // 7
+    return skinbake_Vertex(position, normal, tangent, bitangent);
+}

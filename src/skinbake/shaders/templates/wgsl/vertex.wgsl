@@ -1,0 +1,15 @@
+// A skinned vertex. None of its vectors is of unit length; tangent and bitangent are the images of t0 and b0.
+struct skinbake_Vertex {
+    position: vec3<f32>,
+    normal: vec3<f32>,
+    tangent: vec3<f32>,
+    bitangent: vec3<f32>,
+}
+
+// The tangent frame at rest.
+struct skinbake_Frame {
+    normal: vec3<f32>,
+    tangent: vec3<f32>,
+    bitangent: vec3<f32>,
+    handedness: f32, // n0 = handedness * cross(t0, b0) / |t0|^2
+}

@@ -1,0 +1,293 @@
+"""Render the templates: one text for one set of choices, the same text every time.
+
+A target is a file ``templates/targets/NAME.LANGUAGE[.SUFFIX]``; it includes ``snippet``, the pure functions in
+its language, and may ``refuse`` choices that its engine cannot serve. Lines that begin with ``//%`` are
+statements and ``@{ }`` holds values, so that a template reads as the language that it writes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NoReturn
+
+from skinbake import __version__
+from skinbake.errors import ChoiceError
+from skinbake.shaders.choices import SLOTS_PER_SET, Language, Method, ShaderChoices
+
+if TYPE_CHECKING:
+    import jinja2
+
+TEMPLATES = Path(__file__).parent / "templates"
+WIDTH = 110
+TYPES = {
+    Language.GLSL: {"vec3": "vec3", "vec4": "vec4", "uvec4": "uvec4"},
+    Language.WGSL: {"vec3": "vec3<f32>", "vec4": "vec4<f32>", "uvec4": "vec4<u32>"},
+}
+METHOD_NAMES = {Method.LBS: "linear blend skinning", Method.DQS: "dual quaternion skinning"}
+PARTS = {
+    1: {Language.GLSL: [], Language.WGSL: ["rows"]},
+    2: {Language.GLSL: ["moved", "gradients"], Language.WGSL: ["rows", "moved", "gradients"]},
+    3: {Language.GLSL: ["moved"], Language.WGSL: ["upper", "moved"]},
+    4: dict.fromkeys(Language, ["rotation"]),
+    5: dict.fromkeys(Language, ["rotation"]),
+    6: dict.fromkeys(Language, []),
+}
+"""The functions that each algorithm calls besides those that ``_parts`` adds."""
+
+
+@dataclass(frozen=True, slots=True)
+class Slot:
+    """One influence slot as the text names it: ``weights_0.x``, ``alpha_0.x``; slot 0 has no α and β."""
+
+    index: int
+    weight: str
+    alpha: str
+    beta: str
+
+
+@dataclass(frozen=True, slots=True)
+class InfluenceSet:
+    """One set of four slots, as the table of inputs words it."""
+
+    number: int
+    slots: str
+    gradient_slots: str
+    alpha_name: str
+    beta_name: str
+
+
+def targets() -> dict[str, tuple[Language, ...]]:
+    """Return the languages of each target, from the names of the template files."""
+    found: dict[str, list[Language]] = {}
+    for path in sorted((TEMPLATES / "targets").iterdir()):
+        name, language = path.name.split(".")[:2]
+        found.setdefault(name, []).append(Language(language))
+    return {name: tuple(languages) for name, languages in found.items()}
+
+
+def shader_text(choices: ShaderChoices) -> str:
+    """Return the file that ``skinbake shader`` writes: ASCII, a newline at its end.
+
+    Raises ChoiceError where the target has no such language, or cannot serve the choices.
+    """
+    context = _context(choices)
+    language = choices.language
+    context["header"] = _rendered("header.txt", context)
+    context["inputs"] = _rendered("inputs.txt", context)
+    context["usage"] = _rendered(f"{language}/usage.txt", context)
+    names = ["vertex", f"frame_{choices.frame}", *_parts(choices), choices.stem]
+    context["snippet"] = "\n\n".join(_rendered(f"{language}/{name}.{language}", context) for name in names)
+    return _tidy(_rendered(_target_file(choices), context))
+
+
+def _rendered(template: str, context: dict[str, Any]) -> str:
+    return _environment().get_template(template).render(context).strip("\n")
+
+
+@cache
+def _environment() -> jinja2.Environment:
+    import jinja2
+
+    return jinja2.Environment(
+        loader=jinja2.FileSystemLoader(TEMPLATES),
+        undefined=jinja2.StrictUndefined,
+        autoescape=False,
+        line_statement_prefix="//%",
+        line_comment_prefix="//#",
+        variable_start_string="@{",
+        variable_end_string="}",
+        trim_blocks=True,
+        keep_trailing_newline=True,
+    )
+
+
+def _target_file(choices: ShaderChoices) -> str:
+    languages = targets().get(choices.target, ())
+    if choices.language not in languages:
+        legal = " or ".join(languages) or "none"
+        raise ChoiceError(f"--target {choices.target} takes --lang {legal}, not {choices.language}")
+    pattern = f"{choices.target}.{choices.language}"
+    names = [path.name for path in (TEMPLATES / "targets").iterdir()]
+    return "targets/" + next(name for name in names if name == pattern or name.startswith(f"{pattern}."))
+
+
+def _tidy(text: str) -> str:
+    """Return text with long lines of code broken, and one newline at its end."""
+    return "\n".join(_broken(line.rstrip()) for line in text.splitlines()) + "\n"
+
+
+def _broken(line: str) -> str:
+    """Break a line of code where a term or an argument ends, so that none is wider than it must be."""
+    stripped = line.lstrip()
+    indent = " " * (len(line) - len(stripped) + 8)
+    lines = []
+    while len(line) > WIDTH:
+        end = min(WIDTH, len(line.partition("//")[0]))
+        at = max(line.rfind(", ", len(indent), end) + 1, line.rfind(" + ", len(indent), end))
+        if at <= 0:
+            break
+        lines.append(line[:at])
+        line = indent + line[at:].lstrip()
+    return "\n".join([*lines, line])
+
+
+def _context(choices: ShaderChoices) -> dict[str, Any]:
+    """Return everything that the templates name."""
+    slots = [_slot(index) for index in range(choices.influences)]
+    others = slots[1:]
+    sets = _sets(choices)
+    types = TYPES[choices.language]
+    weights = [(types["vec4"], f"weights_{s.number}") for s in sets]
+    gradients = [
+        (types["vec3" if s.number == 0 else "vec4"], f"{kind}_{s.number}")
+        for kind in ("alpha", "beta")
+        for s in sets
+        if choices.influences > 1
+    ]
+
+    def corrected(base: str, correction: str) -> str:
+        if not others:
+            return base
+        if choices.cap is None:
+            return f"{base} + {correction}"
+        return f"skinbake_capped({base}, {correction}, {_number(choices.cap)})"
+
+    def handed(normal: str) -> str:
+        return f"frame.handedness * {normal}" if choices.frame == "tangent" else normal
+
+    return {
+        "version": __version__,
+        "command": command_line(choices),
+        "language": str(choices.language),
+        "method": str(choices.method),
+        "method_name": METHOD_NAMES[choices.method],
+        "lighting": str(choices.lighting),
+        "algorithm": choices.algorithm,
+        "influences": choices.influences,
+        "frame": choices.frame,
+        "cap": choices.cap,
+        "mirrored_joints": choices.mirrored_joints,
+        "reads_gradients": choices.reads_gradients,
+        "stem": choices.stem,
+        "guard": _guard(choices),
+        "slots": slots,
+        "others": others,
+        "sets": sets,
+        "types": types,
+        "padded": {name: f"{kind:<{max(map(len, types.values()))}}" for name, kind in types.items()},
+        "weight_params": weights,
+        "gradient_params": gradients,
+        "arguments": _arguments(choices, weights, gradients),
+        "params": lambda pairs: _params(choices.language, pairs),
+        "sum": _sum,
+        "joined": _joined,
+        "corrected": corrected,
+        "handed": handed,
+        "number": _number,
+        "count": lambda n, noun: f"{n} {noun}{'' if n == 1 else 's'}",
+        "refuse": _refuse,
+    }
+
+
+def command_line(choices: ShaderChoices) -> str:
+    """Return the command that writes the same text again, every choice spelled out."""
+    words = ["skinbake shader", f"--lang {choices.language}", f"--method {choices.method}"]
+    words += [f"--lighting {choices.lighting}", f"--influences {choices.influences}", f"--frame {choices.frame}"]
+    if choices.cap is not None:
+        words.append(f"--cap {choices.cap:g}")
+    if choices.mirrored_joints:
+        words.append("--mirrored-joints")
+    if choices.target != "plain":
+        words.append(f"--target {choices.target}")
+    return " ".join(words)
+
+
+def _slot(index: int) -> Slot:
+    number, component = divmod(index, SLOTS_PER_SET)
+    letter = "xyzw"[component]
+    gradient = letter if number else " xyz"[component]
+    return Slot(index, f"weights_{number}.{letter}", f"alpha_{number}.{gradient}", f"beta_{number}.{gradient}")
+
+
+def _sets(choices: ShaderChoices) -> list[InfluenceSet]:
+    found = []
+    for number in range(choices.influence_sets):
+        first = SLOTS_PER_SET * number
+        last = min(first + SLOTS_PER_SET, choices.influences) - 1
+        names = choices.attributes
+        found.append(
+            InfluenceSet(
+                number,
+                _slot_words(first, last),
+                _slot_words(max(first, 1), last),
+                names.alpha[number] if names else f"_SKINBAKE_ALPHA_{number}",
+                names.beta[number] if names else f"_SKINBAKE_BETA_{number}",
+            )
+        )
+    return found
+
+
+def _slot_words(first: int, last: int) -> str:
+    return f"slot {first}" if first >= last else f"slots {first} to {last}"
+
+
+def _parts(choices: ShaderChoices) -> list[str]:
+    parts = list(PARTS[choices.algorithm][choices.language])
+    several = choices.influences > 1
+    if choices.method is Method.DQS:
+        parts = ["dual_quaternion", *(["hemisphere"] if several else []), *parts]
+    if choices.cap is not None and several:
+        parts.append("capped")
+    if choices.algorithm == 6 and several:
+        parts.append("derivative")
+    return parts
+
+
+def _guard(choices: ShaderChoices) -> str:
+    words = [choices.stem, str(choices.influences), choices.frame]
+    words += ["capped"] if choices.cap is not None else []
+    words += ["mirrored"] if choices.mirrored_joints else []
+    return "_".join(["SKINBAKE", *(word.upper() for word in words), "GLSL"])
+
+
+def _params(language: Language, pairs: Iterable[tuple[str, str]]) -> str:
+    """Return further parameters of a declaration, each with its comma before it."""
+    if language is Language.GLSL:
+        return "".join(f", {kind} {name}" for kind, name in pairs)
+    return "".join(f", {name}: {kind}" for kind, name in pairs)
+
+
+def _arguments(
+    choices: ShaderChoices, weights: Sequence[tuple[str, str]], gradients: Sequence[tuple[str, str]]
+) -> list[str]:
+    """Return the arguments of the example call."""
+    names = [name for _, name in weights]
+    given = [name for _, name in gradients]
+    motions = "M" if choices.method is Method.LBS else "Q"
+    if not choices.reads_gradients and choices.lighting != "direct":
+        given = []
+    if choices.lighting == "direct":
+        given = [f"skinbake_gradients({', '.join(['frame', *given])})"]
+    return ["position", "frame", motions, *names, *given]
+
+
+def _sum(kind: str, pattern: str, slots: Sequence[Slot]) -> str:
+    """Return Σ factor · term over slots, the factors being ``weight``, ``alpha`` or ``beta``."""
+    return " + ".join(f"{getattr(slot, kind)} * {pattern % slot.index}" for slot in slots)
+
+
+def _joined(separator: str, pattern: str, slots: Sequence[Slot]) -> str:
+    return separator.join(pattern.replace("%d", str(slot.index)) for slot in slots)
+
+
+def _number(value: float) -> str:
+    """Return a float literal of both languages."""
+    text = repr(float(value))
+    return text if "." in text or "e" in text else f"{text}.0"
+
+
+def _refuse(reason: str) -> NoReturn:
+    raise ChoiceError(reason)
