@@ -22,6 +22,7 @@ logger = logging.getLogger(__name__)
 COMMANDS = {
     "bake": "Add α/β to every skinned primitive of glTF files.",
     "verify": "Check a baked file, and measure its lighting in degrees.",
+    "shader": "Write the GLSL or WGSL that reads α/β.",
     "inspect": "Show what is skinned in a file, and what is baked into it.",
     "strip": "Write a file as it was before bake.",
     "cost": "Multiply-adds and bytes per vertex of the paper's algorithms.",

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from skinbake.commands.baked_views import BakedView
-from skinbake.commands.poses import PoseRequest, PoseSet, described, pose_set
+from skinbake.commands.poses import PoseRequest, PoseSet, described, pose_set, skins_of
 from skinbake.errors import Notice, Place
 from skinbake.geometry import frames
 from skinbake.geometry.skinned import BoolArray, FloatArray
@@ -71,13 +71,13 @@ class Lighting:
     ) -> FileVerdict:
         """Return a verdict that holds the lighting checks and figures."""
         drawn = [
-            (views, operator, [_rest_surface(view) for view in views], poses)
+            (views, operator, [rest_surface(view) for view in views], poses)
             for views, operator in zip(meshes, operators, strict=True)
             for poses in self._pose_sets(views[0].source.mesh)
         ]
         not_rigid = list(dict.fromkeys(n for _, _, rest, poses in drawn for n in _not_rigid(rest, poses)))
         methods = self._options.methods or (("lbs",) if not_rigid else ("lbs", "dqs"))
-        reason = _without_dqs(not_rigid)
+        reason = without_dqs(not_rigid)
         if "dqs" in methods and not_rigid:
             problem = Notice("not-rigid", f"dual quaternions were asked for: {reason}", self._document.place)
             check = Check("lighting", "failed", (problem,))
@@ -90,12 +90,7 @@ class Lighting:
         return replace(verdict, notices=tuple(self._mirrored(meshes)))
 
     def _pose_sets(self, mesh: int) -> list[PoseSet]:
-        # Some exporters write 3.0; that they are indices was seen when the primitives were read.
-        skins = {
-            int(node["skin"]): None
-            for node in self._document.objects("nodes")
-            if node.get("mesh") == mesh and "skin" in node
-        }
+        skins = skins_of(self._document, mesh)
         for skin in skins:
             if skin not in self._poses:
                 self._poses[skin] = pose_set(self._document, skin, self._clips, self._options.poses)
@@ -195,7 +190,8 @@ def _not_rigid(rest: Sequence[RestSurface], poses: PoseSet) -> list[str]:
     return [poses.joint_names[joint] for joint in not_rigid_joints(rest, poses.joint_matrices)]
 
 
-def _rest_surface(view: BakedView) -> RestSurface:
+def rest_surface(view: BakedView) -> RestSurface:
+    """Return what a replay reads of a baked primitive, float64; joints past the skin's become 0."""
     joints = np.where(view.now.joints < view.source.joint_count, view.now.joints, 0)
     return RestSurface(
         positions=view.now.positions.astype(np.float64),
@@ -209,7 +205,8 @@ def _rest_surface(view: BakedView) -> RestSurface:
     )
 
 
-def _without_dqs(joints: Sequence[str]) -> str:
+def without_dqs(joints: Sequence[str]) -> str:
+    """Return why dual quaternions cannot stand for these joints, by name."""
     shown = ", ".join(joints[:4]) + (", …" if len(joints) > 4 else "")
     verb = "is" if len(joints) == 1 else "are"
     return f"{shown} {verb} not rigid up to one scale common to all joints"

@@ -46,6 +46,17 @@ class PoseSet:
     times: tuple[float | None, ...]
 
 
+def skins_of(document: Document, mesh: int) -> list[int]:
+    """Return the skins that nodes draw a mesh with, in the nodes' order."""
+    # Some exporters write 3.0; that they are indices was seen when the primitives were read.
+    skins = {
+        int(node["skin"]): None
+        for node in document.objects("nodes")
+        if node.get("mesh") == mesh and "skin" in node
+    }
+    return list(skins)
+
+
 def pose_set(document: Document, skin: int, clips: Sequence[Clip], request: PoseRequest) -> PoseSet:
     """Return the poses of one skin; InputError where its joints go to infinity.
 

@@ -57,6 +57,17 @@ def plan_output(document: Document, target: str, *, make_folder: bool = False) -
     return PlannedOutput(target, {**beside, path: _serialised(document)}, notices)
 
 
+def write_text(text: str, target: str) -> None:
+    """Write a text file whole or not at all, ``-`` being stdout; OutputError where that fails."""
+    pieces = [text.encode("utf-8")]
+    if target == STDIO:
+        _write_stdout(pieces)
+        return
+    path = Path(os.path.realpath(target))
+    _check_target(path, target, make_folder=False)
+    _write_files({path: pieces}, target)
+
+
 def refuse_own_input(document: Document, source: str, target: str) -> None:
     """Raise OutputError where the target is a buffer or image of the document read from ``source``."""
     if STDIO in {target, source} or not resources.is_file(Path(target)):

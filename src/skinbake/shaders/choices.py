@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from skinbake.errors import ChoiceError
-from skinbake.geometry.frames import NORMAL_FRAME, TANGENT_FRAME
 
+FRAMES = ("tangent", "normal")
 SLOTS_PER_SET = 4
 
 
@@ -50,8 +50,9 @@ BEST = {Method.LBS: Lighting.ACCURATE, Method.DQS: Lighting.EXACT}
 
 @dataclass(frozen=True, slots=True)
 class AttributeText:
-    """Names of α's and β's attributes by influence set, as the file spells them."""
+    """Names of α's and β's attributes by influence set, as the file of this name spells them."""
 
+    file: str
     alpha: tuple[str, ...]
     beta: tuple[str, ...]
 
@@ -69,7 +70,7 @@ class ShaderChoices:
     method: Method = Method.LBS
     lighting: Lighting = Lighting.ACCURATE
     influences: int = 4
-    frame: str = NORMAL_FRAME
+    frame: str = "normal"
     cap: float | None = None
     mirrored_joints: bool = False
     target: str = "plain"
@@ -81,10 +82,10 @@ class ShaderChoices:
             raise ChoiceError(f"--method {self.method} has no {self.lighting} lighting; take {legal}")
         if self.influences < 1:
             raise ChoiceError(f"--influences {self.influences}: a vertex needs at least one")
-        if self.frame not in (NORMAL_FRAME, TANGENT_FRAME):
-            raise ChoiceError(f"--frame {self.frame} is neither {TANGENT_FRAME} nor {NORMAL_FRAME}")
+        if self.frame not in FRAMES:
+            raise ChoiceError(f"--frame {self.frame} is neither {' nor '.join(FRAMES)}")
         if self.cap is not None and not self.is_corrected:
-            raise ChoiceError(f"--cap limits the correction of accurate and exact lighting, not {self.lighting}")
+            raise ChoiceError(f"--cap is for accurate and exact lighting; {self.lighting} corrects nothing")
         if self.mirrored_joints and not self.crosses:
             raise ChoiceError(
                 f"--mirrored-joints turns the normal of --method lbs --lighting accurate, "
@@ -115,6 +116,16 @@ class ShaderChoices:
     def influence_sets(self) -> int:
         """Return how many sets of four hold the influences."""
         return -(-self.influences // SLOTS_PER_SET)
+
+    @property
+    def words(self) -> str:
+        """Return the choices in a few words, for people."""
+        capped = "" if self.cap is None else f", cap {self.cap:g}"
+        mirrored = ", mirrored joints" if self.mirrored_joints else ""
+        return (
+            f"{self.language.upper()} for {self.target}, {self.method.upper()} {self.lighting}, "
+            f"{self.influences} influences, {self.frame} frame{capped}{mirrored}"
+        )
 
     @property
     def stem(self) -> str:

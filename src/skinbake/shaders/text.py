@@ -1,6 +1,6 @@
 """Render the templates: one text for one set of choices, the same text every time.
 
-A target is a file ``templates/targets/NAME.LANGUAGE[.SUFFIX]``; it includes ``snippet``, the pure functions in
+A target is a file ``templates/targets/NAME.LANGUAGE[.SUFFIX]``; it holds ``snippet``, the pure functions in
 its language, and may ``refuse`` choices that its engine cannot serve. Lines that begin with ``//%`` are
 statements and ``@{ }`` holds values, so that a template reads as the language that it writes.
 """
@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from skinbake import __version__
-from skinbake.errors import ChoiceError
+from skinbake.errors import ChoiceError, printable
 from skinbake.shaders.choices import SLOTS_PER_SET, Language, Method, ShaderChoices
 
 if TYPE_CHECKING:
@@ -27,15 +27,6 @@ TYPES = {
     Language.WGSL: {"vec3": "vec3<f32>", "vec4": "vec4<f32>", "uvec4": "vec4<u32>"},
 }
 METHOD_NAMES = {Method.LBS: "linear blend skinning", Method.DQS: "dual quaternion skinning"}
-PARTS = {
-    1: {Language.GLSL: [], Language.WGSL: ["rows"]},
-    2: {Language.GLSL: ["moved", "gradients"], Language.WGSL: ["rows", "moved", "gradients"]},
-    3: {Language.GLSL: ["moved"], Language.WGSL: ["upper", "moved"]},
-    4: dict.fromkeys(Language, ["rotation"]),
-    5: dict.fromkeys(Language, ["rotation"]),
-    6: dict.fromkeys(Language, []),
-}
-"""The functions that each algorithm calls besides those that ``_parts`` adds."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,6 +152,7 @@ def _context(choices: ShaderChoices) -> dict[str, Any]:
     return {
         "version": __version__,
         "command": command_line(choices),
+        "file": _ascii(choices.attributes.file) if choices.attributes else "",
         "language": str(choices.language),
         "method": str(choices.method),
         "method_name": METHOD_NAMES[choices.method],
@@ -195,7 +187,11 @@ def _context(choices: ShaderChoices) -> dict[str, Any]:
 def command_line(choices: ShaderChoices) -> str:
     """Return the command that writes the same text again, every choice spelled out."""
     words = ["skinbake shader", f"--lang {choices.language}", f"--method {choices.method}"]
-    words += [f"--lighting {choices.lighting}", f"--influences {choices.influences}", f"--frame {choices.frame}"]
+    words += [
+        f"--lighting {choices.lighting}",
+        f"--influences {choices.influences}",
+        f"--frame {choices.frame}",
+    ]
     if choices.cap is not None:
         words.append(f"--cap {choices.cap:g}")
     if choices.mirrored_joints:
@@ -209,7 +205,9 @@ def _slot(index: int) -> Slot:
     number, component = divmod(index, SLOTS_PER_SET)
     letter = "xyzw"[component]
     gradient = letter if number else " xyz"[component]
-    return Slot(index, f"weights_{number}.{letter}", f"alpha_{number}.{gradient}", f"beta_{number}.{gradient}")
+    return Slot(
+        index, f"weights_{number}.{letter}", f"alpha_{number}.{gradient}", f"beta_{number}.{gradient}"
+    )
 
 
 def _sets(choices: ShaderChoices) -> list[InfluenceSet]:
@@ -223,11 +221,16 @@ def _sets(choices: ShaderChoices) -> list[InfluenceSet]:
                 number,
                 _slot_words(first, last),
                 _slot_words(max(first, 1), last),
-                names.alpha[number] if names else f"_SKINBAKE_ALPHA_{number}",
-                names.beta[number] if names else f"_SKINBAKE_BETA_{number}",
+                _ascii(names.alpha[number]) if names else f"_SKINBAKE_ALPHA_{number}",
+                _ascii(names.beta[number]) if names else f"_SKINBAKE_BETA_{number}",
             )
         )
     return found
+
+
+def _ascii(name: str) -> str:
+    """Return a name from a file as printable ASCII: it goes into comments, and must not leave them."""
+    return printable(name).encode("ascii", "backslashreplace").decode()
 
 
 def _slot_words(first: int, last: int) -> str:
@@ -235,15 +238,21 @@ def _slot_words(first: int, last: int) -> str:
 
 
 def _parts(choices: ShaderChoices) -> list[str]:
-    parts = list(PARTS[choices.algorithm][choices.language])
-    several = choices.influences > 1
-    if choices.method is Method.DQS:
-        parts = ["dual_quaternion", *(["hemisphere"] if several else []), *parts]
-    if choices.cap is not None and several:
-        parts.append("capped")
-    if choices.algorithm == 6 and several:
-        parts.append("derivative")
-    return parts
+    """Return the templates of the functions that the algorithm calls, in an order in which they may stand."""
+    several, wgsl = choices.influences > 1, choices.language is Language.WGSL
+    wanted = {
+        # WGSL has no constructor that takes part of a matrix.
+        "rows": wgsl and choices.algorithm in (1, 2),
+        "upper": wgsl and choices.algorithm == 3,
+        "moved": choices.algorithm in (2, 3),
+        "gradients": choices.algorithm == 2,
+        "dual_quaternion": choices.method is Method.DQS,
+        "hemisphere": choices.method is Method.DQS and several,
+        "rotation": choices.algorithm in (4, 5),
+        "capped": choices.cap is not None and several,
+        "derivative": choices.algorithm == 6 and several,
+    }
+    return [name for name, is_wanted in wanted.items() if is_wanted]
 
 
 def _guard(choices: ShaderChoices) -> str:

@@ -1,4 +1,4 @@
-// The weight gradients of all slots, which a baked file holds as alpha and beta: a[s] = alpha[s] t0 + beta[s] b0.
+// The weight gradients of all slots from alpha and beta: a[s] = alpha[s] t0 + beta[s] b0.
 vec3[@{ influences }] skinbake_gradients(skinbake_Frame frame@{ params(gradient_params) })
 {
     vec3 a[@{ influences }];

@@ -16,7 +16,7 @@ skinbake_Vertex skinbake_lbs_accurate(vec3 p, skinbake_Frame frame, mat4 M[@{ in
     v.bitangent = @{ corrected("T * frame.bitangent", sum("beta", "d%d", others)) }; // 5
     v.normal = @{ handed("cross(v.tangent, v.bitangent)") }; // 6
 //% if mirrored_joints
-    v.normal *= dot(cross(M[0][0].xyz, M[0][1].xyz), M[0][2].xyz) < 0.0 ? -1.0 : 1.0; // outside, where joints mirror
+    v.normal *= determinant(T) < 0.0 ? -1.0 : 1.0; // a joint that mirrors turns t x b to the inside
 //% endif
     v.position = q0@{ " + " ~ sum("weight", "d%d", others) if others }; // 7
     return v;

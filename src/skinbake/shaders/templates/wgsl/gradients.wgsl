@@ -1,4 +1,4 @@
-// The weight gradients of all slots, which a baked file holds as alpha and beta: a[s] = alpha[s] t0 + beta[s] b0.
+// The weight gradients of all slots from alpha and beta: a[s] = alpha[s] t0 + beta[s] b0.
 fn skinbake_gradients(frame: skinbake_Frame@{ params(gradient_params) }) -> array<vec3<f32>, @{ influences }> {
 //% for slot in others
     let a@{ slot.index } = @{ slot.alpha } * frame.tangent + @{ slot.beta } * frame.bitangent;

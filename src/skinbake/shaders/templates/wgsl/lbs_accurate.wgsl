@@ -13,7 +13,7 @@ fn skinbake_lbs_accurate(p: vec3<f32>, frame: skinbake_Frame, M: array<mat4x4<f3
     let tangent = @{ corrected("T * frame.tangent", sum("alpha", "d%d", others)) }; // 4
     let bitangent = @{ corrected("T * frame.bitangent", sum("beta", "d%d", others)) }; // 5
 //% if mirrored_joints
-    let outside = select(1.0, -1.0, dot(cross(M[0][0].xyz, M[0][1].xyz), M[0][2].xyz) < 0.0); // where joints mirror
+    let outside = select(1.0, -1.0, determinant(T) < 0.0); // a joint that mirrors turns t x b to the inside
     let normal = outside * @{ handed("cross(tangent, bitangent)") }; // 6
 //% else
     let normal = @{ handed("cross(tangent, bitangent)") }; // 6

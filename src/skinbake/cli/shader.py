@@ -1,0 +1,142 @@
+"""``skinbake shader``."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from skinbake.cli import exit_codes
+from skinbake.cli.console import console, finite, message_options
+from skinbake.cli.targets import STDIO, check_readable_suffix
+from skinbake.errors import ChoiceError, SkinbakeError
+from skinbake.shaders.choices import Language, Lighting, Method
+from skinbake.shaders.text import targets
+
+if TYPE_CHECKING:
+    from skinbake.commands.shader import ShaderRequest
+
+PUBLISHED_CAP = 0.9
+"""The limit of the paper's published demo."""
+
+
+@click.command("shader")
+@click.option(
+    "--lang",
+    "language",
+    type=click.Choice([language.value for language in Language]),
+    help="Shading language; may be left out where --target has one only.",
+)
+@click.option(
+    "--method",
+    type=click.Choice([method.value for method in Method]),
+    default=Method.LBS.value,
+    show_default=True,
+    help="Linear blend skinning, or dual quaternions.",
+)
+@click.option(
+    "--lighting",
+    type=click.Choice([lighting.value for lighting in Lighting]),
+    help="approximated (what engines do), direct (LBS only), accurate, exact (DQS only). "
+    "By default accurate for LBS, exact for DQS.",
+)
+@click.option(
+    "--influences",
+    type=click.IntRange(1, 64),
+    metavar="N",
+    help="Influences a vertex, 1 to 64; by default those of --for, else 4.",
+)
+@click.option(
+    "--frame",
+    type=click.Choice(["tangent", "normal"]),
+    help="What t0 and b0 are taken from; by default that of --for.",
+)
+@click.option(
+    "--cap",
+    type=click.FloatRange(0, min_open=True),
+    callback=finite,
+    is_flag=False,
+    flag_value=PUBLISHED_CAP,
+    metavar="[X]",
+    help=f"Limit the correction of a tangent to X times its length ({PUBLISHED_CAP} without X); by default not.",
+)
+@click.option(
+    "--mirrored-joints",
+    is_flag=True,
+    help="Keep normals outside where joints mirror; --for sets it where they do.",
+)
+@click.option(
+    "--target",
+    type=click.Choice(list(targets())),
+    default="plain",
+    show_default=True,
+    help="plain functions, or an adapter for an engine.",
+)
+@click.option(
+    "--for",
+    "source",
+    metavar="BAKED_FILE",
+    help="Match this baked file (.glb, .gltf, .vrm; - for a GLB on stdin); refuse what it cannot serve.",
+)
+@click.option("-o", "--output", metavar="FILE", default=STDIO, help="Write here instead of to stdout.")
+@message_options
+def command(source: str | None, output: str, **given: Any) -> None:
+    """Write the shader code that reads what bake stored: GLSL or WGSL, plain or for an engine.
+
+    One self-contained text: pure functions on values, the algorithms 1 to 6, and a header that says what it
+    is, which attributes it reads, and how to call it.
+    """
+    if source is not None:
+        check_readable_suffix(source)
+        if STDIO not in {output, source} and _is(source, output):
+            raise click.UsageError(f"{output} is the baked file itself")
+    # The text may be the result on stdout, so that everything else goes to stderr.
+    say = console(
+        verbose=given["verbose"], quiet=given["quiet"], color=given["color"], results_on_stderr=True
+    )
+    from skinbake.commands.shader import shader, write_shader
+
+    try:
+        result = shader(_request(given), source)
+        write_shader(result, output)
+    except ChoiceError as error:
+        raise click.UsageError(error.message) from error
+    except SkinbakeError as error:
+        say.error(error)
+        sys.exit(exit_codes.of_error(error))
+    say.notices(result.notices)
+    if output != STDIO:
+        say.result(f"{output}: {result.choices.words}")
+
+
+def _request(given: dict[str, Any]) -> ShaderRequest:
+    from skinbake.commands.shader import ShaderRequest
+
+    return ShaderRequest(
+        language=_language(given["language"], given["target"]),
+        method=Method(given["method"]),
+        lighting=Lighting(given["lighting"]) if given["lighting"] else None,
+        influences=given["influences"],
+        frame=given["frame"],
+        cap=given["cap"],
+        mirrored_joints=given["mirrored_joints"],
+        target=given["target"],
+    )
+
+
+def _language(asked: str | None, target: str) -> Language:
+    languages = targets()[target]
+    if asked is not None:
+        return Language(asked)
+    if len(languages) > 1:
+        raise click.UsageError("Missing option '--lang'. Choose from: " + ", ".join(languages))
+    return languages[0]
+
+
+def _is(source: str, output: str) -> bool:
+    try:
+        return Path(source).samefile(output)
+    except (OSError, ValueError):
+        return False

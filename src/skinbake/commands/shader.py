@@ -1,0 +1,205 @@
+"""``skinbake shader``: the text that matches a baked file, or what was asked for without one."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import PurePath
+from typing import Any
+
+import numpy as np
+
+from skinbake.commands.baked_views import BakedView, baked_views, is_baked
+from skinbake.commands.lighting import rest_surface, without_dqs
+from skinbake.commands.poses import PoseRequest, PoseSet, pose_set, skins_of
+from skinbake.errors import InputError, Notice, Place
+from skinbake.geometry.frames import NORMAL_FRAME
+from skinbake.gltf.animation import read_clips
+from skinbake.gltf.document import Document, read_document
+from skinbake.gltf.output import write_text
+from skinbake.gltf.primitives import refuse_compressed, skinned_sources
+from skinbake.report.notices import counted
+from skinbake.shaders.choices import BEST, AttributeText, Language, Lighting, Method, ShaderChoices
+from skinbake.shaders.text import shader_text
+from skinbake.verify.lighting import not_rigid_joints
+
+DEFAULT_INFLUENCES = 4
+
+
+@dataclass(frozen=True, slots=True)
+class ShaderRequest:
+    """The options of ``skinbake shader``; None leaves the choice to the baked file, or to the default."""
+
+    language: Language
+    method: Method = Method.LBS
+    lighting: Lighting | None = None
+    influences: int | None = None
+    frame: str | None = None
+    cap: float | None = None
+    mirrored_joints: bool = False
+    target: str = "plain"
+
+
+@dataclass(frozen=True, slots=True)
+class ShaderResult:
+    """The text, the choices that made it, and what had to be assumed."""
+
+    text: str
+    choices: ShaderChoices
+    notices: tuple[Notice, ...] = ()
+
+
+def shader(request: ShaderRequest, source: str | None = None) -> ShaderResult:
+    """Return the shader for a baked file, or for the usual attributes where there is none.
+
+    Raises ChoiceError where choices exclude each other, InputError where the file cannot be read, is not
+    baked, or cannot serve what was asked for.
+    """
+    choices, notices = _choices_of_file(request, source) if source else _choices(request)
+    return ShaderResult(shader_text(choices), choices, tuple(notices))
+
+
+def write_shader(result: ShaderResult, target: str) -> None:
+    """Write the text to a file, whole or not at all; raise OutputError."""
+    write_text(result.text, target)
+
+
+def _choices(request: ShaderRequest) -> tuple[ShaderChoices, list[Notice]]:
+    notices = []
+    if request.frame is None:
+        message = (
+            f"made for --frame {NORMAL_FRAME}: bake takes the tangent frame where a mesh has TANGENT. "
+            "Name the baked file with --for, or say --frame"
+        )
+        notices.append(Notice("frame-assumed", message, Place("shader")))
+    frame, influences = request.frame or NORMAL_FRAME, request.influences or DEFAULT_INFLUENCES
+    return _made(request, frame, influences), notices
+
+
+def _made(request: ShaderRequest, frame: str, influences: int) -> ShaderChoices:
+    return ShaderChoices(
+        language=request.language,
+        method=request.method,
+        lighting=request.lighting or BEST[request.method],
+        influences=influences,
+        frame=frame,
+        cap=request.cap,
+        mirrored_joints=request.mirrored_joints,
+        target=request.target,
+    )
+
+
+def _choices_of_file(request: ShaderRequest, source: str) -> tuple[ShaderChoices, list[Notice]]:
+    """Return the choices that a file's metadata make, and a notice for each primitive they do not serve."""
+    document = read_document(source)
+    views = _views(document)
+    serving = [view for view in views if _serves(view, request)]
+    if not serving:
+        raise InputError(_why_none(views, request), document.place)
+    frame = request.frame or str(_agreed(document, serving, "frame"))
+    influences = request.influences or int(_agreed(document, serving, "influences"))
+    for view in serving:
+        _refuse_fewer(view, influences)
+    names = {(tuple(view.metadata["alpha"]), tuple(view.metadata["beta"])) for view in serving}
+    if len(names) > 1:
+        found = " and ".join(sorted(", ".join(alpha) for alpha, _ in names))
+        raise InputError(f"its primitives name alpha differently ({found}): bake it anew", document.place)
+    choices = _made(request, frame, influences)
+    ((alpha, beta),) = names
+    choices = replace(choices, attributes=AttributeText(PurePath(document.name).name, alpha, beta))
+    choices = _with_joints(document, serving, choices)
+    return choices, [_not_for(view) for view in views if not _serves(view, request)]
+
+
+def _views(document: Document) -> list[BakedView]:
+    """Return the baked primitives; InputError where there are none, or one is damaged."""
+    sources, _ = skinned_sources(document)
+    baked = [source for source in sources if is_baked(document, source)]
+    for source in baked:
+        refuse_compressed(document, source)
+    if not baked:
+        raise InputError("nothing in it is baked: run skinbake bake first", document.place)
+    views, problems = baked_views(document, baked)
+    for problem in problems:
+        if problem.code != "tangents-skewed":
+            raise InputError(problem.message, problem.place)
+    return views
+
+
+def _serves(view: BakedView, request: ShaderRequest) -> bool:
+    frame_fits = request.frame in (None, view.metadata["frame"])
+    return frame_fits and (request.influences or 0) <= int(view.metadata["influences"])
+
+
+def _why_none(views: Sequence[BakedView], request: ShaderRequest) -> str:
+    frames = " and ".join(sorted({str(view.metadata["frame"]) for view in views}))
+    slots = max(int(view.metadata["influences"]) for view in views)
+    asked = [f"--frame {request.frame}"] if request.frame else []
+    asked += [f"--influences {request.influences}"] if request.influences else []
+    return (
+        f"it cannot serve {' '.join(asked)}: it is baked in the {frames} frame, {slots} influences a vertex"
+    )
+
+
+def _agreed(document: Document, views: Sequence[BakedView], member: str) -> Any:
+    """Return what all metadata say; InputError, with the way out, where they differ."""
+    found = {view.metadata[member]: view.source.place.within_file for view in reversed(views)}
+    if len(found) > 1:
+        listed = ", ".join(f"{value} in {place}" for value, place in found.items())
+        raise InputError(
+            f"its primitives differ in {member} ({listed}), and each kind needs its own shader: "
+            f"say which with --{member}",
+            document.place,
+        )
+    return next(iter(found))
+
+
+def _refuse_fewer(view: BakedView, influences: int) -> None:
+    """Raise InputError where the shader would leave out slots that hold something."""
+    weights = view.now.weights[:, influences:] != 0
+    gradients = (view.alpha[:, influences - 1 :] != 0) | (view.beta[:, influences - 1 :] != 0)
+    count = int(np.count_nonzero((weights | gradients).any(axis=1)))
+    if count:
+        slots = int(view.metadata["influences"])
+        raise InputError(
+            f"{counted(count, 'vertex uses', 'vertices use')} more than {influences} of its {slots} "
+            f"influences, adopted joints included: say --influences {slots}",
+            view.source.place,
+        )
+
+
+def _with_joints(document: Document, views: Sequence[BakedView], choices: ShaderChoices) -> ShaderChoices:
+    """Return the choices with mirroring joints seen to; InputError for DQS where joints are not rigid."""
+    mirrors = choices.mirrored_joints
+    for view, poses in _posed(document, views):
+        surface = rest_surface(view)
+        if choices.method is Method.DQS:
+            joints = not_rigid_joints([surface], poses.joint_matrices)
+            if joints:
+                raise InputError(
+                    f"it cannot serve --method dqs: {without_dqs([poses.joint_names[j] for j in joints])}",
+                    view.source.place,
+                )
+        used = surface.joints_in_use(poses.joint_matrices.shape[1])
+        mirrors |= bool((np.linalg.det(poses.joint_matrices[:, used, :3, :3]) < 0).any())
+    return replace(choices, mirrored_joints=mirrors and choices.crosses)
+
+
+def _posed(document: Document, views: Sequence[BakedView]) -> Iterator[tuple[BakedView, PoseSet]]:
+    """Yield each view with the poses of each skin that draws it: those that verify looks at."""
+    clips, sets = read_clips(document), dict[int, PoseSet]()
+    for view in views:
+        for skin in skins_of(document, view.source.mesh):
+            if skin not in sets:
+                sets[skin] = pose_set(document, skin, clips, PoseRequest())
+            yield view, sets[skin]
+
+
+def _not_for(view: BakedView) -> Notice:
+    metadata = view.metadata
+    frame, influences = metadata["frame"], metadata["influences"]
+    message = (
+        f"this shader is not for it: it is baked in the {frame} frame with {influences} influences; write "
+        f"another with --frame {frame} --influences {influences}"
+    )
+    return Notice("shader-not-for", message, view.source.place)
