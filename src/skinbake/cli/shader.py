@@ -60,7 +60,7 @@ PUBLISHED_CAP = 0.9
     is_flag=False,
     flag_value=PUBLISHED_CAP,
     metavar="[X]",
-    help=f"Limit the correction of a tangent to X times its length ({PUBLISHED_CAP} without X); by default not.",
+    help=f"Limit a tangent's correction to X times its length ({PUBLISHED_CAP} without X); off by default.",
 )
 @click.option(
     "--mirrored-joints",
