@@ -37,7 +37,7 @@ def modules(*arguments: str) -> set[str]:
     return set(json.loads(process.stderr.decode().splitlines()[-1]))
 
 
-@pytest.mark.parametrize("arguments", [["--help"], ["--version"], ["bake", "--help"], ["inspect", "--help"]])
+@pytest.mark.parametrize("arguments", [["--help"], ["--version"], ["bake", "--help"], ["shader", "--help"]])
 def test_help_imports_nothing_heavy(arguments: list[str]) -> None:
     loaded = modules(*arguments)
     assert "click" in loaded

@@ -1,0 +1,252 @@
+"""skinbake shader: what it takes from a baked file, what it refuses, where the text goes."""
+
+from __future__ import annotations
+
+import re
+import stat
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from skinbake.shaders.choices import ALGORITHMS, Language, Lighting, ShaderChoices
+from skinbake.shaders.text import shader_text
+from tests.cli.running import invoke, run
+from tests.gltf.models import FOLDER, KEY, Part, edited, rewritten, sheet, write_model
+from tests.support.gltf_reading import read
+
+TUBE, SEAM, TWO_SETS, MIRRORED = (
+    FOLDER / name for name in ("bent_tube.glb", "seam.glb", "two_sets.glb", "mirrored_tangent.glb")
+)
+
+
+def baked(path: Path, folder: Path, *options: str) -> Path:
+    target = folder / f"baked-{path.name}"
+    assert invoke("bake", path, "-o", target, "-q", *options).exit_code == 0
+    return target
+
+
+def header(text: str) -> str:
+    return "\n".join(line for line in text.splitlines() if line.startswith("//"))
+
+
+def test_text_goes_to_stdout_and_everything_else_to_stderr() -> None:
+    result = invoke("shader", "--lang", "glsl", "--frame", "tangent")
+    assert result.exit_code == 0
+    choices = ShaderChoices(Language.GLSL, frame="tangent")
+    assert result.stdout == shader_text(choices)
+    assert result.stderr == ""
+
+
+def test_without_a_file_the_assumed_frame_is_a_warning() -> None:
+    result = invoke("shader", "--lang", "wgsl")
+    assert result.exit_code == 0
+    assert "normal frame" in header(result.stdout)
+    assert "warning: shader: made for --frame normal" in result.stderr
+
+
+@pytest.mark.parametrize(("method", "lighting"), [("lbs", "accurate"), ("dqs", "exact")])
+def test_each_method_has_its_best_lighting_by_default(method: str, lighting: str) -> None:
+    text = invoke("shader", "--lang", "glsl", "--frame", "normal", "--method", method).stdout
+    assert f"skinbake_{method}_{lighting}(" in text
+
+
+def test_output_goes_to_a_file_and_says_what_it_is(tmp_path: Path) -> None:
+    target = tmp_path / "skinbake.wgsl"
+    result = invoke("shader", "--lang", "wgsl", "--frame", "normal", "-o", target)
+    assert result.exit_code == 0
+    assert result.stdout == ""
+    assert f"{target}: WGSL for plain, LBS accurate, 4 influences, normal frame" in result.stderr
+    assert target.read_text(encoding="utf-8") == shader_text(ShaderChoices(Language.WGSL))
+
+
+def test_a_target_that_cannot_be_written_is_exit_4(tmp_path: Path) -> None:
+    for target in (tmp_path / "absent" / "x.glsl", tmp_path):
+        result = invoke("shader", "--lang", "glsl", "--frame", "normal", "-o", target)
+        assert result.exit_code == 4
+        assert str(target) in result.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_existing_target_is_replaced_and_keeps_its_mode(tmp_path: Path) -> None:
+    target = tmp_path / "x.glsl"
+    target.write_text("old")
+    target.chmod(0o640)
+    assert invoke("shader", "--lang", "glsl", "--frame", "normal", "-o", target).exit_code == 0
+    assert target.read_text().startswith("//")
+    assert stat.S_IMODE(target.stat().st_mode) == 0o640
+
+
+def test_the_baked_file_is_not_overwritten_with_its_shader(tmp_path: Path) -> None:
+    file = baked(SEAM, tmp_path)
+    before = file.read_bytes()
+    result = invoke("shader", "--lang", "glsl", "--for", file, "-o", file)
+    assert result.exit_code == 2
+    assert "is the baked file itself" in result.stderr
+    assert file.read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ([], "--lang"),
+        (["--lang", "hlsl"], "hlsl"),
+        (["--lang", "glsl", "--lighting", "exact"], "--method lbs has no exact lighting"),
+        (
+            ["--lang", "glsl", "--method", "dqs", "--lighting", "direct"],
+            "--method dqs has no direct lighting",
+        ),
+        (["--lang", "glsl", "--lighting", "direct", "--cap"], "--cap is for accurate and exact"),
+        (["--lang", "glsl", "--method", "dqs", "--mirrored-joints"], "--mirrored-joints"),
+        (["--lang", "glsl", "--cap", "0"], "0"),
+        (["--lang", "glsl", "--cap", "nan"], "finite"),
+        (["--lang", "glsl", "--influences", "0"], "0"),
+        (["--lang", "glsl", "--for", "hero.fbx"], "hero.fbx"),
+    ],
+)
+def test_wrong_usage_is_exit_2(arguments: list[str], message: str) -> None:
+    result = invoke("shader", *arguments)
+    assert result.exit_code == 2
+    assert message in result.stderr
+    assert result.stdout == ""
+
+
+def test_the_command_in_the_header_writes_the_same_text_again() -> None:
+    cases: list[ShaderChoices] = []
+    for language in Language:
+        for method, lighting in ALGORITHMS:
+            cases.append(ShaderChoices(language, method, lighting, 5, "tangent"))
+            if lighting in (Lighting.ACCURATE, Lighting.EXACT):
+                cases.append(ShaderChoices(language, method, lighting, 3, "normal", cap=0.75))
+        cases.append(ShaderChoices(language, mirrored_joints=True))
+    for choices in cases:
+        text = shader_text(choices)
+        match = re.search(r"^//     (skinbake shader .*)$", text, re.MULTILINE)
+        assert match is not None
+        result = invoke(*match.group(1).split()[1:])
+        assert result.exit_code == 0, result.stderr
+        assert result.stdout == text
+
+
+def test_cap_without_a_number_is_the_published_one() -> None:
+    with_number = invoke("shader", "--lang", "glsl", "--frame", "normal", "--cap", "0.9").stdout
+    assert invoke("shader", "--lang", "glsl", "--frame", "normal", "--cap").stdout == with_number
+
+
+class TestForFile:
+    @pytest.mark.parametrize(
+        ("fixture", "frame", "influences"),
+        [(TUBE, "normal", 4), (TWO_SETS, "normal", 8), (MIRRORED, "tangent", 4)],
+    )
+    def test_choices_are_those_of_the_metadata(
+        self, fixture: Path, frame: str, influences: int, tmp_path: Path
+    ) -> None:
+        file = baked(fixture, tmp_path)
+        note = read(file).content["meshes"][0]["primitives"][0]["extras"][KEY]
+        assert (note["frame"], note["influences"]) == (frame, influences)
+        text = invoke("shader", "--lang", "glsl", "--for", file).stdout
+        assert f"{influences} influences a vertex, {frame} frame" in header(text)
+        assert f"skinbake 0.1.0 for {file.name}:" in header(text)
+
+    def test_stdin_is_a_file_too(self, tmp_path: Path) -> None:
+        file = baked(TWO_SETS, tmp_path)
+        process = run("shader", "--lang", "wgsl", "--for", "-", stdin=file.read_bytes())
+        assert process.returncode == 0, process.stderr
+        assert b"8 influences a vertex" in process.stdout
+
+    def test_attributes_have_the_names_of_the_file(self, tmp_path: Path) -> None:
+        file = baked(TWO_SETS, tmp_path, "--alpha-name", "_SLOPE_A{set}", "--beta-name", "_SLOPE_B{set}")
+        text = header(invoke("shader", "--lang", "glsl", "--for", file).stdout)
+        for name in ("_SLOPE_A0", "_SLOPE_A1", "_SLOPE_B0", "_SLOPE_B1"):
+            assert re.search(rf"^//     {name} +vec", text, re.MULTILINE)
+        assert "_SKINBAKE_" not in text
+
+    def test_a_name_cannot_leave_its_comment(self, tmp_path: Path) -> None:
+        file = baked(SEAM, tmp_path, "--alpha-name", "_A\n}{set}é", "--beta-name", "_B{set}")
+        text = invoke("shader", "--lang", "glsl", "--for", file).stdout
+        assert r"_A\n}0\xe9" in header(text)
+        assert text.isascii()
+
+    @pytest.mark.parametrize(
+        ("options", "message"),
+        [
+            (["--frame", "tangent"], "it cannot serve --frame tangent: it is baked in the normal frame"),
+            (["--influences", "5"], "it cannot serve --influences 5"),
+        ],
+    )
+    def test_what_the_file_does_not_hold_is_refused(
+        self, options: list[str], message: str, tmp_path: Path
+    ) -> None:
+        result = invoke("shader", "--lang", "glsl", "--for", baked(TUBE, tmp_path), *options)
+        assert result.exit_code == 3
+        assert message in result.stderr
+        assert result.stdout == ""
+
+    def test_a_file_that_is_not_baked_is_refused(self) -> None:
+        result = invoke("shader", "--lang", "glsl", "--for", TUBE)
+        assert result.exit_code == 3
+        assert "nothing in it is baked" in result.stderr
+
+    def test_damaged_metadata_is_refused(self, tmp_path: Path) -> None:
+        file = baked(SEAM, tmp_path)
+        model = read(file)
+        del model.content["meshes"][0]["primitives"][0]["extras"][KEY]["frame"]
+        result = invoke("shader", "--lang", "glsl", "--for", rewritten(model, file))
+        assert result.exit_code == 3
+        assert "metadata is damaged" in result.stderr
+
+    def test_fewer_influences_serve_where_the_others_hold_nothing(self, tmp_path: Path) -> None:
+        """The sheet has two joints: slots 2 and 3 hold neither weight nor gradient."""
+        file = baked(write_model(tmp_path / "sheet.glb", [sheet()]), tmp_path)
+        assert invoke("shader", "--lang", "glsl", "--for", file, "--influences", "2").exit_code == 0
+        result = invoke("shader", "--lang", "glsl", "--for", file, "--influences", "1")
+        assert result.exit_code == 3
+        assert re.search(r"20 vertices use more than 1 of its 4", result.stderr)
+
+    def test_primitives_that_differ_need_a_word(self, tmp_path: Path) -> None:
+        tangents = np.tile(np.array([0, 0, 0, 1], dtype=np.float32), (20, 1))
+        part = sheet()
+        tangents[:, :3] = _along(part)
+        file = baked(write_model(tmp_path / "both.glb", [part, sheet(TANGENT=tangents)]), tmp_path)
+        result = invoke("shader", "--lang", "glsl", "--for", file)
+        assert result.exit_code == 3
+        assert "differ in frame" in result.stderr
+        assert "say which with --frame" in result.stderr
+        result = invoke("shader", "--lang", "glsl", "--for", file, "--frame", "tangent")
+        assert result.exit_code == 0
+        assert "primitive 0: this shader is not for it: it is baked in the normal frame" in result.stderr
+
+    def test_mirroring_joints_are_seen_to(self, tmp_path: Path) -> None:
+        def mirror(content: Any) -> None:
+            node = content["nodes"][content["skins"][0]["joints"][0]]
+            node.pop("matrix", None)
+            node["scale"] = [-1, 1, 1]
+
+        file = baked(edited(SEAM.name, tmp_path, mirror), tmp_path)
+        text = invoke("shader", "--lang", "glsl", "--for", file).stdout
+        assert "mirrored joints" in header(text)
+        assert "--mirrored-joints" in header(text)
+        assert "determinant(T)" in text
+        direct = invoke("shader", "--lang", "glsl", "--for", file, "--lighting", "direct")
+        assert direct.exit_code == 0
+        assert "mirrored" not in direct.stdout
+
+    def test_dual_quaternions_are_refused_where_joints_are_not_rigid(self, tmp_path: Path) -> None:
+        def stretch(content: Any) -> None:
+            node = content["nodes"][content["skins"][0]["joints"][0]]
+            node.pop("matrix", None)
+            node["scale"] = [1, 1, 1.5]
+
+        file = baked(edited(SEAM.name, tmp_path, stretch), tmp_path)
+        result = invoke("shader", "--lang", "glsl", "--for", file, "--method", "dqs")
+        assert result.exit_code == 3
+        assert "it cannot serve --method dqs" in result.stderr
+        assert invoke("shader", "--lang", "glsl", "--for", file).exit_code == 0
+
+
+def _along(part: Part) -> Any:
+    """Return unit tangents of a sheet: some direction across its normals."""
+    normals = np.asarray(part.attributes["NORMAL"], dtype=np.float64)
+    across = np.cross([0.0, 1.0, 0.0], normals)
+    return across / np.linalg.norm(across, axis=1, keepdims=True)
