@@ -165,6 +165,7 @@ def _context(choices: ShaderChoices) -> dict[str, Any]:
         "reads_gradients": choices.reads_gradients,
         "stem": choices.stem,
         "guard": _guard(choices),
+        "slot_words": _slot_words(0, choices.influences - 1),
         "slots": slots,
         "others": others,
         "sets": sets,

@@ -1,5 +1,5 @@
 // The frame moves by the normalised mix b, corrected as if the mix blended positions (it does not: algorithm 6).
-// Q: the dual quaternions of slots 0 ... @{ influences - 1 }, as skinbake_dual_quaternion() has them.
+// Q: the dual quaternions of @{ slot_words }.
 skinbake_Vertex skinbake_dqs_accurate(vec3 p, skinbake_Frame frame, mat2x4 Q[@{ influences }]@{ params(weight_params + gradient_params) })
 {
 //% include "glsl/mix.glsl"

@@ -1,5 +1,5 @@
 // The frame moves by the blended matrix T, as if the weights were constant over the surface.
-// M: the joint matrices (joint's global transform * its inverse bind matrix) of slots 0 ... @{ influences - 1 }.
+// M: the joint matrices of @{ slot_words }.
 skinbake_Vertex skinbake_lbs_approximated(vec3 p, skinbake_Frame frame, mat4 M[@{ influences }]@{ params(weight_params) })
 {
 //% for slot in slots

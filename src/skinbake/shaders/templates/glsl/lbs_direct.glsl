@@ -1,6 +1,5 @@
 // The frame moves by the Jacobian J of the skinned position, the normal by its inverse transpose.
-// M: the joint matrices (joint's global transform * its inverse bind matrix) of slots 0 ... @{ influences - 1 };
-// a: their weight gradients, as skinbake_gradients() gives them.
+// M: the joint matrices of @{ slot_words }; a: their weight gradients, as skinbake_gradients() gives them.
 skinbake_Vertex skinbake_lbs_direct(vec3 p, skinbake_Frame frame, mat4 M[@{ influences }]@{ params(weight_params) }, vec3 a[@{ influences }])
 {
 //% for slot in slots

@@ -1,5 +1,5 @@
 // The frame moves by the normalised mix b, corrected as if the mix blended positions (it does not: algorithm 6).
-// Q: the dual quaternions of slots 0 ... @{ influences - 1 }, as skinbake_dual_quaternion() has them.
+// Q: the dual quaternions of @{ slot_words }.
 fn skinbake_dqs_accurate(p: vec3<f32>, frame: skinbake_Frame, Q: array<mat2x4<f32>, @{ influences }>@{ params(weight_params + gradient_params) }) -> skinbake_Vertex {
 //% set mixed = "mixed"
 //% include "wgsl/mix.wgsl"

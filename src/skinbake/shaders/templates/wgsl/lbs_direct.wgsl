@@ -1,6 +1,5 @@
 // The frame moves by the Jacobian J of the skinned position, the normal by its inverse transpose.
-// M: the joint matrices (joint's global transform * its inverse bind matrix) of slots 0 ... @{ influences - 1 };
-// a: their weight gradients, as skinbake_gradients() gives them.
+// M: the joint matrices of @{ slot_words }; a: their weight gradients, as skinbake_gradients() gives them.
 fn skinbake_lbs_direct(p: vec3<f32>, frame: skinbake_Frame, M: array<mat4x4<f32>, @{ influences }>@{ params(weight_params) }, a: array<vec3<f32>, @{ influences }>) -> skinbake_Vertex {
 //% for slot in slots
     @{ "let T =" if loop.first else "      +" } @{ slot.weight } * skinbake_rows(M[@{ slot.index }])@{ ";" if loop.last }@{ " // 1" if loop.first }
