@@ -39,8 +39,9 @@ lint: $(DEV)
 fixtures: $(DEV) ## Write fixtures/ anew
 	$(BIN)/python -m fixtures.make_fixtures
 
-picture: $(DEV) ## Draw docs/bend.png anew
+picture: $(DEV) ## Draw docs/bend.png and docs/shaders.png anew; the latter needs a Vulkan driver
 	$(BIN)/python benchmarks/bend_picture.py docs/bend.png
+	$(BIN)/python -m benchmarks.bend_render docs/shaders.png
 
 table: $(DEV) ## Write docs/lighting.md anew, from the models of SKINBAKE_CORPUS or ../shared/corpus
 	$(BIN)/python -m benchmarks.corpus_table

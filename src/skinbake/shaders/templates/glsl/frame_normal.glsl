@@ -1,14 +1,15 @@
 #ifndef SKINBAKE_FRAME_FROM_NORMAL
 #define SKINBAKE_FRAME_FROM_NORMAL
 // The frame that bake took from NORMAL alone; n must have length 1. Written so that a compiler which fuses
-// multiply-adds gets the same bits: every product that meets a sum is exact.
+// multiply-adds gets the same bits: every product that meets a sum is exact. side stands last there: Mesa turns
+// side * ((x * x) * a) into side * (x * (x * a)).
 skinbake_Frame skinbake_frame(vec3 n)
 {
     float side = n.z >= 0.0 ? 1.0 : -1.0; // 1 also at -0.0
     float a = -1.0 / (side + n.z);
     float b = (n.x * n.y) * a;
-    vec3 t0 = vec3(1.0 + side * ((n.x * n.x) * a), side * b, -side * n.x);
-    vec3 b0 = vec3(b, side * (1.0 + side * ((n.y * n.y) * a)), -n.y);
+    vec3 t0 = vec3(1.0 + ((n.x * n.x) * a) * side, side * b, -side * n.x);
+    vec3 b0 = vec3(b, side * (1.0 + ((n.y * n.y) * a) * side), -n.y);
     return skinbake_Frame(n, t0, b0, 1.0);
 }
 #endif

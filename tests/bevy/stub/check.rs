@@ -1,0 +1,63 @@
+//! Runs what the Rust lines of the Bevy target do to a pipeline, against the stand-in `bevy.rs`.
+
+mod skinbake;
+
+use bevy::{
+    mesh::{MeshVertexAttribute, MeshVertexBufferLayout, MeshVertexBufferLayoutRef, VertexBufferLayout},
+    pbr::{MaterialExtension, MaterialExtensionKey, MaterialExtensionPipeline},
+    prelude::*,
+    render::render_resource::{RenderPipelineDescriptor, VertexFormat, VertexState},
+    shader::{ShaderDefVal, ShaderRef},
+};
+
+// Locations as in Bevy's forward pass.
+const OWN: [(MeshVertexAttribute, u32); 5] = [
+    (Mesh::ATTRIBUTE_POSITION, 0),
+    (Mesh::ATTRIBUTE_NORMAL, 1),
+    (Mesh::ATTRIBUTE_TANGENT, 4),
+    (Mesh::ATTRIBUTE_JOINT_WEIGHT, 7),
+    (Mesh::ATTRIBUTE_JOINT_INDEX, 6),
+];
+
+/// The layout of a mesh with Bevy's attributes and others, and the pipeline that Bevy has begun for it.
+fn mesh(more: &[MeshVertexAttribute]) -> (MeshVertexBufferLayoutRef, RenderPipelineDescriptor) {
+    let mut attributes: Vec<_> = OWN.iter().map(|(attribute, _)| *attribute).collect();
+    attributes.extend(more);
+    let layout = MeshVertexBufferLayout { attributes };
+    let places: Vec<_> = OWN.iter().map(|(a, location)| a.at_shader_location(*location)).collect();
+    let buffer = layout.get_layout(&places).unwrap();
+    let vertex = VertexState { shader_defs: vec!["SKINNED".into()], buffers: vec![buffer] };
+    (MeshVertexBufferLayoutRef(layout.into()), RenderPipelineDescriptor { vertex })
+}
+
+fn specialized(more: &[MeshVertexAttribute]) -> (RenderPipelineDescriptor, RenderPipelineDescriptor) {
+    let (layout, before) = mesh(more);
+    let mut after = before.clone();
+    let key = MaterialExtensionKey { bind_group_data: () };
+    skinbake::Skinbake::specialize(&MaterialExtensionPipeline, &mut after, &layout, key).unwrap();
+    (before, after)
+}
+
+fn main() {
+    let (before, after) = specialized(&[skinbake::ALPHA, skinbake::BETA]);
+    let old: &VertexBufferLayout = &before.vertex.buffers[0];
+    let new: &VertexBufferLayout = &after.vertex.buffers[0];
+    assert_eq!(after.vertex.buffers.len(), 1);
+    assert_eq!(new.array_stride, old.array_stride);
+    assert_eq!(new.attributes[..5], old.attributes[..]);
+    let added: Vec<_> = new.attributes[5..].iter().map(|a| (a.format, a.offset, a.shader_location)).collect();
+    assert_eq!(added, [(VertexFormat::Float32x3, 64, 8), (VertexFormat::Float32x3, 76, 9)]);
+    let baked = ShaderDefVal::Bool("SKINBAKE".into(), true);
+    assert_eq!(after.vertex.shader_defs, ["SKINNED".into(), baked]);
+
+    for partly in [&[][..], &[skinbake::ALPHA], &[skinbake::BETA]] {
+        let (before, after) = specialized(partly);
+        assert_eq!(before, after);
+    }
+
+    assert!(matches!(skinbake::Skinbake::vertex_shader(), ShaderRef::Path(path) if path.ends_with(".wgsl")));
+    for (name, attribute) in skinbake::gltf_plugin().custom_vertex_attributes {
+        println!("{name} {}", attribute.name);
+    }
+    example();
+}

@@ -1,0 +1,74 @@
+"""The Rust lines of the Bevy target compile, and add attributes to a pipeline: with a stand-in for Bevy."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from skinbake.geometry.frames import NORMAL_FRAME, TANGENT_FRAME
+from skinbake.shaders.text import shader_text
+from tests.bevy.running import chosen
+from tests.support.strictness import missing_tool
+
+STUB = Path(__file__).parent / "stub"
+TIMEOUT_SECONDS = 120
+
+
+@pytest.fixture(scope="module")
+def crates(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the stand-in crates, compiled."""
+    folder = tmp_path_factory.mktemp("crates")
+    _rustc(folder, "--crate-type=proc-macro", "--crate-name=bevy_derive", STUB / "derive.rs")
+    _rustc(folder, "--crate-type=lib", "--crate-name=bevy", "--extern=bevy_derive", STUB / "bevy.rs")
+    return folder
+
+
+@pytest.mark.parametrize("frame", [NORMAL_FRAME, TANGENT_FRAME])
+def test_the_rust_lines_compile_and_add_the_attributes(frame: str, crates: Path, tmp_path: Path) -> None:
+    text = shader_text(chosen(frame))
+    (tmp_path / "skinbake.rs").write_text(_rust_lines(text, tmp_path))
+    example = "\n".join(_example(text))
+    (tmp_path / "main.rs").write_text(f"{(STUB / 'check.rs').read_text()}\nfn example() {{\n{example};\n}}\n")
+    _rustc(crates, "--extern=bevy", "--deny=warnings", "--out-dir", tmp_path, tmp_path / "main.rs")
+    process = subprocess.run(
+        [tmp_path / "main"], capture_output=True, text=True, timeout=TIMEOUT_SECONDS, check=False
+    )
+    assert process.returncode == 0, process.stderr
+    assert process.stdout.splitlines() == [
+        "SKINBAKE_ALPHA_0 SkinbakeAlpha",
+        "SKINBAKE_BETA_0 SkinbakeBeta",
+    ]
+
+
+def _rust_lines(text: str, folder: Path) -> str:
+    """The Rust lines, by the very command that the text names for it."""
+    found = re.search(r"^// +sed -n '(.*)' skinbake\.wgsl > ", text, re.MULTILINE)
+    assert found is not None
+    (folder / "skinbake.wgsl").write_text(text)
+    process = subprocess.run(
+        ["sed", "-n", found[1], folder / "skinbake.wgsl"], capture_output=True, text=True, check=True
+    )
+    assert len(process.stdout.splitlines()) == text.count("\n//rs")
+    return process.stdout
+
+
+def _example(text: str) -> list[str]:
+    """The lines of the example between its fences."""
+    lines = [line.removeprefix("//rs //!") for line in text.splitlines() if line.startswith("//rs //!")]
+    first, last = (number for number, line in enumerate(lines) if "```" in line)
+    return lines[first + 1 : last]
+
+
+def _rustc(folder: Path, *arguments: str | Path) -> None:
+    """Compile with the crates of a folder, into it unless an argument says otherwise."""
+    rustc = shutil.which("rustc")
+    if rustc is None:
+        missing_tool("rustc is not installed (Debian package rustc)")
+    out: list[str | Path] = [] if "--out-dir" in arguments else ["--out-dir", folder]
+    command = [rustc, "--edition=2021", "-L", folder, *out, *arguments]
+    process = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT_SECONDS, check=False)
+    assert process.returncode == 0, process.stderr

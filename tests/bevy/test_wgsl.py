@@ -1,0 +1,220 @@
+"""The vertex stage for Bevy compiles under every set of definitions, and skins as the replay does."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from itertools import product
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from skinbake.errors import ChoiceError
+from skinbake.geometry.frames import NORMAL_FRAME, TANGENT_FRAME
+from skinbake.replay.algorithms import Algorithm
+from skinbake.replay.run import replay
+from skinbake.replay.surface import RestSurface
+from skinbake.shaders.choices import AttributeText, Language, Lighting, Method, ShaderChoices
+from skinbake.shaders.text import shader_text
+from tests.analytic import degrees_between
+from tests.bevy.compose import compose, without_comments
+from tests.bevy.running import BAKED, PLAIN, Case, Scene, Seen, Wide, chosen, jacobians, morph, run, scene
+from tests.support.webgpu import NAGA, TINT, Implementation, Job, answers
+
+# Float32 on both sides of a subtraction of numbers near 1; t' and b' may be nearly parallel.
+DEGREES = 0.02
+
+CHOICES = [
+    chosen(NORMAL_FRAME),
+    chosen(TANGENT_FRAME),
+    chosen(NORMAL_FRAME, mirrored_joints=True),
+    chosen(TANGENT_FRAME, mirrored_joints=True, cap=0.9),
+    chosen(NORMAL_FRAME, influences=2),
+    chosen(TANGENT_FRAME, influences=3),
+    chosen(NORMAL_FRAME, Lighting.DIRECT),
+    chosen(TANGENT_FRAME, Lighting.DIRECT),
+]
+FRAMES = (NORMAL_FRAME, TANGENT_FRAME)
+SKINS = ("", "SKINNED", "SKINNED SKINBAKE")
+SWITCHES = ("VERTEX_TANGENTS", "MORPH_TARGETS", "SKINS_USE_UNIFORM_BUFFERS")
+OUTPUTS = "VERTEX_UVS_A VERTEX_UVS_B VERTEX_COLORS VERTEX_OUTPUT_INSTANCE_INDEX VISIBILITY_RANGE_DITHER"
+MAIN = "\n@compute @workgroup_size(1) fn main() {}\n"
+
+
+def _name(choices: ShaderChoices) -> str:
+    return "-".join(shader_text(choices).splitlines()[4].split("--")[3:-1]).replace(" ", "")
+
+
+def _definitions() -> list[tuple[str, ...]]:
+    """Every set of definitions in which Bevy and the Rust lines can compile the shader."""
+    switches = product(SKINS, *((name, "") for name in SWITCHES), (OUTPUTS, ""))
+    return [("VERTEX_POSITIONS", "VERTEX_NORMALS", *" ".join(chosen).split()) for chosen in switches]
+
+
+@pytest.mark.parametrize("implementation", [NAGA, TINT], ids=["naga", "tint"])
+def test_every_set_of_definitions_compiles(implementation: Implementation) -> None:
+    jobs = {
+        f"{_name(choices)}: {' '.join(defines)}": Job(compose(shader_text(choices), defines) + MAIN)
+        for choices in CHOICES
+        for defines in _definitions()
+        # In the tangent frame the Rust lines ask for TANGENT before they define SKINBAKE.
+        if not (choices.frame == TANGENT_FRAME and "SKINBAKE" in defines and "VERTEX_TANGENTS" not in defines)
+    }
+    assert len(jobs) == len(CHOICES) * 48 - 4 * 8
+    complaints = {name: answer.complaint for name, answer in answers(implementation, jobs).items()}
+    assert not {name: found for name, found in complaints.items() if found}
+
+
+def _cases() -> dict[str, Case]:
+    """Everything that is run, in one process for all."""
+    cases = {
+        _name(each): Case(each, scene(mirrored=each.mirrored_joints, influences=each.influences))
+        for each in CHOICES
+    }
+    for frame in FRAMES:
+        cases[f"mirror {frame}"] = Case(chosen(frame, mirrored_joints=True), _one_joint_each())
+        cases[f"morph {frame}"] = Case(chosen(frame), scene(), deltas=morph())
+    cases["not baked"] = Case(chosen(NORMAL_FRAME), scene(), PLAIN)
+    return cases
+
+
+@pytest.fixture(scope="module")
+def seen() -> dict[str, Seen]:
+    """What the vertex stage makes of every case."""
+    return run(_cases())
+
+
+@pytest.mark.parametrize("choices", CHOICES, ids=_name)
+def test_normals_and_positions_are_those_of_the_replay(choices: ShaderChoices, seen: dict[str, Seen]) -> None:
+    given, found = _cases()[_name(choices)].given, seen[_name(choices)]
+    algorithm = Algorithm(choices.algorithm)
+    expected = replay(algorithm, given.rest(choices.frame), given.matrices[None], cap=choices.cap)
+    normals = expected.normals[0] * _sides(choices, given)[:, None]
+    assert np.linalg.norm(found.normals, axis=1) == pytest.approx(1.0, abs=1e-6)
+    assert degrees_between(found.normals, normals).max() < DEGREES
+    assert found.positions[:, :3] == pytest.approx(expected.positions[0], abs=1e-5)
+    assert found.positions[:, 3] == pytest.approx(1.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("choices", [each for each in CHOICES if each.cap is None], ids=_name)
+def test_tangents_are_moved_by_the_jacobian(choices: ShaderChoices, seen: dict[str, Seen]) -> None:
+    given, found = _cases()[_name(choices)].given, seen[_name(choices)]
+    jacobian = jacobians(given.rest(choices.frame), given.matrices)
+    expected = np.einsum("vij,vj->vi", jacobian, given.tangents[:, :3])
+    assert degrees_between(found.tangents[:, :3], expected).max() < DEGREES
+    sides = np.sign(np.linalg.det(jacobian)) if choices.algorithm == 2 else _sides(choices, given)
+    assert (found.tangents[:, 3] == given.tangents[:, 3] * sides).all()
+
+
+@pytest.mark.parametrize("frame", FRAMES)
+def test_normal_maps_keep_their_side_under_mirrored_joints(frame: str, seen: dict[str, Seen]) -> None:
+    # n' × t' · w, from which Bevy makes the bitangent, is on the side of the bitangent that moved along.
+    given, found = _one_joint_each(), seen[f"mirror {frame}"]
+    made = np.cross(found.normals, found.tangents[:, :3]) * found.tangents[:, 3:]
+    rest = np.cross(given.normals, given.tangents[:, :3]) * given.tangents[:, 3:]
+    moved = np.einsum("vij,vj->vi", given.matrices[given.joints[:, 0], :3, :3], rest)
+    assert (np.einsum("vi,vi->v", made, moved) > 0).all()
+
+
+@pytest.mark.parametrize("frame", FRAMES)
+def test_morph_targets_turn_the_frame_with_the_normal(frame: str, seen: dict[str, Seen]) -> None:
+    given, found = scene(), seen[f"morph {frame}"]
+    morphed = morph().applied(given)
+    rest = given.rest(frame)
+    rotations = _smallest_rotations(given.normals, morphed.normals)
+    turned = [np.einsum("vij,vj->vi", rotations, side) for side in (rest.tangents, rest.bitangents)]
+    posed = RestSurface(
+        positions=morphed.positions,
+        normals=np.einsum("vij,vj->vi", rotations, given.normals),
+        tangents=turned[0],
+        bitangents=turned[1],
+        joints=rest.joints,
+        weights=rest.weights,
+        alpha=rest.alpha,
+        beta=rest.beta,
+    )
+    expected = replay(Algorithm.LBS_ACCURATE, posed, given.matrices[None])
+    assert degrees_between(found.normals, expected.normals[0]).max() < DEGREES
+    assert found.positions[:, :3] == pytest.approx(expected.positions[0], abs=1e-5)
+
+
+def test_a_mesh_that_is_not_baked_is_lit_as_bevy_does(seen: dict[str, Seen]) -> None:
+    given, found = scene(), seen["not baked"]
+    expected = np.einsum("vji,vj->vi", np.linalg.inv(_blended(given)), given.normals)
+    assert degrees_between(found.normals, expected).max() < DEGREES
+
+
+@pytest.mark.parametrize(
+    ("choices", "reason"),
+    [
+        ({"method": Method.DQS, "lighting": Lighting.EXACT}, "--method lbs"),
+        ({"lighting": Lighting.APPROXIMATED}, "Bevy's own"),
+        ({"influences": 5}, "four influences a vertex, not 5"),
+        ({"influences": 1}, "one influence"),
+        ({"language": Language.GLSL}, "takes --lang wgsl"),
+    ],
+)
+def test_what_bevy_cannot_use_is_refused(choices: dict[str, Any], reason: str) -> None:
+    with pytest.raises(ChoiceError, match="bevy.*" + reason):
+        shader_text(chosen(NORMAL_FRAME, **choices))
+
+
+def test_attributes_are_registered_by_the_names_of_the_file_without_underscore() -> None:
+    names = AttributeText("arm.glb", alpha=("_SLOPE_A",), beta=("_SLOPE_B",))
+    text = shader_text(chosen(NORMAL_FRAME, attributes=names))
+    assert 'add_custom_vertex_attribute("SLOPE_A", ALPHA)' in text
+    assert 'add_custom_vertex_attribute("SLOPE_B", BETA)' in text
+    assert text.isascii()
+
+
+@pytest.mark.parametrize("choices", CHOICES, ids=_name)
+def test_no_name_is_one_that_bevys_composer_refuses(choices: ShaderChoices) -> None:
+    # naga adds a letter to names that end in a digit or in _, and naga_oil refuses what naga would rename.
+    text = without_comments(shader_text(choices))
+    names = re.findall(r"^(?:fn|struct) (\w+)", text, re.MULTILINE)
+    for members in re.findall(r"^struct \w+ \{(.*?)^\}", text, re.MULTILINE | re.DOTALL):
+        names += re.findall(r"(\w+): ", members)
+    assert {"skinbake_Vertex", "skinbake_alpha", "vertex", "joint_weights"} <= set(names)
+    assert not [name for name in names if name[-1] in "0123456789_"]
+
+
+def test_names_that_bevy_does_not_have_are_noticed() -> None:
+    text = shader_text(chosen(NORMAL_FRAME))
+    for known, unknown in (("skinning::skin_model", "skinning::skin"), ("mesh_functions", "functions")):
+        with pytest.raises(ValueError, match=r"has no|no module"):
+            compose(text.replace(known, unknown), BAKED)
+
+
+def _one_joint_each() -> Scene:
+    """A scene in which every vertex follows one joint, mirrored or not."""
+    given = scene(mirrored=True)
+    joints = np.repeat(given.joints[:, :1], 4, axis=1)
+    return replace(given, joints=joints, alpha=np.zeros_like(given.alpha), beta=np.zeros_like(given.beta))
+
+
+def _sides(choices: ShaderChoices, given: Scene) -> Wide:
+    """The sign of det T, T = Σ w M, where joints may mirror, else 1: (V,)."""
+    if not choices.mirrored_joints:
+        return np.ones(len(given.joints))
+    return np.asarray(np.sign(np.linalg.det(_blended(given))))
+
+
+def _blended(given: Scene) -> Wide:
+    matrices = given.matrices.astype(np.float64)[given.joints][..., :3, :3]
+    return np.asarray(np.einsum("vs,vsij->vij", given.weights, matrices))
+
+
+def _smallest_rotations(before: npt.NDArray[np.floating], after: npt.NDArray[np.floating]) -> Wide:
+    """Rotations (V, 3, 3) that take unit vectors to the directions of others, by Rodrigues' formula."""
+    a = before.astype(np.float64)
+    b = after / np.linalg.norm(after.astype(np.float64), axis=1, keepdims=True)
+    axes = np.cross(a, b)
+    sine = np.linalg.norm(axes, axis=1)
+    angle = np.arctan2(sine, np.einsum("vi,vi->v", a, b))
+    x, y, z = (axes / sine[:, None]).T
+    zero = np.zeros_like(x)
+    skew = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=1).reshape(-1, 3, 3)
+    s, c = np.sin(angle)[:, None, None], np.cos(angle)[:, None, None]
+    return np.asarray(np.eye(3) + s * skew + (1 - c) * skew @ skew)
