@@ -23,7 +23,6 @@ from skinbake.gltf.primitives import (
     PrimitiveSource,
     read_primitive,
     reason_to_skip,
-    refuse_compressed,
     skinned_sources,
 )
 from skinbake.gltf.strip import stripped
@@ -112,7 +111,6 @@ def bake_document(
     notices += found
     by_mesh: dict[int, list[PrimitiveSource]] = defaultdict(list)
     for source in sources:
-        refuse_compressed(document, source)
         reason = reason_to_skip(document, source, generate_normals=options.generate_normals)
         reason = reason or _reason_of_frame(source, options)
         if reason is None:

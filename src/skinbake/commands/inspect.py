@@ -16,7 +16,6 @@ from skinbake.gltf.primitives import (
     PrimitiveSource,
     read_primitive,
     reason_to_skip,
-    refuse_compressed,
     skinned_sources,
 )
 from skinbake.gltf.resources import is_data_uri
@@ -29,7 +28,6 @@ def inspect_file(source: str) -> InspectResult:
     sources, notices = skinned_sources(document)
     primitives = []
     for entry in sources:
-        refuse_compressed(document, entry)
         reason = reason_to_skip(document, entry, generate_normals=False)
         if reason is not None:
             notices.append(reason)

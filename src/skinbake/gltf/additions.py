@@ -10,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from skinbake.gltf import resources
-from skinbake.gltf.accessors import COMPONENT_CODES, TYPES
 from skinbake.gltf.document import Document
+from skinbake.gltf.formats import COMPONENT_CODES, TYPES
 from skinbake.gltf.glb import Bytes
 from skinbake.gltf.json_access import JsonObject, integer
 

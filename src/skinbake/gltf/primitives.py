@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from skinbake.errors import InputError, Notice, Place, UnsupportedFeatureError
+from skinbake.errors import InputError, Notice, Place
 from skinbake.geometry.skinned import FloatArray, IntArray, SkinnedPrimitive
 from skinbake.geometry.triangles import TRIANGLE_FAN, TRIANGLES, unrolled
 from skinbake.gltf.accessors import StoredArray, element_count, read_accessor
@@ -36,9 +36,6 @@ EXPECTED = {
     "WEIGHTS": "weights must be floats, or normalised unsigned bytes or shorts",
     "JOINTS": "joints must be unsigned bytes or shorts",
 }
-
-DRACO = "KHR_draco_mesh_compression"
-MESHOPT = ("EXT_meshopt_compression", "KHR_meshopt_compression")
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,28 +116,6 @@ def _all_sources(document: Document, joint_counts: dict[int, int]) -> Iterator[P
         for position, primitive in enumerate(objects(mesh, "primitives", place)):
             here = Place(place.file, place.mesh, place.mesh_name, position)
             yield PrimitiveSource(number, position, primitive, joint_counts.get(number, 0), here)
-
-
-def refuse_compressed(document: Document, source: PrimitiveSource) -> None:
-    """Raise UnsupportedFeatureError, naming the extension, where the primitive's data is compressed."""
-    accessors, views = document.objects("accessors"), document.objects("bufferViews")
-    if DRACO in member(source.json, "extensions", source.place):
-        raise _compressed(DRACO, source.place)
-    numbers = [index(source.attributes, name, len(accessors), source.place) for name in source.attributes]
-    numbers.append(index(source.json, "indices", len(accessors), source.place))
-    for number in numbers:
-        view = None if number is None else index(accessors[number], "bufferView", len(views), source.place)
-        for extension in () if view is None else member(views[view], "extensions", source.place):
-            if extension in MESHOPT:
-                raise _compressed(extension, source.place)
-
-
-def _compressed(extension: str, place: Place) -> UnsupportedFeatureError:
-    return UnsupportedFeatureError(
-        f"its geometry is compressed with {extension}, which this version cannot decode; bake a copy that is "
-        "not compressed, and ship it so: compressing after a bake spoils α/β",
-        place,
-    )
 
 
 def reason_to_skip(document: Document, source: PrimitiveSource, *, generate_normals: bool) -> Notice | None:
