@@ -83,11 +83,36 @@ def decoded_accessor(
         return None
     values = _claimed(document, claims[0], shape, place)
     for other in claims[1:]:
-        if not np.array_equal(values, _claimed(document, other, shape, place)):
+        if values.tobytes() != _claimed(document, other, shape, place).tobytes():
             raise UnsupportedFeatureError(
                 f"accessor {number} stands for different values in two Draco streams", place
             )
     return values
+
+
+def holds_the_same(document: Document, primitive: JsonObject, before: JsonObject, place: Place) -> bool:
+    """Tell whether the stream of ``before`` still holds what a primitive's stream does, of what both name.
+
+    False where it cannot be read: another tool has moved or removed the buffer view since.
+    """
+    now, then = dict(_claims_of(primitive)), dict(_claims_of(before))
+    try:
+        for number in now.keys() & then.keys():
+            shape = _shape(document, number, place)
+            pair = [_claimed(document, claim, shape, place) for claim in (now[number], then[number])]
+            if pair[0].tobytes() != pair[1].tobytes():
+                return False
+        return read_stream(document, before, place).faces.size > 0
+    except InputError:
+        return False
+
+
+def _shape(document: Document, number: int, place: Place) -> Shape:
+    accessor = document.objects("accessors")[number]
+    dtype, kind = component_dtype(accessor), accessor.get("type")
+    if dtype is None or not isinstance(kind, str) or kind not in COMPONENTS:
+        raise InputError(f"accessor {number} is of no type that a Draco stream holds", place)
+    return dtype, COMPONENTS[kind], integer(accessor, "count", place, minimum=1)
 
 
 def _claims(document: Document) -> dict[int, list[Claim]]:
@@ -100,6 +125,9 @@ def _claims(document: Document) -> dict[int, list[Claim]]:
                 held = claims.setdefault(number, [])
                 if not any(_same_data(claim, other) for other in held):
                     held.append(claim)
+        for primitive in filter(None, map(before_bake, _primitives(document))):
+            for number, claim in _claims_of(primitive):
+                claims.setdefault(number, [claim])
         known["claims"] = claims
     found: dict[int, list[Claim]] = known["claims"]
     return found
@@ -110,9 +138,6 @@ def _primitives(document: Document) -> Iterator[JsonObject]:
         for primitive in entries_of(mesh.get("primitives")):
             if extension_of(primitive) is not None:
                 yield primitive
-                before = before_bake(primitive)
-                if before is not None:
-                    yield before
 
 
 def _claims_of(primitive: JsonObject) -> Iterator[tuple[int, Claim]]:

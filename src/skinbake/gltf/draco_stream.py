@@ -72,7 +72,7 @@ def decode(data: memoryview, vertices: int, corners: int, size: int, place: Plac
     InputError where the stream is not one of 2.2, contradicts them, is damaged, or needs more memory than
     they justify. Over 6,000 cut or altered streams of real files the decoder never crashed.
     """
-    import DracoPy  # noqa: PLC0415
+    import DracoPy
 
     counts = read_counts(data, place)
     _check_counts(counts, len(data), (vertices, corners, size), place)
@@ -136,7 +136,7 @@ def _memory_limit(size: int) -> Iterator[None]:
     has, and holds to the limit.
     """
     try:
-        import resource  # noqa: PLC0415
+        import resource
 
         pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
     except (ImportError, OSError, ValueError):
@@ -226,7 +226,7 @@ def encode(
     vertices anew. ``level`` is Draco's, 0 (fast) to 10 (small). Floats are stored as they are, integers as
     entropy-coded differences.
     """
-    import DracoPy  # noqa: PLC0415
+    import DracoPy
 
     return bytes(
         DracoPy.encode(

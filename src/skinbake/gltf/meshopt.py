@@ -89,7 +89,7 @@ def decoded(data: memoryview, packing: Packing, what: str, place: Place) -> memo
     Raises InputError where the data is too short for what it should hold, or malformed. Over 4,000 cut or
     altered streams of real files the decoder never read past the end nor crashed: it checks every length.
     """
-    import meshopt  # noqa: PLC0415
+    import meshopt
 
     least = packing.count * packing.stride // EXPANSION if packing.mode == ATTRIBUTES else packing.count // 3
     if len(data) < least:
@@ -114,7 +114,7 @@ def encoded(values: npt.NDArray[Any], mode: str, name: str, level: int) -> bytes
     level is 0 (fast) to 3 (small) and matters to attributes alone. The order of elements stays; the index
     codec may begin a triangle at another of its corners.
     """
-    import meshopt  # noqa: PLC0415
+    import meshopt
 
     data = np.ascontiguousarray(values)
     if mode == ATTRIBUTES:

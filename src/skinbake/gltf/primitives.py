@@ -11,6 +11,7 @@ import numpy.typing as npt
 from skinbake.errors import InputError, Notice, Place
 from skinbake.geometry.skinned import FloatArray, IntArray, SkinnedPrimitive
 from skinbake.geometry.triangles import TRIANGLE_FAN, TRIANGLES, unrolled
+from skinbake.gltf import draco
 from skinbake.gltf.accessors import StoredArray, element_count, read_accessor
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject, index, integer, member, objects, text
@@ -119,7 +120,11 @@ def _all_sources(document: Document, joint_counts: dict[int, int]) -> Iterator[P
 
 
 def reason_to_skip(document: Document, source: PrimitiveSource, *, generate_normals: bool) -> Notice | None:
-    """Return why a skinned primitive cannot be baked, None where it can."""
+    """Return why a skinned primitive cannot be baked, None where it can.
+
+    Raises InputError where its JSON refers to accessors that are not there, or is not what glTF wants.
+    """
+    _check_references(document, source)
     mode = integer(source.json, "mode", source.place, default=TRIANGLES)
     if mode > TRIANGLE_FAN:
         raise InputError(f'"mode" is {mode}; glTF knows 0 to {TRIANGLE_FAN}', source.place)
@@ -135,6 +140,14 @@ def reason_to_skip(document: Document, source: PrimitiveSource, *, generate_norm
     if _triangle_count(document, source, mode) == 0:
         return Notice("no-triangles", "skipped: it has not one whole triangle", source.place)
     return None
+
+
+def _check_references(document: Document, source: PrimitiveSource) -> None:
+    count = len(document.objects("accessors"))
+    for name in source.attributes:
+        index(source.attributes, name, count, source.place)
+    index(source.json, "indices", count, source.place)
+    member(member(source.json, "extensions", source.place), draco.EXTENSION, source.place)
 
 
 def _triangle_count(document: Document, source: PrimitiveSource, mode: int) -> int:
