@@ -14,6 +14,7 @@ from skinbake.bake.normals import with_smooth_normals
 from skinbake.errors import InputError, Notice, Place, SkinbakeError, defect
 from skinbake.geometry.frames import TANGENT_FRAME
 from skinbake.geometry.skinned import BakedPrimitive, SkinnedPrimitive
+from skinbake.gltf.attribute_store import stored_otherwise
 from skinbake.gltf.baked import AttributeNames, Baked, with_baked
 from skinbake.gltf.container import for_target
 from skinbake.gltf.document import STDIO, Document, read_document
@@ -25,6 +26,7 @@ from skinbake.gltf.primitives import (
     reason_to_skip,
     skinned_sources,
 )
+from skinbake.gltf.recode import Compression, recoded
 from skinbake.gltf.strip import stripped
 from skinbake.report.bake import BakedCounts, FileResult, Status
 
@@ -42,6 +44,7 @@ class BakeOptions:
     warnings_as_errors: bool = False
     dry_run: bool = False
     make_folder: bool = False
+    compression: Compression = field(default_factory=Compression)
 
 
 def bake_file(source: str, target: str | None, options: BakeOptions) -> FileResult:
@@ -68,10 +71,12 @@ def _bake_file(source: str, target: str | None, options: BakeOptions, notices: l
         refuse_own_input(document, source, target)
     original, _, undone = stripped(document)
     prepared, moved = (original, []) if target is None else for_target(original, target)
-    found = [*undone, *moved]
+    prepared, kept = recoded(prepared, options.compression)
+    found = [*undone, *moved, *kept]
+    begun = len(found)
     result, primitives, skipped = bake_document(prepared, options, found)
     if not primitives:
-        result, found = _passed_through(document, target, skipped, options, found[len(undone) + len(moved) :])
+        result, found = _passed_through(document, target, skipped, options, found[begun:])
     notices += found
     untouched = result is document and target == source and source != STDIO
     planned = (
@@ -124,7 +129,8 @@ def bake_document(
     skipped = len(sources) - len(baked)
     if not baked:
         return document, [], skipped
-    written, lengths = with_baked(document, baked, options.names)
+    notices += stored_otherwise(document, [item.source for item in baked])
+    written, lengths = with_baked(document, baked, options.names, level=options.compression.level)
     counts = [(place, replace(c, added_bytes=n)) for (place, c), n in zip(results, lengths, strict=True)]
     return written, counts, skipped
 

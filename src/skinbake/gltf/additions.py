@@ -16,7 +16,7 @@ from skinbake.gltf.formats import COMPONENT_CODES, TYPES
 from skinbake.gltf.glb import Bytes
 from skinbake.gltf.json_access import JsonObject, integer
 
-ARRAY_BUFFER = 34962
+ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963
 
 KEY = "skinbake"
 """The key in ``extras`` under which everything that skinbake notes in a file stands."""
@@ -40,16 +40,16 @@ class Packed:
 
 
 class Additions:
-    """Collects vertex attributes and appends them to a document in one go.
+    """Collects vertex attributes, and other data, and appends them to a document in one go.
 
     Every attribute gets an accessor and a buffer view of its own, 4-byte aligned; equal arrays share one.
     The bytes go to the end of a GLB's BIN chunk, or into a new buffer: a file named after its content
     beside a ``.gltf``, a data: URI in a GLB whose buffers are elsewhere. Fallback buffers of compressed
-    views come after it.
+    views come after it. ``undoable`` additions say in the first view what strip needs to know.
     """
 
-    def __init__(self, document: Document) -> None:
-        self._document = document
+    def __init__(self, document: Document, *, undoable: bool = True) -> None:
+        self._document, self._undoable = document, undoable
         self._accessors: list[JsonObject] = []
         self._views: list[JsonObject] = []
         self._pieces: list[Bytes] = []
@@ -121,26 +121,56 @@ class Additions:
         )
         return len(self._document.objects("accessors")) + len(self._accessors) - 1
 
+    def add_data(self, data: Bytes) -> JsonObject:
+        """Add bytes, and return what a buffer view says of where they are."""
+        return {"buffer": self._buffer, **self._add_piece(data)}
+
+    def add_values(self, values: npt.NDArray[Any], packed: Packed | None, *, indices: bool = False) -> int:
+        """Add the buffer view of a whole accessor (count, components) and return its index.
+
+        Elements of vertex attributes are padded to a multiple of 4 bytes, as glTF wants.
+        """
+        if indices:
+            data = np.ascontiguousarray(values)
+            target: JsonObject = {"target": ELEMENT_ARRAY_BUFFER}
+            if packed is None:
+                return self._add_view({**self.add_data(data.data.cast("B")), **target})
+            return self._add_packed(data, packed, target)
+        rows = np.ascontiguousarray(values).view(np.uint8).reshape(len(values), -1)
+        if rows.shape[1] % 4 == 0:
+            return self._add_attribute(np.ascontiguousarray(values), packed)
+        padded = np.pad(rows, ((0, 0), (0, -rows.shape[1] % 4)))
+        if packed is not None:
+            return self._add_attribute(padded, packed)
+        stride = {"byteStride": padded.shape[1], "target": ARRAY_BUFFER}
+        return self._add_view({**self.add_data(padded.data.cast("B")), **stride})
+
     def _add_attribute(self, values: npt.NDArray[Any], packed: Packed | None) -> int:
-        data = values.data.cast("B")
-        target = {"target": ARRAY_BUFFER}
+        target: JsonObject = {"target": ARRAY_BUFFER}
         if packed is None:
-            return self._add_view({"buffer": self._buffer, **self._add_piece(data), **target})
-        stride = values.dtype.itemsize * values.shape[1]
+            return self._add_view({**self.add_data(values.data.cast("B")), **target})
+        return self._add_packed(
+            values, packed, {"byteStride": values.dtype.itemsize * values.shape[1], **target}
+        )
+
+    def _add_packed(self, values: npt.NDArray[Any], packed: Packed, members: JsonObject) -> int:
+        """Add a compressed view; ``members`` are its others, byteStride among them for attributes."""
+        data = values.data.cast("B")
         if packed.beside:
-            place = {"buffer": self._buffer, **self._add_piece(data)}
+            place = self.add_data(data)
         else:
             place = {"buffer": self._fallback, "byteOffset": self._fallback_length, "byteLength": len(data)}
             self._fallback_name = packed.name
             self._fallback_length += len(data)
+        kind = meshopt.ATTRIBUTES if "byteStride" in members else meshopt.TRIANGLES
+        compressed, mode = meshopt.encoded(values, kind, packed.name, packed.level)
         stored = {
-            "buffer": self._buffer,
-            **self._add_piece(meshopt.encoded(values, meshopt.ATTRIBUTES, packed.name, packed.level)),
-            "byteStride": stride,
-            "mode": meshopt.ATTRIBUTES,
+            **self.add_data(compressed),
+            "byteStride": values.dtype.itemsize * values.shape[1],
+            "mode": mode,
             "count": len(values),
         }
-        return self._add_view({**place, "byteStride": stride, **target, "extensions": {packed.name: stored}})
+        return self._add_view({**place, **members, "extensions": {packed.name: stored}})
 
     def _add_piece(self, data: Bytes) -> JsonObject:
         """Append bytes, padded so that the next are aligned, and return where they are in the buffer."""
@@ -151,7 +181,7 @@ class Additions:
         return {"byteOffset": offset, "byteLength": len(data)}
 
     def _add_view(self, view: JsonObject) -> int:
-        if not self._views:
+        if not self._views and self._undoable:
             view["extras"] = {KEY: self._undo_note()}
         self._views.append(view)
         return len(self._document.objects("bufferViews")) + len(self._views) - 1
@@ -166,8 +196,9 @@ class Additions:
     def applied(self, changes: Mapping[str, Any]) -> Document:
         """Return the document with the additions, and with top-level ``changes`` in its JSON."""
         root = {**self._document.json, **changes}
-        root["accessors"] = [*self._document.objects("accessors"), *self._accessors]
-        root["bufferViews"] = [*self._document.objects("bufferViews"), *self._views]
+        for key, added in (("accessors", self._accessors), ("bufferViews", self._views)):
+            if added:
+                root[key] = [*root.get(key, []), *added]
         buffers = list(self._document.objects("buffers"))
         fallback = self._fallback_buffers()
         if self._into_binary:
@@ -181,7 +212,8 @@ class Additions:
     def _fallback_buffers(self) -> list[JsonObject]:
         if not self._fallback_length:
             return []
-        self._views[0]["extras"][KEY][FALLBACK_ADDED] = True
+        if self._undoable:
+            self._views[0]["extras"][KEY][FALLBACK_ADDED] = True
         extensions = {self._fallback_name: {"fallback": True}}
         return [{"byteLength": self._fallback_length, "extensions": extensions}]
 

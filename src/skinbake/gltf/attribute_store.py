@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
-from skinbake.errors import UnsupportedFeatureError
+from skinbake.errors import Notice, UnsupportedFeatureError
 from skinbake.gltf import draco, draco_stream, meshopt
 from skinbake.gltf.accessors import read_accessor
 from skinbake.gltf.additions import Additions, Packed
@@ -55,6 +56,23 @@ def store_for(
     beside = not (isinstance(required, list) and name in required)
     chosen = MESHOPT_LEVEL if level is None else min(level, HIGHEST_MESHOPT_LEVEL)
     return _PlainStore(additions, Packed(name, chosen, beside))
+
+
+def stored_otherwise(document: Document, sources: Sequence[PrimitiveSource]) -> list[Notice]:
+    """Return a notice where primitives cannot be stored quite as they were in ``document``."""
+    count = sum(
+        draco.extension_of(source.json) is not None
+        and draco.read_stream(document, source.json, source.place).method == draco_stream.EDGEBREAKER
+        for source in sources
+    )
+    if not count:
+        return []
+    streams = "Draco stream is" if count == 1 else "Draco streams are"
+    message = (
+        f"{count} {streams} no longer edgebreaker but sequential, which is larger: edgebreaker would order "
+        "the vertices anew"
+    )
+    return [Notice("draco-sequential", message, document.place, count)]
 
 
 def meshopt_of(document: Document, source: PrimitiveSource) -> str | None:
@@ -134,13 +152,11 @@ class _DracoStore:
                 "bake it with --compress none",
                 self._source.place,
             )
-        others = [name for name in names if name != "POSITION"]
         faces = draco.read_stream(self._document, self._source.json, self._source.place).faces
-        data = draco_stream.encode(
-            self._values("POSITION"), [self._values(name) for name in others], faces, level=self._level
-        )
-        numbers = {name: number for number, name in enumerate([*others, "POSITION"])}
-        return self._additions.add_stream(data), {name: numbers[name] for name in names}
+        arrays = {name: self._values(name) for name in names}
+        stream = draco_stream.encode(arrays, faces, level=self._level)
+        numbers = {name: stream.unique_ids[name] for name in names}
+        return self._additions.add_stream(stream.data), numbers
 
     def _values(self, name: str) -> npt.NDArray[Any]:
         if name in self._new:

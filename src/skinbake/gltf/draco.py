@@ -140,6 +140,12 @@ def _primitives(document: Document) -> Iterator[JsonObject]:
                 yield primitive
 
 
+def accessors_inside(primitive: JsonObject) -> Iterator[tuple[int, bool]]:
+    """Yield the accessors whose values a primitive's stream holds, and whether each is its indices."""
+    for number, claim in _claims_of(primitive):
+        yield number, claim.unique_id is None
+
+
 def _claims_of(primitive: JsonObject) -> Iterator[tuple[int, Claim]]:
     inside = (extension_of(primitive) or {}).get("attributes")
     attributes = primitive.get("attributes")

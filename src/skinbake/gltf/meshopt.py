@@ -107,18 +107,21 @@ def decoded(data: memoryview, packing: Packing, what: str, place: Place) -> memo
     return np.ascontiguousarray(values).data.cast("B")
 
 
-def encoded(values: npt.NDArray[Any], mode: str, name: str, level: int) -> bytes:
-    """Return an array compressed without loss, for a buffer view of the extension ``name``.
+def encoded(values: npt.NDArray[Any], mode: str, name: str, level: int) -> tuple[bytes, str]:
+    """Return an array compressed without loss, for a view of the extension ``name``, and the mode it took.
 
-    values: attributes (V, components), elements a multiple of 4 bytes long; indices (N,) uint16 or uint32.
-    level is 0 (fast) to 3 (small) and matters to attributes alone. The order of elements stays; the index
-    codec may begin a triangle at another of its corners.
+    values: attributes (V, components), elements a multiple of 4 bytes long, or triangles (3 T, 1) uint16 or
+    uint32. level is 0 (fast) to 3 (small) and matters to attributes alone. Triangles are stored as a plain
+    sequence of indices where their own codec would begin some of them at another corner.
     """
     import meshopt
 
     data = np.ascontiguousarray(values)
     if mode == ATTRIBUTES:
-        return bytes(meshopt.encode_vertex_buffer_level(data, level, CODEC_VERSIONS[name]))
-    return bytes(
-        meshopt.encode_index_sequence(data) if mode == INDICES else meshopt.encode_index_buffer(data)
-    )
+        return bytes(meshopt.encode_vertex_buffer_level(data, level, CODEC_VERSIONS[name])), mode
+    indices, size = data.reshape(-1), data.dtype.itemsize
+    if len(indices) % 3 == 0:
+        compressed = bytes(meshopt.encode_index_buffer(indices))
+        if np.array_equal(meshopt.decode_index_buffer(compressed, len(indices), size), indices):
+            return compressed, TRIANGLES
+    return bytes(meshopt.encode_index_sequence(indices)), INDICES
