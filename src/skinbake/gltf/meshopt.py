@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from skinbake.errors import InputError, Place
 from skinbake.gltf.json_access import JsonObject, integer, member, text
+from skinbake.gltf.meshopt_filters import unfiltered
 
 KHRONOS, VENDOR = "KHR_meshopt_compression", "EXT_meshopt_compression"
 EXTENSIONS = (KHRONOS, VENDOR)
@@ -98,12 +99,13 @@ def decoded(data: memoryview, packing: Packing, what: str, place: Place) -> memo
             f"{least} are the least that its codec needs",
             place,
         )
-    chosen: Any = packing.filter
     mode: Any = packing.mode
     try:
-        values = meshopt.decode_gltf_buffer(bytes(data), packing.count, packing.stride, mode, chosen)
+        values = meshopt.decode_gltf_buffer(bytes(data), packing.count, packing.stride, mode)
     except ValueError as error:
         raise InputError(f"{what} cannot be decoded: {error}", place) from error
+    if packing.mode == ATTRIBUTES:
+        values = unfiltered(np.ascontiguousarray(values), packing.filter)
     return np.ascontiguousarray(values).data.cast("B")
 
 

@@ -103,7 +103,7 @@ class _Recoder:
         self.accessors[number] = {**({} if view is None else {"bufferView": view}), **kept, **members}
 
     def own(self, number: int, users: int) -> int:
-        """Return an accessor that ``users`` references mean alone: this one, or a copy where others are left."""
+        """Return an accessor that ``users`` references alone mean: this one, or a copy if others do too."""
         left = self._uses.get(number, 0) - users
         if left <= 0:
             return number
