@@ -49,7 +49,9 @@ async function bytesOf(path, json, binary, holder) {
 function heapArray(size, fill) {
     const pointer = decoderModule._malloc(size);
     try {
-        fill(pointer);
+        if (!fill(pointer)) {
+            throw new Error('Draco cannot give it in the type that the accessor declares');
+        }
         return Buffer.from(new Uint8Array(decoderModule.HEAPF32.buffer, pointer, size).slice());
     } finally {
         decoderModule._free(pointer);

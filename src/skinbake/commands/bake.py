@@ -71,7 +71,7 @@ def _bake_file(source: str, target: str | None, options: BakeOptions, notices: l
         refuse_own_input(document, source, target)
     original, _, undone = stripped(document)
     prepared, moved = (original, []) if target is None else for_target(original, target)
-    prepared, kept = recoded(prepared, options.compression)
+    prepared, kept = recoded(prepared, _bakeable(prepared, options), options.compression)
     found = [*undone, *moved, *kept]
     begun = len(found)
     result, primitives, skipped = bake_document(prepared, options, found)
@@ -90,6 +90,16 @@ def _bake_file(source: str, target: str | None, options: BakeOptions, notices: l
         planned.write()
     status: Status = "baked" if primitives else "unchanged"
     return FileResult(source, target, status, tuple(primitives), skipped, tuple(notices))
+
+
+def _bakeable(document: Document, options: BakeOptions) -> list[PrimitiveSource]:
+    sources, _ = skinned_sources(document)
+    return [
+        source
+        for source in sources
+        if reason_to_skip(document, source, generate_normals=options.generate_normals) is None
+        and _reason_of_frame(source, options) is None
+    ]
 
 
 def _passed_through(

@@ -8,7 +8,7 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from skinbake.errors import Notice, UnsupportedFeatureError
+from skinbake.errors import Notice
 from skinbake.gltf import draco, draco_stream, meshopt
 from skinbake.gltf.accessors import read_accessor
 from skinbake.gltf.additions import Additions, Packed
@@ -146,12 +146,6 @@ class _DracoStore:
 
     def _encoded(self, names: list[str]) -> tuple[int, dict[str, int]]:
         """Return the buffer view of the new stream, and the unique id of each attribute in it."""
-        if "POSITION" not in names or len(names) > MOST_ATTRIBUTES:
-            raise UnsupportedFeatureError(
-                f"its Draco stream has no POSITION, or over {MOST_ATTRIBUTES} attributes: {len(names)}; "
-                "bake it with --compress none",
-                self._source.place,
-            )
         faces = draco.read_stream(self._document, self._source.json, self._source.place).faces
         arrays = {name: self._values(name) for name in names}
         stream = draco_stream.encode(arrays, faces, level=self._level)

@@ -250,7 +250,8 @@ def encode(
 
     Draco stores floats as they are, and integers as entropy-coded differences. So floats that an earlier
     quantisation put on a grid are quantised on the same grid, where the stream then gives them back
-    exactly: a tenth smaller on real characters.
+    exactly: a tenth smaller on real characters. Arrays other than POSITION must not be of signed integers:
+    DracoPy has none, and of floats that stand for them decoders do not give the largest back as an integer.
     """
     wanted = {name: number for name, number in (bits or {}).items() if _is_quantisable(name, arrays)}
     grids = {
@@ -346,7 +347,9 @@ def _encoded(
             normal_quantization_bits=bits.get("NORMAL"),
             tex_coord=native.get("TEXCOORD_0"),
             tex_coord_quantization_bits=bits.get("TEXCOORD_0"),
-            generic_attributes={number: _encodable(arrays[name]) for number, name in enumerate(generic)},
+            generic_attributes={
+                number: np.ascontiguousarray(arrays[name]) for number, name in enumerate(generic)
+            },
         )
     )
     names = dict(enumerate(generic))
@@ -356,9 +359,3 @@ def _encoded(
     }
     values = {name: entry["data"].astype(arrays[name].dtype) for name, entry in entries.items()}
     return Encoded(data, {name: int(entry["unique_id"]) for name, entry in entries.items()}, values)
-
-
-def _encodable(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Return values in one of the types that DracoPy stores; signed shorts and bytes as floats, exactly."""
-    values = np.ascontiguousarray(values)
-    return values if values.dtype.kind in "uf" else values.astype(np.float32)

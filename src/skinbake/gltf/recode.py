@@ -1,6 +1,6 @@
 """Store a document's geometry under another compression before it is baked: values stay, bytes move.
 
-Recoding is what ``--compress none``, ``draco`` and ``meshopt`` ask for. The default, ``keep``, recodes
+Recoding is what ``--compress none``, ``draco`` and ``meshopt`` ask for. The default, ``keep``, moves
 nothing: what bake adds is then stored as its primitive is (``attribute_store``).
 """
 
@@ -26,12 +26,21 @@ from skinbake.gltf.attribute_store import (
 )
 from skinbake.gltf.compaction import compacted
 from skinbake.gltf.document import Document
-from skinbake.gltf.json_access import JsonObject, accessor_number, entries_of, index, integer, values_of
-from skinbake.gltf.primitives import PrimitiveSource, skinned_sources
+from skinbake.gltf.json_access import (
+    JsonObject,
+    accessor_number,
+    entries_of,
+    index,
+    integer,
+    member,
+    values_of,
+)
+from skinbake.gltf.primitives import PrimitiveSource
 from skinbake.gltf.views import view_bytes
 
 Scheme = Literal["keep", "none", "draco", "meshopt"]
 UNSIGNED_SHORT, UNSIGNED_INT = 5123, 5125
+SIGNED = (5120, 5122)
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,23 +56,23 @@ class Compression:
     bits: Mapping[str, int] = field(default_factory=dict)
 
 
-def recoded(document: Document, compression: Compression) -> tuple[Document, list[Notice]]:
+def recoded(
+    document: Document, sources: list[PrimitiveSource], compression: Compression
+) -> tuple[Document, list[Notice]]:
     """Return the document with its geometry stored as ``compression`` says, and what could not be.
 
-    ``none`` decodes all that Draco or meshopt compressed, animations and images too; ``draco`` and
-    ``meshopt`` compress skinned primitives and leave the rest as it is. Bytes that nothing refers to any
-    more are cut out of their buffers. A document without anything to do is returned as it is. Raises
+    sources are the primitives that will be baked. ``none`` decodes all that Draco or meshopt compressed,
+    animations and images too; ``draco`` and ``meshopt`` compress those primitives and leave the rest as it
+    is; ``keep`` decodes only those whose Draco stream cannot be written again. Bytes that nothing refers to
+    any more are cut out of their buffers. A document without anything to do is returned as it is. Raises
     InputError where its data cannot be read.
     """
-    if compression.scheme == "keep":
-        return document, []
     recoder = _Recoder(document)
     notices: list[Notice] = []
     if compression.scheme == "none":
         _decompress(recoder)
     else:
-        sources, _ = skinned_sources(document)
-        work = _into_draco if compression.scheme == "draco" else _into_meshopt
+        work = {"keep": _keep, "draco": _into_draco, "meshopt": _into_meshopt}[compression.scheme]
         notices = list(work(recoder, sources, compression))
     return recoder.finished(), notices
 
@@ -212,6 +221,18 @@ def _leave_draco(
     recoder.set_primitive(place, {**plain, **({"extensions": others} if others else {})})
 
 
+def _keep(recoder: _Recoder, sources: list[PrimitiveSource], compression: Compression) -> Iterator[Notice]:
+    """Decode what bake could not write back; the rest stays as it is."""
+    done: set[int] = set()
+    for source in sources:
+        if draco.extension_of(source.json) is None:
+            continue
+        reason = _reason_against_draco(recoder.document, source, inside_only=True)
+        if reason is not None:
+            yield Notice("not-compressed", f"no longer in Draco: {reason}", source.place)
+            _leave_draco(recoder, source.place, source.json, None, done)
+
+
 def _into_meshopt(
     recoder: _Recoder, sources: list[PrimitiveSource], compression: Compression
 ) -> Iterator[Notice]:
@@ -261,12 +282,15 @@ def _pack(recoder: _Recoder, number: int, packed: Packed, is_index: bool, place:
 def _into_draco(
     recoder: _Recoder, sources: list[PrimitiveSource], compression: Compression
 ) -> Iterator[Notice]:
+    yield from _keep(recoder, sources, compression)
     groups: dict[tuple[object, ...], list[PrimitiveSource]] = {}
     for source in sources:
-        reason = _reason_against_draco(source)
+        if draco.extension_of(source.json) is not None:
+            continue
+        reason = _reason_against_draco(recoder.document, source)
         if reason is not None:
             yield Notice("not-compressed", f"left as it is, not put into Draco: {reason}", source.place)
-        elif draco.extension_of(source.json) is None:
+        else:
             key = (source.json.get("indices"), *sorted(source.attributes.items()))
             groups.setdefault(key, []).append(source)
     for group in groups.values():
@@ -277,14 +301,28 @@ def _into_draco(
         recoder.require(draco.EXTENSION)
 
 
-def _reason_against_draco(source: PrimitiveSource) -> str | None:
+def _reason_against_draco(
+    document: Document, source: PrimitiveSource, *, inside_only: bool = False
+) -> str | None:
+    """Return why a primitive cannot be written to Draco, None where it can.
+
+    Of its attributes all count, or those that are ``inside`` its stream already.
+    """
     mode = integer(source.json, "mode", source.place, default=TRIANGLES)
     if mode != TRIANGLES:
         return f"its mode is {mode}, and Draco stores lists of triangles"
-    if "POSITION" not in source.attributes:
+    extension = draco.extension_of(source.json) or {}
+    names = member(extension, "attributes", source.place) if inside_only else source.attributes
+    if "POSITION" not in names:
         return "it has no POSITION"
-    count = len(source.attributes)
-    return f"it has {count} attributes" if count > MOST_ATTRIBUTES else None
+    if len(names) > MOST_ATTRIBUTES:
+        return f"it has {len(names)} attributes"
+    accessors = document.objects("accessors")
+    for name in names:
+        number = index(source.attributes, name, len(accessors), source.place)
+        if number is not None and accessors[number].get("componentType") in SIGNED and name != "POSITION":
+            return f"its {name} are signed integers, which the encoder cannot store"
+    return None
 
 
 def _streamed(recoder: _Recoder, source: PrimitiveSource, users: int, compression: Compression) -> JsonObject:
