@@ -161,7 +161,7 @@ class Additions:
         else:
             place = {"buffer": self._fallback, "byteOffset": self._fallback_length, "byteLength": len(data)}
             self._fallback_name = packed.name
-            self._fallback_length += len(data)
+            self._fallback_length += len(data) + -len(data) % 4
         kind = meshopt.ATTRIBUTES if "byteStride" in members else meshopt.TRIANGLES
         compressed, mode = meshopt.encoded(values, kind, packed.name, packed.level)
         stored = {

@@ -129,9 +129,9 @@ class _Recoder:
         if not self._changed:
             return self.document
         changes = {"accessors": self.accessors, "bufferViews": self.views, "meshes": self.meshes}
-        result = self.additions.applied({key: value for key, value in changes.items() if value})
-        root = _with_extensions(result.json, self._required)
-        return compacted(self.document, result.edited(json=root))
+        applied = self.additions.applied({key: value for key, value in changes.items() if value})
+        result = compacted(self.document, applied)
+        return result.edited(json=_with_extensions(result.json, self._required))
 
 
 def _uses_of_accessors(root: JsonObject) -> dict[int, int]:
@@ -188,6 +188,7 @@ def _extensions_in(node: object) -> set[str]:
 def _decompress(recoder: _Recoder) -> None:
     document = recoder.document
     done: set[int] = set()
+    opened: set[int] = set()
     for place, primitive in _draco_primitives(document):
         _leave_draco(recoder, place, primitive, None, done)
     for number, view in enumerate(document.objects("bufferViews")):
@@ -198,6 +199,11 @@ def _decompress(recoder: _Recoder) -> None:
         kept = {key: value for key, value in view.items() if key != "extensions"}
         others = {key: value for key, value in view["extensions"].items() if key != name}
         recoder.set_view(number, {**kept, **data, **({"extensions": others} if others else {})})
+        opened.add(number)
+    for number, accessor in enumerate(document.objects("accessors")):
+        if number not in done and accessor.get("bufferView") in opened and "min" in accessor:
+            values = read_accessor(document, number, document.place).values
+            recoder.accessors[number] = {**accessor, **_bounds(accessor, values)}
 
 
 def _draco_primitives(document: Document) -> Iterator[tuple[Place, JsonObject]]:
@@ -214,7 +220,8 @@ def _leave_draco(
     for number, is_index in draco.accessors_inside(primitive):
         if number not in done:
             values = read_accessor(recoder.document, number, place).values
-            recoder.set_accessor(number, recoder.additions.add_values(values, packed, indices=is_index))
+            view = recoder.additions.add_values(values, packed, indices=is_index)
+            recoder.set_accessor(number, view, **_bounds(recoder.accessors[number], values))
             done.add(number)
     others = {key: value for key, value in primitive["extensions"].items() if key != draco.EXTENSION}
     plain = {key: value for key, value in primitive.items() if key != "extensions"}
@@ -343,8 +350,8 @@ def _streamed(recoder: _Recoder, source: PrimitiveSource, users: int, compressio
     stream = draco_stream.encode(arrays, faces, level=level, bits=compression.bits)
     attributes = {name: recoder.own(number, users) for name, number in numbers.items()}
     for name, number in attributes.items():
-        bounded = name in compression.bits and "min" in recoder.accessors[number]
-        recoder.set_accessor(number, None, **(_bounds(stream.values[name]) if bounded else {}))
+        bounds = _bounds(recoder.accessors[number], stream.values[name]) if name in compression.bits else {}
+        recoder.set_accessor(number, None, **bounds)
     if corners is None:
         recoder.accessors.append({"componentType": UNSIGNED_INT, "count": faces.size, "type": "SCALAR"})
         corners = len(recoder.accessors) - 1
@@ -356,6 +363,18 @@ def _streamed(recoder: _Recoder, source: PrimitiveSource, users: int, compressio
     return {"attributes": attributes, "indices": corners, "extensions": {draco.EXTENSION: extension}}
 
 
-def _bounds(values: npt.NDArray[Any]) -> JsonObject:
-    """Return the members min and max of an accessor: quantising moves what they bound."""
-    return {"min": values.min(axis=0).tolist(), "max": values.max(axis=0).tolist()}
+def _bounds(accessor: JsonObject, values: npt.NDArray[Any]) -> JsonObject:
+    """Return the members min and max of an accessor that has others than its values' own, else none.
+
+    Quantising, now or before the file came to us, moves what they bound; glTF wants them exact.
+    """
+    if not isinstance(accessor.get("min"), list) or not isinstance(accessor.get("max"), list):
+        return {}
+    bounds = {"min": values.min(axis=0), "max": values.max(axis=0)}
+    if not all(np.isfinite(bound).all() for bound in bounds.values()):
+        return {}
+    return {
+        key: bound.tolist()
+        for key, bound in bounds.items()
+        if [values.dtype.type(number) for number in accessor[key]] != bound.tolist()
+    }
