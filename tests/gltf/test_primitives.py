@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -10,14 +9,13 @@ import numpy as np
 import pytest
 
 from fixtures.builder import AnyArray, JsonObject
-from skinbake.errors import InputError, UnsupportedFeatureError
+from skinbake.errors import InputError
 from skinbake.geometry.skinned import SkinnedPrimitive
 from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.primitives import (
     PrimitiveSource,
     read_primitive,
     reason_to_skip,
-    refuse_compressed,
     skinned_sources,
 )
 from skinbake.gltf.resources import encode_data_uri
@@ -176,38 +174,6 @@ def test_generated_normals_lift_one_reason_only(tmp_path: Path) -> None:
     assert skip_code(path, generate_normals=True) == "no-positions"
 
 
-Extension = tuple[str, Callable[[JsonObject, str], Any]]
-COMPRESSED: list[Extension] = [
-    (
-        "KHR_draco_mesh_compression",
-        lambda content, name: content["meshes"][0]["primitives"][0].update(extensions={name: {}}),
-    ),
-    *(
-        (name, lambda content, name: content["bufferViews"][2].update(extensions={name: {}}))
-        for name in ("EXT_meshopt_compression", "KHR_meshopt_compression")
-    ),
-]
-
-
-@pytest.mark.parametrize(("name", "compress"), COMPRESSED)
-def test_compression_is_refused_by_its_name(
-    tmp_path: Path, name: str, compress: Callable[[JsonObject, str], Any]
-) -> None:
-    path = edited("seam.glb", tmp_path, lambda content: compress(content, name))
-    document, (source,) = sources(path)
-    with pytest.raises(UnsupportedFeatureError, match=f"compressed with {name}"):
-        refuse_compressed(document, source)
-
-
-def test_compressed_animations_alone_are_none_of_our_business(tmp_path: Path) -> None:
-    def change(content: JsonObject) -> None:
-        content["bufferViews"][-1]["extensions"] = {"EXT_meshopt_compression": {}}
-
-    path = edited("bent_tube.glb", tmp_path, change)
-    document, (source,) = sources(path)
-    refuse_compressed(document, source)
-
-
 def constant(value: float, dtype: type[np.generic], *, columns: int = 4, rows: int = 20) -> AnyArray:
     return np.full((rows, columns), value, dtype)
 
@@ -292,7 +258,6 @@ def test_wrong_json_is_refused(tmp_path: Path, change: Change, message: str) -> 
     with pytest.raises(InputError, match=message) as caught:
         document, found = sources(path)
         for source in found:
-            refuse_compressed(document, source)
             reason_to_skip(document, source, generate_normals=False)
             read_primitive(document, source)
     assert str(caught.value).startswith(str(path))

@@ -77,6 +77,29 @@ def _pattern(ctx: click.Context, param: click.Parameter, value: str) -> str:
     metavar="PATTERN",
     help="Name of the β attributes.",
 )
+@click.option(
+    "--compress",
+    type=click.Choice(["keep", "none", "draco", "meshopt"]),
+    default="keep",
+    show_default=True,
+    help="Leave geometry compressed as it came, decompress it, or compress skinned primitives, without loss.",
+)
+@click.option(
+    "--compress-level",
+    type=click.IntRange(0, 10),
+    metavar="N",
+    help="0 (fast) to 10 (small); meshopt knows 0 to 3. Each codec has a default.",
+)
+@click.option(
+    "--position-bits",
+    type=click.IntRange(1, 30),
+    metavar="N",
+    help="Quantise POSITION, before baking; with --compress draco.",
+)
+@click.option("--normal-bits", type=click.IntRange(2, 30), metavar="N", help="Quantise NORMAL too.")
+@click.option(
+    "--texcoord-bits", type=click.IntRange(1, 30), metavar="N", help="Quantise TEXCOORD_0 likewise."
+)
 @click.option("--require-baked", is_flag=True, help="Fail (3) where nothing in a file can be baked.")
 @click.option(
     "--warnings-as-errors", is_flag=True, help="Fail (3), and write nothing, where there are warnings."
@@ -123,6 +146,7 @@ def _options(given: dict[str, Any]) -> Any:
     from skinbake.bake.baker import BakeSettings
     from skinbake.commands.bake import BakeOptions
     from skinbake.gltf.baked import AttributeNames
+    from skinbake.gltf.recode import Compression
 
     return BakeOptions(
         settings=BakeSettings(
@@ -137,13 +161,22 @@ def _options(given: dict[str, Any]) -> Any:
         warnings_as_errors=given["warnings_as_errors"],
         dry_run=given["dry_run"],
         make_folder=bool(given["out_dir"]),
+        compression=Compression(given["compress"], given["compress_level"], _bits(given)),
     )
+
+
+def _bits(given: dict[str, Any]) -> dict[str, int]:
+    """Return the bits to quantise to, by attribute."""
+    options = {"POSITION": "position_bits", "NORMAL": "normal_bits", "TEXCOORD_0": "texcoord_bits"}
+    return {name: given[option] for name, option in options.items() if given[option] is not None}
 
 
 def _targets(inputs: tuple[str, ...], given: dict[str, Any]) -> list[tuple[str, str | None]]:
     """Return (input, output) pairs, or raise click.UsageError for a combination that makes no sense."""
     if given["alpha_name"] == given["beta_name"]:
         raise click.UsageError("--alpha-name and --beta-name must differ")
+    if _bits(given) and given["compress"] != "draco":
+        raise click.UsageError("--position-bits, --normal-bits and --texcoord-bits need --compress draco")
     chosen = [name for name in ("output", "out_dir", "in_place") if given[name]]
     if len(chosen) > 1 or (not chosen and not given["dry_run"]):
         raise click.UsageError("give one of -o/--output, --out-dir and --in-place")

@@ -14,6 +14,7 @@ from skinbake.bake.normals import with_smooth_normals
 from skinbake.errors import InputError, Notice, Place, SkinbakeError, defect
 from skinbake.geometry.frames import TANGENT_FRAME
 from skinbake.geometry.skinned import BakedPrimitive, SkinnedPrimitive
+from skinbake.gltf.attribute_store import stored_otherwise
 from skinbake.gltf.baked import AttributeNames, Baked, with_baked
 from skinbake.gltf.container import for_target
 from skinbake.gltf.document import STDIO, Document, read_document
@@ -23,9 +24,9 @@ from skinbake.gltf.primitives import (
     PrimitiveSource,
     read_primitive,
     reason_to_skip,
-    refuse_compressed,
     skinned_sources,
 )
+from skinbake.gltf.recode import Compression, recoded
 from skinbake.gltf.strip import stripped
 from skinbake.report.bake import BakedCounts, FileResult, Status
 
@@ -43,6 +44,7 @@ class BakeOptions:
     warnings_as_errors: bool = False
     dry_run: bool = False
     make_folder: bool = False
+    compression: Compression = field(default_factory=Compression)
 
 
 def bake_file(source: str, target: str | None, options: BakeOptions) -> FileResult:
@@ -69,10 +71,12 @@ def _bake_file(source: str, target: str | None, options: BakeOptions, notices: l
         refuse_own_input(document, source, target)
     original, _, undone = stripped(document)
     prepared, moved = (original, []) if target is None else for_target(original, target)
-    found = [*undone, *moved]
+    prepared, kept = recoded(prepared, _bakeable(prepared, options), options.compression)
+    found = [*undone, *moved, *kept]
+    begun = len(found)
     result, primitives, skipped = bake_document(prepared, options, found)
     if not primitives:
-        result, found = _passed_through(document, target, skipped, options, found[len(undone) + len(moved) :])
+        result, found = _passed_through(document, target, skipped, options, found[begun:])
     notices += found
     untouched = result is document and target == source and source != STDIO
     planned = (
@@ -86,6 +90,16 @@ def _bake_file(source: str, target: str | None, options: BakeOptions, notices: l
         planned.write()
     status: Status = "baked" if primitives else "unchanged"
     return FileResult(source, target, status, tuple(primitives), skipped, tuple(notices))
+
+
+def _bakeable(document: Document, options: BakeOptions) -> list[PrimitiveSource]:
+    sources, _ = skinned_sources(document)
+    return [
+        source
+        for source in sources
+        if reason_to_skip(document, source, generate_normals=options.generate_normals) is None
+        and _reason_of_frame(source, options) is None
+    ]
 
 
 def _passed_through(
@@ -112,7 +126,6 @@ def bake_document(
     notices += found
     by_mesh: dict[int, list[PrimitiveSource]] = defaultdict(list)
     for source in sources:
-        refuse_compressed(document, source)
         reason = reason_to_skip(document, source, generate_normals=options.generate_normals)
         reason = reason or _reason_of_frame(source, options)
         if reason is None:
@@ -126,7 +139,8 @@ def bake_document(
     skipped = len(sources) - len(baked)
     if not baked:
         return document, [], skipped
-    written, lengths = with_baked(document, baked, options.names)
+    notices += stored_otherwise(document, [item.source for item in baked])
+    written, lengths = with_baked(document, baked, options.names, level=options.compression.level)
     counts = [(place, replace(c, added_bytes=n)) for (place, c), n in zip(results, lengths, strict=True)]
     return written, counts, skipped
 

@@ -18,7 +18,6 @@ from skinbake.gltf.primitives import (
     PrimitiveSource,
     read_primitive,
     reason_to_skip,
-    refuse_compressed,
     skinned_sources,
 )
 from skinbake.replay.algorithms import Algorithm
@@ -69,7 +68,6 @@ def cost_of_file(source: str) -> FileCosts:
     draws = _draws(document)
     primitives = []
     for entry in sources:
-        refuse_compressed(document, entry)
         notice = reason_to_skip(document, entry, generate_normals=True)
         if notice is None:
             primitives.append(_costs(document, entry, draws[entry.mesh]))

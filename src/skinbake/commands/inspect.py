@@ -11,12 +11,12 @@ from skinbake.bake.influences import weight_field
 from skinbake.gltf.accessors import described
 from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.json_access import index
+from skinbake.gltf.meshopt import is_fallback
 from skinbake.gltf.metadata import changed_arrays, noted_names, read_metadata
 from skinbake.gltf.primitives import (
     PrimitiveSource,
     read_primitive,
     reason_to_skip,
-    refuse_compressed,
     skinned_sources,
 )
 from skinbake.gltf.resources import is_data_uri
@@ -29,7 +29,6 @@ def inspect_file(source: str) -> InspectResult:
     sources, notices = skinned_sources(document)
     primitives = []
     for entry in sources:
-        refuse_compressed(document, entry)
         reason = reason_to_skip(document, entry, generate_normals=False)
         if reason is not None:
             notices.append(reason)
@@ -50,7 +49,9 @@ def _byte_length(document: Document) -> int:
     outside = sum(
         len(document.buffer(number))
         for number, buffer in enumerate(document.objects("buffers"))
-        if isinstance(uri := buffer.get("uri"), str) and not is_data_uri(uri)
+        if isinstance(uri := buffer.get("uri"), str)
+        and not is_data_uri(uri)
+        and not is_fallback(buffer, document.place)
     )
     return len(document.raw or b"") + outside
 

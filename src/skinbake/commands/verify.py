@@ -12,7 +12,7 @@ from skinbake.commands.staleness import mesh_operator, staleness
 from skinbake.errors import InputError, Notice, Place, SkinbakeError, defect
 from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.metadata import read_metadata
-from skinbake.gltf.primitives import PrimitiveSource, reason_to_skip, refuse_compressed, skinned_sources
+from skinbake.gltf.primitives import PrimitiveSource, reason_to_skip, skinned_sources
 from skinbake.report.verify import Check, FileVerdict
 
 logger = logging.getLogger(__name__)
@@ -72,7 +72,6 @@ def _sorted_out(document: Document) -> tuple[list[PrimitiveSource], list[Notice]
     wanted: list[PrimitiveSource] = []
     skipped = [notice for notice in notices if notice.code == "no-joints"]
     for entry in sources:
-        refuse_compressed(document, entry)
         reason = reason_to_skip(document, entry, generate_normals=False)
         if reason is None:
             wanted.append(entry)

@@ -1,4 +1,4 @@
-"""Accessors to arrays: every component type, normalised, interleaved, sparse (glTF 2.0, §3.6.2)."""
+"""Accessors to arrays: every component type, normalised, strided, sparse, compressed (glTF 2.0, §3.6.2)."""
 
 from __future__ import annotations
 
@@ -9,30 +9,11 @@ import numpy.typing as npt
 
 from skinbake.errors import InputError, Place
 from skinbake.geometry.skinned import FloatArray
+from skinbake.gltf import draco
 from skinbake.gltf.document import Document
+from skinbake.gltf.formats import COMPONENT_NAMES, COMPONENTS, MATRIX_ROWS, component_dtype
 from skinbake.gltf.json_access import JsonObject, index, integer, member
-
-COMPONENT_TYPES: dict[int, np.dtype[np.generic]] = {
-    5120: np.dtype("<i1"),
-    5121: np.dtype("<u1"),
-    5122: np.dtype("<i2"),
-    5123: np.dtype("<u2"),
-    5125: np.dtype("<u4"),
-    5126: np.dtype("<f4"),
-}
-COMPONENT_CODES = {dtype: code for code, dtype in COMPONENT_TYPES.items()}
-COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
-TYPES = {count: name for name, count in COMPONENTS.items()}
-
-COMPONENT_NAMES = {
-    5120: "BYTE",
-    5121: "UNSIGNED_BYTE",
-    5122: "SHORT",
-    5123: "UNSIGNED_SHORT",
-    5125: "UNSIGNED_INT",
-    5126: "FLOAT",
-}
-MATRIX_ROWS = {"MAT2": 2, "MAT3": 3, "MAT4": 4}
+from skinbake.gltf.views import view_bytes
 
 UNBACKED_LIMIT = 1 << 20
 """Elements that an accessor without a buffer view may claim: its zeros cost the file nothing."""
@@ -69,7 +50,9 @@ def read_accessor(document: Document, number: int, place: Place) -> StoredArray:
     accessor = document.objects("accessors")[number]
     dtype, components = _format(accessor, number, place)
     count = integer(accessor, "count", place, minimum=1)
-    values = _dense(document, accessor, (dtype, components, count), place)
+    values = draco.decoded_accessor(document, number, (dtype, components, count), place)
+    if values is None:
+        values = _dense(document, accessor, (dtype, components, count), place)
     if "sparse" in accessor:
         values = _substituted(document, member(accessor, "sparse", place), values, place)
     return StoredArray(values, accessor.get("normalized") is True and dtype.kind != "f")
@@ -81,7 +64,7 @@ def described(document: Document, number: int, place: Place) -> tuple[str, int]:
     Raises InputError where its type or count is not what glTF allows; its data is not touched.
     """
     accessor = document.objects("accessors")[number]
-    kind, dtype = accessor.get("type"), _component_dtype(accessor)
+    kind, dtype = accessor.get("type"), component_dtype(accessor)
     rows = MATRIX_ROWS.get(kind) if isinstance(kind, str) else None
     components = COMPONENTS.get(kind) if isinstance(kind, str) and rows is None else rows
     if dtype is None or components is None:
@@ -99,7 +82,7 @@ def element_count(document: Document, number: int, place: Place) -> int:
 
 
 def _format(accessor: JsonObject, number: int, place: Place) -> tuple[np.dtype[np.generic], int]:
-    dtype = _component_dtype(accessor)
+    dtype = component_dtype(accessor)
     kind = accessor.get("type")
     components = COMPONENTS.get(kind) if isinstance(kind, str) else None
     if dtype is None or components is None:
@@ -109,16 +92,11 @@ def _format(accessor: JsonObject, number: int, place: Place) -> tuple[np.dtype[n
 
 def _unknown_format(accessor: JsonObject, number: int, place: Place) -> InputError:
     kind, code = accessor.get("type"), accessor.get("componentType")
-    known = isinstance(kind, str) and kind in MATRIX_ROWS and _component_dtype(accessor) is not None
+    known = isinstance(kind, str) and kind in MATRIX_ROWS and component_dtype(accessor) is not None
     verdict = "cannot stand here" if known else "glTF does not know"
     return InputError(
         f"accessor {number} has type {kind!r} of component type {code!r}, which {verdict}", place
     )
-
-
-def _component_dtype(holder: JsonObject) -> np.dtype[np.generic] | None:
-    code = holder.get("componentType")
-    return COMPONENT_TYPES.get(code) if isinstance(code, int) else None
 
 
 def _dense(
@@ -168,30 +146,12 @@ def _view_array(
     )
 
 
-def view_bytes(document: Document, view_index: int, place: Place) -> memoryview:
-    """Return the bytes of one buffer view; InputError where it does not fit its buffer."""
-    view = document.objects("bufferViews")[view_index]
-    buffer_index = index(view, "buffer", len(document.objects("buffers")), place)
-    if buffer_index is None:
-        raise InputError(f"buffer view {view_index} names no buffer", place)
-    start = integer(view, "byteOffset", place, default=0)
-    length = integer(view, "byteLength", place, minimum=1)
-    data = document.buffer(buffer_index)
-    if start + length > len(data):
-        raise InputError(
-            f"buffer view {view_index} ends at byte {start + length} of buffer {buffer_index}, "
-            f"which has {len(data)}",
-            place,
-        )
-    return data[start : start + length]
-
-
 def _substituted(
     document: Document, sparse: JsonObject, dense: npt.NDArray[np.generic], place: Place
 ) -> npt.NDArray[np.generic]:
     count = integer(sparse, "count", place, minimum=1)
     where, what = member(sparse, "indices", place), member(sparse, "values", place)
-    dtype = _component_dtype(where)
+    dtype = component_dtype(where)
     if dtype is None or dtype.kind != "u":
         raise InputError("a sparse accessor's indices are not unsigned integers", place)
     views = document.objects("bufferViews")

@@ -4,45 +4,65 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from skinbake.gltf import resources
-from skinbake.gltf.accessors import COMPONENT_CODES, TYPES
+from skinbake.gltf import meshopt, resources
 from skinbake.gltf.document import Document
+from skinbake.gltf.formats import COMPONENT_CODES, TYPES
 from skinbake.gltf.glb import Bytes
 from skinbake.gltf.json_access import JsonObject, integer
 
-ARRAY_BUFFER = 34962
+ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963
 
 KEY = "skinbake"
 """The key in ``extras`` under which everything that skinbake notes in a file stands."""
 
 BUFFER_LENGTH = "bufferByteLength"
 BUFFER_ADDED = "bufferAdded"
+FALLBACK_ADDED = "fallbackAdded"
+
+
+@dataclass(frozen=True, slots=True)
+class Packed:
+    """That views are compressed by the meshopt extension ``name``, at a level of 0 … 3.
+
+    beside: the data itself is stored too, for loaders without the extension. Else the view lies in a
+    fallback buffer, which no bytes stand for, and the extension is required.
+    """
+
+    name: str
+    level: int
+    beside: bool
 
 
 class Additions:
-    """Collects vertex attributes and appends them to a document in one go.
+    """Collects vertex attributes, and other data, and appends them to a document in one go.
 
     Every attribute gets an accessor and a buffer view of its own, 4-byte aligned; equal arrays share one.
     The bytes go to the end of a GLB's BIN chunk, or into a new buffer: a file named after its content
-    beside a ``.gltf``, a data: URI in a GLB whose buffers are elsewhere.
+    beside a ``.gltf``, a data: URI in a GLB whose buffers are elsewhere. Fallback buffers of compressed
+    views come after it. ``undoable`` additions say in the first view what strip needs to know.
     """
 
-    def __init__(self, document: Document) -> None:
-        self._document = document
+    def __init__(self, document: Document, *, undoable: bool = True) -> None:
+        self._document, self._undoable = document, undoable
         self._accessors: list[JsonObject] = []
         self._views: list[JsonObject] = []
         self._pieces: list[Bytes] = []
         self._length = 0
+        self._fallback_length = 0
+        self._fallback_name = ""
         self._shared: dict[tuple[str, int, bytes], int] = {}
+        self._streams: dict[bytes, int] = {}
         buffers = document.objects("buffers")
         self._into_binary = document.has_binary_buffer
         self._base = sum(len(piece) for piece in document.binary or ()) if self._into_binary else 0
         self._buffer = 0 if self._into_binary else len(buffers)
+        self._fallback = len(buffers) if self._into_binary else len(buffers) + 1
 
     @property
     def byte_length(self) -> int:
@@ -50,7 +70,12 @@ class Additions:
         return self._length
 
     def add(
-        self, values: npt.NDArray[Any], *, normalized: bool = False, extras: JsonObject | None = None
+        self,
+        values: npt.NDArray[Any],
+        *,
+        normalized: bool = False,
+        extras: JsonObject | None = None,
+        packed: Packed | None = None,
     ) -> int:
         """Add an attribute (V, components) and return its accessor's index.
 
@@ -58,36 +83,107 @@ class Additions:
         ``extras`` the accessor is its own and carries them.
         """
         data = np.ascontiguousarray(values)
-        key = (data.dtype.str + str(normalized), data.shape[1], hashlib.sha256(data.data).digest())
+        key = (f"{data.dtype.str}{normalized}{packed}", data.shape[1], hashlib.sha256(data.data).digest())
         if extras is None and key in self._shared:
             return self._shared[key]
-        number = len(self._document.objects("accessors")) + len(self._accessors)
-        self._accessors.append(
-            {
-                "bufferView": self._add_view(data.data.cast("B")),
-                "componentType": COMPONENT_CODES[data.dtype],
-                "count": len(data),
-                "type": TYPES[data.shape[1]],
-                **({"normalized": True} if normalized else {}),
-                **({"extras": extras} if extras else {}),
-            }
+        number = self._add_accessor(
+            {"bufferView": self._add_attribute(data, packed)}, data, normalized, extras
         )
         if extras is None:
             self._shared[key] = number
         return number
 
-    def _add_view(self, data: memoryview) -> int:
-        view: JsonObject = {
-            "buffer": self._buffer,
-            "byteOffset": self._base + self._length,
-            "byteLength": len(data),
-            "target": ARRAY_BUFFER,
+    def add_inside(
+        self, values: npt.NDArray[Any], *, normalized: bool = False, extras: JsonObject | None = None
+    ) -> int:
+        """Add the accessor of an attribute (V, components) that is in a Draco stream; return its index."""
+        return self._add_accessor({}, values, normalized, extras)
+
+    def add_stream(self, data: bytes) -> int:
+        """Add a Draco stream, or one that is equal, and return its buffer view's index."""
+        key = hashlib.sha256(data).digest()
+        if key not in self._streams:
+            self._streams[key] = self._add_view({"buffer": self._buffer, **self._add_piece(data)})
+        return self._streams[key]
+
+    def _add_accessor(
+        self, where: JsonObject, values: npt.NDArray[Any], normalized: bool, extras: JsonObject | None
+    ) -> int:
+        self._accessors.append(
+            {
+                **where,
+                "componentType": COMPONENT_CODES[values.dtype],
+                "count": len(values),
+                "type": TYPES[values.shape[1]],
+                **({"normalized": True} if normalized else {}),
+                **({"extras": extras} if extras else {}),
+            }
+        )
+        return len(self._document.objects("accessors")) + len(self._accessors) - 1
+
+    def add_data(self, data: Bytes) -> JsonObject:
+        """Add bytes, and return what a buffer view says of where they are."""
+        return {"buffer": self._buffer, **self._add_piece(data)}
+
+    def add_values(self, values: npt.NDArray[Any], packed: Packed | None, *, indices: bool = False) -> int:
+        """Add the buffer view of a whole accessor (count, components) and return its index.
+
+        Elements of vertex attributes are padded to a multiple of 4 bytes, as glTF wants.
+        """
+        if indices:
+            data = np.ascontiguousarray(values)
+            target: JsonObject = {"target": ELEMENT_ARRAY_BUFFER}
+            if packed is None:
+                return self._add_view({**self.add_data(data.data.cast("B")), **target})
+            return self._add_packed(data, packed, target)
+        rows = np.ascontiguousarray(values).view(np.uint8).reshape(len(values), -1)
+        if rows.shape[1] % 4 == 0:
+            return self._add_attribute(np.ascontiguousarray(values), packed)
+        padded = np.pad(rows, ((0, 0), (0, -rows.shape[1] % 4)))
+        if packed is not None:
+            return self._add_attribute(padded, packed)
+        stride = {"byteStride": padded.shape[1], "target": ARRAY_BUFFER}
+        return self._add_view({**self.add_data(padded.data.cast("B")), **stride})
+
+    def _add_attribute(self, values: npt.NDArray[Any], packed: Packed | None) -> int:
+        target: JsonObject = {"target": ARRAY_BUFFER}
+        if packed is None:
+            return self._add_view({**self.add_data(values.data.cast("B")), **target})
+        return self._add_packed(
+            values, packed, {"byteStride": values.dtype.itemsize * values.shape[1], **target}
+        )
+
+    def _add_packed(self, values: npt.NDArray[Any], packed: Packed, members: JsonObject) -> int:
+        """Add a compressed view; ``members`` are its others, byteStride among them for attributes."""
+        data = values.data.cast("B")
+        if packed.beside:
+            place = self.add_data(data)
+        else:
+            place = {"buffer": self._fallback, "byteOffset": self._fallback_length, "byteLength": len(data)}
+            self._fallback_name = packed.name
+            self._fallback_length += len(data) + -len(data) % 4
+        kind = meshopt.ATTRIBUTES if "byteStride" in members else meshopt.TRIANGLES
+        compressed, mode = meshopt.encoded(values, kind, packed.name, packed.level)
+        stored = {
+            **self.add_data(compressed),
+            "byteStride": values.dtype.itemsize * values.shape[1],
+            "mode": mode,
+            "count": len(values),
         }
-        if not self._views:
+        return self._add_view({**place, **members, "extensions": {packed.name: stored}})
+
+    def _add_piece(self, data: Bytes) -> JsonObject:
+        """Append bytes, padded so that the next are aligned, and return where they are in the buffer."""
+        offset = self._base + self._length
+        padding = bytes(-len(data) % 4)
+        self._pieces += [data, padding] if padding else [data]
+        self._length += len(data) + len(padding)
+        return {"byteOffset": offset, "byteLength": len(data)}
+
+    def _add_view(self, view: JsonObject) -> int:
+        if not self._views and self._undoable:
             view["extras"] = {KEY: self._undo_note()}
         self._views.append(view)
-        self._pieces.append(data)
-        self._length += len(data)
         return len(self._document.objects("bufferViews")) + len(self._views) - 1
 
     def _undo_note(self) -> JsonObject:
@@ -100,16 +196,26 @@ class Additions:
     def applied(self, changes: Mapping[str, Any]) -> Document:
         """Return the document with the additions, and with top-level ``changes`` in its JSON."""
         root = {**self._document.json, **changes}
-        root["accessors"] = [*self._document.objects("accessors"), *self._accessors]
-        root["bufferViews"] = [*self._document.objects("bufferViews"), *self._views]
+        for key, added in (("accessors", self._accessors), ("bufferViews", self._views)):
+            if added:
+                root[key] = [*root.get(key, []), *added]
         buffers = list(self._document.objects("buffers"))
+        fallback = self._fallback_buffers()
         if self._into_binary:
             buffers[0] = {**buffers[0], "byteLength": self._base + self._length}
-            root["buffers"] = buffers
+            root["buffers"] = [*buffers, *fallback]
             return self._document.edited(json=root, binary=(*(self._document.binary or ()), *self._pieces))
         uri, new_files = self._stored_pieces()
-        root["buffers"] = [*buffers, {"uri": uri, "byteLength": self._length}]
+        root["buffers"] = [*buffers, {"uri": uri, "byteLength": self._length}, *fallback]
         return self._document.edited(json=root, new_files={**self._document.new_files, **new_files})
+
+    def _fallback_buffers(self) -> list[JsonObject]:
+        if not self._fallback_length:
+            return []
+        if self._undoable:
+            self._views[0]["extras"][KEY][FALLBACK_ADDED] = True
+        extensions = {self._fallback_name: {"fallback": True}}
+        return [{"byteLength": self._fallback_length, "extensions": extensions}]
 
     def _stored_pieces(self) -> tuple[str, dict[str, tuple[Bytes, ...]]]:
         if self._document.is_glb:

@@ -14,6 +14,7 @@ from skinbake.geometry.skinned import BakedPrimitive, Float32Array, SkinnedPrimi
 from skinbake.gltf import metadata
 from skinbake.gltf.additions import KEY, Additions
 from skinbake.gltf.adoption import with_adopted
+from skinbake.gltf.attribute_store import AttributeStore, store_for
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject
 from skinbake.gltf.primitives import PrimitiveSource, read_influences
@@ -46,11 +47,12 @@ class Baked:
 
 
 def with_baked(
-    document: Document, baked: Sequence[Baked], names: AttributeNames
+    document: Document, baked: Sequence[Baked], names: AttributeNames, *, level: int | None = None
 ) -> tuple[Document, list[int]]:
     """Return the document with α, β, metadata and adopted influences, and the bytes each primitive added.
 
-    The document must not hold an earlier bake. A NORMAL is added where the primitive has none. Raises
+    The document must not hold an earlier bake. A NORMAL is added where the primitive has none. What a
+    primitive gains is stored as the primitive is, compressed at ``level`` (see ``store_for``). Raises
     InputError where an attribute of the chosen name exists already.
     """
     additions = Additions(document)
@@ -60,13 +62,14 @@ def with_baked(
         before = additions.byte_length
         mesh = meshes[item.source.mesh]
         primitives = list(mesh["primitives"])
-        primitives[item.source.primitive] = _written(document, additions, item, names)
+        store = store_for(document, additions, item.source, level)
+        primitives[item.source.primitive] = store.finished(_written(document, store, item, names))
         meshes[item.source.mesh] = {**mesh, "primitives": primitives}
         lengths.append(additions.byte_length - before)
     return additions.applied({"meshes": meshes}), lengths
 
 
-def _written(document: Document, additions: Additions, item: Baked, names: AttributeNames) -> JsonObject:
+def _written(document: Document, store: AttributeStore, item: Baked, names: AttributeNames) -> JsonObject:
     """Return the primitive's JSON with everything that bake adds to it."""
     attributes = dict(item.source.attributes)
     note: JsonObject = {
@@ -77,12 +80,12 @@ def _written(document: Document, additions: Additions, item: Baked, names: Attri
         **item.settings,
     }
     if "NORMAL" not in attributes:
-        attributes["NORMAL"] = additions.add(item.primitive.normals.astype(np.float32))
+        attributes["NORMAL"] = store.add("NORMAL", item.primitive.normals.astype(np.float32))
         note["generated"] = ["NORMAL"]
     primitive = item.primitive
     if item.result.adopts:
         note["formerDigest"] = metadata.influence_digests(primitive.joints, primitive.weights)
-        note["adopted"], primitive = _adopt(document, additions, item, attributes)
+        note["adopted"], primitive = _adopt(document, store, item, attributes)
     note["digest"] = metadata.digests(primitive, item.result.frame)
     alpha, beta = _by_set(item.result.alpha), _by_set(item.result.beta)
     chosen = [names.of(number) for number in range(len(alpha))]
@@ -105,7 +108,7 @@ def _written(document: Document, additions: Additions, item: Baked, names: Attri
                     "choose other names with --alpha-name and --beta-name",
                     item.source.place,
                 )
-            attributes[name] = additions.add(values, extras=accessor_extras)
+            attributes[name] = store.add(name, values, extras=accessor_extras)
     written = {**item.source.json, "attributes": attributes}
     if not beside:
         written["extras"] = {**(extras or {}), KEY: note}
@@ -118,7 +121,7 @@ def _by_set(slots: Float32Array) -> list[Float32Array]:
 
 
 def _adopt(
-    document: Document, additions: Additions, item: Baked, attributes: dict[str, Any]
+    document: Document, store: AttributeStore, item: Baked, attributes: dict[str, Any]
 ) -> tuple[dict[str, int], SkinnedPrimitive]:
     """Point the attributes at new influences; return the accessors they had, and the arrays as now stored."""
     before = read_influences(document, item.source, len(item.primitive.positions))
@@ -131,7 +134,7 @@ def _adopt(
         ):
             if changed:
                 former[name] = int(attributes[name])
-                attributes[name] = additions.add(stored.values, normalized=stored.normalized)
+                attributes[name] = store.add(name, stored.values, normalized=stored.normalized)
     joints = np.concatenate([entry.joints.values.astype(np.int64) for entry in after], axis=1)
     weights = np.concatenate([entry.weights.decoded() for entry in after], axis=1)
     return former, replace(item.primitive, joints=joints, weights=weights)

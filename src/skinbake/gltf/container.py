@@ -7,9 +7,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from skinbake.errors import Notice
-from skinbake.gltf import resources
+from skinbake.gltf import meshopt, resources
 from skinbake.gltf.document import GLB_SUFFIXES, STDIO, Document
 from skinbake.gltf.glb import Bytes
+from skinbake.gltf.json_access import JsonObject
 
 
 def for_target(document: Document, target: str) -> tuple[Document, list[Notice]]:
@@ -27,7 +28,7 @@ def for_target(document: Document, target: str) -> tuple[Document, list[Notice]]
 
 def _as_glb(document: Document) -> Document:
     buffers = document.objects("buffers")
-    if not buffers:
+    if not buffers or buffers[0].get("uri") is None:  # no bytes stand for meshopt's fallback buffers
         return document.edited(is_glb=True, indent=None)
     data: Bytes = document.buffer(0)
     first = {key: value for key, value in buffers[0].items() if key != "uri"}
@@ -75,13 +76,22 @@ def _self_contained(document: Document) -> Document:
     buffers = document.objects("buffers")
     inside = [
         {**buffer, "uri": resources.encode_data_uri(bytes(document.buffer(number)))}
-        if isinstance(uri := buffer.get("uri"), str) and not resources.is_data_uri(uri)
+        if isinstance(uri := buffer.get("uri"), str)
+        and not resources.is_data_uri(uri)
+        and not _is_hollow(document, buffer, uri)
         else buffer
         for number, buffer in enumerate(buffers)
     ]
     if inside == buffers:
         return document
     return document.edited(json={**document.json, "buffers": inside})
+
+
+def _is_hollow(document: Document, buffer: JsonObject, uri: str) -> bool:
+    """Tell whether a buffer is one of meshopt's fallbacks whose file was left out."""
+    return meshopt.is_fallback(buffer, document.place) and not resources.is_file(
+        resources.locate(uri, document.folder)
+    )
 
 
 def _loose_images(document: Document) -> list[Notice]:

@@ -30,7 +30,8 @@ class Document:
     container. ``binary`` is the BIN chunk in pieces (None: no such chunk), ``new_files`` what the document
     refers to by a relative URI and has to be written beside it. ``other_chunks`` and ``trailing`` are what a
     GLB holds besides. ``raw`` is the file's text or container
-    as read, while nothing has been edited.
+    as read, while nothing has been edited. ``derived`` is what decoders have worked out of it, each under a
+    key of its own, so that nothing is decoded twice.
     """
 
     name: str
@@ -43,6 +44,7 @@ class Document:
     new_files: dict[str, tuple[Bytes, ...]] = field(default_factory=dict)
     indent: str | None = None
     raw: Bytes | None = None
+    derived: dict[str, dict[Any, Any]] = field(default_factory=dict, repr=False)
     _loaded: dict[int, memoryview] = field(default_factory=dict, repr=False)
     _checked: dict[str, list[json_access.JsonObject]] = field(default_factory=dict, repr=False)
 
@@ -59,7 +61,7 @@ class Document:
 
     def edited(self, **changes: Any) -> Document:
         """Return a copy with fields replaced, no longer equal to the bytes it was read from."""
-        return replace(self, raw=None, _loaded={}, _checked={}, **changes)
+        return replace(self, raw=None, derived={}, _loaded={}, _checked={}, **changes)
 
     def objects(self, key: str) -> list[json_access.JsonObject]:
         """Return a top-level array of objects (``accessors``, ``meshes`` …), empty where absent."""

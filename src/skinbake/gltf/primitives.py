@@ -8,9 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from skinbake.errors import InputError, Notice, Place, UnsupportedFeatureError
+from skinbake.errors import InputError, Notice, Place
 from skinbake.geometry.skinned import FloatArray, IntArray, SkinnedPrimitive
 from skinbake.geometry.triangles import TRIANGLE_FAN, TRIANGLES, unrolled
+from skinbake.gltf import draco
 from skinbake.gltf.accessors import StoredArray, element_count, read_accessor
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject, index, integer, member, objects, text
@@ -36,9 +37,6 @@ EXPECTED = {
     "WEIGHTS": "weights must be floats, or normalised unsigned bytes or shorts",
     "JOINTS": "joints must be unsigned bytes or shorts",
 }
-
-DRACO = "KHR_draco_mesh_compression"
-MESHOPT = ("EXT_meshopt_compression", "KHR_meshopt_compression")
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,30 +119,12 @@ def _all_sources(document: Document, joint_counts: dict[int, int]) -> Iterator[P
             yield PrimitiveSource(number, position, primitive, joint_counts.get(number, 0), here)
 
 
-def refuse_compressed(document: Document, source: PrimitiveSource) -> None:
-    """Raise UnsupportedFeatureError, naming the extension, where the primitive's data is compressed."""
-    accessors, views = document.objects("accessors"), document.objects("bufferViews")
-    if DRACO in member(source.json, "extensions", source.place):
-        raise _compressed(DRACO, source.place)
-    numbers = [index(source.attributes, name, len(accessors), source.place) for name in source.attributes]
-    numbers.append(index(source.json, "indices", len(accessors), source.place))
-    for number in numbers:
-        view = None if number is None else index(accessors[number], "bufferView", len(views), source.place)
-        for extension in () if view is None else member(views[view], "extensions", source.place):
-            if extension in MESHOPT:
-                raise _compressed(extension, source.place)
-
-
-def _compressed(extension: str, place: Place) -> UnsupportedFeatureError:
-    return UnsupportedFeatureError(
-        f"its geometry is compressed with {extension}, which this version cannot decode; bake a copy that is "
-        "not compressed, and ship it so: compressing after a bake spoils α/β",
-        place,
-    )
-
-
 def reason_to_skip(document: Document, source: PrimitiveSource, *, generate_normals: bool) -> Notice | None:
-    """Return why a skinned primitive cannot be baked, None where it can."""
+    """Return why a skinned primitive cannot be baked, None where it can.
+
+    Raises InputError where its JSON refers to accessors that are not there, or is not what glTF wants.
+    """
+    _check_references(document, source)
     mode = integer(source.json, "mode", source.place, default=TRIANGLES)
     if mode > TRIANGLE_FAN:
         raise InputError(f'"mode" is {mode}; glTF knows 0 to {TRIANGLE_FAN}', source.place)
@@ -160,6 +140,14 @@ def reason_to_skip(document: Document, source: PrimitiveSource, *, generate_norm
     if _triangle_count(document, source, mode) == 0:
         return Notice("no-triangles", "skipped: it has not one whole triangle", source.place)
     return None
+
+
+def _check_references(document: Document, source: PrimitiveSource) -> None:
+    count = len(document.objects("accessors"))
+    for name in source.attributes:
+        index(source.attributes, name, count, source.place)
+    index(source.json, "indices", count, source.place)
+    member(member(source.json, "extensions", source.place), draco.EXTENSION, source.place)
 
 
 def _triangle_count(document: Document, source: PrimitiveSource, mode: int) -> int:

@@ -6,8 +6,8 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 from skinbake.errors import Notice, Place
-from skinbake.gltf import json_access
-from skinbake.gltf.additions import BUFFER_ADDED, BUFFER_LENGTH, KEY
+from skinbake.gltf import draco, json_access, meshopt
+from skinbake.gltf.additions import BUFFER_ADDED, BUFFER_LENGTH, FALLBACK_ADDED, KEY
 from skinbake.gltf.document import Document, joined
 from skinbake.gltf.former import former_attributes
 from skinbake.gltf.json_access import JsonObject, integer, objects, text
@@ -22,9 +22,8 @@ def stripped(document: Document) -> tuple[Document, int, list[Notice]]:
     stay behind unused, and a notice says so. Raises InputError where the file's structure is broken.
     """
     meshes: list[JsonObject] = []
-    removed: set[int] = set()
+    changed: list[tuple[JsonObject, JsonObject]] = []
     notices: list[Notice] = []
-    count = 0
     for number, mesh in enumerate(document.objects("meshes")):
         place = Place(document.name, number, text(mesh, "name", document.place))
         restored = []
@@ -34,16 +33,28 @@ def stripped(document: Document) -> tuple[Document, int, list[Notice]]:
             if note is None:
                 restored.append(primitive)
                 continue
-            count += 1
             written, notice = _restored(document, primitive, note, here)
             restored.append(written)
+            changed.append((primitive, written))
             notices += [notice] if notice else []
-            removed |= _attribute_accessors(primitive) - _attribute_accessors(written)
         meshes.append({**mesh, "primitives": restored} if restored else mesh)
-    if count == 0:
+    if not changed:
         return document, 0, []
     root = {**document.json, "meshes": meshes}
-    return _without(document, root, removed - _accessors_in_use(root), notices), count, notices
+    removed = set().union(*(_attribute_accessors(old) - _attribute_accessors(new) for old, new in changed))
+    streams = _stream_views(old for old, _ in changed) - _stream_views(_all_primitives(root))
+    removed -= _accessors_in_use(root)
+    return _without(document, root, removed, streams, notices), len(changed), notices
+
+
+def _stream_views(primitives: Iterable[JsonObject]) -> set[int]:
+    """Return the buffer views of the Draco streams of some primitives."""
+    return _numbers((draco.extension_of(primitive) or {}).get("bufferView") for primitive in primitives)
+
+
+def _all_primitives(root: JsonObject) -> Iterator[JsonObject]:
+    for mesh in json_access.entries_of(root.get("meshes")):
+        yield from json_access.entries_of(mesh.get("primitives"))
 
 
 def _attribute_accessors(primitive: JsonObject) -> set[int]:
@@ -53,11 +64,10 @@ def _attribute_accessors(primitive: JsonObject) -> set[int]:
 def _accessors_in_use(root: JsonObject) -> set[int]:
     """Return every accessor that glTF 2.0 itself refers to; what extensions refer to cannot be known."""
     values: list[object] = []
-    for mesh in json_access.entries_of(root.get("meshes")):
-        for primitive in json_access.entries_of(mesh.get("primitives")):
-            values += [*json_access.values_of(primitive.get("attributes")), primitive.get("indices")]
-            for target in json_access.entries_of(primitive.get("targets")):
-                values += target.values()
+    for primitive in _all_primitives(root):
+        values += [*json_access.values_of(primitive.get("attributes")), primitive.get("indices")]
+        for target in json_access.entries_of(primitive.get("targets")):
+            values += target.values()
     for skin in json_access.entries_of(root.get("skins")):
         values.append(skin.get("inverseBindMatrices"))
     for animation in json_access.entries_of(root.get("animations")):
@@ -75,12 +85,14 @@ def _restored(
 ) -> tuple[JsonObject, Notice | None]:
     """Return the primitive's JSON without our attributes and metadata, its own influences back in place."""
     attributes = dict(json_access.member(primitive, "attributes", place))
-    for key in ("alpha", "beta", "generated"):
-        for name in noted_names(note, key):
-            attributes.pop(name, None)
+    ours = [name for key in ("alpha", "beta", "generated") for name in noted_names(note, key)]
+    for name in ours:
+        attributes.pop(name, None)
     former = former_attributes(document, attributes, note, place)
     attributes.update(former or {})
     written = {**primitive, "attributes": attributes} if "attributes" in primitive else dict(primitive)
+    if draco.extension_of(primitive) is not None:
+        written["extensions"] = _extensions_before(document, primitive, ours, former is not None, place)
     extras = primitive.get("extras")
     if isinstance(extras, dict) and extras.get(KEY) is note:
         left = {key: value for key, value in extras.items() if key != KEY}
@@ -96,9 +108,37 @@ def _restored(
     return written, Notice("adopted-kept", message, place)
 
 
-def _without(document: Document, root: JsonObject, removed: set[int], notices: list[Notice]) -> Document:
-    """Return the document without the accessors, and without the buffer views and bytes only they used."""
-    tail = _tail_of_bake(document, removed)
+def _extensions_before(
+    document: Document, primitive: JsonObject, ours: list[str], complete: bool, place: Place
+) -> JsonObject:
+    """Return a primitive's extensions with the Draco stream from before its bake, where that is there still.
+
+    Else, or where not all attributes are back (``complete``), the stream of the bake stays, and the
+    extension no longer names what of it is ours.
+    """
+    extensions = dict(json_access.member(primitive, "extensions", place))
+    before = draco.before_bake(primitive)
+    if complete and before is not None and draco.holds_the_same(document, primitive, before, place):
+        return {**extensions, draco.EXTENSION: draco.extension_of(before)}
+    extension = dict(draco.extension_of(primitive) or {})
+    inside = json_access.member(extension, "attributes", place)
+    extension["attributes"] = {name: number for name, number in inside.items() if name not in ours}
+    extras = extension.get("extras")
+    if isinstance(extras, dict) and draco.KEY in extras:
+        extension["extras"] = {key: value for key, value in extras.items() if key != draco.KEY}
+        if not extension["extras"]:
+            del extension["extras"]
+    return {**extensions, draco.EXTENSION: extension}
+
+
+def _without(
+    document: Document, root: JsonObject, removed: set[int], streams: set[int], notices: list[Notice]
+) -> Document:
+    """Return the document without the accessors, and without the buffer views and bytes only they used.
+
+    streams are buffer views of Draco streams that no primitive has any more.
+    """
+    tail = _tail_of_bake(document, root, removed, streams)
     if tail is None:
         notices.append(
             Notice(
@@ -111,18 +151,24 @@ def _without(document: Document, root: JsonObject, removed: set[int], notices: l
     accessors, views = document.objects("accessors"), document.objects("bufferViews")
     _put_back(root, "accessors", accessors[: len(accessors) - len(removed)])
     _put_back(root, "bufferViews", views[: tail.first_view])
-    return _shrunk(document, root, views[tail.first_view], tail.undo)
+    return _shrunk(document, root, tail)
 
 
 @dataclass(frozen=True, slots=True)
 class _Tail:
-    """Where the buffer views of a bake begin, and what it noted of the buffer as it was."""
+    """Where the buffer views of a bake begin, and what it noted of the buffer as it was.
+
+    start is the first byte of them in the buffer that holds their data; fallbacks the number of buffers at
+    the end that no bytes stand for.
+    """
 
     first_view: int
     undo: JsonObject
+    start: int
+    fallbacks: int
 
 
-def _tail_of_bake(document: Document, removed: set[int]) -> _Tail | None:
+def _tail_of_bake(document: Document, root: JsonObject, removed: set[int], streams: set[int]) -> _Tail | None:
     """Return the end of the document that is the bake's alone, None where it is no longer as bake left it.
 
     Other tools renumber accessors, put several into one buffer view, and append: then nothing can be cut off.
@@ -131,35 +177,48 @@ def _tail_of_bake(document: Document, removed: set[int]) -> _Tail | None:
     kept = len(accessors) - len(removed)
     if not removed or removed != set(range(kept, len(accessors))):
         return None
-    ours = {accessors[number].get("bufferView") for number in removed}
+    ours = {accessors[number].get("bufferView") for number in removed} - {None} | streams
     first = len(views) - len(ours)
-    if ours != set(range(first, len(views))):
+    if not ours or ours != set(range(first, len(views))):
         return None
     extras = views[first].get("extras")
     undo = extras.get(KEY) if isinstance(extras, dict) else None
     others = (*_views_of(accessors[:kept]), *_views_of(document.objects("images")))
+    others += tuple(_stream_views(_all_primitives(root)))
     if not isinstance(undo, dict) or any(view >= first for view in others):
         return None
-    return _Tail(first, undo) if _is_at_the_end(document, views, first, undo) else None
+    return _at_the_end(document, first, undo)
 
 
-def _is_at_the_end(document: Document, views: list[JsonObject], first: int, undo: JsonObject) -> bool:
-    """Tell whether nothing that stays lies in the buffer, or the part of it, that is to be cut off."""
-    buffers = document.objects("buffers")
-    buffer, start = views[first].get("buffer"), views[first].get("byteOffset")
+def _at_the_end(document: Document, first: int, undo: JsonObject) -> _Tail | None:
+    """Return the tail where nothing that stays lies in the buffers, or the part of one, to be cut off."""
+    views, buffers = document.objects("bufferViews"), document.objects("buffers")
+    kept = [data for view in views[:first] for data in _stored_ranges(view, document.place)]
+    added = [data for view in views[first:] for data in _stored_ranges(view, document.place)]
+    fallbacks = 1 if undo.get(FALLBACK_ADDED) else 0
+    last = len(buffers) - fallbacks
+    whole = last - 1 if undo.get(BUFFER_ADDED) else last  # from here on the buffers go
+    if any(buffer >= whole for buffer, _, _ in kept):
+        return None
     if undo.get(BUFFER_ADDED):
-        return buffer == len(buffers) - 1 and all(view.get("buffer") != buffer for view in views[:first])
+        return _Tail(first, undo, 0, fallbacks) if all(buffer >= whole for buffer, _, _ in added) else None
     length = undo.get(BUFFER_LENGTH)
-    if buffer != 0 or not document.has_binary_buffer:
-        return False
-    if not isinstance(start, int) or not isinstance(length, int) or not 0 < length <= start:
-        return False
-    ends = (
-        integer(view, "byteOffset", document.place, default=0) + integer(view, "byteLength", document.place)
-        for view in views[:first]
-        if view.get("buffer") == 0
-    )
-    return start <= len(joined(document.binary or ())) and all(end <= start for end in ends)
+    starts = [begin for buffer, begin, _ in added if buffer == 0]
+    if not starts or any(0 < buffer < last for buffer, _, _ in added) or not document.has_binary_buffer:
+        return None
+    start = min(starts)
+    if not isinstance(length, int) or not 0 < length <= start <= len(joined(document.binary or ())):
+        return None
+    is_free = all(end <= start for buffer, _, end in kept if buffer == 0)
+    return _Tail(first, undo, start, fallbacks) if is_free else None
+
+
+def _stored_ranges(view: JsonObject, place: Place) -> Iterator[tuple[int, int, int]]:
+    """Yield (buffer, start, end) of a buffer view's bytes, and of its compressed ones."""
+    name = meshopt.extension_of(view, place)
+    for holder in (view, *((view["extensions"][name],) if name is not None else ())):
+        start = integer(holder, "byteOffset", place, default=0)
+        yield integer(holder, "buffer", place), start, start + integer(holder, "byteLength", place)
 
 
 def _views_of(holders: list[JsonObject]) -> Iterator[int]:
@@ -181,14 +240,15 @@ def _put_back(root: JsonObject, key: str, entries: list[JsonObject]) -> None:
         root.pop(key, None)
 
 
-def _shrunk(document: Document, root: JsonObject, first: JsonObject, undo: JsonObject) -> Document:
-    """Return the document with the buffer as it was before the view ``first`` was added."""
+def _shrunk(document: Document, root: JsonObject, tail: _Tail) -> Document:
+    """Return the document with the buffers as they were before the bake."""
     buffers = list(document.objects("buffers"))
-    if undo.get(BUFFER_ADDED):
+    buffers = buffers[: len(buffers) - tail.fallbacks]
+    if tail.undo.get(BUFFER_ADDED):
         uri = buffers.pop().get("uri")
         _put_back(root, "buffers", buffers)
         new_files = {name: pieces for name, pieces in document.new_files.items() if name != uri}
         return document.edited(json=root, new_files=new_files)
-    root["buffers"] = [{**buffers[0], "byteLength": undo[BUFFER_LENGTH]}, *buffers[1:]]
+    root["buffers"] = [{**buffers[0], "byteLength": tail.undo[BUFFER_LENGTH]}, *buffers[1:]]
     binary = memoryview(joined(document.binary or ()))
-    return document.edited(json=root, binary=(binary[: first["byteOffset"]],))
+    return document.edited(json=root, binary=(binary[: tail.start],))

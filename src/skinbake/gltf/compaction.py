@@ -1,0 +1,178 @@
+"""Cut out of a document's buffers what no buffer view means any more, and renumber what is left."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+from skinbake.errors import Place
+from skinbake.gltf import meshopt, resources
+from skinbake.gltf.additions import content_digest
+from skinbake.gltf.document import Document
+from skinbake.gltf.glb import Bytes
+from skinbake.gltf.json_access import JsonObject, integer
+
+Range = tuple[int, int]
+
+ALIGNMENT = 4
+"""What is cut out is a multiple of this many bytes, so that all that follows stays aligned."""
+
+OTHER_REFERENCES = ("EXT_structural_metadata", "EXT_mesh_features", "MSFT_texture_dds")
+"""Extensions that may name buffer views by other keys than ``bufferView``: none is removed beside them."""
+
+
+def compacted(before: Document, after: Document) -> Document:
+    """Return ``after`` without the buffer views that only ``before`` used, and without their bytes.
+
+    Bytes that no view of ``before`` meant stay. A buffer that is left without use goes too, but for the BIN
+    chunk's.
+    """
+    old, views = before.objects("bufferViews"), after.objects("bufferViews")
+    used = set(extensions) if isinstance(extensions := after.json.get("extensionsUsed"), list) else set()
+    dropped = views_in_use(before.json) - views_in_use(after.json)
+    if used & set(OTHER_REFERENCES):
+        dropped = set()
+    kept = [number for number in range(len(views)) if number not in dropped]
+    needed = _by_buffer([views[number] for number in kept], after.place)
+    changed = [old[number] for number in range(len(old)) if number in dropped or old[number] != views[number]]
+    holes = {
+        buffer: _difference(ranges, needed.get(buffer, []))
+        for buffer, ranges in _by_buffer(changed, before.place).items()
+        if _has_bytes(after, buffer) or buffer not in needed
+    }
+    gone = {
+        buffer for buffer in holes if buffer not in needed and not (buffer == 0 and after.has_binary_buffer)
+    }
+    root = _renumbered(after.json, {number: position for position, number in enumerate(kept)})
+    root["bufferViews"] = [_moved(views[number], holes, gone, after.place) for number in kept]
+    return _cut(after, root, holes, gone)
+
+
+def _has_bytes(document: Document, number: int) -> bool:
+    """Tell whether bytes stand for a buffer: none do for meshopt's fallback buffers."""
+    is_chunk = number == 0 and document.has_binary_buffer
+    return is_chunk or document.objects("buffers")[number].get("uri") is not None
+
+
+def views_in_use(node: object) -> set[int]:
+    """Return every number that stands under a key ``bufferView``, at any depth."""
+    return set(_references(node))
+
+
+def _references(node: object) -> Iterator[int]:
+    if isinstance(node, list):
+        for entry in node:
+            yield from _references(entry)
+    elif isinstance(node, dict):
+        for key, value in node.items():
+            if key == "bufferView" and isinstance(value, int):
+                yield value
+            else:
+                yield from _references(value)
+
+
+def _renumbered(node: Any, numbers: dict[int, int]) -> Any:
+    if isinstance(node, list):
+        return [_renumbered(entry, numbers) for entry in node]
+    if isinstance(node, dict):
+        return {
+            key: numbers.get(value, value)
+            if key == "bufferView" and isinstance(value, int)
+            else _renumbered(value, numbers)
+            for key, value in node.items()
+        }
+    return node
+
+
+def _holders(view: JsonObject, place: Place) -> Iterator[JsonObject]:
+    """Yield the objects of a buffer view that name a range of a buffer."""
+    yield view
+    name = meshopt.extension_of(view, place)
+    if name is not None:
+        yield view["extensions"][name]
+
+
+def _by_buffer(views: Sequence[JsonObject], place: Place) -> dict[int, list[Range]]:
+    found: dict[int, list[Range]] = defaultdict(list)
+    for view in views:
+        for holder in _holders(view, place):
+            start = integer(holder, "byteOffset", place, default=0)
+            length = integer(holder, "byteLength", place)
+            found[integer(holder, "buffer", place)].append((start, start + length))
+    return found
+
+
+def _difference(ranges: list[Range], needed: list[Range]) -> list[Range]:
+    """Return the parts of ``ranges`` outside ``needed``, in order, each shrunk to aligned ends."""
+    borders = sorted(
+        [(start, 0, 1) for start, _ in ranges]
+        + [(end, 0, -1) for _, end in ranges]
+        + [(start, 1, 1) for start, _ in needed]
+        + [(end, 1, -1) for _, end in needed]
+    )
+    depth = [0, 0]
+    holes: list[Range] = []
+    for (position, kind, step), following in zip(borders, [*borders[1:], (0, 0, 0)], strict=True):
+        depth[kind] += step
+        if depth[0] > 0 and depth[1] == 0 and following[0] > position:
+            holes.append((position, following[0]))
+    merged: list[Range] = []
+    for start, end in holes:
+        if merged and merged[-1][1] == start:
+            merged[-1] = (merged[-1][0], end)
+        else:
+            merged.append((start, end))
+    aligned = ((-(-start // ALIGNMENT) * ALIGNMENT, end // ALIGNMENT * ALIGNMENT) for start, end in merged)
+    return [(start, end) for start, end in aligned if start < end]
+
+
+def _moved(view: JsonObject, holes: dict[int, list[Range]], gone: set[int], place: Place) -> JsonObject:
+    """Return a buffer view at its new place."""
+
+    def placed(holder: JsonObject) -> JsonObject:
+        buffer, start = integer(holder, "buffer", place), integer(holder, "byteOffset", place, default=0)
+        shift = sum(end - begin for begin, end in holes.get(buffer, []) if begin < start)
+        moved = {**holder, "buffer": buffer - sum(other < buffer for other in gone)}
+        return {**moved, "byteOffset": start - shift} if shift else moved
+
+    result = placed(view)
+    name = meshopt.extension_of(view, place)
+    if name is not None:
+        result["extensions"] = {**view["extensions"], name: placed(view["extensions"][name])}
+    return result
+
+
+def _cut(document: Document, root: JsonObject, holes: dict[int, list[Range]], gone: set[int]) -> Document:
+    """Return the document with the holes cut out of its buffers, and without those that are gone."""
+    buffers: list[JsonObject] = []
+    binary, new_files = document.binary, dict(document.new_files)
+    for number, buffer in enumerate(document.objects("buffers")):
+        if number in gone:
+            new_files.pop(str(buffer.get("uri")), None)
+            continue
+        if not holes.get(number):
+            buffers.append(buffer)
+            continue
+        data = document.buffer(number)
+        pieces = _outside(data, holes[number])
+        length = sum(len(piece) for piece in pieces)
+        uri = buffer.get("uri")
+        if uri is None:
+            padding = bytes(-length % ALIGNMENT)
+            binary = (*pieces, padding) if padding else tuple(pieces)
+            buffers.append({**buffer, "byteLength": length})
+        elif resources.is_data_uri(uri):
+            text = resources.encode_data_uri(b"".join(pieces))
+            buffers.append({**buffer, "uri": text, "byteLength": length})
+        else:
+            name = uri if uri in new_files else f"skinbake-{content_digest(tuple(pieces))}.bin"
+            new_files[name] = tuple(pieces)
+            buffers.append({**buffer, "uri": name, "byteLength": length})
+    return document.edited(json={**root, "buffers": buffers}, binary=binary, new_files=new_files)
+
+
+def _outside(data: memoryview, holes: list[Range]) -> list[Bytes]:
+    starts = [0, *(end for _, end in holes)]
+    ends = [*(start for start, _ in holes), len(data)]
+    return [data[start:end] for start, end in zip(starts, ends, strict=True) if start < end]

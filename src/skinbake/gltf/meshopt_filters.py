@@ -1,0 +1,90 @@
+"""Undo the filters of EXT_ and KHR_meshopt_compression, alike on every machine.
+
+The formulas are those of the extension's specification, §"Filters". meshoptimizer has them too, with the
+processor's estimate of 1 / sqrt for octahedral bytes: its results differ by a unit between makes of
+processors, and so would α, β and the digests of what they were baked from. Here every operation is float32
+as IEEE 754 rounds it.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+Values = npt.NDArray[Any]
+TWO, HALF = np.float32(2.0), np.float32(0.5)
+
+
+def unfiltered(rows: npt.NDArray[np.uint8], name: str) -> npt.NDArray[np.uint8]:
+    """Return rows (count, stride) of bytes with the filter ``name`` undone."""
+    if name == "EXPONENTIAL":
+        return _exponential(rows.view("<i4")).view(np.uint8)
+    if name == "NONE":
+        return rows
+    signed = rows.view("<i1" if rows.shape[1] == 4 else "<i2")
+    if name == "OCTAHEDRAL":
+        return _octahedral(signed).view(np.uint8)
+    return (_quaternions(signed) if name == "QUATERNION" else _colours(signed)).view(np.uint8)
+
+
+def _rounded(values: Values, dtype: np.dtype[Any]) -> Values:
+    """Round halves away from zero, as C does."""
+    with np.errstate(invalid="ignore"):
+        return np.asarray(np.trunc(values + np.copysign(HALF, values)).astype(np.int64).astype(dtype))
+
+
+def _octahedral(stored: Values) -> Values:
+    """Return unit vectors; x and y lie on the octahedron, z is what stands for 1, w stays."""
+    x, y, one = (stored[:, column].astype(np.float32) for column in range(3))
+    z = one - np.abs(x) - np.abs(y)
+    fold = np.minimum(z, np.float32(0))
+    x, y = x + np.where(x >= 0, fold, -fold), y + np.where(y >= 0, fold, -fold)
+    result = stored.copy()
+    with np.errstate(divide="ignore", invalid="ignore"):
+        scale = np.float32(np.iinfo(stored.dtype).max) / np.sqrt(x * x + y * y + z * z)
+        for column, part in enumerate((x, y, z)):
+            result[:, column] = _rounded(np.nan_to_num(part * scale), stored.dtype)
+    return result
+
+
+def _quaternions(stored: Values) -> Values:
+    """Return quaternions; the largest component is left out, w says which, and what stands for 1 / √2."""
+    x, y, z = (stored[:, column].astype(np.float32) for column in range(3))
+    one = (stored[:, 3] | 3).astype(np.float32)
+    w = np.sqrt(np.maximum(one * one * TWO - x * x - y * y - z * z, np.float32(0)))
+    scale = np.float32(32767.0) / np.sqrt(TWO) / one
+    largest = stored[:, 3] & 3
+    result = np.empty_like(stored)
+    row = np.arange(len(stored))
+    for offset, part in enumerate((w, x, y, z)):
+        result[row, (largest + offset) & 3] = _rounded(part * scale, stored.dtype)
+    return result
+
+
+def _exponential(stored: npt.NDArray[np.int32]) -> npt.NDArray[np.float32]:
+    """Return floats; the highest byte is the exponent of 2, the other three the mantissa, both signed."""
+    mantissas = ((stored << 8) >> 8).astype(np.float32)
+    with np.errstate(over="ignore", under="ignore"):
+        return np.asarray(np.ldexp(mantissas, stored >> 24), dtype="<f4")
+
+
+def _colours(stored: Values) -> Values:
+    """Return RGBA of YCoCgA; the highest set bit of alpha says what stands for 1."""
+    unsigned = stored.view(f"<u{stored.dtype.itemsize}").astype(np.int64)
+    luma, orange, green = unsigned[:, 0], stored[:, 1].astype(np.int64), stored[:, 2].astype(np.int64)
+    alpha, one = unsigned[:, 3], unsigned[:, 3].copy()
+    for shift in (1, 2, 4, 8):
+        one |= one >> shift
+    parts = (
+        luma + orange - green,
+        luma + green,
+        luma - orange - green,
+        ((alpha << 1) & one) | (alpha & 1),
+    )
+    dtype = np.dtype(f"<u{stored.dtype.itemsize}")
+    with np.errstate(divide="ignore", invalid="ignore"):
+        scale = np.float32(np.iinfo(dtype).max) / one.astype(np.float32)
+        columns = [_rounded(np.nan_to_num(part.astype(np.float32) * scale), dtype) for part in parts]
+    return np.stack(columns, axis=1)

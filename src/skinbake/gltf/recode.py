@@ -1,0 +1,380 @@
+"""Store a document's geometry under another compression before it is baked: values stay, bytes move.
+
+Recoding is what ``--compress none``, ``draco`` and ``meshopt`` ask for. The default, ``keep``, moves
+nothing: what bake adds is then stored as its primitive is (``attribute_store``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from skinbake.errors import Notice, Place
+from skinbake.geometry.triangles import TRIANGLES
+from skinbake.gltf import draco, draco_stream, meshopt
+from skinbake.gltf.accessors import read_accessor
+from skinbake.gltf.additions import Additions, Packed
+from skinbake.gltf.attribute_store import (
+    DRACO_LEVEL,
+    HIGHEST_MESHOPT_LEVEL,
+    MESHOPT_LEVEL,
+    MOST_ATTRIBUTES,
+)
+from skinbake.gltf.compaction import compacted
+from skinbake.gltf.document import Document
+from skinbake.gltf.json_access import (
+    JsonObject,
+    accessor_number,
+    entries_of,
+    index,
+    integer,
+    member,
+    values_of,
+)
+from skinbake.gltf.primitives import PrimitiveSource
+from skinbake.gltf.views import view_bytes
+
+Scheme = Literal["keep", "none", "draco", "meshopt"]
+UNSIGNED_SHORT, UNSIGNED_INT = 5123, 5125
+SIGNED = (5120, 5122)
+
+
+@dataclass(frozen=True, slots=True)
+class Compression:
+    """What ``bake`` does about compression.
+
+    level is 0 (fast) to 10 (small), None for each codec's usual one. bits are those to which ``draco``
+    quantises, by attribute (POSITION, NORMAL, TEXCOORD_0); what is not named stays exact.
+    """
+
+    scheme: Scheme = "keep"
+    level: int | None = None
+    bits: Mapping[str, int] = field(default_factory=dict)
+
+
+def recoded(
+    document: Document, sources: list[PrimitiveSource], compression: Compression
+) -> tuple[Document, list[Notice]]:
+    """Return the document with its geometry stored as ``compression`` says, and what could not be.
+
+    sources are the primitives that will be baked. ``none`` decodes all that Draco or meshopt compressed,
+    animations and images too; ``draco`` and ``meshopt`` compress those primitives and leave the rest as it
+    is; ``keep`` decodes only those whose Draco stream cannot be written again. Bytes that nothing refers to
+    any more are cut out of their buffers. A document without anything to do is returned as it is. Raises
+    InputError where its data cannot be read.
+    """
+    recoder = _Recoder(document)
+    notices: list[Notice] = []
+    if compression.scheme == "none":
+        _decompress(recoder)
+    else:
+        work = {"keep": _keep, "draco": _into_draco, "meshopt": _into_meshopt}[compression.scheme]
+        notices = list(work(recoder, sources, compression))
+    return recoder.finished(), notices
+
+
+class _Recoder:
+    """Collects what changes of a document: accessors, primitives and buffer views, and new bytes."""
+
+    def __init__(self, document: Document) -> None:
+        self.document = document
+        self.additions = Additions(document, undoable=False)
+        self.accessors = list(document.objects("accessors"))
+        self.views = list(document.objects("bufferViews"))
+        self.meshes = [
+            {**mesh, "primitives": list(mesh["primitives"])} if "primitives" in mesh else mesh
+            for mesh in document.objects("meshes")
+        ]
+        self._uses = _uses_of_accessors(document.json)
+        self._required: list[str] = []
+        self._changed = False
+
+    def set_primitive(self, place: Place, primitive: JsonObject) -> None:
+        self._changed = True
+        self.meshes[place.mesh or 0]["primitives"][place.primitive or 0] = primitive
+
+    def set_view(self, number: int, view: JsonObject) -> None:
+        self._changed = True
+        self.views[number] = view
+
+    def set_accessor(self, number: int, view: int | None, **members: Any) -> None:
+        """Give an accessor other data: a buffer view of its own, or (None) a Draco stream."""
+        self._changed = True
+        kept = {
+            key: value
+            for key, value in self.accessors[number].items()
+            if key not in {"bufferView", "byteOffset", "sparse"}
+        }
+        self.accessors[number] = {**({} if view is None else {"bufferView": view}), **kept, **members}
+
+    def own(self, number: int, users: int) -> int:
+        """Return an accessor that ``users`` references alone mean: this one, or a copy if others do too."""
+        left = self._uses.get(number, 0) - users
+        if left <= 0:
+            return number
+        self._uses[number] = left
+        self.accessors.append(self.accessors[number])
+        return len(self.accessors) - 1
+
+    def require(self, extension: str) -> None:
+        if extension not in self._required:
+            self._required.append(extension)
+
+    def finished(self) -> Document:
+        """Return the document with all changes, or as it was where there are none."""
+        if not self._changed:
+            return self.document
+        changes = {"accessors": self.accessors, "bufferViews": self.views, "meshes": self.meshes}
+        applied = self.additions.applied({key: value for key, value in changes.items() if value})
+        result = compacted(self.document, applied)
+        return result.edited(json=_with_extensions(result.json, self._required))
+
+
+def _uses_of_accessors(root: JsonObject) -> dict[int, int]:
+    """Return how many attributes, targets, indices, skins and samplers refer to each accessor."""
+    found: list[object] = []
+    for mesh in entries_of(root.get("meshes")):
+        for primitive in entries_of(mesh.get("primitives")):
+            found += [*values_of(primitive.get("attributes")), primitive.get("indices")]
+            for target in entries_of(primitive.get("targets")):
+                found += target.values()
+    found += [skin.get("inverseBindMatrices") for skin in entries_of(root.get("skins"))]
+    for animation in entries_of(root.get("animations")):
+        for sampler in entries_of(animation.get("samplers")):
+            found += [sampler.get("input"), sampler.get("output")]
+    uses: dict[int, int] = {}
+    for value in found:
+        number = accessor_number(value)
+        if number is not None:
+            uses[number] = uses.get(number, 0) + 1
+    return uses
+
+
+def _with_extensions(root: JsonObject, required: list[str]) -> JsonObject:
+    """Return the JSON that names the compressions it has in extensionsUsed and extensionsRequired.
+
+    What it has is seen from the JSON; ``required`` are those that it cannot be read without.
+    """
+    ours = {draco.EXTENSION, *meshopt.EXTENSIONS}
+    present = _extensions_in(root) & ours
+    root = dict(root)
+    for key in ("extensionsUsed", "extensionsRequired"):
+        named = root.get(key)
+        names = (
+            [name for name in named if name not in ours or name in present] if isinstance(named, list) else []
+        )
+        names += [name for name in required if name not in names]
+        if names:
+            root[key] = names
+        else:
+            root.pop(key, None)
+    return root
+
+
+def _extensions_in(node: object) -> set[str]:
+    if isinstance(node, list):
+        return set().union(*map(_extensions_in, node))
+    if not isinstance(node, dict):
+        return set()
+    found = node.get("extensions")
+    names = set(found) if isinstance(found, dict) else set()
+    return names.union(*map(_extensions_in, node.values()))
+
+
+def _decompress(recoder: _Recoder) -> None:
+    document = recoder.document
+    done: set[int] = set()
+    opened: set[int] = set()
+    for place, primitive in _draco_primitives(document):
+        _leave_draco(recoder, place, primitive, None, done)
+    for number, view in enumerate(document.objects("bufferViews")):
+        name = meshopt.extension_of(view, document.place)
+        if name is None:
+            continue
+        data = recoder.additions.add_data(view_bytes(document, number, document.place))
+        kept = {key: value for key, value in view.items() if key != "extensions"}
+        others = {key: value for key, value in view["extensions"].items() if key != name}
+        recoder.set_view(number, {**kept, **data, **({"extensions": others} if others else {})})
+        opened.add(number)
+    for number, accessor in enumerate(document.objects("accessors")):
+        if number not in done and accessor.get("bufferView") in opened and "min" in accessor:
+            values = read_accessor(document, number, document.place).values
+            recoder.accessors[number] = {**accessor, **_bounds(accessor, values)}
+
+
+def _draco_primitives(document: Document) -> Iterator[tuple[Place, JsonObject]]:
+    for number, mesh in enumerate(document.objects("meshes")):
+        for position, primitive in enumerate(entries_of(mesh.get("primitives"))):
+            if draco.extension_of(primitive) is not None:
+                yield Place(document.name, number, mesh.get("name"), position), primitive
+
+
+def _leave_draco(
+    recoder: _Recoder, place: Place, primitive: JsonObject, packed: Packed | None, done: set[int]
+) -> None:
+    """Give the accessors of a Draco primitive buffer views, and take the extension away."""
+    for number, is_index in draco.accessors_inside(primitive):
+        if number not in done:
+            values = read_accessor(recoder.document, number, place).values
+            view = recoder.additions.add_values(values, packed, indices=is_index)
+            recoder.set_accessor(number, view, **_bounds(recoder.accessors[number], values))
+            done.add(number)
+    others = {key: value for key, value in primitive["extensions"].items() if key != draco.EXTENSION}
+    plain = {key: value for key, value in primitive.items() if key != "extensions"}
+    recoder.set_primitive(place, {**plain, **({"extensions": others} if others else {})})
+
+
+def _keep(recoder: _Recoder, sources: list[PrimitiveSource], compression: Compression) -> Iterator[Notice]:
+    """Decode what bake could not write back; the rest stays as it is."""
+    done: set[int] = set()
+    for source in sources:
+        if draco.extension_of(source.json) is None:
+            continue
+        reason = _reason_against_draco(recoder.document, source, inside_only=True)
+        if reason is not None:
+            yield Notice("not-compressed", f"no longer in Draco: {reason}", source.place)
+            _leave_draco(recoder, source.place, source.json, None, done)
+
+
+def _into_meshopt(
+    recoder: _Recoder, sources: list[PrimitiveSource], compression: Compression
+) -> Iterator[Notice]:
+    document = recoder.document
+    used = _extensions_in(document.json)
+    name = next((name for name in meshopt.EXTENSIONS if name in used), meshopt.VENDOR)
+    level = MESHOPT_LEVEL if compression.level is None else min(compression.level, HIGHEST_MESHOPT_LEVEL)
+    packed = Packed(name, level, beside=False)
+    done: set[int] = set()
+    for source in sources:
+        if draco.extension_of(source.json) is not None:
+            recoder.require(name)
+            _leave_draco(recoder, source.place, source.json, packed, done)
+        for number, is_index in _accessors_of(document, source):
+            if number not in done and not _is_packed(document, number, source.place):
+                recoder.require(name)
+                _pack(recoder, number, packed, is_index, source.place)
+            done.add(number)
+    return iter(())
+
+
+def _accessors_of(document: Document, source: PrimitiveSource) -> Iterator[tuple[int, bool]]:
+    """Yield the accessors of a primitive's attributes, then of its indices, and whether it is the latter."""
+    count = len(document.objects("accessors"))
+    for holder, keys in ((source.attributes, tuple(source.attributes)), (source.json, ("indices",))):
+        for key in keys:
+            number = index(holder, key, count, source.place)
+            if number is not None:
+                yield number, holder is source.json
+
+
+def _is_packed(document: Document, number: int, place: Place) -> bool:
+    views = document.objects("bufferViews")
+    view = index(document.objects("accessors")[number], "bufferView", len(views), place)
+    return view is not None and meshopt.extension_of(views[view], place) is not None
+
+
+def _pack(recoder: _Recoder, number: int, packed: Packed, is_index: bool, place: Place) -> None:
+    values = read_accessor(recoder.document, number, place).values
+    members = {}
+    if is_index and values.dtype.itemsize == 1:  # the index codecs know shorts and integers
+        values, members = values.astype(np.uint16), {"componentType": UNSIGNED_SHORT}
+    view = recoder.additions.add_values(values, packed, indices=is_index)
+    recoder.set_accessor(number, view, **members)
+
+
+def _into_draco(
+    recoder: _Recoder, sources: list[PrimitiveSource], compression: Compression
+) -> Iterator[Notice]:
+    yield from _keep(recoder, sources, compression)
+    groups: dict[tuple[object, ...], list[PrimitiveSource]] = {}
+    for source in sources:
+        if draco.extension_of(source.json) is not None:
+            continue
+        reason = _reason_against_draco(recoder.document, source)
+        if reason is not None:
+            yield Notice("not-compressed", f"left as it is, not put into Draco: {reason}", source.place)
+        else:
+            key = (source.json.get("indices"), *sorted(source.attributes.items()))
+            groups.setdefault(key, []).append(source)
+    for group in groups.values():
+        changes = _streamed(recoder, group[0], len(group), compression)
+        for source in group:
+            extensions = {**source.json.get("extensions", {}), **changes["extensions"]}
+            recoder.set_primitive(source.place, {**source.json, **changes, "extensions": extensions})
+        recoder.require(draco.EXTENSION)
+
+
+def _reason_against_draco(
+    document: Document, source: PrimitiveSource, *, inside_only: bool = False
+) -> str | None:
+    """Return why a primitive cannot be written to Draco, None where it can.
+
+    Of its attributes all count, or those that are ``inside`` its stream already.
+    """
+    mode = integer(source.json, "mode", source.place, default=TRIANGLES)
+    if mode != TRIANGLES:
+        return f"its mode is {mode}, and Draco stores lists of triangles"
+    extension = draco.extension_of(source.json) or {}
+    names = member(extension, "attributes", source.place) if inside_only else source.attributes
+    if "POSITION" not in names:
+        return "it has no POSITION"
+    if len(names) > MOST_ATTRIBUTES:
+        return f"it has {len(names)} attributes"
+    accessors = document.objects("accessors")
+    for name in names:
+        number = index(source.attributes, name, len(accessors), source.place)
+        if number is not None and accessors[number].get("componentType") in SIGNED and name != "POSITION":
+            return f"its {name} are signed integers, which the encoder cannot store"
+    return None
+
+
+def _streamed(recoder: _Recoder, source: PrimitiveSource, users: int, compression: Compression) -> JsonObject:
+    """Put a primitive's attributes and triangles into a stream; return what changes in its JSON.
+
+    users is how many primitives have the same attributes and triangles, and will have these changes.
+    """
+    document, place = recoder.document, source.place
+    accessors = document.objects("accessors")
+    numbers = {name: index(source.attributes, name, len(accessors), place) or 0 for name in source.attributes}
+    arrays = {name: read_accessor(document, numbers[name], place.at(name)).values for name in numbers}
+    corners = index(source.json, "indices", len(accessors), place)
+    faces: npt.NDArray[Any] = np.arange(len(arrays["POSITION"]))
+    if corners is not None:
+        faces = read_accessor(document, corners, place.at("indices")).values[:, 0]
+    faces = faces[: len(faces) // 3 * 3].reshape(-1, 3)
+    level = DRACO_LEVEL if compression.level is None else compression.level
+    stream = draco_stream.encode(arrays, faces, level=level, bits=compression.bits)
+    attributes = {name: recoder.own(number, users) for name, number in numbers.items()}
+    for name, number in attributes.items():
+        bounds = _bounds(recoder.accessors[number], stream.values[name]) if name in compression.bits else {}
+        recoder.set_accessor(number, None, **bounds)
+    if corners is None:
+        recoder.accessors.append({"componentType": UNSIGNED_INT, "count": faces.size, "type": "SCALAR"})
+        corners = len(recoder.accessors) - 1
+    else:
+        corners = recoder.own(corners, users)
+        recoder.set_accessor(corners, None, count=int(faces.size))
+    inside = {name: stream.unique_ids[name] for name in attributes}
+    extension = {"bufferView": recoder.additions.add_stream(stream.data), "attributes": inside}
+    return {"attributes": attributes, "indices": corners, "extensions": {draco.EXTENSION: extension}}
+
+
+def _bounds(accessor: JsonObject, values: npt.NDArray[Any]) -> JsonObject:
+    """Return the members min and max of an accessor that has others than its values' own, else none.
+
+    Quantising, now or before the file came to us, moves what they bound; glTF wants them exact.
+    """
+    if not isinstance(accessor.get("min"), list) or not isinstance(accessor.get("max"), list):
+        return {}
+    bounds = {"min": values.min(axis=0), "max": values.max(axis=0)}
+    if not all(np.isfinite(bound).all() for bound in bounds.values()):
+        return {}
+    return {
+        key: bound.tolist()
+        for key, bound in bounds.items()
+        if [values.dtype.type(number) for number in accessor[key]] != bound.tolist()
+    }

@@ -1,0 +1,510 @@
+"""What bake does with compressed files: α/β inside, all else as it was, and strip undoes it.
+
+What it wrote is read back by the reference decoders. Expected values come from the uncompressed twin.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fixtures.builder import JsonObject
+from skinbake.commands.bake import BakeOptions, bake_file
+from skinbake.commands.cost import cost_of_file
+from skinbake.commands.inspect import inspect_file
+from skinbake.commands.lighting import VerifyOptions
+from skinbake.commands.poses import PoseRequest
+from skinbake.commands.strip import strip_file
+from skinbake.commands.verify import verify_file
+from skinbake.gltf.recode import Compression, Scheme
+from tests.gltf.compressed import EXT, KHR, content_of, draco_twin, meshopt_twin
+from tests.gltf.models import (
+    FOLDER,
+    assert_buffers_kept,
+    bake,
+    edited,
+    note,
+    primitives,
+    rewritten,
+    sheet,
+    stripped,
+    write_model,
+)
+from tests.support import corpus, khronos
+from tests.support.decoders import read_plain, read_plain_many
+from tests.support.gltf_reading import DRACO, MESHOPT, GltfFile, read
+
+ADOPTING = "foreign_joints.glb"
+FIXTURES = [ADOPTING, "two_sets.glb", "weights_u8.glb", "bent_tube.glb"]
+ALPHA, BETA = "_SKINBAKE_ALPHA_0", "_SKINBAKE_BETA_0"
+COMPRESSED = [
+    "BathDay/bath_day.glb",
+    "barbarian-draco-edgebreaker.glb",
+    "hand_l-draco-sequential.glb",
+    "barbarian-EXT_meshopt-high.glb",
+    "barbarian-EXT_meshopt-medium.glb",
+]
+SCHEMES: tuple[Scheme, ...] = ("keep", "none", "draco", "meshopt")
+REST = VerifyOptions(poses=PoseRequest("rest"))
+
+
+def twin(kind: str, name: str, folder: Path) -> Path:
+    """Write the compressed twin of a fixture: ``draco``, or meshopt by the extension's name."""
+    if kind == "draco":
+        return draco_twin(FOLDER / name, folder / f"draco-{name}")
+    return meshopt_twin(
+        FOLDER / name,
+        folder / f"{kind}-{name}",
+        name=EXT if kind == "beside" else kind,
+        beside=kind == "beside",
+    )
+
+
+KINDS = ["draco", EXT, KHR, "beside"]
+
+
+def compress(scheme: Scheme, **bits: int) -> dict[str, Any]:
+    return {"compression": Compression(scheme, bits=bits)}
+
+
+def names_of(content: JsonObject) -> set[str]:
+    return set(content.get("extensionsUsed", [])) & {DRACO, *MESHOPT}
+
+
+def assert_same_bake(path: Path, plain: Path) -> None:
+    """Compare all attributes and indices of a file, decoded, with those of an uncompressed one, by bits."""
+    found, expected = read_plain(path), read(plain)
+    count = 0
+    for mesh, number, primitive in primitives(expected.content):
+        assert found.primitive(mesh, number)["attributes"].keys() == primitive["attributes"].keys()
+        for name in primitive["attributes"]:
+            ours, theirs = (model.stored_attribute(name, mesh, number) for model in (found, expected))
+            assert (ours.dtype, ours.tobytes()) == (theirs.dtype, theirs.tobytes()), name
+            count += name == ALPHA
+        assert np.array_equal(found.triangles(mesh, number), expected.triangles(mesh, number))
+    assert count
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("name", FIXTURES)
+class TestKeep:
+    def test_bakes_what_its_plain_twin_bakes(self, name: str, kind: str, tmp_path: Path) -> None:
+        bake(FOLDER / name, tmp_path / "plain.glb")
+        bake(twin(kind, name, tmp_path), tmp_path / "baked.glb")
+        assert_same_bake(tmp_path / "baked.glb", tmp_path / "plain.glb")
+
+    def test_stays_compressed_with_the_gradients_inside(self, name: str, kind: str, tmp_path: Path) -> None:
+        source = twin(kind, name, tmp_path)
+        bake(source, tmp_path / "baked.glb")
+        before, after = read(source), read(tmp_path / "baked.glb")
+        assert after.content["extensionsUsed"] == before.content["extensionsUsed"]
+        assert after.content.get("extensionsRequired") == before.content.get("extensionsRequired")
+        for _, _, primitive in primitives(after.content):
+            for attribute in (ALPHA, BETA):
+                accessor = after.content["accessors"][primitive["attributes"][attribute]]
+                if kind == "draco":
+                    assert attribute in primitive["extensions"][DRACO]["attributes"]
+                    assert "bufferView" not in accessor
+                else:
+                    view = after.content["bufferViews"][accessor["bufferView"]]
+                    assert set(view["extensions"]) == names_of(before.content)
+
+    def test_keeps_every_byte_and_all_json_that_was_there(self, name: str, kind: str, tmp_path: Path) -> None:
+        source = twin(kind, name, tmp_path)
+        bake(source, tmp_path / "baked.glb")
+        before, after = read(source), read(tmp_path / "baked.glb")
+        assert_buffers_kept(before, after)
+        for array in ("accessors", "bufferViews"):
+            kept = after.content[array][: len(before.content[array])]
+            assert json.dumps(kept) == json.dumps(before.content[array])
+
+    def test_strip_gives_back_what_was_there(self, name: str, kind: str, tmp_path: Path) -> None:
+        source = twin(kind, name, tmp_path)
+        bake(source, tmp_path / "baked.glb")
+        result = stripped(tmp_path / "baked.glb", tmp_path / "stripped.glb")
+        assert json.dumps(result.content) == content_of(source)
+        assert result.binary_chunk == read(source).binary_chunk
+
+    def test_twice_is_once_and_the_output_deterministic(self, name: str, kind: str, tmp_path: Path) -> None:
+        source = twin(kind, name, tmp_path)
+        for target, input_ in (("one", source), ("two", tmp_path / "one.glb"), ("three", source)):
+            bake(input_, tmp_path / f"{target}.glb")
+        files = {(tmp_path / f"{target}.glb").read_bytes() for target in ("one", "two", "three")}
+        assert len(files) == 1
+
+    def test_the_other_commands_read_it(self, name: str, kind: str, tmp_path: Path) -> None:
+        bake(twin(kind, name, tmp_path), tmp_path / "baked.glb")
+        path = str(tmp_path / "baked.glb")
+        verdict = verify_file(path, REST)
+        assert (verdict.error, [check.outcome for check in verdict.checks if check.problems]) == (None, [])
+        for primitive in inspect_file(path).primitives:
+            assert primitive.bake is not None
+            assert primitive.bake.changed == ()
+        assert all(primitive.baked for primitive in cost_of_file(path).primitives)
+
+
+@pytest.mark.parametrize("kind", ["plain", "draco", EXT, "beside"])
+@pytest.mark.parametrize("scheme", SCHEMES)
+@pytest.mark.parametrize("name", [ADOPTING, "bent_tube.glb"])
+class TestEveryCompressionIntoEvery:
+    def source(self, kind: str, name: str, folder: Path) -> Path:
+        return FOLDER / name if kind == "plain" else twin(kind, name, folder)
+
+    def test_values_stay(self, name: str, scheme: Scheme, kind: str, tmp_path: Path) -> None:
+        bake(FOLDER / name, tmp_path / "plain.glb")
+        bake(self.source(kind, name, tmp_path), tmp_path / "baked.glb", **compress(scheme))
+        assert_same_bake(tmp_path / "baked.glb", tmp_path / "plain.glb")
+        found = read(tmp_path / "baked.glb").content
+        expected = {"none": set(), "draco": {DRACO}, "meshopt": {EXT}}
+        if scheme != "keep":
+            # meshopt's animations and inverse bind matrices stay as they are beside Draco
+            others = {EXT} if scheme == "draco" and kind in {EXT, "beside"} else set()
+            assert names_of(found) == expected[scheme] | others
+
+    def test_strip_leaves_no_bake_and_a_second_bake_changes_nothing(
+        self, name: str, scheme: Scheme, kind: str, tmp_path: Path
+    ) -> None:
+        bake(self.source(kind, name, tmp_path), tmp_path / "one.glb", **compress(scheme))
+        for options in (compress("keep"), compress(scheme)):
+            bake(tmp_path / "one.glb", tmp_path / "two.glb", **options)
+            assert (tmp_path / "two.glb").read_bytes() == (tmp_path / "one.glb").read_bytes()
+        stripped(tmp_path / "one.glb", tmp_path / "bare.glb")
+        bare, original = read_plain(tmp_path / "bare.glb"), read(FOLDER / name)
+        for array in ("meshes", "accessors", "bufferViews"):
+            assert "skinbake" not in json.dumps(bare.content[array]).lower()
+        for mesh, number, primitive in primitives(original.content):
+            assert bare.primitive(mesh, number)["attributes"].keys() == primitive["attributes"].keys()
+            for attribute in primitive["attributes"]:
+                ours, theirs = (model.stored_attribute(attribute, mesh, number) for model in (bare, original))
+                assert ours.tobytes() == theirs.tobytes()
+
+
+def test_the_rest_of_the_file_is_left_alone(tmp_path: Path) -> None:
+    """What is not skinned stays compressed as it was, by the very bytes, under every scheme but none."""
+    path = corpus.model("barbarian-draco-edgebreaker.glb")
+    before = read(path)
+    for scheme in ("keep", "draco"):
+        bake(path, tmp_path / "baked.glb", **compress(scheme))
+        after = read(tmp_path / "baked.glb")
+        count = 0
+        for mesh, number, primitive in primitives(before.content):
+            if "JOINTS_0" not in primitive["attributes"]:
+                assert after.primitive(mesh, number) == primitive
+                view = primitive["extensions"][DRACO]["bufferView"]
+                assert after.buffer_view(view) == before.buffer_view(view)
+                count += 1
+        assert count == 7
+
+
+def test_a_skipped_primitive_keeps_its_stream(tmp_path: Path) -> None:
+    path = write_model(tmp_path / "two.glb", [sheet(), sheet(NORMAL=None)])
+    source = draco_twin(path, tmp_path / "draco.glb")
+    for scheme in ("keep", "meshopt", "draco"):
+        bake(source, tmp_path / "baked.glb", **compress(scheme))
+        assert read(tmp_path / "baked.glb").primitive(0, 1)["extensions"][DRACO]["attributes"].keys() == {
+            "POSITION",
+            "JOINTS_0",
+            "WEIGHTS_0",
+        }
+        read_plain(tmp_path / "baked.glb")
+
+
+def test_nothing_baked_is_nothing_recoded(tmp_path: Path) -> None:
+    path = draco_twin(write_model(tmp_path / "bare.glb", [sheet(NORMAL=None)]), tmp_path / "draco.glb")
+    for scheme in SCHEMES:
+        bake(path, tmp_path / "out.glb", **compress(scheme))
+        assert (tmp_path / "out.glb").read_bytes() == path.read_bytes()
+
+
+@pytest.mark.parametrize("kind", ["draco", EXT])
+def test_generated_normals_go_inside(kind: str, tmp_path: Path) -> None:
+    path = write_model(tmp_path / "bare.glb", [sheet(NORMAL=None)])
+    bake(path, tmp_path / "plain.glb", generate_normals=True)
+    source = (
+        draco_twin(path, tmp_path / "t.glb") if kind == "draco" else meshopt_twin(path, tmp_path / "t.glb")
+    )
+    bake(source, tmp_path / "baked.glb", generate_normals=True)
+    assert_same_bake(tmp_path / "baked.glb", tmp_path / "plain.glb")
+    assert json.dumps(stripped(tmp_path / "baked.glb", tmp_path / "s.glb").content) == content_of(source)
+
+
+@pytest.mark.parametrize("kind", ["draco", EXT, "beside"])
+def test_gltf_and_glb_become_each_other(kind: str, tmp_path: Path) -> None:
+    bake(FOLDER / ADOPTING, tmp_path / "plain.glb")
+    source = twin(kind, ADOPTING, tmp_path)
+    for scheme in SCHEMES:
+        bake(source, tmp_path / "out.gltf", **compress(scheme))
+        assert_same_bake(tmp_path / "out.gltf", tmp_path / "plain.glb")
+        bake(tmp_path / "out.gltf", tmp_path / "again.gltf", **compress(scheme))
+        assert (tmp_path / "again.gltf").read_text() == (tmp_path / "out.gltf").read_text()
+        bake(tmp_path / "out.gltf", tmp_path / "back.glb")
+        assert_same_bake(tmp_path / "back.glb", tmp_path / "plain.glb")
+        strip_file(str(tmp_path / "out.gltf"), str(tmp_path / "bare.gltf"))
+        assert read_plain(tmp_path / "bare.gltf").attribute("POSITION").shape == (112, 3)
+
+
+def test_the_sources_buffer_beside_a_gltf_is_not_overwritten(tmp_path: Path) -> None:
+    bake(twin(EXT, ADOPTING, tmp_path), tmp_path / "model.gltf")
+    strip_file(str(tmp_path / "model.gltf"), str(tmp_path / "bare.gltf"))
+    kept = {path: path.read_bytes() for path in tmp_path.glob("*.bin")}
+    bake(tmp_path / "bare.gltf", tmp_path / "bare.gltf", **compress("none"))
+    assert {path: path.read_bytes() for path in kept} == kept
+    bake(FOLDER / ADOPTING, tmp_path / "plain.glb")
+    assert_same_bake(tmp_path / "bare.gltf", tmp_path / "plain.glb")
+
+
+def test_vrm_passes_through_but_for_the_additions(tmp_path: Path) -> None:
+    """A .vrm is a GLB; its extensions name no buffer views of ours."""
+    for path in corpus.valid_models():
+        if path.suffix == ".vrm":
+            result = bake_file(str(path), str(tmp_path / path.name), BakeOptions())
+            before, after = read(path), read(tmp_path / path.name)
+            for key in ("extensions", "extensionsUsed", "nodes", "materials", "images", "textures"):
+                assert json.dumps(after.content.get(key)) == json.dumps(before.content.get(key))
+            assert_buffers_kept(before, after)
+            assert result.error is None
+    source = tmp_path / "draco.vrm"
+    shutil.copyfile(twin("draco", ADOPTING, tmp_path), source)
+    bake(source, tmp_path / "baked.vrm")
+    assert json.dumps(stripped(tmp_path / "baked.vrm", tmp_path / "bare.vrm").content) == content_of(source)
+
+
+class TestNotices:
+    def codes(self, source: Path, target: Path, **options: Any) -> dict[str, int]:
+        return {notice.code: notice.count for notice in bake(source, target, **options).notices}
+
+    def test_edgebreaker_is_stored_sequentially(self, tmp_path: Path) -> None:
+        found = self.codes(corpus.model("barbarian-draco-edgebreaker.glb"), tmp_path / "out.glb")
+        assert found["draco-sequential"] == 6
+        assert "draco-sequential" not in self.codes(
+            tmp_path / "out.glb", tmp_path / "out.glb", **compress("none")
+        )
+
+    def test_sequential_stays_so_without_a_word(self, tmp_path: Path) -> None:
+        assert self.codes(twin("draco", ADOPTING, tmp_path), tmp_path / "out.glb") == {}
+
+    def test_signed_normals_leave_draco(self, tmp_path: Path) -> None:
+        """KHR_mesh_quantization in Draco: the encoder has no signed integers."""
+        plain = write_model(tmp_path / "plain.glb", [sheet()])
+        normals = read(plain).attribute("NORMAL")
+        quantised = np.rint(normals * 32767).astype(np.int16)
+
+        def declare(content: JsonObject) -> None:
+            number = content["meshes"][0]["primitives"][0]["attributes"]["NORMAL"]
+            content["accessors"][number] |= {"componentType": 5122, "normalized": True}
+
+        floats = write_model(tmp_path / "floats.glb", [sheet(NORMAL=quantised.astype(np.float32))])
+        source = draco_twin(floats, tmp_path / "draco.glb", change=declare)
+        assert self.codes(source, tmp_path / "out.glb") == {"not-compressed": 1}
+        after = read(tmp_path / "out.glb")
+        assert np.array_equal(after.stored_attribute("NORMAL"), quantised)
+        assert names_of(after.content) == set()
+        assert self.codes(tmp_path / "out.glb", tmp_path / "out.glb", **compress("draco")) == {
+            "not-compressed": 1
+        }
+
+    def test_strips_are_not_put_into_draco(self, tmp_path: Path) -> None:
+        path = corpus.model("spider-triangle-strip.glb")
+        assert self.codes(path, tmp_path / "out.glb", **compress("draco"))["not-compressed"] == 1
+        assert names_of(read(tmp_path / "out.glb").content) == set()
+
+
+class TestQuantising:
+    def test_the_gradients_fit_the_quantised_mesh(self, tmp_path: Path) -> None:
+        """Of 8 bits something is to be seen; digests and verify's own gradients are those of the output."""
+        options = compress("draco", POSITION=8, NORMAL=8)
+        bake(FOLDER / "bent_tube.glb", tmp_path / "baked.glb", **options)
+        found, original = read_plain(tmp_path / "baked.glb"), read(FOLDER / "bent_tube.glb")
+        off = np.abs(found.attribute("POSITION") - original.attribute("POSITION")).max()
+        extent = np.ptp(original.attribute("POSITION"), axis=0).max()
+        assert extent / 255 / 4 < off <= extent / 255 / 2 * 1.001
+        verdict = verify_file(str(tmp_path / "baked.glb"), REST)
+        assert [check.name for check in verdict.checks if check.outcome == "failed"] == []
+        bounds = found.content["accessors"][found.primitive(0)["attributes"]["POSITION"]]
+        np.testing.assert_array_equal(bounds["min"], found.attribute("POSITION").min(axis=0))
+        np.testing.assert_array_equal(bounds["max"], found.attribute("POSITION").max(axis=0))
+        assert found.stored_attribute("JOINTS_0").tobytes() == original.stored_attribute("JOINTS_0").tobytes()
+
+    def test_the_original_is_quantised_but_once(self, tmp_path: Path) -> None:
+        options = compress("draco", POSITION=9)
+        bake(FOLDER / "bent_tube.glb", tmp_path / "one.glb", **options)
+        bake(tmp_path / "one.glb", tmp_path / "two.glb", **options)
+        assert (tmp_path / "two.glb").read_bytes() == (tmp_path / "one.glb").read_bytes()
+
+
+def test_level_reaches_the_encoder(tmp_path: Path) -> None:
+    sizes = []
+    for level in (0, 3):
+        options = {"compression": Compression("meshopt", level)}
+        bake(twin(KHR, "bent_tube.glb", tmp_path), tmp_path / f"{level}.glb", **options)
+        sizes.append((tmp_path / f"{level}.glb").stat().st_size)
+    assert sizes[1] < sizes[0]
+
+
+def test_shared_accessors_get_copies_of_their_own_in_draco(tmp_path: Path) -> None:
+    """Two primitives with other triangles of the same vertices: a stream each."""
+
+    def share(content: JsonObject) -> None:
+        first = content["meshes"][0]["primitives"][0]
+        half = dict(content["accessors"][first["indices"]])
+        half["count"] = 12
+        content["accessors"].append(half)
+        content["meshes"][0]["primitives"].append({**first, "indices": len(content["accessors"]) - 1})
+
+    path = edited(ADOPTING, tmp_path, share)
+    bake(path, tmp_path / "plain.glb")
+    bake(path, tmp_path / "draco.glb", **compress("draco"))
+    assert_same_bake(tmp_path / "draco.glb", tmp_path / "plain.glb")
+    content = read(tmp_path / "draco.glb").content
+    views = {primitive["extensions"][DRACO]["bufferView"] for _, _, primitive in primitives(content)}
+    assert len(views) == 2
+
+
+class TestOtherTools:
+    def test_a_lost_stream_of_before_keeps_the_one_of_the_bake(self, tmp_path: Path) -> None:
+        bake(twin("draco", "bent_tube.glb", tmp_path), tmp_path / "baked.glb")
+        model = read(tmp_path / "baked.glb")
+        extension = model.primitive(0)["extensions"][DRACO]
+        extension["extras"]["skinbake"]["before"]["bufferView"] = 0
+        rewritten(model, tmp_path / "baked.glb")
+        result = strip_file(str(tmp_path / "baked.glb"), str(tmp_path / "bare.glb"))
+        assert {notice.code for notice in result.notices} == {"bytes-left"}
+        bare, original = read_plain(tmp_path / "bare.glb"), read(FOLDER / "bent_tube.glb")
+        assert bare.primitive(0)["attributes"].keys() == original.primitive(0)["attributes"].keys()
+        for name in original.primitive(0)["attributes"]:
+            assert np.array_equal(bare.attribute(name), original.attribute(name))
+        assert "skinbake" not in json.dumps(bare.content["meshes"])
+
+    def test_adopted_influences_stay_where_those_of_before_are_lost(self, tmp_path: Path) -> None:
+        bake(twin("draco", ADOPTING, tmp_path), tmp_path / "baked.glb")
+        model = read(tmp_path / "baked.glb")
+        del model.primitive(0)["extensions"][DRACO]["extras"]
+        rewritten(model, tmp_path / "baked.glb")
+        result = strip_file(str(tmp_path / "baked.glb"), str(tmp_path / "bare.glb"))
+        assert {notice.code for notice in result.notices} == {"adopted-kept", "bytes-left"}
+        assert ALPHA not in read_plain(tmp_path / "bare.glb").primitive(0)["attributes"]
+
+    def test_views_that_followed_ours_are_not_cut_off(self, tmp_path: Path) -> None:
+        bake(twin(EXT, ADOPTING, tmp_path), tmp_path / "baked.glb")
+        model = read(tmp_path / "baked.glb")
+        fallback = len(model.content["buffers"]) - 1
+        model.content["bufferViews"].insert(0, {"buffer": fallback, "byteLength": 4})
+        for accessor in model.content["accessors"]:
+            if "bufferView" in accessor:
+                accessor["bufferView"] += 1
+        rewritten(model, tmp_path / "moved.glb")
+        result = strip_file(str(tmp_path / "moved.glb"), str(tmp_path / "bare.glb"))
+        assert {notice.code for notice in result.notices} == {"bytes-left"}
+
+
+def matched(found: GltfFile, original: GltfFile, mesh: int, other: int) -> tuple[Any, Any]:
+    """Return pairs of vertices, one of each model, by position and normal: the nearest of all."""
+    ours, theirs = (
+        np.concatenate([model.attribute("POSITION", number), model.attribute("NORMAL", number) * 0.1], axis=1)
+        for model, number in ((found, mesh), (original, other))
+    )
+    distances = np.linalg.norm(ours[:, None] - theirs[None], axis=2)
+    return np.arange(len(ours)), distances.argmin(axis=1)
+
+
+def by_joint(model: GltfFile, mesh: int, joints: int) -> Any:
+    """Return α and β of every joint (V, J, 2), slot 0's from the sum rule."""
+    slots, _ = model.influences(mesh)
+    result = np.zeros((len(slots), joints, 2))
+    for column, name in enumerate((ALPHA, BETA)):
+        stored = model.attribute(name, mesh)
+        full = np.concatenate([-stored.sum(axis=1, keepdims=True), stored], axis=1)
+        np.add.at(result[:, :, column], (np.arange(len(slots))[:, None], slots), full)
+    return result
+
+
+TWINS = [
+    ("barbarian-draco-edgebreaker.glb", "barbarian-plain.glb"),
+    ("hand_l-draco-sequential.glb", "hand_l-weights-u16.glb"),
+    ("BathDay/bath_day.glb", "decoded/bath_day.glb"),
+]
+
+
+@pytest.mark.parametrize(("name", "original"), TWINS)
+def test_real_twins_have_the_same_gradients_within_their_quantisation(
+    name: str, original: str, tmp_path: Path
+) -> None:
+    """The gradient of each joint's weight, α t0 + β b0, at matched vertices; see the bound below."""
+    options = {"neighbours": "drop", "frame": "normal"}
+    from skinbake.bake.baker import BakeSettings
+
+    for target, path in (("ours", name), ("theirs", original)):
+        settings = BakeSettings(**options)  # type: ignore[arg-type]
+        bake(corpus.model(path), tmp_path / f"{target}.glb", settings=settings)
+    models = read_plain_many([tmp_path / "ours.glb", tmp_path / "theirs.glb"])
+    found, expected = models.values()
+    compared = 0
+    for mesh, _, primitive in primitives(found.content):
+        if ALPHA not in primitive["attributes"]:
+            continue
+        joints = int(max(model.influences(mesh)[0].max() for model in (found, expected))) + 1
+        ours, theirs = matched(found, expected, mesh, mesh)
+        gradients = [by_joint(found, mesh, joints)[ours], by_joint(expected, mesh, joints)[theirs]]
+        lengths = [np.linalg.norm(entry, axis=2) for entry in gradients]
+        scale = np.percentile(lengths[1].max(axis=1), 90)
+        if scale == 0:  # a single joint moves all of it
+            continue
+        difference = np.abs(lengths[0] - lengths[1]).max(axis=1)
+        assert np.median(difference) < 0.02 * scale, (mesh, np.median(difference) / scale)
+        assert np.percentile(difference, 90) < 0.1 * scale, (mesh, np.percentile(difference, 90) / scale)
+        compared += len(ours)
+    assert compared > 250
+
+
+def test_compressed_models_bake_verify_and_validate(tmp_path: Path) -> None:
+    """All schemes on all compressed models of the corpus, in one run of the validator.
+
+    It does not look inside compressed data: what was decoded is held against what the reference decoders give.
+    """
+    khronos.require_node()
+    pairs = []
+    for name in COMPRESSED:
+        source = corpus.model(name)
+        for scheme in SCHEMES:
+            target = tmp_path / scheme / source.name
+            target.parent.mkdir(exist_ok=True)
+            bake(source, target, **compress(scheme))
+            verdict = verify_file(str(target), REST)
+            assert [check.name for check in verdict.checks if check.outcome == "failed"] == [], target
+            pairs.append((_written_plain(source, tmp_path) if scheme == "none" else source, target))
+    reports = khronos.validate_many([path for pair in pairs for path in pair])
+    new = {str(target): khronos.new_findings(reports[source], reports[target]) for source, target in pairs}
+    assert {target: found for target, found in new.items() if found} == {}
+
+
+def _written_plain(source: Path, folder: Path) -> Path:
+    model = read_plain(source)
+    return rewritten(model, folder / source.name)
+
+
+@pytest.mark.parametrize("name", COMPRESSED)
+def test_what_bake_decoded_is_what_others_decode_of_its_output(name: str, tmp_path: Path) -> None:
+    """Every attribute of before, and α/β: the reference decoder on the input and on the output."""
+    source = corpus.model(name)
+    bake(source, tmp_path / "baked.glb", settings=_dropping())
+    models = read_plain_many([source, tmp_path / "baked.glb"])
+    before, after = models[source], models[tmp_path / "baked.glb"]
+    count = 0
+    for mesh, number, primitive in primitives(before.content):
+        for attribute in primitive["attributes"]:
+            ours, theirs = (model.stored_attribute(attribute, mesh, number) for model in (after, before))
+            assert ours.tobytes() == theirs.tobytes(), (mesh, attribute)
+        assert np.array_equal(after.triangles(mesh, number), before.triangles(mesh, number))
+        count += note(after.content, mesh, number) is not None
+    assert count >= 1
+
+
+def _dropping() -> Any:
+    from skinbake.bake.baker import BakeSettings
+
+    return BakeSettings(neighbours="drop")

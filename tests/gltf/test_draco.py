@@ -1,0 +1,339 @@
+"""Draco streams: read like the reference decoder reads them, refused before they do harm."""
+
+from __future__ import annotations
+
+import os
+import struct
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import DracoPy
+import numpy as np
+import pytest
+
+from fixtures.builder import JsonObject
+from skinbake.errors import InputError, Place, UnsupportedFeatureError
+from skinbake.gltf import draco_stream
+from skinbake.gltf.accessors import read_accessor
+from skinbake.gltf.document import Document, read_document
+from skinbake.gltf.primitives import read_primitive, reason_to_skip, skinned_sources
+from tests.gltf.compressed import draco_stream as encoded
+from tests.gltf.compressed import draco_twin
+from tests.gltf.models import FOLDER, primitives, rewritten
+from tests.support import corpus
+from tests.support.decoders import read_plain
+from tests.support.gltf_reading import DRACO, GltfFile, read
+
+TWIN = "foreign_joints.glb"
+CORPUS = [
+    "BathDay/bath_day.glb",  # JOINTS_0 of unsigned shorts
+    "barbarian-draco-edgebreaker.glb",
+    "hand_l-draco-sequential.glb",
+]
+
+
+def values(document: Document, accessor: int) -> Any:
+    return read_accessor(document, accessor, document.place).values
+
+
+@pytest.mark.parametrize("name", CORPUS)
+def test_reads_what_the_reference_decoder_reads(name: str) -> None:
+    path = corpus.model(name)
+    document, theirs = read_document(str(path)), read_plain(path)
+    for _, _, primitive in primitives(theirs.content):
+        for accessor in primitive["attributes"].values():
+            stored = theirs.stored(accessor)
+            found = values(document, accessor)
+            assert (found.dtype, found.tobytes()) == (stored.dtype, stored.tobytes())
+        assert np.array_equal(values(document, primitive["indices"]), theirs.stored(primitive["indices"]))
+
+
+@pytest.mark.parametrize("name", ["foreign_joints.glb", "two_sets.glb", "weights_u16.glb", "weights_u8.glb"])
+def test_a_lossless_twin_reads_like_its_original(name: str, tmp_path: Path) -> None:
+    path = draco_twin(FOLDER / name, tmp_path / "twin.glb")
+    arrays = []
+    for file in (FOLDER / name, path):
+        document = read_document(str(file))
+        arrays.append([read_primitive(document, source) for source in skinned_sources(document)[0]])
+    for ours, theirs in zip(*arrays, strict=True):
+        assert ours.positions.tobytes() == theirs.positions.tobytes()
+        for attribute in ("normals", "joints", "weights", "triangles"):
+            assert np.array_equal(getattr(ours, attribute), getattr(theirs, attribute))
+
+
+def test_the_stream_counts_where_there_is_plain_data_too(tmp_path: Path) -> None:
+    """A file for loaders without the extension: its plain vertices may have another order."""
+
+    def with_wrong_fallback(content: JsonObject) -> None:
+        position = content["meshes"][0]["primitives"][0]["attributes"]["POSITION"]
+        content["accessors"][position]["bufferView"] = 0
+
+    path = draco_twin(FOLDER / TWIN, tmp_path / "twin.glb", change=with_wrong_fallback)
+    original = read(FOLDER / TWIN)
+    accessor = original.content["meshes"][0]["primitives"][0]["attributes"]["POSITION"]
+    assert values(read_document(str(path)), accessor).tobytes() == original.stored(accessor).tobytes()
+
+
+@pytest.mark.parametrize("normalised", [False, True])
+def test_signed_integers_come_back_as_such(normalised: bool) -> None:
+    """DracoPy gives them as floats, divided by the largest value where the stream says so."""
+    stored = np.array([[-127, 0, 127], [5, -6, 64]], np.int8)
+    floats = (stored / np.float32(127) if normalised else stored).astype(np.float32)
+    from skinbake.gltf.draco import _of_type
+
+    found = _of_type(floats, (np.dtype(np.int8), 3, 2), 127, Place("x"))
+    assert found.tolist() == stored.tolist()
+
+
+def stream_of(path: Path) -> tuple[JsonObject, bytes, int, int]:
+    """Return a model's JSON, its BIN chunk, and where in it the first stream begins and ends."""
+    model = read(path)
+    view = model.content["bufferViews"][
+        model.content["meshes"][0]["primitives"][0]["extensions"][DRACO]["bufferView"]
+    ]
+    start = view["byteOffset"]
+    return model.content, model.binary_chunk or b"", start, start + view["byteLength"]
+
+
+def with_stream(path: Path, change: Callable[[bytes], bytes]) -> Path:
+    """Rewrite a model with its first stream, the last thing in its BIN chunk, changed."""
+    content, binary, start, end = stream_of(path)
+    data = change(binary[start:end])
+    view = content["bufferViews"][-1]
+    view["byteLength"] = len(data)
+    content["buffers"][0]["byteLength"] = start + len(data)
+    return rewritten(GltfFile(path, content, binary[:start] + data), path)
+
+
+def read_first(path: Path) -> Any:
+    document = read_document(str(path))
+    (source,) = skinned_sources(document)[0]
+    assert reason_to_skip(document, source, generate_normals=False) is None
+    return read_primitive(document, source)
+
+
+def varint(number: int) -> bytes:
+    parts = []
+    while number > 0x7F:
+        parts.append(number & 0x7F | 0x80)
+        number >>= 7
+    return bytes([*parts, number])
+
+
+def with_counts(first: int, second: int) -> Callable[[bytes], bytes]:
+    """Replace the two counts at the beginning of a sequential stream: triangles, vertices."""
+    return lambda data: data[:11] + varint(first) + varint(second) + data[11 + len(varint(208)) + 1 :]
+
+
+BROKEN: list[tuple[str, Callable[[bytes], bytes], str]] = [
+    ("no stream", lambda data: b"DRACA" + data[5:], "does not begin with 'DRACO'"),
+    ("empty", lambda data: b"D", "does not begin with 'DRACO'"),
+    ("cut in the header", lambda data: data[:8], "is cut short"),
+    ("cut in the counts", lambda data: data[:12], "is cut short"),
+    ("cut in the data", lambda data: data[:-100], "cannot be decoded"),
+    ("an old version", lambda data: data[:5] + b"\1\3" + data[7:], "version 1.3; glTF has 2.2"),
+    ("a point cloud", lambda data: data[:7] + b"\0" + data[8:], "kind 0 and method 0: no mesh"),
+    ("an unknown method", lambda data: data[:8] + b"\7" + data[9:], "kind 1 and method 7: no mesh"),
+    ("more triangles", with_counts(209, 112), "says 112 vertices and 627 indices, its accessors declare 112"),
+    ("more vertices", with_counts(208, 1 << 31), "says 2147483648 vertices and 624 indices"),
+    ("fewer vertices", with_counts(208, 111), "says 111 vertices"),
+    ("an endless number", lambda data: data[:11] + b"\xff" * 8 + data[19:], "a number that does not end"),
+    (
+        "endless metadata",
+        lambda data: data[:9] + b"\0\x80\0" + b"\0\1\0" * 40 + data[11:],
+        "nested too deep",
+    ),
+]
+
+
+@pytest.mark.parametrize(("change", "message"), [case[1:] for case in BROKEN], ids=[c[0] for c in BROKEN])
+def test_a_broken_stream_is_refused(change: Callable[[bytes], bytes], message: str, tmp_path: Path) -> None:
+    path = with_stream(draco_twin(FOLDER / TWIN, tmp_path / "twin.glb"), change)
+    with pytest.raises(InputError, match=message) as caught:
+        read_first(path)
+    assert str(caught.value).startswith(f'{path}: mesh 0 "limb", primitive 0')
+
+
+def extension(**members: Any) -> Callable[[JsonObject], None]:
+    return lambda content: content["meshes"][0]["primitives"][0]["extensions"][DRACO].update(members)
+
+
+def accessor(name: str, **members: Any) -> Callable[[JsonObject], None]:
+    def change(content: JsonObject) -> None:
+        primitive = content["meshes"][0]["primitives"][0]
+        number = primitive["indices"] if name == "indices" else primitive["attributes"][name]
+        content["accessors"][number] |= members
+
+    return change
+
+
+def every_accessor(content: JsonObject) -> None:
+    for number in content["meshes"][0]["primitives"][0]["attributes"].values():
+        content["accessors"][number]["count"] = 1 << 30
+
+
+WRONG_JSON: list[tuple[Callable[[JsonObject], Any], str]] = [
+    (extension(bufferView=99), '"bufferView" refers to entry 99'),
+    (
+        extension(attributes={"POSITION": 9}),
+        "its Draco stream has no attribute 9; it has 0, 1, 2, 3",
+    ),
+    (extension(attributes={"POSITION": 3, "COLOR_0": 1}), "has COLOR_0, which the primitive has not"),
+    (extension(attributes={"POSITION": 1}), "values that no float32 of its accessor|components"),
+    (extension(attributes=[]), '"attributes" must be an object'),
+    (lambda content: content["meshes"][0]["primitives"][0].pop("indices"), "or the primitive no indices"),
+    (
+        lambda content: content["meshes"][0]["primitives"][0]["extensions"][DRACO].pop("bufferView"),
+        "names no buffer view",
+    ),
+    (accessor("NORMAL", count=111), "POSITION: it has 112 elements, others of its Draco stream 111"),
+    (accessor("indices", count=621), "says 112 vertices and 624 indices, its accessors declare 112 and 621"),
+    (accessor("NORMAL", type="VEC4"), "holds 112 elements of 3 components, the accessor declares 112 of 4"),
+    (accessor("POSITION", componentType=5123), "values that no uint16 of its accessor can be"),
+    (every_accessor, "says 112 vertices and 624 indices, its accessors declare 1073741824"),
+]
+
+
+@pytest.mark.parametrize(("change", "message"), WRONG_JSON)
+def test_json_that_contradicts_the_stream_is_refused(
+    change: Callable[[JsonObject], Any], message: str, tmp_path: Path
+) -> None:
+    path = draco_twin(FOLDER / TWIN, tmp_path / "twin.glb", change=change)
+    with pytest.raises(InputError, match=message) as caught:
+        read_first(path)
+    assert str(caught.value).startswith(f'{path}: mesh 0 "limb", primitive 0')
+
+
+def test_a_strip_in_draco_is_refused(tmp_path: Path) -> None:
+    path = draco_twin(
+        FOLDER / TWIN,
+        tmp_path / "twin.glb",
+        change=lambda content: content["meshes"][0]["primitives"][0].update(mode=5),
+    )
+    with pytest.raises(UnsupportedFeatureError, match="a triangle strip in Draco"):
+        read_first(path)
+
+
+def test_an_accessor_of_two_streams_must_mean_the_same_in_both(tmp_path: Path) -> None:
+    def with_another(content: JsonObject) -> None:
+        first = content["meshes"][0]["primitives"][0]
+        extension = {**first["extensions"][DRACO], "attributes": {"POSITION": 0}}
+        content["meshes"].append({"primitives": [{**first, "extensions": {DRACO: extension}}]})
+
+    path = draco_twin(FOLDER / TWIN, tmp_path / "twin.glb", change=with_another)
+    with pytest.raises(UnsupportedFeatureError, match="stands for different values in two Draco streams"):
+        read_first(path)
+
+
+def test_more_than_a_stream_of_its_length_may_hold_is_refused() -> None:
+    """Constant attributes cost nothing: 3 million vertices in a stream of 300 bytes."""
+    data = b"DRACO\2\2\1\0\0\0" + varint(1) + varint(3_000_000) + bytes(100)
+    with pytest.raises(InputError, match="declare 72000000 bytes for a Draco stream of 116, over the limit"):
+        draco_stream.decode(memoryview(data), 3_000_000, 3, 72_000_000, Place("x"))
+
+
+@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="only Linux tells what a process has")
+def test_a_stream_wider_than_its_accessors_is_refused_in_bounded_memory(tmp_path: Path) -> None:
+    """20,000 vertices of 4 × 127 constant integers, 40 MB where 0.2 are declared; the limit is lowered."""
+    count = 20_000
+    wide = np.zeros((count, 127), np.uint32)
+    stream, _ = encoded(
+        {"POSITION": np.zeros((count, 3), np.int32), **{f"_{n}": wide for n in range(4)}},
+        np.zeros((1, 3), np.uint32),
+    )
+    (tmp_path / "stream.drc").write_bytes(stream)
+    script = (
+        "import sys, resource\n"
+        "from pathlib import Path\n"
+        "from skinbake.errors import InputError, Place\n"
+        "from skinbake.gltf import draco_stream\n"
+        "draco_stream.MEMORY_BASE = 1 << 26\n"
+        "data = memoryview(Path(sys.argv[1]).read_bytes())\n"
+        f"try: draco_stream.decode(data, {count}, 3, {count * 12}, Place('x'))\n"
+        "except InputError as error: print(error.message)\n"
+        "status = Path('/proc/self/status').read_text()\n"
+        "print(next(line.split()[1] for line in status.splitlines() if line.startswith('VmHWM')))\n"
+        "print(resource.getrlimit(resource.RLIMIT_AS)[0])\n"
+    )
+    command = [sys.executable, "-c", script, str(tmp_path / "stream.drc")]
+    run = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True, env=os.environ)
+    message, used, limit = run.stdout.splitlines()
+    assert message == "its Draco stream needs more memory than its accessors justify"
+    assert int(used) < 160_000  # KiB; 64 MiB, 16 times what is declared, and what Python has
+    assert limit == "-1"  # as before
+
+
+def test_metadata_before_the_counts_is_passed_over() -> None:
+    points = np.random.default_rng(1).random((30, 3)).astype(np.float32)
+    faces = np.arange(30, dtype=np.uint32).reshape(10, 3)
+    data = DracoPy.encode(
+        points, faces, quantization_bits=0, preserve_order=True, create_metadata=True,
+        generic_attributes={"name": points},
+    )  # fmt: skip
+    assert struct.unpack_from("<H", data, 9)[0] & draco_stream.METADATA_FLAG
+    counts = draco_stream.read_counts(memoryview(data), Place("x"))
+    assert (counts.vertices, counts.faces, counts.method) == (30, 10, draco_stream.SEQUENTIAL)
+
+
+class TestEncoder:
+    faces = np.array([[0, 1, 2], [2, 1, 3], [3, 1, 0], [0, 0, 0]])
+
+    def arrays(self, count: int = 500, seed: int = 4) -> dict[str, Any]:
+        random = np.random.default_rng(seed)
+        return {
+            "JOINTS_0": random.integers(0, 65536, (count, 4)).astype(np.uint16),
+            "JOINTS_1": random.integers(0, 256, (count, 4)).astype(np.uint8),
+            "POSITION": random.normal(size=(count, 3)).astype(np.float32),
+            "NORMAL": random.normal(size=(count, 3)).astype(np.float32),
+            "TEXCOORD_0": random.random((count, 2)).astype(np.float32),
+            "_ALPHA": (random.normal(size=(count, 4)) * 10.0 ** random.integers(-30, 30, (count, 1))).astype(
+                np.float32
+            ),
+        }
+
+    def decoded(self, stream: draco_stream.Encoded) -> dict[str, Any]:
+        entries = {entry["unique_id"]: entry["data"] for entry in DracoPy.decode(stream.data).attributes}
+        return {name: entries[number] for name, number in stream.unique_ids.items()}
+
+    def test_stores_every_value_and_the_order(self) -> None:
+        arrays = self.arrays()
+        stream = draco_stream.encode(arrays, self.faces, level=7)
+        found = self.decoded(stream)
+        for name, array in arrays.items():
+            assert found[name].astype(array.dtype).tobytes() == array.tobytes()
+        assert np.array_equal(DracoPy.decode(stream.data).faces, self.faces)
+
+    def test_stores_what_is_no_number(self) -> None:
+        arrays = self.arrays(8)
+        arrays["NORMAL"][3] = np.nan
+        arrays["TEXCOORD_0"][2] = np.inf
+        arrays["POSITION"][:] = -0.0
+        found = self.decoded(draco_stream.encode(arrays, self.faces, level=7))
+        for name in ("NORMAL", "TEXCOORD_0", "POSITION"):
+            assert found[name].tobytes() == arrays[name].tobytes()
+
+    @pytest.mark.parametrize("bits", [8, 11, 14, 16])
+    def test_puts_quantised_floats_back_on_their_grid(self, bits: int) -> None:
+        """The values come from Draco's own quantisation; the stream is smaller than one of plain floats."""
+        arrays = self.arrays(3000)
+        raw = draco_stream.encode(arrays, self.faces, level=7)
+        numbers = {"POSITION": bits, "NORMAL": bits, "TEXCOORD_0": bits}
+        coarse = draco_stream.encode(arrays, self.faces, level=7, bits=numbers)
+        assert coarse.values["POSITION"].tobytes() != arrays["POSITION"].tobytes()
+        again = draco_stream.encode({**arrays, **coarse.values}, self.faces, level=7)
+        found = self.decoded(again)
+        for name in numbers:
+            assert found[name].tobytes() == coarse.values[name].tobytes()
+        assert len(again.data) < len(raw.data) - 3000 * 11
+
+    def test_quantises_what_is_asked_for_alone(self) -> None:
+        arrays = self.arrays()
+        found = self.decoded(draco_stream.encode(arrays, self.faces, level=7, bits={"POSITION": 10}))
+        extent = float(np.ptp(arrays["POSITION"], axis=0).max())
+        off = np.abs(found["POSITION"] - arrays["POSITION"]).max()
+        assert 0 < off <= extent / 1023 / 2 * 1.001  # half a step, and the rounding of float32
+        for name in ("NORMAL", "TEXCOORD_0", "_ALPHA"):
+            assert found[name].tobytes() == arrays[name].tobytes()
