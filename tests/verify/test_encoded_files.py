@@ -62,7 +62,7 @@ def busy_vertices(model: Editable, count: int = 12) -> list[int]:
 
 @pytest.mark.parametrize("component", range(4))
 def test_two_steps_of_one_byte_are_found(component: int, tmp_path: Path) -> None:
-    """One step may be what rounding is forgiven; two are three half steps at least, and it is forgiven one."""
+    """One step may be what rounding is forgiven: half a step. Two are three half steps at least."""
     path = written("bent_tube.glb", tmp_path, PACKED8)
     for vertex in busy_vertices(Editable(path)):
 
