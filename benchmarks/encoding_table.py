@@ -2,7 +2,8 @@
 
 ``python -m benchmarks.encoding_table [FOLDER] [--output FILE]``: every .glb, .gltf and .vrm file below the
 folder is in the table; without one, eight characters of the corpus that the tests use (SKINBAKE_CORPUS, or
-../shared/corpus), and all others are baked too, for the largest figures. Exits with 1 where a bake does not verify.
+../shared/corpus), and all others are baked too, for the largest figures. Exits with 1 where a bake does not
+verify.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from skinbake.commands.verify import verify_file
 from skinbake.gltf.encodings import Encoding
 from skinbake.gltf.layouts import Storage
 from skinbake.report.bake import FileResult
+from skinbake.report.notices import counted
 
 DEFAULT_OUTPUT = REPOSITORY / "docs" / "encodings.md"
 CHARACTERS = (
@@ -39,19 +41,21 @@ SCALED = (Encoding.SNORM16, Encoding.PACKED8)
 
 HEAD = """# What smaller α and β cost
 
-`bake --encoding` stores α and β in fewer bytes ([CONVENTIONS.md](../CONVENTIONS.md#encodings) has the formats). What that does to the
-lighting, in degrees:
+`bake --encoding` stores α and β in fewer bytes; [CONVENTIONS.md](../CONVENTIONS.md#encodings) has the
+formats. What that does to the lighting, in degrees:
 
-**Reading it.** *bytes* are those of α and β at a vertex. *error* is the mean angle between the accurate normals (algorithm 3) and the true
-ones with `float32`, as `skinbake verify` measures it. *turned* is the angle by which the encoding turns the accurate normals: mean, and 99th
-percentile; `skinbake bake` prints the same. *added* is by how much the mean error grows: less than the normals turn, since some turn towards the
-true ones. All are over the model's own animations (random poses where it has none), and weighted by rest area.
+**Reading it.** *Bytes* are those of α and β at a vertex. *Error* is the mean angle between the accurate
+normals (algorithm 3) and the true ones with `float32`, as `skinbake verify` measures it. *Turned* is the
+angle by which the encoding turns the accurate normals, mean and 99th percentile; `skinbake bake` prints the
+same. *Added* is by how much the mean error grows: by less than the normals turn, since some turn towards
+the true ones. All of it is over the model's own animations (random poses where it has none), weighted by
+rest area.
 """
 
 
 @dataclass(frozen=True)
 class Measured:
-    """One model in one encoding: bytes a vertex, how far normals turn (mean, p99), the mean error if verified."""
+    """One model in one encoding: bytes a vertex, how far normals turn (mean, p99), their mean error."""
 
     size: int
     turned: tuple[float, float] | None
@@ -119,9 +123,8 @@ def turned(result: FileResult) -> tuple[float, float] | None:
 def mean_error(target: str) -> float | None:
     """Return the mean error of accurate LBS normals, None where the file does not verify."""
     verdict = verify_file(target, VerifyOptions(methods=("lbs",)))
-    if not verdict.passed or "lbs" not in verdict.normals:
-        return None
-    return verdict.normals["lbs"]["accurate"].mean
+    figures = (verdict.normals or {}).get("lbs", {}).get("accurate")
+    return figures.mean if figures and verdict.passed else None
 
 
 def page(rows: dict[str, Row], all_turned: dict[str, Row]) -> str:
@@ -166,7 +169,8 @@ def largest(rows: dict[str, Row]) -> Iterator[str]:
             ]
             if found:
                 worst, name = max(found)
-                yield f"- {encoding} at {bytes_} bytes, {len(found)} models: {pair(worst)} ({name})"
+                models = counted(len(found), "model")
+                yield f"- {encoding} at {bytes_} bytes, {models}: {pair(worst)} ({name})"
 
 
 def pair(values: Sequence[float] | None) -> str:
@@ -178,7 +182,8 @@ def degrees(value: float | None, digits: int, *, sign: bool = False) -> str:
     """Return an angle, with its sign where it may have either."""
     if value is None:
         return "—"
-    return f"{value:+.{digits}f}°" if sign else f"{value:.{digits}f}°"
+    rounded = round(value, digits) + 0.0  # no −0
+    return f"{rounded:+.{digits}f}°" if sign and rounded else f"{rounded:.{digits}f}°"
 
 
 if __name__ == "__main__":
