@@ -11,6 +11,8 @@ import jsonschema
 import numpy as np
 import pytest
 
+from skinbake.gltf.encodings import Encoding
+from skinbake.gltf.layouts import Layout, Storage
 from tests.cli.running import document, invoke, run
 from tests.cli.test_json import COUNT, PLACE, TEXT, WARNINGS, strict
 from tests.gltf.models import FOLDER, SHARED, Part, bake, edited, rewritten, sheet, write_model
@@ -242,6 +244,23 @@ class TestBakedFile:
         (primitive,) = cost(path)["primitives"]
         assert primitive["baked"] is True
         assert primitive["added_bytes"] == by_number(0, 48, 4 * 8)
+
+    @pytest.mark.parametrize(("encoding", "size"), [(Encoding.PACKED8, 1), (Encoding.SNORM16, 2)])
+    def test_an_encoding_has_a_scale_for_alpha_and_one_for_beta(
+        self, encoding: Encoding, size: int, tmp_path: Path
+    ) -> None:
+        """Algorithm 2's ∇w would have three numbers and a scale for each of eight joints."""
+        bake(FOLDER / "two_sets.glb", tmp_path / "baked.glb", storage=Storage(encoding))
+        (primitive,) = cost(tmp_path / "baked.glb")["primitives"]
+        assert primitive["added_bytes"] == by_number(0, 8 * 4 * size, 2 * 8 * size)
+
+    def test_texture_coordinates_count_once_although_one_holds_both(self, tmp_path: Path) -> None:
+        bake(FOLDER / "two_sets.glb", tmp_path / "baked.glb", storage=Storage(layout=Layout.TEXCOORD))
+        (primitive,) = cost(tmp_path / "baked.glb")["primitives"]
+        assert primitive["baked"] is True
+        stored = {name: size for name, size in primitive["stored"].items() if name.startswith("TEXCOORD")}
+        assert stored == {f"TEXCOORD_{number}": 8 for number in range(7)}
+        assert primitive["added_bytes"] == by_number(0, 96, 56)
 
     @pytest.mark.parametrize("name", ["_SKINBAKE_BETA_1", "_SKINBAKE_ALPHA_0"])
     def test_half_a_bake_is_none(self, name: str, tmp_path: Path) -> None:

@@ -210,6 +210,20 @@ class TestUsage:
                 ["{seam}", "-o", "{dir}/a.glb", "--alpha-name", "_X{set}", "--beta-name", "_X{set}"],
                 "must differ",
             ),
+            (["{seam}", "-o", "{dir}/a.glb", "--encoding", "half"], "'half' is not one of"),
+            (["{seam}", "-o", "{dir}/a.glb", "--layout", "uv"], "'uv' is not one of"),
+            (
+                ["{seam}", "-o", "{dir}/a.glb", "--layout", "texcoord", "--encoding", "packed8"],
+                "--layout texcoord takes --encoding float32, not packed8",
+            ),
+            (
+                ["{seam}", "-o", "{dir}/a.glb", "--layout", "texcoord", "--alpha-name", "_A{set}"],
+                "--alpha-name is for --layout attributes; texcoord has names of its own",
+            ),
+            (
+                ["{seam}", "-o", "{dir}/a.glb", "--layout", "custom", "--beta-name", "_SKINBAKE_BETA_{set}"],
+                "--beta-name is for --layout attributes; custom has names of its own",
+            ),
             (["{seam}", "-o", "{dir}/a.glb", "--color", "blue"], "'blue' is not one of"),
             (["{seam}", "-o", "{dir}/a.glb", "--no-such"], "No such option"),
         ],

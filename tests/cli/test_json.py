@@ -69,9 +69,22 @@ BAKED = strict(
         "lost_gradient": {"type": "number", "minimum": 0, "maximum": 1},
         "gradient": {"type": "number", "minimum": 0},
         "added_bytes": COUNT,
+        "bytes_per_vertex": {"type": "integer", "minimum": 6},
     },
     optional={"mesh_name": {"type": "string"}},
 )
+ANGLE = {"type": "number", "minimum": 0, "maximum": 180}
+ENCODING = {
+    "oneOf": [
+        {"type": "null"},
+        strict(
+            {
+                "name": {"enum": ["float32", "snorm16", "packed8"]},
+                "added_error": {"oneOf": [{"type": "null"}, strict({"mean": ANGLE, "p99": ANGLE})]},
+            }
+        ),
+    ]
+}
 BAKE = strict(
     {
         "schema": {"const": "skinbake.bake/1"},
@@ -87,6 +100,7 @@ BAKE = strict(
                     "status": {"enum": ["baked", "unchanged", "failed"]},
                     "skipped": COUNT,
                     "primitives": {"type": "array", "items": BAKED},
+                    "encoding": ENCODING,
                     "warnings": WARNINGS,
                     "error": ERROR,
                 }
@@ -170,6 +184,26 @@ def test_bake_of_every_fixture(tmp_path: Path) -> None:
             grown = (tmp_path / name).stat().st_size - (FOLDER / name).stat().st_size
             # The rest is JSON: some hundreds of bytes for each primitive.
             assert 0 < grown - sum(primitive["added_bytes"] for primitive in file["primitives"]) < 3000
+
+
+@pytest.mark.parametrize(("encoding", "size", "least"), [("packed8", 8, 1e-3), ("snorm16", 16, 1e-6)])
+def test_bake_says_what_an_encoding_costs(encoding: str, size: int, least: float) -> None:
+    result = invoke("bake", FOLDER / "bent_tube.glb", "--dry-run", "--json", "--encoding", encoding)
+    (file,) = checked(document(result), BAKE)["files"]
+    assert file["encoding"]["name"] == encoding
+    added = file["encoding"]["added_error"]
+    # One part in 254 is 0.2°, of a term that only some of the surface has; one in 65,534 is 256 times less.
+    assert least < added["mean"] < 100 * least
+    assert added["mean"] < added["p99"] < 1000 * least
+    assert [primitive["bytes_per_vertex"] for primitive in file["primitives"]] == [size]
+
+
+def test_bake_as_float32_has_nothing_to_measure() -> None:
+    (file,) = checked(document(invoke("bake", FOLDER / "bent_tube.glb", "--dry-run", "--json")), BAKE)[
+        "files"
+    ]
+    assert file["encoding"] == {"name": "float32", "added_error": None}
+    assert [primitive["bytes_per_vertex"] for primitive in file["primitives"]] == [24]
 
 
 def test_failures_and_warnings_are_in_the_document(tmp_path: Path) -> None:

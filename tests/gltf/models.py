@@ -155,7 +155,7 @@ def without_additions(before: JsonObject, after: JsonObject) -> JsonObject:
         if found is None:
             continue
         own = before["meshes"][mesh]["primitives"][number]
-        for name in (*found["alpha"], *found["beta"], *found.get("generated", ())):
+        for name in dict.fromkeys([*found["alpha"], *found["beta"], *found.get("generated", ())]):
             del primitive["attributes"][name]
         for name, accessor in found.get("adopted", {}).items():
             assert own["attributes"][name] == accessor != primitive["attributes"][name]

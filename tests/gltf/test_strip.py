@@ -17,6 +17,8 @@ from skinbake.commands.inspect import inspect_file
 from skinbake.commands.strip import strip_file
 from skinbake.errors import InputError
 from skinbake.gltf.baked import AttributeNames
+from skinbake.gltf.encodings import Encoding
+from skinbake.gltf.layouts import Layout, Storage
 from tests.gltf.models import (
     FIXTURES,
     FOLDER,
@@ -41,6 +43,9 @@ OPTIONS: list[dict[str, Any]] = [
     {},
     {"names": AttributeNames("_A{set}", "_B{set}")},
     {"settings": BakeSettings(weighting="angle", neighbours="drop", frame="normal")},
+    {"storage": Storage(Encoding.PACKED8, Layout.CUSTOM)},
+    {"storage": Storage(Encoding.SNORM16)},
+    {"storage": Storage(layout=Layout.TEXCOORD)},
 ]
 
 
@@ -50,7 +55,9 @@ def assert_restored(before: GltfFile, after: GltfFile) -> None:
     assert_buffers_kept(before, after)
 
 
-@pytest.mark.parametrize("options", OPTIONS, ids=["default", "names", "drop"])
+@pytest.mark.parametrize(
+    "options", OPTIONS, ids=["default", "names", "drop", "packed8", "snorm16", "texcoord"]
+)
 @pytest.mark.parametrize("name", FIXTURES)
 def test_strip_undoes_a_bake(name: str, options: dict[str, Any], tmp_path: Path) -> None:
     source = copied(name, tmp_path)

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import click
+from click.core import ParameterSource
 
 from skinbake.cli import exit_codes
 from skinbake.cli.console import console, finite, message_options
@@ -100,6 +101,20 @@ def _pattern(ctx: click.Context, param: click.Parameter, value: str) -> str:
 @click.option(
     "--texcoord-bits", type=click.IntRange(1, 30), metavar="N", help="Quantise TEXCOORD_0 likewise."
 )
+@click.option(
+    "--encoding",
+    type=click.Choice(["float32", "snorm16", "packed8"]),
+    default="float32",
+    show_default=True,
+    help="How α and β are stored: 24, 16 or 8 bytes a vertex with four influences.",
+)
+@click.option(
+    "--layout",
+    type=click.Choice(["attributes", "texcoord", "custom"]),
+    default="attributes",
+    show_default=True,
+    help="Where: in attributes of their own, in free TEXCOORD_n, or in _CUSTOM0 and _CUSTOM1 (Godot).",
+)
 @click.option("--require-baked", is_flag=True, help="Fail (3) where nothing in a file can be baked.")
 @click.option(
     "--warnings-as-errors", is_flag=True, help="Fail (3), and write nothing, where there are warnings."
@@ -146,6 +161,8 @@ def _options(given: dict[str, Any]) -> Any:
     from skinbake.bake.baker import BakeSettings
     from skinbake.commands.bake import BakeOptions
     from skinbake.gltf.baked import AttributeNames
+    from skinbake.gltf.encodings import Encoding
+    from skinbake.gltf.layouts import Layout, Storage
     from skinbake.gltf.recode import Compression
 
     return BakeOptions(
@@ -156,6 +173,7 @@ def _options(given: dict[str, Any]) -> Any:
             frame=given["frame"],
         ),
         names=AttributeNames(given["alpha_name"], given["beta_name"]),
+        storage=Storage(Encoding(given["encoding"]), Layout(given["layout"])),
         generate_normals=given["generate_normals"],
         require_baked=given["require_baked"],
         warnings_as_errors=given["warnings_as_errors"],
@@ -177,6 +195,7 @@ def _targets(inputs: tuple[str, ...], given: dict[str, Any]) -> list[tuple[str, 
         raise click.UsageError("--alpha-name and --beta-name must differ")
     if _bits(given) and given["compress"] != "draco":
         raise click.UsageError("--position-bits, --normal-bits and --texcoord-bits need --compress draco")
+    _check_storage(given)
     chosen = [name for name in ("output", "out_dir", "in_place") if given[name]]
     if len(chosen) > 1 or (not chosen and not given["dry_run"]):
         raise click.UsageError("give one of -o/--output, --out-dir and --in-place")
@@ -198,3 +217,20 @@ def _targets(inputs: tuple[str, ...], given: dict[str, Any]) -> list[tuple[str, 
     if given["out_dir"]:
         return pair_up(inputs, Path(given["out_dir"]))
     return [(source, None) for source in inputs]
+
+
+def _check_storage(given: dict[str, Any]) -> None:
+    """Raise click.UsageError where the layout cannot go with the encoding, or with chosen names."""
+    if given["layout"] == "attributes":
+        return
+    if given["layout"] == "texcoord" and given["encoding"] != "float32":
+        raise click.UsageError(
+            f"--layout texcoord takes --encoding float32, not {given['encoding']}: glTF knows no texture "
+            "coordinates with a sign but floats"
+        )
+    context = click.get_current_context()
+    for option, name in (("alpha_name", "--alpha-name"), ("beta_name", "--beta-name")):
+        if context.get_parameter_source(option) is not ParameterSource.DEFAULT:
+            raise click.UsageError(
+                f"{name} is for --layout attributes; {given['layout']} has names of its own"
+            )

@@ -12,7 +12,7 @@ from skinbake.cli import exit_codes
 from skinbake.cli.console import console, finite, message_options
 from skinbake.cli.targets import STDIO, check_readable_suffix
 from skinbake.errors import ChoiceError, SkinbakeError
-from skinbake.shaders.choices import Language, Lighting, Method
+from skinbake.shaders.choices import ENCODINGS, LAYOUTS, Language, Lighting, Method
 from skinbake.shaders.text import targets
 
 if TYPE_CHECKING:
@@ -66,6 +66,16 @@ PUBLISHED_CAP = 0.9
     "--mirrored-joints",
     is_flag=True,
     help="Keep normals outside where joints mirror; --for sets it where they do.",
+)
+@click.option(
+    "--encoding",
+    type=click.Choice(ENCODINGS),
+    help="How α and β are stored; by default as --for has them, else float32.",
+)
+@click.option(
+    "--layout",
+    type=click.Choice(LAYOUTS),
+    help="In which attributes; by default as --for has them, else attributes of their own.",
 )
 @click.option(
     "--target",
@@ -123,6 +133,8 @@ def _request(given: dict[str, Any]) -> ShaderRequest:
         cap=given["cap"],
         mirrored_joints=given["mirrored_joints"],
         target=given["target"],
+        encoding=given["encoding"],
+        layout=given["layout"],
     )
 
 

@@ -18,7 +18,9 @@ from skinbake.gltf.attribute_store import stored_otherwise
 from skinbake.gltf.baked import AttributeNames, Baked, with_baked
 from skinbake.gltf.container import for_target
 from skinbake.gltf.document import STDIO, Document, read_document
+from skinbake.gltf.encodings import Encoding
 from skinbake.gltf.json_access import JsonObject
+from skinbake.gltf.layouts import Storage
 from skinbake.gltf.output import plan_output, refuse_own_input
 from skinbake.gltf.primitives import (
     PrimitiveSource,
@@ -28,7 +30,7 @@ from skinbake.gltf.primitives import (
 )
 from skinbake.gltf.recode import Compression, recoded
 from skinbake.gltf.strip import stripped
-from skinbake.report.bake import BakedCounts, FileResult, Status
+from skinbake.report.bake import BakedCounts, EncodingCost, FileResult, Status
 
 logger = logging.getLogger(__name__)
 
@@ -42,6 +44,7 @@ class BakeOptions:
     generate_normals: bool = False
     require_baked: bool = False
     warnings_as_errors: bool = False
+    storage: Storage = field(default_factory=Storage)
     dry_run: bool = False
     make_folder: bool = False
     compression: Compression = field(default_factory=Compression)
@@ -77,6 +80,7 @@ def _bake_file(source: str, target: str | None, options: BakeOptions, notices: l
     result, primitives, skipped = bake_document(prepared, options, found)
     if not primitives:
         result, found = _passed_through(document, target, skipped, options, found[begun:])
+    encoding = _encoding(prepared, result, options, found) if primitives else None
     notices += found
     untouched = result is document and target == source and source != STDIO
     planned = (
@@ -89,7 +93,26 @@ def _bake_file(source: str, target: str | None, options: BakeOptions, notices: l
     if planned is not None and not options.dry_run:
         planned.write()
     status: Status = "baked" if primitives else "unchanged"
-    return FileResult(source, target, status, tuple(primitives), skipped, tuple(notices))
+    return FileResult(source, target, status, tuple(primitives), skipped, tuple(notices), encoding=encoding)
+
+
+def _encoding(
+    prepared: Document, result: Document, options: BakeOptions, notices: list[Notice]
+) -> EncodingCost:
+    """Return what the encoding costs; a file that cannot be posed is told of in ``notices``."""
+    encoding = options.storage.encoding
+    if not encoding.is_scaled:
+        return EncodingCost(str(encoding))
+    from skinbake.commands.encoding import added_by_encoding  # replays: half a second of imports
+
+    plain, _, _ = bake_document(prepared, replace(options, storage=Storage()), [])
+    try:
+        added = added_by_encoding(result, plain)
+    except InputError as error:
+        message = f"what --encoding {encoding} adds to the error could not be measured: {error.message}"
+        notices.append(Notice("encoding-unmeasured", message, error.place or prepared.place))
+        added = None
+    return EncodingCost(str(encoding), added.mean if added else None, added.p99 if added else None)
 
 
 def _bakeable(document: Document, options: BakeOptions) -> list[PrimitiveSource]:
@@ -140,7 +163,8 @@ def bake_document(
     if not baked:
         return document, [], skipped
     notices += stored_otherwise(document, [item.source for item in baked])
-    written, lengths = with_baked(document, baked, options.names, level=options.compression.level)
+    level = options.compression.level
+    written, lengths = with_baked(document, baked, options.names, options.storage, level=level)
     counts = [(place, replace(c, added_bytes=n)) for (place, c), n in zip(results, lengths, strict=True)]
     return written, counts, skipped
 
@@ -168,11 +192,16 @@ def _bake_sources(
     for source, primitive, (outcome, findings) in zip(sources, primitives, outcomes, strict=True):
         notices += _assumptions(source, primitive, outcome, findings)
         baked.append(Baked(source, primitive, outcome, _noted_settings(options.settings)))
-        results.append((source.place, _counts(source, primitive, outcome, findings)))
+        encoding = options.storage.encoding
+        results.append((source.place, _counts(source, primitive, outcome, findings, encoding)))
 
 
 def _counts(
-    source: PrimitiveSource, primitive: SkinnedPrimitive, outcome: BakedPrimitive, findings: BakeFindings
+    source: PrimitiveSource,
+    primitive: SkinnedPrimitive,
+    outcome: BakedPrimitive,
+    findings: BakeFindings,
+    encoding: Encoding,
 ) -> BakedCounts:
     return BakedCounts(
         vertices=len(primitive.positions),
@@ -186,6 +215,7 @@ def _counts(
         gradient=findings.magnitude,
         lost_gradient=findings.lost,
         added_bytes=0,
+        bytes_per_vertex=encoding.vertex_bytes(primitive.joints.shape[1]),
     )
 
 

@@ -5,24 +5,22 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
 from skinbake.bake.baker import TANGENT_TOLERANCE
+from skinbake.commands.stored_slots import BAKE, read_slots, shown, wrong_storage
 from skinbake.errors import Notice
 from skinbake.geometry import frames
-from skinbake.geometry.skinned import FloatArray, SkinnedPrimitive
-from skinbake.gltf.accessors import read_accessor
+from skinbake.geometry.skinned import Float64Array, FloatArray, SkinnedPrimitive
 from skinbake.gltf.document import Document
 from skinbake.gltf.former import former_attributes
-from skinbake.gltf.json_access import JsonObject, index
+from skinbake.gltf.json_access import JsonObject
 from skinbake.gltf.metadata import VERSION, changed_arrays, read_metadata
 from skinbake.gltf.primitives import PrimitiveSource, read_primitive
 
 WEIGHTINGS = ("max", "angle", "area", "angle-area")
 FRAMES = (frames.NORMAL_FRAME, frames.TANGENT_FRAME)
-BAKE = "run skinbake bake"
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +29,8 @@ class BakedView:
 
     now holds its arrays, before the arrays from before adoption where the file still has them (else now).
     alpha, beta (V, K − 1); tangents, bitangents (V, 3) of the frame that the metadata names. changed are the
-    digests that no longer hold.
+    digests that no longer hold. rounding (V, 2) is the most by which an encoding may have changed a value of
+    α, and one of β.
     """
 
     source: PrimitiveSource
@@ -43,6 +42,7 @@ class BakedView:
     tangents: FloatArray
     bitangents: FloatArray
     changed: tuple[str, ...]
+    rounding: Float64Array
 
 
 def is_baked(document: Document, source: PrimitiveSource) -> bool:
@@ -75,18 +75,15 @@ def _view(document: Document, source: PrimitiveSource) -> BakedView | Notice:
         return Notice("metadata-missing", f"it {what}: {BAKE}", source.place)
     version = metadata.get("version")
     if isinstance(version, bool) or version != VERSION:
-        message = f"its metadata has version {_shown(version)}, this skinbake reads {VERSION}: {BAKE}"
+        message = f"its metadata has version {shown(version)}, this skinbake reads {VERSION}: {BAKE}"
         return Notice("version", message, source.place)
     wrong = next(_wrong_members(metadata, source), None)
     if wrong is not None:
         return Notice("metadata-broken", f"its metadata is damaged: {wrong}; {BAKE}", source.place)
     now = read_primitive(document, source)
-    arrays = []
-    for key in ("alpha", "beta"):
-        found = _stored_slots(document, source, metadata[key], now)
-        if isinstance(found, Notice):
-            return found
-        arrays.append(found)
+    slots = read_slots(document, source, metadata, len(now.positions))
+    if isinstance(slots, Notice):
+        return slots
     frame = _rest_frame(now, metadata["frame"])
     if frame is None:
         message = (
@@ -96,79 +93,34 @@ def _view(document: Document, source: PrimitiveSource) -> BakedView | Notice:
         return Notice("frame", message, source.place)
     changed = changed_arrays(metadata, now)
     before = _before_adoption(document, source, metadata, now)
-    return BakedView(source, metadata, now, before, arrays[0], arrays[1], frame[0], frame[1], changed)
+    return BakedView(
+        source, metadata, now, before, slots.alpha, slots.beta, frame[0], frame[1], changed, slots.rounding
+    )
 
 
 def _wrong_members(metadata: JsonObject, source: PrimitiveSource) -> Iterator[str]:
     """Yield what is wrong with each member of the metadata that is not as CONVENTIONS.md has it."""
     if metadata.get("frame") not in FRAMES:
-        yield f'"frame" is {_shown(metadata.get("frame"))}'
+        yield f'"frame" is {shown(metadata.get("frame"))}'
     if metadata.get("weighting") not in WEIGHTINGS:
-        yield f'"weighting" is {_shown(metadata.get("weighting"))}'
+        yield f'"weighting" is {shown(metadata.get("weighting"))}'
     angle = metadata.get("creaseAngle")
     if isinstance(angle, bool) or not isinstance(angle, int | float) or not 0 <= angle <= 180:
-        yield f'"creaseAngle" is {_shown(angle)}'
+        yield f'"creaseAngle" is {shown(angle)}'
     slots, now = metadata.get("influences"), 4 * source.influence_sets
     if isinstance(slots, bool) or slots != now:
-        yield f'"influences" is {_shown(slots)}, and it has {now} a vertex'
-    for key in ("alpha", "beta"):
-        names = metadata.get(key)
-        if not isinstance(names, list) or not _are_names(names, source.influence_sets):
-            yield f'"{key}" is {_shown(names)}, not an attribute for each influence set'
+        yield f'"influences" is {shown(slots)}, and it has {now} a vertex'
+    yield from wrong_storage(metadata, source.influence_sets)
     digest = metadata.get("digest")
     if not isinstance(digest, dict) or not digest:
-        yield f'"digest" is {_shown(digest)}'
+        yield f'"digest" is {shown(digest)}'
         return
     wanted = ["POSITION", "NORMAL", "JOINTS", "WEIGHTS", "indices"]
     if metadata.get("frame") == frames.TANGENT_FRAME:
         wanted.append("TANGENT")
     for name in wanted:
         if not isinstance(digest.get(name), str):
-            yield f'"digest" of {name} is {_shown(digest.get(name))}'
-
-
-def _are_names(values: list[Any], count: int) -> bool:
-    return len(values) == count and all(isinstance(value, str) for value in values)
-
-
-def _shown(value: object) -> str:
-    if value is None:
-        return "missing"
-    shown = repr(value)
-    return shown if len(shown) <= 40 else f"{shown[:40]}…"
-
-
-def _stored_slots(
-    document: Document, source: PrimitiveSource, names: Sequence[str], primitive: SkinnedPrimitive
-) -> FloatArray | Notice:
-    """Return α or β of slots 1 … K − 1, (V, K − 1), or the problem with it."""
-    parts = []
-    for number, name in enumerate(names):
-        place = source.place.at(name)
-        accessor = index(source.attributes, name, len(document.objects("accessors")), place)
-        if accessor is None:
-            message = f"its metadata names this attribute, which was removed or renamed since: {BAKE}"
-            return Notice("attribute-missing", message, place)
-        values = read_accessor(document, accessor, place).values
-        components = 3 if number == 0 else 4
-        if values.dtype != np.float32:
-            message = (
-                f"it is stored as {values.dtype.name}, FLOAT is needed: it looks quantised after its bake. "
-                f"Bake last: {BAKE} on the file that the last tool wrote, or keep the tool off this attribute"
-            )
-            return Notice("attribute-format", message, place)
-        if values.shape != (len(primitive.positions), components):
-            message = (
-                f"it holds {values.shape[0]:,} vectors of {values.shape[1]}, expected "
-                f"{len(primitive.positions):,} of {components}: {BAKE}"
-            )
-            return Notice("attribute-format", message, place)
-        broken = int(np.count_nonzero(~np.isfinite(values).all(axis=1)))
-        if broken:
-            message = f"at {broken:,} vertices it is not a finite number: {BAKE}"
-            return Notice("attribute-not-finite", message, place, broken)
-        parts.append(values)
-    return np.concatenate(parts, axis=1).astype(np.float32)
+            yield f'"digest" of {name} is {shown(digest.get(name))}'
 
 
 def _rest_frame(primitive: SkinnedPrimitive, kind: str) -> tuple[FloatArray, FloatArray] | None:
@@ -227,7 +179,7 @@ def _contradictions(views: Sequence[BakedView]) -> Iterator[Notice]:
             ours, theirs = view.metadata[key], other.metadata[key]
             if ours != theirs and not (key == "creaseAngle" and math.isclose(ours, theirs)):
                 message = (
-                    f'its metadata is damaged: "{key}" is {_shown(ours)}, and {_shown(theirs)} in primitive '
+                    f'its metadata is damaged: "{key}" is {shown(ours)}, and {shown(theirs)} in primitive '
                     f"{other.source.primitive} of the same mesh; {BAKE}"
                 )
                 yield Notice("metadata-broken", message, view.source.place)

@@ -12,8 +12,9 @@ from skinbake.errors import Notice
 from skinbake.geometry.skinned import SkinnedPrimitive
 from skinbake.gltf.accessors import read_accessor
 from skinbake.gltf.document import Document, read_document
-from skinbake.gltf.json_access import integer
-from skinbake.gltf.metadata import noted_names, read_metadata
+from skinbake.gltf.json_access import JsonObject, integer
+from skinbake.gltf.layouts import Layout
+from skinbake.gltf.metadata import read_metadata, slot_names
 from skinbake.gltf.primitives import (
     PrimitiveSource,
     read_primitive,
@@ -125,12 +126,14 @@ def _vertices_in_use(primitive: SkinnedPrimitive) -> int:
 class _Layout:
     """Bytes a vertex by attribute: of plain skinning, and of α and β (none: not baked).
 
-    gradient is the bytes of one number of α and β, as stored or as bake would store it.
+    gradient is the bytes of one number of α and β, as stored or as bake would store it; scale those of a
+    vertex's scale.
     """
 
     plain: dict[str, int]
     baked: dict[str, int]
     gradient: int
+    scale: int
 
 
 def _layout(document: Document, source: PrimitiveSource) -> _Layout:
@@ -139,15 +142,18 @@ def _layout(document: Document, source: PrimitiveSource) -> _Layout:
     surface = [name for name in ("NORMAL", "TANGENT") if has_normal and name in source.attributes]
     plain, _ = _sizes(document, source, ["POSITION", *surface, *influences])
     plain.setdefault("NORMAL", StoredTypes().normal)
-    baked, components = _sizes(document, source, _baked_names(document, source))
-    return _Layout(plain, baked, max(components, default=StoredTypes().gradient))
-
-
-def _baked_names(document: Document, source: PrimitiveSource) -> list[str]:
-    """Return the attributes of α and β that the metadata names, none where one of them is missing."""
     note = read_metadata(document, source.json) or {}
-    names = [name for key in ("alpha", "beta") for name in noted_names(note, key)]
-    complete = len(names) == 2 * source.influence_sets and all(name in source.attributes for name in names)
+    baked, components = _sizes(document, source, _baked_names(note, source))
+    gradient = max(components, default=StoredTypes().gradient)
+    return _Layout(plain, baked, gradient, gradient if baked and "encoding" in note else 0)
+
+
+def _baked_names(note: JsonObject, source: PrimitiveSource) -> list[str]:
+    """Return the attributes of α and β that the metadata names, none where one of them is missing."""
+    names = slot_names(note)
+    sets = source.influence_sets
+    expected = 4 * sets - 1 if note.get("layout") == Layout.TEXCOORD else 2 * sets
+    complete = len(names) == expected and all(name in source.attributes for name in names)
     return names if complete else []
 
 
@@ -170,7 +176,10 @@ def _file_costs(influences: int, layout: _Layout) -> dict[Algorithm, Cost]:
 
     No file stores algorithm 2's ∇w: it is counted in the type of α and β.
     """
-    plain, stored = sum(layout.plain.values()), StoredTypes(gradient=layout.gradient)
+    plain, stored = (
+        sum(layout.plain.values()),
+        StoredTypes(gradient=layout.gradient, gradient_scale=layout.scale),
+    )
     costs = {}
     for algorithm in Algorithm:
         added = vertex_bytes(algorithm, influences, stored).added

@@ -12,7 +12,7 @@ from skinbake.gltf.accessors import described
 from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.json_access import index
 from skinbake.gltf.meshopt import is_fallback
-from skinbake.gltf.metadata import changed_arrays, noted_names, read_metadata
+from skinbake.gltf.metadata import changed_arrays, read_metadata, slot_names
 from skinbake.gltf.primitives import (
     PrimitiveSource,
     read_primitive,
@@ -64,7 +64,7 @@ def _summary(document: Document, source: PrimitiveSource) -> PrimitiveSummary:
     metadata = read_metadata(document, source.json)
     bake = None
     if metadata is not None:
-        names = {*noted_names(metadata, "alpha"), *noted_names(metadata, "beta")}
+        names = set(slot_names(metadata))
         gone = sorted(names - source.attributes.keys())
         changed = (*changed_arrays(metadata, primitive), *gone)
         size = sum(attribute.byte_length for attribute in attributes if attribute.name in names)

@@ -16,6 +16,7 @@ from skinbake.errors import InputError, Notice, Place
 from skinbake.geometry.frames import NORMAL_FRAME
 from skinbake.gltf.animation import read_clips
 from skinbake.gltf.document import Document, read_document
+from skinbake.gltf.metadata import slot_names
 from skinbake.gltf.output import write_text
 from skinbake.gltf.primitives import refuse_compressed, skinned_sources
 from skinbake.report.notices import counted
@@ -24,6 +25,8 @@ from skinbake.shaders.text import shader_text
 from skinbake.verify.lighting import not_rigid_joints
 
 DEFAULT_INFLUENCES = 4
+DEFAULTS = {"encoding": "float32", "layout": "attributes"}
+"""What metadata mean that do not say how α and β are stored."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +41,8 @@ class ShaderRequest:
     cap: float | None = None
     mirrored_joints: bool = False
     target: str = "plain"
+    encoding: str | None = None
+    layout: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,6 +91,8 @@ def _made(request: ShaderRequest, frame: str, influences: int) -> ShaderChoices:
         cap=request.cap,
         mirrored_joints=request.mirrored_joints,
         target=request.target,
+        encoding=request.encoding or DEFAULTS["encoding"],
+        layout=request.layout or DEFAULTS["layout"],
     )
 
 
@@ -100,15 +107,39 @@ def _choices_of_file(request: ShaderRequest, source: str) -> tuple[ShaderChoices
     influences = request.influences or int(_agreed(document, serving, "influences"))
     for view in serving:
         _refuse_fewer(view, influences)
-    names = {(tuple(view.metadata["alpha"]), tuple(view.metadata["beta"])) for view in serving}
-    if len(names) > 1:
+    storage = {member: str(_agreed(document, serving, member)) for member in DEFAULTS}
+    choices = replace(_made(request, frame, influences), **storage)  # type: ignore[arg-type]
+    choices, others = _with_names(document, serving, choices)
+    choices = _with_joints(document, serving, choices)
+    return choices, [*others, *(_not_for(view) for view in views if not _serves(view, request))]
+
+
+def _with_names(
+    document: Document, views: Sequence[BakedView], choices: ShaderChoices
+) -> tuple[ShaderChoices, list[Notice]]:
+    """Return the choices with the file's names and scale, and a notice for each primitive with other names.
+
+    Texture coordinates follow those that a primitive has, so that each may have numbers of its own; other
+    names are the same for all of a bake. InputError where they are not, or where scales differ.
+    """
+    names = {(tuple(view.metadata["alpha"]), tuple(view.metadata["beta"])): view for view in reversed(views)}
+    if len(names) > 1 and choices.layout != "texcoord":
         found = " and ".join(sorted(", ".join(alpha) for alpha, _ in names))
         raise InputError(f"its primitives name alpha differently ({found}): bake it anew", document.place)
-    choices = _made(request, frame, influences)
-    ((alpha, beta),) = names
-    choices = replace(choices, attributes=AttributeText(PurePath(document.name).name, alpha, beta))
-    choices = _with_joints(document, serving, choices)
-    return choices, [_not_for(view) for view in views if not _serves(view, request)]
+    scales = {view.metadata.get("scale") for view in views}
+    if len(scales) > 1:
+        found = " and ".join(sorted(f"{scale:.9g}" for scale in scales))
+        raise InputError(f"its primitives differ in scale ({found}): bake it anew", document.place)
+    first = views[0].metadata
+    text = AttributeText(PurePath(document.name).name, tuple(first["alpha"]), tuple(first["beta"]))
+    choices = replace(choices, attributes=text, scale=scales.pop() if choices.decodes else None)
+    return choices, [_other_texcoords(view) for view in views if view.metadata["alpha"] != first["alpha"]]
+
+
+def _other_texcoords(view: BakedView) -> Notice:
+    names = slot_names(view.metadata)
+    message = f"its α and β are in {names[0]} to {names[-1]}: pass those, the functions are the same"
+    return Notice("texcoords-differ", message, view.source.place)
 
 
 def _views(document: Document) -> list[BakedView]:
@@ -127,8 +158,14 @@ def _views(document: Document) -> list[BakedView]:
 
 
 def _serves(view: BakedView, request: ShaderRequest) -> bool:
-    frame_fits = request.frame in (None, view.metadata["frame"])
-    return frame_fits and (request.influences or 0) <= int(view.metadata["influences"])
+    fits = request.frame in (None, view.metadata["frame"]) and all(
+        getattr(request, member) in (None, _noted(view, member)) for member in DEFAULTS
+    )
+    return fits and (request.influences or 0) <= int(view.metadata["influences"])
+
+
+def _noted(view: BakedView, member: str) -> Any:
+    return view.metadata.get(member, DEFAULTS.get(member))
 
 
 def _why_none(views: Sequence[BakedView], request: ShaderRequest) -> str:
@@ -136,14 +173,21 @@ def _why_none(views: Sequence[BakedView], request: ShaderRequest) -> str:
     slots = max(int(view.metadata["influences"]) for view in views)
     asked = [f"--frame {request.frame}"] if request.frame else []
     asked += [f"--influences {request.influences}"] if request.influences else []
+    asked += [f"--{member} {getattr(request, member)}" for member in DEFAULTS if getattr(request, member)]
+    stored = "".join(
+        f", {member} {' and '.join(sorted({str(_noted(view, member)) for view in views}))}"
+        for member in DEFAULTS
+        if getattr(request, member)
+    )
     return (
-        f"it cannot serve {' '.join(asked)}: it is baked in the {frames} frame, {slots} influences a vertex"
+        f"it cannot serve {' '.join(asked)}: it is baked in the {frames} frame, {slots} influences a "
+        f"vertex{stored}"
     )
 
 
 def _agreed(document: Document, views: Sequence[BakedView], member: str) -> Any:
     """Return what all metadata say; InputError, with the way out, where they differ."""
-    found = {view.metadata[member]: view.source.place.within_file for view in reversed(views)}
+    found = {_noted(view, member): view.source.place.within_file for view in reversed(views)}
     if len(found) > 1:
         listed = ", ".join(f"{value} in {place}" for value, place in found.items())
         raise InputError(

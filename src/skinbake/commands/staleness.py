@@ -55,7 +55,9 @@ def _comparisons(views: Sequence[BakedView], operator: GradientOperator) -> list
     )
     reach = np.sum([abs(part).sum(axis=1) for part in (operator.x, operator.y, operator.z)], axis=0)
     return [
-        freshness.compare((view.alpha, view.beta), (alpha[:, 1:], beta[:, 1:]), reach=reach[rows])
+        freshness.compare(
+            (view.alpha, view.beta), (alpha[:, 1:], beta[:, 1:]), reach=reach[rows], rounding=view.rounding
+        )
         for view, (alpha, beta), rows in zip(views, expected, operator.slices, strict=True)
     ]
 

@@ -78,6 +78,11 @@ def noted_names(note: JsonObject, key: str) -> list[str]:
     return [name for name in names if isinstance(name, str)] if isinstance(names, list) else []
 
 
+def slot_names(note: JsonObject) -> list[str]:
+    """Return the names of all attributes that hold α or β, each once."""
+    return list(dict.fromkeys([*noted_names(note, "alpha"), *noted_names(note, "beta")]))
+
+
 def _noted(holder: JsonObject) -> JsonObject | None:
     extras = holder.get("extras")
     note = extras.get(KEY) if isinstance(extras, dict) else None

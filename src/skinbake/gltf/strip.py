@@ -11,7 +11,8 @@ from skinbake.gltf.additions import BUFFER_ADDED, BUFFER_LENGTH, FALLBACK_ADDED,
 from skinbake.gltf.document import Document, joined
 from skinbake.gltf.former import former_attributes
 from skinbake.gltf.json_access import JsonObject, integer, objects, text
-from skinbake.gltf.metadata import noted_names, read_metadata
+from skinbake.gltf.layouts import Layout
+from skinbake.gltf.metadata import noted_names, read_metadata, slot_names
 
 
 def stripped(document: Document) -> tuple[Document, int, list[Notice]]:
@@ -33,10 +34,10 @@ def stripped(document: Document) -> tuple[Document, int, list[Notice]]:
             if note is None:
                 restored.append(primitive)
                 continue
-            written, notice = _restored(document, primitive, note, here)
+            written, found = _restored(document, primitive, note, here)
             restored.append(written)
             changed.append((primitive, written))
-            notices += [notice] if notice else []
+            notices += found
         meshes.append({**mesh, "primitives": restored} if restored else mesh)
     if not changed:
         return document, 0, []
@@ -82,12 +83,11 @@ def _numbers(values: Iterable[object]) -> set[int]:
 
 def _restored(
     document: Document, primitive: JsonObject, note: JsonObject, place: Place
-) -> tuple[JsonObject, Notice | None]:
+) -> tuple[JsonObject, list[Notice]]:
     """Return the primitive's JSON without our attributes and metadata, its own influences back in place."""
     attributes = dict(json_access.member(primitive, "attributes", place))
-    ours = [name for key in ("alpha", "beta", "generated") for name in noted_names(note, key)]
-    for name in ours:
-        attributes.pop(name, None)
+    notices = _removed(attributes, note, place)
+    ours = [name for name in json_access.member(primitive, "attributes", place) if name not in attributes]
     former = former_attributes(document, attributes, note, place)
     attributes.update(former or {})
     written = {**primitive, "attributes": attributes} if "attributes" in primitive else dict(primitive)
@@ -100,12 +100,28 @@ def _restored(
         if not left and not note.get("keepExtras"):
             del written["extras"]
     if former is not None:
-        return written, None
+        return written, notices
     message = (
         "the influences from before its bake are gone, or were edited since: joints that bake adopted stay, "
         "with weights too small to see"
     )
-    return written, Notice("adopted-kept", message, place)
+    return written, [*notices, Notice("adopted-kept", message, place)]
+
+
+def _removed(attributes: JsonObject, note: JsonObject, place: Place) -> list[Notice]:
+    """Take what bake added out of the attributes; return a notice where that can no longer be told."""
+    names = slot_names(note)
+    missing = [name for name in names if name not in attributes]
+    doubtful = note.get("layout") == Layout.TEXCOORD and missing and len(missing) < len(names)
+    for name in [*(() if doubtful else names), *noted_names(note, "generated")]:
+        attributes.pop(name, None)
+    if not doubtful:
+        return []
+    message = (
+        f"α and β were in {names[0]} to {names[-1]}, of which {', '.join(missing)} are gone: the rest stay, "
+        "since they may be texture coordinates by now"
+    )
+    return [Notice("texcoords-kept", message, place, len(names) - len(missing))]
 
 
 def _extensions_before(

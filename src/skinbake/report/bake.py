@@ -11,6 +11,9 @@ from skinbake.report.notices import counted, error_fields, notice_list, place_fi
 
 SCHEMA = "skinbake.bake/1"
 
+SEEN = 0.0001
+"""Degrees below which nobody asks how many."""
+
 Status = Literal["baked", "unchanged", "failed"]
 
 
@@ -21,7 +24,7 @@ class BakedCounts:
     adopting_vertices took joints of their neighbours into free slots, overflowing_vertices had more such
     joints than free slots; gradient is the summed length of the weight gradients, in 1 / length unit, and
     lost_gradient the share of it that no slot holds.
-    added_bytes is what the primitive added to the file.
+    added_bytes is what the primitive added to the file, bytes_per_vertex what α and β take of a vertex.
     """
 
     vertices: int
@@ -35,6 +38,19 @@ class BakedCounts:
     gradient: float
     lost_gradient: float
     added_bytes: int
+    bytes_per_vertex: int
+
+
+@dataclass(frozen=True, slots=True)
+class EncodingCost:
+    """How α and β are stored, and by how many degrees that moves the accurate normals, area weighted.
+
+    The degrees are None for float32, which is what the others are held against, and where no normal is known.
+    """
+
+    name: str
+    mean: float | None = None
+    p99: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +58,7 @@ class FileResult:
     """What became of one input.
 
     output is None where nothing was to be written. skipped counts the skinned primitives that were left
-    out, error says why a file failed.
+    out, error says why a file failed, encoding how α and β are stored (None where nothing was baked).
     """
 
     input: str
@@ -52,6 +68,7 @@ class FileResult:
     skipped: int = 0
     notices: tuple[Notice, ...] = ()
     error: SkinbakeError | None = None
+    encoding: EncodingCost | None = None
 
 
 def closing_line(result: FileResult, *, dry_run: bool) -> str:
@@ -63,6 +80,7 @@ def closing_line(result: FileResult, *, dry_run: bool) -> str:
         return f"{result.input}: failed, nothing written"
     counts = [count for _, count in result.primitives]
     parts = [f"{result.status}: {_baked(counts)}" if counts else result.status]
+    parts += _encoding_text(result.encoding, counts)
     if result.skipped:
         parts.append(f"{counted(result.skipped, 'skinned primitive')} skipped")
     adopting = sum(count.adopting_vertices for count in counts)
@@ -104,6 +122,21 @@ def _baked(counts: Sequence[BakedCounts]) -> str:
     )
 
 
+def _encoding_text(encoding: EncodingCost | None, counts: Sequence[BakedCounts]) -> Iterator[str]:
+    """Yield what an encoding other than float32 takes and costs."""
+    if encoding is None or encoding.name == "float32":
+        return
+    sizes = " or ".join(str(size) for size in sorted({count.bytes_per_vertex for count in counts}))
+    yield f"{encoding.name} at {sizes} bytes a vertex"
+    if encoding.mean is not None:
+        mean, p99 = _degrees(encoding.mean), _degrees(encoding.p99 or 0.0)
+        yield f"which turns normals by {mean} on average and {p99} at the 99th percentile"
+
+
+def _degrees(angle: float) -> str:
+    return f"{angle:.2g}°" if angle >= SEEN else f"under {SEEN}°"
+
+
 def _lost(counts: Sequence[BakedCounts]) -> float:
     """Return the share of all primitives' gradients together that is lost."""
     whole = sum(count.gradient for count in counts)
@@ -126,8 +159,17 @@ def as_json(results: Sequence[FileResult], *, exit_code: int, dry_run: bool) -> 
                     {**place_fields(place), **asdict(counts)} for place, counts in result.primitives
                 ],
                 "warnings": notice_list(result.notices),
+                "encoding": None if result.encoding is None else _encoding_json(result.encoding),
                 "error": error_fields(result.error),
             }
             for result in results
         ],
+    }
+
+
+def _encoding_json(encoding: EncodingCost) -> dict[str, Any]:
+    measured = encoding.mean is not None
+    return {
+        "name": encoding.name,
+        "added_error": {"mean": encoding.mean, "p99": encoding.p99} if measured else None,
     }

@@ -107,8 +107,14 @@ def _bake_text(bake: BakeSummary | None) -> str:
     generator = printable(str(noted.get("generator", "skinbake")))
     return (
         f"by {generator}, frame from {noted.get('frame')}, weighting {noted.get('weighting')}, "
-        f"neighbours {noted.get('neighbours')}, {bake.byte_length:,} bytes, {state}"
+        f"neighbours {noted.get('neighbours')}, {_storage(noted)}{bake.byte_length:,} bytes, {state}"
     )
+
+
+def _storage(noted: dict[str, Any]) -> str:
+    """Return how α and β are stored, where it is not the usual way."""
+    found = [f"{key} {printable(str(noted[key]))}, " for key in ("encoding", "layout") if key in noted]
+    return "".join(found)
 
 
 def as_json(result: InspectResult) -> dict[str, Any]:

@@ -8,6 +8,8 @@ from enum import StrEnum
 from skinbake.errors import ChoiceError
 
 FRAMES = ("tangent", "normal")
+ENCODINGS = ("float32", "snorm16", "packed8")
+LAYOUTS = ("attributes", "texcoord", "custom")
 SLOTS_PER_SET = 4
 
 
@@ -50,7 +52,11 @@ BEST = {Method.LBS: Lighting.ACCURATE, Method.DQS: Lighting.EXACT}
 
 @dataclass(frozen=True, slots=True)
 class AttributeText:
-    """Names of α's and β's attributes by influence set, as the file of this name spells them."""
+    """Names of α's and β's attributes by influence set, as the file of this name spells them.
+
+    In the texcoord layout those that hold any of α, and any of β: the last of the one is the first of the
+    other.
+    """
 
     file: str
     alpha: tuple[str, ...]
@@ -63,7 +69,8 @@ class ShaderChoices:
 
     influences N ≥ 1. cap limits the correction of t' and b' to cap × |T t|, None is off. With
     ``mirrored_joints`` the normal is turned by the sign of det M[s0]. attributes None stands for bake's usual
-    names. Raises ChoiceError for choices that exclude each other.
+    names. encoding and layout are how α and β are stored; scale is the encoding's where the file is known, in
+    1 / length unit of POSITION. Raises ChoiceError for choices that exclude each other.
     """
 
     language: Language
@@ -75,6 +82,9 @@ class ShaderChoices:
     mirrored_joints: bool = False
     target: str = "plain"
     attributes: AttributeText | None = None
+    encoding: str = "float32"
+    layout: str = "attributes"
+    scale: float | None = None
 
     def __post_init__(self) -> None:
         if (self.method, self.lighting) not in ALGORITHMS:
@@ -84,6 +94,14 @@ class ShaderChoices:
             raise ChoiceError(f"--influences {self.influences}: a vertex needs at least one")
         if self.frame not in FRAMES:
             raise ChoiceError(f"--frame {self.frame} is neither {' nor '.join(FRAMES)}")
+        for option, value, known in (
+            ("--encoding", self.encoding, ENCODINGS),
+            ("--layout", self.layout, LAYOUTS),
+        ):
+            if value not in known:
+                raise ChoiceError(f"{option} {value} is none of {', '.join(known)}")
+        if self.layout == "texcoord" and self.encoding != "float32":
+            raise ChoiceError(f"--layout texcoord takes --encoding float32, not {self.encoding}")
         if self.cap is not None and not self.is_corrected:
             raise ChoiceError(f"--cap is for accurate and exact lighting; {self.lighting} corrects nothing")
         if self.mirrored_joints and not self.crosses:
@@ -118,14 +136,41 @@ class ShaderChoices:
         return -(-self.influences // SLOTS_PER_SET)
 
     @property
+    def decodes(self) -> bool:
+        """Tell whether α and β are read as integers relative to scales."""
+        return self.reads_gradients and self.encoding != "float32"
+
+    @property
+    def assembles(self) -> bool:
+        """Tell whether α and β are read from texture coordinates."""
+        return self.reads_gradients and self.layout == "texcoord"
+
+    @property
+    def pair_names(self) -> tuple[str, ...]:
+        """Return the texture coordinate sets that hold α and β, K − 1 of them.
+
+        Without a file, those after a primitive's only set of its own.
+        """
+        if self.attributes is not None:
+            return (*self.attributes.alpha, *self.attributes.beta[1:])
+        return tuple(f"TEXCOORD_{number}" for number in range(1, SLOTS_PER_SET * self.influence_sets))
+
+    @property
     def words(self) -> str:
         """Return the choices in a few words, for people."""
         capped = "" if self.cap is None else f", cap {self.cap:g}"
         mirrored = ", mirrored joints" if self.mirrored_joints else ""
         return (
             f"{self.language.upper()} for {self.target}, {self.method.upper()} {self.lighting}, "
-            f"{self.influences} influences, {self.frame} frame{capped}{mirrored}"
+            f"{self.influences} influences, {self.frame} frame{capped}{mirrored}{self.storage_words}"
         )
+
+    @property
+    def storage_words(self) -> str:
+        """Return how α and β are stored, in words that follow others, where it is not the usual way."""
+        words = [self.encoding] if self.decodes else []
+        words += [f"{self.layout} layout"] if self.reads_gradients and self.layout != "attributes" else []
+        return "".join(f", {word}" for word in words)
 
     @property
     def stem(self) -> str:

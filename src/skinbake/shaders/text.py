@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 from skinbake import __version__
 from skinbake.errors import ChoiceError, printable
 from skinbake.shaders.choices import SLOTS_PER_SET, Language, Method, ShaderChoices
+from skinbake.shaders.storage import storage_context, storage_parts
 
 if TYPE_CHECKING:
     import jinja2
@@ -23,9 +24,11 @@ if TYPE_CHECKING:
 TEMPLATES = Path(__file__).parent / "templates"
 WIDTH = 110
 TYPES = {
-    Language.GLSL: {"vec3": "vec3", "vec4": "vec4", "uvec4": "uvec4"},
-    Language.WGSL: {"vec3": "vec3<f32>", "vec4": "vec4<f32>", "uvec4": "vec4<u32>"},
+    Language.GLSL: {"vec2": "vec2", "vec3": "vec3", "vec4": "vec4", "uvec4": "uvec4"},
+    Language.WGSL: {"vec2": "vec2<f32>", "vec3": "vec3<f32>", "vec4": "vec4<f32>", "uvec4": "vec4<u32>"},
 }
+READING_TARGETS = ("plain",)
+"""Targets that read every encoding and layout; an adapter that learns to decode is added here."""
 METHOD_NAMES = {Method.LBS: "linear blend skinning", Method.DQS: "dual quaternion skinning"}
 
 
@@ -64,6 +67,11 @@ def shader_text(choices: ShaderChoices) -> str:
 
     Raises ChoiceError where the target has no such language, or cannot serve the choices.
     """
+    if choices.target not in READING_TARGETS and (choices.decodes or choices.assembles):
+        raise ChoiceError(
+            f"--target {choices.target} reads alpha and beta as floats in attributes of their own, "
+            f"not{choices.storage_words.removeprefix(',')}: take --target plain, or bake with the defaults"
+        )
     context = _context(choices)
     language = choices.language
     context["header"] = _rendered("header.txt", context)
@@ -182,6 +190,7 @@ def _context(choices: ShaderChoices) -> dict[str, Any]:
         "number": _number,
         "count": lambda n, noun: f"{n} {noun}{'' if n == 1 else 's'}",
         "refuse": _refuse,
+        **storage_context(choices),
     }
 
 
@@ -197,6 +206,10 @@ def command_line(choices: ShaderChoices) -> str:
         words.append(f"--cap {choices.cap:g}")
     if choices.mirrored_joints:
         words.append("--mirrored-joints")
+    if choices.encoding != "float32":
+        words.append(f"--encoding {choices.encoding}")
+    if choices.layout != "attributes":
+        words.append(f"--layout {choices.layout}")
     if choices.target != "plain":
         words.append(f"--target {choices.target}")
     return " ".join(words)
@@ -222,11 +235,17 @@ def _sets(choices: ShaderChoices) -> list[InfluenceSet]:
                 number,
                 _slot_words(first, last),
                 _slot_words(max(first, 1), last),
-                _ascii(names.alpha[number]) if names else f"_SKINBAKE_ALPHA_{number}",
-                _ascii(names.beta[number]) if names else f"_SKINBAKE_BETA_{number}",
+                _ascii(names.alpha[number]) if names else _usual_name(choices, "ALPHA", number),
+                _ascii(names.beta[number]) if names else _usual_name(choices, "BETA", number),
             )
         )
     return found
+
+
+def _usual_name(choices: ShaderChoices, kind: str, number: int) -> str:
+    if choices.layout == "custom":
+        return f"_CUSTOM{2 * number + (kind == 'BETA')}"
+    return f"_SKINBAKE_{kind}_{number}"
 
 
 def _ascii(name: str) -> str:
@@ -253,13 +272,15 @@ def _parts(choices: ShaderChoices) -> list[str]:
         "capped": choices.cap is not None and several,
         "derivative": choices.algorithm == 6 and several,
     }
-    return [name for name, is_wanted in wanted.items() if is_wanted]
+    return [*storage_parts(choices), *(name for name, is_wanted in wanted.items() if is_wanted)]
 
 
 def _guard(choices: ShaderChoices) -> str:
     words = [choices.stem, str(choices.influences), choices.frame]
     words += ["capped"] if choices.cap is not None else []
     words += ["mirrored"] if choices.mirrored_joints else []
+    words += [choices.encoding] if choices.decodes else []
+    words += [f"texcoord_{len(choices.pair_names)}"] if choices.assembles else []
     return "_".join(["SKINBAKE", *(word.upper() for word in words), "GLSL"])
 
 

@@ -65,22 +65,27 @@ def compare(
     expected: tuple[FloatArray, FloatArray],
     *,
     reach: FloatArray | None = None,
+    rounding: FloatArray | None = None,
     tolerance: float = RELATIVE_TOLERANCE,
 ) -> Comparison:
     """Compare stored with recomputed α and β, each a pair of (V, K − 1), in 1 / length unit of POSITION.
 
     reach (V,), in the same unit, is the most that the derivative of a weight could be at each vertex: where
-    a weight is constant, both sides are rounding, and only this tells.
+    a weight is constant, both sides are rounding, and only this tells. rounding (V, 2), in the same unit, is
+    the most by which an encoding may have changed a stored α, and a stored β: that much is forgiven.
     """
     found, wanted = (_with_pivot(np.stack(pair, axis=2).astype(np.float64)) for pair in (stored, expected))
     scale = _scales(wanted, reach)
-    difference = _distance(found[:, 1:], wanted[:, 1:]) / scale
+    allowed = np.zeros((len(found), 1, 2)) if rounding is None else np.asarray(rounding)[:, None]
+    difference = _distance(found[:, 1:], wanted[:, 1:], allowed) / scale
     differing = difference > tolerance
     factors, reordered, rescaled, resorted = None, False, None, False
     if differing.any():
-        cause = _Cause(scale, difference, differing, tolerance)
+        cause = _Cause(scale, difference, differing, tolerance, allowed)
         factors = _factors(found, wanted, cause)
-        reordered = factors is None and cause.explains(_distance(_by_size(found), _by_size(wanted)))
+        # Slot 0's entry has the rounding of all others.
+        pivot = allowed * (found.shape[1] - 1)
+        reordered = factors is None and cause.explains(_distance(_by_size(found), _by_size(wanted), pivot))
         lengths = np.linalg.norm(found, axis=2), np.linalg.norm(wanted, axis=2)
         rescaled = _length_ratio(*lengths)
         resorted = _is_resorted(lengths[0] / (rescaled or 1.0), lengths[1])
@@ -98,12 +103,16 @@ def compare(
 
 @dataclass(frozen=True, slots=True)
 class _Cause:
-    """What a cause has to explain: by vertex (V,), the scale, the relative difference, whether it counts."""
+    """What a cause has to explain: by vertex (V,), the scale, the relative difference, whether it counts.
+
+    rounding (V, 1, 2) is what no cause need explain.
+    """
 
     scale: Float64Array
     difference: Float64Array
     differing: BoolArray
     tolerance: float
+    rounding: FloatArray
 
     def explains(self, left: Float64Array) -> bool:
         """Tell whether little enough is left (V,) at most vertices, and at most of those that differ."""
@@ -117,9 +126,9 @@ def _with_pivot(slots: Float64Array) -> Float64Array:
     return np.concatenate([-slots.sum(axis=1, keepdims=True), slots], axis=1)
 
 
-def _distance(found: Float64Array, wanted: Float64Array) -> Float64Array:
-    """Return each vertex's largest difference of any slot, (V,)."""
-    distance: Float64Array = np.abs(found - wanted).max(axis=(1, 2), initial=0.0)
+def _distance(found: Float64Array, wanted: Float64Array, rounding: FloatArray) -> Float64Array:
+    """Return each vertex's largest difference of any slot, (V,), less the rounding (V, 1, 2) of α and β."""
+    distance: Float64Array = (np.abs(found - wanted) - rounding).max(axis=(1, 2), initial=0.0)
     return distance
 
 
@@ -136,7 +145,7 @@ def _factors(found: Float64Array, wanted: Float64Array, cause: _Cause) -> tuple[
     """Return what turns the wanted α and β into those found, None where nothing does."""
     norms = (wanted * wanted).sum(axis=(0, 1))
     factors = np.divide((found * wanted).sum(axis=(0, 1)), norms, out=np.ones(2), where=norms > 0.0)
-    if not cause.explains(_distance(found, factors * wanted)):
+    if not cause.explains(_distance(found[:, 1:], factors * wanted[:, 1:], cause.rounding)):
         return None
     return float(factors[0]), float(factors[1])
 

@@ -1,0 +1,142 @@
+"""How a shader gets α and β from what bake stored: decoded from integers, or assembled from pairs.
+
+CONVENTIONS.md, *Encodings* and *Layouts*.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from skinbake.errors import printable
+from skinbake.shaders.choices import SLOTS_PER_SET, ShaderChoices
+
+FORMATS = {"snorm16": "snorm16x4", "packed8": "snorm8x4"}
+"""As WebGPU calls them: normalised SHORT and BYTE."""
+LIMITS = {"snorm16": 32767, "packed8": 127}
+KINDS = ("alpha", "beta")
+
+
+@dataclass(frozen=True, slots=True)
+class Pair:
+    """One texture coordinate set of two numbers: its attribute, and what they are; empty where not read."""
+
+    name: str
+    holds: str
+
+
+@dataclass(frozen=True, slots=True)
+class Assembled:
+    """α or β of one influence set, put together from pairs: ``alpha_0``, a vec3 of ``pair_1.x`` ….
+
+    params are the pairs that it takes, numbers those as words.
+    """
+
+    name: str
+    kind: str
+    type: str
+    slots: str
+    params: tuple[str, ...]
+    numbers: str
+    components: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Preparation:
+    """One line before the example call: what α or β of one influence set is, as a call of ours."""
+
+    name: str
+    type: str
+    call: str
+
+
+def storage_parts(choices: ShaderChoices) -> list[str]:
+    """Return the templates of the functions that read α and β, none where they are read as they are."""
+    if choices.assembles:
+        return ["assembled"]
+    if not choices.decodes:
+        return []
+    return ["decoded", *(["decoded_further"] if choices.influence_sets > 1 else [])]
+
+
+def storage_context(choices: ShaderChoices) -> dict[str, Any]:
+    """Return what the templates name of encodings and layouts."""
+    assembled = _assembled(choices) if choices.assembles else []
+    return {
+        "encoding": choices.encoding,
+        "layout": choices.layout,
+        "decodes": choices.decodes,
+        "assembles": choices.assembles,
+        "storage_words": choices.storage_words,
+        "vertex_format": FORMATS.get(choices.encoding),
+        "limit": LIMITS.get(choices.encoding),
+        "scale": "" if choices.scale is None else float32_literal(choices.scale),
+        "pairs": _pairs(choices, assembled) if choices.assembles else [],
+        "assembled": assembled,
+        "preparations": _preparations(choices, assembled),
+    }
+
+
+def float32_literal(value: float) -> str:
+    """Return a literal of both languages for a float32's value: nine digits tell any two of them apart."""
+    text = f"{value:.9g}"
+    return text if "." in text or "e" in text else f"{text}.0"
+
+
+def _assembled(choices: ShaderChoices) -> list[Assembled]:
+    """Return what each set of the shader takes from the row α1 … α(K−1), β1 … β(K−1), two to a pair."""
+    others = len(choices.pair_names)
+    found = []
+    for kind, start in zip(KINDS, (0, others), strict=True):
+        for number in range(choices.influence_sets):
+            first = max(SLOTS_PER_SET * number, 1)
+            last = SLOTS_PER_SET * (number + 1) - 1
+            places = [divmod(start + slot - 1, 2) for slot in range(first, last + 1)]
+            pairs = list(dict.fromkeys(pair + 1 for pair, _ in places))
+            found.append(
+                Assembled(
+                    name=f"{kind}_{number}",
+                    kind=kind,
+                    type=f"vec{len(places)}",
+                    slots=f"slots {first} to {last}",
+                    params=tuple(f"pair_{pair}" for pair in pairs),
+                    numbers=f"{pairs[0]} to {pairs[-1]}",
+                    components=tuple(f"pair_{pair + 1}.{'xy'[place]}" for pair, place in places),
+                )
+            )
+    return found
+
+
+def _pairs(choices: ShaderChoices, assembled: list[Assembled]) -> list[Pair]:
+    read = {param for part in assembled for param in part.params}
+    others = len(choices.pair_names)
+    row = [f"{kind} of slot {slot}" for kind in KINDS for slot in range(1, others + 1)]
+    return [
+        Pair(_ascii(name), f"{row[2 * at]}, {row[2 * at + 1]}" if f"pair_{at + 1}" in read else "")
+        for at, name in enumerate(choices.pair_names)
+    ]
+
+
+def _preparations(choices: ShaderChoices, assembled: list[Assembled]) -> list[Preparation]:
+    if choices.assembles:
+        names = {f"pair_{at + 1}": _ascii(name).lower() for at, name in enumerate(choices.pair_names)}
+        return [
+            Preparation(
+                part.name, part.type, f"skinbake_{part.name}({', '.join(names[p] for p in part.params)})"
+            )
+            for part in assembled
+        ]
+    if not choices.decodes:
+        return []
+    found = []
+    for kind in KINDS:
+        first = f"stored_{kind}_0"
+        found.append(Preparation(f"{kind}_0", "vec3", f"skinbake_decoded({first}, scale)"))
+        for number in range(1, choices.influence_sets):
+            call = f"skinbake_decoded_further(stored_{kind}_{number}, {first}, scale)"
+            found.append(Preparation(f"{kind}_{number}", "vec4", call))
+    return found
+
+
+def _ascii(name: str) -> str:
+    return printable(name).encode("ascii", "backslashreplace").decode()
