@@ -47,6 +47,14 @@ def _pattern(ctx: click.Context, param: click.Parameter, value: str) -> str:
     help="Copies of a vertex whose normals differ by more are a hard edge.",
 )
 @click.option(
+    "--weld",
+    type=click.Choice(["mesh", "skin"]),
+    default="mesh",
+    show_default=True,
+    help="Gather over the primitives of one mesh, or over all meshes that the same skin draws: for "
+    "characters cut into several.",
+)
+@click.option(
     "--neighbours",
     type=click.Choice(["adopt", "drop"]),
     default="adopt",
@@ -132,6 +140,7 @@ def _options(given: dict[str, Any]) -> Any:
             frame=given["frame"],
         ),
         names=AttributeNames(given["alpha_name"], given["beta_name"]),
+        weld=given["weld"],
         generate_normals=given["generate_normals"],
         require_baked=given["require_baked"],
         warnings_as_errors=given["warnings_as_errors"],

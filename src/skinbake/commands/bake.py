@@ -26,18 +26,22 @@ from skinbake.gltf.primitives import (
     refuse_compressed,
     skinned_sources,
 )
+from skinbake.gltf.skin_groups import meshes_of_one_skin
 from skinbake.gltf.strip import stripped
 from skinbake.report.bake import BakedCounts, FileResult, Status
 
 logger = logging.getLogger(__name__)
 
+WELD_MESH, WELD_SKIN = "mesh", "skin"
+
 
 @dataclass(frozen=True, slots=True)
 class BakeOptions:
-    """The options of ``skinbake bake`` that do not name files."""
+    """The options of ``skinbake bake`` that do not name files; weld is ``mesh`` or ``skin``."""
 
     settings: BakeSettings = field(default_factory=BakeSettings)
     names: AttributeNames = field(default_factory=AttributeNames)
+    weld: str = WELD_MESH
     generate_normals: bool = False
     require_baked: bool = False
     warnings_as_errors: bool = False
@@ -121,14 +125,28 @@ def bake_document(
             notices.append(reason)
     baked: list[Baked] = []
     results: list[tuple[Place, BakedCounts]] = []
-    for mesh_sources in by_mesh.values():
-        _bake_sources(document, mesh_sources, options, notices, baked, results)
+    for group in _welded_together(document, by_mesh, options, notices):
+        _bake_sources(document, group, options, notices, baked, results)
     skipped = len(sources) - len(baked)
     if not baked:
         return document, [], skipped
     written, lengths = with_baked(document, baked, options.names)
     counts = [(place, replace(c, added_bytes=n)) for (place, c), n in zip(results, lengths, strict=True)]
     return written, counts, skipped
+
+
+def _welded_together(
+    document: Document,
+    by_mesh: dict[int, list[PrimitiveSource]],
+    options: BakeOptions,
+    notices: list[Notice],
+) -> list[list[PrimitiveSource]]:
+    """Return the primitives in the groups that are baked as one surface; append to ``notices``."""
+    if options.weld != WELD_SKIN:
+        return list(by_mesh.values())
+    groups, found = meshes_of_one_skin(document, by_mesh)
+    notices += found
+    return [[source for mesh in group for source in by_mesh[mesh]] for group in groups]
 
 
 def _reason_of_frame(source: PrimitiveSource, options: BakeOptions) -> Notice | None:
@@ -148,12 +166,12 @@ def _bake_sources(
     baked: list[Baked],
     results: list[tuple[Place, BakedCounts]],
 ) -> None:
-    """Bake the primitives of one mesh together; append to ``baked``, ``results`` and ``notices``."""
+    """Bake primitives as one surface; append to ``baked``, ``results`` and ``notices``."""
     primitives = with_smooth_normals([read_primitive(document, source) for source in sources])
     outcomes = bake_mesh(primitives, options.settings)
     for source, primitive, (outcome, findings) in zip(sources, primitives, outcomes, strict=True):
         notices += _assumptions(source, primitive, outcome, findings)
-        baked.append(Baked(source, primitive, outcome, _noted_settings(options.settings)))
+        baked.append(Baked(source, primitive, outcome, _noted_settings(options)))
         results.append((source.place, _counts(source, primitive, outcome, findings)))
 
 
@@ -175,11 +193,13 @@ def _counts(
     )
 
 
-def _noted_settings(settings: BakeSettings) -> JsonObject:
+def _noted_settings(options: BakeOptions) -> JsonObject:
+    settings = options.settings
     return {
         "weighting": settings.weighting,
         "creaseAngle": round(float(np.degrees(settings.crease_angle)), 6),
         "neighbours": settings.neighbours,
+        **({"weld": WELD_SKIN} if options.weld == WELD_SKIN else {}),
     }
 
 
