@@ -54,6 +54,23 @@ ERROR = {
         ),
     ]
 }
+SPREAD = strict({name: {"type": "number", "minimum": 0} for name in ("mean", "p99", "max")})
+LIMITED = {
+    "oneOf": [
+        {"type": "null"},
+        strict(
+            {
+                "influences": {"type": "integer", "multipleOf": 4, "minimum": 4},
+                "vertices": COUNT,
+                "left_out": {"type": "number", "minimum": 0, "maximum": 1},
+                "normals": SPREAD,
+                "positions": SPREAD,
+                "size": {"type": "number", "minimum": 0},
+                "poses": TEXT,
+            }
+        ),
+    ]
+}
 BAKED = strict(
     {
         "mesh": COUNT,
@@ -69,6 +86,7 @@ BAKED = strict(
         "lost_gradient": {"type": "number", "minimum": 0, "maximum": 1},
         "gradient": {"type": "number", "minimum": 0},
         "added_bytes": COUNT,
+        "limited": LIMITED,
     },
     optional={"mesh_name": {"type": "string"}},
 )
@@ -170,6 +188,14 @@ def test_bake_of_every_fixture(tmp_path: Path) -> None:
             grown = (tmp_path / name).stat().st_size - (FOLDER / name).stat().st_size
             # The rest is JSON: some hundreds of bytes for each primitive.
             assert 0 < grown - sum(primitive["added_bytes"] for primitive in file["primitives"]) < 3000
+
+
+def test_bake_with_a_limit_of_influences(tmp_path: Path) -> None:
+    inputs = [FOLDER / name for name in FIXTURES]
+    result = invoke("bake", *inputs, "--out-dir", tmp_path, "--json", "--limit-influences", "4")
+    found = checked(document(result), BAKE)
+    limited = [file["input"] for file in found["files"] if file["primitives"][0]["limited"]]
+    assert limited == [str(FOLDER / "two_sets.glb")]
 
 
 def test_failures_and_warnings_are_in_the_document(tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ import numpy as np
 from skinbake.bake.baker import TANGENT_TOLERANCE, BakeFindings, BakeSettings, bake_mesh
 from skinbake.bake.influences import SUM_TOLERANCE
 from skinbake.bake.normals import with_smooth_normals
+from skinbake.commands.limiting import limit_costs, limited
 from skinbake.errors import InputError, Notice, Place, SkinbakeError, defect
 from skinbake.geometry.frames import TANGENT_FRAME
 from skinbake.geometry.skinned import BakedPrimitive, SkinnedPrimitive
@@ -37,11 +38,15 @@ WELD_MESH, WELD_SKIN = "mesh", "skin"
 
 @dataclass(frozen=True, slots=True)
 class BakeOptions:
-    """The options of ``skinbake bake`` that do not name files; weld is ``mesh`` or ``skin``."""
+    """The options of ``skinbake bake`` that do not name files.
+
+    weld is ``mesh`` or ``skin``; limit_influences a multiple of 4, or None.
+    """
 
     settings: BakeSettings = field(default_factory=BakeSettings)
     names: AttributeNames = field(default_factory=AttributeNames)
     weld: str = WELD_MESH
+    limit_influences: int | None = None
     generate_normals: bool = False
     require_baked: bool = False
     warnings_as_errors: bool = False
@@ -167,12 +172,22 @@ def _bake_sources(
     results: list[tuple[Place, BakedCounts]],
 ) -> None:
     """Bake primitives as one surface; append to ``baked``, ``results`` and ``notices``."""
-    primitives = with_smooth_normals([read_primitive(document, source) for source in sources])
+    whole = with_smooth_normals([read_primitive(document, source) for source in sources])
+    parts = [
+        limited(document, source, primitive, options.limit_influences)
+        for source, primitive in zip(sources, whole, strict=True)
+    ]
+    primitives = [part.primitive if part else one for part, one in zip(parts, whole, strict=True)]
     outcomes = bake_mesh(primitives, options.settings)
-    for source, primitive, (outcome, findings) in zip(sources, primitives, outcomes, strict=True):
+    costs = limit_costs(document, sources, whole, parts, outcomes, options.settings)
+    for source, primitive, part, cost, (outcome, findings) in zip(
+        sources, primitives, parts, costs, outcomes, strict=True
+    ):
         notices += _assumptions(source, primitive, outcome, findings)
-        baked.append(Baked(source, primitive, outcome, _noted_settings(options)))
-        results.append((source.place, _counts(source, primitive, outcome, findings)))
+        stored = part.stored if part else None
+        baked.append(Baked(source, primitive, outcome, _noted_settings(options), stored))
+        counts = replace(_counts(source, primitive, outcome, findings), limited=cost)
+        results.append((source.place, counts))
 
 
 def _counts(

@@ -17,9 +17,11 @@ from skinbake.gltf.accessors import read_accessor
 from skinbake.gltf.document import Document
 from skinbake.gltf.former import former_attributes
 from skinbake.gltf.json_access import JsonObject, index
-from skinbake.gltf.metadata import VERSION, changed_arrays, read_metadata
-from skinbake.gltf.primitives import PrimitiveSource, read_primitive
+from skinbake.gltf.limit import common_unit
+from skinbake.gltf.metadata import FORMER_ATTRIBUTES, VERSION, changed_arrays, read_metadata
+from skinbake.gltf.primitives import PrimitiveSource, read_influences, read_primitive
 from skinbake.gltf.skin_groups import meshes_of_one_skin
+from skinbake.verify.limits import limited_primitive
 
 WELDS = ("mesh", "skin")
 WEIGHTINGS = ("max", "angle", "area", "angle-area")
@@ -205,7 +207,9 @@ def _rest_frame(primitive: SkinnedPrimitive, kind: str) -> tuple[FloatArray, Flo
 def _before_adoption(
     document: Document, source: PrimitiveSource, metadata: JsonObject, now: SkinnedPrimitive
 ) -> SkinnedPrimitive:
-    """Return the primitive with the influences from before its bake, or as it is now where they are gone.
+    """Return the primitive with the influences that its bake began with, or as it is now where they are gone.
+
+    Those are the file's from before it, or what its limit of influences leaves of them.
 
     α and β come from those; the weights that adoption gave its slots are too small to matter much.
     """
@@ -213,7 +217,12 @@ def _before_adoption(
     if not former:
         return now
     attributes = {**source.attributes, **former}
-    return read_primitive(document, replace(source, json={**source.json, "attributes": attributes}))
+    source = replace(source, json={**source.json, "attributes": attributes})
+    before = read_primitive(document, source)
+    if FORMER_ATTRIBUTES not in metadata:
+        return before
+    unit = common_unit(read_influences(document, source, len(before.positions)))
+    return limited_primitive(before, now.joints.shape[1], unit)
 
 
 def _skewed(view: BakedView) -> Iterator[Notice]:

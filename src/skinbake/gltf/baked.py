@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from skinbake import __version__
 from skinbake.errors import InputError
-from skinbake.geometry.skinned import BakedPrimitive, Float32Array, SkinnedPrimitive
+from skinbake.geometry.skinned import BakedPrimitive, Float32Array, FloatArray, SkinnedPrimitive
 from skinbake.gltf import metadata
 from skinbake.gltf.additions import KEY, Additions
 from skinbake.gltf.adoption import with_adopted
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject
-from skinbake.gltf.primitives import PrimitiveSource, read_influences
+from skinbake.gltf.primitives import PrimitiveSource, StoredInfluences, read_influences
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,13 +37,15 @@ class AttributeNames:
 class Baked:
     """One primitive to be written: where, its arrays as baked from, the result, and how it was made.
 
-    settings is noted in the metadata as it stands.
+    settings is noted in the metadata as it stands. limited are the primitive's new influence sets where it
+    has fewer than the file; its arrays are then theirs.
     """
 
     source: PrimitiveSource
     primitive: SkinnedPrimitive
     result: BakedPrimitive
     settings: JsonObject
+    limited: Sequence[StoredInfluences] | None = None
 
 
 def with_baked(
@@ -80,9 +83,10 @@ def _written(document: Document, additions: Additions, item: Baked, names: Attri
         attributes["NORMAL"] = additions.add(item.primitive.normals.astype(np.float32))
         note["generated"] = ["NORMAL"]
     primitive = item.primitive
-    if item.result.adopts:
-        note["formerDigest"] = metadata.influence_digests(primitive.joints, primitive.weights)
-        note["adopted"], primitive = _adopt(document, additions, item, attributes)
+    if item.limited is not None:
+        note[metadata.FORMER_ATTRIBUTES] = list(item.source.attributes)
+    if item.result.adopts or item.limited is not None:
+        primitive = _replace_influences(document, additions, item, attributes, note)
     note["digest"] = metadata.digests(primitive, item.result.frame)
     alpha, beta = _by_set(item.result.alpha), _by_set(item.result.beta)
     chosen = [names.of(number) for number in range(len(alpha))]
@@ -117,21 +121,31 @@ def _by_set(slots: Float32Array) -> list[Float32Array]:
     return [slots[:, :3], *(slots[:, start : start + 4] for start in range(3, slots.shape[1], 4))]
 
 
-def _adopt(
-    document: Document, additions: Additions, item: Baked, attributes: dict[str, Any]
-) -> tuple[dict[str, int], SkinnedPrimitive]:
-    """Point the attributes at new influences; return the accessors they had, and the arrays as now stored."""
+def _replace_influences(
+    document: Document, additions: Additions, item: Baked, attributes: dict[str, Any], note: JsonObject
+) -> SkinnedPrimitive:
+    """Point the attributes at the influences of the bake, note those before, and return the arrays stored.
+
+    Attributes of sets that a limit leaves out are removed.
+    """
     before = read_influences(document, item.source, len(item.primitive.positions))
-    after = with_adopted(before, item.result.adopted_joints)
+    after = with_adopted(item.limited or before, item.result.adopted_joints)
     former: dict[str, int] = {}
-    for number, (old, new) in enumerate(zip(before, after, strict=True)):
-        for name, stored, changed in (
-            (f"JOINTS_{number}", new.joints, new.joints is not old.joints),
-            (f"WEIGHTS_{number}", new.weights, new.weights is not old.weights),
-        ):
-            if changed:
-                former[name] = int(attributes[name])
+    for number, old in enumerate(before):
+        new = after[number] if number < len(after) else None
+        for kind in ("joints", "weights"):
+            name, stored = f"{kind.upper()}_{number}", getattr(new, kind, None)
+            if stored is getattr(old, kind):
+                continue
+            former[name] = int(attributes.pop(name) if stored is None else attributes[name])
+            if stored is not None:
                 attributes[name] = additions.add(stored.values, normalized=stored.normalized)
-    joints = np.concatenate([entry.joints.values.astype(np.int64) for entry in after], axis=1)
-    weights = np.concatenate([entry.weights.decoded() for entry in after], axis=1)
-    return former, replace(item.primitive, joints=joints, weights=weights)
+    note["formerDigest"] = metadata.influence_digests(*_side_by_side(before))
+    note["adopted"] = former
+    return item.primitive.with_influences(*_side_by_side(after))
+
+
+def _side_by_side(sets: Sequence[StoredInfluences]) -> tuple[npt.NDArray[np.int64], FloatArray]:
+    """Return joints and weights of all influence sets, (V, K) each, decoded."""
+    joints = np.concatenate([entry.joints.values.astype(np.int64) for entry in sets], axis=1)
+    return joints, np.concatenate([entry.weights.decoded() for entry in sets], axis=1)

@@ -11,7 +11,7 @@ from skinbake.gltf.additions import BUFFER_ADDED, BUFFER_LENGTH, KEY
 from skinbake.gltf.document import Document, joined
 from skinbake.gltf.former import former_attributes
 from skinbake.gltf.json_access import JsonObject, integer, objects, text
-from skinbake.gltf.metadata import noted_names, read_metadata
+from skinbake.gltf.metadata import FORMER_ATTRIBUTES, noted_names, read_metadata
 
 
 def stripped(document: Document) -> tuple[Document, int, list[Notice]]:
@@ -79,7 +79,7 @@ def _restored(
         for name in noted_names(note, key):
             attributes.pop(name, None)
     former = former_attributes(document, attributes, note, place)
-    attributes.update(former or {})
+    attributes = _in_former_order({**attributes, **(former or {})}, note)
     written = {**primitive, "attributes": attributes} if "attributes" in primitive else dict(primitive)
     extras = primitive.get("extras")
     if isinstance(extras, dict) and extras.get(KEY) is note:
@@ -89,11 +89,24 @@ def _restored(
             del written["extras"]
     if former is not None:
         return written, None
+    if FORMER_ATTRIBUTES in note:
+        message = (
+            "the influences from before its bake are gone, or were edited since: those that "
+            "--limit-influences left stay, and adopted joints among them"
+        )
+        return written, Notice("limited-kept", message, place)
     message = (
         "the influences from before its bake are gone, or were edited since: joints that bake adopted stay, "
         "with weights too small to see"
     )
     return written, Notice("adopted-kept", message, place)
+
+
+def _in_former_order(attributes: JsonObject, note: JsonObject) -> JsonObject:
+    """Return the attributes in the order of before, where bake removed some and noted it."""
+    noted = noted_names(note, FORMER_ATTRIBUTES)
+    order = [*(name for name in noted if name in attributes), *attributes]
+    return {name: attributes[name] for name in order}
 
 
 def _without(document: Document, root: JsonObject, removed: set[int], notices: list[Notice]) -> Document:
