@@ -54,6 +54,23 @@ ERROR = {
         ),
     ]
 }
+SPREAD = strict({name: {"type": "number", "minimum": 0} for name in ("mean", "p99", "max")})
+LIMITED = {
+    "oneOf": [
+        {"type": "null"},
+        strict(
+            {
+                "influences": {"type": "integer", "multipleOf": 4, "minimum": 4},
+                "vertices": COUNT,
+                "left_out": {"type": "number", "minimum": 0, "maximum": 1},
+                "normals": SPREAD,
+                "positions": SPREAD,
+                "size": {"type": "number", "minimum": 0},
+                "poses": TEXT,
+            }
+        ),
+    ]
+}
 BAKED = strict(
     {
         "mesh": COUNT,
@@ -70,6 +87,7 @@ BAKED = strict(
         "gradient": {"type": "number", "minimum": 0},
         "added_bytes": COUNT,
         "bytes_per_vertex": {"type": "integer", "minimum": 6},
+        "limited": LIMITED,
     },
     optional={"mesh_name": {"type": "string"}},
 )
@@ -204,6 +222,14 @@ def test_bake_as_float32_has_nothing_to_measure() -> None:
     ]
     assert file["encoding"] == {"name": "float32", "added_error": None}
     assert [primitive["bytes_per_vertex"] for primitive in file["primitives"]] == [24]
+
+
+def test_bake_with_a_limit_of_influences(tmp_path: Path) -> None:
+    inputs = [FOLDER / name for name in FIXTURES]
+    result = invoke("bake", *inputs, "--out-dir", tmp_path, "--json", "--limit-influences", "4")
+    found = checked(document(result), BAKE)
+    limited = [file["input"] for file in found["files"] if file["primitives"][0]["limited"]]
+    assert limited == [str(FOLDER / "two_sets.glb")]
 
 
 def test_failures_and_warnings_are_in_the_document(tmp_path: Path) -> None:

@@ -20,6 +20,12 @@ def _pattern(ctx: click.Context, param: click.Parameter, value: str) -> str:
     return value
 
 
+def _multiple_of_4(ctx: click.Context, param: click.Parameter, value: int | None) -> int | None:
+    if value is not None and value % 4:
+        raise click.BadParameter("must be a multiple of 4: glTF stores influences in sets of 4")
+    return value
+
+
 @click.command("bake")
 @click.argument("inputs", nargs=-1, required=True, metavar="INPUT...")
 @click.option("-o", "--output", metavar="FILE", help="Where to write; - for a GLB on stdout.")
@@ -48,6 +54,14 @@ def _pattern(ctx: click.Context, param: click.Parameter, value: str) -> str:
     help="Copies of a vertex whose normals differ by more are a hard edge.",
 )
 @click.option(
+    "--weld",
+    type=click.Choice(["mesh", "skin"]),
+    default="mesh",
+    show_default=True,
+    help="Gather over the primitives of one mesh, or over all meshes that the same skin draws: for "
+    "characters cut into several.",
+)
+@click.option(
     "--neighbours",
     type=click.Choice(["adopt", "drop"]),
     default="adopt",
@@ -60,6 +74,13 @@ def _pattern(ctx: click.Context, param: click.Parameter, value: str) -> str:
     default="auto",
     show_default=True,
     help="Take the tangent frame from TANGENT, or from NORMAL alone; auto prefers TANGENT.",
+)
+@click.option(
+    "--limit-influences",
+    type=click.IntRange(min=4),
+    callback=_multiple_of_4,
+    metavar="N",
+    help="Keep the N largest influences of each vertex, N a multiple of 4, and say what that costs.",
 )
 @click.option("--generate-normals", is_flag=True, help="Add smooth NORMALs where a primitive has none.")
 @click.option(
@@ -174,6 +195,8 @@ def _options(given: dict[str, Any]) -> Any:
         ),
         names=AttributeNames(given["alpha_name"], given["beta_name"]),
         storage=Storage(Encoding(given["encoding"]), Layout(given["layout"])),
+        weld=given["weld"],
+        limit_influences=given["limit_influences"],
         generate_normals=given["generate_normals"],
         require_baked=given["require_baked"],
         warnings_as_errors=given["warnings_as_errors"],

@@ -11,6 +11,7 @@ import numpy as np
 from skinbake.bake.baker import TANGENT_TOLERANCE, BakeFindings, BakeSettings, bake_mesh
 from skinbake.bake.influences import SUM_TOLERANCE
 from skinbake.bake.normals import with_smooth_normals
+from skinbake.commands.limiting import limit_costs, limited
 from skinbake.errors import InputError, Notice, Place, SkinbakeError, defect
 from skinbake.geometry.frames import TANGENT_FRAME
 from skinbake.geometry.skinned import BakedPrimitive, SkinnedPrimitive
@@ -29,18 +30,26 @@ from skinbake.gltf.primitives import (
     skinned_sources,
 )
 from skinbake.gltf.recode import Compression, recoded
+from skinbake.gltf.skin_groups import meshes_of_one_skin
 from skinbake.gltf.strip import stripped
 from skinbake.report.bake import BakedCounts, EncodingCost, FileResult, Status
 
 logger = logging.getLogger(__name__)
 
+WELD_MESH, WELD_SKIN = "mesh", "skin"
+
 
 @dataclass(frozen=True, slots=True)
 class BakeOptions:
-    """The options of ``skinbake bake`` that do not name files."""
+    """The options of ``skinbake bake`` that do not name files.
+
+    weld is ``mesh`` or ``skin``; limit_influences a multiple of 4, or None.
+    """
 
     settings: BakeSettings = field(default_factory=BakeSettings)
     names: AttributeNames = field(default_factory=AttributeNames)
+    weld: str = WELD_MESH
+    limit_influences: int | None = None
     generate_normals: bool = False
     require_baked: bool = False
     warnings_as_errors: bool = False
@@ -157,8 +166,8 @@ def bake_document(
             notices.append(reason)
     baked: list[Baked] = []
     results: list[tuple[Place, BakedCounts]] = []
-    for mesh_sources in by_mesh.values():
-        _bake_sources(document, mesh_sources, options, notices, baked, results)
+    for group in _welded_together(document, by_mesh, options, notices):
+        _bake_sources(document, group, options, notices, baked, results)
     skipped = len(sources) - len(baked)
     if not baked:
         return document, [], skipped
@@ -167,6 +176,20 @@ def bake_document(
     written, lengths = with_baked(document, baked, options.names, options.storage, level=level)
     counts = [(place, replace(c, added_bytes=n)) for (place, c), n in zip(results, lengths, strict=True)]
     return written, counts, skipped
+
+
+def _welded_together(
+    document: Document,
+    by_mesh: dict[int, list[PrimitiveSource]],
+    options: BakeOptions,
+    notices: list[Notice],
+) -> list[list[PrimitiveSource]]:
+    """Return the primitives in the groups that are baked as one surface; append to ``notices``."""
+    if options.weld != WELD_SKIN:
+        return list(by_mesh.values())
+    groups, found = meshes_of_one_skin(document, by_mesh)
+    notices += found
+    return [[source for mesh in group for source in by_mesh[mesh]] for group in groups]
 
 
 def _reason_of_frame(source: PrimitiveSource, options: BakeOptions) -> Notice | None:
@@ -186,14 +209,23 @@ def _bake_sources(
     baked: list[Baked],
     results: list[tuple[Place, BakedCounts]],
 ) -> None:
-    """Bake the primitives of one mesh together; append to ``baked``, ``results`` and ``notices``."""
-    primitives = with_smooth_normals([read_primitive(document, source) for source in sources])
+    """Bake primitives as one surface; append to ``baked``, ``results`` and ``notices``."""
+    whole = with_smooth_normals([read_primitive(document, source) for source in sources])
+    parts = [
+        limited(document, source, primitive, options.limit_influences)
+        for source, primitive in zip(sources, whole, strict=True)
+    ]
+    primitives = [part.primitive if part else one for part, one in zip(parts, whole, strict=True)]
     outcomes = bake_mesh(primitives, options.settings)
-    for source, primitive, (outcome, findings) in zip(sources, primitives, outcomes, strict=True):
+    costs = limit_costs(document, sources, whole, parts, outcomes, options.settings)
+    for source, primitive, part, cost, (outcome, findings) in zip(
+        sources, primitives, parts, costs, outcomes, strict=True
+    ):
         notices += _assumptions(source, primitive, outcome, findings)
-        baked.append(Baked(source, primitive, outcome, _noted_settings(options.settings)))
-        encoding = options.storage.encoding
-        results.append((source.place, _counts(source, primitive, outcome, findings, encoding)))
+        stored = part.stored if part else None
+        baked.append(Baked(source, primitive, outcome, _noted_settings(options), stored))
+        counts = _counts(source, primitive, outcome, findings, options.storage.encoding)
+        results.append((source.place, replace(counts, limited=cost)))
 
 
 def _counts(
@@ -219,11 +251,13 @@ def _counts(
     )
 
 
-def _noted_settings(settings: BakeSettings) -> JsonObject:
+def _noted_settings(options: BakeOptions) -> JsonObject:
+    settings = options.settings
     return {
         "weighting": settings.weighting,
         "creaseAngle": round(float(np.degrees(settings.crease_angle)), 6),
         "neighbours": settings.neighbours,
+        **({"weld": WELD_SKIN} if options.weld == WELD_SKIN else {}),
     }
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -16,9 +17,13 @@ from skinbake.geometry.skinned import Float64Array, FloatArray, SkinnedPrimitive
 from skinbake.gltf.document import Document
 from skinbake.gltf.former import former_attributes
 from skinbake.gltf.json_access import JsonObject
-from skinbake.gltf.metadata import VERSION, changed_arrays, read_metadata
-from skinbake.gltf.primitives import PrimitiveSource, read_primitive
+from skinbake.gltf.limit import common_unit
+from skinbake.gltf.metadata import FORMER_ATTRIBUTES, VERSION, changed_arrays, read_metadata
+from skinbake.gltf.primitives import PrimitiveSource, read_influences, read_primitive
+from skinbake.gltf.skin_groups import meshes_of_one_skin
+from skinbake.verify.limits import limited_primitive
 
+WELDS = ("mesh", "skin")
 WEIGHTINGS = ("max", "angle", "area", "angle-area")
 FRAMES = (frames.NORMAL_FRAME, frames.TANGENT_FRAME)
 
@@ -65,7 +70,24 @@ def baked_views(
             problems += _skewed(found)
         else:
             problems.append(found)
-    return views, [*problems, *_contradictions(views)]
+    return views, [*problems, *_contradictions(document, views)]
+
+
+def gathered_together(document: Document, views: Sequence[BakedView]) -> list[list[BakedView]]:
+    """Return the views in the groups that one bake gathered as one surface, by what their metadata says.
+
+    Groups and views keep their order. Where one is welded over its skin, all that the same skins draw are:
+    that all of them say so is for ``baked_views`` to check.
+    """
+    meshes = list(dict.fromkeys(view.source.mesh for view in views))
+    groups = [[mesh] for mesh in meshes]
+    if any(_weld(view) == "skin" for view in views):
+        groups, _ = meshes_of_one_skin(document, meshes)
+    return [[view for view in views if view.source.mesh in group] for group in groups]
+
+
+def _weld(view: BakedView) -> str:
+    return str(view.metadata.get("weld", WELDS[0]))
 
 
 def _view(document: Document, source: PrimitiveSource) -> BakedView | Notice:
@@ -102,6 +124,8 @@ def _wrong_members(metadata: JsonObject, source: PrimitiveSource) -> Iterator[st
     """Yield what is wrong with each member of the metadata that is not as CONVENTIONS.md has it."""
     if metadata.get("frame") not in FRAMES:
         yield f'"frame" is {shown(metadata.get("frame"))}'
+    if metadata.get("weld", WELDS[0]) not in WELDS:
+        yield f'"weld" is {shown(metadata.get("weld"))}'
     if metadata.get("weighting") not in WEIGHTINGS:
         yield f'"weighting" is {shown(metadata.get("weighting"))}'
     angle = metadata.get("creaseAngle")
@@ -136,7 +160,9 @@ def _rest_frame(primitive: SkinnedPrimitive, kind: str) -> tuple[FloatArray, Flo
 def _before_adoption(
     document: Document, source: PrimitiveSource, metadata: JsonObject, now: SkinnedPrimitive
 ) -> SkinnedPrimitive:
-    """Return the primitive with the influences from before its bake, or as it is now where they are gone.
+    """Return the primitive with the influences that its bake began with, or as it is now where they are gone.
+
+    Those are the file's from before it, or what its limit of influences leaves of them.
 
     α and β come from those; the weights that adoption gave its slots are too small to matter much.
     """
@@ -144,7 +170,12 @@ def _before_adoption(
     if not former:
         return now
     attributes = {**source.attributes, **former}
-    return read_primitive(document, replace(source, json={**source.json, "attributes": attributes}))
+    source = replace(source, json={**source.json, "attributes": attributes})
+    before = read_primitive(document, source)
+    if FORMER_ATTRIBUTES not in metadata:
+        return before
+    unit = common_unit(read_influences(document, source, len(before.positions)))
+    return limited_primitive(before, now.joints.shape[1], unit)
 
 
 def _skewed(view: BakedView) -> Iterator[Notice]:
@@ -167,19 +198,24 @@ def _skewed(view: BakedView) -> Iterator[Notice]:
         yield Notice("tangents-skewed", message, view.source.place, count)
 
 
-def _contradictions(views: Sequence[BakedView]) -> Iterator[Notice]:
-    """Yield a problem for each primitive whose settings are not those of its mesh's first primitive.
+def _contradictions(document: Document, views: Sequence[BakedView]) -> Iterator[Notice]:
+    """Yield a problem for each primitive whose settings are not those of the first it was gathered with.
 
-    The primitives of a mesh are gathered together: one bake made them all.
+    The primitives of a mesh, or of a skin, are gathered together: one bake made them all.
     """
-    first: dict[int, BakedView] = {}
-    for view in views:
-        other = first.setdefault(view.source.mesh, view)
-        for key in ("weighting", "creaseAngle"):
-            ours, theirs = view.metadata[key], other.metadata[key]
-            if ours != theirs and not (key == "creaseAngle" and math.isclose(ours, theirs)):
-                message = (
-                    f'its metadata is damaged: "{key}" is {shown(ours)}, and {shown(theirs)} in primitive '
-                    f"{other.source.primitive} of the same mesh; {BAKE}"
-                )
-                yield Notice("metadata-broken", message, view.source.place)
+    for group in gathered_together(document, views):
+        other = group[0]
+        theirs = _gathering(other)
+        for view in group[1:]:
+            for key, ours in _gathering(view).items():
+                if ours != theirs[key] and not (key == "creaseAngle" and math.isclose(ours, theirs[key])):
+                    message = (
+                        f'its metadata is damaged: "{key}" is {shown(ours)}, and {shown(theirs[key])} in '
+                        f"{other.source.place.within_file}, which it was gathered with; {BAKE}"
+                    )
+                    yield Notice("metadata-broken", message, view.source.place)
+
+
+def _gathering(view: BakedView) -> dict[str, Any]:
+    """Return the settings that all primitives of one surface share."""
+    return {"weld": _weld(view), **{key: view.metadata[key] for key in ("weighting", "creaseAngle")}}

@@ -18,7 +18,7 @@ from skinbake.gltf.animation import read_clips
 from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.metadata import slot_names
 from skinbake.gltf.output import write_text
-from skinbake.gltf.primitives import refuse_compressed, skinned_sources
+from skinbake.gltf.primitives import skinned_sources
 from skinbake.report.notices import counted
 from skinbake.shaders.choices import BEST, AttributeText, Language, Lighting, Method, ShaderChoices
 from skinbake.shaders.text import shader_text
@@ -146,8 +146,6 @@ def _views(document: Document) -> list[BakedView]:
     """Return the baked primitives; InputError where there are none, or one is damaged."""
     sources, _ = skinned_sources(document)
     baked = [source for source in sources if is_baked(document, source)]
-    for source in baked:
-        refuse_compressed(document, source)
     if not baked:
         raise InputError("nothing in it is baked: run skinbake bake first", document.place)
     views, problems = baked_views(document, baked)

@@ -29,7 +29,7 @@ EDITED_ALONE = {
 
 
 def mesh_operator(views: Sequence[BakedView], weighting: str | None = None) -> GradientOperator:
-    """Return the gradient operator of one mesh, weighted as its metadata says or as ``weighting`` does."""
+    """Return the gradient operator of one surface, weighted as its metadata says or as ``weighting`` does."""
     noted = views[0].metadata
     chosen: Any = weighting or noted["weighting"]
     return gradient_operator(
@@ -38,7 +38,7 @@ def mesh_operator(views: Sequence[BakedView], weighting: str | None = None) -> G
 
 
 def staleness(document: Document, views: Sequence[BakedView], operator: GradientOperator) -> list[Notice]:
-    """Return a problem for each primitive of one mesh whose α/β are not those of its present arrays."""
+    """Return a problem for each primitive of one surface whose α/β are not those of its present arrays."""
     problems = []
     for view, comparison in zip(views, _comparisons(views, operator), strict=True):
         if view.changed or not comparison.agrees:
@@ -92,6 +92,19 @@ def _likely_cause(
     if weighting is not None:
         noted = view.metadata["weighting"]
         return f'They were made with the weighting "{weighting}", not "{noted}" as noted: {BAKE_AGAIN}'
+    return _cause_beyond(view, views)
+
+
+def _cause_beyond(view: BakedView, views: Sequence[BakedView]) -> str:
+    """Say what the difference looks like where the primitive's own arrays do not tell."""
+    neighbours = [other.source.place.within_file for other in views if other.changed]
+    if neighbours:
+        return f"It is welded with {_listed(neighbours)}, which changed: {BAKE_AGAIN}"
+    if view.metadata.get("weld") == "skin":
+        return (
+            "They were edited or damaged, or a mesh that the same skin draws was added, removed or bound to "
+            f"another skin: {BAKE_AGAIN}"
+        )
     return f"They were edited or damaged, nothing else was: {BAKE_AGAIN}"
 
 

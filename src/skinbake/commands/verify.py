@@ -6,7 +6,7 @@ import logging
 from collections.abc import Sequence
 from dataclasses import replace
 
-from skinbake.commands.baked_views import BakedView, baked_views, is_baked
+from skinbake.commands.baked_views import BakedView, baked_views, gathered_together, is_baked
 from skinbake.commands.lighting import Lighting, Progress, VerifyOptions
 from skinbake.commands.staleness import mesh_operator, staleness
 from skinbake.errors import InputError, Notice, Place, SkinbakeError, defect
@@ -47,18 +47,16 @@ def _verify_file(source: str, options: VerifyOptions, progress: Progress) -> Fil
     if problems:
         rest = [Check(name, "skipped", (), "structure failed") for name in ("freshness", "lighting")]
         return FileVerdict(document.name, (structure, *rest), notices=tuple(notices))
-    meshes = [
-        [view for view in views if view.source.mesh == mesh] for mesh in {v.source.mesh: None for v in views}
-    ]
-    operators = [mesh_operator(mesh_views) for mesh_views in meshes]
+    surfaces = gathered_together(document, views)
+    operators = [mesh_operator(surface) for surface in surfaces]
     problems = [
         p
-        for mesh, operator in zip(meshes, operators, strict=True)
-        for p in staleness(document, mesh, operator)
+        for surface, operator in zip(surfaces, operators, strict=True)
+        for p in staleness(document, surface, operator)
     ]
     fresh = Check("freshness", "failed" if problems else "passed", tuple(problems))
     lighting = Lighting(document, options, progress)
-    verdict = lighting.measured(meshes, operators)
+    verdict = lighting.measured(surfaces, operators)
     checks = (structure, fresh, *verdict.checks)
     return replace(verdict, checks=checks, notices=(*notices, *verdict.notices))
 

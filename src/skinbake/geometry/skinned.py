@@ -5,7 +5,7 @@ Axis letters, units and frames are those of CONVENTIONS.md.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 import numpy as np
@@ -34,6 +34,10 @@ class SkinnedPrimitive:
     joints: IntArray
     weights: FloatArray
     triangles: IntArray
+
+    def with_influences(self, joints: IntArray, weights: FloatArray) -> SkinnedPrimitive:
+        """Return the primitive with other joints and weights, each (V, K)."""
+        return replace(self, joints=joints, weights=weights)
 
 
 @dataclass(frozen=True, slots=True)

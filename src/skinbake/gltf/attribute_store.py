@@ -131,9 +131,11 @@ class _DracoStore:
     def finished(self, primitive: JsonObject) -> JsonObject:
         before = draco.extension_of(self._source.json) or {}
         inside = member(before, "attributes", self._source.place)
-        names = list(dict.fromkeys([*inside, *self._new]))
+        left = member(primitive, "attributes", self._source.place)
+        names = [name for name in dict.fromkeys([*inside, *self._new]) if name in left]
         view, numbers = self._encoded(names)
-        former = {name: self._source.attributes[name] for name in inside if name in self._new}
+        replaced = [name for name in inside if name in self._new or name not in left]
+        former = {name: self._source.attributes[name] for name in replaced}
         extras = before.get("extras")
         note = {draco.BEFORE: before, **({draco.ACCESSORS: former} if former else {})}
         extension = {

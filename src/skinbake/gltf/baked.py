@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from skinbake import __version__
 from skinbake.errors import InputError
-from skinbake.geometry.skinned import BakedPrimitive, SkinnedPrimitive
+from skinbake.geometry.skinned import BakedPrimitive, FloatArray, SkinnedPrimitive
 from skinbake.gltf import metadata
 from skinbake.gltf.additions import KEY, Additions
 from skinbake.gltf.adoption import with_adopted
@@ -28,7 +28,7 @@ from skinbake.gltf.layouts import (
     of_alpha_and_beta,
     paired,
 )
-from skinbake.gltf.primitives import PrimitiveSource, read_influences
+from skinbake.gltf.primitives import PrimitiveSource, StoredInfluences, read_influences
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,13 +48,15 @@ class AttributeNames:
 class Baked:
     """One primitive to be written: where, its arrays as baked from, the result, and how it was made.
 
-    settings is noted in the metadata as it stands.
+    settings is noted in the metadata as it stands. limited are the primitive's new influence sets where it
+    has fewer than the file; its arrays are then theirs.
     """
 
     source: PrimitiveSource
     primitive: SkinnedPrimitive
     result: BakedPrimitive
     settings: JsonObject
+    limited: Sequence[StoredInfluences] | None = None
 
 
 def with_baked(
@@ -120,9 +122,10 @@ def _written(
         attributes["NORMAL"] = store.add("NORMAL", item.primitive.normals.astype(np.float32))
         note["generated"] = ["NORMAL"]
     primitive = item.primitive
-    if item.result.adopts:
-        note["formerDigest"] = metadata.influence_digests(primitive.joints, primitive.weights)
-        note["adopted"], primitive = _adopt(document, store, item, attributes)
+    if item.limited is not None:
+        note[metadata.FORMER_ATTRIBUTES] = list(item.source.attributes)
+    if item.result.adopts or item.limited is not None:
+        primitive = _replace_influences(document, store, item, attributes, note)
     note["digest"] = metadata.digests(primitive, item.result.frame)
     note["alpha"], note["beta"], arrays = _stored(item, names, storage)
     note |= storage.noted
@@ -178,21 +181,31 @@ def _choice_of_names(storage: Storage) -> str:
     return "--layout" if storage.layout is Layout.CUSTOM else "--alpha-name and --beta-name"
 
 
-def _adopt(
-    document: Document, store: AttributeStore, item: Baked, attributes: dict[str, Any]
-) -> tuple[dict[str, int], SkinnedPrimitive]:
-    """Point the attributes at new influences; return the accessors they had, and the arrays as now stored."""
+def _replace_influences(
+    document: Document, store: AttributeStore, item: Baked, attributes: dict[str, Any], note: JsonObject
+) -> SkinnedPrimitive:
+    """Point the attributes at the influences of the bake, note those before, and return the arrays stored.
+
+    Attributes of sets that a limit leaves out are removed.
+    """
     before = read_influences(document, item.source, len(item.primitive.positions))
-    after = with_adopted(before, item.result.adopted_joints)
+    after = with_adopted(item.limited or before, item.result.adopted_joints)
     former: dict[str, int] = {}
-    for number, (old, new) in enumerate(zip(before, after, strict=True)):
-        for name, stored, changed in (
-            (f"JOINTS_{number}", new.joints, new.joints is not old.joints),
-            (f"WEIGHTS_{number}", new.weights, new.weights is not old.weights),
-        ):
-            if changed:
-                former[name] = int(attributes[name])
+    for number, old in enumerate(before):
+        new = after[number] if number < len(after) else None
+        for kind in ("joints", "weights"):
+            name, stored = f"{kind.upper()}_{number}", getattr(new, kind, None)
+            if stored is getattr(old, kind):
+                continue
+            former[name] = int(attributes.pop(name) if stored is None else attributes[name])
+            if stored is not None:
                 attributes[name] = store.add(name, stored.values, normalized=stored.normalized)
-    joints = np.concatenate([entry.joints.values.astype(np.int64) for entry in after], axis=1)
-    weights = np.concatenate([entry.weights.decoded() for entry in after], axis=1)
-    return former, replace(item.primitive, joints=joints, weights=weights)
+    note["formerDigest"] = metadata.influence_digests(*_side_by_side(before))
+    note["adopted"] = former
+    return item.primitive.with_influences(*_side_by_side(after))
+
+
+def _side_by_side(sets: Sequence[StoredInfluences]) -> tuple[npt.NDArray[np.int64], FloatArray]:
+    """Return joints and weights of all influence sets, (V, K) each, decoded."""
+    joints = np.concatenate([entry.joints.values.astype(np.int64) for entry in sets], axis=1)
+    return joints, np.concatenate([entry.weights.decoded() for entry in sets], axis=1)

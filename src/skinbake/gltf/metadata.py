@@ -16,6 +16,9 @@ from skinbake.gltf.json_access import JsonObject, accessor_number
 
 VERSION = 1
 
+FORMER_ATTRIBUTES = "formerAttributes"
+"""The member that lists a primitive's attributes before a bake that limited its influences."""
+
 
 def digests(primitive: SkinnedPrimitive, frame: str) -> dict[str, str]:
     """Return a digest of each array that α and β depend on, by name.
@@ -73,7 +76,7 @@ def read_metadata(document: Document, primitive: JsonObject) -> JsonObject | Non
 
 
 def noted_names(note: JsonObject, key: str) -> list[str]:
-    """Return the attribute names under ``alpha``, ``beta`` or ``generated``, none where they are no list."""
+    """Return the attribute names under a key like ``alpha``, none where they are no list."""
     names = note.get(key)
     return [name for name in names if isinstance(name, str)] if isinstance(names, list) else []
 

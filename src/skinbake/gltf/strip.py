@@ -12,7 +12,7 @@ from skinbake.gltf.document import Document, joined
 from skinbake.gltf.former import former_attributes
 from skinbake.gltf.json_access import JsonObject, integer, objects, text
 from skinbake.gltf.layouts import Layout
-from skinbake.gltf.metadata import noted_names, read_metadata, slot_names
+from skinbake.gltf.metadata import FORMER_ATTRIBUTES, noted_names, read_metadata, slot_names
 
 
 def stripped(document: Document) -> tuple[Document, int, list[Notice]]:
@@ -89,7 +89,7 @@ def _restored(
     notices = _removed(attributes, note, place)
     ours = [name for name in json_access.member(primitive, "attributes", place) if name not in attributes]
     former = former_attributes(document, attributes, note, place)
-    attributes.update(former or {})
+    attributes = _in_former_order({**attributes, **(former or {})}, note)
     written = {**primitive, "attributes": attributes} if "attributes" in primitive else dict(primitive)
     if draco.extension_of(primitive) is not None:
         written["extensions"] = _extensions_before(document, primitive, ours, former is not None, place)
@@ -101,6 +101,12 @@ def _restored(
             del written["extras"]
     if former is not None:
         return written, notices
+    if FORMER_ATTRIBUTES in note:
+        message = (
+            "the influences from before its bake are gone, or were edited since: those that "
+            "--limit-influences left stay, and adopted joints among them"
+        )
+        return written, [*notices, Notice("limited-kept", message, place)]
     message = (
         "the influences from before its bake are gone, or were edited since: joints that bake adopted stay, "
         "with weights too small to see"
@@ -145,6 +151,13 @@ def _extensions_before(
         if not extension["extras"]:
             del extension["extras"]
     return {**extensions, draco.EXTENSION: extension}
+
+
+def _in_former_order(attributes: JsonObject, note: JsonObject) -> JsonObject:
+    """Return the attributes in the order of before, where bake removed some and noted it."""
+    noted = noted_names(note, FORMER_ATTRIBUTES)
+    order = [*(name for name in noted if name in attributes), *attributes]
+    return {name: attributes[name] for name in order}
 
 
 def _without(

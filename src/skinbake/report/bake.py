@@ -18,13 +18,41 @@ Status = Literal["baked", "unchanged", "failed"]
 
 
 @dataclass(frozen=True, slots=True)
+class Spread:
+    """How far something differs over vertices and poses, weighted by rest area."""
+
+    mean: float
+    p99: float
+    max: float
+
+
+@dataclass(frozen=True, slots=True)
+class LimitCost:
+    """What fewer influences cost a primitive.
+
+    influences a vertex are left; vertices lost some, and left_out is the share of their weight that went, on
+    average. normals: degrees between accurate normals before and after; positions: how far vertices move, in
+    the scene's length unit; size: the primitive's, posed, in that unit. poses says what was measured over.
+    """
+
+    influences: int
+    vertices: int
+    left_out: float
+    normals: Spread
+    positions: Spread
+    size: float
+    poses: str
+
+
+@dataclass(frozen=True, slots=True)
 class BakedCounts:
     """What was baked into one primitive, in numbers.
 
     adopting_vertices took joints of their neighbours into free slots, overflowing_vertices had more such
     joints than free slots; gradient is the summed length of the weight gradients, in 1 / length unit, and
     lost_gradient the share of it that no slot holds.
-    added_bytes is what the primitive added to the file, bytes_per_vertex what α and β take of a vertex.
+    added_bytes is what the primitive added to the file, bytes_per_vertex what α and β take of a vertex;
+    limited is what --limit-influences did to it.
     """
 
     vertices: int
@@ -39,6 +67,7 @@ class BakedCounts:
     lost_gradient: float
     added_bytes: int
     bytes_per_vertex: int
+    limited: LimitCost | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,6 +112,9 @@ def closing_line(result: FileResult, *, dry_run: bool) -> str:
     parts += _encoding_text(result.encoding, counts)
     if result.skipped:
         parts.append(f"{counted(result.skipped, 'skinned primitive')} skipped")
+    costs = [count.limited for count in counts if count.limited]
+    if costs:
+        parts.append(_limited(costs))
     adopting = sum(count.adopting_vertices for count in counts)
     if adopting:
         parts.append(f"{counted(adopting, 'vertex', 'vertices')} adopted joints")
@@ -135,6 +167,21 @@ def _encoding_text(encoding: EncodingCost | None, counts: Sequence[BakedCounts])
 
 def _degrees(angle: float) -> str:
     return f"{angle:.2g}°" if angle >= SEEN else f"under {SEEN}°"
+
+
+def _limited(costs: Sequence[LimitCost]) -> str:
+    """Return what a limit of influences cost; p99 and shares of the size are those of the worst primitive."""
+    vertices = sum(cost.vertices for cost in costs)
+    left_out = sum(cost.left_out * cost.vertices for cost in costs) / max(vertices, 1)
+    lost = "no weight lost"
+    if vertices:
+        lost = f"{counted(vertices, 'vertex', 'vertices')} lost {left_out:.2%} of their weight"
+    mean, p99 = max(cost.normals.mean for cost in costs), max(cost.normals.p99 for cost in costs)
+    moved = max((cost.positions.max / cost.size for cost in costs if cost.size > 0), default=0.0)
+    return (
+        f"limited to {costs[0].influences} influences: {lost}, normals turn by "
+        f"{mean:.2g}° (p99 {p99:.2g}°), positions move by at most {moved:.2g} of the size"
+    )
 
 
 def _lost(counts: Sequence[BakedCounts]) -> float:
