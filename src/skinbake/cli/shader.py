@@ -12,7 +12,7 @@ from skinbake.cli import exit_codes
 from skinbake.cli.console import console, finite, message_options
 from skinbake.cli.targets import STDIO, check_readable_suffix
 from skinbake.errors import ChoiceError, SkinbakeError
-from skinbake.shaders.choices import Language, Lighting, Method
+from skinbake.shaders.choices import Language, Lighting, Method, Morphs
 from skinbake.shaders.text import targets
 
 if TYPE_CHECKING:
@@ -66,6 +66,12 @@ PUBLISHED_CAP = 0.9
     "--mirrored-joints",
     is_flag=True,
     help="Keep normals outside where joints mirror; --for sets it where they do.",
+)
+@click.option(
+    "--morphs",
+    type=click.Choice([morphs.value for morphs in Morphs]),
+    help="What t0 and b0 follow under morph targets: the morphed normal, or the morphed TANGENT. "
+    "By default what the targets of --for have, else none.",
 )
 @click.option(
     "--target",
@@ -123,6 +129,7 @@ def _request(given: dict[str, Any]) -> ShaderRequest:
         cap=given["cap"],
         mirrored_joints=given["mirrored_joints"],
         target=given["target"],
+        morphs=Morphs(given["morphs"]) if given["morphs"] else None,
     )
 
 

@@ -8,6 +8,7 @@ from skinbake.commands.baked_views import BakedView
 from skinbake.commands.poses import PoseSet
 from skinbake.geometry.frames import TANGENT_FRAME
 from skinbake.gltf.document import Document
+from skinbake.gltf.json_access import objects
 from skinbake.gltf.morphs import read_targets, target_count
 from skinbake.report.verify import MorphCount
 from skinbake.verify.lighting import Morphing
@@ -32,6 +33,20 @@ def morphing_of(document: Document, views: Sequence[BakedView], poses: PoseSet) 
         for view in views
     )
     return Morphing(targets, poses.morph_weights[:, moving])
+
+
+def carrier(views: Iterable[BakedView]) -> str:
+    """Return what the frame of primitives follows under their morph targets.
+
+    ``tangent`` where it is that of TANGENT and any target has TANGENT, else ``normal``; ``none`` without any.
+    """
+    found = "none"
+    for view in views:
+        for target in objects(view.source.json, "targets", view.source.place):
+            if "TANGENT" in target and view.metadata["frame"] == TANGENT_FRAME:
+                return "tangent"
+            found = "normal"
+    return found
 
 
 def morph_count(document: Document, drawn: Iterable[tuple[int, PoseSet]]) -> MorphCount | None:

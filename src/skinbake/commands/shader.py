@@ -11,6 +11,7 @@ import numpy as np
 
 from skinbake.commands.baked_views import BakedView, baked_views, is_baked
 from skinbake.commands.lighting import rest_surface, without_dqs
+from skinbake.commands.morphing import carrier
 from skinbake.commands.poses import PoseRequest, PoseSet, pose_set, skins_of
 from skinbake.errors import InputError, Notice, Place
 from skinbake.geometry.frames import NORMAL_FRAME
@@ -19,7 +20,7 @@ from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.output import write_text
 from skinbake.gltf.primitives import refuse_compressed, skinned_sources
 from skinbake.report.notices import counted
-from skinbake.shaders.choices import BEST, AttributeText, Language, Lighting, Method, ShaderChoices
+from skinbake.shaders.choices import BEST, AttributeText, Language, Lighting, Method, Morphs, ShaderChoices
 from skinbake.shaders.text import shader_text
 from skinbake.verify.lighting import not_rigid_joints
 
@@ -38,6 +39,7 @@ class ShaderRequest:
     cap: float | None = None
     mirrored_joints: bool = False
     target: str = "plain"
+    morphs: Morphs | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,6 +88,7 @@ def _made(request: ShaderRequest, frame: str, influences: int) -> ShaderChoices:
         cap=request.cap,
         mirrored_joints=request.mirrored_joints,
         target=request.target,
+        morphs=request.morphs or Morphs.NONE,
     )
 
 
@@ -107,6 +110,8 @@ def _choices_of_file(request: ShaderRequest, source: str) -> tuple[ShaderChoices
     choices = _made(request, frame, influences)
     ((alpha, beta),) = names
     choices = replace(choices, attributes=AttributeText(PurePath(document.name).name, alpha, beta))
+    if request.morphs is None:
+        choices = replace(choices, morphs=Morphs(carrier(serving)))
     choices = _with_joints(document, serving, choices)
     return choices, [_not_for(view) for view in views if not _serves(view, request)]
 
