@@ -42,8 +42,9 @@ fixtures: $(DEV) ## Write fixtures/ anew
 picture: $(DEV) ## Draw docs/bend.png anew
 	$(BIN)/python benchmarks/bend_picture.py docs/bend.png
 
-table: $(DEV) ## Write docs/lighting.md anew, from the models of SKINBAKE_CORPUS or ../shared/corpus
+table: $(DEV) ## Write docs/lighting.md and docs/morphs.md anew, from the models of SKINBAKE_CORPUS or ../shared/corpus
 	$(BIN)/python -m benchmarks.corpus_table
+	$(BIN)/python -m benchmarks.morph_frames
 
 bench: $(DEV) $(NODE_MODULES) ## Run the benchmarks: normals on the example, times of bake and replay against peers
 	@mkdir -p build
