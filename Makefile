@@ -43,9 +43,10 @@ picture: $(DEV) ## Draw docs/bend.png and docs/shaders.png anew; the latter need
 	$(BIN)/python benchmarks/bend_picture.py docs/bend.png
 	$(BIN)/python -m benchmarks.bend_render docs/shaders.png
 
-table: $(DEV) ## Write docs/lighting.md and docs/encodings.md anew, from the models of SKINBAKE_CORPUS or ../shared/corpus
+table: $(DEV) ## Write docs/lighting.md, docs/encodings.md and docs/morphs.md anew, from the models of SKINBAKE_CORPUS or ../shared/corpus
 	$(BIN)/python -m benchmarks.corpus_table
 	$(BIN)/python -m benchmarks.encoding_table
+	$(BIN)/python -m benchmarks.morph_frames
 
 bench: $(DEV) $(NODE_MODULES) ## Run the benchmarks: normals on the example, times of bake and replay against peers
 	@mkdir -p build

@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
 Skinning = Callable[[Array, Array], Array]
+Surface = Callable[[Array, Array], Array]
 
 LENGTH = 3.0
 CENTRES = np.array([0.3, 1.5, 2.7])
@@ -239,20 +240,32 @@ def dual_quaternion_blend(dual_quaternions: Array, pivots: npt.NDArray[np.int64]
     return skinned
 
 
-def skinned_normals(u: Array, v: Array, skinning: Skinning, *, step: float = 1e-3) -> Array:
+def skinned_normals(
+    u: Array, v: Array, skinning: Skinning, *, step: float = 1e-3, surface: Surface = positions
+) -> Array:
     """The outward unit normals (V, 3) of the skinned surface, by differences of fourth order.
 
     With steps of 1e-3 truncation and rounding are both near 1e-12 of the tangents.
     """
 
-    def at(du: float, dv: float) -> Array:
-        return skinning(positions(u + du, v + dv), weights(u + du, v + dv))
+    def skinned(u: Array, v: Array) -> Array:
+        return skinning(surface(u, v), weights(u, v))
 
-    along = 8 * (at(step, 0) - at(-step, 0)) - (at(2 * step, 0) - at(-2 * step, 0))
-    around = 8 * (at(0, step) - at(0, -step)) - (at(0, 2 * step) - at(0, -2 * step))
+    along, around = differences(u, v, skinned, step=step)
     normal = np.cross(around, along)
     unit: Array = normal / np.linalg.norm(normal, axis=1, keepdims=True)
     return unit
+
+
+def differences(u: Array, v: Array, surface: Surface, *, step: float = 1e-3) -> tuple[Array, Array]:
+    """∂/∂u and ∂/∂v of a surface, (V, 3) each, by differences of fourth order."""
+
+    def at(du: float, dv: float) -> Array:
+        return surface(u + du, v + dv)
+
+    along = 8 * (at(step, 0) - at(-step, 0)) - (at(2 * step, 0) - at(-2 * step, 0))
+    around = 8 * (at(0, step) - at(0, -step)) - (at(0, 2 * step) - at(0, -2 * step))
+    return along / (12 * step), around / (12 * step)
 
 
 def degrees_between(a: npt.NDArray[np.floating], b: npt.NDArray[np.floating]) -> Array:

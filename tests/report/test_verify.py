@@ -13,6 +13,7 @@ from skinbake.report.verify import (
     Check,
     ErrorFigures,
     FileVerdict,
+    MorphCount,
     Normals,
     Worst,
     as_json,
@@ -52,6 +53,7 @@ NOTICES = {
         PLACE_MEMBERS,
     ),
 }
+AMOUNT = {"type": "integer", "minimum": 0}
 WORST = closed(
     {
         "mesh": PLACE_MEMBERS["mesh"],
@@ -114,6 +116,7 @@ SCHEMA = closed(
                             {"mesh_name": PLACE_MEMBERS["mesh_name"]},
                         ),
                     },
+                    "morphs": {"anyOf": [{"type": "null"}, closed({"targets": AMOUNT, "moving": AMOUNT})]},
                     "without_dqs": {"type": ["string", "null"]},
                     "warnings": NOTICES,
                     "error": {
@@ -183,6 +186,23 @@ def test_the_schema_notices_a_missing_member(member: str) -> None:
     del document["files"][0][member]
     with pytest.raises(jsonschema.ValidationError):
         jsonschema.validate(document, SCHEMA)
+
+
+@pytest.mark.parametrize(
+    ("count", "words"),
+    [
+        (MorphCount(8, 3), "3 of 8 morph targets move"),
+        (MorphCount(1, 1), "its morph target moves"),
+        (MorphCount(1, 0), "its morph target does not move"),
+    ],
+)
+def test_the_text_says_how_many_morph_targets_move(count: MorphCount, words: str) -> None:
+    moved = replace(PASSED, morphs=count)
+    assert f"true ones, over 60 poses of 3 clips (12 s); {words}." in as_text(moved)
+    assert "morph" not in as_text(PASSED)
+    document = as_json([moved], exit_code=0)
+    jsonschema.validate(document, SCHEMA)
+    assert document["files"][0]["morphs"] == {"targets": count.targets, "moving": count.moving}
 
 
 def test_gain_is_a_ratio_of_means_unless_the_error_is_rounding() -> None:

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial.transform import Rotation
 
 from skinbake.geometry.skinned import SkinnedPrimitive
 from skinbake.verify.operator import gradient_operator
@@ -23,7 +24,7 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Character:
-    """A baked file with one mesh of one primitive, one skin and animations whose rotations are LINEAR."""
+    """A baked file with one mesh of one primitive, one skin and LINEAR animations; frame from NORMAL."""
 
     file: GltfFile
     clip: int
@@ -57,6 +58,8 @@ class Character:
             sampler, target = animation["samplers"][channel["sampler"]], channel["target"]
             assert sampler.get("interpolation", "LINEAR") == "LINEAR"
             times, values = self.file.values(sampler["input"])[:, 0], self.file.values(sampler["output"])
+            if target["path"] == "weights":
+                values = values.reshape(len(times), -1)
             value = between(times, values, time, rotation=target["path"] == "rotation")
             result.setdefault(target["node"], {})[target["path"]] = value
         return result
@@ -64,10 +67,11 @@ class Character:
     def errors(self, time: float) -> tuple[Array, Array, Array]:
         """Return the errors of standard and accurate LBS normals in degrees, and the areas: (V,) each."""
         file = self.file
-        positions, normals = file.attribute("POSITION"), unit(file.attribute("NORMAL"))
+        positions, normals = self.morphed(time)
         joints, weights = file.influences()
         weights = weights / weights.sum(axis=1, keepdims=True)
-        tangents, bitangents = duff(normals)
+        rest_normals = unit(file.attribute("NORMAL"))
+        tangents, bitangents = (turned(vectors, rest_normals, normals) for vectors in duff(rest_normals))
         alpha, beta = file.attribute("_SKINBAKE_ALPHA_0"), file.attribute("_SKINBAKE_BETA_0")
         matrices = np.array(self.joint_matrices(time))
         count = len(positions)
@@ -90,18 +94,33 @@ class Character:
             standard[vertex] = blend @ normals[vertex]
             accurate[vertex] = np.cross(t, b)
         true = self._true_normals(positions, normals, moved)
-        corners = positions[file.triangles(0)]
+        corners = file.attribute("POSITION")[file.triangles(0)]
         area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
         areas = np.zeros(count)
         for number, triangle in enumerate(file.triangles(0)):
             areas[triangle] += area[number] / 6
         return degrees(standard, true), degrees(accurate, true), areas
 
+    def morphed(self, time: float) -> tuple[Array, Array]:
+        """Return positions and unit normals before skinning, by the weights that the clip gives node 0."""
+        file = self.file
+        positions, normals = file.attribute("POSITION"), unit(file.attribute("NORMAL"))
+        targets = file.content["meshes"][0]["primitives"][0].get("targets", [])
+        weights = self._animated(time).get(0, {}).get("weights", np.zeros(len(targets)))
+        moved, turned_normals = positions.copy(), normals.copy()
+        for weight, target in zip(weights, targets, strict=True):
+            if "POSITION" in target:
+                moved += weight * file.values(target["POSITION"])
+            if "NORMAL" in target:
+                turned_normals += weight * file.values(target["NORMAL"])
+        return moved, unit(turned_normals)
+
     def _true_normals(self, positions: Array, normals: Array, moved: Array) -> Array:
         joints, weights = self.file.influences()
-        primitive = SkinnedPrimitive(positions, normals, None, joints, weights, self.file.triangles(0))
+        rest, rest_normals = self.file.attribute("POSITION"), unit(self.file.attribute("NORMAL"))
+        primitive = SkinnedPrimitive(rest, rest_normals, None, joints, weights, self.file.triangles(0))
         operator = gradient_operator([primitive])
-        tangents, bitangents = duff(normals)
+        tangents, bitangents = duff(rest_normals)
         before = [operator.along(axis) @ positions for axis in (tangents, bitangents)]
         after = [operator.along(axis) @ moved for axis in (tangents, bitangents)]
         result = np.full((len(positions), 3), np.nan)
@@ -151,8 +170,8 @@ def between(times: Array, values: Array, time: float, *, rotation: bool) -> Arra
     if cosine > 1 - 1e-12:
         return np.array(second)
     angle = np.arccos(cosine)
-    turned: Array = (np.sin((1 - share) * angle) * first + np.sin(share * angle) * second) / np.sin(angle)
-    return turned
+    arc: Array = (np.sin((1 - share) * angle) * first + np.sin(share * angle) * second) / np.sin(angle)
+    return arc
 
 
 def duff(normals: Array) -> tuple[Array, Array]:
@@ -163,6 +182,16 @@ def duff(normals: Array) -> tuple[Array, Array]:
     b = x * y * a
     tangents = np.column_stack([1.0 + sign * x * x * a, sign * b, -sign * x])
     return tangents, np.column_stack([b, sign + y * y * a, -y])
+
+
+def turned(vectors: Array, before: Array, after: Array) -> Array:
+    """Vectors turned by the rotation of least angle that takes one unit normal to the other."""
+    axes = np.cross(before, after)
+    sines = np.linalg.norm(axes, axis=1)
+    angles = np.arctan2(sines, (before * after).sum(axis=1))
+    axes = axes / np.where(sines > 0, sines, 1.0)[:, None]
+    result: Array = Rotation.from_rotvec(axes * angles[:, None]).apply(vectors)
+    return result
 
 
 def unit(vectors: Array) -> Array:

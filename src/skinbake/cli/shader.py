@@ -12,7 +12,7 @@ from skinbake.cli import exit_codes
 from skinbake.cli.console import console, finite, message_options
 from skinbake.cli.targets import STDIO, check_readable_suffix
 from skinbake.errors import ChoiceError, SkinbakeError
-from skinbake.shaders.choices import ENCODINGS, LAYOUTS, Language, Lighting, Method
+from skinbake.shaders.choices import ENCODINGS, LAYOUTS, Language, Lighting, Method, Morphs
 from skinbake.shaders.text import targets
 
 if TYPE_CHECKING:
@@ -78,6 +78,12 @@ PUBLISHED_CAP = 0.9
     help="In which attributes; by default as --for has them, else attributes of their own.",
 )
 @click.option(
+    "--morphs",
+    type=click.Choice([morphs.value for morphs in Morphs]),
+    help="What t0 and b0 follow under morph targets: the morphed normal, or the morphed TANGENT. "
+    "By default what the targets of --for have, else none.",
+)
+@click.option(
     "--target",
     type=click.Choice(list(targets())),
     default="plain",
@@ -135,6 +141,7 @@ def _request(given: dict[str, Any]) -> ShaderRequest:
         target=given["target"],
         encoding=given["encoding"],
         layout=given["layout"],
+        morphs=Morphs(given["morphs"]) if given["morphs"] else None,
     )
 
 

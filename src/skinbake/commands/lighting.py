@@ -8,7 +8,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from skinbake.commands.baked_views import BakedView
-from skinbake.commands.poses import PoseRequest, PoseSet, described, pose_set, skins_of
+from skinbake.commands.morphing import morph_count, morphing_of
+from skinbake.commands.poses import PoseRequest, PoseSet, described, draws_of, pose_set
 from skinbake.errors import Notice, Place
 from skinbake.geometry import frames
 from skinbake.geometry.skinned import BoolArray, FloatArray
@@ -64,7 +65,7 @@ class Lighting:
         self._clips = read_clips(document)
         self._done, self._total, self._identity = 0, 0, 0.0
         self._segments: dict[str, list[_Segment]] = {}
-        self._poses: dict[int, PoseSet] = {}
+        self._poses: dict[tuple[int, int | None], PoseSet] = {}
 
     def measured(
         self, meshes: Sequence[Sequence[BakedView]], operators: Sequence[GradientOperator]
@@ -87,14 +88,16 @@ class Lighting:
             for views, operator, rest, poses in drawn:
                 self._measure(method, views, operator, rest, poses)
         verdict = self._verdict([poses for *_, poses in drawn], reason if not_rigid else None)
-        return replace(verdict, notices=tuple(self._mirrored(meshes)))
+        morphs = morph_count(self._document, [(views[0].source.mesh, poses) for views, *_, poses in drawn])
+        return replace(verdict, notices=tuple(dict.fromkeys(self._mirrored(meshes))), morphs=morphs)
 
     def _pose_sets(self, mesh: int) -> list[PoseSet]:
-        skins = skins_of(self._document, mesh)
-        for skin in skins:
-            if skin not in self._poses:
-                self._poses[skin] = pose_set(self._document, skin, self._clips, self._options.poses)
-        return [self._poses[skin] for skin in skins]
+        draws = draws_of(self._document, mesh, self._clips)
+        for skin, node in draws:
+            if (skin, node) not in self._poses:
+                found = pose_set(self._document, skin, self._clips, self._options.poses, node)
+                self._poses[skin, node] = found
+        return [self._poses[draw] for draw in draws]
 
     def _mirrored(self, meshes: Sequence[Sequence[BakedView]]) -> Iterator[Notice]:
         """Yield a notice for each mesh that a mirroring joint draws inside out."""
@@ -127,6 +130,7 @@ class Lighting:
             method,
             cap=self._options.cap,
             baseline=self._options.baseline,
+            morphing=morphing_of(self._document, views, poses),
             advance=self._advance,
         )
         self._identity = max(self._identity, found.identity)

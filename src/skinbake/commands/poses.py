@@ -1,4 +1,7 @@
-"""Which poses a file's lighting is measured over: its own animations, random ones, or the rest pose."""
+"""Which poses a file's lighting is measured over: its own animations, random ones, or the rest pose.
+
+A pose is joint matrices, and morph weights where the mesh has targets.
+"""
 
 from __future__ import annotations
 
@@ -8,15 +11,29 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from skinbake.errors import InputError
+from skinbake.geometry.poses import random_weights
 from skinbake.geometry.skinned import Float64Array
-from skinbake.gltf.animation import Clip, Skeleton, clip_poses, random_poses, read_skeleton, rest_pose
+from skinbake.gltf.animation import (
+    MORPH_WEIGHTS,
+    Clip,
+    Skeleton,
+    clip_poses,
+    clip_weights,
+    random_poses,
+    read_skeleton,
+    rest_pose,
+)
 from skinbake.gltf.document import Document
+from skinbake.gltf.morphs import resting_weights, target_count
 
 SHARED_SAMPLES = 60
 """Poses that a file's clips share where no number is given, at least 3 each."""
 
 FALLBACK_POSES = 24
 """Random poses of a file that has no animation."""
+
+MORPHS_AT_ONCE = 2
+"""Morph targets that a random pose moves: all of a face's at once would be no face any more."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,13 +54,21 @@ class PoseRequest:
 class PoseSet:
     """Joint matrices (P, J, 4, 4) of one skin, with each pose's clip and time in seconds (None: no clip).
 
-    joint_names (J,) are for messages.
+    joint_names (J,) are for messages. morph_weights (P, N) are those of the node that the poses are for, None
+    where they are for no node, or its mesh has no targets.
     """
 
     joint_names: tuple[str, ...]
     joint_matrices: Float64Array
     clips: tuple[str, ...]
     times: tuple[float | None, ...]
+    morph_weights: Float64Array | None = None
+
+    @property
+    def moving_targets(self) -> list[int]:
+        """Return the morph targets that have a weight other than 0 in any pose."""
+        weights = self.morph_weights
+        return [] if weights is None else [int(target) for target in np.flatnonzero(weights.any(axis=0))]
 
 
 def skins_of(document: Document, mesh: int) -> list[int]:
@@ -57,29 +82,68 @@ def skins_of(document: Document, mesh: int) -> list[int]:
     return list(skins)
 
 
-def pose_set(document: Document, skin: int, clips: Sequence[Clip], request: PoseRequest) -> PoseSet:
-    """Return the poses of one skin; InputError where its joints go to infinity.
+def draws_of(document: Document, mesh: int, clips: Sequence[Clip]) -> list[tuple[int, int | None]]:
+    """Return how nodes draw a mesh: each skin once, with a node where the mesh has morph targets.
 
-    Of the file's clips those count that move the skin's joints or their ancestors. A file or skin without
-    any gets random poses instead of none.
+    Nodes of one skin are one draw where their targets rest at the same weights and no clip moves them.
+    """
+    if not target_count(document, mesh):
+        return [(skin, None) for skin in skins_of(document, mesh)]
+    animated = {channel.node for clip in clips for channel in clip.channels if channel.path == MORPH_WEIGHTS}
+    draws: dict[object, tuple[int, int | None]] = {}
+    for number, node in enumerate(document.objects("nodes")):
+        if node.get("mesh") == mesh and "skin" in node:
+            resting = number if number in animated else tuple(resting_weights(document, number).tolist())
+            draws.setdefault((int(node["skin"]), resting), (int(node["skin"]), number))
+    return list(draws.values())
+
+
+def pose_set(
+    document: Document, skin: int, clips: Sequence[Clip], request: PoseRequest, node: int | None = None
+) -> PoseSet:
+    """Return the poses of one skin, with the morph weights of the node that draws a mesh with it, if any.
+
+    Of the file's clips those count that move the skin's joints, their ancestors, or the node's weights. Where
+    none moves joints there are random poses instead. Raises InputError where joints go to infinity.
     """
     skeleton = read_skeleton(document, skin)
     names = _joint_names(document, skeleton)
-    moving = [clip for clip in (_only(set(skeleton.nodes), clip) for clip in clips) if clip.channels]
+    resting = None if node is None else resting_weights(document, node)
+    morphs = None if node is None or resting is None or not resting.size else _Morphs(node, resting)
+    moving = [clip for clip in (_only(set(skeleton.nodes), morphs, clip) for clip in clips) if clip.channels]
     if request.kind == "rest":
-        poses = PoseSet(names, rest_pose(skeleton), ("rest pose",), (None,))
-    elif request.kind == "animation" and moving:
-        poses = _sampled(skeleton, moving, request.samples, names)
+        weights = None if morphs is None else morphs.resting[None]
+        poses = PoseSet(names, rest_pose(skeleton), ("rest pose",), (None,), weights)
+    elif request.kind == "animation" and any(_moves_joints(clip) for clip in moving):
+        poses = _sampled(skeleton, morphs, moving, request.samples, names)
     else:
-        poses = _random(skeleton, request, names)
+        poses = _random(skeleton, morphs, request, names)
     if not np.isfinite(poses.joint_matrices).all():
         raise InputError(f"the joints of skin {skin} do not have finite transforms", document.place)
     return poses
 
 
-def _only(nodes: set[int], clip: Clip) -> Clip:
+@dataclass(frozen=True, slots=True)
+class _Morphs:
+    """The node whose mesh has morph targets, and the weights (N,) at which they rest."""
+
+    node: int
+    resting: Float64Array
+
+
+def _only(nodes: set[int], morphs: _Morphs | None, clip: Clip) -> Clip:
     """Return a clip without the channels of other nodes: a file of 84 skins has 84 times those of one."""
-    return replace(clip, channels=tuple(channel for channel in clip.channels if channel.node in nodes))
+    morphed = None if morphs is None else morphs.node
+    channels = tuple(
+        channel
+        for channel in clip.channels
+        if (channel.node == morphed if channel.path == MORPH_WEIGHTS else channel.node in nodes)
+    )
+    return replace(clip, channels=channels)
+
+
+def _moves_joints(clip: Clip) -> bool:
+    return any(channel.path != MORPH_WEIGHTS for channel in clip.channels)
 
 
 def _joint_names(document: Document, skeleton: Skeleton) -> tuple[str, ...]:
@@ -89,24 +153,33 @@ def _joint_names(document: Document, skeleton: Skeleton) -> tuple[str, ...]:
 
 
 def _sampled(
-    skeleton: Skeleton, clips: Sequence[Clip], samples: int | None, joint_names: tuple[str, ...]
+    skeleton: Skeleton,
+    morphs: _Morphs | None,
+    clips: Sequence[Clip],
+    samples: int | None,
+    joint_names: tuple[str, ...],
 ) -> PoseSet:
     each = samples or max(3, round(SHARED_SAMPLES / len(clips)))
-    matrices, names, times = [], [], []
+    matrices, weights, names, times = [], [], [], []
     for clip in clips:
         at = np.linspace(clip.start, clip.duration, each)
         matrices.append(clip_poses(skeleton, clip, at))
+        if morphs is not None:
+            weights.append(clip_weights(morphs.node, clip, at, morphs.resting))
         names += [clip.name] * each
         times += at.tolist()
-    return PoseSet(joint_names, np.concatenate(matrices), tuple(names), tuple(times))
+    morph_weights = np.concatenate(weights) if weights else None
+    return PoseSet(joint_names, np.concatenate(matrices), tuple(names), tuple(times), morph_weights)
 
 
-def _random(skeleton: Skeleton, request: PoseRequest, joint_names: tuple[str, ...]) -> PoseSet:
+def _random(
+    skeleton: Skeleton, morphs: _Morphs | None, request: PoseRequest, joint_names: tuple[str, ...]
+) -> PoseSet:
     count = (request.samples if request.kind == "random" else None) or FALLBACK_POSES
     matrices = random_poses(skeleton, count, angle=request.angle, seed=request.seed)
-    return PoseSet(
-        joint_names, matrices, tuple(f"random pose {number}" for number in range(count)), (None,) * count
-    )
+    weights = None if morphs is None else random_weights(morphs.resting, count, MORPHS_AT_ONCE, request.seed)
+    names = tuple(f"random pose {number}" for number in range(count))
+    return PoseSet(joint_names, matrices, names, (None,) * count, weights)
 
 
 def described(request: PoseRequest, sets: Sequence[PoseSet], seconds: float) -> str:

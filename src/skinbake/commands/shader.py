@@ -11,6 +11,7 @@ import numpy as np
 
 from skinbake.commands.baked_views import BakedView, baked_views, is_baked
 from skinbake.commands.lighting import rest_surface, without_dqs
+from skinbake.commands.morphing import carrier
 from skinbake.commands.poses import PoseRequest, PoseSet, pose_set, skins_of
 from skinbake.errors import InputError, Notice, Place
 from skinbake.geometry.frames import NORMAL_FRAME
@@ -20,7 +21,7 @@ from skinbake.gltf.metadata import slot_names
 from skinbake.gltf.output import write_text
 from skinbake.gltf.primitives import skinned_sources
 from skinbake.report.notices import counted
-from skinbake.shaders.choices import BEST, AttributeText, Language, Lighting, Method, ShaderChoices
+from skinbake.shaders.choices import BEST, AttributeText, Language, Lighting, Method, Morphs, ShaderChoices
 from skinbake.shaders.text import shader_text
 from skinbake.verify.lighting import not_rigid_joints
 
@@ -43,6 +44,7 @@ class ShaderRequest:
     target: str = "plain"
     encoding: str | None = None
     layout: str | None = None
+    morphs: Morphs | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,6 +95,7 @@ def _made(request: ShaderRequest, frame: str, influences: int) -> ShaderChoices:
         target=request.target,
         encoding=request.encoding or DEFAULTS["encoding"],
         layout=request.layout or DEFAULTS["layout"],
+        morphs=request.morphs or Morphs.NONE,
     )
 
 
@@ -110,6 +113,8 @@ def _choices_of_file(request: ShaderRequest, source: str) -> tuple[ShaderChoices
     storage = {member: str(_agreed(document, serving, member)) for member in DEFAULTS}
     choices = replace(_made(request, frame, influences), **storage)  # type: ignore[arg-type]
     choices, others = _with_names(document, serving, choices)
+    if request.morphs is None:
+        choices = replace(choices, morphs=Morphs(carrier(serving)))
     choices = _with_joints(document, serving, choices)
     return choices, [*others, *(_not_for(view) for view in views if not _serves(view, request))]
 

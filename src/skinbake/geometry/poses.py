@@ -11,6 +11,9 @@ from skinbake.geometry.skinned import Float64Array
 
 STEP, LINEAR, CUBICSPLINE = "STEP", "LINEAR", "CUBICSPLINE"
 
+MORPH_STREAM = 1
+"""Sets the random numbers of morph weights apart from those of rotations, under one seed."""
+
 
 def interpolated(
     times: Float64Array, values: Float64Array, at: Float64Array, *, method: str, rotation: bool
@@ -105,3 +108,16 @@ def random_rotations(shape: tuple[int, ...], angle: float, seed: int) -> Float64
     axes /= np.linalg.norm(axes, axis=-1, keepdims=True)
     half = 0.5 * generator.uniform(-angle, angle, size=(*shape, 1))
     return np.concatenate([np.cos(half), np.sin(half) * axes], axis=-1)
+
+
+def random_weights(resting: Float64Array, count: int, at_once: int, seed: int) -> Float64Array:
+    """Return morph weights (P, N): in each pose ``at_once`` targets, or all, at random in 0 … 1.
+
+    The others keep their resting weight (N,). The generator is not that of ``random_rotations``: joints turn
+    the same with morph targets and without.
+    """
+    generator = np.random.default_rng([seed, MORPH_STREAM])
+    weights = np.tile(resting, (count, 1))
+    chosen = generator.random(weights.shape).argsort(axis=1)[:, :at_once]
+    np.put_along_axis(weights, chosen, generator.random(chosen.shape), axis=1)
+    return weights

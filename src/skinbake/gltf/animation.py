@@ -1,4 +1,4 @@
-"""Joint matrices of a skin: by the file's animations, at random, or at rest (glTF 2.0, §3.7.3, §3.11)."""
+"""Joint matrices and morph weights: by animations, at random, or at rest (glTF 2.0, §3.7.3, §3.11)."""
 
 from __future__ import annotations
 
@@ -14,15 +14,18 @@ from skinbake.geometry.skinned import Float64Array
 from skinbake.gltf.accessors import read_accessor
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject, index, member, objects, text
+from skinbake.gltf.morphs import skinned_target_count
 
 PATHS = {"translation": 3, "rotation": 4, "scale": 3}
+MORPH_WEIGHTS = "weights"
 
 
 @dataclass(frozen=True, slots=True)
 class Channel:
     """One animated property of one node.
 
-    times (N,) in seconds; values (N, C), (N, 3, C) for CUBICSPLINE; rotations have w first.
+    times (N,) in seconds; values (N, C), (N, 3, C) for CUBICSPLINE; rotations have w first, and C is the
+    number of morph targets for the path ``weights``.
     """
 
     node: int
@@ -34,7 +37,7 @@ class Channel:
 
 @dataclass(frozen=True, slots=True)
 class Clip:
-    """One animation: what it is called, and the channels that move nodes.
+    """One animation: what it is called, and the channels that move nodes or morph skinned meshes.
 
     start and duration are its first and last key, in seconds: glTF's clips run from 0, and those that an
     exporter cut from a longer take begin later.
@@ -108,12 +111,26 @@ def random_poses(skeleton: Skeleton, count: int, *, angle: float, seed: int) -> 
 def clip_poses(skeleton: Skeleton, clip: Clip, at: Float64Array) -> Float64Array:
     """Return the joint matrices (P, J, 4, 4) of a clip at the times ``at`` (P,) in seconds."""
     animated = {
-        (channel.node, channel.path): poses.interpolated(
-            channel.times, channel.values, at, method=channel.method, rotation=channel.path == "rotation"
-        )
+        (channel.node, channel.path): _at(channel, at)
         for channel in clip.channels
+        if channel.path != MORPH_WEIGHTS
     }
     return skeleton.joint_matrices(animated, None, len(at))
+
+
+def clip_weights(node: int, clip: Clip, at: Float64Array, resting: Float64Array) -> Float64Array:
+    """Return a node's morph weights (P, N) in a clip; ``resting`` (N,) where the clip leaves them alone."""
+    weights = np.broadcast_to(resting, (len(at), len(resting)))
+    for channel in clip.channels:
+        if (channel.node, channel.path) == (node, MORPH_WEIGHTS):
+            weights = _at(channel, at)
+    return weights
+
+
+def _at(channel: Channel, at: Float64Array) -> Float64Array:
+    return poses.interpolated(
+        channel.times, channel.values, at, method=channel.method, rotation=channel.path == "rotation"
+    )
 
 
 def read_skeleton(document: Document, skin_index: int) -> Skeleton:
@@ -197,7 +214,7 @@ def _inverse_bind(document: Document, skin: JsonObject, count: int) -> Float64Ar
 
 
 def read_clips(document: Document) -> list[Clip]:
-    """Return the animations that move, turn or scale nodes; InputError where one is broken."""
+    """Return the animations that move, turn, scale or morph; InputError where one is broken."""
     clips = []
     for number, animation in enumerate(document.objects("animations")):
         place = document.place
@@ -216,13 +233,16 @@ def read_clips(document: Document) -> list[Clip]:
 
 
 def _channel(document: Document, samplers: list[JsonObject], channel: JsonObject) -> Channel | None:
-    """Return one channel, None where it moves no node or animates something else, like morph weights."""
+    """Return one channel, None where it moves no node, and morphs none that draws a skinned mesh."""
     place = document.place
     target = member(channel, "target", place)
     node = index(target, "node", len(document.objects("nodes")), place)
     path = text(target, "path", place)
     sampler_index = index(channel, "sampler", len(samplers), place)
-    if node is None or path not in PATHS or sampler_index is None:
+    if node is None or path is None or sampler_index is None:
+        return None
+    components = skinned_target_count(document, node) if path == MORPH_WEIGHTS else PATHS.get(path)
+    if not components:
         return None
     sampler = samplers[sampler_index]
     accessors = document.objects("accessors")
@@ -234,20 +254,34 @@ def _channel(document: Document, samplers: list[JsonObject], channel: JsonObject
     method = text(sampler, "interpolation", place) or poses.LINEAR
     if times.shape[1] != 1 or not np.isfinite(times).all() or (np.diff(times[:, 0]) < 0).any():
         raise InputError("an animation sampler's times must be finite, ascending scalars", place)
-    return Channel(node, path, method, times[:, 0], _key_values(values, len(times), method, path, place))
-
-
-def _key_values(values: Float64Array, count: int, method: str, path: str, place: Place) -> Float64Array:
-    """Return a sampler's output by key, (N, C) or (N, 3, C), rotations with w first."""
     if method not in {poses.STEP, poses.LINEAR, poses.CUBICSPLINE}:
         raise InputError(f"an animation sampler has the unknown interpolation {method!r}", place)
     each = 3 if method == poses.CUBICSPLINE else 1
-    if values.shape != (each * count, PATHS[path]) or not np.isfinite(values).all():
+    check = _key_weights if path == MORPH_WEIGHTS else _key_values
+    by_key = check(values, each * len(times), components, path, place)
+    return Channel(
+        node, path, method, times[:, 0], by_key.reshape(-1, 3, components) if each == 3 else by_key
+    )
+
+
+def _key_values(values: Float64Array, count: int, components: int, path: str, place: Place) -> Float64Array:
+    """Return a sampler's output (count, C), rotations with w first."""
+    if values.shape != (count, components) or not np.isfinite(values).all():
         raise InputError(
-            f"an animation sampler for {path} needs {each * count} finite outputs of {PATHS[path]} "
+            f"an animation sampler for {path} needs {count} finite outputs of {components} "
             f"components, found {values.shape[0]} of {values.shape[1]}",
             place,
         )
-    if path == "rotation":
-        values = values[:, [3, 0, 1, 2]]
-    return values.reshape(count, 3, -1) if each == 3 else values
+    return values[:, [3, 0, 1, 2]] if path == "rotation" else values
+
+
+def _key_weights(values: Float64Array, count: int, components: int, path: str, place: Place) -> Float64Array:
+    """Return the output of a sampler for morph weights (count, C); it is stored as scalars, key by key."""
+    if values.shape != (count * components, 1) or not np.isfinite(values).all():
+        targets = f"{components} morph target{'s' if components > 1 else ''}"
+        raise InputError(
+            f"an animation sampler for {path} of {targets} needs {count * components} "
+            f"finite scalars, found {values.shape[0]} of {values.shape[1]} components",
+            place,
+        )
+    return values.reshape(count, components)

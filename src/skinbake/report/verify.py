@@ -67,11 +67,26 @@ Normals = dict[str, dict[str, ErrorFigures]]
 
 
 @dataclass(frozen=True, slots=True)
+class MorphCount:
+    """How many morph targets the baked meshes have, and how many of them move in the poses."""
+
+    targets: int
+    moving: int
+
+    @property
+    def words(self) -> str:
+        """Return the count for people, like ``3 of 8 morph targets move``."""
+        if self.targets == 1:
+            return f"its morph target {'moves' if self.moving else 'does not move'}"
+        return f"{self.moving} of {self.targets} morph targets move"
+
+
+@dataclass(frozen=True, slots=True)
 class FileVerdict:
     """What verify says of one file.
 
     poses describes what the lighting was measured over. without_dqs says why dual quaternions were left out,
-    None where they were not.
+    None where they were not. morphs is None where no baked mesh has morph targets.
     """
 
     input: str
@@ -80,6 +95,7 @@ class FileVerdict:
     primitives: tuple[tuple[Place, Normals], ...] = ()
     poses: str = ""
     without_dqs: str | None = None
+    morphs: MorphCount | None = None
     notices: tuple[Notice, ...] = ()
     error: SkinbakeError | None = None
 
@@ -105,9 +121,9 @@ def as_text(verdict: FileVerdict) -> str:
         lines.append(f"  {check.name:<{width}}  {check.outcome}{remark}")
     if verdict.normals:
         lines += _table(verdict.normals)
-        lines.append(
-            f"  Angle in degrees between each method's normals and the true ones, over {verdict.poses}."
-        )
+        morphs = f"; {verdict.morphs.words}" if verdict.morphs else ""
+        over = f"{verdict.poses}{morphs}"
+        lines.append(f"  Angle in degrees between each method's normals and the true ones, over {over}.")
     if verdict.without_dqs:
         lines.append(f"  Dual quaternions left out: {verdict.without_dqs}.")
     return "\n".join(lines)
@@ -152,6 +168,9 @@ def as_json(verdicts: Sequence[FileVerdict], *, exit_code: int) -> dict[str, Any
                     for check in verdict.checks
                 ],
                 "poses": verdict.poses or None,
+                "morphs": None
+                if verdict.morphs is None
+                else {"targets": verdict.morphs.targets, "moving": verdict.morphs.moving},
                 "normals": None if verdict.normals is None else _normals_json(verdict.normals),
                 "primitives": [
                     {**place_fields(place), "normals": _normals_json(normals)}

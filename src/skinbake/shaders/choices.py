@@ -36,6 +36,14 @@ class Lighting(StrEnum):
     EXACT = "exact"
 
 
+class Morphs(StrEnum):
+    """What the frame follows under morph targets; none: the text has no function for them."""
+
+    NONE = "none"
+    NORMAL = "normal"
+    TANGENT = "tangent"
+
+
 ALGORITHMS = {
     (Method.LBS, Lighting.APPROXIMATED): 1,
     (Method.LBS, Lighting.DIRECT): 2,
@@ -70,7 +78,8 @@ class ShaderChoices:
     influences N ≥ 1. cap limits the correction of t' and b' to cap × |T t|, None is off. With
     ``mirrored_joints`` the normal is turned by the sign of det M[s0]. attributes None stands for bake's usual
     names. encoding and layout are how α and β are stored; scale is the encoding's where the file is known, in
-    1 / length unit of POSITION. Raises ChoiceError for choices that exclude each other.
+    1 / length unit of POSITION. ``morphs`` says what the frame follows under morph targets. Raises
+    ChoiceError for choices that exclude each other.
     """
 
     language: Language
@@ -85,6 +94,7 @@ class ShaderChoices:
     encoding: str = "float32"
     layout: str = "attributes"
     scale: float | None = None
+    morphs: Morphs = Morphs.NONE
 
     def __post_init__(self) -> None:
         if (self.method, self.lighting) not in ALGORITHMS:
@@ -104,6 +114,8 @@ class ShaderChoices:
             raise ChoiceError(f"--layout texcoord takes --encoding float32, not {self.encoding}")
         if self.cap is not None and not self.is_corrected:
             raise ChoiceError(f"--cap is for accurate and exact lighting; {self.lighting} corrects nothing")
+        if self.morphs is Morphs.TANGENT and self.frame != "tangent":
+            raise ChoiceError(f"--morphs tangent needs --frame tangent; --frame {self.frame} takes normal")
         if self.mirrored_joints and not self.crosses:
             raise ChoiceError(
                 f"--mirrored-joints turns the normal of --method lbs --lighting accurate, "
@@ -160,9 +172,10 @@ class ShaderChoices:
         """Return the choices in a few words, for people."""
         capped = "" if self.cap is None else f", cap {self.cap:g}"
         mirrored = ", mirrored joints" if self.mirrored_joints else ""
+        morphed = "" if self.morphs is Morphs.NONE else f", morph targets by {self.morphs}"
         return (
             f"{self.language.upper()} for {self.target}, {self.method.upper()} {self.lighting}, "
-            f"{self.influences} influences, {self.frame} frame{capped}{mirrored}{self.storage_words}"
+            f"{self.influences} influences, {self.frame} frame{capped}{mirrored}{morphed}{self.storage_words}"
         )
 
     @property

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 from skinbake import __version__
 from skinbake.errors import ChoiceError, printable
-from skinbake.shaders.choices import SLOTS_PER_SET, Language, Method, ShaderChoices
+from skinbake.shaders.choices import SLOTS_PER_SET, Language, Method, Morphs, ShaderChoices
 from skinbake.shaders.storage import storage_context, storage_parts
 
 if TYPE_CHECKING:
@@ -154,6 +154,9 @@ def _context(choices: ShaderChoices) -> dict[str, Any]:
             return f"{base} + {correction}"
         return f"skinbake_capped({base}, {correction}, {_number(choices.cap)})"
 
+    def dual(gradient: str) -> str:
+        return f"k * ({gradient})" if choices.morphs is Morphs.TANGENT else gradient
+
     def handed(normal: str) -> str:
         return f"frame.handedness * {normal}" if choices.frame == "tangent" else normal
 
@@ -170,6 +173,7 @@ def _context(choices: ShaderChoices) -> dict[str, Any]:
         "frame": choices.frame,
         "cap": choices.cap,
         "mirrored_joints": choices.mirrored_joints,
+        "morphs": str(choices.morphs),
         "reads_gradients": choices.reads_gradients,
         "stem": choices.stem,
         "guard": _guard(choices),
@@ -186,6 +190,7 @@ def _context(choices: ShaderChoices) -> dict[str, Any]:
         "sum": _sum,
         "joined": _joined,
         "corrected": corrected,
+        "dual": dual,
         "handed": handed,
         "number": _number,
         "count": lambda n, noun: f"{n} {noun}{'' if n == 1 else 's'}",
@@ -210,6 +215,8 @@ def command_line(choices: ShaderChoices) -> str:
         words.append(f"--encoding {choices.encoding}")
     if choices.layout != "attributes":
         words.append(f"--layout {choices.layout}")
+    if choices.morphs is not Morphs.NONE:
+        words.append(f"--morphs {choices.morphs}")
     if choices.target != "plain":
         words.append(f"--target {choices.target}")
     return " ".join(words)
@@ -261,6 +268,8 @@ def _parts(choices: ShaderChoices) -> list[str]:
     """Return the templates of the functions that the algorithm calls, in an order in which they may stand."""
     several, wgsl = choices.influences > 1, choices.language is Language.WGSL
     wanted = {
+        "morphed": choices.morphs is not Morphs.NONE,
+        "morphed_tangent": choices.morphs is Morphs.TANGENT,
         # WGSL has no constructor that takes part of a matrix.
         "rows": wgsl and choices.algorithm in (1, 2),
         "upper": wgsl and choices.algorithm == 3,
@@ -281,6 +290,7 @@ def _guard(choices: ShaderChoices) -> str:
     words += ["mirrored"] if choices.mirrored_joints else []
     words += [choices.encoding] if choices.decodes else []
     words += [f"texcoord_{len(choices.pair_names)}"] if choices.assembles else []
+    words += [f"morphed_{choices.morphs}"] if choices.morphs is not Morphs.NONE else []
     return "_".join(["SKINBAKE", *(word.upper() for word in words), "GLSL"])
 
 
@@ -302,7 +312,8 @@ def _arguments(
         given = []
     if choices.lighting == "direct":
         given = [f"skinbake_gradients({', '.join(['frame', *given])})"]
-    return ["position", "frame", motions, *names, *given]
+    position = "position" if choices.morphs is Morphs.NONE else "morphed_position"
+    return [position, "frame", motions, *names, *given]
 
 
 def _sum(kind: str, pattern: str, slots: Sequence[Slot]) -> str:

@@ -8,13 +8,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from skinbake.geometry.dual_quaternions import rigid_motions
+from skinbake.geometry.morphs import MorphTargets
 from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray
 from skinbake.replay.algorithms import Algorithm
+from skinbake.replay.morphs import morphed
 from skinbake.replay.run import replay
 from skinbake.replay.surface import Baseline, RestSurface
 from skinbake.verify.metrics import angular_errors
 from skinbake.verify.operator import GradientOperator
-from skinbake.verify.reference import reference_normals, rest_frames
+from skinbake.verify.reference import RestFrames, morphed_frames, reference_normals, rest_frames
 
 METHODS: dict[str, dict[str, Algorithm]] = {
     "lbs": {
@@ -40,6 +42,21 @@ IDENTITY_TOLERANCE = 1e-4
 
 WELL_CONDITIONED = 1e-3
 """Sine between t' and b', relative to their lengths, below which a fold has no normal to compare."""
+
+
+@dataclass(frozen=True, slots=True)
+class Morphing:
+    """Morph targets of one mesh, by primitive (None: it has none), and their weights (P, N) in P poses."""
+
+    targets: tuple[MorphTargets | None, ...]
+    weights: Float64Array
+
+    def surfaces(self, surfaces: Sequence[RestSurface], pose: int) -> list[RestSurface]:
+        """Return the primitives as they are in one pose, before skinning."""
+        return [
+            surface if targets is None else morphed(surface, targets, self.weights[pose])
+            for surface, targets in zip(surfaces, self.targets, strict=True)
+        ]
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,29 +88,30 @@ def lighting_errors(
     *,
     cap: float | None = None,
     baseline: Baseline = Baseline.BLENDED,
+    morphing: Morphing | None = None,
     advance: Callable[[int], None] = lambda poses: None,
 ) -> LightingErrors:
     """Replay every algorithm of a method over all poses, and measure its normals.
 
     surfaces are the primitives of one mesh in the operator's order, joint_matrices (P, J, 4, 4). The
     reference is built from the positions that the method itself gives. advance is called with the number of
-    poses done.
+    poses done. With morphing, every pose starts from a surface of its own: one pose at a time then.
     """
-    positions, normals, tangents, bitangents = (
-        np.concatenate([getattr(surface, name) for surface in surfaces])
-        for name in ("positions", "normals", "tangents", "bitangents")
+    rest = rest_frames(
+        operator,
+        *(_joined(surfaces, name) for name in ("positions", "normals", "tangents", "bitangents")),
     )
-    rest = rest_frames(operator, positions, normals, tangents, bitangents)
-    poses, count = len(joint_matrices), len(positions)
+    poses, count = len(joint_matrices), len(rest.areas)
     errors = {lighting: np.empty((poses, count), np.float32) for lighting in METHODS[method]}
     valid = np.empty((poses, count), np.bool_)
     identity = 0.0
-    size = max(1, BLOCK_SAMPLES // max(count, 1))
+    size = 1 if morphing else max(1, BLOCK_SAMPLES // max(count, 1))
     for start in range(0, poses, size):
         block = slice(start, start + size)
-        measured, deformed = _replayed(surfaces, joint_matrices[block], method, cap, baseline)
-        sides = _sides(surfaces, joint_matrices[block])
-        expected, valid[block] = reference_normals(rest, deformed, sides)
+        posed, frames = _morphed(surfaces, rest, morphing, start)
+        measured, deformed = _replayed(posed, joint_matrices[block], method, cap, baseline)
+        sides = _sides(posed, joint_matrices[block])
+        expected, valid[block] = reference_normals(frames, deformed, sides)
         for lighting, values in measured.items():
             turned = values * sides[..., None] if lighting in INSIDE_OUT else values
             errors[lighting][block] = angular_errors(turned, expected)
@@ -101,6 +119,21 @@ def lighting_errors(
             identity = max(identity, _disagreement(measured["direct"], measured["accurate"]))
         advance(len(deformed))
     return LightingErrors(errors, valid, identity)
+
+
+def _joined(surfaces: Sequence[RestSurface], name: str) -> FloatArray:
+    """Return one array of the primitives, their vertices concatenated."""
+    return np.concatenate([getattr(surface, name) for surface in surfaces])
+
+
+def _morphed(
+    surfaces: Sequence[RestSurface], rest: RestFrames, morphing: Morphing | None, pose: int
+) -> tuple[Sequence[RestSurface], RestFrames]:
+    """Return the primitives before skinning, and what the reference needs of them."""
+    if morphing is None or not morphing.weights[pose].any():
+        return surfaces, rest
+    moved = morphing.surfaces(surfaces, pose)
+    return moved, morphed_frames(rest, _joined(moved, "positions"), _joined(moved, "normals"))
 
 
 def _replayed(

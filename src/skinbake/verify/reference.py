@@ -2,7 +2,8 @@
 
 The discrete gradient of ``operator`` is applied to the deformed positions and to the rest positions alike:
 two tangents before, two after. F maps the one frame onto the other, and the reference normal is cof(F) n0,
-the image of the authored normal under the cofactor of F.
+the image of the authored normal under the cofactor of F. Morph targets act before skinning: the mesh that
+they give takes the place of the rest pose, and its morphed normal that of n0.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ class RestFrames:
 
     tangents: sparse (2V, V), the derivative along t0, then along b0. coefficients (3, V): n0 in the rest
     frame (a, b, ĉ), with c = a × b, divided by |c|. areas (V,): |c|. valid (V,): the frame and n0 are
-    usable.
+    usable. Under morph targets all but the first change.
     """
 
     tangents: csr_array
@@ -55,6 +56,20 @@ def rest_frames(
     from scipy.sparse import vstack
 
     along = vstack([operator.along(tangents), operator.along(bitangents)], format="csr")
+    return _measured(along, positions, normals)
+
+
+def morphed_frames(rest: RestFrames, positions: FloatArray, normals: FloatArray) -> RestFrames:
+    """Measure the mesh under morph targets, before skinning, as ``rest_frames`` does the one without.
+
+    positions, normals (V, 3): those that the targets give. The frame is measured along the same curves on
+    the surface, those of t0 and b0 at rest, so that it is their image under the morph's own differential;
+    where skinning is the identity, the reference returns these normals exactly.
+    """
+    return _measured(rest.tangents, positions, normals)
+
+
+def _measured(along: csr_array, positions: FloatArray, normals: FloatArray) -> RestFrames:
     a, b = _tangents(along, np.asarray(positions, dtype=np.float64)[None])
     with np.errstate(all="ignore"):
         c = _cross(a, b)

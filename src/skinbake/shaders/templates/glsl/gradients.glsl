@@ -1,9 +1,12 @@
-// The weight gradients of all slots from alpha and beta: a[s] = alpha[s] t0 + beta[s] b0.
+// The weight gradients of all slots from alpha and beta: a[s] = alpha[s] t0 + beta[s] b0@{ ", over |t0|^2" if morphs == "tangent" }.
 vec3[@{ influences }] skinbake_gradients(skinbake_Frame frame@{ params(gradient_params) })
 {
     vec3 a[@{ influences }];
+//% if morphs == "tangent" and others
+    float k = 1.0 / dot(frame.tangent, frame.tangent); // a morphed tangent has any length
+//% endif
 //% for slot in others
-    a[@{ slot.index }] = @{ slot.alpha } * frame.tangent + @{ slot.beta } * frame.bitangent;
+    a[@{ slot.index }] = @{ dual(slot.alpha ~ " * frame.tangent + " ~ slot.beta ~ " * frame.bitangent") };
 //% endfor
     a[0] = @{ "-(" ~ joined(" + ", "a[%d]", others) ~ ")" if others else "vec3(0.0)" };
     return a;

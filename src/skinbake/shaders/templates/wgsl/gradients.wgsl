@@ -1,7 +1,10 @@
-// The weight gradients of all slots from alpha and beta: a[s] = alpha[s] t0 + beta[s] b0.
+// The weight gradients of all slots from alpha and beta: a[s] = alpha[s] t0 + beta[s] b0@{ ", over |t0|^2" if morphs == "tangent" }.
 fn skinbake_gradients(frame: skinbake_Frame@{ params(gradient_params) }) -> array<vec3<f32>, @{ influences }> {
+//% if morphs == "tangent" and others
+    let k = 1.0 / dot(frame.tangent, frame.tangent); // a morphed tangent has any length
+//% endif
 //% for slot in others
-    let a@{ slot.index } = @{ slot.alpha } * frame.tangent + @{ slot.beta } * frame.bitangent;
+    let a@{ slot.index } = @{ dual(slot.alpha ~ " * frame.tangent + " ~ slot.beta ~ " * frame.bitangent") };
 //% endfor
     let a0 = @{ "-(" ~ joined(" + ", "a%d", others) ~ ")" if others else "vec3<f32>(0.0)" };
     return array<vec3<f32>, @{ influences }>(@{ joined(", ", "a%d", slots) });

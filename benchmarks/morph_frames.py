@@ -1,0 +1,358 @@
+"""Measure how a frame should follow morph targets, and write docs/morphs.md.
+
+``python -m benchmarks.morph_frames [--output FILE]``. The first table is of an analytic surface whose
+differential is known; the second of characters of the corpus (SKINBAKE_CORPUS, or ../shared/corpus), which
+get a smooth target, a wave or a bend, for want of real ones.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+
+from skinbake.commands.bake import BakeOptions, bake_file
+from skinbake.commands.lighting import VerifyOptions
+from skinbake.commands.verify import verify_file
+from skinbake.geometry.frames import frame_from_normal, unit_vectors
+from skinbake.geometry.skinned import Float64Array
+from skinbake.gltf.accessors import read_accessor
+from skinbake.gltf.additions import Additions
+from skinbake.gltf.document import read_document
+from skinbake.gltf.output import plan_output
+from skinbake.gltf.primitives import read_primitive, skinned_sources
+from skinbake.replay.algorithms import Algorithm
+from skinbake.replay.morphs import morphed
+from skinbake.replay.run import replay
+from skinbake.replay.surface import RestSurface
+from skinbake.report.verify import FileVerdict
+from tests import analytic, morphing
+
+REPOSITORY = Path(__file__).resolve().parents[1]
+BENDS = ("medium", "strong")
+CHARACTERS = (
+    "CesiumMan/CesiumMan.glb",
+    "Mannequiny/mannequiny-0.3.0.glb",
+    "Alien/Alien_Scolitex.gltf",
+    "TRex/trex.gltf",
+    "RiggedElf/RiggedElf.gltf",
+)
+
+HEAD = """# What morph targets cost
+
+α and β are derivatives along curves on the surface whose tangents are t0 and b0 at rest. Under a morph they
+stay exact, if t and b are the images of t0 and b0 under its differential, not renormalised. A glTF file holds
+no differential. It holds a morphed NORMAL, and seldom a morphed TANGENT: directions, without the stretch and
+the shear. So t and b are approximations ([the rules](../CONVENTIONS.md#morph-targets)), and this is what each
+one costs.
+
+## On a surface whose differential is known
+A bumpy tube of three joints, morphed, then bent (the mean over a medium and a strong bend of the tests'
+surface). Angle in degrees between the normals and those that the exact differential gives to the file's
+morphed normal, weighted by area:
+
+- *turn*: how far the target turns the normals. *File*: how far the file's morphed normal itself is from the
+  true one; at weight ½ a file has only the sum of differences. No lighting can know better, and none of the
+  other columns counts it.
+- *standard*: linear blend skinning of the morphed normal, as engines do. *Exact*: the images under the
+  differential, against finite differences of the skinned surface.
+- *by normal*: the smallest rotation of n0 to n. *By tangent*: t0 + Σ w ΔTANGENT, of exact targets of TANGENT.
+- Rejected: *rest*, t0 and b0 as without a morph; *anew*, the normal frame of n; *length*, the smallest
+  rotation, with the part across its axis as long as n0 + Σ w ΔNORMAL; *along n0*, t0 and b0 pushed along n0
+  until they touch the morphed surface.
+
+"""
+
+BETWEEN = """
+**By normal** is the rule: it is cheap (some 25 multiply-adds), it cannot flip, and it needs nothing but what
+every engine has. *Length* and *along n0* use no more data; they are better on some targets and worse on
+others: the first by up to a tenth, the second by up to two fifths where a target turns instead of pushing.
+
+**By tangent** is better where the surface turns within itself (a jaw), worse where it is wrung or stretched:
+b = n × t cannot shear. It is the rule where a file has targets of TANGENT, because the tangent is then the
+one that normal maps expect.
+
+**Exact** would need more data: D = I + Σ w ∇Δp is linear in the weights, so that the derivatives of Δp along
+t0 and b0, six numbers a vertex and target, give the images at every weight, and t × b the true normal between
+weights too. Targets of NORMAL and TANGENT are as large, and hold less.
+
+## On characters
+Models of the corpus in their own animations, which also move the weight of one target from 0 to 1 and back.
+The targets are made for this, with exact normals at weight 1, for the corpus has no character with real ones:
+*wave*, bumps of 1 % of the model's size that stretch it by up to 60 %; *bend*, 60° over its greatest extent.
+Linear blend skinning, mean and 95th percentile of the angle to the reference of `skinbake verify`.
+
+"""
+KEY_WEIGHTS = np.array([[0.0], [1.0], [0.0]], np.float32)
+
+
+def main() -> int:
+    """Write the page; return the exit code."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("--output", type=Path, default=REPOSITORY / "docs" / "morphs.md")
+    options = parser.parse_args()
+    lines = [*surface_table(), BETWEEN.rstrip("\n"), "", *character_table()]
+    options.output.write_text(
+        HEAD + "\n".join(lines) + "\n\n---\nMade by `python -m benchmarks.morph_frames`.\n"
+    )
+    return 0
+
+
+# The analytic surface
+
+
+def surface_table() -> Iterator[str]:
+    """Yield a row for each target and weight."""
+    names = (
+        "turn",
+        "file",
+        "standard",
+        "exact",
+        "by normal",
+        "by tangent",
+        "rest",
+        "anew",
+        "length",
+        "along n0",
+    )
+    yield "| target | weight | " + " | ".join(names) + " |"
+    yield "|---|" + "--:|" * (len(names) + 1)
+    u, v = analytic.grid(60, 40, jitter=0.3, seed=3)
+    points = analytic.sample(u, v)
+    for name, displacement in morphing.DISPLACEMENTS.items():
+        for weight in (0.5, 1.0):
+            found = figures(points, displacement, weight)
+            yield f"| {name} | {weight:g} | " + " | ".join(f"{value:.2f}°" for value in found) + " |"
+
+
+def figures(points: analytic.Sample, displacement: morphing.Displacement, weight: float) -> list[float]:
+    """Return the means that a row shows."""
+    area = np.linalg.norm(np.cross(*analytic.derivatives(points.u, points.v)), axis=1)
+
+    def mean(first: Any, second: Any) -> float:
+        return float(np.average(analytic.degrees_between(first, second), weights=area))
+
+    shape = morphing.morphed_surface(displacement, weight)
+    by_normal = morphed(surface(points), morphing.target(points, displacement), np.array([weight]))
+    target = morphing.target(points, displacement, tangents=True)
+    by_tangent = morphed(surface(points, tangents=True), target, np.array([weight]))
+    true = morphing.normals(points, shape)
+    shown = [mean(by_normal.normals, points.normals), mean(by_normal.normals, true)]
+    candidates = [
+        by_normal,
+        by_tangent,
+        *(
+            replace(by_normal, tangents=t, bitangents=b)
+            for t, b in rejected(points, displacement, weight, by_normal)
+        ),
+    ]
+    rows = []
+    for bend in BENDS:
+        image = exact(points, shape, by_normal)
+        expected = true_image(image, by_normal.normals, bend)
+        rows.append(
+            [
+                mean(posed(by_normal, Algorithm.LBS_APPROXIMATED, bend), expected),
+                mean(posed(image, Algorithm.LBS_ACCURATE, bend), morphing.true_normals(points, shape, bend)),
+                *(mean(posed(one, Algorithm.LBS_ACCURATE, bend), expected) for one in candidates),
+            ]
+        )
+    return [*shown, *np.mean(rows, axis=0).tolist()]
+
+
+def surface(points: analytic.Sample, *, tangents: bool = False) -> RestSurface:
+    """Return the tube at rest, in the normal frame or in that of its own tangents."""
+    t0, b0 = points.tangents, points.bitangents
+    if not tangents:
+        t0, b0 = (v.astype(np.float64) for v in frame_from_normal(points.normals.astype(np.float32)))
+    return RestSurface(
+        positions=points.positions,
+        normals=points.normals,
+        tangents=t0,
+        bitangents=b0,
+        joints=np.tile(np.arange(3), (len(points.u), 1)),
+        weights=points.weights,
+        alpha=np.einsum("vki,vi->vk", points.gradients, t0)[:, 1:],
+        beta=np.einsum("vki,vi->vk", points.gradients, b0)[:, 1:],
+    )
+
+
+def posed(rest: RestSurface, algorithm: Algorithm, bend: str) -> Float64Array:
+    """Return the skinned normals (V, 3)."""
+    matrices = analytic.joint_matrices(bend)[None]
+    return np.asarray(replay(algorithm, rest, matrices).normals[0], dtype=np.float64)
+
+
+def exact(points: analytic.Sample, shape: analytic.Surface, moved: RestSurface) -> RestSurface:
+    """Return the morphed surface with the images of t0 and b0."""
+    rest = surface(points)
+    frame = [np.asarray(vectors, dtype=np.float64) for vectors in (rest.tangents, rest.bitangents)]
+    t, b = morphing.images(points, shape, *frame)
+    return replace(moved, tangents=t, bitangents=b)
+
+
+def true_image(image: RestSurface, normals: Any, bend: str) -> Float64Array:
+    """Return cof(F) n, F from the exact frames before and after: what skinbake verify measures on a mesh."""
+    skinned = replay(Algorithm.LBS_ACCURATE, image, analytic.joint_matrices(bend)[None])
+    before = columns(image.tangents, image.bitangents, None)
+    after = columns(skinned.tangents[0], skinned.bitangents[0], (image.tangents, image.bitangents))
+    f = after @ np.linalg.inv(before)
+    cofactors = np.linalg.det(f)[:, None, None] * np.swapaxes(np.linalg.inv(f), 1, 2)
+    return np.asarray(np.einsum("vij,vj->vi", cofactors, normals))
+
+
+def columns(a: Any, b: Any, before: tuple[Any, Any] | None) -> Float64Array:
+    """Return [a b ĉ s] as matrices (V, 3, 3), c = a × b, s = sqrt(|c| / |c before|)."""
+    c = np.cross(a, b)
+    area = np.linalg.norm(c, axis=1, keepdims=True)
+    rest = area if before is None else np.linalg.norm(np.cross(*before), axis=1, keepdims=True)
+    return np.stack([a, b, c / area * np.sqrt(area / rest)], axis=2)
+
+
+def rejected(
+    points: analytic.Sample, displacement: morphing.Displacement, weight: float, moved: RestSurface
+) -> Iterator[tuple[Any, Any]]:
+    """Yield t and b of the ways that are not taken."""
+    rest = surface(points)
+    n0, n = points.normals, moved.normals
+    yield rest.tangents, rest.bitangents
+    yield frame_from_normal(n.astype(np.float32))
+    target = morphing.target(points, displacement)
+    total = n0 + target.summed("normals", np.array([weight]), len(n0))
+    length = np.linalg.norm(total, axis=1, keepdims=True)
+    axis = unit_vectors(np.cross(n0, n))
+    t, b = (
+        length * vector + (1 - length) * axis * np.sum(axis * vector, axis=1, keepdims=True)
+        for vector in (moved.tangents, moved.bitangents)
+    )
+    yield t, b
+    share = [np.sum(n * v, axis=1) / np.sum(n * n0, axis=1) for v in (rest.tangents, rest.bitangents)]
+    yield rest.tangents - share[0][:, None] * n0, rest.bitangents - share[1][:, None] * n0
+
+
+# Characters
+
+
+def character_table() -> Iterator[str]:
+    """Yield a row for each model, or a remark where the corpus is not here."""
+    told = os.environ.get("SKINBAKE_CORPUS")
+    corpus = Path(told) if told else REPOSITORY.parent / "shared" / "corpus"
+    found = [corpus / "public" / name for name in CHARACTERS if (corpus / "public" / name).is_file()]
+    if not found:
+        yield "(The corpus was not there.)"
+        return
+    yield "| model | | standard mean / p95 | accurate mean / p95 | gain |"
+    yield "|---|---|--:|--:|--:|"
+    for path in found:
+        with TemporaryDirectory() as folder:
+            target = Path(folder) / "baked" / f"{path.stem}.glb"
+            result = bake_file(str(path), str(target), BakeOptions(generate_normals=True, make_folder=True))
+            if result.error is not None:
+                raise result.error
+            yield f"| {path.name} | as it is | {verdict_row(target)} |"
+            for name, warp in (("wave", wave), ("bend", bend)):
+                moved = Path(folder) / f"{name}.glb"
+                with_target(target, moved, warp)
+                yield f"| | {name} | {verdict_row(moved)} |"
+
+
+def verdict_row(path: Path) -> str:
+    """Return the cells of one verdict."""
+    verdict: FileVerdict = verify_file(str(path), VerifyOptions(methods=("lbs",)))
+    if verdict.error is not None:
+        raise verdict.error
+    lbs = (verdict.normals or {})["lbs"]
+    standard, accurate = lbs["approximated"], lbs["accurate"]
+    return (
+        f"{standard.mean:.2f}° / {standard.p95:.2f}° | {accurate.mean:.2f}° / {accurate.p95:.2f}° | "
+        f"{standard.mean / accurate.mean:.1f} ×"
+    )
+
+
+Warp = Callable[[Float64Array, Float64Array], Float64Array]
+"""The displacement of points (V, 3), in a box (2, 3) of the model's lowest and highest coordinates."""
+
+
+def wave(points: Float64Array, box: Float64Array) -> Float64Array:
+    """Raise bumps of 1 % of the model's size."""
+    size = float(np.ptp(box, axis=0).max())
+    phase = (points - box.mean(axis=0)) @ np.array([17.0, 23.0, 13.0]) / size
+    return 0.01 * size * np.stack([np.sin(phase), np.cos(phase), np.sin(2 * phase)], axis=1)
+
+
+def bend(points: Float64Array, box: Float64Array) -> Float64Array:
+    """Bend by 60° over the model's greatest extent."""
+    up = int(np.ptp(box, axis=0).argmax())
+    across, arm = (up + 1) % 3, points - box.mean(axis=0)
+    angle = np.radians(60) * arm[:, up] / float(np.ptp(box[:, up]))
+    turned = arm.copy()
+    turned[:, up] = np.cos(angle) * arm[:, up] - np.sin(angle) * arm[:, across]
+    turned[:, across] = np.sin(angle) * arm[:, up] + np.cos(angle) * arm[:, across]
+    moved: Float64Array = turned - arm
+    return moved
+
+
+def differences(
+    warp: Warp, box: Float64Array, positions: Float64Array, normals: Float64Array
+) -> tuple[Any, Any]:
+    """Return what a target holds of a warp of space: ΔPOSITION, and ΔNORMAL of the exact normals, float32."""
+    step = 1e-5 * float(np.ptp(box, axis=0).max())
+    slopes = [(warp(positions + step * e, box) - warp(positions - step * e, box)) for e in np.eye(3)]
+    jacobian = np.stack(slopes, axis=2) / (2 * step) + np.eye(3)
+    turned = unit_vectors(np.einsum("vji,vj->vi", np.linalg.inv(jacobian), normals))
+    return warp(positions, box).astype(np.float32), (turned - normals).astype(np.float32)
+
+
+def with_target(path: Path, target: Path, warp: Warp) -> None:
+    """Write a copy whose skinned primitives have one target, and whose clips move its weight."""
+    document = read_document(str(path))
+    sources, _ = skinned_sources(document)
+    every = [read_primitive(document, source) for source in sources]
+    everywhere = np.concatenate([primitive.positions for primitive in every]).astype(np.float64)
+    box = np.stack([everywhere.min(axis=0), everywhere.max(axis=0)])
+    additions, meshes = Additions(document), [dict(mesh) for mesh in document.objects("meshes")]
+    for source, primitive in zip(sources, every, strict=True):
+        normals = unit_vectors(primitive.normals)
+        moved, turned = differences(warp, box, primitive.positions.astype(np.float64), normals)
+        made = {"POSITION": additions.add(moved), "NORMAL": additions.add(turned)}
+        primitives = list(meshes[source.mesh]["primitives"])
+        primitives[source.primitive] = {**source.json, "targets": [made]}
+        meshes[source.mesh]["primitives"] = primitives
+    nodes = [n for n, node in enumerate(document.objects("nodes")) if "skin" in node and "mesh" in node]
+    animations = [
+        with_weights(
+            animation,
+            [
+                read_accessor(document, s["input"], document.place).decoded()[:, 0]
+                for s in animation["samplers"]
+            ],
+            nodes,
+            additions,
+        )
+        for animation in document.objects("animations")
+    ]
+    plan_output(additions.applied({"meshes": meshes, "animations": animations}), str(target)).write()
+
+
+def with_weights(animation: Any, times: list[Any], nodes: list[int], additions: Additions) -> Any:
+    """Return an animation that moves the weight of nodes up and down between its first and last key."""
+    first, last = min(float(each[0]) for each in times), max(float(each[-1]) for each in times)
+    keys = np.linspace(first, last, len(KEY_WEIGHTS), dtype=np.float32)[:, None]
+    sampler = {"input": additions.add(keys), "output": additions.add(KEY_WEIGHTS)}
+    number = len(animation["samplers"])
+    channels = [{"sampler": number, "target": {"node": node, "path": "weights"}} for node in nodes]
+    return {
+        **animation,
+        "samplers": [*animation["samplers"], sampler],
+        "channels": [*animation["channels"], *channels],
+    }
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,139 @@
+"""Morph targets of skinned primitives: differences and weights at rest (glTF 2.0, §3.7.2.2)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from skinbake.errors import InputError, Place
+from skinbake.geometry.morphs import NO_DIFFERENCES, Differences, MorphTarget, MorphTargets
+from skinbake.geometry.skinned import Float64Array
+from skinbake.gltf.accessors import element_count, read_accessor
+from skinbake.gltf.document import Document
+from skinbake.gltf.json_access import JsonObject, index, objects, text
+from skinbake.gltf.primitives import FLOAT, NORMALISED_SIGNED, PrimitiveSource
+
+FORMATS: dict[str, tuple[tuple[str, bool], ...]] = {
+    "POSITION": (FLOAT, *((kind, flag) for kind in ("i1", "i2") for flag in (False, True))),
+    "NORMAL": (FLOAT, *NORMALISED_SIGNED),
+    "TANGENT": (FLOAT, *NORMALISED_SIGNED),
+}
+"""Component types, and whether normalised, of glTF 2.0 §3.7.2.2 and KHR_mesh_quantization."""
+
+EXPECTED = {
+    "POSITION": "floats, or signed bytes or shorts",
+    "NORMAL": "floats, or normalised signed bytes or shorts",
+    "TANGENT": "floats, or normalised signed bytes or shorts",
+}
+
+MOST = float(np.finfo(np.float32).max)
+"""The largest weight: animations store them as FLOAT. What follows then stays finite in float64."""
+
+
+def target_count(document: Document, mesh: int) -> int:
+    """Return how many morph targets a mesh has; 0: none.
+
+    A primitive without any takes no part. Raises InputError where the others differ in number.
+    """
+    content = document.objects("meshes")[mesh]
+    place = Place(document.name, mesh, text(content, "name", document.place))
+    primitives = objects(content, "primitives", place)
+    counts = sorted({len(objects(primitive, "targets", place)) for primitive in primitives} - {0})
+    if len(counts) > 1:
+        found = " and ".join(str(count) for count in counts)
+        raise InputError(
+            f"its primitives have {found} morph targets; the primitives of a mesh must have the same", place
+        )
+    return counts[0] if counts else 0
+
+
+def skinned_target_count(document: Document, node: int) -> int:
+    """Return how many morph targets the mesh that a node draws with a skin has; 0 where there is none."""
+    content = document.objects("nodes")[node]
+    mesh = index(content, "mesh", len(document.objects("meshes")), document.place)
+    return 0 if mesh is None or "skin" not in content else target_count(document, mesh)
+
+
+def resting_weights(document: Document, node: int) -> Float64Array:
+    """Return the weights (N,) of the targets where nothing animates them.
+
+    They are those of the node, else of its mesh, else 0. Raises InputError where they are not N numbers.
+    """
+    count = skinned_target_count(document, node)
+    content = document.objects("nodes")[node]
+    mesh = index(content, "mesh", len(document.objects("meshes")), document.place)
+    if not count or mesh is None:
+        return np.zeros(0)
+    if content.get("weights") is not None:
+        return _numbers(content, count, f"node {node}", document.place)
+    owner = document.objects("meshes")[mesh]
+    place = Place(document.name, mesh, text(owner, "name", document.place))
+    return _numbers(owner, count, "its mesh", place)
+
+
+def _numbers(owner: JsonObject, count: int, called: str, place: Place) -> Float64Array:
+    value = owner.get("weights")
+    if value is None:
+        return np.zeros(count)
+    numeric = isinstance(value, list) and all(
+        isinstance(entry, int | float) and not isinstance(entry, bool) and abs(entry) <= MOST
+        for entry in value
+    )
+    if not numeric or len(value) != count:
+        raise InputError(f'"weights" of {called} must be {count} numbers, one for each morph target', place)
+    return np.array(value, dtype=np.float64)
+
+
+def _is_weight(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= MOST
+
+
+def read_targets(
+    document: Document, source: PrimitiveSource, wanted: list[int], *, count: int, tangents: bool
+) -> MorphTargets | None:
+    """Return the wanted targets of a primitive of ``count`` vertices, None where it has no targets.
+
+    ``tangents``: the frame is that of TANGENT, so that targets of TANGENT count. Raises InputError, naming
+    the target and the attribute, for a format that glTF does not allow, a number of elements other than
+    POSITION's, or positions that are not finite. Normals and tangents that are not finite count as 0.
+    """
+    targets = objects(source.json, "targets", source.place)
+    if not targets:
+        return None
+    names = ("POSITION", "NORMAL", "TANGENT") if tangents else ("POSITION", "NORMAL")
+    read: dict[tuple[str, int], Differences] = {}
+    found = [
+        MorphTarget(*(_differences(document, source, (number, name), targets, count, read) for name in names))
+        for number in wanted
+    ]
+    return MorphTargets(tuple(found), tangents and any("TANGENT" in target for target in targets))
+
+
+def _differences(
+    document: Document,
+    source: PrimitiveSource,
+    which: tuple[int, str],
+    targets: list[JsonObject],
+    count: int,
+    read: dict[tuple[str, int], Differences],
+) -> Differences:
+    """Return one attribute of one target; ``read`` holds what an accessor gave before."""
+    number, name = which
+    place = source.place.at(f"{name} of morph target {number}")
+    accessor = index(targets[number], name, len(document.objects("accessors")), place)
+    if accessor is None:
+        return NO_DIFFERENCES
+    if (name, accessor) not in read:
+        declared = element_count(document, accessor, place)
+        if declared != count:
+            raise InputError(f"it has {declared} elements, POSITION has {count}", place)
+        stored = read_accessor(document, accessor, place)
+        if stored.values.shape[1] != 3:
+            raise InputError(f"it has {stored.values.shape[1]} components, 3 are needed", place)
+        if (stored.values.dtype.str[1:], stored.normalized) not in FORMATS[name]:
+            kind = f"{'normalised ' if stored.normalized else ''}{stored.values.dtype.name}"
+            raise InputError(f"differences must be {EXPECTED[name]}, found {kind}", place)
+        values = stored.decoded()
+        if name == "POSITION" and not np.isfinite(values).all():
+            raise InputError("its values are not all finite numbers", place)
+        read[name, accessor] = Differences.of(values)
+    return read[name, accessor]

@@ -1,0 +1,343 @@
+"""The shader's morphed frames, compiled by two compilers and run: the float32 replay in another language."""
+
+from __future__ import annotations
+
+import importlib
+import itertools
+import shutil
+import subprocess
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from click.testing import CliRunner
+
+from skinbake.bake.baker import BakeSettings
+from skinbake.cli.main import main
+from skinbake.commands.shader import ShaderRequest, shader
+from skinbake.errors import ChoiceError
+from skinbake.geometry.frames import frame_from_normal
+from skinbake.geometry.morphs import carried_by_normal, carried_by_tangent, morphed_normals
+from skinbake.geometry.skinned import Float32Array
+from skinbake.replay.algorithms import Algorithm
+from skinbake.replay.morphs import morphed
+from skinbake.replay.run import replay
+from skinbake.replay.surface import RestSurface
+from skinbake.shaders.choices import ALGORITHMS, Language, Lighting, Method, Morphs, ShaderChoices
+from skinbake.shaders.text import shader_text
+from tests import analytic, morphing
+from tests.replay.scene import rest_surface, sample
+from tests.support.strictness import missing_tool
+from tests.verify.baked_files import baked, source
+from tests.verify.test_morphs import morphed as with_targets
+from tests.verify.test_morphs import with_tangents
+
+KINDS = [("normal", Morphs.NORMAL), ("tangent", Morphs.NORMAL), ("tangent", Morphs.TANGENT)]
+
+
+def choices(language: Language, frame: str, morphs: Morphs, **others: Any) -> ShaderChoices:
+    return ShaderChoices(language, frame=frame, morphs=morphs, influences=3, **others)
+
+
+# Run on whatever device there is
+
+BODY = """
+struct Row {{ data: array<vec4<f32>, {width}> }}
+@group(0) @binding(0) var<storage, read> given: array<Row>;
+@group(0) @binding(1) var<storage, read_write> found: array<Row>;
+@compute @workgroup_size(64)
+fn main(@builtin(global_invocation_id) id: vec3<u32>) {{
+    if (id.x >= arrayLength(&given)) {{ return; }}
+    let row = given[id.x].data;
+    {code}
+}}
+"""
+
+GLSL_BODY = """#version 450
+layout(local_size_x = 64) in;
+struct Row {{ vec4 data[{width}]; }};
+layout(std430, binding = 0) readonly buffer Given {{ Row given[]; }};
+layout(std430, binding = 1) buffer Found {{ Row found[]; }};
+{text}
+void main() {{
+    uint id = gl_GlobalInvocationID.x;
+    if (id >= given.length()) {{ return; }}
+    vec4 row[{width}] = given[id].data;
+    {code}
+}}
+"""
+
+WIDTH = 20
+
+
+def run(language: Language, text: str, code: str, rows: Float32Array, folder: Path) -> Float32Array:
+    """Run code on rows (V, at most WIDTH, 4): it reads ``row`` and writes ``OUT[i]``, (V, WIDTH, 4)."""
+    try:
+        wgpu = importlib.import_module("wgpu")
+        compute = importlib.import_module("wgpu.utils.compute")
+    except ImportError:
+        missing_tool("wgpu is not installed")
+    try:
+        wgpu.gpu.request_adapter_sync()
+    except RuntimeError:
+        missing_tool("wgpu finds no device, not even a software one")
+    given = np.zeros((len(rows), WIDTH, 4), np.float32)
+    given[:, : rows.shape[1]] = rows
+    if language is Language.WGSL:
+        code = code.replace("OUT", "found[id.x].data")
+        program: object = text + BODY.format(width=WIDTH, code=code)
+    else:
+        code = code.replace("OUT", "found[id].data")
+        program = spirv(GLSL_BODY.format(width=WIDTH, code=code, text=text), "comp", folder)
+    out = compute.compute_with_buffers({0: given}, {1: (given.size, "f")}, program, n=-(-len(rows) // 64))
+    found: Float32Array = np.frombuffer(out[1], np.float32).reshape(given.shape)
+    return found
+
+
+def spirv(text: str, stage: str, folder: Path) -> bytes:
+    validator = shutil.which("glslangValidator")
+    if validator is None:
+        missing_tool("glslangValidator is not installed")
+    (folder / f"shader.{stage}").write_text(text)
+    command = [validator, "-V", f"shader.{stage}", "-o", "shader.spv"]
+    result = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    assert result.returncode == 0, result.stdout + text
+    return (folder / "shader.spv").read_bytes()
+
+
+def padded(*columns: npt.NDArray[Any]) -> Float32Array:
+    """Rows of vectors (V, 3 or 4), one a vec4."""
+    rows = np.stack([np.pad(c, ((0, 0), (0, 4 - c.shape[1]))) for c in columns], axis=1)
+    return np.asarray(rows, dtype=np.float32)
+
+
+def directions(count: int, seed: int) -> Float32Array:
+    found = np.random.default_rng(seed).normal(size=(count, 3))
+    return np.asarray(found / np.linalg.norm(found, axis=1, keepdims=True), dtype=np.float32)
+
+
+FRAME = {
+    Language.WGSL: "let frame = {call};",
+    Language.GLSL: "skinbake_Frame frame = {call};",
+}
+WRITE = "OUT[0] = VEC4(frame.normal, frame.handedness); OUT[1] = VEC4(frame.tangent, 0.0); "
+WRITE += "OUT[2] = VEC4(frame.bitangent, 0.0);"
+WRITE_FRAME = {
+    Language.WGSL: WRITE.replace("VEC4", "vec4<f32>"),
+    Language.GLSL: WRITE.replace("VEC4", "vec4"),
+}
+
+
+@pytest.mark.parametrize("language", Language)
+def test_the_frame_that_follows_the_normal_is_the_replay_s(language: Language, tmp_path: Path) -> None:
+    """Any two normals; then none of a length; then opposite ones, on both sides of the threshold."""
+    n0, turned = directions(3000, 1), directions(3000, 2)
+    differences = 1.7 * turned - n0
+    differences[:10] = 0
+    differences[10:20] = -n0[10:20]
+    near = n0[20:220] * np.float32(-1) + np.linspace(0, 0.03, 200, dtype=np.float32)[:, None] * turned[20:220]
+    differences[20:220] = near - n0[20:220]
+    t0, b0 = frame_from_normal(n0)
+    n = morphed_normals(n0, differences)
+    t, b = carried_by_normal(n0, (t0, b0), n)
+    text = shader_text(choices(language, "normal", Morphs.NORMAL))
+    code = FRAME[language].format(call="skinbake_morphed(skinbake_frame(row[0].xyz), row[1].xyz)")
+    found = run(language, text, code + WRITE_FRAME[language], padded(n0, n0 + differences), tmp_path)
+    # Rounding counts up to 2 / |n0 + n| times: 200 at the threshold.
+    s = np.linalg.norm(n0 + n, axis=1)
+    clear = np.abs(s * s - 1e-4) > 1e-5
+    tolerance = 1e-6 * np.maximum(1, 4 / np.maximum(s, 1e-2))[:, None]
+    # A vector of rounding's length has any direction: those normals are the shader's own.
+    clear[10:20] = np.linalg.norm(n0[10:20] + differences[10:20], axis=1) == 0
+    assert clear.sum() > 2900
+    for got, expected in ((found[:, 0, :3], n), (found[:, 1, :3], t), (found[:, 2, :3], b)):
+        assert (np.abs(got - expected) <= tolerance)[clear].all()
+    assert (found[:, 0, 3] == 1.0).all()
+    # At rest the frame is that of rest, but for the normalisation's rounding.
+    assert found[:10, 1, :3] == pytest.approx(t0[:10], abs=3e-7)
+
+
+@pytest.mark.parametrize("language", Language)
+def test_the_frame_that_follows_the_tangent_is_the_replay_s(language: Language, tmp_path: Path) -> None:
+    n0, n = directions(2000, 3), directions(2000, 4)
+    t0 = np.cross(n0, directions(2000, 5)) + np.float32(0.001) * n0
+    hand = np.where(np.arange(2000) % 2, 1, -1).astype(np.float32)
+    b0 = np.cross(n0, t0) * hand[:, None]
+    moved = t0 + directions(2000, 6) * np.float32(0.8)
+    moved[:20] = 0.0005 * directions(20, 7)  # cancelled
+    t, b = carried_by_tangent(n0, (t0, b0), n, moved, hand)
+    text = shader_text(choices(language, "tangent", Morphs.TANGENT))
+    call = "skinbake_morphed_tangent(skinbake_frame(row[0].xyz, row[1]), row[2].xyz, row[3].xyz)"
+    code = FRAME[language].format(call=call) + WRITE_FRAME[language]
+    rows = padded(n0, np.concatenate([t0, hand[:, None]], axis=1), n, moved)
+    found = run(language, text, code, rows, tmp_path)
+    length = np.linalg.norm(t, axis=1) / np.linalg.norm(t0, axis=1)
+    clear = np.abs(length - 0.01) > 1e-3
+    assert clear.sum() > 1980
+    assert found[clear, 0, :3] == pytest.approx(n[clear], abs=1e-6)
+    s = np.linalg.norm(n0 + n, axis=1)
+    tolerance = 2e-6 * np.maximum(1, 4 / np.maximum(s, 1e-2))[:, None]
+    for got, expected in ((found[:, 1, :3], t), (found[:, 2, :3], b)):
+        assert (np.abs(got - expected) <= tolerance)[clear].all()
+    assert np.array_equal(found[:, 0, 3], hand)
+
+
+def surface_at(frame: str) -> tuple[RestSurface, analytic.Sample]:
+    """The analytic surface in float32, with the frame that a file would give it."""
+    points = sample()
+    rest = rest_surface(points)
+    if frame == "normal":
+        normals = rest.normals.astype(np.float32)
+        t0, b0 = (vectors.astype(np.float64) for vectors in frame_from_normal(normals))
+        order = rest.joints
+        gradients = np.take_along_axis(points.gradients, order[:, :, None], axis=1)
+        rest = replace(
+            rest,
+            normals=normals.astype(np.float64),
+            tangents=t0,
+            bitangents=b0,
+            alpha=np.einsum("vki,vi->vk", gradients, t0)[:, 1:],
+            beta=np.einsum("vki,vi->vk", gradients, b0)[:, 1:],
+        )
+    return rest, points
+
+
+@pytest.mark.parametrize(("frame", "morphs"), KINDS)
+@pytest.mark.parametrize("lighting", [Lighting.DIRECT, Lighting.ACCURATE])
+@pytest.mark.parametrize("language", Language)
+def test_a_morphed_and_skinned_vertex_is_the_float32_replay_s(
+    language: Language, lighting: Lighting, frame: str, morphs: Morphs, tmp_path: Path
+) -> None:
+    """From p + Δp, n + Δn, t + Δt to the skinned normal: the call that the header shows."""
+    rest, points = surface_at(frame)
+    target = morphing.target(points, morphing.mixture, tangents=morphs is Morphs.TANGENT)
+    weights = np.array([0.7])
+    matrices = analytic.joint_matrices("medium")
+    algorithm = Algorithm(ALGORITHMS[Method.LBS, lighting])
+    moved = morphed(rest, target, weights, dtype=np.float32)
+    expected = replay(algorithm, moved, matrices[None], dtype=np.float32)
+    text = shader_text(choices(language, frame, morphs, lighting=lighting))
+    count = len(rest.positions)
+    sums = [target.summed(kind, weights, count) for kind in ("positions", "normals", "tangents")]
+    added = [
+        array + by for array, by in zip((rest.positions, rest.normals, rest.tangents), sums, strict=True)
+    ]
+    joints = matrices[rest.joints].transpose(0, 1, 3, 2).reshape(count, 12, 4)
+    rows = np.concatenate(
+        [
+            padded(rest.normals, np.pad(rest.tangents, ((0, 0), (0, 1)), constant_values=1.0), *added),
+            padded(rest.weights, rest.alpha, rest.beta),
+            joints.astype(np.float32),
+        ],
+        axis=1,
+    )
+    found = run(language, text, call_of(language, text), rows, tmp_path)
+    for place, name in enumerate(("positions", "normals", "tangents", "bitangents")):
+        # float32 in another order: sums of a dozen terms, each up to 5 times as large as the result.
+        values = getattr(expected, name)[0]
+        got = found[:, place, :3]
+        scale = np.linalg.norm(values, axis=1, keepdims=True)
+        assert (np.abs(got - values) <= 2e-5 * np.maximum(scale, 1.0)).all(), name
+
+
+def call_of(language: Language, text: str) -> str:
+    """Return the three lines of the header's usage, between reading their names and writing their result."""
+    lines = [line[7:] for line in text.splitlines() if line.startswith("//     ") and " = skinbake_" in line]
+    assert len(lines) == 3
+    if language is Language.WGSL:
+        before = (
+            "let normal = row[0].xyz; let tangent = row[1]; let morphed_position = row[2].xyz;"
+            "let morphed_normal = row[3].xyz; let morphed_tangent = row[4].xyz; let weights_0 = row[5];"
+            "let alpha_0 = row[6].xyz; let beta_0 = row[7].xyz;"
+            "let M = array<mat4x4<f32>, 3>("
+            + ", ".join(
+                f"mat4x4<f32>({', '.join(f'row[{8 + 4 * m + c}]' for c in range(4))})" for m in range(3)
+            )
+            + ");"
+        )
+        vector = "vec4<f32>"
+    else:
+        before = (
+            "vec3 normal = row[0].xyz; vec4 tangent = row[1]; vec3 morphed_position = row[2].xyz;"
+            "vec3 morphed_normal = row[3].xyz; vec3 morphed_tangent = row[4].xyz; vec4 weights_0 = row[5];"
+            "vec3 alpha_0 = row[6].xyz; vec3 beta_0 = row[7].xyz; mat4 M[3];"
+            + "".join(
+                f"M[{m}] = mat4({', '.join(f'row[{8 + 4 * m + c}]' for c in range(4))});" for m in range(3)
+            )
+        )
+        vector = "vec4"
+    after = "".join(
+        f"OUT[{place}] = {vector}(v.{name}, 0.0);"
+        for place, name in enumerate(("position", "normal", "tangent", "bitangent"))
+    )
+    return "\n".join([before, *lines, after])
+
+
+# Compiled for every choice
+
+
+@pytest.mark.parametrize("version", ["300 es", "330", "450"])
+def test_every_algorithm_compiles_as_glsl(version: str, tmp_path: Path) -> None:
+    validator = shutil.which("glslangValidator")
+    if validator is None:
+        missing_tool("glslangValidator is not installed")
+    files = []
+    for (method, lighting), (frame, morphs) in itertools.product(ALGORITHMS, KINDS):
+        text = shader_text(choices(Language.GLSL, frame, morphs, method=method, lighting=lighting))
+        path = tmp_path / f"{method}_{lighting}_{frame}_{morphs}.vert"
+        precision = "precision highp float;\n" if "es" in version else ""
+        path.write_text(f"#version {version}\n{precision}{text}{text}void main() {{}}\n")
+        files.append(str(path))
+    result = subprocess.run([validator, *files], capture_output=True, text=True, check=False)
+    assert result.returncode == 0, result.stdout
+
+
+def test_without_morph_targets_the_text_has_nothing_of_them() -> None:
+    for language in Language:
+        assert "morph" not in shader_text(ShaderChoices(language))
+
+
+# The command
+
+
+def for_file(path: Path, **request: Any) -> ShaderChoices:
+    return shader(ShaderRequest(language=Language.GLSL, **request), str(path)).choices
+
+
+def test_a_file_says_what_its_frames_follow(tmp_path: Path) -> None:
+    plain = baked(source("mirrored_tangent.glb"), tmp_path)
+    assert for_file(plain).morphs is Morphs.NONE
+    moved = with_targets(plain, tmp_path / "moved.glb")
+    assert for_file(moved).morphs is Morphs.NORMAL
+    assert for_file(moved, morphs=Morphs.NONE).morphs is Morphs.NONE
+    assert for_file(moved, morphs=Morphs.TANGENT).morphs is Morphs.TANGENT
+    turned = with_tangents(moved, 0.2)
+    assert for_file(turned).morphs is Morphs.TANGENT
+    assert for_file(turned, morphs=Morphs.NORMAL).morphs is Morphs.NORMAL
+
+
+def test_targets_of_tangents_do_not_matter_to_the_normal_frame(tmp_path: Path) -> None:
+    path = baked(source("mirrored_tangent.glb"), tmp_path, BakeSettings(frame="normal"))
+    assert for_file(with_tangents(with_targets(path, tmp_path / "moved.glb"), 0.2)).morphs is Morphs.NORMAL
+
+
+def test_the_command_line_in_the_header_writes_the_text_again() -> None:
+    arguments = ["shader", "--lang", "wgsl", "--frame", "tangent", "--morphs", "tangent"]
+    first = CliRunner().invoke(main, arguments)
+    assert first.exit_code == 0, first.output
+    command = next(line for line in first.stdout.splitlines() if "skinbake shader" in line)
+    again = CliRunner().invoke(main, command.split()[2:])
+    assert again.stdout == first.stdout
+    assert "skinbake_morphed_tangent" in first.stdout
+
+
+def test_morphed_tangents_need_the_tangent_frame() -> None:
+    with pytest.raises(ChoiceError, match="--morphs tangent needs --frame tangent"):
+        ShaderChoices(Language.GLSL, frame="normal", morphs=Morphs.TANGENT)
+    result = CliRunner().invoke(
+        main, ["shader", "--lang", "glsl", "--frame", "normal", "--morphs", "tangent"]
+    )
+    assert result.exit_code == 2
