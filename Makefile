@@ -14,7 +14,7 @@ unexport PYTHONHOME PYTHONPATH VIRTUAL_ENV
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help bake test check lint fixtures picture table bench clean
+.PHONY: help bake test check lint fixtures golden picture table bench clean
 
 help: ## List the targets
 	@awk 'BEGIN { FS = ":.*## " } /^[a-z]+:.*## / { printf "  make %-9s %s\n", $$1, $$2 }' Makefile
@@ -39,6 +39,9 @@ lint: $(DEV)
 fixtures: $(DEV) ## Write fixtures/ anew
 	$(BIN)/python -m fixtures.make_fixtures
 
+golden: $(DEV) ## Write tests/shaders/golden anew, after a change of templates: review the diff
+	$(BIN)/python -m tests.shaders.write_golden
+
 picture: $(DEV) ## Draw docs/bend.png and docs/shaders.png anew; the latter needs a Vulkan driver
 	$(BIN)/python benchmarks/bend_picture.py docs/bend.png
 	$(BIN)/python -m benchmarks.bend_render docs/shaders.png
@@ -48,11 +51,12 @@ table: $(DEV) ## Write docs/lighting.md, docs/encodings.md and docs/morphs.md an
 	$(BIN)/python -m benchmarks.encoding_table
 	$(BIN)/python -m benchmarks.morph_frames
 
-bench: $(DEV) $(NODE_MODULES) ## Run the benchmarks: normals on the example, times of bake and replay against peers
+bench: $(DEV) $(NODE_MODULES) ## Run the benchmarks: normals on the example, times of bake, replay and shaders against peers
 	@mkdir -p build
 	$(BIN)/python benchmarks/bend_picture.py build/bend.png
 	$(BIN)/python -m benchmarks.bake_speed
 	$(BIN)/python -m benchmarks.replay_speed
+	$(BIN)/python -m benchmarks.shader_speed
 
 clean: ## Remove everything that make made
 	rm -rf .venv build dist tests/support/node_modules src/*.egg-info

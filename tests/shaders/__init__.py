@@ -1,0 +1,1 @@
+"""The texts of ``skinbake.shaders``: compiled, run, counted and compared."""

@@ -1,0 +1,229 @@
+//% if method != "lbs"
+//%   set _ = refuse("--target three: three.js blends joint matrices; take --method lbs")
+//% elif lighting == "approximated"
+//%   set _ = refuse("--target three: approximated lighting is three.js's own; take --lighting accurate or direct")
+//% elif influences > 4
+//%   set _ = refuse("--target three: three.js reads four influences a vertex, not " ~ influences)
+//% elif influences < 2
+//%   set _ = refuse("--target three: one influence needs no shader; take --influences 4")
+//% endif
+//% set alpha = sets[0].alpha_name.lower()
+//% set beta = sets[0].beta_name.lower()
+//% for name in [alpha, beta]
+//%   if not (name.startswith("_") and name.isascii() and name.isidentifier() and "__" not in name)
+//%     set _ = refuse("--target three: GLSL cannot have a vertex attribute " ~ name ~ "; bake with other names")
+//%   endif
+//% endfor
+//% set bones = ["boneMatX", "boneMatY", "boneMatZ", "boneMatW"][:influences]
+@{ header }
+//
+@{ inputs }
+// Here they have the names that GLTFLoader gives them: normal, skinWeight, @{ alpha }, ...
+//
+// A module for three.js r137 or newer, its WebGLRenderer on WebGL 2. WebGPURenderer takes no GLSL. Use:
+//
+//     import { patchSkinnedMeshes } from './skinbake.js';
+//
+//     const { scene } = await new GLTFLoader().loadAsync('baked.glb');
+//     patchSkinnedMeshes(scene);
+//
+// Under morph targets t0 and b0 turn with the morphed normal, the shortest way from NORMAL; gradients stay
+// those of the unmorphed mesh. The materials that three.js draws shadows with are its own: where a
+// displacementMap moves vertices along the normal, their shadows move along the standard one.
+@{ """// Normals point outside also where joints mirror, as those of three.js do. Its DoubleSide materials turn them
+// where the winding is turned, and are lit right without --mirrored-joints.
+""" if mirrored_joints }
+const ALPHA = '@{ alpha }';
+const BETA = '@{ beta }';
+const FRAME = '@{ frame }';
+const KEY = `@{ command } ${ALPHA} ${BETA}`;
+const PATCHED = Symbol.for('skinbake');
+
+const DECLARATIONS = /* glsl */ `
+#ifdef USE_SKINNING
+
+//% if frame == "tangent"
+#ifndef USE_TANGENT
+attribute vec4 tangent;
+#endif
+//% endif
+attribute vec3 @{ alpha };
+attribute vec3 @{ beta };
+
+@{ snippet | replace("\\", "\\\\") | replace("`", "\\`") | replace("${", "\\${") }
+
+#ifdef USE_MORPHNORMALS
+// v turned as the unit vector a turns to the unit vector b, the shortest way.
+vec3 skinbake_turned(vec3 v, vec3 a, vec3 b)
+{
+    vec3 sum = a + b;
+    return v + 2.0 * dot(a, v) * b - dot(sum, v) / max(1.0 + dot(a, b), 1e-6) * sum;
+}
+#endif
+
+#endif
+`;
+
+// After its own chunk, of which a compiler keeps nothing, since what it computes is overwritten. three.js has
+// M[s] = bindMatrixInverse * bone * bindMatrix; the outer two act on vectors here, which is cheaper.
+const SKINNORMAL = /* glsl */ `
+#ifdef USE_SKINNING
+vec3 skinbakeMorphedNormal = objectNormal;
+#endif
+#include <skinnormal_vertex>
+#ifdef USE_SKINNING
+{
+    vec3 p;
+    {
+        #include <begin_vertex>
+        #include <morphtarget_vertex>
+        p = transformed;
+    }
+    vec3 n0 = dot(normal, normal) > 0.0 ? normalize(normal) : vec3(0.0, 0.0, 1.0);
+    skinbake_Frame frame = skinbake_frame(n0@{ ", tangent" if frame == "tangent" });
+//% if frame == "normal"
+#ifdef USE_TANGENT
+    vec2 along = vec2(dot(tangent.xyz, frame.tangent), dot(tangent.xyz, frame.bitangent));
+#endif
+//% endif
+#ifdef USE_MORPHNORMALS
+    if (dot(skinbakeMorphedNormal, skinbakeMorphedNormal) > 0.0) {
+        frame.normal = normalize(skinbakeMorphedNormal);
+        frame.tangent = skinbake_turned(frame.tangent, n0, frame.normal);
+        frame.bitangent = skinbake_turned(frame.bitangent, n0, frame.normal);
+    }
+#endif
+//% if lighting == "direct"
+    mat4 M[@{ influences }] = mat4[@{ influences }](
+        @{ bones | join(" * bindMatrix, ") } * bindMatrix);
+    skinbake_Vertex v = skinbake_@{ stem }(p, frame, M, skinWeight,
+        skinbake_gradients(frame, @{ alpha }, @{ beta }));
+//% else
+    mat3 bind = mat3(bindMatrix);
+    frame.tangent = bind * frame.tangent;
+    frame.bitangent = bind * frame.bitangent;
+    p = (bindMatrix * vec4(p, 1.0)).xyz;
+    mat4 M[@{ influences }] = mat4[@{ influences }](@{ bones | join(", ") });
+    skinbake_Vertex v = skinbake_@{ stem }(p, frame, M, skinWeight,
+        @{ alpha }, @{ beta });
+//% endif
+    // The cofactors take t' x b' to what their images under bindMatrixInverse have for a cross product.
+    mat3 back = mat3(bindMatrixInverse);
+    mat3 cofactors = mat3(cross(back[1], back[2]), cross(back[2], back[0]), cross(back[0], back[1]));
+    objectNormal = cofactors * v.normal;
+//% if lighting == "direct"
+    objectNormal *= determinant(back) < 0.0 ? -1.0 : 1.0;
+//% elif mirrored_joints
+    objectNormal *= determinant(back) * determinant(bind) < 0.0 ? -1.0 : 1.0; // v.normal heeds the joint's alone
+//% endif
+#ifdef USE_TANGENT
+//% if frame == "tangent"
+    objectTangent = back * v.tangent;
+//% else
+    objectTangent = back * (along.x * v.tangent + along.y * v.bitangent);
+//% endif
+#endif
+}
+#endif
+`;
+
+/**
+ * Patch the materials of all skinned meshes below an object that were baked for this module; meshes without
+ * the attributes keep their materials. A material that a baked mesh shares with a skinned mesh that is not
+ * baked is cloned first. Doing it twice changes nothing.
+ *
+ * @param {Object3D} root - A scene, a model, or a mesh.
+ * @returns {number} How many meshes are lit accurately now.
+ */
+export function patchSkinnedMeshes(root) {
+    const baked = [];
+    const others = new Set();
+    root.traverse((mesh) => {
+        if (!mesh.isSkinnedMesh) return;
+        const materials = [mesh.material].flat();
+        if (isBaked(mesh.geometry) && fits(mesh, materials)) baked.push(mesh);
+        else materials.forEach((material) => others.add(material));
+    });
+    const clones = new Map();
+    const accurate = (material) => {
+        if (material[PATCHED] === KEY || !others.has(material)) return patchMaterial(material);
+        if (!clones.has(material)) clones.set(material, patchMaterial(cloneOf(material)));
+        return clones.get(material);
+    };
+    for (const mesh of baked) {
+        mesh.material = Array.isArray(mesh.material) ? mesh.material.map(accurate) : accurate(mesh.material);
+    }
+    return baked.length;
+}
+
+/**
+ * Patch one material: where it draws a skinned mesh, that mesh must have the baked attributes. Other meshes
+ * it draws as before. An onBeforeCompile that is there already runs first.
+ *
+ * @param {Material} material - Any material of three.js whose vertex shader has its chunks.
+ * @returns {Material} The same material.
+ */
+export function patchMaterial(material) {
+    if (material[PATCHED] === KEY) return material;
+    if (material[PATCHED] !== undefined) {
+        console.warn(`skinbake: material "${material.name}" is patched already, for other choices`);
+        return material;
+    }
+    const compile = material.onBeforeCompile;
+    const cacheKey = material.customProgramCacheKey;
+    material.onBeforeCompile = function (shader, renderer) {
+        compile.call(this, shader, renderer);
+        shader.vertexShader = withAccurateNormals(shader.vertexShader, this);
+    };
+    // The usual key is the text of onBeforeCompile, which is the same now for all patched materials.
+    material.customProgramCacheKey = function () {
+        return `${KEY} ${compile} ${cacheKey.call(this)}`;
+    };
+    Object.defineProperty(material, PATCHED, { value: KEY });
+    material.needsUpdate = true;
+    return material;
+}
+
+function withAccurateNormals(shader, material) {
+    const declarations = '#include <skinning_pars_vertex>';
+    const normals = '#include <skinnormal_vertex>';
+    if (!shader.includes(declarations) || !shader.includes(normals)) {
+        console.warn(`skinbake: ${material.type} "${material.name}" lacks ${normals}, and stays as it was`);
+        return shader;
+    }
+    return shader
+        .replace(declarations, () => `${declarations}\n${DECLARATIONS}`)
+        .replace(normals, () => SKINNORMAL);
+}
+
+function isBaked(geometry) {
+    return geometry.hasAttribute(ALPHA) || geometry.hasAttribute(BETA);
+}
+
+function fits(mesh, materials) {
+    const problem = problemOf(mesh.geometry);
+    const served = materials.every((one) => one[PATCHED] !== undefined && one[PATCHED] !== KEY);
+    if (problem && !served) console.warn(`skinbake: "${mesh.name}" stays as it was: ${problem}`);
+    return !problem;
+}
+
+function problemOf(geometry) {
+    for (const name of [ALPHA, BETA]) {
+        if (geometry.getAttribute(name)?.itemSize !== 3) return `${name} is not a VEC3 attribute`;
+    }
+    const frame = geometry.userData.skinbake?.frame ?? FRAME; // GLTFLoader leaves the bake's metadata there
+    if (frame !== FRAME) return `its frame is ${frame}, and this module is for --frame ${FRAME}`;
+    for (const name of @{ "['normal', 'tangent']" if frame == "tangent" else "['normal']" }) {
+        if (!geometry.hasAttribute(name)) return `it has no ${name} attribute`;
+    }
+    if (geometry.hasAttribute('joints_1')) return 'three.js skins by four influences, it has more';
+    return '';
+}
+
+// three.js does not clone what onBeforeCompile and customProgramCacheKey were set to.
+function cloneOf(material) {
+    const clone = material.clone();
+    clone.onBeforeCompile = material.onBeforeCompile;
+    clone.customProgramCacheKey = material.customProgramCacheKey;
+    return clone;
+}

@@ -1,0 +1,128 @@
+// Lighting for skinned meshes that skinbake has baked: dual quaternion skinning, accurate lighting,
+// 4 influences a vertex, normal frame.
+//
+// Written by skinbake 0.1.0:
+//     skinbake shader --lang wgsl --method dqs --lighting accurate --influences 4 --frame normal
+//
+// Algorithm 5 of M. Tarini, D. Panozzo, O. Sorkine-Hornung, "Accurate and Efficient Lighting for Skinned
+// Models", Computer Graphics Forum 33(2), 2014, doi:10.1111/cgf.12330: the numbers beside the lines are
+// those of its supplement.
+// Dual quaternions: L. Kavan, S. Collins, J. Zara, C. O'Sullivan, "Skinning with Dual Quaternions", I3D 2007.
+// Frame: T. Duff et al., "Building an Orthonormal Basis, Revisited", JCGT 6(1), 2017.
+// WGSL for WebGPU. Pure functions: no bindings and no module variables.
+//
+// It reads of each vertex (mesh space: as the attributes come, before any joint matrix):
+//     POSITION             vec3<f32>  p, in the file's unit of length
+//     NORMAL               vec3<f32>  n0, of length 1: normalize() it where it is stored as integers
+//     JOINTS_0             vec4<u32>  joints of slots 0 to 3
+//     WEIGHTS_0            vec4<f32>  w of slots 0 to 3; over all slots they sum to 1
+//     _SKINBAKE_ALPHA_0    vec3<f32>  alpha = grad w . t0 of slots 1 to 3, in 1 / unit of POSITION
+//     _SKINBAKE_BETA_0     vec3<f32>  beta = grad w . b0 of the same slots
+// Slot 0's alpha and beta are minus the sums of the others': they are not stored.
+//
+// Q[s] is the dual quaternion of the joint in slot s, made of its joint matrix by skinbake_dual_quaternion().
+// Use:
+//     let frame = skinbake_frame(normal);
+//     let v = skinbake_dqs_accurate(position, frame, Q, weights_0, alpha_0, beta_0);
+//     // v.position; normalize(v.normal); normalize(v.tangent)
+
+// A skinned vertex. None of its vectors is of unit length; tangent and bitangent are the images of t0 and b0.
+struct skinbake_Vertex {
+    position: vec3<f32>,
+    normal: vec3<f32>,
+    tangent: vec3<f32>,
+    bitangent: vec3<f32>,
+}
+
+// The tangent frame at rest.
+struct skinbake_Frame {
+    normal: vec3<f32>,
+    tangent: vec3<f32>,
+    bitangent: vec3<f32>,
+    handedness: f32, // n0 = handedness * cross(t0, b0) / |t0|^2
+}
+
+// The frame that bake took from NORMAL alone; n must have length 1. Written so that a compiler which fuses
+// multiply-adds gets the same bits: every product that meets a sum is exact. side stands last there: Mesa turns
+// side * ((x * x) * a) into side * (x * (x * a)).
+fn skinbake_frame(n: vec3<f32>) -> skinbake_Frame {
+    let side = select(-1.0, 1.0, n.z >= 0.0); // 1 also at -0.0
+    let a = -1.0 / (side + n.z);
+    let b = (n.x * n.y) * a;
+    let t0 = vec3<f32>(1.0 + ((n.x * n.x) * a) * side, side * b, -side * n.x);
+    let b0 = vec3<f32>(b, side * (1.0 + ((n.y * n.y) * a) * side), -n.y);
+    return skinbake_Frame(n, t0, b0, 1.0);
+}
+
+// The unit dual quaternion of a rigid joint matrix: [0] is its real part (x, y, z, w), w the scalar, [1] its
+// dual part. For the host, or for a pass over the joints: once a joint and frame, not once a vertex.
+// Dual quaternions carry no scale: where all joint matrices share a uniform scale s, divide their upper 3x3
+// parts by s before, and skin s * p, s * t0, s * b0 in place of p, t0, b0.
+fn skinbake_dual_quaternion(M: mat4x4<f32>) -> mat2x4<f32> {
+    let d = vec3<f32>(M[0].x, M[1].y, M[2].z);
+    let squares = 1.0 + vec4<f32>( // 4 * (x, y, z, w)^2
+        d.x - d.y - d.z, d.y - d.z - d.x, d.z - d.x - d.y, d.x + d.y + d.z);
+    let differences = vec3<f32>(M[1].z - M[2].y, M[2].x - M[0].z, M[0].y - M[1].x); // 4 w * (x, y, z)
+    let sums = vec3<f32>(M[1].z + M[2].y, M[2].x + M[0].z, M[0].y + M[1].x); // 4 * (yz, zx, xy)
+    var real = vec4<f32>(differences, squares.w);
+    var largest = squares.w;
+    if (squares.x > largest) {
+        largest = squares.x;
+        real = vec4<f32>(squares.x, sums.z, sums.y, differences.x);
+    }
+    if (squares.y > largest) {
+        largest = squares.y;
+        real = vec4<f32>(sums.z, squares.y, sums.x, differences.y);
+    }
+    if (squares.z > largest) {
+        real = vec4<f32>(sums.y, sums.x, squares.z, differences.z);
+    }
+    real = normalize(real);
+    let t = M[3].xyz;
+    return mat2x4<f32>(real, 0.5 * vec4<f32>(cross(t, real.xyz) + real.w * t, -dot(t, real.xyz)));
+}
+
+// -1 where the joint's real part points away from the pivot's: q and -q are the same rotation.
+fn skinbake_hemisphere(joint: mat2x4<f32>, pivot: mat2x4<f32>) -> f32 {
+    return select(1.0, -1.0, dot(joint[0], pivot[0]) < 0.0);
+}
+
+// (Q(p) - p) / 2 of a unit dual quaternion Q.
+fn skinbake_half_displacement(Q: mat2x4<f32>, p: vec3<f32>) -> vec3<f32> {
+    let i = Q[0].w * p + Q[1].xyz + cross(Q[0].xyz, p);
+    return Q[0].w * Q[1].xyz - Q[1].w * Q[0].xyz + cross(Q[0].xyz, i);
+}
+
+// v rotated by a unit quaternion q.
+fn skinbake_rotated(q: vec4<f32>, v: vec3<f32>) -> vec3<f32> {
+    return v + 2.0 * cross(q.xyz, q.w * v + cross(q.xyz, v));
+}
+
+// The frame moves by the normalised mix b, corrected as if the mix blended positions (it does not: algorithm 6).
+// Q: the dual quaternions of slots 0 to 3.
+fn skinbake_dqs_accurate(p: vec3<f32>, frame: skinbake_Frame, Q: array<mat2x4<f32>, 4>, weights_0: vec4<f32>,
+        alpha_0: vec3<f32>, beta_0: vec3<f32>) -> skinbake_Vertex {
+    let s1 = skinbake_hemisphere(Q[1], Q[0]); // 1
+    let s2 = skinbake_hemisphere(Q[2], Q[0]);
+    let s3 = skinbake_hemisphere(Q[3], Q[0]);
+    let mixed = weights_0.x * Q[0]
+          + (s1 * weights_0.y) * Q[1]
+          + (s2 * weights_0.z) * Q[2]
+          + (s3 * weights_0.w) * Q[3];
+    let square = dot(mixed[0], mixed[0]);
+    let b = select(1.0, inverseSqrt(square), square > 0.0) * mixed; // 2
+    let position = p + 2.0 * skinbake_half_displacement(b, p); // 3
+    let q0 = 2.0 * skinbake_half_displacement(Q[0], p); // 4: each joint's Q(p) - p
+    let q1 = 2.0 * skinbake_half_displacement(Q[1], p);
+    let q2 = 2.0 * skinbake_half_displacement(Q[2], p);
+    let q3 = 2.0 * skinbake_half_displacement(Q[3], p);
+    let d1 = q1 - q0; // 5
+    let d2 = q2 - q0;
+    let d3 = q3 - q0;
+    let tangent = skinbake_rotated(b[0], frame.tangent) + alpha_0.x * d1 + alpha_0.y * d2
+            + alpha_0.z * d3; // 6
+    let bitangent = skinbake_rotated(b[0], frame.bitangent) + beta_0.x * d1 + beta_0.y * d2
+            + beta_0.z * d3; // 7
+    let normal = cross(tangent, bitangent); // 8
+    return skinbake_Vertex(position, normal, tangent, bitangent);
+}

@@ -1,0 +1,67 @@
+// Lighting for skinned meshes that skinbake has baked: linear blend skinning, accurate lighting,
+// 1 influence a vertex, tangent frame.
+//
+// Written by skinbake 0.1.0:
+//     skinbake shader --lang wgsl --method lbs --lighting accurate --influences 1 --frame tangent
+//
+// Algorithm 3 of M. Tarini, D. Panozzo, O. Sorkine-Hornung, "Accurate and Efficient Lighting for Skinned
+// Models", Computer Graphics Forum 33(2), 2014, doi:10.1111/cgf.12330: the numbers beside the lines are
+// those of its supplement.
+// WGSL for WebGPU. Pure functions: no bindings and no module variables.
+//
+// It reads of each vertex (mesh space: as the attributes come, before any joint matrix):
+//     POSITION             vec3<f32>  p, in the file's unit of length
+//     NORMAL               vec3<f32>  n0, of length 1: normalize() it where it is stored as integers
+//     TANGENT              vec4<f32>  t0, and in w the handedness of the frame, 1 or -1
+//     JOINTS_0             vec4<u32>  joints of slot 0
+//     WEIGHTS_0            vec4<f32>  w of slot 0; over all slots they sum to 1
+//
+// M[s] is the joint matrix of the joint in slot s: its global transform * its inverse bind matrix.
+// Use:
+//     let frame = skinbake_frame(normal, tangent);
+//     let v = skinbake_lbs_accurate(position, frame, M, weights_0);
+//     // v.position; normalize(v.normal); normalize(v.tangent)
+
+// A skinned vertex. None of its vectors is of unit length; tangent and bitangent are the images of t0 and b0.
+struct skinbake_Vertex {
+    position: vec3<f32>,
+    normal: vec3<f32>,
+    tangent: vec3<f32>,
+    bitangent: vec3<f32>,
+}
+
+// The tangent frame at rest.
+struct skinbake_Frame {
+    normal: vec3<f32>,
+    tangent: vec3<f32>,
+    bitangent: vec3<f32>,
+    handedness: f32, // n0 = handedness * cross(t0, b0) / |t0|^2
+}
+
+// The frame of NORMAL, which must have length 1, and TANGENT.
+fn skinbake_frame(n: vec3<f32>, tangent: vec4<f32>) -> skinbake_Frame {
+    return skinbake_Frame(n, tangent.xyz, cross(n, tangent.xyz) * tangent.w, tangent.w);
+}
+
+// The upper 3x3 part of M.
+fn skinbake_upper(M: mat4x4<f32>) -> mat3x3<f32> {
+    return mat3x3<f32>(M[0].xyz, M[1].xyz, M[2].xyz);
+}
+
+// M p: where the joint matrix M alone takes the position p.
+fn skinbake_moved(M: mat4x4<f32>, p: vec3<f32>) -> vec3<f32> {
+    return M[0].xyz * p.x + (M[1].xyz * p.y + (M[2].xyz * p.z + M[3].xyz));
+}
+
+// The frame moves by the derivative of the skinned position along t0 and b0.
+// M: the joint matrices of slot 0.
+fn skinbake_lbs_accurate(p: vec3<f32>, frame: skinbake_Frame, M: array<mat4x4<f32>, 1>,
+        weights_0: vec4<f32>) -> skinbake_Vertex {
+    let T = weights_0.x * skinbake_upper(M[0]); // 1
+    let q0 = skinbake_moved(M[0], p); // 2
+    let tangent = T * frame.tangent; // 4
+    let bitangent = T * frame.bitangent; // 5
+    let normal = frame.handedness * cross(tangent, bitangent); // 6
+    let position = q0; // 7
+    return skinbake_Vertex(position, normal, tangent, bitangent);
+}

@@ -1,0 +1,119 @@
+// Lighting for skinned meshes that skinbake has baked: linear blend skinning, accurate lighting,
+// 12 influences a vertex, tangent frame.
+//
+// Written by skinbake 0.1.0:
+//     skinbake shader --lang wgsl --method lbs --lighting accurate --influences 12 --frame tangent
+//
+// Algorithm 3 of M. Tarini, D. Panozzo, O. Sorkine-Hornung, "Accurate and Efficient Lighting for Skinned
+// Models", Computer Graphics Forum 33(2), 2014, doi:10.1111/cgf.12330: the numbers beside the lines are
+// those of its supplement.
+// WGSL for WebGPU. Pure functions: no bindings and no module variables.
+//
+// It reads of each vertex (mesh space: as the attributes come, before any joint matrix):
+//     POSITION             vec3<f32>  p, in the file's unit of length
+//     NORMAL               vec3<f32>  n0, of length 1: normalize() it where it is stored as integers
+//     TANGENT              vec4<f32>  t0, and in w the handedness of the frame, 1 or -1
+//     JOINTS_0             vec4<u32>  joints of slots 0 to 3
+//     WEIGHTS_0            vec4<f32>  w of slots 0 to 3; over all slots they sum to 1
+//     JOINTS_1             vec4<u32>  joints of slots 4 to 7
+//     WEIGHTS_1            vec4<f32>  w of slots 4 to 7; over all slots they sum to 1
+//     JOINTS_2             vec4<u32>  joints of slots 8 to 11
+//     WEIGHTS_2            vec4<f32>  w of slots 8 to 11; over all slots they sum to 1
+//     _SKINBAKE_ALPHA_0    vec3<f32>  alpha = grad w . t0 of slots 1 to 3, in 1 / unit of POSITION
+//     _SKINBAKE_BETA_0     vec3<f32>  beta = grad w . b0 of the same slots
+//     _SKINBAKE_ALPHA_1    vec4<f32>  alpha = grad w . t0 of slots 4 to 7, in 1 / unit of POSITION
+//     _SKINBAKE_BETA_1     vec4<f32>  beta = grad w . b0 of the same slots
+//     _SKINBAKE_ALPHA_2    vec4<f32>  alpha = grad w . t0 of slots 8 to 11, in 1 / unit of POSITION
+//     _SKINBAKE_BETA_2     vec4<f32>  beta = grad w . b0 of the same slots
+// Slot 0's alpha and beta are minus the sums of the others': they are not stored.
+//
+// M[s] is the joint matrix of the joint in slot s: its global transform * its inverse bind matrix.
+// Use:
+//     let frame = skinbake_frame(normal, tangent);
+//     let v = skinbake_lbs_accurate(position, frame, M, weights_0, weights_1, weights_2, alpha_0, alpha_1, alpha_2, beta_0, beta_1, beta_2);
+//     // v.position; normalize(v.normal); normalize(v.tangent)
+
+// A skinned vertex. None of its vectors is of unit length; tangent and bitangent are the images of t0 and b0.
+struct skinbake_Vertex {
+    position: vec3<f32>,
+    normal: vec3<f32>,
+    tangent: vec3<f32>,
+    bitangent: vec3<f32>,
+}
+
+// The tangent frame at rest.
+struct skinbake_Frame {
+    normal: vec3<f32>,
+    tangent: vec3<f32>,
+    bitangent: vec3<f32>,
+    handedness: f32, // n0 = handedness * cross(t0, b0) / |t0|^2
+}
+
+// The frame of NORMAL, which must have length 1, and TANGENT.
+fn skinbake_frame(n: vec3<f32>, tangent: vec4<f32>) -> skinbake_Frame {
+    return skinbake_Frame(n, tangent.xyz, cross(n, tangent.xyz) * tangent.w, tangent.w);
+}
+
+// The upper 3x3 part of M.
+fn skinbake_upper(M: mat4x4<f32>) -> mat3x3<f32> {
+    return mat3x3<f32>(M[0].xyz, M[1].xyz, M[2].xyz);
+}
+
+// M p: where the joint matrix M alone takes the position p.
+fn skinbake_moved(M: mat4x4<f32>, p: vec3<f32>) -> vec3<f32> {
+    return M[0].xyz * p.x + (M[1].xyz * p.y + (M[2].xyz * p.z + M[3].xyz));
+}
+
+// The frame moves by the derivative of the skinned position along t0 and b0.
+// M: the joint matrices of slots 0 to 11.
+fn skinbake_lbs_accurate(p: vec3<f32>, frame: skinbake_Frame, M: array<mat4x4<f32>, 12>,
+        weights_0: vec4<f32>, weights_1: vec4<f32>, weights_2: vec4<f32>, alpha_0: vec3<f32>,
+        alpha_1: vec4<f32>, alpha_2: vec4<f32>, beta_0: vec3<f32>, beta_1: vec4<f32>,
+        beta_2: vec4<f32>) -> skinbake_Vertex {
+    let T = weights_0.x * skinbake_upper(M[0]) // 1
+          + weights_0.y * skinbake_upper(M[1])
+          + weights_0.z * skinbake_upper(M[2])
+          + weights_0.w * skinbake_upper(M[3])
+          + weights_1.x * skinbake_upper(M[4])
+          + weights_1.y * skinbake_upper(M[5])
+          + weights_1.z * skinbake_upper(M[6])
+          + weights_1.w * skinbake_upper(M[7])
+          + weights_2.x * skinbake_upper(M[8])
+          + weights_2.y * skinbake_upper(M[9])
+          + weights_2.z * skinbake_upper(M[10])
+          + weights_2.w * skinbake_upper(M[11]);
+    let q0 = skinbake_moved(M[0], p); // 2
+    let q1 = skinbake_moved(M[1], p);
+    let q2 = skinbake_moved(M[2], p);
+    let q3 = skinbake_moved(M[3], p);
+    let q4 = skinbake_moved(M[4], p);
+    let q5 = skinbake_moved(M[5], p);
+    let q6 = skinbake_moved(M[6], p);
+    let q7 = skinbake_moved(M[7], p);
+    let q8 = skinbake_moved(M[8], p);
+    let q9 = skinbake_moved(M[9], p);
+    let q10 = skinbake_moved(M[10], p);
+    let q11 = skinbake_moved(M[11], p);
+    let d1 = q1 - q0; // 3
+    let d2 = q2 - q0;
+    let d3 = q3 - q0;
+    let d4 = q4 - q0;
+    let d5 = q5 - q0;
+    let d6 = q6 - q0;
+    let d7 = q7 - q0;
+    let d8 = q8 - q0;
+    let d9 = q9 - q0;
+    let d10 = q10 - q0;
+    let d11 = q11 - q0;
+    let tangent = T * frame.tangent + alpha_0.x * d1 + alpha_0.y * d2 + alpha_0.z * d3 + alpha_1.x * d4
+            + alpha_1.y * d5 + alpha_1.z * d6 + alpha_1.w * d7 + alpha_2.x * d8 + alpha_2.y * d9
+            + alpha_2.z * d10 + alpha_2.w * d11; // 4
+    let bitangent = T * frame.bitangent + beta_0.x * d1 + beta_0.y * d2 + beta_0.z * d3 + beta_1.x * d4
+            + beta_1.y * d5 + beta_1.z * d6 + beta_1.w * d7 + beta_2.x * d8 + beta_2.y * d9
+            + beta_2.z * d10 + beta_2.w * d11; // 5
+    let normal = frame.handedness * cross(tangent, bitangent); // 6
+    let position = q0 + weights_0.y * d1 + weights_0.z * d2 + weights_0.w * d3 + weights_1.x * d4
+            + weights_1.y * d5 + weights_1.z * d6 + weights_1.w * d7 + weights_2.x * d8 + weights_2.y * d9
+            + weights_2.z * d10 + weights_2.w * d11; // 7
+    return skinbake_Vertex(position, normal, tangent, bitangent);
+}

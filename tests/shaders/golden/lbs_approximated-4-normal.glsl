@@ -1,0 +1,79 @@
+// Lighting for skinned meshes that skinbake has baked: linear blend skinning, approximated lighting,
+// 4 influences a vertex, normal frame.
+//
+// Written by skinbake 0.1.0:
+//     skinbake shader --lang glsl --method lbs --lighting approximated --influences 4 --frame normal
+//
+// Algorithm 1 of M. Tarini, D. Panozzo, O. Sorkine-Hornung, "Accurate and Efficient Lighting for Skinned
+// Models", Computer Graphics Forum 33(2), 2014, doi:10.1111/cgf.12330: the numbers beside the lines are
+// those of its supplement.
+// Frame: T. Duff et al., "Building an Orthonormal Basis, Revisited", JCGT 6(1), 2017.
+// Compiles as GLSL ES 3.00, 3.30 and 4.50. Pure functions: no attributes, uniforms or globals.
+//
+// It reads of each vertex (mesh space: as the attributes come, before any joint matrix):
+//     POSITION             vec3   p, in the file's unit of length
+//     NORMAL               vec3   n0, of length 1: normalize() it where it is stored as integers
+//     JOINTS_0             uvec4  joints of slots 0 to 3
+//     WEIGHTS_0            vec4   w of slots 0 to 3; over all slots they sum to 1
+//
+// M[s] is the joint matrix of the joint in slot s: its global transform * its inverse bind matrix.
+// Use:
+//     skinbake_Frame frame = skinbake_frame(normal);
+//     skinbake_Vertex v = skinbake_lbs_approximated(position, frame, M, weights_0);
+//     // v.position; normalize(v.normal); normalize(v.tangent)
+
+#ifndef SKINBAKE_LBS_APPROXIMATED_4_NORMAL_GLSL
+#define SKINBAKE_LBS_APPROXIMATED_4_NORMAL_GLSL
+
+#ifndef SKINBAKE_VERTEX
+#define SKINBAKE_VERTEX
+// A skinned vertex. None of its vectors is of unit length; tangent and bitangent are the images of t0 and b0.
+struct skinbake_Vertex {
+    vec3 position;
+    vec3 normal;
+    vec3 tangent;
+    vec3 bitangent;
+};
+
+// The tangent frame at rest.
+struct skinbake_Frame {
+    vec3 normal;
+    vec3 tangent;
+    vec3 bitangent;
+    float handedness; // n0 = handedness * cross(t0, b0) / |t0|^2
+};
+#endif
+
+#ifndef SKINBAKE_FRAME_FROM_NORMAL
+#define SKINBAKE_FRAME_FROM_NORMAL
+// The frame that bake took from NORMAL alone; n must have length 1. Written so that a compiler which fuses
+// multiply-adds gets the same bits: every product that meets a sum is exact. side stands last there: Mesa turns
+// side * ((x * x) * a) into side * (x * (x * a)).
+skinbake_Frame skinbake_frame(vec3 n)
+{
+    float side = n.z >= 0.0 ? 1.0 : -1.0; // 1 also at -0.0
+    float a = -1.0 / (side + n.z);
+    float b = (n.x * n.y) * a;
+    vec3 t0 = vec3(1.0 + ((n.x * n.x) * a) * side, side * b, -side * n.x);
+    vec3 b0 = vec3(b, side * (1.0 + ((n.y * n.y) * a) * side), -n.y);
+    return skinbake_Frame(n, t0, b0, 1.0);
+}
+#endif
+
+// The frame moves by the blended matrix T, as if the weights were constant over the surface.
+// M: the joint matrices of slots 0 to 3.
+skinbake_Vertex skinbake_lbs_approximated(vec3 p, skinbake_Frame frame, mat4 M[4], vec4 weights_0)
+{
+    mat4x3 T = weights_0.x * mat4x3(M[0]) // 1
+              + weights_0.y * mat4x3(M[1])
+              + weights_0.z * mat4x3(M[2])
+              + weights_0.w * mat4x3(M[3]);
+    skinbake_Vertex v;
+    v.position = T * vec4(p, 1.0); // 2
+    v.normal = mat3(T) * frame.normal; // 3
+    v.tangent = mat3(T) * frame.tangent; // 4
+    v.bitangent = mat3(T) * frame.bitangent; // 5
+    return v;
+}
+
+#endif

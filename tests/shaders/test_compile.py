@@ -1,0 +1,73 @@
+"""Every text, called as its own header says, gets through the compilers that users have.
+
+WGSL is compiled by two compilers where it is run too: ``test_run``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from skinbake.geometry.frames import NORMAL_FRAME, TANGENT_FRAME
+from skinbake.shaders.choices import Language, Lighting, Method, ShaderChoices
+from tests.shaders.combinations import every_text, glsl, together, wgsl
+from tests.support import glslang, webgpu
+
+VERSIONS = ("300 es", "330", "450")
+BASE = ShaderChoices(Language.GLSL, Method.LBS, Lighting.ACCURATE, 4, TANGENT_FRAME)
+EXACT = replace(BASE, method=Method.DQS, lighting=Lighting.EXACT, frame=NORMAL_FRAME)
+CAPPED = replace(EXACT, cap=0.9, influences=5)
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_every_glsl_text_compiles(version: str) -> None:
+    shaders = {name: glsl([choices], version) for name, choices in every_text(Language.GLSL).items()}
+    assert len(shaders) >= 96
+    assert glslang.complaints(shaders) == {}
+
+
+def test_every_glsl_text_becomes_valid_spirv() -> None:
+    """Those that differ in nothing but the algorithm are included together: the compiler starts slowly."""
+    found = {name: glslang.spirv(glsl(group, "450")) for name, group in together(Language.GLSL).items()}
+    assert {name: glslang.invalid(module) for name, module in found.items()} == dict.fromkeys(found, "")
+
+
+def test_every_wgsl_text_compiles() -> None:
+    jobs = {name: webgpu.Job(wgsl(choices)) for name, choices in every_text(Language.WGSL).items()}
+    assert len(jobs) >= 96
+    found = webgpu.answers(webgpu.NAGA, jobs)
+    assert {name: answer.complaint for name, answer in found.items() if answer.complaint} == {}
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_texts_can_be_included_together(version: str) -> None:
+    """The same text twice, two counts of influences, two methods, two frames, with and without a cap."""
+    pairs = {
+        "twice": [BASE, BASE],
+        "counts": [BASE, replace(BASE, influences=8)],
+        "methods-and-frames": [BASE, EXACT],
+        "cap": [EXACT, CAPPED],
+        "cap-of-two-methods": [CAPPED, replace(CAPPED, method=Method.LBS, lighting=Lighting.ACCURATE)],
+        "all": [BASE, EXACT, CAPPED, replace(BASE, lighting=Lighting.DIRECT), replace(BASE, influences=1)],
+    }
+    assert glslang.complaints({name: glsl(texts, version) for name, texts in pairs.items()}) == {}
+
+
+def test_the_compilers_do_complain() -> None:
+    """Each of them, of a shader that is wrong, by its name."""
+    good = glsl([BASE], "330")
+    bad = good.replace("skinbake_moved(M[0]", "skinbake_lost(M[0]")
+    assert list(glslang.complaints({"good": good, "bad": bad})) == ["bad"]
+    assert glslang.invalid(glslang.spirv(good.replace("330", "450", 1))[:-4])
+    with pytest.raises(ValueError, match="skinbake_lost"):
+        glslang.spirv(bad.replace("330", "450", 1))
+    code = wgsl(replace(BASE, language=Language.WGSL))
+    jobs = {
+        "good": webgpu.Job(code),
+        "bad": webgpu.Job(code.replace("skinbake_moved(M[0]", "skinbake_lost(M[0]")),
+    }
+    for implementation in (webgpu.NAGA, webgpu.TINT):
+        found = webgpu.answers(implementation, jobs)
+        assert found["good"].complaint == ""
+        assert "skinbake_lost" in found["bad"].complaint

@@ -1,0 +1,107 @@
+"""The texts cost what ``skinbake cost`` says: their SPIR-V, counted, against the replay's count."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import pytest
+
+from skinbake.replay.algorithms import Algorithm
+from skinbake.replay.counting import multiply_adds
+from skinbake.shaders.choices import Language
+from tests.shaders.combinations import FRAMES, INFLUENCES, combinations, glsl
+from tests.shaders.spirv_counting import Module
+from tests.support import glslang
+
+SHARE = 0.10
+
+
+@cache
+def counted(influences: int, frame: str) -> dict[int, int]:
+    """Multiply-adds of the skinning function of each algorithm; building the frame and ∇w is not counted.
+
+    Nor does the replay count those: bake's frame is the surface's, not the algorithm's.
+    """
+    several = [
+        choices
+        for choices in combinations(Language.GLSL)
+        if (choices.influences, choices.frame) == (influences, frame)
+    ]
+    module = Module(glslang.disassembly(glslang.spirv(glsl(several, "450"))))
+    return {choices.algorithm: module.multiply_adds(f"skinbake_{choices.stem}") for choices in several}
+
+
+def table(frame: str) -> str:
+    rows = ["algorithm: text/replay for N = 1 … 8"]
+    for algorithm in Algorithm:
+        pairs = [
+            f"{counted(count, frame)[algorithm]}/{sum(multiply_adds(algorithm, count).values())}"
+            for count in INFLUENCES
+        ]
+        rows.append(f"{int(algorithm)}: {'  '.join(pairs)}")
+    return "\n".join(rows)
+
+
+@pytest.mark.parametrize("frame", FRAMES)
+def test_costs_are_those_of_the_replay(frame: str) -> None:
+    """Within a tenth; with one influence the mix is constant, and 5 and 6 leave out what comes to nothing."""
+    for algorithm in Algorithm:
+        for influences in INFLUENCES:
+            found = counted(influences, frame)[algorithm]
+            expected = sum(multiply_adds(algorithm, influences).values())
+            assert found <= (1 + SHARE) * expected, table(frame)
+            if influences > 1 or algorithm < Algorithm.DQS_ACCURATE:
+                assert found >= (1 - SHARE) * expected, table(frame)
+
+
+EXPRESSIONS = {
+    "a": 0,
+    "-a": 0,
+    "a + b": 3,
+    "s * a": 3,
+    "a * b": 3,
+    "s * a + b": 3,
+    "a - s * b": 3,
+    "s * a + s * b": 6,
+    "s * a + b + c": 6,
+    "s * a + (b + c)": 6,
+    "b + c + s * a": 6,
+    "vec3(dot(a, b))": 3,
+    "vec3(dot(a, b) + s)": 3,
+    "vec3(dot(a, b) + s + s)": 4,
+    "cross(a, b)": 6,
+    "cross(a, b) + c": 6,
+    "cross(a, b) + s * c": 9,
+    "m * a": 9,
+    "m * a + b": 9,
+    "m[0]": 0,
+    "(s * m) * a": 18,
+    "(m + m) * a": 18,
+    "outerProduct(a, b) * c": 18,
+    "vec3(1.0 / s)": 1,
+    "vec3(inversesqrt(s))": 1,
+    "h * a": 0,
+    "h * (s * a) + b": 3,
+    "(s < 0.0 ? -1.0 : 1.0) * a": 0,
+    "(s < 0.0 ? -2.0 : 1.0) * a": 3,
+    "(s == 0.0 ? 1.0 : 1.0 / s) * a": 4,
+    "2.0 * a": 3,
+}
+
+
+def test_the_counter_counts() -> None:
+    """Expressions over vec3 a, b, c, float s, mat3 m and a sign h, with their multiply-adds."""
+    functions = [
+        f"vec3 f{number}(vec3 a, vec3 b, vec3 c, float s, mat3 m, skinbake_Frame frame)"
+        f"{{ float h = frame.handedness; return {expression}; }}"
+        for number, expression in enumerate(EXPRESSIONS)
+    ]
+    frame = "struct skinbake_Frame { vec3 normal; vec3 tangent; vec3 bitangent; float handedness; };"
+    given = "position, position, position, 0.0, mat3(0.0), rest"
+    # A function that nothing calls does not reach SPIR-V.
+    calls = [f"gl_Position.xyz += f{number}({given});" for number in range(len(EXPRESSIONS))]
+    main = ["in vec3 position;", "void main() {", "skinbake_Frame rest;", *calls, "}"]
+    shader = "\n".join(["#version 450", frame, *functions, *main])
+    module = Module(glslang.disassembly(glslang.spirv(shader)))
+    found = {expression: module.multiply_adds(f"f{number}") for number, expression in enumerate(EXPRESSIONS)}
+    assert found == EXPRESSIONS

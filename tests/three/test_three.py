@@ -1,0 +1,528 @@
+"""The three.js module in three.js itself, in a browser: every vertex against the replay, then pictures.
+
+What is expected comes from the replay on the processor, in float64, with joint matrices that skinbake
+composed.
+"""
+
+from __future__ import annotations
+
+import base64
+import dataclasses
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from fixtures.make_fixtures import FOLDER
+from skinbake.errors import ChoiceError
+from skinbake.replay.algorithms import Algorithm
+from skinbake.shaders.choices import AttributeText, Language, Lighting, Method, ShaderChoices
+from skinbake.shaders.text import shader_text
+from tests.support import browser, corpus
+from tests.support.node import package_folder, require_node
+from tests.three.characters import (
+    IDENTITY,
+    Array,
+    Character,
+    Placement,
+    Pose,
+    angles,
+    baked,
+    column_by_column,
+    unit,
+)
+from tests.verify.baked_files import Editable
+
+PAGE = """<!doctype html>
+<meta charset="utf-8">
+<link rel="icon" href="data:,">
+<script type="importmap">
+{"imports": {"three": "/three/build/three.module.js", "three/addons/": "/three/examples/jsm/"}}
+</script>
+<body><script type="module">window.ready = import('/tests/page.mjs');</script>
+"""
+CHOICES = ShaderChoices(Language.GLSL, target="three")
+TOLERANCE = 1e-4
+"""Of a component of a unit vector: three.js has bone matrices, and we all else, in float32."""
+NORMAL, TANGENT = "normalize(transformedNormal)", "normalize(transformedTangent)"
+
+TUBE = FOLDER / "bent_tube.glb"
+MIRRORED = FOLDER / "mirrored_tangent.glb"
+RANDOM = Pose(clip=None)
+BENT = Pose(clip=0, time=0.45)
+
+
+@dataclass(frozen=True)
+class Result:
+    """What the browser read back of one mesh, and where three.js had put it."""
+
+    patched: int
+    placement: Placement
+    values: tuple[Array, ...]
+
+
+class Stage:
+    """The page, with models and modules to show on it."""
+
+    def __init__(self, page: browser.Page, folder: Path) -> None:
+        self.page, self.folder = page, folder
+
+    def character(
+        self, source: Path, pose: Pose, frame: str = "auto", morphs: tuple[float, ...] = ()
+    ) -> Character:
+        return Character(baked(source, self.folder / "models", frame), pose, morphs)
+
+    def module(self, choices: ShaderChoices) -> str:
+        """Write a module and return its address."""
+        name = f"{choices.words.replace(' ', '_').replace(',', '')}.mjs"
+        (self.folder / "modules" / name).write_text(shader_text(choices), encoding="ascii")
+        return f"/modules/{name}"
+
+    def vertices(
+        self,
+        character: Character,
+        choices: ShaderChoices | None,
+        placement: Placement | None = None,
+        *,
+        expressions: Sequence[str] = (NORMAL,),
+        **options: object,
+    ) -> Result:
+        """Draw every vertex, patched by a module or (None) as three.js does."""
+        placement = placement or Placement()
+        module = None if choices is None else self.module(choices)
+        (mesh,) = self.call(
+            "vertices",
+            {**character.told(placement), "module": module, "expressions": list(expressions), **options},
+        )
+        world = np.array(mesh["world"]).reshape(4, 4).T
+        values = tuple(floats(text).reshape(-1, 3).astype(np.float64) for text in mesh["values"])
+        return Result(mesh["patched"], dataclasses.replace(placement, world=world), values)
+
+    def call(self, function: str, options: dict[str, Any]) -> Any:
+        """Call a function of the page; whatever the console says of it fails the test."""
+        value = self.page.call(function, options)
+        assert self.page.messages() == []
+        return value
+
+
+@pytest.fixture
+def stage(opened: Stage) -> Stage:
+    """The page, of which no earlier test has left a message."""
+    opened.page.messages()
+    return opened
+
+
+@pytest.fixture(scope="module")
+def opened(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stage]:
+    require_node("three")
+    folder = tmp_path_factory.mktemp("three")
+    for name in ("models", "modules", "profile"):
+        (folder / name).mkdir()
+    folders = {name: folder / name for name in ("models", "modules")}
+    folders |= {"three": package_folder("three"), "tests": Path(__file__).resolve().parent}
+    with browser.opened(PAGE, folders, folder / "profile") as page:
+        yield Stage(page, folder)
+
+
+def floats(text: str) -> npt.NDArray[np.float32]:
+    return np.frombuffer(base64.b64decode(text), "<f4")
+
+
+def for_frame(frame: str, lighting: Lighting = Lighting.ACCURATE) -> ShaderChoices:
+    return dataclasses.replace(CHOICES, frame=frame, lighting=lighting)
+
+
+def deviation(found: Array, expected: Array | None) -> float:
+    assert expected is not None
+    return float(np.abs(found - expected).max())
+
+
+def transform(
+    rotation: tuple[float, float, float], scale: tuple[float, float, float], at: tuple[float, float, float]
+) -> Array:
+    """Scale along the axes, then a rotation of |rotation| radians round it, then a shift."""
+    axis = np.array(rotation)
+    x, y, z = axis / np.linalg.norm(axis)
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    angle = np.linalg.norm(axis)
+    result = np.eye(4)
+    turn = np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
+    result[:3, :3] = turn * np.array(scale)
+    result[:3, 3] = at
+    return result
+
+
+PLACED = transform((0.4, -1.1, 0.3), (1.7, 1.7, 1.7), (0.5, -2.0, 1.0))
+SKEWED = transform((0.9, 0.2, -0.6), (1.4, 0.8, 1.1), (0.3, 0.1, -0.4))
+FLIPPED = np.diag([-1.0, 1.0, 1.0, 1.0])
+
+
+class TestInstruments:
+    """The console and exceptions of the page reach the tests."""
+
+    def test_warnings_and_errors_are_heard(self, stage: Stage) -> None:
+        stage.page.call("console.warn", "first")
+        stage.page.call("console.error", "second")
+        stage.page.call("console.log", "third")
+        assert stage.page.messages() == ["first", "second"]
+        assert stage.page.messages() == []
+
+    def test_webgl_errors_are_heard(self, stage: Stage) -> None:
+        stage.page.call("(() => document.createElement('canvas').getContext('webgl2').enable(1))")
+        (message,) = stage.page.messages()
+        assert "INVALID_ENUM" in message
+
+    def test_an_exception_is_raised_here(self, stage: Stage) -> None:
+        with pytest.raises(RuntimeError, match="not here"):
+            stage.page.call("(async () => { throw new Error('not here'); })")
+
+    def test_files_outside_the_served_folders_are_not_served(self, stage: Stage) -> None:
+        for path in ("/models/%2e%2e/profile/stderr.txt", "/profile/stderr.txt"):
+            status = "(async (path) => (await fetch(path)).status)"
+            assert stage.page.call(status, path) == 404
+        assert len(stage.page.messages()) == 2
+
+
+MODELS = [
+    pytest.param(None, TUBE, BENT, id="bent_tube"),
+    pytest.param(None, FOLDER / "weights_u8.glb", RANDOM, id="weights_u8"),
+    pytest.param("CesiumMan/CesiumMan.glb", None, Pose(0, 0.6), id="CesiumMan"),
+    pytest.param("RiggedFigure/RiggedFigure.gltf", None, Pose(0, 0.7), id="RiggedFigure"),
+    pytest.param("VRM/cryptovoxels.vrm", None, RANDOM, id="cryptovoxels"),
+]
+
+
+@pytest.mark.parametrize(("model", "fixture", "pose"), MODELS)
+class TestEveryVertex:
+    """By one material and no light: the normal that three.js hands to its fragment shaders."""
+
+    def test_three_has_algorithm_1(
+        self, stage: Stage, model: str | None, fixture: Path | None, pose: Pose
+    ) -> None:
+        character = stage.character(fixture or corpus.model(model or ""), pose)
+        found = stage.vertices(character, None)
+        assert found.patched == 0
+        expected = character.expected(Algorithm.LBS_APPROXIMATED, found.placement)
+        assert deviation(found.values[0], expected.normals) < TOLERANCE
+
+    @pytest.mark.parametrize("lighting", [Lighting.ACCURATE, Lighting.DIRECT])
+    def test_patched_it_has_algorithm_3_and_keeps_its_positions(
+        self, stage: Stage, model: str | None, fixture: Path | None, pose: Pose, lighting: Lighting
+    ) -> None:
+        character = stage.character(fixture or corpus.model(model or ""), pose)
+        found = stage.vertices(
+            character,
+            for_frame("normal", lighting),
+            expressions=[NORMAL, "(modelMatrix * vec4(transformed, 1.0)).xyz"],
+        )
+        assert found.patched == 1
+        algorithm = Algorithm.LBS_ACCURATE if lighting is Lighting.ACCURATE else Algorithm.LBS_DIRECT
+        expected = character.expected(algorithm, found.placement)
+        standard = character.expected(Algorithm.LBS_APPROXIMATED, found.placement)
+        assert deviation(found.values[0], expected.normals) < TOLERANCE
+        assert np.percentile(angles(found.values[0], standard.normals), 99) > 2
+        size = np.ptp(character.rest.positions, axis=0).max()
+        assert deviation(found.values[1], character.positions(found.placement)) < TOLERANCE * size
+
+
+def without_a_normal(folder: Path, source: Path) -> Path:
+    """Take a few normals' length from a copy of a fixture: bake has (0, 0, 1) for them."""
+    target = folder / f"{source.stem}-normals.glb"
+    file = Editable(source)
+    file.array("NORMAL")[::50] = 0
+    return file.write(target)
+
+
+def test_a_normal_without_length_is_that_of_bake(stage: Stage) -> None:
+    character = stage.character(without_a_normal(stage.folder, TUBE), BENT)
+    found = stage.vertices(character, CHOICES)
+    expected = character.expected(Algorithm.LBS_ACCURATE, found.placement)
+    assert deviation(found.values[0], expected.normals) < TOLERANCE
+
+
+class TestPlacement:
+    """Bind matrices, the scene's own transform, and mirrored ones of both kinds."""
+
+    @pytest.mark.parametrize("frame", ["normal", "tangent"])
+    @pytest.mark.parametrize("bind", [IDENTITY, PLACED, SKEWED], ids=["", "bound", "skewed"])
+    @pytest.mark.parametrize("root", [IDENTITY, PLACED @ FLIPPED, SKEWED], ids=["", "flipped", "skewed root"])
+    def test_every_vertex_has_algorithm_3(self, stage: Stage, frame: str, bind: Array, root: Array) -> None:
+        character = stage.character(MIRRORED, RANDOM, frame)
+        found = stage.vertices(
+            character,
+            for_frame(frame),
+            Placement(root, bind),
+            expressions=[NORMAL, TANGENT],
+            material="mapped",
+        )
+        expected = character.expected(Algorithm.LBS_ACCURATE, found.placement)
+        assert deviation(found.values[0], expected.normals) < TOLERANCE
+        assert deviation(found.values[1], expected.tangents) < TOLERANCE
+
+    @pytest.mark.parametrize("bind", [IDENTITY, FLIPPED], ids=["", "flipped bind"])
+    @pytest.mark.parametrize("root", [IDENTITY, PLACED @ FLIPPED], ids=["", "flipped root"])
+    @pytest.mark.parametrize("mirrored", [False, True])
+    def test_mirrored_joints_turn_the_normal_outside_only_where_asked_for(
+        self, stage: Stage, bind: Array, root: Array, mirrored: bool
+    ) -> None:
+        """A mirrored bind matrix mirrors every joint; a mirrored scene none, seen from the mesh."""
+        character = stage.character(TUBE, BENT)
+        choices = dataclasses.replace(CHOICES, mirrored_joints=mirrored)
+        found = stage.vertices(character, choices, Placement(root, bind))
+        expected = character.expected(Algorithm.LBS_ACCURATE, found.placement).normals
+        outside = character.expected(Algorithm.LBS_DIRECT, found.placement).normals
+        turned = (expected * outside).sum(axis=1)
+        assert np.all(turned < 0) == (bind is not IDENTITY)
+        if mirrored:
+            expected = expected * np.sign(turned)[:, None]
+        assert deviation(found.values[0], expected) < TOLERANCE
+        direct = stage.vertices(character, for_frame("normal", Lighting.DIRECT), Placement(root, bind))
+        assert deviation(direct.values[0], outside) < TOLERANCE
+
+    def test_an_instance_is_placed_after_skinning(self, stage: Stage) -> None:
+        character = stage.character(TUBE, BENT)
+        found = stage.vertices(character, CHOICES, instance=column_by_column(SKEWED))
+        skinned = character.expected(Algorithm.LBS_ACCURATE, found.placement).normals
+        expected = unit(skinned @ np.linalg.inv(SKEWED[:3, :3]))
+        assert deviation(found.values[0], expected) < TOLERANCE
+
+
+class TestTangents:
+    """With a normal map three.js skins TANGENT too."""
+
+    @pytest.mark.parametrize("frame", ["normal", "tangent"])
+    @pytest.mark.parametrize("material", ["mapped", "physical", "standard"])
+    @pytest.mark.parametrize("lighting", [Lighting.ACCURATE, Lighting.DIRECT])
+    def test_both_frames_skin_the_normal_and_tangent(
+        self, stage: Stage, frame: str, material: str, lighting: Lighting
+    ) -> None:
+        character = stage.character(MIRRORED, RANDOM, frame)
+        assert character.frame == frame
+        has_map = material != "standard"
+        expressions = [NORMAL, TANGENT] if has_map else [NORMAL]
+        found = stage.vertices(
+            character, for_frame(frame, lighting), expressions=expressions, material=material
+        )
+        expected = character.expected(Algorithm.LBS_ACCURATE, found.placement)
+        assert deviation(found.values[0], expected.normals) < TOLERANCE
+        if has_map:
+            assert deviation(found.values[1], expected.tangents) < TOLERANCE
+
+
+def with_morphs(folder: Path, source: Path) -> Path:
+    """Add two morph targets to a copy of a fixture: waves that move positions and turn normals."""
+    target = folder / f"{source.stem}-morphs.glb"
+    if target.exists():
+        return target
+    file = Editable(source)
+    positions, normals = file.array("POSITION").copy(), file.array("NORMAL").copy()
+    targets = []
+    for axis, frequency in ((0, 9.0), (2, 5.0)):
+        wave = np.sin(frequency * positions[:, [axis - 1]])
+        moved = 0.3 * wave * normals
+        turned = 1.5 * np.roll(normals, 1, axis=1) * wave
+        accessors = [file.add(part.astype(np.float32)) for part in (moved, turned)]
+        file.content["accessors"][accessors[0]] |= {
+            "min": moved.min(axis=0).tolist(),
+            "max": moved.max(axis=0).tolist(),
+        }
+        targets.append({"POSITION": accessors[0], "NORMAL": accessors[1]})
+    file.primitive()["targets"] = targets
+    return file.write(target)
+
+
+class TestMorphTargets:
+    @pytest.mark.parametrize("frame", ["normal", "tangent"])
+    def test_the_frame_turns_with_the_morphed_normal(self, stage: Stage, frame: str) -> None:
+        source = with_morphs(stage.folder, MIRRORED)
+        character = stage.character(source, RANDOM, frame, morphs=(0.7, -0.4))
+        found = stage.vertices(character, for_frame(frame), expressions=[NORMAL, TANGENT], material="mapped")
+        expected = character.expected(Algorithm.LBS_ACCURATE, found.placement)
+        assert deviation(found.values[0], expected.normals) < TOLERANCE
+        assert deviation(found.values[1], expected.tangents) < TOLERANCE
+
+    def test_a_frame_derived_anew_would_be_far_off(self, stage: Stage) -> None:
+        """Else the test above would not see it."""
+        source = with_morphs(stage.folder, MIRRORED)
+        morphed = stage.character(source, RANDOM, "normal", morphs=(0.7, -0.4))
+        found = stage.vertices(morphed, CHOICES)
+        assert deviation(found.values[0], morphed.expected_anew(found.placement)) > 100 * TOLERANCE
+
+
+class TestMaterials:
+    def test_every_kind_compiles_in_silence(self, stage: Stage) -> None:
+        every = stage.page.call("materials")
+        morphing = with_morphs(stage.folder, MIRRORED)
+        for source, frame, names in (
+            (morphing, "tangent", every),
+            (MIRRORED, "normal", ["basic", "mapped", "flat", "back"]),
+        ):
+            character = stage.character(source, RANDOM, frame)
+            module = stage.module(for_frame(frame))
+            result = stage.call(
+                "compile", {**character.told(Placement()), "module": module, "materials": names}
+            )
+            assert result == {"counts": [1] * len(names), "error": 0}
+
+    @pytest.mark.parametrize(
+        "material",
+        ["basic", "normal", "lambert", "phong", "toon", "matcap", "double-sided", "displaced", "hashed"],
+    )
+    def test_every_kind_has_the_same_normal(self, stage: Stage, material: str) -> None:
+        character = stage.character(TUBE, BENT)
+        found = stage.vertices(character, CHOICES, material=material)
+        expected = character.expected(Algorithm.LBS_ACCURATE, found.placement)
+        assert deviation(found.values[0], expected.normals) < TOLERANCE
+
+    @pytest.mark.parametrize(
+        "choices",
+        [
+            dataclasses.replace(CHOICES, cap=0.9),
+            dataclasses.replace(CHOICES, influences=3),
+        ],
+        ids=["cap", "three influences"],
+    )
+    def test_choices_of_the_snippet_reach_it(self, stage: Stage, choices: ShaderChoices) -> None:
+        character = stage.character(TUBE, BENT)
+        found = stage.vertices(character, choices)
+        expected = character.expected(Algorithm.LBS_ACCURATE, found.placement, cap=choices.cap)
+        assert deviation(found.values[0], expected.normals) < TOLERANCE
+
+
+class TestPatching:
+    def test_materials_shared_with_meshes_that_are_not_baked_are_cloned(self, stage: Stage) -> None:
+        url = stage.character(TUBE, BENT).told(Placement())["url"]
+        found = stage.call("sharing", {"module": stage.module(CHOICES), "url": url})
+        assert found.pop("counts") == [3, 3]
+        assert all(found.values()), found
+
+    def test_a_material_that_was_drawn_already_is_compiled_anew(self, stage: Stage) -> None:
+        told = stage.character(TUBE, BENT).told(Placement())
+        assert stage.call("late", {**told, "module": stage.module(CHOICES)})
+
+    def test_an_onbeforecompile_of_before_runs_and_has_its_own_program(self, stage: Stage) -> None:
+        url = stage.character(TUBE, BENT).told(Placement())["url"]
+        found = stage.call("chained", {"module": stage.module(CHOICES), "url": url})
+        assert found == {"ran": ["red", 1, 0, 0, "blue", 0, 0, 1], "different": True}
+
+    def test_a_mesh_that_does_not_fit_is_left_alone_and_told_of(self, stage: Stage) -> None:
+        url = stage.character(TUBE, BENT).told(Placement())["url"]
+        counts = stage.page.call("misfits", {"module": stage.module(CHOICES), "url": url})
+        assert counts == dict.fromkeys(["size", "lacking", "frame", "normal", "influences"], 0)
+        assert stage.page.messages() == [
+            'skinbake: "size" stays as it was: _skinbake_alpha_0 is not a VEC3 attribute',
+            'skinbake: "lacking" stays as it was: _skinbake_beta_0 is not a VEC3 attribute',
+            'skinbake: "frame" stays as it was: its frame is other, and this module is for --frame normal',
+            'skinbake: "normal" stays as it was: it has no normal attribute',
+            'skinbake: "influences" stays as it was: three.js skins by four influences, it has more',
+            'skinbake: ShaderMaterial "bare" lacks #include <skinnormal_vertex>, and stays as it was',
+        ]
+
+    def test_the_modules_of_two_frames_serve_one_scene(self, stage: Stage) -> None:
+        """Each takes its own meshes, and a material that both have is cloned for the first."""
+        paths = [baked(MIRRORED, stage.folder / "models", frame) for frame in ("normal", "tangent")]
+        modules = [stage.module(for_frame(frame)) for frame in ("normal", "tangent")]
+        options = {"urls": [f"/models/{path.name}" for path in paths], "modules": modules}
+        found = stage.page.call("mixed", options)
+        assert found == {"counts": [1, 1], "shared": False, "refused": True, "error": 0}
+        assert stage.page.messages() == [
+            'skinbake: "tangent" stays as it was: '
+            "its frame is tangent, and this module is for --frame normal",
+            'skinbake: material "both" is patched already, for other choices',
+        ]
+
+    def test_a_file_of_two_influence_sets_is_left_alone(self, stage: Stage) -> None:
+        path = baked(FOLDER / "two_sets.glb", stage.folder / "models")
+        options = {"url": f"/models/{path.name}", "module": stage.module(CHOICES), "expressions": []}
+        (mesh,) = stage.page.call("vertices", options)
+        assert mesh["patched"] == 0
+        (message,) = stage.page.messages()
+        assert message.endswith("three.js skins by four influences, it has more")
+
+    def test_both_primitives_of_a_mesh_are_patched(self, stage: Stage) -> None:
+        path = baked(FOLDER / "two_primitives.glb", stage.folder / "models")
+        options = {"url": f"/models/{path.name}", "module": stage.module(CHOICES), "expressions": []}
+        meshes = stage.call("vertices", options)
+        assert [mesh["patched"] for mesh in meshes] == [2, 2]
+
+    @pytest.mark.parametrize(
+        ("changes", "words"),
+        [
+            ({"method": Method.DQS}, "take --method lbs"),
+            ({"lighting": Lighting.APPROXIMATED}, "three.js's own"),
+            ({"influences": 5}, "four influences"),
+            ({"influences": 1}, "take --influences 4"),
+            ({"attributes": AttributeText("x.glb", ("_A-0",), ("_B",))}, "_a-0"),
+            ({"attributes": AttributeText("x.glb", ("_A",), ("_B__0",))}, "_b__0"),
+            ({"attributes": AttributeText("x.glb", ("POSITION",), ("_B",))}, "position"),
+            ({"language": Language.WGSL}, "--lang glsl"),
+        ],
+    )
+    def test_choices_that_three_cannot_serve_are_refused(self, changes: dict[str, Any], words: str) -> None:
+        with pytest.raises(ChoiceError, match=words):
+            shader_text(dataclasses.replace(CHOICES, **changes))
+
+    def test_other_attribute_names_arrive_in_lower_case(self) -> None:
+        names = AttributeText("x.glb", ("_Along_T",), ("_Along_B",))
+        text = shader_text(dataclasses.replace(CHOICES, attributes=names))
+        assert "const ALPHA = '_along_t';" in text
+        assert "attribute vec3 _along_b;" in text
+
+
+SIZE = 256
+
+
+def look_at(
+    character: Character, placement: Placement, direction: tuple[float, float, float]
+) -> tuple[Array, Array]:
+    """Return a projection and a view (4, 4) of the whole character, orthographic, from a direction."""
+    points = character.positions(placement)
+    back = unit(np.array([direction]))[0]
+    right = unit(np.cross([0.0, 1.0, 0.0], back)[None])[0]
+    view = np.eye(4)
+    view[:3, :3] = [right, np.cross(back, right), back]
+    seen = points @ view[:3, :3].T
+    view[:3, 3] = -0.5 * (seen.max(axis=0) + seen.min(axis=0))
+    half = 0.52 * np.ptp(seen, axis=0).max()
+    return np.diag([1 / half, 1 / half, -1 / half, 1.0]), view
+
+
+@pytest.mark.parametrize(("model", "fixture", "pose"), [MODELS[0], MODELS[2]])
+class TestPictures:
+    def test_lighting_changes_at_the_bends_and_nowhere_else(
+        self, stage: Stage, model: str | None, fixture: Path | None, pose: Pose
+    ) -> None:
+        """MeshNormalMaterial before and after, against the replay's difference drawn as a colour."""
+        character = stage.character(fixture or corpus.model(model or ""), pose)
+        placement = stage.vertices(character, None).placement
+        standard = character.expected(Algorithm.LBS_APPROXIMATED, placement).normals
+        accurate = character.expected(Algorithm.LBS_ACCURATE, placement).normals
+        expected = angles(standard, accurate).astype("<f4")
+        projection, view = look_at(character, placement, (0.5, 0.3, 1.0))
+        images = stage.call(
+            "pictures",
+            {
+                **character.told(placement),
+                "module": stage.module(CHOICES),
+                "camera": {"projection": column_by_column(projection), "view": column_by_column(view)},
+                "size": SIZE,
+                "colours": base64.b64encode(np.repeat(expected, 3).tobytes()).decode(),
+            },
+        )
+        before, after, wanted = (floats(image).reshape(SIZE, SIZE, 4) for image in images)
+        seen = after[..., 3] == 1
+        assert 0.05 < seen.mean() < 0.9
+        assert np.array_equal(seen, before[..., 3] == 1)
+        change = angles(2 * before[..., :3][seen] - 1, 2 * after[..., :3][seen] - 1)
+        awaited = wanted[..., 0][seen]
+        assert np.corrcoef(change, awaited)[0, 1] > 0.95
+        assert np.percentile(np.abs(change - awaited), 99) < 6
+        still, bent = awaited < 0.5, awaited > 8
+        assert still.mean() > 0.05
+        assert change[still].max() < 1
+        assert bent.mean() > 0.1
+        assert np.percentile(change[bent], 1) > 4
