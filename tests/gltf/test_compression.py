@@ -233,6 +233,26 @@ def test_generated_normals_go_inside(kind: str, tmp_path: Path) -> None:
     assert json.dumps(stripped(tmp_path / "baked.glb", tmp_path / "s.glb").content) == content_of(source)
 
 
+@pytest.mark.parametrize("extras", [[], "text", {"skinbake": "mine"}, {}])
+@pytest.mark.parametrize("kind", ["draco", EXT])
+def test_extras_of_others_stay_theirs(kind: str, extras: Any, tmp_path: Path) -> None:
+    """The metadata then stands at the accessor of α; the Draco extension may have extras of its own too."""
+
+    def change(content: JsonObject) -> None:
+        primitive = content["meshes"][0]["primitives"][0]
+        primitive["extras"] = extras
+        if kind == "draco":
+            primitive["extensions"][DRACO]["extras"] = extras
+
+    make = draco_twin if kind == "draco" else meshopt_twin
+    source = make(FOLDER / ADOPTING, tmp_path / "twin.glb", change=change)
+    bake(source, tmp_path / "baked.glb")
+    assert [
+        check.name for check in verify_file(str(tmp_path / "baked.glb"), REST).checks if check.problems
+    ] == []
+    assert json.dumps(stripped(tmp_path / "baked.glb", tmp_path / "s.glb").content) == content_of(source)
+
+
 @pytest.mark.parametrize("kind", ["draco", EXT, "beside"])
 def test_gltf_and_glb_become_each_other(kind: str, tmp_path: Path) -> None:
     bake(FOLDER / ADOPTING, tmp_path / "plain.glb")
@@ -464,7 +484,7 @@ def test_real_twins_have_the_same_gradients_within_their_quantisation(
 def test_compressed_models_bake_verify_and_validate(tmp_path: Path) -> None:
     """All schemes on all compressed models of the corpus, in one run of the validator.
 
-    It does not look inside compressed data: what was decoded is held against what the reference decoders give.
+    It does not look inside compressed data: what was decoded is held against the reference decoders.
     """
     khronos.require_node()
     pairs = []

@@ -67,6 +67,9 @@ def recoded(
     any more are cut out of their buffers. A document without anything to do is returned as it is. Raises
     InputError where its data cannot be read.
     """
+    in_draco = any(draco.extension_of(source.json) is not None for source in sources)
+    if compression.scheme == "keep" and not in_draco:
+        return document, []
     recoder = _Recoder(document)
     notices: list[Notice] = []
     if compression.scheme == "none":
