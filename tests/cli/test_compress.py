@@ -71,7 +71,7 @@ def test_damaged_data_ends_in_exit_3_or_0_and_never_in_a_traceback(kind: str, tm
     )
     chance = random.Random(5)
     sources = []
-    for number in range(60):
+    for number in range(24):
         damaged = bytearray(data)
         for _ in range(chance.randrange(1, 4)):
             where = start + chance.randrange(60 if number % 2 else len(data) - start)
