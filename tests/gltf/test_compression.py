@@ -528,3 +528,22 @@ def _dropping() -> Any:
     from skinbake.bake.baker import BakeSettings
 
     return BakeSettings(neighbours="drop")
+
+
+def test_a_broken_primitive_that_none_would_decode_is_an_input_error(tmp_path: Path) -> None:
+    """Unskinned, so that only decoding everything looks at it."""
+
+    def append(content: JsonObject) -> None:
+        first = content["meshes"][0]["primitives"][0]
+        broken = {
+            "attributes": {"POSITION": 99},
+            "indices": first["indices"],
+            "extensions": first["extensions"],
+        }
+        content["meshes"].append({"primitives": [broken]})
+
+    path = draco_twin(FOLDER / ADOPTING, tmp_path / "twin.glb", change=append)
+    result = bake_file(str(path), str(tmp_path / "out.glb"), BakeOptions(**compress("none")))
+    assert str(result.error).startswith(f"{path}: mesh 1, primitive 0")
+    assert not (tmp_path / "out.glb").exists()
+    bake(path, tmp_path / "out.glb")

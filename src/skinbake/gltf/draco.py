@@ -108,7 +108,10 @@ def holds_the_same(document: Document, primitive: JsonObject, before: JsonObject
 
 
 def _shape(document: Document, number: int, place: Place) -> Shape:
-    accessor = document.objects("accessors")[number]
+    accessors = document.objects("accessors")
+    if not 0 <= number < len(accessors):
+        raise InputError(f"it refers to accessor {number} of an array of {len(accessors)}", place)
+    accessor = accessors[number]
     dtype, kind = component_dtype(accessor), accessor.get("type")
     if dtype is None or not isinstance(kind, str) or kind not in COMPONENTS:
         raise InputError(f"accessor {number} is of no type that a Draco stream holds", place)
@@ -140,9 +143,13 @@ def _primitives(document: Document) -> Iterator[JsonObject]:
                 yield primitive
 
 
-def accessors_inside(primitive: JsonObject) -> Iterator[tuple[int, bool]]:
-    """Yield the accessors whose values a primitive's stream holds, and whether each is its indices."""
+def accessors_inside(document: Document, primitive: JsonObject, place: Place) -> Iterator[tuple[int, bool]]:
+    """Yield the accessors whose values a primitive's stream holds, and whether each is its indices.
+
+    Raises InputError where one is not there, or is of no type that a stream holds.
+    """
     for number, claim in _claims_of(primitive):
+        _shape(document, number, place)
         yield number, claim.unique_id is None
 
 

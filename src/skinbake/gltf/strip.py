@@ -216,7 +216,8 @@ def _at_the_end(document: Document, first: int, undo: JsonObject) -> _Tail | Non
 def _stored_ranges(view: JsonObject, place: Place) -> Iterator[tuple[int, int, int]]:
     """Yield (buffer, start, end) of a buffer view's bytes, and of its compressed ones."""
     name = meshopt.extension_of(view, place)
-    for holder in (view, *((view["extensions"][name],) if name is not None else ())):
+    extensions = json_access.member(view, "extensions", place)
+    for holder in (view, *((json_access.member(extensions, name, place),) if name is not None else ())):
         start = integer(holder, "byteOffset", place, default=0)
         yield integer(holder, "buffer", place), start, start + integer(holder, "byteLength", place)
 
