@@ -21,6 +21,7 @@ from skinbake.commands.lighting import VerifyOptions
 from skinbake.commands.poses import PoseRequest
 from skinbake.commands.strip import strip_file
 from skinbake.commands.verify import verify_file
+from skinbake.errors import InputError
 from skinbake.gltf.recode import Compression, Scheme
 from tests.gltf.compressed import EXT, KHR, content_of, draco_twin, meshopt_twin
 from tests.gltf.models import (
@@ -528,6 +529,20 @@ def _dropping() -> Any:
     from skinbake.bake.baker import BakeSettings
 
     return BakeSettings(neighbours="drop")
+
+
+@pytest.mark.parametrize("kind", ["draco", EXT])
+def test_what_all_of_a_file_expands_to_is_limited(
+    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    source = twin(kind, "bent_tube.glb", tmp_path)
+    monkeypatch.setattr("skinbake.gltf.expansion.FREE", 1000)
+    bake(source, tmp_path / "out.glb")
+    monkeypatch.setattr("skinbake.gltf.expansion.RATIO", 1)
+    result = bake_file(str(source), str(tmp_path / "not.glb"), BakeOptions())
+    assert isinstance(result.error, InputError)
+    assert "over the limit of 1 times as many" in str(result.error)
+    assert 'mesh 0 "tube", primitive 0' in str(result.error)
 
 
 def test_a_broken_primitive_that_none_would_decode_is_an_input_error(tmp_path: Path) -> None:

@@ -20,6 +20,7 @@ from skinbake.geometry.triangles import TRIANGLES
 from skinbake.gltf import draco_stream
 from skinbake.gltf.document import Document
 from skinbake.gltf.draco_stream import DracoMesh
+from skinbake.gltf.expansion import charge
 from skinbake.gltf.formats import COMPONENTS, component_dtype
 from skinbake.gltf.json_access import JsonObject, accessor_number, entries_of, index, integer, member
 from skinbake.gltf.views import view_bytes
@@ -218,7 +219,9 @@ def read_stream(document: Document, primitive: JsonObject, place: Place) -> Drac
     known = document.derived.setdefault("draco", {})
     key = (view, *counts)
     if key not in known:
-        known[key] = draco_stream.decode(view_bytes(document, view, place), *counts, place)
+        data = view_bytes(document, view, place)
+        charge(document, counts[2], len(data), place)
+        known[key] = draco_stream.decode(data, *counts, place)
     found: DracoMesh = known[key]
     return found
 
