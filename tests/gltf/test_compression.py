@@ -387,11 +387,17 @@ def test_shared_accessors_get_copies_of_their_own_in_draco(tmp_path: Path) -> No
 
 
 class TestOtherTools:
-    def test_a_lost_stream_of_before_keeps_the_one_of_the_bake(self, tmp_path: Path) -> None:
+    @pytest.mark.parametrize("swapped", [False, True])
+    def test_a_lost_stream_of_before_keeps_the_one_of_the_bake(self, swapped: bool, tmp_path: Path) -> None:
+        """It is another buffer view now, or holds other values of the same kind."""
         bake(twin("draco", "bent_tube.glb", tmp_path), tmp_path / "baked.glb")
         model = read(tmp_path / "baked.glb")
-        extension = model.primitive(0)["extensions"][DRACO]
-        extension["extras"]["skinbake"]["before"]["bufferView"] = 0
+        before = model.primitive(0)["extensions"][DRACO]["extras"]["skinbake"]["before"]
+        if swapped:
+            ids = before["attributes"]
+            ids["POSITION"], ids["NORMAL"] = ids["NORMAL"], ids["POSITION"]
+        else:
+            before["bufferView"] = 0
         rewritten(model, tmp_path / "baked.glb")
         result = strip_file(str(tmp_path / "baked.glb"), str(tmp_path / "bare.glb"))
         assert {notice.code for notice in result.notices} == {"bytes-left"}
@@ -444,18 +450,26 @@ def by_joint(model: GltfFile, mesh: int, joints: int) -> Any:
     return result
 
 
+# Draco has rounded positions to 14 bits of the mesh's box, 0.3 % of an edge, and weights to 12 bits or fewer;
+# the octahedral filter turns normals a little, and the frame with them. 0: nothing was rounded anew.
 TWINS = [
-    ("barbarian-draco-edgebreaker.glb", "barbarian-plain.glb"),
-    ("hand_l-draco-sequential.glb", "hand_l-weights-u16.glb"),
-    ("BathDay/bath_day.glb", "decoded/bath_day.glb"),
+    ("barbarian-draco-edgebreaker.glb", "barbarian-plain.glb", 0.005),
+    ("hand_l-draco-sequential.glb", "hand_l-weights-u16.glb", 0.005),
+    ("BathDay/bath_day.glb", "decoded/bath_day.glb", 0.0),
+    ("barbarian-EXT_meshopt-medium.glb", "barbarian-KHR_mesh_quantization.glb", 0.0),
+    ("barbarian-EXT_meshopt-high.glb", "barbarian-KHR_mesh_quantization.glb", 0.005),
 ]
 
 
-@pytest.mark.parametrize(("name", "original"), TWINS)
+@pytest.mark.parametrize(("name", "original", "tolerance"), TWINS)
 def test_real_twins_have_the_same_gradients_within_their_quantisation(
-    name: str, original: str, tmp_path: Path
+    name: str, original: str, tolerance: float, tmp_path: Path
 ) -> None:
-    """The gradient of each joint's weight, α t0 + β b0, at matched vertices; see the bound below."""
+    """The length of each joint's gradient, √(α² + β²), at the nearest vertex of the same normal.
+
+    Nine of ten vertices agree within the tolerance, relative to the mesh's steep gradients; at the others
+    rounding has moved one of several copies, or a sliver of a triangle, past what edges allow.
+    """
     options = {"neighbours": "drop", "frame": "normal"}
     from skinbake.bake.baker import BakeSettings
 
@@ -476,8 +490,7 @@ def test_real_twins_have_the_same_gradients_within_their_quantisation(
         if scale == 0:  # a single joint moves all of it
             continue
         difference = np.abs(lengths[0] - lengths[1]).max(axis=1)
-        assert np.median(difference) < 0.02 * scale, (mesh, np.median(difference) / scale)
-        assert np.percentile(difference, 90) < 0.1 * scale, (mesh, np.percentile(difference, 90) / scale)
+        assert np.percentile(difference, 90) <= tolerance * scale, mesh
         compared += len(ours)
     assert compared > 250
 
