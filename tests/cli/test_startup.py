@@ -19,7 +19,18 @@ from tests.cli.running import invoke, run
 from tests.gltf.models import FOLDER, edited
 
 SEAM = FOLDER / "seam.glb"
-HEAVY = ("numpy", "numba", "scipy", "igl", "rich", "skinbake.commands", "skinbake.gltf", "skinbake.bake")
+HEAVY = (
+    "DracoPy",
+    "meshopt",
+    "numpy",
+    "numba",
+    "scipy",
+    "igl",
+    "rich",
+    "skinbake.commands",
+    "skinbake.gltf",
+    "skinbake.bake",
+)
 MODULES = """
 import sys
 from skinbake.cli.main import main
@@ -52,7 +63,7 @@ def test_the_list_of_commands_imports_none_of_them() -> None:
 def test_a_small_bake_imports_neither_numba_nor_what_verify_needs(tmp_path: Path) -> None:
     loaded = modules("bake", str(SEAM), "-o", str(tmp_path / "out.glb"), "-q")
     assert "numpy" in loaded
-    assert not {"numba", "scipy", "igl", "rich", "pygltflib"} & loaded
+    assert not {"numba", "scipy", "igl", "rich", "pygltflib", "DracoPy", "meshopt"} & loaded
 
 
 def test_help_names_every_command_and_the_exit_codes() -> None:

@@ -21,6 +21,7 @@ from skinbake.commands.lighting import VerifyOptions
 from skinbake.commands.poses import PoseRequest
 from skinbake.commands.strip import strip_file
 from skinbake.commands.verify import verify_file
+from skinbake.errors import InputError
 from skinbake.gltf.recode import Compression, Scheme
 from tests.gltf.compressed import EXT, KHR, content_of, draco_twin, meshopt_twin
 from tests.gltf.models import (
@@ -233,6 +234,26 @@ def test_generated_normals_go_inside(kind: str, tmp_path: Path) -> None:
     assert json.dumps(stripped(tmp_path / "baked.glb", tmp_path / "s.glb").content) == content_of(source)
 
 
+@pytest.mark.parametrize("extras", [[], "text", {"skinbake": "mine"}, {}])
+@pytest.mark.parametrize("kind", ["draco", EXT])
+def test_extras_of_others_stay_theirs(kind: str, extras: Any, tmp_path: Path) -> None:
+    """The metadata then stands at the accessor of α; the Draco extension may have extras of its own too."""
+
+    def change(content: JsonObject) -> None:
+        primitive = content["meshes"][0]["primitives"][0]
+        primitive["extras"] = extras
+        if kind == "draco":
+            primitive["extensions"][DRACO]["extras"] = extras
+
+    make = draco_twin if kind == "draco" else meshopt_twin
+    source = make(FOLDER / ADOPTING, tmp_path / "twin.glb", change=change)
+    bake(source, tmp_path / "baked.glb")
+    assert [
+        check.name for check in verify_file(str(tmp_path / "baked.glb"), REST).checks if check.problems
+    ] == []
+    assert json.dumps(stripped(tmp_path / "baked.glb", tmp_path / "s.glb").content) == content_of(source)
+
+
 @pytest.mark.parametrize("kind", ["draco", EXT, "beside"])
 def test_gltf_and_glb_become_each_other(kind: str, tmp_path: Path) -> None:
     bake(FOLDER / ADOPTING, tmp_path / "plain.glb")
@@ -366,11 +387,17 @@ def test_shared_accessors_get_copies_of_their_own_in_draco(tmp_path: Path) -> No
 
 
 class TestOtherTools:
-    def test_a_lost_stream_of_before_keeps_the_one_of_the_bake(self, tmp_path: Path) -> None:
+    @pytest.mark.parametrize("swapped", [False, True])
+    def test_a_lost_stream_of_before_keeps_the_one_of_the_bake(self, swapped: bool, tmp_path: Path) -> None:
+        """It is another buffer view now, or holds other values of the same kind."""
         bake(twin("draco", "bent_tube.glb", tmp_path), tmp_path / "baked.glb")
         model = read(tmp_path / "baked.glb")
-        extension = model.primitive(0)["extensions"][DRACO]
-        extension["extras"]["skinbake"]["before"]["bufferView"] = 0
+        before = model.primitive(0)["extensions"][DRACO]["extras"]["skinbake"]["before"]
+        if swapped:
+            ids = before["attributes"]
+            ids["POSITION"], ids["NORMAL"] = ids["NORMAL"], ids["POSITION"]
+        else:
+            before["bufferView"] = 0
         rewritten(model, tmp_path / "baked.glb")
         result = strip_file(str(tmp_path / "baked.glb"), str(tmp_path / "bare.glb"))
         assert {notice.code for notice in result.notices} == {"bytes-left"}
@@ -423,18 +450,26 @@ def by_joint(model: GltfFile, mesh: int, joints: int) -> Any:
     return result
 
 
+# Draco has rounded positions to 14 bits of the mesh's box, 0.3 % of an edge, and weights to 12 bits or fewer;
+# the octahedral filter turns normals a little, and the frame with them. 0: nothing was rounded anew.
 TWINS = [
-    ("barbarian-draco-edgebreaker.glb", "barbarian-plain.glb"),
-    ("hand_l-draco-sequential.glb", "hand_l-weights-u16.glb"),
-    ("BathDay/bath_day.glb", "decoded/bath_day.glb"),
+    ("barbarian-draco-edgebreaker.glb", "barbarian-plain.glb", 0.005),
+    ("hand_l-draco-sequential.glb", "hand_l-weights-u16.glb", 0.005),
+    ("BathDay/bath_day.glb", "decoded/bath_day.glb", 0.0),
+    ("barbarian-EXT_meshopt-medium.glb", "barbarian-KHR_mesh_quantization.glb", 0.0),
+    ("barbarian-EXT_meshopt-high.glb", "barbarian-KHR_mesh_quantization.glb", 0.005),
 ]
 
 
-@pytest.mark.parametrize(("name", "original"), TWINS)
+@pytest.mark.parametrize(("name", "original", "tolerance"), TWINS)
 def test_real_twins_have_the_same_gradients_within_their_quantisation(
-    name: str, original: str, tmp_path: Path
+    name: str, original: str, tolerance: float, tmp_path: Path
 ) -> None:
-    """The gradient of each joint's weight, α t0 + β b0, at matched vertices; see the bound below."""
+    """The length of each joint's gradient, √(α² + β²), at the nearest vertex of the same normal.
+
+    Nine of ten vertices agree within the tolerance, relative to the mesh's steep gradients; at the others
+    rounding has moved one of several copies, or a sliver of a triangle, past what edges allow.
+    """
     options = {"neighbours": "drop", "frame": "normal"}
     from skinbake.bake.baker import BakeSettings
 
@@ -455,8 +490,7 @@ def test_real_twins_have_the_same_gradients_within_their_quantisation(
         if scale == 0:  # a single joint moves all of it
             continue
         difference = np.abs(lengths[0] - lengths[1]).max(axis=1)
-        assert np.median(difference) < 0.02 * scale, (mesh, np.median(difference) / scale)
-        assert np.percentile(difference, 90) < 0.1 * scale, (mesh, np.percentile(difference, 90) / scale)
+        assert np.percentile(difference, 90) <= tolerance * scale, mesh
         compared += len(ours)
     assert compared > 250
 
@@ -464,7 +498,7 @@ def test_real_twins_have_the_same_gradients_within_their_quantisation(
 def test_compressed_models_bake_verify_and_validate(tmp_path: Path) -> None:
     """All schemes on all compressed models of the corpus, in one run of the validator.
 
-    It does not look inside compressed data: what was decoded is held against what the reference decoders give.
+    It does not look inside compressed data: what was decoded is held against the reference decoders.
     """
     khronos.require_node()
     pairs = []
@@ -508,3 +542,36 @@ def _dropping() -> Any:
     from skinbake.bake.baker import BakeSettings
 
     return BakeSettings(neighbours="drop")
+
+
+@pytest.mark.parametrize("kind", ["draco", EXT])
+def test_what_all_of_a_file_expands_to_is_limited(
+    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    source = twin(kind, "bent_tube.glb", tmp_path)
+    monkeypatch.setattr("skinbake.gltf.expansion.FREE", 1000)
+    bake(source, tmp_path / "out.glb")
+    monkeypatch.setattr("skinbake.gltf.expansion.RATIO", 1)
+    result = bake_file(str(source), str(tmp_path / "not.glb"), BakeOptions())
+    assert isinstance(result.error, InputError)
+    assert "over the limit of 1 times as many" in str(result.error)
+    assert 'mesh 0 "tube", primitive 0' in str(result.error)
+
+
+def test_a_broken_primitive_that_none_would_decode_is_an_input_error(tmp_path: Path) -> None:
+    """Unskinned, so that only decoding everything looks at it."""
+
+    def append(content: JsonObject) -> None:
+        first = content["meshes"][0]["primitives"][0]
+        broken = {
+            "attributes": {"POSITION": 99},
+            "indices": first["indices"],
+            "extensions": first["extensions"],
+        }
+        content["meshes"].append({"primitives": [broken]})
+
+    path = draco_twin(FOLDER / ADOPTING, tmp_path / "twin.glb", change=append)
+    result = bake_file(str(path), str(tmp_path / "out.glb"), BakeOptions(**compress("none")))
+    assert str(result.error).startswith(f"{path}: mesh 1, primitive 0")
+    assert not (tmp_path / "out.glb").exists()
+    bake(path, tmp_path / "out.glb")

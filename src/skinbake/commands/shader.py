@@ -22,7 +22,7 @@ from skinbake.gltf.output import write_text
 from skinbake.gltf.primitives import skinned_sources
 from skinbake.report.notices import counted
 from skinbake.shaders.choices import BEST, AttributeText, Language, Lighting, Method, Morphs, ShaderChoices
-from skinbake.shaders.text import shader_text
+from skinbake.shaders.text import shader_made
 from skinbake.verify.lighting import not_rigid_joints
 
 DEFAULT_INFLUENCES = 4
@@ -63,7 +63,8 @@ def shader(request: ShaderRequest, source: str | None = None) -> ShaderResult:
     baked, or cannot serve what was asked for.
     """
     choices, notices = _choices_of_file(request, source) if source else _choices(request)
-    return ShaderResult(shader_text(choices), choices, tuple(notices))
+    text, choices = shader_made(choices)
+    return ShaderResult(text, choices, tuple(notices))
 
 
 def write_shader(result: ShaderResult, target: str) -> None:

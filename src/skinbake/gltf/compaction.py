@@ -11,7 +11,7 @@ from skinbake.gltf import meshopt, resources
 from skinbake.gltf.additions import content_digest
 from skinbake.gltf.document import Document
 from skinbake.gltf.glb import Bytes
-from skinbake.gltf.json_access import JsonObject, integer
+from skinbake.gltf.json_access import JsonObject, integer, member
 
 Range = tuple[int, int]
 
@@ -90,7 +90,7 @@ def _holders(view: JsonObject, place: Place) -> Iterator[JsonObject]:
     yield view
     name = meshopt.extension_of(view, place)
     if name is not None:
-        yield view["extensions"][name]
+        yield member(member(view, "extensions", place), name, place)
 
 
 def _by_buffer(views: Sequence[JsonObject], place: Place) -> dict[int, list[Range]]:

@@ -20,6 +20,7 @@ from skinbake.geometry.triangles import TRIANGLES
 from skinbake.gltf import draco_stream
 from skinbake.gltf.document import Document
 from skinbake.gltf.draco_stream import DracoMesh
+from skinbake.gltf.expansion import charge
 from skinbake.gltf.formats import COMPONENTS, component_dtype
 from skinbake.gltf.json_access import JsonObject, accessor_number, entries_of, index, integer, member
 from skinbake.gltf.views import view_bytes
@@ -108,7 +109,10 @@ def holds_the_same(document: Document, primitive: JsonObject, before: JsonObject
 
 
 def _shape(document: Document, number: int, place: Place) -> Shape:
-    accessor = document.objects("accessors")[number]
+    accessors = document.objects("accessors")
+    if not 0 <= number < len(accessors):
+        raise InputError(f"it refers to accessor {number} of an array of {len(accessors)}", place)
+    accessor = accessors[number]
     dtype, kind = component_dtype(accessor), accessor.get("type")
     if dtype is None or not isinstance(kind, str) or kind not in COMPONENTS:
         raise InputError(f"accessor {number} is of no type that a Draco stream holds", place)
@@ -140,9 +144,13 @@ def _primitives(document: Document) -> Iterator[JsonObject]:
                 yield primitive
 
 
-def accessors_inside(primitive: JsonObject) -> Iterator[tuple[int, bool]]:
-    """Yield the accessors whose values a primitive's stream holds, and whether each is its indices."""
+def accessors_inside(document: Document, primitive: JsonObject, place: Place) -> Iterator[tuple[int, bool]]:
+    """Yield the accessors whose values a primitive's stream holds, and whether each is its indices.
+
+    Raises InputError where one is not there, or is of no type that a stream holds.
+    """
     for number, claim in _claims_of(primitive):
+        _shape(document, number, place)
         yield number, claim.unique_id is None
 
 
@@ -211,7 +219,9 @@ def read_stream(document: Document, primitive: JsonObject, place: Place) -> Drac
     known = document.derived.setdefault("draco", {})
     key = (view, *counts)
     if key not in known:
-        known[key] = draco_stream.decode(view_bytes(document, view, place), *counts, place)
+        data = view_bytes(document, view, place)
+        charge(document, counts[2], len(data), place)
+        known[key] = draco_stream.decode(data, *counts, place)
     found: DracoMesh = known[key]
     return found
 

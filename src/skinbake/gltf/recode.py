@@ -67,6 +67,9 @@ def recoded(
     any more are cut out of their buffers. A document without anything to do is returned as it is. Raises
     InputError where its data cannot be read.
     """
+    in_draco = any(draco.extension_of(source.json) is not None for source in sources)
+    if compression.scheme == "keep" and not in_draco:
+        return document, []
     recoder = _Recoder(document)
     notices: list[Notice] = []
     if compression.scheme == "none":
@@ -217,7 +220,7 @@ def _leave_draco(
     recoder: _Recoder, place: Place, primitive: JsonObject, packed: Packed | None, done: set[int]
 ) -> None:
     """Give the accessors of a Draco primitive buffer views, and take the extension away."""
-    for number, is_index in draco.accessors_inside(primitive):
+    for number, is_index in draco.accessors_inside(recoder.document, primitive, place):
         if number not in done:
             values = read_accessor(recoder.document, number, place).values
             view = recoder.additions.add_values(values, packed, indices=is_index)

@@ -167,7 +167,7 @@ def _without(
 
     streams are buffer views of Draco streams that no primitive has any more.
     """
-    tail = _tail_of_bake(document, root, removed, streams)
+    tail = _tail_of_bake(document, removed, streams)
     if tail is None:
         notices.append(
             Notice(
@@ -197,7 +197,7 @@ class _Tail:
     fallbacks: int
 
 
-def _tail_of_bake(document: Document, root: JsonObject, removed: set[int], streams: set[int]) -> _Tail | None:
+def _tail_of_bake(document: Document, removed: set[int], streams: set[int]) -> _Tail | None:
     """Return the end of the document that is the bake's alone, None where it is no longer as bake left it.
 
     Other tools renumber accessors, put several into one buffer view, and append: then nothing can be cut off.
@@ -213,7 +213,6 @@ def _tail_of_bake(document: Document, root: JsonObject, removed: set[int], strea
     extras = views[first].get("extras")
     undo = extras.get(KEY) if isinstance(extras, dict) else None
     others = (*_views_of(accessors[:kept]), *_views_of(document.objects("images")))
-    others += tuple(_stream_views(_all_primitives(root)))
     if not isinstance(undo, dict) or any(view >= first for view in others):
         return None
     return _at_the_end(document, first, undo)
@@ -245,7 +244,8 @@ def _at_the_end(document: Document, first: int, undo: JsonObject) -> _Tail | Non
 def _stored_ranges(view: JsonObject, place: Place) -> Iterator[tuple[int, int, int]]:
     """Yield (buffer, start, end) of a buffer view's bytes, and of its compressed ones."""
     name = meshopt.extension_of(view, place)
-    for holder in (view, *((view["extensions"][name],) if name is not None else ())):
+    extensions = json_access.member(view, "extensions", place)
+    for holder in (view, *((json_access.member(extensions, name, place),) if name is not None else ())):
         start = integer(holder, "byteOffset", place, default=0)
         yield integer(holder, "buffer", place), start, start + integer(holder, "byteLength", place)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from skinbake.errors import InputError, Place
 from skinbake.gltf import meshopt
 from skinbake.gltf.document import Document
+from skinbake.gltf.expansion import charge
 from skinbake.gltf.json_access import JsonObject, index, integer
 
 
@@ -46,4 +47,5 @@ def _decompressed(document: Document, view_index: int, view: JsonObject, place: 
     packing = meshopt.packing(view, name, f"buffer view {view_index}", place)
     what = f"the {name} of buffer view {view_index}"
     data = stored_bytes(document, view["extensions"][name], what, place)
+    charge(document, packing.count * packing.stride, len(data), place)
     return meshopt.decoded(data, packing, what, place)

@@ -29,7 +29,7 @@ class Pair:
 class Assembled:
     """α or β of one influence set, put together from pairs: ``alpha_0``, a vec3 of ``pair_1.x`` ….
 
-    params are the pairs that it takes, numbers those as words.
+    params are the pairs that it takes, names their attributes, numbers those pairs as words.
     """
 
     name: str
@@ -37,6 +37,7 @@ class Assembled:
     type: str
     slots: str
     params: tuple[str, ...]
+    names: tuple[str, ...]
     numbers: str
     components: tuple[str, ...]
 
@@ -100,6 +101,7 @@ def _assembled(choices: ShaderChoices) -> list[Assembled]:
                     type=f"vec{len(places)}",
                     slots=f"slots {first} to {last}",
                     params=tuple(f"pair_{pair}" for pair in pairs),
+                    names=tuple(_ascii(choices.pair_names[pair - 1]) for pair in pairs),
                     numbers=f"{pairs[0]} to {pairs[-1]}",
                     components=tuple(f"pair_{pair + 1}.{'xy'[place]}" for pair, place in places),
                 )
@@ -119,11 +121,8 @@ def _pairs(choices: ShaderChoices, assembled: list[Assembled]) -> list[Pair]:
 
 def _preparations(choices: ShaderChoices, assembled: list[Assembled]) -> list[Preparation]:
     if choices.assembles:
-        names = {f"pair_{at + 1}": _ascii(name).lower() for at, name in enumerate(choices.pair_names)}
         return [
-            Preparation(
-                part.name, part.type, f"skinbake_{part.name}({', '.join(names[p] for p in part.params)})"
-            )
+            Preparation(part.name, part.type, f"skinbake_{part.name}({', '.join(part.names).lower()})")
             for part in assembled
         ]
     if not choices.decodes:

@@ -1,14 +1,15 @@
 """Render the templates: one text for one set of choices, the same text every time.
 
-A target is a file ``templates/targets/NAME.LANGUAGE[.SUFFIX]``; it holds ``snippet``, the pure functions in
-its language, and may ``refuse`` choices that its engine cannot serve. Lines that begin with ``//%`` are
-statements and ``@{ }`` holds values, so that a template reads as the language that it writes.
+A target is a file ``templates/targets/NAME.LANGUAGE[.SUFFIX]``. It may ``refuse`` choices that its engine
+cannot serve, and takes what it is made of from ``text_for``, which it tells what it can read: see
+``_text_for``. Lines that begin with ``//%`` are statements and ``@{ }`` holds values, so that a template reads
+as the language that it writes.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -27,8 +28,6 @@ TYPES = {
     Language.GLSL: {"vec2": "vec2", "vec3": "vec3", "vec4": "vec4", "uvec4": "uvec4"},
     Language.WGSL: {"vec2": "vec2<f32>", "vec3": "vec3<f32>", "vec4": "vec4<f32>", "uvec4": "vec4<u32>"},
 }
-READING_TARGETS = ("plain",)
-"""Targets that read every encoding and layout; an adapter that learns to decode is added here."""
 METHOD_NAMES = {Method.LBS: "linear blend skinning", Method.DQS: "dual quaternion skinning"}
 
 
@@ -67,19 +66,45 @@ def shader_text(choices: ShaderChoices) -> str:
 
     Raises ChoiceError where the target has no such language, or cannot serve the choices.
     """
-    if choices.target not in READING_TARGETS and (choices.decodes or choices.assembles):
+    return shader_made(choices)[0]
+
+
+def shader_made(choices: ShaderChoices) -> tuple[str, ShaderChoices]:
+    """Return the text and the choices that it is made by: what frames follow is a target's to say."""
+    made = choices
+
+    def text_for(reads: Sequence[str] = (), morphs: str | None = None) -> dict[str, Any]:
+        nonlocal made
+        made = choices if morphs is None else replace(choices, morphs=Morphs(morphs))
+        return _text_for(made, reads)
+
+    context = {**_context(choices), "text_for": text_for}
+    return _tidy(_rendered(_target_file(choices), context)), made
+
+
+def _text_for(choices: ShaderChoices, reads: Sequence[str]) -> dict[str, Any]:
+    """Return what a target's file is made of: header, inputs, usage and snippet, the pure functions.
+
+    reads are the encodings and layouts that the target's own code gets α and β from, by the functions in the
+    snippet; attributes of floats, of any names, are read by all. Raises ChoiceError for others.
+    """
+    needed = [choices.encoding] if choices.decodes else []
+    needed += [choices.layout] if choices.assembles else []
+    if not set(needed) <= set(reads):
         raise ChoiceError(
             f"--target {choices.target} reads alpha and beta as floats in attributes of their own, "
             f"not{choices.storage_words.removeprefix(',')}: take --target plain, or bake with the defaults"
         )
     context = _context(choices)
     language = choices.language
-    context["header"] = _rendered("header.txt", context)
-    context["inputs"] = _rendered("inputs.txt", context)
-    context["usage"] = _rendered(f"{language}/usage.txt", context)
     names = ["vertex", f"frame_{choices.frame}", *_parts(choices), choices.stem]
-    context["snippet"] = "\n\n".join(_rendered(f"{language}/{name}.{language}", context) for name in names)
-    return _tidy(_rendered(_target_file(choices), context))
+    return {
+        **context,
+        "header": _rendered("header.txt", context),
+        "inputs": _rendered("inputs.txt", context),
+        "usage": _rendered(f"{language}/usage.txt", context),
+        "snippet": "\n\n".join(_rendered(f"{language}/{name}.{language}", context) for name in names),
+    }
 
 
 def _rendered(template: str, context: dict[str, Any]) -> str:

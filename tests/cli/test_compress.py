@@ -1,0 +1,89 @@
+"""The options of compression on the command line, and what becomes of hostile files."""
+
+from __future__ import annotations
+
+import json
+import random
+from pathlib import Path
+
+import pytest
+
+from tests.cli.running import invoke, run
+from tests.gltf.compressed import EXT, KHR, draco_twin, meshopt_twin
+from tests.gltf.models import FOLDER
+from tests.support.gltf_reading import DRACO, read
+
+TUBE = FOLDER / "bent_tube.glb"
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["--compress", "zip"],
+        ["--compress-level", "11"],
+        ["--position-bits", "12"],
+        ["--compress", "meshopt", "--texcoord-bits", "12"],
+        ["--compress", "draco", "--normal-bits", "1"],
+        ["--compress", "draco", "--position-bits", "31"],
+    ],
+)
+def test_wrong_usage_is_exit_2(arguments: list[str], tmp_path: Path) -> None:
+    result = invoke("bake", TUBE, "-o", tmp_path / "out.glb", *arguments)
+    assert result.exit_code == 2
+    assert not (tmp_path / "out.glb").exists()
+
+
+def test_the_options_reach_the_file(tmp_path: Path) -> None:
+    for name, arguments in {
+        "draco": ["draco"],
+        "coarse": ["draco", "--position-bits", "8", "--normal-bits", "8", "--compress-level", "10"],
+        "meshopt": ["meshopt", "--compress-level", "0"],
+    }.items():
+        result = invoke("bake", TUBE, "-o", tmp_path / f"{name}.glb", "--compress", *arguments)
+        assert result.exit_code == 0, result.stderr
+    used = {name: read(tmp_path / f"{name}.glb").content["extensionsUsed"] for name in ("draco", "meshopt")}
+    assert used == {"draco": [DRACO], "meshopt": [EXT]}
+    sizes = [(tmp_path / f"{name}.glb").stat().st_size for name in ("coarse", "draco")]
+    assert sizes[0] < sizes[1]
+    assert invoke("verify", tmp_path / "coarse.glb", "--poses", "rest").exit_code == 0
+
+
+def test_a_notice_makes_warnings_as_errors_fail(tmp_path: Path) -> None:
+    source = draco_twin(TUBE, tmp_path / "in.glb", sequential=False)
+    result = invoke("bake", source, "-o", tmp_path / "out.glb", "--json")
+    (notice,) = json.loads(result.stdout)["files"][0]["warnings"]
+    assert (notice["code"], notice["count"]) == ("draco-sequential", 1)
+    failing = invoke("bake", source, "-o", tmp_path / "not.glb", "--warnings-as-errors")
+    assert (failing.exit_code, (tmp_path / "not.glb").exists()) == (3, False)
+
+
+@pytest.mark.parametrize("kind", ["draco", "edgebreaker", EXT, KHR])
+def test_damaged_data_ends_in_exit_3_or_0_and_never_in_a_traceback(kind: str, tmp_path: Path) -> None:
+    """Bytes flipped and files cut inside the compressed data, all in one process."""
+    twin = tmp_path / "twin.glb"
+    if kind in {EXT, KHR}:
+        meshopt_twin(TUBE, twin, name=kind)
+    else:
+        draco_twin(TUBE, twin, sequential=kind == "draco")
+    data = twin.read_bytes()
+    start = (
+        data.index(b"DRACO") if kind not in {EXT, KHR} else len(data) - len(read(twin).binary_chunk or b"")
+    )
+    chance = random.Random(5)
+    sources = []
+    for number in range(24):
+        damaged = bytearray(data)
+        for _ in range(chance.randrange(1, 4)):
+            where = start + chance.randrange(60 if number % 2 else len(data) - start)
+            damaged[where] = chance.randrange(256)
+        sources.append(tmp_path / f"{number}.glb")
+        sources[-1].write_bytes(damaged)
+    process = run("bake", *sources, "--out-dir", tmp_path / "out")
+    assert process.returncode == 3
+    text = process.stderr.decode()
+    assert "Traceback" not in text
+    assert "should not" not in text
+    assert len(process.stdout.splitlines()) == len(sources)
+    errors = [line for line in text.splitlines() if "cannot be decoded" in line or "stream says" in line]
+    assert errors
+    assert all("mesh 0" in line or "buffer view" in line for line in errors)
