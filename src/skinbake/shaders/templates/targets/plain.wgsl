@@ -1,8 +1,9 @@
-@{ header }
+//% set text = text_for(reads=["snorm16", "packed8", "texcoord"])
+@{ text.header }
 // WGSL for WebGPU. Pure functions: no bindings and no module variables.
 //
-@{ inputs }
+@{ text.inputs }
 //
-@{ usage }
+@{ text.usage }
 
-@{ snippet }
+@{ text.snippet }
