@@ -70,9 +70,10 @@ morphed normal, weighted by area:
 """
 
 BETWEEN = """
-**By normal** is the rule: it is cheap (some 25 multiply-adds), it cannot flip, and it needs nothing but what
-every engine has. *Length* and *along n0* use no more data; they are better on some targets and worse on
-others: the first by up to a tenth, the second by up to two fifths where a target turns instead of pushing.
+**By normal** is the rule: it is cheap (some 25 multiply-adds), it turns the frame no further than the normal
+has turned, and it needs nothing but what every engine has. *Length* and *along n0* use no more data; they are
+better on some targets and worse on others: the first by up to a tenth, the second by up to two fifths where a
+target turns instead of pushing.
 
 **By tangent** is better where the surface turns within itself (a jaw), worse where it is wrung or stretched:
 b = n × t cannot shear. It is the rule where a file has targets of TANGENT, because the tangent is then the

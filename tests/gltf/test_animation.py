@@ -380,6 +380,7 @@ def edited(change: Callable[[JsonObject], object]) -> Builder:
         (lambda json: json["nodes"][3].update(rotation="none"), '"rotation" must be 4 numbers'),
         (lambda json: json["nodes"][3].update(translation=[1, 2, None]), '"translation" must be 3'),
         (lambda json: json["nodes"][3].update(scale=[True, 1, 1]), '"scale" must be 3 numbers'),
+        (lambda json: json["nodes"][3].update(scale=[10**400, 1, 1]), '"scale" must be 3 numbers'),
         (lambda json: json["skins"][0].update(inverseBindMatrices=1), "3 finite 4 × 4 matrices"),
         (lambda json: json["skins"][0].update(inverseBindMatrices=99), "refers to entry 99"),
         (lambda json: json["accessors"][0].update(count=2), "3 finite 4 × 4 matrices"),

@@ -15,7 +15,7 @@ from skinbake.replay.morphs import morphed
 from skinbake.replay.run import replay
 from skinbake.replay.surface import RestSurface
 from tests import analytic, morphing
-from tests.replay.scene import rest_surface, sample
+from tests.replay.scene import rest_surface, sample, slots
 
 EXACT_DEGREES = 1e-4
 """Steps of the differences, seen from the mildest to the strongest bend: they are near 1e-8."""
@@ -26,22 +26,37 @@ def errors(surface: RestSurface, truth: analytic.Array, bend: str, algorithm: Al
     return analytic.degrees_between(skinned.normals[0], truth)
 
 
-@pytest.mark.parametrize("bend", analytic.BENDS)
-@pytest.mark.parametrize("name", morphing.DISPLACEMENTS)
-def test_alpha_and_beta_of_the_rest_are_exact_under_the_differential_of_a_morph(name: str, bend: str) -> None:
-    """The claim that everything here rests on: t, b are images of t0, b0; α, β are those without a morph."""
-    surface = sample()
-    shape = morphing.morphed_surface(morphing.DISPLACEMENTS[name], 0.7)
+def with_image(surface: analytic.Sample, shape: analytic.Surface) -> RestSurface:
+    """The morphed surface with the images of t0 and b0 under the morph's differential."""
     t, b = morphing.images(surface, shape, surface.tangents, surface.bitangents)
-    moved = replace(
+    return replace(
         rest_surface(surface),
         positions=shape(surface.u, surface.v),
         normals=morphing.normals(surface, shape),
         tangents=t,
         bitangents=b,
     )
+
+
+@pytest.mark.parametrize("bend", analytic.BENDS)
+@pytest.mark.parametrize("name", morphing.DISPLACEMENTS)
+def test_alpha_and_beta_of_the_rest_are_exact_under_the_differential_of_a_morph(name: str, bend: str) -> None:
+    """The claim that everything here rests on: t, b are images of t0, b0; α, β are those without a morph."""
+    surface = sample()
+    shape = morphing.morphed_surface(morphing.DISPLACEMENTS[name], 0.7)
     truth = morphing.true_normals(surface, shape, bend)
+    moved = with_image(surface, shape)
     assert errors(moved, truth, bend, Algorithm.LBS_ACCURATE).max() < EXACT_DEGREES
+
+
+@pytest.mark.parametrize("name", morphing.DISPLACEMENTS)
+def test_they_are_so_under_dual_quaternions_too(name: str) -> None:
+    surface = sample()
+    shape = morphing.morphed_surface(morphing.DISPLACEMENTS[name], 0.7)
+    skinning = analytic.dual_quaternion_blend(analytic.joint_dual_quaternions("screw"), slots(surface)[:, 0])
+    truth = analytic.skinned_normals(surface.u, surface.v, skinning, surface=shape)
+    moved = with_image(surface, shape)
+    assert errors(moved, truth, "screw", Algorithm.DQS_EXACT).max() < EXACT_DEGREES
 
 
 # The mean error of accurate lighting against that of standard lighting, frames carried by normal and by

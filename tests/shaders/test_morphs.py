@@ -144,7 +144,7 @@ def test_the_frame_that_follows_the_normal_is_the_replay_s(language: Language, t
     n = morphed_normals(n0, differences)
     t, b = carried_by_normal(n0, (t0, b0), n)
     text = shader_text(choices(language, "normal", Morphs.NORMAL))
-    code = FRAME[language].format(call="skinbake_morphed(skinbake_frame(row[0].xyz), row[1].xyz)")
+    code = FRAME[language].format(call="skinbake_morphed_frame(skinbake_frame(row[0].xyz), row[1].xyz)")
     found = run(language, text, code + WRITE_FRAME[language], padded(n0, n0 + differences), tmp_path)
     # Rounding counts up to 2 / |n0 + n| times: 200 at the threshold.
     s = np.linalg.norm(n0 + n, axis=1)
@@ -170,7 +170,7 @@ def test_the_frame_that_follows_the_tangent_is_the_replay_s(language: Language, 
     moved[:20] = 0.0005 * directions(20, 7)  # cancelled
     t, b = carried_by_tangent(n0, (t0, b0), n, moved, hand)
     text = shader_text(choices(language, "tangent", Morphs.TANGENT))
-    call = "skinbake_morphed_tangent(skinbake_frame(row[0].xyz, row[1]), row[2].xyz, row[3].xyz)"
+    call = "skinbake_morphed_tangent_frame(skinbake_frame(row[0].xyz, row[1]), row[2].xyz, row[3].xyz)"
     code = FRAME[language].format(call=call) + WRITE_FRAME[language]
     rows = padded(n0, np.concatenate([t0, hand[:, None]], axis=1), n, moved)
     found = run(language, text, code, rows, tmp_path)
@@ -331,7 +331,7 @@ def test_the_command_line_in_the_header_writes_the_text_again() -> None:
     command = next(line for line in first.stdout.splitlines() if "skinbake shader" in line)
     again = CliRunner().invoke(main, command.split()[2:])
     assert again.stdout == first.stdout
-    assert "skinbake_morphed_tangent" in first.stdout
+    assert "skinbake_morphed_tangent_frame" in first.stdout
 
 
 def test_morphed_tangents_need_the_tangent_frame() -> None:

@@ -14,7 +14,7 @@ from skinbake.geometry.skinned import Float64Array
 from skinbake.gltf.accessors import read_accessor
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject, index, member, objects, text
-from skinbake.gltf.morphs import skinned_target_count
+from skinbake.gltf.morphs import is_number, skinned_target_count
 
 PATHS = {"translation": 3, "rotation": 4, "scale": 3}
 MORPH_WEIGHTS = "weights"
@@ -194,10 +194,7 @@ def _numbers(node: JsonObject, key: str, default: Float64Array, place: Place) ->
     value = node.get(key)
     if value is None:
         return default
-    numeric = isinstance(value, list) and all(
-        isinstance(entry, int | float) and not isinstance(entry, bool) for entry in value
-    )
-    if not numeric or len(value) != len(default):
+    if not isinstance(value, list) or len(value) != len(default) or not all(map(is_number, value)):
         raise InputError(f'a node\'s "{key}" must be {len(default)} numbers', place)
     return np.array(value, dtype=np.float64)
 

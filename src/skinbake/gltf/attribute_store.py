@@ -125,6 +125,8 @@ class _DracoStore:
         normalized: bool = False,
         extras: JsonObject | None = None,
     ) -> int:
+        if values.dtype.kind == "i":  # DracoPy encodes unsigned integers and floats; beside the stream, then
+            return self._additions.add(values, normalized=normalized, extras=extras)
         self._new[name] = values
         return self._additions.add_inside(values, normalized=normalized, extras=extras)
 

@@ -26,7 +26,7 @@ EXPECTED = {
 }
 
 MOST = float(np.finfo(np.float32).max)
-"""The largest weight: animations store them as FLOAT. What follows then stays finite in float64."""
+"""The largest number that a file means: animations store FLOAT. What follows stays finite in float64."""
 
 
 def target_count(document: Document, mesh: int) -> int:
@@ -83,7 +83,8 @@ def _numbers(owner: JsonObject, count: int, called: str, place: Place) -> Float6
     return np.array(value, dtype=np.float64)
 
 
-def _is_weight(value: object) -> bool:
+def is_number(value: object) -> bool:
+    """Tell whether a value of the JSON is a number of float32's range; integers there can be of any size."""
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= MOST
 
 

@@ -337,8 +337,7 @@ def _arguments(
         given = []
     if choices.lighting == "direct":
         given = [f"skinbake_gradients({', '.join(['frame', *given])})"]
-    position = "position" if choices.morphs is Morphs.NONE else "morphed_position"
-    return [position, "frame", motions, *names, *given]
+    return ["position", "frame", motions, *names, *given]
 
 
 def _sum(kind: str, pattern: str, slots: Sequence[Slot]) -> str:

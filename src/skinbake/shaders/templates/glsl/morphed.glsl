@@ -3,7 +3,7 @@
 // The frame under morph targets, by the morphed normal: turned by the smallest rotation that takes the normal at
 // rest to n, which is NORMAL plus the weighted sum of its targets, of any length. Not skinbake_frame(n): alpha
 // and beta belong to the frame at rest.
-skinbake_Frame skinbake_morphed(skinbake_Frame rest, vec3 n)
+skinbake_Frame skinbake_morphed_frame(skinbake_Frame rest, vec3 n)
 {
     float square = dot(n, n);
     vec3 normal = square > 0.0 ? n * inversesqrt(square) : rest.normal;

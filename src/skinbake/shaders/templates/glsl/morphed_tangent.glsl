@@ -1,10 +1,11 @@
 #ifndef SKINBAKE_MORPHED_TANGENT
 #define SKINBAKE_MORPHED_TANGENT
 // The frame under morph targets that move TANGENT too: tangent is TANGENT.xyz plus the weighted sum of its targets,
-// and must not be normalised. Where they cancel it, the frame follows the normal.
-skinbake_Frame skinbake_morphed_tangent(skinbake_Frame rest, vec3 n, vec3 tangent)
+// and must not be normalised. Where they cancel it, the frame follows the normal; so should that of a primitive
+// whose targets have no TANGENT, by skinbake_morphed_frame().
+skinbake_Frame skinbake_morphed_tangent_frame(skinbake_Frame rest, vec3 n, vec3 tangent)
 {
-    skinbake_Frame frame = skinbake_morphed(rest, n);
+    skinbake_Frame frame = skinbake_morphed_frame(rest, n);
     vec3 t = tangent - frame.normal * (dot(frame.normal, tangent) - dot(rest.normal, rest.tangent));
     bool cancelled = dot(t, t) < 1e-4 * dot(rest.tangent, rest.tangent);
     frame.tangent = cancelled ? frame.tangent : t;

@@ -1,7 +1,7 @@
 // The frame under morph targets, by the morphed normal: turned by the smallest rotation that takes the normal at
 // rest to n, which is NORMAL plus the weighted sum of its targets, of any length. Not skinbake_frame(n): alpha
 // and beta belong to the frame at rest.
-fn skinbake_morphed(rest: skinbake_Frame, n: vec3<f32>) -> skinbake_Frame {
+fn skinbake_morphed_frame(rest: skinbake_Frame, n: vec3<f32>) -> skinbake_Frame {
     let square = dot(n, n);
     let normal = select(rest.normal, n * inverseSqrt(square), square > 0.0);
     let s = rest.normal + normal;
