@@ -386,6 +386,22 @@ def test_shared_accessors_get_copies_of_their_own_in_draco(tmp_path: Path) -> No
     assert len(views) == 2
 
 
+def test_a_plain_primitive_keeps_the_accessors_that_it_shares(tmp_path: Path) -> None:
+    """The same mesh without its skin: only the skinned one goes into Draco."""
+
+    def share(content: JsonObject) -> None:
+        first = content["meshes"][0]["primitives"][0]
+        content["meshes"].append({"primitives": [{**first, "attributes": dict(first["attributes"])}]})
+        content["nodes"].append({"mesh": len(content["meshes"]) - 1})
+
+    path = edited(ADOPTING, tmp_path, share)
+    bake(path, tmp_path / "draco.glb", **compress("draco"))
+    before, after = read(path), read(tmp_path / "draco.glb")
+    assert after.primitive(1) == before.primitive(1)
+    assert after.stored_attribute("POSITION", 1).tobytes() == before.stored_attribute("POSITION").tobytes()
+    assert np.array_equal(after.triangles(1), before.triangles())
+
+
 class TestOtherTools:
     @pytest.mark.parametrize("swapped", [False, True])
     def test_a_lost_stream_of_before_keeps_the_one_of_the_bake(self, swapped: bool, tmp_path: Path) -> None:

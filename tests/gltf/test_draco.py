@@ -232,7 +232,7 @@ def test_more_than_a_stream_of_its_length_may_hold_is_refused() -> None:
     """Constant attributes cost nothing: 3 million vertices in a stream of 300 bytes."""
     data = b"DRACO\2\2\1\0\0\0" + varint(1) + varint(3_000_000) + bytes(100)
     with pytest.raises(InputError, match="declare 72000000 bytes for a Draco stream of 116, over the limit"):
-        draco_stream.decode(memoryview(data), 3_000_000, 3, 72_000_000, Place("x"))
+        draco_stream.check_counts(memoryview(data), 3_000_000, 3, 72_000_000, Place("x"))
 
 
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="only Linux tells what a process has")
@@ -252,7 +252,8 @@ def test_a_stream_wider_than_its_accessors_is_refused_in_bounded_memory(tmp_path
         "from skinbake.gltf import draco_stream\n"
         "draco_stream.MEMORY_BASE = 1 << 26\n"
         "data = memoryview(Path(sys.argv[1]).read_bytes())\n"
-        f"try: draco_stream.decode(data, {count}, 3, {count * 12}, Place('x'))\n"
+        f"declared = ({count}, 3, {count * 12}, Place('x'))\n"
+        "try: draco_stream.decode(data, draco_stream.check_counts(data, *declared), *declared)\n"
         "except InputError as error: print(error.message)\n"
         "status = Path('/proc/self/status').read_text()\n"
         "print(next(line.split()[1] for line in status.splitlines() if line.startswith('VmHWM')))\n"
@@ -314,6 +315,8 @@ class TestEncoder:
         found = self.decoded(draco_stream.encode(arrays, self.faces, level=7))
         for name in ("NORMAL", "TEXCOORD_0", "POSITION"):
             assert found[name].tobytes() == arrays[name].tobytes()
+        found = self.decoded(draco_stream.encode(arrays, self.faces, level=7, bits={"NORMAL": 10}))
+        assert found["NORMAL"].tobytes() == arrays["NORMAL"].tobytes()
 
     @pytest.mark.parametrize("bits", [8, 11, 14, 16])
     def test_puts_quantised_floats_back_on_their_grid(self, bits: int) -> None:

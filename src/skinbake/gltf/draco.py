@@ -220,10 +220,11 @@ def read_stream(document: Document, primitive: JsonObject, place: Place) -> Drac
     key = (view, *counts)
     if key not in known:
         data = view_bytes(document, view, place)
+        found = draco_stream.check_counts(data, *counts, place)
         charge(document, counts[2], len(data), place)
-        known[key] = draco_stream.decode(data, *counts, place)
-    found: DracoMesh = known[key]
-    return found
+        known[key] = draco_stream.decode(data, found, *counts, place)
+    mesh: DracoMesh = known[key]
+    return mesh
 
 
 def declared(

@@ -47,5 +47,6 @@ def _decompressed(document: Document, view_index: int, view: JsonObject, place: 
     packing = meshopt.packing(view, name, f"buffer view {view_index}", place)
     what = f"the {name} of buffer view {view_index}"
     data = stored_bytes(document, view["extensions"][name], what, place)
+    meshopt.check_length(data, packing, what, place)
     charge(document, packing.count * packing.stride, len(data), place)
     return meshopt.decoded(data, packing, what, place)
