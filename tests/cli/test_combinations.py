@@ -1,0 +1,54 @@
+"""Options of bake that change what is stored, all with each other: verified, baked twice, stripped again."""
+
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+
+import pytest
+
+from tests.cli.running import invoke
+from tests.gltf.models import FOLDER
+from tests.support.corpus import find_corpus
+from tests.support.gltf_reading import read
+
+STORAGES = (
+    (),
+    ("--encoding", "packed8"),
+    ("--encoding", "snorm16", "--layout", "custom"),
+    ("--layout", "texcoord"),
+)
+GATHERINGS = ((), ("--weld", "skin", "--limit-influences", "4"))
+FILES = ("two_sets.glb", "morphed_sheet.glb", "weights_u8.glb")
+
+
+def sources() -> list[Path]:
+    """Return fixtures as they are, and those of the corpus that come compressed."""
+    corpus = find_corpus()
+    derived = [] if corpus is None else [corpus / "derived"]
+    names = ("hand_l-draco-sequential.glb", "barbarian-EXT_meshopt-high.glb", "barbarian-draco-edgebreaker.glb")
+    return [*(FOLDER / name for name in FILES), *(path / name for path in derived for name in names)]
+
+
+@pytest.mark.parametrize(("storage", "gathering"), [*itertools.product(STORAGES, GATHERINGS)])
+@pytest.mark.parametrize("compression", [(), ("--compress", "meshopt"), ("--compress", "draco")])
+def test_every_combination_verifies_repeats_and_is_undone(
+    compression: tuple[str, ...], storage: tuple[str, ...], gathering: tuple[str, ...], tmp_path: Path
+) -> None:
+    """What strip cannot undo is a compression that was asked for: then what it leaves equals the first result."""
+    options = [*compression, *storage, *gathering, "-q"]
+    for source in sources():
+        once, twice, back = (tmp_path / f"{name}-{source.name}" for name in ("once", "twice", "back"))
+        result = invoke("bake", source, "-o", once, *options)
+        assert result.exit_code == 0, (source.name, result.stderr)
+        result = invoke("verify", once, "--poses", "random:1", "--method", "lbs", "-q")
+        assert result.exit_code == 0, (source.name, result.stderr)
+        assert invoke("bake", once, "-o", twice, *options).exit_code == 0
+        assert twice.read_bytes() == once.read_bytes(), source.name
+        assert invoke("strip", once, "-o", back, "-q").exit_code == 0
+        if not compression:
+            assert read(back).content == read(source).content, source.name
+            assert read(back).binary_chunk == read(source).binary_chunk, source.name
+        assert "skinbake" not in str(read(back).content["meshes"]), source.name
+        shader = invoke("shader", "--lang", "wgsl", "--for", once, "-q")
+        assert shader.exit_code == 0, (source.name, shader.stderr)
