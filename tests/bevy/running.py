@@ -5,17 +5,21 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from skinbake.geometry.frames import TANGENT_FRAME, frame_from_normal, frame_from_tangent
+from skinbake.geometry.morphs import Differences, MorphTarget, MorphTargets
 from skinbake.replay.surface import RestSurface
 from skinbake.shaders.choices import Language, Lighting, ShaderChoices
 from skinbake.shaders.text import shader_text
 from tests.bevy.compose import compose
+from tests.support import gltf_reading
 from tests.support.webgpu import NAGA, Job, answers
+from tests.three.characters import Character, Pose
 
 Single = npt.NDArray[np.float32]
 Wide = npt.NDArray[np.float64]
@@ -28,7 +32,11 @@ BAKED = (*PLAIN, "SKINBAKE")
 
 @dataclass(frozen=True)
 class Scene:
-    """Vertices (V, …) and joint matrices (J, 4, 4), all float32, without any likeness to a character."""
+    """Vertices (V, …) and joint matrices (J, 4, 4), all float32.
+
+    alpha and beta (V, 3) are what they mean. Where a file has them otherwise, stored (2, V, 4) is what a
+    vertex buffer of its normalised integers gives.
+    """
 
     positions: Single
     normals: Single
@@ -38,6 +46,7 @@ class Scene:
     alpha: Single
     beta: Single
     matrices: Single
+    stored: Single | None = None
 
     def rest(self, frame: str) -> RestSurface:
         """The same as a replay takes it, in the frame of TANGENT or of NORMAL."""
@@ -95,6 +104,11 @@ class Morph:
             tangents=scene.tangents + np.pad(tangent, ((0, 0), (0, 1))),
         )
 
+    def targets(self, *, with_tangents: bool) -> MorphTargets:
+        """Return the same as a replay takes it."""
+        each = [MorphTarget(*map(Differences.of, deltas)) for deltas in zip(*self._deltas(), strict=True)]
+        return MorphTargets(tuple(each), with_tangents)
+
     def _deltas(self) -> tuple[Single, Single, Single]:
         return self.positions, self.normals, self.tangents
 
@@ -138,6 +152,31 @@ def scene(*, mirrored: bool = False, influences: int = 4, seed: int = 5) -> Scen
     )
 
 
+def character(path: Path, pose: Pose) -> Scene:
+    """Return VERTICES of a baked character in a pose, spread over all of it."""
+    found = Character(path, pose)
+    file = gltf_reading.read(path)
+    metadata = file.primitive(0)["extras"]["skinbake"]
+    rows = np.linspace(0, len(found.rest.positions) - 1, VERTICES).astype(int)
+    integers = [file.attribute(metadata[kind][0])[rows] for kind in ("alpha", "beta")]
+
+    def chosen(array: npt.NDArray[Any]) -> Single:
+        return np.asarray(array[rows], np.float32)
+
+    rest = found.rest
+    return Scene(
+        positions=chosen(rest.positions),
+        normals=chosen(rest.normals),
+        tangents=np.pad(chosen(rest.tangents), ((0, 0), (0, 1)), constant_values=1.0),
+        joints=rest.joints[rows].astype(np.uint32),
+        weights=chosen(rest.weights),
+        alpha=chosen(rest.alpha),
+        beta=chosen(rest.beta),
+        matrices=found.joints.astype(np.float32),
+        stored=np.array(integers, np.float32) if "encoding" in metadata else None,
+    )
+
+
 def morph(targets: int = 2, seed: int = 8) -> Morph:
     """Return random deltas that bend normals by up to some 40°."""
     rng = np.random.default_rng(seed)
@@ -157,7 +196,8 @@ def run(cases: Mapping[str, Case]) -> dict[str, Seen]:
 
 def _job(case: Case) -> Job:
     text = compose(shader_text(case.choices), (*case.defines, *(("MORPH_TARGETS",) if case.deltas else ())))
-    code = _as_compute(text, "SKINBAKE" in case.defines, case.deltas is not None)
+    width = 3 if case.given.stored is None else 4
+    code = _as_compute(text, width if "SKINBAKE" in case.defines else 0, case.deltas is not None)
     other_skin = np.full((SKIN_INDEX, 4, 4), np.nan, np.float32)
     matrices = np.concatenate([other_skin, case.given.matrices]).transpose(0, 2, 1)
     buffers = [_columns(case.given), _meshes(), matrices.tobytes()]
@@ -185,7 +225,10 @@ def _columns(given: Scene) -> bytes:
         for array in (given.positions, given.normals, given.tangents)
     ]
     columns += [given.joints.view(np.float32), given.weights]
-    columns += [np.pad(array, ((0, 0), (0, 1))) for array in (given.alpha, given.beta)]
+    if given.stored is None:
+        columns += [np.pad(array, ((0, 0), (0, 1))) for array in (given.alpha, given.beta)]
+    else:
+        columns += list(given.stored)
     return np.stack(columns, axis=1).astype(np.float32).tobytes()
 
 
@@ -197,15 +240,18 @@ def _meshes() -> bytes:
     return words.tobytes()
 
 
-def _as_compute(text: str, baked: bool, morphed: bool) -> str:
-    """Turn the vertex stage into a function, and call it for one vertex an invocation."""
+def _as_compute(text: str, width: int, morphed: bool) -> str:
+    """Turn the vertex stage into a function, and call it for one vertex an invocation.
+
+    α and β are of ``width`` numbers in a vertex buffer; 0: there are none.
+    """
     for binding, (group, name) in enumerate(
         [("0", "mesh"), ("1", "joint_matrices"), ("2", "morph_weights"), ("3", "morph_targets"), ("8", "")]
     ):
         text = text.replace(f"@group(2) @binding({group}) ", f"@group(0) @binding({binding + 1}) ")
         assert not name or not morphed or name in text
     members = ["1u", "row[0].xyz", "row[1].xyz", "row[2]", "bitcast<vec4<u32>>(row[3])", "row[4]"]
-    members += ["row[5].xyz", "row[6].xyz"] if baked else []
+    members += [f"row[{column}].{'xyzw'[:width]}" for column in (5, 6) if width]
     members += [f"id.x + {FIRST_VERTEX}u"] if morphed else []
     body = f"""
 @group(0) @binding(0) var<storage> rows: array<array<vec4<f32>, 7>>;

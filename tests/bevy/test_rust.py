@@ -10,12 +10,15 @@ from pathlib import Path
 import pytest
 
 from skinbake.geometry.frames import NORMAL_FRAME, TANGENT_FRAME
+from skinbake.shaders.choices import ShaderChoices
 from skinbake.shaders.text import shader_text
 from tests.bevy.running import chosen
 from tests.support.strictness import missing_tool
 
 STUB = Path(__file__).parent / "stub"
 TIMEOUT_SECONDS = 120
+SIZES = {"Float32x3": 12, "Snorm8x4": 4, "Snorm16x4": 8}
+"""Bytes of a vertex, by WebGPU's names."""
 
 
 @pytest.fixture(scope="module")
@@ -27,9 +30,24 @@ def crates(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("frame", [NORMAL_FRAME, TANGENT_FRAME])
-def test_the_rust_lines_compile_and_add_the_attributes(frame: str, crates: Path, tmp_path: Path) -> None:
-    text = shader_text(chosen(frame))
+@pytest.mark.parametrize(
+    ("choices", "names", "vertex_format"),
+    [
+        (chosen(NORMAL_FRAME), "SKINBAKE_ALPHA_0 SKINBAKE_BETA_0", "Float32x3"),
+        (chosen(TANGENT_FRAME, layout="custom"), "CUSTOM0 CUSTOM1", "Float32x3"),
+        (chosen(NORMAL_FRAME, encoding="packed8", scale=1.5), "SKINBAKE_ALPHA_0 SKINBAKE_BETA_0", "Snorm8x4"),
+        (
+            chosen(TANGENT_FRAME, encoding="snorm16", scale=2.0),
+            "SKINBAKE_ALPHA_0 SKINBAKE_BETA_0",
+            "Snorm16x4",
+        ),
+    ],
+    ids=["float32", "custom", "packed8", "snorm16"],
+)
+def test_the_rust_lines_compile_and_add_the_attributes(
+    choices: ShaderChoices, names: str, vertex_format: str, crates: Path, tmp_path: Path
+) -> None:
+    text = shader_text(choices)
     (tmp_path / "skinbake.rs").write_text(_rust_lines(text, tmp_path))
     example = "\n".join(_example(text))
     (tmp_path / "main.rs").write_text(f"{(STUB / 'check.rs').read_text()}\nfn example() {{\n{example};\n}}\n")
@@ -38,9 +56,10 @@ def test_the_rust_lines_compile_and_add_the_attributes(frame: str, crates: Path,
         [tmp_path / "main"], capture_output=True, text=True, timeout=TIMEOUT_SECONDS, check=False
     )
     assert process.returncode == 0, process.stderr
+    alpha, beta = names.split()
     assert process.stdout.splitlines() == [
-        "SKINBAKE_ALPHA_0 SkinbakeAlpha",
-        "SKINBAKE_BETA_0 SkinbakeBeta",
+        f"{alpha} SkinbakeAlpha {vertex_format} 64 8",
+        f"{beta} SkinbakeBeta {vertex_format} {64 + SIZES[vertex_format]} 9",
     ]
 
 

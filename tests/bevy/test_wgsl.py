@@ -4,24 +4,41 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
-from itertools import product
+from itertools import combinations, product
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
+from fixtures.make_fixtures import FOLDER
+from skinbake.commands.shader import ShaderRequest, shader
 from skinbake.errors import ChoiceError
 from skinbake.geometry.frames import NORMAL_FRAME, TANGENT_FRAME
+from skinbake.gltf.encodings import Encoding
+from skinbake.gltf.layouts import Layout, Storage
 from skinbake.replay.algorithms import Algorithm
+from skinbake.replay.morphs import morphed
 from skinbake.replay.run import replay
-from skinbake.replay.surface import RestSurface
-from skinbake.shaders.choices import AttributeText, Language, Lighting, Method, ShaderChoices
+from skinbake.shaders.choices import AttributeText, Language, Lighting, Method, Morphs, ShaderChoices
 from skinbake.shaders.text import shader_text
 from tests.analytic import degrees_between
 from tests.bevy.compose import compose, without_comments
-from tests.bevy.running import BAKED, PLAIN, Case, Scene, Seen, Wide, chosen, jacobians, morph, run, scene
+from tests.bevy.running import (
+    BAKED,
+    PLAIN,
+    Case,
+    Scene,
+    Seen,
+    Wide,
+    character,
+    chosen,
+    jacobians,
+    morph,
+    run,
+    scene,
+)
 from tests.support.webgpu import NAGA, TINT, Implementation, Job, answers
+from tests.three.characters import Pose, baked
 
 # Float32 on both sides of a subtraction of numbers near 1; t' and b' may be nearly parallel.
 DEGREES = 0.02
@@ -36,11 +53,28 @@ CHOICES = [
     chosen(NORMAL_FRAME, Lighting.DIRECT),
     chosen(TANGENT_FRAME, Lighting.DIRECT),
 ]
+OTHERWISE = [
+    chosen(NORMAL_FRAME, encoding="packed8", scale=2.5),
+    chosen(TANGENT_FRAME, Lighting.DIRECT, encoding="snorm16", scale=0.125, layout="custom"),
+    chosen(TANGENT_FRAME, morphs=Morphs.TANGENT),
+    chosen(TANGENT_FRAME, Lighting.DIRECT, morphs=Morphs.TANGENT),
+]
+"""α and β as integers, and targets that morph TANGENT."""
+STORAGES = [Storage(Encoding.PACKED8), Storage(Encoding.SNORM16, Layout.CUSTOM)]
+TUBE, BENT = FOLDER / "bent_tube.glb", Pose(clip=0, time=0.45)
 FRAMES = (NORMAL_FRAME, TANGENT_FRAME)
 SKINS = ("", "SKINNED", "SKINNED SKINBAKE")
 SWITCHES = ("VERTEX_TANGENTS", "MORPH_TARGETS", "SKINS_USE_UNIFORM_BUFFERS")
 OUTPUTS = "VERTEX_UVS_A VERTEX_UVS_B VERTEX_COLORS VERTEX_OUTPUT_INSTANCE_INDEX VISIBILITY_RANGE_DITHER"
 MAIN = "\n@compute @workgroup_size(1) fn main() {}\n"
+
+
+_MORPHED = {
+    "morph normal": chosen(NORMAL_FRAME),
+    "morph tangent by normal": chosen(TANGENT_FRAME),
+    "morph tangent": chosen(TANGENT_FRAME, morphs=Morphs.TANGENT),
+    "morph tangent, direct": chosen(TANGENT_FRAME, Lighting.DIRECT, morphs=Morphs.TANGENT),
+}
 
 
 def _name(choices: ShaderChoices) -> str:
@@ -57,14 +91,29 @@ def _definitions() -> list[tuple[str, ...]]:
 def test_every_set_of_definitions_compiles(implementation: Implementation) -> None:
     jobs = {
         f"{_name(choices)}: {' '.join(defines)}": Job(compose(shader_text(choices), defines) + MAIN)
-        for choices in CHOICES
+        for choices in [*CHOICES, *OTHERWISE]
         for defines in _definitions()
         # In the tangent frame the Rust lines ask for TANGENT before they define SKINBAKE.
         if not (choices.frame == TANGENT_FRAME and "SKINBAKE" in defines and "VERTEX_TANGENTS" not in defines)
     }
-    assert len(jobs) == len(CHOICES) * 48 - 4 * 8
+    assert len(jobs) == 12 * 48 - 7 * 8
     complaints = {name: answer.complaint for name, answer in answers(implementation, jobs).items()}
     assert not {name: found for name, found in complaints.items() if found}
+
+
+@pytest.fixture(scope="module")
+def characters(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Case]:
+    """The bent tube, stored in every way that Bevy reads, each by the shader that its file asks for."""
+    folder = tmp_path_factory.mktemp("baked")
+    cases = {}
+    for storage, lighting in product(STORAGES, (Lighting.ACCURATE, Lighting.DIRECT)):
+        path = baked(TUBE, folder, storage=storage)
+        request = ShaderRequest(Language.WGSL, target="bevy", lighting=lighting)
+        given = character(path, BENT)
+        assert given.stored is not None
+        case = Case(shader(request, str(path)).choices, given)
+        cases[f"{storage.encoding} {lighting}"] = case
+    return cases
 
 
 def _cases() -> dict[str, Case]:
@@ -75,15 +124,16 @@ def _cases() -> dict[str, Case]:
     }
     for frame in FRAMES:
         cases[f"mirror {frame}"] = Case(chosen(frame, mirrored_joints=True), _one_joint_each())
-        cases[f"morph {frame}"] = Case(chosen(frame), scene(), deltas=morph())
+    for name, choices in _MORPHED.items():
+        cases[name] = Case(choices, scene(), deltas=morph())
     cases["not baked"] = Case(chosen(NORMAL_FRAME), scene(), PLAIN)
     return cases
 
 
 @pytest.fixture(scope="module")
-def seen() -> dict[str, Seen]:
+def seen(characters: dict[str, Case]) -> dict[str, Seen]:
     """What the vertex stage makes of every case."""
-    return run(_cases())
+    return run(_cases() | characters)
 
 
 @pytest.mark.parametrize("choices", CHOICES, ids=_name)
@@ -118,25 +168,40 @@ def test_normal_maps_keep_their_side_under_mirrored_joints(frame: str, seen: dic
     assert (np.einsum("vi,vi->v", made, moved) > 0).all()
 
 
-@pytest.mark.parametrize("frame", FRAMES)
-def test_morph_targets_turn_the_frame_with_the_normal(frame: str, seen: dict[str, Seen]) -> None:
-    given, found = scene(), seen[f"morph {frame}"]
-    morphed = morph().applied(given)
-    rest = given.rest(frame)
-    rotations = _smallest_rotations(given.normals, morphed.normals)
-    turned = [np.einsum("vij,vj->vi", rotations, side) for side in (rest.tangents, rest.bitangents)]
-    posed = RestSurface(
-        positions=morphed.positions,
-        normals=np.einsum("vij,vj->vi", rotations, given.normals),
-        tangents=turned[0],
-        bitangents=turned[1],
-        joints=rest.joints,
-        weights=rest.weights,
-        alpha=rest.alpha,
-        beta=rest.beta,
-    )
-    expected = replay(Algorithm.LBS_ACCURATE, posed, given.matrices[None])
+@pytest.mark.parametrize("name", _MORPHED)
+def test_morph_targets_carry_the_frame_along(name: str, seen: dict[str, Seen]) -> None:
+    given, found, choices = scene(), seen[name], _MORPHED[name]
+    targets = morph().targets(with_tangents=choices.morphs is Morphs.TANGENT)
+    carried = morphed(given.rest(choices.frame), targets, morph().weights.astype(np.float64))
+    expected = replay(Algorithm(choices.algorithm), carried, given.matrices[None])
     assert degrees_between(found.normals, expected.normals[0]).max() < DEGREES
+    assert found.positions[:, :3] == pytest.approx(expected.positions[0], abs=1e-5)
+    if choices.frame == TANGENT_FRAME and choices.morphs is Morphs.TANGENT:
+        assert degrees_between(found.tangents[:, :3], expected.tangents[0]).max() < DEGREES
+
+
+def test_frames_that_follow_otherwise_are_far_off() -> None:
+    """Else the test above would not tell the three apart."""
+    given = scene()
+    rest, weights = given.rest(TANGENT_FRAME), morph().weights.astype(np.float64)
+    surfaces = [morphed(rest, morph().targets(with_tangents=flag), weights) for flag in (False, True)]
+    surfaces.append(replace(surfaces[0], tangents=rest.tangents, bitangents=rest.bitangents))
+    posed = [replay(Algorithm.LBS_ACCURATE, one, given.matrices[None]).normals[0] for one in surfaces]
+    for one, other in combinations(posed, 2):
+        assert np.median(degrees_between(one, other)) > 100 * DEGREES
+
+
+@pytest.mark.parametrize("lighting", [Lighting.ACCURATE, Lighting.DIRECT])
+@pytest.mark.parametrize("encoding", ["packed8", "snorm16"])
+def test_integers_are_what_the_file_means(
+    encoding: str, lighting: Lighting, seen: dict[str, Seen], characters: dict[str, Case]
+) -> None:
+    case, found = characters[f"{encoding} {lighting}"], seen[f"{encoding} {lighting}"]
+    rest = case.given.rest(NORMAL_FRAME)
+    expected = replay(Algorithm(case.choices.algorithm), rest, case.given.matrices[None])
+    assert degrees_between(found.normals, expected.normals[0]).max() < DEGREES
+    standard = replay(Algorithm.LBS_APPROXIMATED, rest, case.given.matrices[None])
+    assert np.percentile(degrees_between(found.normals, standard.normals[0]), 95) > 5
     assert found.positions[:, :3] == pytest.approx(expected.positions[0], abs=1e-5)
 
 
@@ -154,6 +219,9 @@ def test_a_mesh_that_is_not_baked_is_lit_as_bevy_does(seen: dict[str, Seen]) -> 
         ({"influences": 5}, "four influences a vertex, not 5"),
         ({"influences": 1}, "one influence"),
         ({"language": Language.GLSL}, "takes --lang wgsl"),
+        ({"layout": "texcoord"}, "two sets of texture coordinates"),
+        ({"encoding": "packed8"}, "packed8 counts in .*; say --for BAKED_FILE"),
+        ({"encoding": "snorm16"}, "snorm16 counts in .*; say --for BAKED_FILE"),
     ],
 )
 def test_what_bevy_cannot_use_is_refused(choices: dict[str, Any], reason: str) -> None:
@@ -167,9 +235,12 @@ def test_attributes_are_registered_by_the_names_of_the_file_without_underscore()
     assert 'add_custom_vertex_attribute("SLOPE_A", ALPHA)' in text
     assert 'add_custom_vertex_attribute("SLOPE_B", BETA)' in text
     assert text.isascii()
+    text = shader_text(chosen(NORMAL_FRAME, layout="custom"))
+    assert 'add_custom_vertex_attribute("CUSTOM0", ALPHA)' in text
+    assert 'add_custom_vertex_attribute("CUSTOM1", BETA)' in text
 
 
-@pytest.mark.parametrize("choices", CHOICES, ids=_name)
+@pytest.mark.parametrize("choices", [*CHOICES, *OTHERWISE], ids=_name)
 def test_no_name_is_one_that_bevys_composer_refuses(choices: ShaderChoices) -> None:
     # naga adds a letter to names that end in a digit or in _, and naga_oil refuses what naga would rename.
     text = without_comments(shader_text(choices))
@@ -204,17 +275,3 @@ def _sides(choices: ShaderChoices, given: Scene) -> Wide:
 def _blended(given: Scene) -> Wide:
     matrices = given.matrices.astype(np.float64)[given.joints][..., :3, :3]
     return np.asarray(np.einsum("vs,vsij->vij", given.weights, matrices))
-
-
-def _smallest_rotations(before: npt.NDArray[np.floating], after: npt.NDArray[np.floating]) -> Wide:
-    """Rotations (V, 3, 3) that take unit vectors to the directions of others, by Rodrigues' formula."""
-    a = before.astype(np.float64)
-    b = after / np.linalg.norm(after.astype(np.float64), axis=1, keepdims=True)
-    axes = np.cross(a, b)
-    sine = np.linalg.norm(axes, axis=1)
-    angle = np.arctan2(sine, np.einsum("vi,vi->v", a, b))
-    x, y, z = (axes / sine[:, None]).T
-    zero = np.zeros_like(x)
-    skew = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=1).reshape(-1, 3, 3)
-    s, c = np.sin(angle)[:, None, None], np.cos(angle)[:, None, None]
-    return np.asarray(np.eye(3) + s * skew + (1 - c) * skew @ skew)

@@ -19,6 +19,11 @@ STORAGES = (
     ("--layout", "texcoord"),
 )
 GATHERINGS = ((), ("--weld", "skin", "--limit-influences", "4"))
+COMPRESSED = (
+    "hand_l-draco-sequential.glb",
+    "barbarian-EXT_meshopt-high.glb",
+    "barbarian-draco-edgebreaker.glb",
+)
 FILES = ("two_sets.glb", "morphed_sheet.glb", "weights_u8.glb")
 
 
@@ -26,8 +31,7 @@ def sources() -> list[Path]:
     """Return fixtures as they are, and those of the corpus that come compressed."""
     corpus = find_corpus()
     derived = [] if corpus is None else [corpus / "derived"]
-    names = ("hand_l-draco-sequential.glb", "barbarian-EXT_meshopt-high.glb", "barbarian-draco-edgebreaker.glb")
-    return [*(FOLDER / name for name in FILES), *(path / name for path in derived for name in names)]
+    return [*(FOLDER / name for name in FILES), *(path / name for path in derived for name in COMPRESSED)]
 
 
 @pytest.mark.parametrize(("storage", "gathering"), [*itertools.product(STORAGES, GATHERINGS)])

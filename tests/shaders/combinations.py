@@ -2,19 +2,30 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
+from typing import Any
 
 from skinbake.geometry.frames import NORMAL_FRAME, TANGENT_FRAME
 from skinbake.replay.surface import DEFAULT_CAP
-from skinbake.shaders.choices import ALGORITHMS, Language, Method, ShaderChoices
+from skinbake.shaders.choices import ALGORITHMS, BEST, Language, Method, Morphs, ShaderChoices
 from skinbake.shaders.text import shader_text
 
 FRAMES = (NORMAL_FRAME, TANGENT_FRAME)
 INFLUENCES = range(1, 9)
 MANY_INFLUENCES = (9, 12)
 """The first of a third set, and all of three sets."""
+
+STORED: tuple[dict[str, Any], ...] = (
+    {"encoding": "snorm16"},
+    {"encoding": "packed8", "scale": 2.5},
+    {"encoding": "packed8", "layout": "custom"},
+    {"layout": "texcoord"},
+    {"layout": "custom"},
+)
+"""How else α and β may be stored; the scale known and not."""
 
 ATTRIBUTES = ("position", "normal", "tangent", "bitangent")
 """The members of skinbake_Vertex, in the order in which ``glsl`` and ``wgsl`` write them."""
@@ -39,6 +50,19 @@ def variants(language: Language) -> list[ShaderChoices]:
     return [*capped, *mirrored, *both, *many]
 
 
+def stored_and_morphed(language: Language) -> list[ShaderChoices]:
+    """Return what encodings, layouts and morph targets add to the best lighting, also together."""
+    methods = [ShaderChoices(language, method, lighting) for method, lighting in BEST.items()]
+    found = []
+    for choices, influences, frame in product(methods, (4, 8), FRAMES):
+        base = replace(choices, influences=influences, frame=frame)
+        morphs = [Morphs.NORMAL, *([Morphs.TANGENT] if frame == TANGENT_FRAME else [])]
+        found += [replace(base, **storage) for storage in STORED]
+        found += [replace(base, morphs=kind) for kind in morphs]
+        found += [replace(base, **storage, morphs=morphs[-1]) for storage in STORED[1:4:2]]
+    return found
+
+
 def together(language: Language) -> dict[str, list[ShaderChoices]]:
     """Return the same in groups that differ in nothing but the algorithm: they can be included together."""
     groups: dict[str, list[ShaderChoices]] = {}
@@ -49,7 +73,18 @@ def together(language: Language) -> dict[str, list[ShaderChoices]]:
 
 def every_text(language: Language) -> dict[str, ShaderChoices]:
     """Return all combinations and variants by a name that is a file name too."""
-    return {label(choices): choices for choices in [*combinations(language), *variants(language)]}
+    return _named([*combinations(language), *variants(language)])
+
+
+def every_stored_and_morphed(language: Language) -> dict[str, ShaderChoices]:
+    """Return the further ones of ``stored_and_morphed`` by name."""
+    return _named(stored_and_morphed(language))
+
+
+def _named(several: Sequence[ShaderChoices]) -> dict[str, ShaderChoices]:
+    named = {label(choices): choices for choices in several}
+    assert len(named) == len(several)
+    return named
 
 
 def label(choices: ShaderChoices) -> str:
@@ -57,6 +92,9 @@ def label(choices: ShaderChoices) -> str:
     words = [choices.stem, str(choices.influences), choices.frame]
     words += ["cap"] if choices.cap is not None else []
     words += ["mirrored"] if choices.mirrored_joints else []
+    words += [choices.encoding] if choices.encoding != "float32" else []
+    words += [choices.layout] if choices.layout != "attributes" else []
+    words += [f"morphed_{choices.morphs}"] if choices.morphs is not Morphs.NONE else []
     return "-".join(words)
 
 
@@ -92,15 +130,27 @@ class Column:
 
 
 def columns(choices: ShaderChoices) -> list[Column]:
-    """Return the attributes that a shader reads; ``rest`` is POSITION and in w the joints' common scale."""
-    found = [Column("rest", 4), Column("normal", 3)]
+    """Return the attributes that a shader reads; ``point`` is POSITION and in w the joints' common scale.
+
+    Those of morph targets are what the caller has added up.
+    """
+    found = [Column("point", 4), Column("normal", 3)]
     if choices.frame == TANGENT_FRAME:
         found.append(Column("tangent", 4))
     sets = range(choices.influence_sets)
     found += [Column(f"joints_{number}", 4, is_integer=True) for number in sets]
     found += [Column(f"weights_{number}", 4) for number in sets]
-    if choices.reads_gradients:
-        kinds = ("alpha", "beta")
+    if choices.morphs is not Morphs.NONE:
+        found.append(Column("morphed_normal", 3))
+    if choices.morphs is Morphs.TANGENT:
+        found.append(Column("morphed_tangent", 3))
+    kinds = ("alpha", "beta")
+    if choices.decodes:
+        found += [Column(f"stored_{kind}_{number}", 4) for kind, number in product(kinds, sets)]
+    elif choices.assembles:
+        shown = " ".join(usage(shader_text(choices)))
+        found += [Column(name, 2) for name in dict.fromkeys(re.findall(r"\btexcoord_\d+", shown))]
+    elif choices.reads_gradients:
         found += [Column(f"{kind}_{number}", 4 if number else 3) for kind, number in product(kinds, sets)]
     return found
 
@@ -118,6 +168,7 @@ def glsl(several: Sequence[ShaderChoices], version: str, motions: int = 64) -> s
         [
             *head,
             *(shader_text(choices) for choices in several),
+            "const float scale = 2.0;",
             *(f"in {column.of_type(Language.GLSL)} {column.name};" for column in reads.values()),
             f"layout(std140) uniform Matrices {{ mat4 matrices[{motions}]; }};",
             f"layout(std140) uniform Quaternions {{ mat2x4 quaternions[{motions}]; }};",
@@ -137,7 +188,7 @@ def _glsl_call(choices: ShaderChoices) -> list[str]:
         "{",
         f"{'mat4' if name == 'M' else 'mat2x4'} {name}[{choices.influences}];",
         *(f"{name}[{slot}] = {table}[{joint}];" for slot, joint in enumerate(_joints(choices))),
-        "vec3 position = rest.w * rest.xyz;",
+        f"vec3 {_position(choices)} = point.w * point.xyz;",
         *_scaled(usage(shader_text(choices)), "skinbake_Frame"),
         *(f"posed_{attribute} += v.{attribute};" for attribute in ATTRIBUTES),
         "} }",
@@ -154,10 +205,11 @@ def wgsl(choices: ShaderChoices) -> str:
     for number, column in enumerate(reads):
         value = f"columns[{len(reads)}u * row + {number}u]"
         value = f"bitcast<vec4<u32>>({value})" if column.is_integer else value
-        loads.append(f"let {column.name} = {value}{'.xyz' if column.size == 3 else ''};")
+        loads.append(f"let {column.name} = {value}{'.' + 'xyzw'[: column.size]};")
     return "\n".join(
         [
             own,
+            "const scale = 2.0;",
             f"@group(0) @binding(0) var<storage, read> motions: array<{kind}>;",
             "@group(0) @binding(1) var<storage, read> columns: array<vec4<f32>>;",
             "@group(0) @binding(2) var<storage, read_write> results: array<vec4<f32>>;",
@@ -167,7 +219,7 @@ def wgsl(choices: ShaderChoices) -> str:
             "if (4u * row >= arrayLength(&results)) { return; }",
             *loads,
             f"let {name} = array<{kind}, {choices.influences}>({chosen});",
-            "let position = rest.w * rest.xyz;",
+            f"let {_position(choices)} = point.w * point.xyz;",
             *_scaled(usage(own), "let"),
             *(
                 f"results[4u * row + {number}u] = vec4<f32>(v.{attribute}, 0.0);"
@@ -182,13 +234,18 @@ def _joints(choices: ShaderChoices) -> list[str]:
     return [f"joints_{slot // 4}.{'xyzw'[slot % 4]}" for slot in range(choices.influences)]
 
 
+def _position(choices: ShaderChoices) -> str:
+    return "position" if choices.morphs is Morphs.NONE else "morphed_position"
+
+
 def _scaled(lines: list[str], keyword: str) -> list[str]:
-    """Return the usage lines with the frame scaled after the first of them; a block is left open."""
-    scaled = "rest.w * unscaled.tangent, rest.w * unscaled.bitangent, unscaled.handedness"
+    """Return the usage lines with the frame scaled where they have made it; a block is left open."""
+    scaled = "point.w * unscaled.tangent, point.w * unscaled.bitangent, unscaled.handedness"
+    made = next(at for at, line in enumerate(lines) if line.startswith(f"{keyword} frame = ")) + 1
     return [
-        lines[0],
+        *lines[:made],
         f"{keyword} unscaled = frame;",
         "{",
         f"{keyword} frame = skinbake_Frame(unscaled.normal, {scaled});",
-        *lines[1:],
+        *lines[made:],
     ]

@@ -107,7 +107,7 @@ class Scene:
         result = np.zeros((poses, len(self.positions), len(columns(choices)), 4), np.float32)
         joints = _wide(self.joints[:, : choices.influences], width)
         for pose in range(poses):
-            found["rest"] = np.column_stack([self.positions, np.full(len(self.positions), scale[pose])])
+            found["point"] = np.column_stack([self.positions, np.full(len(self.positions), scale[pose])])
             for number in range(sets):
                 chosen = joints[:, SLOTS_PER_SET * number :][:, :SLOTS_PER_SET] + pose * joint_count
                 found[f"joints_{number}"] = chosen.astype(np.uint32).view(np.float32)

@@ -10,8 +10,8 @@ from dataclasses import replace
 import pytest
 
 from skinbake.geometry.frames import NORMAL_FRAME, TANGENT_FRAME
-from skinbake.shaders.choices import Language, Lighting, Method, ShaderChoices
-from tests.shaders.combinations import every_text, glsl, together, wgsl
+from skinbake.shaders.choices import Language, Lighting, Method, Morphs, ShaderChoices
+from tests.shaders.combinations import STORED, every_stored_and_morphed, every_text, glsl, together, wgsl
 from tests.support import glslang, webgpu
 
 VERSIONS = ("300 es", "330", "450")
@@ -22,8 +22,9 @@ CAPPED = replace(EXACT, cap=0.9, influences=5)
 
 @pytest.mark.parametrize("version", VERSIONS)
 def test_every_glsl_text_compiles(version: str) -> None:
-    shaders = {name: glsl([choices], version) for name, choices in every_text(Language.GLSL).items()}
-    assert len(shaders) >= 96
+    texts = every_text(Language.GLSL) | every_stored_and_morphed(Language.GLSL)
+    shaders = {name: glsl([choices], version) for name, choices in texts.items()}
+    assert len(shaders) >= 96 + 68
     assert glslang.complaints(shaders) == {}
 
 
@@ -33,22 +34,36 @@ def test_every_glsl_text_becomes_valid_spirv() -> None:
     assert {name: glslang.invalid(module) for name, module in found.items()} == dict.fromkeys(found, "")
 
 
-def test_every_wgsl_text_compiles() -> None:
-    jobs = {name: webgpu.Job(wgsl(choices)) for name, choices in every_text(Language.WGSL).items()}
-    assert len(jobs) >= 96
-    found = webgpu.answers(webgpu.NAGA, jobs)
+@pytest.mark.parametrize("implementation", [webgpu.NAGA, webgpu.TINT], ids=["naga", "tint"])
+def test_every_wgsl_text_compiles(implementation: webgpu.Implementation) -> None:
+    """By Tint those that ``test_run`` does not run."""
+    texts = every_stored_and_morphed(Language.WGSL)
+    if implementation is webgpu.NAGA:
+        texts |= every_text(Language.WGSL)
+    jobs = {name: webgpu.Job(wgsl(choices)) for name, choices in texts.items()}
+    assert len(jobs) >= 68
+    found = webgpu.answers(implementation, jobs)
     assert {name: answer.complaint for name, answer in found.items() if answer.complaint} == {}
 
 
 @pytest.mark.parametrize("version", VERSIONS)
 def test_texts_can_be_included_together(version: str) -> None:
-    """The same text twice, two counts of influences, two methods, two frames, with and without a cap."""
+    """The same text twice, two counts of influences, two methods, two frames, with and without a cap,
+    every storage, the ways that a frame is carried along."""
+    storages = [replace(BASE, influences=5 + count, **storage) for count, storage in enumerate(STORED)]
+    morphs = [
+        replace(EXACT, morphs=Morphs.NORMAL),
+        replace(CAPPED, frame=TANGENT_FRAME, morphs=Morphs.TANGENT),
+    ]
     pairs = {
         "twice": [BASE, BASE],
         "counts": [BASE, replace(BASE, influences=8)],
         "methods-and-frames": [BASE, EXACT],
         "cap": [EXACT, CAPPED],
         "cap-of-two-methods": [CAPPED, replace(CAPPED, method=Method.LBS, lighting=Lighting.ACCURATE)],
+        "storages": [BASE, *storages],
+        "coordinates": [replace(BASE, layout="texcoord", influences=count) for count in (3, 4, 8, 12)],
+        "morphs": [BASE, *morphs],
         "all": [BASE, EXACT, CAPPED, replace(BASE, lighting=Lighting.DIRECT), replace(BASE, influences=1)],
     }
     assert glslang.complaints({name: glsl(texts, version) for name, texts in pairs.items()}) == {}

@@ -184,8 +184,7 @@ def test_glsl_compiles_with_its_own_example(
         GLSL, method, lighting, influences, attributes=None, scale=2.5 if influences == 8 else None, **storage
     )
     text = shader_text(choices)
-    lines = [re.sub(r"^float scale = \.\.\.;.*", "float scale = 2.0;", line) for line in usage(text)]
-    joined = "\n".join(lines)
+    joined = "\n".join(usage(text))
     sets = range(-(-influences // 4))
     given = {"position": "vec3", "normal": "vec3"} | {f"weights_{n}": "vec4" for n in sets}
     given |= {f"stored_{kind}_{n}": "vec4" for kind in ("alpha", "beta") for n in sets}
@@ -194,7 +193,7 @@ def test_glsl_compiles_with_its_own_example(
     declared = "\n".join(f"{kind} {name} = {kind}(1.0);" for name, kind in given.items())
     body = f"{declared}\n{motion}[{influences}];\n{joined}\ngl_Position = vec4(v.normal, 1.0);"
     path = tmp_path / "shader.vert"
-    path.write_text(f"#version 300 es\n{text}\nvoid main() {{\n{body}\n}}\n")
+    path.write_text(f"#version 300 es\n{text}\nuniform float scale;\nvoid main() {{\n{body}\n}}\n")
     done = subprocess.run([compiler, str(path)], capture_output=True, text=True, check=False, timeout=60)
     assert done.returncode == 0, done.stdout
 
@@ -216,9 +215,9 @@ class TestText:
         text = shader_text(ShaderChoices(GLSL, encoding="snorm16"))
         assert "vec3 skinbake_decoded(vec4 stored, float scale)" in text
         assert "skinbake_decoded_further" not in text
-        assert "float scale = ...; // extras.skinbake.scale of the file: a constant, or a uniform" in usage(
-            text
-        )
+        assert "scale =" not in text
+        assert "vec3 alpha_0 = skinbake_decoded(stored_alpha_0, scale);" in usage(text)
+        assert '"scale" in extras.skinbake of its baked primitives; make it a constant or a uniform.' in text
         assert "max(c / 32767, -1)" in text
 
     def test_the_table_of_inputs_tells_the_stored_types(self) -> None:
@@ -291,12 +290,18 @@ class TestRefusals:
 
     @pytest.mark.parametrize("storage", [{"encoding": "packed8"}, {"layout": "texcoord"}])
     def test_a_target_that_does_not_decode(
-        self, storage: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+        self, storage: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        monkeypatch.setattr(shader_texts, "READING_TARGETS", ())
-        with pytest.raises(ChoiceError, match="--target plain reads alpha and beta as floats"):
-            shader_text(ShaderChoices(GLSL, **storage))
-        shader_text(ShaderChoices(GLSL, lighting=Lighting.APPROXIMATED, **storage))
+        """A new target's file that says nothing of encodings and layouts reads floats, of any names."""
+        shutil.copytree(shader_texts.TEMPLATES, tmp_path / "templates")
+        (tmp_path / "templates" / "targets" / "bare.glsl").write_text("@{ text_for().snippet }\n")
+        monkeypatch.setattr(shader_texts, "TEMPLATES", tmp_path / "templates")
+        monkeypatch.setattr(shader_texts, "_environment", shader_texts._environment.__wrapped__)
+        with pytest.raises(ChoiceError, match="--target bare reads alpha and beta as floats"):
+            shader_text(ShaderChoices(GLSL, target="bare", **storage))
+        approximated = ShaderChoices(GLSL, lighting=Lighting.APPROXIMATED, target="bare", **storage)
+        assert "skinbake_lbs_approximated" in shader_text(approximated)
+        assert "skinbake_lbs_accurate" in shader_text(ShaderChoices(GLSL, target="bare", layout="custom"))
 
     @pytest.mark.parametrize(
         ("storage", "asked", "words"),

@@ -10,7 +10,7 @@ import pytest
 
 from skinbake.shaders.choices import Language, ShaderChoices
 from skinbake.shaders.text import shader_text
-from tests.shaders.combinations import every_text, usage
+from tests.shaders.combinations import every_stored_and_morphed, every_text, usage
 
 FUNCTION = re.compile(r"^(?:fn |[\w\[\]]+ )(\w+)\(", re.MULTILINE)
 STRUCT = re.compile(r"^struct (\w+)", re.MULTILINE)
@@ -24,7 +24,8 @@ IMPURE = re.compile(
 @cache
 def texts(language: Language) -> dict[str, tuple[ShaderChoices, str]]:
     """All choices of a language by name, with their text."""
-    return {name: (choices, shader_text(choices)) for name, choices in every_text(language).items()}
+    every = every_text(language) | every_stored_and_morphed(language)
+    return {name: (choices, shader_text(choices)) for name, choices in every.items()}
 
 
 def code(text: str) -> str:
@@ -49,7 +50,7 @@ class TestEveryText:
     def test_there_is_one_for_every_combination(self, language: Language) -> None:
         plain = Counter(
             (choices.algorithm, choices.frame)
-            for choices, _ in texts(language).values()
+            for choices in every_text(language).values()
             if choices.cap is None and not choices.mirrored_joints and choices.influences <= 8
         )
         assert len(plain) == 12

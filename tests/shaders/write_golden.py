@@ -10,7 +10,7 @@ from pathlib import Path
 
 from skinbake.geometry.frames import NORMAL_FRAME, TANGENT_FRAME
 from skinbake.replay.surface import DEFAULT_CAP
-from skinbake.shaders.choices import ALGORITHMS, Language, Lighting, Method, ShaderChoices
+from skinbake.shaders.choices import ALGORITHMS, Language, Lighting, Method, Morphs, ShaderChoices
 from skinbake.shaders.text import shader_text
 from tests.shaders.combinations import label
 
@@ -31,6 +31,13 @@ def golden_choices() -> list[ShaderChoices]:
         found.append(replace(accurate, cap=DEFAULT_CAP, mirrored_joints=True))
         found.append(ShaderChoices(language, Method.DQS, Lighting.EXACT, 8, NORMAL_FRAME, cap=DEFAULT_CAP))
         found.append(ShaderChoices(language, Method.DQS, Lighting.EXACT, 1))
+        found.append(ShaderChoices(language, encoding="packed8", scale=2.5))
+        found.append(ShaderChoices(language, encoding="snorm16", influences=8))
+        found.append(ShaderChoices(language, layout="texcoord"))
+        found.append(ShaderChoices(language, morphs=Morphs.NORMAL))
+        found.append(
+            ShaderChoices(language, Method.DQS, Lighting.EXACT, 4, TANGENT_FRAME, morphs=Morphs.TANGENT)
+        )
     return found
 
 

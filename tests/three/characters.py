@@ -19,6 +19,7 @@ from skinbake.geometry import frames
 from skinbake.geometry.poses import random_rotations
 from skinbake.gltf.animation import clip_poses, random_poses, read_clips, read_skeleton
 from skinbake.gltf.document import read_document
+from skinbake.gltf.layouts import Storage
 from skinbake.replay.algorithms import Algorithm
 from skinbake.replay.run import replay
 from skinbake.replay.surface import RestSurface
@@ -28,6 +29,7 @@ Array = npt.NDArray[np.float64]
 JsonObject = dict[str, Any]
 
 IDENTITY: Array = np.eye(4)
+AS_USUAL = Storage()
 
 
 @dataclass(frozen=True)
@@ -75,6 +77,7 @@ class Character:
                 part.astype(np.float32) for part in frames.frame_from_tangent(normals, self.tangents)
             )
         joints, weights = file.influences()
+        alpha, beta = _gradients(file, metadata)
         self.rest = RestSurface(
             positions=file.attribute("POSITION"),
             normals=normals,
@@ -82,8 +85,8 @@ class Character:
             bitangents=bitangents,
             joints=joints[:, :4],
             weights=weights / weights.sum(axis=1, keepdims=True),
-            alpha=file.attribute(metadata["alpha"][0]),
-            beta=file.attribute(metadata["beta"][0]),
+            alpha=alpha,
+            beta=beta,
         )
         self._along = self._tangents_in_frame()
         self._morph(file)
@@ -153,6 +156,18 @@ class Character:
         return unit(posed.normals[0] @ np.linalg.inv(placement.world[:3, :3]))
 
 
+def _gradients(file: gltf_reading.GltfFile, metadata: JsonObject) -> tuple[Array, Array]:
+    """Return α and β of one influence set, (V, 3) each, as the file means them (CONVENTIONS.md)."""
+    if metadata.get("layout") == "texcoord":
+        names = dict.fromkeys([*metadata["alpha"], *metadata["beta"]])
+        row = np.hstack([file.attribute(name) for name in names])
+        return row[:, :3], row[:, 3:]
+    alpha, beta = (file.attribute(metadata[kind][0]) for kind in ("alpha", "beta"))
+    if "encoding" in metadata:
+        alpha, beta = (part[:, :3] * part[:, 3:] ** 2 * metadata["scale"] for part in (alpha, beta))
+    return alpha, beta
+
+
 def _posed(path: Path, pose: Pose) -> tuple[Array, JsonObject]:
     """Return the joints' matrices (J, 4, 4) in the scene, and the pose in the page's words."""
     document = read_document(str(path))
@@ -166,11 +181,12 @@ def _posed(path: Path, pose: Pose) -> tuple[Array, JsonObject]:
     return joints, {"turned": turned.tolist()}
 
 
-def baked(source: Path, folder: Path, frame: str = "auto") -> Path:
-    """Bake a file with a frame into a folder, the frame in its name, and return what was written."""
-    target = folder / f"{source.stem}-{frame}.glb"
+def baked(source: Path, folder: Path, frame: str = "auto", storage: Storage = AS_USUAL) -> Path:
+    """Bake a file into a folder, frame and storage in its name, and return what was written."""
+    target = folder / f"{source.stem}-{frame}-{storage.encoding}-{storage.layout}.glb"
     if not target.exists():
-        result = bake_file(str(source), str(target), BakeOptions(settings=BakeSettings(frame=frame)))
+        options = BakeOptions(settings=BakeSettings(frame=frame), storage=storage)
+        result = bake_file(str(source), str(target), options)
         assert result.status == "baked", result.error or result.notices
     return target
 

@@ -162,6 +162,11 @@ const MATERIALS = {
     matcap: () => new THREE.MeshMatcapMaterial({ matcap: grey() }),
     standard: () => new THREE.MeshStandardMaterial(),
     mapped: () => new THREE.MeshStandardMaterial({ normalMap: normalTexture() }),
+    'second coordinates': () => {
+        const normalMap = normalTexture();
+        normalMap.channel = 1;
+        return new THREE.MeshStandardMaterial({ normalMap });
+    },
     'object-space map': () =>
         new THREE.MeshStandardMaterial({ normalMap: normalTexture(), normalMapType: THREE.ObjectSpaceNormalMap }),
     physical: () =>
@@ -351,27 +356,45 @@ const api = {
         };
     },
 
-    // What patchSkinnedMeshes does where something of a mesh is not as baked; the console has the reason.
-    async misfits({ module, url }) {
-        const { patchMaterial, patchSkinnedMeshes } = await import(module);
+    // How many meshes are patched where something of them is not as baked, by the names of the changes; the
+    // console has the reasons.
+    async misfits({ module, url, names }) {
+        const { patchSkinnedMeshes } = await import(module);
         const changes = {
-            size: ({ attributes: a }) => (a._skinbake_alpha_0 = new THREE.BufferAttribute(new Float32Array(8), 4)),
+            size: ({ attributes: a }) => {
+                const size = 7 - a._skinbake_alpha_0.itemSize;
+                a._skinbake_alpha_0 = new THREE.BufferAttribute(new Float32Array(4 * size), size, true);
+            },
+            integers: ({ attributes: a }) => (a._skinbake_alpha_0.normalized = false),
+            floats: ({ attributes: a }) => (a._skinbake_alpha_0 = new THREE.BufferAttribute(new Float32Array(9), 3)),
             lacking: (geometry) => geometry.deleteAttribute('_skinbake_beta_0'),
+            scale: ({ userData }) => (userData.skinbake.scale *= 2),
             frame: ({ userData }) => (userData.skinbake = { frame: 'other' }),
             normal: (geometry) => geometry.deleteAttribute('normal'),
             influences: ({ attributes: a }) => (a.joints_1 = a.skinIndex),
+            coordinates: ({ userData: { skinbake: s } }) => {
+                s.alpha = ['TEXCOORD_0', 'TEXCOORD_1'];
+                s.beta = ['TEXCOORD_1', 'TEXCOORD_2'];
+            },
+            pair: (geometry) => geometry.deleteAttribute('uv2'),
+            bare: ({ userData }) => delete userData.skinbake,
         };
-        const counts = {};
-        for (const [name, change] of Object.entries(changes)) {
+        const counts = [];
+        for (const name of names) {
             const scene = await load({ url });
             const [mesh] = skinnedMeshes(scene);
             mesh.name = name;
-            change(mesh.geometry);
-            counts[name] = patchSkinnedMeshes(scene);
+            changes[name](mesh.geometry);
+            counts.push(patchSkinnedMeshes(scene));
         }
+        return counts;
+    },
+
+    // Compile a patched material whose vertex shader has none of three.js's chunks.
+    async without_chunks({ module }) {
+        const { patchMaterial } = await import(module);
         const sprite = patchMaterial(new THREE.ShaderMaterial({ name: 'bare' }));
         sprite.onBeforeCompile({ vertexShader: 'void main() {}', fragmentShader: '' });
-        return counts;
     },
 };
 

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import base64
 import dataclasses
+import hashlib
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,13 +20,17 @@ import numpy.typing as npt
 import pytest
 
 from fixtures.make_fixtures import FOLDER
+from skinbake.commands.shader import ShaderRequest, shader
 from skinbake.errors import ChoiceError
+from skinbake.gltf.encodings import Encoding
+from skinbake.gltf.layouts import Layout, Storage
 from skinbake.replay.algorithms import Algorithm
-from skinbake.shaders.choices import AttributeText, Language, Lighting, Method, ShaderChoices
+from skinbake.shaders.choices import AttributeText, Language, Lighting, Method, Morphs, ShaderChoices
 from skinbake.shaders.text import shader_text
 from tests.support import browser, corpus
 from tests.support.node import package_folder, require_node
 from tests.three.characters import (
+    AS_USUAL,
     IDENTITY,
     Array,
     Character,
@@ -72,14 +78,20 @@ class Stage:
         self.page, self.folder = page, folder
 
     def character(
-        self, source: Path, pose: Pose, frame: str = "auto", morphs: tuple[float, ...] = ()
+        self,
+        source: Path,
+        pose: Pose,
+        frame: str = "auto",
+        morphs: tuple[float, ...] = (),
+        storage: Storage = AS_USUAL,
     ) -> Character:
-        return Character(baked(source, self.folder / "models", frame), pose, morphs)
+        return Character(baked(source, self.folder / "models", frame, storage), pose, morphs)
 
     def module(self, choices: ShaderChoices) -> str:
         """Write a module and return its address."""
-        name = f"{choices.words.replace(' ', '_').replace(',', '')}.mjs"
-        (self.folder / "modules" / name).write_text(shader_text(choices), encoding="ascii")
+        text = shader_text(choices)
+        name = f"{hashlib.sha256(text.encode()).hexdigest()}.mjs"
+        (self.folder / "modules" / name).write_text(text, encoding="ascii")
         return f"/modules/{name}"
 
     def vertices(
@@ -101,6 +113,13 @@ class Stage:
         world = np.array(mesh["world"]).reshape(4, 4).T
         values = tuple(floats(text).reshape(-1, 3).astype(np.float64) for text in mesh["values"])
         return Result(mesh["patched"], dataclasses.replace(placement, world=world), values)
+
+    def misfits(self, character: Character, names: list[str]) -> list[str]:
+        """Change a character's mesh in these ways, and return what its module says of each, patching none."""
+        url, module = character.told(Placement())["url"], self.module(for_file(character))
+        counts = self.page.call("misfits", {"module": module, "url": url, "names": names})
+        assert counts == [0] * len(names)
+        return self.page.messages()
 
     def call(self, function: str, options: dict[str, Any]) -> Any:
         """Call a function of the page; whatever the console says of it fails the test."""
@@ -352,6 +371,113 @@ class TestMorphTargets:
         found = stage.vertices(morphed, CHOICES)
         assert deviation(found.values[0], morphed.expected_anew(found.placement)) > 100 * TOLERANCE
 
+    def test_targets_of_tangents_change_nothing(self) -> None:
+        """three.js does not morph tangents, so that the frame must not follow theirs."""
+        texts = {shader_text(dataclasses.replace(for_frame("tangent"), morphs=morphs)) for morphs in Morphs}
+        assert len(texts) == 1
+        assert "skinbake_morphed_frame(frame, " in texts.pop()
+
+
+PACKED8, TEXCOORD = Storage(Encoding.PACKED8), Storage(layout=Layout.TEXCOORD)
+STORAGES = [
+    pytest.param(PACKED8, id="packed8"),
+    pytest.param(Storage(Encoding.SNORM16), id="snorm16"),
+    pytest.param(Storage(Encoding.PACKED8, Layout.CUSTOM), id="packed8 custom"),
+    pytest.param(Storage(layout=Layout.CUSTOM), id="custom"),
+    pytest.param(TEXCOORD, id="texcoord"),
+]
+
+
+def for_file(character: Character, lighting: Lighting = Lighting.ACCURATE) -> ShaderChoices:
+    """The choices that ``--target three --for`` makes of a character's file."""
+    request = ShaderRequest(Language.GLSL, target="three", lighting=lighting)
+    return shader(request, str(character.path)).choices
+
+
+def with_coordinates(folder: Path, source: Path, count: int) -> Path:
+    """Copy a fixture with so many texture coordinate sets of its own."""
+    target = folder / f"{source.stem}-{count}-sets.glb"
+    file = Editable(source)
+    attributes = file.primitive()["attributes"]
+    first = attributes.pop("TEXCOORD_0")
+    attributes |= {f"TEXCOORD_{number}": first for number in range(count)}
+    return file.write(target)
+
+
+class TestStorage:
+    """α and β as integers, under other names, in texture coordinates: what the file says is what is drawn."""
+
+    @pytest.mark.parametrize("storage", STORAGES)
+    @pytest.mark.parametrize("lighting", [Lighting.ACCURATE, Lighting.DIRECT])
+    def test_every_vertex_has_what_the_file_means(
+        self, stage: Stage, storage: Storage, lighting: Lighting
+    ) -> None:
+        character = stage.character(TUBE, BENT, storage=storage)
+        choices = for_file(character, lighting)
+        found = stage.vertices(character, choices, material="mapped")
+        assert found.patched == 1
+        expected = character.expected(Algorithm(choices.algorithm), found.placement)
+        assert deviation(found.values[0], expected.normals) < TOLERANCE
+
+    def test_packed8_is_seen(self, stage: Stage) -> None:
+        """Else the tests above would not tell it from floats."""
+        of_floats = stage.character(TUBE, BENT)
+        placement = stage.vertices(of_floats, None).placement
+        packed = stage.character(TUBE, BENT, storage=PACKED8)
+        both = [each.expected(Algorithm.LBS_ACCURATE, placement).normals for each in (of_floats, packed)]
+        assert deviation(*both) > 10 * TOLERANCE
+
+    @pytest.mark.parametrize(
+        ("sets", "first"), [(0, "'uv', 'uv1'"), (1, "'uv1', 'uv2'"), (3, "'uv3', 'texcoord_4'")]
+    )
+    @pytest.mark.parametrize("material", ["standard", "second coordinates"])
+    def test_texture_coordinates_of_any_number(
+        self, stage: Stage, sets: int, first: str, material: str
+    ) -> None:
+        """Also where three.js declares uv1 itself, for a texture."""
+        source = with_coordinates(stage.folder, TUBE, sets)
+        character = stage.character(source, BENT, storage=TEXCOORD)
+        choices = for_file(character)
+        assert f"const ATTRIBUTES = [{first}" in shader_text(choices)
+        found = stage.vertices(character, choices, material=material)
+        expected = character.expected(Algorithm.LBS_ACCURATE, found.placement)
+        assert deviation(found.values[0], expected.normals) < TOLERANCE
+
+    def test_integers_that_do_not_fit_are_told_of(self, stage: Stage) -> None:
+        character = stage.character(TUBE, BENT, storage=PACKED8)
+        told = stage.misfits(character, ["size", "lacking", "integers", "scale", "floats"])
+        other = "stays as it was: its scale is"
+        unlike = "stays as it was: _skinbake_alpha_0 is not a normalised VEC4 attribute"
+        scale = for_file(character).scale
+        assert scale is not None
+        assert told == [
+            f'skinbake: "size" {unlike}',
+            f'skinbake: "lacking" {unlike.replace("alpha", "beta")}',
+            f'skinbake: "integers" {unlike}',
+            f'skinbake: "scale" {other} {2 * scale}, and this module is for {scale:.9g}',
+            f'skinbake: "floats" {unlike}',
+        ]
+
+    def test_texture_coordinates_that_do_not_fit_are_told_of(self, stage: Stage) -> None:
+        """A mesh that has as many of them and is not baked is nothing to tell of."""
+        character = stage.character(TUBE, BENT, storage=TEXCOORD)
+        assert stage.misfits(character, ["coordinates", "pair", "bare"]) == [
+            'skinbake: "coordinates" stays as it was: it is stored in TEXCOORD_0 TEXCOORD_1 TEXCOORD_2, '
+            "not in TEXCOORD_1 TEXCOORD_2 TEXCOORD_3",
+            'skinbake: "pair" stays as it was: uv2 is not a VEC2 attribute',
+        ]
+
+    def test_modules_of_two_scales_are_two_programs(self) -> None:
+        """three.js shares the programs of materials whose keys are the same."""
+        texts = [shader_text(dataclasses.replace(CHOICES, encoding="packed8", scale=x)) for x in (1.5, 2.5)]
+        keys = [re.search(r"const SCALE = (.*);\nconst KEY = `.* \$\{SCALE\}`;", text) for text in texts]
+        assert [key and key[1] for key in keys] == ["1.5", "2.5"]
+
+    @pytest.mark.parametrize("encoding", ["packed8", "snorm16"])
+    def test_an_unknown_scale_is_refused(self, encoding: str) -> None:
+        with pytest.raises(ChoiceError, match=f"three: {encoding} counts in .*; say --for BAKED_FILE"):
+            shader_text(dataclasses.replace(CHOICES, encoding=encoding))
+
 
 class TestMaterials:
     def test_every_kind_compiles_in_silence(self, stage: Stage) -> None:
@@ -410,16 +536,19 @@ class TestPatching:
         assert found == {"ran": ["red", 1, 0, 0, "blue", 0, 0, 1], "different": True}
 
     def test_a_mesh_that_does_not_fit_is_left_alone_and_told_of(self, stage: Stage) -> None:
-        url = stage.character(TUBE, BENT).told(Placement())["url"]
-        counts = stage.page.call("misfits", {"module": stage.module(CHOICES), "url": url})
-        assert counts == dict.fromkeys(["size", "lacking", "frame", "normal", "influences"], 0)
-        assert stage.page.messages() == [
+        character = stage.character(TUBE, BENT)
+        assert stage.misfits(character, ["size", "lacking", "frame", "normal", "influences"]) == [
             'skinbake: "size" stays as it was: _skinbake_alpha_0 is not a VEC3 attribute',
             'skinbake: "lacking" stays as it was: _skinbake_beta_0 is not a VEC3 attribute',
             'skinbake: "frame" stays as it was: its frame is other, and this module is for --frame normal',
             'skinbake: "normal" stays as it was: it has no normal attribute',
             'skinbake: "influences" stays as it was: three.js skins by four influences, it has more',
-            'skinbake: ShaderMaterial "bare" lacks #include <skinnormal_vertex>, and stays as it was',
+        ]
+
+    def test_a_material_without_the_chunks_is_left_alone_and_told_of(self, stage: Stage) -> None:
+        stage.page.call("without_chunks", {"module": stage.module(CHOICES)})
+        assert stage.page.messages() == [
+            'skinbake: ShaderMaterial "bare" lacks #include <skinnormal_vertex>, and stays as it was'
         ]
 
     def test_the_modules_of_two_frames_serve_one_scene(self, stage: Stage) -> None:
@@ -469,7 +598,7 @@ class TestPatching:
     def test_other_attribute_names_arrive_in_lower_case(self) -> None:
         names = AttributeText("x.glb", ("_Along_T",), ("_Along_B",))
         text = shader_text(dataclasses.replace(CHOICES, attributes=names))
-        assert "const ALPHA = '_along_t';" in text
+        assert "const ATTRIBUTES = ['_along_t', '_along_b'];" in text
         assert "attribute vec3 _along_b;" in text
 
 

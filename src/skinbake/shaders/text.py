@@ -2,8 +2,8 @@
 
 A target is a file ``templates/targets/NAME.LANGUAGE[.SUFFIX]``. It may ``refuse`` choices that its engine
 cannot serve, and takes what it is made of from ``text_for``, which it tells what it can read: see
-``_text_for``. Lines that begin with ``//%`` are statements and ``@{ }`` holds values, so that a template reads
-as the language that it writes.
+``_text_for``. Lines that begin with ``//%`` are statements and ``@{ }`` holds values, so that a template
+reads as the language that it writes.
 """
 
 from __future__ import annotations

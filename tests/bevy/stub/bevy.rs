@@ -363,6 +363,8 @@ pub mod render {
             Float32x3,
             Float32x4,
             Uint16x4,
+            Snorm8x4,
+            Snorm16x4,
         }
         impl VertexFormat {
             pub fn size(&self) -> u64 {
@@ -370,6 +372,8 @@ pub mod render {
                     VertexFormat::Float32x3 => 12,
                     VertexFormat::Float32x4 => 16,
                     VertexFormat::Uint16x4 => 8,
+                    VertexFormat::Snorm8x4 => 4,
+                    VertexFormat::Snorm16x4 => 8,
                 }
             }
         }

@@ -1,5 +1,5 @@
 //% for part in assembled
-//% set guard = "SKINBAKE_" ~ part.name | upper ~ "_OF_" ~ pairs | length
+//% set guard = "SKINBAKE_" ~ part.name | upper
 #ifndef @{ guard }
 #define @{ guard }
 // @{ part.kind } of @{ part.slots }, from @{ "pairs" if part.params | length > 1 else "the pair" } @{ part.numbers } of @{ pairs | length }.

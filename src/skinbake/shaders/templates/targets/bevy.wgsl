@@ -6,15 +6,25 @@
 //%   set _ = refuse("--target bevy: Bevy reads four influences a vertex, not " ~ influences)
 //% elif influences < 2
 //%   set _ = refuse("--target bevy: one influence needs no shader, Bevy lights it right; take --influences 4")
+//% elif assembles
+//%   set _ = refuse("--target bevy: Bevy reads two sets of texture coordinates, not " ~ pairs | length ~ " more; bake with --layout attributes")
+//% elif decodes and not scale
+//%   set _ = refuse("--target bevy: " ~ encoding ~ " counts in a scale of the baked file's own; say --for BAKED_FILE")
 //% endif
+//% set text = text_for(reads=["snorm16", "packed8"], morphs="tangent" if morphs == "tangent" else "normal")
+//% set vertex_format = {"float32": "Float32x3", "snorm16": "Snorm16x4", "packed8": "Snorm8x4"}[encoding]
+//% set stored = types.vec4 if decodes else types.vec3
 //% set joints = ["x", "y", "z", "w"][:influences]
-@{ header }
+@{ text.header }
 // For Bevy 0.19: the vertex stage of a material extension. Bevy's own modules give everything but the normals
 // and tangents of baked meshes. A mesh that is not baked may have the same material: it is lit as Bevy does.
 // Deferred rendering and the normal prepass (for screen-space effects) run Bevy's prepass shader, and see its
 // normals.
+//% if decodes
+// The scale of alpha and beta is a constant here: a file with another scale needs a shader of its own.
+//% endif
 //
-@{ inputs }
+@{ text.inputs }
 //
 // Rust for the application, in the lines that begin with "//rs":
 //     sed -n 's|^//rs ||p; s|^//rs$||p' skinbake.wgsl > src/skinbake.rs
@@ -45,11 +55,12 @@
 //rs
 //rs // The numbers are arbitrary: no other attribute may have them.
 //rs pub const ALPHA: MeshVertexAttribute =
-//rs     MeshVertexAttribute::new("SkinbakeAlpha", 0x736b_696e_0001, VertexFormat::Float32x3);
+//rs     MeshVertexAttribute::new("SkinbakeAlpha", 0x736b_696e_0001, VertexFormat::@{ vertex_format });
 //rs pub const BETA: MeshVertexAttribute =
-//rs     MeshVertexAttribute::new("SkinbakeBeta", 0x736b_696e_0002, VertexFormat::Float32x3);
+//rs     MeshVertexAttribute::new("SkinbakeBeta", 0x736b_696e_0002, VertexFormat::@{ vertex_format });
 //rs
-//rs /// The glTF loader with the baked attributes. It knows them without their leading underscore.
+//rs /// The glTF loader with the baked attributes. It knows them without their leading underscore, and passes over
+//rs /// those that are stored in another format.
 //% if frame == "normal"
 //rs /// Leave its conversion of coordinates off: alpha and beta do not follow when it turns NORMAL.
 //% endif
@@ -132,7 +143,7 @@
 #import bevy_pbr::morph
 #endif
 
-@{ snippet }
+@{ text.snippet }
 
 // The vertex as Bevy's forward pass has it, and the baked attributes at locations that it leaves free.
 struct Vertex {
@@ -160,8 +171,8 @@ struct Vertex {
     @location(7) joint_weights: vec4<f32>,
 #endif
 #ifdef SKINBAKE
-    @location(8) skinbake_alpha: vec3<f32>,
-    @location(9) skinbake_beta: vec3<f32>,
+    @location(8) skinbake_alpha: @{ stored },
+    @location(9) skinbake_beta: @{ stored },
 #endif
 #ifdef MORPH_TARGETS
     @builtin(vertex_index) index: u32,
@@ -170,7 +181,7 @@ struct Vertex {
 
 #ifdef MORPH_TARGETS
 // The vertex with the weighted deltas of the morph targets added.
-fn skinbake_morphed(rest: Vertex, instance_index: u32) -> Vertex {
+fn skinbake_morphed_vertex(rest: Vertex, instance_index: u32) -> Vertex {
     var morphed = rest;
     let index = rest.index - mesh[instance_index].first_vertex_index;
     let layers = morph::layer_count(instance_index);
@@ -203,19 +214,6 @@ fn skinbake_joint(joint: u32, instance_index: u32) -> mat4x4<f32> {
 #endif
 }
 
-#ifdef MORPH_TARGETS
-// The frame after morphing: turned the shortest way from the old normal to n. alpha and beta are those of the
-// unmorphed mesh; a frame that is made anew for n may turn about it, away from them.
-fn skinbake_turned(frame: skinbake_Frame, n: vec3<f32>) -> skinbake_Frame {
-    let axis = cross(frame.normal, n);
-    let cosine = dot(frame.normal, n);
-    let k = 1.0 / max(1.0 + cosine, 1e-6);
-    let t0 = cosine * frame.tangent + cross(axis, frame.tangent) + k * dot(axis, frame.tangent) * axis;
-    let b0 = cosine * frame.bitangent + cross(axis, frame.bitangent) + k * dot(axis, frame.bitangent) * axis;
-    return skinbake_Frame(n, t0, b0, frame.handedness);
-}
-#endif
-
 // A normal of length 1; bake takes (0, 0, 1) where NORMAL has no direction.
 fn skinbake_unit(normal: vec3<f32>) -> vec3<f32> {
     return select(vec3<f32>(0.0, 0.0, 1.0), normalize(normal), dot(normal, normal) > 0.0);
@@ -229,7 +227,11 @@ fn skinbake_unskinned_frame(rest: Vertex, morphed: Vertex) -> skinbake_Frame {
     let frame = skinbake_frame(skinbake_unit(rest.normal));
 //% endif
 #ifdef MORPH_TARGETS
-    return skinbake_turned(frame, skinbake_unit(morphed.normal));
+//% if text.morphs == "tangent"
+    return skinbake_morphed_tangent_frame(frame, morphed.normal, morphed.tangent.xyz);
+//% else
+    return skinbake_morphed_frame(frame, morphed.normal);
+//% endif
 #else
     return frame;
 #endif
@@ -244,8 +246,9 @@ fn skinbake_lit(vertex: Vertex, frame: skinbake_Frame, instance_index: u32) -> s
     );
     let position = vertex.position;
     let weights_0 = vertex.joint_weights;
-    let alpha_0 = vertex.skinbake_alpha;
-    let beta_0 = vertex.skinbake_beta;
+//% for kind in ["alpha", "beta"]
+    let @{ kind }_0 = @{ "skinbake_decoded(vertex.skinbake_%s, %s)" | format(kind, scale) if decodes else "vertex.skinbake_" ~ kind };
+//% endfor
     return skinbake_@{ stem }(@{ arguments | join(", ") });
 }
 
@@ -269,7 +272,7 @@ fn vertex(rest: Vertex) -> VertexOutput {
     var out: VertexOutput;
     let instance_index = rest.instance_index;
 #ifdef MORPH_TARGETS
-    let vertex = skinbake_morphed(rest, instance_index);
+    let vertex = skinbake_morphed_vertex(rest, instance_index);
 #else
     let vertex = rest;
 #endif

@@ -6,37 +6,58 @@
 //%   set _ = refuse("--target three: three.js reads four influences a vertex, not " ~ influences)
 //% elif influences < 2
 //%   set _ = refuse("--target three: one influence needs no shader; take --influences 4")
+//% elif decodes and not scale
+//%   set _ = refuse("--target three: " ~ encoding ~ " counts in a scale of the baked file's own; say --for BAKED_FILE")
 //% endif
-//% set alpha = sets[0].alpha_name.lower()
-//% set beta = sets[0].beta_name.lower()
-//% for name in [alpha, beta]
-//%   if not (name.startswith("_") and name.isascii() and name.isidentifier() and "__" not in name)
-//%     set _ = refuse("--target three: GLSL cannot have a vertex attribute " ~ name ~ "; bake with other names")
-//%   endif
-//% endfor
+//% set text = text_for(reads=["snorm16", "packed8", "texcoord"], morphs="normal")
+//% set names, read = [], {}
+//% if assembles
+//%   set renamed = {"texcoord_0": "uv", "texcoord_1": "uv1", "texcoord_2": "uv2", "texcoord_3": "uv3"}
+//%   for part in assembled
+//%     set own = []
+//%     for name in part.names | map("lower")
+//%       set _ = own.append(renamed.get(name, name))
+//%     endfor
+//%     set _ = names.extend(own), read.update({part.kind: "skinbake_" ~ part.name ~ "(" ~ own | join(", ") ~ ")"})
+//%   endfor
+//%   set names = names | unique | list
+//% else
+//%   for kind, name in [["alpha", sets[0].alpha_name.lower()], ["beta", sets[0].beta_name.lower()]]
+//%     if not (name.startswith("_") and name.isascii() and name.isidentifier() and "__" not in name)
+//%       set _ = refuse("--target three: GLSL cannot have a vertex attribute " ~ name ~ "; bake with other names")
+//%     endif
+//%     set _ = names.append(name), read.update({kind: "skinbake_decoded(" ~ name ~ ", " ~ scale ~ ")" if decodes else name})
+//%   endfor
+//% endif
+//% set size = 2 if assembles else 4 if decodes else 3
 //% set bones = ["boneMatX", "boneMatY", "boneMatZ", "boneMatW"][:influences]
-@{ header }
+@{ text.header }
 //
-@{ inputs }
-// Here they have the names that GLTFLoader gives them: normal, skinWeight, @{ alpha }, ...
+@{ text.inputs }
+// Here they have the names that GLTFLoader gives them: normal, skinWeight, @{ names[0] }, ...
 //
-// A module for three.js r137 or newer, its WebGLRenderer on WebGL 2. WebGPURenderer takes no GLSL. Use:
+// A module for three.js @{ "r152" if assembles else "r137" } or newer, its WebGLRenderer on WebGL 2. WebGPURenderer takes no GLSL. Use:
 //
 //     import { patchSkinnedMeshes } from './skinbake.js';
 //
 //     const { scene } = await new GLTFLoader().loadAsync('baked.glb');
 //     patchSkinnedMeshes(scene);
 //
-// Under morph targets t0 and b0 turn with the morphed normal, the shortest way from NORMAL; gradients stay
-// those of the unmorphed mesh. The materials that three.js draws shadows with are its own: where a
-// displacementMap moves vertices along the normal, their shadows move along the standard one.
+// Under morph targets the frame follows the normal: three.js morphs no tangents. alpha and beta stay those of the
+// mesh at rest. The materials that three.js draws shadows with are its own: where a displacementMap moves
+// vertices along the normal, their shadows move along the standard one.
 @{ """// Normals point outside also where joints mirror, as those of three.js do. Its DoubleSide materials turn them
 // where the winding is turned, and are lit right without --mirrored-joints.
 """ if mirrored_joints }
-const ALPHA = '@{ alpha }';
-const BETA = '@{ beta }';
+const ATTRIBUTES = ['@{ names | join("', '") }'];
 const FRAME = '@{ frame }';
-const KEY = `@{ command } ${ALPHA} ${BETA}`;
+//% if decodes
+const SCALE = @{ scale };
+//% endif
+//% if assembles
+const COORDINATES = '@{ pairs | map(attribute="name") | join(" ") }'; // of the file: those that are not read, too
+//% endif
+const KEY = `@{ text.command } ${ATTRIBUTES}@{ " ${SCALE}" if decodes }@{ " ${COORDINATES}" if assembles }`;
 const PATCHED = Symbol.for('skinbake');
 
 const DECLARATIONS = /* glsl */ `
@@ -47,19 +68,17 @@ const DECLARATIONS = /* glsl */ `
 attribute vec4 tangent;
 #endif
 //% endif
-attribute vec3 @{ alpha };
-attribute vec3 @{ beta };
-
-@{ snippet | replace("\\", "\\\\") | replace("`", "\\`") | replace("${", "\\${") }
-
-#ifdef USE_MORPHNORMALS
-// v turned as the unit vector a turns to the unit vector b, the shortest way.
-vec3 skinbake_turned(vec3 v, vec3 a, vec3 b)
-{
-    vec3 sum = a + b;
-    return v + 2.0 * dot(a, v) * b - dot(sum, v) / max(1.0 + dot(a, b), 1e-6) * sum;
-}
+//% for name in names
+//%   if name in ["uv1", "uv2", "uv3"]
+#ifndef USE_@{ name | upper }
+attribute vec2 @{ name };
 #endif
+//%   elif name != "uv"
+attribute vec@{ size } @{ name };
+//%   endif
+//% endfor
+
+@{ text.snippet | replace("\\", "\\\\") | replace("`", "\\`") | replace("${", "\\${") }
 
 #endif
 `;
@@ -87,17 +106,13 @@ vec3 skinbakeMorphedNormal = objectNormal;
 #endif
 //% endif
 #ifdef USE_MORPHNORMALS
-    if (dot(skinbakeMorphedNormal, skinbakeMorphedNormal) > 0.0) {
-        frame.normal = normalize(skinbakeMorphedNormal);
-        frame.tangent = skinbake_turned(frame.tangent, n0, frame.normal);
-        frame.bitangent = skinbake_turned(frame.bitangent, n0, frame.normal);
-    }
+    frame = skinbake_morphed_frame(frame, skinbakeMorphedNormal);
 #endif
 //% if lighting == "direct"
     mat4 M[@{ influences }] = mat4[@{ influences }](
         @{ bones | join(" * bindMatrix, ") } * bindMatrix);
     skinbake_Vertex v = skinbake_@{ stem }(p, frame, M, skinWeight,
-        skinbake_gradients(frame, @{ alpha }, @{ beta }));
+        skinbake_gradients(frame, @{ read.alpha }, @{ read.beta }));
 //% else
     mat3 bind = mat3(bindMatrix);
     frame.tangent = bind * frame.tangent;
@@ -105,7 +120,7 @@ vec3 skinbakeMorphedNormal = objectNormal;
     p = (bindMatrix * vec4(p, 1.0)).xyz;
     mat4 M[@{ influences }] = mat4[@{ influences }](@{ bones | join(", ") });
     skinbake_Vertex v = skinbake_@{ stem }(p, frame, M, skinWeight,
-        @{ alpha }, @{ beta });
+        @{ read.alpha }, @{ read.beta });
 //% endif
     // The cofactors take t' x b' to what their images under bindMatrixInverse have for a cross product.
     mat3 back = mat3(bindMatrixInverse);
@@ -196,9 +211,17 @@ function withAccurateNormals(shader, material) {
         .replace(normals, () => SKINNORMAL);
 }
 
+//% if assembles
+// Texture coordinates alone tell nothing; GLTFLoader leaves the bake's metadata in userData.
 function isBaked(geometry) {
-    return geometry.hasAttribute(ALPHA) || geometry.hasAttribute(BETA);
+    return geometry.userData.skinbake?.layout === 'texcoord';
 }
+//% else
+function isBaked(geometry) {
+    return ATTRIBUTES.some((name) => geometry.hasAttribute(name));
+}
+//% endif
+
 
 function fits(mesh, materials) {
     const problem = problemOf(mesh.geometry);
@@ -208,10 +231,24 @@ function fits(mesh, materials) {
 }
 
 function problemOf(geometry) {
-    for (const name of [ALPHA, BETA]) {
-        if (geometry.getAttribute(name)?.itemSize !== 3) return `${name} is not a VEC3 attribute`;
+    const metadata = geometry.userData.skinbake ?? {}; // GLTFLoader leaves the bake's there
+//% if assembles
+    const coordinates = [...new Set([...metadata.alpha, ...metadata.beta])].join(' ');
+    if (coordinates !== COORDINATES) return `it is stored in ${coordinates}, not in ${COORDINATES}`;
+//% endif
+    for (const name of ATTRIBUTES) {
+        const attribute = geometry.getAttribute(name);
+//% if decodes
+        if (attribute?.itemSize !== 4 || !attribute.normalized) return `${name} is not a normalised VEC4 attribute`;
+//% else
+        if (attribute?.itemSize !== @{ size }) return `${name} is not a VEC@{ size } attribute`;
+//% endif
     }
-    const frame = geometry.userData.skinbake?.frame ?? FRAME; // GLTFLoader leaves the bake's metadata there
+//% if decodes
+    const scale = Math.fround(metadata.scale ?? SCALE);
+    if (scale !== Math.fround(SCALE)) return `its scale is ${scale}, and this module is for ${SCALE}`;
+//% endif
+    const frame = metadata.frame ?? FRAME;
     if (frame !== FRAME) return `its frame is ${frame}, and this module is for --frame ${FRAME}`;
     for (const name of @{ "['normal', 'tangent']" if frame == "tangent" else "['normal']" }) {
         if (!geometry.hasAttribute(name)) return `it has no ${name} attribute`;

@@ -1,0 +1,181 @@
+// Lighting for skinned meshes that skinbake has baked: dual quaternion skinning, exact lighting,
+// 4 influences a vertex, tangent frame, morph targets by tangent.
+//
+// Written by skinbake 0.1.0:
+//     skinbake shader --lang glsl --method dqs --lighting exact --influences 4 --frame tangent --morphs tangent
+//
+// Algorithm 6 of skinbake: the exact derivative of the dual-quaternion blend, after M. Tarini, D. Panozzo,
+// O. Sorkine-Hornung, "Accurate and Efficient Lighting for Skinned Models", Computer Graphics Forum 33(2),
+// 2014, doi:10.1111/cgf.12330. The numbers beside the lines are those of `skinbake cost`.
+// Dual quaternions: L. Kavan, S. Collins, J. Zara, C. O'Sullivan, "Skinning with Dual Quaternions", I3D 2007.
+// Compiles as GLSL ES 3.00, 3.30 and 4.50. Pure functions: no attributes, uniforms or globals.
+//
+// It reads of each vertex (mesh space: as the attributes come, before any joint matrix):
+//     POSITION             vec3   p, in the file's unit of length
+//     NORMAL               vec3   n0, of length 1: normalize() it where it is stored as integers
+//     TANGENT              vec4   t0, and in w the handedness of the frame, 1 or -1
+//     JOINTS_0             uvec4  joints of slots 0 to 3
+//     WEIGHTS_0            vec4   w of slots 0 to 3; over all slots they sum to 1
+//     _SKINBAKE_ALPHA_0    vec3   alpha = grad w . t0 of slots 1 to 3, in 1 / unit of POSITION
+//     _SKINBAKE_BETA_0     vec3   beta = grad w . b0 of the same slots
+// Slot 0's alpha and beta are minus the sums of the others': they are not stored.
+//
+// Q[s] is the dual quaternion of the joint in slot s, made of its joint matrix by skinbake_dual_quaternion().
+// Use:
+//     // Morph targets act before skinning: morphed_position is POSITION plus the weighted sum of its targets, and
+//     // so on; what a target lacks is 0. alpha and beta stay those of the mesh at rest.
+//     skinbake_Frame rest = skinbake_frame(normal, tangent);
+//     skinbake_Frame frame = skinbake_morphed_tangent_frame(rest, morphed_normal, morphed_tangent);
+//     skinbake_Vertex v = skinbake_dqs_exact(morphed_position, frame, Q, weights_0, alpha_0, beta_0);
+//     // v.position; normalize(v.normal); normalize(v.tangent)
+
+#ifndef SKINBAKE_DQS_EXACT_4_TANGENT_MORPHED_TANGENT_GLSL
+#define SKINBAKE_DQS_EXACT_4_TANGENT_MORPHED_TANGENT_GLSL
+
+#ifndef SKINBAKE_VERTEX
+#define SKINBAKE_VERTEX
+// A skinned vertex. None of its vectors is of unit length; tangent and bitangent are the images of t0 and b0.
+struct skinbake_Vertex {
+    vec3 position;
+    vec3 normal;
+    vec3 tangent;
+    vec3 bitangent;
+};
+
+// The tangent frame at rest.
+struct skinbake_Frame {
+    vec3 normal;
+    vec3 tangent;
+    vec3 bitangent;
+    float handedness; // n0 = handedness * cross(t0, b0) / |t0|^2
+};
+#endif
+
+#ifndef SKINBAKE_FRAME_FROM_TANGENT
+#define SKINBAKE_FRAME_FROM_TANGENT
+// The frame of NORMAL, which must have length 1, and TANGENT.
+skinbake_Frame skinbake_frame(vec3 n, vec4 tangent)
+{
+    return skinbake_Frame(n, tangent.xyz, cross(n, tangent.xyz) * tangent.w, tangent.w);
+}
+#endif
+
+#ifndef SKINBAKE_MORPHED
+#define SKINBAKE_MORPHED
+// The frame under morph targets, by the morphed normal: turned by the smallest rotation that takes the normal at
+// rest to n, which is NORMAL plus the weighted sum of its targets, of any length. Not skinbake_frame(n): alpha
+// and beta belong to the frame at rest.
+skinbake_Frame skinbake_morphed_frame(skinbake_Frame rest, vec3 n)
+{
+    float square = dot(n, n);
+    vec3 normal = square > 0.0 ? n * inversesqrt(square) : rest.normal;
+    vec3 s = rest.normal + normal;
+    vec3 d = normal - rest.normal;
+    bool opposite = dot(s, s) < 1e-4; // any half turn is the smallest then: the one about t0
+    float k = opposite ? 0.0 : 2.0 / dot(s, s);
+    vec3 tangent = rest.tangent - s * (k * dot(d, rest.tangent));
+    vec3 bitangent = rest.bitangent - s * (k * dot(d, rest.bitangent));
+    return skinbake_Frame(normal, tangent, opposite ? -bitangent : bitangent, rest.handedness);
+}
+#endif
+
+#ifndef SKINBAKE_MORPHED_TANGENT
+#define SKINBAKE_MORPHED_TANGENT
+// The frame under morph targets that move TANGENT too: tangent is TANGENT.xyz plus the weighted sum of its targets,
+// and must not be normalised. Where they cancel it, the frame follows the normal; so should that of a primitive
+// whose targets have no TANGENT, by skinbake_morphed_frame().
+skinbake_Frame skinbake_morphed_tangent_frame(skinbake_Frame rest, vec3 n, vec3 tangent)
+{
+    skinbake_Frame frame = skinbake_morphed_frame(rest, n);
+    vec3 t = tangent - frame.normal * (dot(frame.normal, tangent) - dot(rest.normal, rest.tangent));
+    bool cancelled = dot(t, t) < 1e-4 * dot(rest.tangent, rest.tangent);
+    frame.tangent = cancelled ? frame.tangent : t;
+    frame.bitangent = cancelled ? frame.bitangent : cross(frame.normal, t) * rest.handedness;
+    return frame;
+}
+#endif
+
+#ifndef SKINBAKE_DUAL_QUATERNION
+#define SKINBAKE_DUAL_QUATERNION
+// The unit dual quaternion of a rigid joint matrix: [0] is its real part (x, y, z, w), w the scalar, [1] its
+// dual part. For the host, or for a pass over the joints: once a joint and frame, not once a vertex.
+// Dual quaternions carry no scale: where all joint matrices share a uniform scale s, divide their upper 3x3
+// parts by s before, and skin s * p, s * t0, s * b0 in place of p, t0, b0.
+mat2x4 skinbake_dual_quaternion(mat4 M)
+{
+    vec3 d = vec3(M[0].x, M[1].y, M[2].z);
+    vec4 squares = 1.0 + vec4( // 4 * (x, y, z, w)^2
+        d.x - d.y - d.z, d.y - d.z - d.x, d.z - d.x - d.y, d.x + d.y + d.z);
+    vec3 differences = vec3(M[1].z - M[2].y, M[2].x - M[0].z, M[0].y - M[1].x); // 4 w * (x, y, z)
+    vec3 sums = vec3(M[1].z + M[2].y, M[2].x + M[0].z, M[0].y + M[1].x); // 4 * (yz, zx, xy)
+    vec4 real = vec4(differences, squares.w);
+    float largest = squares.w;
+    if (squares.x > largest) {
+        largest = squares.x;
+        real = vec4(squares.x, sums.z, sums.y, differences.x);
+    }
+    if (squares.y > largest) {
+        largest = squares.y;
+        real = vec4(sums.z, squares.y, sums.x, differences.y);
+    }
+    if (squares.z > largest) {
+        real = vec4(sums.y, sums.x, squares.z, differences.z);
+    }
+    real = normalize(real);
+    vec3 t = M[3].xyz;
+    return mat2x4(real, 0.5 * vec4(cross(t, real.xyz) + real.w * t, -dot(t, real.xyz)));
+}
+#endif
+
+#ifndef SKINBAKE_HEMISPHERE
+#define SKINBAKE_HEMISPHERE
+// -1 where the joint's real part points away from the pivot's: q and -q are the same rotation.
+float skinbake_hemisphere(mat2x4 joint, mat2x4 pivot)
+{
+    return dot(joint[0], pivot[0]) < 0.0 ? -1.0 : 1.0;
+}
+#endif
+
+#ifndef SKINBAKE_DERIVATIVE
+#define SKINBAKE_DERIVATIVE
+// The derivative of p + delta along t, where the mix b changes at the rate db; delta = k h, i as in the caller.
+vec3 skinbake_derivative(mat2x4 b, float k, vec3 p, vec3 i, vec3 delta, vec3 t, mat2x4 db)
+{
+    vec3 di = b[0].w * t + db[1].xyz + cross(b[0].xyz, t) + db[0].w * p + cross(db[0].xyz, p);
+    vec3 dh = b[0].w * db[1].xyz + cross(b[0].xyz, di) + cross(db[0].xyz, i)
+            + db[0].w * b[1].xyz - db[1].w * b[0].xyz - b[1].w * db[0].xyz - dot(b[0], db[0]) * delta;
+    return t + k * dh;
+}
+#endif
+
+// The frame moves by the derivative of the mix's motion itself: p' = p + delta, delta = k h,
+//     i = r x p + r0 p + d, h = r x i + r0 d - d0 r, k = 2 / (r0^2 + |r|^2), the mix b = (r0, r, d0, d).
+// Q: the dual quaternions of slots 0 to 3.
+skinbake_Vertex skinbake_dqs_exact(vec3 p, skinbake_Frame frame, mat2x4 Q[4], vec4 weights_0, vec3 alpha_0,
+        vec3 beta_0)
+{
+    float s1 = skinbake_hemisphere(Q[1], Q[0]); // 1
+    float s2 = skinbake_hemisphere(Q[2], Q[0]);
+    float s3 = skinbake_hemisphere(Q[3], Q[0]);
+    mat2x4 b = weights_0.x * Q[0]
+              + (s1 * weights_0.y) * Q[1]
+              + (s2 * weights_0.z) * Q[2]
+              + (s3 * weights_0.w) * Q[3];
+    float square = dot(b[0], b[0]);
+    float k = square == 0.0 ? 2.0 : 2.0 / square; // 2
+    vec3 i = b[0].w * p + b[1].xyz + cross(b[0].xyz, p); // 3
+    vec3 delta = k * (b[0].w * b[1].xyz - b[1].w * b[0].xyz + cross(b[0].xyz, i));
+    skinbake_Vertex v;
+    v.position = p + delta;
+    mat2x4 D1 = s1 * Q[1] - Q[0]; // 4
+    mat2x4 D2 = s2 * Q[2] - Q[0];
+    mat2x4 D3 = s3 * Q[3] - Q[0];
+    mat2x4 db_t = alpha_0.x * D1 + alpha_0.y * D2 + alpha_0.z * D3; // 5
+    mat2x4 db_b = beta_0.x * D1 + beta_0.y * D2 + beta_0.z * D3; // 6
+    v.tangent = skinbake_derivative(b, k, p, i, delta, frame.tangent, db_t); // 7
+    v.bitangent = skinbake_derivative(b, k, p, i, delta, frame.bitangent, db_b); // 8
+    v.normal = frame.handedness * cross(v.tangent, v.bitangent); // 9
+    return v;
+}
+
+#endif

@@ -1,0 +1,148 @@
+// Lighting for skinned meshes that skinbake has baked: dual quaternion skinning, exact lighting,
+// 4 influences a vertex, tangent frame, morph targets by tangent.
+//
+// Written by skinbake 0.1.0:
+//     skinbake shader --lang wgsl --method dqs --lighting exact --influences 4 --frame tangent --morphs tangent
+//
+// Algorithm 6 of skinbake: the exact derivative of the dual-quaternion blend, after M. Tarini, D. Panozzo,
+// O. Sorkine-Hornung, "Accurate and Efficient Lighting for Skinned Models", Computer Graphics Forum 33(2),
+// 2014, doi:10.1111/cgf.12330. The numbers beside the lines are those of `skinbake cost`.
+// Dual quaternions: L. Kavan, S. Collins, J. Zara, C. O'Sullivan, "Skinning with Dual Quaternions", I3D 2007.
+// WGSL for WebGPU. Pure functions: no bindings and no module variables.
+//
+// It reads of each vertex (mesh space: as the attributes come, before any joint matrix):
+//     POSITION             vec3<f32>  p, in the file's unit of length
+//     NORMAL               vec3<f32>  n0, of length 1: normalize() it where it is stored as integers
+//     TANGENT              vec4<f32>  t0, and in w the handedness of the frame, 1 or -1
+//     JOINTS_0             vec4<u32>  joints of slots 0 to 3
+//     WEIGHTS_0            vec4<f32>  w of slots 0 to 3; over all slots they sum to 1
+//     _SKINBAKE_ALPHA_0    vec3<f32>  alpha = grad w . t0 of slots 1 to 3, in 1 / unit of POSITION
+//     _SKINBAKE_BETA_0     vec3<f32>  beta = grad w . b0 of the same slots
+// Slot 0's alpha and beta are minus the sums of the others': they are not stored.
+//
+// Q[s] is the dual quaternion of the joint in slot s, made of its joint matrix by skinbake_dual_quaternion().
+// Use:
+//     // Morph targets act before skinning: morphed_position is POSITION plus the weighted sum of its targets, and
+//     // so on; what a target lacks is 0. alpha and beta stay those of the mesh at rest.
+//     let rest = skinbake_frame(normal, tangent);
+//     let frame = skinbake_morphed_tangent_frame(rest, morphed_normal, morphed_tangent);
+//     let v = skinbake_dqs_exact(morphed_position, frame, Q, weights_0, alpha_0, beta_0);
+//     // v.position; normalize(v.normal); normalize(v.tangent)
+
+// A skinned vertex. None of its vectors is of unit length; tangent and bitangent are the images of t0 and b0.
+struct skinbake_Vertex {
+    position: vec3<f32>,
+    normal: vec3<f32>,
+    tangent: vec3<f32>,
+    bitangent: vec3<f32>,
+}
+
+// The tangent frame at rest.
+struct skinbake_Frame {
+    normal: vec3<f32>,
+    tangent: vec3<f32>,
+    bitangent: vec3<f32>,
+    handedness: f32, // n0 = handedness * cross(t0, b0) / |t0|^2
+}
+
+// The frame of NORMAL, which must have length 1, and TANGENT.
+fn skinbake_frame(n: vec3<f32>, tangent: vec4<f32>) -> skinbake_Frame {
+    return skinbake_Frame(n, tangent.xyz, cross(n, tangent.xyz) * tangent.w, tangent.w);
+}
+
+// The frame under morph targets, by the morphed normal: turned by the smallest rotation that takes the normal at
+// rest to n, which is NORMAL plus the weighted sum of its targets, of any length. Not skinbake_frame(n): alpha
+// and beta belong to the frame at rest.
+fn skinbake_morphed_frame(rest: skinbake_Frame, n: vec3<f32>) -> skinbake_Frame {
+    let square = dot(n, n);
+    let normal = select(rest.normal, n * inverseSqrt(square), square > 0.0);
+    let s = rest.normal + normal;
+    let d = normal - rest.normal;
+    let opposite = dot(s, s) < 1e-4; // any half turn is the smallest then: the one about t0
+    let k = select(2.0 / dot(s, s), 0.0, opposite);
+    let tangent = rest.tangent - s * (k * dot(d, rest.tangent));
+    let bitangent = rest.bitangent - s * (k * dot(d, rest.bitangent));
+    return skinbake_Frame(normal, tangent, select(bitangent, -bitangent, opposite), rest.handedness);
+}
+
+// The frame under morph targets that move TANGENT too: tangent is TANGENT.xyz plus the weighted sum of its targets,
+// and must not be normalised. Where they cancel it, the frame follows the normal; so should that of a primitive
+// whose targets have no TANGENT, by skinbake_morphed_frame().
+fn skinbake_morphed_tangent_frame(rest: skinbake_Frame, n: vec3<f32>, tangent: vec3<f32>) -> skinbake_Frame {
+    var frame = skinbake_morphed_frame(rest, n);
+    let t = tangent - frame.normal * (dot(frame.normal, tangent) - dot(rest.normal, rest.tangent));
+    let cancelled = dot(t, t) < 1e-4 * dot(rest.tangent, rest.tangent);
+    frame.tangent = select(t, frame.tangent, cancelled);
+    frame.bitangent = select(cross(frame.normal, t) * rest.handedness, frame.bitangent, cancelled);
+    return frame;
+}
+
+// The unit dual quaternion of a rigid joint matrix: [0] is its real part (x, y, z, w), w the scalar, [1] its
+// dual part. For the host, or for a pass over the joints: once a joint and frame, not once a vertex.
+// Dual quaternions carry no scale: where all joint matrices share a uniform scale s, divide their upper 3x3
+// parts by s before, and skin s * p, s * t0, s * b0 in place of p, t0, b0.
+fn skinbake_dual_quaternion(M: mat4x4<f32>) -> mat2x4<f32> {
+    let d = vec3<f32>(M[0].x, M[1].y, M[2].z);
+    let squares = 1.0 + vec4<f32>( // 4 * (x, y, z, w)^2
+        d.x - d.y - d.z, d.y - d.z - d.x, d.z - d.x - d.y, d.x + d.y + d.z);
+    let differences = vec3<f32>(M[1].z - M[2].y, M[2].x - M[0].z, M[0].y - M[1].x); // 4 w * (x, y, z)
+    let sums = vec3<f32>(M[1].z + M[2].y, M[2].x + M[0].z, M[0].y + M[1].x); // 4 * (yz, zx, xy)
+    var real = vec4<f32>(differences, squares.w);
+    var largest = squares.w;
+    if (squares.x > largest) {
+        largest = squares.x;
+        real = vec4<f32>(squares.x, sums.z, sums.y, differences.x);
+    }
+    if (squares.y > largest) {
+        largest = squares.y;
+        real = vec4<f32>(sums.z, squares.y, sums.x, differences.y);
+    }
+    if (squares.z > largest) {
+        real = vec4<f32>(sums.y, sums.x, squares.z, differences.z);
+    }
+    real = normalize(real);
+    let t = M[3].xyz;
+    return mat2x4<f32>(real, 0.5 * vec4<f32>(cross(t, real.xyz) + real.w * t, -dot(t, real.xyz)));
+}
+
+// -1 where the joint's real part points away from the pivot's: q and -q are the same rotation.
+fn skinbake_hemisphere(joint: mat2x4<f32>, pivot: mat2x4<f32>) -> f32 {
+    return select(1.0, -1.0, dot(joint[0], pivot[0]) < 0.0);
+}
+
+// The derivative of p + delta along t, where the mix b changes at the rate db; delta = k h, i as in the caller.
+fn skinbake_derivative(b: mat2x4<f32>, k: f32, p: vec3<f32>, i: vec3<f32>, delta: vec3<f32>, t: vec3<f32>,
+        db: mat2x4<f32>) -> vec3<f32> {
+    let di = b[0].w * t + db[1].xyz + cross(b[0].xyz, t) + db[0].w * p + cross(db[0].xyz, p);
+    let dh = b[0].w * db[1].xyz + cross(b[0].xyz, di) + cross(db[0].xyz, i)
+           + db[0].w * b[1].xyz - db[1].w * b[0].xyz - b[1].w * db[0].xyz - dot(b[0], db[0]) * delta;
+    return t + k * dh;
+}
+
+// The frame moves by the derivative of the mix's motion itself: p' = p + delta, delta = k h,
+//     i = r x p + r0 p + d, h = r x i + r0 d - d0 r, k = 2 / (r0^2 + |r|^2), the mix b = (r0, r, d0, d).
+// Q: the dual quaternions of slots 0 to 3.
+fn skinbake_dqs_exact(p: vec3<f32>, frame: skinbake_Frame, Q: array<mat2x4<f32>, 4>, weights_0: vec4<f32>,
+        alpha_0: vec3<f32>, beta_0: vec3<f32>) -> skinbake_Vertex {
+    let s1 = skinbake_hemisphere(Q[1], Q[0]); // 1
+    let s2 = skinbake_hemisphere(Q[2], Q[0]);
+    let s3 = skinbake_hemisphere(Q[3], Q[0]);
+    let b = weights_0.x * Q[0]
+          + (s1 * weights_0.y) * Q[1]
+          + (s2 * weights_0.z) * Q[2]
+          + (s3 * weights_0.w) * Q[3];
+    let square = dot(b[0], b[0]);
+    let k = select(2.0 / square, 2.0, square == 0.0); // 2
+    let i = b[0].w * p + b[1].xyz + cross(b[0].xyz, p); // 3
+    let delta = k * (b[0].w * b[1].xyz - b[1].w * b[0].xyz + cross(b[0].xyz, i));
+    let position = p + delta;
+    let D1 = s1 * Q[1] - Q[0]; // 4
+    let D2 = s2 * Q[2] - Q[0];
+    let D3 = s3 * Q[3] - Q[0];
+    let db_t = alpha_0.x * D1 + alpha_0.y * D2 + alpha_0.z * D3; // 5
+    let db_b = beta_0.x * D1 + beta_0.y * D2 + beta_0.z * D3; // 6
+    let tangent = skinbake_derivative(b, k, p, i, delta, frame.tangent, db_t); // 7
+    let bitangent = skinbake_derivative(b, k, p, i, delta, frame.bitangent, db_b); // 8
+    let normal = frame.handedness * cross(tangent, bitangent); // 9
+    return skinbake_Vertex(position, normal, tangent, bitangent);
+}

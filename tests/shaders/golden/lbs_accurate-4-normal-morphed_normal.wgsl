@@ -1,0 +1,104 @@
+// Lighting for skinned meshes that skinbake has baked: linear blend skinning, accurate lighting,
+// 4 influences a vertex, normal frame, morph targets by normal.
+//
+// Written by skinbake 0.1.0:
+//     skinbake shader --lang wgsl --method lbs --lighting accurate --influences 4 --frame normal --morphs normal
+//
+// Algorithm 3 of M. Tarini, D. Panozzo, O. Sorkine-Hornung, "Accurate and Efficient Lighting for Skinned
+// Models", Computer Graphics Forum 33(2), 2014, doi:10.1111/cgf.12330: the numbers beside the lines are
+// those of its supplement.
+// Frame: T. Duff et al., "Building an Orthonormal Basis, Revisited", JCGT 6(1), 2017.
+// WGSL for WebGPU. Pure functions: no bindings and no module variables.
+//
+// It reads of each vertex (mesh space: as the attributes come, before any joint matrix):
+//     POSITION             vec3<f32>  p, in the file's unit of length
+//     NORMAL               vec3<f32>  n0, of length 1: normalize() it where it is stored as integers
+//     JOINTS_0             vec4<u32>  joints of slots 0 to 3
+//     WEIGHTS_0            vec4<f32>  w of slots 0 to 3; over all slots they sum to 1
+//     _SKINBAKE_ALPHA_0    vec3<f32>  alpha = grad w . t0 of slots 1 to 3, in 1 / unit of POSITION
+//     _SKINBAKE_BETA_0     vec3<f32>  beta = grad w . b0 of the same slots
+// Slot 0's alpha and beta are minus the sums of the others': they are not stored.
+//
+// M[s] is the joint matrix of the joint in slot s: its global transform * its inverse bind matrix.
+// Use:
+//     // Morph targets act before skinning: morphed_position is POSITION plus the weighted sum of its targets, and
+//     // so on; what a target lacks is 0. alpha and beta stay those of the mesh at rest.
+//     let rest = skinbake_frame(normal);
+//     let frame = skinbake_morphed_frame(rest, morphed_normal);
+//     let v = skinbake_lbs_accurate(morphed_position, frame, M, weights_0, alpha_0, beta_0);
+//     // v.position; normalize(v.normal); normalize(v.tangent)
+
+// A skinned vertex. None of its vectors is of unit length; tangent and bitangent are the images of t0 and b0.
+struct skinbake_Vertex {
+    position: vec3<f32>,
+    normal: vec3<f32>,
+    tangent: vec3<f32>,
+    bitangent: vec3<f32>,
+}
+
+// The tangent frame at rest.
+struct skinbake_Frame {
+    normal: vec3<f32>,
+    tangent: vec3<f32>,
+    bitangent: vec3<f32>,
+    handedness: f32, // n0 = handedness * cross(t0, b0) / |t0|^2
+}
+
+// The frame that bake took from NORMAL alone; n must have length 1. Written so that a compiler which fuses
+// multiply-adds gets the same bits: every product that meets a sum is exact. side stands last there: Mesa turns
+// side * ((x * x) * a) into side * (x * (x * a)).
+fn skinbake_frame(n: vec3<f32>) -> skinbake_Frame {
+    let side = select(-1.0, 1.0, n.z >= 0.0); // 1 also at -0.0
+    let a = -1.0 / (side + n.z);
+    let b = (n.x * n.y) * a;
+    let t0 = vec3<f32>(1.0 + ((n.x * n.x) * a) * side, side * b, -side * n.x);
+    let b0 = vec3<f32>(b, side * (1.0 + ((n.y * n.y) * a) * side), -n.y);
+    return skinbake_Frame(n, t0, b0, 1.0);
+}
+
+// The frame under morph targets, by the morphed normal: turned by the smallest rotation that takes the normal at
+// rest to n, which is NORMAL plus the weighted sum of its targets, of any length. Not skinbake_frame(n): alpha
+// and beta belong to the frame at rest.
+fn skinbake_morphed_frame(rest: skinbake_Frame, n: vec3<f32>) -> skinbake_Frame {
+    let square = dot(n, n);
+    let normal = select(rest.normal, n * inverseSqrt(square), square > 0.0);
+    let s = rest.normal + normal;
+    let d = normal - rest.normal;
+    let opposite = dot(s, s) < 1e-4; // any half turn is the smallest then: the one about t0
+    let k = select(2.0 / dot(s, s), 0.0, opposite);
+    let tangent = rest.tangent - s * (k * dot(d, rest.tangent));
+    let bitangent = rest.bitangent - s * (k * dot(d, rest.bitangent));
+    return skinbake_Frame(normal, tangent, select(bitangent, -bitangent, opposite), rest.handedness);
+}
+
+// The upper 3x3 part of M.
+fn skinbake_upper(M: mat4x4<f32>) -> mat3x3<f32> {
+    return mat3x3<f32>(M[0].xyz, M[1].xyz, M[2].xyz);
+}
+
+// M p: where the joint matrix M alone takes the position p.
+fn skinbake_moved(M: mat4x4<f32>, p: vec3<f32>) -> vec3<f32> {
+    return M[0].xyz * p.x + (M[1].xyz * p.y + (M[2].xyz * p.z + M[3].xyz));
+}
+
+// The frame moves by the derivative of the skinned position along t0 and b0.
+// M: the joint matrices of slots 0 to 3.
+fn skinbake_lbs_accurate(p: vec3<f32>, frame: skinbake_Frame, M: array<mat4x4<f32>, 4>, weights_0: vec4<f32>,
+        alpha_0: vec3<f32>, beta_0: vec3<f32>) -> skinbake_Vertex {
+    let T = weights_0.x * skinbake_upper(M[0]) // 1
+          + weights_0.y * skinbake_upper(M[1])
+          + weights_0.z * skinbake_upper(M[2])
+          + weights_0.w * skinbake_upper(M[3]);
+    let q0 = skinbake_moved(M[0], p); // 2
+    let q1 = skinbake_moved(M[1], p);
+    let q2 = skinbake_moved(M[2], p);
+    let q3 = skinbake_moved(M[3], p);
+    let d1 = q1 - q0; // 3
+    let d2 = q2 - q0;
+    let d3 = q3 - q0;
+    let tangent = T * frame.tangent + alpha_0.x * d1 + alpha_0.y * d2 + alpha_0.z * d3; // 4
+    let bitangent = T * frame.bitangent + beta_0.x * d1 + beta_0.y * d2 + beta_0.z * d3; // 5
+    let normal = cross(tangent, bitangent); // 6
+    let position = q0 + weights_0.y * d1 + weights_0.z * d2 + weights_0.w * d3; // 7
+    return skinbake_Vertex(position, normal, tangent, bitangent);
+}
