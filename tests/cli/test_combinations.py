@@ -39,7 +39,7 @@ def sources() -> list[Path]:
 def test_every_combination_verifies_repeats_and_is_undone(
     compression: tuple[str, ...], storage: tuple[str, ...], gathering: tuple[str, ...], tmp_path: Path
 ) -> None:
-    """What strip cannot undo is a compression that was asked for: then what it leaves equals the first result."""
+    """A compression that was asked for is the one thing that strip cannot undo."""
     options = [*compression, *storage, *gathering, "-q"]
     for source in sources():
         once, twice, back = (tmp_path / f"{name}-{source.name}" for name in ("once", "twice", "back"))
