@@ -25,6 +25,8 @@ TUBE = FOLDER / "bent_tube.glb"
         ["--compress", "meshopt", "--texcoord-bits", "12"],
         ["--compress", "draco", "--normal-bits", "1"],
         ["--compress", "draco", "--position-bits", "31"],
+        ["--compress", "meshopt", "--compress-level", "4"],
+        ["--compress", "none", "--compress-level", "2"],
     ],
 )
 def test_wrong_usage_is_exit_2(arguments: list[str], tmp_path: Path) -> None:
@@ -87,3 +89,12 @@ def test_damaged_data_ends_in_exit_3_or_0_and_never_in_a_traceback(kind: str, tm
     errors = [line for line in text.splitlines() if "cannot be decoded" in line or "stream says" in line]
     assert errors
     assert all("mesh 0" in line or "buffer view" in line for line in errors)
+
+
+def test_bits_asked_for_what_is_in_draco_already_are_a_notice(tmp_path: Path) -> None:
+    first, second = tmp_path / "first.glb", tmp_path / "second.glb"
+    assert invoke("bake", TUBE, "-o", first, "--compress", "draco").exit_code == 0
+    result = invoke("bake", first, "-o", second, "--compress", "draco", "--position-bits", "8")
+    assert result.exit_code == 0
+    assert "it is in Draco already and is not quantised again" in result.stderr
+    assert second.read_bytes() == first.read_bytes()

@@ -57,7 +57,7 @@ def test_output_goes_to_a_file_and_says_what_it_is(tmp_path: Path) -> None:
     result = invoke("shader", "--lang", "wgsl", "--frame", "normal", "-o", target)
     assert result.exit_code == 0
     assert result.stdout == ""
-    assert f"{target}: WGSL for plain, LBS accurate, 4 influences, normal frame" in result.stderr
+    assert f"{target}: plain WGSL, LBS accurate, 4 influences, normal frame" in result.stderr
     assert target.read_text(encoding="utf-8") == shader_text(ShaderChoices(Language.WGSL))
 
 
@@ -102,6 +102,8 @@ def test_the_baked_file_is_not_overwritten_with_its_shader(tmp_path: Path) -> No
         (["--lang", "glsl", "--cap", "0"], "0"),
         (["--lang", "glsl", "--cap", "nan"], "finite"),
         (["--lang", "glsl", "--influences", "0"], "0"),
+        (["--lang", "glsl", "-o", ""], "-o needs the name of a file"),
+        (["--lang", "glsl", "--layout", "custom", "--influences", "9"], "--layout custom holds 8 influences"),
         (["--lang", "glsl", "--for", "hero.fbx"], "hero.fbx"),
     ],
 )
@@ -148,6 +150,14 @@ class TestForFile:
         text = invoke("shader", "--lang", "glsl", "--for", file).stdout
         assert f"{influences} influences a vertex, {frame} frame" in header(text)
         assert f"skinbake 0.1.0 for {file.name}:" in header(text)
+
+    def test_the_command_in_the_header_names_the_file(self, tmp_path: Path, monkeypatch: Any) -> None:
+        file = baked(TUBE, tmp_path, "--encoding", "packed8", "--alpha-name", "_A{set}")
+        text = invoke("shader", "--lang", "glsl", "--for", file).stdout
+        match = re.search(r"^//     (skinbake shader .*)$", text, re.MULTILINE)
+        assert match is not None
+        monkeypatch.chdir(tmp_path)
+        assert invoke(*match.group(1).split()[1:]).stdout == text
 
     def test_stdin_is_a_file_too(self, tmp_path: Path) -> None:
         file = baked(TWO_SETS, tmp_path)

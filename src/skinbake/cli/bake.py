@@ -13,6 +13,8 @@ from skinbake.cli import exit_codes
 from skinbake.cli.console import console, finite, message_options
 from skinbake.cli.targets import STDIO, check_readable_suffix, check_target, pair_up
 
+HIGHEST_MESHOPT_LEVEL = 3
+
 
 def _pattern(ctx: click.Context, param: click.Parameter, value: str) -> str:
     if not value.startswith("_") or "{set}" not in value:
@@ -110,7 +112,7 @@ def _multiple_of_4(ctx: click.Context, param: click.Parameter, value: int | None
     "--compress-level",
     type=click.IntRange(0, 10),
     metavar="N",
-    help="0 (fast) to 10 (small); meshopt knows 0 to 3. Each codec has a default.",
+    help="0 (fast) to 10 (small), for meshopt 0 to 3; it changes little in Draco. Each codec has a default.",
 )
 @click.option(
     "--position-bits",
@@ -218,6 +220,11 @@ def _targets(inputs: tuple[str, ...], given: dict[str, Any]) -> list[tuple[str, 
         raise click.UsageError("--alpha-name and --beta-name must differ")
     if _bits(given) and given["compress"] != "draco":
         raise click.UsageError("--position-bits, --normal-bits and --texcoord-bits need --compress draco")
+    level = given["compress_level"]
+    if level is not None and given["compress"] == "none":
+        raise click.UsageError("--compress-level needs something to compress, not --compress none")
+    if given["compress"] == "meshopt" and level is not None and level > HIGHEST_MESHOPT_LEVEL:
+        raise click.UsageError(f"--compress-level of meshopt is at most {HIGHEST_MESHOPT_LEVEL}")
     _check_storage(given)
     chosen = [name for name in ("output", "out_dir", "in_place") if given[name]]
     if len(chosen) > 1 or (not chosen and not given["dry_run"]):

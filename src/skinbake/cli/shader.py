@@ -104,6 +104,8 @@ def command(source: str | None, output: str, **given: Any) -> None:
     One self-contained text: pure functions on values, the algorithms 1 to 6, and a header that says what it
     is, which attributes it reads, and how to call it.
     """
+    if not output:
+        raise click.UsageError("-o needs the name of a file, or - for stdout")
     if source is not None:
         check_readable_suffix(source)
         if STDIO not in {output, source} and _is(source, output):

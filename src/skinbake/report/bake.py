@@ -178,9 +178,10 @@ def _limited(costs: Sequence[LimitCost]) -> str:
         lost = f"{counted(vertices, 'vertex', 'vertices')} lost {left_out:.2%} of their weight"
     mean, p99 = max(cost.normals.mean for cost in costs), max(cost.normals.p99 for cost in costs)
     moved = max((cost.positions.max / cost.size for cost in costs if cost.size > 0), default=0.0)
+    movement = f"positions move by at most {moved:.2g} of the size" if moved else "positions stay"
     return (
         f"limited to {costs[0].influences} influences: {lost}, normals turn by "
-        f"{mean:.2g}° (p99 {p99:.2g}°), positions move by at most {moved:.2g} of the size"
+        f"{mean:.2g}° (p99 {p99:.2g}°), {movement}"
     )
 
 

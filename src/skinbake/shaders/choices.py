@@ -11,6 +11,8 @@ FRAMES = ("tangent", "normal")
 ENCODINGS = ("float32", "snorm16", "packed8")
 LAYOUTS = ("attributes", "texcoord", "custom")
 SLOTS_PER_SET = 4
+CUSTOM_SETS = 2
+"""Influence sets of the custom layout: Godot reads `_CUSTOM0` to `_CUSTOM3`."""
 
 
 class Language(StrEnum):
@@ -98,8 +100,11 @@ class ShaderChoices:
 
     def __post_init__(self) -> None:
         if (self.method, self.lighting) not in ALGORITHMS:
-            legal = " or ".join(light for method, light in ALGORITHMS if method is self.method)
-            raise ChoiceError(f"--method {self.method} has no {self.lighting} lighting; take {legal}")
+            legal = [light for method, light in ALGORITHMS if method is self.method]
+            raise ChoiceError(
+                f"--method {self.method} has no {self.lighting} lighting; take {', '.join(legal[:-1])} or "
+                f"{legal[-1]}"
+            )
         if self.influences < 1:
             raise ChoiceError(f"--influences {self.influences}: a vertex needs at least one")
         if self.frame not in FRAMES:
@@ -110,6 +115,10 @@ class ShaderChoices:
         ):
             if value not in known:
                 raise ChoiceError(f"{option} {value} is none of {', '.join(known)}")
+        if self.layout == "custom" and self.influence_sets > CUSTOM_SETS:
+            raise ChoiceError(
+                f"--layout custom holds {CUSTOM_SETS * SLOTS_PER_SET} influences, not {self.influences}"
+            )
         if self.layout == "texcoord" and self.encoding != "float32":
             raise ChoiceError(f"--layout texcoord takes --encoding float32, not {self.encoding}")
         if self.cap is not None and not self.is_corrected:
@@ -174,7 +183,7 @@ class ShaderChoices:
         mirrored = ", mirrored joints" if self.mirrored_joints else ""
         morphed = "" if self.morphs is Morphs.NONE else f", morph targets by {self.morphs}"
         return (
-            f"{self.language.upper()} for {self.target}, {self.method.upper()} {self.lighting}, "
+            f"{self.target} {self.language.upper()}, {self.method.upper()} {self.lighting}, "
             f"{self.influences} influences, {self.frame} frame{capped}{mirrored}{morphed}{self.storage_words}"
         )
 

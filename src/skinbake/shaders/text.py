@@ -8,6 +8,7 @@ reads as the language that it writes.
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
@@ -225,7 +226,7 @@ def _context(choices: ShaderChoices) -> dict[str, Any]:
 
 
 def command_line(choices: ShaderChoices) -> str:
-    """Return the command that writes the same text again, every choice spelled out."""
+    """Return the command that writes the same text again, every choice spelled out and the file named."""
     words = ["skinbake shader", f"--lang {choices.language}", f"--method {choices.method}"]
     words += [
         f"--lighting {choices.lighting}",
@@ -233,7 +234,7 @@ def command_line(choices: ShaderChoices) -> str:
         f"--frame {choices.frame}",
     ]
     if choices.cap is not None:
-        words.append(f"--cap {choices.cap:g}")
+        words.append(f"--cap {choices.cap!r}")
     if choices.mirrored_joints:
         words.append("--mirrored-joints")
     if choices.encoding != "float32":
@@ -244,6 +245,8 @@ def command_line(choices: ShaderChoices) -> str:
         words.append(f"--morphs {choices.morphs}")
     if choices.target != "plain":
         words.append(f"--target {choices.target}")
+    if choices.attributes is not None:
+        words.append(f"--for {shlex.quote(_ascii(choices.attributes.file))}")
     return " ".join(words)
 
 

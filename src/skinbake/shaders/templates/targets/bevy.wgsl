@@ -7,7 +7,7 @@
 //% elif influences < 2
 //%   set _ = refuse("--target bevy: one influence needs no shader, Bevy lights it right; take --influences 4")
 //% elif assembles
-//%   set _ = refuse("--target bevy: Bevy reads two sets of texture coordinates, not " ~ pairs | length ~ " more; bake with --layout attributes")
+//%   set _ = refuse("--target bevy: Bevy reads two sets of texture coordinates, and alpha and beta take " ~ pairs | length ~ "; bake with --layout attributes")
 //% elif decodes and not scale
 //%   set _ = refuse("--target bevy: " ~ encoding ~ " counts in a scale of the baked file's own; say --for BAKED_FILE")
 //% endif
