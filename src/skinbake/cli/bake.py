@@ -214,10 +214,8 @@ def _bits(given: dict[str, Any]) -> dict[str, int]:
     return {name: given[option] for name, option in options.items() if given[option] is not None}
 
 
-def _targets(inputs: tuple[str, ...], given: dict[str, Any]) -> list[tuple[str, str | None]]:
-    """Return (input, output) pairs, or raise click.UsageError for a combination that makes no sense."""
-    if given["alpha_name"] == given["beta_name"]:
-        raise click.UsageError("--alpha-name and --beta-name must differ")
+def _check_compression(given: dict[str, Any]) -> None:
+    """Raise click.UsageError for bits or a level that the compression has no use for."""
     if _bits(given) and given["compress"] != "draco":
         raise click.UsageError("--position-bits, --normal-bits and --texcoord-bits need --compress draco")
     level = given["compress_level"]
@@ -225,6 +223,13 @@ def _targets(inputs: tuple[str, ...], given: dict[str, Any]) -> list[tuple[str, 
         raise click.UsageError("--compress-level needs something to compress, not --compress none")
     if given["compress"] == "meshopt" and level is not None and level > HIGHEST_MESHOPT_LEVEL:
         raise click.UsageError(f"--compress-level of meshopt is at most {HIGHEST_MESHOPT_LEVEL}")
+
+
+def _targets(inputs: tuple[str, ...], given: dict[str, Any]) -> list[tuple[str, str | None]]:
+    """Return (input, output) pairs, or raise click.UsageError for a combination that makes no sense."""
+    if given["alpha_name"] == given["beta_name"]:
+        raise click.UsageError("--alpha-name and --beta-name must differ")
+    _check_compression(given)
     _check_storage(given)
     chosen = [name for name in ("output", "out_dir", "in_place") if given[name]]
     if len(chosen) > 1 or (not chosen and not given["dry_run"]):

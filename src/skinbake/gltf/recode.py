@@ -297,8 +297,10 @@ def _into_draco(
     for source in sources:
         if draco.extension_of(source.json) is not None:
             if compression.bits:
-                reason = "it is in Draco already and is not quantised again"
-                yield Notice("bits-ignored", f"{reason}: decode it with --compress none first", source.place)
+                message = (
+                    "it is in Draco already and is not quantised again: decode it with --compress none first"
+                )
+                yield Notice("bits-ignored", message, source.place)
             continue
         reason = _reason_against_draco(recoder.document, source)
         if reason is not None:
