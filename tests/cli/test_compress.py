@@ -98,3 +98,12 @@ def test_bits_asked_for_what_is_in_draco_already_are_a_notice(tmp_path: Path) ->
     assert result.exit_code == 0
     assert "it is in Draco already and is not quantised again" in result.stderr
     assert second.read_bytes() == first.read_bytes()
+
+
+def test_inspect_names_the_compression(tmp_path: Path) -> None:
+    for scheme, name in (("draco", "KHR_draco_mesh_compression"), ("meshopt", EXT), ("none", None)):
+        target = tmp_path / f"{scheme}.glb"
+        assert invoke("bake", TUBE, "-o", target, "--compress", scheme).exit_code == 0
+        found = document(invoke("inspect", target, "--json"))["primitives"][0]["compression"]
+        assert found == name or (scheme == "meshopt" and found in {EXT, KHR})
+        assert (f"compressed  {found};" in invoke("inspect", target).stdout) == (name is not None)

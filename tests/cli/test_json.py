@@ -142,6 +142,7 @@ SUMMARY = strict(
             "type": "object",
             "additionalProperties": strict({"format": TEXT, "bytes": {"type": "integer", "minimum": 1}}),
         },
+        "compression": {"type": ["string", "null"]},
         "morph_targets": COUNT,
         "baked": {
             "oneOf": [

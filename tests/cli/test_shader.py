@@ -198,6 +198,18 @@ class TestForFile:
         assert result.exit_code == 3
         assert "nothing in it is baked" in result.stderr
 
+    @pytest.mark.parametrize("target", ["three", "bevy"])
+    def test_an_engine_s_limit_is_the_file_s_fault_with_the_way_out(
+        self, target: str, tmp_path: Path
+    ) -> None:
+        file = baked(TWO_SETS, tmp_path)
+        result = invoke("shader", "--target", target, "--for", file)
+        assert result.exit_code == 3
+        assert f"{file}: it cannot serve target {target}" in result.stderr
+        assert "four influences a vertex, not 8; bake with --limit-influences 4" in result.stderr
+        asked = invoke("shader", "--target", target, "--for", file, "--method", "dqs")
+        assert asked.exit_code == 2
+
     def test_damaged_metadata_is_refused(self, tmp_path: Path) -> None:
         file = baked(SEAM, tmp_path)
         model = read(file)

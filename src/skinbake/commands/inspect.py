@@ -8,7 +8,9 @@ import numpy as np
 
 from skinbake.bake.baker import AUTO, rest_frame
 from skinbake.bake.influences import weight_field
+from skinbake.gltf import draco
 from skinbake.gltf.accessors import described
+from skinbake.gltf.attribute_store import meshopt_of
 from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.json_access import index
 from skinbake.gltf.meshopt import is_fallback
@@ -81,9 +83,15 @@ def _summary(document: Document, source: PrimitiveSource) -> PrimitiveSummary:
         defects=asdict(defects),
         frame=rest_frame(primitive, AUTO).kind if len(primitive.normals) else "none: no NORMAL",
         attributes=tuple(attributes),
+        compression=_compression(document, source),
         morph_targets=len(targets) if isinstance(targets, list) else 0,
         bake=bake,
     )
+
+
+def _compression(document: Document, source: PrimitiveSource) -> str | None:
+    """Return the extension that any of a primitive's data is compressed by, None where none is."""
+    return draco.EXTENSION if draco.extension_of(source.json) is not None else meshopt_of(document, source)
 
 
 def _attribute(document: Document, source: PrimitiveSource, name: str) -> AttributeSummary:

@@ -13,7 +13,7 @@ from skinbake.commands.baked_views import BakedView, baked_views, is_baked
 from skinbake.commands.lighting import rest_surface, without_dqs
 from skinbake.commands.morphing import carrier
 from skinbake.commands.poses import PoseRequest, PoseSet, pose_set, skins_of
-from skinbake.errors import InputError, Notice, Place
+from skinbake.errors import ChoiceError, InputError, Notice, Place
 from skinbake.geometry.frames import NORMAL_FRAME
 from skinbake.gltf.animation import read_clips
 from skinbake.gltf.document import Document, read_document
@@ -62,9 +62,27 @@ def shader(request: ShaderRequest, source: str | None = None) -> ShaderResult:
     Raises ChoiceError where choices exclude each other, InputError where the file cannot be read, is not
     baked, or cannot serve what was asked for.
     """
-    choices, notices = _choices_of_file(request, source) if source else _choices(request)
-    text, choices = shader_made(choices)
+    if source is None:
+        choices, notices = _choices(request)
+        text, choices = shader_made(choices)
+        return ShaderResult(text, choices, tuple(notices))
+    choices, notices = _choices_of_file(request, source)
+    try:
+        text, choices = shader_made(choices)
+    except ChoiceError as error:
+        if _contradicts_itself(request):
+            raise
+        raise InputError(f"it cannot serve {error.message.removeprefix('--')}", Place(source)) from error
     return ShaderResult(text, choices, tuple(notices))
+
+
+def _contradicts_itself(request: ShaderRequest) -> bool:
+    """Tell whether a request is at fault for its refusal: it would be refused for a file of the usual kind too."""
+    try:
+        shader_made(replace(_choices(request)[0], scale=1.0))
+    except ChoiceError:
+        return True
+    return False
 
 
 def write_shader(result: ShaderResult, target: str) -> None:

@@ -36,7 +36,7 @@ class PrimitiveSummary:
 
     influences is the largest number of positive weights at a vertex, weight_sums the least and largest sum
     as stored; defects counts the vertices whose weights need an assumption, by kind. frame is what
-    ``--frame auto`` takes.
+    ``--frame auto`` takes. compression is the extension in which any of its data is, None where none is.
     """
 
     place: Place
@@ -49,6 +49,7 @@ class PrimitiveSummary:
     defects: dict[str, int]
     frame: str
     attributes: tuple[AttributeSummary, ...]
+    compression: str | None
     morph_targets: int
     bake: BakeSummary | None
 
@@ -96,6 +97,8 @@ def _primitive_lines(primitive: PrimitiveSummary) -> Iterator[str]:
     yield f"    frame       {primitive.frame}"
     stored = ", ".join(f"{printable(a.name)} {a.format}" for a in primitive.attributes)
     yield f"    attributes  {stored}"
+    if primitive.compression is not None:
+        yield f"    compressed  {primitive.compression}; bytes are those of the decoded data"
     yield f"    baked       {_bake_text(primitive.bake)}"
 
 
@@ -146,6 +149,7 @@ def _primitive_json(primitive: PrimitiveSummary) -> dict[str, Any]:
             attribute.name: {"format": attribute.format, "bytes": attribute.byte_length}
             for attribute in primitive.attributes
         },
+        "compression": primitive.compression,
         "morph_targets": primitive.morph_targets,
         "baked": None
         if primitive.bake is None

@@ -3,7 +3,7 @@
 //% elif lighting == "approximated"
 //%   set _ = refuse("--target bevy: approximated lighting is Bevy's own and needs no shader; take --lighting accurate or direct")
 //% elif influences > 4
-//%   set _ = refuse("--target bevy: Bevy reads four influences a vertex, not " ~ influences)
+//%   set _ = refuse("--target bevy: Bevy reads four influences a vertex, not " ~ influences ~ "; bake with --limit-influences 4")
 //% elif influences < 2
 //%   set _ = refuse("--target bevy: one influence needs no shader, Bevy lights it right; take --influences 4")
 //% elif assembles

@@ -3,7 +3,7 @@
 //% elif lighting == "approximated"
 //%   set _ = refuse("--target three: approximated lighting is three.js's own; take --lighting accurate or direct")
 //% elif influences > 4
-//%   set _ = refuse("--target three: three.js reads four influences a vertex, not " ~ influences)
+//%   set _ = refuse("--target three: three.js reads four influences a vertex, not " ~ influences ~ "; bake with --limit-influences 4")
 //% elif influences < 2
 //%   set _ = refuse("--target three: one influence needs no shader; take --influences 4")
 //% elif decodes and not scale
