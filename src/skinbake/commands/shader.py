@@ -77,7 +77,7 @@ def shader(request: ShaderRequest, source: str | None = None) -> ShaderResult:
 
 
 def _contradicts_itself(request: ShaderRequest) -> bool:
-    """Tell whether a request is at fault for its refusal: it would be refused for a file of the usual kind too."""
+    """Tell whether a refused request is itself at fault: it is refused for the usual kind of file too."""
     try:
         shader_made(replace(_choices(request)[0], scale=1.0))
     except ChoiceError:
