@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import logging
 from collections import defaultdict
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from skinbake.bake.baker import TANGENT_TOLERANCE, BakeFindings, BakeSettings, bake_mesh
 from skinbake.bake.influences import SUM_TOLERANCE
 from skinbake.bake.normals import with_smooth_normals
-from skinbake.commands.limiting import limit_costs, limited
 from skinbake.errors import InputError, Notice, Place, SkinbakeError, defect
 from skinbake.geometry.frames import TANGENT_FRAME
 from skinbake.geometry.skinned import BakedPrimitive, SkinnedPrimitive
@@ -32,7 +33,10 @@ from skinbake.gltf.primitives import (
 from skinbake.gltf.recode import Compression, recoded
 from skinbake.gltf.skin_groups import meshes_of_one_skin
 from skinbake.gltf.strip import stripped
-from skinbake.report.bake import BakedCounts, EncodingCost, FileResult, Status
+from skinbake.report.bake import BakedCounts, EncodingCost, FileResult, LimitCost, Status
+
+if TYPE_CHECKING:
+    from skinbake.commands.limiting import Limited, Outcome
 
 logger = logging.getLogger(__name__)
 
@@ -211,13 +215,10 @@ def _bake_sources(
 ) -> None:
     """Bake primitives as one surface; append to ``baked``, ``results`` and ``notices``."""
     whole = with_smooth_normals([read_primitive(document, source) for source in sources])
-    parts = [
-        limited(document, source, primitive, options.limit_influences)
-        for source, primitive in zip(sources, whole, strict=True)
-    ]
+    parts = _limited(document, sources, whole, options)
     primitives = [part.primitive if part else one for part, one in zip(parts, whole, strict=True)]
     outcomes = bake_mesh(primitives, options.settings)
-    costs = limit_costs(document, sources, whole, parts, outcomes, options.settings)
+    costs = _limit_costs(document, sources, whole, parts, outcomes, options)
     for source, primitive, part, cost, (outcome, findings) in zip(
         sources, primitives, parts, costs, outcomes, strict=True
     ):
@@ -226,6 +227,38 @@ def _bake_sources(
         baked.append(Baked(source, primitive, outcome, _noted_settings(options), stored))
         counts = _counts(source, primitive, outcome, findings, options.storage.encoding)
         results.append((source.place, replace(counts, limited=cost)))
+
+
+def _limited(
+    document: Document,
+    sources: Sequence[PrimitiveSource],
+    whole: Sequence[SkinnedPrimitive],
+    options: BakeOptions,
+) -> list[Limited | None]:
+    """Return the primitives that a limit of influences changes, None for each that it leaves alone."""
+    if options.limit_influences is None:
+        return [None] * len(whole)
+    from skinbake.commands.limiting import limited  # replays, as encodings do
+
+    return [
+        limited(document, source, primitive, options.limit_influences)
+        for source, primitive in zip(sources, whole, strict=True)
+    ]
+
+
+def _limit_costs(
+    document: Document,
+    sources: Sequence[PrimitiveSource],
+    whole: Sequence[SkinnedPrimitive],
+    parts: Sequence[Limited | None],
+    outcomes: Sequence[Outcome],
+    options: BakeOptions,
+) -> Sequence[LimitCost | None]:
+    if not any(parts):
+        return [None] * len(whole)
+    from skinbake.commands.limiting import limit_costs
+
+    return limit_costs(document, sources, whole, parts, outcomes, options.settings)
 
 
 def _counts(
