@@ -30,7 +30,7 @@ REPOSITORY = Path(__file__).resolve().parents[1]
 DEFAULT_OUTPUT = REPOSITORY / "docs" / "lighting.md"
 SUFFIXES = {".glb", ".gltf", ".vrm"}
 CORPUS_FOLDERS = ("public", "derived")
-PACKAGES = ("numpy", "scipy", "libigl", "numba")
+PACKAGES = ("numpy", "scipy", "libigl")
 
 HEAD = """# What accurate lighting is worth
 

@@ -30,7 +30,7 @@ from skinbake.bake.slots import assign, shared_capacity
 from skinbake.bake.weld import concatenated, weld
 from skinbake.commands.poses import PoseRequest, pose_set, skins_of
 from skinbake.geometry import frames
-from skinbake.geometry.skinned import BoolArray, Float64Array, SkinnedPrimitive
+from skinbake.geometry.skinned import BoolArray, Float64Array, IntArray, SkinnedPrimitive
 from skinbake.geometry.triangles import proper, smooth_normals
 from skinbake.gltf.animation import read_clips
 from skinbake.gltf.document import read_document
@@ -115,7 +115,7 @@ class Surface:
         squares = sum(np.asarray(axis.multiply(axis).sum(axis=1)).ravel() for axis in self.gradient)
         return np.asarray(quantum / np.sqrt(12.0) * np.sqrt(squares))
 
-    def neighbours(self, labels: np.ndarray[tuple[int, ...], np.dtype[np.int64]]) -> sparse.csr_array:
+    def neighbours(self, labels: IntArray) -> sparse.csr_array:
         """Return the sparse 0/1 matrix of which labels an edge joins, each with itself."""
         ends = labels[
             np.concatenate([self.triangles[:, [0, 1]], self.triangles[:, [1, 2]], self.triangles[:, [2, 0]]])

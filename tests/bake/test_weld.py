@@ -12,7 +12,7 @@ import pytest
 from skinbake.bake import weld as welding
 from skinbake.bake.influences import weight_field
 from skinbake.bake.weld import concatenated, equal_positions, equal_rows, weld
-from skinbake.geometry.skinned import SkinnedPrimitive
+from skinbake.geometry.skinned import IntArray, SkinnedPrimitive
 from skinbake.verify.welds import weld_classes
 from tests.bake.models import (
     AFRAME_HAND,
@@ -74,7 +74,7 @@ def tilted(*degrees: float) -> list[list[float]]:
     return [[math.sin(math.radians(angle)), 0.0, math.cos(math.radians(angle))] for angle in degrees]
 
 
-def labels_of(primitives: Sequence[SkinnedPrimitive], crease: float = 15.0) -> npt.NDArray[np.int64]:
+def labels_of(primitives: Sequence[SkinnedPrimitive], crease: float = 15.0) -> IntArray:
     return weld(
         np.concatenate([part.positions for part in primitives]),
         np.concatenate([part.normals for part in primitives]),
@@ -83,7 +83,7 @@ def labels_of(primitives: Sequence[SkinnedPrimitive], crease: float = 15.0) -> n
     )
 
 
-def partition(labels: npt.NDArray[np.int64]) -> list[int]:
+def partition(labels: IntArray) -> list[int]:
     """Number the classes in the order in which they appear."""
     seen: dict[int, int] = {}
     return [seen.setdefault(label, len(seen)) for label in labels.tolist()]

@@ -23,7 +23,6 @@ HEAVY = (
     "DracoPy",
     "meshopt",
     "numpy",
-    "numba",
     "scipy",
     "igl",
     "rich",
@@ -60,10 +59,10 @@ def test_the_list_of_commands_imports_none_of_them() -> None:
     assert [name for name in COMMANDS if f"skinbake.cli.{name}" in loaded] == []
 
 
-def test_a_small_bake_imports_neither_numba_nor_what_verify_needs(tmp_path: Path) -> None:
+def test_a_small_bake_imports_nothing_that_only_verify_needs(tmp_path: Path) -> None:
     loaded = modules("bake", str(SEAM), "-o", str(tmp_path / "out.glb"), "-q")
     assert "numpy" in loaded
-    assert not {"numba", "scipy", "igl", "rich", "pygltflib", "DracoPy", "meshopt"} & loaded
+    assert not {"scipy", "igl", "rich", "pygltflib", "DracoPy", "meshopt"} & loaded
 
 
 def test_help_names_every_command_and_the_exit_codes() -> None:

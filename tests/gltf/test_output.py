@@ -16,7 +16,9 @@ import pytest
 from skinbake.commands.bake import BakeOptions, bake_file
 from skinbake.commands.strip import strip_file
 from skinbake.errors import OutputError
+from skinbake.gltf import resources
 from skinbake.gltf.document import read_document
+from skinbake.gltf.glb import Bytes
 from skinbake.gltf.output import plan_output
 from tests.gltf.models import FOLDER, SHARED, SHARED_BIN, bake, copied, edited
 from tests.support.gltf_reading import read
@@ -205,14 +207,14 @@ class TestTargets:
         self, source: Path, target: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         before = tree(target.parent)
-        original = Path.read_bytes
+        original = resources.read_file
 
-        def read_bytes(path: Path) -> bytes:
+        def read_file(path: Path) -> Bytes:
             if path.suffix == ".png":
                 raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
             return original(path)
 
-        monkeypatch.setattr(Path, "read_bytes", read_bytes)
+        monkeypatch.setattr(resources, "read_file", read_file)
         assert "a.png: cannot be copied: Permission denied" in str(write(source, target))
         assert tree(target.parent) == before
 

@@ -1,11 +1,11 @@
-"""Weight gradients at welded vertices (Tarini et al. 2014, §4; the mean over triangles after Max 1999)."""
+"""Weight gradients at welded vertices (Tarini et al. 2014, §4; the mean over triangles after Max 1999).
+
+``skinbake/_kernel.c`` has the same in one pass over the corners of each vertex; this is its definition.
+"""
 
 from __future__ import annotations
 
-import logging
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -13,11 +13,6 @@ import numpy.typing as npt
 from skinbake.bake.corner import WEIGHTINGS, corner_coefficients
 from skinbake.bake.influences import WeightField
 from skinbake.geometry.skinned import Float64Array, FloatArray, IntArray
-
-logger = logging.getLogger(__name__)
-
-COMPILED_FROM = 200_000
-"""Triangles from which the compiled kernel is worth its start: half a second, seconds without its cache."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +33,7 @@ def weight_gradients(
     positions: FloatArray,
     triangles: IntArray,
     field: WeightField,
-    classes: npt.NDArray[np.int64],
+    classes: IntArray,
     *,
     weighting: str,
 ) -> VertexGradients:
@@ -49,49 +44,15 @@ def weight_gradients(
     gradients, normalised by the weight of *all* its corners, so that the gradients of all joints sum to
     zero. A class without triangles has no entries. weighting is a key of WEIGHTINGS.
     """
-    method = WEIGHTINGS[weighting]
-    count = int(classes.max(initial=-1)) + 1
-    gather = _compiled_gather() if len(triangles) >= COMPILED_FROM else None
-    if gather is None:
-        return _gather(positions.astype(np.float64), triangles, field, classes, count, method)
-    rows = gather(
-        positions.astype(np.float64),
-        triangles.astype(np.int32),
-        field.joints.astype(np.int32),
-        field.weights,
-        classes.astype(np.int32),
-        count,
-        method,
-    )
-    return VertexGradients(*rows)
-
-
-def _compiled_gather() -> Callable[..., Any] | None:
-    """Return the compiled kernel, None where its compiler is not installed."""
-    try:
-        from skinbake.bake.compiled import gather  # noqa: PLC0415  (0.4 s to import)
-    except ImportError as error:
-        logger.info("the compiled kernel is not to be had (%s): large meshes take longer", error)
-        return None
-    return gather
-
-
-def _gather(
-    positions: Float64Array,
-    triangles: IntArray,
-    field: WeightField,
-    classes: npt.NDArray[np.int64],
-    count: int,
-    method: int,
-) -> VertexGradients:
-    """Sum corner by corner with whole-array operations: no compiler to import, for meshes of usual size."""
+    method, classes = WEIGHTINGS[weighting], classes.astype(np.int64)
+    count, points = int(classes.max(initial=-1)) + 1, positions.astype(np.float64)
     total = np.zeros(count)
     keys, vectors = [], []
     joint_count = int(field.joints.max(initial=0)) + 1
     for turn in range(3):
         origin, first, second = np.roll(triangles, -turn, axis=1).T
-        e1 = tuple((positions[first] - positions[origin]).T)
-        e2 = tuple((positions[second] - positions[origin]).T)
+        e1 = tuple((points[first] - points[origin]).T)
+        e2 = tuple((points[second] - points[origin]).T)
         weight, c1, c2 = corner_coefficients(e1, e2, method)
         total += np.bincount(classes[origin], weight, count)
         for neighbour, coefficients in ((first, c1), (second, c2)):

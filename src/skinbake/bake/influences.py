@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from skinbake.bake import kernel
 from skinbake.geometry.skinned import BoolArray, Float64Array, SkinnedPrimitive
 
 SUM_TOLERANCE = 1e-3
@@ -20,7 +21,7 @@ NO_JOINT = -1
 
 @dataclass(frozen=True, slots=True)
 class WeightField:
-    """The normalised weights of V vertices: joints (V, K) int64, weights (V, K) float64, Σ over K is 1.
+    """The normalised weights of V vertices: joints (V, K) int32, weights (V, K) float64, Σ over K is 1.
 
     Every joint stands in one slot of a vertex only: repeats have joint −1 and weight 0, their weight
     added to the slot that keeps the joint. Slots keep the places they have in the file. free (V, K) tells
@@ -28,7 +29,7 @@ class WeightField:
     of at most SUM_TOLERANCE), where the smallest weight would be a share of it, or the whole.
     """
 
-    joints: npt.NDArray[np.int64]
+    joints: npt.NDArray[np.int32]
     weights: Float64Array
     free: BoolArray
 
@@ -54,12 +55,22 @@ def weight_field(primitive: SkinnedPrimitive) -> tuple[WeightField, WeightDefect
     what three.js makes of it. Weights are divided by their sum. A joint that stands in several slots keeps
     the first slot with a positive weight (or the first of all), with the sum of the weights.
     """
-    joints = primitive.joints.astype(np.int64)
-    weights = primitive.weights.astype(np.float64)
+    joints = primitive.joints.astype(np.int32, order="C")
+    weights = primitive.weights.astype(np.float64, order="C")
+    if kernel.compiled is not None:
+        free = np.empty(joints.shape, dtype=np.bool_)
+        counts = kernel.compiled.normalise(joints, weights, free, ADOPTING_SUM, SUM_TOLERANCE)
+        return WeightField(joints, weights, free), WeightDefects(*counts)
+    return _normalised(joints, weights)
+
+
+def _normalised(joints: npt.NDArray[np.int32], weights: Float64Array) -> tuple[WeightField, WeightDefects]:
+    """Do what ``_kernel.normalise`` does, with whole arrays."""
+    free = weights == 0
     negative = weights < 0
     weights[negative] = 0.0
     total = weights.sum(axis=1)
-    free = (primitive.weights == 0) & (total > ADOPTING_SUM)[:, None]
+    free &= (total > ADOPTING_SUM)[:, None]
     empty = total == 0
     weights[empty, 0] = 1.0
     total[empty] = 1.0
@@ -74,7 +85,7 @@ def weight_field(primitive: SkinnedPrimitive) -> tuple[WeightField, WeightDefect
     return WeightField(joints, weights, free), defects
 
 
-def _merge_repeats(joints: npt.NDArray[np.int64], weights: Float64Array) -> int:
+def _merge_repeats(joints: npt.NDArray[np.int32], weights: Float64Array) -> int:
     """Merge repeated joints in place; return at how many vertices two positive weights were merged."""
     influences = joints.shape[1]
     merged = np.zeros(len(joints), dtype=np.bool_)

@@ -5,11 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from skinbake.bake.gradients import VertexGradients
 from skinbake.bake.influences import NO_JOINT, WeightField
-from skinbake.geometry.skinned import Float64Array, FloatArray
+from skinbake.geometry.skinned import Float64Array, FloatArray, IntArray
 
 NEGLIGIBLE = 1e-4
 """Share of a vertex's gradient below which a neighbour's joint is not worth a slot.
@@ -35,7 +34,7 @@ class SlotGradients:
 
     alpha: Float64Array
     beta: Float64Array
-    adopted: npt.NDArray[np.int64]
+    adopted: IntArray
     overflowing: int
     magnitude: float
     lost: float
@@ -43,10 +42,10 @@ class SlotGradients:
 
 def assign(
     gradients: VertexGradients,
-    classes: npt.NDArray[np.int64],
+    classes: IntArray,
     field: WeightField,
     frame: tuple[FloatArray, FloatArray],
-    capacity: npt.NDArray[np.int64] | None,
+    capacity: IntArray | None,
 ) -> SlotGradients:
     """Return α and β per slot of V vertices.
 
@@ -64,7 +63,7 @@ def assign(
         entries = _Entries(gradients, classes[rows])
         part = field.rows(rows)
         foreign = _foreign(entries, part)
-        named = part.joints
+        named: IntArray = part.joints
         if capacity is not None and len(foreign.vertices):
             adopted[rows] = _adopt(foreign, part, capacity[rows])
             named = _named_slots(adopted[rows], part)
@@ -76,7 +75,7 @@ def assign(
     return SlotGradients(alpha, beta, adopted, overflowing, total, lost)
 
 
-def shared_capacity(field: WeightField, classes: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+def shared_capacity(field: WeightField, classes: IntArray) -> IntArray:
     """Return how many joints each vertex (V,) may adopt: as many as every copy of its surface point can.
 
     Copies that adopted differently would no longer be one vertex to whoever reads the baked file.
@@ -91,8 +90,8 @@ def shared_capacity(field: WeightField, classes: npt.NDArray[np.int64]) -> npt.N
 class _Rank:
     """The entries of one rank: whose they are, which they are, and how long their gradients are."""
 
-    vertices: npt.NDArray[np.int64]
-    numbers: npt.NDArray[np.int64]
+    vertices: IntArray
+    numbers: IntArray
     magnitudes: Float64Array
 
 
@@ -103,7 +102,7 @@ class _Entries:
     up the magnitudes at each vertex.
     """
 
-    def __init__(self, gradients: VertexGradients, classes: npt.NDArray[np.int64]) -> None:
+    def __init__(self, gradients: VertexGradients, classes: IntArray) -> None:
         start = gradients.offsets[classes]
         count = gradients.offsets[classes + 1] - start
         self.gradients = gradients
@@ -121,13 +120,14 @@ class _Entries:
 class _Foreign:
     """Joints that vary at a vertex without being its own: vertex, joint, gradient magnitude, all (F,)."""
 
-    vertices: npt.NDArray[np.int64]
-    joints: npt.NDArray[np.int64]
+    vertices: IntArray
+    joints: IntArray
     magnitudes: Float64Array
 
 
 def _foreign(entries: _Entries, field: WeightField) -> _Foreign:
-    found = [(np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64), np.empty(0))]
+    empty = np.empty(0, dtype=np.int64)
+    found: list[tuple[IntArray, IntArray, Float64Array]] = [(empty, empty, np.empty(0))]
     own_joints = np.ascontiguousarray(np.where(field.weights > 0, field.joints, NO_JOINT).T)
     for rank in entries.ranks:
         joints = entries.gradients.joints[rank.numbers]
@@ -138,7 +138,7 @@ def _foreign(entries: _Entries, field: WeightField) -> _Foreign:
     return _Foreign(*(np.concatenate(column) for column in zip(*found, strict=True)))
 
 
-def _adopt(foreign: _Foreign, field: WeightField, capacity: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+def _adopt(foreign: _Foreign, field: WeightField, capacity: IntArray) -> IntArray:
     """Return the joint that each free slot adopts (V, K): the largest gradients into the first free slots."""
     order = np.lexsort((foreign.joints, -foreign.magnitudes, foreign.vertices))
     vertices, joints = foreign.vertices[order], foreign.joints[order]
@@ -151,7 +151,7 @@ def _adopt(foreign: _Foreign, field: WeightField, capacity: npt.NDArray[np.int64
     return adopted
 
 
-def _named_slots(adopted: npt.NDArray[np.int64], field: WeightField) -> npt.NDArray[np.int64]:
+def _named_slots(adopted: IntArray, field: WeightField) -> IntArray:
     """Return the joint whose gradient each slot carries (V, K), −1 for none.
 
     A slot that adopts nothing keeps the joint that it names in the file, also at weight zero, unless that
@@ -165,7 +165,7 @@ def _named_slots(adopted: npt.NDArray[np.int64], field: WeightField) -> npt.NDAr
 
 
 def _project(
-    entries: _Entries, named: npt.NDArray[np.int64], frame: tuple[FloatArray, FloatArray]
+    entries: _Entries, named: IntArray, frame: tuple[FloatArray, FloatArray]
 ) -> tuple[Float64Array, Float64Array, float]:
     """Return α, β (V, K), and the gradient magnitude that no slot holds, summed over vertices."""
     alpha, beta = np.zeros(named.shape), np.zeros(named.shape)

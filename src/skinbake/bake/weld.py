@@ -7,11 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
+from skinbake.bake import kernel
 from skinbake.bake.influences import WeightField
 from skinbake.geometry.frames import has_direction, unit_vectors
-from skinbake.geometry.skinned import BoolArray, FloatArray
+from skinbake.geometry.skinned import BoolArray, FloatArray, IntArray
 
-Labels = npt.NDArray[np.int64]
+Labels = IntArray
 
 PAIRED_GROUP = 32
 """Groups of at most this many distinct normals are compared pair by pair; larger ones grow step by step."""
@@ -34,9 +35,9 @@ def weld(positions: FloatArray, normals: FloatArray, field: WeightField, *, crea
     numbers of the classes.
     """
     labels = equal_positions(positions)
-    copies = np.flatnonzero(np.bincount(labels)[labels] > 1)
-    if len(copies) == 0:
+    if int(labels.max(initial=-1)) + 1 == len(labels):
         return labels
+    copies = np.flatnonzero(np.bincount(labels)[labels] > 1)
     points = equal_rows(labels[copies, None], _influence_keys(field.rows(copies)))
     oriented = equal_rows(points[:, None], _bits(normals[copies]))
     first = np.unique(oriented, return_index=True)[1]
@@ -49,7 +50,17 @@ def weld(positions: FloatArray, normals: FloatArray, field: WeightField, *, crea
 
 def equal_positions(positions: FloatArray) -> Labels:
     """Return a label (V,) for every vertex, the same for equal positions (−0 = +0)."""
+    if kernel.compiled is not None:
+        return _labelled(positions)
     return equal_rows(_bits(positions))
+
+
+def _labelled(rows: npt.NDArray[np.generic]) -> Labels:
+    """Return the labels of ``_kernel.equal_rows``: equal rows (V, M) of floats or integers have the same."""
+    assert kernel.compiled is not None
+    labels = np.empty(len(rows), dtype=np.int32)
+    kernel.compiled.equal_rows(np.ascontiguousarray(rows), labels)
+    return labels
 
 
 def equal_rows(*columns: npt.NDArray[np.generic]) -> Labels:
@@ -59,6 +70,8 @@ def equal_rows(*columns: npt.NDArray[np.generic]) -> Labels:
     correctness.
     """
     keys = np.concatenate([column.astype(np.uint64, copy=False) for column in columns], axis=1)
+    if kernel.compiled is not None:
+        return _labelled(keys)
     hashed = _hash(keys)
     order = np.argsort(hashed)
     differs = np.any(keys[order[1:]] != keys[order[:-1]], axis=1)
@@ -77,6 +90,8 @@ def _numbered(labels: Labels) -> Labels:
     Neighbours on the surface then stay neighbours in memory: gathering by labels in hash order took three
     times as long.
     """
+    if kernel.compiled is not None:
+        return _labelled(labels[:, None].astype(np.int32))
     first = np.empty(int(labels.max(initial=-1)) + 1, dtype=np.int64)
     first[labels[::-1]] = np.arange(len(labels))[::-1]
     leader = first[labels]
@@ -167,3 +182,8 @@ def concatenated(fields: Sequence[WeightField]) -> WeightField:
         weights.append(np.pad(field.weights, missing))
         free.append(np.pad(field.free, missing))
     return WeightField(np.concatenate(joints), np.concatenate(weights), np.concatenate(free))
+
+
+def joined(arrays: Sequence[FloatArray]) -> FloatArray:
+    """Return the rows of several arrays in one, without a copy where there is only one."""
+    return arrays[0] if len(arrays) == 1 else np.concatenate(arrays)

@@ -299,7 +299,10 @@ def _assumptions(
 ) -> list[Notice]:
     """Return one notice for each kind of thing that had to be assumed."""
     weights = findings.weights
-    outside = ((primitive.joints >= source.joint_count) & (primitive.weights == 0)).any(axis=1)
+    outside = 0
+    if primitive.joints.max() >= source.joint_count:
+        unused = (primitive.joints >= source.joint_count) & (primitive.weights == 0)
+        outside = int(np.count_nonzero(unused.any(axis=1)))
     forced = outcome.frame == TANGENT_FRAME
     consequence = "used all the same, as asked" if forced else "the frame is taken from NORMAL instead"
     table = [
@@ -321,7 +324,7 @@ def _assumptions(
         ),
         (
             "joints-outside-skin",
-            int(np.count_nonzero(outside)),
+            outside,
             f"{{}} vertices name a joint past the skin's {source.joint_count}, at weight 0: ignored",
         ),
         (

@@ -6,7 +6,7 @@ from dataclasses import asdict
 
 import numpy as np
 
-from skinbake.bake.baker import AUTO, rest_frame
+from skinbake.bake.baker import AUTO, chosen_frame
 from skinbake.bake.influences import weight_field
 from skinbake.gltf import draco
 from skinbake.gltf.accessors import described
@@ -81,7 +81,7 @@ def _summary(document: Document, source: PrimitiveSource) -> PrimitiveSummary:
         influences=int(np.count_nonzero(primitive.weights > 0, axis=1).max(initial=0)),
         weight_sums=(float(sums.min()), float(sums.max())),
         defects=asdict(defects),
-        frame=rest_frame(primitive, AUTO).kind if len(primitive.normals) else "none: no NORMAL",
+        frame=chosen_frame(primitive, AUTO).kind if len(primitive.normals) else "none: no NORMAL",
         attributes=tuple(attributes),
         compression=_compression(document, source),
         morph_targets=len(targets) if isinstance(targets, list) else 0,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from skinbake.geometry.blocks import blocks
 from skinbake.geometry.skinned import BoolArray, Float32Array, Float64Array, FloatArray
 
 TANGENT_FRAME = "tangent"
@@ -23,7 +24,14 @@ def unit_vectors(vectors: FloatArray) -> Float64Array:
 
 def has_direction(vectors: FloatArray) -> BoolArray:
     """Tell which vectors (V, 3) have a length other than zero, and finite components."""
-    return np.asarray(np.isfinite(vectors).all(axis=1) & vectors.any(axis=1))
+    x, y, z = vectors.T
+    finite = np.isfinite(x) & np.isfinite(y) & np.isfinite(z)
+    return np.asarray(finite & ((x != 0) | (y != 0) | (z != 0)))
+
+
+def without_direction(vectors: FloatArray) -> int:
+    """Return how many vectors (V, 3) have no direction."""
+    return sum(int(np.count_nonzero(~has_direction(vectors[rows]))) for rows in blocks(len(vectors)))
 
 
 def unit_normals(normals: FloatArray) -> Float32Array:

@@ -45,13 +45,13 @@ class BakedPrimitive:
     """What bake computed for one primitive.
 
     alpha, beta (V, K − 1) float32, 1 / length unit of POSITION: ∇w · t0 and ∇w · b0 of slots 1 … K − 1;
-    slot 0's entry is minus their sum. adopted_joints (V, K) int64: the joint that a free slot adopts, −1
+    slot 0's entry is minus their sum. adopted_joints (V, K) integer: the joint that a free slot adopts, −1
     where a slot stays as it is. frame is ``tangent`` or ``normal``.
     """
 
     alpha: Float32Array
     beta: Float32Array
-    adopted_joints: npt.NDArray[np.int64]
+    adopted_joints: IntArray
     frame: str
 
     @property

@@ -21,13 +21,13 @@ BLOCK = 1 << 15
 """Triangles measured at a time: the arrays of a block stay in the processor's cache."""
 
 
-def unrolled(indices: IntArray, mode: int) -> npt.NDArray[np.int64]:
-    """Return the triangles (T, 3) that an index list (N,) draws in ``mode``.
+def unrolled(indices: IntArray, mode: int) -> npt.NDArray[np.uint32]:
+    """Return the triangles (T, 3) that an index list (N,) draws in ``mode``; a list's are not copied.
 
     Odd triangles of a strip are turned, so that every triangle keeps the winding of the first; a fan's
     triangles are (i + 1, i + 2, 0), as glTF 2.0 §3.7.2.1 says. Surplus indices of a list are ignored.
     """
-    corners = indices.astype(np.int64, copy=False)
+    corners = indices.astype(np.uint32, copy=False)
     if mode == TRIANGLES:
         return corners[: len(corners) // 3 * 3].reshape(-1, 3)
     count = max(len(corners) - 2, 0)

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from skinbake.geometry.skinned import IntArray
 from skinbake.gltf.accessors import StoredArray
 from skinbake.gltf.primitives import StoredInfluences
 
@@ -24,7 +25,7 @@ UNIT = 65535
 """Integer weights are kept as unsigned shorts, where an adopted slot has 1 and the largest gives it up."""
 
 
-def with_adopted(sets: Sequence[StoredInfluences], adopted: npt.NDArray[np.int64]) -> list[StoredInfluences]:
+def with_adopted(sets: Sequence[StoredInfluences], adopted: IntArray) -> list[StoredInfluences]:
     """Return the influence sets with adopted joints in place; arrays without a change are the same objects.
 
     adopted (V, K) is the joint that each slot adopts, −1 where it stays. Unsigned bytes become shorts where
@@ -42,9 +43,7 @@ def with_adopted(sets: Sequence[StoredInfluences], adopted: npt.NDArray[np.int64
     ]
 
 
-def _dues(
-    sets: Sequence[StoredInfluences], slots: Sequence[npt.NDArray[np.int64]]
-) -> list[npt.NDArray[np.int64]]:
+def _dues(sets: Sequence[StoredInfluences], slots: Sequence[IntArray]) -> list[IntArray]:
     """Return per set (V, 4) how many units each slot gives up: a vertex's largest weight pays for all.
 
     Of equal weights the one of the lowest joint pays, so that copies of a vertex with their slots in another
@@ -63,7 +62,7 @@ def _dues(
     return [dues[:, 4 * number : 4 * number + 4] for number in range(len(sets))]
 
 
-def _new_joints(stored: StoredArray, slot: npt.NDArray[np.int64]) -> StoredArray:
+def _new_joints(stored: StoredArray, slot: IntArray) -> StoredArray:
     if not (slot >= 0).any():
         return stored
     wide = slot.max() > np.iinfo(stored.values.dtype).max  # type: ignore[type-var]
@@ -72,7 +71,7 @@ def _new_joints(stored: StoredArray, slot: npt.NDArray[np.int64]) -> StoredArray
     return replace(stored, values=values)
 
 
-def _new_weights(stored: StoredArray, slot: npt.NDArray[np.int64], due: npt.NDArray[np.int64]) -> StoredArray:
+def _new_weights(stored: StoredArray, slot: IntArray, due: IntArray) -> StoredArray:
     if not (slot >= 0).any() and not due.any():
         return stored
     if stored.values.dtype.kind == "f":

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from skinbake import __version__
 from skinbake.errors import InputError
-from skinbake.geometry.skinned import BakedPrimitive, FloatArray, SkinnedPrimitive
+from skinbake.geometry.skinned import BakedPrimitive, SkinnedPrimitive
 from skinbake.gltf import metadata
 from skinbake.gltf.additions import KEY, Additions
 from skinbake.gltf.adoption import with_adopted
@@ -28,7 +28,7 @@ from skinbake.gltf.layouts import (
     of_alpha_and_beta,
     paired,
 )
-from skinbake.gltf.primitives import PrimitiveSource, StoredInfluences, read_influences
+from skinbake.gltf.primitives import PrimitiveSource, StoredInfluences, read_influences, side_by_side
 
 
 @dataclass(frozen=True, slots=True)
@@ -200,12 +200,6 @@ def _replace_influences(
             former[name] = int(attributes.pop(name) if stored is None else attributes[name])
             if stored is not None:
                 attributes[name] = store.add(name, stored.values, normalized=stored.normalized)
-    note["formerDigest"] = metadata.influence_digests(*_side_by_side(before))
+    note["formerDigest"] = metadata.influence_digests(*side_by_side(before))
     note["adopted"] = former
-    return item.primitive.with_influences(*_side_by_side(after))
-
-
-def _side_by_side(sets: Sequence[StoredInfluences]) -> tuple[npt.NDArray[np.int64], FloatArray]:
-    """Return joints and weights of all influence sets, (V, K) each, decoded."""
-    joints = np.concatenate([entry.joints.values.astype(np.int64) for entry in sets], axis=1)
-    return joints, np.concatenate([entry.weights.decoded() for entry in sets], axis=1)
+    return item.primitive.with_influences(*side_by_side(after))

@@ -114,7 +114,7 @@ def read_document(path: str) -> Document:
     if suffix != GLTF_SUFFIX and suffix not in GLB_SUFFIXES:
         raise InputError("expected a file named .glb, .gltf or .vrm", Place(path))
     try:
-        data = file.read_bytes()
+        data = resources.read_file(file)
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise InputError(f"cannot be read: {reason}", Place(path)) from error
@@ -145,16 +145,16 @@ def parse_glb(data: Bytes, name: str, folder: Path) -> Document:
     )
 
 
-def parse_gltf(data: bytes, name: str, folder: Path) -> Document:
+def parse_gltf(data: Bytes, name: str, folder: Path) -> Document:
     """Return the document of a ``.gltf`` file's text; InputError where it is not one."""
     if data[:4] == b"glTF":
         raise InputError("this is a GLB container; name it .glb instead", Place(name))
     return Document(
         name=name,
         folder=folder,
-        json=_parse_json(data, Place(name)),
+        json=_parse_json(bytes(data), Place(name)),
         is_glb=False,
-        indent=_indentation(data),
+        indent=_indentation(bytes(data[:256])),
         raw=data,
     )
 

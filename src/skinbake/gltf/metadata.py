@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from skinbake.geometry.blocks import blocks
 from skinbake.geometry.frames import TANGENT_FRAME
 from skinbake.geometry.skinned import SkinnedPrimitive
 from skinbake.gltf.additions import KEY
@@ -45,7 +46,13 @@ def influence_digests(joints: npt.NDArray[Any], weights: npt.NDArray[Any]) -> di
 
 def array_digest(values: npt.NDArray[Any], dtype: str) -> str:
     """Return the digest of one array, its values first converted to ``dtype``."""
-    return hashlib.sha256(np.ascontiguousarray(values, dtype=dtype).data).hexdigest()[:32]
+    digest = hashlib.sha256()
+    if values.dtype == dtype and values.flags.c_contiguous:
+        digest.update(values.data)
+    else:
+        for rows in blocks(len(values)):
+            digest.update(np.ascontiguousarray(values[rows], dtype=dtype).data)
+    return digest.hexdigest()[:32]
 
 
 def changed_arrays(note: JsonObject, primitive: SkinnedPrimitive) -> tuple[str, ...]:

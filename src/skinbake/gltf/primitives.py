@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -177,8 +177,7 @@ def read_primitive(document: Document, source: PrimitiveSource) -> SkinnedPrimit
     has_tangent = "TANGENT" in source.attributes and "NORMAL" in source.attributes
     tangents = _decoded(document, source, "TANGENT", 4, count) if has_tangent else None
     influences = read_influences(document, source, count)
-    joints = np.concatenate([entry.joints.values.astype(np.int64) for entry in influences], axis=1)
-    weights = np.concatenate([entry.weights.decoded() for entry in influences], axis=1)
+    joints, weights = side_by_side(influences)
     if not np.isfinite(weights).all():
         raise InputError("its weights are not all finite numbers", source.place.at("WEIGHTS_0"))
     _check_joints(joints, weights, source)
@@ -195,7 +194,20 @@ def read_influences(document: Document, source: PrimitiveSource, count: int) -> 
     return sets
 
 
-def read_triangles(document: Document, source: PrimitiveSource) -> npt.NDArray[np.int64]:
+def side_by_side(sets: Sequence[StoredInfluences]) -> tuple[IntArray, FloatArray]:
+    """Return joints and weights of all influence sets, (V, K) each, decoded; one set is not copied."""
+    joints = [_integers(entry.joints.values) for entry in sets]
+    weights = [entry.weights.decoded() for entry in sets]
+    if len(sets) == 1:
+        return joints[0], weights[0]
+    return np.concatenate(joints, axis=1), np.concatenate(weights, axis=1)
+
+
+def _integers(values: npt.NDArray[np.generic]) -> IntArray:
+    return values  # type: ignore[return-value]  # the format has been checked
+
+
+def read_triangles(document: Document, source: PrimitiveSource) -> npt.NDArray[np.uint32]:
     """Return the primitive's triangles (T, 3), strips and fans unrolled; InputError for an index ≥ V."""
     place = source.place.at("indices")
     count = element_count(
@@ -203,7 +215,7 @@ def read_triangles(document: Document, source: PrimitiveSource) -> npt.NDArray[n
     )
     number = index(source.json, "indices", len(document.objects("accessors")), place)
     if number is None:
-        indices: IntArray = np.arange(count)
+        indices: IntArray = np.arange(count, dtype=np.uint32)
     else:
         stored = read_accessor(document, number, place).values
         if stored.dtype.kind != "u" or stored.shape[1] != 1:
@@ -245,7 +257,9 @@ def _decoded(
     return _stored(document, source, attribute, components, count).decoded()
 
 
-def _check_joints(joints: npt.NDArray[np.int64], weights: FloatArray, source: PrimitiveSource) -> None:
+def _check_joints(joints: IntArray, weights: FloatArray, source: PrimitiveSource) -> None:
+    if joints.max(initial=0) < source.joint_count:
+        return
     outside = (joints >= source.joint_count) & (weights != 0)
     if outside.any():
         vertex, slot = np.argwhere(outside)[0]

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import base64
+import mmap
 import os
 import posixpath
 import re
+import stat
 from pathlib import Path
 from urllib.parse import quote, unquote, unquote_to_bytes
 
 from skinbake.errors import InputError, Place
+from skinbake.gltf.glb import Bytes
 
 _SCHEME = re.compile(r"^[A-Za-z][A-Za-z0-9+.\-]+:")
 
@@ -75,7 +78,23 @@ def is_file(path: Path) -> bool:
         return False
 
 
-def read_resource(uri: str, folder: Path, place: Place) -> bytes:
+MAPPED_FROM = 1 << 20
+"""Bytes from which a file is mapped, not read: nothing is copied, and what nobody looks at stays out."""
+
+
+def read_file(path: Path) -> Bytes:
+    """Return the bytes of a file; those of a large one are mapped into memory.
+
+    Windows would not let a file be replaced while it is mapped. Raises OSError.
+    """
+    with path.open("rb", buffering=0) as file:
+        size = os.fstat(file.fileno()).st_size
+        if size < MAPPED_FROM or os.name == "nt" or not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+            return file.readall()
+        return memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
+
+
+def read_resource(uri: str, folder: Path, place: Place) -> Bytes:
     """Return the bytes that a buffer's URI stands for.
 
     Raises InputError where the file is missing or unreadable, the data URI is malformed, or the URI has
@@ -86,7 +105,7 @@ def read_resource(uri: str, folder: Path, place: Place) -> bytes:
     if not is_relative(uri):
         raise InputError(f'the URI "{_short(uri)}" is neither relative nor a data: URI', place)
     try:
-        return locate(uri, folder).read_bytes()
+        return read_file(locate(uri, folder))
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise InputError(f'cannot read "{_short(uri)}" beside it: {reason}', place) from error

@@ -1,0 +1,24 @@
+"""The compiled loops, which pyproject.toml cannot describe: their flags differ by compiler.
+
+Without a compiler the package installs all the same, and `bake` runs on numpy alone.
+"""
+
+import sys
+
+from setuptools import Extension, setup
+
+# No fast-math and no fused multiply-adds: the same input gives the same bytes on every machine.
+FLAGS = ["/O2", "/fp:precise"] if sys.platform == "win32" else ["-O3", "-std=c11", "-ffp-contract=off"]
+
+setup(
+    ext_modules=[
+        Extension(
+            "skinbake._kernel",
+            ["src/skinbake/_kernel.c"],
+            extra_compile_args=FLAGS,
+            py_limited_api=True,
+            optional=True,
+        )
+    ],
+    options={"bdist_wheel": {"py_limited_api": "cp311"}},
+)
