@@ -20,8 +20,10 @@
 
 #if defined(_MSC_VER)
 #define ALWAYS_INLINE __forceinline
+#define PREFETCH(address) ((void)0)
 #else
 #define ALWAYS_INLINE inline __attribute__((always_inline))
+#define PREFETCH(address) __builtin_prefetch(address)
 #endif
 
 /* Compiled twice, for processors with 256-bit vectors and for the others; the results are the same bits. */
@@ -178,6 +180,9 @@ typedef struct {
     int32_t label;
 } Slot;
 
+/* Rows whose hashes are known ahead of their turn, while memory fetches their slots of the table. */
+enum { AHEAD = 16 };
+
 /* Fill labels; return how many there are, -1 where memory is short. `first` keeps a row of each label. */
 static Py_ssize_t label_rows(const Array *rows, int32_t *labels)
 {
@@ -191,9 +196,17 @@ static Py_ssize_t label_rows(const Array *rows, int32_t *labels)
     if (count == 0)
         memset(table, 0xFF, size * sizeof *table); /* label -1: empty */
     const char *data = rows->buffer.buf;
-    for (Py_ssize_t row = 0; count >= 0 && row < rows->rows; row++) {
+    uint64_t hashes[AHEAD] = {0};
+    for (Py_ssize_t next = 0; count >= 0 && next < rows->rows + AHEAD; next++) {
+        Py_ssize_t row = next - AHEAD;
+        uint64_t hash = hashes[next % AHEAD];
+        if (next < rows->rows) {
+            hashes[next % AHEAD] = row_hash(data + (size_t)next * width, rows->kind, rows->columns);
+            PREFETCH(&table[(size_t)hashes[next % AHEAD] & (size - 1)]);
+        }
+        if (row < 0)
+            continue;
         const char *here = data + (size_t)row * width;
-        uint64_t hash = row_hash(here, rows->kind, rows->columns);
         uint32_t tag = (uint32_t)(hash >> 32);
         size_t at = (size_t)hash & (size - 1);
         for (;; at = (at + 1) & (size - 1)) {

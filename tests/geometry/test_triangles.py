@@ -43,7 +43,7 @@ def test_lists_strips_and_fans_are_unrolled_as_gltf_says(
     found = unrolled(np.array(indices, dtype=dtype), mode)
     assert found.shape == (len(expected), 3)
     assert found.tolist() == expected
-    assert found.dtype == np.int64
+    assert found.dtype == np.uint32
 
 
 @pytest.mark.parametrize("mode", [TRIANGLE_STRIP, TRIANGLE_FAN])

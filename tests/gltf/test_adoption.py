@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -34,6 +35,12 @@ INTEGER_FILES = ["weights_u8.glb", "weights_u16.glb", HAND_U8, HAND_U16]
 NONE = [-1, -1, -1, -1]
 
 
+def adopted_into(sets: Sequence[StoredInfluences], adopted: npt.NDArray[np.int64]) -> list[StoredInfluences]:
+    """Adopt joints given for every vertex."""
+    rows = np.flatnonzero((adopted >= 0).any(axis=1))
+    return with_adopted(sets, rows, adopted[rows])
+
+
 def influences(joints: object, weights: object, joint_type: str, weight_type: str) -> StoredInfluences:
     return StoredInfluences(
         StoredArray(np.array(joints, dtype=joint_type), normalized=False),
@@ -44,7 +51,7 @@ def influences(joints: object, weights: object, joint_type: str, weight_type: st
 def adopt(
     stored: StoredInfluences, adopted: object
 ) -> tuple[npt.NDArray[np.generic], npt.NDArray[np.generic]]:
-    [result] = with_adopted([stored], np.array(adopted))
+    [result] = adopted_into([stored], np.array(adopted))
     assert result.joints.normalized == stored.joints.normalized
     assert result.weights.normalized == stored.weights.normalized
     return result.joints.values, result.weights.values
@@ -96,7 +103,7 @@ def test_joints_widen_where_the_adopted_number_needs_it() -> None:
 def test_sets_without_a_change_are_the_same_objects() -> None:
     first = influences([[4, 2, 1, 0]], [[0.4, 0.3, 0.2, 0.1]], "u1", "f4")
     second = influences([[5, 0, 0, 0]], [[0, 0, 0, 0]], "u1", "f4")
-    found = with_adopted([first, second], np.array([[*NONE, -1, 8, -1, -1]]))
+    found = adopted_into([first, second], np.array([[*NONE, -1, 8, -1, -1]]))
     assert found[0] == first
     assert found[0].joints is first.joints
     assert found[0].weights is first.weights
@@ -106,12 +113,12 @@ def test_sets_without_a_change_are_the_same_objects() -> None:
 def test_a_vertexs_largest_weight_pays_from_another_set_and_type() -> None:
     first = influences([[4, 2, 1, 0]], [[60000, 5000, 0, 0]], "u1", "u2")
     second = influences([[5, 0, 0, 0]], [[0, 0, 0, 0]], "u1", "u1")
-    found = with_adopted([first, second], np.array([[-1, -1, -1, 9, 7, 8, -1, -1]]))
+    found = adopted_into([first, second], np.array([[-1, -1, -1, 9, 7, 8, -1, -1]]))
     assert found[0].weights.values.tolist() == [[59997, 5000, 0, 1]]
     assert found[1].weights.values.tolist() == [[1, 1, 0, 0]]
     # A float pays its part as a float: two of 65535 from one half.
     third = influences([[4, 2, 1, 0]], [[0.75, 0, 0, 0]], "u1", "f4")
-    found = with_adopted([third, second], np.array([[-1, 3, -1, -1, 7, 8, -1, -1]]))
+    found = adopted_into([third, second], np.array([[-1, 3, -1, -1, 7, 8, -1, -1]]))
     assert found[0].weights.values == pytest.approx(np.array([[0.75 - 2 / UNIT, 2.0**-30, 0, 0]]), rel=1e-7)
     assert found[1].weights.values.tolist() == [[1, 1, 0, 0]]
 

@@ -98,10 +98,12 @@ def bake_mesh(
             lost=unheld / magnitude if magnitude > 0 else 0.0,
         )
         influences = primitive.joints.shape[1]
+        own = slice(*np.searchsorted(slots.adopting, [rows.start, rows.stop]))
         result = BakedPrimitive(
             alpha=slots.alpha[rows, : influences - 1],
             beta=slots.beta[rows, : influences - 1],
-            adopted_joints=slots.adopted[rows, :influences],
+            adopting=slots.adopting[own] - rows.start,
+            adopted=slots.adopted[own, :influences],
             frame=choice.kind,
         )
         results.append((result, findings))

@@ -40,14 +40,16 @@ class Surface:
 class SurfaceSlots:
     """α and β of every slot but the first, and what the slots could not hold.
 
-    alpha, beta (V, K − 1) float32, 1 / length unit. adopted (V, K) integer: the joint that a slot adopts, −1
-    elsewhere. counts (P, 4) float64, by primitive: vertices that adopt; vertices with more foreign joints
-    than free slots (all that have any, where none are adopted); the lengths of all joints' gradients summed
-    over the vertices, in 1 / length unit; and the part of that sum that no slot holds, which falls to s0.
+    alpha, beta (V, K − 1) float32, 1 / length unit. adopting (A,) names the vertices that adopt, ascending;
+    adopted (A, K) integer the joint that each of their slots adopts, −1 where it stays. counts (P, 4)
+    float64, by primitive: vertices that adopt; vertices with more foreign joints than free slots (all that
+    have any, where none are adopted); the lengths of all joints' gradients summed over the vertices, in 1 /
+    length unit; and the part of that sum that no slot holds, which falls to s0.
     """
 
     alpha: Float32Array
     beta: Float32Array
+    adopting: IntArray
     adopted: IntArray
     counts: npt.NDArray[np.float64]
 
@@ -84,11 +86,8 @@ def surface_slots(surface: Surface, *, weighting: str, adopt: bool) -> SurfaceSl
         adopt,
         NEGLIGIBLE,
     )
-    if counts[:, 0].any():
-        adopted -= 1
-    else:
-        adopted = np.broadcast_to(np.int32(NO_JOINT), shape)
-    return SurfaceSlots(alpha, beta, adopted, counts)
+    rows = np.unique(np.flatnonzero(adopted) // shape[1])
+    return SurfaceSlots(alpha, beta, rows, adopted[rows] - 1, counts)
 
 
 def _by_numpy(surface: Surface, *, weighting: str, adopt: bool) -> SurfaceSlots:
@@ -106,9 +105,12 @@ def _by_numpy(surface: Surface, *, weighting: str, adopt: bool) -> SurfaceSlots:
         counts.append([adopting, part.overflowing, part.magnitude, part.lost * part.magnitude])
         parts.append(part)
         start = end
+    adopted = np.concatenate([part.adopted for part in parts])
+    adopting = np.flatnonzero((adopted != NO_JOINT).any(axis=1))
     return SurfaceSlots(
         alpha=np.concatenate([part.alpha[:, 1:] for part in parts]).astype(np.float32),
         beta=np.concatenate([part.beta[:, 1:] for part in parts]).astype(np.float32),
-        adopted=np.concatenate([part.adopted for part in parts]),
+        adopting=adopting,
+        adopted=adopted[adopting],
         counts=np.array(counts),
     )

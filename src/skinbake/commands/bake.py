@@ -34,6 +34,7 @@ from skinbake.gltf.recode import Compression, recoded
 from skinbake.gltf.skin_groups import meshes_of_one_skin
 from skinbake.gltf.strip import stripped
 from skinbake.report.bake import BakedCounts, EncodingCost, FileResult, LimitCost, Status
+from skinbake.timing import stage
 
 if TYPE_CHECKING:
     from skinbake.commands.limiting import Limited, Outcome
@@ -82,29 +83,37 @@ def bake_file(source: str, target: str | None, options: BakeOptions) -> FileResu
 
 
 def _bake_file(source: str, target: str | None, options: BakeOptions, notices: list[Notice]) -> FileResult:
-    document = read_document(source)
+    with stage("read"):
+        document = read_document(source)
     if target is not None:
         refuse_own_input(document, source, target)
-    original, _, undone = stripped(document)
-    prepared, moved = (original, []) if target is None else for_target(original, target)
-    prepared, kept = recoded(prepared, _bakeable(prepared, options), options.compression)
+    with stage("strip"):
+        original, _, undone = stripped(document)
+        prepared, moved = (original, []) if target is None else for_target(original, target)
+    with stage("compress"):
+        prepared, kept = recoded(prepared, _bakeable(prepared, options), options.compression)
     found = [*undone, *moved, *kept]
     begun = len(found)
     result, primitives, skipped = bake_document(prepared, options, found)
     if not primitives:
         result, found = _passed_through(document, target, skipped, options, found[begun:])
-    encoding = _encoding(prepared, result, options, found) if primitives else None
+    with stage("encoding"):
+        encoding = _encoding(prepared, result, options, found) if primitives else None
     notices += found
     untouched = result is document and target == source and source != STDIO
-    planned = (
-        None if target is None or untouched else plan_output(result, target, make_folder=options.make_folder)
-    )
+    with stage("write"):
+        planned = (
+            None
+            if target is None or untouched
+            else plan_output(result, target, make_folder=options.make_folder)
+        )
     if planned is not None:
         notices += planned.notices
     if options.warnings_as_errors and notices:
         raise InputError("not written: there are warnings (--warnings-as-errors)", document.place)
     if planned is not None and not options.dry_run:
-        planned.write()
+        with stage("write"):
+            planned.write()
     status: Status = "baked" if primitives else "unchanged"
     return FileResult(source, target, status, tuple(primitives), skipped, tuple(notices), encoding=encoding)
 
@@ -177,7 +186,8 @@ def bake_document(
         return document, [], skipped
     notices += stored_otherwise(document, [item.source for item in baked])
     level = options.compression.level
-    written, lengths = with_baked(document, baked, options.names, options.storage, level=level)
+    with stage("store"):
+        written, lengths = with_baked(document, baked, options.names, options.storage, level=level)
     counts = [(place, replace(c, added_bytes=n)) for (place, c), n in zip(results, lengths, strict=True)]
     return written, counts, skipped
 
@@ -214,11 +224,14 @@ def _bake_sources(
     results: list[tuple[Place, BakedCounts]],
 ) -> None:
     """Bake primitives as one surface; append to ``baked``, ``results`` and ``notices``."""
-    whole = with_smooth_normals([read_primitive(document, source) for source in sources])
-    parts = _limited(document, sources, whole, options)
+    with stage("arrays"):
+        whole = with_smooth_normals([read_primitive(document, source) for source in sources])
+    with stage("limit"):
+        parts = _limited(document, sources, whole, options)
     primitives = [part.primitive if part else one for part, one in zip(parts, whole, strict=True)]
     outcomes = bake_mesh(primitives, options.settings)
-    costs = _limit_costs(document, sources, whole, parts, outcomes, options)
+    with stage("limit"):
+        costs = _limit_costs(document, sources, whole, parts, outcomes, options)
     for source, primitive, part, cost, (outcome, findings) in zip(
         sources, primitives, parts, costs, outcomes, strict=True
     ):

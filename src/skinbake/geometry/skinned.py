@@ -45,16 +45,25 @@ class BakedPrimitive:
     """What bake computed for one primitive.
 
     alpha, beta (V, K − 1) float32, 1 / length unit of POSITION: ∇w · t0 and ∇w · b0 of slots 1 … K − 1;
-    slot 0's entry is minus their sum. adopted_joints (V, K) integer: the joint that a free slot adopts, −1
-    where a slot stays as it is. frame is ``tangent`` or ``normal``.
+    slot 0's entry is minus their sum. adopting (A,) names the vertices that adopt joints, ascending; adopted
+    (A, K) integer the joint that each of their slots adopts, −1 where a slot stays as it is. frame is
+    ``tangent`` or ``normal``.
     """
 
     alpha: Float32Array
     beta: Float32Array
-    adopted_joints: IntArray
+    adopting: IntArray
+    adopted: IntArray
     frame: str
+
+    @property
+    def adopted_joints(self) -> IntArray:
+        """Return the joint that each slot of each vertex (V, K) adopts, −1 where it stays."""
+        joints = np.full((len(self.alpha), self.alpha.shape[1] + 1), -1, dtype=np.int32)
+        joints[self.adopting] = self.adopted
+        return joints
 
     @property
     def adopts(self) -> bool:
         """Tell whether any slot adopts a joint."""
-        return bool((self.adopted_joints >= 0).any())
+        return len(self.adopting) > 0

@@ -25,32 +25,34 @@ UNIT = 65535
 """Integer weights are kept as unsigned shorts, where an adopted slot has 1 and the largest gives it up."""
 
 
-def with_adopted(sets: Sequence[StoredInfluences], adopted: IntArray) -> list[StoredInfluences]:
+def with_adopted(
+    sets: Sequence[StoredInfluences], rows: IntArray, adopted: IntArray
+) -> list[StoredInfluences]:
     """Return the influence sets with adopted joints in place; arrays without a change are the same objects.
 
-    adopted (V, K) is the joint that each slot adopts, −1 where it stays. Unsigned bytes become shorts where
-    they must change: v / 255 is exactly 257 v / 65535.
+    rows (A,) are the vertices that adopt, adopted (A, K) the joint that each slot adopts, −1 where it stays.
+    Unsigned bytes become shorts where they must change: v / 255 is exactly 257 v / 65535.
     """
     slots = [adopted[:, 4 * number : 4 * number + 4] for number in range(len(sets))]
-    dues = _dues(sets, slots)
+    dues = _dues(sets, rows, slots)
     return [
         replace(
             stored,
-            joints=_new_joints(stored.joints, slot),
-            weights=_new_weights(stored.weights, slot, due),
+            joints=_new_joints(stored.joints, rows, slot),
+            weights=_new_weights(stored.weights, rows, slot, due),
         )
         for stored, slot, due in zip(sets, slots, dues, strict=True)
     ]
 
 
-def _dues(sets: Sequence[StoredInfluences], slots: Sequence[IntArray]) -> list[IntArray]:
-    """Return per set (V, 4) how many units each slot gives up: a vertex's largest weight pays for all.
+def _dues(sets: Sequence[StoredInfluences], rows: IntArray, slots: Sequence[IntArray]) -> list[IntArray]:
+    """Return per set (A, 4) how many units each slot gives up: a vertex's largest weight pays for all.
 
     Of equal weights the one of the lowest joint pays, so that copies of a vertex with their slots in another
     order still agree.
     """
-    weights = np.concatenate([stored.weights.decoded() for stored in sets], axis=1)
-    joints = np.concatenate([stored.joints.values.astype(np.int64) for stored in sets], axis=1)
+    weights = np.concatenate([_rows_of(stored.weights, rows).decoded() for stored in sets], axis=1)
+    joints = np.concatenate([stored.joints.values[rows].astype(np.int64) for stored in sets], axis=1)
     largest = weights == weights.max(axis=1, keepdims=True)
     payer = np.where(largest, joints, np.iinfo(np.int64).max).argmin(axis=1)
     units = np.zeros(len(weights), dtype=np.int64)
@@ -62,22 +64,28 @@ def _dues(sets: Sequence[StoredInfluences], slots: Sequence[IntArray]) -> list[I
     return [dues[:, 4 * number : 4 * number + 4] for number in range(len(sets))]
 
 
-def _new_joints(stored: StoredArray, slot: IntArray) -> StoredArray:
+def _rows_of(stored: StoredArray, rows: IntArray) -> StoredArray:
+    return replace(stored, values=stored.values[rows])
+
+
+def _new_joints(stored: StoredArray, rows: IntArray, slot: IntArray) -> StoredArray:
     if not (slot >= 0).any():
         return stored
     wide = slot.max() > np.iinfo(stored.values.dtype).max  # type: ignore[type-var]
     values: npt.NDArray[Any] = stored.values.astype(np.uint16 if wide else stored.values.dtype)
-    values[slot >= 0] = slot[slot >= 0]
+    values[rows] = np.where(slot >= 0, slot, values[rows])
     return replace(stored, values=values)
 
 
-def _new_weights(stored: StoredArray, slot: IntArray, due: IntArray) -> StoredArray:
+def _new_weights(stored: StoredArray, rows: IntArray, slot: IntArray, due: IntArray) -> StoredArray:
     if not (slot >= 0).any() and not due.any():
         return stored
-    if stored.values.dtype.kind == "f":
-        floats = stored.values.astype(np.float32)
-        floats[slot >= 0] = TINY_WEIGHT
-        return replace(stored, values=floats - (due / UNIT).astype(np.float32) if due.any() else floats)
-    widened = stored.values.astype(np.int64) * (257 if stored.values.dtype.itemsize == 1 else 1)
-    shorts = np.where(slot >= 0, 1, widened) - due
-    return replace(stored, values=shorts.astype(np.uint16))
+    before: npt.NDArray[Any] = stored.values
+    if before.dtype.kind == "f":
+        floats = before.astype(np.float32)
+        paid = floats[rows] - (due / UNIT).astype(np.float32) if due.any() else floats[rows]
+        floats[rows] = np.where(slot >= 0, TINY_WEIGHT, paid)
+        return replace(stored, values=floats)
+    shorts = before.astype(np.uint16) * np.uint16(257 if before.dtype.itemsize == 1 else 1)
+    shorts[rows] = np.where(slot >= 0, 1, shorts[rows]) - due
+    return replace(stored, values=shorts)

@@ -29,6 +29,7 @@ from skinbake.gltf.layouts import (
     paired,
 )
 from skinbake.gltf.primitives import PrimitiveSource, StoredInfluences, read_influences, side_by_side
+from skinbake.timing import stage
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,7 +127,8 @@ def _written(
         note[metadata.FORMER_ATTRIBUTES] = list(item.source.attributes)
     if item.result.adopts or item.limited is not None:
         primitive = _replace_influences(document, store, item, attributes, note)
-    note["digest"] = metadata.digests(primitive, item.result.frame)
+    with stage("digests"):
+        note["digest"] = metadata.digests(primitive, item.result.frame)
     note["alpha"], note["beta"], arrays = _stored(item, names, storage)
     note |= storage.noted
     extras = item.source.json.get("extras")
@@ -189,7 +191,7 @@ def _replace_influences(
     Attributes of sets that a limit leaves out are removed.
     """
     before = read_influences(document, item.source, len(item.primitive.positions))
-    after = with_adopted(item.limited or before, item.result.adopted_joints)
+    after = with_adopted(item.limited or before, item.result.adopting, item.result.adopted)
     former: dict[str, int] = {}
     for number, old in enumerate(before):
         new = after[number] if number < len(after) else None
