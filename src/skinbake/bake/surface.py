@@ -101,8 +101,8 @@ def _by_numpy(surface: Surface, *, weighting: str, adopt: bool) -> SurfaceSlots:
         frame = (tangents[rows], bitangents[rows])
         room = None if capacity is None else capacity[rows]
         part = assign(gradients, classes[rows], field.rows(rows), frame, room)
-        adopting = np.count_nonzero((part.adopted != NO_JOINT).any(axis=1))
-        counts.append([adopting, part.overflowing, part.magnitude, part.lost * part.magnitude])
+        takers = np.count_nonzero((part.adopted != NO_JOINT).any(axis=1))
+        counts.append([takers, part.overflowing, part.magnitude, part.lost * part.magnitude])
         parts.append(part)
         start = end
     adopted = np.concatenate([part.adopted for part in parts])
