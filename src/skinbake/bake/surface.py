@@ -86,7 +86,9 @@ def surface_slots(surface: Surface, *, weighting: str, adopt: bool) -> SurfaceSl
         adopt,
         NEGLIGIBLE,
     )
-    rows = np.unique(np.flatnonzero(adopted) // shape[1])
+    adopts = np.zeros(shape[0], dtype=np.bool_)
+    adopts[np.flatnonzero(adopted) // shape[1]] = True
+    rows = np.flatnonzero(adopts)
     return SurfaceSlots(alpha, beta, rows, adopted[rows] - 1, counts)
 
 

@@ -40,12 +40,19 @@ def weld(positions: FloatArray, normals: FloatArray, field: WeightField, *, crea
     copies = np.flatnonzero(np.bincount(labels)[labels] > 1)
     points = equal_rows(labels[copies, None], _influence_keys(field.rows(copies)))
     oriented = equal_rows(points[:, None], _bits(normals[copies]))
-    first = np.unique(oriented, return_index=True)[1]
+    first = _firsts(oriented)
     distinct = normals[copies[first]]
     directions = np.where(has_direction(distinct)[:, None], unit_vectors(distinct), np.nan)
     linked = _link_by_angle(points[first], directions, crease_angle)
     labels[copies] = len(labels) + linked[oriented]
     return _numbered(labels)
+
+
+def _firsts(labels: Labels) -> npt.NDArray[np.int64]:
+    """Return the first row of each label; np.unique would import a tenth of a second of masked arrays."""
+    first = np.empty(int(labels.max(initial=-1)) + 1, dtype=np.int64)
+    first[labels[::-1]] = np.arange(len(labels))[::-1]
+    return first
 
 
 def equal_positions(positions: FloatArray) -> Labels:
@@ -92,9 +99,7 @@ def _numbered(labels: Labels) -> Labels:
     """
     if kernel.compiled is not None:
         return _labelled(labels[:, None].astype(np.int32))
-    first = np.empty(int(labels.max(initial=-1)) + 1, dtype=np.int64)
-    first[labels[::-1]] = np.arange(len(labels))[::-1]
-    leader = first[labels]
+    leader = _firsts(labels)[labels]
     leads = np.zeros(len(labels), dtype=np.bool_)
     leads[leader] = True
     return np.asarray((np.cumsum(leads) - 1)[leader])

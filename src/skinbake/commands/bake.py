@@ -31,7 +31,6 @@ from skinbake.gltf.primitives import (
     skinned_sources,
 )
 from skinbake.gltf.recode import Compression, recoded
-from skinbake.gltf.skin_groups import meshes_of_one_skin
 from skinbake.gltf.strip import stripped
 from skinbake.report.bake import BakedCounts, EncodingCost, FileResult, LimitCost, Status
 from skinbake.timing import stage
@@ -201,6 +200,8 @@ def _welded_together(
     """Return the primitives in the groups that are baked as one surface; append to ``notices``."""
     if options.weld != WELD_SKIN:
         return list(by_mesh.values())
+    from skinbake.gltf.skin_groups import meshes_of_one_skin
+
     groups, found = meshes_of_one_skin(document, by_mesh)
     notices += found
     return [[source for mesh in group for source in by_mesh[mesh]] for group in groups]

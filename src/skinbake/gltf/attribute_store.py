@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from skinbake.errors import Notice
-from skinbake.gltf import draco, draco_stream, meshopt
+from skinbake.gltf import draco, meshopt
 from skinbake.gltf.accessors import read_accessor
 from skinbake.gltf.additions import Additions, Packed
 from skinbake.gltf.document import Document
@@ -60,10 +60,13 @@ def store_for(
 
 def stored_otherwise(document: Document, sources: Sequence[PrimitiveSource]) -> list[Notice]:
     """Return a notice where primitives cannot be stored quite as they were in ``document``."""
+    compressed = [source for source in sources if draco.extension_of(source.json) is not None]
+    if not compressed:
+        return []
+    from skinbake.gltf.draco_stream import EDGEBREAKER
+
     count = sum(
-        draco.extension_of(source.json) is not None
-        and draco.read_stream(document, source.json, source.place).method == draco_stream.EDGEBREAKER
-        for source in sources
+        draco.read_stream(document, source.json, source.place).method == EDGEBREAKER for source in compressed
     )
     if not count:
         return []
@@ -152,6 +155,8 @@ class _DracoStore:
         """Return the buffer view of the new stream, and the unique id of each attribute in it."""
         faces = draco.read_stream(self._document, self._source.json, self._source.place).faces
         arrays = {name: self._values(name) for name in names}
+        from skinbake.gltf import draco_stream
+
         stream = draco_stream.encode(arrays, faces, level=self._level)
         numbers = {name: stream.unique_ids[name] for name in names}
         return self._additions.add_stream(stream.data), numbers

@@ -10,20 +10,21 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
 from skinbake.errors import InputError, Place, UnsupportedFeatureError
 from skinbake.geometry.triangles import TRIANGLES
-from skinbake.gltf import draco_stream
 from skinbake.gltf.document import Document
-from skinbake.gltf.draco_stream import DracoMesh
 from skinbake.gltf.expansion import charge
 from skinbake.gltf.formats import COMPONENTS, component_dtype
 from skinbake.gltf.json_access import JsonObject, accessor_number, entries_of, index, integer, member
 from skinbake.gltf.views import view_bytes
+
+if TYPE_CHECKING:
+    from skinbake.gltf.draco_stream import DracoMesh
 
 EXTENSION = "KHR_draco_mesh_compression"
 KEY = "skinbake"
@@ -206,6 +207,8 @@ def _of_type(
 
 def read_stream(document: Document, primitive: JsonObject, place: Place) -> DracoMesh:
     """Return the decoded stream of a Draco primitive; InputError where it is not what the JSON says."""
+    from skinbake.gltf import draco_stream
+
     extension = extension_of(primitive) or {}
     view = index(extension, "bufferView", len(document.objects("bufferViews")), place)
     if view is None:

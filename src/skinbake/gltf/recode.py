@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from skinbake.errors import Notice, Place
 from skinbake.geometry.triangles import TRIANGLES
-from skinbake.gltf import draco, draco_stream, meshopt
+from skinbake.gltf import draco, meshopt
 from skinbake.gltf.accessors import read_accessor
 from skinbake.gltf.additions import Additions, Packed
 from skinbake.gltf.attribute_store import (
@@ -355,6 +355,8 @@ def _streamed(recoder: _Recoder, source: PrimitiveSource, users: int, compressio
         faces = read_accessor(document, corners, place.at("indices")).values[:, 0]
     faces = faces[: len(faces) // 3 * 3].reshape(-1, 3)
     level = DRACO_LEVEL if compression.level is None else compression.level
+    from skinbake.gltf import draco_stream
+
     stream = draco_stream.encode(arrays, faces, level=level, bits=compression.bits)
     attributes = {name: recoder.own(number, users) for name, number in numbers.items()}
     for name, number in attributes.items():
