@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from skinbake.bake import kernel
-from skinbake.geometry.skinned import BoolArray, Float64Array, SkinnedPrimitive
+from skinbake.geometry.skinned import BoolArray, Float64Array, IntArray, SkinnedPrimitive
 
 SUM_TOLERANCE = 1e-3
 """How far Σw may be from 1 before it is worth a warning: below, it is the rounding of stored weights."""
@@ -33,7 +33,7 @@ class WeightField:
     weights: Float64Array
     free: BoolArray
 
-    def rows(self, vertices: npt.NDArray[np.int64] | slice) -> WeightField:
+    def rows(self, vertices: IntArray | slice) -> WeightField:
         """Return the field of some vertices."""
         return WeightField(self.joints[vertices], self.weights[vertices], self.free[vertices])
 

@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from skinbake.bake import kernel
 from skinbake.bake.influences import WeightField
+from skinbake.geometry.blocks import blocks
 from skinbake.geometry.frames import has_direction, unit_vectors
 from skinbake.geometry.skinned import BoolArray, FloatArray, IntArray
 
@@ -38,8 +39,8 @@ def weld(positions: FloatArray, normals: FloatArray, field: WeightField, *, crea
     if int(labels.max(initial=-1)) + 1 == len(labels):
         return labels
     copies = np.flatnonzero(np.bincount(labels)[labels] > 1)
-    points = equal_rows(labels[copies, None], _influence_keys(field.rows(copies)))
-    oriented = equal_rows(points[:, None], _bits(normals[copies]))
+    points = equal_rows(_point_keys(labels, field, copies))
+    oriented = equal_rows(_oriented_keys(points, normals, copies))
     first = _firsts(oriented)
     distinct = normals[copies[first]]
     directions = np.where(has_direction(distinct)[:, None], unit_vectors(distinct), np.nan)
@@ -70,15 +71,15 @@ def _labelled(rows: npt.NDArray[np.generic]) -> Labels:
     return labels
 
 
-def equal_rows(*columns: npt.NDArray[np.generic]) -> Labels:
-    """Return a label (V,) from 0 for every row, the same for rows that are equal in all columns.
+def equal_rows(rows: npt.NDArray[np.unsignedinteger]) -> Labels:
+    """Return a label (V,) from 0 for every row (V, M) of 4 or 8 byte integers, the same for equal ones.
 
     Rows are brought together by a 64-bit hash and then compared in full, so a collision costs time, not
     correctness.
     """
-    keys = np.concatenate([column.astype(np.uint64, copy=False) for column in columns], axis=1)
     if kernel.compiled is not None:
-        return _labelled(keys)
+        return _labelled(rows)
+    keys = rows.astype(np.uint64, copy=False)
     hashed = _hash(keys)
     order = np.argsort(hashed)
     differs = np.any(keys[order[1:]] != keys[order[:-1]], axis=1)
@@ -118,6 +119,25 @@ def _bits(values: FloatArray) -> npt.NDArray[np.generic]:
     """Return the bit patterns of floats as unsigned integers, −0 made +0."""
     flat = np.ascontiguousarray(values + values.dtype.type(0))
     return flat.view(np.uint32 if flat.dtype == np.float32 else np.uint64)
+
+
+def _point_keys(labels: Labels, field: WeightField, copies: IntArray) -> npt.NDArray[np.uint64]:
+    """Return what makes vertices copies of one surface point: position and influences, (C, 1 + K)."""
+    keys = np.empty((len(copies), 1 + field.joints.shape[1]), dtype=np.uint64)
+    for rows in blocks(len(copies)):
+        keys[rows, 0] = labels[copies[rows]]
+        keys[rows, 1:] = _influence_keys(field.rows(copies[rows]))
+    return keys
+
+
+def _oriented_keys(points: Labels, normals: FloatArray, copies: IntArray) -> npt.NDArray[np.unsignedinteger]:
+    """Return what makes copies of a surface point equal in their normals too, (C, 4)."""
+    wide = normals.dtype != np.float32
+    keys: npt.NDArray[np.unsignedinteger] = np.empty((len(copies), 4), np.uint64 if wide else np.uint32)
+    for rows in blocks(len(copies)):
+        keys[rows, 0] = points[rows]
+        keys[rows, 1:] = _bits(normals[copies[rows]])
+    return keys
 
 
 def _influence_keys(field: WeightField) -> npt.NDArray[np.uint64]:
