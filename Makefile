@@ -7,6 +7,7 @@ BIN := .venv/bin
 PACKAGE := .venv/package.stamp
 DEV := .venv/dev.stamp
 NODE_MODULES := tests/support/node_modules/.stamp
+BUILT_FROM := pyproject.toml setup.py src/skinbake/_kernel.c
 EXAMPLE := fixtures/bent_tube.glb
 
 # What the caller's shell has set up for other projects must not leak into .venv.
@@ -69,11 +70,11 @@ clean: ## Remove everything that make made
 	@touch $@
 
 # setuptools and pip of an old distribution are enough: nothing here is newer than PEP 660.
-$(PACKAGE): .venv/created.stamp pyproject.toml
+$(PACKAGE): .venv/created.stamp $(BUILT_FROM)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
 	@touch $@
 
-$(DEV): .venv/created.stamp pyproject.toml
+$(DEV): .venv/created.stamp $(BUILT_FROM)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
 	@touch $(PACKAGE) $@
 

@@ -27,14 +27,14 @@
 #endif
 
 /* Compiled twice, for processors with 256-bit vectors and for the others; the results are the same bits. */
-#if defined(__x86_64__) && defined(__GLIBC__) && defined(__GNUC__)
+#if defined(__x86_64__) && defined(__GLIBC__) && defined(__GNUC__) && \
+    (!defined(__clang__) || __has_attribute(target_clones))
 #define FOR_PROCESSORS __attribute__((target_clones("avx2", "default")))
 #else
 #define FOR_PROCESSORS
 #endif
 
 #define NO_JOINT (-1)
-#define MOST_UNROLLED 4
 
 enum { MAX_WEIGHTING, ANGLE, AREA, ANGLE_AREA };
 
@@ -449,19 +449,14 @@ static int vertices_of_classes(const Surface *s, Groups *groups)
     return 0;
 }
 
-/* A vertex around the class: the edge to it, and what its weight's difference counts for in the mean. */
-typedef struct {
-    uint32_t vertex;
-    Vector edge;
-    double squared;
-    Vector coefficient;
-} Neighbour;
+/* Some corners of a class at once, component by component, so that compilers use vectors. Edges lead to the two
+   other corners of the triangle, the vertices `ends`; coefficients are what the differences of weights along
+   the edges count for in the sum, and share is the corner's weight in the mean (see corner.py). */
+enum { AT_ONCE = 4, X1 = 0, Y1, Z1, X2, Y2, Z2, COMPONENTS };
 
-/* A corner of the class: its two neighbours' places in the ring, e1 . e2, |e1 x e2|^2, |e1|^2 |e2|^2, and
-   what it weighs in the mean. `scale` is that divided by |e1 x e2|^2. */
 typedef struct {
-    uint32_t *one, *other;
-    double *dots, *squared_area2, *squared_edges, *share, *scale;
+    uint32_t ends[2][AT_ONCE];
+    double edges[COMPONENTS][AT_ONCE], coefficients[COMPONENTS][AT_ONCE], share[AT_ONCE];
 } Corners;
 
 /* A joint whose weight varies around the class, and its local number. */
@@ -474,11 +469,6 @@ typedef struct {
 
 /* Room to work in, enough for any class. Local numbers: slot k of the class has k, further joints follow. */
 typedef struct {
-    size_t corner_room;
-    Neighbour *ring;
-    Corners corners;
-    double *corner_numbers; /* what `corners` points into */
-    uint32_t *corner_places;
     int32_t *local; /* by joint: its local number, -1 elsewhere */
     int32_t *met;   /* by local number: the joint */
     uint64_t *seen; /* by local number: the last neighbour that has the joint */
@@ -492,32 +482,13 @@ typedef struct {
 
 static void scratch_free(Scratch *w)
 {
-    free(w->ring), free(w->corner_numbers), free(w->corner_places), free(w->local), free(w->met);
-    free(w->seen), free(w->own), free(w->x), free(w->y), free(w->z), free(w->entries), free(w->foreign);
-    free(w->named);
-}
-
-/* Make room for so many corners, and for the neighbours that they can have; what was there is lost. */
-static int corner_room(Scratch *w, size_t count)
-{
-    free(w->ring), free(w->corner_numbers), free(w->corner_places);
-    w->corner_room = count;
-    w->ring = malloc(2 * count * sizeof *w->ring);
-    w->corner_numbers = calloc(5 * count, sizeof *w->corner_numbers);
-    w->corner_places = malloc(2 * count * sizeof *w->corner_places);
-    if (!w->ring || !w->corner_numbers || !w->corner_places)
-        return -1;
-    double *numbers = w->corner_numbers;
-    w->corners = (Corners){w->corner_places, w->corner_places + count, numbers, numbers + count,
-                           numbers + 2 * count, numbers + 3 * count, numbers + 4 * count};
-    return 0;
+    free(w->local), free(w->met), free(w->seen), free(w->own), free(w->x), free(w->y), free(w->z);
+    free(w->entries), free(w->foreign), free(w->named);
 }
 
 static int scratch_alloc(Scratch *w, const Surface *s)
 {
     size_t joints = (size_t)s->joint_count, room = joints + (size_t)s->slots;
-    if (corner_room(w, 64) < 0)
-        return -1;
     w->local = malloc((joints + 1) * sizeof *w->local);
     w->met = malloc(room * sizeof *w->met);
     w->seen = calloc(room, sizeof *w->seen);
@@ -535,81 +506,61 @@ static int scratch_alloc(Scratch *w, const Surface *s)
     return 0;
 }
 
-/* Corners of one class that meet share their edges' ends: look for a vertex among the last few only, so that
-   a fan of many thousand triangles takes no longer than they do one by one. */
-enum { RECENT = 8 };
-
-static ALWAYS_INLINE uint32_t place_in_ring(const Surface *s, int wide, Vector origin, uint32_t vertex,
-                                            Scratch *w, size_t *count)
+/* Write ends and edges of some corners, whose class is at `origin`; what is left over gets edges of an area. */
+static ALWAYS_INLINE void find_edges(const Surface *s, int wide, Vector origin, const uint32_t *corners,
+                                     size_t count, Corners *c)
 {
-    size_t oldest = *count > RECENT ? *count - RECENT : 0;
-    for (size_t n = *count; n-- > oldest;)
-        if (w->ring[n].vertex == vertex)
-            return (uint32_t)n;
-    Vector edge = minus(row3(s->positions, wide, vertex), origin);
-    w->ring[*count] = (Neighbour){vertex, edge, dot(edge, edge), {0.0, 0.0, 0.0}};
-    return (uint32_t)(*count)++;
-}
-
-/* Give every corner its share in the mean under a weighting other than Max's (see corner.py). */
-static void other_shares(int weighting, Corners *c, size_t count)
-{
-    for (size_t n = 0; n < count; n++) {
-        double area2 = sqrt(c->squared_area2[n]);
-        c->share[n] = weighting == AREA ? area2 : atan2(area2, c->dots[n]);
-        if (weighting == ANGLE_AREA)
-            c->share[n] *= area2;
-        c->scale[n] = c->share[n] / c->squared_area2[n];
-    }
-}
-
-/* Max's: 1 / (|e1|^2 |e2|^2) times |e1 x e2|. Rounded up to whole fours, so that compilers use vectors. */
-static ALWAYS_INLINE void max_shares(Corners *c, size_t count)
-{
-    for (size_t n = 0; n < ((count + 3) & ~(size_t)3); n++)
-        c->scale[n] = 1.0 / (sqrt(c->squared_area2[n]) * c->squared_edges[n]);
-    for (size_t n = 0; n < count; n++)
-        c->share[n] = c->squared_area2[n] * c->scale[n];
-}
-
-/* Add up the corners' coefficients by neighbour; return the number of neighbours, and the weight of all corners
-   as `total`. Where n = e1 x e2, corner.py's e2 x n is e1 |e2|^2 - e2 (e1 . e2), and n x e1 likewise. */
-static ALWAYS_INLINE size_t gather_ring(const Surface *s, int wide, uint32_t vertex, const uint32_t *corners,
-                                        size_t corner_count, Scratch *w, double *total)
-{
-    Vector origin = row3(s->positions, wide, vertex);
-    Corners *c = &w->corners;
-    size_t count = 0;
-    for (size_t n = 0; n < corner_count; n++) {
+    for (size_t n = 0; n < AT_ONCE; n++) {
+        if (n >= count) {
+            c->edges[X1][n] = c->edges[Y2][n] = 1.0;
+            c->edges[Y1][n] = c->edges[Z1][n] = c->edges[X2][n] = c->edges[Z2][n] = 0.0;
+            continue;
+        }
         uint32_t first = corners[n] / 3 * 3, i = corners[n] - first;
-        const uint32_t *triangle = s->triangles + first;
-        uint32_t one = place_in_ring(s, wide, origin, triangle[i == 2 ? 0 : i + 1], w, &count);
-        uint32_t other = place_in_ring(s, wide, origin, triangle[i == 0 ? 2 : i - 1], w, &count);
-        Vector normal = cross(w->ring[one].edge, w->ring[other].edge);
-        c->one[n] = one;
-        c->other[n] = other;
-        c->dots[n] = dot(w->ring[one].edge, w->ring[other].edge);
-        c->squared_area2[n] = dot(normal, normal);
-        c->squared_edges[n] = w->ring[one].squared * w->ring[other].squared;
+        uint32_t one = s->triangles[first + (i == 2 ? 0 : i + 1)];
+        uint32_t other = s->triangles[first + (i == 0 ? 2 : i - 1)];
+        Vector e1 = minus(row3(s->positions, wide, one), origin);
+        Vector e2 = minus(row3(s->positions, wide, other), origin);
+        c->ends[0][n] = one, c->ends[1][n] = other;
+        c->edges[X1][n] = e1.x, c->edges[Y1][n] = e1.y, c->edges[Z1][n] = e1.z;
+        c->edges[X2][n] = e2.x, c->edges[Y2][n] = e2.y, c->edges[Z2][n] = e2.z;
     }
-    if (s->weighting == MAX_WEIGHTING)
-        max_shares(c, corner_count);
-    else
-        other_shares(s->weighting, c, corner_count);
-    *total = 0.0;
-    for (size_t n = 0; n < corner_count; n++) {
-        Neighbour *one = &w->ring[c->one[n]], *other = &w->ring[c->other[n]];
-        double mixed = c->dots[n] * c->scale[n];
-        double own1 = other->squared * c->scale[n], own2 = one->squared * c->scale[n];
-        one->coefficient.x += one->edge.x * own1 - other->edge.x * mixed;
-        one->coefficient.y += one->edge.y * own1 - other->edge.y * mixed;
-        one->coefficient.z += one->edge.z * own1 - other->edge.z * mixed;
-        other->coefficient.x += other->edge.x * own2 - one->edge.x * mixed;
-        other->coefficient.y += other->edge.y * own2 - one->edge.y * mixed;
-        other->coefficient.z += other->edge.z * own2 - one->edge.z * mixed;
-        *total += c->share[n];
+}
+
+/* Work out share and coefficients from the edges. With n = e1 x e2, corner.py's e2 x n is
+   e1 |e2|^2 - e2 (e1 . e2), and n x e1 likewise. */
+static ALWAYS_INLINE void weigh_corners(Corners *c, int weighting)
+{
+    const double(*e)[AT_ONCE] = c->edges;
+    double dots[AT_ONCE], squared1[AT_ONCE], squared2[AT_ONCE], squared_area2[AT_ONCE], scale[AT_ONCE];
+    for (int n = 0; n < AT_ONCE; n++) {
+        double x = e[Y1][n] * e[Z2][n] - e[Z1][n] * e[Y2][n];
+        double y = e[Z1][n] * e[X2][n] - e[X1][n] * e[Z2][n];
+        double z = e[X1][n] * e[Y2][n] - e[Y1][n] * e[X2][n];
+        squared_area2[n] = x * x + y * y + z * z;
+        dots[n] = e[X1][n] * e[X2][n] + e[Y1][n] * e[Y2][n] + e[Z1][n] * e[Z2][n];
+        squared1[n] = e[X1][n] * e[X1][n] + e[Y1][n] * e[Y1][n] + e[Z1][n] * e[Z1][n];
+        squared2[n] = e[X2][n] * e[X2][n] + e[Y2][n] * e[Y2][n] + e[Z2][n] * e[Z2][n];
     }
-    return count;
+    if (weighting == MAX_WEIGHTING) { /* 1 / (|e1|^2 |e2|^2) times |e1 x e2| */
+        for (int n = 0; n < AT_ONCE; n++) {
+            scale[n] = 1.0 / (sqrt(squared_area2[n]) * squared1[n] * squared2[n]);
+            c->share[n] = squared_area2[n] * scale[n];
+        }
+    } else {
+        for (int n = 0; n < AT_ONCE; n++) {
+            double area2 = sqrt(squared_area2[n]);
+            c->share[n] = weighting == AREA ? area2 : atan2(area2, dots[n]);
+            c->share[n] *= weighting == ANGLE_AREA ? area2 : 1.0;
+            scale[n] = c->share[n] / squared_area2[n];
+        }
+    }
+    for (int axis = 0; axis < 3; axis++)
+        for (int n = 0; n < AT_ONCE; n++) {
+            double one = e[X1 + axis][n], other = e[X2 + axis][n];
+            c->coefficients[X1 + axis][n] = (one * squared2[n] - other * dots[n]) * scale[n];
+            c->coefficients[X2 + axis][n] = (other * squared1[n] - one * dots[n]) * scale[n];
+        }
 }
 
 static inline void add_scaled(Scratch *w, int32_t number, Vector v, double by)
@@ -619,7 +570,8 @@ static inline void add_scaled(Scratch *w, int32_t number, Vector v, double by)
     w->z[number] += v.z * by;
 }
 
-/* Add a neighbour that does not have the class's joints slot by slot; return how many local numbers are used. */
+/* Add coefficient x (weight there - weight here) for every joint that either vertex has; return how many local
+   numbers are used. All sums run over differences of weights: where a weight is constant, its is 0 exactly. */
 static int32_t add_differences(const Surface *s, size_t neighbour, Vector c, int32_t used, Scratch *w)
 {
     const int32_t slots = (int32_t)s->slots;
@@ -644,41 +596,65 @@ static int32_t add_differences(const Surface *s, size_t neighbour, Vector c, int
     return used;
 }
 
-/* Sum coefficient x (weight there - weight here) over the ring, for every joint met; return how many local
-   numbers are used. All sums run over differences of weights: where a weight is constant, its is 0 exactly. */
-static ALWAYS_INLINE int32_t sum_differences(const Surface *s, size_t slots, size_t vertex, size_t ring,
-                                             Scratch *w)
+/* Whether a vertex has the same joints as another, slot by slot: then its differences need no look-up. */
+static ALWAYS_INLINE int same_joints(const Surface *s, size_t slots, size_t here, size_t there)
+{
+    return memcmp(s->joints + here * slots, s->joints + there * slots, slots * sizeof *s->joints) == 0;
+}
+
+/* Sums of the usual four slots, by component: small enough for the processor's registers. */
+typedef struct {
+    double x[4], y[4], z[4];
+} FourSums;
+
+static ALWAYS_INLINE void add_four(FourSums *sums, const double *here, const double *there, Vector c)
+{
+    for (int k = 0; k < 4; k++) {
+        double difference = there[k] - here[k];
+        sums->x[k] += c.x * difference;
+        sums->y[k] += c.y * difference;
+        sums->z[k] += c.z * difference;
+    }
+}
+
+/* Sum over all corners, for every joint met; return how many local numbers are used, and the weight of all
+   corners as `total`. */
+static ALWAYS_INLINE int32_t sum_corners(const Surface *s, int wide, size_t slots, size_t vertex,
+                                         const uint32_t *corners, size_t count, Scratch *w, double *total)
 {
     const int32_t *joints = s->joints + vertex * slots;
-    const double *weights = s->weights + vertex * slots;
     int32_t used = (int32_t)slots;
     for (size_t k = 0; k < slots; k++) {
         w->met[k] = joints[k];
-        w->own[k] = weights[k];
+        w->own[k] = s->weights[vertex * slots + k];
         w->x[k] = w->y[k] = w->z[k] = 0.0;
         if (joints[k] >= 0)
             w->local[joints[k]] = (int32_t)k;
     }
-    for (size_t n = 0; n < ring; n++) {
-        size_t at = (size_t)w->ring[n].vertex * slots;
-        Vector c = w->ring[n].coefficient;
-        if (memcmp(s->joints + at, joints, slots * sizeof *joints) == 0) { /* the same joints, slot by slot */
-            double difference[MOST_UNROLLED];
-            for (size_t from = 0; from < slots; from += MOST_UNROLLED) {
-                size_t some = slots - from < MOST_UNROLLED ? slots - from : MOST_UNROLLED;
-                for (size_t k = 0; k < some; k++)
-                    difference[k] = s->weights[at + from + k] - weights[from + k];
-                for (size_t k = 0; k < some; k++)
-                    w->x[from + k] += c.x * difference[k];
-                for (size_t k = 0; k < some; k++)
-                    w->y[from + k] += c.y * difference[k];
-                for (size_t k = 0; k < some; k++)
-                    w->z[from + k] += c.z * difference[k];
+    Vector origin = row3(s->positions, wide, vertex);
+    const double *here = s->weights + vertex * slots;
+    FourSums four = {{0.0}, {0.0}, {0.0}};
+    *total = 0.0;
+    for (size_t from = 0; from < count; from += AT_ONCE) {
+        size_t some = count - from < AT_ONCE ? count - from : AT_ONCE;
+        Corners c;
+        find_edges(s, wide, origin, corners + from, some, &c);
+        weigh_corners(&c, s->weighting);
+        for (size_t n = 0; n < some; n++)
+            for (int end = 0; end < 2; end++) {
+                size_t there = c.ends[end][n];
+                const double(*component)[AT_ONCE] = c.coefficients + 3 * end;
+                Vector by = {component[X1][n], component[Y1][n], component[Z1][n]};
+                if (slots == 4 && same_joints(s, slots, vertex, there))
+                    add_four(&four, here, s->weights + there * slots, by);
+                else
+                    used = add_differences(s, there, by, used, w);
             }
-            continue;
-        }
-        used = add_differences(s, w->ring[n].vertex, c, used, w);
+        for (size_t n = 0; n < some; n++)
+            *total += c.share[n];
     }
+    for (size_t k = 0; slots == 4 && k < 4; k++)
+        w->x[k] += four.x[k], w->y[k] += four.y[k], w->z[k] += four.z[k];
     for (int32_t n = 0; n < used; n++)
         if (w->met[n] >= 0)
             w->local[w->met[n]] = -1;
@@ -823,13 +799,11 @@ static ALWAYS_INLINE int bake_classes(const Surface *s, int wide, size_t slots, 
         if (count == 0)
             continue;
         size_t entries = 0, foreign = 0, capacity = 0;
-        double total = 0.0, magnitudes = 0.0;
+        double magnitudes = 0.0;
         if (corner_count) {
-            if (corner_count + 3 > w->corner_room && corner_room(w, 2 * corner_count) < 0)
-                return -1;
             const uint32_t *first = corners->members + corners->start[c];
-            size_t ring = gather_ring(s, wide, vertices[0], first, corner_count, w, &total);
-            int32_t used = sum_differences(s, slots, vertices[0], ring, w);
+            double total;
+            int32_t used = sum_corners(s, wide, slots, vertices[0], first, corner_count, w, &total);
             entries = make_entries(w, used, total, &magnitudes);
             foreign = find_foreign(s, entries, magnitudes, w);
             capacity = foreign && s->adopts ? shared_capacity(s, vertices, count) : 0;

@@ -7,11 +7,14 @@ the work where the package was installed without a compiler: more slowly, to the
 
 from __future__ import annotations
 
+import logging
 import os
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from types import ModuleType
+
+logger = logging.getLogger(__name__)
 
 
 def _loaded() -> ModuleType | None:
@@ -19,7 +22,8 @@ def _loaded() -> ModuleType | None:
         return None
     try:
         from skinbake import _kernel  # noqa: PLC0415  (it may not be there)
-    except ImportError:
+    except ImportError as error:
+        logger.info("without its compiled loops (%s): large meshes take some ten times as long", error)
         return None
     return _kernel
 
