@@ -6,9 +6,11 @@ touches is written back as it was read, unknown keys, key order and all.
 
 from __future__ import annotations
 
+import gc
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -159,9 +161,22 @@ def parse_gltf(data: Bytes, name: str, folder: Path) -> Document:
     )
 
 
+@contextmanager
+def collector_off() -> Iterator[None]:
+    """Switch the garbage collector off: it would look at every object of a large JSON again and again."""
+    was_on = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_on:
+            gc.enable()
+
+
 def _parse_json(data: bytes, place: Place) -> json_access.JsonObject:
     try:
-        root = json.loads(data.decode("utf-8-sig"), parse_constant=_reject_constant)
+        with collector_off():
+            root = json.loads(data.decode("utf-8-sig"), parse_constant=_reject_constant)
     except (ValueError, RecursionError) as error:
         raise InputError(f"its JSON cannot be parsed: {error}", place) from error
     if not isinstance(root, dict):

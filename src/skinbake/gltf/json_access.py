@@ -18,7 +18,7 @@ def objects(parent: Mapping[str, Any], key: str, place: Place) -> list[JsonObjec
     value = parent.get(key)
     if value is None:
         return []
-    if not isinstance(value, list) or not all(isinstance(entry, dict) for entry in value):
+    if not isinstance(value, list) or not set(map(type, value)) <= {dict}:
         raise InputError(f'"{key}" must be an array of objects, found {_shown(value)}', place)
     return value
 

@@ -99,7 +99,8 @@ def skinned_sources(document: Document) -> tuple[list[PrimitiveSource], list[Not
 def _joint_counts(document: Document) -> dict[int, int]:
     skins, meshes = document.objects("skins"), document.objects("meshes")
     counts: dict[int, int] = {}
-    for node in document.objects("nodes"):
+    drawing = [node for node in document.objects("nodes") if "mesh" in node or "skin" in node]
+    for node in drawing:
         mesh = index(node, "mesh", len(meshes), document.place)
         skin = index(node, "skin", len(skins), document.place)
         if mesh is None or skin is None:
