@@ -121,7 +121,8 @@ def _write_stdout(pieces: Sequence[Bytes]) -> None:
 
 
 def _check_target(path: Path, target: str, *, make_folder: bool) -> None:
-    if not path.parent.is_dir() and not (make_folder and not os.path.lexists(path.parent)):
+    there = os.path.lexists(path.parent)  # asked first: another process may be about to make it
+    if not (path.parent.is_dir() if there else make_folder):
         raise OutputError("its folder does not exist", Place(target))
     if path.is_symlink() or (path.exists() and not path.is_file()):
         raise OutputError("it exists and is not a regular file", Place(target))
@@ -272,8 +273,9 @@ def _make_folders(folder: Path, made: list[Path]) -> None:
         missing.append(folder)
         folder = folder.parent
     for path in reversed(missing):
-        path.mkdir()
-        made.append(path)
+        with suppress(FileExistsError):  # another process was faster
+            path.mkdir()
+            made.append(path)
 
 
 def _write_temporary(path: Path, pieces: Sequence[Bytes]) -> Path:

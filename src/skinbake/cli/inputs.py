@@ -1,0 +1,141 @@
+"""Which files the arguments mean: files themselves, folders, and patterns that the shell has left alone."""
+
+from __future__ import annotations
+
+import fnmatch
+import os
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import click
+
+from skinbake.cli.targets import STDIO, SUFFIXES, check_readable_suffix
+
+MAGIC = frozenset("*?[")
+ANY_FOLDERS = "**"
+
+
+@dataclass(frozen=True, slots=True)
+class Input:
+    """A file to read, and the part of its name that is kept in a folder of outputs.
+
+    That is relative to the folder that it was found in; its own name, for a file that was named itself. An
+    argument that stands for no file is an input too, and says in ``missing`` what is wrong with it.
+    """
+
+    source: str
+    kept: str
+    missing: str | None = None
+
+    @property
+    def root(self) -> str:
+        """The folder that ``kept`` starts at."""
+        return self.source[: len(self.source) - len(self.kept)] if self.source.endswith(self.kept) else ""
+
+
+def expanded(arguments: Sequence[str], *, but: str | None = None) -> list[Input]:
+    """Return the files that the arguments mean, in order; those of a folder sorted by path.
+
+    One that several searches find is there once. ``but`` is a folder not to look into, unless it is where a
+    search begins: that of the outputs. Hidden files and folders, and linked folders, are passed over. An
+    argument that names something that exists is no pattern, whatever its characters. Raises click.UsageError
+    for a file whose name says nothing, and where stdin is to be read twice.
+    """
+    if list(arguments).count(STDIO) > 1:
+        raise click.UsageError("stdin can be read once only")
+    left_out = _identity(but) if but else None
+    found: list[Input] = []
+    seen: set[tuple[str, str]] = set()
+    for argument in arguments:
+        for entry in _meant(argument, left_out):
+            if entry.source == argument or (entry.source, entry.kept) not in seen:
+                found.append(entry)
+                seen.add((entry.source, entry.kept))
+    return found
+
+
+def _meant(argument: str, left_out: tuple[int, int] | None) -> Iterable[Input]:
+    if argument == STDIO:
+        return [Input(argument, argument)]
+    if os.path.isdir(argument):  # noqa: PTH112 - it takes any name
+        paths = sorted(_files_in(argument, (ANY_FOLDERS, "*"), left_out), key=_by_parts)
+        reason = f"nothing in this folder ends in {', '.join(SUFFIXES)}"
+        return [Input(os.path.join(argument, path), path) for path in paths] or [  # noqa: PTH118
+            Input(argument, argument, reason)
+        ]
+    if MAGIC.isdisjoint(argument) or os.path.lexists(argument):
+        check_readable_suffix(argument)
+        return [Input(argument, Path(argument).name)]
+    fixed, pattern = _split(argument)
+    paths = sorted(set(_files_in(fixed or os.curdir, pattern, left_out)), key=_by_parts)
+    reason = f"no file matches this pattern that ends in {', '.join(SUFFIXES)}"
+    return [Input(os.path.join(fixed, path), path) for path in paths] or [  # noqa: PTH118
+        Input(argument, argument, reason)
+    ]
+
+
+def _split(argument: str) -> tuple[str, tuple[str, ...]]:
+    """Return a pattern's folder without wildcards, empty for the current one, and its parts from there on."""
+    parts = Path(argument).parts
+    first = next(n for n, part in enumerate(parts) if not MAGIC.isdisjoint(part))
+    return str(Path(*parts[:first])) if first else "", parts[first:]
+
+
+def _files_in(folder: str, pattern: Sequence[str], left_out: tuple[int, int] | None) -> Iterator[str]:
+    """Yield the glTF files below a folder that match, relative to it, in any order, maybe more than once."""
+    head, *rest = pattern
+    if head == ANY_FOLDERS:
+        yield from _files_in(folder, rest or ("*",), left_out)
+    if not rest and head != ANY_FOLDERS:
+        for entry in _entries(folder):
+            if _is_wanted(entry.name, head) and entry.name.lower().endswith(SUFFIXES) and entry.is_file():
+                yield entry.name
+        return
+    if MAGIC.isdisjoint(head):
+        inside = os.path.join(folder, head)  # noqa: PTH118
+        if left_out is None or _identity(inside) != left_out:
+            yield from (os.path.join(head, path) for path in _files_in(inside, rest, left_out))  # noqa: PTH118
+        return
+    for entry in _entries(folder):
+        if not _is_folder(entry, left_out):
+            continue
+        if head == ANY_FOLDERS:
+            inner: Sequence[str] = () if entry.name.startswith(".") else pattern
+        else:
+            inner = rest if _is_wanted(entry.name, head) else ()
+        if inner:
+            for path in _files_in(entry.path, inner, left_out):
+                yield os.path.join(entry.name, path)  # noqa: PTH118
+
+
+def _entries(folder: str) -> list[os.DirEntry[str]]:
+    try:
+        with os.scandir(folder) as entries:
+            return list(entries)
+    except OSError:
+        return []
+
+
+def _is_wanted(name: str, pattern: str) -> bool:
+    """Tell whether a name matches; a hidden one does where the pattern begins with the dot too."""
+    return fnmatch.fnmatch(name, pattern) and (not name.startswith(".") or pattern.startswith("."))
+
+
+def _is_folder(entry: os.DirEntry[str], left_out: tuple[int, int] | None) -> bool:
+    if not entry.is_dir(follow_symlinks=False):
+        return False
+    return left_out is None or _identity(entry.path) != left_out
+
+
+def _identity(folder: str) -> tuple[int, int] | None:
+    """Return what tells a folder from all others, None where there is none."""
+    try:
+        found = Path(folder).stat()
+    except (OSError, ValueError):
+        return None
+    return found.st_dev, found.st_ino
+
+
+def _by_parts(path: str) -> list[str]:
+    return path.split(os.sep)  # noqa: PTH206 - of a million names
