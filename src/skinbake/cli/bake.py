@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from contextlib import closing
+from collections.abc import Generator
 from pathlib import Path
 from typing import Any
 
@@ -21,9 +21,9 @@ from skinbake.cli.many import (
     chosen_runner,
     each,
     many_options,
+    outcomes,
     show_timings,
     state_path,
-    told,
     worst,
 )
 from skinbake.cli.progress import Progress
@@ -213,8 +213,11 @@ def command(inputs: tuple[str, ...], **given: Any) -> None:
         if not given["as_json"]:
             say.result(closing_line(result, dry_run=options.dry_run))
 
-    with told(say, totals, clock), closing(notes), Progress(say) as progress:
-        for result in each(runner, BakeWork(options, recipe, given["timings"]), jobs, progress, tell):
+    def begin(progress: Progress) -> Generator[FileResult, None, None]:
+        return each(runner, BakeWork(options, recipe, given["timings"]), jobs, progress, tell)
+
+    with outcomes(say, totals, clock, [summary, notes], begin) as found_out:
+        for result in found_out:
             notes.add(result.record)
             summary.file(file_json(result))
             totals.add_baked(result)
@@ -222,9 +225,9 @@ def command(inputs: tuple[str, ...], **given: Any) -> None:
                 code = worst(code, result.error)
             if given["as_json"]:
                 results.append(result)
-    if summary.failed or notes.failed:
-        code = max(code, exit_codes.OUTPUT)
-    summary.line(totals_json(totals, clock.working, schema=SCHEMA, exit_code=code))
+        code = max(code, exit_codes.OUTPUT if notes.failed else code)
+        summary.line(totals_json(totals, clock.working, schema=SCHEMA, exit_code=code))
+    code = max(code, exit_codes.OUTPUT if summary.failed else code)
     if given["timings"]:
         show_timings(say, totals, clock)
     if given["as_json"]:

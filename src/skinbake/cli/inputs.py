@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import fnmatch
 import os
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -44,35 +44,86 @@ def expanded(arguments: Sequence[str], *, but: str | None = None) -> list[Input]
     """
     if list(arguments).count(STDIO) > 1:
         raise click.UsageError("stdin can be read once only")
-    left_out = _identity(but) if but else None
+    search = _Search(_identity(but) if but else None)
     found: list[Input] = []
     seen: set[tuple[str, str]] = set()
     for argument in arguments:
-        for entry in _meant(argument, left_out):
+        for entry in search.meant(argument):
             if entry.source == argument or (entry.source, entry.kept) not in seen:
                 found.append(entry)
                 seen.add((entry.source, entry.kept))
     return found
 
 
-def _meant(argument: str, left_out: tuple[int, int] | None) -> Iterable[Input]:
-    if argument == STDIO:
-        return [Input(argument, argument)]
-    if os.path.isdir(argument):  # noqa: PTH112 - it takes any name
-        paths = sorted(_files_in(argument, (ANY_FOLDERS, "*"), left_out), key=_by_parts)
-        reason = f"nothing in this folder ends in {', '.join(SUFFIXES)}"
-        return [Input(os.path.join(argument, path), path) for path in paths] or [  # noqa: PTH118
-            Input(argument, argument, reason)
-        ]
-    if MAGIC.isdisjoint(argument) or os.path.lexists(argument):
-        check_readable_suffix(argument)
-        return [Input(argument, Path(argument).name)]
-    fixed, pattern = _split(argument)
-    paths = sorted(set(_files_in(fixed or os.curdir, pattern, left_out)), key=_by_parts)
-    reason = f"no file matches this pattern that ends in {', '.join(SUFFIXES)}"
-    return [Input(os.path.join(fixed, path), path) for path in paths] or [  # noqa: PTH118
-        Input(argument, argument, reason)
-    ]
+class _Search:
+    """A search that leaves one folder out, and remembers which it could not open."""
+
+    def __init__(self, left_out: tuple[int, int] | None) -> None:
+        self._left_out = left_out
+        self._closed: list[Input] = []
+
+    def meant(self, argument: str) -> list[Input]:
+        """Return what an argument means."""
+        if argument == STDIO:
+            return [Input(argument, argument)]
+        if os.path.isdir(argument):  # noqa: PTH112 - it takes any name
+            return self._found(argument, argument, (ANY_FOLDERS, "*"), "nothing in this folder")
+        if MAGIC.isdisjoint(argument) or os.path.lexists(argument):
+            check_readable_suffix(argument)
+            return [Input(argument, Path(argument).name)]
+        fixed, pattern = _split(argument)
+        return self._found(argument, fixed, pattern, "no file that matches this pattern")
+
+    def _found(self, argument: str, folder: str, pattern: Sequence[str], nothing: str) -> list[Input]:
+        self._closed.clear()
+        paths = sorted(set(self._files(folder or os.curdir, pattern)), key=_by_parts)
+        entries = [Input(os.path.join(folder, path), path) for path in paths]  # noqa: PTH118
+        entries += self._closed
+        return entries or [Input(argument, argument, f"{nothing} ends in {', '.join(SUFFIXES)}")]
+
+    def _files(self, folder: str, pattern: Sequence[str]) -> Iterator[str]:
+        """Yield the glTF files below a folder that match, relative to it, in any order, maybe repeatedly."""
+        head, *rest = pattern
+        if head == ANY_FOLDERS:
+            yield from self._files(folder, rest or ("*",))
+        elif not rest:
+            for entry in self._entries(folder):
+                if _matches(entry.name, head) and entry.name.lower().endswith(SUFFIXES) and entry.is_file():
+                    yield entry.name
+            return
+        elif MAGIC.isdisjoint(head):
+            inside = os.path.join(folder, head)  # noqa: PTH118
+            if self._left_out is None or _identity(inside) != self._left_out:
+                yield from (os.path.join(head, path) for path in self._files(inside, rest))  # noqa: PTH118
+            return
+        for entry in self._entries(folder):
+            if not self._is_folder(entry):
+                continue
+            if head == ANY_FOLDERS:
+                inner: Sequence[str] = () if entry.name.startswith(".") else pattern
+            else:
+                inner = rest if _matches(entry.name, head) else ()
+            if inner:
+                for path in self._files(entry.path, inner):
+                    yield os.path.join(entry.name, path)  # noqa: PTH118
+
+    def _entries(self, folder: str) -> list[os.DirEntry[str]]:
+        try:
+            with os.scandir(folder) as entries:
+                return list(entries)
+        except (FileNotFoundError, NotADirectoryError):
+            return []
+        except (OSError, ValueError) as error:
+            reason = getattr(error, "strerror", None) or error
+            closed = Input(folder, folder, f"this folder cannot be read: {reason}")
+            if closed not in self._closed:
+                self._closed.append(closed)
+            return []
+
+    def _is_folder(self, entry: os.DirEntry[str]) -> bool:
+        if not entry.is_dir(follow_symlinks=False):
+            return False
+        return self._left_out is None or _identity(entry.path) != self._left_out
 
 
 def _split(argument: str) -> tuple[str, tuple[str, ...]]:
@@ -82,50 +133,9 @@ def _split(argument: str) -> tuple[str, tuple[str, ...]]:
     return str(Path(*parts[:first])) if first else "", parts[first:]
 
 
-def _files_in(folder: str, pattern: Sequence[str], left_out: tuple[int, int] | None) -> Iterator[str]:
-    """Yield the glTF files below a folder that match, relative to it, in any order, maybe more than once."""
-    head, *rest = pattern
-    if head == ANY_FOLDERS:
-        yield from _files_in(folder, rest or ("*",), left_out)
-    if not rest and head != ANY_FOLDERS:
-        for entry in _entries(folder):
-            if _is_wanted(entry.name, head) and entry.name.lower().endswith(SUFFIXES) and entry.is_file():
-                yield entry.name
-        return
-    if MAGIC.isdisjoint(head):
-        inside = os.path.join(folder, head)  # noqa: PTH118
-        if left_out is None or _identity(inside) != left_out:
-            yield from (os.path.join(head, path) for path in _files_in(inside, rest, left_out))  # noqa: PTH118
-        return
-    for entry in _entries(folder):
-        if not _is_folder(entry, left_out):
-            continue
-        if head == ANY_FOLDERS:
-            inner: Sequence[str] = () if entry.name.startswith(".") else pattern
-        else:
-            inner = rest if _is_wanted(entry.name, head) else ()
-        if inner:
-            for path in _files_in(entry.path, inner, left_out):
-                yield os.path.join(entry.name, path)  # noqa: PTH118
-
-
-def _entries(folder: str) -> list[os.DirEntry[str]]:
-    try:
-        with os.scandir(folder) as entries:
-            return list(entries)
-    except OSError:
-        return []
-
-
-def _is_wanted(name: str, pattern: str) -> bool:
+def _matches(name: str, pattern: str) -> bool:
     """Tell whether a name matches; a hidden one does where the pattern begins with the dot too."""
     return fnmatch.fnmatch(name, pattern) and (not name.startswith(".") or pattern.startswith("."))
-
-
-def _is_folder(entry: os.DirEntry[str], left_out: tuple[int, int] | None) -> bool:
-    if not entry.is_dir(follow_symlinks=False):
-        return False
-    return left_out is None or _identity(entry.path) != left_out
 
 
 def _identity(folder: str) -> tuple[int, int] | None:

@@ -6,7 +6,7 @@ import json
 import os
 import time
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -28,7 +28,7 @@ STATE_NAME = ".skinbake-state.jsonl"
 MANY = 20
 """Files whose lines one still takes in at a glance; of more a line tells the sum."""
 
-WORTHWHILE = 1.0
+WORTHWHILE = 0.5
 """Seconds of work from which on other processes are started for it."""
 
 
@@ -202,8 +202,15 @@ class Summary:
             self._file.write(text + "\n")
             self._file.flush()
         except OSError as error:
-            self.failed, self._file = True, None
+            self.failed, file, self._file = True, self._file, None
+            with suppress(OSError):
+                file.close()
             self._say.error(OutputError(f"cannot be written: {error.strerror}", Place(str(self._path))))
+
+    def close(self) -> None:
+        """Let go of the file."""
+        if self._file is not None:
+            self._file.close()
 
 
 class Notes:
@@ -230,16 +237,29 @@ class Notes:
 
 
 @contextmanager
-def told(say: Console, totals: Totals, clock: Clock) -> Iterator[None]:
-    """Say at the end of the block what became of all files, of an interrupt too."""
+def outcomes(
+    say: Console,
+    totals: Totals,
+    clock: Clock,
+    kept: Sequence[Summary | Notes],
+    begin: Callable[[Progress], Generator[Any, None, None]],
+) -> Iterator[Iterator[Any]]:
+    """Yield the results that ``begin`` gives, and when they are done with, or an interrupt came, end it all.
+
+    That ends the work, takes the bar away, says what became of all files, and lets go of what is kept.
+    """
     from skinbake.report.totals import closing_line, failure_lines
 
-    try:
-        yield
-    except KeyboardInterrupt:
-        if totals.files > 1:
-            say.note(closing_line(totals, clock.working, interrupted=True))
-        raise
+    with ExitStack() as stack:
+        for one in kept:
+            stack.enter_context(closing(one))
+        try:
+            with Progress(say) as progress, closing(begin(progress)) as results:
+                yield results
+        except KeyboardInterrupt:
+            if totals.files > 1:
+                say.note(closing_line(totals, clock.working, interrupted=True))
+            raise
     say.listing(failure_lines(totals))
     if totals.files > MANY or len(totals.failures) > 1 or (totals.files > 1 and say.verbosity > 0):
         say.note(closing_line(totals, clock.working))

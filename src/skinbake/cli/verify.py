@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from contextlib import closing
+from collections.abc import Generator
 from pathlib import Path
 from typing import Any
 
@@ -20,9 +20,9 @@ from skinbake.cli.many import (
     chosen_runner,
     each,
     many_options,
+    outcomes,
     show_timings,
     state_path,
-    told,
     worst,
 )
 from skinbake.cli.progress import Progress
@@ -152,10 +152,12 @@ def command(inputs: tuple[str, ...], **given: Any) -> None:
         if not given["as_json"]:
             say.result(as_text(verdict))
 
-    with told(say, totals, clock), closing(notes), Progress(say) as progress:
-        poses = progress.step if len(jobs) == 1 else None
-        work = VerifyWork(options, recipe, given["timings"], poses)
-        for verdict in each(runner, work, jobs, progress, tell):
+    def begin(progress: Progress) -> Generator[FileVerdict, None, None]:
+        work = VerifyWork(options, recipe, given["timings"], progress.step if len(jobs) == 1 else None)
+        return each(runner, work, jobs, progress, tell)
+
+    with outcomes(say, totals, clock, [summary, notes], begin) as found_out:
+        for verdict in found_out:
             notes.add(verdict.record)
             summary.file(file_json(verdict))
             totals.add_verified(verdict)
@@ -165,11 +167,11 @@ def command(inputs: tuple[str, ...], **given: Any) -> None:
                 code = max(code, exit_codes.VERIFICATION)
             if given["as_json"] or given["junit"]:
                 verdicts.append(verdict)
-    if given["junit"]:
-        code = max(code, _write(given["junit"], as_junit(verdicts), say))
-    if summary.failed or notes.failed:
-        code = max(code, exit_codes.OUTPUT)
-    summary.line(totals_json(totals, clock.working, schema=SCHEMA, exit_code=code))
+        if given["junit"]:
+            code = max(code, _write(given["junit"], as_junit(verdicts), say))
+        code = max(code, exit_codes.OUTPUT if notes.failed else code)
+        summary.line(totals_json(totals, clock.working, schema=SCHEMA, exit_code=code))
+    code = max(code, exit_codes.OUTPUT if summary.failed else code)
     if given["timings"]:
         show_timings(say, totals, clock)
     if given["as_json"]:

@@ -13,7 +13,7 @@ from skinbake.report.bake import FileResult
 MODULES = ("skinbake.cli.main", "skinbake.commands.batch_bake")
 """What a worker needs, to be imported before it starts."""
 
-SECONDS_A_FILE, SECONDS_A_BYTE = 4e-3, 2e-8
+SECONDS_A_FILE, SECONDS_A_BYTE = 5e-3, 3e-8
 """What baking a file takes, about: enough to know whether workers are worth starting."""
 
 

@@ -114,7 +114,9 @@ class _Pool:
                     continue
                 worker.is_warm, self._stillborn = True, 0
                 if message is not None:
-                    yield self._finished(worker, *message)
+                    finished = self._finished(worker, *message)
+                    self._hand_out()  # nobody is to wait for who takes the result
+                    yield finished
 
     def stop(self) -> None:
         """End all workers: the idle ones see their pipe close, the busy ones are told to."""
@@ -276,7 +278,7 @@ def _serve(connection: Connection, work: Work, level: int, logs: bool) -> None:
             start = time.perf_counter()
             result = _result(work, job)
             if not stopped.is_set():  # an interrupt may have come out as another exception
-                connection.send((number, result, time.perf_counter() - start))
+                _send(connection, work, job, (number, result, time.perf_counter() - start))
     except (EOFError, OSError, KeyboardInterrupt):
         pass  # the other end is gone, or we are to go
 
@@ -286,7 +288,20 @@ def _result(work: Work, job: Any) -> Any:
         return work(job)
     except Exception as error:  # a defect of ours: the other files must not suffer from it
         logger.debug("where it failed", exc_info=True)
-        return work.lost(job, f"skinbake failed where it should not: {type(error).__name__}: {error}")
+        return work.lost(job, _defect(error))
+
+
+def _send(connection: Connection, work: Work, job: Any, message: tuple[int, Any, float]) -> None:
+    try:
+        connection.send(message)
+    except OSError:
+        raise
+    except Exception as error:  # it cannot be pickled: a defect of ours too
+        connection.send((message[0], work.lost(job, _defect(error)), message[2]))
+
+
+def _defect(error: Exception) -> str:
+    return f"skinbake failed where it should not: {type(error).__name__}: {error}"
 
 
 def _hear_signals(stopped: threading.Event) -> None:
