@@ -204,12 +204,13 @@ class State:
     def _read(self) -> None:
         place = Place(str(self._path))
         try:
-            data = self._path.read_bytes()
+            is_file = stat.S_ISREG(self._path.stat().st_mode)
+            data = self._path.read_bytes() if is_file else b""
         except FileNotFoundError:
             return
         except (OSError, ValueError) as error:
             raise InputError(f"cannot be read: {getattr(error, 'strerror', None) or error}", place) from error
-        if data and not data.startswith(HEADER):
+        if not is_file or (data and not data.startswith(HEADER)):
             raise InputError("it exists and is no state file of skinbake", place)
         for line in data.splitlines(keepends=True):
             if line.endswith(b"\n"):  # else an interrupt has cut it
