@@ -66,18 +66,18 @@ class _Search:
         """Return what an argument means."""
         if argument == STDIO:
             return [Input(argument, argument)]
-        if os.path.isdir(argument):  # noqa: PTH112 - it takes any name
+        if os.path.isdir(argument):
             return self._found(argument, argument, (ANY_FOLDERS, "*"), "nothing in this folder")
         if MAGIC.isdisjoint(argument) or os.path.lexists(argument):
             check_readable_suffix(argument)
-            return [Input(argument, Path(argument).name)]
+            return [Input(argument, os.path.basename(argument))]
         fixed, pattern = _split(argument)
         return self._found(argument, fixed, pattern, "no file that matches this pattern")
 
     def _found(self, argument: str, folder: str, pattern: Sequence[str], nothing: str) -> list[Input]:
         self._closed.clear()
         paths = sorted(set(self._files(folder or os.curdir, pattern)), key=_by_parts)
-        entries = [Input(os.path.join(folder, path), path) for path in paths]  # noqa: PTH118
+        entries = [Input(os.path.join(folder, path), path) for path in paths]
         entries += self._closed
         return entries or [Input(argument, argument, f"{nothing} ends in {', '.join(SUFFIXES)}")]
 
@@ -92,9 +92,9 @@ class _Search:
                     yield entry.name
             return
         elif MAGIC.isdisjoint(head):
-            inside = os.path.join(folder, head)  # noqa: PTH118
+            inside = os.path.join(folder, head)
             if self._left_out is None or _identity(inside) != self._left_out:
-                yield from (os.path.join(head, path) for path in self._files(inside, rest))  # noqa: PTH118
+                yield from (os.path.join(head, path) for path in self._files(inside, rest))
             return
         for entry in self._entries(folder):
             if not self._is_folder(entry):
@@ -105,7 +105,7 @@ class _Search:
                 inner = rest if _matches(entry.name, head) else ()
             if inner:
                 for path in self._files(entry.path, inner):
-                    yield os.path.join(entry.name, path)  # noqa: PTH118
+                    yield os.path.join(entry.name, path)
 
     def _entries(self, folder: str) -> list[os.DirEntry[str]]:
         try:
@@ -141,11 +141,11 @@ def _matches(name: str, pattern: str) -> bool:
 def _identity(folder: str) -> tuple[int, int] | None:
     """Return what tells a folder from all others, None where there is none."""
     try:
-        found = Path(folder).stat()
+        found = os.stat(folder)
     except (OSError, ValueError):
         return None
     return found.st_dev, found.st_ino
 
 
 def _by_parts(path: str) -> list[str]:
-    return path.split(os.sep)  # noqa: PTH206 - of a million names
+    return path.split(os.sep)

@@ -84,7 +84,7 @@ class Recipe:
                 return False
             read, made = note["read"], note["made"]
             return bool(read) and all(
-                _digest(str(Path(self.folder, path))) == digest
+                _digest(os.path.join(self.folder, path)) == digest
                 for path, digest in (*read.items(), *((k, v) for k, v in made.items() if k not in read))
             )
         except (OSError, ValueError, KeyError, TypeError, AttributeError):
@@ -107,7 +107,7 @@ class Recipe:
 
     def _relative(self, path: str) -> str:
         try:
-            return Path(os.path.relpath(path, self.folder)).as_posix()
+            return os.path.relpath(path, self.folder).replace(os.sep, "/")
         except ValueError:  # another drive
             return path
 
@@ -116,7 +116,7 @@ def recipe(command: str, options: Any, state: str) -> Recipe:
     """Return the recipe of a command with its options, a dataclass, for the state file of that name."""
     chosen = {name: value for name, value in asdict(options).items() if name not in NOT_OPTIONS}
     text = json.dumps([command, skinbake.__version__, _code(), chosen], sort_keys=True, default=str)
-    return Recipe(command, _of([text.encode()]), str(Path(_absolute(state)).parent))
+    return Recipe(command, _of([text.encode()]), os.path.dirname(_absolute(state)))
 
 
 def seen(source: str) -> Seen | None:
@@ -250,13 +250,13 @@ def _named_files(document: Document) -> Iterable[str]:
 def _absolute(path: str) -> str:
     """Return a path without links in its folder, so that ``..`` in a relative one means what it says."""
     folder, name = os.path.split(path)
-    return str(Path(os.path.realpath(folder), name))
+    return os.path.join(os.path.realpath(folder), name)
 
 
 def _signature(path: str) -> tuple[int, ...]:
     """Return what changes with a file: empty where there is none; its times are last."""
     try:
-        found = Path(path).stat()
+        found = os.stat(path)
     except OSError as error:
         if error.errno in ABSENT:
             return ()
@@ -267,9 +267,9 @@ def _signature(path: str) -> tuple[int, ...]:
 def _digest(path: str) -> str | None:
     """Return a file's digest, None where there is none; OSError or ValueError where it cannot be read."""
     try:
-        if not stat.S_ISREG(Path(path).stat().st_mode):
+        if not stat.S_ISREG(os.stat(path).st_mode):
             return None
-        with Path(path).open("rb") as file:
+        with open(path, "rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()[:DIGITS]
     except OSError as error:
         if error.errno in ABSENT:
