@@ -102,7 +102,6 @@ class Clock:
 
     def __init__(self) -> None:
         self._begun = self._imported = time.perf_counter()
-        self.start_up = _since_process_start()
 
     def imports_done(self) -> None:
         """Note that all that is imported late has been."""
@@ -115,15 +114,15 @@ class Clock:
 
     def process(self) -> dict[str, float | None]:
         """Return the seconds of the process: before the command began, of its imports, and until now."""
-        elapsed = time.perf_counter() - self._begun
+        age, command = _age(), time.perf_counter() - self._begun
         return {
-            "start-up": self.start_up,
+            "start-up": None if age is None else max(0.0, age - command),
             "imports": self._imported - self._begun,
-            "elapsed": elapsed + (self.start_up or 0.0),
+            "elapsed": command if age is None else max(age, command),
         }
 
 
-def _since_process_start() -> float | None:
+def _age() -> float | None:
     """Return the process's age in seconds, to 0.01 s; None where the system does not tell it cheaply."""
     try:
         fields = (

@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from skinbake.errors import SkinbakeError, printable
-from skinbake.report.bake import FileResult
 from skinbake.report.notices import counted
-from skinbake.report.verify import FileVerdict
+
+if TYPE_CHECKING:  # bake need not load what verify's XML takes
+    from skinbake.report.bake import FileResult
+    from skinbake.report.verify import FileVerdict
 
 LISTED = 100
 """Failures that are listed at the end."""
