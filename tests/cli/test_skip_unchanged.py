@@ -290,9 +290,15 @@ class TestWhileItRuns:
         then(lambda source, target: None)
         assert baking()[TEXTURED] == "baked"
 
+    @pytest.mark.parametrize("young", [0, state.YOUNG])
     def test_an_input_that_changes_meanwhile_is_not_the_one_that_was_read(
-        self, baking: Baking, then: Callable[[Callable[[str, str], object]], None]
+        self,
+        young: int,
+        baking: Baking,
+        then: Callable[[Callable[[str, str], object]], None],
+        monkeypatch: pytest.MonkeyPatch,
     ) -> None:
+        monkeypatch.setattr(state, "YOUNG", young)
         sources = {name: (baking.folder / name).read_bytes() for name in NAMES}
 
         def change(source: str, target: str) -> None:

@@ -24,7 +24,10 @@ class Work:
 
 @dataclass(frozen=True)
 class Deadly(Work):
-    """Dies of the signal on the jobs that are in ``on``, and notes in ``log`` who was at work with whom."""
+    """Dies of the signal on the jobs that are in ``on``, after a while.
+
+    Notes in ``log`` when jobs began, and when it died.
+    """
 
     on: tuple[int, ...]
     by: int
@@ -34,6 +37,8 @@ class Deadly(Work):
         started = self.log / f"{job}-{os.getpid()}-{time.monotonic_ns()}"
         started.touch()
         if job in self.on:
+            time.sleep(0.5)
+            started.rename(f"{started}-{time.monotonic_ns()}")
             os.kill(os.getpid(), self.by)
         time.sleep(0.002)
         return super().__call__(job)
