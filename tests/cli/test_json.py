@@ -106,7 +106,7 @@ ENCODING = {
 SECONDS = {"type": "number", "minimum": 0}
 TIMINGS = {"type": "object", "additionalProperties": SECONDS, "required": ["other"]}
 PROCESS_TIMINGS = strict(
-    {"start-up": {"type": ["number", "null"]}, "imports": SECONDS, "elapsed": SECONDS},
+    {"start_up": {"type": ["number", "null"]}, "imports": SECONDS, "elapsed": SECONDS},
 )
 BAKE = strict(
     {

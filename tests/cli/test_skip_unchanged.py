@@ -509,3 +509,14 @@ def test_every_fixture_is_up_to_date_after_its_bake(tmp_path: Path) -> None:
     for status in ("baked", "up-to-date"):
         result = invoke("bake", *inputs, "--out-dir", tmp_path, "--skip-unchanged", "--json")
         assert {file["status"] for file in document(result)["files"]} == {status}
+
+
+def test_streams_are_read_and_written_each_time(tmp_path: Path) -> None:
+    seam, notes = FOLDER / "seam.glb", ["--skip-unchanged", "--state", str(tmp_path / "state")]
+    for _ in range(2):
+        process = run("bake", "-", "-o", tmp_path / "out.glb", *notes, stdin=seam.read_bytes())
+        assert (process.returncode, b"baked: 1 primitive" in process.stdout) == (0, True)
+        process = run("bake", seam, "-o", "-", *notes)
+        assert process.stdout == (tmp_path / "out.glb").read_bytes()
+        process = run("verify", "-", "--poses", "rest", *notes, stdin=process.stdout)
+        assert (process.returncode, b"structure  passed" in process.stdout) == (0, True)

@@ -76,7 +76,7 @@ NORMALS = closed(
 SECONDS = {"type": "number", "minimum": 0}
 TIMINGS = {"type": "object", "additionalProperties": SECONDS, "required": ["other"]}
 PROCESS_TIMINGS = closed(
-    {"start-up": {"type": ["number", "null"]}, "imports": SECONDS, "elapsed": SECONDS},
+    {"start_up": {"type": ["number", "null"]}, "imports": SECONDS, "elapsed": SECONDS},
 )
 SCHEMA = closed(
     {

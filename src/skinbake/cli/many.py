@@ -116,7 +116,7 @@ class Clock:
         """Return the seconds of the process: before the command began, of its imports, and until now."""
         age, command = _age(), time.perf_counter() - self._begun
         return {
-            "start-up": None if age is None else max(0.0, age - command),
+            "start_up": None if age is None else max(0.0, age - command),
             "imports": self._imported - self._begun,
             "elapsed": command if age is None else max(age, command),
         }

@@ -8,6 +8,7 @@ from skinbake.commands import state
 from skinbake.commands.bake import BakeOptions, bake_file
 from skinbake.commands.batch import timed
 from skinbake.errors import InputError, Place
+from skinbake.gltf.document import STDIO
 from skinbake.report.bake import FileResult
 
 MODULES = ("skinbake.cli.main", "skinbake.commands.batch_bake")
@@ -49,7 +50,7 @@ class BakeWork:
     def _done(self, job: BakeJob) -> FileResult:
         if job.missing is not None:
             return _failed(job, job.missing)
-        if self.recipe is None or job.target is None:
+        if self.recipe is None or job.target is None or STDIO in {job.source, job.target}:
             return bake_file(job.source, job.target, self.options)
         if job.known is not None and self.recipe.still_holds(job.known, job.source, job.target):
             return FileResult(job.source, job.target, "up-to-date")

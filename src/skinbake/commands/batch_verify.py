@@ -9,6 +9,7 @@ from skinbake.commands.batch import timed
 from skinbake.commands.lighting import Progress, VerifyOptions
 from skinbake.commands.verify import verify_file
 from skinbake.errors import InputError, Place
+from skinbake.gltf.document import STDIO
 from skinbake.report.verify import FileVerdict
 
 MODULES = ("skinbake.cli.main", "skinbake.commands.batch_verify")
@@ -53,7 +54,7 @@ class VerifyWork:
     def _done(self, job: VerifyJob) -> FileVerdict:
         if job.missing is not None:
             return _failed(job, job.missing)
-        if self.recipe is None:
+        if self.recipe is None or job.source == STDIO:
             return verify_file(job.source, self.options, self.progress)
         if job.known is not None and self.recipe.still_holds(job.known, job.source, None):
             return FileVerdict(job.source, up_to_date=True)

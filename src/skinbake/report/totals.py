@@ -128,4 +128,4 @@ def timing_lines(totals: Totals, process: Mapping[str, float | None]) -> Iterato
     yield "seconds of the whole process:"
     for name, spent in process.items():
         if spent is not None:
-            yield f"  {name:<{width}}{spent:>10.3f}"
+            yield f"  {name.replace('_', '-'):<{width}}{spent:>10.3f}"
