@@ -103,6 +103,11 @@ ENCODING = {
         ),
     ]
 }
+SECONDS = {"type": "number", "minimum": 0}
+TIMINGS = {"type": "object", "additionalProperties": SECONDS, "required": ["other"]}
+PROCESS_TIMINGS = strict(
+    {"start_up": {"type": ["number", "null"]}, "imports": SECONDS, "elapsed": SECONDS},
+)
 BAKE = strict(
     {
         "schema": {"const": "skinbake.bake/1"},
@@ -115,16 +120,18 @@ BAKE = strict(
                 {
                     "input": TEXT,
                     "output": {"type": ["string", "null"]},
-                    "status": {"enum": ["baked", "unchanged", "failed"]},
+                    "status": {"enum": ["baked", "unchanged", "up-to-date", "failed"]},
                     "skipped": COUNT,
                     "primitives": {"type": "array", "items": BAKED},
                     "encoding": ENCODING,
                     "warnings": WARNINGS,
                     "error": ERROR,
-                }
+                },
+                optional={"timings": TIMINGS},
             ),
         },
-    }
+    },
+    optional={"timings": PROCESS_TIMINGS},
 )
 SUMMARY = strict(
     {

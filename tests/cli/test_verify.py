@@ -194,7 +194,7 @@ def clocked(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], None]:
     """Return a function that sets verify's clock."""
 
     def set_clock(step: float) -> None:
-        monkeypatch.setattr("skinbake.cli.verify.time.monotonic", Clock(step))
+        monkeypatch.setattr("skinbake.cli.progress.time.monotonic", Clock(step))
 
     return set_clock
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -124,6 +125,26 @@ class TestFailures:
         with failing(function, call, KeyboardInterrupt()), pytest.raises(KeyboardInterrupt):
             bake_file(str(source), str(target), BakeOptions())
         assert tree(target.parent.parent) == before
+
+    def test_an_interrupt_between_two_names_waits_for_both(
+        self, source: Path, target: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """What is beside a target may be beside another's too, which another process has just finished."""
+        bake(source, target)
+        whole = tree(target.parent)
+        replace = Path.replace
+
+        def interrupted(self: Path, other: Path) -> Path:
+            result = replace(self, other)
+            signal.raise_signal(signal.SIGINT)
+            return result
+
+        monkeypatch.setattr(Path, "replace", interrupted)
+        again = tmp_path / "again" / target.name
+        again.parent.mkdir()
+        with pytest.raises(KeyboardInterrupt):
+            bake(source, again)
+        assert tree(again.parent) == {k: v for k, v in whole.items() if k != "neighbour.txt"}
 
     @pytest.mark.parametrize("limit", [100, 2000, 10_000])
     def test_a_full_disk_leaves_everything_as_it_was(self, source: Path, target: Path, limit: int) -> None:

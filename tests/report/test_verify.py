@@ -73,6 +73,11 @@ NORMALS = closed(
         "dqs": closed({"approximated": FIGURES, "accurate": FIGURES, "exact": FIGURES, "gain": GAIN}),
     },
 )
+SECONDS = {"type": "number", "minimum": 0}
+TIMINGS = {"type": "object", "additionalProperties": SECONDS, "required": ["other"]}
+PROCESS_TIMINGS = closed(
+    {"start_up": {"type": ["number", "null"]}, "imports": SECONDS, "elapsed": SECONDS},
+)
 SCHEMA = closed(
     {
         "schema": {"const": "skinbake.verify/1"},
@@ -83,6 +88,7 @@ SCHEMA = closed(
                 {
                     "input": {"type": "string"},
                     "passed": {"type": "boolean"},
+                    "up_to_date": {"type": "boolean"},
                     "checks": {
                         "type": "array",
                         "items": closed(
@@ -127,10 +133,12 @@ SCHEMA = closed(
                             ),
                         ]
                     },
-                }
+                },
+                {"timings": TIMINGS},
             ),
         },
-    }
+    },
+    {"timings": PROCESS_TIMINGS},
 )
 """The JSON document, with no member that is not listed; CONVENTIONS.md says it in words."""
 

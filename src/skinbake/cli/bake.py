@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Generator
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,22 @@ from click.core import ParameterSource
 
 from skinbake.cli import exit_codes
 from skinbake.cli.console import console, finite, message_options
-from skinbake.cli.targets import STDIO, check_readable_suffix, check_target, pair_up
+from skinbake.cli.inputs import Input, expanded
+from skinbake.cli.many import (
+    Clock,
+    Notes,
+    Summary,
+    check_summary,
+    chosen_runner,
+    each,
+    many_options,
+    outcomes,
+    show_timings,
+    state_path,
+    worst,
+)
+from skinbake.cli.progress import Progress
+from skinbake.cli.targets import STDIO, check_target, in_turns, once, pair_up
 
 HIGHEST_MESHOPT_LEVEL = 3
 
@@ -34,7 +50,8 @@ def _multiple_of_4(ctx: click.Context, param: click.Parameter, value: int | None
 @click.option(
     "--out-dir",
     metavar="DIR",
-    help="Write each input under its own name into this folder, made where it is missing.",
+    help="Write each input under its own name into this folder, made where it is missing; what was found in "
+    "a folder, or by a pattern, under its path from there.",
 )
 @click.option("--in-place", is_flag=True, help="Replace each input by its baked version.")
 @click.option("--dry-run", is_flag=True, help="Do everything but write.")
@@ -142,38 +159,80 @@ def _multiple_of_4(ctx: click.Context, param: click.Parameter, value: int | None
 @click.option(
     "--warnings-as-errors", is_flag=True, help="Fail (3), and write nothing, where there are warnings."
 )
+@many_options
 @message_options
 def command(inputs: tuple[str, ...], **given: Any) -> None:
     """Add α/β, the skin-weight gradients along tangent and bitangent, to every skinned primitive.
 
-    INPUT is a .glb, .gltf or .vrm file, or - for a GLB on stdin. Everything that bake does not add stays as
+    INPUT is a .glb, .gltf or .vrm file, or - for a GLB on stdin; a folder, for all such files below it; or a
+    quoted pattern like 'art/**/*.glb'. Everything that bake does not add stays as
     it is. A file in which nothing can be baked passes through unchanged, with a warning. Bake last:
     tools that reorder influences or quantise positions falsify α and β.
     """
-    targets = _targets(inputs, given)
+    clock = Clock()
+    found = expanded(inputs, but=given["out_dir"])
+    targets, notes_at = _targets(found, given), state_path(given)
+    check_summary(given)
     say = console(
         verbose=given["verbose"],
         quiet=given["quiet"],
         color=given["color"],
         results_on_stderr=given["output"] == STDIO,
     )
-    from skinbake.commands.bake import bake_file
-    from skinbake.report.bake import as_json, closing_line, detail_lines
+    from skinbake.commands.batch_bake import MODULES, SECONDS_A_BYTE, SECONDS_A_FILE, BakeJob, BakeWork
+    from skinbake.report.bake import SCHEMA, FileResult, as_json, closing_line, detail_lines, file_json
+    from skinbake.report.totals import BAKE_OUTCOMES, Totals, totals_json
 
     options = _options(given)
-    results, code = [], exit_codes.OK
-    for source, target in targets:
-        result = bake_file(source, target, options)
-        results.append(result)
+    state = recipe = None
+    if notes_at is not None:
+        from skinbake.commands.state import State
+        from skinbake.commands.state import recipe as recipe_of
+
+        state, recipe = State(notes_at), recipe_of("bake", options, notes_at)
+    jobs = [
+        BakeJob(
+            entry.source, target, state.known(recipe.key(target)) if state and recipe and target else None
+        )
+        if entry.missing is None
+        else BakeJob(entry.source, None, missing=entry.missing)
+        for entry, target in targets
+    ]
+    clock.imports_done()
+    turns = in_turns([entry for entry, _ in targets]) if given["out_dir"] else []
+    guess = (SECONDS_A_FILE, SECONDS_A_BYTE)
+    runner = chosen_runner(given, [entry.source for entry, _ in targets], turns, MODULES, guess)
+    totals, results, code = Totals(len(jobs), BAKE_OUTCOMES), list[FileResult](), exit_codes.OK
+    summary, notes = Summary(given["summary"], SCHEMA, say), Notes(state, say)
+
+    def tell(result: FileResult) -> None:
         say.notices(result.notices)
         if result.error is not None:
             say.error(result.error)
-            code = max(code, exit_codes.of_error(result.error))
         say.details(detail_lines(result))
         if not given["as_json"]:
             say.result(closing_line(result, dry_run=options.dry_run))
+
+    def begin(progress: Progress) -> Generator[FileResult, None, None]:
+        return each(runner, BakeWork(options, recipe, given["timings"]), jobs, progress, tell)
+
+    with outcomes(say, totals, clock, [summary, notes], begin) as found_out:
+        for result in found_out:
+            notes.add(result.record)
+            summary.file(file_json(result))
+            totals.add_baked(result)
+            if result.error is not None:
+                code = worst(code, result.error)
+            if given["as_json"]:
+                results.append(result)
+        code = max(code, exit_codes.OUTPUT if notes.failed else code)
+        summary.line(totals_json(totals, clock.working, schema=SCHEMA, exit_code=code))
+    code = max(code, exit_codes.OUTPUT if summary.failed else code)
+    if given["timings"]:
+        show_timings(say, totals, clock)
     if given["as_json"]:
-        say.document(as_json(results, exit_code=code, dry_run=options.dry_run))
+        spent = clock.process() if given["timings"] else None
+        say.document(as_json(results, exit_code=code, dry_run=options.dry_run, process=spent))
     sys.exit(code)
 
 
@@ -225,7 +284,7 @@ def _check_compression(given: dict[str, Any]) -> None:
         raise click.UsageError(f"--compress-level of meshopt is at most {HIGHEST_MESHOPT_LEVEL}")
 
 
-def _targets(inputs: tuple[str, ...], given: dict[str, Any]) -> list[tuple[str, str | None]]:
+def _targets(inputs: list[Input], given: dict[str, Any]) -> list[tuple[Input, str | None]]:
     """Return (input, output) pairs, or raise click.UsageError for a combination that makes no sense."""
     if given["alpha_name"] == given["beta_name"]:
         raise click.UsageError("--alpha-name and --beta-name must differ")
@@ -234,24 +293,20 @@ def _targets(inputs: tuple[str, ...], given: dict[str, Any]) -> list[tuple[str, 
     chosen = [name for name in ("output", "out_dir", "in_place") if given[name]]
     if len(chosen) > 1 or (not chosen and not given["dry_run"]):
         raise click.UsageError("give one of -o/--output, --out-dir and --in-place")
-    for source in inputs:
-        check_readable_suffix(source)
-    if inputs.count(STDIO) > 1:
-        raise click.UsageError("stdin can be read once only")
     if given["output"]:
         if len(inputs) > 1:
             raise click.UsageError("-o takes one input; use --out-dir for several")
         if given["output"] == STDIO and given["as_json"]:
             raise click.UsageError("stdout cannot take both the GLB and --json")
-        check_target(inputs[0], given["output"])
+        check_target(inputs[0].source, given["output"])
         return [(inputs[0], given["output"])]
     if given["in_place"]:
-        if STDIO in inputs:
+        if any(entry.source == STDIO for entry in inputs):
             raise click.UsageError("--in-place needs files")
-        return [(source, source) for source in dict.fromkeys(inputs)]
+        return [(entry, entry.source) for entry in once(inputs)]
     if given["out_dir"]:
-        return pair_up(inputs, Path(given["out_dir"]))
-    return [(source, None) for source in inputs]
+        return list(pair_up(inputs, Path(given["out_dir"])))
+    return [(entry, None) for entry in inputs]
 
 
 def _check_storage(given: dict[str, Any]) -> None:

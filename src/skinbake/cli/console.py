@@ -50,6 +50,16 @@ class Console:
             for line in lines:
                 _echo(line, err=True, color=self.color)
 
+    def note(self, line: str) -> None:
+        """Print a remark on stderr."""
+        if self.verbosity >= 0:
+            _echo(line, err=True, color=self.color)
+
+    def listing(self, lines: Iterable[str]) -> None:
+        """Print lines on stderr, whatever the verbosity."""
+        for line in lines:
+            _echo(line, err=True, color=self.color)
+
     def problems(self, problems: Iterable[Notice]) -> None:
         """Print what a check found wrong: errors, whatever the verbosity."""
         for problem in problems:

@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
+import os
+import struct
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
+if TYPE_CHECKING:
+    from skinbake.cli.inputs import Input
+
 STDIO = "-"
 SUFFIXES = (".glb", ".gltf", ".vrm")
+GLB_HEADERS = struct.Struct("<4sIIII")
+"""A GLB's header, and that of its first chunk, which is its JSON."""
 
 
 def check_readable_suffix(source: str) -> None:
@@ -38,17 +46,68 @@ def _same_file(first: str, second: str) -> bool:
         return False
 
 
-def pair_up(inputs: Sequence[str], folder: Path) -> list[tuple[str, str | None]]:
-    """Return each input with its place in ``folder``; click.UsageError where two would be the same."""
-    pairs: list[tuple[str, str | None]] = []
+def pair_up(inputs: Sequence[Input], folder: Path) -> list[tuple[Input, str]]:
+    """Return each input, once, with its place in ``folder``.
+
+    Raises click.UsageError where two would be the same, or one would be where another input is.
+    """
+    pairs: list[tuple[Input, str]] = []
     taken: dict[str, str] = {}
-    for source in dict.fromkeys(inputs):
+    found = _Found()
+    sources = {found.real(entry.source) for entry in inputs}
+    for entry in dict.fromkeys(inputs):
+        source = entry.source
         if source == STDIO:
             raise click.UsageError("--out-dir needs inputs that have a name; use -o for stdin")
-        name = Path(source).name
-        if name in taken:
-            raise click.UsageError(f"{taken[name]} and {source} would both become {folder / name}")
-        taken[name] = source
-        check_target(source, str(folder / name))
-        pairs.append((source, str(folder / name)))
+        target = str(folder / entry.kept)
+        if entry.missing is None:
+            if target in taken:
+                raise click.UsageError(f"{taken[target]} and {source} would both become {target}")
+            taken[target] = source
+            check_target(source, target)
+            if found.real(target) in sources:
+                raise click.UsageError(f"{target}, where {source} would be written, is an input too")
+        pairs.append((entry, target))
     return pairs
+
+
+def once(inputs: Sequence[Input]) -> list[Input]:
+    """Return the inputs without those that are another one's file by another name."""
+    return list({os.path.realpath(entry.source): entry for entry in reversed(inputs)}.values())[::-1]
+
+
+class _Found:
+    """Real paths, each folder's looked up once."""
+
+    def __init__(self) -> None:
+        self._folders: dict[str, str] = {}
+
+    def real(self, path: str) -> str:
+        folder, name = os.path.split(path)
+        if folder not in self._folders:
+            self._folders[folder] = os.path.realpath(folder)
+        return os.path.join(self._folders[folder], name)  # noqa: PTH118
+
+
+def in_turns(inputs: Sequence[Input]) -> list[int]:
+    """Return the numbers of the inputs whose files may meet in a folder of outputs, where order tells.
+
+    Files that documents name are copied beside them; what comes second to a name that is taken gets another.
+    Those of one tree keep their paths, and cannot meet others.
+    """
+    if len({os.path.realpath(entry.root) for entry in inputs}) < 2:
+        return []
+    return [number for number, entry in enumerate(inputs) if _names_files(entry.source)]
+
+
+def _names_files(source: str) -> bool:
+    """Tell whether a document may name other files; True where it cannot be told at a glance."""
+    if Path(source).suffix.lower() == ".gltf":
+        return True
+    try:
+        with Path(source).open("rb") as file:
+            head = file.read(GLB_HEADERS.size)
+            text = file.read(GLB_HEADERS.unpack(head)[3])
+    except (OSError, ValueError, struct.error):
+        return False  # nor can it be baked
+    return b'"uri"' in text or b"\\u" in text

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import sys
-import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Generator
 from pathlib import Path
 from typing import Any
 
@@ -13,11 +11,22 @@ import click
 
 from skinbake.cli import exit_codes
 from skinbake.cli.console import Console, console, finite, message_options
-from skinbake.cli.targets import STDIO, check_readable_suffix
+from skinbake.cli.inputs import expanded
+from skinbake.cli.many import (
+    Clock,
+    Notes,
+    Summary,
+    check_summary,
+    chosen_runner,
+    each,
+    many_options,
+    outcomes,
+    show_timings,
+    state_path,
+    worst,
+)
+from skinbake.cli.progress import Progress
 from skinbake.errors import OutputError, Place
-
-PROGRESS_AFTER = 2.0
-"""Seconds of work before a progress bar is shown."""
 
 
 def _poses(ctx: click.Context, param: click.Parameter, value: str) -> tuple[str, int | None]:
@@ -30,7 +39,7 @@ def _poses(ctx: click.Context, param: click.Parameter, value: str) -> tuple[str,
 
 
 @click.command("verify")
-@click.argument("inputs", nargs=-1, required=True, metavar="FILE...")
+@click.argument("inputs", nargs=-1, required=True, metavar="INPUT...")
 @click.option(
     "--method",
     "methods",
@@ -95,6 +104,7 @@ def _poses(ctx: click.Context, param: click.Parameter, value: str) -> tuple[str,
 @click.option("--warnings-as-errors", is_flag=True, help="Fail where there are warnings.")
 @click.option("--json", "as_json", is_flag=True, help="Print the results as JSON.")
 @click.option("--junit", metavar="FILE", help="Also write the results as JUnit XML.")
+@many_options
 @message_options
 def command(inputs: tuple[str, ...], **given: Any) -> None:
     """Check that files still carry the right α/β, and measure what they are worth.
@@ -102,36 +112,71 @@ def command(inputs: tuple[str, ...], **given: Any) -> None:
     Structure: α/β and metadata are there and whole. Freshness: nothing that α/β depend on was changed since
     the bake, and an independent computation gives the same α/β. Lighting: how far the normals of each
     algorithm are from the true ones, in degrees, in the file's own animations. Limits apply to the accurate
-    lighting of each --method asked for (LBS otherwise). FILE may be - for a GLB on stdin.
+    lighting of each --method asked for (LBS otherwise). INPUT is a .glb, .gltf or .vrm file, or - for a GLB
+    on stdin; a folder, for all such files below it; or a quoted pattern like 'build/**/*.glb'.
     """
-    for source in inputs:
-        check_readable_suffix(source)
-    if inputs.count(STDIO) > 1:
-        raise click.UsageError("stdin can be read once only")
+    clock = Clock()
+    found = expanded(inputs)
+    notes_at = state_path(given)
+    check_summary(given)
     say = console(verbose=given["verbose"], quiet=given["quiet"], color=given["color"])
-    from skinbake.commands.verify import verify_file
-    from skinbake.report.verify import as_json, as_junit, as_text
+    from skinbake.commands.batch_verify import MODULES, SECONDS_A_BYTE, SECONDS_A_FILE, VerifyJob, VerifyWork
+    from skinbake.report.totals import VERIFY_OUTCOMES, Totals, totals_json
+    from skinbake.report.verify import SCHEMA, FileVerdict, as_json, as_junit, as_text, file_json
 
     options = _options(given)
-    verdicts, code = [], exit_codes.OK
-    with _progress(say) as progress:
-        for source in inputs:
-            verdict = verify_file(source, options, progress)
-            verdicts.append(verdict)
-    for verdict in verdicts:
+    state = recipe = None
+    if notes_at is not None:
+        from skinbake.commands.state import State
+        from skinbake.commands.state import recipe as recipe_of
+
+        state, recipe = State(notes_at), recipe_of("verify", options, notes_at)
+    jobs = [
+        VerifyJob(
+            entry.source, state.known(recipe.key(entry.source)) if state and recipe else None, entry.missing
+        )
+        for entry in found
+    ]
+    clock.imports_done()
+    runner = chosen_runner(
+        given, [entry.source for entry in found], [], MODULES, (SECONDS_A_FILE, SECONDS_A_BYTE)
+    )
+    totals, verdicts, code = Totals(len(jobs), VERIFY_OUTCOMES), list[FileVerdict](), exit_codes.OK
+    summary, notes = Summary(given["summary"], SCHEMA, say), Notes(state, say)
+
+    def tell(verdict: FileVerdict) -> None:
         say.notices(verdict.notices)
         say.problems(problem for check in verdict.checks for problem in check.problems)
         if verdict.error is not None:
             say.error(verdict.error)
-            code = max(code, exit_codes.of_error(verdict.error))
-        elif not verdict.passed:
-            code = max(code, exit_codes.VERIFICATION)
         if not given["as_json"]:
             say.result(as_text(verdict))
-    if given["junit"]:
-        code = max(code, _write(given["junit"], as_junit(verdicts), say))
+
+    def begin(progress: Progress) -> Generator[FileVerdict, None, None]:
+        work = VerifyWork(options, recipe, given["timings"], progress.step if len(jobs) == 1 else None)
+        return each(runner, work, jobs, progress, tell)
+
+    with outcomes(say, totals, clock, [summary, notes], begin) as found_out:
+        for verdict in found_out:
+            notes.add(verdict.record)
+            summary.file(file_json(verdict))
+            totals.add_verified(verdict)
+            if verdict.error is not None:
+                code = worst(code, verdict.error)
+            elif not verdict.passed:
+                code = max(code, exit_codes.VERIFICATION)
+            if given["as_json"] or given["junit"]:
+                verdicts.append(verdict)
+        if given["junit"]:
+            code = max(code, _write(given["junit"], as_junit(verdicts), say))
+        code = max(code, exit_codes.OUTPUT if notes.failed else code)
+        summary.line(totals_json(totals, clock.working, schema=SCHEMA, exit_code=code))
+    code = max(code, exit_codes.OUTPUT if summary.failed else code)
+    if given["timings"]:
+        show_timings(say, totals, clock)
     if given["as_json"]:
-        say.document(as_json(verdicts, exit_code=code))
+        spent = clock.process() if given["timings"] else None
+        say.document(as_json(verdicts, exit_code=code, process=spent))
     sys.exit(code)
 
 
@@ -165,37 +210,3 @@ def _write(path: str, text: str, say: Console) -> int:
         say.error(OutputError(f"cannot be written: {error.strerror}", Place(path)))
         return exit_codes.OUTPUT
     return exit_codes.OK
-
-
-@contextmanager
-def _progress(say: Console) -> Iterator[Callable[[str, int, int], None]]:
-    """Yield a callback that shows a bar once the work has taken some time, where stderr is a terminal."""
-    started = time.monotonic()
-    bar: Any = None
-    tasks: dict[str, Any] = {}
-
-    def advance(what: str, done: int, total: int) -> None:
-        nonlocal bar
-        if bar is None and (say.verbosity < 0 or time.monotonic() - started < PROGRESS_AFTER):
-            return
-        if bar is None:
-            from rich.console import Console as RichConsole
-            from rich.progress import Progress
-
-            stderr = RichConsole(stderr=True, no_color=say.color is False)
-            bar = Progress(console=stderr, transient=True, disable=not stderr.is_terminal)
-            bar.start()
-        if what not in tasks:
-            from pathlib import PurePath
-
-            from rich.markup import escape
-
-            # A whole path would leave no room for the bar.
-            tasks[what] = bar.add_task(escape(PurePath(what).name))
-        bar.update(tasks[what], completed=done, total=total)
-
-    try:
-        yield advance
-    finally:
-        if bar is not None:
-            bar.stop()

@@ -23,7 +23,7 @@ from skinbake.gltf.document import STDIO, Document, read_document
 from skinbake.gltf.encodings import Encoding
 from skinbake.gltf.json_access import JsonObject
 from skinbake.gltf.layouts import Storage
-from skinbake.gltf.output import plan_output, refuse_own_input
+from skinbake.gltf.output import PlannedOutput, plan_output, refuse_own_input
 from skinbake.gltf.primitives import (
     PrimitiveSource,
     read_primitive,
@@ -47,7 +47,8 @@ WELD_MESH, WELD_SKIN = "mesh", "skin"
 class BakeOptions:
     """The options of ``skinbake bake`` that do not name files.
 
-    weld is ``mesh`` or ``skin``; limit_influences a multiple of 4, or None.
+    weld is ``mesh`` or ``skin``; limit_influences a multiple of 4, or None; traced asks for
+    digests of what is written.
     """
 
     settings: BakeSettings = field(default_factory=BakeSettings)
@@ -60,6 +61,7 @@ class BakeOptions:
     storage: Storage = field(default_factory=Storage)
     dry_run: bool = False
     make_folder: bool = False
+    traced: bool = False
     compression: Compression = field(default_factory=Compression)
 
 
@@ -114,7 +116,16 @@ def _bake_file(source: str, target: str | None, options: BakeOptions, notices: l
         with stage("write"):
             planned.write()
     status: Status = "baked" if primitives else "unchanged"
-    return FileResult(source, target, status, tuple(primitives), skipped, tuple(notices), encoding=encoding)
+    written = _digests(planned) if options.traced else None
+    return FileResult(
+        source, target, status, tuple(primitives), skipped, tuple(notices), encoding=encoding, written=written
+    )
+
+
+def _digests(planned: PlannedOutput | None) -> dict[str, str]:
+    from skinbake.commands.state import digests_of  # for --skip-unchanged only
+
+    return {} if planned is None else digests_of(planned.files)
 
 
 def _encoding(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import secrets
+import signal
 import stat
 import sys
 from collections.abc import Iterator, Mapping, Sequence
@@ -124,7 +125,8 @@ def _write_stdout(pieces: Sequence[Bytes]) -> None:
 
 
 def _check_target(path: Path, target: str, *, make_folder: bool) -> None:
-    if not path.parent.is_dir() and not (make_folder and not os.path.lexists(path.parent)):
+    there = os.path.lexists(path.parent)  # asked first: another process may be about to make it
+    if not (path.parent.is_dir() if there else make_folder):
         raise OutputError("its folder does not exist", Place(target))
     if path.is_symlink() or (path.exists() and not path.is_file()):
         raise OutputError("it exists and is not a regular file", Place(target))
@@ -241,14 +243,32 @@ def _write_files(files: dict[Path, Sequence[Bytes]], target: str) -> None:
             for path, pieces in files.items():
                 _make_folders(path.parent, folders)
                 temporary.append(_write_temporary(path, pieces))
-            for path, name in zip(files, temporary, strict=True):
-                is_new = not path.exists()
-                name.replace(path)
-                if is_new:
-                    created.append(path)
-            created.clear()  # from here on an interrupt no longer undoes anything
+            with _interrupts_put_off():
+                for path, name in zip(files, temporary, strict=True):
+                    is_new = not path.exists()
+                    name.replace(path)
+                    if is_new:
+                        created.append(path)
+                created.clear()  # from here on an interrupt no longer undoes anything
         except OSError as error:
             raise OutputError(f"cannot be written: {error.strerror or error}", Place(target)) from error
+
+
+@contextmanager
+def _interrupts_put_off() -> Iterator[None]:
+    """Let Ctrl-C wait until all files have their names.
+
+    Taking back a file that is needed beside several targets would spoil those that another process has
+    finished meanwhile.
+    """
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 @contextmanager
@@ -275,8 +295,9 @@ def _make_folders(folder: Path, made: list[Path]) -> None:
         missing.append(folder)
         folder = folder.parent
     for path in reversed(missing):
-        path.mkdir()
-        made.append(path)
+        with suppress(FileExistsError):  # another process was faster
+            path.mkdir()
+            made.append(path)
 
 
 def _write_temporary(path: Path, pieces: Sequence[Bytes]) -> Path:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
@@ -14,7 +14,9 @@ SCHEMA = "skinbake.bake/1"
 SEEN = 0.0001
 """Degrees below which nobody asks how many."""
 
-Status = Literal["baked", "unchanged", "failed"]
+Status = Literal["baked", "unchanged", "up-to-date", "failed"]
+"""``unchanged``: passed through, nothing in it can be baked. ``up-to-date``: not baked again, it would be the
+same."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,6 +90,8 @@ class FileResult:
 
     output is None where nothing was to be written. skipped counts the skinned primitives that were left
     out, error says why a file failed, encoding how α and β are stored (None where nothing was baked).
+    written has digests of the files that were written, by path, where that was asked for, record what a
+    state file is to hold of it. timings are seconds by stage, None where nobody asked.
     """
 
     input: str
@@ -98,6 +102,9 @@ class FileResult:
     notices: tuple[Notice, ...] = ()
     error: SkinbakeError | None = None
     encoding: EncodingCost | None = None
+    written: dict[str, str] | None = None
+    record: bytes | None = None
+    timings: dict[str, float] | None = None
 
 
 def closing_line(result: FileResult, *, dry_run: bool) -> str:
@@ -107,6 +114,8 @@ def closing_line(result: FileResult, *, dry_run: bool) -> str:
         where = f"{result.input} (dry run)"
     if result.status == "failed":
         return f"{result.input}: failed, nothing written"
+    if result.status == "up-to-date":
+        return f"{where}: up to date"
     counts = [count for _, count in result.primitives]
     parts = [f"{result.status}: {_baked(counts)}" if counts else result.status]
     parts += _encoding_text(result.encoding, counts)
@@ -191,27 +200,38 @@ def _lost(counts: Sequence[BakedCounts]) -> float:
     return sum(count.lost_gradient * count.gradient for count in counts) / whole if whole else 0.0
 
 
-def as_json(results: Sequence[FileResult], *, exit_code: int, dry_run: bool) -> dict[str, Any]:
-    """Return the results as one JSON object; CONVENTIONS.md documents its members."""
+def as_json(
+    results: Sequence[FileResult],
+    *,
+    exit_code: int,
+    dry_run: bool,
+    process: Mapping[str, float | None] | None = None,
+) -> dict[str, Any]:
+    """Return the results as one JSON object; CONVENTIONS.md documents its members.
+
+    process is how the seconds of the whole process were spent, None where nobody asked.
+    """
     return {
         "schema": SCHEMA,
         "dry_run": dry_run,
         "exit_code": exit_code,
-        "files": [
-            {
-                "input": result.input,
-                "output": result.output,
-                "status": result.status,
-                "skipped": result.skipped,
-                "primitives": [
-                    {**place_fields(place), **asdict(counts)} for place, counts in result.primitives
-                ],
-                "warnings": notice_list(result.notices),
-                "encoding": None if result.encoding is None else _encoding_json(result.encoding),
-                "error": error_fields(result.error),
-            }
-            for result in results
-        ],
+        **({} if process is None else {"timings": dict(process)}),
+        "files": [file_json(result) for result in results],
+    }
+
+
+def file_json(result: FileResult) -> dict[str, Any]:
+    """Return what became of one file as a JSON object."""
+    return {
+        "input": result.input,
+        "output": result.output,
+        "status": result.status,
+        "skipped": result.skipped,
+        "primitives": [{**place_fields(place), **asdict(counts)} for place, counts in result.primitives],
+        "warnings": notice_list(result.notices),
+        "encoding": None if result.encoding is None else _encoding_json(result.encoding),
+        "error": error_fields(result.error),
+        **({} if result.timings is None else {"timings": result.timings}),
     }
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 from xml.etree import ElementTree
@@ -86,7 +86,9 @@ class FileVerdict:
     """What verify says of one file.
 
     poses describes what the lighting was measured over. without_dqs says why dual quaternions were left out,
-    None where they were not. morphs is None where no baked mesh has morph targets.
+    None where they were not. morphs is None where no baked mesh has morph targets. up_to_date: it was not
+    verified again, having passed as it is; record is what a state file is to hold of it. timings are seconds
+    by stage, None where nobody asked.
     """
 
     input: str
@@ -98,6 +100,9 @@ class FileVerdict:
     morphs: MorphCount | None = None
     notices: tuple[Notice, ...] = ()
     error: SkinbakeError | None = None
+    up_to_date: bool = False
+    record: bytes | None = None
+    timings: dict[str, float] | None = None
 
     @property
     def passed(self) -> bool:
@@ -114,6 +119,8 @@ def gain(figures: dict[str, ErrorFigures]) -> float | None:
 
 def as_text(verdict: FileVerdict) -> str:
     """Return the verdict as a short aligned table."""
+    if verdict.up_to_date:
+        return f"{verdict.input}: passed before, up to date"
     lines = [f"{verdict.input}: {'passed' if verdict.passed else 'FAILED'}"]
     width = max((len(check.name) for check in verdict.checks), default=0)
     for check in verdict.checks:
@@ -149,39 +156,49 @@ def _where(worst: Worst) -> str:
     return f"{worst.place.within_file}, vertex {worst.vertex}, {when}"
 
 
-def as_json(verdicts: Sequence[FileVerdict], *, exit_code: int) -> dict[str, Any]:
-    """Return the verdicts as one JSON object; CONVENTIONS.md documents its members."""
+def as_json(
+    verdicts: Sequence[FileVerdict], *, exit_code: int, process: Mapping[str, float | None] | None = None
+) -> dict[str, Any]:
+    """Return the verdicts as one JSON object; CONVENTIONS.md documents its members.
+
+    process is how the seconds of the whole process were spent, None where nobody asked.
+    """
     return {
         "schema": SCHEMA,
         "exit_code": exit_code,
-        "files": [
+        **({} if process is None else {"timings": dict(process)}),
+        "files": [file_json(verdict) for verdict in verdicts],
+    }
+
+
+def file_json(verdict: FileVerdict) -> dict[str, Any]:
+    """Return what verify says of one file as a JSON object."""
+    return {
+        "input": verdict.input,
+        "passed": verdict.passed,
+        "up_to_date": verdict.up_to_date,
+        "checks": [
             {
-                "input": verdict.input,
-                "passed": verdict.passed,
-                "checks": [
-                    {
-                        "name": check.name,
-                        "outcome": check.outcome,
-                        "remark": check.remark,
-                        "problems": notice_list(check.problems),
-                    }
-                    for check in verdict.checks
-                ],
-                "poses": verdict.poses or None,
-                "morphs": None
-                if verdict.morphs is None
-                else {"targets": verdict.morphs.targets, "moving": verdict.morphs.moving},
-                "normals": None if verdict.normals is None else _normals_json(verdict.normals),
-                "primitives": [
-                    {**place_fields(place), "normals": _normals_json(normals)}
-                    for place, normals in verdict.primitives
-                ],
-                "without_dqs": verdict.without_dqs,
-                "warnings": notice_list(verdict.notices),
-                "error": error_fields(verdict.error),
+                "name": check.name,
+                "outcome": check.outcome,
+                "remark": check.remark,
+                "problems": notice_list(check.problems),
             }
-            for verdict in verdicts
+            for check in verdict.checks
         ],
+        "poses": verdict.poses or None,
+        "morphs": None
+        if verdict.morphs is None
+        else {"targets": verdict.morphs.targets, "moving": verdict.morphs.moving},
+        "normals": None if verdict.normals is None else _normals_json(verdict.normals),
+        "primitives": [
+            {**place_fields(place), "normals": _normals_json(normals)}
+            for place, normals in verdict.primitives
+        ],
+        "without_dqs": verdict.without_dqs,
+        "warnings": notice_list(verdict.notices),
+        "error": error_fields(verdict.error),
+        **({} if verdict.timings is None else {"timings": verdict.timings}),
     }
 
 

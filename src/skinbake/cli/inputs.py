@@ -1,0 +1,151 @@
+"""Which files the arguments mean: files themselves, folders, and patterns that the shell has left alone."""
+
+from __future__ import annotations
+
+import fnmatch
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import click
+
+from skinbake.cli.targets import STDIO, SUFFIXES, check_readable_suffix
+
+MAGIC = frozenset("*?[")
+ANY_FOLDERS = "**"
+
+
+@dataclass(frozen=True, slots=True)
+class Input:
+    """A file to read, and the part of its name that is kept in a folder of outputs.
+
+    That is relative to the folder that it was found in; its own name, for a file that was named itself. An
+    argument that stands for no file is an input too, and says in ``missing`` what is wrong with it.
+    """
+
+    source: str
+    kept: str
+    missing: str | None = None
+
+    @property
+    def root(self) -> str:
+        """The folder that ``kept`` starts at."""
+        return self.source[: len(self.source) - len(self.kept)] if self.source.endswith(self.kept) else ""
+
+
+def expanded(arguments: Sequence[str], *, but: str | None = None) -> list[Input]:
+    """Return the files that the arguments mean, in order; those of a folder sorted by path.
+
+    One that several searches find is there once. ``but`` is a folder not to look into, unless it is where a
+    search begins: that of the outputs. Hidden files and folders, and linked folders, are passed over. An
+    argument that names something that exists is no pattern, whatever its characters. Raises click.UsageError
+    for a file whose name says nothing, and where stdin is to be read twice.
+    """
+    if list(arguments).count(STDIO) > 1:
+        raise click.UsageError("stdin can be read once only")
+    search = _Search(_identity(but) if but else None)
+    found: list[Input] = []
+    seen: set[tuple[str, str]] = set()
+    for argument in arguments:
+        for entry in search.meant(argument):
+            if entry.source == argument or (entry.source, entry.kept) not in seen:
+                found.append(entry)
+                seen.add((entry.source, entry.kept))
+    return found
+
+
+class _Search:
+    """A search that leaves one folder out, and remembers which it could not open."""
+
+    def __init__(self, left_out: tuple[int, int] | None) -> None:
+        self._left_out = left_out
+        self._closed: list[Input] = []
+
+    def meant(self, argument: str) -> list[Input]:
+        """Return what an argument means."""
+        if argument == STDIO:
+            return [Input(argument, argument)]
+        if os.path.isdir(argument):
+            return self._found(argument, argument, (ANY_FOLDERS, "*"), "nothing in this folder")
+        if MAGIC.isdisjoint(argument) or os.path.lexists(argument):
+            check_readable_suffix(argument)
+            return [Input(argument, os.path.basename(argument))]
+        fixed, pattern = _split(argument)
+        return self._found(argument, fixed, pattern, "no file that matches this pattern")
+
+    def _found(self, argument: str, folder: str, pattern: Sequence[str], nothing: str) -> list[Input]:
+        self._closed.clear()
+        paths = sorted(set(self._files(folder or os.curdir, pattern)), key=_by_parts)
+        entries = [Input(os.path.join(folder, path), path) for path in paths]
+        entries += self._closed
+        return entries or [Input(argument, argument, f"{nothing} ends in {', '.join(SUFFIXES)}")]
+
+    def _files(self, folder: str, pattern: Sequence[str]) -> Iterator[str]:
+        """Yield the glTF files below a folder that match, relative to it, in any order, maybe repeatedly."""
+        head, *rest = pattern
+        if head == ANY_FOLDERS:
+            yield from self._files(folder, rest or ("*",))
+        elif not rest:
+            for entry in self._entries(folder):
+                if _matches(entry.name, head) and entry.name.lower().endswith(SUFFIXES) and entry.is_file():
+                    yield entry.name
+            return
+        elif MAGIC.isdisjoint(head):
+            inside = os.path.join(folder, head)
+            if self._left_out is None or _identity(inside) != self._left_out:
+                yield from (os.path.join(head, path) for path in self._files(inside, rest))
+            return
+        for entry in self._entries(folder):
+            if not self._is_folder(entry):
+                continue
+            if head == ANY_FOLDERS:
+                inner: Sequence[str] = () if entry.name.startswith(".") else pattern
+            else:
+                inner = rest if _matches(entry.name, head) else ()
+            if inner:
+                for path in self._files(entry.path, inner):
+                    yield os.path.join(entry.name, path)
+
+    def _entries(self, folder: str) -> list[os.DirEntry[str]]:
+        try:
+            with os.scandir(folder) as entries:
+                return list(entries)
+        except (FileNotFoundError, NotADirectoryError):
+            return []
+        except (OSError, ValueError) as error:
+            reason = getattr(error, "strerror", None) or error
+            closed = Input(folder, folder, f"this folder cannot be read: {reason}")
+            if closed not in self._closed:
+                self._closed.append(closed)
+            return []
+
+    def _is_folder(self, entry: os.DirEntry[str]) -> bool:
+        if not entry.is_dir(follow_symlinks=False):
+            return False
+        return self._left_out is None or _identity(entry.path) != self._left_out
+
+
+def _split(argument: str) -> tuple[str, tuple[str, ...]]:
+    """Return a pattern's folder without wildcards, empty for the current one, and its parts from there on."""
+    parts = Path(argument).parts
+    first = next(n for n, part in enumerate(parts) if not MAGIC.isdisjoint(part))
+    return str(Path(*parts[:first])) if first else "", parts[first:]
+
+
+def _matches(name: str, pattern: str) -> bool:
+    """Tell whether a name matches; a hidden one does where the pattern begins with the dot too."""
+    return fnmatch.fnmatch(name, pattern) and (not name.startswith(".") or pattern.startswith("."))
+
+
+def _identity(folder: str) -> tuple[int, int] | None:
+    """Return what tells a folder from all others, None where there is none."""
+    try:
+        found = os.stat(folder)
+    except (OSError, ValueError):
+        return None
+    return found.st_dev, found.st_ino
+
+
+def _by_parts(path: str) -> list[str]:
+    return path.split(os.sep)

@@ -1,0 +1,83 @@
+"""Baking as work on many files."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from skinbake.commands import state
+from skinbake.commands.bake import BakeOptions, bake_file
+from skinbake.commands.batch import timed
+from skinbake.errors import InputError, Place
+from skinbake.gltf.document import STDIO
+from skinbake.report.bake import FileResult
+
+MODULES = ("skinbake.cli.main", "skinbake.commands.batch_bake")
+"""What a worker needs, to be imported before it starts."""
+
+SECONDS_A_FILE, SECONDS_A_BYTE = 5e-3, 3e-8
+"""What baking a file takes, about: enough to know whether workers are worth starting."""
+
+
+@dataclass(frozen=True, slots=True)
+class BakeJob:
+    """One file to bake; known is what a state file has on it, missing why there is none after all."""
+
+    source: str
+    target: str | None
+    known: bytes | None = None
+    missing: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class BakeWork:
+    """Bakes a file, unless ``recipe`` is given and what is known of the file says that it is up to date."""
+
+    options: BakeOptions
+    recipe: state.Recipe | None = None
+    timed: bool = False
+
+    def __call__(self, job: BakeJob) -> FileResult:
+        """Return what became of the file."""
+        if not self.timed:
+            return self._done(job)
+        result, timings = timed(lambda: self._done(job))
+        return replace(result, timings=timings)
+
+    def lost(self, job: BakeJob, reason: str) -> FileResult:
+        """Return that the file failed."""
+        return _failed(job, f"not baked: {reason}")
+
+    def _done(self, job: BakeJob) -> FileResult:
+        if job.missing is not None:
+            return _failed(job, job.missing)
+        if self.recipe is None or job.target is None or STDIO in {job.source, job.target}:
+            return bake_file(job.source, job.target, self.options)
+        if job.known is not None and self.recipe.still_holds(job.known, job.source, job.target):
+            return FileResult(job.source, job.target, "up-to-date")
+        before = state.seen(job.source)
+        result = bake_file(job.source, job.target, replace(self.options, traced=True))
+        if before is None or result.error is not None or self.options.dry_run:
+            return result
+        return replace(result, record=self._record(job, before, result.written or {}))
+
+    def _record(self, job: BakeJob, before: state.Seen, written: dict[str, str]) -> bytes | None:
+        """Return what to note of a file that was just baked, None where anything casts doubt on it."""
+        if self.recipe is None or job.target is None:
+            return None
+        try:
+            if job.source == job.target:  # baking what was baked changes nothing: it is its own input
+                after = state.made(job.target, written, before.digests) if written else before.digests
+                unharmed = bool(written) or before.still_there
+                return (
+                    self.recipe.record(job.source, job.target, after, after) if after and unharmed else None
+                )
+            made = state.made(job.target, written, before.digests)
+            if made is None or not before.still_there:
+                return None
+            return self.recipe.record(job.source, job.target, before.digests, made)
+        except (OSError, ValueError):
+            return None
+
+
+def _failed(job: BakeJob, reason: str) -> FileResult:
+    return FileResult(job.source, job.target, "failed", error=InputError(reason, Place(job.source)))

@@ -1,0 +1,327 @@
+"""Work on many files in several processes, of which any may die without harm to the others' files.
+
+``concurrent.futures`` would not do: when a worker of its pool dies, it cannot tell on which job, and ends
+all the others in the middle of theirs. Here each worker has a pipe of its own.
+"""
+
+from __future__ import annotations
+
+import logging
+import multiprocessing
+import os
+import signal
+import sys
+import threading
+import time
+from collections import deque
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from multiprocessing import resource_tracker
+from multiprocessing.connection import Connection, wait
+from multiprocessing.process import BaseProcess
+from typing import Any
+
+from skinbake.commands.batch import Work
+from skinbake.errors import SkinbakeError
+
+logger = logging.getLogger(__name__)
+
+WINDOW = 4096
+"""Jobs that may be done ahead of one that takes long: their results wait in memory."""
+
+QUICK = 0.05
+"""Seconds: a worker that takes less for a job is sent the next one before it asks."""
+
+PATIENCE = 10.0
+"""Seconds that a worker is given to tidy up after it was told to stop."""
+
+ATTEMPTS = 2
+"""How often a job is tried whose worker dies."""
+
+ENVIRONMENT = {
+    **dict.fromkeys(
+        ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"), "1"
+    ),
+    "MALLOC_MMAP_THRESHOLD_": str(16 << 20),
+    "MALLOC_TRIM_THRESHOLD_": str(64 << 20),
+}
+"""What a worker finds in its environment where the user has not said otherwise.
+
+One thread for linear algebra: the processes are the parallelism. And memory that is kept from one file to
+the next (by glibc): faulting in fresh pages for each file's arrays is a quarter of the work on small files.
+"""
+
+
+def usable_cores() -> int:
+    """Return how many cores this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+@dataclass(eq=False, slots=True)
+class _Worker:
+    """A process, this end of its pipe, and the jobs that it was sent, the one at work first."""
+
+    process: BaseProcess
+    connection: Connection
+    sent: deque[int] = field(default_factory=deque)
+    is_quick: bool = False
+    is_warm: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Processes:
+    """A runner with ``workers`` processes of its own.
+
+    ``modules`` are imported before workers are, where they are forks of one process: once for all.
+    A worker that dies costs nobody else's work. Its job is tried again while no other runs, in case
+    it was memory that they lacked together.
+    """
+
+    workers: int
+    modules: Sequence[str] = ()
+
+    def run(self, work: Work, jobs: Sequence[Any]) -> Iterator[tuple[int, Any]]:
+        """Yield (number, ``work(job)``) as jobs are done; raises SkinbakeError where no worker starts.
+
+        Closing the iterator, or an interrupt, ends the workers at once: what they had begun is undone.
+        """
+        pool = _Pool(self, work, jobs)
+        try:
+            yield from pool.results()
+        finally:
+            pool.stop()
+
+
+class _Pool:
+    """The workers of one run, and which job is where."""
+
+    def __init__(self, runner: Processes, work: Work, jobs: Sequence[Any]) -> None:
+        self._work, self._jobs = work, jobs
+        self._size = min(runner.workers, len(jobs))
+        self._context = _context(runner.modules)
+        self._workers: list[_Worker] = []
+        self._next = 0
+        self._back: deque[int] = deque()
+        self._suspects: deque[int] = deque()
+        self._deaths: dict[int, int] = {}
+        self._unfinished = len(jobs)
+        self._done_ahead: set[int] = set()
+        self._oldest = 0
+        self._stillborn = 0
+
+    def results(self) -> Iterator[tuple[int, Any]]:
+        while self._unfinished:
+            self._hand_out()
+            for connection in wait([worker.connection for worker in self._workers]):
+                worker = next(w for w in self._workers if w.connection is connection)
+                try:
+                    message = worker.connection.recv()
+                except (EOFError, OSError):
+                    yield from self._bury(worker)
+                    continue
+                worker.is_warm, self._stillborn = True, 0
+                if message is not None:
+                    finished = self._finished(worker, *message)
+                    self._hand_out()  # nobody is to wait for who takes the result
+                    yield finished
+
+    def stop(self) -> None:
+        """End all workers: the idle ones see their pipe close, the busy ones are told to."""
+        with _no_interrupts():
+            for worker in self._workers:
+                if worker.sent:
+                    worker.process.terminate()
+                worker.connection.close()
+            for worker in self._workers:
+                worker.process.join(PATIENCE)
+                if worker.process.is_alive():
+                    worker.process.kill()
+                    worker.process.join()
+            self._workers.clear()
+
+    def _hand_out(self) -> None:
+        """Start the workers that are missing, and send jobs to those that have too few."""
+        while len(self._workers) < min(self._size, self._unfinished):
+            self._workers.append(_started(self._context, self._work))
+        if self._suspects:  # tried again alone
+            if not any(worker.sent for worker in self._workers):
+                self._send(self._workers[0], self._suspects.popleft())
+            return
+        if any(self._deaths.get(number) for worker in self._workers for number in worker.sent):
+            return
+        for depth in (1, 2):
+            for worker in self._workers:
+                if len(worker.sent) < depth and (depth == 1 or worker.is_quick):
+                    number = self._take()
+                    if number is None:
+                        return
+                    self._send(worker, number)
+
+    def _take(self) -> int | None:
+        if self._back:
+            return self._back.popleft()
+        if self._next == len(self._jobs) or self._next >= self._oldest + WINDOW:
+            return None
+        self._next += 1
+        return self._next - 1
+
+    def _send(self, worker: _Worker, number: int) -> None:
+        worker.sent.append(number)
+        with suppress(OSError):  # it has died: its pipe says so next
+            worker.connection.send((number, self._jobs[number]))
+
+    def _finished(self, worker: _Worker, number: int, result: Any, seconds: float) -> tuple[int, Any]:
+        worker.sent.remove(number)
+        worker.is_quick = seconds < QUICK
+        self._close_file(number)
+        return number, result
+
+    def _close_file(self, number: int) -> None:
+        self._unfinished -= 1
+        self._done_ahead.add(number)
+        while self._oldest in self._done_ahead:
+            self._done_ahead.remove(self._oldest)
+            self._oldest += 1
+
+    def _bury(self, worker: _Worker) -> Iterator[tuple[int, Any]]:
+        """Take a dead worker out; its job is suspected, or yielded as lost, and the others go back."""
+        self._workers.remove(worker)
+        worker.connection.close()
+        worker.process.join(PATIENCE)
+        how = _cause_of_death(worker.process)
+        if not worker.is_warm:
+            self._stillborn += 1
+            if self._stillborn >= ATTEMPTS * self._size:
+                raise SkinbakeError(f"worker processes cannot be started ({how}): try --jobs 1")
+            self._back.extendleft(reversed(worker.sent))
+            return
+        if not worker.sent:
+            return
+        number, *rest = worker.sent
+        self._back.extendleft(reversed(rest))
+        deaths = self._deaths[number] = self._deaths.get(number, 0) + 1
+        if deaths < ATTEMPTS:
+            self._suspects.append(number)
+            return
+        self._close_file(number)
+        reason = f"the process that worked on it died, and so did a second one by itself ({how})"
+        yield number, self._work.lost(self._jobs[number], reason)
+
+
+def _cause_of_death(process: BaseProcess) -> str:
+    code = process.exitcode
+    if code is None or code >= 0:
+        return f"exit code {code}"
+    name = signal.Signals(-code).name if -code in set(signal.Signals) else f"signal {-code}"
+    return f"{name}; is there too little memory?" if name == "SIGKILL" else name
+
+
+def _context(modules: Sequence[str]) -> Any:
+    """Return how processes are started: as forks of a server that has done the imports, or afresh.
+
+    Never as forks of this process, which may have threads by then.
+    """
+    if sys.platform != "linux":
+        return multiprocessing.get_context("spawn")
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(list(modules))
+    return context
+
+
+def _started(context: Any, work: Work) -> _Worker:
+    here, there = context.Pipe()
+    with _quiet_start():
+        process = context.Process(
+            target=_serve, args=(there, work, logging.getLogger().level, _handles_logs()), daemon=True
+        )
+        process.start()
+    there.close()
+    return _Worker(process, here)
+
+
+def _handles_logs() -> bool:
+    return bool(logging.getLogger().handlers)
+
+
+@contextmanager
+def _quiet_start() -> Iterator[None]:
+    """Have processes that start here find their environment, and be deaf to Ctrl-C until they are ready."""
+    if sys.platform != "win32":
+        resource_tracker.ensure_running()  # it lifts the block when it starts
+    missing = {name: value for name, value in ENVIRONMENT.items() if name not in os.environ}
+    os.environ.update(missing)
+    try:
+        with _no_interrupts():
+            yield
+    finally:
+        for name in missing:
+            os.environ.pop(name, None)
+
+
+@contextmanager
+def _no_interrupts() -> Iterator[None]:
+    """Put Ctrl-C off until the block is done."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _serve(connection: Connection, work: Work, level: int, logs: bool) -> None:
+    """Do jobs as they come, until the pipe is closed or a signal says stop; the main of a worker."""
+    stopped = threading.Event()
+    try:
+        _hear_signals(stopped)
+        if logs:
+            logging.basicConfig(level=level, format="%(name)s: %(message)s")
+        connection.send(None)
+        while not stopped.is_set():
+            number, job = connection.recv()
+            start = time.perf_counter()
+            result = _result(work, job)
+            if not stopped.is_set():  # an interrupt may have come out as another exception
+                _send(connection, work, job, (number, result, time.perf_counter() - start))
+    except (EOFError, OSError, KeyboardInterrupt):
+        pass  # the other end is gone, or we are to go
+
+
+def _result(work: Work, job: Any) -> Any:
+    try:
+        return work(job)
+    except Exception as error:  # a defect of ours: the other files must not suffer from it
+        logger.debug("where it failed", exc_info=True)
+        return work.lost(job, _defect(error))
+
+
+def _send(connection: Connection, work: Work, job: Any, message: tuple[int, Any, float]) -> None:
+    try:
+        connection.send(message)
+    except OSError:
+        raise
+    except Exception as error:  # it cannot be pickled: a defect of ours too
+        connection.send((message[0], work.lost(job, _defect(error)), message[2]))
+
+
+def _defect(error: Exception) -> str:
+    return f"skinbake failed where it should not: {type(error).__name__}: {error}"
+
+
+def _hear_signals(stopped: threading.Event) -> None:
+    """Let SIGINT and SIGTERM end the work like Ctrl-C: whatever was begun is undone on the way out."""
+
+    def stop(signum: int, frame: object) -> None:
+        if not stopped.is_set():  # a second one must not disturb the tidying up
+            stopped.set()
+            raise KeyboardInterrupt
+
+    signal.signal(signal.SIGINT, stop)
+    signal.signal(signal.SIGTERM, stop)
+    if hasattr(signal, "pthread_sigmask"):
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT, signal.SIGTERM})

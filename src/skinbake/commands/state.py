@@ -1,0 +1,293 @@
+"""What was made of which bytes, and how: so that what is still true need not be done again.
+
+A record says: this code with these options made files of these digests from files of these digests. That
+stays true whoever wrote it, and whatever became of the files since; whether it is about the files as they
+are is found out by digesting them, every time. Sizes and times are not trusted: copies, archives and
+checkouts set them. So two runs may write to one state file at once, and a lost record costs a bake, no more.
+"""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import json
+import os
+import secrets
+import stat
+import time
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import skinbake
+from skinbake.errors import InputError, OutputError, Place, SkinbakeError
+from skinbake.gltf import resources
+from skinbake.gltf.document import Document, read_document
+from skinbake.gltf.glb import Bytes
+
+DIGITS = 32
+"""Hexadecimal digits of SHA-256 that are kept."""
+
+HEADER = b'{"skinbake": "state/1"}\n'
+
+SPARE = 1000
+"""Superseded records that a state file may hold, besides as many as it has live ones, before it is tidied."""
+
+YOUNG = 1_000_000_000
+"""Nanoseconds: a file changed this recently may change again without a later time to show for it."""
+
+ABSENT = (errno.ENOENT, errno.ENOTDIR, errno.ENAMETOOLONG)
+"""What the system says of a file that is not there; the last, of one that cannot be."""
+
+NOT_OPTIONS = ("dry_run", "make_folder", "traced")
+"""Options that change nothing in what is made."""
+
+Digests = dict[str, str | None]
+"""By absolute path: a file's digest, None where there is no file."""
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """The files that a document consists of, as they were: digests, and what would show a change."""
+
+    digests: Digests
+    signatures: dict[str, tuple[int, ...]]
+    young: frozenset[str]
+
+    @property
+    def still_there(self) -> bool:
+        """Tell whether nobody has changed any of them since."""
+        return all(_signature(path) == signature for path, signature in self.signatures.items()) and all(
+            _digest(path) == self.digests[path] for path in self.young
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Recipe:
+    """A command with its options and code, and the folder that paths in records start at."""
+
+    command: str
+    how: str
+    folder: str
+
+    def key(self, path: str) -> str:
+        """Return what records are found by: the command, and the file that it makes (verify: reads)."""
+        return f"{self.command} {self._relative(_absolute(path))}"
+
+    def still_holds(self, record: bytes, source: str, target: str | None) -> bool:
+        """Tell whether a record is about the files as they are now; False where in doubt."""
+        try:
+            note = json.loads(record)
+            if (note["key"], note["how"], note["from"]) != self._heading(source, target):
+                return False
+            read, made = note["read"], note["made"]
+            return bool(read) and all(
+                _digest(os.path.join(self.folder, path)) == digest
+                for path, digest in (*read.items(), *((k, v) for k, v in made.items() if k not in read))
+            )
+        except (OSError, ValueError, KeyError, TypeError, AttributeError):
+            return False
+
+    def record(self, source: str, target: str | None, read: Digests, made: Digests) -> bytes:
+        """Return the record that ``made`` is what came of ``read``, a line."""
+        key, how, origin = self._heading(source, target)
+        note = {
+            "key": key,
+            "how": how,
+            "from": origin,
+            "read": {self._relative(path): digest for path, digest in read.items()},
+            "made": {self._relative(path): digest for path, digest in made.items()},
+        }
+        return json.dumps(note).encode("ascii") + b"\n"
+
+    def _heading(self, source: str, target: str | None) -> tuple[str, str, str]:
+        return self.key(target or source), self.how, self._relative(_absolute(source))
+
+    def _relative(self, path: str) -> str:
+        try:
+            return os.path.relpath(path, self.folder).replace(os.sep, "/")
+        except ValueError:  # another drive
+            return path
+
+
+def recipe(command: str, options: Any, state: str) -> Recipe:
+    """Return the recipe of a command with its options, a dataclass, for the state file of that name."""
+    chosen = {name: value for name, value in asdict(options).items() if name not in NOT_OPTIONS}
+    text = json.dumps([command, skinbake.__version__, _code(), chosen], sort_keys=True, default=str)
+    return Recipe(command, _of([text.encode()]), os.path.dirname(_absolute(state)))
+
+
+def seen(source: str) -> Seen | None:
+    """Look at a file and those that it names; None where it cannot be read, or has gone meanwhile."""
+    start = time.time_ns()
+    path = _absolute(source)
+    try:
+        signatures = {path: _signature(path)}
+        document = read_document(source)
+        digests: Digests = {path: _of([document.raw or b""])}
+        for other in _named_files(document):
+            signatures[other] = _signature(other)
+            digests[other] = _digest(other)
+    except (OSError, ValueError, SkinbakeError):
+        return None
+    young = frozenset(path for path, found in signatures.items() if found and start - max(found[-2:]) < YOUNG)
+    return Seen(digests, signatures, young)
+
+
+def made(target: str, written: Mapping[str, str], read: Digests) -> Digests | None:
+    """Return the digests of a target that was just written and of the files that it names.
+
+    None where they are not all known to be ours: ``written``, by path, or the same bytes as one of ``read``.
+    Somebody else may have written there since.
+    """
+    found = seen(target)
+    if found is None:
+        return None
+    known = set(read.values())
+    for path, digest in found.digests.items():
+        ours = written.get(os.path.realpath(path))
+        content_named = digest is not None and Path(path).stem.removeprefix("skinbake-") == digest[:16]
+        if digest != ours and not (ours is None and (digest in known or content_named)):
+            return None
+    return found.digests if _absolute(target) in found.digests else None
+
+
+def digests_of(files: Mapping[Path, Iterable[Bytes]]) -> dict[str, str]:
+    """Return the digests of files that are about to be written, in pieces, by path."""
+    return {str(path): _of(pieces) for path, pieces in files.items()}
+
+
+class State:
+    """A state file: a record a line, of which the last one of each key counts; added to as files are done."""
+
+    def __init__(self, path: str) -> None:
+        """Read it; one that is not there is empty. Raises InputError where it is none of skinbake's."""
+        self._path = Path(path)
+        self._records: dict[str, bytes] = {}
+        self._lines = 0
+        self._descriptor: int | None = None
+        self._read()
+
+    def known(self, key: str) -> bytes | None:
+        """Return the record of a key, None where there is none."""
+        return self._records.get(key)
+
+    def add(self, record: bytes) -> None:
+        """Add a record, on the disk too; OutputError where that fails."""
+        try:
+            if self._descriptor is None:
+                self._descriptor = self._opened()
+            # In one write, lest records of two runs mingle.
+            if os.write(self._descriptor, record) < len(record):
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        except OSError as error:
+            raise OutputError(f"cannot be written: {error.strerror}", Place(str(self._path))) from error
+        self._take(record)
+
+    def close(self) -> None:
+        """Let go of the file; where most of it is superseded, write it anew."""
+        if self._descriptor is None:
+            return
+        os.close(self._descriptor)
+        self._descriptor = None
+        if self._lines > 2 * len(self._records) + SPARE:
+            temporary = self._path.with_name(f".skinbake-{secrets.token_hex(6)}.tmp")
+            try:
+                temporary.write_bytes(HEADER + b"".join(self._records.values()))
+                temporary.replace(self._path)
+            except OSError:  # it stays as it is
+                with suppress(OSError):
+                    temporary.unlink(missing_ok=True)
+
+    def _read(self) -> None:
+        place = Place(str(self._path))
+        try:
+            is_file = stat.S_ISREG(self._path.stat().st_mode)
+            data = self._path.read_bytes() if is_file else b""
+        except FileNotFoundError:
+            return
+        except (OSError, ValueError) as error:
+            raise InputError(f"cannot be read: {getattr(error, 'strerror', None) or error}", place) from error
+        if not is_file or (data and not data.startswith(HEADER)):
+            raise InputError("it exists and is no state file of skinbake", place)
+        for line in data.splitlines(keepends=True):
+            if line.endswith(b"\n"):  # else an interrupt has cut it
+                self._take(line)
+
+    def _take(self, record: bytes) -> None:
+        with suppress(ValueError, KeyError, TypeError):
+            self._records[str(json.loads(record)["key"])] = record
+            self._lines += 1
+
+    def _opened(self) -> int:
+        self._path.parent.mkdir(parents=True, exist_ok=True)
+        flags = os.O_RDWR | os.O_APPEND | os.O_CREAT | getattr(os, "O_BINARY", 0)
+        descriptor = os.open(self._path, flags, 0o666)
+        size = os.fstat(descriptor).st_size
+        if not size:
+            os.write(descriptor, HEADER)
+        else:
+            os.lseek(descriptor, -1, os.SEEK_END)
+            if os.read(descriptor, 1) != b"\n":
+                os.write(descriptor, b"\n")
+        return descriptor
+
+
+def _named_files(document: Document) -> Iterable[str]:
+    """Return the files that the document may mean by its relative URIs, each once."""
+    found: dict[str, None] = {}
+    for array in ("buffers", "images"):
+        for entry in document.objects(array):
+            uri = entry.get("uri")
+            if isinstance(uri, str) and resources.is_relative(uri):
+                for name in (resources.relative_path(uri), uri):  # as resources.locate tries them
+                    found[_absolute(str(document.folder / name))] = None
+    return found
+
+
+def _absolute(path: str) -> str:
+    """Return a path without links in its folder, so that ``..`` in a relative one means what it says."""
+    folder, name = os.path.split(path)
+    return os.path.join(os.path.realpath(folder), name)
+
+
+def _signature(path: str) -> tuple[int, ...]:
+    """Return what changes with a file: empty where there is none; its times are last."""
+    try:
+        found = os.stat(path)
+    except OSError as error:
+        if error.errno in ABSENT:
+            return ()
+        raise
+    return found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns, found.st_ctime_ns
+
+
+def _digest(path: str) -> str | None:
+    """Return a file's digest, None where there is none; OSError or ValueError where it cannot be read."""
+    try:
+        if not stat.S_ISREG(os.stat(path).st_mode):
+            return None
+        with open(path, "rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()[:DIGITS]
+    except OSError as error:
+        if error.errno in ABSENT:
+            return None
+        raise
+
+
+def _of(pieces: Iterable[Bytes]) -> str:
+    digest = hashlib.sha256()
+    for piece in pieces:
+        digest.update(piece)
+    return digest.hexdigest()[:DIGITS]
+
+
+def _code() -> str:
+    """Return a digest of skinbake itself: in a checkout, code changes and its version does not."""
+    folder = Path(skinbake.__file__).parent
+    files = sorted(path for path in folder.rglob("*") if path.is_file() and "__pycache__" not in path.parts)
+    return _of(
+        piece for path in files for piece in (str(path.relative_to(folder)).encode(), path.read_bytes())
+    )

@@ -1,0 +1,131 @@
+"""What became of many files together: counts, failures once more, and where the time went."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from skinbake.errors import SkinbakeError, printable
+from skinbake.report.notices import counted
+
+if TYPE_CHECKING:  # bake need not load what verify's XML takes
+    from skinbake.report.bake import FileResult
+    from skinbake.report.verify import FileVerdict
+
+LISTED = 100
+"""Failures that are listed at the end."""
+
+BAKE_OUTCOMES = ("baked", "unchanged", "up-to-date", "failed")
+VERIFY_OUTCOMES = ("passed", "up-to-date", "failed")
+
+
+@dataclass(slots=True)
+class Totals:
+    """Counts of files by outcome, in the order in which outcomes are told; files is how many there are."""
+
+    files: int
+    outcomes: tuple[str, ...]
+    counts: Counter[str] = field(default_factory=Counter)
+    failures: list[str] = field(default_factory=list)
+    timings: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def done(self) -> int:
+        """How many files are done with."""
+        return self.counts.total()
+
+    def add_baked(self, result: FileResult) -> None:
+        """Count a file that was baked, or was to be."""
+        reason = _reason(result.input, result.error) if result.error else ""
+        self._add(result.status, reason, result.timings)
+
+    def add_verified(self, verdict: FileVerdict) -> None:
+        """Count a file that was verified, or was to be."""
+        if verdict.error:
+            self._add("failed", _reason(verdict.input, verdict.error), verdict.timings)
+        elif not verdict.passed:
+            self._add("failed", f"{verdict.input}: {_problem(verdict)}", verdict.timings)
+        else:
+            self._add("up-to-date" if verdict.up_to_date else "passed", "", verdict.timings)
+
+    def _add(self, outcome: str, reason: str, timings: Mapping[str, float] | None) -> None:
+        self.counts[outcome] += 1
+        if outcome == "failed":
+            self.failures.append(reason)
+        for stage, seconds in (timings or {}).items():
+            self.timings[stage] = self.timings.get(stage, 0.0) + seconds
+
+
+def _reason(source: str, error: SkinbakeError) -> str:
+    text = str(error)
+    return text if text.startswith(source) else f"{source}: {text}"
+
+
+def _problem(verdict: FileVerdict) -> str:
+    failed = [check for check in verdict.checks if check.outcome == "failed"]
+    problems = [problem for check in failed for problem in check.problems]
+    more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
+    if not problems:
+        return ", ".join(f"{check.name} failed" for check in failed)
+    where = problems[0].place.within_file
+    return f"{f'{where}: ' if where else ''}{problems[0].message}{more}"
+
+
+def failure_lines(totals: Totals) -> Iterator[str]:
+    """Yield the failures once more, where among several files more than one failed."""
+    count = len(totals.failures)
+    if count < 2:
+        return
+    yield f"{count:,} of {counted(totals.files, 'file')} failed:"
+    for failure in totals.failures[:LISTED]:
+        yield f"  {printable(failure)}"
+    if count > LISTED:
+        yield f"  … and {count - LISTED:,} more"
+
+
+def closing_line(totals: Totals, seconds: float, *, interrupted: bool = False) -> str:
+    """Return one line on all files."""
+    parts = [
+        f"{totals.counts[outcome]:,} {outcome.replace('-', ' ')}"
+        for outcome in totals.outcomes
+        if totals.counts[outcome]
+    ]
+    which = counted(totals.files, "file")
+    if interrupted:
+        which = f"interrupted after {totals.done:,} of {which}"
+    rate = f"{totals.done / seconds:.3g} files/s" if seconds > 0 else "at once"
+    return f"{which}: {', '.join(parts) or 'none done'}, in {seconds:.1f} s ({rate})"
+
+
+def totals_json(totals: Totals, seconds: float, *, schema: str, exit_code: int) -> dict[str, Any]:
+    """Return the last line of a summary."""
+    counts = {outcome.replace("-", "_"): totals.counts[outcome] for outcome in totals.outcomes}
+    return {
+        "schema": schema,
+        "kind": "total",
+        "exit_code": exit_code,
+        "files": totals.files,
+        **counts,
+        "seconds": round(seconds, 3),
+        **({"timings": totals.timings} if totals.timings else {}),
+    }
+
+
+def timing_lines(totals: Totals, process: Mapping[str, float | None]) -> Iterator[str]:
+    """Yield a table of seconds by stage, and of what the process spent in all.
+
+    Shares are of the stages' sum, which is more than the process's time where several work side by side.
+    """
+    timings, whole = totals.timings, sum(totals.timings.values())
+    over = "" if totals.files == 1 else f", summed over {counted(totals.done, 'file')}"
+    yield f"seconds by stage{over}:"
+    width = max(len(name) for name in (*timings, *process, "together"))
+    for name, seconds in timings.items():
+        yield f"  {name:<{width}}{seconds:>10.3f}{seconds / whole if whole else 0:>6.0%}"
+    yield f"  {'together':<{width}}{whole:>10.3f}"
+    yield "seconds of the whole process:"
+    for name, spent in process.items():
+        if spent is not None:
+            yield f"  {name.replace('_', '-'):<{width}}{spent:>10.3f}"

@@ -1,0 +1,545 @@
+"""Many files in one call: the same whoever does the work, told in order, and safe from deaths and Ctrl-C."""
+
+from __future__ import annotations
+
+import json
+import os
+import pickle
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import pytest
+
+from benchmarks.skinned_grid import glb_bytes, grid_arrays
+from skinbake.commands import processes
+from skinbake.commands.bake import BakeOptions, bake_file
+from skinbake.commands.batch_bake import BakeJob, BakeWork
+from skinbake.commands.batch_verify import VerifyJob, VerifyWork
+from skinbake.commands.lighting import VerifyOptions
+from skinbake.commands.poses import PoseRequest
+from skinbake.errors import InputError, OutputError, Place, SkinbakeError
+from skinbake.timing import stage
+from tests.cli.running import document, invoke, run
+from tests.cli.test_json import BAKE, PROCESS_TIMINGS, TIMINGS, checked
+from tests.gltf.models import FIXTURES, FOLDER, SHARED_BIN, sheet, write_model
+from tests.report.test_verify import SCHEMA as VERIFY
+
+LINUX = pytest.mark.skipif(sys.platform != "linux", reason="needs the signals of POSIX and /proc")
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {p.relative_to(folder).as_posix(): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
+
+
+@pytest.fixture
+def mixed(tmp_path: Path) -> Path:
+    """Make a folder of all sorts: fixtures, files with warnings, without a skin, broken ones."""
+    folder = tmp_path / "in"
+    folder.mkdir()
+    for name in (*FIXTURES, SHARED_BIN):
+        shutil.copyfile(FOLDER / name, folder / name)
+    (folder / "broken.glb").write_bytes(b"glTF, but no more than that")
+    (folder / "text.gltf").write_text("hello", encoding="utf-8")
+    write_model(folder / "half.glb", [sheet(), sheet(NORMAL=None)])
+    write_model(folder / "bare.glb", [sheet(NORMAL=None)])
+    return folder
+
+
+@pytest.fixture
+def workers(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Have workers started for the least work; the list tells how many each run may have."""
+    counts: list[int] = []
+    original = processes.Processes.run
+
+    def counted(self: Any, work: Any, jobs: Any) -> Any:
+        counts.append(self.workers)
+        return original(self, work, jobs)
+
+    monkeypatch.setattr(processes.Processes, "run", counted)
+    monkeypatch.setattr("skinbake.cli.many.WORTHWHILE", 0.0)
+    return counts
+
+
+def without_rate(stderr: str) -> str:
+    """Return messages without the line that tells of time."""
+    return "\n".join(line for line in stderr.splitlines() if "files/s" not in line)
+
+
+@pytest.mark.parametrize("options", [[], ["-v"], ["--json"], ["--encoding", "snorm16"]])
+def test_bake_is_the_same_with_any_number_of_processes(
+    options: list[str], mixed: Path, tmp_path: Path, workers: list[int]
+) -> None:
+    said, made = [], []
+    for jobs in ("1", "2", "auto"):
+        out = tmp_path / "out"
+        result = invoke("bake", mixed, "--out-dir", out, "--jobs", jobs, *options)
+        assert result.exit_code == 3
+        said.append((result.stdout, without_rate(result.stderr)))
+        made.append(contents(out))
+        shutil.rmtree(out)
+    assert workers == [2, processes.usable_cores()]
+    assert said[0] == said[1] == said[2]
+    assert made[0] == made[1] == made[2]
+    assert set(made[0]) >= {*FIXTURES, "half.glb", "bare.glb"}
+
+
+def test_verify_is_the_same_with_any_number_of_processes(
+    mixed: Path, tmp_path: Path, workers: list[int]
+) -> None:
+    invoke("bake", mixed, "--out-dir", tmp_path / "out")
+    shutil.copyfile(mixed / "broken.glb", tmp_path / "out" / "broken.glb")
+    options = ["--poses", "random:2", "--max-mean-error", "0.5"]
+    said = [
+        (result.exit_code, result.stdout, without_rate(result.stderr))
+        for jobs in ("1", "2")
+        for result in [invoke("verify", tmp_path / "out", "--jobs", jobs, *options)]
+    ]
+    assert workers == [2]
+    assert said[0] == said[1]
+    assert said[0][0] == 3
+
+
+@pytest.mark.parametrize("jobs", [["--jobs", "4"], []])
+def test_few_small_files_start_no_process(
+    jobs: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refused(*arguments: object) -> object:
+        raise AssertionError("a process was started")
+
+    monkeypatch.setattr(processes, "_started", refused)
+    models = [FOLDER / "seam.glb", FOLDER / "two_sets.glb"]
+    assert invoke("bake", *models, "--out-dir", tmp_path, *jobs).exit_code == 0
+    with pytest.raises(AssertionError, match="a process was started"):
+        monkeypatch.setattr("skinbake.cli.many.WORTHWHILE", 0.0)
+        invoke("bake", *models, "--out-dir", tmp_path, "--jobs", "2")
+
+
+@pytest.mark.parametrize("value", ["-1", "many", "1.5", ""])
+def test_jobs_is_a_number_or_auto(value: str) -> None:
+    result = invoke("bake", FOLDER / "seam.glb", "--dry-run", "--jobs", value)
+    assert result.exit_code == 2
+    assert "must be a number of processes, 0 or auto" in result.stderr
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        InputError("it is broken", Place("a.glb", 1, "arm", 2, "POSITION")),
+        OutputError("no space", Place("b.glb")),
+        SkinbakeError("no place"),
+    ],
+)
+def test_errors_survive_the_way_between_processes(error: SkinbakeError) -> None:
+    copy = pickle.loads(pickle.dumps(error))
+    assert type(copy) is type(error)
+    assert (str(copy), copy.message, copy.place) == (str(error), error.message, error.place)
+
+
+def test_results_and_verdicts_survive_it(mixed: Path, tmp_path: Path) -> None:
+    bake = BakeWork(BakeOptions(make_folder=True), timed=True)
+    verify = VerifyWork(VerifyOptions(poses=PoseRequest("random", 1)), timed=True)
+    for path in sorted(mixed.glob("*.gl*")):
+        result = bake(BakeJob(str(path), str(tmp_path / "out" / path.name)))
+        verdict = verify(VerifyJob(str(tmp_path / "out" / path.name)))
+        for found in (result, verdict):
+            copy = pickle.loads(pickle.dumps(found))
+            # Errors are equal by identity only.
+            assert repr(copy) == repr(found)
+    for work in (bake, verify):
+        assert pickle.loads(pickle.dumps(work)) == work
+
+
+class TestWhatIsSaidAtTheEnd:
+    def test_failures_are_listed_once_more(self, mixed: Path, tmp_path: Path) -> None:
+        result = invoke("bake", mixed, "--out-dir", tmp_path / "out")
+        lines = result.stderr.splitlines()
+        start = lines.index("2 of 15 files failed:")
+        assert lines[start + 1].startswith(f"  {mixed / 'broken.glb'}: ")
+        assert lines[start + 2].startswith(f"  {mixed / 'text.gltf'}: its JSON cannot be parsed")
+        assert lines[start + 3].startswith("15 files: 12 baked, 1 unchanged, 2 failed, in ")
+        assert len(lines) == start + 4
+
+    def test_one_failure_is_not(self, mixed: Path, tmp_path: Path) -> None:
+        (mixed / "text.gltf").unlink()
+        result = invoke("bake", mixed, "--out-dir", tmp_path / "out")
+        assert result.exit_code == 3
+        assert "failed:" not in result.stderr
+
+    def test_so_are_checks_that_fail(self, tmp_path: Path) -> None:
+        invoke("bake", FOLDER / "seam.glb", FOLDER / "two_sets.glb", "--out-dir", tmp_path)
+        result = invoke("verify", tmp_path, "--poses", "rest", "--min-gain", "1000", "--max-mean-error", "0")
+        assert result.exit_code == 1
+        lines = result.stderr.splitlines()
+        start = lines.index("2 of 2 files failed:")
+        assert lines[start + 1].startswith(f"  {tmp_path / 'seam.glb'}: ")
+        assert lines[start + 3].startswith("2 files: 2 failed, in ")
+
+    def test_of_very_many_the_first_are_listed(self, tmp_path: Path) -> None:
+        for number in range(130):
+            (tmp_path / f"{number:03}.glb").touch()
+        result = invoke("bake", tmp_path, "--dry-run")
+        lines = result.stderr.splitlines()
+        start = lines.index("130 of 130 files failed:")
+        assert lines[start + 100].startswith(f"  {tmp_path / '099.glb'}: ")
+        assert lines[start + 101] == "  … and 30 more"
+
+    def test_a_few_that_went_well_need_no_word(self, tmp_path: Path) -> None:
+        models = [FOLDER / "seam.glb", FOLDER / "two_sets.glb"]
+        assert invoke("bake", *models, "--out-dir", tmp_path).stderr == ""
+        assert "2 files: 2 baked, in " in invoke("bake", *models, "--out-dir", tmp_path, "-v").stderr
+
+    def test_very_many_do(self, tmp_path: Path) -> None:
+        for number in range(21):
+            shutil.copyfile(FOLDER / "seam.glb", tmp_path / f"{number}.glb")
+        assert "21 files: 21 baked, in " in invoke("bake", tmp_path, "--dry-run").stderr
+        assert invoke("bake", tmp_path, "--dry-run", "-q").stderr == ""
+
+
+COUNT = {"type": "integer", "minimum": 0}
+SECONDS = {"type": "number", "minimum": 0}
+
+
+def lines_schema(whole: dict[str, Any], schema: str, outcomes: list[str]) -> dict[str, Any]:
+    """Return the schema of a summary's lines, of which a file's are made of the document's."""
+    file = whole["properties"]["files"]["items"]
+    heading = {"schema": {"const": schema}, "kind": {"const": "file"}}
+    total = {
+        "schema": {"const": schema},
+        "kind": {"const": "total"},
+        "exit_code": whole["properties"]["exit_code"],
+        "files": COUNT,
+        "seconds": SECONDS,
+        **dict.fromkeys(outcomes, COUNT),
+    }
+    return {
+        "oneOf": [
+            {
+                **file,
+                "properties": heading | file["properties"],
+                "required": ["schema", "kind", *file["required"]],
+            },
+            {
+                "type": "object",
+                "properties": total | {"timings": TIMINGS},
+                "required": list(total),
+                "additionalProperties": False,
+            },
+        ]
+    }
+
+
+BAKE_LINES = lines_schema(BAKE, "skinbake.bake/1", ["baked", "unchanged", "up_to_date", "failed"])
+VERIFY_LINES = lines_schema(VERIFY, "skinbake.verify/1", ["passed", "up_to_date", "failed"])
+
+
+def summary_of(path: Path, schema: dict[str, Any]) -> tuple[list[dict[str, Any]], dict[str, Any]]:
+    """Return the lines of the files, and the last line."""
+    lines = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
+    for line in lines:
+        jsonschema.validate(line, schema)
+    assert [line["kind"] for line in lines] == ["file"] * (len(lines) - 1) + ["total"]
+    return lines[:-1], lines[-1]
+
+
+class TestSummary:
+    @pytest.mark.parametrize("jobs", ["1", "2"])
+    def test_bake(self, jobs: str, mixed: Path, tmp_path: Path, workers: list[int]) -> None:
+        summary = tmp_path / "s.jsonl"
+        options = ["--jobs", jobs, "--json", "--summary", str(summary)]
+        result = invoke("bake", mixed, "--out-dir", tmp_path / "out", *options)
+        files, total = summary_of(summary, BAKE_LINES)
+        for line in files:
+            del line["schema"], line["kind"]
+        assert files == document(result)["files"]
+        counts = {key: total[key] for key in ("files", "baked", "unchanged", "up_to_date", "failed")}
+        assert counts == {"files": 15, "baked": 12, "unchanged": 1, "up_to_date": 0, "failed": 2}
+        assert total["exit_code"] == result.exit_code == 3
+
+    def test_verify(self, tmp_path: Path) -> None:
+        invoke("bake", FOLDER / "seam.glb", FOLDER / "two_sets.glb", "--out-dir", tmp_path)
+        (tmp_path / "z.glb").touch()
+        summary = tmp_path / "s.jsonl"
+        result = invoke("verify", tmp_path, "--poses", "rest", "--json", "--summary", summary, "--timings")
+        files, total = summary_of(summary, VERIFY_LINES)
+        for line in files:
+            del line["schema"], line["kind"]
+        assert files == document(result)["files"]
+        assert (total["files"], total["passed"], total["failed"]) == (3, 2, 1)
+
+    def test_it_is_there_as_it_goes(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        summary, seen = tmp_path / "s.jsonl", []
+        original = bake_file
+
+        def looking(*arguments: Any) -> Any:
+            seen.append(summary.read_text(encoding="utf-8").count("\n"))
+            return original(*arguments)
+
+        monkeypatch.setattr("skinbake.commands.batch_bake.bake_file", looking)
+        models = [FOLDER / name for name in FIXTURES[:4]]
+        invoke("bake", *models, "--dry-run", "--summary", summary)
+        assert seen == [0, 1, 2, 3]
+
+    def test_where_it_cannot_be_written_nothing_is_baked(self, tmp_path: Path) -> None:
+        process = run(
+            "bake", FOLDER / "seam.glb", "--out-dir", tmp_path / "out", "--summary", tmp_path / "no" / "s"
+        )
+        assert process.returncode == 4
+        assert b"cannot be written" in process.stderr
+        assert not (tmp_path / "out").exists()
+
+    @pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full here")
+    def test_a_full_disk_is_told_of_once_and_stops_no_bake(self, tmp_path: Path) -> None:
+        models = [FOLDER / "seam.glb", FOLDER / "two_sets.glb"]
+        process = run("bake", *models, "--out-dir", tmp_path, "--summary", "/dev/full")
+        assert process.returncode == 4
+        assert process.stderr.count(b"No space left") == 1
+        assert sorted(contents(tmp_path)) == ["seam.glb", "two_sets.glb"]
+
+    @pytest.mark.parametrize("option", ["--summary", "--state"])
+    def test_it_takes_no_model_s_place(self, option: str, tmp_path: Path) -> None:
+        more = ["--skip-unchanged"] if option == "--state" else []
+        result = invoke(
+            "bake", FOLDER / "seam.glb", "-o", tmp_path / "a.glb", option, tmp_path / "b.glb", *more
+        )
+        assert result.exit_code == 2
+        assert "is a model's name" in result.stderr
+
+
+class TestTimings:
+    def test_one_file(self, tmp_path: Path) -> None:
+        result = invoke("bake", FOLDER / "seam.glb", "-o", tmp_path / "a.glb", "--timings", "--json")
+        found = checked(document(result), BAKE)
+        (file,) = found["files"]
+        jsonschema.validate(file["timings"], TIMINGS)
+        jsonschema.validate(found["timings"], PROCESS_TIMINGS)
+        assert 0 < sum(file["timings"].values()) < found["timings"]["elapsed"]
+        lines = result.stderr.splitlines()
+        assert lines[0] == "seconds by stage:"
+        assert [line.split()[0] for line in lines[1:]] == [
+            *file["timings"],
+            "together",
+            "seconds",
+            "start-up",
+            "imports",
+            "elapsed",
+        ]
+
+    def test_stages_are_those_that_were_recorded(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        original = bake_file
+
+        def staged(*arguments: Any) -> Any:
+            with stage("sleeping"):
+                time.sleep(0.03)
+            return original(*arguments)
+
+        monkeypatch.setattr("skinbake.commands.batch_bake.bake_file", staged)
+        models = [FOLDER / "seam.glb", FOLDER / "two_sets.glb"]
+        result = invoke("bake", *models, "--out-dir", tmp_path, "--timings", "--json")
+        for file in document(result)["files"]:
+            assert file["timings"]["sleeping"] >= 0.03
+            assert file["timings"]["other"] > 0
+        assert "seconds by stage, summed over 2 files:" in result.stderr
+        (line,) = [line for line in result.stderr.splitlines() if "sleeping" in line]
+        assert float(line.split()[1]) >= 0.06
+
+    def test_verify(self, tmp_path: Path) -> None:
+        invoke("bake", FOLDER / "seam.glb", "-o", tmp_path / "a.glb")
+        result = invoke("verify", tmp_path / "a.glb", "--poses", "rest", "--timings", "--json")
+        found = document(result)
+        jsonschema.validate(found, VERIFY)
+        assert found["files"][0]["timings"]["other"] >= 0
+        assert "seconds by stage:" in result.stderr
+
+    def test_they_are_not_there_unasked(self, tmp_path: Path) -> None:
+        found = document(invoke("bake", FOLDER / "seam.glb", "-o", tmp_path / "a.glb", "--json"))
+        assert "timings" not in found
+        assert "timings" not in found["files"][0]
+
+
+class Clock:
+    """A clock that runs a second a look."""
+
+    def __init__(self) -> None:
+        self.now = 0.0
+
+    def __call__(self) -> float:
+        self.now += 1.0
+        return self.now
+
+
+class TestProgress:
+    @pytest.fixture(autouse=True)
+    def slow(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr("skinbake.cli.progress.time", type("Time", (), {"monotonic": Clock()}))
+
+    @pytest.fixture
+    def terminal(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setenv("TTY_COMPATIBLE", "1")
+        monkeypatch.setenv("FORCE_COLOR", "1")
+        monkeypatch.delenv("NO_COLOR", raising=False)
+
+    @pytest.mark.usefixtures("terminal")
+    @pytest.mark.parametrize("command", ["bake", "verify"])
+    def test_a_terminal_gets_a_bar(self, command: str, tmp_path: Path) -> None:
+        models = [FOLDER / name for name in FIXTURES]
+        options = ["--dry-run"] if command == "bake" else ["--poses", "rest"]
+        result = invoke(command, *models, *options, "--color", "never")
+        assert f"{len(models)}/{len(models)}" in result.stderr
+        assert "/s" in result.stderr
+        # Results are where they would be without a bar.
+        plain = invoke(command, *models, *options, "-q")
+        assert plain.stderr == ""
+        assert next(line for line in result.stdout.splitlines() if ".gl" in line).startswith(str(models[0]))
+        assert result.stdout.count("dry run" if command == "bake" else "passed\n") == len(models)
+
+    def test_a_log_gets_nothing(self, tmp_path: Path) -> None:
+        models = [FOLDER / name for name in FIXTURES]
+        assert invoke("bake", *models, "--dry-run").stderr == ""
+
+    def test_a_talkative_log_gets_a_line_now_and_then(self, tmp_path: Path) -> None:
+        for number in range(30):
+            shutil.copyfile(FOLDER / "seam.glb", tmp_path / f"{number:02}.glb")
+        result = invoke("bake", tmp_path, "--dry-run", "-v")
+        lines = [line for line in result.stderr.splitlines() if line.startswith("files: ")]
+        assert lines == ["files: 10 of 30, 1/s, 20 s left", "files: 20 of 30, 1/s, 10 s left"]
+
+
+FILES = 99
+"""Enough for workers to be started."""
+
+
+@pytest.fixture(scope="module")
+def grids(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Make files of 2,500 vertices in three folders."""
+    root = tmp_path_factory.mktemp("grids")
+    data = glb_bytes(grid_arrays(50))
+    for number in range(FILES):
+        path = root / f"d{number % 3}" / f"{number:02}.glb"
+        path.parent.mkdir(exist_ok=True)
+        path.write_bytes(data)
+    return root
+
+
+HEARING = """
+import os, signal, sys
+signal.signal(signal.SIGINT, signal.SIG_DFL)
+os.execv(sys.executable, [sys.executable, *sys.argv[1:]])
+"""
+# Children of a shell's background job ignore Ctrl-C; this one is to hear it.
+
+
+def wait_for(condition: Callable[[], Any], seconds: float = 60.0) -> Any:
+    end = time.monotonic() + seconds
+    while not (found := condition()):
+        assert time.monotonic() < end, "it did not come about"
+        time.sleep(0.005)
+    return found
+
+
+def group(pgid: int) -> dict[int, int]:
+    """Return the living processes of a group, each with its parent."""
+    found = {}
+    for entry in Path("/proc").iterdir():
+        if not entry.name.isdecimal():
+            continue
+        try:
+            fields = (entry / "stat").read_text(errors="replace").rpartition(")")[2].split()
+        except OSError:
+            continue
+        if int(fields[2]) == pgid and fields[0] != "Z":
+            found[int(entry.name)] = int(fields[1])
+    return found
+
+
+def workers_of(pgid: int) -> list[int]:
+    """Return the workers: grandchildren of the command."""
+    members = group(pgid)
+    return [pid for pid, parent in members.items() if members.get(parent) == pgid]
+
+
+@pytest.fixture
+def running(grids: Path, tmp_path: Path) -> Iterator[Callable[..., subprocess.Popen[bytes]]]:
+    """Start bakes of the grids into out/, in a process group of their own; kill what is left at the end."""
+    started = []
+
+    def start(*options: str) -> subprocess.Popen[bytes]:
+        command = ["-m", "skinbake", "bake", str(grids), "--out-dir", str(tmp_path / "out"), "--jobs", "2"]
+        process = subprocess.Popen(
+            [sys.executable, "-c", HEARING, *command, *options],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            start_new_session=True,
+        )
+        started.append(process)
+        return process
+
+    yield start
+    for process in started:
+        if process.poll() is None:
+            os.killpg(process.pid, signal.SIGKILL)
+            process.communicate()
+
+
+def made(folder: Path) -> list[Path]:
+    return list(folder.glob("*/*.glb"))
+
+
+@LINUX
+@pytest.mark.parametrize("whom", ["group", "command"])
+def test_an_interrupt_ends_all_and_leaves_whole_files_only(
+    whom: str, running: Callable[..., subprocess.Popen[bytes]], grids: Path, tmp_path: Path
+) -> None:
+    process = running()
+    wait_for(lambda: len(made(tmp_path / "out")) >= 3)
+    (os.killpg if whom == "group" else os.kill)(process.pid, signal.SIGINT)
+    _, errors = process.communicate(timeout=30)
+    assert process.returncode == 130, errors
+    assert b"Traceback" not in errors
+    assert b"interrupted after " in errors
+    wait_for(lambda: not group(process.pid), 10)
+    done = made(tmp_path / "out")
+    assert 3 <= len(done) < FILES
+    # Nothing else is there, and what is there is whole: the same bytes as from a bake by itself.
+    everything = [path for path in (tmp_path / "out").rglob("*") if path.is_file()]
+    assert sorted(everything) == sorted(done)
+    expected = tmp_path / "one.glb"
+    invoke("bake", grids / "d0" / "00.glb", "-o", expected)
+    assert {path.read_bytes() for path in done} == {expected.read_bytes()}
+
+
+@LINUX
+def test_a_killed_worker_costs_no_file(
+    running: Callable[..., subprocess.Popen[bytes]], tmp_path: Path
+) -> None:
+    process = running("--json")
+    wait_for(lambda: made(tmp_path / "out"))
+    victim = wait_for(lambda: workers_of(process.pid))[0]
+    os.kill(victim, signal.SIGKILL)
+    out, errors = process.communicate(timeout=120)
+    assert process.returncode == 0, errors
+    assert [file["status"] for file in json.loads(out)["files"]] == ["baked"] * FILES
+    assert len(made(tmp_path / "out")) == FILES
+    assert victim not in group(process.pid)
+
+
+@LINUX
+def test_a_command_that_is_killed_leaves_no_worker_behind(
+    running: Callable[..., subprocess.Popen[bytes]], tmp_path: Path
+) -> None:
+    process = running()
+    wait_for(lambda: made(tmp_path / "out"))
+    assert workers_of(process.pid)
+    process.kill()
+    process.communicate(timeout=30)
+    wait_for(lambda: not group(process.pid), 20)
+    # Each worker has brought the file that it was at to its end.
+    assert [path.name for path in (tmp_path / "out").rglob(".*")] == []

@@ -1,0 +1,1 @@
+"""Tests of what commands do beneath the command line."""

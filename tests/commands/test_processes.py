@@ -1,0 +1,148 @@
+"""Workers: all jobs are done once, whoever dies; what has begun is undone when they are told to stop."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import time
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from skinbake.commands import processes
+from skinbake.commands.batch import FirstThese, InThisProcess, in_order
+from skinbake.commands.processes import Processes
+from skinbake.errors import SkinbakeError
+from tests.commands.works import Crashing, Deadly, DeadlyOnce, Raising, Slow, Surroundings, Unborn, Work
+
+POSIX = pytest.mark.skipif(sys.platform == "win32", reason="needs the signals of POSIX")
+
+
+def outcomes(work: Any, count: int, workers: int = 2) -> dict[int, Any]:
+    """Run jobs 0 … count − 1, none of which may be told of twice."""
+    found: dict[int, Any] = {}
+    with closing(Processes(workers).run(work, range(count))) as results:  # type: ignore[type-var]
+        for number, result in results:
+            assert number not in found
+            found[number] = result
+    return found
+
+
+def test_all_jobs_are_done_by_several_processes_none_of_which_is_this() -> None:
+    found = outcomes(Work(), 300)
+    assert {number: result[0] for number, result in found.items()} == {n: 2 * n for n in range(300)}
+    workers = {pid for _, pid in found.values()}
+    assert len(workers) == 2
+    assert os.getpid() not in workers
+
+
+def test_no_more_workers_than_jobs() -> None:
+    assert len({pid for _, pid in outcomes(Work(), 1, workers=8).values()}) == 1
+    assert outcomes(Work(), 0) == {}
+
+
+@POSIX
+@pytest.mark.parametrize("by", [signal.SIGKILL, signal.SIGTERM])
+def test_who_kills_twice_is_lost_and_nobody_else(by: signal.Signals, tmp_path: Path) -> None:
+    found = outcomes(Deadly((7, 20), by, tmp_path), 40)
+    lost = {number: result for number, result in found.items() if result[0] == "lost"}
+    assert sorted(lost) == [7, 20]
+    assert all(result[0] == 2 * number for number, result in found.items() if number not in lost)
+    assert sorted(found) == list(range(40))
+    for number in lost:
+        assert lost[number][1] == number
+        assert ("SIGKILL" if by == signal.SIGKILL else "exit code") in lost[number][2]
+
+
+@POSIX
+def test_a_suspect_is_tried_again_alone(tmp_path: Path) -> None:
+    found = outcomes(DeadlyOnce((7,), signal.SIGKILL, tmp_path), 40)
+    assert {number: result[0] for number, result in found.items()} == {n: 2 * n for n in range(40)}
+    # The dead worker's next job had not begun: everything but job 7 was begun once.
+    begun = [int(path.name.split("-")[0]) for path in tmp_path.iterdir()]
+    assert sorted(begun) == list(range(40))
+
+
+@POSIX
+def test_while_a_suspect_is_tried_again_nobody_else_works(tmp_path: Path) -> None:
+    outcomes(Deadly((5,), signal.SIGKILL, tmp_path), 30)
+    log = [[int(part) for part in path.name.split("-")] for path in tmp_path.iterdir()]
+    (_, _, _, _), (_, _, began, died) = sorted((entry for entry in log if entry[0] == 5), key=lambda e: e[2])
+    others = [start for job, _, start, *_ in log if job != 5]
+    assert died - began >= 500_000_000
+    assert [start for start in others if began - 2_000_000 < start < died] == []
+    assert any(start > died for start in others)
+
+
+@POSIX
+def test_a_crash_in_native_code_costs_one_job() -> None:
+    found = outcomes(Crashing(), 10)
+    assert found[3][0] == "lost"
+    assert "SIGSEGV" in found[3][2]
+    assert [found[n][0] for n in range(10) if n != 3] == [2 * n for n in range(10) if n != 3]
+
+
+def test_a_defect_is_a_job_s_own_and_kills_nobody() -> None:
+    found = outcomes(Raising(), 10, workers=1)
+    assert found[3] == ("lost", 3, "skinbake failed where it should not: RuntimeError: a defect of skinbake")
+    assert found[4][:2] == ("lost", 4)
+    assert len({found[n][1] for n in range(10) if n not in {3, 4}}) == 1
+
+
+@POSIX
+def test_workers_that_never_start_end_the_run(capfd: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SkinbakeError, match=r"worker processes cannot be started .*try --jobs 1"):
+        outcomes(Unborn(), 10)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+def test_a_worker_is_one_thread() -> None:
+    assert set(outcomes(Surroundings(), 4).values()) == {("1", 1, True)}
+    assert "OPENBLAS_NUM_THREADS" not in os.environ
+
+
+@POSIX
+def test_closing_ends_what_is_at_work_and_undoes_it(tmp_path: Path) -> None:
+    start = time.monotonic()
+    results = Processes(2).run(Slow(tmp_path), [0.0, 60.0, 60.0, 60.0])
+    assert next(results)[0] == 0
+    while len(list(tmp_path.iterdir())) < 2 and time.monotonic() - start < 20:
+        time.sleep(0.01)
+    busy = [int(path.stem) for path in tmp_path.iterdir()]
+    results.close()  # type: ignore[attr-defined]
+    assert len(busy) == 2
+    assert list(tmp_path.iterdir()) == []
+    for pid in busy:
+        assert not Path(f"/proc/{pid}").exists() or "Z" in Path(f"/proc/{pid}/stat").read_text()
+    assert time.monotonic() - start < 30
+
+
+def test_one_slow_job_does_not_fill_memory_with_the_others(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(processes, "WINDOW", 10)
+    order = [number for number, _ in Processes(2).run(Slow(tmp_path), [0.3] + [0.0] * 50)]
+    assert sorted(order) == list(range(51))
+    assert 9 <= order.index(0) <= 10
+
+
+def test_results_come_in_the_order_of_the_jobs() -> None:
+    pairs = iter([(2, "c"), (0, "a"), (1, "b"), (3, "d")])
+    results = in_order(pairs)
+    assert next(results) == "a"
+    pairs_left = pairs.__length_hint__()  # type: ignore[attr-defined]
+    assert pairs_left == 2  # none is waited for that need not be
+    assert list(results) == ["b", "c", "d"]
+
+
+def test_those_that_take_turns_come_first_in_order() -> None:
+    class Backwards:
+        def run(self, work: Any, jobs: Any) -> Any:
+            return ((number, work(jobs[number])) for number in reversed(range(len(jobs))))
+
+    runner = FirstThese((4, 1), InThisProcess(), Backwards())
+    found = [(number, result[0]) for number, result in runner.run(Work(), range(6))]
+    assert found == [(1, 2), (4, 8), (5, 10), (3, 6), (2, 4), (0, 0)]

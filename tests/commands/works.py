@@ -1,0 +1,111 @@
+"""Works that a worker process can import: plain ones, and ones that kill who does them."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import signal
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Work:
+    """Returns twice the job, and who did it."""
+
+    def __call__(self, job: Any) -> Any:
+        return 2 * job, os.getpid()
+
+    def lost(self, job: Any, reason: str) -> Any:
+        return "lost", job, reason
+
+
+@dataclass(frozen=True)
+class Deadly(Work):
+    """Dies of the signal on the jobs that are in ``on``, after a while.
+
+    Notes in ``log`` when jobs began, and when it died.
+    """
+
+    on: tuple[int, ...]
+    by: int
+    log: Path
+
+    def __call__(self, job: Any) -> Any:
+        started = self.log / f"{job}-{os.getpid()}-{time.monotonic_ns()}"
+        started.touch()
+        if job in self.on:
+            time.sleep(0.5)
+            started.rename(f"{started}-{time.monotonic_ns()}")
+            os.kill(os.getpid(), self.by)
+        time.sleep(0.002)
+        return super().__call__(job)
+
+
+@dataclass(frozen=True)
+class DeadlyOnce(Deadly):
+    """Dies the first time only: somebody else took the memory."""
+
+    def __call__(self, job: Any) -> Any:
+        if job in self.on and any(self.log.glob(f"{job}-*")):
+            return 2 * job, os.getpid()
+        return super().__call__(job)
+
+
+@dataclass(frozen=True)
+class Crashing(Work):
+    """Reads from address 0 on job 3."""
+
+    def __call__(self, job: Any) -> Any:
+        if job == 3:
+            ctypes.string_at(0)
+        return super().__call__(job)
+
+
+@dataclass(frozen=True)
+class Raising(Work):
+    """Has a defect on job 3, and a result that cannot be sent on job 4."""
+
+    def __call__(self, job: Any) -> Any:
+        if job == 3:
+            raise RuntimeError("a defect of skinbake")
+        return (lambda: None) if job == 4 else super().__call__(job)
+
+
+@dataclass(frozen=True)
+class Surroundings(Work):
+    """Returns what a worker finds around it."""
+
+    def __call__(self, job: Any) -> Any:
+        threads = os.environ.get("OPENBLAS_NUM_THREADS")
+        return (
+            threads,
+            len(list(Path("/proc/self/task").iterdir())),
+            signal.getsignal(signal.SIGINT) is not None,
+        )
+
+
+@dataclass(frozen=True)
+class Slow(Work):
+    """Makes a file, sleeps for as long as the job says, and takes the file away however it ends."""
+
+    folder: Path
+
+    def __call__(self, job: Any) -> Any:
+        path = self.folder / f"{os.getpid()}.busy"
+        path.touch()
+        try:
+            time.sleep(job)
+        finally:
+            path.unlink()
+        return super().__call__(job)
+
+
+@dataclass(frozen=True)
+class Unborn(Work):
+    """Cannot be unpickled by anybody."""
+
+    def __reduce__(self) -> Any:
+        return os._exit, (7,)
