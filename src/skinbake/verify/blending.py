@@ -79,8 +79,8 @@ class BlendedSurface:
         """Prepare a surface. Algorithm 2 starts from ``direct``, and needs it."""
         self._rest, self._options = rest, options
         self._direct = None if direct is None else (direct.normals, direct.weight_gradients())
-        first = 4 * rest.joints.astype(np.int32)
-        self._columns = (first[:, :, None] + np.arange(4, dtype=np.int32)).reshape(len(first), -1)
+        columns = 4 * rest.joints.astype(np.int32)[:, :, None] + np.arange(4, dtype=np.int32)
+        self._columns = np.asarray(columns.reshape(len(columns), -1), dtype=np.int32)
         self._alpha, self._beta = _with_pivot(rest.alpha), _with_pivot(rest.beta)
         self._handedness = rest.handedness()
         self._matrices = _Table(joint_matrices)
