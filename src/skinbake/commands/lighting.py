@@ -81,7 +81,8 @@ class Lighting:
 
     def __init__(self, document: Document, options: VerifyOptions, progress: Progress) -> None:
         self._document, self._options, self._progress = document, options, progress
-        self._clips = read_clips(document)
+        with stage("poses"):
+            self._clips = read_clips(document)
         self._done, self._total, self._identity = 0, 0, 0.0
         self._segments: list[_Segment] = []
         self._whole: _Tallies = {}
@@ -92,7 +93,8 @@ class Lighting:
         self, meshes: Sequence[Sequence[BakedView]], operators: Sequence[GradientOperator]
     ) -> FileVerdict:
         """Return a verdict that holds the lighting checks and figures."""
-        drawn = list(self._drawn(meshes, operators))
+        with stage("poses"):
+            drawn = list(self._drawn(meshes, operators))
         not_rigid = list(dict.fromkeys(n for draw in drawn for n in _not_rigid(draw.rest, draw.poses)))
         methods = self._options.methods or (("lbs",) if not_rigid else ("lbs", "dqs"))
         reason = without_dqs(not_rigid)
