@@ -14,7 +14,7 @@ vertex, times the joint matrices of all poses.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -100,69 +100,57 @@ class BlendedSurface:
 
     def normals(self, algorithms: Sequence[Algorithm], pose: slice, part: slice) -> list[Vector]:
         """Return the normals that algorithms 1–3 give a block, not unit."""
-        plans = {
+        steps = {
             Algorithm.LBS_APPROXIMATED: self._approximated,
             Algorithm.LBS_DIRECT: self._direct_normals,
             Algorithm.LBS_ACCURATE: self._accurate,
         }
         block = self._block(part)
-        chosen = [plans[algorithm](block, pose) for algorithm in algorithms]
-        # One product for all of them: a small one costs as much to set up as to do.
-        vectors = iter(self._forms([form for forms, _ in chosen for form in forms], block, pose))
-        return [finish([next(vectors) for _ in forms]) for forms, finish in chosen]
+        # One product for all of them would be one to set up, but its results leave the cache.
+        return [steps[algorithm](block, pose) for algorithm in algorithms]
 
     def _block(self, part: slice) -> _Block:
         positions = self._rest.positions[part]
         points = np.concatenate([positions, np.ones((len(positions), 1))], axis=1)
         return _Block(part, self._rest.weights[part, :, None], points[:, None], self._columns[part])
 
-    def _approximated(self, block: _Block, pose: slice) -> _Plan:
-        """T n, T⁻ᵀ n or Σ w cof(M[s]) n."""
+    def _approximated(self, block: _Block, pose: slice) -> Vector:
+        """Return T n, T⁻ᵀ n or Σ w cof(M[s]) n."""
         normal = self._rest.normals[block.part]
         if self._options.baseline is Baseline.INVERSE_TRANSPOSE:
-            return [(axis, None) for axis in np.eye(3)], lambda axes: _inverse_transposed(axes, normal)
-        if self._options.baseline is Baseline.COFACTOR:
-            return [], lambda _: self._forms([(normal, None)], block, pose, self._cofactors)[0]
-        return [(normal, None)], lambda vectors: vectors[0]
+            axes: list[Form] = [(axis, None) for axis in np.eye(3)]
+            return _inverse_transposed(self._forms(axes, block, pose), normal)
+        return self._forms([(normal, None)], block, pose, self._cofactors)[0]
 
-    def _direct_normals(self, block: _Block, pose: slice) -> _Plan:
-        """J⁻ᵀ n."""
+    def _direct_normals(self, block: _Block, pose: slice) -> Vector:
+        """Return J⁻ᵀ n."""
         if self._direct is None:
             raise ValueError("algorithm 2 was not prepared for")
         normals, gradients = (values[block.part] for values in self._direct)
         axes: list[Form] = [(axis, gradients[:, :, i]) for i, axis in enumerate(np.eye(3))]
-        return axes, lambda columns: _inverse_transposed(columns, normals)
+        return _inverse_transposed(self._forms(axes, block, pose), normals)
 
-    def _accurate(self, block: _Block, pose: slice) -> _Plan:
-        """± t' × b', the sign being that of b'."""
+    def _accurate(self, block: _Block, pose: slice) -> Vector:
+        """Return ± t' × b', the sign being that of b'."""
         sign = self._handedness[block.part, None]
         frame = self._rest.tangents[block.part], sign * self._rest.bitangents[block.part]
         changes = self._alpha[block.part], sign * self._beta[block.part]
         cap = self._options.cap
         if cap is None or changes[0].shape[1] == 1:
-            return list(zip(frame, changes, strict=True)), lambda tangents: cross(*tangents)
-
-        def capped(vectors: Sequence[Vector]) -> Vector:
-            still, moved = vectors[:2], vectors[2:]
-            return cross(*(corrected(base, by, cap) for base, by in zip(still, moved, strict=True)))
-
-        return [*((vector, None) for vector in frame), *((np.zeros(3), change) for change in changes)], capped
+            return cross(*self._forms(list(zip(frame, changes, strict=True)), block, pose))
+        still = self._forms([(vector, None) for vector in frame], block, pose)
+        moved = self._forms([(np.zeros(3), change) for change in changes], block, pose)
+        return cross(*(corrected(base, by, cap) for base, by in zip(still, moved, strict=True)))
 
     def _forms(
         self, forms: Sequence[Form], block: _Block, pose: slice, table: _Table | None = None
     ) -> list[Vector]:
         """Return F of a block, by form."""
-        if not forms:
-            return []
         data = [block.entries(form) for form in forms]
         product = (table or self._matrices).product(block, data, pose)
         # Arithmetic on components that are not contiguous takes three times as long.
         by_component = np.ascontiguousarray(np.swapaxes(product, 1, 2))
         return [tuple(component.T for component in vectors) for vectors in by_component]
-
-
-_Plan: TypeAlias = tuple[Sequence[Form], Callable[[Sequence[Vector]], Vector]]
-"""The forms that an algorithm takes, and what it makes of them."""
 
 
 @dataclass(frozen=True, slots=True)
