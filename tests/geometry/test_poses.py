@@ -175,3 +175,15 @@ def test_random_rotations_stay_within_the_angle_and_come_from_the_seed() -> None
 def test_random_rotations_by_no_angle_are_the_identity() -> None:
     found = poses.random_rotations((5,), 0.0, seed=1)
     assert np.array_equal(found, np.tile([1.0, 0.0, 0.0, 0.0], (5, 1)))
+
+
+@pytest.mark.parametrize("method", [poses.STEP, poses.LINEAR, poses.CUBICSPLINE])
+@pytest.mark.parametrize("rotation", [False, True])
+def test_properties_of_the_same_times_may_be_interpolated_together(method: str, rotation: bool) -> None:
+    shape = (3, len(TIMES), 3, 4) if method == poses.CUBICSPLINE else (3, len(TIMES), 4)
+    values = np.random.default_rng(2).normal(size=shape)
+    together = poses.interpolated(TIMES, values, AT, method=method, rotation=rotation)
+    assert together.shape == (3, len(AT), 4)
+    for one, found in zip(values, together, strict=True):
+        alone = poses.interpolated(TIMES, one, AT, method=method, rotation=rotation)
+        assert np.abs(found - alone).max() < 1e-15

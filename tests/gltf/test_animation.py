@@ -270,6 +270,21 @@ def test_an_ancestor_outside_the_skin_moves_its_joints(tmp_path: Path) -> None:
     assert np.abs(found[1] - found[0]).max() > 1.0
 
 
+def test_channels_of_one_clip_may_share_their_times_or_have_their_own(tmp_path: Path) -> None:
+    builder = arm()
+    animate(builder)
+    animate(builder, node=1, times=[0.5, 1.0, 2.0])
+    animate(builder, node=0, path="translation", values=[[0, 0, 0.0], [5, 0, 0], [0, 0, -3]])
+    clip, *others = builder.json["animations"]
+    for number, other in enumerate(others, start=1):
+        clip["samplers"] += other["samplers"]
+        clip["channels"] += [{**other["channels"][0], "sampler": number}]
+    clip["samplers"].append({**clip["samplers"][1], "input": clip["samplers"][0]["input"]})
+    clip["channels"].append({"sampler": 3, "target": {"node": 2, "path": "rotation"}})
+    del builder.json["animations"][1:]
+    check(builder, tmp_path)
+
+
 def test_channels_that_move_no_node_are_left_out_and_so_are_clips_without_others() -> None:
     builder = arm()
     animate(builder, node=None)

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from skinbake.replay.surface import RestSurface
+from skinbake.verify.blending import BLOCK_SAMPLES
 from skinbake.verify.encoding import EncodedSurface, added_error
-from skinbake.verify.lighting import BLOCK_SAMPLES
 
 ROUNDING = 2.0**-22
 """Relative: angles are kept as float32."""

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
+from dataclasses import astuple
 from pathlib import Path
 from typing import Any
 
@@ -21,10 +21,12 @@ from skinbake.geometry.skinned import SkinnedPrimitive
 from skinbake.gltf.document import read_document
 from skinbake.gltf.primitives import skinned_sources
 from skinbake.replay.algorithms import Algorithm
+from skinbake.replay.components import Vector
 from skinbake.replay.run import replay
-from skinbake.replay.surface import RestSurface, SkinnedSurface
-from skinbake.report.verify import FileVerdict
-from skinbake.verify import lighting
+from skinbake.replay.surface import RestSurface
+from skinbake.report.verify import FileVerdict, Normals
+from skinbake.verify import blending, lighting, metrics
+from skinbake.verify.blending import BlendedSurface
 from skinbake.verify.influences import normalised_weights
 from tests import analytic
 from tests.support import corpus
@@ -122,11 +124,15 @@ def test_at_rest_every_lighting_gives_the_stored_normals(path: Path, tmp_path: P
         joints = max(int(view.now.joints.max()) for view in here) + 1
         identity = np.tile(np.eye(4), (1, joints, 1, 1))
         for method in ("lbs", "dqs"):
-            found = lighting.lighting_errors(mesh_operator(here), rest, identity, method)
-            for name, errors in found.errors.items():
+            found: list[lighting.MeasuredBlock] = []
+            lighting.lighting_errors(mesh_operator(here), rest, identity, method, found.append)
+            for name in lighting.METHODS[method]:
+                own = [block for block in found if block.lighting == name]
+                assert sum(block.errors.size for block in own) == sum(len(one.positions) for one in rest)
                 # Tangents of a file are at right angles to its normals to a tenth of a degree only.
                 exact = all(view.metadata["frame"] == "normal" for view in here) or name == "approximated"
-                assert errors[found.valid].max(initial=0.0) < (1e-4 if exact else 0.11)
+                for block in own:
+                    assert block.errors[block.valid].max(initial=0.0) < (1e-4 if exact else 0.11)
 
 
 def rest_surface(view: Any) -> RestSurface:
@@ -343,17 +349,49 @@ def test_the_identity_check_fails_when_an_algorithm_is_wrong(
 ) -> None:
     path = baked(source("bent_tube.glb"), tmp_path)
 
-    def tilted(algorithm: Algorithm, *arguments: Any, **options: Any) -> SkinnedSurface:
-        found = replay(algorithm, *arguments, **options)
-        if algorithm is Algorithm.LBS_DIRECT:
-            return replace(found, normals=found.normals + 1e-5 * np.roll(found.normals, 1, axis=2))
-        return found
+    class Tilted(BlendedSurface):
+        def normals(self, algorithms: Sequence[Algorithm], pose: slice, part: slice) -> list[Vector]:
+            found = super().normals(algorithms, pose, part)
+            direct = algorithms.index(Algorithm.LBS_DIRECT)
+            x, y, z = found[direct]
+            found[direct] = (x + 1e-5 * z, y + 1e-5 * x, z + 1e-5 * y)
+            return found
 
-    monkeypatch.setattr(lighting, "replay", tilted)
+    monkeypatch.setattr(lighting, "BlendedSurface", Tilted)
     verdict = measured(path, methods=("lbs",), poses=PoseRequest("animation", 3))
     ((name, code, message),) = failing(verdict)
     assert (name, code) == ("identity", "identity")
     assert "algorithms 2 and 3" in message
+
+
+@pytest.mark.parametrize("name", ["two_primitives.glb", "bent_tube.glb"])
+def test_the_figures_do_not_depend_on_blocks(
+    tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = baked(source(name), tmp_path)
+    request = PoseRequest("random", 25)
+    whole = measured(path, poses=request)
+    monkeypatch.setattr(blending, "CHUNK_SAMPLES", 1000)
+    monkeypatch.setattr(blending, "CHUNK_POSES", 7)
+    monkeypatch.setattr(blending, "BLOCK_SAMPLES", 90)
+    monkeypatch.setattr(metrics, "_TAIL", 100)
+    pieces = measured(path, poses=request)
+    assert whole.normals is not None
+    assert pieces.normals is not None
+    assert set(whole.normals) == {"lbs", "dqs"}
+    for (place, one), (there, other) in zip(whole.primitives, pieces.primitives, strict=True):
+        assert place == there
+        assert_alike(one, other)
+    assert_alike(whole.normals, pieces.normals)
+
+
+def assert_alike(one: Normals, other: Normals) -> None:
+    for method, lightings in one.items():
+        for name, figure in lightings.items():
+            found = other[method][name]
+            assert astuple(found)[:4] == pytest.approx(astuple(figure)[:4], rel=1e-6, abs=1e-9)
+            if figure.max > 1e-3:
+                assert found.worst == figure.worst
 
 
 def test_a_stale_bake_lights_worse(tmp_path: Path) -> None:

@@ -1,9 +1,11 @@
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 
-from skinbake.verify.metrics import ErrorSummary, angular_errors, summarise, vertex_areas
+from skinbake.verify import metrics
+from skinbake.verify.metrics import ErrorSummary, ErrorTally, angular_errors, summarise, vertex_areas
 
 
 def test_vertex_areas_are_a_third_of_each_triangle() -> None:
@@ -115,3 +117,63 @@ def test_nothing_to_count_is_no_summary() -> None:
     assert summarise(np.ones((2, 2)), np.zeros(2)) is None
     assert summarise(np.ones((1, 2)), np.ones(2), valid=np.zeros((1, 2), dtype=bool)) is None
     assert summarise(np.zeros((0, 2)), np.ones(2)) is None
+
+
+def percentile(errors: npt.NDArray[np.float64], weights: npt.NDArray[np.float64], share: float) -> float:
+    """The smallest error such that all that are not larger have the share of the weight: one by one."""
+    return min(
+        float(value)
+        for value in errors
+        if weights[errors <= value].sum() >= share * weights.sum() * (1 - 1e-9)
+    )
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_a_tally_of_blocks_is_exact(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Few values, so that there are ties; areas that go with the errors or against them; gaps."""
+    monkeypatch.setattr(metrics, "_TAIL", 50)
+    rng = np.random.default_rng(seed)
+    poses, count = 40, 30
+    errors = np.round(rng.gamma(1.0, 3.0, (poses, count)), seed % 3)
+    areas = rng.random(count) * np.exp((seed % 5 - 2.0) * errors.mean(axis=0))
+    areas[rng.random(count) < 0.1] = 0.0
+    valid = rng.random((poses, count)) < (0.2 if seed % 4 == 0 else 0.9)
+    errors[rng.random((poses, count)) < 0.01] = np.nan
+    tally = ErrorTally(poses * float(areas.sum()))
+    corners = [(pose, vertex) for pose in range(0, poses, 7) for vertex in range(0, count, 8)]
+    for place in rng.permutation(len(corners)):
+        pose, vertex = corners[place]
+        rows, columns = slice(pose, pose + 7), slice(vertex, vertex + 8)
+        tally.add(errors[rows, columns], areas[columns], valid=valid[rows, columns], start=(2, pose, vertex))
+    summary = tally.summary()
+    assert summary is not None
+    counted = valid & (areas > 0.0)
+    values = np.where(np.isnan(errors), 180.0, errors)[counted]
+    weights = np.broadcast_to(areas, errors.shape)[counted]
+    assert summary.p95 == percentile(values, weights, 0.95)
+    assert summary.p99 == percentile(values, weights, 0.99)
+    assert summary.mean == pytest.approx((values * weights).sum() / weights.sum(), rel=1e-12)
+    assert summary.max == values.max()
+    worst = np.flatnonzero(counted & (np.where(np.isnan(errors), 180.0, errors) == values.max()))[0]
+    assert (summary.worst_pose, summary.worst_vertex) == divmod(int(worst), count)
+    assert summary.worst_part == 2
+    assert (summary.samples, summary.excluded) == (counted.sum(), errors.size - counted.sum())
+    assert summary.undefined == (np.isnan(errors) & counted).sum()
+
+
+def test_a_tally_keeps_little_more_than_the_twentieth_that_it_needs() -> None:
+    rng = np.random.default_rng(0)
+    tally = ErrorTally(400.0 * 1000)
+    for pose in range(0, 400, 10):
+        tally.add(rng.random((10, 1000)).astype(np.float32), np.ones(1000), start=(0, pose, 0))
+    kept = sum(len(values) for values in tally._tail._values)
+    assert 400_000 / 20 <= kept < 400_000 / 5
+
+
+def test_of_parts_with_the_same_worst_error_the_first_is_named() -> None:
+    tally = ErrorTally(10.0)
+    for part in (3, 1, 2):
+        tally.add(np.array([[0.0, 5.0]]), np.ones(2), start=(part, 4, 7))
+    summary = tally.summary()
+    assert summary is not None
+    assert (summary.worst_part, summary.worst_pose, summary.worst_vertex) == (1, 4, 8)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from skinbake.geometry.skinned import SkinnedPrimitive
+from skinbake.verify import welds
 from skinbake.verify.welds import weld_classes
 
 UP = [0.0, 0.0, 1.0]
@@ -124,3 +125,22 @@ def test_many_vertices_at_one_place_stay_cheap() -> None:
         [across * np.cos(angles[:, 0]), across * np.sin(angles[:, 0]), np.cos(angles[:, 1])]
     )
     assert set(partition(copies(normals=normals, dtype=np.float64), crease=5.0)) == {0}
+
+
+@pytest.mark.parametrize("crease", [0.0, 15.0, 70.0, 180.0])
+def test_a_few_at_a_place_weld_as_many_do(crease: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pair by pair, and by SciPy's tree and graph, which take over where a place is crowded."""
+    rng = np.random.default_rng(5)
+    normals = rng.normal(size=(3000, 3))
+    normals[rng.random(3000) < 0.3] = UP
+    mesh = copies(positions=rng.integers(0, 9, (3000, 3)), normals=normals)
+    few = partition(mesh, crease=crease)
+    monkeypatch.setattr(welds, "CROWDED", 0)
+    assert partition(mesh, crease=crease) == few
+    assert 600 < len(set(few)) < 3000
+
+
+def test_long_chains_are_one_class() -> None:
+    angles = np.random.default_rng(1).permutation(np.arange(0.0, 180.0, 6.0)).tolist()
+    assert set(partition(copies(normals=tilted(*angles)), crease=7.0)) == {0}
+    assert len(set(partition(copies(normals=tilted(*angles)), crease=5.0))) == 30

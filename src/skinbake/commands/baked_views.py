@@ -21,6 +21,7 @@ from skinbake.gltf.limit import common_unit
 from skinbake.gltf.metadata import FORMER_ATTRIBUTES, VERSION, changed_arrays, read_metadata
 from skinbake.gltf.primitives import PrimitiveSource, read_influences, read_primitive
 from skinbake.gltf.skin_groups import meshes_of_one_skin
+from skinbake.timing import stage
 from skinbake.verify.limits import limited_primitive
 
 WELDS = ("mesh", "skin")
@@ -113,7 +114,8 @@ def _view(document: Document, source: PrimitiveSource) -> BakedView | Notice:
             f"Bake last: {BAKE} on the file that the last tool wrote"
         )
         return Notice("frame", message, source.place)
-    changed = changed_arrays(metadata, now)
+    with stage("digests"):
+        changed = changed_arrays(metadata, now)
     before = _before_adoption(document, source, metadata, now)
     return BakedView(
         source, metadata, now, before, slots.alpha, slots.beta, frame[0], frame[1], changed, slots.rounding

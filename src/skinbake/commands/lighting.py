@@ -12,15 +12,22 @@ from skinbake.commands.morphing import morph_count, morphing_of
 from skinbake.commands.poses import PoseRequest, PoseSet, described, draws_of, pose_set
 from skinbake.errors import Notice, Place
 from skinbake.geometry import frames
-from skinbake.geometry.skinned import BoolArray, FloatArray
+from skinbake.geometry.skinned import Float64Array
 from skinbake.gltf.animation import read_clips
 from skinbake.gltf.document import Document
-from skinbake.replay.surface import Baseline, RestSurface
+from skinbake.replay.surface import Baseline, Options, RestSurface
 from skinbake.report.notices import counted
 from skinbake.report.verify import Check, ErrorFigures, FileVerdict, Normals, Worst, gain
+from skinbake.timing import stage
 from skinbake.verify.influences import normalised_weights
-from skinbake.verify.lighting import IDENTITY_TOLERANCE, LightingErrors, lighting_errors, not_rigid_joints
-from skinbake.verify.metrics import summarise, vertex_areas
+from skinbake.verify.lighting import (
+    IDENTITY_TOLERANCE,
+    METHODS,
+    MeasuredBlock,
+    lighting_errors,
+    not_rigid_joints,
+)
+from skinbake.verify.metrics import ErrorTally, total_area, vertex_areas
 from skinbake.verify.operator import GradientOperator
 
 Progress = Callable[[str, int, int], None]
@@ -47,14 +54,26 @@ class VerifyOptions:
 
 
 @dataclass(frozen=True, slots=True)
+class _Draw:
+    """One mesh as one skin draws it: its baked primitives, what is replayed of them, and their areas (V,)."""
+
+    views: Sequence[BakedView]
+    operator: GradientOperator
+    rest: Sequence[RestSurface]
+    areas: Sequence[Float64Array]
+    poses: PoseSet
+
+
+@dataclass(frozen=True, slots=True)
 class _Segment:
-    """Errors of one primitive under one skin: where, over which poses, (P, V), with the areas (V,)."""
+    """One primitive under one skin: where it is, and in which poses."""
 
     place: Place
     poses: PoseSet
-    areas: FloatArray
-    errors: dict[str, FloatArray]
-    valid: BoolArray
+
+
+_Tallies = dict[str, dict[str, ErrorTally]]
+"""By method and lighting."""
 
 
 class Lighting:
@@ -62,34 +81,60 @@ class Lighting:
 
     def __init__(self, document: Document, options: VerifyOptions, progress: Progress) -> None:
         self._document, self._options, self._progress = document, options, progress
-        self._clips = read_clips(document)
+        with stage("poses"):
+            self._clips = read_clips(document)
         self._done, self._total, self._identity = 0, 0, 0.0
-        self._segments: dict[str, list[_Segment]] = {}
+        self._segments: list[_Segment] = []
+        self._whole: _Tallies = {}
+        self._by_place: dict[Place, _Tallies] = {}
         self._poses: dict[tuple[int, int | None], PoseSet] = {}
 
     def measured(
         self, meshes: Sequence[Sequence[BakedView]], operators: Sequence[GradientOperator]
     ) -> FileVerdict:
         """Return a verdict that holds the lighting checks and figures."""
-        drawn = [
-            (views, operator, [rest_surface(view) for view in views], poses)
-            for views, operator in zip(meshes, operators, strict=True)
-            for poses in self._pose_sets(views[0].source.mesh)
-        ]
-        not_rigid = list(dict.fromkeys(n for _, _, rest, poses in drawn for n in _not_rigid(rest, poses)))
+        with stage("poses"):
+            drawn = list(self._drawn(meshes, operators))
+        not_rigid = list(dict.fromkeys(n for draw in drawn for n in _not_rigid(draw.rest, draw.poses)))
         methods = self._options.methods or (("lbs",) if not_rigid else ("lbs", "dqs"))
         reason = without_dqs(not_rigid)
         if "dqs" in methods and not_rigid:
             problem = Notice("not-rigid", f"dual quaternions were asked for: {reason}", self._document.place)
             check = Check("lighting", "failed", (problem,))
             return FileVerdict(self._document.name, (check,), without_dqs=reason)
-        self._total = sum(len(poses.clips) for *_, poses in drawn) * len(methods)
+        self._total = sum(len(draw.poses.clips) for draw in drawn) * len(methods)
         for method in methods:
-            for views, operator, rest, poses in drawn:
-                self._measure(method, views, operator, rest, poses)
-        verdict = self._verdict([poses for *_, poses in drawn], reason if not_rigid else None)
-        morphs = morph_count(self._document, [(views[0].source.mesh, poses) for views, *_, poses in drawn])
-        return replace(verdict, notices=tuple(dict.fromkeys(self._mirrored(meshes))), morphs=morphs)
+            self._expect(method, drawn)
+            for draw in drawn:
+                self._measure(method, draw)
+        with stage("figures"):
+            verdict = self._verdict([draw.poses for draw in drawn], reason if not_rigid else None)
+        morphs = morph_count(self._document, [(draw.views[0].source.mesh, draw.poses) for draw in drawn])
+        return replace(verdict, notices=tuple(dict.fromkeys(_mirrored(drawn))), morphs=morphs)
+
+    def _drawn(
+        self, meshes: Sequence[Sequence[BakedView]], operators: Sequence[GradientOperator]
+    ) -> Iterator[_Draw]:
+        for views, operator in zip(meshes, operators, strict=True):
+            rest = [rest_surface(view) for view in views]
+            areas = [vertex_areas(view.now.positions, view.now.triangles) for view in views]
+            for poses in self._pose_sets(views[0].source.mesh):
+                yield _Draw(views, operator, rest, areas, poses)
+
+    def _expect(self, method: str, drawn: Sequence[_Draw]) -> None:
+        """Prepare to count what a method yields: a tally must know how much weight may come."""
+        weights: dict[Place, float] = {}
+        for draw in drawn:
+            for view, areas in zip(draw.views, draw.areas, strict=True):
+                weight = len(draw.poses.clips) * total_area(areas)
+                weights[view.source.place] = weights.get(view.source.place, 0.0) + weight
+        lightings = METHODS[method]
+        self._whole[method] = {one: ErrorTally(sum(weights.values())) for one in lightings}
+        for place, weight in weights.items():
+            # The figures of a single primitive are those of the whole: nothing need be counted twice.
+            alone = len(weights) == 1
+            tallies = self._whole[method] if alone else {one: ErrorTally(weight) for one in lightings}
+            self._by_place.setdefault(place, {})[method] = tallies
 
     def _pose_sets(self, mesh: int) -> list[PoseSet]:
         draws = draws_of(self._document, mesh, self._clips)
@@ -99,46 +144,31 @@ class Lighting:
                 self._poses[skin, node] = found
         return [self._poses[draw] for draw in draws]
 
-    def _mirrored(self, meshes: Sequence[Sequence[BakedView]]) -> Iterator[Notice]:
-        """Yield a notice for each mesh that a mirroring joint draws inside out."""
-        for views in meshes:
-            for poses in self._pose_sets(views[0].source.mesh):
-                count = int(
-                    np.count_nonzero((np.linalg.det(poses.joint_matrices[..., :3, :3]) < 0).any(axis=0))
-                )
-                if count:
-                    message = (
-                        f"{counted(count, 'joint mirrors', 'joints mirror')} (negative determinant): t' × b' "
-                        "points inside there, and the shader must turn it round"
-                    )
-                    yield Notice(
-                        "joints-mirror", message, replace(views[0].source.place, primitive=None), count
-                    )
+    def _measure(self, method: str, draw: _Draw) -> None:
+        first = len(self._segments)
+        self._segments += [_Segment(view.source.place, draw.poses) for view in draw.views]
+        tallies = [(self._whole[method], self._by_place[view.source.place][method]) for view in draw.views]
 
-    def _measure(
-        self,
-        method: str,
-        views: Sequence[BakedView],
-        operator: GradientOperator,
-        rest: Sequence[RestSurface],
-        poses: PoseSet,
-    ) -> None:
-        found: LightingErrors = lighting_errors(
-            operator,
-            rest,
-            poses.joint_matrices,
+        def record(block: MeasuredBlock) -> None:
+            areas = draw.areas[block.surface][block.vertex : block.vertex + block.errors.shape[1]]
+            start = first + block.surface, block.pose, block.vertex
+            whole, own = (found[block.lighting] for found in tallies[block.surface])
+            with stage("figures"):
+                whole.add(block.errors, areas, valid=block.valid, start=start)
+                if own is not whole:
+                    own.add(block.errors, areas, valid=block.valid, start=start)
+
+        identity = lighting_errors(
+            draw.operator,
+            draw.rest,
+            draw.poses.joint_matrices,
             method,
-            cap=self._options.cap,
-            baseline=self._options.baseline,
-            morphing=morphing_of(self._document, views, poses),
+            record,
+            options=Options(self._options.cap, self._options.baseline),
+            morphing=morphing_of(self._document, draw.views, draw.poses),
             advance=self._advance,
         )
-        self._identity = max(self._identity, found.identity)
-        for view, rows in zip(views, operator.slices, strict=True):
-            errors = {lighting: values[:, rows] for lighting, values in found.errors.items()}
-            areas = vertex_areas(view.now.positions, view.now.triangles)
-            segment = _Segment(view.source.place, poses, areas, errors, found.valid[:, rows])
-            self._segments.setdefault(method, []).append(segment)
+        self._identity = max(self._identity, identity)
 
     def _advance(self, poses: int) -> None:
         self._done += poses
@@ -155,7 +185,7 @@ class Lighting:
         return Check("identity", "failed", (Notice("identity", message, self._document.place),))
 
     def _verdict(self, poses: Sequence[PoseSet], without_dqs: str | None) -> FileVerdict:
-        normals = _figures(self._segments)
+        normals = self._figures(self._whole)
         seconds = sum(clip.duration - clip.start for clip in self._clips)
         identity = self._identity_check()
         checks = [identity] if "lbs" in normals else []
@@ -167,11 +197,7 @@ class Lighting:
         asked = (self._options.max_mean_error, self._options.max_p95_error, self._options.min_gain)
         if any(limit is not None for limit in asked):
             checks.append(_limits_check(limits, normals, self._options))
-        places = {segment.place: None for segments in self._segments.values() for segment in segments}
-        by_primitive = tuple(
-            (place, _figures({m: [s for s in ss if s.place == place] for m, ss in self._segments.items()}))
-            for place in places
-        )
+        by_primitive = tuple((place, self._figures(tallies)) for place, tallies in self._by_place.items())
         return FileVerdict(
             self._document.name,
             tuple(checks),
@@ -180,6 +206,38 @@ class Lighting:
             described(self._options.poses, poses, seconds),
             without_dqs,
         )
+
+    def _figures(self, tallies: _Tallies) -> Normals:
+        """Return the figures of what was counted, by method and lighting; poses weigh equally."""
+        result: Normals = {}
+        for method, lightings in tallies.items():
+            for lighting, tally in lightings.items():
+                summary = tally.summary()
+                if summary is not None:
+                    segment, pose = self._segments[summary.worst_part], summary.worst_pose
+                    clip, time = segment.poses.clips[pose], segment.poses.times[pose]
+                    worst = Worst(segment.place, summary.worst_vertex, clip, time)
+                    result.setdefault(method, {})[lighting] = ErrorFigures(
+                        summary.mean, summary.p95, summary.p99, summary.max, worst
+                    )
+        return result
+
+
+def _mirrored(drawn: Sequence[_Draw]) -> Iterator[Notice]:
+    """Yield a notice for each mesh that a mirroring joint draws inside out."""
+    counts: dict[int, int] = {}
+    for draw in drawn:
+        poses = draw.poses
+        if id(poses) not in counts:
+            mirrors = np.linalg.det(poses.joint_matrices[..., :3, :3]) < 0
+            counts[id(poses)] = int(np.count_nonzero(mirrors.any(axis=0)))
+        count = counts[id(poses)]
+        if count:
+            message = (
+                f"{counted(count, 'joint mirrors', 'joints mirror')} (negative determinant): t' × b' points "
+                "inside there, and the shader must turn it round"
+            )
+            yield Notice("joints-mirror", message, replace(draw.views[0].source.place, primitive=None), count)
 
 
 def _limits_check(problems: Sequence[Notice], normals: Normals, options: VerifyOptions) -> Check:
@@ -214,32 +272,6 @@ def without_dqs(joints: Sequence[str]) -> str:
     shown = ", ".join(joints[:4]) + (", …" if len(joints) > 4 else "")
     verb = "is" if len(joints) == 1 else "are"
     return f"{shown} {verb} not rigid up to one scale common to all joints"
-
-
-def _figures(segments: dict[str, list[_Segment]]) -> Normals:
-    """Return the figures of all samples together, by method and lighting; poses weigh equally."""
-    result: Normals = {}
-    for method, parts in segments.items():
-        areas = np.concatenate([np.tile(part.areas, len(part.valid)) for part in parts])
-        valid = np.concatenate([part.valid.ravel() for part in parts])[None]
-        for lighting in parts[0].errors if parts else ():
-            errors = np.concatenate([part.errors[lighting].ravel() for part in parts])[None]
-            summary = summarise(errors, areas, valid=valid)
-            if summary is not None:
-                worst = _worst(parts, summary.worst_vertex)
-                result.setdefault(method, {})[lighting] = ErrorFigures(
-                    summary.mean, summary.p95, summary.p99, summary.max, worst
-                )
-    return result
-
-
-def _worst(parts: Sequence[_Segment], sample: int) -> Worst:
-    for part in parts:
-        if sample < part.valid.size:
-            pose, vertex = divmod(sample, part.valid.shape[1])
-            return Worst(part.place, vertex, part.poses.clips[pose], part.poses.times[pose])
-        sample -= part.valid.size
-    raise IndexError(sample)
 
 
 def _exceeded(normals: Normals, options: VerifyOptions, place: Place) -> list[Notice]:

@@ -17,16 +17,13 @@ from skinbake.gltf.document import Document
 from skinbake.gltf.limit import with_limit
 from skinbake.gltf.primitives import PrimitiveSource, StoredInfluences, read_influences
 from skinbake.replay.algorithms import Algorithm
-from skinbake.replay.run import replay
 from skinbake.replay.surface import RestSurface
 from skinbake.report.bake import LimitCost, Spread
+from skinbake.verify.blending import blended_blocks
 from skinbake.verify.influences import normalised_weights
-from skinbake.verify.metrics import angular_errors, summarise, vertex_areas
+from skinbake.verify.metrics import ErrorTally, angles_between, total_area, vertex_areas
 
 Outcome = tuple[BakedPrimitive, BakeFindings]
-
-BLOCK_SAMPLES = 1 << 20
-"""Vertices × poses replayed at a time: bounds the memory."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,15 +91,15 @@ def limit_costs(
             _surface(primitive, before, source.joint_count, settings),
             _surface(part.primitive, after, source.joint_count, settings),
         )
-        turned, moved, size = _differences(pair, sets)
-        areas = np.tile(vertex_areas(primitive.positions, primitive.triangles), len(turned))
+        areas = vertex_areas(primitive.positions, primitive.triangles)
+        turned, moved, size = _differences(pair, sets, areas)
         costs.append(
             LimitCost(
                 influences=part.primitive.joints.shape[1],
                 vertices=part.vertices,
                 left_out=part.left_out,
-                normals=_spread(turned, areas),
-                positions=_spread(moved, areas),
+                normals=_spread(turned),
+                positions=_spread(moved),
                 size=size,
                 poses=told,
             )
@@ -130,29 +127,34 @@ def _surface(
 
 
 def _differences(
-    pair: tuple[RestSurface, RestSurface], sets: Sequence[PoseSet]
-) -> tuple[FloatArray, FloatArray, float]:
-    """Return angles between normals in degrees and distances between positions, each (P, V), and the size.
+    pair: tuple[RestSurface, RestSurface], sets: Sequence[PoseSet], areas: Float64Array
+) -> tuple[ErrorTally, ErrorTally, float]:
+    """Return angles between normals in degrees, distances between positions, and the size.
 
-    The size is the diagonal of the box around the posed primitive, the largest of all poses.
+    areas (V,) weigh the vertices. The size is the diagonal of the box around the posed primitive, the largest
+    of all poses.
     """
-    turned: list[Float64Array] = []
-    moved: list[Float64Array] = []
+    weight = sum(len(poses.joint_matrices) for poses in sets) * total_area(areas)
+    turned, moved = ErrorTally(weight), ErrorTally(weight)
     size = 0.0
-    step = max(1, BLOCK_SAMPLES // max(len(pair[0].positions), 1))
     for matrices in (poses.joint_matrices for poses in sets):
-        for start in range(0, len(matrices), step):
-            before, after = (
-                replay(Algorithm.LBS_ACCURATE, surface, matrices[start : start + step]) for surface in pair
-            )
-            turned.append(angular_errors(after.normals, before.normals))
-            moved.append(np.linalg.norm(after.positions - before.positions, axis=2))
-            size = max(size, float(np.linalg.norm(np.ptp(before.positions, axis=1), axis=1).max(initial=0.0)))
-    return np.concatenate(turned), np.concatenate(moved), size
+        low, high = np.full((3, len(matrices)), np.inf), np.full((3, len(matrices)), -np.inf)
+        for pose, part, blended in blended_blocks(pair, matrices):
+            before, after = (one.normals((Algorithm.LBS_ACCURATE,), pose, part)[0] for one in blended)
+            _count(turned, angles_between(after, before), areas[part])
+            first, second = (one.positions(pose, part) for one in blended)
+            _count(moved, np.linalg.norm(second - first, axis=1).T, areas[part])
+            low[:, pose] = np.minimum(low[:, pose], first.min(axis=0))
+            high[:, pose] = np.maximum(high[:, pose], first.max(axis=0))
+        size = max(size, float(np.linalg.norm(high - low, axis=0).max(initial=0.0)))
+    return turned, moved, size
 
 
-def _spread(values: FloatArray, areas: FloatArray) -> Spread:
-    """Summarise (P, V), weighted by area; a normal that does not exist before or after is left out."""
-    flat = values.ravel()[None]
-    summary = summarise(flat, areas, valid=np.isfinite(flat))
+def _count(tally: ErrorTally, values: FloatArray, areas: FloatArray) -> None:
+    """Count values (P, V); one that does not exist, like the angle to a normal that does not, is left out."""
+    tally.add(values, areas, valid=np.isfinite(values))
+
+
+def _spread(tally: ErrorTally) -> Spread:
+    summary = tally.summary()
     return Spread(0.0, 0.0, 0.0) if summary is None else Spread(summary.mean, summary.p99, summary.max)

@@ -14,6 +14,7 @@ from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.metadata import read_metadata
 from skinbake.gltf.primitives import PrimitiveSource, reason_to_skip, skinned_sources
 from skinbake.report.verify import Check, FileVerdict
+from skinbake.timing import stage
 
 logger = logging.getLogger(__name__)
 
@@ -37,23 +38,27 @@ def verify_file(source: str, options: VerifyOptions, progress: Progress | None =
 
 
 def _verify_file(source: str, options: VerifyOptions, progress: Progress) -> FileVerdict:
-    document = read_document(source)
-    wanted, lost, notices = _sorted_out(document)
+    with stage("read"):
+        document = read_document(source)
+        wanted, lost, notices = _sorted_out(document)
     if not lost and not any(is_baked(document, entry) for entry in wanted):
         return _unbaked(document, options, notices, bakeable=bool(wanted))
-    views, problems = baked_views(document, wanted)
+    with stage("read"):
+        views, problems = baked_views(document, wanted)
     problems = [*lost, *problems]
     structure = Check("structure", "failed" if problems else "passed", tuple(problems), _counted(views))
     if problems:
         rest = [Check(name, "skipped", (), "structure failed") for name in ("freshness", "lighting")]
         return FileVerdict(document.name, (structure, *rest), notices=tuple(notices))
     surfaces = gathered_together(document, views)
-    operators = [mesh_operator(surface) for surface in surfaces]
-    problems = [
-        p
-        for surface, operator in zip(surfaces, operators, strict=True)
-        for p in staleness(document, surface, operator)
-    ]
+    with stage("gradient operator"):
+        operators = [mesh_operator(surface) for surface in surfaces]
+    with stage("freshness"):
+        problems = [
+            p
+            for surface, operator in zip(surfaces, operators, strict=True)
+            for p in staleness(document, surface, operator)
+        ]
     fresh = Check("freshness", "failed" if problems else "passed", tuple(problems))
     lighting = Lighting(document, options, progress)
     verdict = lighting.measured(surfaces, operators)

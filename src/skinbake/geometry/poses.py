@@ -21,7 +21,8 @@ def interpolated(
     """Return an animated property at the times ``at`` (P,), each (P, C).
 
     times (N,) ascend, in seconds; values are (N, C), or (N, 3, C) as in-tangent, value, out-tangent for
-    CUBICSPLINE. Before the first and after the last key the value stays. Rotations are quaternions
+    CUBICSPLINE. Several properties of the same times may be one array (…, N, C), the result is (…, P, C)
+    then. Before the first and after the last key the value stays. Rotations are quaternions
     (w, x, y, z), interpolated along the shorter arc for LINEAR, and normalised.
     """
     last = len(times) - 1
@@ -30,40 +31,41 @@ def interpolated(
     span = times[after] - times[before]
     share = np.divide(at - times[before], span, out=np.zeros_like(at), where=span > 0)
     share = np.clip(share, 0.0, 1.0)
+    left, right = (values.take(key, axis=-3 if method == CUBICSPLINE else -2) for key in (before, after))
     if method == CUBICSPLINE:
-        result = _hermite(values[before], values[after], share[:, None], span[:, None])
+        result = _hermite(left, right, share[:, None], span[:, None])
     elif method == STEP:
-        result = np.where((share >= 1.0)[:, None], values[after], values[before])
+        result = np.where((share >= 1.0)[:, None], right, left)
     elif rotation:
-        return _slerp(values[before], values[after], share)
+        return _slerp(left, right, share)
     else:
-        result = values[before] * (1.0 - share[:, None]) + values[after] * share[:, None]
+        result = left * (1.0 - share[:, None]) + right * share[:, None]
     return normalised(result) if rotation else result
 
 
 def _hermite(left: Float64Array, right: Float64Array, s: Float64Array, span: Float64Array) -> Float64Array:
-    """Return the cubic Hermite spline of glTF 2.0, appendix C.5; left and right (P, 3, C), s in 0 … 1."""
+    """Return the cubic Hermite spline of glTF 2.0, appendix C.5; left and right (…, P, 3, C), s in 0 … 1."""
     s2, s3 = s * s, s * s * s
     return (
-        (2 * s3 - 3 * s2 + 1) * left[:, 1]
-        + span * (s3 - 2 * s2 + s) * left[:, 2]
-        + (3 * s2 - 2 * s3) * right[:, 1]
-        + span * (s3 - s2) * right[:, 0]
+        (2 * s3 - 3 * s2 + 1) * left[..., 1, :]
+        + span * (s3 - 2 * s2 + s) * left[..., 2, :]
+        + (3 * s2 - 2 * s3) * right[..., 1, :]
+        + span * (s3 - s2) * right[..., 0, :]
     )
 
 
 def _slerp(first: Float64Array, second: Float64Array, share: Float64Array) -> Float64Array:
-    """Return quaternions (P, 4) on the shorter arc; linear where the arc is too short for its sine."""
+    """Return quaternions (…, P, 4) on the shorter arc; linear where the arc is too short for its sine."""
     first, second = normalised(first), normalised(second)
-    cosine = np.einsum("pc,pc->p", first, second)
-    second = np.where(cosine[:, None] < 0, -second, second)
+    cosine = np.einsum("...c,...c->...", first, second)
+    second = np.where(cosine[..., None] < 0, -second, second)
     angle = np.arccos(np.minimum(np.abs(cosine), 1.0))
     sine = np.sin(angle)
     short = sine < 1e-9
     safe = np.where(short, 1.0, sine)
     a = np.where(short, 1.0 - share, np.sin((1.0 - share) * angle) / safe)
     b = np.where(short, share, np.sin(share * angle) / safe)
-    return normalised(a[:, None] * first + b[:, None] * second)
+    return normalised(a[..., None] * first + b[..., None] * second)
 
 
 def normalised(quaternions: Float64Array) -> Float64Array:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -75,7 +75,7 @@ class Skeleton:
         animated maps (node of the document, path) to its values in P poses; turned (J, P, 4) are rotations
         added to the joints' own, or None. The transform of the node that draws the mesh plays no part.
         """
-        local = np.stack([self._local(position, animated, count) for position in range(len(self.nodes))])
+        local = self._local(animated, count)
         if turned is not None:
             extra = np.zeros((*turned.shape[:2], 4, 4))
             extra[..., :3, :3] = poses.rotation_matrices(turned)
@@ -84,17 +84,19 @@ class Skeleton:
         joints = poses.global_transforms(local, self.parents)[self.joints]
         return np.ascontiguousarray(np.swapaxes(joints @ self.inverse_bind[:, None], 0, 1))
 
-    def _local(
-        self, position: int, animated: dict[tuple[int, str], Float64Array], count: int
-    ) -> Float64Array:
-        node = self.nodes[position]
-        if position in self.matrices:
-            return np.broadcast_to(self.matrices[position], (count, 4, 4))
-        parts = [
-            animated.get((node, path), np.broadcast_to(rest[position], (count, rest.shape[1])))
-            for path, rest in zip(PATHS, (self.translations, self.rotations, self.scales), strict=True)
-        ]
-        return poses.composed(*parts)
+    def _local(self, animated: dict[tuple[int, str], Float64Array], count: int) -> Float64Array:
+        """Return the transforms (N, P, 4, 4) of nodes relative to their parents."""
+        parts = []
+        for path, rest in zip(PATHS, (self.translations, self.rotations, self.scales), strict=True):
+            values = np.repeat(rest[:, None], count, axis=1)
+            for position, node in enumerate(self.nodes):
+                if (node, path) in animated:
+                    values[position] = animated[node, path]
+            parts.append(values)
+        local = poses.composed(*parts)
+        for position, matrix in self.matrices.items():
+            local[position] = matrix
+        return local
 
 
 def rest_pose(skeleton: Skeleton) -> Float64Array:
@@ -110,11 +112,16 @@ def random_poses(skeleton: Skeleton, count: int, *, angle: float, seed: int) -> 
 
 def clip_poses(skeleton: Skeleton, clip: Clip, at: Float64Array) -> Float64Array:
     """Return the joint matrices (P, J, 4, 4) of a clip at the times ``at`` (P,) in seconds."""
-    animated = {
-        (channel.node, channel.path): _at(channel, at)
-        for channel in clip.channels
-        if channel.path != MORPH_WEIGHTS
-    }
+    # Exporters write all channels of a clip with the same keys: those take as long together as one.
+    moving = [channel for channel in clip.channels if channel.path != MORPH_WEIGHTS]
+    alike: dict[tuple[int, str, str], list[int]] = {}
+    for number, channel in enumerate(moving):
+        alike.setdefault((id(channel.times), channel.path, channel.method), []).append(number)
+    found: dict[int, Float64Array] = {}
+    for numbers in alike.values():
+        values = np.stack([moving[number].values for number in numbers])
+        found.update(zip(numbers, _at(replace(moving[numbers[0]], values=values), at), strict=True))
+    animated = {(channel.node, channel.path): found[number] for number, channel in enumerate(moving)}
     return skeleton.joint_matrices(animated, None, len(at))
 
 
@@ -213,12 +220,13 @@ def _inverse_bind(document: Document, skin: JsonObject, count: int) -> Float64Ar
 def read_clips(document: Document) -> list[Clip]:
     """Return the animations that move, turn, scale or morph; InputError where one is broken."""
     clips = []
+    times: dict[int, Float64Array] = {}
     for number, animation in enumerate(document.objects("animations")):
         place = document.place
         samplers = objects(animation, "samplers", place)
         channels = []
         for channel in objects(animation, "channels", place):
-            found = _channel(document, samplers, channel)
+            found = _channel(document, samplers, channel, times)
             if found is not None:
                 channels.append(found)
         if channels:
@@ -229,8 +237,13 @@ def read_clips(document: Document) -> list[Clip]:
     return clips
 
 
-def _channel(document: Document, samplers: list[JsonObject], channel: JsonObject) -> Channel | None:
-    """Return one channel, None where it moves no node, and morphs none that draws a skinned mesh."""
+def _channel(
+    document: Document, samplers: list[JsonObject], channel: JsonObject, known: dict[int, Float64Array]
+) -> Channel | None:
+    """Return one channel, None where it moves no node, and morphs none that draws a skinned mesh.
+
+    known are the times that were read before, by accessor.
+    """
     place = document.place
     target = member(channel, "target", place)
     node = index(target, "node", len(document.objects("nodes")), place)
@@ -246,19 +259,25 @@ def _channel(document: Document, samplers: list[JsonObject], channel: JsonObject
     source, output = (index(sampler, key, len(accessors), place) for key in ("input", "output"))
     if source is None or output is None:
         raise InputError("an animation sampler lacks its input or output", place)
-    times = read_accessor(document, source, place).decoded().astype(np.float64)
+    if source not in known:
+        known[source] = _key_times(document, source, place)
+    times = known[source]
     values = read_accessor(document, output, place).decoded().astype(np.float64)
     method = text(sampler, "interpolation", place) or poses.LINEAR
-    if times.shape[1] != 1 or not np.isfinite(times).all() or (np.diff(times[:, 0]) < 0).any():
-        raise InputError("an animation sampler's times must be finite, ascending scalars", place)
     if method not in {poses.STEP, poses.LINEAR, poses.CUBICSPLINE}:
         raise InputError(f"an animation sampler has the unknown interpolation {method!r}", place)
     each = 3 if method == poses.CUBICSPLINE else 1
     check = _key_weights if path == MORPH_WEIGHTS else _key_values
     by_key = check(values, each * len(times), components, path, place)
-    return Channel(
-        node, path, method, times[:, 0], by_key.reshape(-1, 3, components) if each == 3 else by_key
-    )
+    return Channel(node, path, method, times, by_key.reshape(-1, 3, components) if each == 3 else by_key)
+
+
+def _key_times(document: Document, number: int, place: Place) -> Float64Array:
+    """Return the times (N,) of an accessor."""
+    times = read_accessor(document, number, place).decoded().astype(np.float64)
+    if times.shape[1] != 1 or not np.isfinite(times).all() or (np.diff(times[:, 0]) < 0).any():
+        raise InputError("an animation sampler's times must be finite, ascending scalars", place)
+    return times[:, 0]
 
 
 def _key_values(values: Float64Array, count: int, components: int, path: str, place: Place) -> Float64Array:

@@ -38,6 +38,8 @@ def integer(
 ) -> int:
     """Return the integer under ``key``; InputError where it is missing without default, or out of range."""
     value = parent.get(key, default)
+    if type(value) is int and value >= minimum:
+        return value
     if isinstance(value, float) and value.is_integer():
         value = int(value)  # some exporters write 3.0
     if isinstance(value, bool) or not isinstance(value, int) or value < minimum:

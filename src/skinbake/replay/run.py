@@ -12,12 +12,18 @@ from skinbake.errors import UnsupportedFeatureError
 from skinbake.geometry.dual_quaternions import RIGID_TOLERANCE, rigid_motions
 from skinbake.geometry.skinned import FloatArray
 from skinbake.replay.algorithms import STEPS, Algorithm
-from skinbake.replay.components import PosedVertex, RestVertex, Rows, Vector, scaled
+from skinbake.replay.components import PosedVertex, RestVertex, Rows, Vector
 from skinbake.replay.surface import Baseline, Options, RestSurface, SkinnedSurface
 
 # Bytes of one component of a block, some sixty of which are alive at a time. Measured at 10,000 vertices ×
 # 100 poses: flat from 32 to 256 KiB, half as long again at 16, where the interpreter begins to show.
 _BLOCK_BYTES = 65536
+
+# Poses of a block, where there are as many: gathering a joint's motion then copies a row of them.
+_BLOCK_POSES = 64
+
+# From how many poses on components lie pose by pose in memory; below, rows would be too short to pay.
+_ROWS = 16
 
 
 def replay(
@@ -43,18 +49,58 @@ def replay(
     beforehand). A vertex without weight collapses to the origin under linear blending and stays in place
     under dual quaternions.
     """
-    motions = _motions(algorithm, rest, joint_matrices, tolerance)
-    vertices = _Vertices.of(rest, dtype)
-    table = np.ascontiguousarray(motions.table, dtype=dtype)
-    scale = motions.scale.astype(dtype)
-    poses, count = table.shape[1], len(rest.positions)
+    skinning = Skinning.of(
+        rest,
+        joint_matrices,
+        dual_quaternions=algorithm.uses_dual_quaternions,
+        dtype=dtype,
+        options=Options(cap, baseline),
+        tolerance=tolerance,
+    )
+    poses, count = len(joint_matrices), len(rest.positions)
     posed = [np.empty((poses, count, 3), dtype=dtype) for _ in range(4)]
-    steps, options = STEPS[algorithm], Options(cap, baseline)
-    for pose, part in _blocks(poses, count, table.dtype.itemsize):
-        vertex = vertices.block(part, scale[pose] if algorithm.uses_dual_quaternions else None)
-        per_slot = [motions.of_slot(table[:, pose], joints[part]) for joints in vertices.joints]
-        _write(posed, pose, part, steps(vertex, per_slot, options, _ignore_line))
+    for pose, part in _blocks(poses, count, np.dtype(dtype).itemsize):
+        (vertex,) = skinning.run((algorithm,), pose, part)
+        _write(posed, pose, part, vertex)
     return SkinnedSurface(*posed)
+
+
+@dataclass(frozen=True, slots=True)
+class Skinning:
+    """A rest surface and joint motions of P poses, on which the algorithms run block by block.
+
+    The motions are joint matrices for algorithms 1–3 and dual quaternions for 4–6.
+    """
+
+    vertices: _Vertices
+    motions: _Motions
+    options: Options
+
+    @classmethod
+    def of(
+        cls,
+        rest: RestSurface,
+        joint_matrices: FloatArray,
+        *,
+        dual_quaternions: bool,
+        dtype: npt.DTypeLike = np.float64,
+        options: Options | None = None,
+        tolerance: float = RIGID_TOLERANCE,
+    ) -> Skinning:
+        """Prepare joint matrices (P, J, 4, 4); arguments and errors are those of ``replay``."""
+        motions = (
+            _rigid_motions(rest, joint_matrices, tolerance, dtype)
+            if dual_quaternions
+            else _matrices(joint_matrices, dtype)
+        )
+        return cls(_Vertices.of(rest, dtype), motions, options or Options())
+
+    def run(self, algorithms: Sequence[Algorithm], pose: slice, part: slice) -> list[PosedVertex]:
+        """Return what algorithms of one kind make of a block of poses and vertices, components (P, V)."""
+        scale = self.motions.scale
+        vertex = self.vertices.block(part, None if scale is None else scale[pose])
+        per_slot = [self.motions.of_slot(joints[part], pose) for joints in self.vertices.joints]
+        return [STEPS[algorithm](vertex, per_slot, self.options, _ignore_line) for algorithm in algorithms]
 
 
 def _ignore_line(number: int) -> None:
@@ -63,29 +109,42 @@ def _ignore_line(number: int) -> None:
 
 @dataclass(frozen=True, slots=True)
 class _Motions:
-    """Joint motions as a table (components, P, J), the uniform scale (P,), and a row's length or None."""
+    """Joint motions as a table (components, J, P), a row's length or None, and the uniform scale (P,).
+
+    Components of a block are (P, V). Where there are many poses they are stored pose by pose, so that joints
+    are gathered in rows; a few poses would make the rows too short. scale is None where there is none.
+    """
 
     table: FloatArray
-    scale: FloatArray
     row_length: int | None
+    scale: FloatArray | None
 
-    def of_slot(self, table: FloatArray, joints: npt.NDArray[np.intp]) -> Vector | Rows:
+    def of_slot(self, joints: npt.NDArray[np.intp], pose: slice) -> Vector | Rows:
         """Gather the motions of one slot for a block: components (P, V), or three rows of four of them."""
-        gathered = tuple(table.take(joints, axis=2))
+        table = self.table[:, :, pose]
+        if table.shape[2] < _ROWS:
+            gathered = tuple(np.swapaxes(table, 1, 2).take(joints, axis=2))
+        else:
+            gathered = tuple(component.T for component in table.take(joints, axis=1))
         if self.row_length is None:
             return gathered
         return tuple(gathered[start : start + self.row_length] for start in range(0, 12, self.row_length))
 
 
-def _motions(
-    algorithm: Algorithm, rest: RestSurface, joint_matrices: FloatArray, tolerance: float
-) -> _Motions:
-    """Bring joint matrices into the form that the algorithm reads."""
+def _matrices(joint_matrices: FloatArray, dtype: npt.DTypeLike) -> _Motions:
+    """Take the upper three rows of joint matrices."""
     poses, joints = joint_matrices.shape[:2]
-    if not algorithm.uses_dual_quaternions:
-        rows = joint_matrices[:, :, :3, :].reshape(poses, joints, 12)
-        return _Motions(np.moveaxis(rows, 2, 0), np.ones(poses), 4)
-    motions = rigid_motions(joint_matrices, tolerance=tolerance, in_use=rest.joints_in_use(joints))
+    rows = joint_matrices[:, :, :3, :].reshape(poses, joints, 12)
+    return _Motions(np.ascontiguousarray(np.transpose(rows, (2, 1, 0)), dtype=dtype), 4, None)
+
+
+def _rigid_motions(
+    rest: RestSurface, joint_matrices: FloatArray, tolerance: float, dtype: npt.DTypeLike
+) -> _Motions:
+    """Bring joint matrices into the form of dual quaternions."""
+    motions = rigid_motions(
+        joint_matrices, tolerance=tolerance, in_use=rest.joints_in_use(joint_matrices.shape[1])
+    )
     if not motions.is_rigid:
         found = ", ".join(str(joint) for joint in motions.not_rigid[:8])
         more = f" and {motions.not_rigid.size - 8} more" if motions.not_rigid.size > 8 else ""
@@ -93,7 +152,8 @@ def _motions(
             f"dual quaternions need rigid joints, up to one uniform scale common to all; "
             f"joints {found}{more} are not within {tolerance:g}. Use linear blend skinning for them"
         )
-    return _Motions(np.moveaxis(motions.dual_quaternions, 2, 0), motions.scale, None)
+    table = np.ascontiguousarray(np.transpose(motions.dual_quaternions, (2, 1, 0)), dtype=dtype)
+    return _Motions(table, None, motions.scale.astype(dtype))
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,7 +194,7 @@ class _Vertices:
     def block(self, part: slice, scale: FloatArray | None) -> RestVertex:
         """Return the vertices of a block; p, t and b times the scale (P,) of its poses where there is one."""
         position, tangent, bitangent = (
-            tuple(vectors[:, part]) if scale is None else scaled(scale[:, None], tuple(vectors[:, part]))
+            tuple(vectors[:, part]) if scale is None else _scaled(scale, vectors[:, part])
             for vectors in (self.position, self.tangent, self.bitangent)
         )
         return RestVertex(
@@ -150,13 +210,21 @@ class _Vertices:
         )
 
 
+def _scaled(scale: FloatArray, vectors: FloatArray) -> Vector:
+    """Return vectors (3, V) times the scale of each pose (P,), stored as gathered motions are."""
+    if len(scale) < _ROWS:
+        return tuple(scale[:, None] * component for component in vectors)
+    return tuple((component[:, None] * scale).T for component in vectors)
+
+
 def _blocks(poses: int, vertices: int, itemsize: int) -> Iterator[tuple[slice, slice]]:
-    """Cut poses × vertices into blocks of one size: part of a pose, or several poses of a small mesh."""
+    """Cut poses × vertices into blocks of one size: some poses of some vertices, more of a small mesh."""
     size = _BLOCK_BYTES // itemsize
-    pose_step = max(1, size // max(1, vertices))
-    for vertex in range(0, vertices, size):
+    pose_step = max(1, min(poses, max(_BLOCK_POSES, size // max(1, vertices))))
+    vertex_step = max(1, size // pose_step)
+    for vertex in range(0, vertices, vertex_step):
         for pose in range(0, poses, pose_step):
-            yield slice(pose, pose + pose_step), slice(vertex, vertex + size)
+            yield slice(pose, pose + pose_step), slice(vertex, vertex + vertex_step)
 
 
 def _write(posed: Sequence[FloatArray], pose: slice, part: slice, vertex: PosedVertex) -> None:

@@ -5,11 +5,13 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
-from xml.etree import ElementTree
+from typing import TYPE_CHECKING, Any, Literal
 
 from skinbake.errors import Notice, Place, SkinbakeError, printable
 from skinbake.report.notices import error_fields, notice_list, place_fields
+
+if TYPE_CHECKING:
+    from xml.etree import ElementTree
 
 SCHEMA = "skinbake.verify/1"
 
@@ -227,6 +229,8 @@ def _figures_json(error: ErrorFigures) -> dict[str, Any]:
 
 def as_junit(verdicts: Sequence[FileVerdict]) -> str:
     """Return the verdicts as JUnit XML: a suite per file, a case per check."""
+    from xml.etree import ElementTree  # noqa: PLC0415  # few ask for it
+
     root = ElementTree.Element("testsuites", name="skinbake verify")
     for verdict in verdicts:
         suite = ElementTree.SubElement(root, "testsuite", name=verdict.input)
@@ -248,6 +252,8 @@ def as_junit(verdicts: Sequence[FileVerdict]) -> str:
 
 
 def _case(suite: ElementTree.Element, check: Check) -> str:
+    from xml.etree import ElementTree  # noqa: PLC0415
+
     case = ElementTree.SubElement(suite, "testcase", name=check.name, classname="skinbake.verify")
     if check.outcome == "failed":
         more = f" (and {len(check.problems) - 1} more)" if len(check.problems) > 1 else ""

@@ -7,12 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray
+from skinbake.geometry.skinned import Float64Array, FloatArray
 from skinbake.replay.algorithms import Algorithm
-from skinbake.replay.run import replay
 from skinbake.replay.surface import RestSurface
-from skinbake.verify.lighting import BLOCK_SAMPLES
-from skinbake.verify.metrics import angular_errors, summarise
+from skinbake.verify.blending import blended_blocks
+from skinbake.verify.metrics import ErrorTally, angles_between, cosine, total_area
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,31 +42,14 @@ def added_error(surfaces: Iterable[EncodedSurface]) -> AddedError | None:
     All samples count together, each pose alike. A sample whose unrounded normal vanishes is left out, and one
     whose stored normal alone does counts as 180°; None where no sample is left.
     """
-    angles, valid, weights = [], [], []
-    for item in surfaces:
-        found, exists = _angles(item)
-        angles.append(found.ravel())
-        valid.append(exists.ravel())
-        weights.append(np.tile(item.areas, len(found)))
-    if not angles:
-        return None
-    together, counted = np.concatenate(angles)[None], np.concatenate(valid)[None]
-    summary = summarise(together, np.concatenate(weights), valid=counted)
+    items = list(surfaces)
+    tally = ErrorTally(sum(len(item.joint_matrices) * total_area(item.areas) for item in items))
+    for item in items:
+        exact = replace(item.surface, alpha=item.alpha, beta=item.beta)
+        for pose, part, blended in blended_blocks((item.surface, exact), item.joint_matrices):
+            stored, unrounded = (one.normals((Algorithm.LBS_ACCURATE,), pose, part)[0] for one in blended)
+            square = cosine(unrounded, unrounded)
+            angles = angles_between(stored, unrounded).astype(np.float32)
+            tally.add(angles, item.areas[part], valid=(square > 0.0) & np.isfinite(square))
+    summary = tally.summary()
     return None if summary is None else AddedError(summary.mean, summary.p99)
-
-
-def _angles(item: EncodedSurface) -> tuple[FloatArray, BoolArray]:
-    """Return the angles of one primitive (P, V) float32, and where the unrounded normal exists."""
-    exact = replace(item.surface, alpha=item.alpha, beta=item.beta)
-    poses, count = len(item.joint_matrices), len(item.areas)
-    angles, valid = np.empty((poses, count), np.float32), np.empty((poses, count), np.bool_)
-    size = max(1, BLOCK_SAMPLES // max(count, 1))
-    for start in range(0, poses, size):
-        block = slice(start, start + size)
-        stored, unrounded = (
-            replay(Algorithm.LBS_ACCURATE, surface, item.joint_matrices[block]).normals
-            for surface in (item.surface, exact)
-        )
-        angles[block] = angular_errors(stored, unrounded)
-        valid[block] = unrounded.any(axis=2) & np.isfinite(unrounded).all(axis=2)
-    return angles, valid

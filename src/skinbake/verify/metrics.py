@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray, IntArray
+
+_SHARES = (0.95, 0.99)
+
+# Samples that a tail gathers before it is shortened for the first time.
+_TAIL = 1 << 16
 
 
 @dataclass(frozen=True, slots=True)
@@ -14,8 +20,8 @@ class ErrorSummary:
     """Angular errors over poses and vertices, in degrees.
 
     mean, p95 and p99 are weighted by rest area; worst_pose and worst_vertex index the first sample that has
-    the maximum. samples were counted, excluded were not, and undefined of the counted ones had no measured
-    normal.
+    the maximum, worst_part the part that it is of, in a tally of several. samples were counted, excluded were
+    not, and undefined of the counted ones had no measured normal.
     """
 
     mean: float
@@ -27,6 +33,7 @@ class ErrorSummary:
     samples: int
     excluded: int
     undefined: int
+    worst_part: int = 0
 
 
 def vertex_areas(positions: FloatArray, triangles: IntArray) -> Float64Array:
@@ -48,18 +55,41 @@ def vertex_areas(positions: FloatArray, triangles: IntArray) -> Float64Array:
 def angular_errors(measured: FloatArray, expected: FloatArray) -> Float64Array:
     """Return the angle between two fields of vectors of any length, in degrees: (P, V) float64, or any (...).
 
-    measured and expected (..., 3), one space. The angle is atan2(|m × e|, m · e), which keeps its digits
-    near 0° where an arccos has none left. It is NaN where either vector is zero or not finite: a zero
-    vector has no angle, and atan2 would call it 0°.
+    measured and expected (..., 3), one space. The angle is that of the sine |m × e| and the cosine m · e,
+    which keeps its digits near 0° where an arccos has none left. It is NaN where either vector is zero or not
+    finite: a zero vector has no angle.
     """
-    x, y, z = np.moveaxis(np.asarray(measured, dtype=np.float64), -1, 0)
-    u, v, w = np.moveaxis(np.asarray(expected, dtype=np.float64), -1, 0)
-    with np.errstate(invalid="ignore", over="ignore"):
-        sine = np.sqrt((y * w - z * v) ** 2 + (z * u - x * w) ** 2 + (x * v - y * u) ** 2)
-        cosine = x * u + y * v + z * w
-        angles: Float64Array = np.degrees(np.arctan2(sine, cosine))
-        angles[(sine == 0.0) & (cosine == 0.0)] = np.nan
+    m = np.moveaxis(np.asarray(measured, dtype=np.float64), -1, 0)
+    e = np.moveaxis(np.asarray(expected, dtype=np.float64), -1, 0)
+    return angles_between((m[0], m[1], m[2]), (e[0], e[1], e[2]))
+
+
+def angles_between(measured: Sequence[FloatArray], expected: Sequence[FloatArray]) -> Float64Array:
+    """Return what ``angular_errors`` does, for vectors given by their three components (...)."""
+    with np.errstate(all="ignore"):
+        # atan2 takes twice as long as atan. Of two zeros the ratio is NaN, which is what is wanted.
+        ratio: Float64Array = np.sqrt(squared_sine(measured, expected)) / cosine(measured, expected)
+        angles: Float64Array = np.arctan(ratio)
+        angles *= 180.0 / np.pi
+        angles += 180.0 * np.signbit(ratio)
     return angles
+
+
+def squared_sine(a: Sequence[FloatArray], b: Sequence[FloatArray]) -> Float64Array:
+    """Return |a × b|² of vectors given by their components."""
+    (x, y, z), (u, v, w) = a, b
+    total: Float64Array = np.square(y * w - z * v)
+    total += np.square(z * u - x * w)
+    total += np.square(x * v - y * u)
+    return total
+
+
+def cosine(a: Sequence[FloatArray], b: Sequence[FloatArray]) -> Float64Array:
+    """Return a · b of vectors given by their components."""
+    total: Float64Array = a[0] * b[0]
+    total += a[1] * b[1]
+    total += a[2] * b[2]
+    return total
 
 
 def summarise(
@@ -75,45 +105,141 @@ def summarise(
     The weighted percentile q is the smallest counted error such that the samples up to it carry at least
     the share q of the counted weight: always an error that occurs, with no interpolation.
     """
-    counted = np.broadcast_to(np.asarray(areas) > 0.0, errors.shape)
-    if valid is not None:
-        counted = counted & valid
-    if not counted.any():
-        return None
-    undefined = counted & np.isnan(errors)
-    values = np.where(undefined, 180.0, errors)
-    worst = int(np.argmax(np.where(counted, values, -1.0)))
-    samples = values[counted]
-    weights = np.broadcast_to(np.asarray(areas, dtype=np.float64), errors.shape)[counted]
-    pose, vertex = divmod(worst, errors.shape[1])
-    p95, p99 = _weighted_percentiles(samples, weights, (0.95, 0.99))
-    return ErrorSummary(
-        mean=float(np.average(samples, weights=weights)),
-        p95=p95,
-        p99=p99,
-        max=float(values[pose, vertex]),
-        worst_pose=pose,
-        worst_vertex=vertex,
-        samples=samples.size,
-        excluded=errors.size - samples.size,
-        undefined=int(undefined.sum()),
-    )
+    tally = ErrorTally(len(errors) * total_area(areas))
+    tally.add(errors, areas, valid=valid)
+    return tally.summary()
 
 
-def _weighted_percentiles(
-    values: Float64Array, weights: Float64Array, shares: tuple[float, ...]
-) -> list[float]:
-    """Invert the cumulative weight of the sorted values, for ascending shares."""
-    # A histogram finds where the first share is reached, and only the values from there on are sorted: a
-    # tenth of the time on millions. Its bins are the leading bits of float32 numbers, which order as the
-    # numbers do.
-    bins = values.astype(np.float32).view(np.int32) >> 16
-    reached = np.cumsum(np.bincount(bins, weights))
-    # Rounding may leave a sum below its own share by a few units: they must not push a percentile up.
-    wanted = np.array(shares) * reached[-1] * (1.0 - 1e-9)
-    first = int(np.searchsorted(reached, wanted[0]))
-    tail = bins >= first
-    order = np.argsort(values[tail])
-    cumulative = np.cumsum(weights[tail][order]) + (reached[first - 1] if first else 0.0)
-    places = np.minimum(np.searchsorted(cumulative, wanted), len(order) - 1)
-    return [float(value) for value in values[tail][order][places]]
+def total_area(areas: FloatArray) -> float:
+    """Return the sum of the areas that count: those above 0."""
+    return float(np.sum(areas, where=np.asarray(areas) > 0.0))
+
+
+class ErrorTally:
+    """Angular errors that come block by block, and their summary, as ``summarise`` has it of all at once.
+
+    Percentiles are exact although few samples are kept: none that has more than a twentieth of all weight
+    above it can be one of them.
+    """
+
+    def __init__(self, weight: float) -> None:
+        """Expect samples that weigh at most ``weight`` in all; less than that is kept where it is less."""
+        # Rounding must not make the tail too short.
+        self._needed = weight * (1.0 - _SHARES[0]) * (1.0 + 1e-6)
+        self._weight, self._sum = 0.0, 0.0
+        self._samples, self._excluded, self._undefined = 0, 0, 0
+        self._worst: tuple[float, int, int, int] | None = None
+        self._tail = _Tail(self._needed)
+
+    def add(
+        self,
+        errors: FloatArray,
+        areas: FloatArray,
+        *,
+        valid: BoolArray | None = None,
+        start: tuple[int, int, int] = (0, 0, 0),
+    ) -> None:
+        """Count a block of errors (P, V), as ``summarise`` describes them.
+
+        start is the part that the block belongs to, and its first pose and vertex there: where the largest
+        error is found more than once, the first in this order is the worst.
+        """
+        weights = np.asarray(areas, dtype=np.float64)
+        sums = errors.sum(axis=0, dtype=np.float64)
+        if (weights > 0.0).all() and (valid is None or valid.all()) and not np.isnan(sums).any():
+            self._samples += errors.size
+            self._weight += float(weights.sum()) * len(errors)
+            self._count(errors, sums, weights, start)
+            return
+        counted = np.broadcast_to(weights > 0.0, errors.shape)
+        if valid is not None:
+            counted = counted & valid
+        undefined = counted & np.isnan(errors)
+        self._samples += int(np.count_nonzero(counted))
+        self._excluded += int(errors.size - np.count_nonzero(counted))
+        self._undefined += int(np.count_nonzero(undefined))
+        weights = np.where(weights > 0.0, weights, 0.0)
+        self._weight += float(counted.sum(axis=0) @ weights)
+        values = np.where(undefined, errors.dtype.type(180.0), np.where(counted, errors, -1.0))
+        sums = np.sum(values, axis=0, dtype=np.float64, where=counted)
+        self._count(values.astype(errors.dtype, copy=False), sums, weights, start)
+
+    def _count(
+        self, errors: FloatArray, sums: Float64Array, weights: Float64Array, start: tuple[int, int, int]
+    ) -> None:
+        """Count errors (P, V), −1 where none is counted, whose sums over poses are (V,)."""
+        self._sum += float(sums @ weights)
+        largest = float(errors.max(initial=-1.0))
+        if largest >= 0.0 and (self._worst is None or largest >= self._worst[0]):
+            pose, vertex = (int(index) for index in np.argwhere(errors == largest).min(axis=0))
+            found = (largest, start[0], start[1] + pose, start[2] + vertex)
+            if self._worst is None or largest > self._worst[0] or found[1:] < self._worst[1:]:
+                self._worst = found
+        self._tail.add(errors, weights)
+
+    def summary(self) -> ErrorSummary | None:
+        """Summarise what was counted; None where nothing was."""
+        if self._worst is None or not self._samples:
+            return None
+        p95, p99 = self._tail.percentiles(self._weight)
+        return ErrorSummary(
+            mean=self._sum / self._weight,
+            p95=p95,
+            p99=p99,
+            max=self._worst[0],
+            worst_pose=self._worst[2],
+            worst_vertex=self._worst[3],
+            samples=self._samples,
+            excluded=self._excluded,
+            undefined=self._undefined,
+            worst_part=self._worst[1],
+        )
+
+
+class _Tail:
+    """The largest of weighted values: at least those that together have the weight that is needed."""
+
+    def __init__(self, needed: float) -> None:
+        self._needed = needed
+        self._least = 0.0
+        self._values: list[FloatArray] = []
+        self._weights: list[Float64Array] = []
+        self._count, self._limit = 0, _TAIL
+
+    def add(self, errors: FloatArray, weights: Float64Array) -> None:
+        """Keep those of errors (P, V), with weights (V,), that may be in the tail; negative ones are none."""
+        by_vertex = np.ascontiguousarray(errors.T)
+        places = np.flatnonzero(by_vertex >= self._least)
+        self._values.append(by_vertex.ravel()[places])
+        self._weights.append(weights[places // max(1, len(errors))])
+        self._count += len(places)
+        if self._count > self._limit:
+            self._shorten()
+
+    def _shorten(self) -> None:
+        """Let the smallest values go, as far as the others have the weight that is needed."""
+        values, weights = np.concatenate(self._values), np.concatenate(self._weights)
+        share, total = 0.0, float(weights.sum())
+        if total > 0.0:
+            # As if weights and values had nothing to do with one another; if they have, it may not be enough.
+            share = 1.1 * self._needed / total
+        if len(values) and share < 0.9:
+            least = np.partition(values, -1 - int(share * len(values)))[-1 - int(share * len(values))]
+            chosen = values >= least
+            if float(np.sum(weights, where=chosen)) >= self._needed:
+                values, weights = values[chosen], weights[chosen]
+                self._least = float(least)
+        self._values, self._weights = [values], [weights]
+        self._count = len(values)
+        self._limit = max(_TAIL, 2 * self._count)
+
+    def percentiles(self, weight: float) -> list[float]:
+        """Invert the cumulative weight of all values that were added, ``weight`` in total."""
+        self._shorten()
+        (values,), (weights,) = self._values, self._weights
+        order = np.argsort(values)
+        cumulative = np.cumsum(weights[order]) + max(0.0, weight - float(weights.sum()))
+        # Rounding may leave a sum below its own share by a few units: they must not push a percentile up.
+        wanted = np.array(_SHARES) * weight * (1.0 - 1e-9)
+        places = np.minimum(np.searchsorted(cumulative, wanted), len(order) - 1)
+        return [float(value) for value in values[order][places]]

@@ -15,6 +15,7 @@ import numpy as np
 
 from skinbake.errors import InputError
 from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray, SkinnedPrimitive
+from skinbake.replay.components import Vector, cross, dot, minus, scaled
 from skinbake.verify.influences import Int64Array, carrying_slots, weight_field
 from skinbake.verify.welds import weld_classes
 
@@ -147,30 +148,39 @@ def _all_triangles(primitives: Sequence[SkinnedPrimitive]) -> Int64Array:
     return np.concatenate(parts)
 
 
+def _edges(positions: Float64Array, triangles: Int64Array) -> list[Vector]:
+    """Return the edges from corner 0 to 1, 1 to 2 and 2 to 0, each by components (T,)."""
+    axes = [np.ascontiguousarray(axis) for axis in positions.T]
+    corners = [tuple(axis[triangles[:, corner]] for axis in axes) for corner in range(3)]
+    return [minus(corners[(corner + 1) % 3], corners[corner]) for corner in range(3)]
+
+
 def _sound_triangles(positions: Float64Array, triangles: Int64Array) -> Int64Array:
     """Keep the triangles that have an area; a comparison with NaN is false and drops the triangle."""
-    corners = positions[triangles]
     with np.errstate(invalid="ignore", over="ignore"):
-        edges = np.roll(corners, -1, axis=1) - corners
-        doubled_areas = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
-        longest = (edges**2).sum(axis=2).max(axis=1, initial=0.0)
-        sound: Int64Array = triangles[doubled_areas > _DEGENERATE * longest]
+        edges = _edges(positions, triangles)
+        normal = cross(edges[0], edges[1])
+        longest = np.maximum(np.maximum(*(dot(edge, edge) for edge in edges[:2])), dot(edges[2], edges[2]))
+        sound: Int64Array = triangles[np.sqrt(dot(normal, normal)) > _DEGENERATE * longest]
     return sound
 
 
 def _corner_weights(positions: Float64Array, triangles: Int64Array, weighting: Weighting) -> Float64Array:
     """Weigh each corner (T, 3) of sound triangles."""
-    corners = positions[triangles]
-    following = np.roll(corners, -1, axis=1) - corners
-    preceding = np.roll(corners, 1, axis=1) - corners
-    area: Float64Array = np.linalg.norm(np.cross(following, preceding), axis=2)
-    if weighting == "area":
-        return area
-    if weighting == "max":
-        weight: Float64Array = area / ((following**2).sum(axis=2) * (preceding**2).sum(axis=2))
-        return weight
-    angle: Float64Array = np.arctan2(area, (following * preceding).sum(axis=2))
-    return angle if weighting == "angle" else angle * area
+    edges = _edges(positions, triangles)
+    weights = np.empty(triangles.shape)
+    for corner in range(3):
+        following, preceding = edges[corner], scaled(-1.0, edges[corner - 1])
+        normal = cross(following, preceding)
+        area = np.sqrt(dot(normal, normal))
+        if weighting == "max":
+            weights[:, corner] = area / (dot(following, following) * dot(preceding, preceding))
+        elif weighting == "area":
+            weights[:, corner] = area
+        else:
+            angle = np.arctan2(area, dot(following, preceding))
+            weights[:, corner] = angle if weighting == "angle" else angle * area
+    return weights
 
 
 def _averages(weights: Float64Array, corner_classes: Int64Array, classes: Int64Array) -> csr_array:

@@ -8,12 +8,14 @@ they give takes the place of the rest pose, and its morphed normal that of n0.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray
+from skinbake.replay.components import Vector, cross, dot
 from skinbake.verify.operator import GradientOperator
 
 if TYPE_CHECKING:
@@ -21,7 +23,7 @@ if TYPE_CHECKING:
 
 # Below this sine between its two tangents a frame has no normal: float32 positions leave no digit of it.
 _FLAT = 1e-6
-# Vertices × poses in flight: the dozen temporaries of a block stay in the cache and memory stays bounded.
+# Vertices × poses that ``reference_normals`` has in flight: memory stays bounded.
 _BLOCK = 1 << 16
 
 
@@ -70,16 +72,17 @@ def morphed_frames(rest: RestFrames, positions: FloatArray, normals: FloatArray)
 
 
 def _measured(along: csr_array, positions: FloatArray, normals: FloatArray) -> RestFrames:
-    a, b = _tangents(along, np.asarray(positions, dtype=np.float64)[None])
+    a, b = _tangents(along, np.asarray(positions, dtype=np.float64)[:, :, None])
     with np.errstate(all="ignore"):
-        c = _cross(a, b)
-        areas = _length(c)[:, 0]
-        n0 = np.asarray(normals, dtype=np.float64).T[:, :, None]
+        c = cross(a, b)
+        n0 = tuple(np.asarray(normals, dtype=np.float64).T[:, None])
+        square = dot(c, c)
+        areas = np.sqrt(square)
         # cof([a b ĉ])⁻¹ n0 = [a b ĉ]ᵀ n0 / det, and det = |c|.
-        coefficients = np.stack([_dot(a, n0), _dot(b, n0), _dot(c, n0) / areas[:, None]])[:, :, 0] / areas
-        flat = areas <= _FLAT * (_length(a) * _length(b))[:, 0]
-    valid = ~flat & np.isfinite(coefficients).all(axis=0) & coefficients.any(axis=0)
-    return RestFrames(along, coefficients, areas, valid)
+        coefficients = np.concatenate([dot(a, n0), dot(b, n0), dot(c, n0) / areas]) / areas
+        flat = areas <= _FLAT * np.sqrt(dot(a, a) * dot(b, b))
+    valid = ~flat[0] & np.isfinite(coefficients).all(axis=0) & coefficients.any(axis=0)
+    return RestFrames(along, coefficients, areas[0], valid)
 
 
 def reference_normals(
@@ -98,57 +101,76 @@ def reference_normals(
     by default: its third column points to the other side of the surface, so that F is the mirror, and the
     normal is −cof(F) n0, which stays outside.
     """
+    every = slice(0, deformed.shape[1])
+    (along,) = tangent_blocks(rest, [every])
     count = max(1, _BLOCK // max(1, deformed.shape[1]))
     normals = np.empty(deformed.shape)
     for start in range(0, len(deformed), count):
         block = slice(start, start + count)
-        side = 1.0 if sides is None else np.asarray(sides[block], dtype=np.float64).T
-        normals[block] = _block_normals(rest, np.asarray(deformed[block], dtype=np.float64), side)
+        posed = np.ascontiguousarray(np.transpose(deformed[block], (1, 2, 0)), dtype=np.float64)
+        found, _ = block_normals(rest, along, every, posed, None if sides is None else sides[block])
+        normals[block] = np.stack(found, axis=2)
     return normals, np.isfinite(normals[..., 0])
 
 
-def _block_normals(rest: RestFrames, deformed: Float64Array, side: Float64Array | float) -> Float64Array:
-    """Compute (P, V, 3) reference normals, NaN where undefined."""
-    along_a, along_b, along_c = rest.coefficients[:, :, None]
+def tangent_blocks(rest: RestFrames, parts: Sequence[slice]) -> list[csr_array]:
+    """Return the derivatives of blocks of vertices: sparse (2B, V) each, along t0, then along b0."""
+    from scipy.sparse import csr_array
+
+    along, count = rest.tangents, rest.tangents.shape[1]
+    blocks = []
+    for part in parts:
+        ends = [along.indptr[part.start + first : part.stop + first + 1] for first in (0, count)]
+        pieces = [slice(int(rows[0]), int(rows[-1])) for rows in ends]
+        rows = np.concatenate([ends[0] - ends[0][0], ends[1][1:] - ends[1][0] + (ends[0][-1] - ends[0][0])])
+        data, columns = (
+            np.concatenate([values[piece] for piece in pieces]) for values in (along.data, along.indices)
+        )
+        blocks.append(csr_array((data, columns, rows), shape=(len(rows) - 1, count)))
+    return blocks
+
+
+def block_normals(
+    rest: RestFrames,
+    along: csr_array,
+    part: slice,
+    deformed: Float64Array,
+    sides: FloatArray | None = None,
+) -> tuple[Vector, BoolArray]:
+    """Return what ``reference_normals`` does for a block of vertices, by components (P, B).
+
+    along are the block's derivatives (``tangent_blocks``), deformed (V, 3, P) all vertices' positions; sides
+    (P, B) is of the block. All of it is stored vertex by vertex.
+    """
+    along_a, along_b, along_c = rest.coefficients[:, part]
     with np.errstate(all="ignore"):
-        a, b = _tangents(rest.tangents, deformed)
-        c = _cross(a, b)
-        area = _length(c)
-        # The third column ĉ1 sqrt(|c1| / |c0|).
-        m = c / np.sqrt(area * rest.areas[:, None])
-        # The columns of the cofactor matrix are the cross products of the other two; the third column's
-        # side turns the first two of them, and the normal's turns all three.
-        normal = along_a * _cross(b, m) + along_b * _cross(m, a) + along_c * side * c
-        normal /= _length(normal)
+        a, b = _tangents(along, deformed)
+        c = cross(a, b)
+        aa, ab, bb, square = dot(a, a), dot(a, b), dot(b, b), dot(c, c)
+        # The columns of the cofactor matrix are the cross products of the other two, and the third of those
+        # is m = c / sqrt(|c| |c0|): b × m and m × a by the triple product.
+        reciprocal = 1.0 / np.sqrt(np.sqrt(square) * rest.areas[part])
+        by_a = (along_a * bb - along_b * ab) * reciprocal
+        by_b = (along_b * aa - along_a * ab) * reciprocal
+        # The third column's side turns the first two of them, and the normal's turns all three.
+        by_c = along_c if sides is None else along_c * sides
+        x, y, z = (by_a * a[i] + by_b * b[i] + by_c * c[i] for i in range(3))
+        length = 1.0 / np.sqrt(dot((x, y, z), (x, y, z)))
         # Not "flat if below": a comparison with NaN is false, and a broken position leaves no normal.
-        sound = area > _FLAT * _length(a) * _length(b)
-    normal[:, ~(sound & rest.valid[:, None])] = np.nan
-    poses_first: Float64Array = normal.transpose(2, 1, 0)
-    return poses_first
+        sound = (square > _FLAT**2 * aa * bb) & rest.valid[part]
+        x *= length
+        y *= length
+        z *= length
+        sound &= np.isfinite(x)
+    if not sound.all():
+        for component in (x, y, z):
+            component[~sound] = np.nan
+    return (x, y, z), sound
 
 
-def _tangents(along: csr_array, positions: Float64Array) -> tuple[Float64Array, Float64Array]:
-    """Differentiate (P, V, 3) positions: two (3, V, P) arrays, so that a component is one plane."""
-    poses, count, _ = positions.shape
-    columns = np.ascontiguousarray(positions.transpose(1, 2, 0)).reshape(count, 3 * poses)
-    both = (along @ columns).reshape(2, count, 3, poses)
-    return both[0].transpose(1, 0, 2), both[1].transpose(1, 0, 2)
-
-
-def _cross(first: Float64Array, second: Float64Array) -> Float64Array:
-    """Cross (3, ...) arrays along the first axis."""
-    x, y, z = first
-    u, v, w = second
-    return np.stack([y * w - z * v, z * u - x * w, x * v - y * u])
-
-
-def _dot(first: Float64Array, second: Float64Array) -> Float64Array:
-    """Dot (3, ...) arrays along the first axis."""
-    products: Float64Array = first[0] * second[0] + first[1] * second[1] + first[2] * second[2]
-    return products
-
-
-def _length(vectors: Float64Array) -> Float64Array:
-    """Measure (3, ...) arrays along the first axis."""
-    lengths: Float64Array = np.sqrt(_dot(vectors, vectors))
-    return lengths
+def _tangents(along: csr_array, positions: Float64Array) -> tuple[Vector, Vector]:
+    """Differentiate positions (V, 3, P): two tangents, components (P, B)."""
+    count, _, poses = positions.shape
+    both = (along @ positions.reshape(count, -1)).reshape(2, -1, 3, poses)
+    a, b = (tuple(component.T for component in np.ascontiguousarray(np.swapaxes(v, 0, 1))) for v in both)
+    return a, b
