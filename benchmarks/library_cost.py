@@ -45,13 +45,16 @@ LIBRARY = (
 class Cluster:
     """What is assumed of the machines.
 
-    Cores of a node; bytes a second of a node's network and of the store; seconds waited for an asset.
+    Cores of a node; bytes a second of a node's network and of the store; seconds waited for an asset. A task
+    holds files until they take task_seconds or are task_files, as those of ``--dask`` do.
     """
 
     node_cores: int = 16
     node_bytes: float = 1.25e9
     store_bytes: float = 10e9
     latency: float = 0.02
+    task_seconds: float = 0.5
+    task_files: int = 64
 
 
 CLUSTER = Cluster()
@@ -74,7 +77,7 @@ For the mean asset (V vertices, X bytes that bake only copies) and N cores on M 
     cores     = 1,000,000 · t / N
     network   = 1,000,000 · B / (M · node)
     store     = 1,000,000 · B / store
-    scheduler = 1,000,000 / tasks                   a file is a task
+    scheduler = 1,000,000 / (tasks · files of a task)
     wall time = start + the largest of these
 
 They overlap, since every worker is at another file; so the largest counts, and it is the bottleneck.
@@ -166,8 +169,13 @@ def limits(cores: int, asset: Asset, found: Rates, cluster: Cluster) -> dict[str
         "store": moved / cluster.store_bytes,
     }
     if found.tasks is not None:
-        needed["scheduler"] = ASSETS / found.tasks
+        needed["scheduler"] = ASSETS / (found.tasks * task_files(asset, cluster))
     return needed
+
+
+def task_files(asset: Asset, cluster: Cluster) -> int:
+    """Return how many mean assets make a task."""
+    return max(1, min(cluster.task_files, int(cluster.task_seconds / asset.seconds)))
 
 
 def page(results: Json) -> str:
@@ -202,7 +210,7 @@ def costs(asset: Asset, found: Rates) -> Iterator[str]:
     )
     yield ""
     names = list(limits(1, asset, found, CLUSTER))
-    yield f"| cores | {' | '.join(names)} | wall time | core hours held | bottleneck |"
+    yield f"| N | {' | '.join(names)} | wall time | core hours held | bottleneck |"
     yield f"|---|{'---|' * len(names)}---|---|---|"
     for cores in CORES:
         needed = limits(cores, asset, found, CLUSTER)
@@ -218,11 +226,11 @@ def bottlenecks(asset: Asset, found: Rates) -> Iterator[str]:
     moved = asset.read + asset.written
     textures = 2 * sum(kind.share * kind.payload for kind in LIBRARY) / moved
     stored = asset.seconds * CLUSTER.store_bytes / moved
+    scheduled = asset.seconds * (found.tasks or 0) * task_files(asset, CLUSTER)
     node = moved / asset.seconds * CLUSTER.node_cores
     yield (
         f"- **Cores**, until something else is slower: twice as many halve the time. The store keeps up with "
-        f"{stored:,.0f} cores"
-        + ("." if found.tasks is None else f", the scheduler with {asset.seconds * found.tasks:,.0f}.")
+        f"{stored:,.0f} cores" + ("." if found.tasks is None else f", the scheduler with {scheduled:,.0f}.")
     )
     yield (
         f"- **Network of a node**: {CLUSTER.node_cores} busy cores move {node / 1e9:.2f} GB/s of its "
@@ -235,16 +243,20 @@ def bottlenecks(asset: Asset, found: Rates) -> Iterator[str]:
     )
     yield (
         f"- **Store**: {moved * ASSETS / CLUSTER.store_bytes / 60:,.0f} minutes at "
-        f"{CLUSTER.store_bytes / 1e9:.0f} GB/s, whatever the number of cores. {textures:.0%} of the bytes "
+        f"{CLUSTER.store_bytes / 1e9:.0f} GB/s, whatever the cores are. {textures:.0%} of the bytes "
         "are textures and animation: a library that keeps textures beside its .gltf files need not move them."
     )
     if found.tasks is not None:
-        group = math.ceil(max(CORES) / (asset.seconds * found.tasks))
         yield (
-            f"- **Scheduler**: one process, {found.tasks:,.0f} tasks a second, whatever the cores. "
-            f"{max(CORES):,} cores would want {group} files to a task, or as many runs side by side, each on "
-            "a part of the library and with a scheduler of its own."
+            f"- **Scheduler**: one process, {found.tasks:,.0f} tasks a second, whatever the cores are. "
+            f"Mean files that `--dask` puts into a task: {task_files(asset, CLUSTER)}. With one it would keep "
+            f"up with {asset.seconds * found.tasks:,.0f} cores."
         )
+    yield (
+        "- **The client**, where the library lies on its own disk: then every byte goes through its network, "
+        f"{duration(ASSETS * moved / CLUSTER.node_bytes)} at {CLUSTER.node_bytes / 1e9:.2f} GB/s. Give URLs "
+        "that workers read themselves."
+    )
     yield (
         f"- **Start-up**: {found.start:.2f} s a worker, once. Called once for each file it would be "
         f"{ASSETS * found.start / 3600:,.0f} core hours, {found.start / asset.seconds:.1f} × the work itself."
@@ -286,6 +298,7 @@ def assumptions(asset: Asset) -> Iterator[str]:
     yield f"| cores of a node | {CLUSTER.node_cores} |"
     yield f"| node: a node's network, both ways together | {CLUSTER.node_bytes / 1e9:.2f} GB/s |"
     yield f"| store: what the store delivers and takes in all | {CLUSTER.store_bytes / 1e9:.0f} GB/s |"
+    yield f"| files of a task | {CLUSTER.task_seconds} s of work, at most {CLUSTER.task_files} |"
     yield f"| wait: until an asset is opened and its output is closed | {1e3 * CLUSTER.latency:.0f} ms |"
 
 

@@ -27,8 +27,8 @@ JOBS = 2
 REPEATS = 3
 """Repeats of a loop that is timed inside its process: the arrays are read once for all of them."""
 
-MEMORY, DISK = 1_000, 300
-"""Bytes a vertex that must be free for a grid to be baked: several times what it takes."""
+MEMORY, DISK = 400, 300
+"""Bytes a vertex that must be free for a grid to be baked: half as much again as its bake may take."""
 
 SCRIPT = [sys.executable, "-m"]
 
@@ -233,8 +233,17 @@ def new_grid(vertices: int, folder: Path) -> Path:
 
 def has_room(vertices: int, folder: Path) -> bool:
     """Say whether a grid of that size can be baked here without swapping or filling the disk."""
-    memory = os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    return vertices * MEMORY < memory and vertices * DISK < shutil.disk_usage(folder).free
+    return vertices * MEMORY < free_memory() and vertices * DISK < shutil.disk_usage(folder).free
+
+
+def free_memory() -> int:
+    """Return how many bytes a program can have: what the system says, or all where it says nothing."""
+    told = Path("/proc/meminfo")
+    if told.is_file():
+        for line in told.read_text(encoding="ascii").splitlines():
+            if line.startswith("MemAvailable:"):
+                return int(line.split()[1]) * 1024
+    return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
 
 
 def many_files(models: Path, sources: Sequence[Path]) -> list[str | Path]:

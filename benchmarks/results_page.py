@@ -235,8 +235,8 @@ def notes(rows: Json) -> str:
         else "Instead of CesiumMan a fixture is baked: the corpus of real models is not here.",
         "Grids are those of `benchmarks/skinned_grid.py`: FLOAT weights, four influences of 32 joints, "
         "normals, texture coordinates, two triangles a vertex.",
-        "The gradients are timed inside their processes, without start-up and reading. The authors' loop "
-        "is `benchmarks/authors_loop.cpp`, written from a description of what Tarini et al. (2014) published. "
+        "The gradients are timed inside their processes, without start-up and reading. The authors' loop is "
+        "`benchmarks/authors_loop.cpp`, written from a description of what Tarini et al. (2014) published. "
         "It takes means by angle × area, in float32; skinbake by Max's weights, in float64.",
         f"verify has a grid in random poses: no real character at hand has {verify['vertices']:,} vertices. "
         "The peer computes where vertices go and the moved surface's normals, a part of what verify does.",

@@ -62,7 +62,9 @@ def test_it_computes_the_mean_by_angle_and_area(mesh: Mesh, tmp_path: Path) -> N
         missing_tool("g++ is not installed")
     path, gradients = tmp_path / "mesh.raw", tmp_path / "gradients.raw"
     write_mesh(path, mesh)
-    printed = subprocess.run([program, path, "2", gradients], check=True, capture_output=True, text=True).stdout
+    printed = subprocess.run(
+        [program, path, "2", gradients], check=True, capture_output=True, text=True
+    ).stdout
     assert len([float(line) for line in printed.split()]) == 2
     found = np.fromfile(gradients, "<f4").reshape(-1, SLOTS, 3)
     np.testing.assert_allclose(found, expected(mesh), rtol=1e-4, atol=1e-5)
