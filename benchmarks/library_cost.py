@@ -243,14 +243,15 @@ def bottlenecks(asset: Asset, found: Rates) -> Iterator[str]:
     )
     yield (
         f"- **Store**: {moved * ASSETS / CLUSTER.store_bytes / 60:,.0f} minutes at "
-        f"{CLUSTER.store_bytes / 1e9:.0f} GB/s, whatever the cores are. {textures:.0%} of the bytes "
+        f"{CLUSTER.store_bytes / 1e9:.0f} GB/s, whatever the number of cores. {textures:.0%} of the bytes "
         "are textures and animation: a library that keeps textures beside its .gltf files need not move them."
     )
     if found.tasks is not None:
+        group, alone = task_files(asset, CLUSTER), asset.seconds * found.tasks
         yield (
-            f"- **Scheduler**: one process, {found.tasks:,.0f} tasks a second, whatever the cores are. "
-            f"Mean files that `--dask` puts into a task: {task_files(asset, CLUSTER)}. With one it would keep "
-            f"up with {asset.seconds * found.tasks:,.0f} cores."
+            f"- **Scheduler**: one process, {found.tasks:,.0f} tasks a second, whatever the number of cores. "
+            f"`--dask` puts files into a task together, {group} of the mean; with one to a task the scheduler "
+            f"would keep up with {alone:,.0f} cores."
         )
     yield (
         "- **The client**, where the library lies on its own disk: then every byte goes through its network, "
