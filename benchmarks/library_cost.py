@@ -250,8 +250,8 @@ def bottlenecks(asset: Asset, found: Rates) -> Iterator[str]:
         group, alone = task_files(asset, CLUSTER), asset.seconds * found.tasks
         yield (
             f"- **Scheduler**: one process, {found.tasks:,.0f} tasks a second, whatever the number of cores. "
-            f"`--dask` puts files into a task together, {group} of the mean; with one to a task the scheduler "
-            f"would keep up with {alone:,.0f} cores."
+            f"`--dask` puts files into a task together, {group} of the mean; with one to a task it would "
+            f"keep up with {alone:,.0f} cores."
         )
     yield (
         "- **The client**, where the library lies on its own disk: then every byte goes through its network, "
