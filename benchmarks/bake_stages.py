@@ -14,7 +14,9 @@ from skinbake.timing import recorded
 
 def main() -> None:
     with recorded() as timings:
-        bake_file(sys.argv[1], sys.argv[2], BakeOptions())
+        result = bake_file(sys.argv[1], sys.argv[2], BakeOptions())
+    if result.error is not None:
+        raise SystemExit(str(result.error))
     print(json.dumps(timings.seconds))
 
 

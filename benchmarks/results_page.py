@@ -39,9 +39,9 @@ def page(results: Json) -> str:
     """Return the page as Markdown."""
     rows = results["rows"]
     parts = [HEAD, *about(results), "\n".join(table(rows)) + "\n", notes(rows), "\n".join(sizes(rows)) + "\n"]
-    spent = list(stages(rows))
-    if spent:
-        parts.append("\n".join(spent) + "\n")
+    profile = list(stages(rows))
+    if profile:
+        parts.append("\n".join(profile) + "\n")
     return "\n".join(parts)
 
 
@@ -269,15 +269,22 @@ def sizes(rows: Json) -> Iterator[str]:
 
 def stages(rows: Json) -> Iterator[str]:
     """Yield the section on where the time goes; nothing where no stage was recorded."""
-    row = rows["stages"]
-    spent = row["stages"]
-    if not spent:
+    models = rows["stages"]["models"]
+    names = dict.fromkeys(name for model in models for name in model["stages"])
+    if not names:
         return
     yield "## Where the time goes"
-    yield f"One bake of the grid of {row['vertices']:,} vertices, {seconds(row['seconds'])} s in all."
+    yield "Seconds of one bake, that of the middle of its runs, and their share of the whole process."
     yield ""
-    yield "| stage | seconds | share |"
-    yield "|---|---|---|"
-    rest = row["seconds"] - sum(spent.values())
-    for name, taken in [*spent.items(), ("start-up and all else", rest)]:
-        yield f"| {name} | {taken:.3f} | {taken / row['seconds']:.0%} |"
+    yield f"| stage | {' | | '.join(model['model'] for model in models)} | |"
+    yield f"|---|{'---|---|' * len(models)}"
+    for name in names:
+        yield f"| {name} | {' | '.join(spent(model, model['stages'].get(name, 0.0)) for model in models)} |"
+    rest = [model["seconds"] - sum(model["stages"].values()) for model in models]
+    yield f"| start-up | {' | '.join(spent(model, left) for model, left in zip(models, rest, strict=True))} |"
+    yield f"| together | {' | '.join(spent(model, model['seconds']) for model in models)} |"
+
+
+def spent(model: Json, taken: float) -> str:
+    """Return seconds, and what share they are of a model's."""
+    return f"{taken:.3f} | {taken / model['seconds']:.0%}"

@@ -147,7 +147,12 @@ def sample() -> Results:
             "runs": {"bare": {"seconds": [0.2]}, "bake": {"seconds": [0.3]}},
         },
         "tasks": {"tasks": 100, "workers": 2, "per_second": [400.0, 500.0, 1_000.0]},
-        "stages": {"vertices": 9, "seconds": 2.0, "stages": {"read": 0.5, "write": 1.0}},
+        "stages": {
+            "models": [
+                {"model": "small", "seconds": 0.5, "stages": {"read": 0.25}},
+                {"model": "large", "seconds": 2.0, "stages": {"read": 0.5, "write": 1.0}},
+            ]
+        },
     }  # fmt: skip
 
 
@@ -192,11 +197,14 @@ class TestPage:
 
     def test_stages_and_the_rest(self) -> None:
         text = page({"quick": False, "date": "", "machine": MACHINE, "versions": {}, "rows": sample()})
-        told = text.split("## Where the time goes")[1].split("|---|---|---|\n")[1].splitlines()
+        told = (
+            text.partition("## Where the time goes")[2].partition("|---|---|---|---|---|\n")[2].splitlines()
+        )
         assert told == [
-            "| read | 0.500 | 25% |",
-            "| write | 1.000 | 50% |",
-            "| start-up and all else | 0.500 | 25% |",
+            "| read | 0.250 | 50% | 0.500 | 25% |",
+            "| write | 0.000 | 0% | 1.000 | 50% |",
+            "| start-up | 0.250 | 50% | 0.500 | 25% |",
+            "| together | 0.500 | 100% | 2.000 | 100% |",
         ]
 
 
