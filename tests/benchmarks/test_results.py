@@ -268,7 +268,7 @@ class TestLibraryCost:
 class TestCommittedPages:
     """The pages in the repository are those that the committed figures give."""
 
-    @pytest.fixture(scope="class")
+    @pytest.fixture
     def committed(self) -> Results:
         found: Results = json.loads(OUTPUT.with_suffix(".json").read_text(encoding="utf-8"))
         return found
