@@ -211,7 +211,8 @@ def stages(plan: Plan, folder: Path) -> Json:
         runs = sorted((run(command) for _ in range(plan.slow.least)), key=lambda one: one.seconds)
         middle = runs[len(runs) // 2]
         seconds = round(middle.seconds, 4)
-        found.append({"model": name, "seconds": seconds, "stages": json.loads(middle.printed)})
+        spent = {stage: round(taken, 5) for stage, taken in json.loads(middle.printed).items()}
+        found.append({"model": name, "seconds": seconds, "stages": spent})
     return {"models": found}
 
 

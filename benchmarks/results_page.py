@@ -14,6 +14,9 @@ NONE = "—"
 FREE_MEMORY = 100 * MIB
 """What a bake may take besides three times its file."""
 
+WORTH_A_LINE = 0.0005
+"""Seconds from which a stage has a line of its own."""
+
 HEAD = """# Benchmarks
 
 Written by `make bench`. Whole processes, start-up included, that take turns on one machine; a figure is the
@@ -270,7 +273,9 @@ def sizes(rows: Json) -> Iterator[str]:
 def stages(rows: Json) -> Iterator[str]:
     """Yield the section on where the time goes; nothing where no stage was recorded."""
     models = rows["stages"]["models"]
-    names = dict.fromkeys(name for model in models for name in model["stages"])
+    names = dict.fromkeys(
+        name for model in models for name, taken in model["stages"].items() if taken >= WORTH_A_LINE
+    )
     if not names:
         return
     yield "## Where the time goes"
@@ -280,7 +285,7 @@ def stages(rows: Json) -> Iterator[str]:
     yield f"|---|{'---|---|' * len(models)}"
     for name in names:
         yield f"| {name} | {' | '.join(spent(model, model['stages'].get(name, 0.0)) for model in models)} |"
-    rest = [model["seconds"] - sum(model["stages"].values()) for model in models]
+    rest = [model["seconds"] - sum(model["stages"].get(name, 0.0) for name in names) for model in models]
     yield f"| start-up | {' | '.join(spent(model, left) for model, left in zip(models, rest, strict=True))} |"
     yield f"| together | {' | '.join(spent(model, model['seconds']) for model in models)} |"
 

@@ -149,7 +149,7 @@ def sample() -> Results:
         "tasks": {"tasks": 100, "workers": 2, "per_second": [400.0, 500.0, 1_000.0]},
         "stages": {
             "models": [
-                {"model": "small", "seconds": 0.5, "stages": {"read": 0.25}},
+                {"model": "small", "seconds": 0.5, "stages": {"read": 0.25, "strip": 0.0001}},
                 {"model": "large", "seconds": 2.0, "stages": {"read": 0.5, "write": 1.0}},
             ]
         },
@@ -195,7 +195,7 @@ class TestPage:
         (line,) = [line for line in lines(rows) if line.what.startswith("time")]
         assert line.met is met
 
-    def test_stages_and_the_rest(self) -> None:
+    def test_stages_that_take_time_and_the_rest(self) -> None:
         text = page({"quick": False, "date": "", "machine": MACHINE, "versions": {}, "rows": sample()})
         told = (
             text.partition("## Where the time goes")[2].partition("|---|---|---|---|---|\n")[2].splitlines()
