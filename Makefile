@@ -15,7 +15,7 @@ unexport PYTHONHOME PYTHONPATH VIRTUAL_ENV
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help bake test check lint fixtures golden picture table bench clean
+.PHONY: help bake test check lint fixtures golden picture table bench speeds clean
 
 help: ## List the targets
 	@awk 'BEGIN { FS = ":.*## " } /^[a-z]+:.*## / { printf "  make %-9s %s\n", $$1, $$2 }' Makefile
@@ -52,10 +52,11 @@ table: $(DEV) ## Write docs/lighting.md, docs/encodings.md and docs/morphs.md an
 	$(BIN)/python -m benchmarks.encoding_table
 	$(BIN)/python -m benchmarks.morph_frames
 
-bench: $(DEV) $(NODE_MODULES) ## Run the benchmarks: normals on the example, times of bake, replay and shaders against peers
-	@mkdir -p build
-	$(BIN)/python benchmarks/bend_picture.py build/bend.png
-	$(BIN)/python -m benchmarks.bake_speed
+bench: $(DEV) $(NODE_MODULES) ## Time bake and verify against peers: write benchmarks/RESULTS.md and docs/library_cost.md (12 minutes)
+	$(BIN)/python -m benchmarks.results
+	$(BIN)/python -m benchmarks.library_cost
+
+speeds: $(DEV) ## Print the times of the replay and of the shaders, algorithm by algorithm
 	$(BIN)/python -m benchmarks.replay_speed
 	$(BIN)/python -m benchmarks.shader_speed
 

@@ -1,0 +1,338 @@
+"""Compute what baking a million assets costs, from the figures of the last `make bench`.
+
+Usage: python -m benchmarks.library_cost [--results FILE.json] [--output FILE.md]
+
+Reads benchmarks/RESULTS.json and writes docs/library_cost.md: the same figures give the same page.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from benchmarks.processes import Json, median
+from benchmarks.results import OUTPUT as RESULTS
+
+OUTPUT = Path(__file__).resolve().parents[1] / "docs" / "library_cost.md"
+ASSETS = 1_000_000
+CORES = (10, 100, 1_000)
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of asset: its share of the library, vertices, and bytes of textures and animation."""
+
+    name: str
+    share: float
+    vertices: int
+    payload: int
+
+
+LIBRARY = (
+    Kind("crowd", 0.60, 2_500, 1_000_000),
+    Kind("character", 0.30, 10_000, 4_000_000),
+    Kind("hero", 0.09, 50_000, 16_000_000),
+    Kind("scan", 0.01, 1_000_000, 64_000_000),
+)
+
+
+@dataclass(frozen=True)
+class Cluster:
+    """What is assumed of the machines.
+
+    Cores of a node; bytes a second of a node's network and of the store; seconds waited for an asset. A task
+    holds files until they take task_seconds or are task_files, as those of ``--dask`` do.
+    """
+
+    node_cores: int = 16
+    node_bytes: float = 1.25e9
+    store_bytes: float = 10e9
+    latency: float = 0.02
+    task_seconds: float = 0.5
+    task_files: int = 64
+
+
+CLUSTER = Cluster()
+LARGEST_FOR_RATE = 1_000_000
+"""Vertices of the largest grid that the rate is taken from: the library has none larger."""
+
+HEAD = """# What a library of a million assets costs
+
+Computed by `python -m benchmarks.library_cost` from the figures of the last `make bench`
+([benchmarks/RESULTS.md](../benchmarks/RESULTS.md)); nobody has run a million files. Rates are measured on one
+machine, the library and the cluster are assumed: put your own into the script.
+"""
+
+FORMULAE = """## How it is computed
+For the mean asset (V vertices, X bytes that bake only copies) and N cores on M = ⌈N / {cores}⌉ nodes:
+
+    t = file + vertex · V + payload · X + wait      seconds that an asset keeps a core
+    B = (read + written) · V + 2 X                  bytes moved for an asset
+
+    cores     = 1,000,000 · t / N
+    network   = 1,000,000 · B / (M · node)
+    store     = 1,000,000 · B / store
+    scheduler = 1,000,000 / (tasks · files of a task)
+    wall time = start + the largest of these
+
+They overlap, since every worker is at another file; so the largest counts, and it is the bottleneck.
+"""
+
+
+@dataclass(frozen=True)
+class Rates:
+    """What was measured, of one core unless said otherwise.
+
+    start: seconds of a whole process on the smallest grid; file: seconds a file in a process that runs
+    already; vertex: seconds a vertex; payload: seconds a byte that bake only copies; read, written: bytes a
+    vertex; tasks: tasks a second of the whole scheduler, None where it was not measured.
+    """
+
+    start: float
+    file: float
+    vertex: float
+    payload: float
+    read: float
+    written: float
+    tasks: float | None
+
+
+def main() -> int:
+    """Write the page; return the exit code."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--results", type=Path, default=RESULTS.with_suffix(".json"))
+    parser.add_argument("--output", type=Path, default=OUTPUT)
+    options = parser.parse_args()
+    results = json.loads(options.results.read_text(encoding="utf-8"))
+    options.output.write_text(page(results), encoding="utf-8")
+    print(f"-> {options.output}")
+    return 0
+
+
+def rates(rows: Json) -> Rates:
+    """Return the rates that the measured rows give."""
+    sizes = [size for size in rows["scaling"]["sizes"] if size["vertices"] <= LARGEST_FOR_RATE]
+    least, small, large = sizes[0], *sizes[-2:]
+    start = median(least)
+    vertex = max(0.0, (median(large) - median(small)) / (large["vertices"] - small["vertices"]))
+    files, textured = rows["files"], rows["payload"]
+    busy = files["jobs"] * (median(files["runs"]["one call"]) - start) / files["files"]
+    copying = median(textured["runs"]["bake"]) - median(textured["runs"]["bare"])
+    per_second = rows["tasks"].get("per_second")
+    return Rates(
+        start=start,
+        file=max(0.0, busy - vertex * files["vertices"]),
+        vertex=vertex,
+        payload=max(0.0, copying / textured["payload"]),
+        read=large["bytes"] / large["vertices"],
+        written=large["written"] / large["vertices"],
+        tasks=sorted(per_second)[len(per_second) // 2] if per_second else None,
+    )
+
+
+@dataclass(frozen=True)
+class Asset:
+    """The mean asset: seconds of one core on it, waiting included, and bytes read and written."""
+
+    vertices: float
+    seconds: float
+    read: float
+    written: float
+
+
+def mean_asset(found: Rates, cluster: Cluster) -> Asset:
+    """Return the mean over the library."""
+    vertices = sum(kind.share * kind.vertices for kind in LIBRARY)
+    payload = sum(kind.share * kind.payload for kind in LIBRARY)
+    return Asset(
+        vertices,
+        found.file + found.vertex * vertices + found.payload * payload + cluster.latency,
+        found.read * vertices + payload,
+        found.written * vertices + payload,
+    )
+
+
+def limits(cores: int, asset: Asset, found: Rates, cluster: Cluster) -> dict[str, float]:
+    """Return the seconds that each part of the cluster needs for the library, were it alone."""
+    nodes = math.ceil(cores / cluster.node_cores)
+    moved = ASSETS * (asset.read + asset.written)
+    needed = {
+        "cores": ASSETS * asset.seconds / cores,
+        "network": moved / (nodes * cluster.node_bytes),
+        "store": moved / cluster.store_bytes,
+    }
+    if found.tasks is not None:
+        needed["scheduler"] = ASSETS / (found.tasks * task_files(asset, cluster))
+    return needed
+
+
+def task_files(asset: Asset, cluster: Cluster) -> int:
+    """Return how many mean assets make a task."""
+    return max(1, min(cluster.task_files, int(cluster.task_seconds / asset.seconds)))
+
+
+def page(results: Json) -> str:
+    """Return the page as Markdown."""
+    found = rates(results["rows"])
+    asset = mean_asset(found, CLUSTER)
+    parts = [
+        HEAD,
+        quick_warning(results),
+        "\n".join(costs(asset, found)) + "\n",
+        "\n".join(bottlenecks(asset, found)) + "\n",
+        FORMULAE.format(cores=CLUSTER.node_cores),
+        "\n".join(measured_rates(found, results)) + "\n",
+        "\n".join(assumptions(asset)) + "\n",
+        "\n".join(caveats(found, results)) + "\n",
+    ]
+    return "\n".join(part for part in parts if part)
+
+
+def quick_warning(results: Json) -> str:
+    """Return a warning where the figures are those of a quick run."""
+    return "**From a quick run: the figures say nothing.**\n" if results["quick"] else ""
+
+
+def costs(asset: Asset, found: Rates) -> Iterator[str]:
+    """Yield the table of what the library costs."""
+    read, written = ASSETS * asset.read, ASSETS * asset.written
+    yield (
+        f"In the mean an asset has {asset.vertices:,.0f} vertices and keeps a core for "
+        f"{1e3 * asset.seconds:.0f} ms. The whole library: {read / 1e12:.1f} TB read, "
+        f"{written / 1e12:.1f} TB written, {ASSETS * asset.seconds / 3600:,.1f} core hours."
+    )
+    yield ""
+    names = list(limits(1, asset, found, CLUSTER))
+    yield f"| N | {' | '.join(names)} | wall time | core hours held | bottleneck |"
+    yield f"|---|{'---|' * len(names)}---|---|---|"
+    for cores in CORES:
+        needed = limits(cores, asset, found, CLUSTER)
+        wall = found.start + max(needed.values())
+        cells = [duration(value) for value in needed.values()]
+        held = f"{wall * cores / 3600:,.0f}"
+        yield f"| {cores:,} | {' | '.join(cells)} | **{duration(wall)}** | {held} | {bottleneck(needed)} |"
+
+
+def bottlenecks(asset: Asset, found: Rates) -> Iterator[str]:
+    """Yield what the bottleneck becomes, and what moves it."""
+    yield "## The bottleneck"
+    moved = asset.read + asset.written
+    textures = 2 * sum(kind.share * kind.payload for kind in LIBRARY) / moved
+    stored = asset.seconds * CLUSTER.store_bytes / moved
+    scheduled = asset.seconds * (found.tasks or 0) * task_files(asset, CLUSTER)
+    node = moved / asset.seconds * CLUSTER.node_cores
+    yield (
+        f"- **Cores**, until something else is slower: twice as many halve the time. The store keeps up with "
+        f"{stored:,.0f} cores" + ("." if found.tasks is None else f", the scheduler with {scheduled:,.0f}.")
+    )
+    yield (
+        f"- **Network of a node**: {CLUSTER.node_cores} busy cores move {node / 1e9:.2f} GB/s of its "
+        f"{CLUSTER.node_bytes / 1e9:.2f}: "
+        + (
+            "fewer workers a node, or a faster link, would help."
+            if node > CLUSTER.node_bytes
+            else "it is no limit."
+        )
+    )
+    yield (
+        f"- **Store**: {moved * ASSETS / CLUSTER.store_bytes / 60:,.0f} minutes at "
+        f"{CLUSTER.store_bytes / 1e9:.0f} GB/s, whatever the number of cores. {textures:.0%} of the bytes "
+        "are textures and animation: a library that keeps textures beside its .gltf files need not move them."
+    )
+    if found.tasks is not None:
+        group, alone = task_files(asset, CLUSTER), asset.seconds * found.tasks
+        yield (
+            f"- **Scheduler**: one process, {found.tasks:,.0f} tasks a second, whatever the number of cores. "
+            f"`--dask` puts files into a task together, {group} of the mean; with one to a task it would "
+            f"keep up with {alone:,.0f} cores."
+        )
+    yield (
+        "- **The client**, where the library lies on its own disk: then every byte goes through its network, "
+        f"{duration(ASSETS * moved / CLUSTER.node_bytes)} at {CLUSTER.node_bytes / 1e9:.2f} GB/s. Give URLs "
+        "that workers read themselves."
+    )
+    yield (
+        f"- **Start-up**: {found.start:.2f} s a worker, once. Called once for each file it would be "
+        f"{ASSETS * found.start / 3600:,.0f} core hours, {found.start / asset.seconds:.1f} × the work itself."
+    )
+
+
+def measured_rates(found: Rates, results: Json) -> Iterator[str]:
+    """Yield the rates and where they come from."""
+    files, textured = results["rows"]["files"], results["rows"]["payload"]
+    tasks = "not measured: Dask is not installed" if found.tasks is None else f"{found.tasks:,.0f} a second"
+    yield "## Measured"
+    yield f"{results['machine']['processor']}, {results['machine']['cores']} cores, {results['date']}."
+    yield ""
+    yield "| | | from |"
+    yield "|---|---|---|"
+    yield f"| start | {found.start:.2f} s | the smallest grid, as a whole process |"
+    many = f"{files['files']:,} files of {files['vertices']:,} vertices in one call"
+    noise = f"{textured['payload'] / 1e6:.0f} MB of textures"
+    stored = f"{found.read:.0f}, {found.written:.0f} bytes a vertex"
+    yield f"| file | {1e3 * found.file:.1f} ms | {many}, less start and vertices |"
+    yield f"| vertex | {1e6 * found.vertex:.2f} µs | the two largest grids of at most a million vertices |"
+    yield f"| payload | {1e9 * found.payload:.2f} ns a byte | a small file with {noise}, less one without |"
+    yield f"| read, written | {stored} | the larger of those grids |"
+    yield f"| tasks | {tasks} | tasks that do nothing; scheduler, client and workers on this machine |"
+
+
+def assumptions(asset: Asset) -> Iterator[str]:
+    """Yield what is assumed."""
+    yield "## Assumed"
+    yield "The characters of the corpus that the tests use have 1,000 to 16,000 vertices."
+    yield ""
+    yield "| kind of asset | share | vertices | textures and animation |"
+    yield "|---|---|---|---|"
+    for kind in LIBRARY:
+        yield f"| {kind.name} | {kind.share:.0%} | {kind.vertices:,} | {kind.payload / 1e6:.0f} MB |"
+    yield ""
+    yield "| of the cluster | |"
+    yield "|---|---|"
+    yield f"| cores of a node | {CLUSTER.node_cores} |"
+    yield f"| node: a node's network, both ways together | {CLUSTER.node_bytes / 1e9:.2f} GB/s |"
+    yield f"| store: what the store delivers and takes in all | {CLUSTER.store_bytes / 1e9:.0f} GB/s |"
+    yield f"| files of a task | {CLUSTER.task_seconds} s of work, at most {CLUSTER.task_files} |"
+    yield f"| wait: until an asset is opened and its output is closed | {1e3 * CLUSTER.latency:.0f} ms |"
+
+
+def caveats(found: Rates, results: Json) -> Iterator[str]:
+    """Yield what the figures leave out."""
+    longest = max(LIBRARY, key=lambda kind: kind.vertices)
+    seconds = found.file + found.vertex * longest.vertices + found.payload * longest.payload
+    together = results["rows"]["files"]["jobs"]
+    yield "## What this leaves out"
+    yield (
+        f"- Cores that share a memory: `file` is measured with {together} at work, the other rates with 1; "
+        f"a node has {CLUSTER.node_cores}."
+    )
+    yield (
+        f"- The end of a run, when some workers have no file left: the largest asset takes {seconds:.1f} s, "
+        "and is better not the last."
+    )
+    yield "- Compressed input: Draco and meshopt are decoded, at rates of their own."
+    yield "- Waiting for the cluster; workers that die, and their files again; verify, longer than bake."
+
+
+def bottleneck(needed: dict[str, float]) -> str:
+    """Return what takes longest."""
+    return max(needed, key=lambda name: needed[name])
+
+
+def duration(seconds: float) -> str:
+    """Return seconds as hours and minutes, minutes, or seconds."""
+    minutes = round(seconds / 60)
+    if minutes >= 120:
+        return f"{minutes // 60} h {minutes % 60} min"
+    return f"{minutes} min" if minutes >= 10 else f"{seconds:.0f} s"
+
+
+if __name__ == "__main__":
+    sys.exit(main())

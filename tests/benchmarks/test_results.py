@@ -1,0 +1,283 @@
+"""`make bench` measures every row of its table, and its pages say what the figures say. No time is judged."""
+
+from __future__ import annotations
+
+import json
+import re
+import statistics
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from benchmarks import library_cost
+from benchmarks.measure import ROWS
+from benchmarks.processes import MIB
+from benchmarks.results import OUTPUT
+from benchmarks.results_page import lines, page
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+TIMEOUT_SECONDS = 600
+WHAT = (
+    "`skinbake --help`",
+    "`skinbake --version`",
+    "bake CesiumMan.glb, 0.49 MB",
+    "bake a grid of 10,000 vertices, 1 MB",
+    "bake a grid of 10,000 vertices, 1 MB: memory",
+    "bake a grid of 10,000 vertices, 1 MB",
+    "gradients alone, 10,000 vertices, one core",
+    "time from 1,000 to 10,000 vertices: slope of log time over log vertices",
+    "memory from 1,000 to 10,000 vertices: (peak − 100 MiB) / file",
+    "verify, 2,500 vertices, 10 poses, LBS",
+    "bake 8 files of 400 vertices in one call",
+    "bake 400 vertices with 1 MB of textures",
+)
+
+STARTED = ("skinbake --help", "skinbake --version", "python -c pass")
+
+Results = dict[str, Any]
+
+
+@pytest.fixture(scope="module")
+def quick(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The page of a quick run, its figures beside it."""
+    path = tmp_path_factory.mktemp("results") / "RESULTS.md"
+    subprocess.run(
+        [sys.executable, "-m", "benchmarks.results", "--quick", "--output", str(path)],
+        cwd=REPOSITORY,
+        check=True,
+        capture_output=True,
+        timeout=TIMEOUT_SECONDS,
+    )
+    return path
+
+
+@pytest.fixture(scope="module")
+def figures(quick: Path) -> Results:
+    found: Results = json.loads(quick.with_suffix(".json").read_text(encoding="utf-8"))
+    return found
+
+
+def table(text: str) -> list[list[str]]:
+    """Return the cells of a page's first table, below its head."""
+    rows = [line for line in text.partition("\n\n## ")[0].splitlines() if line.startswith("| ")]
+    return [[cell.strip() for cell in line.strip("|").split(" | ")] for line in rows[1:]]
+
+
+class TestQuickRun:
+    def test_every_row_is_there(self, quick: Path) -> None:
+        rows = table(quick.read_text(encoding="utf-8"))
+        told = [
+            re.sub(r", --jobs \d+", "", row[0]).replace("bent_tube.glb, 0.13", "CesiumMan.glb, 0.49")
+            for row in rows
+        ]
+        assert tuple(told) == WHAT
+        assert {len(row) for row in rows} == {7}
+
+    def test_every_row_has_a_figure_of_ours(self, quick: Path) -> None:
+        for row in table(quick.read_text(encoding="utf-8")):
+            assert re.search(r"\d|below 0", row[1]), row
+
+    def test_all_was_measured(self, figures: Results) -> None:
+        assert figures["rows"].keys() == ROWS.keys()
+        assert figures["machine"]["processor"]
+        assert {"skinbake", "Python", "numpy"} <= figures["versions"].keys()
+
+    def test_ratios_are_those_of_medians(self, quick: Path, figures: Results) -> None:
+        runs = figures["rows"]["startup"]["runs"]
+        ours, theirs = (
+            statistics.median(runs[name]["seconds"]) for name in ("skinbake --help", "python -c pass")
+        )
+        assert table(quick.read_text(encoding="utf-8"))[0][4] == f"{ours / theirs:.2f}"
+
+    def test_it_warns_that_it_is_quick(self, quick: Path) -> None:
+        assert "A quick run" in quick.read_text(encoding="utf-8")
+
+    def test_the_library_can_be_computed_from_it(self, quick: Path) -> None:
+        output = quick.with_name("library_cost.md")
+        subprocess.run(
+            [
+                *(sys.executable, "-m", "benchmarks.library_cost"),
+                *("--results", str(quick.with_suffix(".json")), "--output", str(output)),
+            ],
+            cwd=REPOSITORY,
+            check=True,
+            capture_output=True,
+            timeout=TIMEOUT_SECONDS,
+        )
+        rows = table(output.read_text(encoding="utf-8"))
+        assert [row[0] for row in rows] == ["10", "100", "1,000"]
+
+
+def sample() -> Results:
+    """Figures chosen so that what follows from them can be seen."""
+    runs = {"seconds": [2.0, 1.0, 9.0], "mib": [50.0, 60.0, 55.0]}
+    slow = {"seconds": [4.0], "mib": [1.0]}
+    half, whole = {"seconds": [3.0]}, {"seconds": [6.0]}
+    sizes = [
+        {
+            "vertices": vertices,
+            "bytes": 80 * vertices,
+            "written": 100 * vertices,
+            "seconds": [vertices * 1e-5],
+            "mib": [100 + 2.5 * 80 * vertices / MIB],
+        }
+        for vertices in (1_000, 10_000, 100_000)
+    ]
+    return {
+        "startup": {"runs": dict.fromkeys(STARTED, runs)},
+        "character": {"model": "a.glb", "bytes": 1, "runs": {"bake": runs, "tangents": slow}},
+        "grid": {"vertices": 100_000, "bytes": 1, "runs": {"bake": runs}, "slow_runs": {"bake": runs}},
+        "gradients": {"vertices": 9, "runs": {"skinbake": half, "authors' loop": whole}},
+        "scaling": {"sizes": sizes, "left_out": []},
+        "verify": {"vertices": 9, "poses": 9, "runs": {"verify": half, "libigl": whole}},
+        "files": {
+            "files": 1_000,
+            "vertices": 2_000,
+            "bytes": 160_000,
+            "jobs": 2,
+            "single_calls": 50,
+            "runs": {"one call": {"seconds": [15.01]}, "single calls": {"seconds": [10.0]}},
+        },
+        "payload": {
+            "vertices": 9,
+            "payload": 50_000_000,
+            "runs": {"bare": {"seconds": [0.2]}, "bake": {"seconds": [0.3]}},
+        },
+        "tasks": {"tasks": 100, "workers": 2, "per_second": [400.0, 500.0, 1_000.0]},
+        "stages": {
+            "models": [
+                {"model": "small", "seconds": 0.5, "stages": {"read": 0.25, "strip": 0.0001}},
+                {"model": "large", "seconds": 2.0, "stages": {"read": 0.5, "write": 1.0}},
+            ]
+        },
+    }  # fmt: skip
+
+
+class TestPage:
+    def test_bars_are_held_against_medians(self) -> None:
+        told = [(line.ratio, line.met) for line in lines(sample())]
+        assert told == [
+            (1.0, False),
+            (1.0, False),
+            (0.5, True),
+            (None, None),
+            (None, None),
+            (None, None),
+            (0.5, False),
+            (None, True),
+            (None, True),
+            (0.5, True),
+            (pytest.approx(15.01 / 200), True),
+            (None, None),
+        ]
+
+    def test_a_peer_that_is_not_installed_is_said(self) -> None:
+        assert [line.peer for line in lines(sample()) if line.theirs == "not installed"] == [
+            "`gltf-transform copy`",
+            "`gltfpack -noq`",
+            "`gltf-transform tangents`",
+            "`gltf-transform copy`",
+        ]
+
+    def test_slope_and_memory(self) -> None:
+        told = {line.what.split()[0]: line.ours for line in lines(sample())}
+        assert told["time"] == "1.00 by least squares, 1.00 between the last two"
+        assert told["memory"] == "2.50 at most"
+
+    @pytest.mark.parametrize(("exponent", "met"), [(1.04, True), (1.06, False)])
+    def test_what_grows_faster_misses_the_bar(self, exponent: float, met: bool) -> None:
+        rows = sample()
+        for size in rows["scaling"]["sizes"]:
+            size["seconds"] = [1e-6 * size["vertices"] ** exponent]
+        (line,) = [line for line in lines(rows) if line.what.startswith("time")]
+        assert line.met is met
+
+    def test_stages_that_take_time_and_the_rest(self) -> None:
+        text = page({"quick": False, "date": "", "machine": MACHINE, "versions": {}, "rows": sample()})
+        told = (
+            text.partition("## Where the time goes")[2].partition("|---|---|---|---|---|\n")[2].splitlines()
+        )
+        assert told == [
+            "| read | 0.250 | 50% | 0.500 | 25% |",
+            "| write | 0.000 | 0% | 1.000 | 50% |",
+            "| start-up | 0.250 | 50% | 0.500 | 25% |",
+            "| together | 0.500 | 100% | 2.000 | 100% |",
+        ]
+
+
+MACHINE = {"processor": "a processor", "cores": 2, "memory_gib": 8, "system": "a system"}
+
+
+class TestLibraryCost:
+    def test_rates(self) -> None:
+        found = library_cost.rates(sample())
+        # 1e-5 s a vertex; a file takes 2 cores × (15.01 − 0.01) s / 1,000 less 2,000 vertices.
+        assert found.vertex == pytest.approx(1e-5)
+        assert found.file == pytest.approx(0.030 - 0.020)
+        assert found.payload == pytest.approx(0.1 / 50e6)
+        assert (found.read, found.written, found.tasks) == (80, 100, 500)
+
+    def test_each_limit(self) -> None:
+        found = library_cost.Rates(start=1, file=0, vertex=0, payload=0, read=0, written=0, tasks=2_000)
+        asset = library_cost.Asset(vertices=0, seconds=0.5, read=4e6, written=6e6)
+        cluster = library_cost.Cluster(
+            node_cores=16, node_bytes=1e9, store_bytes=5e9, latency=0, task_seconds=1.0, task_files=64
+        )
+        # A million assets: 500,000 core seconds, 10 TB, two files to a task; 100 cores are 7 nodes.
+        assert library_cost.limits(100, asset, found, cluster) == {
+            "cores": pytest.approx(5_000),
+            "network": pytest.approx(1e13 / 7e9),
+            "store": pytest.approx(2_000),
+            "scheduler": pytest.approx(250),
+        }
+
+    @pytest.mark.parametrize(("seconds", "files"), [(0.001, 64), (0.05, 10), (2.0, 1)])
+    def test_files_of_a_task(self, seconds: float, files: int) -> None:
+        asset = library_cost.Asset(vertices=0, seconds=seconds, read=0, written=0)
+        assert library_cost.task_files(asset, library_cost.Cluster(task_seconds=0.5, task_files=64)) == files
+
+    def test_the_mean_asset_is_that_of_the_library(self) -> None:
+        assert sum(kind.share for kind in library_cost.LIBRARY) == pytest.approx(1)
+        found = library_cost.Rates(
+            start=1, file=0.01, vertex=1e-6, payload=1e-9, read=80, written=120, tasks=None
+        )
+        asset = library_cost.mean_asset(found, library_cost.Cluster(latency=0.02))
+        # 0.6 · 2,500 + 0.3 · 10,000 + 0.09 · 50,000 + 0.01 · 1,000,000 vertices; 3.88 MB of textures.
+        assert asset.vertices == pytest.approx(19_000)
+        assert asset.seconds == pytest.approx(0.01 + 0.019 + 0.00388 + 0.02)
+        assert asset.read == pytest.approx(1.52e6 + 3.88e6)
+        assert asset.written == pytest.approx(2.28e6 + 3.88e6)
+
+    def test_without_dask_no_scheduler_is_told(self) -> None:
+        rows = sample()
+        rows["tasks"] = {"runs": {}}
+        text = library_cost.page(
+            {"quick": False, "date": "", "machine": MACHINE, "versions": {}, "rows": rows}
+        )
+        assert "not measured" in text
+        assert "**Scheduler**" not in text
+
+    @pytest.mark.parametrize(("seconds", "text"), [(59, "59 s"), (1_200, "20 min"), (9_000, "2 h 30 min")])
+    def test_durations(self, seconds: float, text: str) -> None:
+        assert library_cost.duration(seconds) == text
+
+
+class TestCommittedPages:
+    """The pages in the repository are those that the committed figures give."""
+
+    @pytest.fixture
+    def committed(self) -> Results:
+        found: Results = json.loads(OUTPUT.with_suffix(".json").read_text(encoding="utf-8"))
+        return found
+
+    def test_results(self, committed: Results) -> None:
+        assert OUTPUT.read_text(encoding="utf-8") == page(committed)
+
+    def test_library_cost(self, committed: Results) -> None:
+        assert library_cost.OUTPUT.read_text(encoding="utf-8") == library_cost.page(committed)
+
+    def test_they_are_of_a_full_run(self, committed: Results) -> None:
+        assert committed["quick"] is False
