@@ -17,7 +17,7 @@ from typing import Any
 import jsonschema
 import pytest
 
-from benchmarks.skinned_grid import glb_bytes, grid_arrays
+from benchmarks.skinned_grid import grid_of, write_grid
 from skinbake.commands import processes
 from skinbake.commands.bake import BakeOptions, bake_file
 from skinbake.commands.batch_bake import BakeJob, BakeWork
@@ -421,7 +421,9 @@ FILES = 99
 def grids(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Make files of 2,500 vertices in three folders."""
     root = tmp_path_factory.mktemp("grids")
-    data = glb_bytes(grid_arrays(50))
+    write_grid(root / "grid.glb", grid_of(2500))
+    data = (root / "grid.glb").read_bytes()
+    (root / "grid.glb").unlink()
     for number in range(FILES):
         path = root / f"d{number % 3}" / f"{number:02}.glb"
         path.parent.mkdir(exist_ok=True)
