@@ -26,6 +26,8 @@ HEAVY = (
     "scipy",
     "igl",
     "rich",
+    "fsspec",
+    "distributed",
     "skinbake.commands",
     "skinbake.gltf",
     "skinbake.bake",
@@ -62,7 +64,7 @@ def test_the_list_of_commands_imports_none_of_them() -> None:
 def test_a_small_bake_imports_nothing_that_only_verify_needs(tmp_path: Path) -> None:
     loaded = modules("bake", str(SEAM), "-o", str(tmp_path / "out.glb"), "-q")
     assert "numpy" in loaded
-    assert not {"scipy", "igl", "rich", "pygltflib", "DracoPy", "meshopt"} & loaded
+    assert not {"scipy", "igl", "rich", "pygltflib", "DracoPy", "meshopt", "fsspec", "distributed"} & loaded
 
 
 def test_help_names_every_command_and_the_exit_codes() -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Generator
-from pathlib import Path
 from typing import Any
 
 import click
@@ -27,6 +26,7 @@ from skinbake.cli.many import (
     worst,
 )
 from skinbake.cli.progress import Progress
+from skinbake.cli.remote import cluster_option, cluster_runner
 from skinbake.cli.targets import STDIO, check_target, in_turns, once, pair_up
 
 HIGHEST_MESHOPT_LEVEL = 3
@@ -160,13 +160,14 @@ def _multiple_of_4(ctx: click.Context, param: click.Parameter, value: int | None
     "--warnings-as-errors", is_flag=True, help="Fail (3), and write nothing, where there are warnings."
 )
 @many_options
+@cluster_option
 @message_options
 def command(inputs: tuple[str, ...], **given: Any) -> None:
     """Add α/β, the skin-weight gradients along tangent and bitangent, to every skinned primitive.
 
     INPUT is a .glb, .gltf or .vrm file, or - for a GLB on stdin; a folder, for all such files below it; or a
-    quoted pattern like 'art/**/*.glb'. Everything that bake does not add stays as
-    it is. A file in which nothing can be baked passes through unchanged, with a warning. Bake last:
+    quoted pattern like 'art/**/*.glb'. Inputs and outputs may be URLs. Everything that bake does not add
+    stays as it is. A file in which nothing can be baked passes through unchanged, with a warning. Bake last:
     tools that reorder influences or quantise positions falsify α and β.
     """
     clock = Clock()
@@ -201,7 +202,9 @@ def command(inputs: tuple[str, ...], **given: Any) -> None:
     clock.imports_done()
     turns = in_turns([entry for entry, _ in targets]) if given["out_dir"] else []
     guess = (SECONDS_A_FILE, SECONDS_A_BYTE)
-    runner = chosen_runner(given, [entry.source for entry, _ in targets], turns, MODULES, guess)
+    sources = [entry.source for entry, _ in targets]
+    runner = cluster_runner(given, sources, turns, say)
+    runner = runner or chosen_runner(given, sources, turns, MODULES, guess)
     totals, results, code = Totals(len(jobs), BAKE_OUTCOMES), list[FileResult](), exit_codes.OK
     summary, notes = Summary(given["summary"], SCHEMA, say), Notes(state, say)
 
@@ -305,7 +308,7 @@ def _targets(inputs: list[Input], given: dict[str, Any]) -> list[tuple[Input, st
             raise click.UsageError("--in-place needs files")
         return [(entry, entry.source) for entry in once(inputs)]
     if given["out_dir"]:
-        return list(pair_up(inputs, Path(given["out_dir"])))
+        return list(pair_up(inputs, given["out_dir"]))
     return [(entry, None) for entry in inputs]
 
 

@@ -10,7 +10,10 @@ from pathlib import Path
 
 import click
 
+from skinbake.cli.remote import behind
 from skinbake.cli.targets import STDIO, SUFFIXES, check_readable_suffix
+from skinbake.errors import InputError
+from skinbake.urls import is_url
 
 MAGIC = frozenset("*?[")
 ANY_FOLDERS = "**"
@@ -44,7 +47,7 @@ def expanded(arguments: Sequence[str], *, but: str | None = None) -> list[Input]
     """
     if list(arguments).count(STDIO) > 1:
         raise click.UsageError("stdin can be read once only")
-    search = _Search(_identity(but) if but else None)
+    search = _Search(but)
     found: list[Input] = []
     seen: set[tuple[str, str]] = set()
     for argument in arguments:
@@ -58,14 +61,20 @@ def expanded(arguments: Sequence[str], *, but: str | None = None) -> list[Input]
 class _Search:
     """A search that leaves one folder out, and remembers which it could not open."""
 
-    def __init__(self, left_out: tuple[int, int] | None) -> None:
-        self._left_out = left_out
+    def __init__(self, but: str | None) -> None:
+        self._but = but
+        self._left_out = _identity(but) if but else None
         self._closed: list[Input] = []
 
     def meant(self, argument: str) -> list[Input]:
         """Return what an argument means."""
         if argument == STDIO:
             return [Input(argument, argument)]
+        if is_url(argument):
+            try:
+                return [Input(url, kept) for url, kept in behind(argument, self._but)]
+            except InputError as error:
+                return [Input(argument, argument, error.message)]
         if os.path.isdir(argument):
             return self._found(argument, argument, (ANY_FOLDERS, "*"), "nothing in this folder")
         if MAGIC.isdisjoint(argument) or os.path.lexists(argument):

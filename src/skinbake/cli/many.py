@@ -17,6 +17,7 @@ from skinbake.cli.console import Command, Console
 from skinbake.cli.progress import Progress
 from skinbake.cli.targets import STDIO, SUFFIXES
 from skinbake.errors import OutputError, Place, SkinbakeError
+from skinbake.urls import is_url
 
 if TYPE_CHECKING:
     from skinbake.commands.batch import Runner, Work
@@ -27,6 +28,9 @@ STATE_NAME = ".skinbake-state.jsonl"
 
 MANY = 20
 """Files whose lines one still takes in at a glance; of more a line tells the sum."""
+
+SECONDS_A_URL = 0.1
+"""What it takes to fetch and store a file, about."""
 
 WORTHWHILE = 0.5
 """Seconds of work from which on other processes are started for it."""
@@ -163,7 +167,7 @@ def _is_worthwhile(sources: Sequence[str], guess: tuple[float, float]) -> bool:
         try:
             seconds += guess[0] + guess[1] * Path(source).stat().st_size
         except (OSError, ValueError):
-            continue
+            seconds += SECONDS_A_URL if is_url(source) else 0.0
         if seconds > WORTHWHILE:
             return True
     return False

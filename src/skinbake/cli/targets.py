@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING
 
 import click
 
+from skinbake.urls import is_url, join_url
+
 if TYPE_CHECKING:
     from skinbake.cli.inputs import Input
 
@@ -46,7 +48,7 @@ def _same_file(first: str, second: str) -> bool:
         return False
 
 
-def pair_up(inputs: Sequence[Input], folder: Path) -> list[tuple[Input, str]]:
+def pair_up(inputs: Sequence[Input], folder: str) -> list[tuple[Input, str]]:
     """Return each input, once, with its place in ``folder``.
 
     Raises click.UsageError where two would be the same, or one would be where another input is.
@@ -59,7 +61,7 @@ def pair_up(inputs: Sequence[Input], folder: Path) -> list[tuple[Input, str]]:
         source = entry.source
         if source == STDIO:
             raise click.UsageError("--out-dir needs inputs that have a name; use -o for stdin")
-        target = str(folder / entry.kept)
+        target = join_url(folder, entry.kept) if is_url(folder) else str(Path(folder, entry.kept))
         if entry.missing is None:
             if target in taken:
                 raise click.UsageError(f"{taken[target]} and {source} would both become {target}")
@@ -84,6 +86,8 @@ class _Found:
 
     def real(self, path: str) -> str:
         folder, name = os.path.split(path)
+        if is_url(path):
+            return path
         if folder not in self._folders:
             self._folders[folder] = os.path.realpath(folder)
         return os.path.join(self._folders[folder], name)  # noqa: PTH118
@@ -102,7 +106,7 @@ def in_turns(inputs: Sequence[Input]) -> list[int]:
 
 def _names_files(source: str) -> bool:
     """Tell whether a document may name other files; True where it cannot be told at a glance."""
-    if Path(source).suffix.lower() == ".gltf":
+    if Path(source).suffix.lower() == ".gltf" or is_url(source):
         return True
     try:
         with Path(source).open("rb") as file:

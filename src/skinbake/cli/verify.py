@@ -26,6 +26,7 @@ from skinbake.cli.many import (
     worst,
 )
 from skinbake.cli.progress import Progress
+from skinbake.cli.remote import cluster_option, cluster_runner
 from skinbake.errors import OutputError, Place
 
 
@@ -105,6 +106,7 @@ def _poses(ctx: click.Context, param: click.Parameter, value: str) -> tuple[str,
 @click.option("--json", "as_json", is_flag=True, help="Print the results as JSON.")
 @click.option("--junit", metavar="FILE", help="Also write the results as JUnit XML.")
 @many_options
+@cluster_option
 @message_options
 def command(inputs: tuple[str, ...], **given: Any) -> None:
     """Check that files still carry the right α/β, and measure what they are worth.
@@ -113,11 +115,11 @@ def command(inputs: tuple[str, ...], **given: Any) -> None:
     the bake, and an independent computation gives the same α/β. Lighting: how far the normals of each
     algorithm are from the true ones, in degrees, in the file's own animations. Limits apply to the accurate
     lighting of each --method asked for (LBS otherwise). INPUT is a .glb, .gltf or .vrm file, or - for a GLB
-    on stdin; a folder, for all such files below it; or a quoted pattern like 'build/**/*.glb'.
+    on stdin; a folder, for all such files below it; or a quoted pattern like 'build/**/*.glb'. Each may be a
+    URL.
     """
     clock = Clock()
-    found = expanded(inputs)
-    notes_at = state_path(given)
+    found, notes_at = expanded(inputs), state_path(given)
     check_summary(given)
     say = console(verbose=given["verbose"], quiet=given["quiet"], color=given["color"])
     from skinbake.commands.batch_verify import MODULES, SECONDS_A_BYTE, SECONDS_A_FILE, VerifyJob, VerifyWork
@@ -138,9 +140,8 @@ def command(inputs: tuple[str, ...], **given: Any) -> None:
         for entry in found
     ]
     clock.imports_done()
-    runner = chosen_runner(
-        given, [entry.source for entry in found], [], MODULES, (SECONDS_A_FILE, SECONDS_A_BYTE)
-    )
+    sources, guess = [entry.source for entry in found], (SECONDS_A_FILE, SECONDS_A_BYTE)
+    runner = cluster_runner(given, sources, [], say) or chosen_runner(given, sources, [], MODULES, guess)
     totals, verdicts, code = Totals(len(jobs), VERIFY_OUTCOMES), list[FileVerdict](), exit_codes.OK
     summary, notes = Summary(given["summary"], SCHEMA, say), Notes(state, say)
 
@@ -153,8 +154,8 @@ def command(inputs: tuple[str, ...], **given: Any) -> None:
             say.result(as_text(verdict))
 
     def begin(progress: Progress) -> Generator[FileVerdict, None, None]:
-        work = VerifyWork(options, recipe, given["timings"], progress.step if len(jobs) == 1 else None)
-        return each(runner, work, jobs, progress, tell)
+        poses = progress.step if len(jobs) == 1 and not given["dask"] else None
+        return each(runner, VerifyWork(options, recipe, given["timings"], poses), jobs, progress, tell)
 
     with outcomes(say, totals, clock, [summary, notes], begin) as found_out:
         for verdict in found_out:

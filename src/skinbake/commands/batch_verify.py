@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from skinbake.commands import state
 from skinbake.commands.batch import timed
 from skinbake.commands.lighting import Progress, VerifyOptions
-from skinbake.commands.verify import verify_file
+from skinbake.commands.staging import verify_anywhere as verify_file
 from skinbake.errors import InputError, Place
 from skinbake.gltf.document import STDIO
 from skinbake.report.verify import FileVerdict

@@ -1,0 +1,69 @@
+"""URLs among the arguments, and ``--dask``: work that is not all done on this machine's disk."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from skinbake.cli.console import Command, Console
+from skinbake.cli.targets import STDIO
+from skinbake.errors import InputError, Place
+from skinbake.urls import is_url, join_url
+
+if TYPE_CHECKING:
+    from skinbake.commands.batch import Runner
+
+
+def cluster_option(command: Command) -> Command:
+    """Add the option that names a cluster."""
+    return click.option(
+        "--dask",
+        metavar="ADDRESS",
+        help="Work on the machines of a running Dask scheduler, like tcp://host:8786.",
+    )(command)
+
+
+def behind(url: str, but: str | None) -> list[tuple[str, str]]:
+    """Return (URL, relative path) of the files that a URL means; raises InputError where there are none.
+
+    ``but`` is the folder of the outputs, which is left out unless the search begins in it.
+    """
+    from skinbake.commands.storages import expand_url
+
+    found = expand_url(url)
+    outputs = join_url(but, "") if but and is_url(but) else None
+    if outputs is None or join_url(url, "").startswith(outputs):
+        return found
+    return [(file, kept) for file, kept in found if not file.startswith(outputs)]
+
+
+def cluster_runner(
+    given: Mapping[str, Any], sources: Sequence[str], turns: Sequence[int], say: Console
+) -> Runner | None:
+    """Return the runner of the cluster, connected until the command ends; None where none is asked for.
+
+    ``turns`` are the numbers of those sources that must be done in order. Raises click.UsageError for options
+    that do not go with a cluster, or with URLs, and InputError where the cluster cannot be used.
+    """
+    address = given["dask"]
+    if address and given["jobs"] != 1:
+        raise click.UsageError("--jobs is for processes of this machine, --dask for a cluster's: give one")
+    if address and STDIO in {*sources, given.get("output")}:
+        raise click.UsageError("--dask takes files and URLs, not - for stdin or stdout")
+    named = [*sources, given.get("out_dir") or "", given.get("output") or ""]
+    if given["skip_unchanged"] and (address or any(map(is_url, named))):
+        raise click.UsageError("--skip-unchanged digests files on this disk: not with --dask or URLs")
+    if not address:
+        return None
+    from skinbake.commands.batch import FirstThese
+    from skinbake.commands.dask_runner import DaskRunner
+
+    runner = DaskRunner(address)
+    click.get_current_context().call_on_close(runner.close)
+    notices = runner.connect()
+    say.notices(notices)
+    if notices and given["warnings_as_errors"]:
+        raise InputError("nothing was sent: there are warnings (--warnings-as-errors)", Place(address))
+    return FirstThese(turns, runner.one_by_one(), runner) if turns else runner

@@ -1,0 +1,228 @@
+"""Files behind URLs: what fsspec and its drivers reach, object stores among them."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path, PurePosixPath
+from typing import Any, Protocol
+
+from skinbake.errors import InputError, OutputError, Place, SkinbakeError
+from skinbake.urls import URL, join_url
+
+OBJECT_STORES = frozenset({"s3", "s3a", "gs", "gcs", "abfs", "abfss", "az"})
+"""Protocols that know buckets, but no folders, and by which a file appears when its last byte is there."""
+
+SUFFIXES = (".glb", ".gltf", ".vrm")
+WILDCARDS = re.compile(r"[*?\[]")
+
+
+class Storage(Protocol):
+    """Files that are not on this machine's disk, by names relative to the storage's root.
+
+    Names have forward slashes and no dots to resolve. Methods raise whatever a driver raises; ``reading``
+    and ``writing`` make sentences of that.
+    """
+
+    def fetch(self, name: str, to: Path) -> None:
+        """Copy a file here; FileNotFoundError where there is none."""
+
+    def has(self, name: str) -> bool:
+        """Tell whether there is such a file."""
+
+    def holds(self, name: str, content: Path) -> bool:
+        """Tell whether an existing file has the content of the file at ``content``."""
+
+    def put(self, name: str, content: Path) -> None:
+        """Store a file whole or not at all, in place of one of that name; folders are made."""
+
+    def shown(self, name: str) -> str:
+        """Return what a person calls the file."""
+
+
+class UrlStorage:
+    """The files that one fsspec filesystem reaches; their paths begin with ``root``."""
+
+    def __init__(self, filesystem: Any, root: str) -> None:
+        self._filesystem = filesystem
+        self._root = root
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, UrlStorage):
+            return NotImplemented
+        return bool(self._filesystem == other._filesystem) and self._root == other._root
+
+    def __hash__(self) -> int:
+        return hash(self._root)
+
+    def fetch(self, name: str, to: Path) -> None:
+        """Copy a file here; FileNotFoundError where there is none."""
+        self._filesystem.get_file(self._root + name, str(to))
+        if not to.is_file():  # of a folder, drivers make one
+            raise FileNotFoundError(name)
+
+    def has(self, name: str) -> bool:
+        """Tell whether there is such a file."""
+        try:
+            return bool(self._filesystem.info(self._root + name)["type"] == "file")
+        except FileNotFoundError:
+            return False
+
+    def holds(self, name: str, content: Path) -> bool:
+        """Tell whether an existing file has the content of the file at ``content``."""
+        path = self._root + name
+        if self._filesystem.size(path) != content.stat().st_size:
+            return False
+        return bool(self._filesystem.cat_file(path) == content.read_bytes())
+
+    def put(self, name: str, content: Path) -> None:
+        """Store a file whole or not at all, in place of one of that name; folders are made."""
+        path = self._root + name
+        if _is_object_store(self._filesystem):
+            self._filesystem.put_file(str(content), path)
+            return
+        folder = path[: path.rindex("/") + 1] if "/" in path else ""
+        if folder.strip("/"):
+            self._filesystem.makedirs(folder.rstrip("/"), exist_ok=True)
+        import secrets
+
+        temporary = f"{folder}.skinbake-{secrets.token_hex(6)}.tmp"
+        try:
+            self._filesystem.put_file(str(content), temporary)
+            self._rename(temporary, path)
+        except BaseException:
+            with suppress(Exception):
+                self._filesystem.rm_file(temporary)
+            raise
+
+    def _rename(self, old: str, new: str) -> None:
+        from fsspec import AbstractFileSystem
+
+        if type(self._filesystem).mv is not AbstractFileSystem.mv:
+            self._filesystem.mv(old, new)
+        else:  # it would copy too, and take brackets in names for patterns
+            self._filesystem.cp_file(old, new)
+            self._filesystem.rm_file(old)
+
+    def shown(self, name: str) -> str:
+        """Return the file's URL."""
+        return str(self._filesystem.unstrip_protocol(self._root + name))
+
+
+def located(url: str) -> tuple[UrlStorage | None, str]:
+    """Return where a URL points: the storage and the name in it, or None and a path of this machine's.
+
+    Raises InputError where fsspec or the driver of the URL's protocol is missing.
+    """
+    filesystem, path = _filesystem(url)
+    if _is_local(filesystem):
+        return None, path
+    scheme = URL.match(path)
+    root = scheme.group() if scheme else path[: len(path) - len(path.lstrip("/"))]
+    if _is_object_store(filesystem):  # no relative URI leads into another bucket
+        root = path[: path.find("/") + 1]
+    return UrlStorage(filesystem, root), path[len(root) :]
+
+
+def _filesystem(url: str) -> tuple[Any, str]:
+    scheme = url.partition("://")[0]
+    try:
+        from fsspec.core import url_to_fs
+    except ImportError as error:
+        raise InputError(
+            "URLs need fsspec, which is not installed: pip install 'skinbake[dask]'", Place(url)
+        ) from error
+    try:
+        filesystem, path = url_to_fs(url)
+    except ImportError as error:
+        raise InputError(f"the driver for {scheme}:// is not installed: {error}", Place(url)) from error
+    except ValueError as error:
+        if "Protocol not known" in str(error):
+            raise InputError(f"fsspec knows no protocol {scheme}://", Place(url)) from error
+        raise InputError(f"not a URL that can be read: {error}", Place(url)) from error
+    except Exception as error:  # whatever a driver makes of a host or a key that it does not like
+        raise InputError(f"cannot be reached: {reason(error)}", Place(url)) from error
+    return filesystem, str(path)
+
+
+def _is_local(filesystem: Any) -> bool:
+    from fsspec.implementations.local import LocalFileSystem
+
+    return isinstance(filesystem, LocalFileSystem)
+
+
+def _is_object_store(filesystem: Any) -> bool:
+    protocol = filesystem.protocol
+    return not OBJECT_STORES.isdisjoint({protocol} if isinstance(protocol, str) else protocol)
+
+
+@contextmanager
+def reading(file: str) -> Iterator[None]:
+    """Raise InputError, with one sentence, for whatever a storage raises in the block."""
+    try:
+        yield
+    except (SkinbakeError, MemoryError):
+        raise
+    except Exception as error:
+        raise InputError(f"cannot be read: {reason(error)}", Place(file)) from error
+
+
+@contextmanager
+def writing(file: str) -> Iterator[None]:
+    """Raise OutputError, with one sentence, for whatever a storage raises in the block."""
+    try:
+        yield
+    except (SkinbakeError, MemoryError):
+        raise
+    except Exception as error:
+        raise OutputError(f"cannot be written: {reason(error)}", Place(file)) from error
+
+
+def reason(error: Exception) -> str:
+    """Return why a driver failed, on one line: object stores seldom fill in errno."""
+    if isinstance(error, OSError) and error.strerror:
+        return error.strerror
+    if isinstance(error, FileNotFoundError):
+        return "No such file or directory"
+    text = str(error).strip().partition("\n")[0]
+    if isinstance(error, PermissionError):
+        return f"Permission denied ({text})" if text else "Permission denied"
+    return f"{type(error).__name__}: {text}" if text else type(error).__name__
+
+
+def expand_url(url: str) -> list[tuple[str, str]]:
+    """Return (URL, relative path) of each file that a URL stands for, in order of their paths.
+
+    A file stands for itself, under its name. A folder, which ends in no suffix of glTF, stands for the
+    ``.glb``, ``.gltf`` and ``.vrm`` files in it at any depth, relative to it, but no hidden ones. A pattern
+    with ``*``, ``**``, ``?`` or ``[…]`` stands for those that match, relative to the folder before its first
+    wildcard.
+    Raises InputError where the storage cannot be read, or there are none.
+    """
+    wildcard = WILDCARDS.search(url)
+    if wildcard is None and PurePosixPath(url).suffix.lower() in SUFFIXES:
+        return [(url, PurePosixPath(url).name)]
+    if "::" in url:
+        raise InputError("folders and patterns of chained URLs are not expanded; name the files", Place(url))
+    filesystem, path = _filesystem(url)
+    with reading(url):
+        if wildcard and filesystem.isfile(path):  # a name may hold brackets
+            return [(url, PurePosixPath(url).name)]
+        base = url[: url.rindex("/", 0, wildcard.start()) + 1] if wildcard else url
+        start = str(filesystem._strip_protocol(base)).rstrip("/")
+        found = filesystem.glob(path) if wildcard else filesystem.find(path)
+    names = [str(name)[len(start) :].lstrip("/").split("/") for name in found]
+    relative = [
+        "/".join(parts) for parts in sorted(names) if _is_wanted(parts, dots="/." in path[len(start) :])
+    ]
+    if not relative:
+        what = "no file matches this pattern that" if wildcard else "nothing in this folder"
+        raise InputError(f"{what} ends in {', '.join(SUFFIXES)}", Place(url))
+    return [(join_url(base, name), name) for name in relative]
+
+
+def _is_wanted(parts: Sequence[str], *, dots: bool) -> bool:
+    """Tell whether a file is one of glTF's, and not hidden or in a hidden folder, unless those are wanted."""
+    hidden = any(part.startswith(".") for part in parts)
+    return (dots or not hidden) and PurePosixPath(parts[-1]).suffix.lower() in SUFFIXES

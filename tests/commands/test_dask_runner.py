@@ -1,0 +1,251 @@
+"""A real scheduler and real workers, some of which die: every job has its result, and the bytes are right."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import skinbake
+from skinbake.cli import exit_codes
+from skinbake.commands import dask_runner
+from skinbake.commands.dask_runner import DaskRunner
+from skinbake.errors import InputError
+from tests.cli.running import document, invoke
+from tests.commands.clusters import PATIENCE, cluster, observer, require_dask, wait_for_workers
+from tests.commands.file_works import Bake, BakeOrDie, Job, Raise, Verify
+from tests.commands.libraries import tree, write_library, write_sheets
+
+require_dask()
+
+
+def jobs_of(folder: Path, sources: list[Path], *, url: str = "") -> list[Job]:
+    return [Job(f"{url}{source}", f"{url}{folder}/{source.name}") for source in sources]
+
+
+def test_a_worker_is_killed_midway(tmp_path: Path) -> None:
+    sources = write_sheets(tmp_path / "in", 200)
+    for job in jobs_of(tmp_path / "here", sources):
+        assert Bake()(job).error is None
+    jobs = jobs_of(tmp_path / "away", sources, url="file://")
+    results: dict[int, Any] = {}
+    with cluster(tmp_path / "cluster", options=["--no-nanny"]) as found, observer(found.address) as client:
+        wait_for_workers(client, 2)
+        with DaskRunner(found.address) as runner:
+            assert runner.connect() == []
+            held: tuple[str, ...] = ()
+            for number, result in runner.run(Bake(), jobs):
+                assert number not in results
+                results[number] = result
+                if len(results) == 40:
+                    held = _killed(client, found.workers[0])
+            assert held
+            assert len(client.nthreads()) == 1
+    assert sorted(results) == list(range(200))
+    for number, result in results.items():
+        assert (result.status, result.error) == ("baked", None)
+        assert (result.input, result.output) == (jobs[number].source, jobs[number].target)
+    assert tree(tmp_path / "away") == tree(tmp_path / "here")
+
+
+def _killed(client: Any, worker: Any) -> tuple[str, ...]:
+    """Kill a worker that holds tasks, and return their keys: it is stopped first, so that it keeps them."""
+    address = next(a for a, pid in client.run(os.getpid).items() if pid == worker.pid)
+    os.kill(worker.pid, signal.SIGSTOP)
+    held = tuple(client.processing()[address])
+    os.kill(worker.pid, signal.SIGKILL)
+    return held
+
+
+def test_plain_paths_travel_and_a_killer_harms_nobody_else(tmp_path: Path) -> None:
+    sources = write_sheets(tmp_path / "in", 24)
+    killer = write_sheets(tmp_path / "in", 1, prefix="killer")
+    sources[7:7] = killer
+    for job in jobs_of(tmp_path / "here", sources):
+        if "killer" not in job.source:
+            assert Bake()(job).error is None
+    (tmp_path / "notes").mkdir()
+    work = BakeOrDie(notes=str(tmp_path / "notes"))
+    jobs = jobs_of(tmp_path / "away", sources)
+    # Nannies start killed workers anew. At the first death all tasks that the worker held are given up.
+    with cluster(tmp_path / "cluster", allowed_failures=0) as found:
+        with observer(found.address) as client:
+            wait_for_workers(client, 2)
+        with DaskRunner(found.address) as runner:
+            results = dict(runner.run(work, jobs))
+    assert sorted(results) == list(range(25))
+    failed = [number for number, result in results.items() if result.error is not None]
+    assert failed == [7]
+    assert isinstance(results[7].error, InputError)
+    assert "each worker that took it died" in results[7].error.message
+    assert (results[7].input, results[7].output) == (jobs[7].source, jobs[7].target)
+    assert tree(tmp_path / "away") == tree(tmp_path / "here")
+    assert len((tmp_path / "notes" / killer[0].name).read_bytes()) == 2  # among others, and alone
+
+
+def test_one_cluster_for_what_needs_no_deaths(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    sources = write_sheets(tmp_path / "in", 30)
+    baked = jobs_of(tmp_path / "baked", sources)
+    for job in baked:
+        Bake()(job)
+    with (
+        cluster(tmp_path / "cluster", workers=1, options=["--no-nanny"]) as found,
+        observer(found.address) as client,
+    ):
+        wait_for_workers(client, 1)
+        _verdicts_are_those_of_this_process(found.address, baked)
+        _the_command_line_sends_its_files(found.address, tmp_path)
+        _jobs_are_sent_in_a_bounded_number(found.address, client, monkeypatch, tmp_path, sources)
+        _closing_forgets_what_has_not_begun(found.address, client, tmp_path, sources)
+        _work_that_raises_loses_its_job(found.address, jobs_of(tmp_path, sources[:2]))
+        _another_version_is_refused(found.address, monkeypatch, jobs_of(tmp_path, sources[:3]))
+        _without_workers_jobs_are_lost(found, client, jobs_of(tmp_path, sources[:3]))
+    assert capfd.readouterr() == ("", "")
+
+
+def _verdicts_are_those_of_this_process(address: str, baked: list[Job]) -> None:
+    jobs = [Job(job.target or "") for job in baked[:4]]
+    with DaskRunner(address) as runner:
+        verdicts = dict(runner.run(Verify(), jobs))
+    assert verdicts == {number: Verify()(job) for number, job in enumerate(jobs)}
+    assert all(verdict.passed for verdict in verdicts.values())
+
+
+def _the_command_line_sends_its_files(address: str, folder: Path) -> None:
+    for name in ("one", "two"):  # of two trees, whose files may meet
+        write_library(folder / "trees" / name / name)
+    roots = [folder / "trees/one", folder / "trees/two"]
+    sent: list[str | Path] = ["bake", *roots, "--out-dir", folder / "trees/away", "--dask", address, "--json"]
+    here: list[str | Path] = ["bake", *roots, "--out-dir", folder / "trees/here", "--json"]
+    away, there = document(invoke(*sent)), document(invoke(*here))
+    assert [file["status"] for file in away["files"]] == ["baked"] * 8
+    assert json.dumps(away).replace("/away/", "/here/") == json.dumps(there)
+    assert tree(folder / "trees/away") == tree(folder / "trees/here")
+    files = [folder / "trees/away/one/characters", folder / "gone.glb"]
+    sent, here = ["verify", *files, "--dask", address, "--json"], ["verify", *files, "--json"]
+    checked = invoke(*sent)
+    assert document(checked) == document(invoke(*here))
+    assert checked.exit_code == exit_codes.INPUT
+
+
+def _jobs_are_sent_in_a_bounded_number(
+    address: str, client: Any, monkeypatch: pytest.MonkeyPatch, folder: Path, sources: list[Path]
+) -> None:
+    jobs = jobs_of(folder / "bounded", sources)
+    most = 0
+    with monkeypatch.context() as patch, DaskRunner(address) as runner:
+        patch.setattr(dask_runner, "LEAST_WINDOW", 2)
+        patch.setattr(dask_runner, "WINDOW_PER_THREAD", 3)
+        patch.setattr(dask_runner, "TASK_JOBS", 1)
+        for _ in runner.run(Bake(), jobs):
+            most = max(most, _count_of_tasks(client))
+    assert 0 < most <= 3
+
+
+def _count_of_tasks(client: Any) -> int:
+    # A lambda is sent by value: the scheduler finds no module of these tests.
+    return int(client.run_on_scheduler(lambda dask_scheduler: len(dask_scheduler.tasks)))
+
+
+def _closing_forgets_what_has_not_begun(address: str, client: Any, folder: Path, sources: list[Path]) -> None:
+    runner = DaskRunner(address)
+    results = runner.run(Bake(), jobs_of(folder / "closed", sources))
+    with closing(results):
+        next(results)
+    while _count_of_tasks(client):
+        time.sleep(0.05)
+    runner.close()
+    written = len(tree(folder / "closed"))
+    assert 0 < written < len(sources)
+    assert all(name.endswith(".glb") for name in tree(folder / "closed"))
+
+
+def _work_that_raises_loses_its_job(address: str, jobs: list[Job]) -> None:
+    with DaskRunner(address) as runner:
+        results = dict(runner.run(Raise(), jobs))
+    assert [results[number].error.message for number in range(2)] == [
+        "its worker failed: RuntimeError: on purpose"
+    ] * 2
+
+
+def _another_version_is_refused(address: str, monkeypatch: pytest.MonkeyPatch, jobs: list[Job]) -> None:
+    with monkeypatch.context() as patch:
+        patch.setattr("skinbake.commands.dask_task.__version__", "9.9.9")
+        patch.setattr(dask_runner, "__version__", "9.9.9")
+        runner = DaskRunner(address)
+        with pytest.raises(InputError, match=f"has skinbake {skinbake.__version__}, this is 9.9.9") as raised:
+            runner.connect()
+        assert raised.value.place is not None
+        assert raised.value.place.file == address
+        # A worker that comes when all was well at first.
+        patch.setattr(DaskRunner, "_checked", lambda self, client: [])
+        with DaskRunner(address) as trusting:
+            results = dict(trusting.run(Bake(), jobs))
+    assert sorted(results) == [0, 1, 2]
+    assert all("has skinbake 0" in result.error.message for result in results.values())
+    with monkeypatch.context() as patch:
+        patch.setattr("platform.python_version", lambda: "3.99.0")
+        with DaskRunner(address) as other:
+            (notice,) = other.connect()
+    assert (notice.code, notice.place.file) == ("worker-versions", address)
+    assert "this is Python 3.99.0" in notice.message
+
+
+def _without_workers_jobs_are_lost(found: Any, client: Any, jobs: list[Job]) -> None:
+    found.workers[0].kill()
+    while client.nthreads():
+        time.sleep(0.05)
+    with DaskRunner(found.address, patience=1.0) as runner:
+        results = dict(runner.run(Bake(), jobs))
+    assert sorted(results) == [0, 1, 2]
+    assert {result.error.message for result in results.values()} == {
+        "the scheduler has had no worker for 1 s"
+    }
+
+
+def test_the_scheduler_goes_away(tmp_path: Path) -> None:
+    write_sheets(tmp_path / "in", 120)
+    out = tmp_path / "out"
+    with cluster(tmp_path / "cluster", workers=1, options=["--no-nanny"]) as found:
+        with observer(found.address) as client:
+            wait_for_workers(client, 1)
+        arguments = ["bake", f"{tmp_path}/in", "--out-dir", str(out), "--dask", found.address, "--json"]
+        process = subprocess.Popen(
+            [sys.executable, "-m", "skinbake", *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE
+        )
+        while not (out.exists() and tree(out)):
+            assert process.poll() is None
+            time.sleep(0.01)
+        found.scheduler.kill()
+        stdout, stderr = process.communicate(timeout=PATIENCE)
+    files = json.loads(stdout)["files"]
+    assert process.returncode == exit_codes.INPUT
+    lost = {file["input"] for file in files if file["status"] == "failed"}
+    assert len(files) == 120
+    assert lost
+    assert {Path(file["output"]).name for file in files if file["status"] == "baked"} == tree(out).keys()
+    lines = stderr.decode().splitlines()
+    # Nothing but ours: a line for each, and at the end the list of failures and the sum.
+    errors = [line for line in lines if line.startswith("error: ")]
+    assert errors == [f"error: {file}: not baked: {dask_runner.GONE}" for file in sorted(lost)]
+    assert len(lines) <= 2 * len(lost) + 3
+    assert not any("distributed" in line or "Traceback" in line for line in lines)
+
+
+@pytest.mark.parametrize("address", ["tcp://127.0.0.1:1", "nowhere.invalid:8786", "what://is this"])
+def test_no_scheduler_answers(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(dask_runner, "CONNECT_SECONDS", 0.5)
+    with pytest.raises(InputError, match="no Dask scheduler answers") as raised:
+        DaskRunner(address).connect()
+    assert raised.value.place is not None
+    assert raised.value.place.file == address

@@ -1,0 +1,136 @@
+"""Plain paths for other machines: the files travel with the job, and what is made of them travels back."""
+
+from __future__ import annotations
+
+import pickle
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from skinbake.commands.bake import BakeOptions
+from skinbake.commands.dask_task import Ready
+from skinbake.commands.shipping import Shipped
+from skinbake.commands.verify import verify_file
+from skinbake.errors import ChoiceError, InputError, OutputError
+from tests.commands.file_works import Bake, Job, Verify
+from tests.commands.libraries import stored, tree, upload, write_library
+
+
+def elsewhere(work: Any, job: Job, hidden: Path | None = None) -> Any:
+    """Do a job as another machine would: all by pickles, and with a folder out of sight meanwhile."""
+    shipped = Shipped(work)
+    packed = shipped.pack(job)
+    if isinstance(packed, Ready):
+        return packed.result
+    sent = pickle.dumps((shipped, packed))
+    away = None if hidden is None else hidden.rename(hidden.with_name("out of sight"))
+    there, shipment = pickle.loads(sent)
+    returned = pickle.loads(pickle.dumps(there(shipment)))
+    if hidden is not None and away is not None:
+        away.rename(hidden)
+    return shipped.unpack(job, returned)
+
+
+def test_what_comes_back_is_what_a_bake_here_makes(tmp_path: Path) -> None:
+    names = write_library(tmp_path / "disk/lib")
+    for name in names:
+        here = Bake()(Job(f"{tmp_path}/disk/lib/{name}", f"{tmp_path}/disk/here/{name}"))
+        assert here.error is None
+    # At the same depth, since URIs are rewritten to lead to what is in other folders.
+    for name in names:
+        job = Job(f"{tmp_path}/disk/lib/{name}", f"{tmp_path}/disk/away/{name}")
+        result = elsewhere(Bake(), job, tmp_path / "disk")
+        assert (result.input, result.output, result.status) == (job.source, job.target, "baked")
+        assert {notice.place.file for notice in result.notices} <= {job.source}
+    assert tree(tmp_path / "disk/away") == tree(tmp_path / "disk/here")
+
+
+def test_in_place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    names = write_library(tmp_path / "here")
+    write_library(tmp_path / "away")
+    for name in names:
+        assert Bake()(Job(f"{tmp_path}/here/{name}", f"{tmp_path}/here/{name}")).error is None
+    monkeypatch.chdir(tmp_path)
+    for name in names:
+        assert elsewhere(Bake(), Job(f"away/{name}", f"away/{name}"), tmp_path / "away").error is None
+    assert tree(tmp_path / "away") == tree(tmp_path / "here")
+
+
+def test_between_the_disk_and_a_storage(tmp_path: Path) -> None:
+    name = write_library(tmp_path / "lib")[0]
+    upload(tmp_path / "lib", "memory://shipping/lib")
+    assert Bake()(Job(f"{tmp_path}/lib/{name}", f"{tmp_path}/here.glb")).error is None
+    to_url = Job(f"{tmp_path}/lib/{name}", "memory://shipping/there.glb")
+    assert elsewhere(Bake(), to_url, tmp_path / "lib").error is None
+    from_url = Job(f"memory://shipping/lib/{name}", f"{tmp_path}/back.glb")
+    assert elsewhere(Bake(), from_url).error is None
+    expected = (tmp_path / "here.glb").read_bytes()
+    assert stored("memory://shipping")["there.glb"] == expected == (tmp_path / "back.glb").read_bytes()
+
+
+def test_verdicts_come_back(tmp_path: Path) -> None:
+    name = write_library(tmp_path / "lib")[0]
+    baked = tmp_path / "baked" / "a.glb"
+    Bake()(Job(f"{tmp_path}/lib/{name}", str(baked)))
+    here = verify_file(str(baked), Verify().options)
+    assert here.passed
+    assert elsewhere(Verify(), Job(str(baked)), baked.parent) == here
+
+
+def test_files_of_others_beside_the_target_are_left_alone(tmp_path: Path) -> None:
+    name = write_library(tmp_path / "lib")[-1]
+    for side in ("here", "away"):
+        folder = tmp_path / side / "props"
+        (folder / "maps").mkdir(parents=True)
+        (folder / "crate #1.bin").write_bytes(b"not ours")
+        (folder / "maps/wood.png").write_bytes(b"wood")
+    assert Bake()(Job(f"{tmp_path}/lib/{name}", f"{tmp_path}/here/{name}")).error is None
+    assert elsewhere(Bake(), Job(f"{tmp_path}/lib/{name}", f"{tmp_path}/away/{name}")).error is None
+    assert tree(tmp_path / "away")["props/crate #1.bin"] == b"not ours"
+    assert tree(tmp_path / "away") == tree(tmp_path / "here")
+
+
+def test_what_fails_is_said_as_on_one_machine(tmp_path: Path) -> None:
+    name = write_library(tmp_path / "lib")[-1]
+    source, gone = f"{tmp_path}/lib/{name}", f"{tmp_path}/gone/a.gltf"
+    options = BakeOptions()
+    for work, job in (
+        (Bake(options), Job(gone, f"{tmp_path}/a.glb")),
+        (Bake(options), Job(source, gone)),
+        (Bake(BakeOptions(dry_run=True)), Job(source, gone)),
+        (Bake(options), Job(source, f"{tmp_path}/lib/props/crate #1.bin")),
+        (Bake(BakeOptions(warnings_as_errors=True)), Job(source, f"{tmp_path}/a.gltf")),
+        (Verify(), Job(gone)),
+    ):
+        before = tree(tmp_path)
+        here, away = work(job), elsewhere(work, job)
+        assert type(away.error) is type(here.error) in {InputError, OutputError}
+        assert str(away.error) == str(here.error)
+        assert set(here.notices) <= set(away.notices)
+        assert tree(tmp_path) == before
+
+
+def test_a_dry_run_writes_nothing(tmp_path: Path) -> None:
+    name = write_library(tmp_path / "lib")[-1]
+    before = tree(tmp_path)
+    job = Job(f"{tmp_path}/lib/{name}", f"{tmp_path}/a.gltf")
+    result = elsewhere(Bake(BakeOptions(dry_run=True)), job, tmp_path / "lib")
+    assert (result.status, result.error) == ("baked", None)
+    assert tree(tmp_path) == before
+
+
+def test_an_image_that_is_the_target_is_refused(tmp_path: Path) -> None:
+    name = write_library(tmp_path / "lib")[-1]
+    source = tmp_path / "lib" / name
+    source.write_text(source.read_text().replace("maps/wood.png", "wood.glb"))
+    (source.parent / "maps/wood.png").rename(source.parent / "wood.glb")
+    before = tree(tmp_path)
+    result = elsewhere(Bake(), Job(str(source), f"{source.parent}/wood.glb"))
+    assert "it is a file that the input consists of" in str(result.error)
+    assert tree(tmp_path) == before
+
+
+def test_standard_streams_are_for_one_process(tmp_path: Path) -> None:
+    for job in (Job("-", f"{tmp_path}/a.glb"), Job(f"{tmp_path}/a.glb", "-")):
+        assert isinstance(elsewhere(Bake(), job).error, ChoiceError)
