@@ -15,8 +15,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 from uuid import uuid4
 
-from skinbake import __version__
-from skinbake.commands.dask_task import REFUSED, Ready, call, perform, versions
+from skinbake.commands.dask_task import REFUSED, Ready, build, call, perform, versions
 from skinbake.commands.shipping import Shipment, Shipped
 from skinbake.errors import InputError, Notice, Place
 
@@ -243,7 +242,7 @@ class _Flight:
                 sent[number] = shipment
         if not sent:
             return
-        pickled = call(perform, __version__, pickle.dumps((self._work, list(sent.values()))))
+        pickled = call(perform, build(), pickle.dumps((self._work, list(sent.values()))))
         numbers = tuple(sent)
         key = f"skinbake-{self._name}-{numbers[0]}{'-alone' if alone else ''}"
         future = self._client.submit(pickle.loads, pickled, key=key, pure=False)
@@ -329,7 +328,7 @@ class _Flight:
 
 
 def _refused(what: str) -> str:
-    return f"{what}, this is {__version__}: install the same version on all workers"
+    return f"{what}, this is {build()}: install the same on all workers"
 
 
 def _blame(error: BaseException) -> str:

@@ -44,11 +44,18 @@ def call(function: Callable[..., Any], *arguments: Any) -> bytes:
     return pickle.dumps(_Call(function, *arguments))
 
 
+def build() -> str:
+    """Return skinbake's version, and whether it lacks its compiled loops: the last bits depend on both."""
+    from skinbake.bake import kernel
+
+    return __version__ if kernel.compiled is not None else f"{__version__} without compiled loops"
+
+
 def versions() -> Versions:
     """Return the versions that the bytes of an output depend on."""
     import numpy as np
 
-    return __version__, platform.python_version(), np.__version__
+    return build(), platform.python_version(), np.__version__
 
 
 def perform(version: str, pickled: bytes) -> tuple[str, Any]:
@@ -57,8 +64,8 @@ def perform(version: str, pickled: bytes) -> tuple[str, Any]:
     Or ``refused``, and what is here instead: nothing but the version is read of a client with another one,
     since its classes may have other members.
     """
-    if version != __version__:
-        return REFUSED, f"{_address()} has skinbake {__version__}"
+    if version != build():
+        return REFUSED, f"{_address()} has skinbake {build()}"
     from skinbake.commands.staging import staged_in
 
     work, jobs = pickle.loads(pickled)

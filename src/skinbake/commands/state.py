@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 import skinbake
+from skinbake.bake import kernel
 from skinbake.errors import InputError, OutputError, Place, SkinbakeError
 from skinbake.gltf import resources
 from skinbake.gltf.document import Document, read_document
@@ -115,7 +116,11 @@ class Recipe:
 def recipe(command: str, options: Any, state: str) -> Recipe:
     """Return the recipe of a command with its options, a dataclass, for the state file of that name."""
     chosen = {name: value for name, value in asdict(options).items() if name not in NOT_OPTIONS}
-    text = json.dumps([command, skinbake.__version__, _code(), chosen], sort_keys=True, default=str)
+    text = json.dumps(
+        [command, skinbake.__version__, _code(), kernel.compiled is not None, chosen],
+        sort_keys=True,
+        default=str,
+    )
     return Recipe(command, _of([text.encode()]), os.path.dirname(_absolute(state)))
 
 
