@@ -59,7 +59,7 @@ def test_a_worker_is_killed_midway(tmp_path: Path) -> None:
 
 
 def whole(folder: Path) -> dict[str, bytes]:
-    """Return the files of a folder without what a killed worker was about to write, under its temporary name."""
+    """Return the files of a folder but what a killed worker was about to write."""
     return {name: data for name, data in tree(folder).items() if not re.search(r"\.skinbake-\w+\.tmp$", name)}
 
 
