@@ -10,7 +10,7 @@ from setuptools import Extension, setup
 # No fast-math and no fused multiply-adds: the same input gives the same bytes on every machine. That nobody
 # asks for errno or traps changes no result, and lets compilers use vectors.
 MICROSOFT = ["/O2", "/fp:precise"]
-OTHERS = ["-O3", "-std=c11", "-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math"]
+OTHERS = ["-O3", "-std=c11", "-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math", "-Wno-psabi"]
 
 setup(
     ext_modules=[

@@ -133,6 +133,39 @@ static ALWAYS_INLINE Vector cross(Vector a, Vector b)
     return (Vector){a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
 }
 
+/* Four doubles at once. Every operation rounds as it does on one of them. */
+#if defined(__GNUC__)
+typedef double Four __attribute__((vector_size(32)));
+static ALWAYS_INLINE Four four(double a, double b, double c, double d) { return (Four){a, b, c, d}; }
+static ALWAYS_INLINE Four add(Four a, Four b) { return a + b; }
+static ALWAYS_INLINE Four subtract(Four a, Four b) { return a - b; }
+static ALWAYS_INLINE Four times(Four a, Four b) { return a * b; }
+static ALWAYS_INLINE Four divide(Four a, Four b) { return a / b; }
+static ALWAYS_INLINE Four root(Four a) { return four(sqrt(a[0]), sqrt(a[1]), sqrt(a[2]), sqrt(a[3])); }
+#else
+typedef struct {
+    double of[4];
+} Four;
+#define EACH(expression)                                                                                     \
+    Four result;                                                                                             \
+    for (int n = 0; n < 4; n++)                                                                              \
+        result.of[n] = expression;                                                                           \
+    return result
+static ALWAYS_INLINE Four four(double a, double b, double c, double d) { return (Four){{a, b, c, d}}; }
+static ALWAYS_INLINE Four add(Four a, Four b) { EACH(a.of[n] + b.of[n]); }
+static ALWAYS_INLINE Four subtract(Four a, Four b) { EACH(a.of[n] - b.of[n]); }
+static ALWAYS_INLINE Four times(Four a, Four b) { EACH(a.of[n] * b.of[n]); }
+static ALWAYS_INLINE Four divide(Four a, Four b) { EACH(a.of[n] / b.of[n]); }
+static ALWAYS_INLINE Four root(Four a) { EACH(sqrt(a.of[n])); }
+#endif
+static ALWAYS_INLINE Four get(const double *from)
+{
+    Four values;
+    memcpy(&values, from, sizeof values);
+    return values;
+}
+static ALWAYS_INLINE void put(double *to, Four values) { memcpy(to, &values, sizeof values); }
+
 /* ---- Equal rows (twin: weld.equal_rows) -------------------------------------------------------------- */
 
 static inline uint64_t mixed(uint64_t state, uint64_t word)
@@ -405,7 +438,7 @@ typedef struct {
     uint32_t *start, *members;
 } Groups;
 
-/* Group the corners 3 t + i by weld class (by counting); -1: no memory, -2: an index is out of range. */
+/* Group the corners 4 t + i by weld class (by counting); -1: no memory, -2: an index is out of range. */
 static int corners_of_classes(const Surface *s, Groups *groups)
 {
     size_t corners = 3 * (size_t)s->triangle_count, classes = (size_t)s->class_count;
@@ -421,8 +454,9 @@ static int corners_of_classes(const Surface *s, Groups *groups)
     }
     for (size_t c = 0; c < classes; c++)
         next[c + 1] += next[c];
-    for (size_t corner = 0; corner < corners; corner++)
-        groups->members[next[s->classes[s->triangles[corner]]]++] = (uint32_t)corner;
+    for (size_t t = 0; t < (size_t)s->triangle_count; t++)
+        for (size_t i = 0; i < 3; i++)
+            groups->members[next[s->classes[s->triangles[3 * t + i]]]++] = (uint32_t)(4 * t + i);
     return 0;
 }
 
@@ -449,14 +483,15 @@ static int vertices_of_classes(const Surface *s, Groups *groups)
     return 0;
 }
 
-/* Some corners of a class at once, component by component, so that compilers use vectors. Edges lead to the two
-   other corners of the triangle, the vertices `ends`; coefficients are what the differences of weights along
-   the edges count for in the sum, and share is the corner's weight in the mean (see corner.py). */
+/* Some corners of a class at once, component by component. Edges lead to the two other corners of the triangle,
+   the vertices `ends`; coefficients are what the differences of weights along the edges count for in the sum,
+   and share is the corner's weight in the mean (see corner.py). */
 enum { AT_ONCE = 4, X1 = 0, Y1, Z1, X2, Y2, Z2, COMPONENTS };
 
 typedef struct {
-    uint32_t ends[2][AT_ONCE];
-    double edges[COMPONENTS][AT_ONCE], coefficients[COMPONENTS][AT_ONCE], share[AT_ONCE];
+    uint32_t ends[AT_ONCE][2];
+    Four edges[COMPONENTS];
+    double coefficients[COMPONENTS][AT_ONCE], share[AT_ONCE];
 } Corners;
 
 /* A joint whose weight varies around the class, and its local number. */
@@ -506,61 +541,64 @@ static int scratch_alloc(Scratch *w, const Surface *s)
     return 0;
 }
 
-/* Write ends and edges of some corners, whose class is at `origin`; what is left over gets edges of an area. */
+/* Write ends and edges of some corners, whose class is at `origin`; the first one stands for what is left over. */
 static ALWAYS_INLINE void find_edges(const Surface *s, int wide, Vector origin, const uint32_t *corners,
                                      size_t count, Corners *c)
 {
-    for (size_t n = 0; n < AT_ONCE; n++) {
-        if (n >= count) {
-            c->edges[X1][n] = c->edges[Y2][n] = 1.0;
-            c->edges[Y1][n] = c->edges[Z1][n] = c->edges[X2][n] = c->edges[Z2][n] = 0.0;
-            continue;
-        }
-        uint32_t first = corners[n] / 3 * 3, i = corners[n] - first;
-        uint32_t one = s->triangles[first + (i == 2 ? 0 : i + 1)];
-        uint32_t other = s->triangles[first + (i == 0 ? 2 : i - 1)];
-        Vector e1 = minus(row3(s->positions, wide, one), origin);
-        Vector e2 = minus(row3(s->positions, wide, other), origin);
-        c->ends[0][n] = one, c->ends[1][n] = other;
-        c->edges[X1][n] = e1.x, c->edges[Y1][n] = e1.y, c->edges[Z1][n] = e1.z;
-        c->edges[X2][n] = e2.x, c->edges[Y2][n] = e2.y, c->edges[Z2][n] = e2.z;
+    Vector e1[AT_ONCE], e2[AT_ONCE];
+    for (size_t n = 0; n < count; n++) {
+        static const uint8_t following[] = {1, 2, 0}, last[] = {2, 0, 1};
+        const uint32_t *triangle = s->triangles + 3 * (size_t)(corners[n] >> 2);
+        uint32_t one = triangle[following[corners[n] & 3]], other = triangle[last[corners[n] & 3]];
+        c->ends[n][0] = one, c->ends[n][1] = other;
+        e1[n] = minus(row3(s->positions, wide, one), origin);
+        e2[n] = minus(row3(s->positions, wide, other), origin);
     }
+    for (size_t n = count; n < AT_ONCE; n++)
+        e1[n] = e1[0], e2[n] = e2[0];
+    c->edges[X1] = four(e1[0].x, e1[1].x, e1[2].x, e1[3].x);
+    c->edges[Y1] = four(e1[0].y, e1[1].y, e1[2].y, e1[3].y);
+    c->edges[Z1] = four(e1[0].z, e1[1].z, e1[2].z, e1[3].z);
+    c->edges[X2] = four(e2[0].x, e2[1].x, e2[2].x, e2[3].x);
+    c->edges[Y2] = four(e2[0].y, e2[1].y, e2[2].y, e2[3].y);
+    c->edges[Z2] = four(e2[0].z, e2[1].z, e2[2].z, e2[3].z);
+}
+
+static ALWAYS_INLINE Four four_dot(const Four *a, const Four *b)
+{
+    return add(add(times(a[0], b[0]), times(a[1], b[1])), times(a[2], b[2]));
 }
 
 /* Work out share and coefficients from the edges. With n = e1 x e2, corner.py's e2 x n is
    e1 |e2|^2 - e2 (e1 . e2), and n x e1 likewise. */
 static ALWAYS_INLINE void weigh_corners(Corners *c, int weighting)
 {
-    const double(*e)[AT_ONCE] = c->edges;
-    double dots[AT_ONCE], squared1[AT_ONCE], squared2[AT_ONCE], squared_area2[AT_ONCE], scale[AT_ONCE];
-    for (int n = 0; n < AT_ONCE; n++) {
-        double x = e[Y1][n] * e[Z2][n] - e[Z1][n] * e[Y2][n];
-        double y = e[Z1][n] * e[X2][n] - e[X1][n] * e[Z2][n];
-        double z = e[X1][n] * e[Y2][n] - e[Y1][n] * e[X2][n];
-        squared_area2[n] = x * x + y * y + z * z;
-        dots[n] = e[X1][n] * e[X2][n] + e[Y1][n] * e[Y2][n] + e[Z1][n] * e[Z2][n];
-        squared1[n] = e[X1][n] * e[X1][n] + e[Y1][n] * e[Y1][n] + e[Z1][n] * e[Z1][n];
-        squared2[n] = e[X2][n] * e[X2][n] + e[Y2][n] * e[Y2][n] + e[Z2][n] * e[Z2][n];
-    }
+    const Four *e1 = c->edges + X1, *e2 = c->edges + X2;
+    Four normal[3] = {
+        subtract(times(e1[1], e2[2]), times(e1[2], e2[1])),
+        subtract(times(e1[2], e2[0]), times(e1[0], e2[2])),
+        subtract(times(e1[0], e2[1]), times(e1[1], e2[0])),
+    };
+    Four squared_area2 = four_dot(normal, normal), dots = four_dot(e1, e2);
+    Four squared1 = four_dot(e1, e1), squared2 = four_dot(e2, e2), area2 = root(squared_area2), scale;
     if (weighting == MAX_WEIGHTING) { /* 1 / (|e1|^2 |e2|^2) times |e1 x e2| */
-        for (int n = 0; n < AT_ONCE; n++) {
-            scale[n] = 1.0 / (sqrt(squared_area2[n]) * squared1[n] * squared2[n]);
-            c->share[n] = squared_area2[n] * scale[n];
-        }
+        scale = divide(four(1.0, 1.0, 1.0, 1.0), times(times(area2, squared1), squared2));
+        put(c->share, times(squared_area2, scale));
     } else {
+        double areas[AT_ONCE], cosines[AT_ONCE];
+        put(areas, area2);
+        put(cosines, dots);
         for (int n = 0; n < AT_ONCE; n++) {
-            double area2 = sqrt(squared_area2[n]);
-            c->share[n] = weighting == AREA ? area2 : atan2(area2, dots[n]);
-            c->share[n] *= weighting == ANGLE_AREA ? area2 : 1.0;
-            scale[n] = c->share[n] / squared_area2[n];
+            c->share[n] = weighting == AREA ? areas[n] : atan2(areas[n], cosines[n]);
+            c->share[n] *= weighting == ANGLE_AREA ? areas[n] : 1.0;
         }
+        scale = divide(get(c->share), squared_area2);
     }
-    for (int axis = 0; axis < 3; axis++)
-        for (int n = 0; n < AT_ONCE; n++) {
-            double one = e[X1 + axis][n], other = e[X2 + axis][n];
-            c->coefficients[X1 + axis][n] = (one * squared2[n] - other * dots[n]) * scale[n];
-            c->coefficients[X2 + axis][n] = (other * squared1[n] - one * dots[n]) * scale[n];
-        }
+    Four mixed = times(dots, scale), own1 = times(squared2, scale), own2 = times(squared1, scale);
+    for (int axis = 0; axis < 3; axis++) {
+        put(c->coefficients[X1 + axis], subtract(times(e1[axis], own1), times(e2[axis], mixed)));
+        put(c->coefficients[X2 + axis], subtract(times(e2[axis], own2), times(e1[axis], mixed)));
+    }
 }
 
 static inline void add_scaled(Scratch *w, int32_t number, Vector v, double by)
@@ -602,21 +640,6 @@ static ALWAYS_INLINE int same_joints(const Surface *s, size_t slots, size_t here
     return memcmp(s->joints + here * slots, s->joints + there * slots, slots * sizeof *s->joints) == 0;
 }
 
-/* Sums of the usual four slots, by component: small enough for the processor's registers. */
-typedef struct {
-    double x[4], y[4], z[4];
-} FourSums;
-
-static ALWAYS_INLINE void add_four(FourSums *sums, const double *here, const double *there, Vector c)
-{
-    for (int k = 0; k < 4; k++) {
-        double difference = there[k] - here[k];
-        sums->x[k] += c.x * difference;
-        sums->y[k] += c.y * difference;
-        sums->z[k] += c.z * difference;
-    }
-}
-
 /* Sum over all corners, for every joint met; return how many local numbers are used, and the weight of all
    corners as `total`. */
 static ALWAYS_INLINE int32_t sum_corners(const Surface *s, int wide, size_t slots, size_t vertex,
@@ -633,7 +656,8 @@ static ALWAYS_INLINE int32_t sum_corners(const Surface *s, int wide, size_t slot
     }
     Vector origin = row3(s->positions, wide, vertex);
     const double *here = s->weights + vertex * slots;
-    FourSums four = {{0.0}, {0.0}, {0.0}};
+    Four none = four(0.0, 0.0, 0.0, 0.0), x = none, y = none, z = none; /* sums of the usual four slots */
+    Four own = slots == 4 ? get(here) : none;
     *total = 0.0;
     for (size_t from = 0; from < count; from += AT_ONCE) {
         size_t some = count - from < AT_ONCE ? count - from : AT_ONCE;
@@ -642,19 +666,25 @@ static ALWAYS_INLINE int32_t sum_corners(const Surface *s, int wide, size_t slot
         weigh_corners(&c, s->weighting);
         for (size_t n = 0; n < some; n++)
             for (int end = 0; end < 2; end++) {
-                size_t there = c.ends[end][n];
+                size_t there = c.ends[n][end];
                 const double(*component)[AT_ONCE] = c.coefficients + 3 * end;
                 Vector by = {component[X1][n], component[Y1][n], component[Z1][n]};
-                if (slots == 4 && same_joints(s, slots, vertex, there))
-                    add_four(&four, here, s->weights + there * slots, by);
-                else
+                if (slots == 4 && same_joints(s, slots, vertex, there)) {
+                    Four difference = subtract(get(s->weights + there * slots), own);
+                    x = add(x, times(four(by.x, by.x, by.x, by.x), difference));
+                    y = add(y, times(four(by.y, by.y, by.y, by.y), difference));
+                    z = add(z, times(four(by.z, by.z, by.z, by.z), difference));
+                } else
                     used = add_differences(s, there, by, used, w);
             }
         for (size_t n = 0; n < some; n++)
             *total += c.share[n];
     }
-    for (size_t k = 0; slots == 4 && k < 4; k++)
-        w->x[k] += four.x[k], w->y[k] += four.y[k], w->z[k] += four.z[k];
+    if (slots == 4) {
+        put(w->x, add(get(w->x), x));
+        put(w->y, add(get(w->y), y));
+        put(w->z, add(get(w->z), z));
+    }
     for (int32_t n = 0; n < used; n++)
         if (w->met[n] >= 0)
             w->local[w->met[n]] = -1;
@@ -871,7 +901,7 @@ static int check_surface(Surface *s)
             PyErr_SetString(PyExc_IndexError, "a weld class is out of range");
             return -1;
         }
-    if (s->triangle_count > UINT32_MAX / 3 - 1 || s->vertices >= INT32_MAX) {
+    if (s->triangle_count > UINT32_MAX / 4 || s->vertices >= INT32_MAX) {
         PyErr_SetString(PyExc_ValueError, "too many triangles or vertices for one surface");
         return -1;
     }

@@ -3,9 +3,15 @@
 from __future__ import annotations
 
 import os
+import shutil
+import subprocess
+import sysconfig
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
+from importlib.machinery import ExtensionFileLoader
+from importlib.util import module_from_spec, spec_from_loader
+from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
@@ -49,6 +55,7 @@ if kernel.compiled is None:
 FIXTURES = ["bent_tube.glb", "two_primitives.glb", "two_sets.glb", "foreign_joints.glb", "weights_u8.glb"]
 MODELS = [CESIUM_MAN, BARBARIAN, TREX, PBR_TEST, HAND_U8, ELF, MANTIS, AFRAME_HAND]
 Result = TypeVar("Result")
+SOURCE = Path(__file__).parents[2] / "src/skinbake/_kernel.c"
 
 
 def both(monkeypatch: pytest.MonkeyPatch, work: Callable[[], Result]) -> tuple[Result, Result]:
@@ -145,6 +152,33 @@ def test_the_kernels_frame_from_normals_is_the_contracts_bit_by_bit() -> None:
     assert np.array_equal(one.alpha, other.alpha)
     assert np.array_equal(one.beta, other.beta)
     assert one.alpha[:4].any()
+
+
+@pytest.mark.parametrize("weighting", WEIGHTINGS)
+@pytest.mark.parametrize("name", ["foreign_joints.glb", CESIUM_MAN, PBR_TEST])
+def test_without_any_optimisation_the_bits_are_the_same(
+    name: str, weighting: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    compiler = shutil.which("cc")
+    if compiler is None:
+        if os.environ.get("SKINBAKE_STRICT"):
+            raise RuntimeError("there is no C compiler")
+        pytest.skip("there is no C compiler")
+    library = tmp_path / "_kernel.so"
+    headers = f"-I{sysconfig.get_path('include')}"
+    plain = [compiler, "-std=c11", "-O0", "-ffp-contract=off", "-w", "-shared", "-fPIC", headers]
+    subprocess.run([*plain, str(SOURCE), "-o", str(library), "-lm"], check=True)
+    loader = ExtensionFileLoader("_kernel", str(library))
+    specification = spec_from_loader("_kernel", loader)
+    assert specification is not None
+    other = module_from_spec(specification)
+    for primitives in meshes_of(path_of(name)).values():
+        expected = surface_slots(surface_of(primitives), weighting=weighting, adopt=True)
+        with monkeypatch.context() as patch:
+            patch.setattr(kernel, "compiled", other)
+            found = surface_slots(surface_of(primitives), weighting=weighting, adopt=True)
+        for member in ("alpha", "beta", "adopting", "adopted", "counts"):
+            assert np.array_equal(getattr(found, member), getattr(expected, member)), member
 
 
 def test_the_environment_can_ask_for_numpy(monkeypatch: pytest.MonkeyPatch) -> None:
