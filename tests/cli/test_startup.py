@@ -59,6 +59,7 @@ def test_help_imports_nothing_heavy(arguments: list[str]) -> None:
 def test_the_list_of_commands_imports_none_of_them() -> None:
     loaded = modules("--help")
     assert [name for name in COMMANDS if f"skinbake.cli.{name}" in loaded] == []
+    assert "logging" not in loaded
 
 
 def test_a_small_bake_imports_nothing_that_only_verify_needs(tmp_path: Path) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib
 import io
-import logging
 import os
 import signal
 import sys
@@ -16,8 +15,6 @@ import click
 from skinbake import __version__
 from skinbake.cli import exit_codes
 from skinbake.errors import SkinbakeError
-
-logger = logging.getLogger(__name__)
 
 COMMANDS = {
     "bake": "Add α/β to every skinned primitive of glTF files.",
@@ -81,7 +78,9 @@ def entry_point() -> None:
     except Exception as error:
         if interrupted.is_set():  # in an import Ctrl-C comes out as an ImportError
             sys.exit(exit_codes.INTERRUPTED)
-        logger.debug("where it failed", exc_info=True)
+        import logging  # a sixth of the time of --help
+
+        logging.getLogger(__name__).debug("where it failed", exc_info=True)
         click.echo(
             f"error: skinbake failed where it should not: {type(error).__name__}: {error}\n"
             "Please report it with the file that caused it; -vv shows where.",
