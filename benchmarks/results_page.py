@@ -240,7 +240,9 @@ def notes(rows: Json) -> str:
         "normals, texture coordinates, two triangles a vertex.",
         "The gradients are timed inside their processes, without start-up and reading. The authors' loop is "
         "`benchmarks/authors_loop.cpp`, written from a description of what Tarini et al. (2014) published. "
-        "It takes means by angle × area, in float32; skinbake by Max's weights, in float64.",
+        "It takes means by angle × area, of a vertex's own joints, in float32. skinbake's is one pass that "
+        "also sees the neighbours' joints, moves them into free slots, makes frames, and writes α and β, by "
+        "Max's weights in float64: less of it cannot be timed.",
         f"verify has a grid in random poses: no real character at hand has {verify['vertices']:,} vertices. "
         "The peer computes where vertices go and the moved surface's normals, a part of what verify does.",
         f"Single calls are timed for {files['single_calls']} of the {files['files']:,} files, and scaled.",

@@ -11,6 +11,7 @@ from skinbake.commands.staging import bake_anywhere as bake_file  # URLs too
 from skinbake.errors import InputError, Place
 from skinbake.gltf.document import STDIO
 from skinbake.report.bake import FileResult
+from skinbake.timing import stage
 
 MODULES = ("skinbake.cli.main", "skinbake.commands.batch_bake")
 """What a worker needs, to be imported before it starts."""
@@ -53,13 +54,15 @@ class BakeWork:
             return _failed(job, job.missing)
         if self.recipe is None or job.target is None or STDIO in {job.source, job.target}:
             return bake_file(job.source, job.target, self.options)
-        if job.known is not None and self.recipe.still_holds(job.known, job.source, job.target):
-            return FileResult(job.source, job.target, "up-to-date")
-        before = state.seen(job.source)
+        with stage("state"):
+            if job.known is not None and self.recipe.still_holds(job.known, job.source, job.target):
+                return FileResult(job.source, job.target, "up-to-date")
+            before = state.seen(job.source)
         result = bake_file(job.source, job.target, replace(self.options, traced=True))
         if before is None or result.error is not None or self.options.dry_run:
             return result
-        return replace(result, record=self._record(job, before, result.written or {}))
+        with stage("state"):
+            return replace(result, record=self._record(job, before, result.written or {}))
 
     def _record(self, job: BakeJob, before: state.Seen, written: dict[str, str]) -> bytes | None:
         """Return what to note of a file that was just baked, None where anything casts doubt on it."""
