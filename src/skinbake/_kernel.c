@@ -4,8 +4,8 @@
    runs where this module could not be compiled. Here the same mathematics is written for one pass over
    memory: nothing is kept of a corner or a gradient once its vertex is done.
 
-   Arrays come in through the buffer protocol: contiguous, aligned, and of the type that the docstring of
-   skinbake.bake.compiled says. The GIL is released while a function works. Only the limited API of Python
+   Arrays come in through the buffer protocol: contiguous, aligned, and of the types that
+   _kernel.pyi says. The GIL is released while a function works. Only the limited API of Python
    3.11 is used, so that one binary serves all later versions. Compile without fast-math and without
    contraction to fused multiply-adds: the same input gives the same bytes on every machine. */
 
@@ -27,10 +27,12 @@
 #endif
 
 /* Compiled twice, for processors with 256-bit vectors and for the others; the results are the same bits. */
-#if defined(__x86_64__) && defined(__GLIBC__) && defined(__GNUC__) && \
-    (!defined(__clang__) || __has_attribute(target_clones))
+#if defined(__x86_64__) && defined(__GLIBC__) && defined(__has_attribute)
+#if __has_attribute(target_clones)
 #define FOR_PROCESSORS __attribute__((target_clones("avx2", "default")))
-#else
+#endif
+#endif
+#ifndef FOR_PROCESSORS
 #define FOR_PROCESSORS
 #endif
 
@@ -216,7 +218,10 @@ typedef struct {
 /* Rows whose hashes are known ahead of their turn, while memory fetches their slots of the table. */
 enum { AHEAD = 16 };
 
-/* Fill labels; return how many there are, -1 where memory is short. `first` keeps a row of each label. */
+enum { NO_MEMORY = -1, TOO_MANY_COLLISIONS = -2, PROBES_A_ROW = 64 };
+
+/* Fill labels; return how many there are, or NO_MEMORY, or TOO_MANY_COLLISIONS: rows that somebody made to have
+   like hashes would take time that grows with their square. `first` keeps a row of each label. */
 static Py_ssize_t label_rows(const Array *rows, int32_t *labels)
 {
     size_t size = 16;
@@ -225,7 +230,8 @@ static Py_ssize_t label_rows(const Array *rows, int32_t *labels)
     size_t width = (size_t)rows->buffer.itemsize * (size_t)rows->columns;
     Slot *table = malloc(size * sizeof *table);
     int32_t *first = malloc(((size_t)rows->rows + 1) * sizeof *first);
-    Py_ssize_t count = table && first ? 0 : -1;
+    Py_ssize_t count = table && first ? 0 : NO_MEMORY;
+    uint64_t probes_left = (uint64_t)rows->rows * PROBES_A_ROW + 1024;
     if (count == 0)
         memset(table, 0xFF, size * sizeof *table); /* label -1: empty */
     const char *data = rows->buffer.buf;
@@ -254,6 +260,10 @@ static Py_ssize_t label_rows(const Array *rows, int32_t *labels)
                 labels[row] = table[at].label;
                 break;
             }
+            if (probes_left-- == 0) {
+                count = TOO_MANY_COLLISIONS;
+                break;
+            }
         }
     }
     free(table);
@@ -279,7 +289,10 @@ static PyObject *equal_rows(PyObject *module, PyObject *args)
     Py_BEGIN_ALLOW_THREADS
     count = label_rows(&a[0], a[1].buffer.buf);
     Py_END_ALLOW_THREADS
-    result = count < 0 ? PyErr_NoMemory() : PyLong_FromSsize_t(count);
+    if (count == NO_MEMORY)
+        PyErr_NoMemory();
+    else
+        result = count < 0 ? Py_NewRef(Py_None) : PyLong_FromSsize_t(count);
 done:
     release(a, 2);
     return result;
@@ -691,6 +704,15 @@ static ALWAYS_INLINE int32_t sum_corners(const Surface *s, int wide, size_t slot
     return used;
 }
 
+static int by_joint(const void *a, const void *b)
+{
+    const Entry *first = a, *second = b;
+    return (first->joint > second->joint) - (first->joint < second->joint);
+}
+
+/* Entries up to which moving them into place one by one is the fastest way to sort. */
+enum { FEW = 32 };
+
 /* Turn sums into entries, joints ascending; return how many, and the sum of their magnitudes. */
 static ALWAYS_INLINE size_t make_entries(Scratch *w, int32_t used, double total, double *magnitudes)
 {
@@ -701,10 +723,12 @@ static ALWAYS_INLINE size_t make_entries(Scratch *w, int32_t used, double total,
         if (w->met[n] < 0 || (w->x[n] == 0.0 && w->y[n] == 0.0 && w->z[n] == 0.0))
             continue;
         size_t at = count++;
-        for (; at > 0 && w->entries[at - 1].joint > w->met[n]; at--)
+        for (; used <= FEW && at > 0 && w->entries[at - 1].joint > w->met[n]; at--)
             w->entries[at] = w->entries[at - 1];
         w->entries[at] = (Entry){w->met[n], n, 0, g, sqrt(dot(g, g))};
     }
+    if (used > FEW)
+        qsort(w->entries, count, sizeof *w->entries, by_joint);
     *magnitudes = 0.0;
     for (size_t n = 0; n < count; n++)
         *magnitudes += w->entries[n].magnitude;
@@ -1003,7 +1027,7 @@ static PyMethodDef functions[] = {
 };
 
 static struct PyModuleDef definition = {
-    PyModuleDef_HEAD_INIT, "_kernel", "Compiled loops; see skinbake.bake.compiled.", -1, functions,
+    PyModuleDef_HEAD_INIT, "_kernel", "Compiled loops; see _kernel.pyi.", -1, functions,
     NULL, NULL, NULL, NULL,
 };
 

@@ -12,10 +12,11 @@ from skinbake.geometry.skinned import FloatArray
 def equal_rows(
     rows: npt.NDArray[np.generic],
     labels: npt.NDArray[np.int32],
-) -> int:
+) -> int | None:
     """Fill labels (V,): rows (V, M) that are equal have the same, numbered as they are met; return how many.
 
-    rows holds float32, float64 (both with −0 = +0), int32, uint32 or uint64.
+    rows holds float32, float64 (both with −0 = +0), int32, uint32 or uint64. None, and labels of no use,
+    where their hashes collide beyond all chance.
     """
 
 def normalise(

@@ -381,3 +381,25 @@ def test_the_definition_in_numpy_keeps_its_promise() -> None:
         # Weights sum to one, so their gradients sum to zero, up to float64's rounding.
         vectors = found.gradients[start:end]
         assert np.abs(vectors.sum(axis=0)).max() <= 1e-12 * max(np.abs(vectors).max(initial=0.0), 1.0)
+
+
+def test_rows_made_to_collide_take_no_longer_than_sorting_does() -> None:
+    """Invert the kernel's hash: rows that all begin their search at one place of its table."""
+    count, bits = 20_000, (1 << 64) - 1
+    factor, start = 0xBF58476D1CE4E5B9, 0x9E3779B97F4A7C15
+    undone = pow(factor, -1, 1 << 64)
+    rows = []
+    for number in range(count):
+        mixed = number << 40
+        mixed ^= mixed >> 32
+        mixed ^= (mixed >> 29) ^ (mixed >> 58)
+        rows.append((mixed * undone & bits) ^ start)
+    keys = np.array(rows, dtype=np.uint64)[:, None]
+    assert kernel.compiled is not None
+    assert kernel.compiled.equal_rows(keys, np.empty(count, dtype=np.int32)) is None
+    assert np.array_equal(equal_rows(keys), np.arange(count))
+    keys[1::2] = keys[::2]
+    assert np.array_equal(equal_rows(keys), np.arange(count) // 2)
+    # Half as many that collide by chance alone are none of this.
+    ordinary = np.random.default_rng(5).integers(0, 1 << 62, (count, 1)).astype(np.uint64)
+    assert kernel.compiled.equal_rows(ordinary, np.empty(count, dtype=np.int32)) == count

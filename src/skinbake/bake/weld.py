@@ -58,27 +58,34 @@ def _firsts(labels: Labels) -> npt.NDArray[np.int64]:
 
 def equal_positions(positions: FloatArray) -> Labels:
     """Return a label (V,) for every vertex, the same for equal positions (−0 = +0)."""
-    if kernel.compiled is not None:
-        return _labelled(positions)
-    return equal_rows(_bits(positions))
-
-
-def _labelled(rows: npt.NDArray[np.generic]) -> Labels:
-    """Return the labels of ``_kernel.equal_rows``: equal rows (V, M) of floats or integers have the same."""
-    assert kernel.compiled is not None
-    labels = np.empty(len(rows), dtype=np.int32)
-    kernel.compiled.equal_rows(np.ascontiguousarray(rows), labels)
-    return labels
+    labels = _labelled(positions)
+    return _sorted_out(_bits(positions)) if labels is None else labels
 
 
 def equal_rows(rows: npt.NDArray[np.unsignedinteger]) -> Labels:
     """Return a label (V,) from 0 for every row (V, M) of 4 or 8 byte integers, the same for equal ones.
 
+    Labels are numbered as rows meet them.
+    """
+    labels = _labelled(rows)
+    return _sorted_out(rows) if labels is None else labels
+
+
+def _labelled(rows: npt.NDArray[np.generic]) -> Labels | None:
+    """Return what ``_kernel.equal_rows`` makes of rows (V, M) of floats or integers, None where it cannot."""
+    if kernel.compiled is None:
+        return None
+    labels = np.empty(len(rows), dtype=np.int32)
+    count = kernel.compiled.equal_rows(np.ascontiguousarray(rows), labels)
+    return None if count is None else labels
+
+
+def _sorted_out(rows: npt.NDArray[np.unsignedinteger]) -> Labels:
+    """Return the labels of equal rows by sorting.
+
     Rows are brought together by a 64-bit hash and then compared in full, so a collision costs time, not
     correctness.
     """
-    if kernel.compiled is not None:
-        return _labelled(rows)
     keys = rows.astype(np.uint64, copy=False)
     hashed = _hash(keys)
     order = np.argsort(hashed)
@@ -98,8 +105,6 @@ def _numbered(labels: Labels) -> Labels:
     Neighbours on the surface then stay neighbours in memory: gathering by labels in hash order took three
     times as long.
     """
-    if kernel.compiled is not None:
-        return _labelled(labels[:, None].astype(np.int32))
     leader = _firsts(labels)[labels]
     leads = np.zeros(len(labels), dtype=np.bool_)
     leads[leader] = True
