@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import posixpath
 import re
 
 URL = re.compile(r"^[A-Za-z][A-Za-z0-9+.\-]+(::.+)?://")
@@ -16,3 +18,20 @@ def is_url(path: str) -> bool:
 def join_url(folder: str, relative: str) -> str:
     """Return the URL of a file by its path relative to a folder's URL."""
     return f"{folder}{relative}" if folder.endswith("/") else f"{folder}/{relative}"
+
+
+def on_disk(name: str) -> str | None:
+    """Return the path that a path, or a ``file:`` or ``local:`` URL, names; None for other URLs."""
+    if not is_url(name):
+        return name
+    scheme, _, rest = name.partition("://")
+    return rest if scheme.lower() in {"file", "local"} else None
+
+
+def canonical(name: str) -> str:
+    """Return what all names of a file share, as far as names tell: its real path, or the URL without dots."""
+    path = on_disk(name)
+    if path is not None:
+        return os.path.realpath(path)
+    scheme, _, rest = name.partition("://")
+    return f"{scheme}://{posixpath.normpath(rest)}"

@@ -128,8 +128,10 @@ def test_linked_folders_are_passed_over_linked_files_are_not(tmp_path: Path) -> 
     (tmp_path / "way").symlink_to("in", target_is_directory=True)
     for number, argument in enumerate(("in", "way", "in/**/*.glb")):
         out = tmp_path / f"out{number}"
-        assert invoke("bake", tmp_path / argument, "--out-dir", out).exit_code == 0
+        result = invoke("bake", tmp_path / argument, "--out-dir", out)
         assert files(out) == ["a/x.glb", "link.glb"]
+        assert result.exit_code == 3  # somebody misses the file that a link leads to
+        assert "broken.glb: cannot be read: No such file" in result.stderr
 
 
 def test_in_place_takes_folders_and_bakes_each_file_once(tree: Path) -> None:

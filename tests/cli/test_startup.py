@@ -169,7 +169,8 @@ def test_a_full_disk_behind_stdout_is_an_output_error(command: str) -> None:
 
 @pytest.mark.parametrize("command", ["bake {} -o -", "inspect {} --json"])
 def test_a_reader_that_goes_away_gets_no_traceback(command: str) -> None:
-    process = shell(f"skinbake {command.format(FOLDER / 'bent_tube.glb')} | true")
+    process = shell(f"set -o pipefail; skinbake {command.format(FOLDER / 'bent_tube.glb')} | true")
+    assert process.returncode in {0, 4, 141}  # 0: all was written before; 4: the GLB was not
     assert b"Traceback" not in process.stderr
     assert b"Exception ignored" not in process.stderr
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from skinbake.commands import dask_runner
 from skinbake.errors import InputError
 from tests.cli.running import document, invoke
 from tests.commands.libraries import filesystem, stored, tree, upload, write_library
+from tests.gltf.models import FOLDER
 
 
 @pytest.fixture(autouse=True)
@@ -119,3 +121,72 @@ def test_a_scheduler_that_does_not_answer(library: Path, monkeypatch: pytest.Mon
     with pytest.raises(InputError, match=r"tcp://127\.0\.0\.1:1: no Dask scheduler answers"):
         invoke("bake", library / "lib", "--out-dir", library / "away", "--dask", "tcp://127.0.0.1:1")
     assert not (library / "away").exists()
+
+
+class TestOneFileByTwoNames:
+    """An input is no output by mistake, whatever its names."""
+
+    @pytest.fixture
+    def model(self, tmp_path: Path) -> Path:
+        path = tmp_path / "in" / "seam.glb"
+        path.parent.mkdir()
+        path.write_bytes((FOLDER / "seam.glb").read_bytes())
+        return path
+
+    @pytest.mark.parametrize(
+        ("source", "target"),
+        [
+            ("{}/in/seam.glb", "file://{}/in/seam.glb"),
+            ("file://{}/in/seam.glb", "{}/in/seam.glb"),
+            ("file://{}/in/seam.glb", "file://{}/in/../in/seam.glb"),
+            ("file://{}/in/seam.glb", "local://{}/in//seam.glb"),
+            ("memory://a/seam.glb", "memory://a/b/../seam.glb"),
+        ],
+    )
+    def test_a_target_that_is_the_input_is_refused(
+        self, model: Path, source: str, target: str, tmp_path: Path
+    ) -> None:
+        result = invoke("bake", source.format(tmp_path), "-o", target.format(tmp_path))
+        assert result.exit_code == 2
+        assert "is the input; use --in-place" in result.stderr
+
+    @pytest.mark.parametrize(
+        ("source", "folder"),
+        [("{}/in", "file://{}/in"), ("file://{}/in", "{}/in"), ("{}/in/seam.glb", "file://{}/in")],
+    )
+    def test_so_is_a_folder(self, model: Path, source: str, folder: str, tmp_path: Path) -> None:
+        before = model.read_bytes()
+        result = invoke("bake", source.format(tmp_path), "--out-dir", folder.format(tmp_path))
+        assert result.exit_code == 2
+        assert "is the input; use --in-place" in result.stderr
+        assert model.read_bytes() == before
+
+    def test_a_folder_of_outputs_is_left_out_by_its_url_too(self, model: Path, tmp_path: Path) -> None:
+        for _ in range(2):
+            result = invoke("bake", f"{tmp_path}/in", "--out-dir", f"file://{tmp_path}/in/out")
+            assert result.exit_code == 0
+        assert sorted(path.name for path in (tmp_path / "in").rglob("*.glb")) == ["seam.glb", "seam.glb"]
+
+
+def test_a_link_that_leads_nowhere_is_a_file_that_somebody_misses(tmp_path: Path) -> None:
+    (tmp_path / "in").mkdir()
+    (tmp_path / "in" / "hero.glb").symlink_to(tmp_path / "gone.glb")
+    for argument in (f"{tmp_path}/in", f"file://{tmp_path}/in", f"{tmp_path}/in/*.glb"):
+        result = invoke("bake", argument, "--out-dir", str(tmp_path / "out"))
+        assert result.exit_code == 3
+        assert "hero.glb" in result.stderr
+
+
+def test_a_pipe_is_not_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.glb")
+    result = invoke("bake", str(tmp_path / "pipe.glb"), "-o", str(tmp_path / "out.glb"))
+    assert result.exit_code == 3
+    assert "not a regular file" in result.stderr
+
+
+@pytest.mark.parametrize("address", ["", "127.0.0.1", "foo://bar", "tcp://host"])
+def test_what_is_no_address_is_no_cluster(address: str, tmp_path: Path) -> None:
+    result = invoke("bake", str(FOLDER / "seam.glb"), "-o", str(tmp_path / "out.glb"), "--dask", address)
+    assert result.exit_code == 2
+    assert "--dask takes the address" in result.stderr
+    assert not (tmp_path / "out.glb").exists()

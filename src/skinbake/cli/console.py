@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 
 import click
 
+from skinbake.cli import exit_codes
 from skinbake.errors import Notice, OutputError, Place, SkinbakeError, printable
 
 Command = TypeVar("Command", bound=Callable[..., Any])
@@ -89,7 +90,7 @@ def _echo(text: str, *, err: bool, color: bool | None) -> None:
         click.echo(text, err=err, color=color)
     except OSError as error:
         if error.errno == errno.EPIPE:
-            raise
+            raise SystemExit(exit_codes.READER_GONE) from error
         raise OutputError(f"cannot be written: {error.strerror}", Place("<stdout>")) from error
 
 

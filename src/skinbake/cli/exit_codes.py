@@ -12,6 +12,9 @@ OUTPUT = 4
 INTERRUPTED = 130
 """By Ctrl-C, as shells have it."""
 
+READER_GONE = 141
+"""What a command returns that SIGPIPE ends, as shells have it."""
+
 
 def of_error(error: SkinbakeError) -> int:
     """Return the exit code that an error stands for."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import fnmatch
 import os
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import click
@@ -13,7 +13,7 @@ import click
 from skinbake.cli.remote import behind
 from skinbake.cli.targets import STDIO, SUFFIXES, check_readable_suffix
 from skinbake.errors import InputError
-from skinbake.urls import is_url
+from skinbake.urls import is_url, on_disk
 
 MAGIC = frozenset("*?[")
 ANY_FOLDERS = "**"
@@ -63,7 +63,7 @@ class _Search:
 
     def __init__(self, but: str | None) -> None:
         self._but = but
-        self._left_out = _identity(but) if but else None
+        self._left_out = _identity(on_disk(but) or "") if but else None
         self._closed: list[Input] = []
 
     def meant(self, argument: str) -> list[Input]:
@@ -71,10 +71,7 @@ class _Search:
         if argument == STDIO:
             return [Input(argument, argument)]
         if is_url(argument):
-            try:
-                return [Input(url, kept) for url, kept in behind(argument, self._but)]
-            except InputError as error:
-                return [Input(argument, argument, error.message)]
+            return self._behind(argument)
         if os.path.isdir(argument):
             return self._found(argument, argument, (ANY_FOLDERS, "*"), "nothing in this folder")
         if MAGIC.isdisjoint(argument) or os.path.lexists(argument):
@@ -82,6 +79,19 @@ class _Search:
             return [Input(argument, os.path.basename(argument))]
         fixed, pattern = _split(argument)
         return self._found(argument, fixed, pattern, "no file that matches this pattern")
+
+    def _behind(self, url: str) -> list[Input]:
+        """Return what a URL means: that of a folder or a pattern on this disk by the rules for paths."""
+        path = on_disk(url)
+        if path is None or url.lower().endswith(SUFFIXES):
+            try:
+                return [Input(file, kept) for file, kept in behind(url, self._but)]
+            except InputError as error:
+                return [Input(url, url, error.message)]
+        if MAGIC.isdisjoint(path) and not os.path.isdir(path):
+            return [Input(url, url, "there is no such folder")]
+        scheme = url[: len(url) - len(path)]
+        return [replace(entry, source=scheme + entry.source) for entry in self.meant(path)]
 
     def _found(self, argument: str, folder: str, pattern: Sequence[str], nothing: str) -> list[Input]:
         self._closed.clear()
@@ -97,7 +107,7 @@ class _Search:
             yield from self._files(folder, rest or ("*",))
         elif not rest:
             for entry in self._entries(folder):
-                if _matches(entry.name, head) and entry.name.lower().endswith(SUFFIXES) and entry.is_file():
+                if _matches(entry.name, head) and entry.name.lower().endswith(SUFFIXES) and _is_file(entry):
                     yield entry.name
             return
         elif MAGIC.isdisjoint(head):
@@ -133,6 +143,11 @@ class _Search:
         if not entry.is_dir(follow_symlinks=False):
             return False
         return self._left_out is None or _identity(entry.path) != self._left_out
+
+
+def _is_file(entry: os.DirEntry[str]) -> bool:
+    """Tell whether an entry is a file, or a link that leads nowhere: somebody misses a file there."""
+    return entry.is_file() or (entry.is_symlink() and not os.path.exists(entry.path))
 
 
 def _split(argument: str) -> tuple[str, tuple[str, ...]]:

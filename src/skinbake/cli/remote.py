@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +15,9 @@ from skinbake.urls import is_url, join_url
 
 if TYPE_CHECKING:
     from skinbake.commands.batch import Runner
+
+
+ADDRESS = re.compile(r"((tcp|tls|ucx|wss?)://)?[^/\s]+:\d+/?|inproc://.+")
 
 
 def cluster_option(command: Command) -> Command:
@@ -48,6 +52,8 @@ def cluster_runner(
     that do not go with a cluster, or with URLs, and InputError where the cluster cannot be used.
     """
     address = given["dask"]
+    if address is not None and not ADDRESS.fullmatch(address):
+        raise click.UsageError("--dask takes the address that a scheduler prints, like tcp://host:8786")
     if address and given["jobs"] != 1:
         raise click.UsageError("--jobs is for processes of this machine, --dask for a cluster's: give one")
     if address and STDIO in {*sources, given.get("output")}:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from skinbake.urls import is_url, join_url
+from skinbake.urls import canonical, is_url, join_url, on_disk
 
 if TYPE_CHECKING:
     from skinbake.cli.inputs import Input
@@ -42,8 +42,11 @@ def check_target(source: str, target: str, *, instead: str = "use --in-place to 
 
 def _same_file(first: str, second: str) -> bool:
     """Tell whether two names are one file; names that no disk takes are none."""
+    one, other = on_disk(first), on_disk(second)
+    if one is None or other is None:
+        return canonical(first) == canonical(second)
     try:
-        return Path(first).samefile(second)
+        return Path(one).samefile(other)
     except (OSError, ValueError):
         return False
 
@@ -75,7 +78,7 @@ def pair_up(inputs: Sequence[Input], folder: str) -> list[tuple[Input, str]]:
 
 def once(inputs: Sequence[Input]) -> list[Input]:
     """Return the inputs without those that are another one's file by another name."""
-    return list({os.path.realpath(entry.source): entry for entry in reversed(inputs)}.values())[::-1]
+    return list({canonical(entry.source): entry for entry in reversed(inputs)}.values())[::-1]
 
 
 class _Found:
@@ -84,10 +87,11 @@ class _Found:
     def __init__(self) -> None:
         self._folders: dict[str, str] = {}
 
-    def real(self, path: str) -> str:
+    def real(self, source: str) -> str:
+        path = on_disk(source)
+        if path is None:
+            return canonical(source)
         folder, name = os.path.split(path)
-        if is_url(path):
-            return path
         if folder not in self._folders:
             self._folders[folder] = os.path.realpath(folder)
         return os.path.join(self._folders[folder], name)  # noqa: PTH118

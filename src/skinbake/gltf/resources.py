@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import errno
 import mmap
 import os
 import posixpath
@@ -87,9 +88,12 @@ def read_file(path: Path) -> Bytes:
 
     Windows would not let a file be replaced while it is mapped. Raises OSError.
     """
+    mode = path.stat().st_mode
+    if not stat.S_ISREG(mode) and not stat.S_ISDIR(mode):  # opening a pipe waits until somebody writes to it
+        raise OSError(errno.EINVAL, "it is not a regular file")
     with path.open("rb", buffering=0) as file:
         size = os.fstat(file.fileno()).st_size
-        if size < MAPPED_FROM or os.name == "nt" or not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+        if size < MAPPED_FROM or os.name == "nt":
             return file.readall()
         return memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
 
