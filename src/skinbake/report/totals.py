@@ -95,7 +95,8 @@ def closing_line(totals: Totals, seconds: float, *, interrupted: bool = False) -
     which = counted(totals.files, "file")
     if interrupted:
         which = f"interrupted after {totals.done:,} of {which}"
-    rate = f"{totals.done / seconds:.3g} files/s" if seconds > 0 else "at once"
+    speed = totals.done / seconds if seconds > 0 else 0.0
+    rate = f"{speed:,.{0 if speed >= 10 else 2}f} files/s" if speed else "at once"
     return f"{which}: {', '.join(parts) or 'none done'}, in {seconds:.1f} s ({rate})"
 
 
