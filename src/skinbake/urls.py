@@ -1,4 +1,4 @@
-"""Telling URLs from paths, and joining them; no more, since the command line asks it of every argument."""
+"""What names say: URLs and paths. No more, since the command line asks it of every argument."""
 
 from __future__ import annotations
 
@@ -8,6 +8,9 @@ import re
 
 URL = re.compile(r"^[A-Za-z][A-Za-z0-9+.\-]+(::.+)?://")
 """A scheme of two letters or more: one is a drive of Windows. ``zip://a.glb::s3://…`` is one of fsspec's."""
+
+SUFFIXES = (".glb", ".gltf", ".vrm")
+"""Of the files that are read and written."""
 
 
 def is_url(path: str) -> bool:

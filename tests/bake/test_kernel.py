@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 import subprocess
 import sysconfig
@@ -45,12 +44,11 @@ from tests.bake.models import (
     meshes_of,
     path_of,
 )
+from tests.support.strictness import missing_tool
 from tests.surfaces import analytic_surface
 
 if kernel.compiled is None:
-    if os.environ.get("SKINBAKE_STRICT"):
-        raise RuntimeError("skinbake was installed without its compiled loops")
-    pytest.skip("skinbake was installed without its compiled loops", allow_module_level=True)
+    missing_tool("skinbake was installed without its compiled loops")
 
 FIXTURES = ["bent_tube.glb", "two_primitives.glb", "two_sets.glb", "foreign_joints.glb", "weights_u8.glb"]
 MODELS = [CESIUM_MAN, BARBARIAN, TREX, PBR_TEST, HAND_U8, ELF, MANTIS, AFRAME_HAND]
@@ -161,9 +159,7 @@ def test_without_any_optimisation_the_bits_are_the_same(
 ) -> None:
     compiler = shutil.which("cc")
     if compiler is None:
-        if os.environ.get("SKINBAKE_STRICT"):
-            raise RuntimeError("there is no C compiler")
-        pytest.skip("there is no C compiler")
+        missing_tool("there is no C compiler")
     library = tmp_path / "_kernel.so"
     headers = f"-I{sysconfig.get_path('include')}"
     plain = [compiler, "-std=c11", "-O0", "-ffp-contract=off", "-w", "-shared", "-fPIC", headers]

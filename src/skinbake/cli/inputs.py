@@ -11,9 +11,9 @@ from pathlib import Path
 import click
 
 from skinbake.cli.remote import behind
-from skinbake.cli.targets import STDIO, SUFFIXES, check_readable_suffix
+from skinbake.cli.targets import STDIO, check_readable_suffix
 from skinbake.errors import InputError
-from skinbake.urls import is_url, on_disk
+from skinbake.urls import SUFFIXES, is_url, on_disk
 
 MAGIC = frozenset("*?[")
 ANY_FOLDERS = "**"

@@ -15,9 +15,9 @@ import click
 from skinbake.cli import exit_codes
 from skinbake.cli.console import Command, Console
 from skinbake.cli.progress import Progress
-from skinbake.cli.targets import STDIO, SUFFIXES
+from skinbake.cli.targets import STDIO
 from skinbake.errors import OutputError, Place, SkinbakeError
-from skinbake.urls import is_url
+from skinbake.urls import SUFFIXES, is_url
 
 if TYPE_CHECKING:
     from skinbake.commands.batch import Runner, Work

@@ -10,13 +10,12 @@ from typing import TYPE_CHECKING
 
 import click
 
-from skinbake.urls import canonical, is_url, join_url, on_disk
+from skinbake.urls import SUFFIXES, canonical, is_url, join_url, on_disk
 
 if TYPE_CHECKING:
     from skinbake.cli.inputs import Input
 
 STDIO = "-"
-SUFFIXES = (".glb", ".gltf", ".vrm")
 GLB_HEADERS = struct.Struct("<4sIIII")
 """A GLB's header, and that of its first chunk, which is its JSON."""
 

@@ -9,12 +9,11 @@ from pathlib import Path, PurePosixPath
 from typing import Any, Protocol
 
 from skinbake.errors import InputError, OutputError, Place, SkinbakeError
-from skinbake.urls import URL, join_url
+from skinbake.urls import SUFFIXES, URL, join_url
 
 OBJECT_STORES = frozenset({"s3", "s3a", "gs", "gcs", "abfs", "abfss", "az"})
 """Protocols that know buckets, but no folders, and by which a file appears when its last byte is there."""
 
-SUFFIXES = (".glb", ".gltf", ".vrm")
 WILDCARDS = re.compile(r"[*?\[]")
 
 

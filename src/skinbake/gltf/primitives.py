@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 import numpy.typing as npt
@@ -197,15 +198,11 @@ def read_influences(document: Document, source: PrimitiveSource, count: int) -> 
 
 def side_by_side(sets: Sequence[StoredInfluences]) -> tuple[IntArray, FloatArray]:
     """Return joints and weights of all influence sets, (V, K) each, decoded; one set is not copied."""
-    joints = [_integers(entry.joints.values) for entry in sets]
+    joints = [cast(IntArray, entry.joints.values) for entry in sets]  # the format has been checked
     weights = [entry.weights.decoded() for entry in sets]
     if len(sets) == 1:
         return joints[0], weights[0]
     return np.concatenate(joints, axis=1), np.concatenate(weights, axis=1)
-
-
-def _integers(values: npt.NDArray[np.generic]) -> IntArray:
-    return values  # type: ignore[return-value]  # the format has been checked
 
 
 def read_triangles(document: Document, source: PrimitiveSource) -> npt.NDArray[np.uint32]:
