@@ -23,7 +23,7 @@ def _loaded() -> ModuleType | None:
     try:
         from skinbake import _kernel  # noqa: PLC0415  (it may not be there)
     except ImportError as error:
-        logger.info("without its compiled loops (%s): large meshes take some ten times as long", error)
+        logger.info("without its compiled loops (%s): large meshes take many times as long", error)
         return None
     return _kernel
 
