@@ -1,0 +1,407 @@
+"""Files that a document names: below a folder by construction, whatever the name says and links do.
+
+A document may come from a stranger. Every name in it passes ``relative_names`` once, and the result is the
+only text that is compared, opened or written. The open walks down from a folder and never leaves it:
+``openat2`` with ``RESOLVE_BENEATH`` where the system has it (Linux 5.6), elsewhere one part of the path at a
+time; on Windows the real path is compared.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import posixpath
+import re
+import stat
+import struct
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from functools import lru_cache
+from urllib.parse import quote, unquote
+
+DEVICES = frozenset(
+    {"CON", "PRN", "AUX", "NUL", "CONIN$", "CONOUT$", "CLOCK$"}
+    | {f"{port}{number}" for port in ("COM", "LPT") for number in "0123456789¹²³"}
+)
+"""Names that mean a device in any folder of Windows, with any suffix."""
+
+MOST_LINKS = 40
+"""Symbolic links on the way to one file, as on Linux."""
+
+BY_DESCRIPTOR = os.open in os.supports_dir_fd
+"""Whether this system opens names relative to an open folder: all but Windows."""
+
+_SCHEME = re.compile(r"^[A-Za-z][A-Za-z0-9+.\-]*:")
+_SYS_OPENAT2 = 437
+_NO_MAGIC_LINKS, _BENEATH = 0x02, 0x08
+_READ_FLAGS = (
+    os.O_RDONLY
+    | getattr(os, "O_NONBLOCK", 0)  # lest a FIFO waits for a writer
+    | getattr(os, "O_NOCTTY", 0)
+    | getattr(os, "O_CLOEXEC", 0)
+    | getattr(os, "O_BINARY", 0)
+)
+_FOLDER_FLAGS = os.O_RDONLY | getattr(os, "O_DIRECTORY", 0) | getattr(os, "O_CLOEXEC", 0)
+
+
+class RefusedError(ValueError):
+    """A name that is not opened, whatever is there; the text says why."""
+
+
+class OutsideError(RefusedError):
+    """A relative name that leads out of the folders that may be read."""
+
+
+@dataclass(frozen=True, slots=True)
+class Bounds:
+    """Where a document's names may lead: below ``root``, or below one of ``allowed``.
+
+    Paths, or URLs where the document has one. Without a root it is the document's own folder.
+    """
+
+    root: str | None = None
+    allowed: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Spot:
+    """Where a name leads: a path below a folder, in forward slashes, without dots. ``is_own``: of its root."""
+
+    root: str
+    name: str
+    is_own: bool = True
+
+    @property
+    def path(self) -> str:
+        """The whole path, for messages and comparison; it is not what is opened."""
+        return os.path.join(self.root, *self.name.split("/"))
+
+
+def relative_names(uri: str) -> tuple[str, ...]:
+    """Return the relative paths that a URI of a document may mean, the likelier first.
+
+    Percent-encoding is undone once; ``#`` and ``?`` belong to the name. The second path is that of a file
+    that carries the URI's characters literally, as some exporters write it. Raises RefusedError where the
+    first is no relative path that means the same on every system: NUL, a backslash, a colon (drives, schemes
+    and streams of Windows), an absolute path, a device of Windows, or the name of no file.
+    """
+    names = [_checked(unquote(uri, errors="surrogateescape"))]
+    if "%" in uri:
+        with suppress(RefusedError):
+            names.append(_checked(uri))
+    return tuple(dict.fromkeys(names))
+
+
+def _checked(name: str) -> str:
+    """Return a relative path without dots to resolve, but for leading ones; RefusedError for any other."""
+    if "\0" in name:
+        raise RefusedError("it holds a NUL character")
+    if "\\" in name:
+        raise RefusedError("it holds a backslash; paths in glTF have forward slashes")
+    if name.startswith("/"):
+        raise RefusedError("it is an absolute path")
+    if ":" in name:
+        scheme = _SCHEME.match(name)
+        kind = "a drive" if scheme and scheme.end() == 2 else "a scheme" if scheme else "a colon"
+        raise RefusedError(f"it has {kind}, and is neither a relative path nor a data: URI")
+    for part in name.split("/"):
+        if part not in {"", ".", ".."} and not part.strip(". "):
+            raise RefusedError(f'"{part}" is the name of no file on every system')
+        if part.split(".")[0].rstrip(" ").upper() in DEVICES:
+            raise RefusedError(f'"{part}" is a device on Windows')
+    normal = posixpath.normpath(name) if name else "."
+    if name.endswith(("/", "/.", "/..")) or normal in {".", ".."}:
+        raise RefusedError("it names no file")
+    return normal
+
+
+def is_relative(uri: str) -> bool:
+    """Tell whether a URI of a document names a file by a relative path."""
+    try:
+        return bool(relative_names(uri))
+    except RefusedError:
+        return False
+
+
+def leads_up(name: str) -> bool:
+    """Tell whether a normal relative path begins above its folder."""
+    return name.startswith("../")
+
+
+def path_uri(path: str) -> str:
+    """Return the relative URI of a path with forward slashes."""
+    return quote(os.fsencode(path), safe="/!$&'()*+,;=@~-._")
+
+
+def spots(uri: str, folder: str, bounds: Bounds) -> list[Spot]:
+    """Return where a document's URI may lead, the likelier first; ``folder`` is the document's.
+
+    Nothing on the disk is looked at but the folders, to know what they are called. Raises RefusedError, and
+    OutsideError where the first name leads out of all bounds.
+    """
+    home = os.path.realpath(folder)
+    roots = [bounds.root or folder, *bounds.allowed]
+    found: list[Spot] = []
+    for name in relative_names(uri):
+        path = os.path.normpath(os.path.join(home, *name.split("/")))
+        for number, root in enumerate(map(os.path.realpath, roots)):
+            below = _below(path, root)
+            if below is not None:
+                found.append(Spot(root, below, number == 0))
+                break
+        else:
+            if not found:
+                raise OutsideError(f"it leads out of {bounds.root or folder or os.curdir}")
+    return found
+
+
+def _below(path: str, root: str) -> str | None:
+    """Return the path relative to a folder, in forward slashes; None where it is not below the folder."""
+    prefix = root if root.endswith(os.sep) else root + os.sep
+    if not os.path.normcase(path).startswith(os.path.normcase(prefix)):
+        return None
+    return path[len(prefix) :].replace(os.sep, "/") or None
+
+
+def spot_of(path: str, root: str) -> Spot:
+    """Return where a path lies below a folder, no link but the folder's own followed; OutsideError if not."""
+    folder = os.path.realpath(root)
+    given = os.path.abspath(root)
+    name = _below(os.path.normpath(os.path.abspath(path)), given)
+    if name is None:
+        raise OutsideError(f"it is not below {root}")
+    return Spot(folder, name)
+
+
+def moved_uri(uri: str, folder: str, target: str) -> str:
+    """Return a relative URI, made for a document in ``folder``, as it reads from the folder ``target``.
+
+    Text alone: nothing is looked at on the way. Raises RefusedError.
+    """
+    path = os.path.normpath(os.path.join(os.path.realpath(folder), *relative_names(uri)[0].split("/")))
+    try:
+        return path_uri(os.path.relpath(path, target).replace(os.sep, "/"))
+    except ValueError as error:
+        raise RefusedError("no relative URI leads there from another drive") from error
+
+
+def open_beneath(spot: Spot) -> int:
+    """Return a descriptor of a regular file, opened for reading without leaving the spot's root.
+
+    Raises OSError: EXDEV where a link leads out, EINVAL for devices, FIFOs, sockets and what the system
+    makes up (/proc, /sys).
+    """
+    descriptor = _open(spot.root, spot.name, _READ_FLAGS)
+    try:
+        check_regular(descriptor)
+    except BaseException:
+        os.close(descriptor)
+        raise
+    return descriptor
+
+
+def open_regular(path: str) -> int:
+    """Return a descriptor of a regular file that the user named, opened for reading; raises OSError."""
+    descriptor = os.open(path, _READ_FLAGS)
+    try:
+        check_regular(descriptor)
+    except BaseException:
+        os.close(descriptor)
+        raise
+    return descriptor
+
+
+def check_regular(descriptor: int) -> None:
+    """Raise OSError for anything but a regular file on a disk."""
+    found = os.fstat(descriptor)
+    if stat.S_ISDIR(found.st_mode):
+        raise OSError(errno.EISDIR, os.strerror(errno.EISDIR))
+    if not stat.S_ISREG(found.st_mode) or found.st_dev in _made_up():
+        raise OSError(errno.EINVAL, "it is not a regular file")
+
+
+@lru_cache(maxsize=1)
+def _made_up() -> frozenset[int]:
+    """Return the devices of file systems whose files the kernel makes up as they are read."""
+    devices = set()
+    for folder in ("/proc", "/sys") if sys.platform.startswith("linux") else ():
+        with suppress(OSError):
+            found = os.stat(folder)
+            if found.st_dev != os.stat("/").st_dev:
+                devices.add(found.st_dev)
+    return frozenset(devices)
+
+
+def is_there(spot: Spot) -> bool:
+    """Tell whether a regular file can be opened there."""
+    try:
+        os.close(open_beneath(spot))
+    except (OSError, ValueError):
+        return False
+    return True
+
+
+class Folder:
+    """An open folder below a root: names in it are used without following links.
+
+    ``path`` is what messages call it. Where the system opens names relative to descriptors, a folder that is
+    renamed or replaced by a link meanwhile stays the one that was opened.
+    """
+
+    def __init__(self, path: str, descriptor: int | None) -> None:
+        """Hold an open folder; ``beneath`` makes one."""
+        self.path, self._descriptor = path, descriptor
+
+    @property
+    def descriptor(self) -> int | None:
+        """What ``dir_fd`` takes; None on systems without it."""
+        return self._descriptor
+
+    def name(self, name: str) -> str:
+        """Return how a file of the folder is called in calls that have ``dir_fd=folder.descriptor``."""
+        return name if self._descriptor is not None else os.path.join(self.path, name)
+
+    def sync(self) -> None:
+        """Wait until the names in the folder are on the disk; systems that cannot do it are let be."""
+        if self._descriptor is not None:
+            with suppress(OSError):
+                os.fsync(self._descriptor)
+
+
+@contextmanager
+def beneath(root: str, parts: Sequence[str], made: Callable[[str], None] | None = None) -> Iterator[Folder]:
+    """Yield the folder that ``parts`` lead to from the folder ``root``, never leaving it.
+
+    Folders that are missing are made where ``made`` is given; it is told the path of each. Raises OSError:
+    EXDEV where a link leads out of the root.
+    """
+    path = os.path.join(root, *parts)
+    if not BY_DESCRIPTOR:
+        for number in range(1, len(parts) + 1):
+            step = os.path.join(root, *parts[:number])
+            _check_real(root, step)
+            if made is not None and not os.path.isdir(step):
+                os.mkdir(step)
+                made(step)
+        yield Folder(path, None)
+        return
+    current = os.open(root, _FOLDER_FLAGS)
+    try:
+        for number in range(1, len(parts) + 1):
+            following = _stepped(root, current, parts[:number], made)
+            os.close(current)
+            current = following
+        yield Folder(path, current)
+    finally:
+        os.close(current)
+
+
+def _stepped(root: str, current: int, parts: Sequence[str], made: Callable[[str], None] | None) -> int:
+    """Return a descriptor of the folder at ``parts``, the last of which is in the folder ``current``."""
+    name = "/".join(parts)
+    try:
+        return _open(root, name, _FOLDER_FLAGS)
+    except FileNotFoundError:
+        if made is None:
+            raise
+    with suppress(FileExistsError):  # another process was faster, or a link there leads nowhere
+        os.mkdir(parts[-1], dir_fd=current)
+        made(os.path.join(root, *parts))
+    return _open(root, name, _FOLDER_FLAGS)
+
+
+def _open(root: str, name: str, flags: int) -> int:
+    """Open a path below a folder without leaving it."""
+    if not BY_DESCRIPTOR:
+        path = os.path.join(root, *name.split("/"))
+        _check_real(root, path)
+        return os.open(path, flags)
+    folder = os.open(root, _FOLDER_FLAGS)
+    try:
+        openat2 = _openat2()
+        return _walked(folder, name, flags) if openat2 is None else openat2(folder, os.fsencode(name), flags)
+    finally:
+        os.close(folder)
+
+
+def _check_real(root: str, path: str) -> None:
+    """Raise OSError where a path, all links followed, is outside the folder."""
+    real, base = os.path.realpath(path), os.path.realpath(root)
+    if real != base and _below(real, base) is None:
+        raise OSError(errno.EXDEV, "a link leads out of the folder")
+
+
+@lru_cache(maxsize=1)
+def _openat2() -> Callable[[int, bytes, int], int] | None:
+    """Return Linux's call that opens a path without leaving a folder; None where there is none."""
+    if not sys.platform.startswith("linux"):
+        return None
+    import ctypes  # numpy has imported it by then
+
+    syscall = ctypes.CDLL(None, use_errno=True).syscall
+    syscall.restype = ctypes.c_long
+
+    def call(folder: int, name: bytes, flags: int) -> int:
+        how = struct.pack("QQQ", flags, 0, _BENEATH | _NO_MAGIC_LINKS)
+        while True:
+            descriptor = syscall(_SYS_OPENAT2, folder, ctypes.c_char_p(name), how, ctypes.c_size_t(len(how)))
+            if descriptor >= 0:
+                return int(descriptor)
+            code = ctypes.get_errno()
+            if code == errno.EXDEV:
+                raise OSError(code, "a link leads out of the folder")
+            if code not in {errno.EAGAIN, errno.EINTR}:  # EAGAIN: something was renamed on the way
+                raise OSError(code, os.strerror(code))
+
+    try:
+        folder = os.open("/", _FOLDER_FLAGS)
+        try:
+            os.close(call(folder, b".", _FOLDER_FLAGS))
+        finally:
+            os.close(folder)
+    except OSError:  # an older kernel, or a sandbox that does not know the call
+        return None
+    return call
+
+
+def _walked(folder: int, name: str, flags: int) -> int:
+    """Open a path below an open folder, one part at a time, links resolved here and never out of it."""
+    stack, links = [os.dup(folder)], 0
+    parts = name.split("/")[::-1]
+    try:
+        while parts:
+            part = parts.pop()
+            if part in {"", "."}:
+                continue
+            if part == "..":
+                if len(stack) == 1:
+                    raise OSError(errno.EXDEV, "a link leads out of the folder")
+                os.close(stack.pop())
+                continue
+            kind = _FOLDER_FLAGS if any(step not in {"", "."} for step in parts) else flags
+            target = _link(part, stack[-1])
+            if target is None:
+                stack.append(os.open(part, kind | os.O_NOFOLLOW, dir_fd=stack[-1]))
+                continue
+            links += 1
+            if links > MOST_LINKS:
+                raise OSError(errno.ELOOP, os.strerror(errno.ELOOP))
+            if target.startswith("/"):
+                raise OSError(errno.EXDEV, "a link leads out of the folder")
+            parts.extend(target.split("/")[::-1])
+        return stack.pop()
+    finally:
+        for descriptor in stack:
+            os.close(descriptor)
+
+
+def _link(name: str, folder: int) -> str | None:
+    """Return where a symbolic link leads, None where the name is none."""
+    try:
+        return os.readlink(name, dir_fd=folder)
+    except OSError as error:
+        if error.errno == errno.EINVAL:
+            return None
+        raise
