@@ -54,20 +54,43 @@ class OutsideError(RefusedError):
     """A relative name that leads out of the folders that may be read."""
 
 
+NOWHERE = ""
+"""The root of a document that came without a folder: it may name no file but the allowed ones."""
+
+
 @dataclass(frozen=True, slots=True)
 class Bounds:
     """Where a document's names may lead: below ``root``, or below one of ``allowed``.
 
-    Paths, or URLs where the document has one. Without a root it is the document's own folder.
+    Paths, or URLs where the document has one. None stands for the document's own folder.
     """
 
     root: str | None = None
     allowed: tuple[str, ...] = ()
 
 
+BESIDE = Bounds()
+"""A document may name the files in its own folder and below."""
+
+
+@dataclass(frozen=True, slots=True)
+class Within:
+    """The folders that a job stays in: ``bounds`` of its reading, and ``output`` that it writes below.
+
+    None for the latter stands for the target's own folder.
+    """
+
+    bounds: Bounds = BESIDE
+    output: str | None = None
+
+
+OWN_FOLDERS = Within()
+"""Those of a file that the user named, and of a target that the user named."""
+
+
 @dataclass(frozen=True, slots=True)
 class Spot:
-    """Where a name leads: a path below a folder, in forward slashes, without dots. ``is_own``: of its root."""
+    """Where a name leads: a path below a folder, in forward slashes; ``is_own``: its own root."""
 
     root: str
     name: str
@@ -142,22 +165,24 @@ def spots(uri: str, folder: str, bounds: Bounds) -> list[Spot]:
     OutsideError where the first name leads out of all bounds.
     """
     home = os.path.realpath(folder)
-    roots = [bounds.root or folder, *bounds.allowed]
+    own = folder if bounds.root is None else bounds.root
+    roots = [*([own] if own != NOWHERE else []), *bounds.allowed]
     found: list[Spot] = []
     for name in relative_names(uri):
         path = os.path.normpath(os.path.join(home, *name.split("/")))
         for number, root in enumerate(map(os.path.realpath, roots)):
-            below = _below(path, root)
-            if below is not None:
-                found.append(Spot(root, below, number == 0))
+            inside = below(path, root)
+            if inside is not None:
+                found.append(Spot(root, inside, number == 0 and own != NOWHERE))
                 break
         else:
             if not found:
-                raise OutsideError(f"it leads out of {bounds.root or folder or os.curdir}")
+                where = f"it leads out of {own or os.curdir}" if own != NOWHERE else "it has no folder"
+                raise OutsideError(where)
     return found
 
 
-def _below(path: str, root: str) -> str | None:
+def below(path: str, root: str) -> str | None:
     """Return the path relative to a folder, in forward slashes; None where it is not below the folder."""
     prefix = root if root.endswith(os.sep) else root + os.sep
     if not os.path.normcase(path).startswith(os.path.normcase(prefix)):
@@ -169,7 +194,7 @@ def spot_of(path: str, root: str) -> Spot:
     """Return where a path lies below a folder, no link but the folder's own followed; OutsideError if not."""
     folder = os.path.realpath(root)
     given = os.path.abspath(root)
-    name = _below(os.path.normpath(os.path.abspath(path)), given)
+    name = below(os.path.normpath(os.path.abspath(path)), given)
     if name is None:
         raise OutsideError(f"it is not below {root}")
     return Spot(folder, name)
@@ -282,7 +307,9 @@ def beneath(root: str, parts: Sequence[str], made: Callable[[str], None] | None 
         for number in range(1, len(parts) + 1):
             step = os.path.join(root, *parts[:number])
             _check_real(root, step)
-            if made is not None and not os.path.isdir(step):
+            if not os.path.isdir(step):
+                if made is None:
+                    raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT))
                 os.mkdir(step)
                 made(step)
         yield Folder(path, None)
@@ -329,7 +356,7 @@ def _open(root: str, name: str, flags: int) -> int:
 def _check_real(root: str, path: str) -> None:
     """Raise OSError where a path, all links followed, is outside the folder."""
     real, base = os.path.realpath(path), os.path.realpath(root)
-    if real != base and _below(real, base) is None:
+    if real != base and below(real, base) is None:
         raise OSError(errno.EXDEV, "a link leads out of the folder")
 
 

@@ -258,8 +258,8 @@ class TestWhileItRuns:
     @pytest.fixture
     def then(self, monkeypatch: pytest.MonkeyPatch) -> Callable[[Callable[[str, str], object]], None]:
         def follow(what: Callable[[str, str], object]) -> None:
-            def both(source: str, target: str, options: Any) -> Any:
-                result = bake_file(source, target, options)
+            def both(source: str, target: str, *rest: Any) -> Any:
+                result = bake_file(source, target, *rest)
                 what(source, target)
                 return result
 
@@ -316,10 +316,10 @@ class TestWhileItRuns:
         assert "up-to-date" not in baking().values()
 
     def test_an_interrupt_keeps_what_was_done(self, baking: Baking, monkeypatch: pytest.MonkeyPatch) -> None:
-        def interrupted(source: str, target: str, options: Any) -> Any:
+        def interrupted(source: str, target: str, *rest: Any) -> Any:
             if "seam" in source:
                 raise KeyboardInterrupt
-            return bake_file(source, target, options)
+            return bake_file(source, target, *rest)
 
         monkeypatch.setattr("skinbake.commands.batch_bake.bake_file", interrupted)
         result = run_interrupted(baking)

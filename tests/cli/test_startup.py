@@ -101,7 +101,7 @@ def test_the_script_is_installed_and_does_the_same(tmp_path: Path) -> None:
 BREAKING = """
 import sys
 import skinbake.commands.inspect as inspect
-def broken(source):
+def broken(*arguments):
     raise RuntimeError("a defect of skinbake")
 inspect.inspect_file = broken
 from skinbake.cli.main import entry_point

@@ -10,6 +10,7 @@ from pathlib import Path
 from skinbake.commands.bake import BakeOptions
 from skinbake.commands.lighting import VerifyOptions
 from skinbake.commands.staging import bake_anywhere, verify_anywhere
+from skinbake.containment import OWN_FOLDERS, Within
 from skinbake.errors import InputError, Place
 from skinbake.report.bake import FileResult
 from skinbake.report.verify import FileVerdict
@@ -21,6 +22,7 @@ class Job:
 
     source: str
     target: str | None = None
+    within: Within = OWN_FOLDERS
 
 
 @dataclass(frozen=True)
@@ -30,7 +32,7 @@ class Bake:
     options: BakeOptions = field(default_factory=lambda: BakeOptions(make_folder=True))
 
     def __call__(self, job: Job) -> FileResult:
-        return bake_anywhere(job.source, job.target, self.options)
+        return bake_anywhere(job.source, job.target, self.options, job.within)
 
     def lost(self, job: Job, reason: str) -> FileResult:
         return FileResult(job.source, job.target, "failed", error=InputError(reason, Place(job.source)))
@@ -66,7 +68,7 @@ class Verify:
     options: VerifyOptions = field(default_factory=VerifyOptions)
 
     def __call__(self, job: Job) -> FileVerdict:
-        return verify_anywhere(job.source, self.options)
+        return verify_anywhere(job.source, self.options, within=job.within)
 
     def lost(self, job: Job, reason: str) -> FileVerdict:
         return FileVerdict(job.source, error=InputError(reason, Place(job.source)))

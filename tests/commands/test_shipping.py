@@ -12,6 +12,7 @@ from skinbake.commands.bake import BakeOptions
 from skinbake.commands.dask_task import Ready
 from skinbake.commands.shipping import Shipped
 from skinbake.commands.verify import verify_file
+from skinbake.containment import Bounds, Within
 from skinbake.errors import ChoiceError, InputError, OutputError
 from tests.commands.file_works import Bake, Job, Verify
 from tests.commands.libraries import stored, tree, upload, write_library
@@ -32,14 +33,18 @@ def elsewhere(work: Any, job: Job, hidden: Path | None = None) -> Any:
     return shipped.unpack(job, returned)
 
 
+def in_tree(source: str, target: str, name: str) -> Job:
+    """Return the job of a file that was found in a folder, for a tree of the same shape."""
+    return Job(f"{source}/{name}", f"{target}/{name}", Within(Bounds(source), target))
+
+
 def test_what_comes_back_is_what_a_bake_here_makes(tmp_path: Path) -> None:
     names = write_library(tmp_path / "disk/lib")
     for name in names:
-        here = Bake()(Job(f"{tmp_path}/disk/lib/{name}", f"{tmp_path}/disk/here/{name}"))
+        here = Bake()(in_tree(f"{tmp_path}/disk/lib", f"{tmp_path}/disk/here", name))
         assert here.error is None
-    # At the same depth, since URIs are rewritten to lead to what is in other folders.
     for name in names:
-        job = Job(f"{tmp_path}/disk/lib/{name}", f"{tmp_path}/disk/away/{name}")
+        job = in_tree(f"{tmp_path}/disk/lib", f"{tmp_path}/disk/away", name)
         result = elsewhere(Bake(), job, tmp_path / "disk")
         assert (result.input, result.output, result.status) == (job.source, job.target, "baked")
         assert {notice.place.file for notice in result.notices} <= {job.source}
@@ -50,10 +55,10 @@ def test_in_place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     names = write_library(tmp_path / "here")
     write_library(tmp_path / "away")
     for name in names:
-        assert Bake()(Job(f"{tmp_path}/here/{name}", f"{tmp_path}/here/{name}")).error is None
+        assert Bake()(in_tree(f"{tmp_path}/here", f"{tmp_path}/here", name)).error is None
     monkeypatch.chdir(tmp_path)
     for name in names:
-        assert elsewhere(Bake(), Job(f"away/{name}", f"away/{name}"), tmp_path / "away").error is None
+        assert elsewhere(Bake(), in_tree("away", "away", name), tmp_path / "away").error is None
     assert tree(tmp_path / "away") == tree(tmp_path / "here")
 
 
@@ -85,8 +90,8 @@ def test_files_of_others_beside_the_target_are_left_alone(tmp_path: Path) -> Non
         (folder / "maps").mkdir(parents=True)
         (folder / "crate #1.bin").write_bytes(b"not ours")
         (folder / "maps/wood.png").write_bytes(b"wood")
-    assert Bake()(Job(f"{tmp_path}/lib/{name}", f"{tmp_path}/here/{name}")).error is None
-    assert elsewhere(Bake(), Job(f"{tmp_path}/lib/{name}", f"{tmp_path}/away/{name}")).error is None
+    assert Bake()(in_tree(f"{tmp_path}/lib", f"{tmp_path}/here", name)).error is None
+    assert elsewhere(Bake(), in_tree(f"{tmp_path}/lib", f"{tmp_path}/away", name)).error is None
     assert tree(tmp_path / "away")["props/crate #1.bin"] == b"not ours"
     assert tree(tmp_path / "away") == tree(tmp_path / "here")
 
@@ -94,13 +99,14 @@ def test_files_of_others_beside_the_target_are_left_alone(tmp_path: Path) -> Non
 def test_what_fails_is_said_as_on_one_machine(tmp_path: Path) -> None:
     name = write_library(tmp_path / "lib")[-1]
     source, gone = f"{tmp_path}/lib/{name}", f"{tmp_path}/gone/a.gltf"
-    options = BakeOptions()
+    options, within = BakeOptions(), Within(Bounds(f"{tmp_path}/lib"))
     for work, job in (
         (Bake(options), Job(gone, f"{tmp_path}/a.glb")),
-        (Bake(options), Job(source, gone)),
-        (Bake(BakeOptions(dry_run=True)), Job(source, gone)),
-        (Bake(options), Job(source, f"{tmp_path}/lib/props/crate #1.bin")),
-        (Bake(BakeOptions(warnings_as_errors=True)), Job(source, f"{tmp_path}/a.gltf")),
+        (Bake(options), Job(source, f"{tmp_path}/a.glb")),
+        (Bake(options), Job(source, gone, within)),
+        (Bake(BakeOptions(dry_run=True)), Job(source, gone, within)),
+        (Bake(options), Job(source, f"{tmp_path}/lib/props/crate #1.bin", within)),
+        (Bake(BakeOptions(warnings_as_errors=True)), Job(source, f"{tmp_path}/a.gltf", within)),
         (Verify(), Job(gone)),
     ):
         before = tree(tmp_path)
@@ -114,7 +120,7 @@ def test_what_fails_is_said_as_on_one_machine(tmp_path: Path) -> None:
 def test_a_dry_run_writes_nothing(tmp_path: Path) -> None:
     name = write_library(tmp_path / "lib")[-1]
     before = tree(tmp_path)
-    job = Job(f"{tmp_path}/lib/{name}", f"{tmp_path}/a.gltf")
+    job = Job(f"{tmp_path}/lib/{name}", f"{tmp_path}/a.gltf", Within(Bounds(f"{tmp_path}/lib")))
     result = elsewhere(Bake(BakeOptions(dry_run=True)), job, tmp_path / "lib")
     assert (result.status, result.error) == ("baked", None)
     assert tree(tmp_path) == before

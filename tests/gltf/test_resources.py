@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import base64
+import os
 from pathlib import Path
 from urllib.parse import unquote
 
 import pytest
 
+from skinbake.containment import BESIDE, Bounds, is_relative, path_uri
 from skinbake.errors import InputError, Place
-from skinbake.gltf.resources import decode_data_uri, encode_data_uri, is_relative, path_uri, read_resource
+from skinbake.gltf.resources import decode_data_uri, encode_data_uri, read_resource
 
 HERE = Place("model.gltf")
 EVERY_BYTE = bytes(range(256))
@@ -30,7 +32,7 @@ BASE64 = base64.b64encode(EVERY_BYTE).decode()
 )
 def test_data_uris_hold_bytes_in_base64_or_percent_encoded(uri: str) -> None:
     assert decode_data_uri(uri, HERE) == EVERY_BYTE
-    assert read_resource(uri, Path("nowhere"), HERE) == EVERY_BYTE
+    assert read_resource(uri, Path("nowhere"), BESIDE, HERE) == EVERY_BYTE
 
 
 def test_plain_text_and_commas_in_a_data_uri_stand_for_themselves() -> None:
@@ -59,7 +61,7 @@ def test_bytes_become_a_data_uri_that_any_reader_decodes() -> None:
 )
 def test_a_broken_data_uri_is_an_input_error(uri: str) -> None:
     with pytest.raises(InputError, match="data: URI"):
-        read_resource(uri, Path(), HERE)
+        read_resource(uri, Path(), BESIDE, HERE)
 
 
 @pytest.mark.parametrize(
@@ -74,8 +76,8 @@ def test_a_broken_data_uri_is_an_input_error(uri: str) -> None:
         ("50%.bin", "50%.bin"),
         ("./sub/deep.bin", "sub/deep.bin"),
         ("sub/../plain.bin", "plain.bin"),
-        ("version.bin?v=3", "version.bin"),
-        ("part.bin#start", "part.bin"),
+        ("version.bin?v=3", "version.bin?v=3"),
+        ("part.bin#start", "part.bin#start"),
         ("a%23b%3Fc.bin", "a#b?c.bin"),
         ("b-c_d.e~f!g$h&i'j(k)l*m+n,o;p=q@r.bin", "b-c_d.e~f!g$h&i'j(k)l*m+n,o;p=q@r.bin"),
     ],
@@ -83,54 +85,112 @@ def test_a_broken_data_uri_is_an_input_error(uri: str) -> None:
 def test_relative_uris_name_files_beside_the_document(tmp_path: Path, uri: str, name: str) -> None:
     (tmp_path / "sub").mkdir()
     (tmp_path / name).write_bytes(b"content")
-    assert read_resource(uri, tmp_path, HERE) == b"content"
+    assert read_resource(uri, tmp_path, BESIDE, HERE) == b"content"
 
 
 def test_a_file_that_carries_the_encoded_name_is_found(tmp_path: Path) -> None:
     (tmp_path / "a%20b.bin").write_bytes(b"literal")
-    assert read_resource("a%20b.bin", tmp_path, HERE) == b"literal"
+    assert read_resource("a%20b.bin", tmp_path, BESIDE, HERE) == b"literal"
 
 
 def test_the_decoded_name_comes_first(tmp_path: Path) -> None:
     (tmp_path / "a%20b.bin").write_bytes(b"literal")
     (tmp_path / "a b.bin").write_bytes(b"decoded")
-    assert read_resource("a%20b.bin", tmp_path, HERE) == b"decoded"
+    assert read_resource("a%20b.bin", tmp_path, BESIDE, HERE) == b"decoded"
 
 
 @pytest.mark.parametrize(
-    "uri",
+    ("uri", "reason"),
     [
-        "",
-        "/etc/hostname",
-        "//host/share.bin",
-        "\\\\host\\share.bin",
-        "http://example.org/a.bin",
-        "HTTPS://example.org/a.bin",
-        "file:///etc/hostname",
-        "file:a.bin",
-        "ftp+x.y-z:a.bin",
+        ("", "it names no file"),
+        ("/etc/hostname", "it is an absolute path"),
+        ("%2Fetc%2Fhostname", "it is an absolute path"),
+        ("//host/share.bin", "it is an absolute path"),
+        ("\\\\host\\share.bin", "it holds a backslash"),
+        ("%5C%5Chost%5Cshare.bin", "it holds a backslash"),
+        ("http://example.org/a.bin", "it has a scheme"),
+        ("HTTPS://example.org/a.bin", "it has a scheme"),
+        ("file:///etc/hostname", "it has a scheme"),
+        ("ftp+x.y-z:a.bin", "it has a scheme"),
+        ("C:/Windows/win.ini", "it has a drive"),
+        ("c%3A/Windows/win.ini", "it has a drive"),
+        ("a.bin:stream", "it has a"),
+        ("%00.bin", "it holds a NUL"),
+        ("nul\0.bin", "it holds a NUL"),
+        ("sub/NUL", "is a device on Windows"),
+        ("lpt1.bin", "is a device on Windows"),
+        ("com¹.bin", "is a device on Windows"),
+        ("sub/.. /a.bin", "the name of no file"),
+        ("sub/", "it names no file"),
+        (".", "it names no file"),
+        ("../secret.bin", "it leads out of"),
+        ("%2e%2e/secret.bin", "it leads out of"),
+        ("%2E%2E%2Fsecret.bin", "it leads out of"),
+        ("sub/../../secret.bin", "it leads out of"),
+        ("x#/../../secret.bin", "it leads out of"),
+        ("x?/../../secret.bin", "it leads out of"),
+        ("out.bin", "a link on the way leads out"),
+        ("absolute.bin", "a link on the way leads out"),
+        ("up/secret.bin", "a link on the way leads out"),
+        ("fifo", "it is not a regular file"),
     ],
 )
-def test_schemes_and_absolute_paths_are_refused(tmp_path: Path, uri: str) -> None:
-    assert not is_relative(uri)
-    with pytest.raises(InputError, match=r"neither relative nor a data: URI"):
-        read_resource(uri, tmp_path, HERE)
+def test_what_no_document_may_have_read(tmp_path: Path, uri: str, reason: str) -> None:
+    home = tmp_path / "home"
+    for folder in ("sub", "x#", "x?", "x#/../sub"):
+        (home / folder).mkdir(parents=True, exist_ok=True)
+    (tmp_path / "secret.bin").write_bytes(b"secret")
+    (home / "out.bin").symlink_to("../secret.bin")
+    (home / "absolute.bin").symlink_to(tmp_path / "secret.bin")
+    (home / "up").symlink_to("..")
+    os.mkfifo(home / "fifo")
+    with pytest.raises(InputError) as caught:
+        read_resource(uri, home, BESIDE, HERE)
+    assert reason in str(caught.value)
+    assert str(caught.value).startswith("model.gltf: ")
 
 
-@pytest.mark.parametrize("uri", ["%2Fetc%2Fhostname", "%2fetc/hostname", "%5C%5Chost%5Cshare.bin"])
-def test_an_absolute_path_does_not_get_through_by_percent_encoding(tmp_path: Path, uri: str) -> None:
-    with pytest.raises(InputError, match=r"neither relative nor a data: URI"):
-        read_resource(uri, tmp_path, HERE)
+def test_percent_encoding_is_undone_once(tmp_path: Path) -> None:
+    (tmp_path / "home").mkdir()
+    (tmp_path / "secret.bin").write_bytes(b"secret")
+    with pytest.raises(InputError, match=r"cannot read .* beside it"):
+        read_resource("%252e%252e/secret.bin", tmp_path / "home", BESIDE, HERE)
 
 
-@pytest.mark.parametrize(
-    "uri", ["missing.bin", "folder", "%00.bin", "nul\0.bin", "x" * 5000, "%78" * 300, "\ud800.bin"]
-)
+def test_a_link_that_stays_inside_is_followed(tmp_path: Path) -> None:
+    (tmp_path / "sub").mkdir()
+    (tmp_path / "sub" / "a.bin").write_bytes(b"content")
+    (tmp_path / "link.bin").symlink_to("sub/../sub/a.bin")
+    assert read_resource("link.bin", tmp_path, BESIDE, HERE) == b"content"
+
+
+def test_files_in_the_root_or_an_allowed_folder_are_read(tmp_path: Path) -> None:
+    home, shared = tmp_path / "art" / "hero", tmp_path / "shared"
+    home.mkdir(parents=True)
+    shared.mkdir()
+    (tmp_path / "art" / "a.bin").write_bytes(b"in the root")
+    (shared / "b.bin").write_bytes(b"allowed")
+    within_root = Bounds(str(tmp_path / "art"))
+    assert read_resource("../a.bin", home, within_root, HERE) == b"in the root"
+    with pytest.raises(InputError, match=r"--allow-outside DIR"):
+        read_resource("../../shared/b.bin", home, within_root, HERE)
+    allowed = Bounds(allowed=(str(shared),))
+    assert read_resource("../../shared/b.bin", home, allowed, HERE) == b"allowed"
+    with pytest.raises(InputError, match=r"--allow-outside DIR"):
+        read_resource("../a.bin", home, allowed, HERE)
+
+
+@pytest.mark.parametrize("uri", ["missing.bin", "folder", "x" * 5000, "%78" * 300, "\ud800.bin"])
 def test_what_cannot_be_read_is_an_input_error_that_names_it(tmp_path: Path, uri: str) -> None:
     (tmp_path / "folder").mkdir()
     with pytest.raises(InputError, match=r"^model\.gltf: cannot read .* beside it: ") as caught:
-        read_resource(uri, tmp_path, HERE)
+        read_resource(uri, tmp_path, BESIDE, HERE)
     assert len(str(caught.value)) < 300
+
+
+def test_relative_uris_are_told_from_others() -> None:
+    assert is_relative("../a.bin")
+    assert not is_relative("http://example.org/a.bin")
 
 
 @pytest.mark.parametrize("name", ["plain.bin", "a b.bin", "ä/α#1?.bin", "50%.bin", "%20.bin", "a'b(c).bin"])

@@ -10,7 +10,7 @@ import click
 from click.core import ParameterSource
 
 from skinbake.cli import exit_codes
-from skinbake.cli.console import console, finite, message_options
+from skinbake.cli.console import console, finite, message_options, outside_option
 from skinbake.cli.inputs import Input, expanded
 from skinbake.cli.many import (
     Clock,
@@ -28,6 +28,7 @@ from skinbake.cli.many import (
 from skinbake.cli.progress import Progress
 from skinbake.cli.remote import cluster_option, cluster_runner
 from skinbake.cli.targets import STDIO, check_target, in_turns, once, pair_up
+from skinbake.containment import Bounds, Within
 
 HIGHEST_MESHOPT_LEVEL = 3
 
@@ -161,6 +162,7 @@ def _multiple_of_4(ctx: click.Context, param: click.Parameter, value: int | None
 )
 @many_options
 @cluster_option
+@outside_option
 @message_options
 def command(inputs: tuple[str, ...], **given: Any) -> None:
     """Add α/β, the skin-weight gradients along tangent and bitangent, to every skinned primitive.
@@ -193,7 +195,10 @@ def command(inputs: tuple[str, ...], **given: Any) -> None:
         state, recipe = State(notes_at), recipe_of("bake", options, notes_at)
     jobs = [
         BakeJob(
-            entry.source, target, state.known(recipe.key(target)) if state and recipe and target else None
+            entry.source,
+            target,
+            state.known(recipe.key(target)) if state and recipe and target else None,
+            within=Within(Bounds(entry.searched, given["allow_outside"]), given["out_dir"]),
         )
         if entry.missing is None
         else BakeJob(entry.source, None, missing=entry.missing)

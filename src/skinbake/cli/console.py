@@ -117,6 +117,17 @@ def message_options(command: Command) -> Command:
     return command
 
 
+def outside_option(command: Command) -> Command:
+    """Add the option that names further folders that a document may have files in."""
+    return click.option(
+        "--allow-outside",
+        metavar="DIR",
+        multiple=True,
+        help="Also read files in this folder where a document names them; without it, only files in the "
+        "document's own folder, or in the folder given as INPUT. May be given several times.",
+    )(command)
+
+
 def console(*, verbose: int, quiet: bool, color: str, results_on_stderr: bool = False) -> Console:
     """Return the console that the message options ask for, and set up logging to match."""
     import os

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from skinbake.cli import exit_codes
-from skinbake.cli.console import console, message_options
+from skinbake.cli.console import console, message_options, outside_option
 from skinbake.cli.targets import check_readable_suffix
+from skinbake.containment import Bounds
 from skinbake.errors import SkinbakeError
 
 if TYPE_CHECKING:
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     help="Line by line for N influences a vertex, 1 to 64, instead of a table for 1 to 8.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print the costs as JSON.")
+@outside_option
 @message_options
 def command(source: str | None, influences: int | None, **given: Any) -> None:
     """Count multiply-adds and bytes per vertex of the paper's algorithms 1 to 5, and of 6.
@@ -40,7 +42,7 @@ def command(source: str | None, influences: int | None, **given: Any) -> None:
     from skinbake.report.cost import FileCosts, as_json, as_text
 
     try:
-        result = _count(source, influences)
+        result = _count(source, influences, Bounds(allowed=given["allow_outside"]))
     except SkinbakeError as error:
         say.error(error)
         sys.exit(exit_codes.of_error(error))
@@ -52,9 +54,9 @@ def command(source: str | None, influences: int | None, **given: Any) -> None:
         say.result(as_text(result))
 
 
-def _count(source: str | None, influences: int | None) -> CostResult:
+def _count(source: str | None, influences: int | None, bounds: Bounds) -> CostResult:
     from skinbake.commands.cost import cost_by_influences, cost_of_file, cost_of_influences
 
     if source is not None:
-        return cost_of_file(source)
+        return cost_of_file(source, bounds)
     return cost_by_influences() if influences is None else cost_of_influences(influences)

@@ -25,11 +25,13 @@ class Input:
 
     That is relative to the folder that it was found in; its own name, for a file that was named itself. An
     argument that stands for no file is an input too, and says in ``missing`` what is wrong with it.
+    ``searched`` is the folder that a search found it in: its documents may name files there.
     """
 
     source: str
     kept: str
     missing: str | None = None
+    searched: str | None = None
 
     @property
     def root(self) -> str:
@@ -85,18 +87,29 @@ class _Search:
         path = on_disk(url)
         if path is None or url.lower().endswith(SUFFIXES):
             try:
-                return [Input(file, kept) for file, kept in behind(url, self._but)]
+                return [
+                    Input(file, kept, searched=None if file == url else file.removesuffix(kept))
+                    for file, kept in behind(url, self._but)
+                ]
             except InputError as error:
                 return [Input(url, url, error.message)]
         if MAGIC.isdisjoint(path) and not os.path.isdir(path):
             return [Input(url, url, "there is no such folder")]
         scheme = url[: len(url) - len(path)]
-        return [replace(entry, source=scheme + entry.source) for entry in self.meant(path)]
+        return [
+            replace(
+                entry,
+                source=scheme + entry.source,
+                searched=entry.searched and scheme + entry.searched,
+            )
+            for entry in self.meant(path)
+        ]
 
     def _found(self, argument: str, folder: str, pattern: Sequence[str], nothing: str) -> list[Input]:
         self._closed.clear()
         paths = sorted(set(self._files(folder or os.curdir, pattern)), key=_by_parts)
-        entries = [Input(os.path.join(folder, path), path) for path in paths]
+        within = folder or os.curdir
+        entries = [Input(os.path.join(folder, path), path, searched=within) for path in paths]
         entries += self._closed
         return entries or [Input(argument, argument, f"{nothing} ends in {', '.join(SUFFIXES)}")]
 

@@ -8,14 +8,16 @@ from typing import Any
 import click
 
 from skinbake.cli import exit_codes
-from skinbake.cli.console import console, message_options
+from skinbake.cli.console import console, message_options, outside_option
 from skinbake.cli.targets import check_readable_suffix
+from skinbake.containment import Bounds
 from skinbake.errors import SkinbakeError
 
 
 @click.command("inspect")
 @click.argument("source", metavar="INPUT")
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON.")
+@outside_option
 @message_options
 def command(source: str, **given: Any) -> None:
     """Show what is skinned, how influences and frames are stored, what is baked and how large it is."""
@@ -25,7 +27,7 @@ def command(source: str, **given: Any) -> None:
     from skinbake.report.inspect import as_json, as_text
 
     try:
-        result = inspect_file(source)
+        result = inspect_file(source, Bounds(allowed=given["allow_outside"]))
     except SkinbakeError as error:
         say.error(error)
         sys.exit(exit_codes.of_error(error))

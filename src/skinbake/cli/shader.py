@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from skinbake.cli import exit_codes
-from skinbake.cli.console import console, finite, message_options
+from skinbake.cli.console import console, finite, message_options, outside_option
 from skinbake.cli.targets import STDIO, check_readable_suffix
+from skinbake.containment import Bounds
 from skinbake.errors import ChoiceError, SkinbakeError
 from skinbake.shaders.choices import ENCODINGS, LAYOUTS, Language, Lighting, Method, Morphs
 from skinbake.shaders.text import targets
@@ -97,6 +98,7 @@ PUBLISHED_CAP = 0.9
     help="Match this baked file (.glb, .gltf, .vrm; - for a GLB on stdin); refuse what it cannot serve.",
 )
 @click.option("-o", "--output", metavar="FILE", default=STDIO, help="Write here instead of to stdout.")
+@outside_option
 @message_options
 def command(source: str | None, output: str, **given: Any) -> None:
     """Write the shader code that reads what bake stored: GLSL or WGSL, plain or for an engine.
@@ -117,7 +119,7 @@ def command(source: str | None, output: str, **given: Any) -> None:
     from skinbake.commands.shader import shader, write_shader
 
     try:
-        result = shader(_request(given), source)
+        result = shader(_request(given), source, Bounds(allowed=given["allow_outside"]))
         write_shader(result, output)
     except ChoiceError as error:
         raise click.UsageError(error.message) from error

@@ -8,8 +8,9 @@ from typing import Any
 import click
 
 from skinbake.cli import exit_codes
-from skinbake.cli.console import console, message_options
+from skinbake.cli.console import console, message_options, outside_option
 from skinbake.cli.targets import STDIO, check_readable_suffix, check_target
+from skinbake.containment import Bounds
 from skinbake.errors import SkinbakeError
 
 
@@ -20,6 +21,7 @@ from skinbake.errors import SkinbakeError
 @click.option(
     "--warnings-as-errors", is_flag=True, help="Fail (3), and write nothing, where there are warnings."
 )
+@outside_option
 @message_options
 def command(source: str, **given: Any) -> None:
     """Write the document as it was before bake: equal JSON, and the original influences."""
@@ -35,7 +37,12 @@ def command(source: str, **given: Any) -> None:
     from skinbake.report.strip import as_json, closing_line
 
     try:
-        result = strip_file(source, given["output"], warnings_as_errors=given["warnings_as_errors"])
+        result = strip_file(
+            source,
+            given["output"],
+            warnings_as_errors=given["warnings_as_errors"],
+            bounds=Bounds(allowed=given["allow_outside"]),
+        )
     except SkinbakeError as error:
         say.error(error)
         sys.exit(exit_codes.of_error(error))

@@ -10,7 +10,7 @@ from typing import Any
 import click
 
 from skinbake.cli import exit_codes
-from skinbake.cli.console import Console, console, finite, message_options
+from skinbake.cli.console import Console, console, finite, message_options, outside_option
 from skinbake.cli.inputs import expanded
 from skinbake.cli.many import (
     Clock,
@@ -27,6 +27,7 @@ from skinbake.cli.many import (
 )
 from skinbake.cli.progress import Progress
 from skinbake.cli.remote import cluster_option, cluster_runner
+from skinbake.containment import Bounds, Within
 from skinbake.errors import OutputError, Place
 
 
@@ -107,6 +108,7 @@ def _poses(ctx: click.Context, param: click.Parameter, value: str) -> tuple[str,
 @click.option("--junit", metavar="FILE", help="Also write the results as JUnit XML.")
 @many_options
 @cluster_option
+@outside_option
 @message_options
 def command(inputs: tuple[str, ...], **given: Any) -> None:
     """Check that files still carry the right α/β, and measure what they are worth.
@@ -135,7 +137,10 @@ def command(inputs: tuple[str, ...], **given: Any) -> None:
         state, recipe = State(notes_at), recipe_of("verify", options, notes_at)
     jobs = [
         VerifyJob(
-            entry.source, state.known(recipe.key(entry.source)) if state and recipe else None, entry.missing
+            entry.source,
+            state.known(recipe.key(entry.source)) if state and recipe else None,
+            entry.missing,
+            Within(Bounds(entry.searched, given["allow_outside"])),
         )
         for entry in found
     ]

@@ -13,6 +13,7 @@ import numpy as np
 from skinbake.bake.baker import TANGENT_TOLERANCE, BakeFindings, BakeSettings, bake_mesh
 from skinbake.bake.influences import SUM_TOLERANCE
 from skinbake.bake.normals import with_smooth_normals
+from skinbake.containment import OWN_FOLDERS, Within
 from skinbake.errors import InputError, Notice, Place, SkinbakeError, defect
 from skinbake.geometry.frames import TANGENT_FRAME
 from skinbake.geometry.skinned import BakedPrimitive, SkinnedPrimitive
@@ -65,14 +66,16 @@ class BakeOptions:
     compression: Compression = field(default_factory=Compression)
 
 
-def bake_file(source: str, target: str | None, options: BakeOptions) -> FileResult:
+def bake_file(
+    source: str, target: str | None, options: BakeOptions, within: Within = OWN_FOLDERS
+) -> FileResult:
     """Bake one file and write it to ``target`` (nowhere for None, or on a dry run).
 
     Raises nothing: what fails is in the result, and then nothing has been written.
     """
     notices: list[Notice] = []
     try:
-        return _bake_file(source, target, options, notices)
+        return _bake_file(source, target, options, within, notices)
     except SkinbakeError as error:
         failure = error
     except MemoryError:
@@ -83,9 +86,11 @@ def bake_file(source: str, target: str | None, options: BakeOptions) -> FileResu
     return FileResult(source, target, "failed", notices=tuple(notices), error=failure)
 
 
-def _bake_file(source: str, target: str | None, options: BakeOptions, notices: list[Notice]) -> FileResult:
+def _bake_file(
+    source: str, target: str | None, options: BakeOptions, within: Within, notices: list[Notice]
+) -> FileResult:
     with stage("read"):
-        document = read_document(source)
+        document = read_document(source, within.bounds)
     if target is not None:
         refuse_own_input(document, source, target)
     with stage("strip"):
@@ -106,7 +111,7 @@ def _bake_file(source: str, target: str | None, options: BakeOptions, notices: l
         planned = (
             None
             if target is None or untouched
-            else plan_output(result, target, make_folder=options.make_folder)
+            else plan_output(result, target, make_folder=options.make_folder, root=within.output)
         )
     if planned is not None:
         notices += planned.notices

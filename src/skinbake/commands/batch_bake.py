@@ -8,6 +8,7 @@ from skinbake.commands import state
 from skinbake.commands.bake import BakeOptions
 from skinbake.commands.batch import timed
 from skinbake.commands.staging import bake_anywhere as bake_file  # URLs too
+from skinbake.containment import OWN_FOLDERS, Bounds, Within
 from skinbake.errors import InputError, Place
 from skinbake.gltf.document import STDIO
 from skinbake.report.bake import FileResult
@@ -22,12 +23,16 @@ SECONDS_A_FILE, SECONDS_A_BYTE = 5e-3, 1.3e-8
 
 @dataclass(frozen=True, slots=True)
 class BakeJob:
-    """One file to bake; known is what a state file has on it, missing why there is none after all."""
+    """One file to bake; known is what a state file has on it, missing why there is none after all.
+
+    ``within`` are the folders that reading and writing stay in.
+    """
 
     source: str
     target: str | None
     known: bytes | None = None
     missing: str | None = None
+    within: Within = OWN_FOLDERS
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,12 +58,12 @@ class BakeWork:
         if job.missing is not None:
             return _failed(job, job.missing)
         if self.recipe is None or job.target is None or STDIO in {job.source, job.target}:
-            return bake_file(job.source, job.target, self.options)
+            return bake_file(job.source, job.target, self.options, job.within)
         with stage("state"):
             if job.known is not None and self.recipe.still_holds(job.known, job.source, job.target):
                 return FileResult(job.source, job.target, "up-to-date")
-            before = state.seen(job.source)
-        result = bake_file(job.source, job.target, replace(self.options, traced=True))
+            before = state.seen(job.source, job.within.bounds)
+        result = bake_file(job.source, job.target, replace(self.options, traced=True), job.within)
         if before is None or result.error is not None or self.options.dry_run:
             return result
         with stage("state"):
@@ -70,17 +75,21 @@ class BakeWork:
             return None
         try:
             if job.source == job.target:  # baking what was baked changes nothing: it is its own input
-                after = state.made(job.target, written, before.digests) if written else before.digests
+                after = self._made(job, written, before) if written else before.digests
                 unharmed = bool(written) or before.still_there
                 return (
                     self.recipe.record(job.source, job.target, after, after) if after and unharmed else None
                 )
-            made = state.made(job.target, written, before.digests)
+            made = self._made(job, written, before)
             if made is None or not before.still_there:
                 return None
             return self.recipe.record(job.source, job.target, before.digests, made)
         except (OSError, ValueError):
             return None
+
+    def _made(self, job: BakeJob, written: dict[str, str], before: state.Seen) -> state.Digests | None:
+        bounds = Bounds(job.within.output, job.within.bounds.allowed)
+        return state.made(str(job.target), written, before.digests, bounds)
 
 
 def _failed(job: BakeJob, reason: str) -> FileResult:

@@ -8,6 +8,7 @@ from skinbake.commands import state
 from skinbake.commands.batch import timed
 from skinbake.commands.lighting import Progress, VerifyOptions
 from skinbake.commands.staging import verify_anywhere as verify_file
+from skinbake.containment import OWN_FOLDERS, Within
 from skinbake.errors import InputError, Place
 from skinbake.gltf.document import STDIO
 from skinbake.report.verify import FileVerdict
@@ -21,11 +22,15 @@ SECONDS_A_FILE, SECONDS_A_BYTE = 0.05, 2e-6
 
 @dataclass(frozen=True, slots=True)
 class VerifyJob:
-    """One file to verify; known is what a state file has on it, missing why there is none after all."""
+    """One file to verify; known is what a state file has on it, missing why there is none after all.
+
+    ``within`` are the folders that reading stays in.
+    """
 
     source: str
     known: bytes | None = None
     missing: str | None = None
+    within: Within = OWN_FOLDERS
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,11 +60,11 @@ class VerifyWork:
         if job.missing is not None:
             return _failed(job, job.missing)
         if self.recipe is None or job.source == STDIO:
-            return verify_file(job.source, self.options, self.progress)
+            return verify_file(job.source, self.options, self.progress, job.within)
         if job.known is not None and self.recipe.still_holds(job.known, job.source, None):
             return FileVerdict(job.source, up_to_date=True)
-        before = state.seen(job.source)
-        verdict = verify_file(job.source, self.options, self.progress)
+        before = state.seen(job.source, job.within.bounds)
+        verdict = verify_file(job.source, self.options, self.progress, job.within)
         if before is None or not verdict.passed or not _is_still_there(before):
             return verdict
         return replace(verdict, record=self.recipe.record(job.source, None, before.digests, {}))

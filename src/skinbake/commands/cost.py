@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from skinbake.containment import BESIDE, Bounds
 from skinbake.errors import Notice
 from skinbake.geometry.skinned import SkinnedPrimitive
 from skinbake.gltf.accessors import read_accessor
@@ -58,13 +59,13 @@ def cost_by_influences() -> CostTable:
     return CostTable(tuple(cost_of_influences(influences) for influences in TABLE))
 
 
-def cost_of_file(source: str) -> FileCosts:
+def cost_of_file(source: str, bounds: Bounds = BESIDE) -> FileCosts:
     """Return what the skinned primitives of one file cost; raises SkinbakeError where it cannot be read.
 
     Those without a surface are left out, and those without a NORMAL count as if bake had added one, each
     with a notice. A file without skinned primitives costs nothing.
     """
-    document = read_document(source)
+    document = read_document(source, bounds)
     sources, notices = skinned_sources(document)
     draws = _draws(document)
     primitives = []

@@ -8,6 +8,7 @@ import numpy as np
 
 from skinbake.bake.baker import AUTO, chosen_frame
 from skinbake.bake.influences import weight_field
+from skinbake.containment import BESIDE, Bounds
 from skinbake.gltf import draco
 from skinbake.gltf.accessors import described
 from skinbake.gltf.attribute_store import meshopt_of
@@ -25,9 +26,9 @@ from skinbake.gltf.resources import is_data_uri
 from skinbake.report.inspect import AttributeSummary, BakeSummary, InspectResult, PrimitiveSummary
 
 
-def inspect_file(source: str) -> InspectResult:
+def inspect_file(source: str, bounds: Bounds = BESIDE) -> InspectResult:
     """Return a summary of one file; raises SkinbakeError where it cannot be read."""
-    document = read_document(source)
+    document = read_document(source, bounds)
     sources, notices = skinned_sources(document)
     primitives = []
     for entry in sources:

@@ -13,6 +13,7 @@ from skinbake.commands.baked_views import BakedView, baked_views, is_baked
 from skinbake.commands.lighting import rest_surface, without_dqs
 from skinbake.commands.morphing import carrier
 from skinbake.commands.poses import PoseRequest, PoseSet, pose_set, skins_of
+from skinbake.containment import BESIDE, Bounds
 from skinbake.errors import ChoiceError, InputError, Notice, Place
 from skinbake.geometry.frames import NORMAL_FRAME
 from skinbake.gltf.animation import read_clips
@@ -56,7 +57,7 @@ class ShaderResult:
     notices: tuple[Notice, ...] = ()
 
 
-def shader(request: ShaderRequest, source: str | None = None) -> ShaderResult:
+def shader(request: ShaderRequest, source: str | None = None, bounds: Bounds = BESIDE) -> ShaderResult:
     """Return the shader for a baked file, or for the usual attributes where there is none.
 
     Raises ChoiceError where choices exclude each other, InputError where the file cannot be read, is not
@@ -66,7 +67,7 @@ def shader(request: ShaderRequest, source: str | None = None) -> ShaderResult:
         choices, notices = _choices(request)
         text, choices = shader_made(choices)
         return ShaderResult(text, choices, tuple(notices))
-    choices, notices = _choices_of_file(request, source)
+    choices, notices = _choices_of_file(request, source, bounds)
     try:
         text, choices = shader_made(choices)
     except ChoiceError as error:
@@ -118,9 +119,11 @@ def _made(request: ShaderRequest, frame: str, influences: int) -> ShaderChoices:
     )
 
 
-def _choices_of_file(request: ShaderRequest, source: str) -> tuple[ShaderChoices, list[Notice]]:
+def _choices_of_file(
+    request: ShaderRequest, source: str, bounds: Bounds
+) -> tuple[ShaderChoices, list[Notice]]:
     """Return the choices that a file's metadata make, and a notice for each primitive they do not serve."""
-    document = read_document(source)
+    document = read_document(source, bounds)
     views = _views(document)
     serving = [view for view in views if _serves(view, request)]
     if not serving:

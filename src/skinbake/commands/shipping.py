@@ -7,7 +7,9 @@ the worker itself.
 
 from __future__ import annotations
 
+import errno
 import os
+import posixpath
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -15,11 +17,11 @@ from typing import Any
 
 from skinbake.commands.dask_task import Ready
 from skinbake.commands.staging import End, carrying, needed, resources_of
-from skinbake.commands.storages import reading
+from skinbake.containment import Bounds, RefusedError, Within, below, spot_of
 from skinbake.errors import ChoiceError, InputError, OutputError, Place, SkinbakeError
-from skinbake.gltf.document import STDIO, Document
+from skinbake.gltf.document import STDIO, Document, read_named
 from skinbake.gltf.output import plan_output
-from skinbake.gltf.resources import is_file
+from skinbake.gltf.resources import FileContent, find, read_open_file
 from skinbake.urls import is_url
 
 
@@ -99,7 +101,7 @@ class Shipped:
         if getattr(job, "missing", None) is not None:
             return Ready(self.work(job))
         try:
-            return Shipment(job, _parcel(job.source, getattr(job, "target", None)))
+            return Shipment(job, _parcel(job.source, getattr(job, "target", None), job.within))
         except SkinbakeError as error:
             return Ready(replace(self.work.lost(job, ""), error=error))
         except MemoryError:
@@ -135,30 +137,32 @@ class Shipped:
             return returned.result
         path = Path(os.path.realpath(job.target))
         nothing = Document(job.source, path.parent, {}, is_glb=True, raw=b"")
-        planned = plan_output(nothing, job.target, make_folder=options.make_folder)
+        planned = plan_output(nothing, job.target, make_folder=options.make_folder, root=job.within.output)
         if options.dry_run:
             return returned.result
         *beside, (_, content) = returned.made.items()
         files: dict[Path, Sequence[bytes]] = {}
         for name, data in beside:
-            other = Path(returned.base, name)
+            other = Path(os.path.normpath(Path(returned.base, name)))
+            if below(os.fspath(other), os.fspath(planned.root)) is None:
+                raise OutputError(f"a worker returned a file outside its folder: {name}", Place(job.target))
             if not os.path.lexists(other):
                 files[other] = [data]
-            elif not _holds(other, data):
+            elif not _holds(other, planned.root, data):
                 # Somebody else's file has the name: bake here, where the names that are taken can be seen.
                 return self.work(job)
         replace(planned, files={**files, path: [content]}).write()
         return returned.result
 
 
-def _holds(path: Path, data: bytes) -> bool:
+def _holds(path: Path, root: Path, data: bytes) -> bool:
     try:
-        return path.is_file() and path.stat().st_size == len(data) and path.read_bytes() == data
+        return b"".join(FileContent(spot_of(os.fspath(path), os.fspath(root)))) == data
     except OSError as error:
         raise OutputError(f"cannot be read: {error.strerror}", Place(str(path))) from error
 
 
-def _parcel(source: str, target: str | None) -> Parcel | None:
+def _parcel(source: str, target: str | None, within: Within) -> Parcel | None:
     """Return the files that a bake of the source to the target needs, as far as they have plain paths.
 
     Raises InputError where they cannot be read, ChoiceError for standard input and output.
@@ -166,16 +170,21 @@ def _parcel(source: str, target: str | None) -> Parcel | None:
     if STDIO in {source, target}:
         raise ChoiceError("standard input and output cannot be sent to a cluster", Place(source))
     disk = Parcel("", {}, {})
-    start = End(source, None if is_url(source) else disk, _absolute(source))
+    roots = [root for root in (within.bounds.root, *within.bounds.allowed, within.output) if root is not None]
+    tops = {root: Path(os.path.realpath(root)).as_posix() for root in roots if not is_url(root)}
+    start = _end(source, _absolute(source), disk, tops.get(within.bounds.root or ""))
+    allowed = tuple(tops[root] for root in within.bounds.allowed if root in tops)
+    start = replace(start, tops=(*start.tops, *allowed))
     goal = None
     if target is not None:
         path = _absolute(target) if target == source else Path(os.path.realpath(target)).as_posix()
-        goal = End(target, None if is_url(target) else disk, path)
+        goal = _end(target, path, disk, tops.get(within.output or ""))
     paths = {end.given: end.name for end in (start, goal) if end is not None and end.storage is disk}
     if not paths:
         return None
-    files = _read(start, goal) if start.storage is disk else {}
-    folders = {str(Path(path).parent) for path in (*paths.values(), *files)}
+    files = _read(start, goal, within.bounds) if start.storage is disk else {}
+    folders = {str(Path(path).parent) for path in (*paths.values(), *files)} | set(tops.values())
+    paths |= tops
     try:
         base = os.path.commonpath(folders)
     except ValueError as error:
@@ -191,23 +200,35 @@ def _parcel(source: str, target: str | None) -> Parcel | None:
     )
 
 
+def _end(given: str, path: str, disk: Parcel, top: str | None) -> End:
+    own = posixpath.dirname(path) if top is None else top
+    return End(given, None if is_url(given) else disk, path, (own,))
+
+
 def _absolute(path: str) -> str:
     """Return a path without links in its folder, so that ``..`` in a relative one means what it says."""
     folder, name = os.path.split(path)
     return Path(os.path.realpath(folder), name).as_posix()
 
 
-def _read(source: End, target: End | None) -> dict[str, bytes]:
+def _read(source: End, target: End | None, bounds: Bounds) -> dict[str, bytes]:
     """Return a file and those that it names, as far as a bake needs them, by absolute path."""
-    with reading(source.given):
-        files = {source.name: Path(source.name).read_bytes()}
-    for resource, with_content in needed(resources_of(source.name), source, target):
-        name = next((name for name in resource.names(source.folder) if is_file(Path(name))), None)
-        if name is None or name in files:
+    files = {source.name: bytes(read_named(source.given, bounds.root))}
+    folder = Path(source.given).parent
+    for resource, with_content in needed(resources_of(source.given, bounds), source, target):
+        try:
+            spot, descriptor = find(resource.uri, folder, bounds)
+        except RefusedError:
+            continue
+        except OSError as error:
+            if error.errno == errno.EACCES:
+                message = f'cannot read "{resource.uri}" beside it: {error.strerror}'
+                raise InputError(message, Place(source.given)) from error
             continue
         try:
-            files[name] = Path(name).read_bytes() if with_content else b""
-        except OSError as error:
-            message = f'cannot read "{resource.uri}" beside it: {error.strerror}'
-            raise InputError(message, Place(source.given)) from error
+            name = Path(spot.path).as_posix()
+            if name not in files:
+                files[name] = bytes(read_open_file(descriptor)) if with_content else b""
+        finally:
+            os.close(descriptor)
     return files

@@ -21,11 +21,22 @@ from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 from skinbake.commands.storages import Storage, located, reading, writing
+from skinbake.containment import (
+    BESIDE,
+    OWN_FOLDERS,
+    Bounds,
+    RefusedError,
+    Within,
+    is_relative,
+    leads_up,
+    relative_names,
+)
 from skinbake.errors import InputError, OutputError, Place, SkinbakeError, defect
-from skinbake.gltf import resources
-from skinbake.gltf.document import GLB_SUFFIXES, STDIO, Document, read_document
+from skinbake.gltf.beside import NamedFile, named_files
+from skinbake.gltf.document import GLB_SUFFIXES, STDIO, read_document
+from skinbake.gltf.resources import is_there
 from skinbake.timing import stage as timed
-from skinbake.urls import is_url
+from skinbake.urls import is_url, on_disk
 
 if TYPE_CHECKING:
     from skinbake.commands.bake import BakeOptions
@@ -76,27 +87,52 @@ def carrying(cargo: Cargo) -> Iterator[None]:
 class End:
     """One end of a job: what the user calls the file, and where it is.
 
-    ``name`` is that in the storage, or a path of this machine's where there is no storage.
+    ``name`` is that in the storage, or a path of this machine's where there is no storage. ``tops`` are
+    the folders in the storage that a document's names may lead to, its own first.
     """
 
     given: str
     storage: Storage | None
     name: str
+    tops: tuple[str, ...]
 
     @property
     def folder(self) -> str:
-        """The folder in the storage; empty at its root."""
-        return posixpath.dirname(self.name)
+        """The folder in the storage, empty at its root; on this machine's disk the real path."""
+        folder = posixpath.dirname(self.name)
+        return folder if self.storage is not None else Path(os.path.realpath(folder)).as_posix()
 
 
-def end_of(given: str) -> End:
-    """Return the end that a path or URL names; InputError where a URL's driver is missing."""
+def end_of(given: str, bounds: Bounds = BESIDE) -> End:
+    """Return the end that a path or URL names; InputError where a URL's driver is missing.
+
+    Of the folders in ``bounds`` those count that are in the same storage.
+    """
+    storage, name = _place_of(given)
+    if storage is None:
+        roots = [posixpath.dirname(name) if bounds.root is None else bounds.root, *bounds.allowed]
+        here = (on_disk(root) for root in roots)
+        tops = tuple(Path(os.path.realpath(root)).as_posix() for root in here if root is not None)
+        return End(given, None, name, tops)
+    own = posixpath.dirname(name) if bounds.root is None else _top(_place_of(bounds.root)[1])
+    allowed = [_place_of(folder) for folder in bounds.allowed if given != STDIO]
+    return End(given, storage, name, (own, *(_top(top) for other, top in allowed if other == storage)))
+
+
+def _top(name: str) -> str:
+    """Return the name of a folder in a storage, empty for its root."""
+    normal = posixpath.normpath(name).strip("/") if not name.startswith("/") else posixpath.normpath(name)
+    return "" if normal == "." else normal
+
+
+def _place_of(given: str) -> tuple[Storage | None, str]:
+    """Return the storage of a path or URL, None for this machine's disk, and the name in it."""
     if is_url(given):
-        return End(given, *located(given))
+        return located(given)
     cargo = _cargo.get()
     if cargo is None or given == STDIO:
-        return End(given, None, given)
-    return End(given, cargo, cargo.name_of(given))
+        return None, given
+    return cargo, cargo.name_of(given)
 
 
 def _is_here(given: str | None) -> bool:
@@ -104,7 +140,9 @@ def _is_here(given: str | None) -> bool:
     return given is None or (not is_url(given) and _cargo.get() is None)
 
 
-def bake_anywhere(source: str, target: str | None, options: BakeOptions) -> FileResult:
+def bake_anywhere(
+    source: str, target: str | None, options: BakeOptions, within: Within = OWN_FOLDERS
+) -> FileResult:
     """Bake one file, as ``bake_file`` does, where source and target may be URLs.
 
     What is written is byte for byte what ``bake_file`` writes on a disk; the result calls files as the user
@@ -114,33 +152,36 @@ def bake_anywhere(source: str, target: str | None, options: BakeOptions) -> File
     from skinbake.commands.bake import bake_file
 
     if _is_here(source) and _is_here(target):
-        return bake_file(source, target, options)
+        return bake_file(source, target, options, within)
 
     def work() -> FileResult:
-        goal = None if target is None else _target_end(target)
+        goal = None if target is None else _target_end(target, within.output)
         made = options.make_folder or (target is not None and is_url(target))
-        return _bake_between(end_of(source), goal, replace(options, make_folder=made))
+        start = end_of(source, within.bounds)
+        return _bake_between(start, goal, replace(options, make_folder=made), within)
 
     return _survived(work, source, lambda error: _failed(source, target, error))
 
 
-def verify_anywhere(source: str, options: VerifyOptions, progress: Progress | None = None) -> FileVerdict:
+def verify_anywhere(
+    source: str, options: VerifyOptions, progress: Progress | None = None, within: Within = OWN_FOLDERS
+) -> FileVerdict:
     """Verify one file, as ``verify_file`` does, where it may be a URL. Raises nothing."""
     from skinbake.commands.verify import verify_file
     from skinbake.report.verify import FileVerdict
 
     if _is_here(source):
-        return verify_file(source, options, progress)
+        return verify_file(source, options, progress, within.bounds)
     return _survived(
-        lambda: _verify_at(end_of(source), options, progress),
+        lambda: _verify_at(end_of(source, within.bounds), options, progress, within),
         source,
         lambda error: FileVerdict(source, error=error),
     )
 
 
-def _target_end(target: str) -> End:
+def _target_end(target: str, root: str | None) -> End:
     try:
-        return end_of(target)
+        return end_of(target, Bounds(root))
     except InputError as error:
         raise OutputError(error.message, error.place) from error
 
@@ -164,7 +205,7 @@ def _survived(work: Callable[[], T], source: str, failed: Callable[[SkinbakeErro
         return failed(defect(error, source))
 
 
-def _verify_at(source: End, options: VerifyOptions, progress: Progress | None = None) -> FileVerdict:
+def _verify_at(source: End, options: VerifyOptions, progress: Progress | None, within: Within) -> FileVerdict:
     """Verify the file at an end, through a private folder if it is in a storage; may raise SkinbakeError."""
     from skinbake.commands.verify import verify_file
 
@@ -174,19 +215,21 @@ def _verify_at(source: End, options: VerifyOptions, progress: Progress | None = 
 
     with _Stage() as stage:
         path = stage.fetched(source)
-        for resource in resources_of(path):
+        bounds = stage.bounds(source, within.bounds)
+        for resource in resources_of(path, bounds):
             if resource.array == "buffers":
-                stage.bring(source, resource, with_content=True)
-        return _renamed(verify_file(path, options, advance), stage.naming((source, path)))
+                stage.bring(source, resource, bounds, with_content=True)
+        verdict = verify_file(path, options, advance, bounds)
+        return _renamed(verdict, stage.naming((source, path)))
 
 
-def _bake_between(source: End, target: End | None, options: BakeOptions) -> FileResult:
+def _bake_between(source: End, target: End | None, options: BakeOptions, within: Within) -> FileResult:
     """Bake from one end to another, through a private folder; may raise SkinbakeError, nothing stored."""
     if target is not None and source.given != target.given and _one_file(source, target):
         raise OutputError("it is the input; use --in-place to replace it", Place(target.given))
     taken: frozenset[str] = frozenset()
     for _ in range(ATTEMPTS):
-        result, clashing = _attempt(source, target, options, taken)
+        result, clashing = _attempt(source, target, options, within, taken)
         if not clashing:
             return result
         taken |= clashing
@@ -199,7 +242,7 @@ def _one_file(first: End, second: End) -> bool:
 
 
 def _attempt(
-    source: End, target: End | None, options: BakeOptions, taken: frozenset[str]
+    source: End, target: End | None, options: BakeOptions, within: Within, taken: frozenset[str]
 ) -> tuple[FileResult, frozenset[str]]:
     """Return the result, and names in the target's storage that other files have, for which all waits.
 
@@ -209,14 +252,16 @@ def _attempt(
 
     with _Stage() as stage:
         path = stage.fetched(source)
-        _bring_files(stage, source, path, target)
+        bounds = stage.bounds(source, within.bounds)
+        _bring_files(stage, source, path, target, bounds)
         goal = None if target is None else stage.place(target)
         if target is not None:
             with writing(target.given):
                 for name in taken:
                     stage.fetch(target.storage, name)
         before = stage.files(target)
-        result = bake_file(path, goal, options)
+        output = within.output if target is None else stage.output(target, within.output)
+        result = bake_file(path, goal, options, Within(bounds, output))
         naming = stage.naming((source, path), (target, goal))
         result = _renamed(result, naming)
         written = [name for name, state in stage.files(target).items() if before.get(name) != state]
@@ -246,67 +291,66 @@ def _stored(stage: _Stage, storage: Storage, target: End, written: list[str]) ->
     return frozenset()
 
 
-@dataclass(frozen=True, slots=True)
-class Resource:
-    """A file that the document names: in which array, at which index, under which relative URI."""
-
-    array: str
-    number: int
-    uri: str
-
-    @property
-    def leads_out(self) -> bool:
-        """Tell whether it is outside the document's folder."""
-        path = resources.relative_path(self.uri)
-        return path == ".." or path.startswith("../")
-
-    def names(self, folder: str) -> list[str]:
-        """Return the names that it may have, seen from the document's folder, the likelier first.
-
-        The second is that of a file that carries the URI's characters literally. Names above the root of all
-        folders are none.
-        """
-        found = (
-            posixpath.normpath(posixpath.join(folder, relative))
-            for relative in (resources.relative_path(self.uri), self.uri)
-        )
-        return list(dict.fromkeys(n for n in found if n not in {".", ".."} and not n.startswith("../")))
-
-
-def resources_of(path: str) -> list[Resource]:
+def resources_of(path: str, bounds: Bounds) -> list[NamedFile]:
     """Return the files that a document names; none where it cannot be read, which its own work will say."""
     if path == STDIO:
         return []
     try:
-        return [*_relative_resources(read_document(path))]
+        return list(named_files(read_document(path, bounds)))
     except InputError:
         return []
 
 
-def _relative_resources(document: Document) -> Iterator[Resource]:
-    for array in ("buffers", "images"):
-        for number, entry in enumerate(document.objects(array)):
-            uri = entry.get("uri")
-            if isinstance(uri, str) and resources.is_relative(uri):
-                yield Resource(array, number, uri)
+def names_of(resource: NamedFile, end: End) -> list[str]:
+    """Return the names that a file may have in the storage of the document, the likelier first.
+
+    Those outside the folders that the document may name are none.
+    """
+    try:
+        relative = relative_names(resource.uri)
+    except RefusedError:
+        return []
+    found = (posixpath.normpath(posixpath.join(end.folder, name)) for name in relative)
+    return [name for name in found if any(_is_below(name, top) for top in end.tops)]
 
 
-def needed(found: Sequence[Resource], source: End, target: End | None) -> Iterator[tuple[Resource, bool]]:
+def _is_below(name: str, folder: str) -> bool:
+    return name.startswith(f"{folder}/") if folder else not leads_up(name)
+
+
+def needed(found: Sequence[NamedFile], source: End, target: End | None) -> Iterator[tuple[NamedFile, bool]]:
     """Yield the files that a bake reads, copies, or asks after, and for each whether its content counts."""
-    same_folder = target is not None and target.storage == source.storage and target.folder == source.folder
     for resource in found:
-        copied = target is not None and not same_folder and not resource.leads_out
-        if resource.array == "buffers" or copied:
+        if resource.array == "buffers" or _is_copied(resource, source, target):
             yield resource, True
-        elif resource.leads_out or (target is not None and target.name in resource.names(source.folder)):
+        elif _leads_out(resource) or (target is not None and target.name in names_of(resource, source)):
             yield resource, False
 
 
-def _bring_files(stage: _Stage, source: End, path: str, target: End | None) -> None:
+def _leads_out(resource: NamedFile) -> bool:
+    """Tell whether a file is outside the document's folder."""
+    return is_relative(resource.uri) and leads_up(relative_names(resource.uri)[0])
+
+
+def _is_copied(resource: NamedFile, source: End, target: End | None) -> bool:
+    """Tell whether a file goes to the target's folder under its own relative path."""
+    if target is None or (target.storage == source.storage and target.folder == source.folder):
+        return False
+    if not is_relative(resource.uri):
+        return False
+    name = posixpath.normpath(posixpath.join(target.folder, relative_names(resource.uri)[0]))
+    own = replace(source, tops=source.tops[:1])
+    return bool(names_of(resource, own)) and _is_below(name, target.tops[0])
+
+
+def _bring_files(stage: _Stage, source: End, path: str, target: End | None, bounds: Bounds) -> None:
     """Bring what a bake needs; OutputError for a file that no relative URI can reach from the target."""
-    for resource, with_content in needed(resources_of(path), source, target):
-        there = stage.bring(source, resource, with_content=with_content)
-        if not there or target is None or target.storage == source.storage or not resource.leads_out:
+    for resource, with_content in needed(resources_of(path, bounds), source, target):
+        there = stage.bring(source, resource, bounds, with_content=with_content)
+        if target is None or target.storage == source.storage or _is_copied(resource, source, target):
+            continue
+        outside = not names_of(resource, source)
+        if not _leads_out(resource) or not (there or outside):
             continue
         first = (resource.array, resource.number) == ("buffers", 0)
         if not (first and PurePosixPath(target.name).suffix.lower() in GLB_SUFFIXES):
@@ -348,6 +392,24 @@ class _Stage:
             raise InputError("not the name of a file", Place(storage.shown(name)))
         return path
 
+    def folder(self, storage: Storage, name: str) -> str:
+        """Return where a folder of the storage stands here."""
+        return os.path.normpath(self._mirror(storage) / name)
+
+    def bounds(self, end: End, given: Bounds) -> Bounds:
+        """Return where the names of a document may lead that is at this end."""
+        if end.storage is None:
+            root = None if given.root is None else on_disk(given.root)
+            return Bounds(root, tuple(filter(None, map(on_disk, given.allowed))))
+        own, *allowed = (self.folder(end.storage, top) for top in end.tops)
+        return Bounds(own, tuple(allowed))
+
+    def output(self, end: End, given: str | None) -> str | None:
+        """Return the folder that a target is written below."""
+        if end.storage is None:
+            return None if given is None else on_disk(given)
+        return self.folder(end.storage, end.tops[0])
+
     def place(self, end: End) -> str:
         """Return the path at which a target is to be written; its folder is there if it is in a storage."""
         if end.storage is None:
@@ -372,12 +434,12 @@ class _Stage:
         storage.fetch(name, path)
         return path
 
-    def bring(self, source: End, resource: Resource, *, with_content: bool) -> bool:
+    def bring(self, source: End, resource: NamedFile, bounds: Bounds, *, with_content: bool) -> bool:
         """Bring a file that the source names, or an empty one in its place; tell whether there is one."""
         if source.storage is None:
-            return resources.is_file(resources.locate(resource.uri, Path(source.name).parent))
+            return is_there(resource.uri, Path(source.name).parent, bounds)
         with reading(source.given), timed("fetch"):
-            for name in resource.names(source.folder):
+            for name in names_of(resource, source):
                 try:
                     if self._brought(source.storage, name, with_content=with_content):
                         return True

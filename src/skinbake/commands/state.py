@@ -23,10 +23,12 @@ from typing import Any
 
 import skinbake
 from skinbake.bake import kernel
+from skinbake.containment import BESIDE, Bounds, RefusedError, Spot, open_beneath, spots
 from skinbake.errors import InputError, OutputError, Place, SkinbakeError
-from skinbake.gltf import resources
+from skinbake.gltf.beside import named_files
 from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.glb import Bytes
+from skinbake.gltf.resources import FileContent
 
 DIGITS = 32
 """Hexadecimal digits of SHA-256 that are kept."""
@@ -51,18 +53,28 @@ Digests = dict[str, str | None]
 
 @dataclass(frozen=True, slots=True)
 class Seen:
-    """The files that a document consists of, as they were: digests, and what would show a change."""
+    """The files that a document consists of, as they were: digests, and what would show a change.
+
+    By path; ``named`` are those that the document names, which are opened below their folder only.
+    """
 
     digests: Digests
     signatures: dict[str, tuple[int, ...]]
     young: frozenset[str]
+    named: Mapping[str, Spot]
 
     @property
     def still_there(self) -> bool:
         """Tell whether nobody has changed any of them since."""
-        return all(_signature(path) == signature for path, signature in self.signatures.items()) and all(
-            _digest(path) == self.digests[path] for path in self.young
+        return all(self._signature(path) == found for path, found in self.signatures.items()) and all(
+            self._digest(path) == self.digests[path] for path in self.young
         )
+
+    def _signature(self, path: str) -> tuple[int, ...]:
+        return _signature_at(self.named[path]) if path in self.named else _signature(path)
+
+    def _digest(self, path: str) -> str | None:
+        return _digest_at(self.named[path]) if path in self.named else _digest(path)
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,30 +136,30 @@ def recipe(command: str, options: Any, state: str) -> Recipe:
     return Recipe(command, _of([text.encode()]), os.path.dirname(_absolute(state)))
 
 
-def seen(source: str) -> Seen | None:
-    """Look at a file and those that it names; None where it cannot be read, or has gone meanwhile."""
+def seen(source: str, bounds: Bounds = BESIDE) -> Seen | None:
+    """Look at a file and those that it names in ``bounds``; None where it cannot be read, or has gone."""
     start = time.time_ns()
     path = _absolute(source)
     try:
         signatures = {path: _signature(path)}
-        document = read_document(source)
+        document = read_document(source, bounds)
         digests: Digests = {path: _of([document.raw or b""])}
-        for other in _named_files(document):
-            signatures[other] = _signature(other)
-            digests[other] = _digest(other)
+        named = {spot.path: spot for spot in _named_files(document)}
+        for other, spot in named.items():
+            signatures[other], digests[other] = _signature_at(spot), _digest_at(spot)
     except (OSError, ValueError, SkinbakeError):
         return None
     young = frozenset(path for path, found in signatures.items() if found and start - max(found[-2:]) < YOUNG)
-    return Seen(digests, signatures, young)
+    return Seen(digests, signatures, young, named)
 
 
-def made(target: str, written: Mapping[str, str], read: Digests) -> Digests | None:
+def made(target: str, written: Mapping[str, str], read: Digests, bounds: Bounds = BESIDE) -> Digests | None:
     """Return the digests of a target that was just written and of the files that it names.
 
     None where they are not all known to be ours: ``written``, by path, or the same bytes as one of ``read``.
     Somebody else may have written there since.
     """
-    found = seen(target)
+    found = seen(target, bounds)
     if found is None:
         return None
     known = set(read.values())
@@ -240,16 +252,34 @@ class State:
         return descriptor
 
 
-def _named_files(document: Document) -> Iterable[str]:
-    """Return the files that the document may mean by its relative URIs, each once."""
-    found: dict[str, None] = {}
-    for array in ("buffers", "images"):
-        for entry in document.objects(array):
-            uri = entry.get("uri")
-            if isinstance(uri, str) and resources.is_relative(uri):
-                for name in (resources.relative_path(uri), uri):  # as resources.locate tries them
-                    found[_absolute(str(document.folder / name))] = None
-    return found
+def _named_files(document: Document) -> Iterable[Spot]:
+    """Return where the document's URIs may lead in its bounds, each once."""
+    found: dict[str, Spot] = {}
+    for named in named_files(document):
+        with suppress(RefusedError):
+            for spot in spots(named.uri, os.fspath(document.folder), document.bounds):
+                found[spot.path] = spot
+    return found.values()
+
+
+def _signature_at(spot: Spot) -> tuple[int, ...]:
+    """Return what changes with a file that a document names: empty where none can be read."""
+    try:
+        descriptor = open_beneath(spot)
+    except (OSError, ValueError):
+        return ()
+    try:
+        return _signature_of(os.fstat(descriptor))
+    finally:
+        os.close(descriptor)
+
+
+def _digest_at(spot: Spot) -> str | None:
+    """Return the digest of a file that a document names, None where none can be read."""
+    try:
+        return _of(FileContent(spot))
+    except (OSError, ValueError):
+        return None
 
 
 def _absolute(path: str) -> str:
@@ -266,6 +296,10 @@ def _signature(path: str) -> tuple[int, ...]:
         if error.errno in ABSENT:
             return ()
         raise
+    return _signature_of(found)
+
+
+def _signature_of(found: os.stat_result) -> tuple[int, ...]:
     return found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns, found.st_ctime_ns
 
 

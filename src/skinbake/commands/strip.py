@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from skinbake.containment import BESIDE, Bounds
 from skinbake.errors import InputError, Notice, Place
 from skinbake.gltf.container import for_target
 from skinbake.gltf.document import read_document
@@ -10,9 +11,11 @@ from skinbake.gltf.strip import stripped
 from skinbake.report.strip import StripResult
 
 
-def strip_file(source: str, target: str, *, warnings_as_errors: bool = False) -> StripResult:
+def strip_file(
+    source: str, target: str, *, warnings_as_errors: bool = False, bounds: Bounds = BESIDE
+) -> StripResult:
     """Write a document without what bake added to it; raises SkinbakeError, and then nothing is written."""
-    document = read_document(source)
+    document = read_document(source, bounds)
     refuse_own_input(document, source, target)
     document, count, notices = stripped(document)
     if count == 0:

@@ -9,6 +9,7 @@ from dataclasses import replace
 from skinbake.commands.baked_views import BakedView, baked_views, gathered_together, is_baked
 from skinbake.commands.lighting import Lighting, Progress, VerifyOptions
 from skinbake.commands.staleness import mesh_operator, staleness
+from skinbake.containment import BESIDE, Bounds
 from skinbake.errors import InputError, Notice, Place, SkinbakeError, defect
 from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.metadata import read_metadata
@@ -19,10 +20,12 @@ from skinbake.timing import stage
 logger = logging.getLogger(__name__)
 
 
-def verify_file(source: str, options: VerifyOptions, progress: Progress | None = None) -> FileVerdict:
+def verify_file(
+    source: str, options: VerifyOptions, progress: Progress | None = None, bounds: Bounds = BESIDE
+) -> FileVerdict:
     """Verify one file. Raises nothing: what cannot be read is in the verdict."""
     try:
-        verdict = _verify_file(source, options, progress or (lambda what, done, total: None))
+        verdict = _verify_file(source, options, progress or (lambda what, done, total: None), bounds)
         verdict = replace(verdict, input=source)
     except SkinbakeError as error:
         return FileVerdict(source, error=error)
@@ -37,9 +40,9 @@ def verify_file(source: str, options: VerifyOptions, progress: Progress | None =
     return verdict
 
 
-def _verify_file(source: str, options: VerifyOptions, progress: Progress) -> FileVerdict:
+def _verify_file(source: str, options: VerifyOptions, progress: Progress, bounds: Bounds) -> FileVerdict:
     with stage("read"):
-        document = read_document(source)
+        document = read_document(source, bounds)
         wanted, lost, notices = _sorted_out(document)
     if not lost and not any(is_baked(document, entry) for entry in wanted):
         return _unbaked(document, options, notices, bakeable=bool(wanted))

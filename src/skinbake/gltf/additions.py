@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -234,7 +234,7 @@ def _same_bytes(first: npt.NDArray[Any], second: npt.NDArray[Any]) -> bool:
     )
 
 
-def content_digest(pieces: list[Bytes] | tuple[Bytes, ...]) -> str:
+def content_digest(pieces: Iterable[Bytes]) -> str:
     """Return 16 hexadecimal digits that name some bytes by their content."""
     digest = hashlib.sha256()
     for piece in pieces:

@@ -6,6 +6,7 @@ import itertools
 from collections.abc import Iterator
 from pathlib import Path
 
+from skinbake.containment import RefusedError, is_relative, path_uri, relative_names
 from skinbake.errors import Notice
 from skinbake.gltf import meshopt, resources
 from skinbake.gltf.document import GLB_SUFFIXES, STDIO, Document
@@ -46,15 +47,24 @@ def _as_gltf(document: Document, stem: str) -> tuple[Document, list[Notice]]:
         return document.edited(**changes), notices
     buffers = document.objects("buffers")
     taken = {
-        resources.relative_path(uri)
+        name
         for entry in (*buffers, *document.objects("images"))
-        if isinstance(uri := entry.get("uri"), str) and resources.is_relative(uri)
+        if isinstance(uri := entry.get("uri"), str)
+        for name in _names(uri)
     }
     names = (f"{stem}{'' if n == 0 else f'-{n}'}.bin" for n in itertools.count())
-    uri = resources.path_uri(next(name for name in names if name not in taken))
+    uri = path_uri(next(name for name in names if name not in taken))
     root = {**document.json, "buffers": [{**buffers[0], "uri": uri}, *buffers[1:]]}
     new_files = {**document.new_files, uri: (document.buffer(0),)}
     return document.edited(json=root, new_files=new_files, **changes), notices
+
+
+def _names(uri: str) -> tuple[str, ...]:
+    """Return the relative paths that a URI may mean; none where it means no file."""
+    try:
+        return relative_names(uri)
+    except RefusedError:
+        return ()
 
 
 def _dropped(document: Document) -> Iterator[Notice]:
@@ -89,14 +99,14 @@ def _self_contained(document: Document) -> Document:
 
 def _is_hollow(document: Document, buffer: JsonObject, uri: str) -> bool:
     """Tell whether a buffer is one of meshopt's fallbacks whose file was left out."""
-    return meshopt.is_fallback(buffer, document.place) and not resources.is_file(
-        resources.locate(uri, document.folder)
+    return meshopt.is_fallback(buffer, document.place) and not resources.is_there(
+        uri, document.folder, document.bounds
     )
 
 
 def _loose_images(document: Document) -> list[Notice]:
     loose = [uri for image in document.objects("images") if isinstance(uri := image.get("uri"), str)]
-    count = sum(resources.is_relative(uri) for uri in loose)
+    count = sum(map(is_relative, loose))
     if not count:
         return []
     message = f"{count} images are files; on standard output their URIs still start at {document.folder}"

@@ -6,8 +6,10 @@ touches is written back as it was read, unknown keys, key order and all.
 
 from __future__ import annotations
 
+import errno
 import gc
 import json
+import os
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -15,6 +17,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from skinbake import containment
+from skinbake.containment import BESIDE, NOWHERE, Bounds, RefusedError
 from skinbake.errors import InputError, Place, UnsupportedFeatureError
 from skinbake.gltf import json_access, resources
 from skinbake.gltf.glb import Bytes, GlbChunks, split_glb
@@ -28,7 +32,8 @@ STDIO = "-"
 class Document:
     """A glTF document. Treat it as immutable: edits make a new one and share what they do not change.
 
-    ``name`` is what messages call it, ``folder`` where its relative URIs start. ``is_glb`` tells the
+    ``name`` is what messages call it, ``folder`` where its relative URIs start, ``bounds`` where they may
+    lead. ``is_glb`` tells the
     container. ``binary`` is the BIN chunk in pieces (None: no such chunk), ``new_files`` what the document
     refers to by a relative URI and has to be written beside it. ``other_chunks`` and ``trailing`` are what a
     GLB holds besides. ``raw`` is the file's text or container
@@ -40,6 +45,7 @@ class Document:
     folder: Path
     json: json_access.JsonObject
     is_glb: bool
+    bounds: Bounds = BESIDE
     binary: tuple[Bytes, ...] | None = None
     other_chunks: tuple[tuple[int, Bytes], ...] = ()
     trailing: Bytes = b""
@@ -86,7 +92,7 @@ class Document:
         uri = json_access.text(buffer, "uri", self.place)
         if uri is not None:
             new = self.new_files.get(uri)
-            data: Bytes = joined(new) if new else resources.read_resource(uri, self.folder, self.place)
+            data: Bytes = joined(new) if new else self._read(uri)
         elif index == 0 and self.has_binary_buffer:
             data = joined(self.binary or ())
         else:
@@ -97,30 +103,55 @@ class Document:
             )
         return memoryview(data)[:length]
 
+    def _read(self, uri: str) -> Bytes:
+        return resources.read_resource(uri, self.folder, self.bounds, self.place)
+
 
 def joined(pieces: Sequence[Bytes]) -> Bytes:
     """Return the pieces as one run of bytes, without a copy where there is only one."""
     return pieces[0] if len(pieces) == 1 else b"".join(pieces)
 
 
-def read_document(path: str) -> Document:
+def read_document(path: str, bounds: Bounds = BESIDE) -> Document:
     """Read ``.gltf``, ``.glb`` or ``.vrm`` by suffix, or a GLB from standard input for ``-``.
 
-    Buffers of a ``.gltf`` are read when they are first needed. Raises InputError where the file cannot be
-    read or is not glTF 2.
+    ``bounds`` say which files it may name: without any, those in its own folder and below. Where they have a
+    root, the file itself is opened from there, and no link leads out. What comes from standard input may
+    name no file but in the folders that are allowed. Buffers of a ``.gltf`` are read when they are first
+    needed. Raises InputError where the file cannot be read or is not glTF 2.
     """
     if path == STDIO:
-        return parse_glb(_read_stdin(), "<stdin>", Path())
+        return parse_glb(_read_stdin(), "<stdin>", Path(), replace(bounds, root=NOWHERE))
     file = Path(path)
     suffix = file.suffix.lower()
     if suffix != GLTF_SUFFIX and suffix not in GLB_SUFFIXES:
         raise InputError("expected a file named .glb, .gltf or .vrm", Place(path))
+    parse = parse_gltf if suffix == GLTF_SUFFIX else parse_glb
+    return parse(read_named(path, bounds.root), path, file.parent, bounds)
+
+
+def read_named(path: str, root: str | None) -> Bytes:
+    """Return the bytes of an input; one that was found in the folder ``root`` is opened from there.
+
+    Raises InputError.
+    """
     try:
-        data = resources.read_file(file)
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise InputError(f"cannot be read: {reason}", Place(path)) from error
-    return (parse_gltf if suffix == GLTF_SUFFIX else parse_glb)(data, path, file.parent)
+        if root is None:
+            return resources.read_file(Path(path))
+        descriptor = containment.open_beneath(containment.spot_of(path, root))
+        try:
+            return resources.read_open_file(descriptor)
+        finally:
+            os.close(descriptor)
+    except RefusedError as error:
+        raise InputError(f"cannot be read: {error}", Place(path)) from error
+    except OSError as error:
+        if error.errno == errno.EXDEV:
+            message = f"is not read: a link leads out of {root}; name the file itself, or its folder"
+            raise InputError(message, Place(path)) from error
+        raise InputError(f"cannot be read: {error.strerror or error}", Place(path)) from error
+    except ValueError as error:
+        raise InputError(f"cannot be read: {error}", Place(path)) from error
 
 
 def _read_stdin() -> bytes:
@@ -132,12 +163,13 @@ def _read_stdin() -> bytes:
         ) from error
 
 
-def parse_glb(data: Bytes, name: str, folder: Path) -> Document:
+def parse_glb(data: Bytes, name: str, folder: Path, bounds: Bounds = BESIDE) -> Document:
     """Return the document of a GLB's bytes; InputError where they are not one."""
     chunks: GlbChunks = split_glb(data, Place(name))
     return Document(
         name=name,
         folder=folder,
+        bounds=bounds,
         json=_parse_json(bytes(chunks.json), Place(name)),
         is_glb=True,
         binary=None if chunks.binary is None else (chunks.binary,),
@@ -147,13 +179,14 @@ def parse_glb(data: Bytes, name: str, folder: Path) -> Document:
     )
 
 
-def parse_gltf(data: Bytes, name: str, folder: Path) -> Document:
+def parse_gltf(data: Bytes, name: str, folder: Path, bounds: Bounds = BESIDE) -> Document:
     """Return the document of a ``.gltf`` file's text; InputError where it is not one."""
     if data[:4] == b"glTF":
         raise InputError("this is a GLB container; name it .glb instead", Place(name))
     return Document(
         name=name,
         folder=folder,
+        bounds=bounds,
         json=_parse_json(bytes(data), Place(name)),
         is_glb=False,
         indent=_indentation(bytes(data[:256])),

@@ -8,17 +8,17 @@ import secrets
 import signal
 import stat
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
+from skinbake.containment import OutsideError, RefusedError, below, relative_names, spot_of
 from skinbake.errors import InputError, Notice, OutputError, Place
-from skinbake.gltf import resources
-from skinbake.gltf.additions import content_digest
+from skinbake.gltf.beside import Beside, named_files
 from skinbake.gltf.document import STDIO, Document
 from skinbake.gltf.glb import Bytes, join_glb
-from skinbake.gltf.json_access import JsonObject
+from skinbake.gltf.resources import FileContent, find
 
 MOST_PIECES = 512
 """Pieces that go into one call: POSIX promises 16, every system that has writev takes 1,024."""
@@ -29,8 +29,9 @@ class PlannedOutput:
     """Everything that writing a document will do: the pieces of each file, the target's last, and notices."""
 
     target: str
-    files: dict[Path, Sequence[Bytes]]
+    files: dict[Path, Iterable[Bytes]]
     notices: list[Notice]
+    root: Path
 
     def write(self) -> None:
         """Write all files, or raise OutputError and leave everything as it was."""
@@ -40,25 +41,41 @@ class PlannedOutput:
             _write_files(self.files, self.target)
 
 
-def plan_output(document: Document, target: str, *, make_folder: bool = False) -> PlannedOutput:
+def plan_output(
+    document: Document, target: str, *, make_folder: bool = False, root: str | None = None
+) -> PlannedOutput:
     """Return how a document goes to ``target``, whose suffix its container must match, or stdout for ``-``.
 
-    Files that a relative URI names are copied beside the target where it is in another folder. A file that
-    is there already is left alone: where its content is the same it serves, else ours gets a name of its own
-    and the URI follows. URIs that lead out of the document's folder are not copied but rewritten. A document
-    that was not edited is written as the bytes it was read from. The target's folder must exist, unless
-    ``make_folder``. Raises OutputError where the target cannot be written.
+    ``root`` is the folder that nothing is written outside of; the target's own by default. Files that a
+    relative URI names are copied, under their relative path, where the target is in another folder and that
+    path is below the root. A file that is there already is left alone: where its content is the same it
+    serves, else ours gets a name of its own and the URI follows. Other URIs are rewritten so that they still
+    lead to the same file. A document that was not edited is written as the bytes it was read from. The
+    target's folder must exist, unless ``make_folder``. Raises OutputError where the target cannot be written,
+    InputError where a buffer is outside the document's bounds.
     """
     if target == STDIO:
-        return PlannedOutput(target, {Path(STDIO): _serialised(document)}, [])
+        return PlannedOutput(target, {Path(STDIO): _serialised(document)}, [], Path(STDIO))
     try:
-        path = Path(os.path.realpath(target))
+        path, base = _place_of(target, root)
         _check_target(path, target, make_folder=make_folder)
-        document, beside, notices = _with_files_beside(document, path.parent)
+        document, beside, notices = Beside(document, path.parent, base).planned()
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise OutputError(f"cannot be written: {reason}", Place(target)) from error
-    return PlannedOutput(target, {**beside, path: _serialised(document)}, notices)
+    return PlannedOutput(target, {**beside, path: _serialised(document)}, notices, base)
+
+
+def _place_of(target: str, root: str | None) -> tuple[Path, Path]:
+    """Return the path that a target has without links, and the folder that nothing is written outside of."""
+    if root is None:  # the user named the file: a link there is meant
+        path = Path(os.path.realpath(target))
+        return path, path.parent
+    base = os.path.realpath(root)
+    path = Path(os.path.realpath(spot_of(target, root).path))
+    if below(os.fspath(path), base) is None:
+        raise OutputError(f"a link leads out of {root}", Place(target))
+    return path, Path(base)
 
 
 def write_text(text: str, target: str) -> None:
@@ -74,12 +91,31 @@ def write_text(text: str, target: str) -> None:
 
 def refuse_own_input(document: Document, source: str, target: str) -> None:
     """Raise OutputError where the target is a buffer or image of the document read from ``source``."""
-    if STDIO in {target, source} or not resources.is_file(Path(target)):
+    if STDIO in {target, source}:
         return
-    for resource in _relative_resources(document):
-        named = resources.locate(resource.uri, document.folder)
-        if resources.is_file(named) and named.samefile(target):
+    written = Path(os.path.realpath(target))
+    try:
+        there = written.stat()
+    except (OSError, ValueError):
+        return
+    for resource in named_files(document):
+        try:
+            spot, descriptor = find(resource.uri, document.folder, document.bounds)
+        except OutsideError:  # it is not looked at, not even by its identity
+            is_own = _leads_to(resource.uri, document.folder, written)
+        except (OSError, RefusedError):
+            continue
+        else:
+            is_own = Path(spot.path) == written or os.path.samestat(os.fstat(descriptor), there)
+            os.close(descriptor)
+        if is_own:
             raise OutputError("it is a file that the input consists of", Place(target))
+
+
+def _leads_to(uri: str, folder: Path, path: Path) -> bool:
+    """Tell whether a URI names a path, as far as names tell."""
+    home = os.path.realpath(folder)
+    return any(os.path.normpath(Path(home, name)) == os.path.normpath(path) for name in relative_names(uri))
 
 
 def _serialised(document: Document) -> Sequence[Bytes]:
@@ -114,7 +150,7 @@ def _json_bytes(document: Document) -> bytes:
         raise InputError(f"its JSON cannot be written back: {error}", document.place) from error
 
 
-def _write_stdout(pieces: Sequence[Bytes]) -> None:
+def _write_stdout(pieces: Iterable[Bytes]) -> None:
     try:
         for piece in pieces:
             sys.stdout.buffer.write(piece)
@@ -134,109 +170,7 @@ def _check_target(path: Path, target: str, *, make_folder: bool) -> None:
         raise OutputError("it exists and is read-only", Place(target))
 
 
-@dataclass(frozen=True, slots=True)
-class _Resource:
-    """A file that the document names: in which array, at which index, under which URI."""
-
-    array: str
-    number: int
-    uri: str
-
-
-def _with_files_beside(
-    document: Document, folder: Path
-) -> tuple[Document, dict[Path, Sequence[Bytes]], list[Notice]]:
-    """Return the document with URIs that hold from ``folder``, the files to write there, and notices."""
-    files: dict[Path, Sequence[Bytes]] = {}
-    renamed: list[tuple[_Resource, str]] = []
-    missing: list[str] = []
-    same_folder = document.folder.resolve() == folder
-    for resource in _relative_resources(document):
-        pieces: Sequence[Bytes] | None = document.new_files.get(resource.uri)
-        name = resources.relative_path(resource.uri)
-        if pieces is None:
-            if same_folder:
-                continue
-            source = resources.locate(resource.uri, document.folder)
-            if not resources.is_file(source):
-                missing.append(resource.uri)
-                continue
-            if name == ".." or name.startswith("../"):
-                renamed.append((resource, _relative_uri(source, folder)))
-                continue
-            name = source.relative_to(document.folder).as_posix()
-            pieces = [_read(source)]
-        free = _free_name(folder, name, pieces, files)
-        if free != name:
-            renamed.append((resource, resources.path_uri(free)))
-        if not (folder / free).exists():
-            files[folder / free] = pieces
-    notices = [_missing_notice(missing, document.place)] if missing else []
-    return (_with_uris(document, renamed) if renamed else document), files, notices
-
-
-def _missing_notice(missing: Sequence[str], place: Place) -> Notice:
-    shown = ", ".join(missing[:3]) + (", …" if len(missing) > 3 else "")
-    count = len(missing)
-    files = "1 file that it names is" if count == 1 else f"{count} files that it names are"
-    return Notice("file-missing", f"{files} not beside it and cannot be copied: {shown}", place, count)
-
-
-def _relative_resources(document: Document) -> Iterator[_Resource]:
-    for array in ("buffers", "images"):
-        for number, entry in enumerate(document.objects(array)):
-            uri = entry.get("uri")
-            if isinstance(uri, str) and resources.is_relative(uri):
-                yield _Resource(array, number, uri)
-
-
-def _relative_uri(source: Path, folder: Path) -> str:
-    try:
-        return resources.path_uri(Path(os.path.relpath(source.resolve(), folder)).as_posix())
-    except ValueError:  # another drive
-        return source.resolve().as_uri()
-
-
-def _read(path: Path) -> Bytes:
-    try:
-        return resources.read_file(path)
-    except OSError as error:
-        raise OutputError(f"cannot be copied: {error.strerror}", Place(str(path))) from error
-
-
-def _free_name(
-    folder: Path, name: str, pieces: Sequence[Bytes], planned: Mapping[Path, Sequence[Bytes]]
-) -> str:
-    """Return ``name``, or one made from the content where another file has or will have that name."""
-    other_comes = folder / name in planned and b"".join(planned[folder / name]) != b"".join(pieces)
-    if not other_comes and not _occupied(folder / name, pieces):
-        return name
-    path = PurePosixPath(name)
-    other = str(path.with_name(f"{path.stem}-{content_digest(tuple(pieces))}{path.suffix}"))
-    if _occupied(folder / other, pieces):
-        raise OutputError(
-            f"a file of that name with other content is in the way: {other}", Place(str(folder))
-        )
-    return other
-
-
-def _occupied(path: Path, pieces: Sequence[Bytes]) -> bool:
-    if not os.path.lexists(path):
-        return False
-    length = sum(len(piece) for piece in pieces)
-    return not (path.is_file() and path.stat().st_size == length and path.read_bytes() == b"".join(pieces))
-
-
-def _with_uris(document: Document, renamed: Sequence[tuple[_Resource, str]]) -> Document:
-    root: JsonObject = dict(document.json)
-    for resource, uri in renamed:
-        entries = list(root[resource.array])
-        entries[resource.number] = {**entries[resource.number], "uri": uri}
-        root[resource.array] = entries
-    return document.edited(json=root)
-
-
-def _write_files(files: dict[Path, Sequence[Bytes]], target: str) -> None:
+def _write_files(files: dict[Path, Iterable[Bytes]], target: str) -> None:
     """Write all files under temporary names, then rename them, the last one last."""
     with _undone_on_failure() as (folders, temporary, created):
         try:
@@ -300,7 +234,7 @@ def _make_folders(folder: Path, made: list[Path]) -> None:
             made.append(path)
 
 
-def _write_temporary(path: Path, pieces: Sequence[Bytes]) -> Path:
+def _write_temporary(path: Path, pieces: Iterable[Bytes]) -> Path:
     """Write beside ``path`` with the mode it has, or a new file's; remove what a failure leaves."""
     name = path.with_name(f".skinbake-{secrets.token_hex(6)}.tmp")
     descriptor = os.open(name, os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0), 0o666)
@@ -315,8 +249,16 @@ def _write_temporary(path: Path, pieces: Sequence[Bytes]) -> Path:
     return name
 
 
-def _write_pieces(descriptor: int, pieces: Sequence[Bytes]) -> None:
+def _write_pieces(descriptor: int, pieces: Iterable[Bytes]) -> None:
     """Write the pieces one after the other, many in one call where the system can, without joining them."""
+    if isinstance(pieces, FileContent):
+        for block in pieces:
+            _write_all(descriptor, [block])
+    else:
+        _write_all(descriptor, pieces)
+
+
+def _write_all(descriptor: int, pieces: Iterable[Bytes]) -> None:
     left = [view for piece in pieces if (view := memoryview(piece).cast("B"))]
     while left:
         if hasattr(os, "writev"):

@@ -6,26 +6,23 @@ import base64
 import errno
 import mmap
 import os
-import posixpath
-import re
-import stat
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
-from urllib.parse import quote, unquote, unquote_to_bytes
+from urllib.parse import unquote, unquote_to_bytes
 
+from skinbake import containment
+from skinbake.containment import Bounds, OutsideError, RefusedError, Spot
 from skinbake.errors import InputError, Place
 from skinbake.gltf.glb import Bytes
 
-_SCHEME = re.compile(r"^[A-Za-z][A-Za-z0-9+.\-]+:")
+BLOCK = 1 << 20
+"""Bytes of a file that are copied at a time."""
 
 
 def is_data_uri(uri: str) -> bool:
     """Tell whether the URI carries its data itself."""
     return uri[:5].lower() == "data:"
-
-
-def is_relative(uri: str) -> bool:
-    """Tell whether the URI names a file relative to the document (a relative reference of RFC 3986)."""
-    return bool(uri) and not _SCHEME.match(uri) and not unquote(uri).startswith(("/", "\\"))
 
 
 def decode_data_uri(uri: str, place: Place) -> bytes:
@@ -46,74 +43,106 @@ def encode_data_uri(data: bytes) -> str:
     return "data:application/octet-stream;base64," + base64.b64encode(data).decode("ascii")
 
 
-def relative_path(uri: str) -> str:
-    """Return the path that a relative URI names, dots resolved as in RFC 3986, §5.2.4.
-
-    Percent-encoding is undone, query and fragment are cut off. It begins with ``..`` where it leads out of
-    the document's folder.
-    """
-    return posixpath.normpath(unquote(uri.split("#", maxsplit=1)[0].split("?", maxsplit=1)[0]))
-
-
-def path_uri(path: str) -> str:
-    """Return the relative URI of a path with forward slashes."""
-    return quote(os.fsencode(path), safe="/!$&'()*+,;=@~-._")
-
-
-def locate(uri: str, folder: Path) -> Path:
-    """Return the file that a relative URI names, seen from ``folder``.
-
-    Percent-encoding is undone; a file that carries the URI's characters literally, ``%20`` or ``#`` among
-    them, as some exporters write it, is found where the decoded one is absent.
-    """
-    decoded = folder / relative_path(uri)
-    literal = folder / uri
-    return literal if not is_file(decoded) and is_file(literal) else decoded
-
-
-def is_file(path: Path) -> bool:
-    """Tell whether a path is a file; a name that no file can have is none."""
-    try:
-        return path.is_file()
-    except (OSError, ValueError):
-        return False
-
-
 MAPPED_FROM = 1 << 20
 """Bytes from which a file is mapped, not read: nothing is copied, and what nobody looks at stays out."""
 
 
 def read_file(path: Path) -> Bytes:
-    """Return the bytes of a file; those of a large one are mapped into memory.
+    """Return the bytes of a regular file that the user named; raises OSError."""
+    descriptor = containment.open_regular(os.fspath(path))
+    try:
+        return read_open_file(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def read_open_file(descriptor: int) -> Bytes:
+    """Return the bytes of an open file; those of a large one are mapped into memory.
 
     Windows would not let a file be replaced while it is mapped. Raises OSError.
     """
-    mode = path.stat().st_mode
-    if not stat.S_ISREG(mode) and not stat.S_ISDIR(mode):  # opening a pipe waits until somebody writes to it
-        raise OSError(errno.EINVAL, "it is not a regular file")
-    with path.open("rb", buffering=0) as file:
-        size = os.fstat(file.fileno()).st_size
-        if size < MAPPED_FROM or os.name == "nt":
+    size = os.fstat(descriptor).st_size
+    if size < MAPPED_FROM or os.name == "nt":
+        with open(descriptor, "rb", buffering=0, closefd=False) as file:
             return file.readall()
-        return memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
+    return memoryview(mmap.mmap(descriptor, 0, access=mmap.ACCESS_READ))
 
 
-def read_resource(uri: str, folder: Path, place: Place) -> Bytes:
+@dataclass(frozen=True, slots=True)
+class FileContent:
+    """The bytes of a file beside the document, read a block at a time whenever they are needed."""
+
+    spot: Spot
+
+    def __iter__(self) -> Iterator[bytes]:
+        """Yield the blocks; raises OSError."""
+        descriptor = containment.open_beneath(self.spot)
+        try:
+            while block := os.read(descriptor, BLOCK):
+                yield block
+        finally:
+            os.close(descriptor)
+
+
+def find(uri: str, folder: Path, bounds: Bounds) -> tuple[Spot, int]:
+    """Return where a document's URI leads, and a descriptor of the regular file there.
+
+    Raises RefusedError where the URI is none that is opened (OutsideError: it leads out of ``bounds``), and
+    OSError where there is no such file, or a link on the way leads out.
+    """
+    missing: OSError | None = None
+    for spot in containment.spots(uri, os.fspath(folder), bounds):
+        try:
+            return spot, containment.open_beneath(spot)
+        except (FileNotFoundError, NotADirectoryError, IsADirectoryError) as error:
+            missing = missing or error
+        except ValueError as error:  # a name that this system cannot have
+            missing = missing or OSError(errno.ENOENT, str(error))
+    raise missing or FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT))
+
+
+def is_there(uri: str, folder: Path, bounds: Bounds) -> bool:
+    """Tell whether a document's URI leads to a file that may be read."""
+    try:
+        os.close(find(uri, folder, bounds)[1])
+    except (OSError, RefusedError):
+        return False
+    return True
+
+
+def read_resource(uri: str, folder: Path, bounds: Bounds, place: Place) -> Bytes:
     """Return the bytes that a buffer's URI stands for.
 
-    Raises InputError where the file is missing or unreadable, the data URI is malformed, or the URI has
-    another scheme or an absolute path: a model does not get to read arbitrary files or the network.
+    Raises InputError where the file is missing or unreadable, the data URI is malformed, or the URI is none
+    that a document may have read: a model does not get to read arbitrary files or the network.
     """
     if is_data_uri(uri):
         return decode_data_uri(uri, place)
-    if not is_relative(uri):
-        raise InputError(f'the URI "{_short(uri)}" is neither relative nor a data: URI', place)
     try:
-        return read_file(locate(uri, folder))
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise InputError(f'cannot read "{_short(uri)}" beside it: {reason}', place) from error
+        descriptor = find(uri, folder, bounds)[1]
+        try:
+            return read_open_file(descriptor)
+        finally:
+            os.close(descriptor)
+    except OutsideError as error:
+        raise outside(uri, str(error), place) from error
+    except RefusedError as error:
+        raise InputError(f'the URI "{shortened(uri)}" is not read: {error}', place) from error
+    except OSError as error:
+        if error.errno == errno.EXDEV:
+            raise outside(uri, "a link on the way leads out of its folder", place) from error
+        raise InputError(f'cannot read "{shortened(uri)}" beside it: {error.strerror}', place) from error
 
 
-def _short(uri: str) -> str:
+def outside(uri: str, why: str, place: Place) -> InputError:
+    """Return the error of a buffer outside the folders that a document may have read."""
+    return InputError(
+        f'its buffer "{shortened(uri)}" is not read: {why}. If the file is to be read, name its folder with '
+        "--allow-outside DIR",
+        place,
+    )
+
+
+def shortened(uri: str) -> str:
+    """Return a URI as messages show it."""
     return uri if len(uri) <= 80 else f"{uri[:77]}…"

@@ -1,0 +1,202 @@
+"""The files that a document names beside itself, and what becomes of them in another folder."""
+
+from __future__ import annotations
+
+import errno
+import os
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+
+from skinbake.containment import (
+    OutsideError,
+    RefusedError,
+    Spot,
+    below,
+    moved_uri,
+    path_uri,
+    relative_names,
+    spot_of,
+)
+from skinbake.errors import Notice, OutputError, Place
+from skinbake.gltf.additions import content_digest
+from skinbake.gltf.document import Document
+from skinbake.gltf.glb import Bytes
+from skinbake.gltf.json_access import JsonObject
+from skinbake.gltf.resources import FileContent, find, is_data_uri, outside, shortened
+
+
+@dataclass(frozen=True, slots=True)
+class NamedFile:
+    """A file that a document names: in which array, at which index, under which URI."""
+
+    array: str
+    number: int
+    uri: str
+
+
+class _LinkedOutError(Exception):
+    """A link on the way to a file leads out of the folders that may be read."""
+
+
+class Beside:
+    """The files that a document names, on their way to the target's folder."""
+
+    def __init__(self, document: Document, folder: Path, root: Path) -> None:
+        self._document, self._folder, self._root = document, folder, root
+        self._home = Path(os.path.realpath(document.folder))
+        self._files: dict[Path, Iterable[Bytes]] = {}
+        self._missing: list[str] = []
+        self._outside: list[str] = []
+        self._refused: list[tuple[str, str]] = []
+
+    def planned(self) -> tuple[Document, dict[Path, Iterable[Bytes]], list[Notice]]:
+        """Return the document with URIs that hold from the folder, the files to write there, and notices."""
+        named = list(named_files(self._document))
+        is_buffer = {resource.uri: resource.array == "buffers" for resource in reversed(named)}
+        uris = {uri: self._placed(uri, is_buffer=is_buffer[uri]) for uri in {r.uri: None for r in named}}
+        renamed = [(resource, uris[resource.uri]) for resource in named if uris[resource.uri] != resource.uri]
+        document = _with_uris(self._document, renamed) if renamed else self._document
+        return document, self._files, self._notices()
+
+    def _placed(self, uri: str, *, is_buffer: bool) -> str:
+        """Return a URI as it reads from the target's folder; note the file that has to come along."""
+        new = self._document.new_files.get(uri)
+        if new is not None:
+            return self._copied(uri, relative_names(uri)[0], new)
+        if self._home == self._folder:
+            return uri
+        try:
+            spot = self._found(uri)
+        except (OutsideError, _LinkedOutError) as error:
+            return self._left(uri, str(error), is_buffer=is_buffer)
+        if spot is None:
+            return uri
+        name = Path(os.path.relpath(spot.path, self._home)).as_posix()
+        if not (spot.is_own and below(self._path(name), os.fspath(self._root))):
+            return path_uri(Path(os.path.relpath(spot.path, self._folder)).as_posix())
+        return self._copied(uri, name, FileContent(spot))
+
+    def _found(self, uri: str) -> Spot | None:
+        """Return where a file is; None, and a note of why, for one that is not there or has no such name."""
+        try:
+            spot, descriptor = find(uri, self._document.folder, self._document.bounds)
+        except OutsideError:
+            raise
+        except RefusedError as error:
+            self._refused.append((uri, str(error)))
+            return None
+        except OSError as error:
+            if error.errno == errno.EXDEV:
+                raise _LinkedOutError("a link on the way leads out of its folder") from error
+            if error.errno == errno.EACCES:
+                place = Place(str(self._document.folder / uri))
+                raise OutputError(f"cannot be copied: {error.strerror}", place) from error
+            self._missing.append(uri)
+            return None
+        os.close(descriptor)
+        return spot
+
+    def _path(self, name: str) -> str:
+        """Return the path that a relative one has from the target's folder."""
+        return os.path.normpath(self._folder / name)
+
+    def _left(self, uri: str, why: str, *, is_buffer: bool) -> str:
+        """Return the URI of a file that is not looked at, as it reads from the target's folder."""
+        if is_buffer:
+            raise outside(uri, why, self._document.place)
+        try:
+            moved = moved_uri(uri, os.fspath(self._document.folder), os.fspath(self._folder))
+        except RefusedError as error:
+            self._refused.append((uri, str(error)))
+            return uri
+        self._outside.append(uri)
+        return moved
+
+    def _copied(self, uri: str, name: str, pieces: Iterable[Bytes]) -> str:
+        """Return the URI of a file that goes along, under its name or, where that is taken, another."""
+        free = self._free_name(name, pieces)
+        path = Path(self._path(free))
+        if not os.path.lexists(path):
+            self._files[path] = pieces
+        meant = relative_names(uri)[0]  # the literal name is looked for where there is none of this one
+        stays = free == name and (name == meant or not os.path.lexists(self._path(meant)))
+        return uri if stays else path_uri(free)
+
+    def _free_name(self, name: str, pieces: Iterable[Bytes]) -> str:
+        """Return ``name``, or one made from the content where another file has or will have that name."""
+        planned = self._files.get(Path(self._path(name)))
+        if (planned is None or _same(planned, pieces)) and not self._occupied(name, pieces):
+            return name
+        path = PurePosixPath(name)
+        other = str(path.with_name(f"{path.stem}-{content_digest(pieces)}{path.suffix}"))
+        if self._occupied(other, pieces):
+            raise OutputError(
+                f"a file of that name with other content is in the way: {other}", Place(str(self._folder))
+            )
+        return other
+
+    def _occupied(self, name: str, pieces: Iterable[Bytes]) -> bool:
+        """Tell whether something else has a name in the target's folder; no link is followed out of it."""
+        path = self._path(name)
+        if not os.path.lexists(path):
+            return False
+        try:
+            return not _same(FileContent(spot_of(path, os.fspath(self._root))), pieces)
+        except OSError:
+            return True
+
+    def _notices(self) -> list[Notice]:
+        place, found = self._document.place, []
+        if self._missing:
+            count = len(self._missing)
+            files = "1 file that it names is" if count == 1 else f"{count} files that it names are"
+            message = f"{files} not beside it and cannot be copied: {_listed(self._missing)}"
+            found.append(Notice("file-missing", message, place, count))
+        if self._outside:
+            count = len(self._outside)
+            images = "1 image is" if count == 1 else f"{count} images are"
+            message = (
+                f"{images} outside its folder and stayed there, unread; the output refers to that place: "
+                f"{_listed(self._outside)}"
+            )
+            found.append(Notice("image-outside", message, place, count))
+        if self._refused:
+            count, (uri, why) = len(self._refused), self._refused[0]
+            names = "1 URI names" if count == 1 else f"{count} URIs name"
+            message = f'{names} no file beside it, and stayed as it is: "{shortened(uri)}": {why}'
+            found.append(Notice("uri-refused", message, place, count))
+        return found
+
+
+def _listed(uris: Sequence[str]) -> str:
+    return ", ".join(map(shortened, uris[:3])) + (", …" if len(uris) > 3 else "")
+
+
+def _same(first: Iterable[Bytes], second: Iterable[Bytes]) -> bool:
+    """Tell whether two runs of pieces are the same bytes."""
+    if first is second or first == second:
+        return True
+    return content_digest(first) == content_digest(second)
+
+
+def named_files(document: Document) -> Iterator[NamedFile]:
+    """Yield the buffers and images that are neither data nor on the network."""
+    for array in ("buffers", "images"):
+        for number, entry in enumerate(document.objects(array)):
+            uri = entry.get("uri")
+            if isinstance(uri, str) and not is_data_uri(uri) and not _is_on_the_network(uri):
+                yield NamedFile(array, number, uri)
+
+
+def _is_on_the_network(uri: str) -> bool:
+    return "://" in uri and not uri.lower().startswith("file:")
+
+
+def _with_uris(document: Document, renamed: Sequence[tuple[NamedFile, str]]) -> Document:
+    root: JsonObject = dict(document.json)
+    for array in {resource.array for resource, _ in renamed}:
+        root[array] = list(root[array])
+    for resource, uri in renamed:
+        root[resource.array][resource.number] = {**root[resource.array][resource.number], "uri": uri}
+    return document.edited(json=root)

@@ -1,0 +1,236 @@
+"""Names of documents lead below a folder and nowhere else, by every way of opening that there is."""
+
+from __future__ import annotations
+
+import errno
+import os
+import random
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from pathlib import Path, PurePosixPath, PureWindowsPath
+
+import pytest
+
+from skinbake import containment
+from skinbake.containment import (
+    NOWHERE,
+    Bounds,
+    OutsideError,
+    RefusedError,
+    Spot,
+    beneath,
+    moved_uri,
+    open_beneath,
+    relative_names,
+    spots,
+)
+
+pytestmark = pytest.mark.skipif(os.name == "nt", reason="links need rights there")
+
+PARTS = (
+    *("a", "b c", "ä", "x#", "x?", "a%20b", ".hidden", "tex", "a.png", "..", ".", "", "...", ".. ", "%2e%2e"),
+    *(
+        "%2E.",
+        "%252e%252e",
+        "..%2f",
+        "%5c..",
+        "..\\",
+        "C:",
+        "c%3a",
+        "\\\\host",
+        "NUL",
+        "con.png",
+        "LPT1",
+        "~",
+    ),
+    *("file:", "http:", "data", "%00", "\0", "\n", "%0a", "link", "up", "abs", "\u202e", "%ff", "\udcff"),
+)
+SEPARATORS = ("/", "/", "/", "//", "%2f", "%2F", "\\", "%5C", "?", "#", "")
+COUNT = 20_000
+
+
+def uris(count: int) -> Iterator[str]:
+    """Yield URIs of a grammar that mixes all that has ever led a path astray."""
+    source = random.Random(11)
+    for _ in range(count):
+        pieces = [source.choice(PARTS) for _ in range(source.randint(1, 7))]
+        text = source.choice(("", "", "", "/", "//", "./", "../"))
+        yield text + "".join(piece + source.choice(SEPARATORS) for piece in pieces[:-1]) + pieces[-1]
+
+
+def test_every_name_means_the_same_below_its_folder_on_posix_and_on_windows() -> None:
+    """The judge is pathlib's reading of both systems, not the code that made the names."""
+    accepted = 0
+    for uri in uris(COUNT):
+        try:
+            names = relative_names(uri)
+        except RefusedError:
+            continue
+        for name in names:
+            accepted += 1
+            posix, windows = PurePosixPath(name), PureWindowsPath(name)
+            assert not posix.is_absolute(), uri
+            assert not windows.drive, uri
+            assert not windows.root, uri
+            assert not windows.is_reserved(), uri
+            assert posix.parts == windows.parts, uri
+            assert "\0" not in name, uri
+            inner = [part for part in posix.parts if part != ".."]
+            assert posix.parts == (*[".."] * (len(posix.parts) - len(inner)), *inner), uri
+            assert all(part.strip(". ") for part in inner), uri
+    assert accepted > COUNT / 20  # the grammar makes good names too
+
+
+def test_no_spot_is_outside_its_root(tmp_path: Path) -> None:
+    home = tmp_path / "root" / "sub"
+    home.mkdir(parents=True)
+    found = 0
+    for uri in uris(COUNT):
+        try:
+            places = spots(uri, str(home), Bounds(str(tmp_path / "root")))
+        except RefusedError:
+            continue
+        for spot in places:
+            found += 1
+            assert Path(os.path.normpath(spot.path)).is_relative_to(tmp_path / "root"), uri
+    assert found > COUNT / 20
+
+
+WAYS = ["openat2", "part by part", "real path"]
+
+
+@pytest.fixture(params=WAYS)
+def way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+    """Open files by one of the three ways, whatever this system has."""
+    if request.param == "openat2" and containment._openat2() is None:
+        pytest.skip("this kernel has no openat2")
+    if request.param == "part by part":
+        monkeypatch.setattr(containment, "_openat2", lambda: None)
+    if request.param == "real path":
+        monkeypatch.setattr(containment, "BY_DESCRIPTOR", False)
+    return str(request.param)
+
+
+@pytest.fixture
+def root(tmp_path: Path) -> Path:
+    folder = tmp_path / "root"
+    (folder / "a" / "b").mkdir(parents=True)
+    (folder / "a" / "f.bin").write_bytes(b"content")
+    (tmp_path / "secret").write_bytes(b"secret")
+    links = {
+        "in": "a/f.bin",
+        "chain": "in",
+        "folder": "a/b/..",
+        "a/dots": "b/../f.bin",
+        "out": "../secret",
+        "abs": str(tmp_path / "secret"),
+        "a/up": "../..",
+        "loop": "loop",
+        "nowhere": "gone",
+    }
+    for name, target in links.items():
+        (folder / name).symlink_to(target)
+    os.mkfifo(folder / "fifo")
+    return folder
+
+
+@pytest.mark.usefixtures("way")
+class TestOpening:
+    @pytest.mark.parametrize("name", ["a/f.bin", "in", "chain", "a/dots", "folder/f.bin"])
+    def test_files_below_are_opened(self, root: Path, name: str) -> None:
+        descriptor = open_beneath(Spot(str(root), name))
+        assert os.read(descriptor, 100) == b"content"
+        os.close(descriptor)
+
+    @pytest.mark.parametrize("name", ["out", "abs", "a/up/secret"])
+    def test_links_that_lead_out_are_not_followed(self, root: Path, name: str) -> None:
+        with pytest.raises(OSError, match="a link leads out of the folder") as caught:
+            open_beneath(Spot(str(root), name))
+        assert caught.value.errno == errno.EXDEV
+
+    @pytest.mark.parametrize(
+        ("name", "code"),
+        [("fifo", errno.EINVAL), ("a", errno.EISDIR), ("gone", errno.ENOENT), ("nowhere", errno.ENOENT)],
+    )
+    def test_only_regular_files_are_opened(self, root: Path, name: str, code: int) -> None:
+        with pytest.raises(OSError, match=r"\w") as caught:
+            open_beneath(Spot(str(root), name))
+        assert caught.value.errno == code
+
+    def test_a_circle_of_links_ends(self, root: Path) -> None:
+        with pytest.raises(OSError, match=r"\w") as caught:
+            open_beneath(Spot(str(root), "loop"))
+        assert caught.value.errno in {errno.ELOOP, errno.ENOENT}
+
+    def test_no_descriptor_is_left_open(self, root: Path) -> None:
+        before = len(list(Path("/dev/fd").iterdir()))
+        for name in ("in", "out", "abs", "fifo", "a", "gone", "loop", "a/up/secret"):
+            with suppress(OSError):
+                os.close(open_beneath(Spot(str(root), name)))
+        assert len(list(Path("/dev/fd").iterdir())) == before
+
+
+@pytest.mark.usefixtures("way")
+class TestFolders:
+    def test_missing_folders_are_made_and_told_of(self, root: Path) -> None:
+        made: list[str] = []
+        with beneath(str(root), ["a", "x", "y"], made.append) as folder:
+            assert folder.path == str(root / "a" / "x" / "y")
+        assert made == [str(root / "a" / "x"), str(root / "a" / "x" / "y")]
+        assert (root / "a" / "x" / "y").is_dir()
+
+    def test_none_is_made_where_it_was_not_asked_for(self, root: Path) -> None:
+        with pytest.raises(FileNotFoundError), beneath(str(root), ["gone"]):
+            pass
+        assert not (root / "gone").exists()
+
+    @pytest.mark.parametrize("parts", [["a", "up"], ["a", "up", "new"]])
+    def test_a_link_leads_no_folder_out(self, root: Path, parts: list[str]) -> None:
+        before = sorted(root.parent.rglob("*"))
+        with pytest.raises(OSError, match="a link leads out"), beneath(str(root), parts, print):
+            pass
+        assert sorted(root.parent.rglob("*")) == before
+
+
+def test_an_open_folder_stays_the_one_that_was_opened(root: Path) -> None:
+    with beneath(str(root), ["a"]) as folder:
+        (root / "a").rename(root / "moved")
+        (root / "a").symlink_to("..")
+        descriptor = os.open(folder.name("new"), os.O_CREAT | os.O_WRONLY, dir_fd=folder.descriptor)
+        os.close(descriptor)
+    assert (root / "moved" / "new").exists()
+    assert not (root.parent / "new").exists()
+
+
+def test_what_the_kernel_makes_up_is_no_file() -> None:
+    for name in ("/proc/self/environ", "/proc/kcore", "/sys/kernel/notes", "/dev/zero"):
+        if not Path(name).exists():
+            continue
+        for opened in (
+            lambda name=name: containment.open_regular(name),
+            lambda name=name: open_beneath(Spot("/", name[1:])),
+        ):
+            _refused(opened)
+
+
+def _refused(opened: Callable[[], int]) -> None:
+    with pytest.raises(OSError, match="not a regular file"):
+        opened()
+
+
+class TestBounds:
+    def test_a_document_without_a_folder_names_allowed_files_alone(self, tmp_path: Path) -> None:
+        with pytest.raises(OutsideError, match="it has no folder"):
+            spots("a.bin", str(tmp_path), Bounds(NOWHERE))
+        (spot,) = spots("a.bin", str(tmp_path), Bounds(NOWHERE, (str(tmp_path),)))
+        assert (spot.path, spot.is_own) == (str(tmp_path / "a.bin"), False)
+
+    def test_names_of_neighbours_are_outside(self, tmp_path: Path) -> None:
+        (tmp_path / "art").mkdir()
+        with pytest.raises(OutsideError):
+            spots("../artificial/a.bin", str(tmp_path / "art"), Bounds())
+
+    def test_a_uri_keeps_its_meaning_in_another_folder(self, tmp_path: Path) -> None:
+        home, other = tmp_path / "a" / "b", tmp_path / "out"
+        home.mkdir(parents=True)
+        assert moved_uri("../tex/h%20e.png", str(home), str(other)) == "../a/tex/h%20e.png"
