@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
-import random
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path, PurePosixPath, PureWindowsPath
 
@@ -24,38 +23,11 @@ from skinbake.containment import (
     relative_names,
     spots,
 )
+from tests.outside.names import uris
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="links need rights there")
 
-PARTS = (
-    *("a", "b c", "ä", "x#", "x?", "a%20b", ".hidden", "tex", "a.png", "..", ".", "", "...", ".. ", "%2e%2e"),
-    *(
-        "%2E.",
-        "%252e%252e",
-        "..%2f",
-        "%5c..",
-        "..\\",
-        "C:",
-        "c%3a",
-        "\\\\host",
-        "NUL",
-        "con.png",
-        "LPT1",
-        "~",
-    ),
-    *("file:", "http:", "data", "%00", "\0", "\n", "%0a", "link", "up", "abs", "\u202e", "%ff", "\udcff"),
-)
-SEPARATORS = ("/", "/", "/", "//", "%2f", "%2F", "\\", "%5C", "?", "#", "")
 COUNT = 20_000
-
-
-def uris(count: int) -> Iterator[str]:
-    """Yield URIs of a grammar that mixes all that has ever led a path astray."""
-    source = random.Random(11)
-    for _ in range(count):
-        pieces = [source.choice(PARTS) for _ in range(source.randint(1, 7))]
-        text = source.choice(("", "", "", "/", "//", "./", "../"))
-        yield text + "".join(piece + source.choice(SEPARATORS) for piece in pieces[:-1]) + pieces[-1]
 
 
 def test_every_name_means_the_same_below_its_folder_on_posix_and_on_windows() -> None:
