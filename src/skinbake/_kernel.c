@@ -113,6 +113,15 @@ static int same_rows(const Array *array, const char *name, Py_ssize_t rows)
     return -1;
 }
 
+/* A vertex has `least` slots or more. */
+static int least_slots(const Array *joints, Py_ssize_t least)
+{
+    if (joints->columns >= least)
+        return 0;
+    PyErr_Format(PyExc_ValueError, "joints has %zd columns; at least %zd are needed", joints->columns, least);
+    return -1;
+}
+
 typedef struct {
     double x, y, z;
 } Vector;
@@ -351,7 +360,7 @@ static PyObject *normalise(PyObject *module, PyObject *args)
     if (!PyArg_ParseTuple(args, "OOOdd", &objects[0], &objects[1], &objects[2], &adopting_sum, &tolerance))
         return NULL;
     PyObject *result = NULL;
-    if (take(objects[0], &a[0], "joints", "i", 0, 1) < 0 ||
+    if (take(objects[0], &a[0], "joints", "i", 0, 1) < 0 || least_slots(&a[0], 1) < 0 ||
         take(objects[1], &a[1], "weights", "d", a[0].columns, 1) < 0 ||
         take(objects[2], &a[2], "free", "?", a[0].columns, 1) < 0 ||
         same_rows(&a[1], "weights", a[0].rows) < 0 || same_rows(&a[2], "free", a[0].rows) < 0)
@@ -389,10 +398,10 @@ static Py_ssize_t mark_proper(const Array *positions, const Array *triangles, ui
     size_t vertices = (size_t)positions->rows;
     Py_ssize_t degenerate = 0;
     for (Py_ssize_t t = 0; t < triangles->rows; t++, index += 3) {
-        if (index[0] >= vertices || index[1] >= vertices || index[2] >= vertices)
+        const uint32_t p = index[0], q = index[1], r = index[2];
+        if (p >= vertices || q >= vertices || r >= vertices)
             return -1;
-        mask[t] = (uint8_t)has_area(row3(points, wide, index[0]), row3(points, wide, index[1]),
-                                    row3(points, wide, index[2]), least);
+        mask[t] = (uint8_t)has_area(row3(points, wide, p), row3(points, wide, q), row3(points, wide, r), least);
         degenerate += !mask[t];
     }
     return degenerate;
@@ -442,8 +451,9 @@ typedef struct {
 typedef struct {
     float *alpha, *beta; /* (V, K - 1) */
     int32_t *adopted;    /* (V, K) of zeros; 1 + joint is written where a slot adopts one */
-    const int64_t *ends; /* (P,): where the rows of each primitive end */
-    double *sums;        /* (P, 4): adopting and overflowing vertices, gradient magnitude, its unheld part */
+    const uint64_t *ends; /* (P,): where the rows of each primitive end */
+    size_t primitives;
+    double *sums; /* (P, 4): adopting and overflowing vertices, gradient magnitude, its unheld part */
 } Baked;
 
 /* Members of every group, in ascending order: those of group g stand at start[g] ... start[g + 1]. */
@@ -451,7 +461,18 @@ typedef struct {
     uint32_t *start, *members;
 } Groups;
 
-/* Group the corners 4 t + i by weld class (by counting); -1: no memory, -2: an index is out of range. */
+/* While the GIL is released another thread may write to the arrays. So every index is held against what it counts
+   in where it is used, on the value that is used, whatever an earlier loop saw; STRAY tells of one. */
+enum { STRAY = -2 };
+
+/* The class of a vertex; class_count where the vertex or its class is not there. */
+static ALWAYS_INLINE size_t class_of(const Surface *s, size_t vertex)
+{
+    size_t found = vertex < (size_t)s->vertices ? (size_t)(uint32_t)s->classes[vertex] : (size_t)s->class_count;
+    return found < (size_t)s->class_count ? found : (size_t)s->class_count;
+}
+
+/* Group the corners 4 t + i by weld class (by counting); -1: no memory, STRAY: an index is out of range. */
 static int corners_of_classes(const Surface *s, Groups *groups)
 {
     size_t corners = 3 * (size_t)s->triangle_count, classes = (size_t)s->class_count;
@@ -461,15 +482,20 @@ static int corners_of_classes(const Surface *s, Groups *groups)
         return -1;
     uint32_t *next = groups->start + 1; /* one ahead: filling moves every start to its place */
     for (size_t corner = 0; corner < corners; corner++) {
-        if (s->triangles[corner] >= (size_t)s->vertices)
-            return -2;
-        next[s->classes[s->triangles[corner]] + 1]++;
+        size_t c = class_of(s, s->triangles[corner]);
+        if (c == classes)
+            return STRAY;
+        next[c + 1]++;
     }
     for (size_t c = 0; c < classes; c++)
         next[c + 1] += next[c];
     for (size_t t = 0; t < (size_t)s->triangle_count; t++)
-        for (size_t i = 0; i < 3; i++)
-            groups->members[next[s->classes[s->triangles[3 * t + i]]]++] = (uint32_t)(4 * t + i);
+        for (size_t i = 0; i < 3; i++) {
+            size_t c = class_of(s, s->triangles[3 * t + i]);
+            if (c == classes || next[c] >= corners)
+                return STRAY;
+            groups->members[next[c]++] = (uint32_t)(4 * t + i);
+        }
     return 0;
 }
 
@@ -487,12 +513,20 @@ static int vertices_of_classes(const Surface *s, Groups *groups)
     if (!groups->start || !groups->members)
         return -1;
     uint32_t *next = groups->start + 1;
-    for (v = 0; v < vertices; v++)
-        next[s->classes[v] + 1]++;
+    for (v = 0; v < vertices; v++) {
+        size_t c = class_of(s, v);
+        if (c == classes)
+            return STRAY;
+        next[c + 1]++;
+    }
     for (size_t c = 0; c < classes; c++)
         next[c + 1] += next[c];
-    for (v = 0; v < vertices; v++)
-        groups->members[next[s->classes[v]]++] = (uint32_t)v;
+    for (v = 0; v < vertices; v++) {
+        size_t c = class_of(s, v);
+        if (c == classes || next[c] >= vertices)
+            return STRAY;
+        groups->members[next[c]++] = (uint32_t)v;
+    }
     return 0;
 }
 
@@ -526,6 +560,7 @@ typedef struct {
     Entry *entries;
     Entry **foreign;
     int32_t *named; /* by slot: the joint whose gradient it carries */
+    int stray;      /* an index was out of range where it was to be used */
 } Scratch;
 
 static void scratch_free(Scratch *w)
@@ -556,13 +591,16 @@ static int scratch_alloc(Scratch *w, const Surface *s)
 
 /* Write ends and edges of some corners, whose class is at `origin`; the first one stands for what is left over. */
 static ALWAYS_INLINE void find_edges(const Surface *s, int wide, Vector origin, const uint32_t *corners,
-                                     size_t count, Corners *c)
+                                     size_t count, Corners *c, Scratch *w)
 {
+    const size_t vertices = (size_t)s->vertices;
     Vector e1[AT_ONCE], e2[AT_ONCE];
     for (size_t n = 0; n < count; n++) {
         static const uint8_t following[] = {1, 2, 0}, last[] = {2, 0, 1};
         const uint32_t *triangle = s->triangles + 3 * (size_t)(corners[n] >> 2);
         uint32_t one = triangle[following[corners[n] & 3]], other = triangle[last[corners[n] & 3]];
+        if (one >= vertices || other >= vertices)
+            one = other = 0, w->stray = 1;
         c->ends[n][0] = one, c->ends[n][1] = other;
         e1[n] = minus(row3(s->positions, wide, one), origin);
         e2[n] = minus(row3(s->positions, wide, other), origin);
@@ -632,10 +670,15 @@ static int32_t add_differences(const Surface *s, size_t neighbour, Vector c, int
     for (int32_t k = 0; k < slots; k++) {
         if (weight[k] == 0.0)
             continue;
-        int32_t number = w->local[there[k]];
+        const int32_t joint = there[k];
+        if ((size_t)(uint32_t)joint >= (size_t)s->joint_count) {
+            w->stray = 1;
+            continue;
+        }
+        int32_t number = w->local[joint];
         if (number < 0) {
-            number = w->local[there[k]] = used++;
-            w->met[number] = there[k];
+            number = w->local[joint] = used++;
+            w->met[number] = joint;
             w->x[number] = w->y[number] = w->z[number] = 0.0;
         }
         w->seen[number] = w->visit;
@@ -661,11 +704,12 @@ static ALWAYS_INLINE int32_t sum_corners(const Surface *s, int wide, size_t slot
     const int32_t *joints = s->joints + vertex * slots;
     int32_t used = (int32_t)slots;
     for (size_t k = 0; k < slots; k++) {
-        w->met[k] = joints[k];
+        const int32_t joint = joints[k];
+        w->met[k] = (size_t)(uint32_t)joint < (size_t)s->joint_count ? joint : NO_JOINT;
         w->own[k] = s->weights[vertex * slots + k];
         w->x[k] = w->y[k] = w->z[k] = 0.0;
-        if (joints[k] >= 0)
-            w->local[joints[k]] = (int32_t)k;
+        if (w->met[k] >= 0)
+            w->local[w->met[k]] = (int32_t)k;
     }
     Vector origin = row3(s->positions, wide, vertex);
     const double *here = s->weights + vertex * slots;
@@ -675,7 +719,7 @@ static ALWAYS_INLINE int32_t sum_corners(const Surface *s, int wide, size_t slot
     for (size_t from = 0; from < count; from += AT_ONCE) {
         size_t some = count - from < AT_ONCE ? count - from : AT_ONCE;
         Corners c;
-        find_edges(s, wide, origin, corners + from, some, &c);
+        find_edges(s, wide, origin, corners + from, some, &c, w);
         weigh_corners(&c, s->weighting);
         for (size_t n = 0; n < some; n++)
             for (int end = 0; end < 2; end++) {
@@ -847,6 +891,9 @@ static ALWAYS_INLINE int bake_classes(const Surface *s, int wide, size_t slots, 
 {
     for (size_t c = 0; c < (size_t)s->class_count; c++) {
         uint32_t itself = (uint32_t)c;
+        if (corners->start[c + 1] < corners->start[c] ||
+            (members->start && members->start[c + 1] < members->start[c]))
+            return STRAY; /* the classes have changed while they were counted */
         const uint32_t *vertices = members->start ? members->members + members->start[c] : &itself;
         size_t count = members->start ? members->start[c + 1] - members->start[c] : 1;
         size_t corner_count = corners->start[c + 1] - corners->start[c];
@@ -864,7 +911,7 @@ static ALWAYS_INLINE int bake_classes(const Surface *s, int wide, size_t slots, 
         }
         for (size_t n = 0; n < count; n++) {
             size_t vertex = vertices[n], primitive = 0;
-            while (vertex >= (size_t)out->ends[primitive])
+            while (primitive + 1 < out->primitives && vertex >= out->ends[primitive])
                 primitive++;
             double *sums = out->sums + 4 * primitive;
             int as_numbered = n == 0 && (foreign == 0 || capacity == 0);
@@ -878,7 +925,7 @@ static ALWAYS_INLINE int bake_classes(const Surface *s, int wide, size_t slots, 
             sums[1] += overflows;
         }
     }
-    return 0;
+    return w->stray ? STRAY : 0;
 }
 
 /* Copies of the loop for the usual cases, so that it need not ask for types and counts again and again. */
@@ -899,8 +946,10 @@ static int bake_surface(const Surface *s, const Baked *out)
     Scratch scratch;
     memset(&scratch, 0, sizeof scratch);
     int status = corners_of_classes(s, &corners);
-    if (status == 0 && (vertices_of_classes(s, &members) < 0 || scratch_alloc(&scratch, s) < 0))
-        status = -1;
+    if (status == 0)
+        status = vertices_of_classes(s, &members);
+    if (status == 0)
+        status = scratch_alloc(&scratch, s);
     if (status == 0)
         status = bake_in_classes(s, &corners, &members, &scratch, out);
     scratch_free(&scratch);
@@ -911,6 +960,10 @@ static int bake_surface(const Surface *s, const Baked *out)
 /* Check what indices refer to, and find the number of joints; -1 with an exception where it is wrong. */
 static int check_surface(Surface *s)
 {
+    if (s->class_count < 0 || s->class_count > s->vertices) {
+        PyErr_SetString(PyExc_ValueError, "there are more weld classes than vertices, or less than none");
+        return -1;
+    }
     int32_t largest = 0;
     for (Py_ssize_t n = 0; n < s->vertices * s->slots; n++) {
         largest = s->joints[n] > largest ? s->joints[n] : largest;
@@ -920,6 +973,10 @@ static int check_surface(Surface *s)
         }
     }
     s->joint_count = (Py_ssize_t)largest + 1;
+    if (s->joint_count > INT32_MAX - s->slots) { /* local numbers count both */
+        PyErr_SetString(PyExc_ValueError, "too many joints for one surface");
+        return -1;
+    }
     for (Py_ssize_t v = 0; v < s->vertices; v++)
         if (s->classes[v] < 0 || s->classes[v] >= s->class_count) {
             PyErr_SetString(PyExc_IndexError, "a weld class is out of range");
@@ -939,7 +996,7 @@ static int take_surface(PyObject **o, Array *a)
 {
     if (take(o[POSITIONS], &a[POSITIONS], "positions", "fd", 3, 0) < 0 ||
         take(o[TRIANGLES], &a[TRIANGLES], "triangles", "iI", 3, 0) < 0 ||
-        take(o[JOINTS], &a[JOINTS], "joints", "i", 0, 0) < 0 ||
+        take(o[JOINTS], &a[JOINTS], "joints", "i", 0, 0) < 0 || least_slots(&a[JOINTS], 2) < 0 ||
         take(o[WEIGHTS], &a[WEIGHTS], "weights", "d", a[JOINTS].columns, 0) < 0 ||
         take(o[UNUSED], &a[UNUSED], "free", "?", a[JOINTS].columns, 0) < 0 ||
         take(o[CLASSES], &a[CLASSES], "classes", "i", 1, 0) < 0 ||
@@ -960,7 +1017,7 @@ static int take_surface(PyObject **o, Array *a)
         return -1;
     const uint64_t *ends = a[ENDS].buffer.buf;
     if (a[ENDS].rows < 1 || ends[a[ENDS].rows - 1] != (uint64_t)a[POSITIONS].rows ||
-        a[TANGENTS].kind != a[BITANGENTS].kind || a[JOINTS].columns < 2) {
+        a[TANGENTS].kind != a[BITANGENTS].kind) {
         PyErr_SetString(PyExc_ValueError, "the arrays of the surface do not belong together");
         return -1;
     }
@@ -993,8 +1050,10 @@ static PyObject *bake(PyObject *module, PyObject *args)
         .triangle_count = a[TRIANGLES].rows, .class_count = class_count, .weighting = weighting,
         .adopts = adopts, .negligible = negligible,
     };
-    Baked out = {a[ALPHA].buffer.buf, a[BETA].buffer.buf, a[ADOPTED].buffer.buf, a[ENDS].buffer.buf,
-                 a[SUMS].buffer.buf};
+    Baked out = {
+        .alpha = a[ALPHA].buffer.buf, .beta = a[BETA].buffer.buf, .adopted = a[ADOPTED].buffer.buf,
+        .ends = a[ENDS].buffer.buf, .primitives = (size_t)a[ENDS].rows, .sums = a[SUMS].buffer.buf,
+    };
     if (check_surface(&surface) < 0)
         goto done;
     int status;
@@ -1003,8 +1062,8 @@ static PyObject *bake(PyObject *module, PyObject *args)
     Py_END_ALLOW_THREADS
     if (status == -1)
         PyErr_NoMemory();
-    else if (status == -2)
-        PyErr_SetString(PyExc_IndexError, "a triangle names a vertex that is not there");
+    else if (status == STRAY)
+        PyErr_SetString(PyExc_IndexError, "a triangle or a slot names what is not there");
     else
         result = Py_NewRef(Py_None);
 done:
