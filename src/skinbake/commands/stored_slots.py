@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -12,6 +11,7 @@ import numpy.typing as npt
 
 from skinbake.errors import Notice, Place
 from skinbake.geometry.skinned import Float64Array, FloatArray
+from skinbake.gltf import json_access
 from skinbake.gltf.accessors import StoredArray, read_accessor
 from skinbake.gltf.document import Document
 from skinbake.gltf.encodings import Encoding, decoded
@@ -55,8 +55,7 @@ def wrong_storage(metadata: JsonObject, influence_sets: int) -> Iterator[str]:
 
 
 def _is_scale(value: object) -> bool:
-    is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    return is_number and math.isfinite(value) and value >= 0  # type: ignore[arg-type, operator]
+    return json_access.is_number(value) and value >= 0  # type: ignore[operator]
 
 
 def _are_names(values: list[Any], count: int) -> bool:
@@ -67,8 +66,7 @@ def shown(value: object) -> str:
     """Return a value of the metadata for a message, not too long."""
     if value is None:
         return "missing"
-    text = repr(value)
-    return text if len(text) <= 40 else f"{text[:40]}…"
+    return json_access.shown(value)
 
 
 def read_slots(

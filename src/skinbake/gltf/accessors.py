@@ -12,7 +12,7 @@ from skinbake.geometry.skinned import FloatArray
 from skinbake.gltf import draco
 from skinbake.gltf.document import Document
 from skinbake.gltf.formats import COMPONENT_NAMES, COMPONENTS, MATRIX_ROWS, component_dtype
-from skinbake.gltf.json_access import JsonObject, index, integer, member
+from skinbake.gltf.json_access import JsonObject, index, integer, member, shown
 from skinbake.gltf.views import view_bytes
 
 UNBACKED_LIMIT = 1 << 20
@@ -44,7 +44,8 @@ class StoredArray:
 def read_accessor(document: Document, number: int, place: Place) -> StoredArray:
     """Return the elements of accessor ``number``, sparse substitution applied.
 
-    The array may be a read-only, strided view of the buffer. Raises InputError where the accessor, its
+    The array may be a read-only, strided view of the buffer; its elements are aligned, in a file where they
+    are not too. Raises InputError where the accessor, its
     buffer view or its buffer contradict each other or the bytes that are there.
     """
     accessor = document.objects("accessors")[number]
@@ -55,6 +56,8 @@ def read_accessor(document: Document, number: int, place: Place) -> StoredArray:
         values = _dense(document, accessor, (dtype, components, count), place)
     if "sparse" in accessor:
         values = _substituted(document, member(accessor, "sparse", place), values, place)
+    if not values.flags.aligned:  # glTF forbids it; compiled code cannot read it
+        values = values.copy()
     return StoredArray(values, accessor.get("normalized") is True and dtype.kind != "f")
 
 
@@ -95,7 +98,7 @@ def _unknown_format(accessor: JsonObject, number: int, place: Place) -> InputErr
     known = isinstance(kind, str) and kind in MATRIX_ROWS and component_dtype(accessor) is not None
     verdict = "cannot stand here" if known else "glTF does not know"
     return InputError(
-        f"accessor {number} has type {kind!r} of component type {code!r}, which {verdict}", place
+        f"accessor {number} has type {shown(kind)} of component type {shown(code)}, which {verdict}", place
     )
 
 

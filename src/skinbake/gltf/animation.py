@@ -13,8 +13,8 @@ from skinbake.geometry import poses
 from skinbake.geometry.skinned import Float64Array
 from skinbake.gltf.accessors import read_accessor
 from skinbake.gltf.document import Document
-from skinbake.gltf.json_access import JsonObject, index, member, objects, text
-from skinbake.gltf.morphs import is_number, skinned_target_count
+from skinbake.gltf.json_access import JsonObject, index, is_number, member, objects, text
+from skinbake.gltf.morphs import skinned_target_count
 
 PATHS = {"translation": 3, "rotation": 4, "scale": 3}
 MORPH_WEIGHTS = "weights"

@@ -157,7 +157,7 @@ class _DracoStore:
         arrays = {name: self._values(name) for name in names}
         from skinbake.gltf import draco_stream
 
-        stream = draco_stream.encode(arrays, faces, level=self._level)
+        stream = draco_stream.encode(arrays, faces, self._source.place, level=self._level)
         numbers = {name: stream.unique_ids[name] for name in names}
         return self._additions.add_stream(stream.data), numbers
 

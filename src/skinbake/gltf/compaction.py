@@ -6,14 +6,16 @@ from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from skinbake.errors import Place
+from skinbake.errors import InputError, Place
 from skinbake.gltf import meshopt, resources
 from skinbake.gltf.additions import content_digest
 from skinbake.gltf.document import Document
 from skinbake.gltf.glb import Bytes
-from skinbake.gltf.json_access import JsonObject, integer, member
+from skinbake.gltf.json_access import JsonObject, every_object, index, integer, member, names, reference
 
 Range = tuple[int, int]
+
+VIEW = "bufferView"
 
 ALIGNMENT = 4
 """What is cut out is a multiple of this many bytes, so that all that follows stays aligned."""
@@ -29,16 +31,16 @@ def compacted(before: Document, after: Document) -> Document:
     chunk's.
     """
     old, views = before.objects("bufferViews"), after.objects("bufferViews")
-    used = set(extensions) if isinstance(extensions := after.json.get("extensionsUsed"), list) else set()
+    used = set(names(after.json, "extensionsUsed", after.place))
     dropped = views_in_use(before.json) - views_in_use(after.json)
     if used & set(OTHER_REFERENCES):
         dropped = set()
     kept = [number for number in range(len(views)) if number not in dropped]
-    needed = _by_buffer([views[number] for number in kept], after.place)
+    needed = _by_buffer(after, [views[number] for number in kept])
     changed = [old[number] for number in range(len(old)) if number in dropped or old[number] != views[number]]
     holes = {
         buffer: _difference(ranges, needed.get(buffer, []))
-        for buffer, ranges in _by_buffer(changed, before.place).items()
+        for buffer, ranges in _by_buffer(before, changed).items()
         if _has_bytes(after, buffer) or buffer not in needed
     }
     gone = {
@@ -55,34 +57,29 @@ def _has_bytes(document: Document, number: int) -> bool:
     return is_chunk or document.objects("buffers")[number].get("uri") is not None
 
 
-def views_in_use(node: object) -> set[int]:
+def views_in_use(root: object) -> set[int]:
     """Return every number that stands under a key ``bufferView``, at any depth."""
-    return set(_references(node))
+    found = (reference(node.get(VIEW)) for node in every_object(root))
+    return {number for number in found if number is not None}
 
 
-def _references(node: object) -> Iterator[int]:
-    if isinstance(node, list):
-        for entry in node:
-            yield from _references(entry)
-    elif isinstance(node, dict):
-        for key, value in node.items():
-            if key == "bufferView" and isinstance(value, int):
-                yield value
+def _renumbered(root: JsonObject, numbers: dict[int, int]) -> JsonObject:
+    """Return a copy of the JSON whose references to buffer views are other numbers."""
+    result: JsonObject = {}
+    left: list[tuple[Any, Any]] = [(root, result)]
+    while left:
+        node, copy = left.pop()
+        for key, value in node.items() if isinstance(node, dict) else enumerate(node):
+            if isinstance(value, dict):
+                copy[key] = {}
+                left.append((value, copy[key]))
+            elif isinstance(value, list):
+                copy[key] = [None] * len(value)
+                left.append((value, copy[key]))
             else:
-                yield from _references(value)
-
-
-def _renumbered(node: Any, numbers: dict[int, int]) -> Any:
-    if isinstance(node, list):
-        return [_renumbered(entry, numbers) for entry in node]
-    if isinstance(node, dict):
-        return {
-            key: numbers.get(value, value)
-            if key == "bufferView" and isinstance(value, int)
-            else _renumbered(value, numbers)
-            for key, value in node.items()
-        }
-    return node
+                number = reference(value) if key == VIEW else None
+                copy[key] = value if number is None else numbers.get(number, value)
+    return result
 
 
 def _holders(view: JsonObject, place: Place) -> Iterator[JsonObject]:
@@ -93,13 +90,17 @@ def _holders(view: JsonObject, place: Place) -> Iterator[JsonObject]:
         yield member(member(view, "extensions", place), name, place)
 
 
-def _by_buffer(views: Sequence[JsonObject], place: Place) -> dict[int, list[Range]]:
+def _by_buffer(document: Document, views: Sequence[JsonObject]) -> dict[int, list[Range]]:
     found: dict[int, list[Range]] = defaultdict(list)
+    place, count = document.place, len(document.objects("buffers"))
     for view in views:
         for holder in _holders(view, place):
             start = integer(holder, "byteOffset", place, default=0)
             length = integer(holder, "byteLength", place)
-            found[integer(holder, "buffer", place)].append((start, start + length))
+            buffer = index(holder, "buffer", count, place)
+            if buffer is None:
+                raise InputError("a buffer view names no buffer", place)
+            found[buffer].append((start, start + length))
     return found
 
 

@@ -7,12 +7,9 @@ touches is written back as it was read, unknown keys, key order and all.
 from __future__ import annotations
 
 import errno
-import gc
-import json
 import os
 import sys
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -20,7 +17,7 @@ from typing import Any
 from skinbake import containment
 from skinbake.containment import BESIDE, NOWHERE, Bounds, RefusedError
 from skinbake.errors import InputError, Place, UnsupportedFeatureError
-from skinbake.gltf import json_access, resources
+from skinbake.gltf import json_access, json_text, resources
 from skinbake.gltf.glb import Bytes, GlbChunks, split_glb
 
 GLB_SUFFIXES = (".glb", ".vrm")
@@ -194,23 +191,10 @@ def parse_gltf(data: Bytes, name: str, folder: Path, bounds: Bounds = BESIDE) ->
     )
 
 
-@contextmanager
-def collector_off() -> Iterator[None]:
-    """Switch the garbage collector off: it would look at every object of a large JSON again and again."""
-    was_on = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if was_on:
-            gc.enable()
-
-
 def _parse_json(data: bytes, place: Place) -> json_access.JsonObject:
     try:
-        with collector_off():
-            root = json.loads(data.decode("utf-8-sig"), parse_constant=_reject_constant)
-    except (ValueError, RecursionError) as error:
+        root = json_text.parsed(data.decode("utf-8-sig"))
+    except ValueError as error:
         raise InputError(f"its JSON cannot be parsed: {error}", place) from error
     if not isinstance(root, dict):
         raise InputError("its JSON is not an object", place)
@@ -226,10 +210,6 @@ def _check_version(asset: json_access.JsonObject, place: Place) -> None:
     if version.split(".")[0] != "2" or least != "2.0":
         wanted = version if least == "2.0" else least
         raise UnsupportedFeatureError(f'it wants glTF version "{wanted}"; only 2.0 is supported', place)
-
-
-def _reject_constant(name: str) -> float:
-    raise ValueError(f"{name} is not valid JSON")
 
 
 def _indentation(data: bytes) -> str | None:

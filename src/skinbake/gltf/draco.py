@@ -20,7 +20,7 @@ from skinbake.geometry.triangles import TRIANGLES
 from skinbake.gltf.document import Document
 from skinbake.gltf.expansion import charge
 from skinbake.gltf.formats import COMPONENTS, component_dtype
-from skinbake.gltf.json_access import JsonObject, accessor_number, entries_of, index, integer, member
+from skinbake.gltf.json_access import JsonObject, entries_of, index, integer, member, reference
 from skinbake.gltf.views import view_bytes
 
 if TYPE_CHECKING:
@@ -159,10 +159,10 @@ def _claims_of(primitive: JsonObject) -> Iterator[tuple[int, Claim]]:
     inside = (extension_of(primitive) or {}).get("attributes")
     attributes = primitive.get("attributes")
     for name, unique_id in inside.items() if isinstance(inside, dict) else ():
-        number = accessor_number(attributes.get(name)) if isinstance(attributes, dict) else None
+        number = reference(attributes.get(name)) if isinstance(attributes, dict) else None
         if number is not None:
-            yield number, Claim(primitive, accessor_number(unique_id))
-    indices = accessor_number(primitive.get("indices"))
+            yield number, Claim(primitive, reference(unique_id))
+    indices = reference(primitive.get("indices"))
     if indices is not None:
         yield indices, Claim(primitive, None)
 

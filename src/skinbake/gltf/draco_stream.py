@@ -248,6 +248,7 @@ class Encoded:
 def encode(
     arrays: Mapping[str, npt.NDArray[Any]],
     faces: npt.NDArray[Any],
+    place: Place,
     *,
     level: int,
     bits: Mapping[str, int] | None = None,
@@ -262,7 +263,11 @@ def encode(
     quantisation put on a grid are quantised on the same grid, where the stream then gives them back
     exactly: a tenth smaller on real characters. Arrays other than POSITION must not be of signed integers:
     DracoPy has none, and of floats that stand for them decoders do not give the largest back as an integer.
+
+    Raises InputError where an attribute has another count than POSITION, or a triangle names a vertex that is
+    not there: the encoder would read what is not its own.
     """
+    _check_arrays(arrays, faces, place)
     wanted = {name: number for name, number in (bits or {}).items() if _is_quantisable(name, arrays)}
     grids = {
         name: grid
@@ -270,12 +275,26 @@ def encode(
         if name not in wanted and _is_quantisable(name, arrays) and (grid := _grid(name, arrays[name]))
     }
     while True:
-        result = _encoded(arrays, faces, level, wanted, grids)
+        try:
+            result = _encoded(arrays, faces, level, wanted, grids)
+        except Exception as error:  # whatever C++ throws: DracoPy has no class of its own for it
+            raise InputError(f"Draco cannot store it ({error}): leave it out of Draco", place) from error
         inexact = [name for name in grids if result.values[name].tobytes() != arrays[name].tobytes()]
         if not inexact:
             return result
         for name in inexact:
             del grids[name]
+
+
+def _check_arrays(arrays: Mapping[str, npt.NDArray[Any]], faces: npt.NDArray[Any], place: Place) -> None:
+    count, components = arrays["POSITION"].shape
+    if components != 3:
+        raise InputError(f"it has {components} components, 3 are needed", place.at("POSITION"))
+    for name, values in arrays.items():
+        if len(values) != count:
+            raise InputError(f"it has {len(values)} elements, POSITION has {count}", place.at(name))
+    if faces.size and faces.max() >= count:
+        raise InputError(f"index {faces.max()} refers past the {count} vertices", place.at("indices"))
 
 
 def _is_quantisable(name: str, arrays: Mapping[str, npt.NDArray[Any]]) -> bool:

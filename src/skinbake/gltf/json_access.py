@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any, TypeAlias
 
 from skinbake.errors import InputError, Place
@@ -19,7 +19,7 @@ def objects(parent: Mapping[str, Any], key: str, place: Place) -> list[JsonObjec
     if value is None:
         return []
     if not isinstance(value, list) or not set(map(type, value)) <= {dict}:
-        raise InputError(f'"{key}" must be an array of objects, found {_shown(value)}', place)
+        raise InputError(f'"{key}" must be an array of objects, found {shown(value)}', place)
     return value
 
 
@@ -29,7 +29,7 @@ def member(parent: Mapping[str, Any], key: str, place: Place) -> JsonObject:
     if value is None:
         return {}
     if not isinstance(value, dict):
-        raise InputError(f'"{key}" must be an object, found {_shown(value)}', place)
+        raise InputError(f'"{key}" must be an object, found {shown(value)}', place)
     return value
 
 
@@ -43,7 +43,7 @@ def integer(
     if isinstance(value, float) and value.is_integer():
         value = int(value)  # some exporters write 3.0
     if isinstance(value, bool) or not isinstance(value, int) or value < minimum:
-        raise InputError(f'"{key}" must be an integer of at least {minimum}, found {_shown(value)}', place)
+        raise InputError(f'"{key}" must be an integer of at least {minimum}, found {shown(value)}', place)
     return value
 
 
@@ -57,11 +57,42 @@ def index(parent: Mapping[str, Any], key: str, length: int, place: Place) -> int
     return value
 
 
-def accessor_number(value: object) -> int | None:
-    """Return a reference to an accessor as an integer, None where it is none; 3.0 is 3, as in ``integer``."""
+def names(parent: Mapping[str, Any], key: str, place: Place) -> list[str]:
+    """Return the array of strings under ``key``, empty where there is none; InputError for another."""
+    value = parent.get(key)
+    if value is None:
+        return []
+    if not isinstance(value, list) or not set(map(type, value)) <= {str}:
+        raise InputError(f'"{key}" must be an array of strings, found {shown(value)}', place)
+    return value
+
+
+def every_object(root: object) -> Iterator[JsonObject]:
+    """Yield the objects within a value, itself included, at any depth."""
+    left = [root]
+    while left:
+        node = left.pop()
+        if isinstance(node, dict):
+            yield node
+            left += node.values()
+        elif isinstance(node, list):
+            left += node
+
+
+def reference(value: object) -> int | None:
+    """Return what refers to an entry of an array as an integer, None where it does not; 3.0 is 3."""
     if isinstance(value, float) and value.is_integer():
         return int(value)
     return value if isinstance(value, int) and not isinstance(value, bool) else None
+
+
+MOST = 3.4028234663852886e38
+"""The largest number that a file means: FLOAT's. What follows stays finite in float64."""
+
+
+def is_number(value: object) -> bool:
+    """Tell whether a value of the JSON is a number of float32's range; integers there can be of any size."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= MOST
 
 
 def entries_of(value: object) -> list[JsonObject]:
@@ -78,10 +109,14 @@ def text(parent: Mapping[str, Any], key: str, place: Place) -> str | None:
     """Return the string under ``key``, None where there is none; InputError where it is something else."""
     value = parent.get(key)
     if value is not None and not isinstance(value, str):
-        raise InputError(f'"{key}" must be a string, found {_shown(value)}', place)
+        raise InputError(f'"{key}" must be a string, found {shown(value)}', place)
     return value
 
 
-def _shown(value: object) -> str:
-    shown = repr(value)
-    return shown if len(shown) <= 40 else f"{shown[:40]}…"
+def shown(value: object) -> str:
+    """Return a value as a message shows it, cut short."""
+    try:
+        text = repr(value)
+    except RecursionError:
+        return f"an {'object' if isinstance(value, dict) else 'array'} nested very deep"
+    return text if len(text) <= 40 else f"{text[:40]}…"

@@ -13,7 +13,7 @@ from skinbake.geometry.frames import TANGENT_FRAME
 from skinbake.geometry.skinned import SkinnedPrimitive
 from skinbake.gltf.additions import KEY
 from skinbake.gltf.document import Document
-from skinbake.gltf.json_access import JsonObject, accessor_number
+from skinbake.gltf.json_access import JsonObject, reference
 
 VERSION = 1
 
@@ -74,7 +74,7 @@ def read_metadata(document: Document, primitive: JsonObject) -> JsonObject | Non
         return found
     attributes, accessors = primitive.get("attributes"), document.objects("accessors")
     for value in attributes.values() if isinstance(attributes, dict) else ():
-        number = accessor_number(value)
+        number = reference(value)
         if number is not None and 0 <= number < len(accessors):
             found = _noted(accessors[number])
             if found is not None:

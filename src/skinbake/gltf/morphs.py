@@ -9,7 +9,7 @@ from skinbake.geometry.morphs import NO_DIFFERENCES, Differences, MorphTarget, M
 from skinbake.geometry.skinned import Float64Array
 from skinbake.gltf.accessors import element_count, read_accessor
 from skinbake.gltf.document import Document
-from skinbake.gltf.json_access import JsonObject, index, objects, text
+from skinbake.gltf.json_access import JsonObject, index, is_number, objects, text
 from skinbake.gltf.primitives import FLOAT, NORMALISED_SIGNED, PrimitiveSource
 
 FORMATS: dict[str, tuple[tuple[str, bool], ...]] = {
@@ -24,9 +24,6 @@ EXPECTED = {
     "NORMAL": "floats, or normalised signed bytes or shorts",
     "TANGENT": "floats, or normalised signed bytes or shorts",
 }
-
-MOST = float(np.finfo(np.float32).max)
-"""The largest number that a file means: animations store FLOAT. What follows stays finite in float64."""
 
 
 def target_count(document: Document, mesh: int) -> int:
@@ -74,18 +71,9 @@ def _numbers(owner: JsonObject, count: int, called: str, place: Place) -> Float6
     value = owner.get("weights")
     if value is None:
         return np.zeros(count)
-    numeric = isinstance(value, list) and all(
-        isinstance(entry, int | float) and not isinstance(entry, bool) and abs(entry) <= MOST
-        for entry in value
-    )
-    if not numeric or len(value) != count:
+    if not isinstance(value, list) or not all(map(is_number, value)) or len(value) != count:
         raise InputError(f'"weights" of {called} must be {count} numbers, one for each morph target', place)
     return np.array(value, dtype=np.float64)
-
-
-def is_number(value: object) -> bool:
-    """Tell whether a value of the JSON is a number of float32's range; integers there can be of any size."""
-    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= MOST
 
 
 def read_targets(

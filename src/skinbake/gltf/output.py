@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import secrets
 import signal
@@ -15,6 +14,7 @@ from pathlib import Path
 
 from skinbake.containment import OutsideError, RefusedError, below, relative_names, spot_of
 from skinbake.errors import InputError, Notice, OutputError, Place
+from skinbake.gltf import json_text
 from skinbake.gltf.beside import Beside, named_files
 from skinbake.gltf.document import STDIO, Document
 from skinbake.gltf.glb import Bytes, join_glb
@@ -129,24 +129,14 @@ def _serialised(document: Document) -> Sequence[Bytes]:
 
 def _json_bytes(document: Document) -> bytes:
     """Return the JSON as UTF-8, indented as it came; escapes where its strings hold lone surrogates."""
-    separators = (",", ":") if document.indent is None else (",", ": ")
     end = "" if document.indent is None else "\n"
-
-    def dumped(ascii_only: bool) -> str:
-        return json.dumps(
-            document.json,
-            ensure_ascii=ascii_only,
-            allow_nan=False,
-            indent=document.indent,
-            separators=separators,
-        )
-
+    root, indent = document.json, document.indent
     try:
         try:
-            return (dumped(False) + end).encode("utf-8")
+            return (json_text.written(root, indent=indent, ascii_only=False) + end).encode("utf-8")
         except UnicodeEncodeError:
-            return (dumped(True) + end).encode("ascii")
-    except (ValueError, RecursionError) as error:  # numbers past a double's range, nesting past all sense
+            return (json_text.written(root, indent=indent, ascii_only=True) + end).encode("ascii")
+    except ValueError as error:  # numbers past a double's range
         raise InputError(f"its JSON cannot be written back: {error}", document.place) from error
 
 

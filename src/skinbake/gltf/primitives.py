@@ -207,21 +207,26 @@ def side_by_side(sets: Sequence[StoredInfluences]) -> tuple[IntArray, FloatArray
 
 def read_triangles(document: Document, source: PrimitiveSource) -> npt.NDArray[np.uint32]:
     """Return the primitive's triangles (T, 3), strips and fans unrolled; InputError for an index ≥ V."""
+    mode = integer(source.json, "mode", source.place.at("indices"), default=TRIANGLES)
+    return unrolled(read_indices(document, source), mode)
+
+
+def read_indices(document: Document, source: PrimitiveSource) -> IntArray:
+    """Return the primitive's indices (N,), 0 … V − 1 where it has none; InputError for an index ≥ V."""
     place = source.place.at("indices")
     count = element_count(
         document, _accessor_index(document, source, "POSITION"), source.place.at("POSITION")
     )
     number = index(source.json, "indices", len(document.objects("accessors")), place)
     if number is None:
-        indices: IntArray = np.arange(count, dtype=np.uint32)
-    else:
-        stored = read_accessor(document, number, place).values
-        if stored.dtype.kind != "u" or stored.shape[1] != 1:
-            raise InputError("indices must be scalars of an unsigned integer type", place)
-        indices = stored[:, 0]  # type: ignore[assignment]
-        if indices.max() >= count:
-            raise InputError(f"index {indices.max()} refers past the {count} vertices", place)
-    return unrolled(indices, integer(source.json, "mode", place, default=TRIANGLES))
+        return np.arange(count, dtype=np.uint32)
+    stored = read_accessor(document, number, place).values
+    if stored.dtype.kind != "u" or stored.shape[1] != 1:
+        raise InputError("indices must be scalars of an unsigned integer type", place)
+    indices: IntArray = stored[:, 0]  # type: ignore[assignment]
+    if indices.max() >= count:
+        raise InputError(f"index {indices.max()} refers past the {count} vertices", place)
+    return indices
 
 
 def _accessor_index(document: Document, source: PrimitiveSource, attribute: str) -> int:

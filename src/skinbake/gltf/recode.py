@@ -28,14 +28,19 @@ from skinbake.gltf.compaction import compacted
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import (
     JsonObject,
-    accessor_number,
     entries_of,
+    every_object,
     index,
     integer,
+    is_number,
     member,
+    names,
+    objects,
+    reference,
+    text,
     values_of,
 )
-from skinbake.gltf.primitives import PrimitiveSource
+from skinbake.gltf.primitives import PrimitiveSource, read_indices
 from skinbake.gltf.views import view_bytes
 
 Scheme = Literal["keep", "none", "draco", "meshopt"]
@@ -89,7 +94,9 @@ class _Recoder:
         self.accessors = list(document.objects("accessors"))
         self.views = list(document.objects("bufferViews"))
         self.meshes = [
-            {**mesh, "primitives": list(mesh["primitives"])} if "primitives" in mesh else mesh
+            {**mesh, "primitives": list(objects(mesh, "primitives", document.place))}
+            if "primitives" in mesh
+            else mesh
             for mesh in document.objects("meshes")
         ]
         self._uses = _uses_of_accessors(document.json)
@@ -134,7 +141,7 @@ class _Recoder:
         changes = {"accessors": self.accessors, "bufferViews": self.views, "meshes": self.meshes}
         applied = self.additions.applied({key: value for key, value in changes.items() if value})
         result = compacted(self.document, applied)
-        return result.edited(json=_with_extensions(result.json, self._required))
+        return result.edited(json=_with_extensions(result.json, self._required, result.place))
 
 
 def _uses_of_accessors(root: JsonObject) -> dict[int, int]:
@@ -151,13 +158,13 @@ def _uses_of_accessors(root: JsonObject) -> dict[int, int]:
             found += [sampler.get("input"), sampler.get("output")]
     uses: dict[int, int] = {}
     for value in found:
-        number = accessor_number(value)
+        number = reference(value)
         if number is not None:
             uses[number] = uses.get(number, 0) + 1
     return uses
 
 
-def _with_extensions(root: JsonObject, required: list[str]) -> JsonObject:
+def _with_extensions(root: JsonObject, required: list[str], place: Place) -> JsonObject:
     """Return the JSON that names the compressions it has in extensionsUsed and extensionsRequired.
 
     What it has is seen from the JSON; ``required`` are those that it cannot be read without.
@@ -166,26 +173,18 @@ def _with_extensions(root: JsonObject, required: list[str]) -> JsonObject:
     present = _extensions_in(root) & ours
     root = dict(root)
     for key in ("extensionsUsed", "extensionsRequired"):
-        named = root.get(key)
-        names = (
-            [name for name in named if name not in ours or name in present] if isinstance(named, list) else []
-        )
-        names += [name for name in required if name not in names]
-        if names:
-            root[key] = names
+        kept = [name for name in names(root, key, place) if name not in ours or name in present]
+        kept += [name for name in required if name not in kept]
+        if kept:
+            root[key] = kept
         else:
             root.pop(key, None)
     return root
 
 
-def _extensions_in(node: object) -> set[str]:
-    if isinstance(node, list):
-        return set().union(*map(_extensions_in, node))
-    if not isinstance(node, dict):
-        return set()
-    found = node.get("extensions")
-    names = set(found) if isinstance(found, dict) else set()
-    return names.union(*map(_extensions_in, node.values()))
+def _extensions_in(root: JsonObject) -> set[str]:
+    found = (node.get("extensions") for node in every_object(root))
+    return {name for extensions in found if isinstance(extensions, dict) for name in extensions}
 
 
 def _decompress(recoder: _Recoder) -> None:
@@ -204,7 +203,7 @@ def _decompress(recoder: _Recoder) -> None:
         recoder.set_view(number, {**kept, **data, **({"extensions": others} if others else {})})
         opened.add(number)
     for number, accessor in enumerate(document.objects("accessors")):
-        if number not in done and accessor.get("bufferView") in opened and "min" in accessor:
+        if number not in done and reference(accessor.get("bufferView")) in opened and "min" in accessor:
             values = read_accessor(document, number, document.place).values
             recoder.accessors[number] = {**accessor, **_bounds(accessor, values)}
 
@@ -213,7 +212,8 @@ def _draco_primitives(document: Document) -> Iterator[tuple[Place, JsonObject]]:
     for number, mesh in enumerate(document.objects("meshes")):
         for position, primitive in enumerate(entries_of(mesh.get("primitives"))):
             if draco.extension_of(primitive) is not None:
-                yield Place(document.name, number, mesh.get("name"), position), primitive
+                name = text(mesh, "name", document.place)
+                yield Place(document.name, number, name, position), primitive
 
 
 def _leave_draco(
@@ -259,7 +259,7 @@ def _into_meshopt(
         for number, is_index in _accessors_of(document, source):
             if number not in done and not _is_packed(document, number, source.place):
                 recoder.require(name)
-                _pack(recoder, number, packed, is_index, source.place)
+                _pack(recoder, number, packed, source if is_index else None, source.place)
             done.add(number)
     return iter(())
 
@@ -280,12 +280,18 @@ def _is_packed(document: Document, number: int, place: Place) -> bool:
     return view is not None and meshopt.extension_of(views[view], place) is not None
 
 
-def _pack(recoder: _Recoder, number: int, packed: Packed, is_index: bool, place: Place) -> None:
-    values = read_accessor(recoder.document, number, place).values
+def _pack(
+    recoder: _Recoder, number: int, packed: Packed, indexed: PrimitiveSource | None, place: Place
+) -> None:
+    """Compress an accessor's values; ``indexed`` is the primitive whose indices they are."""
     members = {}
-    if is_index and values.dtype.itemsize == 1:  # the index codecs know shorts and integers
+    if indexed is None:
+        values = read_accessor(recoder.document, number, place).values
+    else:
+        values = read_indices(recoder.document, indexed)[:, None]
+    if indexed is not None and values.dtype.itemsize == 1:  # the index codecs know shorts and integers
         values, members = values.astype(np.uint16), {"componentType": UNSIGNED_SHORT}
-    view = recoder.additions.add_values(values, packed, indices=is_index)
+    view = recoder.additions.add_values(values, packed, indices=indexed is not None)
     recoder.set_accessor(number, view, **members)
 
 
@@ -306,12 +312,12 @@ def _into_draco(
         if reason is not None:
             yield Notice("not-compressed", f"left as it is, not put into Draco: {reason}", source.place)
         else:
-            key = (source.json.get("indices"), *sorted(source.attributes.items()))
+            key = (reference(source.json.get("indices")), *sorted(source.attributes.items()))
             groups.setdefault(key, []).append(source)
     for group in groups.values():
         changes = _streamed(recoder, group[0], len(group), compression)
         for source in group:
-            extensions = {**source.json.get("extensions", {}), **changes["extensions"]}
+            extensions = {**member(source.json, "extensions", source.place), **changes["extensions"]}
             recoder.set_primitive(source.place, {**source.json, **changes, "extensions": extensions})
         recoder.require(draco.EXTENSION)
 
@@ -327,13 +333,13 @@ def _reason_against_draco(
     if mode != TRIANGLES:
         return f"its mode is {mode}, and Draco stores lists of triangles"
     extension = draco.extension_of(source.json) or {}
-    names = member(extension, "attributes", source.place) if inside_only else source.attributes
-    if "POSITION" not in names:
+    chosen = member(extension, "attributes", source.place) if inside_only else source.attributes
+    if "POSITION" not in chosen:
         return "it has no POSITION"
-    if len(names) > MOST_ATTRIBUTES:
-        return f"it has {len(names)} attributes"
+    if len(chosen) > MOST_ATTRIBUTES:
+        return f"it has {len(chosen)} attributes"
     accessors = document.objects("accessors")
-    for name in names:
+    for name in chosen:
         number = index(source.attributes, name, len(accessors), source.place)
         if number is not None and accessors[number].get("componentType") in SIGNED and name != "POSITION":
             return f"its {name} are signed integers, which the encoder cannot store"
@@ -350,14 +356,12 @@ def _streamed(recoder: _Recoder, source: PrimitiveSource, users: int, compressio
     numbers = {name: index(source.attributes, name, len(accessors), place) or 0 for name in source.attributes}
     arrays = {name: read_accessor(document, numbers[name], place.at(name)).values for name in numbers}
     corners = index(source.json, "indices", len(accessors), place)
-    faces: npt.NDArray[Any] = np.arange(len(arrays["POSITION"]))
-    if corners is not None:
-        faces = read_accessor(document, corners, place.at("indices")).values[:, 0]
+    faces = read_indices(document, source)
     faces = faces[: len(faces) // 3 * 3].reshape(-1, 3)
     level = DRACO_LEVEL if compression.level is None else compression.level
     from skinbake.gltf import draco_stream
 
-    stream = draco_stream.encode(arrays, faces, level=level, bits=compression.bits)
+    stream = draco_stream.encode(arrays, faces, place, level=level, bits=compression.bits)
     attributes = {name: recoder.own(number, users) for name, number in numbers.items()}
     for name, number in attributes.items():
         bounds = _bounds(recoder.accessors[number], stream.values[name]) if name in compression.bits else {}
@@ -378,13 +382,20 @@ def _bounds(accessor: JsonObject, values: npt.NDArray[Any]) -> JsonObject:
 
     Quantising, now or before the file came to us, moves what they bound; glTF wants them exact.
     """
-    if not isinstance(accessor.get("min"), list) or not isinstance(accessor.get("max"), list):
+    noted = {key: accessor.get(key) for key in ("min", "max")}
+    if not all(isinstance(numbers, list) for numbers in noted.values()):
         return {}
     bounds = {"min": values.min(axis=0), "max": values.max(axis=0)}
     if not all(np.isfinite(bound).all() for bound in bounds.values()):
         return {}
     return {
-        key: bound.tolist()
-        for key, bound in bounds.items()
-        if [values.dtype.type(number) for number in accessor[key]] != bound.tolist()
+        key: bound.tolist() for key, bound in bounds.items() if not _is_bound(noted[key], bound, values.dtype)
     }
+
+
+def _is_bound(noted: Any, bound: npt.NDArray[Any], dtype: np.dtype[Any]) -> bool:
+    """Tell whether numbers of the JSON are those of a bound, once they are rounded to its type."""
+    if len(noted) != len(bound) or not all(map(is_number, noted)):
+        return False
+    numbers = [np.float32(number) for number in noted] if dtype.kind == "f" else noted
+    return bool(numbers == bound.tolist())

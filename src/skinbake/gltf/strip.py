@@ -78,7 +78,7 @@ def _accessors_in_use(root: JsonObject) -> set[int]:
 
 
 def _numbers(values: Iterable[object]) -> set[int]:
-    return {number for value in values if (number := json_access.accessor_number(value)) is not None}
+    return {number for value in values if (number := json_access.reference(value)) is not None}
 
 
 def _restored(
