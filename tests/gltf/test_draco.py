@@ -301,7 +301,7 @@ class TestEncoder:
 
     def test_stores_every_value_and_the_order(self) -> None:
         arrays = self.arrays()
-        stream = draco_stream.encode(arrays, self.faces, level=7)
+        stream = draco_stream.encode(arrays, self.faces, PLACE, level=7)
         found = self.decoded(stream)
         for name, array in arrays.items():
             assert found[name].astype(array.dtype).tobytes() == array.tobytes()
@@ -312,21 +312,21 @@ class TestEncoder:
         arrays["NORMAL"][3] = np.nan
         arrays["TEXCOORD_0"][2] = np.inf
         arrays["POSITION"][:] = -0.0
-        found = self.decoded(draco_stream.encode(arrays, self.faces, level=7))
+        found = self.decoded(draco_stream.encode(arrays, self.faces, PLACE, level=7))
         for name in ("NORMAL", "TEXCOORD_0", "POSITION"):
             assert found[name].tobytes() == arrays[name].tobytes()
-        found = self.decoded(draco_stream.encode(arrays, self.faces, level=7, bits={"NORMAL": 10}))
+        found = self.decoded(draco_stream.encode(arrays, self.faces, PLACE, level=7, bits={"NORMAL": 10}))
         assert found["NORMAL"].tobytes() == arrays["NORMAL"].tobytes()
 
     @pytest.mark.parametrize("bits", [8, 11, 14, 16])
     def test_puts_quantised_floats_back_on_their_grid(self, bits: int) -> None:
         """The values come from Draco's own quantisation; the stream is smaller than one of plain floats."""
         arrays = self.arrays(3000)
-        raw = draco_stream.encode(arrays, self.faces, level=7)
+        raw = draco_stream.encode(arrays, self.faces, PLACE, level=7)
         numbers = {"POSITION": bits, "NORMAL": bits, "TEXCOORD_0": bits}
-        coarse = draco_stream.encode(arrays, self.faces, level=7, bits=numbers)
+        coarse = draco_stream.encode(arrays, self.faces, PLACE, level=7, bits=numbers)
         assert coarse.values["POSITION"].tobytes() != arrays["POSITION"].tobytes()
-        again = draco_stream.encode({**arrays, **coarse.values}, self.faces, level=7)
+        again = draco_stream.encode({**arrays, **coarse.values}, self.faces, PLACE, level=7)
         found = self.decoded(again)
         for name in numbers:
             assert found[name].tobytes() == coarse.values[name].tobytes()
@@ -334,7 +334,7 @@ class TestEncoder:
 
     def test_quantises_what_is_asked_for_alone(self) -> None:
         arrays = self.arrays()
-        found = self.decoded(draco_stream.encode(arrays, self.faces, level=7, bits={"POSITION": 10}))
+        found = self.decoded(draco_stream.encode(arrays, self.faces, PLACE, level=7, bits={"POSITION": 10}))
         extent = float(np.ptp(arrays["POSITION"], axis=0).max())
         off = np.abs(found["POSITION"] - arrays["POSITION"]).max()
         assert 0 < off <= extent / 1023 / 2 * 1.001  # half a step, and the rounding of float32

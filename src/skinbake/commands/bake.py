@@ -15,6 +15,7 @@ from skinbake.bake.influences import SUM_TOLERANCE
 from skinbake.bake.normals import with_smooth_normals
 from skinbake.containment import OWN_FOLDERS, Within
 from skinbake.errors import InputError, Notice, Place, SkinbakeError, defect
+from skinbake.geometry.blocks import blocks
 from skinbake.geometry.frames import TANGENT_FRAME
 from skinbake.geometry.skinned import BakedPrimitive, SkinnedPrimitive
 from skinbake.gltf.attribute_store import stored_otherwise
@@ -247,6 +248,8 @@ def _bake_sources(
         parts = _limited(document, sources, whole, options)
     primitives = [part.primitive if part else one for part, one in zip(parts, whole, strict=True)]
     outcomes = bake_mesh(primitives, options.settings)
+    for source, primitive, (outcome, _) in zip(sources, primitives, outcomes, strict=True):
+        _check_finite(source, primitive, outcome)
     with stage("limit"):
         costs = _limit_costs(document, sources, whole, parts, outcomes, options)
     for source, primitive, part, cost, (outcome, findings) in zip(
@@ -257,6 +260,28 @@ def _bake_sources(
         baked.append(Baked(source, primitive, outcome, _noted_settings(options), stored))
         counts = _counts(source, primitive, outcome, findings, options.storage.encoding)
         results.append((source.place, replace(counts, limited=cost)))
+
+
+def _check_finite(source: PrimitiveSource, primitive: SkinnedPrimitive, outcome: BakedPrimitive) -> None:
+    """Raise InputError where α or β of a vertex are not finite: no shader can make a normal of those."""
+    count, of_tangents = 0, False
+    for rows in blocks(len(outcome.alpha)):
+        slots = np.isfinite(outcome.alpha[rows]) & np.isfinite(outcome.beta[rows])
+        if slots.all():
+            continue
+        bad = ~slots.all(axis=1)
+        count += int(np.count_nonzero(bad))
+        if outcome.frame == TANGENT_FRAME and primitive.tangents is not None:
+            of_tangents |= not np.isfinite(primitive.tangents[rows][bad]).all()
+    if not count:
+        return
+    vertices = "1 vertex" if count == 1 else f"{count} vertices"
+    advice = (
+        "their TANGENT is not finite: mend it, or take --frame normal"
+        if of_tangents
+        else "they lie closer together than float32 can hold a slope for: scale the model up, or merge them"
+    )
+    raise InputError(f"α or β of {vertices} are not finite numbers; {advice}", source.place)
 
 
 def _limited(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -10,7 +11,7 @@ import numpy as np
 from skinbake.commands.baked_views import BakedView
 from skinbake.commands.morphing import morph_count, morphing_of
 from skinbake.commands.poses import PoseRequest, PoseSet, described, draws_of, pose_set
-from skinbake.errors import Notice, Place
+from skinbake.errors import InputError, Notice, Place
 from skinbake.geometry import frames
 from skinbake.geometry.skinned import Float64Array
 from skinbake.gltf.animation import read_clips
@@ -103,12 +104,15 @@ class Lighting:
             check = Check("lighting", "failed", (problem,))
             return FileVerdict(self._document.name, (check,), without_dqs=reason)
         self._total = sum(len(draw.poses.clips) for draw in drawn) * len(methods)
-        for method in methods:
-            self._expect(method, drawn)
-            for draw in drawn:
-                self._measure(method, draw)
-        with stage("figures"):
-            verdict = self._verdict([draw.poses for draw in drawn], reason if not_rigid else None)
+        with np.errstate(
+            over="ignore", invalid="ignore", divide="ignore"
+        ):  # figures are checked to be finite
+            for method in methods:
+                self._expect(method, drawn)
+                for draw in drawn:
+                    self._measure(method, draw)
+            with stage("figures"):
+                verdict = self._verdict(drawn, reason if not_rigid else None)
         morphs = morph_count(self._document, [(draw.views[0].source.mesh, draw.poses) for draw in drawn])
         return replace(verdict, notices=tuple(dict.fromkeys(_mirrored(drawn))), morphs=morphs)
 
@@ -174,20 +178,33 @@ class Lighting:
         self._done += poses
         self._progress(self._document.name, self._done, self._total)
 
-    def _identity_check(self) -> Check:
+    def _identity_check(self, drawn: Sequence[_Draw]) -> Check:
         remark = f"direct and accurate (algorithms 2 and 3) agree within {self._identity:.1g}°"
         if self._identity <= IDENTITY_TOLERANCE:
             return Check("identity", "passed", (), remark)
-        message = (
-            f"direct and accurate normals (algorithms 2 and 3) differ by {self._identity:.2g}°, and should "
-            "agree to rounding: this is a fault of skinbake, please report it"
-        )
+        message = f"direct and accurate normals (algorithms 2 and 3) differ by {self._identity:.2g}°"
+        strained = max((_strain(draw) for draw in drawn), default=(0.0, ""))
+        if strained[0] > STRAINED:
+            message += (
+                f": its joint matrices are singular or too unlike in size, {strained[1]} most of all, and "
+                "rounding takes over: mend the nodes, inverse bind matrices or animations that make them"
+            )
+        else:
+            message += ", and should agree to rounding: this is a fault of skinbake, please report it"
         return Check("identity", "failed", (Notice("identity", message, self._document.place),))
 
-    def _verdict(self, poses: Sequence[PoseSet], without_dqs: str | None) -> FileVerdict:
+    def _verdict(self, drawn: Sequence[_Draw], without_dqs: str | None) -> FileVerdict:
         normals = self._figures(self._whole)
+        found = [figures for lightings in normals.values() for figures in lightings.values()]
+        if not all(math.isfinite(figures.mean) and math.isfinite(figures.max) for figures in found):
+            raise InputError(
+                "its positions, gradients and joint matrices are so large that their products overflow: "
+                "scale the model down",
+                self._document.place,
+            )
+        poses = [draw.poses for draw in drawn]
         seconds = sum(clip.duration - clip.start for clip in self._clips)
-        identity = self._identity_check()
+        identity = self._identity_check(drawn)
         checks = [identity] if "lbs" in normals else []
         if not normals:
             checks.append(
@@ -238,6 +255,26 @@ def _mirrored(drawn: Sequence[_Draw]) -> Iterator[Notice]:
                 "inside there, and the shader must turn it round"
             )
             yield Notice("joints-mirror", message, replace(draw.views[0].source.place, primitive=None), count)
+
+
+STRAINED = 1e6
+"""How unlike in size joint matrices may be before rounding alone can part algorithms 2 and 3."""
+
+
+def _strain(draw: _Draw) -> tuple[float, str]:
+    """Return how far the largest that joints do to a frame is from the least, and the joint most to blame."""
+    matrices = draw.poses.joint_matrices
+    stretches = np.linalg.svd(matrices[..., :3, :3], compute_uv=False)
+    extent = max(float(np.abs(rest.positions).max(initial=0.0)) for rest in draw.rest)
+    slope = max(float(np.abs([rest.alpha, rest.beta]).max(initial=0.0)) for rest in draw.rest)
+    reach = stretches[..., 0] * extent + np.abs(matrices[..., :3, 3]).max(axis=-1)
+    largest = (stretches[..., 0] + reach * slope).max(axis=0)
+    least = stretches[..., 2].min(axis=0)
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        too_large, too_small = largest / np.median(largest), np.median(least) / least
+        strain = float(largest.max() / least.min())
+        worst = int(np.argmax(np.nan_to_num(np.maximum(too_large, too_small), nan=np.inf)))
+    return (math.inf if math.isnan(strain) else strain), draw.poses.joint_names[worst]
 
 
 def _limits_check(problems: Sequence[Notice], normals: Normals, options: VerifyOptions) -> Check:

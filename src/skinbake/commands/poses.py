@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from skinbake.errors import InputError
+from skinbake.errors import InputError, Place
 from skinbake.geometry.poses import random_weights
 from skinbake.geometry.skinned import Float64Array
 from skinbake.gltf.animation import (
@@ -24,6 +24,7 @@ from skinbake.gltf.animation import (
     rest_pose,
 )
 from skinbake.gltf.document import Document
+from skinbake.gltf.json_access import MOST
 from skinbake.gltf.morphs import resting_weights, target_count
 
 SHARED_SAMPLES = 60
@@ -111,16 +112,29 @@ def pose_set(
     resting = None if node is None else resting_weights(document, node)
     morphs = None if node is None or resting is None or not resting.size else _Morphs(node, resting)
     moving = [clip for clip in (_only(set(skeleton.nodes), morphs, clip) for clip in clips) if clip.channels]
-    if request.kind == "rest":
-        weights = None if morphs is None else morphs.resting[None]
-        poses = PoseSet(names, rest_pose(skeleton), ("rest pose",), (None,), weights)
-    elif request.kind == "animation" and any(_moves_joints(clip) for clip in moving):
-        poses = _sampled(skeleton, morphs, moving, request.samples, names)
-    else:
-        poses = _random(skeleton, morphs, request, names)
-    if not np.isfinite(poses.joint_matrices).all():
-        raise InputError(f"the joints of skin {skin} do not have finite transforms", document.place)
+    with np.errstate(over="ignore", invalid="ignore"):  # what comes of it is looked at below
+        if request.kind == "rest":
+            weights = None if morphs is None else morphs.resting[None]
+            poses = PoseSet(names, rest_pose(skeleton), ("rest pose",), (None,), weights)
+        elif request.kind == "animation" and any(_moves_joints(clip) for clip in moving):
+            poses = _sampled(skeleton, morphs, moving, request.samples, names)
+        else:
+            poses = _random(skeleton, morphs, request, names)
+    _check_range(poses, skin, document.place)
     return poses
+
+
+def _check_range(poses: PoseSet, skin: int, place: Place) -> None:
+    """Raise InputError for a joint matrix that float32 cannot hold, in which every renderer has it."""
+    fits = (np.abs(poses.joint_matrices) <= MOST).all(axis=(2, 3))
+    if fits.all():
+        return
+    pose, joint = np.argwhere(~fits)[0]
+    raise InputError(
+        f"in {poses.clips[pose]} the matrix of {poses.joint_names[joint]} of skin {skin} is past all numbers "
+        "of float32: mend the scales and translations of its nodes, its inverse bind matrix, or its keys",
+        place,
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,7 +163,10 @@ def _moves_joints(clip: Clip) -> bool:
 def _joint_names(document: Document, skeleton: Skeleton) -> tuple[str, ...]:
     nodes = document.objects("nodes")
     found = [nodes[skeleton.nodes[joint]].get("name") for joint in skeleton.joints]
-    return tuple(f'"{name}"' if name else f"joint {number}" for number, name in enumerate(found))
+    return tuple(
+        f'"{name}"' if name and isinstance(name, str) else f"joint {number}"
+        for number, name in enumerate(found)
+    )
 
 
 def _sampled(

@@ -327,7 +327,10 @@ def _grid(name: str, values: npt.NDArray[Any]) -> _Grid | None:
         number = next(found, None)
         return None if number is None else _Grid(number)
     origin = values.min(axis=0)
-    extent = np.float32((values.max(axis=0) - origin).max())
+    with np.errstate(over="ignore"):
+        extent = np.float32((values.max(axis=0) - origin).max())
+    if not np.isfinite(extent):  # no grid spans more than a float32 can say
+        return None
     for steps in (0, -1, 1, -2, 2, -3, 3):
         span = np.float32(extent + steps * np.spacing(extent))
         for number in GRID_BITS:

@@ -246,12 +246,18 @@ def _stored(
     if count is not None and declared != count:
         raise InputError(f"it has {declared} elements, POSITION has {count}", place)
     stored = read_accessor(document, number, place)
+    check_format(stored, attribute, components, place)
+    return stored
+
+
+def check_format(stored: StoredArray, attribute: str, components: int, place: Place) -> None:
+    """Raise InputError where glTF does not allow an attribute these components, or of this type."""
     if stored.values.shape[1] != components:
         raise InputError(f"it has {stored.values.shape[1]} components, {components} are needed", place)
-    if (stored.values.dtype.str[1:], stored.normalized) not in FORMATS[attribute.split("_", maxsplit=1)[0]]:
+    family = attribute.split("_", maxsplit=1)[0]
+    if (stored.values.dtype.str[1:], stored.normalized) not in FORMATS[family]:
         kind = f"{'normalised ' if stored.normalized else ''}{stored.values.dtype.name}"
-        raise InputError(f"{EXPECTED[attribute.split('_', maxsplit=1)[0]]}, found {kind}", place)
-    return stored
+        raise InputError(f"{EXPECTED[family]}, found {kind}", place)
 
 
 def _decoded(

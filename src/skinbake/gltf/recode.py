@@ -40,7 +40,7 @@ from skinbake.gltf.json_access import (
     text,
     values_of,
 )
-from skinbake.gltf.primitives import PrimitiveSource, read_indices
+from skinbake.gltf.primitives import PrimitiveSource, check_format, read_indices
 from skinbake.gltf.views import view_bytes
 
 Scheme = Literal["keep", "none", "draco", "meshopt"]
@@ -354,7 +354,9 @@ def _streamed(recoder: _Recoder, source: PrimitiveSource, users: int, compressio
     document, place = recoder.document, source.place
     accessors = document.objects("accessors")
     numbers = {name: index(source.attributes, name, len(accessors), place) or 0 for name in source.attributes}
-    arrays = {name: read_accessor(document, numbers[name], place.at(name)).values for name in numbers}
+    stored = {name: read_accessor(document, number, place.at(name)) for name, number in numbers.items()}
+    check_format(stored["POSITION"], "POSITION", 3, place.at("POSITION"))
+    arrays = {name: attribute.values for name, attribute in stored.items()}
     corners = index(source.json, "indices", len(accessors), place)
     faces = read_indices(document, source)
     faces = faces[: len(faces) // 3 * 3].reshape(-1, 3)
