@@ -21,6 +21,9 @@ from dataclasses import dataclass
 from functools import lru_cache
 from urllib.parse import quote, unquote
 
+if sys.platform != "win32":
+    import fcntl
+
 DEVICES = frozenset(
     {"CON", "PRN", "AUX", "NUL", "CONIN$", "CONOUT$", "CLOCK$"}
     | {f"{port}{number}" for port in ("COM", "LPT") for number in "0123456789¹²³"}
@@ -29,6 +32,9 @@ DEVICES = frozenset(
 
 MOST_LINKS = 40
 """Symbolic links on the way to one file, as on Linux."""
+
+NO_SYNC = frozenset({errno.EINVAL, errno.EOPNOTSUPP, errno.ENOSYS, errno.EBADF, errno.EACCES, errno.EPERM})
+"""What systems answer that cannot wait for the disk, for this kind of file or at all."""
 
 BY_DESCRIPTOR = os.open in os.supports_dir_fd
 """Whether this system opens names relative to an open folder: all but Windows."""
@@ -291,8 +297,20 @@ class Folder:
     def sync(self) -> None:
         """Wait until the names in the folder are on the disk; systems that cannot do it are let be."""
         if self._descriptor is not None:
-            with suppress(OSError):
-                os.fsync(self._descriptor)
+            flush(self._descriptor)
+
+
+def flush(descriptor: int) -> None:
+    """Wait until a file or folder is on the disk, its cache included; raises OSError where it fails there."""
+    try:
+        full = getattr(fcntl, "F_FULLFSYNC", None) if sys.platform != "win32" else None
+        if full is None:
+            os.fsync(descriptor)
+        else:  # macOS: fsync leaves it in the disk's cache
+            fcntl.fcntl(descriptor, full)
+    except OSError as error:
+        if error.errno not in NO_SYNC:
+            raise
 
 
 @contextmanager

@@ -6,6 +6,7 @@ The tree::
     ├── InputError                  the file cannot be read, or is not valid glTF        exit 3
     │   └── UnsupportedFeatureError it is valid, and this version cannot process it      exit 3
     ├── OutputError                 the result cannot be written                         exit 4
+    │   └── ReaderGoneError         whoever read it has left                             exit 141
     └── ChoiceError                 options that exclude each other                      exit 2
 
 A file that was read and does not pass verification is no error: it is a verdict (exit 1).
@@ -50,7 +51,8 @@ class Place:
 
     def __str__(self) -> str:
         """Read like ``hero.glb: mesh 2 "Body", primitive 0, WEIGHTS_0``."""
-        return f"{self.file}: {self.within_file}" if self.within_file else self.file
+        file = printable(self.file)
+        return f"{file}: {self.within_file}" if self.within_file else file
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,6 +101,10 @@ class UnsupportedFeatureError(InputError):
 
 class OutputError(SkinbakeError):
     """The output cannot be written."""
+
+
+class ReaderGoneError(OutputError):
+    """Whoever read the output has left."""
 
 
 class ChoiceError(SkinbakeError):

@@ -89,13 +89,17 @@ def target(tmp_path: Path) -> Path:
 NO_SPACE = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
+NAMING = [("link", 1), ("link", 2), ("link", 3), ("replace", 1)]
+"""The calls that give files their names: those beside the document replace nothing."""
+
+
 class TestFailures:
-    @pytest.mark.parametrize("call", [1, 2, 3, 4])
+    @pytest.mark.parametrize(("function", "call"), NAMING)
     def test_a_rename_that_fails_leaves_everything_as_it_was(
-        self, source: Path, target: Path, call: int
+        self, source: Path, target: Path, function: str, call: int
     ) -> None:
         before = tree(target.parent.parent)
-        with failing("replace", call, NO_SPACE) as calls:
+        with failing(function, call, NO_SPACE) as calls:
             error = write(source, target)
         assert len(calls) == call
         assert str(error) == f"{target}: cannot be written: No space left on device"
@@ -119,8 +123,10 @@ class TestFailures:
             write(source, target)
         assert tree(target.parent.parent) == before
 
-    @pytest.mark.parametrize("function", ["replace", "open", "mkdir"])
-    @pytest.mark.parametrize("call", [1, 2])
+    @pytest.mark.parametrize(
+        ("function", "call"),
+        [*NAMING, ("open", 1), ("open", 2), ("mkdir", 1), ("mkdir", 2), *(("fsync", n) for n in range(1, 5))],
+    )
     def test_an_interrupt_leaves_nothing(self, source: Path, target: Path, function: str, call: int) -> None:
         before = tree(target.parent.parent)
         with failing(function, call, KeyboardInterrupt()), pytest.raises(KeyboardInterrupt):
@@ -133,14 +139,13 @@ class TestFailures:
         """What is beside a target may be beside another's too, which another process has just finished."""
         bake(source, target)
         whole = tree(target.parent)
-        replace = Path.replace
+        link = os.link
 
-        def interrupted(self: Path, other: Path) -> Path:
-            result = replace(self, other)
+        def interrupted(*arguments: Any, **options: Any) -> None:
+            link(*arguments, **options)
             signal.raise_signal(signal.SIGINT)
-            return result
 
-        monkeypatch.setattr(Path, "replace", interrupted)
+        monkeypatch.setattr(os, "link", interrupted)
         again = tmp_path / "again" / target.name
         again.parent.mkdir()
         with pytest.raises(KeyboardInterrupt):
@@ -302,11 +307,10 @@ class TestModesAndLinks:
 class TestOrder:
     def test_the_document_is_renamed_last(self, source: Path, target: Path) -> None:
         """Whoever looks meanwhile finds the old document, or the new one with all its files."""
-        with failing("replace", 0, NO_SPACE) as calls:
+        with failing("link", 0, NO_SPACE) as beside, failing("replace", 0, NO_SPACE) as last:
             bake(source, target)
-        renamed = [Path(arguments[1]).name for arguments in calls]
-        assert len(renamed) == 4
-        assert renamed[-1] == "model.gltf"
+            assert len(beside) == 3
+        assert [Path(arguments[1]).name for arguments in last] == ["model.gltf"]
 
     def test_planning_writes_nothing(self, source: Path, target: Path) -> None:
         before = tree(target.parent.parent)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from skinbake.errors import ChoiceError, OutputError, SkinbakeError
+from skinbake.errors import ChoiceError, OutputError, ReaderGoneError, SkinbakeError
 
 OK = 0
 VERIFICATION = 1
@@ -12,6 +12,9 @@ OUTPUT = 4
 INTERRUPTED = 130
 """By Ctrl-C, as shells have it."""
 
+TERMINATED = 143
+"""By SIGTERM, as shells have it."""
+
 READER_GONE = 141
 """What a command returns that SIGPIPE ends, as shells have it."""
 
@@ -20,4 +23,6 @@ def of_error(error: SkinbakeError) -> int:
     """Return the exit code that an error stands for."""
     if isinstance(error, ChoiceError):
         return USAGE
+    if isinstance(error, ReaderGoneError):
+        return READER_GONE
     return OUTPUT if isinstance(error, OutputError) else INPUT

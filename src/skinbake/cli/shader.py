@@ -119,7 +119,7 @@ def command(source: str | None, output: str, **given: Any) -> None:
     from skinbake.commands.shader import shader, write_shader
 
     try:
-        result = shader(_request(given), source, Bounds(allowed=given["allow_outside"]))
+        result = shader(_request(given), source, output, Bounds(allowed=given["allow_outside"]))
         write_shader(result, output)
     except ChoiceError as error:
         raise click.UsageError(error.message) from error

@@ -34,6 +34,7 @@ from skinbake.gltf.primitives import (
 )
 from skinbake.gltf.recode import Compression, recoded
 from skinbake.gltf.strip import stripped
+from skinbake.gltf.writing import version_of
 from skinbake.report.bake import BakedCounts, EncodingCost, FileResult, LimitCost, Status
 from skinbake.timing import stage
 
@@ -50,7 +51,7 @@ class BakeOptions:
     """The options of ``skinbake bake`` that do not name files.
 
     weld is ``mesh`` or ``skin``; limit_influences a multiple of 4, or None; traced asks for
-    digests of what is written.
+    digests of what is written; sync waits until that is on the disk.
     """
 
     settings: BakeSettings = field(default_factory=BakeSettings)
@@ -64,6 +65,7 @@ class BakeOptions:
     dry_run: bool = False
     make_folder: bool = False
     traced: bool = False
+    sync: bool = True
     compression: Compression = field(default_factory=Compression)
 
 
@@ -90,6 +92,7 @@ def bake_file(
 def _bake_file(
     source: str, target: str | None, options: BakeOptions, within: Within, notices: list[Notice]
 ) -> FileResult:
+    replaced = version_of(source) if target == source != STDIO else None
     with stage("read"):
         document = read_document(source, within.bounds)
     if target is not None:
@@ -120,7 +123,7 @@ def _bake_file(
         raise InputError("not written: there are warnings (--warnings-as-errors)", document.place)
     if planned is not None and not options.dry_run:
         with stage("write"):
-            planned.write()
+            planned = replace(planned, replaces=replaced).write(sync=options.sync)
     status: Status = "baked" if primitives else "unchanged"
     written = _digests(planned) if options.traced else None
     return FileResult(

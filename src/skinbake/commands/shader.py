@@ -17,10 +17,11 @@ from skinbake.containment import BESIDE, Bounds
 from skinbake.errors import ChoiceError, InputError, Notice, Place
 from skinbake.geometry.frames import NORMAL_FRAME
 from skinbake.gltf.animation import read_clips
-from skinbake.gltf.document import Document, read_document
+from skinbake.gltf.document import STDIO, Document, read_document
 from skinbake.gltf.metadata import slot_names
-from skinbake.gltf.output import write_text
+from skinbake.gltf.output import refuse_own_input
 from skinbake.gltf.primitives import skinned_sources
+from skinbake.gltf.writing import write_file, write_stdout
 from skinbake.report.notices import counted
 from skinbake.shaders.choices import BEST, AttributeText, Language, Lighting, Method, Morphs, ShaderChoices
 from skinbake.shaders.text import shader_made
@@ -57,17 +58,19 @@ class ShaderResult:
     notices: tuple[Notice, ...] = ()
 
 
-def shader(request: ShaderRequest, source: str | None = None, bounds: Bounds = BESIDE) -> ShaderResult:
+def shader(
+    request: ShaderRequest, source: str | None = None, target: str | None = None, bounds: Bounds = BESIDE
+) -> ShaderResult:
     """Return the shader for a baked file, or for the usual attributes where there is none.
 
     Raises ChoiceError where choices exclude each other, InputError where the file cannot be read, is not
-    baked, or cannot serve what was asked for.
+    baked, or cannot serve what was asked for, OutputError where ``target`` is a file that it consists of.
     """
     if source is None:
         choices, notices = _choices(request)
         text, choices = shader_made(choices)
         return ShaderResult(text, choices, tuple(notices))
-    choices, notices = _choices_of_file(request, source, bounds)
+    choices, notices = _choices_of_file(request, source, target, bounds)
     try:
         text, choices = shader_made(choices)
     except ChoiceError as error:
@@ -86,9 +89,13 @@ def _contradicts_itself(request: ShaderRequest) -> bool:
     return False
 
 
-def write_shader(result: ShaderResult, target: str) -> None:
-    """Write the text to a file, whole or not at all; raise OutputError."""
-    write_text(result.text, target)
+def write_shader(result: ShaderResult, target: str, *, sync: bool = True) -> None:
+    """Write the text to a file, whole or not at all, or to stdout; raise OutputError."""
+    pieces = [result.text.encode("utf-8")]
+    if target == STDIO:
+        write_stdout(pieces)
+    else:
+        write_file(pieces, target, sync=sync)
 
 
 def _choices(request: ShaderRequest) -> tuple[ShaderChoices, list[Notice]]:
@@ -120,10 +127,12 @@ def _made(request: ShaderRequest, frame: str, influences: int) -> ShaderChoices:
 
 
 def _choices_of_file(
-    request: ShaderRequest, source: str, bounds: Bounds
+    request: ShaderRequest, source: str, target: str | None, bounds: Bounds
 ) -> tuple[ShaderChoices, list[Notice]]:
     """Return the choices that a file's metadata make, and a notice for each primitive they do not serve."""
     document = read_document(source, bounds)
+    if target is not None:
+        refuse_own_input(document, source, target)
     views = _views(document)
     serving = [view for view in views if _serves(view, request)]
     if not serving:

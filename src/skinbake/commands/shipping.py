@@ -22,6 +22,7 @@ from skinbake.errors import ChoiceError, InputError, OutputError, Place, Skinbak
 from skinbake.gltf.document import STDIO, Document, read_named
 from skinbake.gltf.output import plan_output
 from skinbake.gltf.resources import FileContent, find, read_open_file
+from skinbake.gltf.writing import TakenError
 from skinbake.urls import is_url
 
 
@@ -151,7 +152,10 @@ class Shipped:
             elif not _holds(other, planned.root, data):
                 # Somebody else's file has the name: bake here, where the names that are taken can be seen.
                 return self.work(job)
-        replace(planned, files={**files, path: [content]}).write()
+        try:
+            replace(planned, files={**files, path: [content]}, again=None).write(sync=options.sync)
+        except TakenError:  # by now
+            return self.work(job)
         return returned.result
 
 

@@ -260,8 +260,10 @@ def _attempt(
                 for name in taken:
                     stage.fetch(target.storage, name)
         before = stage.files(target)
+        stored = target is not None and target.storage is not None
         output = within.output if target is None else stage.output(target, within.output)
-        result = bake_file(path, goal, options, Within(bounds, output))
+        chosen = replace(options, sync=options.sync and not stored)
+        result = bake_file(path, goal, chosen, Within(bounds, output))
         naming = stage.naming((source, path), (target, goal))
         result = _renamed(result, naming)
         written = [name for name, state in stage.files(target).items() if before.get(name) != state]

@@ -44,7 +44,7 @@ YOUNG = 1_000_000_000
 ABSENT = (errno.ENOENT, errno.ENOTDIR, errno.ENAMETOOLONG)
 """What the system says of a file that is not there; the last, of one that cannot be."""
 
-NOT_OPTIONS = ("dry_run", "make_folder", "traced")
+NOT_OPTIONS = ("dry_run", "make_folder", "traced", "sync")
 """Options that change nothing in what is made."""
 
 Digests = dict[str, str | None]

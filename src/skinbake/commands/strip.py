@@ -12,9 +12,17 @@ from skinbake.report.strip import StripResult
 
 
 def strip_file(
-    source: str, target: str, *, warnings_as_errors: bool = False, bounds: Bounds = BESIDE
+    source: str,
+    target: str,
+    *,
+    warnings_as_errors: bool = False,
+    sync: bool = True,
+    bounds: Bounds = BESIDE,
 ) -> StripResult:
-    """Write a document without what bake added to it; raises SkinbakeError, and then nothing is written."""
+    """Write a document without what bake added to it; raises SkinbakeError, and then nothing is written.
+
+    ``sync`` waits until it is on the disk.
+    """
     document = read_document(source, bounds)
     refuse_own_input(document, source, target)
     document, count, notices = stripped(document)
@@ -28,5 +36,5 @@ def strip_file(
             f"not written: {'; '.join(notice.message for notice in notices)} (--warnings-as-errors)",
             Place(source),
         )
-    planned.write()
+    planned.write(sync=sync)
     return StripResult(source, target, count, tuple(notices))

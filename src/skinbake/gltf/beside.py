@@ -24,6 +24,7 @@ from skinbake.gltf.document import Document
 from skinbake.gltf.glb import Bytes
 from skinbake.gltf.json_access import JsonObject
 from skinbake.gltf.resources import FileContent, find, is_data_uri, outside, shortened
+from skinbake.gltf.writing import Signature, signature_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,18 +47,24 @@ class Beside:
         self._document, self._folder, self._root = document, folder, root
         self._home = Path(os.path.realpath(document.folder))
         self._files: dict[Path, Iterable[Bytes]] = {}
+        self._serving: dict[Path, Signature] = {}
         self._missing: list[str] = []
         self._outside: list[str] = []
         self._refused: list[tuple[str, str]] = []
 
-    def planned(self) -> tuple[Document, dict[Path, Iterable[Bytes]], list[Notice]]:
-        """Return the document with URIs that hold from the folder, the files to write there, and notices."""
+    def planned(
+        self,
+    ) -> tuple[Document, dict[Path, Iterable[Bytes]], dict[Path, Signature], list[Notice]]:
+        """Return the document with URIs that hold from the folder, the files to write there, and notices.
+
+        Before the notices, those that are there already and serve, as they are.
+        """
         named = list(named_files(self._document))
         is_buffer = {resource.uri: resource.array == "buffers" for resource in reversed(named)}
         uris = {uri: self._placed(uri, is_buffer=is_buffer[uri]) for uri in {r.uri: None for r in named}}
         renamed = [(resource, uris[resource.uri]) for resource in named if uris[resource.uri] != resource.uri]
         document = _with_uris(self._document, renamed) if renamed else self._document
-        return document, self._files, self._notices()
+        return document, self._files, self._serving, self._notices()
 
     def _placed(self, uri: str, *, is_buffer: bool) -> str:
         """Return a URI as it reads from the target's folder; note the file that has to come along."""
@@ -115,10 +122,13 @@ class Beside:
 
     def _copied(self, uri: str, name: str, pieces: Iterable[Bytes]) -> str:
         """Return the URI of a file that goes along, under its name or, where that is taken, another."""
+        before = signature_of(self._path(name))  # asked for before the content is looked at
         free = self._free_name(name, pieces)
         path = Path(self._path(free))
         if not os.path.lexists(path):
             self._files[path] = pieces
+        elif path not in self._files:
+            self._serving[path] = before if free == name else signature_of(path)
         meant = relative_names(uri)[0]  # the literal name is looked for where there is none of this one
         stays = free == name and (name == meant or not os.path.lexists(self._path(meant)))
         return uri if stays else path_uri(free)

@@ -3,13 +3,8 @@
 from __future__ import annotations
 
 import os
-import secrets
-import signal
-import stat
-import sys
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from skinbake.containment import OutsideError, RefusedError, below, relative_names, spot_of
@@ -18,27 +13,56 @@ from skinbake.gltf import json_text
 from skinbake.gltf.beside import Beside, named_files
 from skinbake.gltf.document import STDIO, Document
 from skinbake.gltf.glb import Bytes, join_glb
-from skinbake.gltf.resources import FileContent, find
+from skinbake.gltf.resources import find
+from skinbake.gltf.writing import Signature, TakenError, Version, check_target, write_files, write_stdout
 
-MOST_PIECES = 512
-"""Pieces that go into one call: POSIX promises 16, every system that has writev takes 1,024."""
+ATTEMPTS = 8
+"""How often an output is planned anew that finds other files beside it than it did before."""
 
 
 @dataclass(frozen=True, slots=True)
 class PlannedOutput:
-    """Everything that writing a document will do: the pieces of each file, the target's last, and notices."""
+    """Everything that writing a document will do: the pieces of each file, the target's last, and notices.
+
+    Nothing is written but below ``root``. ``serving`` are files that are there already and that the document
+    names, as they were; ``replaces`` is the file that it was made from, where that is to be replaced.
+    ``again`` plans anew, where another run has taken a name meanwhile.
+    """
 
     target: str
     files: dict[Path, Iterable[Bytes]]
     notices: list[Notice]
-    root: Path
+    root: Path = field(default_factory=Path)
+    serving: dict[Path, Signature] = field(default_factory=dict)
+    replaces: Version | None = None
+    again: Callable[[], PlannedOutput] | None = None
 
-    def write(self) -> None:
-        """Write all files, or raise OutputError and leave everything as it was."""
+    def write(self, *, sync: bool = True) -> PlannedOutput:
+        """Write all files, or raise OutputError and leave everything as it was; return what was written.
+
+        ``sync`` waits until all is on the disk. TakenError where a name is taken, and ``again`` is not there.
+        """
         if self.target == STDIO:
-            _write_stdout(self.files[Path(STDIO)])
-        else:
-            _write_files(self.files, self.target)
+            write_stdout(self.files[Path(STDIO)])
+            return self
+        planned = self
+        for _ in range(ATTEMPTS):
+            try:
+                write_files(
+                    planned.root,
+                    planned.files,
+                    self.target,
+                    serving=planned.serving,
+                    replaces=self.replaces,
+                    sync=sync,
+                )
+            except TakenError:
+                if planned.again is None:
+                    raise
+                planned = planned.again()
+            else:
+                return planned
+        raise OutputError("cannot be written: the files beside it keep changing", Place(self.target))
 
 
 def plan_output(
@@ -55,15 +79,20 @@ def plan_output(
     InputError where a buffer is outside the document's bounds.
     """
     if target == STDIO:
-        return PlannedOutput(target, {Path(STDIO): _serialised(document)}, [], Path(STDIO))
+        return PlannedOutput(target, {Path(STDIO): _serialised(document)}, [])
+
+    def again() -> PlannedOutput:
+        return plan_output(document, target, make_folder=make_folder, root=root)
+
     try:
         path, base = _place_of(target, root)
-        _check_target(path, target, make_folder=make_folder)
-        document, beside, notices = Beside(document, path.parent, base).planned()
+        check_target(path, target, make_folder=make_folder)
+        written, beside, serving, notices = Beside(document, path.parent, base).planned()
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise OutputError(f"cannot be written: {reason}", Place(target)) from error
-    return PlannedOutput(target, {**beside, path: _serialised(document)}, notices, base)
+    files = {**beside, path: _serialised(written)}
+    return PlannedOutput(target, files, notices, root=base, serving=serving, again=again)
 
 
 def _place_of(target: str, root: str | None) -> tuple[Path, Path]:
@@ -76,17 +105,6 @@ def _place_of(target: str, root: str | None) -> tuple[Path, Path]:
     if below(os.fspath(path), base) is None:
         raise OutputError(f"a link leads out of {root}", Place(target))
     return path, Path(base)
-
-
-def write_text(text: str, target: str) -> None:
-    """Write a text file whole or not at all, ``-`` being stdout; OutputError where that fails."""
-    pieces = [text.encode("utf-8")]
-    if target == STDIO:
-        _write_stdout(pieces)
-        return
-    path = Path(os.path.realpath(target))
-    _check_target(path, target, make_folder=False)
-    _write_files({path: pieces}, target)
 
 
 def refuse_own_input(document: Document, source: str, target: str) -> None:
@@ -138,124 +156,3 @@ def _json_bytes(document: Document) -> bytes:
             return (json_text.written(root, indent=indent, ascii_only=True) + end).encode("ascii")
     except ValueError as error:  # numbers past a double's range
         raise InputError(f"its JSON cannot be written back: {error}", document.place) from error
-
-
-def _write_stdout(pieces: Iterable[Bytes]) -> None:
-    try:
-        for piece in pieces:
-            sys.stdout.buffer.write(piece)
-        sys.stdout.buffer.flush()
-    except (AttributeError, OSError) as error:  # AttributeError: stdout is closed
-        reason = getattr(error, "strerror", None) or "it is closed"
-        raise OutputError(f"cannot be written: {reason}", Place("<stdout>")) from error
-
-
-def _check_target(path: Path, target: str, *, make_folder: bool) -> None:
-    there = os.path.lexists(path.parent)  # asked first: another process may be about to make it
-    if not (path.parent.is_dir() if there else make_folder):
-        raise OutputError("its folder does not exist", Place(target))
-    if path.is_symlink() or (path.exists() and not path.is_file()):
-        raise OutputError("it exists and is not a regular file", Place(target))
-    if path.exists() and not os.access(path, os.W_OK):
-        raise OutputError("it exists and is read-only", Place(target))
-
-
-def _write_files(files: dict[Path, Iterable[Bytes]], target: str) -> None:
-    """Write all files under temporary names, then rename them, the last one last."""
-    with _undone_on_failure() as (folders, temporary, created):
-        try:
-            for path, pieces in files.items():
-                _make_folders(path.parent, folders)
-                temporary.append(_write_temporary(path, pieces))
-            with _interrupts_put_off():
-                for path, name in zip(files, temporary, strict=True):
-                    is_new = not path.exists()
-                    name.replace(path)
-                    if is_new:
-                        created.append(path)
-                created.clear()  # from here on an interrupt no longer undoes anything
-        except OSError as error:
-            raise OutputError(f"cannot be written: {error.strerror or error}", Place(target)) from error
-
-
-@contextmanager
-def _interrupts_put_off() -> Iterator[None]:
-    """Let Ctrl-C wait until all files have their names.
-
-    Taking back a file that is needed beside several targets would spoil those that another process has
-    finished meanwhile.
-    """
-    if not hasattr(signal, "pthread_sigmask"):
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-@contextmanager
-def _undone_on_failure() -> Iterator[tuple[list[Path], list[Path], list[Path]]]:
-    """Remove the listed folders, temporary files and new files where the block fails or is interrupted."""
-    folders: list[Path] = []
-    temporary: list[Path] = []
-    created: list[Path] = []
-    try:
-        yield folders, temporary, created
-    except BaseException:
-        for path in (*temporary, *created):
-            with suppress(OSError):
-                path.unlink(missing_ok=True)
-        for folder in reversed(folders):
-            with suppress(OSError):
-                folder.rmdir()
-        raise
-
-
-def _make_folders(folder: Path, made: list[Path]) -> None:
-    missing = []
-    while not folder.exists():
-        missing.append(folder)
-        folder = folder.parent
-    for path in reversed(missing):
-        with suppress(FileExistsError):  # another process was faster
-            path.mkdir()
-            made.append(path)
-
-
-def _write_temporary(path: Path, pieces: Iterable[Bytes]) -> Path:
-    """Write beside ``path`` with the mode it has, or a new file's; remove what a failure leaves."""
-    name = path.with_name(f".skinbake-{secrets.token_hex(6)}.tmp")
-    descriptor = os.open(name, os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0), 0o666)
-    try:
-        with os.fdopen(descriptor, "wb", buffering=0):
-            if path.exists():
-                name.chmod(stat.S_IMODE(path.stat().st_mode))
-            _write_pieces(descriptor, pieces)
-    except BaseException:
-        name.unlink(missing_ok=True)
-        raise
-    return name
-
-
-def _write_pieces(descriptor: int, pieces: Iterable[Bytes]) -> None:
-    """Write the pieces one after the other, many in one call where the system can, without joining them."""
-    if isinstance(pieces, FileContent):
-        for block in pieces:
-            _write_all(descriptor, [block])
-    else:
-        _write_all(descriptor, pieces)
-
-
-def _write_all(descriptor: int, pieces: Iterable[Bytes]) -> None:
-    left = [view for piece in pieces if (view := memoryview(piece).cast("B"))]
-    while left:
-        if hasattr(os, "writev"):
-            written = os.writev(descriptor, left[:MOST_PIECES])
-        else:  # Windows
-            written = os.write(descriptor, left[0])
-        while left and written >= len(left[0]):
-            written -= len(left.pop(0))
-        if written:
-            left[0] = left[0][written:]

@@ -1,0 +1,563 @@
+"""Write several files below a folder, whole or not at all, so that they outlast a power cut.
+
+Of several files the last is the one that names the others. It replaces what has its name; the others replace
+nothing, so that no run changes what another one's file names. ``TakenError`` says that a name was taken
+meanwhile. Names are used relative to open folders: no link leads out of the root.
+"""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import os
+import re
+import secrets
+import signal
+import stat
+import sys
+import threading
+import time
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager, nullcontext, suppress
+from dataclasses import dataclass, field
+from functools import lru_cache
+from pathlib import Path
+from typing import NamedTuple
+
+from skinbake.containment import BY_DESCRIPTOR, Folder, beneath, check_regular, flush
+from skinbake.errors import OutputError, Place, ReaderGoneError
+from skinbake.gltf.glb import Bytes
+
+if sys.platform != "win32":
+    import fcntl
+
+MOST_PIECES = 512
+"""Pieces that go into one call: POSIX promises 16, every system that has writev takes 1,024."""
+
+PATIENCE = 5.0
+"""Seconds to wait for another run that gives its files their names in the same folder: it takes it some ms.
+
+After that it has been stopped, and we go on: names that are taken are found taken without the lock too.
+"""
+
+ABANDONED = 86_400.0
+"""Seconds after which a temporary file of an unknown process is taken for a dead one's."""
+
+YOUNG = 1_000_000_000
+"""Nanoseconds: a file changed this recently may change again without a later time to show for it."""
+
+CHEAP = 1 << 20
+"""Bytes of a young file that are digested, to see a change that its times do not show."""
+
+NO_LINKS = frozenset({errno.EPERM, errno.EOPNOTSUPP, errno.ENOSYS, errno.EMLINK, errno.EACCES, errno.EINVAL})
+"""What systems answer that do not give a file a second name."""
+
+TEMPORARY = re.compile(r"\.skinbake-(?:([0-9a-f]{8})_([0-9a-f]+)_([0-9a-f]+)_)?[0-9a-f]{12}\.tmp")
+"""Names of temporary files: kernel, process and when it was started, where they are known."""
+
+REMEMBERED = 4096
+"""Folders of which a process remembers that it has looked for what dead ones left."""
+
+_NEW = (
+    os.O_WRONLY
+    | os.O_CREAT
+    | os.O_EXCL
+    | getattr(os, "O_NOFOLLOW", 0)
+    | getattr(os, "O_CLOEXEC", 0)
+    | getattr(os, "O_BINARY", 0)
+)
+_looked_through: set[tuple[int, int]] = set()
+
+Signature = tuple[int, ...]
+"""What changes with a file; empty where there is none."""
+
+
+class TakenError(OutputError):
+    """Beside the output somebody has put a file, or changed one, since it was planned."""
+
+
+@dataclass(frozen=True, slots=True)
+class Version:
+    """A file as it was when it was read; ``digest`` where its times alone may not show a change."""
+
+    path: str
+    signature: Signature
+    digest: str | None
+
+    @property
+    def is_current(self) -> bool:
+        """Tell whether nobody has saved the file since."""
+        if signature_of(self.path) != self.signature:
+            return False
+        return self.digest is None or _digest(self.path) == self.digest
+
+
+def version_of(path: str) -> Version:
+    """Return how a file is now, to be asked for before it is read."""
+    now, signature = time.time_ns(), signature_of(path)
+    young = bool(signature) and now - max(signature[-2:]) < YOUNG and signature[2] <= CHEAP
+    return Version(path, signature, _digest(path) if young else None)
+
+
+def signature_of(path: str | Path) -> Signature:
+    """Return what changes with a file: identity, size, times; empty where it cannot be asked for."""
+    try:
+        found = os.stat(path)
+    except (OSError, ValueError):
+        return ()
+    return found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns, found.st_ctime_ns
+
+
+def _digest(path: str) -> str | None:
+    try:
+        with open(path, "rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError:
+        return None
+
+
+def check_target(path: Path, target: str, *, make_folder: bool) -> None:
+    """Raise OutputError where the user's target, ``path`` without links, cannot be written."""
+    there = os.path.lexists(path.parent)  # asked first: another process may be about to make it
+    if not (path.parent.is_dir() if there else make_folder):
+        raise OutputError("its folder does not exist", Place(target))
+    if path.is_symlink() or (path.exists() and not path.is_file()):
+        raise OutputError("it exists and is not a regular file", Place(target))
+    if path.exists() and not os.access(path, os.W_OK):
+        raise OutputError("it exists and is read-only", Place(target))
+
+
+def write_stdout(pieces: Iterable[Bytes]) -> None:
+    """Write to stdout; raises OutputError, ReaderGoneError where whoever read it has left."""
+    try:
+        for piece in pieces:
+            sys.stdout.buffer.write(piece)
+        sys.stdout.buffer.flush()
+    except BrokenPipeError as error:
+        raise ReaderGoneError("its reader has left", Place("<stdout>")) from error
+    except (AttributeError, OSError) as error:  # AttributeError: stdout is closed
+        reason = getattr(error, "strerror", None) or "it is closed"
+        raise OutputError(f"cannot be written: {reason}", Place("<stdout>")) from error
+
+
+def write_file(pieces: Iterable[Bytes], target: str, *, sync: bool = True) -> None:
+    """Write one file that the user named, whole or not at all; a link is followed. Raises OutputError."""
+    try:
+        path = Path(os.path.realpath(target))
+        check_target(path, target, make_folder=False)
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise OutputError(f"cannot be written: {reason}", Place(target)) from error
+    write_files(path.parent, {path: pieces}, target, sync=sync)
+
+
+def write_files(
+    root: Path,
+    files: Mapping[Path, Iterable[Bytes]],
+    target: str,
+    *,
+    serving: Mapping[Path, Signature] | None = None,
+    replaces: Version | None = None,
+    sync: bool = True,
+) -> None:
+    """Write files below ``root`` under temporary names, then rename them, the last one last.
+
+    ``serving`` are files that are there and that the last one names, as they were; ``replaces`` is the file
+    that the last one was made from and replaces. ``sync`` waits until all is on the disk. Raises OutputError
+    that names ``target``, and TakenError where the names have to be planned again; then all is as it was.
+    """
+    place = Place(target)
+    begun = _Begun(os.path.realpath(root), str(root))
+    is_shared = len(files) > 1 or bool(serving) or replaces is not None
+    try:
+        with ExitStack() as stack, begun:
+            _make_root(begun)
+            for path, pieces in files.items():
+                begun.written.append(_written(path, pieces, begun, stack, place, sync=sync))
+            with _locked(begun.open.values()) if is_shared else nullcontext(), interrupts_put_off():
+                _check_still_so(serving or {}, replaces, place)
+                try:
+                    _rename(begun, place)
+                except BaseException:
+                    begun.take_names_back()  # before another run can take them for its own
+                    raise
+            if sync:
+                _sync_folders(begun)
+    except OSError as error:
+        raise OutputError(f"cannot be written: {error.strerror or error}", place) from error
+
+
+class _Written(NamedTuple):
+    """A file under its temporary name, and the one that it is to have."""
+
+    folder: Folder
+    temporary: str
+    name: str
+    pieces: Iterable[Bytes]
+
+
+@dataclass(slots=True)
+class _Begun:
+    """What a write has made so far; where it fails, all of that is removed again.
+
+    ``is_done`` from when the last file has its name: an interrupt no longer undoes anything then, and a
+    failure only what replaced nothing.
+    """
+
+    root: str
+    given: str
+    open: dict[tuple[str, ...], Folder] = field(default_factory=dict)
+    above: list[str] = field(default_factory=list)
+    below: list[tuple[str, ...]] = field(default_factory=list)
+    temporary: list[tuple[Folder, str]] = field(default_factory=list)
+    created: list[tuple[Folder, str]] = field(default_factory=list)
+    written: list[_Written] = field(default_factory=list)
+    is_done: bool = False
+    is_new: bool = False
+
+    def __enter__(self) -> _Begun:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> None:
+        if kind is None or (self.is_done and not (self.is_new and issubclass(kind, OSError))):
+            return
+        with interrupts_put_off():
+            self.take_names_back()
+            for folder, name in self.temporary:
+                with suppress(OSError):
+                    os.unlink(folder.name(name), dir_fd=folder.descriptor)
+            for parts in reversed(self.below):
+                with suppress(OSError), beneath(self.root, parts[:-1]) as parent:
+                    os.rmdir(parent.name(parts[-1]), dir_fd=parent.descriptor)
+            for path in reversed(self.above):
+                with suppress(OSError):
+                    os.rmdir(path)
+
+    def take_names_back(self) -> None:
+        """Remove the files that had no name before."""
+        for folder, name in self.created:
+            with suppress(OSError):
+                os.unlink(folder.name(name), dir_fd=folder.descriptor)
+        self.created.clear()
+
+
+def _make_root(begun: _Begun) -> None:
+    """Make the folder that the user named, and those above it, where they are missing."""
+    missing, folder = [], begun.root
+    while not os.path.exists(folder):
+        missing.append(folder)
+        folder = os.path.dirname(folder)
+    for path in reversed(missing):
+        with interrupts_put_off(), suppress(FileExistsError):  # another process was faster
+            os.mkdir(path)
+            begun.above.append(path)
+
+
+def _written(
+    path: Path, pieces: Iterable[Bytes], begun: _Begun, stack: ExitStack, place: Place, *, sync: bool
+) -> _Written:
+    """Write one file under a temporary name beside its own, with the mode that it has, or a new file's."""
+    *parts, name = _parts(path, (begun.root, begun.given), place)
+    folder = _opened(tuple(parts), begun, stack)
+    temporary = temporary_name()
+    with interrupts_put_off():
+        descriptor = os.open(folder.name(temporary), _NEW, 0o666, dir_fd=folder.descriptor)
+        begun.temporary.append((folder, temporary))
+    try:
+        before = _there(folder, name)
+        if before is not None and stat.S_ISREG(before.st_mode):
+            mode = stat.S_IMODE(before.st_mode)
+            os.chmod(descriptor if BY_DESCRIPTOR else folder.name(temporary), mode)
+        _write_pieces(descriptor, pieces)
+        if sync:
+            flush(descriptor)
+    finally:
+        os.close(descriptor)
+    return _Written(folder, temporary, name, pieces)
+
+
+def _parts(path: Path, roots: Sequence[str], place: Place) -> Sequence[str]:
+    """Return a path's parts from the root on; OutputError where it is not below."""
+    parts = next((path.relative_to(base).parts for base in roots if path.is_relative_to(base)), ())
+    if not parts or not {"", ".", ".."}.isdisjoint(parts):
+        raise OutputError(f"cannot be written: {path} is not below {roots[-1]}", place)
+    return parts
+
+
+def _opened(parts: tuple[str, ...], begun: _Begun, stack: ExitStack) -> Folder:
+    """Return a folder below the root, made where it is missing, open until the stack is done with."""
+    if parts not in begun.open:
+
+        def made(path: str) -> None:
+            begun.below.append(Path(path).relative_to(begun.root).parts)
+
+        with interrupts_put_off():
+            folder = stack.enter_context(beneath(begun.root, parts, made))
+        begun.open[parts] = folder
+        _collect(folder)
+    return begun.open[parts]
+
+
+def _there(folder: Folder, name: str) -> os.stat_result | None:
+    try:
+        return os.stat(folder.name(name), dir_fd=folder.descriptor, follow_symlinks=False)
+    except FileNotFoundError:
+        return None
+
+
+def _write_pieces(descriptor: int, pieces: Iterable[Bytes]) -> None:
+    """Write the pieces one after the other, without joining them; those that are made as they go, singly."""
+    if isinstance(pieces, Sequence):
+        _write_all(descriptor, pieces)
+    else:
+        for piece in pieces:
+            _write_all(descriptor, [piece])
+
+
+def _write_all(descriptor: int, pieces: Sequence[Bytes]) -> None:
+    """Write pieces, many in one call where the system can."""
+    left = [view for piece in pieces if (view := memoryview(piece).cast("B"))]
+    while left:
+        if hasattr(os, "writev"):
+            written = os.writev(descriptor, left[:MOST_PIECES])
+        else:  # Windows
+            written = os.write(descriptor, left[0])
+        while left and written >= len(left[0]):
+            written -= len(left.pop(0))
+        if written:
+            left[0] = left[0][written:]
+
+
+def _check_still_so(serving: Mapping[Path, Signature], replaces: Version | None, place: Place) -> None:
+    """Raise OutputError where files are not what they were when the write was planned."""
+    if replaces is not None and not replaces.is_current:
+        raise OutputError("it was saved anew since it was read, and is left as it is: run this again", place)
+    for path, before in serving.items():
+        if signature_of(path) != before:
+            raise TakenError(f"cannot be written: {path} was changed meanwhile", place)
+
+
+def _rename(begun: _Begun, place: Place) -> None:
+    """Give all files their names, the last one last; only that one replaces another."""
+    *beside, last = begun.written
+    for one in beside:
+        if _put_new(one, place):
+            begun.created.append((one.folder, one.name))
+    is_new = _there(last.folder, last.name) is None
+    descriptor = last.folder.descriptor
+    os.replace(
+        last.folder.name(last.temporary),
+        last.folder.name(last.name),
+        src_dir_fd=descriptor,
+        dst_dir_fd=descriptor,
+    )
+    if is_new:
+        begun.created.append((last.folder, last.name))
+    begun.is_done, begun.is_new = True, is_new
+
+
+def _put_new(one: _Written, place: Place) -> bool:
+    """Give a file a name that no other has; False where one with the same content has it already."""
+    descriptor = one.folder.descriptor
+    source, goal = one.folder.name(one.temporary), one.folder.name(one.name)
+    try:
+        _name_anew(source, goal, descriptor)
+    except FileExistsError:
+        if not _has_content(one):
+            message = f"cannot be written: another run has put its {one.name} there meanwhile"
+            raise TakenError(message, place) from None
+        os.unlink(source, dir_fd=descriptor)
+        return False
+    return True
+
+
+def _name_anew(source: str, goal: str, descriptor: int | None) -> None:
+    """Rename a file; FileExistsError where the name is taken."""
+    if not BY_DESCRIPTOR:
+        os.rename(source, goal)  # Windows replaces nothing
+        return
+    try:
+        os.link(source, goal, src_dir_fd=descriptor, dst_dir_fd=descriptor, follow_symlinks=False)
+    except OSError as error:
+        if error.errno not in NO_LINKS:
+            raise
+        if goal in os.listdir(descriptor):
+            raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST)) from error
+        os.rename(source, goal, src_dir_fd=descriptor, dst_dir_fd=descriptor)
+    else:
+        os.unlink(source, dir_fd=descriptor)
+
+
+def _has_content(one: _Written) -> bool:
+    """Tell whether the file of that name, not a link, holds what was to be written."""
+    flags = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
+    try:
+        descriptor = os.open(
+            one.folder.name(one.name), flags | getattr(os, "O_BINARY", 0), dir_fd=one.folder.descriptor
+        )
+        with os.fdopen(descriptor, "rb") as file:
+            check_regular(file.fileno())
+            return all(file.read(len(piece)) == piece for piece in map(_flat, one.pieces)) and not file.read(
+                1
+            )
+    except OSError:
+        return False
+
+
+def _flat(piece: Bytes) -> memoryview:
+    return memoryview(piece).cast("B")
+
+
+def _sync_folders(begun: _Begun) -> None:
+    """Wait until the names are on the disk: of files, and of the folders that were made for them."""
+    for folder in begun.open.values():
+        folder.sync()
+    for parts in {parts[:-1] for parts in begun.below} - begun.open.keys():
+        with beneath(begun.root, parts) as folder:
+            folder.sync()
+    for path in begun.above:
+        with beneath(os.path.dirname(path), ()) as folder:
+            folder.sync()
+
+
+@contextmanager
+def interrupts_put_off() -> Iterator[None]:
+    """Let Ctrl-C and SIGTERM wait until the block is done, so that all it makes is known to the clean-up.
+
+    By Python's handlers, not by a mask: a mask holds for one thread, and numpy has others. Handlers run in
+    the main thread alone.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    late: list[int] = []
+    before = {
+        number: handler
+        for number in (signal.SIGINT, signal.SIGTERM)
+        if (handler := signal.getsignal(number)) not in {None, signal.SIG_IGN}
+    }
+    try:
+        for number in before:
+            signal.signal(number, lambda number, frame: late.append(number))
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        for received in dict.fromkeys(late):
+            signal.raise_signal(received)
+
+
+@contextmanager
+def _locked(folders: Iterable[Folder]) -> Iterator[None]:
+    """Keep other runs from giving files names in these folders, where the system has locks for that.
+
+    In one order everywhere, lest two wait for each other.
+    """
+    held: dict[tuple[int, int], int] = {}
+    for folder in folders:
+        if folder.descriptor is not None:
+            found = os.fstat(folder.descriptor)
+            held[found.st_dev, found.st_ino] = folder.descriptor
+    try:
+        for identity in sorted(held):
+            _lock(held[identity])
+        yield
+    finally:
+        for descriptor in held.values():
+            _unlock(descriptor)
+
+
+def _lock(descriptor: int) -> None:
+    if sys.platform == "win32":
+        return
+    deadline = time.monotonic() + PATIENCE
+    pause = 0.001
+    while True:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return
+        except BlockingIOError:
+            if time.monotonic() > deadline:
+                return
+        except OSError:  # a file system without locks
+            return
+        time.sleep(pause)
+        pause = min(2 * pause, 0.05)
+
+
+def _unlock(descriptor: int) -> None:
+    if sys.platform != "win32":
+        with suppress(OSError):
+            fcntl.flock(descriptor, fcntl.LOCK_UN)
+
+
+def temporary_name() -> str:
+    """Return a name for a temporary file that says which process it belongs to."""
+    return f".skinbake-{_owner(os.getpid())}{secrets.token_hex(6)}.tmp"
+
+
+@lru_cache(maxsize=1)
+def _owner(process: int) -> str:
+    kernel, (_, started) = _kernel(), _process(process)
+    return f"{kernel}_{process:x}_{started:x}_" if kernel and started else ""
+
+
+@lru_cache(maxsize=1)
+def _kernel() -> str:
+    """Return what tells this running system from all others that may share a folder; empty if unknown.
+
+    Containers on one system count processes by themselves, and have the namespace to show for it.
+    """
+    try:
+        boot = Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
+        return hashlib.sha256(f"{boot} {os.readlink('/proc/self/ns/pid')}".encode()).hexdigest()[:8]
+    except (OSError, ValueError):
+        return ""
+
+
+def _process(process: int) -> tuple[str, int]:
+    """Return a process's state and when it was started, in ticks; empty and 0 where that is unknown."""
+    try:
+        fields = Path(f"/proc/{process}/stat").read_bytes().rpartition(b")")[2].split()
+        return fields[0].decode("ascii"), int(fields[19])
+    except (OSError, ValueError, IndexError):
+        return "", 0
+
+
+def _is_dead(process: int, started: int) -> bool:
+    """Tell whether a process of this system has ended; False where in doubt."""
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return True
+    except (OSError, OverflowError):
+        pass
+    state, now_started = _process(process)
+    return state in {"Z", "X"} or now_started not in {0, started}
+
+
+def _collect(folder: Folder) -> None:
+    """Remove temporary files of processes that died; once for each folder, since others may be many."""
+    with suppress(OSError):
+        found = os.stat(folder.path if folder.descriptor is None else folder.descriptor)
+        if (found.st_dev, found.st_ino) in _looked_through:
+            return
+        if len(_looked_through) >= REMEMBERED:
+            _looked_through.clear()
+        _looked_through.add((found.st_dev, found.st_ino))
+        with os.scandir(folder.path if folder.descriptor is None else folder.descriptor) as entries:
+            left = [entry for entry in entries if entry.name.startswith(".skinbake-")]
+            for entry in left:
+                if _is_left_behind(entry):
+                    os.unlink(folder.name(entry.name), dir_fd=folder.descriptor)
+
+
+def _is_left_behind(entry: os.DirEntry[str]) -> bool:
+    """Tell whether a file is a temporary one of a process that is no more; False where in doubt."""
+    match = TEMPORARY.fullmatch(entry.name)
+    if match is None or not entry.is_file(follow_symlinks=False):
+        return False
+    kernel, process, started = match.groups()
+    if kernel and kernel == _kernel():
+        return _is_dead(int(process, 16), int(started, 16))
+    return time.time() - entry.stat(follow_symlinks=False).st_mtime > ABANDONED
