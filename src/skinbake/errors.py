@@ -22,6 +22,13 @@ def printable(text: str) -> str:
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in text)
 
 
+def printable_lines(text: str) -> str:
+    """Return text with control characters escaped, but for the ends of its lines."""
+    if text.isascii() and text.isprintable():
+        return text
+    return "\n".join(map(printable, text.split("\n")))
+
+
 @dataclass(frozen=True, slots=True)
 class Place:
     """Where in which file: every message about data carries one."""

@@ -16,18 +16,18 @@ from skinbake.cli.many import (
     Clock,
     Notes,
     Summary,
-    check_summary,
     chosen_runner,
     each,
     many_options,
     outcomes,
     show_timings,
+    state_of,
     state_path,
     worst,
 )
 from skinbake.cli.progress import Progress
 from skinbake.cli.remote import cluster_option, cluster_runner
-from skinbake.cli.targets import STDIO, check_target, in_turns, once, pair_up
+from skinbake.cli.targets import STDIO, check_reports, check_target, in_turns, once, pair_up
 from skinbake.containment import Bounds, Within
 
 HIGHEST_MESHOPT_LEVEL = 3
@@ -175,7 +175,8 @@ def command(inputs: tuple[str, ...], **given: Any) -> None:
     clock = Clock()
     found = expanded(inputs, but=given["out_dir"])
     targets, notes_at = _targets(found, given), state_path(given)
-    check_summary(given)
+    reports = {"--summary": given["summary"], "--state": notes_at}
+    check_reports(reports, given["output"], (entry.source for entry in found))
     say = console(
         verbose=given["verbose"],
         quiet=given["quiet"],
@@ -187,12 +188,7 @@ def command(inputs: tuple[str, ...], **given: Any) -> None:
     from skinbake.report.totals import BAKE_OUTCOMES, Totals, totals_json
 
     options = _options(given)
-    state = recipe = None
-    if notes_at is not None:
-        from skinbake.commands.state import State
-        from skinbake.commands.state import recipe as recipe_of
-
-        state, recipe = State(notes_at), recipe_of("bake", options, notes_at)
+    state, recipe = state_of("bake", options, notes_at, found, sync=not given["no_sync"])
     jobs = [
         BakeJob(
             entry.source,
@@ -211,7 +207,7 @@ def command(inputs: tuple[str, ...], **given: Any) -> None:
     runner = cluster_runner(given, sources, turns, say)
     runner = runner or chosen_runner(given, sources, turns, MODULES, guess)
     totals, results, code = Totals(len(jobs), BAKE_OUTCOMES), list[FileResult](), exit_codes.OK
-    summary, notes = Summary(given["summary"], SCHEMA, say), Notes(state, say)
+    summary, notes = Summary(given["summary"], SCHEMA, say, sync=not given["no_sync"]), Notes(state, say)
 
     def tell(result: FileResult) -> None:
         say.notices(result.notices)
@@ -270,6 +266,7 @@ def _options(given: dict[str, Any]) -> Any:
         require_baked=given["require_baked"],
         warnings_as_errors=given["warnings_as_errors"],
         dry_run=given["dry_run"],
+        sync=not given["no_sync"],
         make_folder=bool(given["out_dir"]),
         compression=Compression(given["compress"], given["compress_level"], _bits(given)),
     )

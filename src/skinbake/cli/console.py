@@ -6,6 +6,7 @@ import errno
 import json
 import logging
 import math
+import re
 import sys
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -14,7 +15,17 @@ from typing import Any, TypeVar
 import click
 
 from skinbake.cli import exit_codes
-from skinbake.errors import Notice, OutputError, Place, SkinbakeError, printable
+from skinbake.errors import (
+    Notice,
+    OutputError,
+    Place,
+    ReaderGoneError,
+    SkinbakeError,
+    printable,
+    printable_lines,
+)
+
+NOT_ASCII = re.compile("[^\\x00-\\x7e]")
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -30,11 +41,11 @@ class Console:
     def result(self, line: str) -> None:
         """Print a line of the result."""
         if self.verbosity >= 0:
-            _echo(line, err=self.results_on_stderr, color=self.color)
+            _echo(printable_lines(line), err=self.results_on_stderr, color=self.color)
 
     def document(self, content: Any) -> None:
         """Print a JSON document: the result that scripts asked for, whatever the verbosity."""
-        text = json.dumps(content, indent=2, ensure_ascii=False)
+        text = json_text(content, indent=2)
         if not _encodable(text):
             text = json.dumps(content, indent=2)
         _echo(text, err=False, color=self.color)
@@ -49,17 +60,17 @@ class Console:
         """Print what only -v wants to know."""
         if self.verbosity > 0:
             for line in lines:
-                _echo(line, err=True, color=self.color)
+                _echo(printable_lines(line), err=True, color=self.color)
 
     def note(self, line: str) -> None:
         """Print a remark on stderr."""
         if self.verbosity >= 0:
-            _echo(line, err=True, color=self.color)
+            _echo(printable_lines(line), err=True, color=self.color)
 
     def listing(self, lines: Iterable[str]) -> None:
         """Print lines on stderr, whatever the verbosity."""
         for line in lines:
-            _echo(line, err=True, color=self.color)
+            _echo(printable_lines(line), err=True, color=self.color)
 
     def problems(self, problems: Iterable[Notice]) -> None:
         """Print what a check found wrong: errors, whatever the verbosity."""
@@ -67,12 +78,22 @@ class Console:
             self._message("error", "red", str(problem))
 
     def error(self, error: SkinbakeError) -> None:
-        """Print an error."""
+        """Print an error; where it is that nobody reads what we write, end."""
+        if isinstance(error, ReaderGoneError):
+            raise SystemExit(exit_codes.READER_GONE)
         self._message("error", "red", str(error))
 
     def _message(self, kind: str, color: str, text: str) -> None:
         styled = click.style(f"{kind}:", fg=color, bold=True)
         _echo(f"{styled} {printable(text)}", err=True, color=self.color)
+
+
+def json_text(content: Any, *, indent: int | None = None) -> str:
+    """Return JSON with letters as they are, and escapes for what a terminal would obey."""
+    text = json.dumps(content, indent=indent, ensure_ascii=False)
+    return NOT_ASCII.sub(
+        lambda found: found[0] if found[0].isprintable() else json.dumps(found[0])[1:-1], text
+    )
 
 
 def _encodable(text: str) -> bool:
@@ -134,6 +155,7 @@ def console(*, verbose: int, quiet: bool, color: str, results_on_stderr: bool = 
 
     chosen = {"always": True, "never": False, "auto": False if os.environ.get("NO_COLOR") else None}[color]
     if verbose:
-        level = logging.DEBUG if verbose > 1 else logging.INFO
-        logging.basicConfig(level=level, format="%(name)s: %(message)s")
+        from skinbake.commands.logs import log_to_stderr
+
+        log_to_stderr(logging.DEBUG if verbose > 1 else logging.INFO)
     return Console(-1 if quiet else verbose, chosen, results_on_stderr)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import signal
+from collections.abc import Sequence
+
 from skinbake.errors import ChoiceError, OutputError, ReaderGoneError, SkinbakeError
 
 OK = 0
@@ -26,3 +29,8 @@ def of_error(error: SkinbakeError) -> int:
     if isinstance(error, ReaderGoneError):
         return READER_GONE
     return OUTPUT if isinstance(error, OutputError) else INPUT
+
+
+def of_signal(received: Sequence[int]) -> int:
+    """Return the exit code of a command that these signals have ended, the first of which counts."""
+    return TERMINATED if received and received[0] == signal.SIGTERM else INTERRUPTED

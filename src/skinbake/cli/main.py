@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import errno
 import importlib
 import io
 import os
 import signal
 import sys
-from contextlib import suppress
-from threading import Event, current_thread, main_thread
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from threading import current_thread, main_thread
+from typing import Any
 
 import click
 
 from skinbake import __version__
 from skinbake.cli import exit_codes
-from skinbake.errors import SkinbakeError
+from skinbake.errors import SkinbakeError, printable_lines
 
 COMMANDS = {
     "bake": "Add α/β to every skinned primitive of glTF files.",
@@ -45,12 +48,34 @@ class LazyGroup(click.Group):
         with formatter.section("Commands"):
             formatter.write_dl(list(COMMANDS.items()))
 
+    def make_context(self, *arguments: Any, **options: Any) -> click.Context:
+        """Make the context; --help and --version print, and end, in here."""
+        with _readers_may_leave():
+            return super().make_context(*arguments, **options)
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run the command."""
+        with _readers_may_leave():
+            return super().invoke(ctx)
+
+
+@contextmanager
+def _readers_may_leave() -> Iterator[None]:
+    """End with the code for it where whoever read stdout has left; click would make it 1."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno != errno.EPIPE:
+            raise
+        raise SystemExit(exit_codes.READER_GONE) from error
+
 
 @click.group(
     cls=LazyGroup,
     context_settings={"help_option_names": ["-h", "--help"]},
     epilog="Exit codes: 0 fine, 1 verification failed, 2 usage, 3 input cannot be read or is invalid, "
-    "4 output cannot be written. With several files the worst is returned.",
+    "4 output cannot be written, 130 Ctrl-C, 141 the reader of stdout has left, 143 SIGTERM. "
+    "With several files the worst is returned.",
 )
 @click.version_option(__version__, prog_name="skinbake")
 def main() -> None:
@@ -64,53 +89,80 @@ def entry_point() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")  # α on a terminal that knows no Greek
-    interrupted = _watch_for_interrupts()
+    received = _watch_for_signals()
+    code = _code(received)
+    for stream in (sys.stdout, sys.stderr):
+        if not _settled(stream):
+            code = exit_codes.READER_GONE
+    sys.exit(code)
+
+
+def _code(received: list[int]) -> int:
+    """Return the exit code of the command line; ``received`` are the signals that came."""
     try:
-        sys.exit(main(prog_name="skinbake", standalone_mode=False))
+        return int(main(prog_name="skinbake", standalone_mode=False) or exit_codes.OK)
+    except SystemExit as end:
+        return int(end.code or exit_codes.OK)
     except click.ClickException as error:
-        error.show()
-        sys.exit(error.exit_code)
-    except click.Abort:
-        sys.exit(exit_codes.INTERRUPTED)
+        text = io.StringIO()
+        error.show(file=text)
+        return _said(text.getvalue().removesuffix("\n"), error.exit_code)
+    except (click.Abort, KeyboardInterrupt):
+        return exit_codes.of_signal(received)
     except SkinbakeError as error:
-        click.echo(f"error: {error}", err=True)
-        sys.exit(exit_codes.of_error(error))
+        return _said(f"error: {error}", exit_codes.of_error(error))
     except Exception as error:
-        if interrupted.is_set():  # in an import Ctrl-C comes out as an ImportError
-            sys.exit(exit_codes.INTERRUPTED)
-        import logging  # a sixth of the time of --help
-
-        logging.getLogger(__name__).debug("where it failed", exc_info=True)
-        click.echo(
-            f"error: skinbake failed where it should not: {type(error).__name__}: {error}\n"
-            "Please report it with the file that caused it; -vv shows where.",
-            err=True,
-        )
-        sys.exit(exit_codes.INPUT)
-    finally:
-        _settle(sys.stdout)
-        _settle(sys.stderr)
+        # In an import Ctrl-C comes out as an ImportError.
+        return exit_codes.of_signal(received) if received else _defect(error)
 
 
-def _watch_for_interrupts() -> Event:
-    """Return an event that Ctrl-C sets before it raises KeyboardInterrupt as ever."""
-    interrupted = Event()
+def _defect(error: Exception) -> int:
+    """Say that it is our fault, and return the code for it."""
+    import logging  # a sixth of the time of --help
+
+    logging.getLogger(__name__).debug("where it failed", exc_info=True)
+    return _said(
+        f"error: skinbake failed where it should not: {type(error).__name__}: {error}\n"
+        "Please report it with the file that caused it; -vv shows where.",
+        exit_codes.INPUT,
+    )
+
+
+def _said(text: str, code: int) -> int:
+    """Print why the command ends, and return its code; another where nobody is there to read it."""
+    try:
+        click.echo(printable_lines(text), err=True)
+    except OSError as error:
+        return exit_codes.READER_GONE if error.errno == errno.EPIPE else code
+    return code
+
+
+def _watch_for_signals() -> list[int]:
+    """Return a list to which Ctrl-C and SIGTERM are added before they raise KeyboardInterrupt."""
+    received: list[int] = []
 
     def note(signum: int, frame: object) -> None:
-        interrupted.set()
+        received.append(signum)
         raise KeyboardInterrupt
 
-    if signal.getsignal(signal.SIGINT) is signal.default_int_handler and current_thread() is main_thread():
-        signal.signal(signal.SIGINT, note)
-    return interrupted
+    if current_thread() is main_thread():
+        for number, usual in (
+            (signal.SIGINT, signal.default_int_handler),
+            (signal.SIGTERM, signal.SIG_DFL),
+        ):
+            if signal.getsignal(number) == usual:  # else it is to be ignored
+                signal.signal(number, note)
+    return received
 
 
-def _settle(stream: object) -> None:
-    """Let go of what a stream could not write, lest the interpreter trips over it at its end."""
+def _settled(stream: object) -> bool:
+    """Let go of what a stream could not write, lest the interpreter trips over it; False: its reader left."""
     if not isinstance(stream, io.TextIOWrapper):
-        return
+        return True
     try:
         stream.flush()
-    except (OSError, ValueError):
+    except (OSError, ValueError) as error:
         with suppress(OSError):
             os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+        return not isinstance(error, BrokenPipeError)
+    return True

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import json
 import os
 import time
-from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,15 +12,17 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from skinbake.cli import exit_codes
-from skinbake.cli.console import Command, Console
+from skinbake.cli.console import Command, Console, json_text
 from skinbake.cli.progress import Progress
-from skinbake.cli.targets import STDIO
+from skinbake.cli.targets import STDIO, sync_option
+from skinbake.containment import flush
 from skinbake.errors import OutputError, Place, SkinbakeError
-from skinbake.urls import SUFFIXES, is_url
+from skinbake.urls import is_url
 
 if TYPE_CHECKING:
+    from skinbake.cli.inputs import Input
     from skinbake.commands.batch import Runner, Work
-    from skinbake.commands.state import State
+    from skinbake.commands.state import Recipe, State
     from skinbake.report.totals import Totals
 
 STATE_NAME = ".skinbake-state.jsonl"
@@ -76,7 +77,19 @@ def many_options(command: Command) -> Command:
         ),
     ):
         command = option(command)
-    return command
+    return sync_option(command)
+
+
+def state_of(
+    command: str, options: Any, path: str | None, inputs: Iterable[Input], *, sync: bool
+) -> tuple[State, Recipe] | tuple[None, None]:
+    """Return the state file, and what its records are compared with; None where none is wanted."""
+    if path is None:
+        return None, None
+    from skinbake.commands.state import State, recipe
+
+    roots = {entry.root for entry in inputs if os.sep in entry.kept}  # that arguments were searched in
+    return State(path, sync=sync), recipe(command, options, path, sorted(roots))
 
 
 def state_path(given: Mapping[str, Any]) -> str | None:
@@ -92,13 +105,6 @@ def state_path(given: Mapping[str, Any]) -> str | None:
     raise click.UsageError(
         "--skip-unchanged needs --state FILE to keep its notes in; only --out-dir has a place"
     )
-
-
-def check_summary(given: Mapping[str, Any]) -> None:
-    """Raise click.UsageError where the summary would take a model's place."""
-    for name in ("summary", "state"):
-        if given[name] and Path(given[name]).suffix.lower() in SUFFIXES:
-            raise click.UsageError(f"--{name}: {given[name]} is a model's name")
 
 
 class Clock:
@@ -176,9 +182,9 @@ def _is_worthwhile(sources: Sequence[str], guess: tuple[float, float]) -> bool:
 class Summary:
     """Writes JSON lines, one a file, and totals at last; says once where it cannot."""
 
-    def __init__(self, path: str | None, schema: str, say: Console) -> None:
-        """Begin the file; raises OutputError."""
-        self._path, self._schema, self._say = path, schema, say
+    def __init__(self, path: str | None, schema: str, say: Console, *, sync: bool = True) -> None:
+        """Begin the file; raises OutputError. ``sync`` waits until it is on the disk when it is closed."""
+        self._path, self._schema, self._say, self._sync = path, schema, say, sync
         self.failed = False
         self._file = None
         if path is not None:
@@ -196,24 +202,29 @@ class Summary:
         """Add a line."""
         if self._file is None:
             return
-        text = json.dumps(content, ensure_ascii=False)
         try:
-            text.encode("utf-8")
-        except UnicodeEncodeError:  # lone surrogates
-            text = json.dumps(content)
-        try:
-            self._file.write(text + "\n")
+            self._file.write(json_text(content) + "\n")
             self._file.flush()
         except OSError as error:
-            self.failed, file, self._file = True, self._file, None
-            with suppress(OSError):
+            self._fail(error)
+
+    def _fail(self, error: OSError) -> None:
+        self.failed, file, self._file = True, self._file, None
+        with suppress(OSError):
+            if file is not None:
                 file.close()
-            self._say.error(OutputError(f"cannot be written: {error.strerror}", Place(str(self._path))))
+        self._say.error(OutputError(f"cannot be written: {error.strerror}", Place(str(self._path))))
 
     def close(self) -> None:
         """Let go of the file."""
-        if self._file is not None:
+        if self._file is None:
+            return
+        try:
+            if self._sync:
+                flush(self._file.fileno())
             self._file.close()
+        except OSError as error:
+            self._fail(error)
 
 
 class Notes:

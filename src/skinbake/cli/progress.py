@@ -9,6 +9,7 @@ from types import TracebackType
 from typing import Any
 
 from skinbake.cli.console import Console
+from skinbake.errors import printable
 
 SHOWN_AFTER = 2.0
 """Seconds of work before anything is shown."""
@@ -62,7 +63,9 @@ class Progress:
             from rich.markup import escape
 
             # A whole path would leave no room for the bar.
-            self._tasks[what] = self._bar.add_task(escape(PurePath(what).name), rate="", total=total)
+            self._tasks[what] = self._bar.add_task(
+                escape(printable(PurePath(what).name)), rate="", total=total
+            )
         if done == total or now - self._shown >= REFRESH_EVERY:
             self._shown = now
             if self._held:

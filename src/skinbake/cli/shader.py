@@ -10,9 +10,9 @@ import click
 
 from skinbake.cli import exit_codes
 from skinbake.cli.console import console, finite, message_options, outside_option
-from skinbake.cli.targets import STDIO, check_readable_suffix
+from skinbake.cli.targets import STDIO, check_readable_suffix, sync_option
 from skinbake.containment import Bounds
-from skinbake.errors import ChoiceError, SkinbakeError
+from skinbake.errors import ChoiceError, SkinbakeError, printable
 from skinbake.shaders.choices import ENCODINGS, LAYOUTS, Language, Lighting, Method, Morphs
 from skinbake.shaders.text import targets
 
@@ -99,6 +99,7 @@ PUBLISHED_CAP = 0.9
 )
 @click.option("-o", "--output", metavar="FILE", default=STDIO, help="Write here instead of to stdout.")
 @outside_option
+@sync_option
 @message_options
 def command(source: str | None, output: str, **given: Any) -> None:
     """Write the shader code that reads what bake stored: GLSL or WGSL, plain or for an engine.
@@ -120,7 +121,7 @@ def command(source: str | None, output: str, **given: Any) -> None:
 
     try:
         result = shader(_request(given), source, output, Bounds(allowed=given["allow_outside"]))
-        write_shader(result, output)
+        write_shader(result, output, sync=not given["no_sync"])
     except ChoiceError as error:
         raise click.UsageError(error.message) from error
     except SkinbakeError as error:
@@ -128,7 +129,7 @@ def command(source: str | None, output: str, **given: Any) -> None:
         sys.exit(exit_codes.of_error(error))
     say.notices(result.notices)
     if output != STDIO:
-        say.result(f"{output}: {result.choices.words}")
+        say.result(f"{printable(output)}: {result.choices.words}")
 
 
 def _request(given: dict[str, Any]) -> ShaderRequest:

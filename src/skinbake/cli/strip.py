@@ -9,7 +9,7 @@ import click
 
 from skinbake.cli import exit_codes
 from skinbake.cli.console import console, message_options, outside_option
-from skinbake.cli.targets import STDIO, check_readable_suffix, check_target
+from skinbake.cli.targets import STDIO, check_readable_suffix, check_target, sync_option
 from skinbake.containment import Bounds
 from skinbake.errors import SkinbakeError
 
@@ -22,6 +22,7 @@ from skinbake.errors import SkinbakeError
     "--warnings-as-errors", is_flag=True, help="Fail (3), and write nothing, where there are warnings."
 )
 @outside_option
+@sync_option
 @message_options
 def command(source: str, **given: Any) -> None:
     """Write the document as it was before bake: equal JSON, and the original influences."""
@@ -41,6 +42,7 @@ def command(source: str, **given: Any) -> None:
             source,
             given["output"],
             warnings_as_errors=given["warnings_as_errors"],
+            sync=not given["no_sync"],
             bounds=Bounds(allowed=given["allow_outside"]),
         )
     except SkinbakeError as error:

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import os
+import stat
 import struct
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
+from skinbake.cli.console import Command
 from skinbake.urls import SUFFIXES, canonical, is_url, join_url, on_disk
 
 if TYPE_CHECKING:
@@ -73,6 +75,83 @@ def pair_up(inputs: Sequence[Input], folder: str) -> list[tuple[Input, str]]:
                 raise click.UsageError(f"{target}, where {source} would be written, is an input too")
         pairs.append((entry, target))
     return pairs
+
+
+REPORTS: Mapping[str, Callable[[bytes], bool]] = {
+    "--summary": lambda head: head.startswith(b"{"),
+    "--junit": lambda head: b"<testsuite" in head,
+}
+"""How a file begins that an earlier run has written for an option."""
+
+
+def check_reports(reports: Mapping[str, str | None], output: str | None, sources: Iterable[str]) -> None:
+    """Raise click.UsageError where an option's file is an input, an output, or another option's.
+
+    By identity, through links of both kinds. ``reports`` are the files by option. An existing one is replaced
+    where an earlier run may have written it, and in no other case: models name files too.
+    """
+    taken = dict.fromkeys(_keys(output), f"the output, {output}")
+    identities: dict[tuple[int, int], str] = {}
+    for option, path in reports.items():
+        if path is None:
+            continue
+        if {Path(path).suffix.lower(), Path(os.path.realpath(path)).suffix.lower()} & {*SUFFIXES}:
+            raise click.UsageError(f"{option}: {path} is a model's name")
+        for key in _keys(path):
+            if key in taken:
+                raise click.UsageError(f"{option}: {path} is {taken[key]}")
+            taken[key] = f"the file of {option}"
+            if isinstance(key, tuple):
+                identities[key] = f"{option}: {path}"
+    for source in sources if identities else ():
+        identity = _identity(source)
+        if identity in identities:
+            raise click.UsageError(f"{identities[identity]} is an input")
+    for option, path in reports.items():
+        if path is not None and option in REPORTS and _identity(path) and not _is_report(path, option):
+            raise click.UsageError(f"{option}: {path} exists, and no earlier run has written it")
+
+
+def _keys(path: str | None) -> list[str | tuple[int, int]]:
+    """Return what two names of a file share: its path without links, and its identity where it is there."""
+    if path in {None, STDIO} or on_disk(str(path)) is None:
+        return []
+    real = os.path.realpath(str(on_disk(str(path))))
+    if Path(real).exists() and _identity(real) is None:
+        return []  # /dev/null may be named often
+    identity = _identity(real)
+    return [real] if identity is None else [real, identity]
+
+
+def _identity(path: str) -> tuple[int, int] | None:
+    """Return what tells a regular file from all others; None where there is none."""
+    place = on_disk(path)
+    if place is None or path == STDIO:
+        return None
+    try:
+        found = os.stat(place)  # noqa: PTH116  # of a million inputs
+    except (OSError, ValueError):
+        return None
+    return (found.st_dev, found.st_ino) if stat.S_ISREG(found.st_mode) else None
+
+
+def _is_report(path: str, option: str) -> bool:
+    """Tell whether a file is empty, or begins as an earlier run's."""
+    try:
+        with Path(path).open("rb") as file:
+            head = file.read(4096)
+    except OSError:
+        return True  # writing it will say why not
+    return not head or REPORTS[option](head)
+
+
+def sync_option(command: Command) -> Command:
+    """Add the option not to wait for the disk."""
+    return click.option(
+        "--no-sync",
+        is_flag=True,
+        help="Do not wait until files are on the disk: faster, but a power cut may leave them empty.",
+    )(command)
 
 
 def once(inputs: Sequence[Input]) -> list[Input]:

@@ -16,17 +16,18 @@ from skinbake.cli.many import (
     Clock,
     Notes,
     Summary,
-    check_summary,
     chosen_runner,
     each,
     many_options,
     outcomes,
     show_timings,
+    state_of,
     state_path,
     worst,
 )
 from skinbake.cli.progress import Progress
 from skinbake.cli.remote import cluster_option, cluster_runner
+from skinbake.cli.targets import check_reports
 from skinbake.containment import Bounds, Within
 from skinbake.errors import OutputError, Place
 
@@ -122,19 +123,15 @@ def command(inputs: tuple[str, ...], **given: Any) -> None:
     """
     clock = Clock()
     found, notes_at = expanded(inputs), state_path(given)
-    check_summary(given)
+    reports = {"--junit": given["junit"], "--summary": given["summary"], "--state": notes_at}
+    check_reports(reports, None, (entry.source for entry in found))
     say = console(verbose=given["verbose"], quiet=given["quiet"], color=given["color"])
     from skinbake.commands.batch_verify import MODULES, SECONDS_A_BYTE, SECONDS_A_FILE, VerifyJob, VerifyWork
     from skinbake.report.totals import VERIFY_OUTCOMES, Totals, totals_json
     from skinbake.report.verify import SCHEMA, FileVerdict, as_json, as_junit, as_text, file_json
 
     options = _options(given)
-    state = recipe = None
-    if notes_at is not None:
-        from skinbake.commands.state import State
-        from skinbake.commands.state import recipe as recipe_of
-
-        state, recipe = State(notes_at), recipe_of("verify", options, notes_at)
+    state, recipe = state_of("verify", options, notes_at, found, sync=not given["no_sync"])
     jobs = [
         VerifyJob(
             entry.source,
@@ -148,7 +145,7 @@ def command(inputs: tuple[str, ...], **given: Any) -> None:
     sources, guess = [entry.source for entry in found], (SECONDS_A_FILE, SECONDS_A_BYTE)
     runner = cluster_runner(given, sources, [], say) or chosen_runner(given, sources, [], MODULES, guess)
     totals, verdicts, code = Totals(len(jobs), VERIFY_OUTCOMES), list[FileVerdict](), exit_codes.OK
-    summary, notes = Summary(given["summary"], SCHEMA, say), Notes(state, say)
+    summary, notes = Summary(given["summary"], SCHEMA, say, sync=not given["no_sync"]), Notes(state, say)
 
     def tell(verdict: FileVerdict) -> None:
         say.notices(verdict.notices)
@@ -174,7 +171,7 @@ def command(inputs: tuple[str, ...], **given: Any) -> None:
             if given["as_json"] or given["junit"]:
                 verdicts.append(verdict)
         if given["junit"]:
-            code = max(code, _write(given["junit"], as_junit(verdicts), say))
+            code = max(code, _write(given["junit"], as_junit(verdicts), say, sync=not given["no_sync"]))
         code = max(code, exit_codes.OUTPUT if notes.failed else code)
         summary.line(totals_json(totals, clock.working, schema=SCHEMA, exit_code=code))
     code = max(code, exit_codes.OUTPUT if summary.failed else code)
@@ -208,11 +205,20 @@ def _options(given: dict[str, Any]) -> Any:
     )
 
 
-def _write(path: str, text: str, say: Console) -> int:
-    """Write the JUnit file; return the exit code."""
+def _write(path: str, text: str, say: Console, *, sync: bool) -> int:
+    """Write the JUnit file, whole or not at all; return the exit code."""
+    from skinbake.gltf.writing import write_file
+
+    data, file = text.encode("utf-8"), Path(path)
     try:
-        Path(path).write_text(text, encoding="utf-8")
+        if file.exists() and not (file.is_file() or file.is_dir()):
+            file.write_bytes(data)  # a pipe, say
+        else:
+            write_file([data], path, sync=sync)
     except OSError as error:
         say.error(OutputError(f"cannot be written: {error.strerror}", Place(path)))
+        return exit_codes.OUTPUT
+    except OutputError as error:
+        say.error(error)
         return exit_codes.OUTPUT
     return exit_codes.OK

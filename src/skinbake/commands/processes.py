@@ -23,6 +23,7 @@ from multiprocessing.process import BaseProcess
 from typing import Any
 
 from skinbake.commands.batch import Work
+from skinbake.commands.logs import log_to_stderr
 from skinbake.errors import SkinbakeError
 
 logger = logging.getLogger(__name__)
@@ -263,11 +264,11 @@ def _quiet_start() -> Iterator[None]:
 
 @contextmanager
 def _no_interrupts() -> Iterator[None]:
-    """Put Ctrl-C off until the block is done."""
+    """Put Ctrl-C and SIGTERM off until the block is done."""
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
     try:
         yield
     finally:
@@ -280,7 +281,7 @@ def _serve(connection: Connection, work: Work, level: int, logs: bool) -> None:
     try:
         _hear_signals(stopped)
         if logs:
-            logging.basicConfig(level=level, format="%(name)s: %(message)s")
+            log_to_stderr(level)
         connection.send(None)
         while not stopped.is_set():
             number, job = connection.recv()

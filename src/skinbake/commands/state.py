@@ -12,28 +12,34 @@ import errno
 import hashlib
 import json
 import os
-import secrets
-import stat
+import re
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import skinbake
 from skinbake.bake import kernel
-from skinbake.containment import BESIDE, Bounds, RefusedError, Spot, open_beneath, spots
+from skinbake.containment import BESIDE, Bounds, RefusedError, Spot, flush, open_beneath, open_regular, spots
 from skinbake.errors import InputError, OutputError, Place, SkinbakeError
 from skinbake.gltf.beside import named_files
 from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.glb import Bytes
 from skinbake.gltf.resources import FileContent
+from skinbake.gltf.writing import write_file
 
 DIGITS = 32
 """Hexadecimal digits of SHA-256 that are kept."""
 
 HEADER = b'{"skinbake": "state/1"}\n'
+
+NAME = ".skinbake-state.jsonl"
+"""What a state file is called that the user has not named: whatever is in it, it is ours."""
+
+LONGEST = 1 << 22
+"""Bytes of a record: those of a document that names ten thousand files. Longer lines are passed over."""
 
 SPARE = 1000
 """Superseded records that a state file may hold, besides as many as it has live ones, before it is tidied."""
@@ -46,6 +52,8 @@ ABSENT = (errno.ENOENT, errno.ENOTDIR, errno.ENAMETOOLONG)
 
 NOT_OPTIONS = ("dry_run", "make_folder", "traced", "sync")
 """Options that change nothing in what is made."""
+
+DIGEST = re.compile(f"[0-9a-f]{{{DIGITS}}}")
 
 Digests = dict[str, str | None]
 """By absolute path: a file's digest, None where there is no file."""
@@ -79,29 +87,48 @@ class Seen:
 
 @dataclass(frozen=True, slots=True)
 class Recipe:
-    """A command with its options and code, and the folder that paths in records start at."""
+    """A command with its options and code, and the folder that paths in records start at.
+
+    ``roots`` are the folders that inputs were searched in: a record may be about files below these, and below
+    the folders of its source and target, but no others.
+    """
 
     command: str
     how: str
     folder: str
+    roots: tuple[str, ...] = ()
 
     def key(self, path: str) -> str:
         """Return what records are found by: the command, and the file that it makes (verify: reads)."""
         return f"{self.command} {self._relative(_absolute(path))}"
 
     def still_holds(self, record: bytes, source: str, target: str | None) -> bool:
-        """Tell whether a record is about the files as they are now; False where in doubt."""
+        """Tell whether a record is about the files as they are now; False where in doubt.
+
+        It may be forged: only files that this run has to do with are opened, and a record that says nothing
+        of the source, or of the target, is none.
+        """
         try:
             note = json.loads(record)
             if (note["key"], note["how"], note["from"]) != self._heading(source, target):
                 return False
-            read, made = note["read"], note["made"]
-            return bool(read) and all(
-                _digest(os.path.join(self.folder, path)) == digest
-                for path, digest in (*read.items(), *((k, v) for k, v in made.items() if k not in read))
+            read, made = dict(note["read"]), dict(note["made"])
+            sides = [(read, source)] if target is None else [(read, source), (made, target)]
+            if any(DIGEST.fullmatch(side[self._relative(_absolute(path))]) is None for side, path in sides):
+                return False
+            roots = [*self.roots, *(os.path.dirname(_absolute(path)) for _, path in sides)]
+            found = {**made, **read}
+            return all(found[path] == digest for path, digest in made.items()) and all(
+                self._is_so(path, digest, roots) for path, digest in found.items()
             )
-        except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
             return False
+
+    def _is_so(self, path: str, digest: str | None, roots: Iterable[str]) -> bool:
+        """Tell whether a file below one of the folders has the digest, or None and is not there."""
+        whole = os.path.normpath(os.path.join(self.folder, path))
+        below = any(whole.startswith(root.rstrip(os.sep) + os.sep) for root in roots)
+        return below and _digest(whole) == digest
 
     def record(self, source: str, target: str | None, read: Digests, made: Digests) -> bytes:
         """Return the record that ``made`` is what came of ``read``, a line."""
@@ -125,15 +152,19 @@ class Recipe:
             return path
 
 
-def recipe(command: str, options: Any, state: str) -> Recipe:
-    """Return the recipe of a command with its options, a dataclass, for the state file of that name."""
+def recipe(command: str, options: Any, state: str, roots: Iterable[str] = ()) -> Recipe:
+    """Return the recipe of a command with its options, a dataclass, for the state file of that name.
+
+    ``roots`` are the folders that inputs were searched in.
+    """
     chosen = {name: value for name, value in asdict(options).items() if name not in NOT_OPTIONS}
     text = json.dumps(
         [command, skinbake.__version__, _code(), kernel.compiled is not None, chosen],
         sort_keys=True,
         default=str,
     )
-    return Recipe(command, _of([text.encode()]), os.path.dirname(_absolute(state)))
+    folders = tuple(dict.fromkeys(map(os.path.realpath, roots)))
+    return Recipe(command, _of([text.encode()]), os.path.dirname(_absolute(state)), folders)
 
 
 def seen(source: str, bounds: Bounds = BESIDE) -> Seen | None:
@@ -177,14 +208,21 @@ def digests_of(files: Mapping[Path, Iterable[Bytes]]) -> dict[str, str]:
 
 
 class State:
-    """A state file: a record a line, of which the last one of each key counts; added to as files are done."""
+    """A state file: a record a line, of which the last one of each key counts; added to as files are done.
 
-    def __init__(self, path: str) -> None:
-        """Read it; one that is not there is empty. Raises InputError where it is none of skinbake's."""
-        self._path = Path(path)
+    Its lines may hold anything: what is no record is passed over.
+    """
+
+    def __init__(self, path: str, *, sync: bool = True) -> None:
+        """Read it; one that is not there is empty. Raises InputError where it is none of skinbake's.
+
+        ``sync`` waits until all is on the disk when it is closed.
+        """
+        self._path, self._sync = Path(path), sync
         self._records: dict[str, bytes] = {}
         self._lines = 0
         self._descriptor: int | None = None
+        self._is_damaged = False
         self._read()
 
     def known(self, key: str) -> bytes | None:
@@ -207,41 +245,55 @@ class State:
         """Let go of the file; where most of it is superseded, write it anew."""
         if self._descriptor is None:
             return
-        os.close(self._descriptor)
-        self._descriptor = None
+        descriptor, self._descriptor = self._descriptor, None
+        try:
+            if self._sync:
+                with suppress(OSError):  # what is lost costs a bake
+                    flush(descriptor)
+        finally:
+            os.close(descriptor)
         if self._lines > 2 * len(self._records) + SPARE:
-            temporary = self._path.with_name(f".skinbake-{secrets.token_hex(6)}.tmp")
-            try:
-                temporary.write_bytes(HEADER + b"".join(self._records.values()))
-                temporary.replace(self._path)
-            except OSError:  # it stays as it is
-                with suppress(OSError):
-                    temporary.unlink(missing_ok=True)
+            with suppress(SkinbakeError):  # it stays as it is
+                write_file([HEADER, *self._records.values()], str(self._path), sync=self._sync)
 
     def _read(self) -> None:
         place = Place(str(self._path))
         try:
-            is_file = stat.S_ISREG(self._path.stat().st_mode)
-            data = self._path.read_bytes() if is_file else b""
+            descriptor = open_regular(str(self._path))
         except FileNotFoundError:
             return
-        except (OSError, ValueError) as error:
-            raise InputError(f"cannot be read: {getattr(error, 'strerror', None) or error}", place) from error
-        if not is_file or (data and not data.startswith(HEADER)):
+        except OSError as error:
+            if error.errno in {errno.EINVAL, errno.EISDIR}:
+                raise InputError("it exists and is no state file of skinbake", place) from error
+            raise InputError(f"cannot be read: {error.strerror}", place) from error
+        except ValueError as error:
+            raise InputError(f"cannot be read: {error}", place) from error
+        try:
+            with os.fdopen(descriptor, "rb") as file:
+                head = file.read(len(HEADER))
+                if head == HEADER:
+                    for line in _lines(file):
+                        self._take(line)
+                    return
+        except OSError as error:
+            raise InputError(f"cannot be read: {error.strerror}", place) from error
+        # A power cut leaves what it likes; of a file with another name we cannot know whose it is.
+        if not HEADER.startswith(head) and self._path.name != NAME:
             raise InputError("it exists and is no state file of skinbake", place)
-        for line in data.splitlines(keepends=True):
-            if line.endswith(b"\n"):  # else an interrupt has cut it
-                self._take(line)
+        self._is_damaged = bool(head)
 
     def _take(self, record: bytes) -> None:
-        with suppress(ValueError, KeyError, TypeError):
-            self._records[str(json.loads(record)["key"])] = record
-            self._lines += 1
+        with suppress(ValueError, KeyError, TypeError, RecursionError):
+            key = json.loads(record)["key"]
+            if isinstance(key, str):
+                self._records[key] = record
+                self._lines += 1
 
     def _opened(self) -> int:
         self._path.parent.mkdir(parents=True, exist_ok=True)
         flags = os.O_RDWR | os.O_APPEND | os.O_CREAT | getattr(os, "O_BINARY", 0)
-        descriptor = os.open(self._path, flags, 0o666)
+        descriptor = os.open(self._path, flags | (os.O_TRUNC if self._is_damaged else 0), 0o666)
+        self._is_damaged = False
         size = os.fstat(descriptor).st_size
         if not size:
             os.write(descriptor, HEADER)
@@ -282,6 +334,18 @@ def _digest_at(spot: Spot) -> str | None:
         return None
 
 
+def _lines(file: BinaryIO) -> Iterator[bytes]:
+    """Yield whole lines; one without an end was cut by an interrupt, one that is too long is no record."""
+    is_within = False
+    while line := file.readline(LONGEST):
+        if line.endswith(b"\n"):
+            if not is_within:
+                yield line
+            is_within = False
+        else:
+            is_within = True
+
+
 def _absolute(path: str) -> str:
     """Return a path without links in its folder, so that ``..`` in a relative one means what it says."""
     folder, name = os.path.split(path)
@@ -306,12 +370,10 @@ def _signature_of(found: os.stat_result) -> tuple[int, ...]:
 def _digest(path: str) -> str | None:
     """Return a file's digest, None where there is none; OSError or ValueError where it cannot be read."""
     try:
-        if not stat.S_ISREG(os.stat(path).st_mode):
-            return None
-        with open(path, "rb") as file:
+        with os.fdopen(open_regular(path), "rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()[:DIGITS]
     except OSError as error:
-        if error.errno in ABSENT:
+        if error.errno in (*ABSENT, errno.EISDIR):
             return None
         raise
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
-from skinbake.errors import Notice, Place, SkinbakeError
+from skinbake.errors import Notice, Place, SkinbakeError, printable
 from skinbake.report.notices import counted, error_fields, notice_list, place_fields
 
 SCHEMA = "skinbake.bake/1"
@@ -109,11 +109,12 @@ class FileResult:
 
 def closing_line(result: FileResult, *, dry_run: bool) -> str:
     """Return one line that says what was baked, skipped and assumed, in numbers."""
-    where = result.input if result.output in {None, result.input} else f"{result.input} -> {result.output}"
+    name = printable(result.input)
+    where = name if result.output in {None, result.input} else f"{name} -> {printable(str(result.output))}"
     if dry_run:
-        where = f"{result.input} (dry run)"
+        where = f"{name} (dry run)"
     if result.status == "failed":
-        return f"{result.input}: failed, nothing written"
+        return f"{name}: failed, nothing written"
     if result.status == "up-to-date":
         return f"{where}: up to date"
     counts = [count for _, count in result.primitives]

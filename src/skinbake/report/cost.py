@@ -37,7 +37,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
-from skinbake.errors import Notice, Place
+from skinbake.errors import Notice, Place, printable
 from skinbake.report.notices import counted, notice_list, place_fields
 
 SCHEMA = "skinbake.cost/1"
@@ -181,7 +181,7 @@ def _grid(title: str, rows: Sequence[InfluenceCosts], figure: str) -> Iterator[s
 
 def _file_lines(result: FileCosts) -> Iterator[str]:
     yield (
-        f"{result.input}: {counted(len(result.primitives), 'skinned primitive')}, "
+        f"{printable(result.input)}: {counted(len(result.primitives), 'skinned primitive')}, "
         f"{counted(result.vertices, 'vertex', 'vertices')} a frame"
     )
     if not result.primitives:
@@ -198,14 +198,15 @@ def _file_lines(result: FileCosts) -> Iterator[str]:
 
 
 def _primitive_lines(primitive: PrimitiveCosts) -> Iterator[str]:
-    name = f' "{primitive.place.mesh_name}"' if primitive.place.mesh_name else ""
+    mesh = primitive.place.mesh_name
+    name = f' "{printable(mesh)}"' if mesh else ""
     often = f" × {primitive.draws} nodes" if primitive.draws > 1 else ""
     yield (
         f"  mesh {primitive.place.mesh}{name}, primitive {primitive.place.primitive}: "
         f"{counted(primitive.vertices, 'vertex', 'vertices')}{often}, "
         f"{counted(primitive.influences, 'influence')}"
     )
-    stored = ", ".join(f"{attribute} {size}" for attribute, size in primitive.stored.items())
+    stored = ", ".join(f"{printable(attribute)} {size}" for attribute, size in primitive.stored.items())
     yield f"    bytes stored per vertex: {stored}" + ("" if primitive.baked else "; α, β as bake would")
     yield f"    {'':<17}{'per vertex:':>15}{'':16}{'per frame:':>17}"
     yield f"    {'':<17}" + "".join(

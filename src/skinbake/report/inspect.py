@@ -70,7 +70,8 @@ class InspectResult:
 def as_text(result: InspectResult) -> str:
     """Return the summary as lines for a terminal."""
     lines = [
-        f"{result.input}: {result.byte_length:,} bytes, {counted(result.meshes, 'mesh', 'meshes')}, "
+        f"{printable(result.input)}: {result.byte_length:,} bytes, "
+        f"{counted(result.meshes, 'mesh', 'meshes')}, "
         f"{counted(result.skins, 'skin')}, {counted(result.animations, 'animation')}, "
         f"{counted(len(result.primitives), 'skinned primitive')}"
     ]

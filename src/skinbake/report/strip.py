@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from skinbake.errors import Notice
+from skinbake.errors import Notice, printable
 from skinbake.report.notices import counted, notice_list
 
 SCHEMA = "skinbake.strip/1"
@@ -24,7 +24,7 @@ class StripResult:
 def closing_line(result: StripResult) -> str:
     """Return one line that says what was taken out."""
     what = f"stripped {counted(result.primitives, 'primitive')}" if result.primitives else "unchanged"
-    return f"{result.input} -> {result.output}: {what}"
+    return f"{printable(result.input)} -> {printable(result.output)}: {what}"
 
 
 def as_json(result: StripResult) -> dict[str, Any]:

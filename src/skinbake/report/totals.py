@@ -60,7 +60,7 @@ class Totals:
 
 def _reason(source: str, error: SkinbakeError) -> str:
     text = str(error)
-    return text if text.startswith(source) else f"{source}: {text}"
+    return text if text.startswith(printable(source)) else f"{source}: {text}"
 
 
 def _problem(verdict: FileVerdict) -> str:

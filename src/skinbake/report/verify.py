@@ -122,11 +122,11 @@ def gain(figures: dict[str, ErrorFigures]) -> float | None:
 def as_text(verdict: FileVerdict) -> str:
     """Return the verdict as a short aligned table."""
     if verdict.up_to_date:
-        return f"{verdict.input}: passed before, up to date"
-    lines = [f"{verdict.input}: {'passed' if verdict.passed else 'FAILED'}"]
+        return f"{printable(verdict.input)}: passed before, up to date"
+    lines = [f"{printable(verdict.input)}: {'passed' if verdict.passed else 'FAILED'}"]
     width = max((len(check.name) for check in verdict.checks), default=0)
     for check in verdict.checks:
-        remark = f"  {check.remark}" if check.remark else ""
+        remark = f"  {printable(check.remark)}" if check.remark else ""
         lines.append(f"  {check.name:<{width}}  {check.outcome}{remark}")
     if verdict.normals:
         lines += _table(verdict.normals)
@@ -134,7 +134,7 @@ def as_text(verdict: FileVerdict) -> str:
         over = f"{verdict.poses}{morphs}"
         lines.append(f"  Angle in degrees between each method's normals and the true ones, over {over}.")
     if verdict.without_dqs:
-        lines.append(f"  Dual quaternions left out: {verdict.without_dqs}.")
+        lines.append(f"  Dual quaternions left out: {printable(verdict.without_dqs)}.")
     return "\n".join(lines)
 
 
