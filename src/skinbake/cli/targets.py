@@ -95,9 +95,10 @@ def check_reports(reports: Mapping[str, str | None], output: str | None, sources
     for option, path in reports.items():
         if path is None:
             continue
-        if {Path(path).suffix.lower(), Path(os.path.realpath(path)).suffix.lower()} & {*SUFFIXES}:
+        keys = _keys(path)
+        if path.lower().endswith(SUFFIXES) or (keys and str(keys[0]).lower().endswith(SUFFIXES)):
             raise click.UsageError(f"{option}: {path} is a model's name")
-        for key in _keys(path):
+        for key in keys:
             if key in taken:
                 raise click.UsageError(f"{option}: {path} is {taken[key]}")
             taken[key] = f"the file of {option}"
@@ -116,10 +117,14 @@ def _keys(path: str | None) -> list[str | tuple[int, int]]:
     """Return what two names of a file share: its path without links, and its identity where it is there."""
     if path in {None, STDIO} or on_disk(str(path)) is None:
         return []
-    real = os.path.realpath(str(on_disk(str(path))))
-    if Path(real).exists() and _identity(real) is None:
-        return []  # /dev/null may be named often
-    identity = _identity(real)
+    identity = _identity(str(path))
+    try:
+        real = os.path.realpath(str(on_disk(str(path))))
+        is_odd = identity is None and Path(real).exists()  # /dev/null may be named often
+    except (OSError, ValueError):
+        return []  # writing it will say why not
+    if is_odd:
+        return []
     return [real] if identity is None else [real, identity]
 
 

@@ -219,6 +219,7 @@ def _write(path: str, text: str, say: Console, *, sync: bool) -> int:
         say.error(OutputError(f"cannot be written: {error.strerror}", Place(path)))
         return exit_codes.OUTPUT
     except OutputError as error:
-        say.error(error)
+        message = error.message.removeprefix("cannot be written: ")
+        say.error(OutputError(f"cannot be written: {message}", Place(path)))
         return exit_codes.OUTPUT
     return exit_codes.OK

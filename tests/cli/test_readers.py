@@ -1,0 +1,67 @@
+"""Whoever reads stdout may leave at any time: the exit code says so, in every command."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.cli.running import run
+from tests.gltf.models import FOLDER
+
+if sys.platform == "win32":
+    pytest.skip("pipes of POSIX", allow_module_level=True)
+
+SEAM = str(FOLDER / "seam.glb")
+COMMANDS = [
+    ["--help"],
+    ["--version"],
+    ["bake", "--help"],
+    ["bake", SEAM, "--dry-run"],
+    ["bake", SEAM, "-o", "-"],
+    ["bake", SEAM, SEAM, "--dry-run", "--jobs", "2"],
+    ["verify", SEAM, "--poses", "rest"],
+    ["shader", "--lang", "glsl", "--frame", "normal"],
+    ["inspect", SEAM],
+    ["strip", SEAM, "-o", "-"],
+    ["cost"],
+    ["cost", SEAM, "--json"],
+]
+
+
+def without_reader(*arguments: str, stream: str = "stdout") -> subprocess.CompletedProcess[bytes]:
+    """Run a command whose stdout, or stderr, is a pipe that nobody reads."""
+    reading, writing = os.pipe()
+    os.close(reading)
+    out, err = (writing, subprocess.PIPE) if stream == "stdout" else (subprocess.PIPE, writing)
+    command = [sys.executable, "-m", "skinbake", *arguments]
+    try:
+        return subprocess.run(command, stdout=out, stderr=err, check=False, timeout=60)
+    finally:
+        os.close(writing)
+
+
+@pytest.mark.parametrize("arguments", COMMANDS, ids=lambda arguments: " ".join(arguments[:1] + arguments[2:]))
+def test_a_reader_that_has_left_is_141(arguments: list[str]) -> None:
+    process = without_reader(*arguments)
+    assert process.returncode == 141, process.stderr
+    assert b"Traceback" not in process.stderr
+    assert b"error" not in process.stderr
+    assert b"Exception ignored" not in process.stderr
+
+
+@pytest.mark.parametrize(
+    "arguments", [["bake"], ["inspect", "missing.glb"], ["bake", "missing.glb", "--dry-run"]]
+)
+def test_nobody_reads_the_error_either(arguments: list[str]) -> None:
+    assert without_reader(*arguments, stream="stderr").returncode == 141
+
+
+def test_what_was_begun_is_whole(tmp_path: Path) -> None:
+    process = without_reader("bake", SEAM, "-o", str(tmp_path / "out.glb"))
+    assert process.returncode == 141
+    assert [path.name for path in tmp_path.iterdir()] == ["out.glb"]
+    assert run("inspect", tmp_path / "out.glb").returncode == 0
