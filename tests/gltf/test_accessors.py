@@ -16,7 +16,7 @@ import pytest
 
 from fixtures.builder import JsonObject
 from skinbake.errors import InputError, Place
-from skinbake.gltf.accessors import UNBACKED_LIMIT, StoredArray, element_count, read_accessor
+from skinbake.gltf.accessors import StoredArray, element_count, read_accessor
 from skinbake.gltf.document import Document, parse_gltf
 from tests.support.gltf_reading import GltfFile
 
@@ -312,12 +312,12 @@ def test_the_plain_accessor_is_fine() -> None:
     assert read(plain()).values.tolist() == [[0, 0], [7, 8], [2, -2], [3, -3], [4, -4], [5, -5]]
 
 
-@pytest.mark.parametrize("count", [UNBACKED_LIMIT + 1, 2**31, 2**63, 10**30])
+@pytest.mark.parametrize("count", [2**21, 2**31, 2**63, 10**30])
 def test_huge_counts_without_data_take_no_memory(count: int) -> None:
     parsed = document(content(b"\0", {"componentType": 5126, "count": count, "type": "VEC4"}, []))
     tracemalloc.start()
     try:
-        with pytest.raises(InputError, match="without a buffer view"):
+        with pytest.raises(InputError, match="has no buffer view"):
             read_accessor(parsed, 0, HERE)
         assert tracemalloc.get_traced_memory()[1] < 100_000
     finally:

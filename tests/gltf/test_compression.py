@@ -565,9 +565,9 @@ def test_what_all_of_a_file_expands_to_is_limited(
     kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     source = twin(kind, "bent_tube.glb", tmp_path)
-    monkeypatch.setattr("skinbake.gltf.expansion.FREE", 1000)
+    monkeypatch.setattr("skinbake.gltf.budget.UNPACKED_FREE", 1000)
     bake(source, tmp_path / "out.glb")
-    monkeypatch.setattr("skinbake.gltf.expansion.RATIO", 1)
+    monkeypatch.setattr("skinbake.gltf.budget.UNPACKED_RATIO", 1)
     result = bake_file(str(source), str(tmp_path / "not.glb"), BakeOptions())
     assert isinstance(result.error, InputError)
     assert "over the limit of 1 times as many" in str(result.error)

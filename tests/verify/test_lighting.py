@@ -125,7 +125,7 @@ def test_at_rest_every_lighting_gives_the_stored_normals(path: Path, tmp_path: P
         identity = np.tile(np.eye(4), (1, joints, 1, 1))
         for method in ("lbs", "dqs"):
             found: list[lighting.MeasuredBlock] = []
-            lighting.lighting_errors(mesh_operator(here), rest, identity, method, found.append)
+            lighting.lighting_errors(mesh_operator(document, here), rest, identity, method, found.append)
             for name in lighting.METHODS[method]:
                 own = [block for block in found if block.lighting == name]
                 assert sum(block.errors.size for block in own) == sum(len(one.positions) for one in rest)

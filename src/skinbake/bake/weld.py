@@ -18,6 +18,9 @@ Labels = IntArray
 PAIRED_GROUP = 32
 """Groups of at most this many distinct normals are compared pair by pair; larger ones grow step by step."""
 
+PAIRS = 1 << 16
+"""Pairs that are compared at a time: their vectors and what comes of them take 10 MB."""
+
 LINKED_GROUP = 4096
 """Points with more distinct normals than this weld equal normals only: comparing all would take minutes."""
 
@@ -161,8 +164,8 @@ def _link_by_angle(points: Labels, normals: npt.NDArray[np.float64], crease_angl
     labels = np.arange(len(points))
     for size in range(2, PAIRED_GROUP + 1):
         members = order[starts[sizes == size][:, None] + np.arange(size)]
-        if len(members):
-            _link_groups(members, normals, crease_angle, labels)
+        for part in blocks(len(members), PAIRS // size**2):
+            _link_groups(members[part], normals, crease_angle, labels)
     for start, size in zip(starts[sizes > PAIRED_GROUP], sizes[sizes > PAIRED_GROUP], strict=True):
         if size <= LINKED_GROUP:
             _grow_group(order[start : start + size], normals, crease_angle, labels)

@@ -43,6 +43,9 @@ if TYPE_CHECKING:
 
 logger = logging.getLogger(__name__)
 
+BYTES_A_VERTEX, BYTES_A_SLOT, BYTES_A_TRIANGLE = 128, 48, 24
+"""What a bake sets aside at most, about."""
+
 WELD_MESH, WELD_SKIN = "mesh", "skin"
 
 
@@ -250,6 +253,7 @@ def _bake_sources(
     with stage("limit"):
         parts = _limited(document, sources, whole, options)
     primitives = [part.primitive if part else one for part, one in zip(parts, whole, strict=True)]
+    document.budget.claim(_bake_size(primitives), "baking it", sources[0].place)
     outcomes = bake_mesh(primitives, options.settings)
     for source, primitive, (outcome, _) in zip(sources, primitives, outcomes, strict=True):
         _check_finite(source, primitive, outcome)
@@ -285,6 +289,14 @@ def _check_finite(source: PrimitiveSource, primitive: SkinnedPrimitive, outcome:
         else "they lie closer together than float32 can hold a slope for: scale the model up, or merge them"
     )
     raise InputError(f"α or β of {vertices} are not finite numbers; {advice}", source.place)
+
+
+def _bake_size(primitives: Sequence[SkinnedPrimitive]) -> int:
+    """Return about the most bytes that baking primitives as one surface takes."""
+    vertices = sum(len(primitive.positions) for primitive in primitives)
+    triangles = sum(len(primitive.triangles) for primitive in primitives)
+    influences = max(primitive.joints.shape[1] for primitive in primitives)
+    return int(vertices * (BYTES_A_VERTEX + BYTES_A_SLOT * influences) + BYTES_A_TRIANGLE * triangles)
 
 
 def _limited(

@@ -24,6 +24,9 @@ from skinbake.gltf.skin_groups import meshes_of_one_skin
 from skinbake.timing import stage
 from skinbake.verify.limits import limited_primitive
 
+BYTES_A_VERTEX, BYTES_A_SLOT, BYTES_A_TRIANGLE = 800, 128, 400
+"""What looking at a baked primitive sets aside at most, about: its gradient operator above all."""
+
 WELDS = ("mesh", "skin")
 WEIGHTINGS = ("max", "angle", "area", "angle-area")
 FRAMES = (frames.NORMAL_FRAME, frames.TANGENT_FRAME)
@@ -104,6 +107,8 @@ def _view(document: Document, source: PrimitiveSource) -> BakedView | Notice:
     if wrong is not None:
         return Notice("metadata-broken", f"its metadata is damaged: {wrong}; {BAKE}", source.place)
     now = read_primitive(document, source)
+    size = len(now.positions) * (BYTES_A_VERTEX + BYTES_A_SLOT * now.joints.shape[1])
+    document.budget.claim(size + BYTES_A_TRIANGLE * len(now.triangles), "measuring it", source.place)
     slots = read_slots(document, source, metadata, len(now.positions))
     if isinstance(slots, Notice):
         return slots

@@ -72,7 +72,8 @@ def cost_of_file(source: str, bounds: Bounds = BESIDE) -> FileCosts:
     for entry in sources:
         notice = reason_to_skip(document, entry, generate_normals=True)
         if notice is None:
-            primitives.append(_costs(document, entry, draws[entry.mesh]))
+            with document.budget.passing():
+                primitives.append(_costs(document, entry, draws[entry.mesh]))
             notice = _missing_normal(entry)
         if notice is not None:
             notices.append(notice)

@@ -25,6 +25,9 @@ from skinbake.gltf.primitives import (
 from skinbake.gltf.resources import is_data_uri
 from skinbake.report.inspect import AttributeSummary, BakeSummary, InspectResult, PrimitiveSummary
 
+BYTES_A_VERTEX, BYTES_A_SLOT = 64, 40
+"""What summing up a primitive sets aside at most, about."""
+
 
 def inspect_file(source: str, bounds: Bounds = BESIDE) -> InspectResult:
     """Return a summary of one file; raises SkinbakeError where it cannot be read."""
@@ -36,7 +39,8 @@ def inspect_file(source: str, bounds: Bounds = BESIDE) -> InspectResult:
         if reason is not None:
             notices.append(reason)
         if reason is None or reason.code == "no-normals":
-            primitives.append(_summary(document, entry))
+            with document.budget.passing():
+                primitives.append(_summary(document, entry))
     return InspectResult(
         input=source,
         byte_length=_byte_length(document),
@@ -61,6 +65,8 @@ def _byte_length(document: Document) -> int:
 
 def _summary(document: Document, source: PrimitiveSource) -> PrimitiveSummary:
     primitive = read_primitive(document, source)
+    size = BYTES_A_VERTEX + BYTES_A_SLOT * primitive.joints.shape[1]
+    document.budget.claim(len(primitive.positions) * size, "summing it up", source.place)
     _, defects = weight_field(primitive)
     sums = primitive.weights.astype(np.float64).sum(axis=1)
     attributes = [_attribute(document, source, name) for name in source.attributes]

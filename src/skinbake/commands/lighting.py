@@ -10,7 +10,7 @@ import numpy as np
 
 from skinbake.commands.baked_views import BakedView
 from skinbake.commands.morphing import morph_count, morphing_of
-from skinbake.commands.poses import PoseRequest, PoseSet, described, draws_of, pose_set
+from skinbake.commands.poses import SHARED_SAMPLES, PoseRequest, PoseSet, described, draws_of, pose_set
 from skinbake.errors import InputError, Notice, Place
 from skinbake.geometry import frames
 from skinbake.geometry.skinned import Float64Array
@@ -30,6 +30,16 @@ from skinbake.verify.lighting import (
 )
 from skinbake.verify.metrics import ErrorTally, total_area, vertex_areas
 from skinbake.verify.operator import GradientOperator
+
+BYTES_A_SAMPLE = 32
+"""What is kept at most of a vertex in a pose: its errors, while they may count among the largest."""
+
+SAMPLES_A_BYTE, SAMPLES_FREE = 64, 10_000_000
+"""Vertices times poses that a file may ask for, by its own bytes and besides: each takes 3 µs.
+
+A mesh is measured as often as skins draw it, and in at least three poses of each clip. A hundred soldiers of
+one mesh of 3,000 vertices ask for 40 a byte, a character of a million vertices for 0.5.
+"""
 
 Progress = Callable[[str, int, int], None]
 """Called with what is being done, how many poses are done, and how many there are."""
@@ -85,6 +95,7 @@ class Lighting:
         with stage("poses"):
             self._clips = read_clips(document)
         self._done, self._total, self._identity = 0, 0, 0.0
+        self._samples = 0
         self._segments: list[_Segment] = []
         self._whole: _Tallies = {}
         self._by_place: dict[Place, _Tallies] = {}
@@ -123,7 +134,25 @@ class Lighting:
             rest = [rest_surface(view) for view in views]
             areas = [vertex_areas(view.now.positions, view.now.triangles) for view in views]
             for poses in self._pose_sets(views[0].source.mesh):
+                self._claim(views, poses)
                 yield _Draw(views, operator, rest, areas, poses)
+
+    def _claim(self, views: Sequence[BakedView], poses: PoseSet) -> None:
+        """Count what measuring a draw takes, and refuse what takes out of all proportion to the file."""
+        vertices, count = sum(len(view.now.positions) for view in views), len(poses.clips)
+        place = replace(views[0].source.place, primitive=None)
+        self._document.budget.claim(
+            BYTES_A_SAMPLE * vertices * count, f"{vertices:,} vertices in {count:,} poses", place
+        )
+        asked = self._options.poses.samples
+        self._samples += vertices * (count if asked is None else -(-count // asked) * SHARED_SAMPLES)
+        most = SAMPLES_FREE + SAMPLES_A_BYTE * self._document.budget.backed
+        if self._samples > most:
+            raise InputError(
+                f"it asks for {self._samples:,} vertices times poses, as often as nodes draw it and clips "
+                f"move it: over the {most:,} that a file of its size may ask for",
+                place,
+            )
 
     def _expect(self, method: str, drawn: Sequence[_Draw]) -> None:
         """Prepare to count what a method yields: a tally must know how much weight may come."""

@@ -33,6 +33,9 @@ SHARED_SAMPLES = 60
 FALLBACK_POSES = 24
 """Random poses of a file that has no animation."""
 
+BYTES_A_NODE_AND_POSE, BYTES_A_JOINT_AND_POSE = 640, 512
+"""What a pose takes of a node while its matrices are made, and of a joint whose matrix is kept."""
+
 MORPHS_AT_ONCE = 2
 """Morph targets that a random pose moves: all of a face's at once would be no face any more."""
 
@@ -112,6 +115,7 @@ def pose_set(
     resting = None if node is None else resting_weights(document, node)
     morphs = None if node is None or resting is None or not resting.size else _Morphs(node, resting)
     moving = [clip for clip in (_only(set(skeleton.nodes), morphs, clip) for clip in clips) if clip.channels]
+    _claim(document, skeleton, moving, request, 0 if resting is None else len(resting))
     with np.errstate(over="ignore", invalid="ignore"):  # what comes of it is looked at below
         if request.kind == "rest":
             weights = None if morphs is None else morphs.resting[None]
@@ -135,6 +139,27 @@ def _check_range(poses: PoseSet, skin: int, place: Place) -> None:
         "of float32: mend the scales and translations of its nodes, its inverse bind matrix, or its keys",
         place,
     )
+
+
+def _claim(
+    document: Document, skeleton: Skeleton, moving: Sequence[Clip], request: PoseRequest, targets: int
+) -> None:
+    """Count what the poses will take: matrices of all nodes for a while, of the joints to stay."""
+    clips = [clip for clip in moving if request.kind == "animation"]
+    each = _samples_of_each(request.samples, clips) if clips else 0
+    fallback = 1 if request.kind == "rest" else request.samples or FALLBACK_POSES
+    poses = each * len(clips) or fallback
+    channels = max((len(clip.channels) for clip in clips), default=0)
+    budget, place = document.budget, document.place
+    with budget.passing():
+        at_a_time = (each or fallback) * (BYTES_A_NODE_AND_POSE * len(skeleton.nodes) + 256 * channels)
+        budget.claim(at_a_time, f"{each or fallback:,} poses of {len(skeleton.nodes):,} nodes", place)
+    size = poses * (BYTES_A_JOINT_AND_POSE * len(skeleton.joints) + 24 * targets)
+    budget.claim(size, f"{poses:,} poses of {len(skeleton.joints):,} joints", place)
+
+
+def _samples_of_each(samples: int | None, clips: Sequence[Clip]) -> int:
+    return samples or max(3, round(SHARED_SAMPLES / len(clips)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,7 +201,7 @@ def _sampled(
     samples: int | None,
     joint_names: tuple[str, ...],
 ) -> PoseSet:
-    each = samples or max(3, round(SHARED_SAMPLES / len(clips)))
+    each = _samples_of_each(samples, clips)
     matrices, weights, names, times = [], [], [], []
     for clip in clips:
         at = np.linspace(clip.start, clip.duration, each)

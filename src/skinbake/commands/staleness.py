@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -28,22 +30,56 @@ EDITED_ALONE = {
 """What it looks like where one array changed, or one and those that follow from it."""
 
 
-def mesh_operator(views: Sequence[BakedView], weighting: str | None = None) -> GradientOperator:
+NAMED = 16
+"""Primitives that a message names: each of a thousand that are stale would name all others."""
+
+
+def mesh_operator(
+    document: Document, views: Sequence[BakedView], weighting: str | None = None
+) -> GradientOperator:
     """Return the gradient operator of one surface, weighted as its metadata says or as ``weighting`` does."""
     noted = views[0].metadata
     chosen: Any = weighting or noted["weighting"]
     return gradient_operator(
-        [view.before for view in views], weighting=chosen, crease_angle_degrees=float(noted["creaseAngle"])
+        [view.before for view in views],
+        weighting=chosen,
+        crease_angle_degrees=float(noted["creaseAngle"]),
+        claim=lambda size: document.budget.claim(size, "welding it", views[0].source.place),
     )
 
 
 def staleness(document: Document, views: Sequence[BakedView], operator: GradientOperator) -> list[Notice]:
     """Return a problem for each primitive of one surface whose α/β are not those of its present arrays."""
-    problems = []
-    for view, comparison in zip(views, _comparisons(views, operator), strict=True):
-        if view.changed or not comparison.agrees:
-            problems.append(_staleness_notice(document, view, views, comparison))
-    return problems
+    surface = _Surface(document, views, _comparisons(views, operator))
+    return [
+        _staleness_notice(surface, number)
+        for number, view in enumerate(views)
+        if view.changed or not surface.compared[number].agrees
+    ]
+
+
+@dataclass(frozen=True)
+class _Surface:
+    """The views of one surface, how α/β of each compare, and as they would under other weightings.
+
+    The latter are for all views at once: each primitive of a mesh may be stale.
+    """
+
+    document: Document
+    views: Sequence[BakedView]
+    compared: Sequence[freshness.Comparison]
+    _otherwise: dict[str, list[freshness.Comparison]] = field(default_factory=dict)
+
+    def weighted(self, weighting: str) -> list[freshness.Comparison]:
+        if weighting not in self._otherwise:
+            with self.document.budget.passing():
+                operator = mesh_operator(self.document, self.views, weighting)
+                self._otherwise[weighting] = _comparisons(self.views, operator)
+        return self._otherwise[weighting]
+
+    @cached_property
+    def changed(self) -> list[str]:
+        return [view.source.place.within_file for view in self.views if view.changed]
 
 
 def _comparisons(views: Sequence[BakedView], operator: GradientOperator) -> list[freshness.Comparison]:
@@ -62,9 +98,8 @@ def _comparisons(views: Sequence[BakedView], operator: GradientOperator) -> list
     ]
 
 
-def _staleness_notice(
-    document: Document, view: BakedView, views: Sequence[BakedView], comparison: freshness.Comparison
-) -> Notice:
+def _staleness_notice(surface: _Surface, number: int) -> Notice:
+    view, comparison = surface.views[number], surface.compared[number]
     changed = f"{_listed(view.changed)} changed since its bake, and " if view.changed else ""
     differ = (
         "α/β still fit"
@@ -72,34 +107,33 @@ def _staleness_notice(
         else f"α/β are wrong at {comparison.differing:,} of {comparison.count:,} vertices, "
         f"most at vertex {comparison.worst}"
     )
-    what = _likely_cause(document, view, views, comparison)
+    what = _likely_cause(surface, number)
     return Notice("stale", f"{changed}{differ}. {what}", view.source.place, comparison.differing)
 
 
-def _likely_cause(
-    document: Document, view: BakedView, views: Sequence[BakedView], comparison: freshness.Comparison
-) -> str:
+def _likely_cause(surface: _Surface, number: int) -> str:
     """Say what the difference looks like, and what to do."""
+    view, comparison = surface.views[number], surface.compared[number]
     if view.changed:
-        return (
-            f"It looks like this was done after the bake: {_doings(document, view, comparison)}. {BAKE_LAST}"
-        )
+        doings = _doings(surface.document, view, comparison)
+        return f"It looks like this was done after the bake: {doings}. {BAKE_LAST}"
     if comparison.reordered:
         return f"They stand in the wrong slots: {BAKE_AGAIN}"
     if comparison.factors is not None:
         return f"{_factors(comparison.factors)} what they should be: {BAKE_AGAIN}"
-    weighting = _weighting_that_fits(view, views)
+    weighting = _weighting_that_fits(surface, number)
     if weighting is not None:
         noted = view.metadata["weighting"]
         return f'They were made with the weighting "{weighting}", not "{noted}" as noted: {BAKE_AGAIN}'
-    return _cause_beyond(view, views)
+    return _cause_beyond(surface, view)
 
 
-def _cause_beyond(view: BakedView, views: Sequence[BakedView]) -> str:
+def _cause_beyond(surface: _Surface, view: BakedView) -> str:
     """Say what the difference looks like where the primitive's own arrays do not tell."""
-    neighbours = [other.source.place.within_file for other in views if other.changed]
+    neighbours, more = surface.changed[:NAMED], len(surface.changed) - NAMED
     if neighbours:
-        return f"It is welded with {_listed(neighbours)}, which changed: {BAKE_AGAIN}"
+        named = [*neighbours, f"{more} more"] if more > 0 else neighbours
+        return f"It is welded with {_listed(named)}, which changed: {BAKE_AGAIN}"
     if view.metadata.get("weld") == "skin":
         return (
             "They were edited or damaged, or a mesh that the same skin draws was added, removed or bound to "
@@ -164,10 +198,9 @@ def _listed(words: Sequence[str]) -> str:
     return ", ".join(words[:-1]) + (" and " if len(words) > 1 else "") + words[-1]
 
 
-def _weighting_that_fits(view: BakedView, views: Sequence[BakedView]) -> str | None:
+def _weighting_that_fits(surface: _Surface, number: int) -> str | None:
     for weighting in WEIGHTINGS:
-        if weighting != view.metadata.get("weighting"):
-            comparisons = _comparisons(views, mesh_operator(views, weighting))
-            if comparisons[list(views).index(view)].agrees:
-                return weighting
+        noted = surface.views[number].metadata.get("weighting")
+        if weighting != noted and surface.weighted(weighting)[number].agrees:
+            return weighting
     return None

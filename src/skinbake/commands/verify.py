@@ -55,7 +55,7 @@ def _verify_file(source: str, options: VerifyOptions, progress: Progress, bounds
         return FileVerdict(document.name, (structure, *rest), notices=tuple(notices))
     surfaces = gathered_together(document, views)
     with stage("gradient operator"):
-        operators = [mesh_operator(surface) for surface in surfaces]
+        operators = [mesh_operator(document, surface) for surface in surfaces]
     with stage("freshness"):
         problems = [
             p

@@ -15,9 +15,6 @@ from skinbake.gltf.formats import COMPONENT_NAMES, COMPONENTS, MATRIX_ROWS, comp
 from skinbake.gltf.json_access import JsonObject, index, integer, member, shown
 from skinbake.gltf.views import view_bytes
 
-UNBACKED_LIMIT = 1 << 20
-"""Elements that an accessor without a buffer view may claim: its zeros cost the file nothing."""
-
 
 @dataclass(frozen=True, slots=True)
 class StoredArray:
@@ -25,6 +22,11 @@ class StoredArray:
 
     values: npt.NDArray[np.generic]
     normalized: bool
+
+    @property
+    def decoded_size(self) -> int:
+        """The bytes that ``decoded`` takes: integers become float64, in three steps where normalised."""
+        return 0 if self.values.dtype.kind == "f" else self.values.size * (24 if self.normalized else 8)
 
     def decoded(self) -> FloatArray:
         """Return the values as the vertex shader reads them.
@@ -53,7 +55,7 @@ def read_accessor(document: Document, number: int, place: Place) -> StoredArray:
     count = integer(accessor, "count", place, minimum=1)
     values = draco.decoded_accessor(document, number, (dtype, components, count), place)
     if values is None:
-        values = _dense(document, accessor, (dtype, components, count), place)
+        values = _dense(document, number, (dtype, components, count), place)
     if "sparse" in accessor:
         values = _substituted(document, member(accessor, "sparse", place), values, place)
     if not values.flags.aligned:  # glTF forbids it; compiled code cannot read it
@@ -104,21 +106,17 @@ def _unknown_format(accessor: JsonObject, number: int, place: Place) -> InputErr
 
 def _dense(
     document: Document,
-    accessor: JsonObject,
+    number: int,
     shape: tuple[np.dtype[np.generic], int, int],
     place: Place,
 ) -> npt.NDArray[np.generic]:
     dtype, components, count = shape
-    views = document.objects("bufferViews")
+    accessor, views = document.objects("accessors")[number], document.objects("bufferViews")
     view_index = index(accessor, "bufferView", len(views), place)
     if view_index is not None:
         offset = integer(accessor, "byteOffset", place, default=0)
         return _view_array(document, view_index, offset, shape, place)
-    if count > UNBACKED_LIMIT:
-        raise InputError(
-            f"an accessor without a buffer view claims {count} elements, over the limit of {UNBACKED_LIMIT}",
-            place,
-        )
+    document.budget.claim_zeros(count * components * dtype.itemsize, number, place)
     return np.zeros((count, components), dtype)
 
 
@@ -168,6 +166,7 @@ def _substituted(
     positions = _view_array(document, index_view, offsets[0], (dtype, 1, count), place)[:, 0].astype(np.int64)
     if positions.max() >= len(dense):
         raise InputError(f"a sparse accessor replaces element {positions.max()} of {len(dense)}", place)
+    document.budget.claim(dense.nbytes, "its sparse accessor", place)
     values = dense.copy()
     values[positions] = _view_array(
         document, value_view, offsets[1], (dense.dtype, dense.shape[1], count), place

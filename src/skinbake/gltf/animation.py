@@ -20,6 +20,10 @@ PATHS = {"translation": 3, "rotation": 4, "scale": 3}
 MORPH_WEIGHTS = "weights"
 
 
+BYTES_A_NODE = 1024
+"""What reading a node of a skeleton takes at most, about."""
+
+
 @dataclass(frozen=True, slots=True)
 class Channel:
     """One animated property of one node.
@@ -114,14 +118,24 @@ def clip_poses(skeleton: Skeleton, clip: Clip, at: Float64Array) -> Float64Array
     """Return the joint matrices (P, J, 4, 4) of a clip at the times ``at`` (P,) in seconds."""
     # Exporters write all channels of a clip with the same keys: those take as long together as one.
     moving = [channel for channel in clip.channels if channel.path != MORPH_WEIGHTS]
-    alike: dict[tuple[int, str, str], list[int]] = {}
-    for number, channel in enumerate(moving):
-        alike.setdefault((id(channel.times), channel.path, channel.method), []).append(number)
-    found: dict[int, Float64Array] = {}
-    for numbers in alike.values():
-        values = np.stack([moving[number].values for number in numbers])
-        found.update(zip(numbers, _at(replace(moving[numbers[0]], values=values), at), strict=True))
-    animated = {(channel.node, channel.path): found[number] for number, channel in enumerate(moving)}
+    # Those that share their values too are one.
+    alike: dict[tuple[int, str, str], dict[int, Channel]] = {}
+    for channel in moving:
+        same = alike.setdefault((id(channel.times), channel.path, channel.method), {})
+        same.setdefault(id(channel.values), channel)
+    found: dict[tuple[int, int, str, str], Float64Array] = {}
+    for (times, path, method), channels in alike.items():
+        values = np.stack([channel.values for channel in channels.values()])
+        sampled = _at(replace(next(iter(channels.values())), values=values), at)
+        found.update(
+            ((times, one, path, method), result) for one, result in zip(channels, sampled, strict=True)
+        )
+    animated = {
+        (channel.node, channel.path): found[
+            id(channel.times), id(channel.values), channel.path, channel.method
+        ]
+        for channel in moving
+    }
     return skeleton.joint_matrices(animated, None, len(at))
 
 
@@ -150,6 +164,9 @@ def read_skeleton(document: Document, skin_index: int) -> Skeleton:
     joints = [index({"joint": joint}, "joint", len(nodes), place) for joint in listed]
     parents = _parents(document)
     order = _ancestors_first([joint for joint in joints if joint is not None], parents, place)
+    document.budget.claim(
+        BYTES_A_NODE * len(order), f"the joints of skin {skin_index} and those above", place
+    )
     where = {node: position for position, node in enumerate(order)}
     matrices = {
         position: _numbers(nodes[node], "matrix", np.eye(4).ravel(), place).reshape(4, 4).T
@@ -170,6 +187,14 @@ def read_skeleton(document: Document, skin_index: int) -> Skeleton:
 
 
 def _parents(document: Document) -> dict[int, int]:
+    """Return the parent of each node that has one; every skin asks for them."""
+    known = document.derived.setdefault("parents", {})
+    if not known:
+        known.update(_read_parents(document))
+    return known
+
+
+def _read_parents(document: Document) -> dict[int, int]:
     nodes = document.objects("nodes")
     parents: dict[int, int] = {}
     for number, node in enumerate(nodes):
@@ -211,7 +236,7 @@ def _inverse_bind(document: Document, skin: JsonObject, count: int) -> Float64Ar
     number = index(skin, "inverseBindMatrices", len(document.objects("accessors")), place)
     if number is None:
         return np.broadcast_to(np.eye(4), (count, 4, 4))
-    values = read_accessor(document, number, place).decoded().astype(np.float64)
+    values = _wide(document, number, place)
     if values.shape[1] != 16 or len(values) < count or not np.isfinite(values[:count]).all():
         raise InputError(f"inverseBindMatrices must be {count} finite 4 × 4 matrices", place)
     return np.swapaxes(values[:count].reshape(-1, 4, 4), 1, 2)
@@ -221,12 +246,13 @@ def read_clips(document: Document) -> list[Clip]:
     """Return the animations that move, turn, scale or morph; InputError where one is broken."""
     clips = []
     times: dict[int, Float64Array] = {}
+    outputs: dict[tuple[object, ...], Float64Array] = {}
     for number, animation in enumerate(document.objects("animations")):
         place = document.place
         samplers = objects(animation, "samplers", place)
         channels = []
         for channel in objects(animation, "channels", place):
-            found = _channel(document, samplers, channel, times)
+            found = _channel(document, samplers, channel, times, outputs)
             if found is not None:
                 channels.append(found)
         if channels:
@@ -238,11 +264,15 @@ def read_clips(document: Document) -> list[Clip]:
 
 
 def _channel(
-    document: Document, samplers: list[JsonObject], channel: JsonObject, known: dict[int, Float64Array]
+    document: Document,
+    samplers: list[JsonObject],
+    channel: JsonObject,
+    known: dict[int, Float64Array],
+    outputs: dict[tuple[object, ...], Float64Array],
 ) -> Channel | None:
     """Return one channel, None where it moves no node, and morphs none that draws a skinned mesh.
 
-    known are the times that were read before, by accessor.
+    known are the times that were read before, by accessor, outputs the values, by accessor and use.
     """
     place = document.place
     target = member(channel, "target", place)
@@ -262,19 +292,30 @@ def _channel(
     if source not in known:
         known[source] = _key_times(document, source, place)
     times = known[source]
-    values = read_accessor(document, output, place).decoded().astype(np.float64)
     method = text(sampler, "interpolation", place) or poses.LINEAR
     if method not in {poses.STEP, poses.LINEAR, poses.CUBICSPLINE}:
         raise InputError(f"an animation sampler has the unknown interpolation {method!r}", place)
     each = 3 if method == poses.CUBICSPLINE else 1
-    check = _key_weights if path == MORPH_WEIGHTS else _key_values
-    by_key = check(values, each * len(times), components, path, place)
-    return Channel(node, path, method, times, by_key.reshape(-1, 3, components) if each == 3 else by_key)
+    use = (output, path, each * len(times), components)
+    if use not in outputs:
+        check = _key_weights if path == MORPH_WEIGHTS else _key_values
+        by_key = check(_wide(document, output, place), each * len(times), components, path, place)
+        outputs[use] = by_key.reshape(-1, 3, components) if each == 3 else by_key
+    return Channel(node, path, method, times, outputs[use])
+
+
+def _wide(document: Document, number: int, place: Place) -> Float64Array:
+    """Return an accessor's decoded values as float64."""
+    stored = read_accessor(document, number, place)
+    # Once decoded, once widened; and as much again where components change places.
+    size = stored.decoded_size + 16 * stored.values.size
+    document.budget.claim(size, f"accessor {number} of an animation or skin", place)
+    return stored.decoded().astype(np.float64)
 
 
 def _key_times(document: Document, number: int, place: Place) -> Float64Array:
     """Return the times (N,) of an accessor."""
-    times = read_accessor(document, number, place).decoded().astype(np.float64)
+    times = _wide(document, number, place)
     if times.shape[1] != 1 or not np.isfinite(times).all() or (np.diff(times[:, 0]) < 0).any():
         raise InputError("an animation sampler's times must be finite, ascending scalars", place)
     return times[:, 0]

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import accumulate
 from typing import Any
 
 from skinbake.errors import InputError, Place
@@ -47,7 +50,9 @@ def compacted(before: Document, after: Document) -> Document:
         buffer for buffer in holes if buffer not in needed and not (buffer == 0 and after.has_binary_buffer)
     }
     root = _renumbered(after.json, {number: position for position, number in enumerate(kept)})
-    root["bufferViews"] = [_moved(views[number], holes, gone, after.place) for number in kept]
+    shifts = {buffer: _Shifts.of(ranges) for buffer, ranges in holes.items()}
+    lower = sorted(gone)
+    root["bufferViews"] = [_moved(views[number], shifts, lower, after.place) for number in kept]
     return _cut(after, root, holes, gone)
 
 
@@ -128,13 +133,29 @@ def _difference(ranges: list[Range], needed: list[Range]) -> list[Range]:
     return [(start, end) for start, end in aligned if start < end]
 
 
-def _moved(view: JsonObject, holes: dict[int, list[Range]], gone: set[int], place: Place) -> JsonObject:
-    """Return a buffer view at its new place."""
+@dataclass(frozen=True, slots=True)
+class _Shifts:
+    """How far back bytes of a buffer move: by ``lengths[n]`` those behind the starts of ``n`` holes."""
+
+    starts: list[int]
+    lengths: list[int]
+
+    @classmethod
+    def of(cls, holes: list[Range]) -> _Shifts:
+        sizes = (end - begin for begin, end in holes)
+        return cls([begin for begin, _ in holes], list(accumulate(sizes, initial=0)))
+
+    def at(self, position: int) -> int:
+        return self.lengths[bisect_left(self.starts, position)]
+
+
+def _moved(view: JsonObject, shifts: dict[int, _Shifts], gone: list[int], place: Place) -> JsonObject:
+    """Return a buffer view at its new place; ``gone`` are the buffers that are left out, ascending."""
 
     def placed(holder: JsonObject) -> JsonObject:
         buffer, start = integer(holder, "buffer", place), integer(holder, "byteOffset", place, default=0)
-        shift = sum(end - begin for begin, end in holes.get(buffer, []) if begin < start)
-        moved = {**holder, "buffer": buffer - sum(other < buffer for other in gone)}
+        shift = shifts[buffer].at(start) if buffer in shifts else 0
+        moved = {**holder, "buffer": buffer - bisect_left(gone, buffer)}
         return {**moved, "byteOffset": start - shift} if shift else moved
 
     result = placed(view)

@@ -15,9 +15,10 @@ from pathlib import Path
 from typing import Any
 
 from skinbake import containment
-from skinbake.containment import BESIDE, NOWHERE, Bounds, RefusedError
+from skinbake.containment import BESIDE, NOWHERE, Bounds, RefusedError, relative_names
 from skinbake.errors import InputError, Place, UnsupportedFeatureError
 from skinbake.gltf import json_access, json_text, resources
+from skinbake.gltf.budget import Budget
 from skinbake.gltf.glb import Bytes, GlbChunks, split_glb
 
 GLB_SUFFIXES = (".glb", ".vrm")
@@ -35,7 +36,8 @@ class Document:
     refers to by a relative URI and has to be written beside it. ``other_chunks`` and ``trailing`` are what a
     GLB holds besides. ``raw`` is the file's text or container
     as read, while nothing has been edited. ``derived`` is what decoders have worked out of it, each under a
-    key of its own, so that nothing is decoded twice.
+    key of its own, so that nothing is decoded twice. ``budget`` is what it may take, and has claimed, edited
+    versions included.
     """
 
     name: str
@@ -50,7 +52,9 @@ class Document:
     indent: str | None = None
     raw: Bytes | None = None
     derived: dict[str, dict[Any, Any]] = field(default_factory=dict, repr=False)
+    budget: Budget = field(default_factory=Budget, repr=False, compare=False)
     _loaded: dict[int, memoryview] = field(default_factory=dict, repr=False)
+    _files: dict[str, Bytes] = field(default_factory=dict, repr=False)
     _checked: dict[str, list[json_access.JsonObject]] = field(default_factory=dict, repr=False)
 
     @property
@@ -89,7 +93,7 @@ class Document:
         uri = json_access.text(buffer, "uri", self.place)
         if uri is not None:
             new = self.new_files.get(uri)
-            data: Bytes = joined(new) if new else self._read(uri)
+            data: Bytes = joined(new) if new else self._resource(index, uri)
         elif index == 0 and self.has_binary_buffer:
             data = joined(self.binary or ())
         else:
@@ -100,8 +104,16 @@ class Document:
             )
         return memoryview(data)[:length]
 
-    def _read(self, uri: str) -> Bytes:
-        return resources.read_resource(uri, self.folder, self.bounds, self.place)
+    def _resource(self, index: int, uri: str) -> Bytes:
+        """Return what a buffer's URI stands for; a file is read once for all edited versions."""
+        if resources.is_data_uri(uri):
+            self.budget.claim(2 * len(uri), f"the data: URI of buffer {index}", self.place)
+            return resources.decode_data_uri(uri, self.place)
+        if uri not in self._files:
+            data = resources.read_resource(uri, self.folder, self.bounds, self.place)
+            self.budget.back(len(data), relative_names(uri)[0], f"buffer {index}", self.place)
+            self._files[uri] = data
+        return self._files[uri]
 
 
 def joined(pieces: Sequence[Bytes]) -> Bytes:
@@ -163,12 +175,14 @@ def _read_stdin() -> bytes:
 def parse_glb(data: Bytes, name: str, folder: Path, bounds: Bounds = BESIDE) -> Document:
     """Return the document of a GLB's bytes; InputError where they are not one."""
     chunks: GlbChunks = split_glb(data, Place(name))
+    budget = Budget(backed=len(data))
     return Document(
         name=name,
         folder=folder,
         bounds=bounds,
-        json=_parse_json(bytes(chunks.json), Place(name)),
+        json=_parse_json(bytes(chunks.json), budget, Place(name)),
         is_glb=True,
+        budget=budget,
         binary=None if chunks.binary is None else (chunks.binary,),
         other_chunks=chunks.others,
         trailing=chunks.trailing,
@@ -180,18 +194,21 @@ def parse_gltf(data: Bytes, name: str, folder: Path, bounds: Bounds = BESIDE) ->
     """Return the document of a ``.gltf`` file's text; InputError where it is not one."""
     if data[:4] == b"glTF":
         raise InputError("this is a GLB container; name it .glb instead", Place(name))
+    budget = Budget(backed=len(data))
     return Document(
         name=name,
         folder=folder,
         bounds=bounds,
-        json=_parse_json(bytes(data), Place(name)),
+        json=_parse_json(bytes(data), budget, Place(name)),
         is_glb=False,
+        budget=budget,
         indent=_indentation(bytes(data[:256])),
         raw=data,
     )
 
 
-def _parse_json(data: bytes, place: Place) -> json_access.JsonObject:
+def _parse_json(data: bytes, budget: Budget, place: Place) -> json_access.JsonObject:
+    budget.claim(_parsed_size(data), "its JSON", place)
     try:
         root = json_text.parsed(data.decode("utf-8-sig"))
     except ValueError as error:
@@ -200,6 +217,12 @@ def _parse_json(data: bytes, place: Place) -> json_access.JsonObject:
         raise InputError("its JSON is not an object", place)
     _check_version(json_access.member(root, "asset", place), place)
     return root
+
+
+def _parsed_size(data: bytes) -> int:
+    """Return about how many bytes a JSON text takes once it is parsed (CPython's objects, 64 bit)."""
+    costs = {b"{": 240, b":": 100, b"[": 64, b",": 40}
+    return 2 * len(data) + sum(cost * data.count(mark) for mark, cost in costs.items())
 
 
 def _check_version(asset: json_access.JsonObject, place: Place) -> None:

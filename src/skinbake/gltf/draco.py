@@ -18,7 +18,6 @@ import numpy.typing as npt
 from skinbake.errors import InputError, Place, UnsupportedFeatureError
 from skinbake.geometry.triangles import TRIANGLES
 from skinbake.gltf.document import Document
-from skinbake.gltf.expansion import charge
 from skinbake.gltf.formats import COMPONENTS, component_dtype
 from skinbake.gltf.json_access import JsonObject, entries_of, index, integer, member, reference
 from skinbake.gltf.views import view_bytes
@@ -83,13 +82,18 @@ def decoded_accessor(
     claims = _claims(document).get(number)
     if claims is None:
         return None
-    values = _claimed(document, claims[0], shape, place)
-    for other in claims[1:]:
-        if values.tobytes() != _claimed(document, other, shape, place).tobytes():
-            raise UnsupportedFeatureError(
-                f"accessor {number} stands for different values in two Draco streams", place
-            )
-    return values
+    # Primitives that share an accessor have its values compared once, not each with those of all others.
+    known = document.derived.setdefault("draco values", {})
+    if number not in known:
+        values = _claimed(document, claims[0], shape, place)
+        for other in claims[1:]:
+            if not _equal(values, _claimed(document, other, shape, place)):
+                raise UnsupportedFeatureError(
+                    f"accessor {number} stands for different values in two Draco streams", place
+                )
+        known[number] = values
+    found: npt.NDArray[np.generic] = known[number]
+    return found
 
 
 def holds_the_same(document: Document, primitive: JsonObject, before: JsonObject, place: Place) -> bool:
@@ -98,15 +102,24 @@ def holds_the_same(document: Document, primitive: JsonObject, before: JsonObject
     False where it cannot be read: another tool has moved or removed the buffer view since.
     """
     now, then = dict(_claims_of(primitive)), dict(_claims_of(before))
+    known = document.derived.setdefault("draco pairs", {})
     try:
         for number in now.keys() & then.keys():
-            shape = _shape(document, number, place)
-            pair = [_claimed(document, claim, shape, place) for claim in (now[number], then[number])]
-            if pair[0].tobytes() != pair[1].tobytes():
+            pair = now[number], then[number]
+            key = number, *(_data_of(claim) for claim in pair)
+            if key not in known:
+                shape = _shape(document, number, place)
+                known[key] = _equal(*(_claimed(document, claim, shape, place) for claim in pair))
+            if not known[key]:
                 return False
         return read_stream(document, before, place).faces.size > 0
     except InputError:
         return False
+
+
+def _equal(one: npt.NDArray[np.generic], other: npt.NDArray[np.generic]) -> bool:
+    """Tell whether two arrays of one type are equal bit for bit."""
+    return one is other or (one.shape == other.shape and one.tobytes() == other.tobytes())
 
 
 def _shape(document: Document, number: int, place: Place) -> Shape:
@@ -124,12 +137,11 @@ def _claims(document: Document) -> dict[int, list[Claim]]:
     """Return by accessor what Draco streams hold of it, several where primitives share the accessor."""
     known = document.derived.setdefault("draco", {})
     if "claims" not in known:
-        claims: dict[int, list[Claim]] = {}
+        different: dict[int, dict[object, Claim]] = {}
         for primitive in _primitives(document):
             for number, claim in _claims_of(primitive):
-                held = claims.setdefault(number, [])
-                if not any(_same_data(claim, other) for other in held):
-                    held.append(claim)
+                different.setdefault(number, {}).setdefault(_data_of(claim), claim)
+        claims = {number: list(held.values()) for number, held in different.items()}
         for primitive in filter(None, map(before_bake, _primitives(document))):
             for number, claim in _claims_of(primitive):
                 claims.setdefault(number, [claim])
@@ -167,20 +179,23 @@ def _claims_of(primitive: JsonObject) -> Iterator[tuple[int, Claim]]:
         yield indices, Claim(primitive, None)
 
 
-def _same_data(one: Claim, other: Claim) -> bool:
-    views = [(extension_of(claim.primitive) or {}).get("bufferView") for claim in (one, other)]
-    return one.unique_id == other.unique_id and views[0] == views[1]
+def _data_of(claim: Claim) -> tuple[int | None, int | None]:
+    """Return which attribute of which buffer view's stream a claim is of."""
+    view = (extension_of(claim.primitive) or {}).get("bufferView")
+    return reference(view), claim.unique_id
 
 
 def _claimed(document: Document, claim: Claim, shape: Shape, place: Place) -> npt.NDArray[np.generic]:
     mesh = read_stream(document, claim.primitive, place)
-    if claim.unique_id is None:
-        return _of_type(mesh.faces.reshape(-1, 1), shape, None, place)
-    values = mesh.attributes.get(claim.unique_id)
+    faces = mesh.faces.reshape(-1, 1)
+    values = faces if claim.unique_id is None else mesh.attributes.get(claim.unique_id)
     if values is None:
         there = ", ".join(map(str, sorted(mesh.attributes))) or "none"
         raise InputError(f"its Draco stream has no attribute {claim.unique_id}; it has {there}", place)
-    return _of_type(values, shape, mesh.signed.get(claim.unique_id), place)
+    if values.dtype != shape[0]:
+        document.budget.claim(values.size * (shape[0].itemsize + 16), "what its Draco stream holds", place)
+    largest = None if claim.unique_id is None else mesh.signed.get(claim.unique_id)
+    return _of_type(values, shape, largest, place)
 
 
 def _of_type(
@@ -224,7 +239,7 @@ def read_stream(document: Document, primitive: JsonObject, place: Place) -> Drac
     if key not in known:
         data = view_bytes(document, view, place)
         found = draco_stream.check_counts(data, *counts, place)
-        charge(document, counts[2], len(data), place)
+        document.budget.claim_unpacked(counts[2], len(data), place)
         known[key] = draco_stream.decode(data, found, *counts, place)
     mesh: DracoMesh = known[key]
     return mesh

@@ -115,14 +115,23 @@ def _differences(
         declared = element_count(document, accessor, place)
         if declared != count:
             raise InputError(f"it has {declared} elements, POSITION has {count}", place)
-        stored = read_accessor(document, accessor, place)
-        if stored.values.shape[1] != 3:
-            raise InputError(f"it has {stored.values.shape[1]} components, 3 are needed", place)
-        if (stored.values.dtype.str[1:], stored.normalized) not in FORMATS[name]:
-            kind = f"{'normalised ' if stored.normalized else ''}{stored.values.dtype.name}"
-            raise InputError(f"differences must be {EXPECTED[name]}, found {kind}", place)
-        values = stored.decoded()
-        if name == "POSITION" and not np.isfinite(values).all():
-            raise InputError("its values are not all finite numbers", place)
-        read[name, accessor] = Differences.of(values)
+        with document.budget.passing():
+            read[name, accessor] = _moved_rows(document, accessor, name, place)
+        kept = read[name, accessor]
+        document.budget.claim(kept.rows.nbytes + kept.values.nbytes, "what it moves", place)
     return read[name, accessor]
+
+
+def _moved_rows(document: Document, accessor: int, name: str, place: Place) -> Differences:
+    """Return the differences that an accessor holds, those that are not 0."""
+    stored = read_accessor(document, accessor, place)
+    if stored.values.shape[1] != 3:
+        raise InputError(f"it has {stored.values.shape[1]} components, 3 are needed", place)
+    if (stored.values.dtype.str[1:], stored.normalized) not in FORMATS[name]:
+        kind = f"{'normalised ' if stored.normalized else ''}{stored.values.dtype.name}"
+        raise InputError(f"differences must be {EXPECTED[name]}, found {kind}", place)
+    document.budget.claim(stored.decoded_size, "what it stands for", place)
+    values = stored.decoded()
+    if name == "POSITION" and not np.isfinite(values).all():
+        raise InputError("its values are not all finite numbers", place)
+    return Differences.of(values)

@@ -9,7 +9,7 @@ from typing import cast
 import numpy as np
 import numpy.typing as npt
 
-from skinbake.errors import InputError, Notice, Place
+from skinbake.errors import InputError, Notice, Place, UnsupportedFeatureError
 from skinbake.geometry.skinned import FloatArray, IntArray, SkinnedPrimitive
 from skinbake.geometry.triangles import TRIANGLE_FAN, TRIANGLES, unrolled
 from skinbake.gltf import draco
@@ -38,6 +38,10 @@ EXPECTED = {
     "WEIGHTS": "weights must be floats, or normalised unsigned bytes or shorts",
     "JOINTS": "joints must be unsigned bytes or shorts",
 }
+
+
+MOST_SETS = 64
+"""Influence sets of a primitive: each slot of a vertex is compared with all others of it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,6 +183,9 @@ def read_primitive(document: Document, source: PrimitiveSource) -> SkinnedPrimit
     has_tangent = "TANGENT" in source.attributes and "NORMAL" in source.attributes
     tangents = _decoded(document, source, "TANGENT", 4, count) if has_tangent else None
     influences = read_influences(document, source, count)
+    sizes = [entry.joints.values.nbytes * (len(influences) > 1) for entry in influences]
+    sizes += [entry.weights.decoded_size or entry.weights.values.nbytes for entry in influences]
+    document.budget.claim(sum(sizes), "its influences", source.place)
     joints, weights = side_by_side(influences)
     if not np.isfinite(weights).all():
         raise InputError("its weights are not all finite numbers", source.place.at("WEIGHTS_0"))
@@ -189,6 +196,10 @@ def read_primitive(document: Document, source: PrimitiveSource) -> SkinnedPrimit
 def read_influences(document: Document, source: PrimitiveSource, count: int) -> list[StoredInfluences]:
     """Return every influence set of a primitive with ``count`` vertices, as stored."""
     sets = []
+    if source.influence_sets > MOST_SETS:
+        raise UnsupportedFeatureError(
+            f"it has {source.influence_sets} influence sets, {MOST_SETS} are the most", source.place
+        )
     for number in range(source.influence_sets):
         joints = _stored(document, source, f"JOINTS_{number}", 4, count)
         weights = _stored(document, source, f"WEIGHTS_{number}", 4, count)
@@ -207,8 +218,13 @@ def side_by_side(sets: Sequence[StoredInfluences]) -> tuple[IntArray, FloatArray
 
 def read_triangles(document: Document, source: PrimitiveSource) -> npt.NDArray[np.uint32]:
     """Return the primitive's triangles (T, 3), strips and fans unrolled; InputError for an index ≥ V."""
-    mode = integer(source.json, "mode", source.place.at("indices"), default=TRIANGLES)
-    return unrolled(read_indices(document, source), mode)
+    place = source.place.at("indices")
+    mode = integer(source.json, "mode", place, default=TRIANGLES)
+    indices = read_indices(document, source)
+    # A strip's or fan's triangles are made of three arrays that go again.
+    each = 4 * (indices.dtype != np.uint32) if mode == TRIANGLES else 40
+    document.budget.claim(each * len(indices), "its triangles", place)
+    return unrolled(indices, mode)
 
 
 def read_indices(document: Document, source: PrimitiveSource) -> IntArray:
@@ -219,6 +235,7 @@ def read_indices(document: Document, source: PrimitiveSource) -> IntArray:
     )
     number = index(source.json, "indices", len(document.objects("accessors")), place)
     if number is None:
+        document.budget.claim(4 * count, "its indices", place)
         return np.arange(count, dtype=np.uint32)
     stored = read_accessor(document, number, place).values
     if stored.dtype.kind != "u" or stored.shape[1] != 1:
@@ -263,7 +280,9 @@ def check_format(stored: StoredArray, attribute: str, components: int, place: Pl
 def _decoded(
     document: Document, source: PrimitiveSource, attribute: str, components: int, count: int | None = None
 ) -> FloatArray:
-    return _stored(document, source, attribute, components, count).decoded()
+    stored = _stored(document, source, attribute, components, count)
+    document.budget.claim(stored.decoded_size, "what it stands for", source.place.at(attribute))
+    return stored.decoded()
 
 
 def _check_joints(joints: IntArray, weights: FloatArray, source: PrimitiveSource) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from skinbake.errors import InputError, Place
 from skinbake.gltf import meshopt
 from skinbake.gltf.document import Document
-from skinbake.gltf.expansion import charge
 from skinbake.gltf.json_access import JsonObject, index, integer
 
 
@@ -48,5 +47,5 @@ def _decompressed(document: Document, view_index: int, view: JsonObject, place: 
     what = f"the {name} of buffer view {view_index}"
     data = stored_bytes(document, view["extensions"][name], what, place)
     meshopt.check_length(data, packing, what, place)
-    charge(document, packing.count * packing.stride, len(data), place)
+    document.budget.claim_unpacked(packing.count * packing.stride, len(data), place)
     return meshopt.decoded(data, packing, what, place)

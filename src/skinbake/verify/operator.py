@@ -7,7 +7,7 @@ shares no code with the kernel that bakes: an error in one must not hide in both
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, TypeAlias, get_args
 
@@ -62,6 +62,7 @@ def gradient_operator(
     *,
     weighting: Weighting = "max",
     crease_angle_degrees: float = 15.0,
+    claim: Callable[[int], None] = lambda size: None,
 ) -> GradientOperator:
     """Build the gradient operator over the welded vertices of one mesh.
 
@@ -72,6 +73,7 @@ def gradient_operator(
 
     Triangles that are lines or points, or have a non-finite corner, are ignored. Raises InputError for an
     index outside its primitive, which libigl would not survive, and ValueError for an unknown weighting.
+    ``claim`` is told how many bytes welding adds, before it does.
     """
     if weighting not in get_args(Weighting):
         raise ValueError(f"weighting {weighting!r}, expected one of {', '.join(get_args(Weighting))}")
@@ -81,7 +83,8 @@ def gradient_operator(
     counts = tuple(len(primitive.positions) for primitive in primitives)
     positions = np.concatenate([primitive.positions for primitive in primitives]).astype(np.float64)
     triangles = _sound_triangles(positions, _all_triangles(primitives))
-    classes = weld_classes(primitives, crease_angle_degrees=crease_angle_degrees)
+    classes = weld_classes(primitives, crease_angle_degrees=crease_angle_degrees, claim=claim)
+    claim(_welding_size(triangles, classes))
     averages = _averages(_corner_weights(positions, triangles, weighting), classes[triangles], classes)
     if not len(triangles):
         empty = csr_array((len(positions), len(positions)), dtype=np.float64)
@@ -91,6 +94,17 @@ def gradient_operator(
     n = len(triangles)
     x, y, z = ((averages @ per_triangle[axis * n : (axis + 1) * n])[classes] for axis in range(3))
     return GradientOperator(x, y, z, counts)
+
+
+def _welding_size(triangles: Int64Array, classes: Int64Array) -> int:
+    """Return the bytes by which welding makes the operator larger: every copy gets the row of its class.
+
+    A row has an entry for each neighbour, and is kept, or on its way, eight times. A fan whose triangles have
+    each their own copy of its centre has as many long rows as triangles.
+    """
+    corners = np.bincount(classes[triangles].ravel(), minlength=int(classes.max(initial=-1)) + 1)
+    entries = int((1 + 2 * corners[classes]).sum()) - len(classes) - 2 * triangles.size
+    return max(entries, 0) * 12 * 8
 
 
 def expected_alpha_beta(

@@ -5,12 +5,15 @@ Rows are numbered by sorting, and chains of similar normals are the connected co
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from skinbake.geometry.skinned import Float64Array, SkinnedPrimitive
 from skinbake.verify.influences import Int64Array, influence_keys
+
+BYTES_A_PAIR = 64
+"""What a pair of vertices that may be one takes: two indices, four times over."""
 
 CROWDED = 32
 """Vertices at one place from which on all their pairs are too many to look at, and SciPy has better ways.
@@ -19,13 +22,19 @@ Real meshes have a handful; importing those ways takes longer than most meshes n
 """
 
 
-def weld_classes(primitives: Sequence[SkinnedPrimitive], *, crease_angle_degrees: float = 15.0) -> Int64Array:
+def weld_classes(
+    primitives: Sequence[SkinnedPrimitive],
+    *,
+    crease_angle_degrees: float = 15.0,
+    claim: Callable[[int], None] = lambda size: None,
+) -> Int64Array:
     """Return the number of each vertex's weld class: (V,) int64 over all primitives, from 0 without gaps.
 
     One class are vertices whose positions are equal (−0 is +0), whose influences are equal (joint → w / Σw,
     in any slot order, compared in float32), and which a chain of normals joins where neighbours differ by
     at most ``crease_angle_degrees``, in any primitive of the mesh. Normals may have any length; a zero or
-    non-finite one welds only with one of identical bits.
+    non-finite one welds only with one of identical bits. ``claim`` is told how many bytes the pairs at
+    crowded places take, before they are listed.
     """
     positions = np.concatenate([primitive.positions for primitive in primitives]).astype(np.float64)
     normals = np.concatenate([primitive.normals for primitive in primitives]).astype(np.float64)
@@ -36,7 +45,7 @@ def weld_classes(primitives: Sequence[SkinnedPrimitive], *, crease_angle_degrees
     # Copies that differ in nothing collapse here, which leaves few pairs to compare by angle.
     nodes = _row_numbers(np.column_stack([places, normals.view(np.int64)]))
     firsts = np.unique(nodes, return_index=True)[1]
-    pairs = _close_pairs(places[firsts], normals[firsts], np.radians(crease_angle_degrees))
+    pairs = _close_pairs(places[firsts], normals[firsts], np.radians(crease_angle_degrees), claim)
     return _components(pairs, len(firsts))[nodes]
 
 
@@ -51,7 +60,9 @@ def _row_numbers(rows: Int64Array) -> Int64Array:
     return numbers
 
 
-def _close_pairs(places: Int64Array, normals: Float64Array, angle: float) -> Int64Array:
+def _close_pairs(
+    places: Int64Array, normals: Float64Array, angle: float, claim: Callable[[int], None]
+) -> Int64Array:
     """List the pairs (N, 2) at one place whose normals differ by at most ``angle`` radians."""
     with np.errstate(invalid="ignore", divide="ignore"):
         # Scaled before squaring: a normal of any length that the type can hold has a direction.
@@ -62,7 +73,7 @@ def _close_pairs(places: Int64Array, normals: Float64Array, angle: float) -> Int
     # A chord of the unit sphere stands for the angle; normalising leaves errors far below the slack.
     chord = 2.0 * np.sin(min(angle, np.pi) / 2.0) + 1e-12
     if counts.max(initial=0) > CROWDED:
-        return _pairs_in_crowds(candidates, places, units, chord)
+        return _pairs_in_crowds(candidates, places, units, chord, claim)
     candidates = candidates[np.argsort(places[candidates], kind="stable")]
     at, directions = places[candidates], units[candidates]
     found = [np.zeros((0, 2), dtype=np.int64)]
@@ -75,7 +86,11 @@ def _close_pairs(places: Int64Array, normals: Float64Array, angle: float) -> Int
 
 
 def _pairs_in_crowds(
-    candidates: Int64Array, places: Int64Array, units: Float64Array, chord: float
+    candidates: Int64Array,
+    places: Int64Array,
+    units: Float64Array,
+    chord: float,
+    claim: Callable[[int], None],
 ) -> Int64Array:
     """List pairs of candidates without looking at all of them."""
     from scipy.spatial import cKDTree
@@ -83,6 +98,7 @@ def _pairs_in_crowds(
     # Places lie 4 apart on the first axis and normals within 2 of one another: only pairs at one place are
     # near.
     tree = cKDTree(np.column_stack([4.0 * places[candidates], units[candidates]]))
+    claim(BYTES_A_PAIR * int(tree.count_neighbors(tree, chord)) // 2)
     close: Int64Array = candidates[tree.query_pairs(chord, output_type="ndarray")]
     return close
 

@@ -1,0 +1,185 @@
+"""One budget for a document: what it makes the program set aside is counted before that is done.
+
+A small file can stand for any amount of memory: accessors without data, streams that expand, arrays that a
+thousand primitives share. A codec's own limits hold for one stream at a time; these hold for all together.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from skinbake.errors import InputError, Place
+
+SHARE = 4
+"""The memory that a file may take without ``--max-memory`` is the machine's divided by this."""
+
+UNCOUNTED = 1 << 26
+"""Bytes below which nobody asks how much memory the machine has."""
+
+RATIO, FREE = 4096, 1 << 30
+"""What a document makes the program set aside in all, over its whole run, is at most RATIO times its bytes,
+or FREE bytes where that is more: time grows with that, so it grows with the file.
+
+A bake takes 300 bytes for a vertex that is stored in 50, a verification 3,000. Fifty primitives that share
+their vertices take fifty times as much.
+"""
+
+ZEROS_RATIO, ZEROS_FREE = 256, 1 << 24
+"""Accessors without a buffer view may claim ZEROS_RATIO times the document's bytes, and ZEROS_FREE more.
+
+Morph targets that are sparse alone stand on such zeros: six hundred of a face of 100,000 vertices claim 150
+times the bytes of its file.
+"""
+
+UNPACKED_RATIO, UNPACKED_FREE = 100, 1 << 29
+"""Compressed data may expand to UNPACKED_RATIO times its bytes, or UNPACKED_FREE where that is more.
+
+Real characters expand 2 to 12 times.
+"""
+
+_limit: ContextVar[int | None] = ContextVar("_limit", default=None)
+
+
+@contextmanager
+def memory_limited(size: int | None) -> Iterator[None]:
+    """Let each document that is read while the block runs take ``size`` bytes; None: a share of all."""
+    token = _limit.set(size)
+    try:
+        yield
+    finally:
+        _limit.reset(token)
+
+
+def default_limit(workers: int = 1) -> int:
+    """Return the bytes that a file may take where nothing was asked for, beside those of other workers."""
+    return machine_memory() // max(SHARE, workers)
+
+
+def machine_memory() -> int:
+    """Return the bytes of memory that this process may use: the machine's, or its control group's."""
+    try:
+        found = [os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")]
+    except (AttributeError, ValueError, OSError):
+        found = [8 << 30]  # Windows does not tell this way
+    return min([*found, *_group_limits()])
+
+
+def _group_limits() -> Iterator[int]:
+    """Yield the limits of the control groups that this process is in, version 2 or 1."""
+    try:
+        lines = Path("/proc/self/cgroup").read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError:
+        return
+    root = Path("/sys/fs/cgroup")
+    for line in lines:
+        _, controllers, path = (*line.split(":", maxsplit=2), "", "")[:3]
+        if controllers and "memory" not in controllers.split(","):
+            continue
+        base, name = (root / "memory", "memory.limit_in_bytes") if controllers else (root, "memory.max")
+        own = base / path.strip("/")
+        for folder in dict.fromkeys((own, *own.parents)):
+            if folder != base and base not in folder.parents:
+                break
+            try:
+                text = (folder / name).read_text(encoding="ascii").strip()
+            except (OSError, ValueError):
+                continue
+            if text.isdecimal():
+                yield int(text)
+
+
+def shown(size: int) -> str:
+    """Return a number of bytes as people read it."""
+    units = ("bytes", "KiB", "MiB", "GiB", "TiB")
+    scale = min(max(size.bit_length() - 1, 0) // 10, len(units) - 1)
+    return f"{size / (1 << 10 * scale):.3g} {units[scale]}" if size < 1 << 60 else f"{size:.1e} bytes"
+
+
+@dataclass(slots=True)
+class Budget:
+    """What a document has claimed so far, all its edited versions together.
+
+    limit is the most that it may hold at a time, None for the default; backed the bytes of its files, held
+    what it has claimed and not let go, spent all that it ever claimed.
+    """
+
+    limit: int | None = field(default_factory=_limit.get)
+    backed: int = 0
+    held: int = 0
+    spent: int = 0
+    zeros: int = 0
+    unpacked: int = 0
+    packed: int = 0
+    _zeros_of: set[int] = field(default_factory=set)
+    _files: set[str] = field(default_factory=set)
+
+    def back(self, size: int, path: str, what: str, place: Place) -> None:
+        """Count the bytes of a file that was read for ``what``; where it is named again, they are claimed."""
+        if path in self._files:
+            self.claim(size, what, place)
+            return
+        self._files.add(path)
+        self.backed += size
+
+    def claim(self, size: int, what: str, place: Place) -> None:
+        """Count ``size`` bytes that are about to be set aside for ``what``; InputError where it is too much.
+
+        ``what`` goes on as ``… would take``.
+        """
+        self.held += size
+        self.spent += size
+        if self.spent > max(FREE, RATIO * self.backed):
+            raise InputError(
+                f"{what} would take {shown(size)}, and the file {shown(self.spent)} in all: over {RATIO:,} "
+                f"times its {shown(self.backed)}, whatever --max-memory says",
+                place,
+            )
+        if self.held <= UNCOUNTED and self.limit is None:
+            return
+        if self.limit is None:
+            self.limit = default_limit()
+        if self.held > self.limit:
+            raise InputError(
+                f"{what} would take {shown(size)}, and the file {shown(self.held)} in all: over the "
+                f"{shown(self.limit)} that it may have (--max-memory)",
+                place,
+            )
+
+    def claim_zeros(self, size: int, accessor: int, place: Place) -> None:
+        """Count the zeros of an accessor without a buffer view: no byte of the file stands for them."""
+        if accessor not in self._zeros_of:
+            self._zeros_of.add(accessor)
+            self.zeros += size
+        most = ZEROS_RATIO * self.backed + ZEROS_FREE
+        if self.zeros > most:
+            raise InputError(
+                f"accessor {accessor} has no buffer view and claims {shown(size)} of zeros, with others "
+                f"{shown(self.zeros)}: over the {shown(most)} that a file of {shown(self.backed)} may claim, "
+                "whatever --max-memory says",
+                place,
+            )
+        self.claim(size, f"accessor {accessor}, which has no buffer view,", place)
+
+    def claim_unpacked(self, size: int, stored: int, place: Place) -> None:
+        """Count ``size`` bytes that ``stored`` ones of compressed data will expand to."""
+        self.unpacked += size
+        self.packed += stored
+        if self.unpacked > max(UNPACKED_RATIO * self.packed, UNPACKED_FREE):
+            raise InputError(
+                f"{self.packed} bytes of compressed data, this included, would expand to {self.unpacked}, "
+                f"over the limit of {UNPACKED_RATIO} times as many",
+                place,
+            )
+        self.claim(size, "compressed data", place)
+
+    @contextmanager
+    def passing(self) -> Iterator[None]:
+        """Let go at the end of the block what is claimed in it."""
+        held = self.held
+        yield
+        self.held = held
