@@ -12,11 +12,11 @@ from click.core import ParameterSource
 from skinbake.cli import exit_codes
 from skinbake.cli.console import console, finite, message_options, outside_option
 from skinbake.cli.inputs import Input, expanded
+from skinbake.cli.limits import limit_options, memory_of_each
 from skinbake.cli.many import (
     Clock,
     Notes,
     Summary,
-    chosen_runner,
     each,
     many_options,
     outcomes,
@@ -26,7 +26,8 @@ from skinbake.cli.many import (
     worst,
 )
 from skinbake.cli.progress import Progress
-from skinbake.cli.remote import cluster_option, cluster_runner
+from skinbake.cli.remote import cluster_option
+from skinbake.cli.runners import runner_of
 from skinbake.cli.targets import STDIO, check_reports, check_target, in_turns, once, pair_up
 from skinbake.containment import Bounds, Within
 
@@ -161,6 +162,7 @@ def _multiple_of_4(ctx: click.Context, param: click.Parameter, value: int | None
     "--warnings-as-errors", is_flag=True, help="Fail (3), and write nothing, where there are warnings."
 )
 @many_options
+@limit_options
 @cluster_option
 @outside_option
 @message_options
@@ -204,8 +206,8 @@ def command(inputs: tuple[str, ...], **given: Any) -> None:
     turns = in_turns([entry for entry, _ in targets]) if given["out_dir"] else []
     guess = (SECONDS_A_FILE, SECONDS_A_BYTE)
     sources = [entry.source for entry, _ in targets]
-    runner = cluster_runner(given, sources, turns, say)
-    runner = runner or chosen_runner(given, sources, turns, MODULES, guess)
+    runner = runner_of(given, sources, turns, MODULES, guess, say)
+    work = BakeWork(options, recipe, given["timings"], memory_of_each(given))
     totals, results, code = Totals(len(jobs), BAKE_OUTCOMES), list[FileResult](), exit_codes.OK
     summary, notes = Summary(given["summary"], SCHEMA, say, sync=not given["no_sync"]), Notes(state, say)
 
@@ -218,7 +220,7 @@ def command(inputs: tuple[str, ...], **given: Any) -> None:
             say.result(closing_line(result, dry_run=options.dry_run))
 
     def begin(progress: Progress) -> Generator[FileResult, None, None]:
-        return each(runner, BakeWork(options, recipe, given["timings"]), jobs, progress, tell)
+        return each(runner, work, jobs, progress, tell)
 
     with outcomes(say, totals, clock, [summary, notes], begin) as found_out:
         for result in found_out:

@@ -9,6 +9,7 @@ import click
 
 from skinbake.cli import exit_codes
 from skinbake.cli.console import console, message_options, outside_option
+from skinbake.cli.limits import memory_option
 from skinbake.cli.targets import check_readable_suffix
 from skinbake.containment import Bounds
 from skinbake.errors import SkinbakeError
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 )
 @click.option("--json", "as_json", is_flag=True, help="Print the costs as JSON.")
 @outside_option
+@memory_option
 @message_options
 def command(source: str | None, influences: int | None, **given: Any) -> None:
     """Count multiply-adds and bytes per vertex of the paper's algorithms 1 to 5, and of 6.
@@ -39,10 +41,12 @@ def command(source: str | None, influences: int | None, **given: Any) -> None:
     if source is not None:
         check_readable_suffix(source)
     say = console(verbose=given["verbose"], quiet=given["quiet"], color=given["color"])
+    from skinbake.gltf.budget import memory_limited
     from skinbake.report.cost import FileCosts, as_json, as_text
 
     try:
-        result = _count(source, influences, Bounds(allowed=given["allow_outside"]))
+        with memory_limited(given["max_memory"]):
+            result = _count(source, influences, Bounds(allowed=given["allow_outside"]))
     except SkinbakeError as error:
         say.error(error)
         sys.exit(exit_codes.of_error(error))

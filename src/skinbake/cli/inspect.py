@@ -9,6 +9,7 @@ import click
 
 from skinbake.cli import exit_codes
 from skinbake.cli.console import console, message_options, outside_option
+from skinbake.cli.limits import memory_option
 from skinbake.cli.targets import check_readable_suffix
 from skinbake.containment import Bounds
 from skinbake.errors import SkinbakeError
@@ -18,16 +19,19 @@ from skinbake.errors import SkinbakeError
 @click.argument("source", metavar="INPUT")
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON.")
 @outside_option
+@memory_option
 @message_options
 def command(source: str, **given: Any) -> None:
     """Show what is skinned, how influences and frames are stored, what is baked and how large it is."""
     check_readable_suffix(source)
     say = console(verbose=given["verbose"], quiet=given["quiet"], color=given["color"])
     from skinbake.commands.inspect import inspect_file
+    from skinbake.gltf.budget import memory_limited
     from skinbake.report.inspect import as_json, as_text
 
     try:
-        result = inspect_file(source, Bounds(allowed=given["allow_outside"]))
+        with memory_limited(given["max_memory"]):
+            result = inspect_file(source, Bounds(allowed=given["allow_outside"]))
     except SkinbakeError as error:
         say.error(error)
         sys.exit(exit_codes.of_error(error))

@@ -22,6 +22,7 @@ from skinbake.urls import is_url
 if TYPE_CHECKING:
     from skinbake.cli.inputs import Input
     from skinbake.commands.batch import Runner, Work
+    from skinbake.commands.processes import Limits
     from skinbake.commands.state import Recipe, State
     from skinbake.report.totals import Totals
 
@@ -149,21 +150,24 @@ def chosen_runner(
     turns: Sequence[int],
     modules: Sequence[str],
     guess: tuple[float, float],
+    limits: Limits | None = None,
 ) -> Runner:
     """Return who does the work on the sources.
 
     ``turns`` are the numbers of those that must be done in order, ``modules`` what workers need, ``guess``
-    how long a file takes and each byte of it.
+    how long a file takes and each byte of it. With ``limits`` a file too has a process that keeps them.
     """
     from skinbake.commands.batch import FirstThese, InThisProcess
 
     count = given["jobs"]
-    if count == 1 or len(sources) == 1 or STDIO in sources or not _is_worthwhile(sources, guess):
+    alone = count == 1 or len(sources) == 1 or STDIO in sources
+    if limits is None and (alone or not _is_worthwhile(sources, guess)):
         return InThisProcess()
-    from skinbake.commands.processes import Processes, usable_cores
+    from skinbake.commands.processes import Limits, Processes, usable_cores
 
-    whole = Processes(count or usable_cores(), modules)
-    return FirstThese(turns, Processes(1, modules), whole) if turns else whole
+    limits = limits or Limits()
+    whole = Processes(count or usable_cores(), modules, limits)
+    return FirstThese(turns, Processes(1, modules, limits), whole) if turns else whole
 
 
 def _is_worthwhile(sources: Sequence[str], guess: tuple[float, float]) -> bool:

@@ -9,6 +9,7 @@ import click
 
 from skinbake.cli import exit_codes
 from skinbake.cli.console import console, message_options, outside_option
+from skinbake.cli.limits import memory_option
 from skinbake.cli.targets import STDIO, check_readable_suffix, check_target, sync_option
 from skinbake.containment import Bounds
 from skinbake.errors import SkinbakeError
@@ -23,6 +24,7 @@ from skinbake.errors import SkinbakeError
 )
 @outside_option
 @sync_option
+@memory_option
 @message_options
 def command(source: str, **given: Any) -> None:
     """Write the document as it was before bake: equal JSON, and the original influences."""
@@ -35,16 +37,18 @@ def command(source: str, **given: Any) -> None:
         verbose=given["verbose"], quiet=given["quiet"], color=given["color"], results_on_stderr=to_stdout
     )
     from skinbake.commands.strip import strip_file
+    from skinbake.gltf.budget import memory_limited
     from skinbake.report.strip import as_json, closing_line
 
     try:
-        result = strip_file(
-            source,
-            given["output"],
-            warnings_as_errors=given["warnings_as_errors"],
-            sync=not given["no_sync"],
-            bounds=Bounds(allowed=given["allow_outside"]),
-        )
+        with memory_limited(given["max_memory"]):
+            result = strip_file(
+                source,
+                given["output"],
+                warnings_as_errors=given["warnings_as_errors"],
+                sync=not given["no_sync"],
+                bounds=Bounds(allowed=given["allow_outside"]),
+            )
     except SkinbakeError as error:
         say.error(error)
         sys.exit(exit_codes.of_error(error))

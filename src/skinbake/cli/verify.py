@@ -12,11 +12,11 @@ import click
 from skinbake.cli import exit_codes
 from skinbake.cli.console import Console, console, finite, message_options, outside_option
 from skinbake.cli.inputs import expanded
+from skinbake.cli.limits import limit_options, memory_of_each
 from skinbake.cli.many import (
     Clock,
     Notes,
     Summary,
-    chosen_runner,
     each,
     many_options,
     outcomes,
@@ -26,7 +26,8 @@ from skinbake.cli.many import (
     worst,
 )
 from skinbake.cli.progress import Progress
-from skinbake.cli.remote import cluster_option, cluster_runner
+from skinbake.cli.remote import cluster_option
+from skinbake.cli.runners import is_elsewhere, runner_of
 from skinbake.cli.targets import check_reports
 from skinbake.containment import Bounds, Within
 from skinbake.errors import OutputError, Place
@@ -108,6 +109,7 @@ def _poses(ctx: click.Context, param: click.Parameter, value: str) -> tuple[str,
 @click.option("--json", "as_json", is_flag=True, help="Print the results as JSON.")
 @click.option("--junit", metavar="FILE", help="Also write the results as JUnit XML.")
 @many_options
+@limit_options
 @cluster_option
 @outside_option
 @message_options
@@ -142,8 +144,8 @@ def command(inputs: tuple[str, ...], **given: Any) -> None:
         for entry in found
     ]
     clock.imports_done()
-    sources, guess = [entry.source for entry in found], (SECONDS_A_FILE, SECONDS_A_BYTE)
-    runner = cluster_runner(given, sources, [], say) or chosen_runner(given, sources, [], MODULES, guess)
+    guess = (SECONDS_A_FILE, SECONDS_A_BYTE)
+    runner = runner_of(given, [entry.source for entry in found], [], MODULES, guess, say)
     totals, verdicts, code = Totals(len(jobs), VERIFY_OUTCOMES), list[FileVerdict](), exit_codes.OK
     summary, notes = Summary(given["summary"], SCHEMA, say, sync=not given["no_sync"]), Notes(state, say)
 
@@ -156,8 +158,14 @@ def command(inputs: tuple[str, ...], **given: Any) -> None:
             say.result(as_text(verdict))
 
     def begin(progress: Progress) -> Generator[FileVerdict, None, None]:
-        poses = progress.step if len(jobs) == 1 and not given["dask"] else None
-        return each(runner, VerifyWork(options, recipe, given["timings"], poses), jobs, progress, tell)
+        poses = progress.step if len(jobs) == 1 and not is_elsewhere(given) else None
+        return each(
+            runner,
+            VerifyWork(options, recipe, given["timings"], poses, memory_of_each(given)),
+            jobs,
+            progress,
+            tell,
+        )
 
     with outcomes(say, totals, clock, [summary, notes], begin) as found_out:
         for verdict in found_out:

@@ -85,7 +85,7 @@ def bake_file(
     except SkinbakeError as error:
         failure = error
     except MemoryError:
-        failure = InputError("it needs more memory than there is", Place(source))
+        failure = InputError("it needs more memory than there is or --max-memory allows", Place(source))
     except Exception as error:  # a defect of ours: the other files of a build must not suffer from it
         logger.debug("where it failed", exc_info=True)
         failure = defect(error, source)

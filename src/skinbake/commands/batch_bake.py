@@ -10,6 +10,7 @@ from skinbake.commands.batch import timed
 from skinbake.commands.staging import bake_anywhere as bake_file  # URLs too
 from skinbake.containment import OWN_FOLDERS, Bounds, Within
 from skinbake.errors import InputError, Place
+from skinbake.gltf.budget import memory_limited
 from skinbake.gltf.document import STDIO
 from skinbake.report.bake import FileResult
 from skinbake.timing import stage
@@ -37,17 +38,22 @@ class BakeJob:
 
 @dataclass(frozen=True, slots=True)
 class BakeWork:
-    """Bakes a file, unless ``recipe`` is given and what is known of the file says that it is up to date."""
+    """Bakes a file, unless ``recipe`` is given and what is known of the file says that it is up to date.
+
+    max_memory is what a file may take, in bytes.
+    """
 
     options: BakeOptions
     recipe: state.Recipe | None = None
     timed: bool = False
+    max_memory: int | None = None
 
     def __call__(self, job: BakeJob) -> FileResult:
         """Return what became of the file."""
-        if not self.timed:
-            return self._done(job)
-        result, timings = timed(lambda: self._done(job))
+        with memory_limited(self.max_memory):
+            if not self.timed:
+                return self._done(job)
+            result, timings = timed(lambda: self._done(job))
         return replace(result, timings=timings)
 
     def lost(self, job: BakeJob, reason: str) -> FileResult:

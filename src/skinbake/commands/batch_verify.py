@@ -10,6 +10,7 @@ from skinbake.commands.lighting import Progress, VerifyOptions
 from skinbake.commands.staging import verify_anywhere as verify_file
 from skinbake.containment import OWN_FOLDERS, Within
 from skinbake.errors import InputError, Place
+from skinbake.gltf.budget import memory_limited
 from skinbake.gltf.document import STDIO
 from skinbake.report.verify import FileVerdict
 
@@ -37,19 +38,21 @@ class VerifyJob:
 class VerifyWork:
     """Verifies a file, unless ``recipe`` is given and what is known says that it passed as it is.
 
-    ``progress`` cannot go to another process.
+    ``progress`` cannot go to another process. max_memory is what a file may take, in bytes.
     """
 
     options: VerifyOptions
     recipe: state.Recipe | None = None
     timed: bool = False
     progress: Progress | None = None
+    max_memory: int | None = None
 
     def __call__(self, job: VerifyJob) -> FileVerdict:
         """Return the verdict on the file."""
-        if not self.timed:
-            return self._done(job)
-        verdict, timings = timed(lambda: self._done(job))
+        with memory_limited(self.max_memory):
+            if not self.timed:
+                return self._done(job)
+            verdict, timings = timed(lambda: self._done(job))
         return replace(verdict, timings=timings)
 
     def lost(self, job: VerifyJob, reason: str) -> FileVerdict:

@@ -20,6 +20,7 @@ from dataclasses import dataclass, field
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
+from pathlib import Path
 from typing import Any
 
 from skinbake.commands.batch import Work
@@ -36,6 +37,12 @@ QUICK = 0.05
 
 PATIENCE = 10.0
 """Seconds that a worker is given to tidy up after it was told to stop."""
+
+GRACE = 3.0
+"""Seconds that one is given whose file has taken too long: loops in C do not hear that they are to stop."""
+
+BASE = 1 << 30
+"""Bytes of addresses that a worker has besides its limit: for code, stacks and the files that it maps."""
 
 ATTEMPTS = 2
 """How often a job is tried whose worker dies."""
@@ -63,13 +70,26 @@ def usable_cores() -> int:
 
 @dataclass(eq=False, slots=True)
 class _Worker:
-    """A process, this end of its pipe, and the jobs that it was sent, the one at work first."""
+    """A process, this end of its pipe, and the jobs that it was sent, the one at work first.
+
+    begun is when it began that one, late when it was told to stop because that one takes too long.
+    """
 
     process: BaseProcess
     connection: Connection
     sent: deque[int] = field(default_factory=deque)
     is_quick: bool = False
     is_warm: bool = False
+    begun: float = 0.0
+    late: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What a job may take: seconds, and bytes of memory in a process that does nothing else (None: any)."""
+
+    seconds: float | None = None
+    memory: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,11 +98,12 @@ class Processes:
 
     ``modules`` are imported before workers are, where they are forks of one process: once for all.
     A worker that dies costs nobody else's work. Its job is tried again while no other runs, in case
-    it was memory that they lacked together.
+    it was memory that they lacked together. A job that takes longer than ``limits`` allow is lost.
     """
 
     workers: int
     modules: Sequence[str] = ()
+    limits: Limits = field(default_factory=Limits)
 
     def run(self, work: Work, jobs: Sequence[Any]) -> Iterator[tuple[int, Any]]:
         """Yield (number, ``work(job)``) as jobs are done; raises SkinbakeError where no worker starts.
@@ -100,7 +121,8 @@ class _Pool:
     """The workers of one run, and which job is where."""
 
     def __init__(self, runner: Processes, work: Work, jobs: Sequence[Any]) -> None:
-        self._work, self._jobs = work, jobs
+        self._work, self._jobs, self._limits = work, jobs, runner.limits
+        self._retired: list[BaseProcess] = []
         self._size = min(runner.workers, len(jobs))
         self._context = _context(runner.modules)
         self._workers: list[_Worker] = []
@@ -116,18 +138,49 @@ class _Pool:
     def results(self) -> Iterator[tuple[int, Any]]:
         while self._unfinished:
             self._hand_out()
-            for connection in wait([worker.connection for worker in self._workers]):
+            ready = wait([worker.connection for worker in self._workers], self._until_late())
+            self._stop_late()
+            for connection in ready:
                 worker = next(w for w in self._workers if w.connection is connection)
                 try:
                     message = worker.connection.recv()
                 except (EOFError, OSError):
                     yield from self._bury(worker)
                     continue
+                if not worker.is_warm:
+                    worker.begun = time.monotonic()
                 worker.is_warm, self._stillborn = True, 0
                 if message is not None:
                     finished = self._finished(worker, *message)
                     self._hand_out()  # nobody is to wait for who takes the result
                     yield finished
+
+    def _until_late(self) -> float | None:
+        """Return the seconds until the next worker has to be told to stop, or has to be killed."""
+        seconds = self._limits.seconds
+        if seconds is None:
+            return None
+        ends = [
+            worker.begun + seconds if worker.late is None else worker.late + GRACE
+            for worker in self._workers
+            if worker.sent and worker.is_warm
+        ]
+        return max(0.0, min(ends) - time.monotonic()) if ends else None
+
+    def _stop_late(self) -> None:
+        """Tell workers to stop whose job takes too long, and kill those that do not."""
+        seconds, now = self._limits.seconds, time.monotonic()
+        if seconds is None:
+            return
+        for worker in self._workers:
+            if not worker.sent or not worker.is_warm:
+                continue
+            if worker.late is not None:
+                if now >= worker.late + GRACE:
+                    worker.process.kill()
+            elif now >= worker.begun + seconds:
+                worker.late = now
+                worker.process.terminate()
 
     def stop(self) -> None:
         """End all workers: the idle ones see their pipe close, the busy ones are told to."""
@@ -136,24 +189,25 @@ class _Pool:
                 if worker.sent:
                     worker.process.terminate()
                 worker.connection.close()
-            for worker in self._workers:
-                worker.process.join(PATIENCE)
-                if worker.process.is_alive():
-                    worker.process.kill()
-                    worker.process.join()
+            for process in (*(worker.process for worker in self._workers), *self._retired):
+                process.join(PATIENCE)
+                if process.is_alive():
+                    process.kill()
+                    process.join()
             self._workers.clear()
+            self._retired.clear()
 
     def _hand_out(self) -> None:
         """Start the workers that are missing, and send jobs to those that have too few."""
         while len(self._workers) < min(self._size, self._unfinished):
-            self._workers.append(_started(self._context, self._work))
+            self._workers.append(_started(self._context, self._work, self._limits))
         if self._suspects:  # tried again alone
             if not any(worker.sent for worker in self._workers):
                 self._send(self._workers[0], self._suspects.popleft())
             return
         if any(self._deaths.get(number) for worker in self._workers for number in worker.sent):
             return
-        for depth in (1, 2):
+        for depth in (1,) if self._is_isolated else (1, 2):
             for worker in self._workers:
                 if len(worker.sent) < depth and (depth == 1 or worker.is_quick):
                     number = self._take()
@@ -170,6 +224,8 @@ class _Pool:
         return self._next - 1
 
     def _send(self, worker: _Worker, number: int) -> None:
+        if not worker.sent:
+            worker.begun = time.monotonic()
         worker.sent.append(number)
         with suppress(OSError):  # it has died: its pipe says so next
             worker.connection.send((number, self._jobs[number]))
@@ -177,8 +233,23 @@ class _Pool:
     def _finished(self, worker: _Worker, number: int, result: Any, seconds: float) -> tuple[int, Any]:
         worker.sent.remove(number)
         worker.is_quick = seconds < QUICK
+        worker.begun, worker.late = time.monotonic(), None
+        if self._is_isolated:
+            self._retire(worker)
         self._close_file(number)
         return number, result
+
+    @property
+    def _is_isolated(self) -> bool:
+        """Tell whether each job has a process of its own: what one leaves in its memory reaches no other."""
+        return self._limits.memory is not None
+
+    def _retire(self, worker: _Worker) -> None:
+        """Let a worker go that has done its job: it sees its pipe close."""
+        self._workers.remove(worker)
+        worker.connection.close()
+        self._retired = [process for process in self._retired if process.is_alive()]
+        self._retired.append(worker.process)
 
     def _close_file(self, number: int) -> None:
         self._unfinished -= 1
@@ -203,6 +274,11 @@ class _Pool:
             return
         number, *rest = worker.sent
         self._back.extendleft(reversed(rest))
+        if worker.late is not None:
+            self._close_file(number)
+            reason = f"it took longer than {self._limits.seconds:g} s (--timeout)"
+            yield number, self._work.lost(self._jobs[number], reason)
+            return
         deaths = self._deaths[number] = self._deaths.get(number, 0) + 1
         if deaths < ATTEMPTS:
             self._suspects.append(number)
@@ -232,11 +308,13 @@ def _context(modules: Sequence[str]) -> Any:
     return context
 
 
-def _started(context: Any, work: Work) -> _Worker:
+def _started(context: Any, work: Work, limits: Limits) -> _Worker:
     here, there = context.Pipe()
     with _quiet_start():
         process = context.Process(
-            target=_serve, args=(there, work, logging.getLogger().level, _handles_logs()), daemon=True
+            target=_serve,
+            args=(there, work, limits, logging.getLogger().level, _handles_logs()),
+            daemon=True,
         )
         process.start()
     there.close()
@@ -275,13 +353,15 @@ def _no_interrupts() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _serve(connection: Connection, work: Work, level: int, logs: bool) -> None:
+def _serve(connection: Connection, work: Work, limits: Limits, level: int, logs: bool) -> None:
     """Do jobs as they come, until the pipe is closed or a signal says stop; the main of a worker."""
     stopped = threading.Event()
     try:
         _hear_signals(stopped)
         if logs:
             log_to_stderr(level)
+        if limits.memory is not None:
+            _limit_memory(limits.memory)
         connection.send(None)
         while not stopped.is_set():
             number, job = connection.recv()
@@ -291,6 +371,24 @@ def _serve(connection: Connection, work: Work, level: int, logs: bool) -> None:
                 _send(connection, work, job, (number, result, time.perf_counter() - start))
     except (EOFError, OSError, KeyboardInterrupt):
         pass  # the other end is gone, or we are to go
+
+
+def _limit_memory(size: int) -> None:
+    """Let this process have ``size`` bytes more and leave no core behind, where the system can do that."""
+    try:
+        import resource  # noqa: PLC0415 (Windows has none)
+
+        pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
+        used = pages * resource.getpagesize()
+    except ImportError:
+        return
+    except (OSError, ValueError):
+        used = 0  # not Linux: what it has is part of BASE
+    wanted = {resource.RLIMIT_AS: used + size + BASE, resource.RLIMIT_CORE: 0}
+    for kind, limit in wanted.items():
+        _, hard = resource.getrlimit(kind)
+        with suppress(OSError, ValueError):
+            resource.setrlimit(kind, (limit if hard == resource.RLIM_INFINITY else min(limit, hard), hard))
 
 
 def _result(work: Work, job: Any) -> Any:

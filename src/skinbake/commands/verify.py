@@ -30,7 +30,10 @@ def verify_file(
     except SkinbakeError as error:
         return FileVerdict(source, error=error)
     except MemoryError:
-        return FileVerdict(source, error=InputError("it needs more memory than there is", Place(source)))
+        return FileVerdict(
+            source,
+            error=InputError("it needs more memory than there is or --max-memory allows", Place(source)),
+        )
     except Exception as error:  # a defect of ours: the other files must not suffer from it
         logger.debug("where it failed", exc_info=True)
         return FileVerdict(source, error=defect(error, source))

@@ -1,0 +1,88 @@
+"""The options that bound what a file may take: memory, time, and a process of its own."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from skinbake.cli.console import Command, finite
+from skinbake.cli.targets import STDIO
+
+if TYPE_CHECKING:
+    from skinbake.commands.processes import Limits
+
+SIZE = re.compile(r"(\d+(?:\.\d+)?) ?([KMGT]?)(?:i?B)?", re.IGNORECASE)
+
+
+def _size(ctx: click.Context, param: click.Parameter, value: str | None) -> int | None:
+    if value is None:
+        return None
+    found = SIZE.fullmatch(value.strip())
+    size = int(float(found[1]) * 1024 ** " KMGT".index(found[2].upper() or " ")) if found else 0
+    if size < 1:
+        raise click.BadParameter("must be a size in bytes, or like 512M or 2G")
+    return size
+
+
+def memory_option(command: Command) -> Command:
+    """Add the option that bounds what a file may make the program set aside."""
+    return click.option(
+        "--max-memory",
+        metavar="SIZE",
+        callback=_size,
+        help="What a file may take, like 512M or 2G; by default a quarter of the machine's memory.",
+    )(command)
+
+
+def limit_options(command: Command) -> Command:
+    """Add all options that bound what a file may take."""
+    for option in (
+        click.option(
+            "--isolate",
+            is_flag=True,
+            help="Work on each file in a process of its own, limited to --max-memory: a crash is exit 3.",
+        ),
+        click.option(
+            "--timeout",
+            type=click.FloatRange(0, min_open=True),
+            callback=finite,
+            metavar="SECONDS",
+            help="Give a file up that takes longer.",
+        ),
+        memory_option,
+    ):
+        command = option(command)
+    return command
+
+
+def worker_limits(given: Mapping[str, Any], sources: Sequence[str]) -> Limits | None:
+    """Return the limits that workers keep, None where files need none of their own.
+
+    Raises click.UsageError where the work cannot be another process's.
+    """
+    named = [f"--{name}" for name in ("timeout", "isolate") if given[name]]
+    if not named:
+        return None
+    if given["dask"]:
+        raise click.UsageError(
+            f"{named[0]} is for processes of this machine, --dask for a cluster's: give one"
+        )
+    if STDIO in {*sources, given.get("output")}:
+        raise click.UsageError(f"{named[0]} takes files, not - for stdin or stdout")
+    from skinbake.commands.processes import Limits
+
+    return Limits(given["timeout"], memory_of_each(given) if given["isolate"] else None)
+
+
+def memory_of_each(given: Mapping[str, Any]) -> int | None:
+    """Return what a file may take of this machine's memory, None for the default of one file at a time."""
+    if given["max_memory"] or given["dask"] or (given["jobs"] == 1 and not given["isolate"]):
+        size: int | None = given["max_memory"]
+        return size
+    from skinbake.commands.processes import usable_cores
+    from skinbake.gltf.budget import default_limit
+
+    return default_limit(given["jobs"] or usable_cores())
