@@ -32,7 +32,7 @@ from skinbake.replay.morphs import morphed
 from skinbake.replay.run import replay
 from skinbake.replay.surface import RestSurface
 from skinbake.report.verify import FileVerdict
-from tests import analytic, morphing
+from tests.support import analytic, morphing
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 BENDS = ("medium", "strong")

@@ -26,10 +26,10 @@ from skinbake.commands.strip import strip_file
 from skinbake.commands.verify import verify_file
 from skinbake.errors import SkinbakeError
 from skinbake.report.bake import FileResult
-from tests.gltf.models import FIXTURES, KEY, assert_buffers_kept, note, primitives, without_additions
 from tests.support import corpus, khronos
 from tests.support.decoders import read_plain_many
 from tests.support.gltf_reading import DRACO, MESHOPT, GltfFile, read
+from tests.support.models import FIXTURES, KEY, assert_buffers_kept, note, primitives, without_additions
 
 SECONDS = 10
 """No file here is larger than 4 MB: whatever takes longer hangs."""

@@ -9,7 +9,7 @@ import pytest
 
 from skinbake.bake.baker import BakeSettings, bake_mesh, rest_frame
 from skinbake.geometry.skinned import SkinnedPrimitive
-from tests.bake.models import bake_one, meshes_of, path_of
+from tests.support.baked_arrays import bake_one, meshes_of, path_of
 
 
 def square(*, lean: float = 0.0, unused: int = 0) -> SkinnedPrimitive:

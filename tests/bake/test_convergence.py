@@ -13,8 +13,8 @@ from skinbake.replay.algorithms import Algorithm
 from skinbake.replay.run import replay
 from skinbake.replay.surface import RestSurface
 from skinbake.verify.metrics import angular_errors, vertex_areas
-from tests.bake.models import bake_one
-from tests.surfaces import MILD, STRONG, AnalyticSurface, Triangulation, analytic_surface, bends
+from tests.support.baked_arrays import bake_one
+from tests.support.surfaces import MILD, STRONG, AnalyticSurface, Triangulation, analytic_surface, bends
 
 SEEDS = range(3)
 

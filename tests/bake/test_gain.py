@@ -19,7 +19,7 @@ from skinbake.verify.influences import normalised_weights
 from skinbake.verify.metrics import angular_errors, vertex_areas
 from skinbake.verify.operator import gradient_operator
 from skinbake.verify.reference import reference_normals, rest_frames
-from tests.bake.models import BARBARIAN, CESIUM_MAN, MANNEQUINY, meshes_of, path_of
+from tests.support.baked_arrays import BARBARIAN, CESIUM_MAN, MANNEQUINY, meshes_of, path_of
 
 POSES = 6
 

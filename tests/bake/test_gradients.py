@@ -13,7 +13,7 @@ import pytest
 from skinbake.bake.baker import BakeSettings
 from skinbake.geometry.skinned import FloatArray, SkinnedPrimitive
 from skinbake.verify.operator import Weighting, expected_alpha_beta, gradient_operator
-from tests.bake.models import (
+from tests.support.baked_arrays import (
     AFRAME_HAND,
     BARBARIAN,
     CESIUM_MAN,
@@ -33,7 +33,7 @@ from tests.bake.models import (
     meshes_of,
     path_of,
 )
-from tests.surfaces import flat_triangulation
+from tests.support.surfaces import flat_triangulation
 
 WEIGHTINGS: tuple[Weighting, ...] = get_args(Weighting)
 MODELS = [

@@ -11,7 +11,7 @@ from skinbake.bake.baker import BakeSettings
 from skinbake.bake.influences import NO_JOINT, WeightDefects, WeightField, weight_field
 from skinbake.commands.bake import BakeOptions, bake_file
 from skinbake.geometry.skinned import SkinnedPrimitive
-from tests.bake.models import AFRAME_HAND, ELF, MANTIS, TREX, bake_one, meshes_of, path_of
+from tests.support.baked_arrays import AFRAME_HAND, ELF, MANTIS, TREX, bake_one, meshes_of, path_of
 from tests.support.gltf_reading import read
 
 FINE = WeightDefects(negative=0, all_zero=0, not_normalised=0, repeated_joint=0)

@@ -13,7 +13,7 @@ import pytest
 
 from skinbake.bake.baker import BakeFindings, BakeSettings, bake_mesh, rest_frame
 from skinbake.geometry.skinned import BakedPrimitive, Float64Array, SkinnedPrimitive
-from tests.bake.models import (
+from tests.support.baked_arrays import (
     AFRAME_HAND,
     BARBARIAN,
     CESIUM_MAN,
@@ -29,7 +29,7 @@ from tests.bake.models import (
     reslotted,
     shuffled,
 )
-from tests.surfaces import analytic_surface
+from tests.support.surfaces import analytic_surface
 
 SURFACES = ["random", "irregular"]
 FILES = [

@@ -32,7 +32,7 @@ from skinbake.bake.influences import weight_field
 from skinbake.bake.surface import Surface, SurfaceSlots, surface_slots
 from skinbake.bake.weld import concatenated, equal_positions, equal_rows, weld
 from skinbake.geometry.skinned import BakedPrimitive, Float64Array, FloatArray, SkinnedPrimitive
-from tests.bake.models import (
+from tests.support.baked_arrays import (
     AFRAME_HAND,
     BARBARIAN,
     CESIUM_MAN,
@@ -45,7 +45,7 @@ from tests.bake.models import (
     path_of,
 )
 from tests.support.strictness import missing_tool
-from tests.surfaces import analytic_surface
+from tests.support.surfaces import analytic_surface
 
 if kernel.compiled is None:
     missing_tool("skinbake was installed without its compiled loops")

@@ -10,7 +10,7 @@ import pytest
 
 from skinbake.bake.limit import LimitedSlots, limited_slots
 from skinbake.geometry.skinned import SkinnedPrimitive
-from tests.bake.models import PBR_TEST, meshes_of, path_of, reslotted
+from tests.support.baked_arrays import PBR_TEST, meshes_of, path_of, reslotted
 
 
 def vertices(joints: object, weights: object) -> SkinnedPrimitive:

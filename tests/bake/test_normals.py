@@ -10,7 +10,7 @@ from skinbake.bake.baker import BakeSettings, bake_mesh
 from skinbake.bake.normals import with_smooth_normals
 from skinbake.geometry.skinned import SkinnedPrimitive
 from skinbake.verify.metrics import angular_errors
-from tests.bake.models import meshes_of, path_of
+from tests.support.baked_arrays import meshes_of, path_of
 
 
 def without_normals(primitive: SkinnedPrimitive) -> SkinnedPrimitive:

@@ -16,7 +16,7 @@ from skinbake.geometry.skinned import BakedPrimitive, Float64Array, SkinnedPrimi
 from skinbake.verify.influences import weight_field
 from skinbake.verify.operator import gradient_operator
 from skinbake.verify.welds import weld_classes
-from tests.bake.models import (
+from tests.support.baked_arrays import (
     AFRAME_HAND,
     BARBARIAN,
     CESIUM_MAN,
@@ -30,7 +30,7 @@ from tests.bake.models import (
     meshes_of,
     path_of,
 )
-from tests.surfaces import analytic_surface
+from tests.support.surfaces import analytic_surface
 
 FILES = [
     "foreign_joints.glb",

@@ -15,7 +15,7 @@ from skinbake.bake.influences import weight_field
 from skinbake.bake.weld import concatenated, equal_positions, equal_rows, weld
 from skinbake.geometry.skinned import IntArray, SkinnedPrimitive
 from skinbake.verify.welds import weld_classes
-from tests.bake.models import (
+from tests.support.baked_arrays import (
     AFRAME_HAND,
     BARBARIAN,
     CESIUM_MAN,

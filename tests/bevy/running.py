@@ -18,8 +18,8 @@ from skinbake.shaders.choices import Language, Lighting, ShaderChoices
 from skinbake.shaders.text import shader_text
 from tests.bevy.compose import compose
 from tests.support import gltf_reading
+from tests.support.characters import Character, Pose
 from tests.support.webgpu import NAGA, Job, answers
-from tests.three.characters import Character, Pose
 
 Single = npt.NDArray[np.float32]
 Wide = npt.NDArray[np.float64]

@@ -21,7 +21,6 @@ from skinbake.replay.morphs import morphed
 from skinbake.replay.run import replay
 from skinbake.shaders.choices import AttributeText, Language, Lighting, Method, Morphs, ShaderChoices
 from skinbake.shaders.text import shader_text
-from tests.analytic import degrees_between
 from tests.bevy.compose import compose, without_comments
 from tests.bevy.running import (
     BAKED,
@@ -37,8 +36,9 @@ from tests.bevy.running import (
     run,
     scene,
 )
+from tests.support.analytic import degrees_between
+from tests.support.characters import Pose, baked
 from tests.support.webgpu import NAGA, TINT, Implementation, Job, answers
-from tests.three.characters import Pose, baked
 
 # Float32 on both sides of a subtraction of numbers near 1; t' and b' may be nearly parallel.
 DEGREES = 0.02

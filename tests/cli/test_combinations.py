@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from tests.cli.running import invoke
-from tests.gltf.models import FOLDER
+from tests.support.command_line import invoke
 from tests.support.corpus import find_corpus
 from tests.support.gltf_reading import read
+from tests.support.models import FOLDER
 
 STORAGES = (
     (),

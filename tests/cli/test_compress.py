@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from tests.cli.running import document, invoke, run
-from tests.gltf.compressed import EXT, KHR, draco_twin, meshopt_twin
-from tests.gltf.models import FOLDER
+from tests.support.command_line import document, invoke, run
+from tests.support.compressed import EXT, KHR, draco_twin, meshopt_twin
 from tests.support.gltf_reading import DRACO, read
+from tests.support.models import FOLDER
 
 TUBE = FOLDER / "bent_tube.glb"
 

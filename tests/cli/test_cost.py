@@ -13,10 +13,10 @@ import pytest
 
 from skinbake.gltf.encodings import Encoding
 from skinbake.gltf.layouts import Layout, Storage
-from tests.cli.running import document, invoke, run
-from tests.cli.test_json import COUNT, PLACE, TEXT, WARNINGS, strict
-from tests.gltf.models import FOLDER, SHARED, Part, bake, edited, rewritten, sheet, write_model
+from tests.support.command_line import document, invoke, run
 from tests.support.gltf_reading import read
+from tests.support.models import FOLDER, SHARED, Part, bake, edited, rewritten, sheet, write_model
+from tests.support.schemas import COUNT, PLACE, TEXT, WARNINGS, strict
 
 DOI = "doi:10.1111/cgf.12330"
 NAMES = ["LBS standard", "LBS direct", "LBS accurate", "DQS standard", "DQS accurate", "DQS exact"]

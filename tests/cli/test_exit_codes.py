@@ -14,9 +14,9 @@ from skinbake.errors import (
     SkinbakeError,
     UnsupportedFeatureError,
 )
-from tests.cli.running import invoke, run
-from tests.gltf.models import FOLDER, copied, edited, sheet, write_model
+from tests.support.command_line import invoke, run
 from tests.support.gltf_reading import read
+from tests.support.models import FOLDER, copied, edited, sheet, write_model
 
 ALPHA = "_SKINBAKE_ALPHA_0"
 SEAM = str(FOLDER / "seam.glb")

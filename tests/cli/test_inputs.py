@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from tests.cli.running import document, invoke, run
-from tests.gltf.models import FOLDER, SHARED, copied, rewritten
+from tests.support.command_line import document, invoke, run
 from tests.support.gltf_reading import read
+from tests.support.models import FOLDER, SHARED, copied, rewritten
 
 SEAM = FOLDER / "seam.glb"
 LINKS = pytest.mark.skipif(sys.platform == "win32", reason="links need rights there")

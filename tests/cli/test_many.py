@@ -26,12 +26,9 @@ from skinbake.commands.lighting import VerifyOptions
 from skinbake.commands.poses import PoseRequest
 from skinbake.errors import InputError, OutputError, Place, SkinbakeError
 from skinbake.timing import stage
-from tests.cli.running import document, invoke, run
-from tests.cli.test_json import BAKE, PROCESS_TIMINGS, TIMINGS, checked
-from tests.gltf.models import FIXTURES, FOLDER, SHARED_BIN, sheet, write_model
-from tests.report.test_verify import SCHEMA as VERIFY
-
-LINUX = pytest.mark.skipif(sys.platform != "linux", reason="needs the signals of POSIX and /proc")
+from tests.support.command_line import LINUX, document, invoke, run
+from tests.support.models import FIXTURES, FOLDER, SHARED_BIN, sheet, write_model
+from tests.support.schemas import BAKE, PROCESS_TIMINGS, TIMINGS, VERIFY, checked
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -50,21 +47,6 @@ def mixed(tmp_path: Path) -> Path:
     write_model(folder / "half.glb", [sheet(), sheet(NORMAL=None)])
     write_model(folder / "bare.glb", [sheet(NORMAL=None)])
     return folder
-
-
-@pytest.fixture
-def workers(monkeypatch: pytest.MonkeyPatch) -> list[int]:
-    """Have workers started for the least work; the list tells how many each run may have."""
-    counts: list[int] = []
-    original = processes.Processes.run
-
-    def counted(self: Any, work: Any, jobs: Any) -> Any:
-        counts.append(self.workers)
-        return original(self, work, jobs)
-
-    monkeypatch.setattr(processes.Processes, "run", counted)
-    monkeypatch.setattr("skinbake.cli.many.WORTHWHILE", 0.0)
-    return counts
 
 
 def without_rate(stderr: str) -> str:

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.cli.running import invoke, run
-from tests.gltf.models import FIXTURES, FOLDER, bake, edited, sheet, write_model
+from tests.support.command_line import invoke, run
+from tests.support.models import FIXTURES, FOLDER, bake, edited, sheet, write_model
 
 SEAM = FOLDER / "seam.glb"
 ESCAPE = "\x1b["

@@ -12,9 +12,9 @@ import pytest
 
 from skinbake.shaders.choices import ALGORITHMS, Language, Lighting, ShaderChoices
 from skinbake.shaders.text import shader_text
-from tests.cli.running import invoke, run
-from tests.gltf.models import FOLDER, KEY, Part, edited, rewritten, sheet, write_model
+from tests.support.command_line import invoke, run
 from tests.support.gltf_reading import read
+from tests.support.models import FOLDER, KEY, Part, edited, rewritten, sheet, write_model
 
 TUBE, SEAM, TWO_SETS, MIRRORED = (
     FOLDER / name for name in ("bent_tube.glb", "seam.glb", "two_sets.glb", "mirrored_tangent.glb")

@@ -18,12 +18,9 @@ from skinbake.commands import state
 from skinbake.commands.bake import bake_file
 from skinbake.commands.state import HEADER, State
 from skinbake.errors import InputError
-from tests.cli.running import document, invoke, run
-from tests.cli.test_many import LINUX, workers
-from tests.gltf.models import FIXTURES, FOLDER, SHARED, copied, rewritten, sheet, write_model
+from tests.support.command_line import LINUX, document, invoke, run
 from tests.support.gltf_reading import read
-
-__all__ = ["workers"]
+from tests.support.models import FIXTURES, FOLDER, SHARED, copied, rewritten, sheet, write_model
 
 STATE = ".skinbake-state.jsonl"
 TEXTURED = "textured.gltf"

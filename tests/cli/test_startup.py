@@ -15,8 +15,8 @@ import pytest
 
 import skinbake
 from skinbake.cli.main import COMMANDS
-from tests.cli.running import invoke, run
-from tests.gltf.models import FOLDER, edited
+from tests.support.command_line import invoke, run
+from tests.support.models import FOLDER, edited
 
 SEAM = FOLDER / "seam.glb"
 HEAVY = (

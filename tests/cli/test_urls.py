@@ -11,9 +11,9 @@ import pytest
 from skinbake.cli import exit_codes
 from skinbake.commands import dask_runner
 from skinbake.errors import InputError
-from tests.cli.running import document, invoke
-from tests.commands.libraries import filesystem, stored, tree, upload, write_library
-from tests.gltf.models import FOLDER
+from tests.support.command_line import document, invoke
+from tests.support.libraries import filesystem, stored, tree, upload, write_library
+from tests.support.models import FOLDER
 
 
 @pytest.fixture(autouse=True)

@@ -14,8 +14,8 @@ import pytest
 from click.testing import CliRunner, Result
 
 from skinbake.cli.main import main
-from tests.report.test_verify import SCHEMA
-from tests.verify.baked_files import Editable, baked, source
+from tests.support.baked_files import Editable, baked, source
+from tests.support.schemas import VERIFY
 
 
 def run(*arguments: str | Path, data: bytes | None = None) -> Result:
@@ -62,7 +62,7 @@ def test_several_files_return_the_worst_code_and_all_are_told(good: Path, bad: P
         assert result.exit_code == code
         document = json.loads(result.stdout)
         assert [entry["input"] for entry in document["files"]] == [str(file) for file in files]
-        jsonschema.validate(document, SCHEMA)
+        jsonschema.validate(document, VERIFY)
 
 
 @pytest.mark.parametrize(
@@ -78,13 +78,13 @@ def test_json_is_pure_and_as_documented(tmp_path: Path, name: str, options: list
     path = baked(source(name), tmp_path)
     result = run("--json", *options, path)
     document = json.loads(result.stdout)
-    jsonschema.validate(document, SCHEMA)
+    jsonschema.validate(document, VERIFY)
     assert document["exit_code"] == result.exit_code
     for entry in document["files"][0]["primitives"]:
         for method, figures in entry["normals"].items():
             assert figures.keys() == document["files"][0]["normals"][method].keys()
     unbaked = run("--json", "--require-baked", source(name), tmp_path / "gone.glb")
-    jsonschema.validate(json.loads(unbaked.stdout), SCHEMA)
+    jsonschema.validate(json.loads(unbaked.stdout), VERIFY)
     assert unbaked.exit_code == 3
 
 

@@ -21,10 +21,10 @@ from skinbake.cli import exit_codes
 from skinbake.commands import dask_runner
 from skinbake.commands.dask_runner import DaskRunner
 from skinbake.errors import InputError
-from tests.cli.running import document, invoke
 from tests.commands.clusters import PATIENCE, cluster, observer, require_dask, wait_for_workers
 from tests.commands.file_works import Bake, BakeOrDie, Job, Raise, Verify
-from tests.commands.libraries import tree, write_library, write_sheets
+from tests.support.command_line import document, invoke
+from tests.support.libraries import tree, write_library, write_sheets
 
 require_dask()
 

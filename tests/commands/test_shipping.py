@@ -15,7 +15,7 @@ from skinbake.commands.verify import verify_file
 from skinbake.containment import Bounds, Within
 from skinbake.errors import ChoiceError, InputError, OutputError
 from tests.commands.file_works import Bake, Job, Verify
-from tests.commands.libraries import stored, tree, upload, write_library
+from tests.support.libraries import stored, tree, upload, write_library
 
 
 def elsewhere(work: Any, job: Job, hidden: Path | None = None) -> Any:

@@ -22,7 +22,7 @@ from skinbake.gltf.encodings import Encoding
 from skinbake.gltf.layouts import Storage
 from skinbake.report.bake import FileResult
 from skinbake.urls import is_url, join_url
-from tests.commands.libraries import (
+from tests.support.libraries import (
     Torn,
     Tree,
     bucket_for_s3,
@@ -34,7 +34,7 @@ from tests.commands.libraries import (
     url_to_fs,
     write_library,
 )
-from tests.gltf.models import FOLDER
+from tests.support.models import FOLDER
 
 TUBE = FOLDER / "bent_tube.glb"
 

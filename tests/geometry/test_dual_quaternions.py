@@ -12,7 +12,7 @@ from skinbake.geometry.dual_quaternions import (
     quaternions_from_rotations,
     rigid_motions,
 )
-from tests import analytic
+from tests.support import analytic
 
 AXES = (
     np.array(

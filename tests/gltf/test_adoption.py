@@ -17,7 +17,7 @@ from skinbake.gltf.adoption import TINY_WEIGHT, UNIT, with_adopted
 from skinbake.gltf.animation import random_poses, read_skeleton
 from skinbake.gltf.document import read_document
 from skinbake.gltf.primitives import StoredInfluences
-from tests.bake.models import (
+from tests.support.baked_arrays import (
     AFRAME_HAND,
     CESIUM_MAN,
     HAND_U8,

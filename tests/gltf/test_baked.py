@@ -22,7 +22,8 @@ from skinbake.gltf.additions import Additions
 from skinbake.gltf.baked import AttributeNames
 from skinbake.gltf.document import read_document
 from skinbake.gltf.resources import encode_data_uri
-from tests.gltf.models import (
+from tests.support.gltf_reading import GltfFile, read
+from tests.support.models import (
     FIXTURES,
     FOLDER,
     SHARED,
@@ -37,7 +38,6 @@ from tests.gltf.models import (
     sheet,
     write_model,
 )
-from tests.support.gltf_reading import GltfFile, read
 
 FLOAT = 5126
 ALPHA, BETA = "_SKINBAKE_ALPHA_0", "_SKINBAKE_BETA_0"

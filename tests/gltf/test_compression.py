@@ -23,8 +23,11 @@ from skinbake.commands.strip import strip_file
 from skinbake.commands.verify import verify_file
 from skinbake.errors import InputError
 from skinbake.gltf.recode import Compression, Scheme
-from tests.gltf.compressed import EXT, KHR, content_of, draco_twin, meshopt_twin
-from tests.gltf.models import (
+from tests.support import corpus, khronos
+from tests.support.compressed import EXT, KHR, content_of, draco_twin, meshopt_twin
+from tests.support.decoders import read_plain, read_plain_many
+from tests.support.gltf_reading import DRACO, MESHOPT, GltfFile, read
+from tests.support.models import (
     FOLDER,
     assert_buffers_kept,
     bake,
@@ -36,9 +39,6 @@ from tests.gltf.models import (
     stripped,
     write_model,
 )
-from tests.support import corpus, khronos
-from tests.support.decoders import read_plain, read_plain_many
-from tests.support.gltf_reading import DRACO, MESHOPT, GltfFile, read
 
 ADOPTING = "foreign_joints.glb"
 FIXTURES = [ADOPTING, "two_sets.glb", "weights_u8.glb", "bent_tube.glb"]

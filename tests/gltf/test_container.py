@@ -15,7 +15,8 @@ from fixtures.builder import JsonObject, pack_glb
 from skinbake.commands.bake import BakeOptions, bake_file
 from skinbake.commands.strip import strip_file
 from skinbake.errors import OutputError
-from tests.gltf.models import (
+from tests.support.gltf_reading import GltfFile, read
+from tests.support.models import (
     FOLDER,
     SHARED,
     SHARED_BIN,
@@ -28,7 +29,6 @@ from tests.gltf.models import (
     rewritten,
     without_additions,
 )
-from tests.support.gltf_reading import GltfFile, read
 
 ALPHA = "_SKINBAKE_ALPHA_0"
 PNG = b"\x89PNG\r\n\x1a\n"

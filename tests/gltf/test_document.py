@@ -14,7 +14,7 @@ from fixtures.builder import pack_glb
 from skinbake.errors import InputError, UnsupportedFeatureError
 from skinbake.gltf.document import Document, parse_glb, parse_gltf, read_document
 from skinbake.gltf.output import plan_output
-from tests.gltf.models import FOLDER, KEY, SHARED, bake, copied, edited
+from tests.support.models import FOLDER, KEY, SHARED, bake, copied, edited
 
 ASSET = '"asset": {"version": "2.0"}'
 

@@ -20,12 +20,12 @@ from skinbake.gltf import draco_stream
 from skinbake.gltf.accessors import read_accessor
 from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.primitives import read_primitive, reason_to_skip, skinned_sources
-from tests.gltf.compressed import draco_stream as encoded
-from tests.gltf.compressed import draco_twin
-from tests.gltf.models import FOLDER, primitives, rewritten
 from tests.support import corpus
+from tests.support.compressed import draco_stream as encoded
+from tests.support.compressed import draco_twin
 from tests.support.decoders import read_plain
 from tests.support.gltf_reading import DRACO, GltfFile, read
+from tests.support.models import FOLDER, primitives, rewritten
 
 TWIN = "foreign_joints.glb"
 CORPUS = [

@@ -12,9 +12,9 @@ import pytest
 
 from skinbake.gltf.encodings import CANDIDATES, Encoding, common_scale, decoded, encoded
 from skinbake.gltf.layouts import Storage
-from tests.gltf.models import FIXTURES, FOLDER, bake, baked, note, primitives, sheet, write_model
 from tests.support import khronos
 from tests.support.gltf_reading import GltfFile, read
+from tests.support.models import FIXTURES, FOLDER, bake, baked, note, primitives, sheet, write_model
 
 FLOAT_ROUNDING = 2.0**-23
 """Relative: α is stored as float32 by the one bake, and read as float32 from the other."""

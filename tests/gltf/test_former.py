@@ -10,8 +10,8 @@ import pytest
 from fixtures.builder import JsonObject
 from skinbake.commands.bake import BakeOptions, bake_file
 from skinbake.commands.strip import strip_file
-from tests.gltf.models import FOLDER, Change, baked, copied, rewritten
 from tests.support.gltf_reading import GltfFile, read
+from tests.support.models import FOLDER, Change, baked, copied, rewritten
 
 
 def edited(name: str, tmp_path: Path, change: Change) -> Path:

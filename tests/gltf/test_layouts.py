@@ -15,7 +15,9 @@ from skinbake.commands.bake import BakeOptions, bake_file
 from skinbake.commands.strip import strip_file
 from skinbake.gltf.encodings import Encoding
 from skinbake.gltf.layouts import Layout, Storage, free_texcoords, noted_storage
-from tests.gltf.models import (
+from tests.support import khronos
+from tests.support.gltf_reading import GltfFile, read
+from tests.support.models import (
     FIXTURES,
     FOLDER,
     assert_only_added,
@@ -28,8 +30,6 @@ from tests.gltf.models import (
     sheet,
     write_model,
 )
-from tests.support import khronos
-from tests.support.gltf_reading import GltfFile, read
 
 TEXCOORD, CUSTOM = Storage(layout=Layout.TEXCOORD), Storage(layout=Layout.CUSTOM)
 

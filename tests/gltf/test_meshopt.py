@@ -18,11 +18,11 @@ from skinbake.gltf.document import read_document
 from skinbake.gltf.meshopt_filters import unfiltered
 from skinbake.gltf.primitives import read_primitive, skinned_sources
 from skinbake.gltf.views import view_bytes
-from tests.gltf.compressed import EXT, KHR, meshopt_twin
-from tests.gltf.models import FOLDER, bake
 from tests.support import corpus
+from tests.support.compressed import EXT, KHR, meshopt_twin
 from tests.support.decoders import read_plain
 from tests.support.gltf_reading import read
+from tests.support.models import FOLDER, bake
 
 PLACE = Place("x")
 RANDOM = np.random.default_rng(8)

@@ -14,8 +14,8 @@ from fixtures.builder import JsonObject
 from skinbake.commands.inspect import inspect_file
 from skinbake.gltf.document import read_document
 from skinbake.gltf.metadata import read_metadata
-from tests.gltf.models import FIXTURES, FOLDER, SHARED, bake, baked, note, primitives, rewritten
 from tests.support.gltf_reading import GltfFile
+from tests.support.models import FIXTURES, FOLDER, SHARED, bake, baked, note, primitives, rewritten
 
 
 def digest(values: Any, dtype: str) -> str:

@@ -15,7 +15,8 @@ from skinbake.geometry.skinned import Float64Array
 from skinbake.gltf.animation import clip_weights, read_clips
 from skinbake.gltf.morphs import read_targets, resting_weights, target_count
 from skinbake.gltf.primitives import skinned_sources
-from tests.gltf.test_animation import Builder, JsonObject, animate
+from tests.support.gltf_reading import JsonObject
+from tests.support.small_documents import Builder, animate
 
 V = 4
 POSITIONS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]], dtype=np.float32)

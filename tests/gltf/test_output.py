@@ -20,8 +20,8 @@ from skinbake.commands.strip import strip_file
 from skinbake.errors import OutputError
 from skinbake.gltf.document import read_document
 from skinbake.gltf.output import plan_output
-from tests.gltf.models import FOLDER, SHARED, SHARED_BIN, bake, copied, edited
 from tests.support.gltf_reading import read
+from tests.support.models import FOLDER, SHARED, SHARED_BIN, bake, copied, edited
 
 if sys.platform == "win32":
     pytest.skip("modes, links and limits of POSIX", allow_module_level=True)

@@ -19,8 +19,8 @@ from skinbake.gltf.primitives import (
     skinned_sources,
 )
 from skinbake.gltf.resources import encode_data_uri
-from tests.gltf.models import SHARED, Change, Part, copied, edited, sheet, write_model
 from tests.support.gltf_reading import read
+from tests.support.models import SHARED, Change, Part, copied, edited, sheet, write_model
 
 
 def sources(path: Path) -> tuple[Document, list[PrimitiveSource]]:

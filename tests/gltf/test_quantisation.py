@@ -12,11 +12,11 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from tests.gltf.models import FOLDER, baked, note, rewritten
 from tests.support import corpus, khronos
+from tests.support.baked_files import verify
 from tests.support.gltf_reading import GltfFile, read
-from tests.verify.baked_files import verify
-from tests.verify.straightforward import duff
+from tests.support.models import FOLDER, baked, note, rewritten
+from tests.support.straightforward import duff
 
 Floats = npt.NDArray[np.float64]
 

@@ -11,9 +11,9 @@ from fixtures.builder import JsonObject
 from skinbake.errors import InputError
 from skinbake.gltf.document import read_document
 from skinbake.gltf.skin_groups import meshes_of_one_skin
-from tests.gltf.cutting import cut_into_meshes
-from tests.gltf.models import FOLDER, edited, rewritten
+from tests.support.cutting import cut_into_meshes
 from tests.support.gltf_reading import read
+from tests.support.models import FOLDER, edited, rewritten
 
 
 def cut(folder: Path, change: Any = None, *, own_skins: bool = False) -> Path:

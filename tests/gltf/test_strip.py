@@ -19,7 +19,8 @@ from skinbake.errors import InputError
 from skinbake.gltf.baked import AttributeNames
 from skinbake.gltf.encodings import Encoding
 from skinbake.gltf.layouts import Layout, Storage
-from tests.gltf.models import (
+from tests.support.gltf_reading import GltfFile, read
+from tests.support.models import (
     FIXTURES,
     FOLDER,
     KEY,
@@ -37,7 +38,6 @@ from tests.gltf.models import (
     stripped,
     write_model,
 )
-from tests.support.gltf_reading import GltfFile, read
 
 OPTIONS: list[dict[str, Any]] = [
     {},

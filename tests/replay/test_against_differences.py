@@ -7,8 +7,8 @@ import pytest
 
 from skinbake.replay.algorithms import Algorithm
 from skinbake.replay.run import replay
-from tests import analytic
-from tests.replay.scene import rest_surface, sample, slots
+from tests.support import analytic
+from tests.support.analytic_rest import rest_surface, sample, slots
 
 EXACT_DEGREES = 1e-4
 

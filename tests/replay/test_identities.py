@@ -14,8 +14,8 @@ from skinbake.replay.algorithms import Algorithm
 from skinbake.replay.components import PosedVertex
 from skinbake.replay.run import replay
 from skinbake.replay.surface import RestSurface, SkinnedSurface
-from tests import analytic
-from tests.replay.scene import poses, rest_surface, sample, slots
+from tests.support import analytic
+from tests.support.analytic_rest import poses, rest_surface, sample, slots
 
 ACCURATE = [Algorithm.LBS_ACCURATE, Algorithm.DQS_ACCURATE, Algorithm.DQS_EXACT]
 DUAL_QUATERNIONS = [Algorithm.DQS_APPROXIMATED, Algorithm.DQS_ACCURATE, Algorithm.DQS_EXACT]

@@ -14,8 +14,8 @@ from skinbake.replay.algorithms import Algorithm
 from skinbake.replay.morphs import morphed
 from skinbake.replay.run import replay
 from skinbake.replay.surface import RestSurface
-from tests import analytic, morphing
-from tests.replay.scene import rest_surface, sample, slots
+from tests.support import analytic, morphing
+from tests.support.analytic_rest import rest_surface, sample, slots
 
 EXACT_DEGREES = 1e-4
 """Steps of the differences, seen from the mildest to the strongest bend: they are near 1e-8."""

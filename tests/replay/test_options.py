@@ -10,8 +10,8 @@ import pytest
 from skinbake.replay.algorithms import Algorithm
 from skinbake.replay.run import replay
 from skinbake.replay.surface import DEFAULT_CAP, Baseline, RestSurface
-from tests import analytic
-from tests.replay.scene import poses, rest_surface, sample
+from tests.support import analytic
+from tests.support.analytic_rest import poses, rest_surface, sample
 
 # The algorithm that is capped, and the one whose tangents are T t.
 CAPPED = [

@@ -8,7 +8,7 @@ import pytest
 from skinbake.replay import run
 from skinbake.replay.algorithms import Algorithm
 from skinbake.replay.run import replay
-from tests.replay import scene
+from tests.support import analytic_rest
 
 VECTORS = ("positions", "normals", "tangents", "bitangents")
 
@@ -16,8 +16,8 @@ VECTORS = ("positions", "normals", "tangents", "bitangents")
 @pytest.mark.parametrize("algorithm", list(Algorithm))
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 def test_many_poses_are_as_many_single_ones(algorithm: Algorithm, dtype: type) -> None:
-    rest = scene.rest_surface(scene.sample())
-    poses = np.concatenate([scene.poses()] * 6)
+    rest = analytic_rest.rest_surface(analytic_rest.sample())
+    poses = np.concatenate([analytic_rest.poses()] * 6)
     poses[:, :, :3] *= np.linspace(0.5, 2.0, len(poses))[:, None, None, None]
     together = replay(algorithm, rest, poses, dtype=dtype)
     for number, pose in enumerate(poses):
@@ -29,8 +29,8 @@ def test_many_poses_are_as_many_single_ones(algorithm: Algorithm, dtype: type) -
 
 @pytest.mark.parametrize("algorithm", [Algorithm.LBS_DIRECT, Algorithm.DQS_EXACT])
 def test_small_blocks_change_nothing(algorithm: Algorithm, monkeypatch: pytest.MonkeyPatch) -> None:
-    rest = scene.rest_surface(scene.sample())
-    poses = np.concatenate([scene.poses()] * 6)
+    rest = analytic_rest.rest_surface(analytic_rest.sample())
+    poses = np.concatenate([analytic_rest.poses()] * 6)
     whole = replay(algorithm, rest, poses)
     monkeypatch.setattr(run, "_BLOCK_BYTES", 8 * 100)
     monkeypatch.setattr(run, "_BLOCK_POSES", 7)

@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from typing import Any
 from xml.etree import ElementTree
 
 import jsonschema
@@ -21,125 +20,10 @@ from skinbake.report.verify import (
     as_text,
     gain,
 )
+from tests.support.schemas import VERIFY
 
 PLACE = Place("hero.glb", 2, "Body", 1)
 
-DEGREES = {"type": "number", "minimum": 0, "maximum": 180}
-PLACE_MEMBERS: dict[str, Any] = {
-    "mesh": {"type": "integer", "minimum": 0},
-    "mesh_name": {"type": "string"},
-    "primitive": {"type": "integer", "minimum": 0},
-    "attribute": {"type": "string"},
-}
-
-
-def closed(required: dict[str, Any], optional: dict[str, Any] | None = None) -> dict[str, Any]:
-    return {
-        "type": "object",
-        "properties": required | (optional or {}),
-        "required": sorted(required),
-        "additionalProperties": False,
-    }
-
-
-NOTICES = {
-    "type": "array",
-    "items": closed(
-        {
-            "code": {"type": "string"},
-            "message": {"type": "string"},
-            "count": {"type": "integer", "minimum": 0},
-        },
-        PLACE_MEMBERS,
-    ),
-}
-AMOUNT = {"type": "integer", "minimum": 0}
-WORST = closed(
-    {
-        "mesh": PLACE_MEMBERS["mesh"],
-        "primitive": PLACE_MEMBERS["primitive"],
-        "vertex": {"type": "integer", "minimum": 0},
-        "clip": {"type": "string"},
-        "time": {"type": ["number", "null"]},
-    },
-    {"mesh_name": PLACE_MEMBERS["mesh_name"]},
-)
-FIGURES = closed({"mean": DEGREES, "p95": DEGREES, "p99": DEGREES, "max": DEGREES, "worst": WORST})
-GAIN = {"type": ["number", "null"], "minimum": 0}
-NORMALS = closed(
-    {},
-    {
-        "lbs": closed({"approximated": FIGURES, "direct": FIGURES, "accurate": FIGURES, "gain": GAIN}),
-        "dqs": closed({"approximated": FIGURES, "accurate": FIGURES, "exact": FIGURES, "gain": GAIN}),
-    },
-)
-SECONDS = {"type": "number", "minimum": 0}
-TIMINGS = {"type": "object", "additionalProperties": SECONDS, "required": ["other"]}
-PROCESS_TIMINGS = closed(
-    {"start_up": {"type": ["number", "null"]}, "imports": SECONDS, "elapsed": SECONDS},
-)
-SCHEMA = closed(
-    {
-        "schema": {"const": "skinbake.verify/1"},
-        "exit_code": {"enum": [0, 1, 3, 4]},
-        "files": {
-            "type": "array",
-            "items": closed(
-                {
-                    "input": {"type": "string"},
-                    "passed": {"type": "boolean"},
-                    "up_to_date": {"type": "boolean"},
-                    "checks": {
-                        "type": "array",
-                        "items": closed(
-                            {
-                                "name": {
-                                    "enum": [
-                                        "structure",
-                                        "freshness",
-                                        "identity",
-                                        "lighting",
-                                        "limits",
-                                        "warnings",
-                                    ]
-                                },
-                                "outcome": {"enum": ["passed", "failed", "skipped"]},
-                                "remark": {"type": "string"},
-                                "problems": NOTICES,
-                            }
-                        ),
-                    },
-                    "poses": {"type": ["string", "null"]},
-                    "normals": {"anyOf": [{"type": "null"}, NORMALS]},
-                    "primitives": {
-                        "type": "array",
-                        "items": closed(
-                            {
-                                "mesh": PLACE_MEMBERS["mesh"],
-                                "primitive": PLACE_MEMBERS["primitive"],
-                                "normals": NORMALS,
-                            },
-                            {"mesh_name": PLACE_MEMBERS["mesh_name"]},
-                        ),
-                    },
-                    "morphs": {"anyOf": [{"type": "null"}, closed({"targets": AMOUNT, "moving": AMOUNT})]},
-                    "without_dqs": {"type": ["string", "null"]},
-                    "warnings": NOTICES,
-                    "error": {
-                        "anyOf": [
-                            {"type": "null"},
-                            closed(
-                                {"kind": {"type": "string"}, "message": {"type": "string"}}, PLACE_MEMBERS
-                            ),
-                        ]
-                    },
-                },
-                {"timings": TIMINGS},
-            ),
-        },
-    },
-    {"timings": PROCESS_TIMINGS},
-)
 """The JSON document, with no member that is not listed; CONVENTIONS.md says it in words."""
 
 
@@ -180,7 +64,7 @@ UNREADABLE = FileVerdict("no.glb", error=InputError("cannot be read", Place("no.
 
 def test_json_is_as_the_schema_has_it() -> None:
     document = as_json([PASSED, FAILED, UNREADABLE], exit_code=3)
-    jsonschema.validate(document, SCHEMA)
+    jsonschema.validate(document, VERIFY)
     assert json.loads(json.dumps(document, allow_nan=False)) == document
     assert [entry["passed"] for entry in document["files"]] == [True, False, False]
     assert document["files"][0]["normals"]["lbs"]["approximated"]["p99"] == 12.0
@@ -193,7 +77,7 @@ def test_the_schema_notices_a_missing_member(member: str) -> None:
     document = as_json([PASSED], exit_code=0)
     del document["files"][0][member]
     with pytest.raises(jsonschema.ValidationError):
-        jsonschema.validate(document, SCHEMA)
+        jsonschema.validate(document, VERIFY)
 
 
 @pytest.mark.parametrize(
@@ -209,7 +93,7 @@ def test_the_text_says_how_many_morph_targets_move(count: MorphCount, words: str
     assert f"true ones, over 60 poses of 3 clips (12 s); {words}." in as_text(moved)
     assert "morph" not in as_text(PASSED)
     document = as_json([moved], exit_code=0)
-    jsonschema.validate(document, SCHEMA)
+    jsonschema.validate(document, VERIFY)
     assert document["files"][0]["morphs"] == {"targets": count.targets, "moving": count.moving}
 
 

@@ -25,9 +25,8 @@ from skinbake.replay.algorithms import Algorithm
 from skinbake.replay.run import replay
 from skinbake.replay.surface import RestSurface
 from skinbake.shaders.choices import SLOTS_PER_SET, Method, ShaderChoices
-from tests import analytic
 from tests.shaders.combinations import ATTRIBUTES, columns
-from tests.support import corpus
+from tests.support import analytic, corpus
 
 Single = npt.NDArray[np.float32]
 Wide = npt.NDArray[np.float64]

@@ -8,10 +8,10 @@ import pytest
 from skinbake.geometry.dual_quaternions import dual_quaternions_from_matrices, matrices_from_dual_quaternions
 from skinbake.shaders.choices import BEST, Language, Method, ShaderChoices
 from skinbake.shaders.text import shader_text
-from tests.analytic import rotation_matrix
 from tests.shaders.running import WORKGROUP, Single, done
 from tests.shaders.scenes import shader_order
 from tests.support import opengl, webgpu
+from tests.support.analytic import rotation_matrix
 
 REACH = 3.0
 """The longest translation."""

@@ -28,12 +28,12 @@ from skinbake.replay.run import replay
 from skinbake.replay.surface import RestSurface
 from skinbake.shaders.choices import ALGORITHMS, Language, Lighting, Method, Morphs, ShaderChoices
 from skinbake.shaders.text import shader_text
-from tests import analytic, morphing
-from tests.replay.scene import rest_surface, sample
+from tests.support import analytic, morphing
+from tests.support.analytic_rest import rest_surface, sample
+from tests.support.baked_files import baked, source
+from tests.support.morphed_files import morphed as with_targets
+from tests.support.morphed_files import with_tangents
 from tests.support.strictness import missing_tool
-from tests.verify.baked_files import baked, source
-from tests.verify.test_morphs import morphed as with_targets
-from tests.verify.test_morphs import with_tangents
 
 KINDS = [("normal", Morphs.NORMAL), ("tangent", Morphs.NORMAL), ("tangent", Morphs.TANGENT)]
 

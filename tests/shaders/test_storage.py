@@ -21,9 +21,9 @@ from skinbake.gltf.layouts import Layout, Storage
 from skinbake.shaders import text as shader_texts
 from skinbake.shaders.choices import AttributeText, Language, Lighting, Method, ShaderChoices
 from skinbake.shaders.text import shader_text
-from tests.cli.running import invoke
-from tests.gltf.models import FOLDER, bake, baked, note, rewritten, sheet, write_model
+from tests.support.command_line import invoke
 from tests.support.gltf_reading import GltfFile, read
+from tests.support.models import FOLDER, bake, baked, note, rewritten, sheet, write_model
 from tests.support.strictness import missing_tool
 
 PACKED8, SNORM16 = Storage(Encoding.PACKED8), Storage(Encoding.SNORM16)

@@ -1,8 +1,8 @@
 """Find the corpus of real models, which is not part of this repository.
 
 It is looked for at SKINBAKE_CORPUS, else at ../shared/corpus beside the repository. Without it the tests
-that need it are skipped, in a strict run too: it is data, not a tool. At module level `parameters` keeps
-the other tests of the module running; every other function here skips the whole module.
+that need it are skipped, in a strict run too: it is data, not a tool. At module level `needed` and
+`parameters` keep the other tests of the module running; every other function here skips the whole module.
 """
 
 from __future__ import annotations
@@ -29,6 +29,10 @@ def find_corpus() -> Path | None:
     told = os.environ.get("SKINBAKE_CORPUS")
     folder = Path(told) if told else REPOSITORY.parent / "shared" / "corpus"
     return folder if (folder / "public" / "ATTRIBUTION.tsv").is_file() else None
+
+
+needed = pytest.mark.skipif(find_corpus() is None, reason=NOT_HERE)
+"""Marks a test, or a case of one, that takes a model of the corpus."""
 
 
 def require_corpus() -> Path:

@@ -28,8 +28,8 @@ from skinbake.replay.algorithms import Algorithm
 from skinbake.shaders.choices import AttributeText, Language, Lighting, Method, Morphs, ShaderChoices
 from skinbake.shaders.text import shader_text
 from tests.support import browser, corpus
-from tests.support.node import package_folder, require_node
-from tests.three.characters import (
+from tests.support.baked_files import Editable
+from tests.support.characters import (
     AS_USUAL,
     IDENTITY,
     Array,
@@ -41,7 +41,7 @@ from tests.three.characters import (
     column_by_column,
     unit,
 )
-from tests.verify.baked_files import Editable
+from tests.support.node import package_folder, require_node
 
 PAGE = """<!doctype html>
 <meta charset="utf-8">

@@ -11,9 +11,9 @@ import pytest
 
 from skinbake.gltf.encodings import Encoding
 from skinbake.gltf.layouts import Layout, Storage
-from tests.gltf.models import FIXTURES, FOLDER, bake
 from tests.support import corpus
-from tests.verify.baked_files import CESIUM_MAN, Editable, JsonObject, source, verify
+from tests.support.baked_files import CESIUM_MAN, Editable, JsonObject, source, verify
+from tests.support.models import FIXTURES, FOLDER, bake
 
 ALPHA, BETA = "_SKINBAKE_ALPHA_0", "_SKINBAKE_BETA_0"
 FEW = ("--poses", "random:2", "--method", "lbs")
@@ -29,7 +29,7 @@ STORAGES = [
 NAMES = ["packed8", "snorm16", "texcoord", "custom-packed8", "custom"]
 MODELS = [
     *(name for name in FIXTURES if name.endswith(".glb")),
-    pytest.param(CESIUM_MAN, marks=pytest.mark.skipif(corpus.find_corpus() is None, reason=corpus.NOT_HERE)),
+    pytest.param(CESIUM_MAN, marks=corpus.needed),
 ]
 
 Edit = Callable[[Editable], object]

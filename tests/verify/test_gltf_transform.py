@@ -23,7 +23,7 @@ from pathlib import Path
 import pytest
 
 from tests.support import corpus, gltf_transform
-from tests.verify.baked_files import CESIUM_MAN, Answer, Editable, baked, source, verify
+from tests.support.baked_files import CESIUM_MAN, Answer, Editable, baked, source, verify
 
 FEW = ("--poses", "random:2", "--method", "lbs")
 BAKE_LAST = "Bake last"
@@ -100,7 +100,7 @@ def test_quantised_attributes_are_recognised(transform: Transform) -> None:
     assert BAKE_LAST in problem["message"]
 
 
-@pytest.mark.skipif(corpus.find_corpus() is None, reason=corpus.NOT_HERE)
+@corpus.needed
 def test_quantised_rescaled_and_re_sorted_positions_are_recognised(transform: Transform) -> None:
     """glTF-Transform leaves attributes with values beyond ±1 alone, so α and β stay FLOAT here."""
     message = stale(transform(CESIUM_MAN, "quantize"))

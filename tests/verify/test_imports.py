@@ -4,7 +4,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from tests.verify.baked_files import baked, source
+from tests.support.baked_files import baked, source
 
 
 def test_verify_imports_without_its_heavy_libraries() -> None:

@@ -28,12 +28,10 @@ from skinbake.report.verify import FileVerdict, Normals
 from skinbake.verify import blending, lighting, metrics
 from skinbake.verify.blending import BlendedSurface
 from skinbake.verify.influences import normalised_weights
-from tests import analytic
-from tests.support import corpus
-from tests.verify.baked_files import CESIUM_MAN, Editable, baked, source, verify
-from tests.verify.straightforward import Character, degrees
+from tests.support import analytic, corpus
+from tests.support.baked_files import CESIUM_MAN, Editable, baked, source, verify
+from tests.support.straightforward import Character, degrees
 
-needs_corpus = pytest.mark.skipif(corpus.find_corpus() is None, reason=corpus.NOT_HERE)
 UNPROCESSED = ("draco", "meshopt", "bath_day.glb")
 FIXTURES = ["bent_tube.glb", "two_sets.glb", "two_primitives.glb", "mirrored_tangent.glb", "hard_edge.glb"]
 
@@ -45,7 +43,7 @@ def figures(path: Path, *options: str) -> dict[str, Any]:
     return found
 
 
-@needs_corpus
+@corpus.needed
 def test_the_figures_are_those_of_a_straightforward_computation(tmp_path: Path) -> None:
     path = baked(source(CESIUM_MAN), tmp_path)
     found = figures(path, "--samples", "3", "--method", "lbs")["lbs"]
@@ -66,7 +64,7 @@ def test_the_figures_are_those_of_a_straightforward_computation(tmp_path: Path) 
     assert found["gain"] == pytest.approx(found["approximated"]["mean"] / found["accurate"]["mean"])
 
 
-@needs_corpus
+@corpus.needed
 def test_the_worst_sample_is_where_it_says(tmp_path: Path) -> None:
     path = baked(source(CESIUM_MAN), tmp_path)
     found = figures(path, "--samples", "3", "--method", "lbs")["lbs"]
@@ -235,7 +233,7 @@ def test_the_command_line_passes_limits_on(tmp_path: Path) -> None:
         assert (answer.exit_code, answer.failed) == (1, ["limits"])
 
 
-@needs_corpus
+@corpus.needed
 def test_dual_quaternions_are_left_out_or_refused_where_joints_are_not_rigid(tmp_path: Path) -> None:
     path = baked(source("AFrameHands/leftHandLow.glb"), tmp_path)
     answer = verify(path, "--samples", "2")
@@ -266,7 +264,7 @@ def test_one_scaled_joint_is_named(tmp_path: Path) -> None:
     assert "dqs" not in verify(path, "--samples", "2").file["normals"]
 
 
-@needs_corpus
+@corpus.needed
 def test_mirroring_joints_are_told_and_measured(tmp_path: Path) -> None:
     """A left hand that is a right hand under a negative scale, with a clip of CUBICSPLINE keys."""
     answer = verify(baked(source("AFrameHands/leftHandLow.glb"), tmp_path), "--samples", "3")

@@ -13,20 +13,19 @@ from fixtures.builder import pack_glb
 from skinbake.commands.strip import strip_file
 from skinbake.gltf.animation import random_poses, read_skeleton
 from skinbake.gltf.document import read_document
-from tests.bake.models import path_of
-from tests.cli.running import document, invoke
-from tests.gltf.models import assert_buffers_kept, bake, baked, note, rewritten, stripped
 from tests.support import corpus, gltf_transform, khronos
+from tests.support.baked_arrays import path_of
+from tests.support.baked_files import verify
+from tests.support.command_line import document, invoke
 from tests.support.gltf_reading import read
-from tests.verify.baked_files import verify
-from tests.verify.straightforward import degrees, duff, unit
+from tests.support.models import assert_buffers_kept, bake, baked, note, rewritten, stripped
+from tests.support.straightforward import degrees, duff, unit
 
 TWO_SETS = "two_sets.glb"
-HERE = pytest.mark.skipif(corpus.find_corpus() is None, reason=corpus.NOT_HERE)
 MODELS = [
     TWO_SETS,
     *(
-        pytest.param(name, marks=HERE)
+        pytest.param(name, marks=corpus.needed)
         for name in ("hand_l-two-sets.glb", "pbrTest/pbrTest.gltf", "quad_skin/quad_skin.glb")
     ),
 ]
@@ -119,7 +118,7 @@ def test_a_bake_again_with_and_without(tmp_path: Path) -> None:
     assert (tmp_path / "whole.glb").read_bytes() == (tmp_path / "never.glb").read_bytes()
 
 
-@HERE
+@corpus.needed
 def test_joints_are_adopted_within_the_limit(tmp_path: Path) -> None:
     original = corpus.model("hand_l-two-sets.glb")
     result = bake(original, tmp_path / "out.glb", limit_influences=4)

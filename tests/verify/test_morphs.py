@@ -13,34 +13,12 @@ from skinbake.bake.baker import BakeSettings
 from skinbake.commands.poses import PoseRequest, draws_of, pose_set
 from skinbake.gltf.animation import read_clips
 from skinbake.gltf.document import read_document
-from tests.verify.baked_files import Editable, baked, source, verify
-from tests.verify.straightforward import Character, duff, unit
+from tests.support.baked_files import Editable, baked, source, verify
+from tests.support.morphed_files import morphed, with_tangents
+from tests.support.straightforward import Character, duff, unit
 
 Floats = npt.NDArray[np.floating[Any]]
 JsonObject = dict[str, Any]
-
-
-def warped(positions: Floats, normals: Floats, number: int) -> tuple[Floats, Floats]:
-    """Differences of positions and unit normals under a smooth warp of space, which depends on a number."""
-    x = positions.astype(np.float64)
-    wave = np.array([1.3, 2.1 + number, 1.7])
-    push = np.array([0.02, 0.06, 0.05 - 0.03 * number])
-    phase = x @ wave + number
-    jacobians = np.eye(3) + np.cos(phase)[:, None, None] * push[:, None] * wave
-    turned = unit(np.einsum("vji,vj->vi", np.linalg.inv(jacobians), normals.astype(np.float64)))
-    return np.sin(phase)[:, None] * push, turned - unit(normals.astype(np.float64))
-
-
-def morphed(path: Path, target: Path, *, targets: int = 2, **changes: Any) -> Path:
-    """Copy a GLB with morph targets on its first mesh; ``changes`` are members of its node (0)."""
-    file = Editable(path)
-    made = [warped(file.array("POSITION").copy(), file.array("NORMAL").copy(), n) for n in range(targets)]
-    file.primitive()["targets"] = [
-        {"POSITION": file.add(moved.astype(np.float32)), "NORMAL": file.add(turned.astype(np.float32))}
-        for moved, turned in made
-    ]
-    file.content["nodes"][0] |= changes
-    return file.write(target)
 
 
 def animate_weights(path: Path, weights: object, *, clip: int | None = 0, node: int = 0) -> Path:
@@ -155,16 +133,6 @@ def test_the_morphed_fixture_is_better_lit_in_either_frame(tmp_path: Path) -> No
         assert answer.file["morphs"] == {"targets": 2, "moving": 2}
         # 15 and 18, measured; 0.5 where the frame stays as it is at rest.
         assert answer.file["normals"]["lbs"]["gain"] > 12
-
-
-def with_tangents(path: Path, turned: float) -> Path:
-    """Give the first target tangents that differ by a turn about n0."""
-    file = Editable(path)
-    normals = unit(file.array("NORMAL").astype(np.float64))
-    tangents = file.array("TANGENT")[:, :3].astype(np.float64)
-    rotated = np.cos(turned) * tangents + np.sin(turned) * np.cross(normals, tangents)
-    file.primitive()["targets"][0]["TANGENT"] = file.add((rotated - tangents).astype(np.float32))
-    return file.write(path)
 
 
 def test_targets_of_tangents_carry_the_tangent_frame(tmp_path: Path) -> None:

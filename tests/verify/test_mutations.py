@@ -15,14 +15,14 @@ from skinbake.commands.lighting import VerifyOptions
 from skinbake.commands.poses import PoseRequest
 from skinbake.commands.verify import verify_file
 from tests.support import corpus
-from tests.verify.baked_files import CESIUM_MAN, Editable, baked, source, verify
+from tests.support.baked_files import CESIUM_MAN, Editable, baked, source, verify
 
 HERE = "here.glb"
 FEW = ("--poses", "random:2", "--method", "lbs")
 MODELS = [
     "bent_tube.glb",
     "two_sets.glb",
-    pytest.param(CESIUM_MAN, marks=pytest.mark.skipif(corpus.find_corpus() is None, reason=corpus.NOT_HERE)),
+    pytest.param(CESIUM_MAN, marks=corpus.needed),
 ]
 
 

@@ -12,7 +12,14 @@ from skinbake.geometry.skinned import Float64Array, SkinnedPrimitive
 from skinbake.verify.influences import weight_field
 from skinbake.verify.metrics import angular_errors, vertex_areas
 from skinbake.verify.operator import GradientOperator, Weighting, expected_alpha_beta, gradient_operator
-from tests.surfaces import MILD, AnalyticSurface, Triangulation, analytic_surface, bends, flat_triangulation
+from tests.support.surfaces import (
+    MILD,
+    AnalyticSurface,
+    Triangulation,
+    analytic_surface,
+    bends,
+    flat_triangulation,
+)
 
 WEIGHTINGS: tuple[Weighting, ...] = get_args(Weighting)
 

@@ -11,7 +11,7 @@ from skinbake.verify import reference
 from skinbake.verify.metrics import angular_errors, vertex_areas
 from skinbake.verify.operator import gradient_operator
 from skinbake.verify.reference import RestFrames, reference_normals, rest_frames
-from tests.surfaces import MILD, STRONG, AnalyticSurface, Triangulation, analytic_surface, bends
+from tests.support.surfaces import MILD, STRONG, AnalyticSurface, Triangulation, analytic_surface, bends
 
 NEARLY_A_LINE = np.array([[1.0, 0.5, 0.2], [0.0, 1e-9, 0.0], [0.0, 0.0, 1e-9]])
 

@@ -11,12 +11,12 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from tests.cli.running import document, invoke
-from tests.gltf.cutting import cut_into_meshes, halved
-from tests.gltf.models import Part, baked, rewritten, sheet, stripped, write_model
 from tests.support import corpus, khronos
+from tests.support.baked_files import verify
+from tests.support.command_line import document, invoke
+from tests.support.cutting import cut_into_meshes, halved
 from tests.support.gltf_reading import GltfFile, read
-from tests.verify.baked_files import verify
+from tests.support.models import Part, baked, rewritten, sheet, stripped, write_model
 
 FOLDER = Path(__file__).resolve().parents[2] / "fixtures"
 NAMES = ("_SKINBAKE_ALPHA_0", "_SKINBAKE_BETA_0", "JOINTS_0", "WEIGHTS_0")
@@ -52,7 +52,7 @@ def test_a_cut_mesh_has_the_bits_of_the_whole(own_skins: bool, tmp_path: Path) -
     assert verify(tmp_path / "apart.glb", *FEW).exit_code == 0
 
 
-@pytest.mark.skipif(corpus.find_corpus() is None, reason=corpus.NOT_HERE)
+@corpus.needed
 @pytest.mark.parametrize("name", ["CesiumMan/CesiumMan.glb", "Fox/fox.glb", "hand_l-weights-u8.glb"])
 def test_a_character_cut_in_half_is_baked_as_the_whole(name: str, tmp_path: Path) -> None:
     cut = cut_into_meshes(halved(corpus.model(name), tmp_path / "half.glb"), tmp_path / "cut.glb")

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from skinbake.replay.surface import RestSurface
-from tests import analytic
+from tests.support import analytic
 
 COLUMNS, ROWS = 24, 20
 

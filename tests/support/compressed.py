@@ -14,8 +14,8 @@ import numpy as np
 import pygltflib
 
 from fixtures.builder import AnyArray, JsonObject, pack_glb
-from tests.gltf.models import Change, rewritten
 from tests.support.gltf_reading import DRACO, MESHOPT, GltfFile, read
+from tests.support.models import Change, rewritten
 
 EXT, KHR = MESHOPT
 

@@ -10,9 +10,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import pytest
 from click.testing import CliRunner, Result
 
 from skinbake.cli.main import main
+
+LINUX = pytest.mark.skipif(sys.platform != "linux", reason="needs the signals of POSIX and /proc")
 
 
 def invoke(*arguments: str | Path, env: Mapping[str, str] | None = None) -> Result:

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from fixtures.builder import JsonObject, pack_glb
-from tests.gltf.models import rewritten
 from tests.support.gltf_reading import read
+from tests.support.models import rewritten
 
 
 def cut_into_meshes(source: Path, target: Path, *, own_skins: bool = False) -> Path:

@@ -13,8 +13,8 @@ from functools import partial
 import numpy as np
 
 from skinbake.geometry.morphs import Differences, MorphTarget, MorphTargets
-from tests import analytic
-from tests.analytic import Array, Sample, Surface
+from tests.support import analytic
+from tests.support.analytic import Array, Sample, Surface
 
 Displacement = Callable[[Array, Array], Array]
 

@@ -13,7 +13,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from fixtures.builder import JsonObject
-from tests.gltf.models import FOLDER, sheet, write_model
+from tests.support.models import FOLDER, sheet, write_model
 from tests.support.strictness import missing_tool
 
 if find_spec("fsspec") is None:

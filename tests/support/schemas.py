@@ -1,0 +1,272 @@
+"""The shapes of --json that CONVENTIONS.md documents, as JSON schemas."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jsonschema
+
+COUNT = {"type": "integer", "minimum": 0}
+TEXT = {"type": "string", "minLength": 1}
+PLACE = {
+    "mesh": COUNT,
+    "mesh_name": {"type": "string"},
+    "primitive": COUNT,
+    "attribute": TEXT,
+}
+
+
+def strict(properties: dict[str, Any], *, optional: dict[str, Any] | None = None) -> dict[str, Any]:
+    """Return the schema of an object with these members and no others."""
+    return {
+        "type": "object",
+        "properties": {**properties, **(optional or {})},
+        "required": list(properties),
+        "additionalProperties": False,
+    }
+
+
+WARNINGS = {
+    "type": "array",
+    "items": strict(
+        {
+            "code": {"type": "string", "pattern": "^[a-z]+(-[a-z]+)*$"},
+            "message": TEXT,
+            "count": {"type": "integer", "minimum": 1},
+        },
+        optional=PLACE,
+    ),
+}
+ERROR = {
+    "oneOf": [
+        {"type": "null"},
+        strict(
+            {
+                "kind": {"enum": ["InputError", "UnsupportedFeatureError", "OutputError"]},
+                "message": TEXT,
+            },
+            optional=PLACE,
+        ),
+    ]
+}
+SPREAD = strict({name: {"type": "number", "minimum": 0} for name in ("mean", "p99", "max")})
+LIMITED = {
+    "oneOf": [
+        {"type": "null"},
+        strict(
+            {
+                "influences": {"type": "integer", "multipleOf": 4, "minimum": 4},
+                "vertices": COUNT,
+                "left_out": {"type": "number", "minimum": 0, "maximum": 1},
+                "normals": SPREAD,
+                "positions": SPREAD,
+                "size": {"type": "number", "minimum": 0},
+                "poses": TEXT,
+            }
+        ),
+    ]
+}
+BAKED = strict(
+    {
+        "mesh": COUNT,
+        "primitive": COUNT,
+        "vertices": COUNT,
+        "triangles": COUNT,
+        "degenerate_triangles": COUNT,
+        "influences": {"type": "integer", "multipleOf": 4, "minimum": 4},
+        "frame": {"enum": ["tangent", "normal"]},
+        "generated_normals": {"type": "boolean"},
+        "adopting_vertices": COUNT,
+        "overflowing_vertices": COUNT,
+        "lost_gradient": {"type": "number", "minimum": 0, "maximum": 1},
+        "gradient": {"type": "number", "minimum": 0},
+        "added_bytes": COUNT,
+        "bytes_per_vertex": {"type": "integer", "minimum": 6},
+        "limited": LIMITED,
+    },
+    optional={"mesh_name": {"type": "string"}},
+)
+ANGLE = {"type": "number", "minimum": 0, "maximum": 180}
+ENCODING = {
+    "oneOf": [
+        {"type": "null"},
+        strict(
+            {
+                "name": {"enum": ["float32", "snorm16", "packed8"]},
+                "added_error": {"oneOf": [{"type": "null"}, strict({"mean": ANGLE, "p99": ANGLE})]},
+            }
+        ),
+    ]
+}
+SECONDS = {"type": "number", "minimum": 0}
+TIMINGS = {"type": "object", "additionalProperties": SECONDS, "required": ["other"]}
+PROCESS_TIMINGS = strict(
+    {"start_up": {"type": ["number", "null"]}, "imports": SECONDS, "elapsed": SECONDS},
+)
+BAKE = strict(
+    {
+        "schema": {"const": "skinbake.bake/1"},
+        "dry_run": {"type": "boolean"},
+        "exit_code": {"enum": [0, 3, 4]},
+        "files": {
+            "type": "array",
+            "minItems": 1,
+            "items": strict(
+                {
+                    "input": TEXT,
+                    "output": {"type": ["string", "null"]},
+                    "status": {"enum": ["baked", "unchanged", "up-to-date", "failed"]},
+                    "skipped": COUNT,
+                    "primitives": {"type": "array", "items": BAKED},
+                    "encoding": ENCODING,
+                    "warnings": WARNINGS,
+                    "error": ERROR,
+                },
+                optional={"timings": TIMINGS},
+            ),
+        },
+    },
+    optional={"timings": PROCESS_TIMINGS},
+)
+SUMMARY = strict(
+    {
+        "mesh": COUNT,
+        "primitive": COUNT,
+        "vertices": COUNT,
+        "triangles": COUNT,
+        "joints": COUNT,
+        "influence_sets": {"type": "integer", "minimum": 1},
+        "influences": COUNT,
+        "weight_sums": {"type": "array", "items": {"type": "number"}, "minItems": 2, "maxItems": 2},
+        "defects": {"type": "object", "additionalProperties": COUNT},
+        "frame": TEXT,
+        "attributes": {
+            "type": "object",
+            "additionalProperties": strict({"format": TEXT, "bytes": {"type": "integer", "minimum": 1}}),
+        },
+        "compression": {"type": ["string", "null"]},
+        "morph_targets": COUNT,
+        "baked": {
+            "oneOf": [
+                {"type": "null"},
+                strict(
+                    {
+                        "metadata": {"type": "object"},
+                        "changed": {"type": "array", "items": TEXT},
+                        "bytes": COUNT,
+                    }
+                ),
+            ]
+        },
+    },
+    optional={"mesh_name": {"type": "string"}},
+)
+INSPECT = strict(
+    {
+        "schema": {"const": "skinbake.inspect/1"},
+        "input": TEXT,
+        "bytes": COUNT,
+        "meshes": COUNT,
+        "skins": COUNT,
+        "animations": COUNT,
+        "primitives": {"type": "array", "items": SUMMARY},
+        "warnings": WARNINGS,
+    }
+)
+STRIP = strict(
+    {
+        "schema": {"const": "skinbake.strip/1"},
+        "input": TEXT,
+        "output": TEXT,
+        "primitives": COUNT,
+        "warnings": WARNINGS,
+    }
+)
+WORST = strict(
+    {
+        "mesh": PLACE["mesh"],
+        "primitive": PLACE["primitive"],
+        "vertex": COUNT,
+        "clip": {"type": "string"},
+        "time": {"type": ["number", "null"]},
+    },
+    optional={"mesh_name": PLACE["mesh_name"]},
+)
+FIGURES = strict({"mean": ANGLE, "p95": ANGLE, "p99": ANGLE, "max": ANGLE, "worst": WORST})
+GAIN = {"type": ["number", "null"], "minimum": 0}
+NORMALS = strict(
+    {},
+    optional={
+        "lbs": strict({"approximated": FIGURES, "direct": FIGURES, "accurate": FIGURES, "gain": GAIN}),
+        "dqs": strict({"approximated": FIGURES, "accurate": FIGURES, "exact": FIGURES, "gain": GAIN}),
+    },
+)
+VERIFY = strict(
+    {
+        "schema": {"const": "skinbake.verify/1"},
+        "exit_code": {"enum": [0, 1, 3, 4]},
+        "files": {
+            "type": "array",
+            "items": strict(
+                {
+                    "input": {"type": "string"},
+                    "passed": {"type": "boolean"},
+                    "up_to_date": {"type": "boolean"},
+                    "checks": {
+                        "type": "array",
+                        "items": strict(
+                            {
+                                "name": {
+                                    "enum": [
+                                        "structure",
+                                        "freshness",
+                                        "identity",
+                                        "lighting",
+                                        "limits",
+                                        "warnings",
+                                    ]
+                                },
+                                "outcome": {"enum": ["passed", "failed", "skipped"]},
+                                "remark": {"type": "string"},
+                                "problems": WARNINGS,
+                            }
+                        ),
+                    },
+                    "poses": {"type": ["string", "null"]},
+                    "normals": {"anyOf": [{"type": "null"}, NORMALS]},
+                    "primitives": {
+                        "type": "array",
+                        "items": strict(
+                            {
+                                "mesh": PLACE["mesh"],
+                                "primitive": PLACE["primitive"],
+                                "normals": NORMALS,
+                            },
+                            optional={"mesh_name": PLACE["mesh_name"]},
+                        ),
+                    },
+                    "morphs": {"anyOf": [{"type": "null"}, strict({"targets": COUNT, "moving": COUNT})]},
+                    "without_dqs": {"type": ["string", "null"]},
+                    "warnings": WARNINGS,
+                    "error": {
+                        "anyOf": [
+                            {"type": "null"},
+                            strict(
+                                {"kind": {"type": "string"}, "message": {"type": "string"}}, optional=PLACE
+                            ),
+                        ]
+                    },
+                },
+                optional={"timings": TIMINGS},
+            ),
+        },
+    },
+    optional={"timings": PROCESS_TIMINGS},
+)
+
+
+def checked(found: Any, schema: dict[str, Any]) -> Any:
+    """Return the document, which must be of this schema."""
+    jsonschema.Draft202012Validator.check_schema(schema)
+    jsonschema.validate(found, schema, cls=jsonschema.Draft202012Validator)
+    return found
