@@ -15,20 +15,25 @@ unexport PYTHONHOME PYTHONPATH VIRTUAL_ENV
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help bake test check lint fixtures golden picture table bench speeds clean
+.PHONY: help bake setup test test-all check lint fixtures golden picture table bench speeds clean
 
 help: ## List the targets
-	@awk 'BEGIN { FS = ":.*## " } /^[a-z]+:.*## / { printf "  make %-9s %s\n", $$1, $$2 }' Makefile
+	@awk 'BEGIN { FS = ":.*## " } /^[a-z-]+:.*## / { printf "  make %-9s %s\n", $$1, $$2 }' Makefile
 
 bake: $(PACKAGE) ## Set up .venv, bake a fixture into build/, and print what it gained
 	@mkdir -p build
 	$(BIN)/skinbake bake $(EXAMPLE) --out-dir build
 	$(BIN)/skinbake verify build/$(notdir $(EXAMPLE))
 
-test: $(DEV) $(NODE_MODULES) ## Set up .venv and tests/support, and run the tests
+setup: $(DEV) $(NODE_MODULES) ## Set up .venv and tests/support
+
+test: setup ## Set up, and run the tests without the slow ones: under two minutes
+	$(BIN)/python -m pytest -n $(WORKERS) -m "not slow"
+
+test-all: setup ## Set up, and run all tests
 	$(BIN)/python -m pytest -n $(WORKERS)
 
-check: lint test ## Run every check: style, types, layers, fixtures, tests
+check: lint test-all ## Run every check: style, types, layers, fixtures, all tests
 
 lint: $(DEV)
 	$(BIN)/ruff check

@@ -1,10 +1,21 @@
-"""What holds for all tests."""
+"""What holds for all tests; a run's first lines say what may be skipped, and why."""
 
 from __future__ import annotations
 
 import os
 
 import pytest
+
+from tests.support.corpus import NOT_HERE, find_corpus
+from tests.support.strictness import is_strict
+
+
+def pytest_report_header() -> list[str]:
+    """Say which models are used, and what a missing tool does."""
+    return [
+        f"corpus: {find_corpus() or NOT_HERE}",
+        f"a missing tool: its tests {'fail (SKINBAKE_STRICT=1)' if is_strict() else 'are skipped'}",
+    ]
 
 
 @pytest.fixture(autouse=True)
