@@ -152,6 +152,7 @@ def test_the_kernels_frame_from_normals_is_the_contracts_bit_by_bit() -> None:
     assert one.alpha[:4].any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("weighting", WEIGHTINGS)
 @pytest.mark.parametrize("name", ["foreign_joints.glb", CESIUM_MAN, PBR_TEST])
 def test_without_any_optimisation_the_bits_are_the_same(

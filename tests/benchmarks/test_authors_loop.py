@@ -56,6 +56,7 @@ def expected(mesh: Mesh) -> np.ndarray:
     return np.take_along_axis(means, mesh.joints[..., None].astype(np.int64), axis=1)
 
 
+@pytest.mark.slow
 def test_it_computes_the_mean_by_angle_and_area(mesh: Mesh, tmp_path: Path) -> None:
     program = peers.authors_loop(tmp_path)
     if program is None:
@@ -70,6 +71,7 @@ def test_it_computes_the_mean_by_angle_and_area(mesh: Mesh, tmp_path: Path) -> N
     np.testing.assert_allclose(found, expected(mesh), rtol=1e-4, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_it_says_what_is_wrong_with_a_file(tmp_path: Path) -> None:
     program = peers.authors_loop(tmp_path)
     if program is None:

@@ -13,6 +13,8 @@ import pytest
 from benchmarks.bend_picture import strongest_bend
 from tests.support.webgpu import NAGA
 
+pytestmark = pytest.mark.slow
+
 REPOSITORY = Path(__file__).resolve().parents[2]
 TIMEOUT_SECONDS = 300
 _FIGURES = re.compile(r"(\w+): mean ([\d.]+)°, p95 ([\d.]+)°, max ([\d.]+)°")

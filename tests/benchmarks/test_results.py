@@ -76,6 +76,7 @@ def character() -> str:
     return f"bake {model.name}, {model.stat().st_size / 1e6:.2f} MB"
 
 
+@pytest.mark.slow
 class TestQuickRun:
     def test_every_row_is_there(self, quick: Path) -> None:
         rows = table(quick.read_text(encoding="utf-8"))

@@ -30,6 +30,7 @@ def crates(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("choices", "names", "vertex_format"),
     [

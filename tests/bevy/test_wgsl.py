@@ -87,6 +87,7 @@ def _definitions() -> list[tuple[str, ...]]:
     return [("VERTEX_POSITIONS", "VERTEX_NORMALS", *" ".join(chosen).split()) for chosen in switches]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("implementation", [NAGA, TINT], ids=["naga", "tint"])
 def test_every_set_of_definitions_compiles(implementation: Implementation) -> None:
     jobs = {
@@ -136,6 +137,7 @@ def seen(characters: dict[str, Case]) -> dict[str, Seen]:
     return run(_cases() | characters)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("choices", CHOICES, ids=_name)
 def test_normals_and_positions_are_those_of_the_replay(choices: ShaderChoices, seen: dict[str, Seen]) -> None:
     given, found = _cases()[_name(choices)].given, seen[_name(choices)]
@@ -148,6 +150,7 @@ def test_normals_and_positions_are_those_of_the_replay(choices: ShaderChoices, s
     assert found.positions[:, 3] == pytest.approx(1.0, abs=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("choices", [each for each in CHOICES if each.cap is None], ids=_name)
 def test_tangents_are_moved_by_the_jacobian(choices: ShaderChoices, seen: dict[str, Seen]) -> None:
     given, found = _cases()[_name(choices)].given, seen[_name(choices)]
@@ -158,6 +161,7 @@ def test_tangents_are_moved_by_the_jacobian(choices: ShaderChoices, seen: dict[s
     assert (found.tangents[:, 3] == given.tangents[:, 3] * sides).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("frame", FRAMES)
 def test_normal_maps_keep_their_side_under_mirrored_joints(frame: str, seen: dict[str, Seen]) -> None:
     # n' × t' · w, from which Bevy makes the bitangent, is on the side of the bitangent that moved along.
@@ -168,6 +172,7 @@ def test_normal_maps_keep_their_side_under_mirrored_joints(frame: str, seen: dic
     assert (np.einsum("vi,vi->v", made, moved) > 0).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", _MORPHED)
 def test_morph_targets_carry_the_frame_along(name: str, seen: dict[str, Seen]) -> None:
     given, found, choices = scene(), seen[name], _MORPHED[name]
@@ -191,6 +196,7 @@ def test_frames_that_follow_otherwise_are_far_off() -> None:
         assert np.median(degrees_between(one, other)) > 100 * DEGREES
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lighting", [Lighting.ACCURATE, Lighting.DIRECT])
 @pytest.mark.parametrize("encoding", ["packed8", "snorm16"])
 def test_integers_are_what_the_file_means(
@@ -205,6 +211,7 @@ def test_integers_are_what_the_file_means(
     assert found.positions[:, :3] == pytest.approx(expected.positions[0], abs=1e-5)
 
 
+@pytest.mark.slow
 def test_a_mesh_that_is_not_baked_is_lit_as_bevy_does(seen: dict[str, Seen]) -> None:
     given, found = scene(), seen["not baked"]
     expected = np.einsum("vji,vj->vi", np.linalg.inv(_blended(given)), given.normals)

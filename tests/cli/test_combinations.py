@@ -35,7 +35,14 @@ def sources() -> list[Path]:
 
 
 @pytest.mark.parametrize(("storage", "gathering"), [*itertools.product(STORAGES, GATHERINGS)])
-@pytest.mark.parametrize("compression", [(), ("--compress", "meshopt"), ("--compress", "draco")])
+@pytest.mark.parametrize(
+    "compression",
+    [
+        (),
+        pytest.param(("--compress", "meshopt"), marks=pytest.mark.slow),
+        pytest.param(("--compress", "draco"), marks=pytest.mark.slow),
+    ],
+)
 def test_every_combination_verifies_repeats_and_is_undone(
     compression: tuple[str, ...], storage: tuple[str, ...], gathering: tuple[str, ...], tmp_path: Path
 ) -> None:

@@ -335,6 +335,7 @@ def run_interrupted(baking: Baking) -> str:
     return CliRunner().invoke(main, arguments, prog_name="skinbake").stderr
 
 
+@pytest.mark.slow
 @LINUX
 def test_two_runs_at_once_with_other_options_tell_no_lies(tmp_path: Path) -> None:
     folder, out = tmp_path / "in", tmp_path / "out"

@@ -33,6 +33,7 @@ def jobs_of(folder: Path, sources: list[Path], *, url: str = "") -> list[Job]:
     return [Job(f"{url}{source}", f"{url}{folder}/{source.name}") for source in sources]
 
 
+@pytest.mark.slow
 def test_a_worker_is_killed_midway(tmp_path: Path) -> None:
     sources = write_sheets(tmp_path / "in", 200)
     for job in jobs_of(tmp_path / "here", sources):
@@ -72,6 +73,7 @@ def _killed(client: Any, worker: Any) -> tuple[str, ...]:
     return held
 
 
+@pytest.mark.slow
 def test_plain_paths_travel_and_a_killer_harms_nobody_else(tmp_path: Path) -> None:
     sources = write_sheets(tmp_path / "in", 24)
     killer = write_sheets(tmp_path / "in", 1, prefix="killer")
@@ -98,6 +100,7 @@ def test_plain_paths_travel_and_a_killer_harms_nobody_else(tmp_path: Path) -> No
     assert len((tmp_path / "notes" / killer[0].name).read_bytes()) == 2  # among others, and alone
 
 
+@pytest.mark.slow
 def test_one_cluster_for_what_needs_no_deaths(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -223,6 +226,7 @@ def _without_workers_jobs_are_lost(found: Any, client: Any, jobs: list[Job]) -> 
     }
 
 
+@pytest.mark.slow
 def test_the_scheduler_goes_away(tmp_path: Path) -> None:
     write_sheets(tmp_path / "in", 120)
     out = tmp_path / "out"

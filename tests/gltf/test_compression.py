@@ -149,6 +149,7 @@ class TestKeep:
         assert all(primitive.baked for primitive in cost_of_file(path).primitives)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["plain", "draco", EXT, "beside"])
 @pytest.mark.parametrize("scheme", SCHEMES)
 @pytest.mark.parametrize("name", [ADOPTING, "bent_tube.glb"])
@@ -254,6 +255,7 @@ def test_extras_of_others_stay_theirs(kind: str, extras: Any, tmp_path: Path) ->
     assert json.dumps(stripped(tmp_path / "baked.glb", tmp_path / "s.glb").content) == content_of(source)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["draco", EXT, "beside"])
 def test_gltf_and_glb_become_each_other(kind: str, tmp_path: Path) -> None:
     bake(FOLDER / ADOPTING, tmp_path / "plain.glb")

@@ -28,12 +28,14 @@ def test_every_glsl_text_compiles(version: str) -> None:
     assert glslang.complaints(shaders) == {}
 
 
+@pytest.mark.slow
 def test_every_glsl_text_becomes_valid_spirv() -> None:
     """Those that differ in nothing but the algorithm are included together: the compiler starts slowly."""
     found = {name: glslang.spirv(glsl(group, "450")) for name, group in together(Language.GLSL).items()}
     assert {name: glslang.invalid(module) for name, module in found.items()} == dict.fromkeys(found, "")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("implementation", [webgpu.NAGA, webgpu.TINT], ids=["naga", "tint"])
 def test_every_wgsl_text_compiles(implementation: webgpu.Implementation) -> None:
     """By Tint those that ``test_run`` does not run."""

@@ -126,6 +126,7 @@ def versions(kind: str, choices: ShaderChoices) -> tuple[str, ...]:
 
 @pytest.mark.parametrize("implementation", [webgpu.NAGA, webgpu.TINT], ids=["naga", "tint"])
 class TestWgsl:
+    @pytest.mark.slow
     def test_every_combination(self, implementation: webgpu.Implementation) -> None:
         work = irregular_work(Language.WGSL)
         for name, found in run_wgsl(implementation, work).items():
@@ -141,6 +142,7 @@ class TestWgsl:
 
 
 class TestGlsl:
+    @pytest.mark.slow
     def test_every_combination(self, kind: str, context: opengl.Context) -> None:
         for choices, scene in irregular_work(Language.GLSL).values():
             for version in versions(kind, choices):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
+import re
 import shutil
 import struct
 from collections.abc import Callable
@@ -19,6 +20,7 @@ from tests.support.gltf_reading import DRACO, MESHOPT, read
 from tests.support.khronos import Finding, Report
 
 TUBE = FOLDER / "bent_tube.glb"
+IMPORT_OF_A_TEST = re.compile(r"^\s*(?:from|import) tests\b.*\btest_\w+", re.MULTILINE)
 
 
 def report(*, errors: list[str] | None = None, warnings: list[str] | None = None, at: str = "/") -> Report:
@@ -43,6 +45,17 @@ def failure_of(require: Callable[[], str]) -> str:
         require()
     assert caught.type is pytest.fail.Exception
     return str(caught.value)
+
+
+def test_no_test_module_imports_another() -> None:
+    """What several need lies in tests/support, so that any module can be run, moved or removed alone."""
+    modules = sorted(Path(corpus.REPOSITORY, "tests").rglob("test_*.py"))
+    assert len(modules) > 90
+    found = [module.name for module in modules if IMPORT_OF_A_TEST.search(module.read_text(encoding="utf-8"))]
+    assert found == []
+    assert IMPORT_OF_A_TEST.search("from tests.cli.test_json import BAKE")
+    assert IMPORT_OF_A_TEST.search("    from tests.cli import running, test_json")
+    assert not IMPORT_OF_A_TEST.search("from tests.support.models import FOLDER")
 
 
 class TestKhronos:

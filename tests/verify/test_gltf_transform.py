@@ -48,7 +48,15 @@ def transform(tmp_path_factory: pytest.TempPathFactory) -> Transform:
 
 
 @pytest.mark.parametrize(
-    "command", ["copy", "prune", "dedup", "resample", "sparse", "unlit", "flatten", "join", "metalrough"]
+    "command",
+    [
+        "copy",
+        "prune",
+        *(
+            pytest.param(command, marks=pytest.mark.slow)
+            for command in ("dedup", "resample", "sparse", "unlit", "flatten", "join", "metalrough")
+        ),
+    ],
 )
 def test_what_leaves_the_geometry_alone_leaves_the_bake_fresh(transform: Transform, command: str) -> None:
     answer = transform("foreign_joints.glb", command)
@@ -69,12 +77,14 @@ def test_other_vertices_are_told_from_damage(transform: Transform, command: str)
     assert "its vertices re-ordered, merged or split" in message
 
 
+@pytest.mark.slow
 def test_simplified_is_recognised(transform: Transform) -> None:
     message = stale(transform("bent_tube.glb", "simplify", "--ratio", "0.5", "--error", "0.01"))
     assert "α/β are wrong at" in message
     assert "the mesh simplified or edited" in message
 
 
+@pytest.mark.slow
 def test_optimized_is_recognised(transform: Transform) -> None:
     message = stale(
         transform("bent_tube.glb", "optimize", "--compress", "false", "--texture-compress", "false")
@@ -127,6 +137,7 @@ def test_compressing_after_a_bake_is_recognised(transform: Transform, command: s
     assert BAKE_LAST in message
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", ["weld", "reorder", "simplify", "draco"])
 def test_what_to_do_about_it_works(transform: Transform, tmp_path: Path, command: str) -> None:
     """Bake last: what the tool wrote, its old bake still in it, can be baked and is fresh again."""
