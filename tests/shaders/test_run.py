@@ -9,7 +9,7 @@ tangent where joints carry a vertex far between two poses.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -82,11 +82,14 @@ def assert_like_the_replay(choices: ShaderChoices, scene: Scene, found: Single) 
         assert not wrong.any(), f"{label(choices)}: {wrong.sum(axis=0)} rows differ by up to {worst}"
 
 
-def irregular_work(language: Language) -> dict[str, tuple[ShaderChoices, Scene]]:
-    return {
-        name: (choices, irregular(choices.influences, choices.method))
-        for name, choices in every_text(language).items()
-    }
+def irregular_work(every: Mapping[str, ShaderChoices]) -> Work:
+    return {name: (choices, irregular(choices.influences, choices.method)) for name, choices in every.items()}
+
+
+def algorithms(language: Language) -> dict[str, ShaderChoices]:
+    """All six, without any option."""
+    every = [ShaderChoices(language, method, lighting) for method, lighting in ALGORITHMS]
+    return {label(choices): choices for choices in every}
 
 
 def character_work(language: Language, character: Character, folder: Path) -> Work:
@@ -126,9 +129,14 @@ def versions(kind: str, choices: ShaderChoices) -> tuple[str, ...]:
 
 @pytest.mark.parametrize("implementation", [webgpu.NAGA, webgpu.TINT], ids=["naga", "tint"])
 class TestWgsl:
+    def test_every_algorithm(self, implementation: webgpu.Implementation) -> None:
+        work = irregular_work(algorithms(Language.WGSL))
+        for name, found in run_wgsl(implementation, work).items():
+            assert_like_the_replay(*work[name], found)
+
     @pytest.mark.slow
     def test_every_combination(self, implementation: webgpu.Implementation) -> None:
-        work = irregular_work(Language.WGSL)
+        work = irregular_work(every_text(Language.WGSL))
         for name, found in run_wgsl(implementation, work).items():
             assert_like_the_replay(*work[name], found)
 
@@ -142,9 +150,14 @@ class TestWgsl:
 
 
 class TestGlsl:
+    def test_every_algorithm(self, kind: str, context: opengl.Context) -> None:
+        for choices, scene in irregular_work(algorithms(Language.GLSL)).values():
+            version = versions(kind, choices)[-1]
+            assert_like_the_replay(choices, scene, run_glsl(context, version, choices, scene))
+
     @pytest.mark.slow
     def test_every_combination(self, kind: str, context: opengl.Context) -> None:
-        for choices, scene in irregular_work(Language.GLSL).values():
+        for choices, scene in irregular_work(every_text(Language.GLSL)).values():
             for version in versions(kind, choices):
                 assert_like_the_replay(choices, scene, run_glsl(context, version, choices, scene))
 
