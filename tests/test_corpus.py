@@ -190,6 +190,7 @@ class TestRealModels:
             strip_file(str(run.target), str(target))
             assert json.dumps(read(target).content) == json.dumps(read(run.source).content)
 
+    @pytest.mark.slow
     def test_every_container_becomes_the_other(self, runs: list[Run], tmp_path: Path) -> None:
         for number, run in enumerate(baked(runs)):
             suffix = ".gltf" if run.source.suffix == ".glb" else ".glb"
@@ -210,6 +211,7 @@ class TestRealModels:
             assert all(found.changed == () for found in bakes if found)
 
 
+@pytest.mark.slow
 def test_the_khronos_validator_finds_nothing_new(
     runs: list[Run], with_normals: list[Run], tmp_path: Path
 ) -> None:
@@ -307,6 +309,7 @@ class TestProcesses:
         assert "should not" not in process.stderr
         assert len(process.stdout.splitlines()) == len(sources)
 
+    @pytest.mark.slow
     def test_broken_files_end_in_0_or_3_without_a_traceback(self, tmp_path: Path) -> None:
         """All in one process, and every fortieth in one of its own."""
         sources = {source.name: source for source, _ in corpus.invalid_models()}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from pathlib import Path
 
 import pytest
@@ -18,7 +17,7 @@ STORAGES = (
     ("--encoding", "snorm16", "--layout", "custom"),
     ("--layout", "texcoord"),
 )
-GATHERINGS = ((), ("--weld", "skin", "--limit-influences", "4"))
+GATHERINGS = ((), pytest.param(("--weld", "skin", "--limit-influences", "4"), marks=pytest.mark.slow))
 COMPRESSED = (
     "hand_l-draco-sequential.glb",
     "barbarian-EXT_meshopt-high.glb",
@@ -34,7 +33,8 @@ def sources() -> list[Path]:
     return [*(FOLDER / name for name in FILES), *(path / name for path in derived for name in COMPRESSED)]
 
 
-@pytest.mark.parametrize(("storage", "gathering"), [*itertools.product(STORAGES, GATHERINGS)])
+@pytest.mark.parametrize("gathering", GATHERINGS)
+@pytest.mark.parametrize("storage", STORAGES)
 @pytest.mark.parametrize(
     "compression",
     [

@@ -59,6 +59,7 @@ def test_a_notice_makes_warnings_as_errors_fail(tmp_path: Path) -> None:
     assert (failing.exit_code, (tmp_path / "not.glb").exists()) == (3, False)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["draco", "edgebreaker", EXT, KHR])
 def test_damaged_data_ends_in_exit_3_or_0_and_never_in_a_traceback(kind: str, tmp_path: Path) -> None:
     """Bytes flipped and files cut inside the compressed data, all in one process."""

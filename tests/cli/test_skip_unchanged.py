@@ -509,6 +509,7 @@ def test_every_fixture_is_up_to_date_after_its_bake(tmp_path: Path) -> None:
         assert {file["status"] for file in document(result)["files"]} == {status}
 
 
+@pytest.mark.slow
 def test_streams_are_read_and_written_each_time(tmp_path: Path) -> None:
     seam, notes = FOLDER / "seam.glb", ["--skip-unchanged", "--state", str(tmp_path / "state")]
     for _ in range(2):

@@ -172,6 +172,7 @@ def test_where_other_files_have_all_names_nothing_is_stored(tmp_path: Path) -> N
     assert stored("memory://b/out") == before
 
 
+@pytest.mark.slow
 def test_verify_says_of_a_url_what_it_says_of_a_file(tmp_path: Path) -> None:
     baked_locally(tmp_path)
     upload(tmp_path / "out", "s3://b/out")

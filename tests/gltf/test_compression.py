@@ -513,6 +513,7 @@ def test_real_twins_have_the_same_gradients_within_their_quantisation(
     assert compared > 250
 
 
+@pytest.mark.slow
 def test_compressed_models_bake_verify_and_validate(tmp_path: Path) -> None:
     """All schemes on all compressed models of the corpus, in one run of the validator.
 
@@ -539,6 +540,7 @@ def _written_plain(source: Path, folder: Path) -> Path:
     return rewritten(model, folder / source.name)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", COMPRESSED)
 def test_what_bake_decoded_is_what_others_decode_of_its_output(name: str, tmp_path: Path) -> None:
     """Every attribute of before, and α/β: the reference decoder on the input and on the output."""

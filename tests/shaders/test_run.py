@@ -140,6 +140,7 @@ class TestWgsl:
         for name, found in run_wgsl(implementation, work).items():
             assert_like_the_replay(*work[name], found)
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("character", CHARACTERS, ids=lambda character: Path(character.path).stem)
     def test_characters(
         self, implementation: webgpu.Implementation, character: Character, tmp_path: Path
@@ -161,6 +162,7 @@ class TestGlsl:
             for version in versions(kind, choices):
                 assert_like_the_replay(choices, scene, run_glsl(context, version, choices, scene))
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("character", CHARACTERS, ids=lambda character: Path(character.path).stem)
     def test_characters(
         self, kind: str, context: opengl.Context, character: Character, tmp_path: Path
@@ -170,6 +172,7 @@ class TestGlsl:
             assert_like_the_replay(choices, scene, run_glsl(context, version, choices, scene))
 
 
+@pytest.mark.slow
 class TestMirroredJoints:
     """A mirrored joint's normal points where J⁻ᵀ n points, outside; without the option, inside."""
 

@@ -44,7 +44,7 @@ def joint_matrices(poses: int) -> Float64Array:
     return matrices
 
 
-@pytest.mark.parametrize("poses", [1, 2, 40])
+@pytest.mark.parametrize("poses", [1, 2, pytest.param(40, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("slots", [1, 4, 8])
 @pytest.mark.parametrize("baseline", list(Baseline))
 @pytest.mark.parametrize("cap", [None, 0.4])

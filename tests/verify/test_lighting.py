@@ -108,6 +108,7 @@ def deformable_models() -> list[Path]:
     return [path for path in corpus.valid_models() if not any(word in path.name for word in UNPROCESSED)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", corpus.parameters(deformable_models))
 def test_at_rest_every_lighting_gives_the_stored_normals(path: Path, tmp_path: Path) -> None:
     """Joint matrices that are the identity, whatever the file's nodes do; authored normals included."""
@@ -167,6 +168,7 @@ def animated_models() -> list[Path]:
     return [path for path in deformable_models() if read_document(str(path)).objects("animations")]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", corpus.parameters(animated_models))
 def test_every_animated_model_of_the_corpus_passes(path: Path, tmp_path: Path) -> None:
     target = baked(path, tmp_path, generate_normals=True)
@@ -362,6 +364,7 @@ def test_the_identity_check_fails_when_an_algorithm_is_wrong(
     assert "algorithms 2 and 3" in message
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["two_primitives.glb", "bent_tube.glb"])
 def test_the_figures_do_not_depend_on_blocks(
     tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch
