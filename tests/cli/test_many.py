@@ -479,14 +479,20 @@ def made(folder: Path) -> list[Path]:
 
 @LINUX
 @pytest.mark.parametrize("whom", ["group", "command"])
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_an_interrupt_ends_all_and_leaves_whole_files_only(
-    whom: str, running: Callable[..., subprocess.Popen[bytes]], grids: Path, tmp_path: Path
+    number: signal.Signals,
+    code: int,
+    whom: str,
+    running: Callable[..., subprocess.Popen[bytes]],
+    grids: Path,
+    tmp_path: Path,
 ) -> None:
     process = running()
     wait_for(lambda: len(made(tmp_path / "out")) >= 3)
-    (os.killpg if whom == "group" else os.kill)(process.pid, signal.SIGINT)
+    (os.killpg if whom == "group" else os.kill)(process.pid, number)
     _, errors = process.communicate(timeout=30)
-    assert process.returncode == 130, errors
+    assert process.returncode == code, errors
     assert b"Traceback" not in errors
     assert b"interrupted after " in errors
     wait_for(lambda: not group(process.pid), 10)

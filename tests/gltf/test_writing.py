@@ -143,9 +143,9 @@ class TestBelowTheRoot:
         """The model ships a folder "x#": to the check it was a fragment, to the open a folder."""
         model = tmp_path / "job" / "model"
         (model / "x#").mkdir(parents=True)
-        for folder, text in (("job", b"attacker"), ("home", b"victim")):
+        for folder, data in (("job", b"attacker"), ("home", b"victim")):
             (tmp_path / folder / ".ssh").mkdir(parents=True, exist_ok=True)
-            (tmp_path / folder / ".ssh" / "keys").write_bytes(text)
+            (tmp_path / folder / ".ssh" / "keys").write_bytes(data)
         (tmp_path / "home" / "build").mkdir()
         uri = "x#/../../.ssh/keys"
         text = json.dumps({"asset": {"version": "2.0"}, "images": [{"uri": uri}]})
@@ -193,6 +193,22 @@ class TestDurable:
         write_file([b"x"], str(tmp_path / "a"), sync=False)
         with pytest.raises(AssertionError):
             write_file([b"x"], str(tmp_path / "b"))
+
+    def test_a_temporary_name_that_cannot_be_removed_is_undone(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        original, calls = os.unlink, []
+
+        def failing(*arguments: Any, **options: Any) -> None:
+            calls.append(arguments)
+            if len(calls) == 1:
+                raise OSError(errno.EIO, os.strerror(errno.EIO))
+            original(*arguments, **options)
+
+        monkeypatch.setattr(os, "unlink", failing)
+        with pytest.raises(OutputError, match="Input/output error"):
+            write_files(tmp_path, {tmp_path / "x": [b"1"], tmp_path / "t": [b"2"]}, "t")
+        assert list(tmp_path.iterdir()) == []
 
     @pytest.mark.parametrize("call", [1, 2, 3, 4])
     def test_a_disk_that_fails_is_an_output_error(

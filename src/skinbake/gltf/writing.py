@@ -341,8 +341,7 @@ def _rename(begun: _Begun, place: Place) -> None:
     """Give all files their names, the last one last; only that one replaces another."""
     *beside, last = begun.written
     for one in beside:
-        if _put_new(one, place):
-            begun.created.append((one.folder, one.name))
+        _put_new(one, begun, place)
     is_new = _there(last.folder, last.name) is None
     descriptor = last.folder.descriptor
     os.replace(
@@ -356,26 +355,28 @@ def _rename(begun: _Begun, place: Place) -> None:
     begun.is_done, begun.is_new = True, is_new
 
 
-def _put_new(one: _Written, place: Place) -> bool:
-    """Give a file a name that no other has; False where one with the same content has it already."""
+def _put_new(one: _Written, begun: _Begun, place: Place) -> None:
+    """Give a file a name that no other has, unless one with the same content has it already."""
     descriptor = one.folder.descriptor
     source, goal = one.folder.name(one.temporary), one.folder.name(one.name)
     try:
-        _name_anew(source, goal, descriptor)
+        is_renamed = _name_anew(source, goal, descriptor)
     except FileExistsError:
         if not _has_content(one):
             message = f"cannot be written: another run has put its {one.name} there meanwhile"
             raise TakenError(message, place) from None
+        is_renamed = False
+    else:
+        begun.created.append((one.folder, one.name))
+    if not is_renamed:
         os.unlink(source, dir_fd=descriptor)
-        return False
-    return True
 
 
-def _name_anew(source: str, goal: str, descriptor: int | None) -> None:
-    """Rename a file; FileExistsError where the name is taken."""
+def _name_anew(source: str, goal: str, descriptor: int | None) -> bool:
+    """Give a file a name; FileExistsError where that is taken. False: it still has its old one too."""
     if not BY_DESCRIPTOR:
         os.rename(source, goal)  # Windows replaces nothing
-        return
+        return True
     try:
         os.link(source, goal, src_dir_fd=descriptor, dst_dir_fd=descriptor, follow_symlinks=False)
     except OSError as error:
@@ -384,8 +385,8 @@ def _name_anew(source: str, goal: str, descriptor: int | None) -> None:
         if goal in os.listdir(descriptor):
             raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST)) from error
         os.rename(source, goal, src_dir_fd=descriptor, dst_dir_fd=descriptor)
-    else:
-        os.unlink(source, dir_fd=descriptor)
+        return True
+    return False
 
 
 def _has_content(one: _Written) -> bool:
