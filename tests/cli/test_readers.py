@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.cli.running import run
-from tests.gltf.models import FOLDER
+from tests.support.command_line import run
+from tests.support.models import FOLDER
 
 if sys.platform == "win32":
     pytest.skip("pipes of POSIX", allow_module_level=True)

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.cli.running import invoke
-from tests.gltf.models import SHARED, SHARED_BIN, bake, copied
+from tests.support.command_line import invoke
+from tests.support.models import SHARED, SHARED_BIN, bake, copied
 
 Link = Callable[[Path, Path], object]
 

@@ -12,8 +12,8 @@ import pytest
 
 from skinbake.cli.console import json_text
 from skinbake.errors import Place, printable_lines
-from tests.cli.running import run
-from tests.gltf.models import edited
+from tests.support.command_line import run
+from tests.support.models import edited
 
 if sys.platform == "win32":
     pytest.skip("no file has such a name on Windows", allow_module_level=True)

@@ -18,7 +18,7 @@ from skinbake.commands.bake import BakeOptions
 from skinbake.commands.batch_bake import BakeJob, BakeWork
 from skinbake.commands.state import HEADER, NAME, Recipe, State, recipe
 from skinbake.errors import InputError
-from tests.gltf.models import copied
+from tests.support.models import copied
 
 KEY = b'{"key": "bake a.glb", '
 DAMAGED = {

@@ -28,6 +28,7 @@ from tests.support.gltf_reading import DRACO, GltfFile, read
 from tests.support.models import FOLDER, primitives, rewritten
 
 TWIN = "foreign_joints.glb"
+PLACE = Place("model.glb")
 CORPUS = [
     "BathDay/bath_day.glb",  # JOINTS_0 of unsigned shorts
     "barbarian-draco-edgebreaker.glb",

@@ -31,8 +31,8 @@ from skinbake.gltf.writing import (
     write_file,
     write_files,
 )
-from tests.gltf.models import FOLDER, copied
 from tests.support.gltf_reading import read
+from tests.support.models import FOLDER, copied
 
 if sys.platform == "win32":
     pytest.skip("links, locks and signals of POSIX", allow_module_level=True)
