@@ -60,7 +60,8 @@ def surface_slots(surface: Surface, *, weighting: str, adopt: bool) -> SurfaceSl
     With ``adopt``, joints that vary around a vertex without being its own move into free slots.
     """
     if kernel.compiled is None:
-        return _by_numpy(surface, weighting=weighting, adopt=adopt)
+        with np.errstate(over="ignore", invalid="ignore"):  # the compiled loops overflow without a word too
+            return _by_numpy(surface, weighting=weighting, adopt=adopt)
     shape = surface.field.joints.shape
     alpha, beta = (np.empty((shape[0], shape[1] - 1), dtype=np.float32) for _ in range(2))
     adopted = np.zeros(shape, dtype=np.int32)  # memory that stays untouched where nothing is adopted

@@ -279,12 +279,12 @@ def _check_finite(source: PrimitiveSource, primitive: SkinnedPrimitive, outcome:
         bad = ~slots.all(axis=1)
         count += int(np.count_nonzero(bad))
         if outcome.frame == TANGENT_FRAME and primitive.tangents is not None:
-            of_tangents |= not np.isfinite(primitive.tangents[rows][bad]).all()
+            of_tangents |= bool((np.abs(primitive.tangents[rows][bad]) > 2.0).any())
     if not count:
         return
     vertices = "1 vertex" if count == 1 else f"{count} vertices"
     advice = (
-        "their TANGENT is not finite: mend it, or take --frame normal"
+        "their TANGENT is not of length 1: mend it, or take --frame normal"
         if of_tangents
         else "they lie closer together than float32 can hold a slope for: scale the model up, or merge them"
     )

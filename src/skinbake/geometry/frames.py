@@ -13,7 +13,8 @@ NORMAL_FRAME = "normal"
 
 def unit_vectors(vectors: FloatArray) -> Float64Array:
     """Return vectors (V, 3) normalised, float64; one without a finite length becomes (0, 0, 1)."""
-    wide = vectors.astype(np.float64)
+    with np.errstate(invalid="ignore"):  # a signalling NaN
+        wide = vectors.astype(np.float64)
     x, y, z = wide.T
     length = np.sqrt(x * x + y * y + z * z)[:, None]
     sound = has_direction(vectors)[:, None]
@@ -71,8 +72,10 @@ def tangent_deviation(normals: Float32Array, tangents: FloatArray) -> Float64Arr
 
     180 where TANGENT has no finite length, or a handedness other than 1 or −1.
     """
-    tangent, bitangent = frame_from_tangent(normals, tangents.astype(np.float64))
-    handedness = np.nan_to_num(tangents[:, 3].astype(np.float64))
+    with np.errstate(invalid="ignore"):  # a signalling NaN
+        wide = tangents.astype(np.float64)
+    tangent, bitangent = frame_from_tangent(normals, wide)
+    handedness = np.nan_to_num(wide[:, 3])
     rebuilt = np.cross(tangent, bitangent) * handedness[:, None]
     sine = np.linalg.norm(np.cross(normals, rebuilt), axis=1)
     cosine = np.einsum("ij,ij->i", normals.astype(np.float64), rebuilt)

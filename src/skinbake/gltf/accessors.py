@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from skinbake.errors import InputError, Place
-from skinbake.geometry.skinned import FloatArray
+from skinbake.geometry.skinned import Float64Array, FloatArray
 from skinbake.gltf import draco
 from skinbake.gltf.document import Document
 from skinbake.gltf.formats import COMPONENT_NAMES, COMPONENTS, MATRIX_ROWS, component_dtype
@@ -41,6 +41,11 @@ class StoredArray:
         if not self.normalized:
             return decoded
         return np.asarray(np.maximum(decoded / np.iinfo(values.dtype.str).max, -1.0))
+
+    def wide(self) -> Float64Array:
+        """Return the decoded values as float64, not-a-numbers of every kind among them."""
+        with np.errstate(invalid="ignore"):  # casting a signalling NaN
+            return self.decoded().astype(np.float64)
 
 
 def read_accessor(document: Document, number: int, place: Place) -> StoredArray:

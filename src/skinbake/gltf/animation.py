@@ -310,7 +310,7 @@ def _wide(document: Document, number: int, place: Place) -> Float64Array:
     # Once decoded, once widened; and as much again where components change places.
     size = stored.decoded_size + 16 * stored.values.size
     document.budget.claim(size, f"accessor {number} of an animation or skin", place)
-    return stored.decoded().astype(np.float64)
+    return stored.wide()
 
 
 def _key_times(document: Document, number: int, place: Place) -> Float64Array:

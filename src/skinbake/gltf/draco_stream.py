@@ -232,6 +232,9 @@ QUANTISABLE = {"POSITION": 3, "NORMAL": 3, "TEXCOORD_0": 2}
 GRID_BITS, GRID_SAMPLES = range(4, 25), 64
 """Numbers of bits that are looked for, and how many vertices sort out most of them before all are tried."""
 
+LARGEST_EXTENT = 1e38
+"""Largest side of a bounding box that a grid is looked for in: past it numbers near the next overflow."""
+
 _TYPES = {0: "POSITION", 1: "NORMAL", 3: "TEXCOORD_0"}
 """By Draco's number of a semantic, the attribute that ``_encoded`` stores under it."""
 
@@ -329,7 +332,7 @@ def _grid(name: str, values: npt.NDArray[Any]) -> _Grid | None:
     origin = values.min(axis=0)
     with np.errstate(over="ignore"):
         extent = np.float32((values.max(axis=0) - origin).max())
-    if not np.isfinite(extent):  # no grid spans more than a float32 can say
+    if extent > LARGEST_EXTENT:
         return None
     for steps in (0, -1, 1, -2, 2, -3, 3):
         span = np.float32(extent + steps * np.spacing(extent))

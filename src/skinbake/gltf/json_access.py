@@ -79,6 +79,17 @@ def every_object(root: object) -> Iterator[JsonObject]:
             left += node
 
 
+def is_deeper(value: object, levels: int) -> bool:
+    """Tell whether arrays and objects are nested in more levels than these."""
+    layer = [value]
+    for _ in range(levels):
+        inner = [list(node.values()) if isinstance(node, dict) else node for node in layer]
+        layer = [entry for node in inner if isinstance(node, list) for entry in node]
+        if not layer:
+            return False
+    return any(isinstance(node, list | dict) for node in layer)
+
+
 def reference(value: object) -> int | None:
     """Return what refers to an entry of an array as an integer, None where it does not; 3.0 is 3."""
     if isinstance(value, float) and value.is_integer():

@@ -13,9 +13,12 @@ from skinbake.geometry.frames import TANGENT_FRAME
 from skinbake.geometry.skinned import SkinnedPrimitive
 from skinbake.gltf.additions import KEY
 from skinbake.gltf.document import Document
-from skinbake.gltf.json_access import JsonObject, reference
+from skinbake.gltf.json_access import JsonObject, is_deeper, reference
 
 VERSION = 1
+
+DEEPEST_NOTE = 32
+"""Levels of a note that can be ours: bake writes two."""
 
 FORMER_ATTRIBUTES = "formerAttributes"
 """The member that lists a primitive's attributes before a bake that limited its influences."""
@@ -96,4 +99,6 @@ def slot_names(note: JsonObject) -> list[str]:
 def _noted(holder: JsonObject) -> JsonObject | None:
     extras = holder.get("extras")
     note = extras.get(KEY) if isinstance(extras, dict) else None
-    return note if isinstance(note, dict) and isinstance(note.get("version"), int) else None
+    if not isinstance(note, dict) or not isinstance(note.get("version"), int):
+        return None
+    return None if is_deeper(note, DEEPEST_NOTE) else note

@@ -206,7 +206,7 @@ def _tail_of_bake(document: Document, removed: set[int], streams: set[int]) -> _
     kept = len(accessors) - len(removed)
     if not removed or removed != set(range(kept, len(accessors))):
         return None
-    ours = {accessors[number].get("bufferView") for number in removed} - {None} | streams
+    ours = _numbers(accessors[number].get("bufferView") for number in removed) | streams
     first = len(views) - len(ours)
     if not ours or ours != set(range(first, len(views))):
         return None
@@ -256,8 +256,8 @@ def _views_of(holders: list[JsonObject]) -> Iterator[int]:
         sparse = holder.get("sparse")
         parts = [sparse.get("indices"), sparse.get("values")] if isinstance(sparse, dict) else []
         for part in (holder, *parts):
-            view = part.get("bufferView") if isinstance(part, dict) else None
-            if isinstance(view, int):
+            view = json_access.reference(part.get("bufferView")) if isinstance(part, dict) else None
+            if view is not None:
                 yield view
 
 
