@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 import subprocess
+import sys
 import sysconfig
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -235,12 +236,80 @@ class TestArguments:
             ("ends", np.zeros(0, dtype=np.uint64), ValueError),
             ("sums", np.zeros((2, 4)), ValueError),
             ("class_count", 2, IndexError),
+            ("class_count", 4, ValueError),
+            ("class_count", -1, ValueError),
+            ("joints", np.zeros((3, 1), dtype=np.int32), ValueError),
+            ("joints", np.full((3, 4), 2**31 - 1, dtype=np.int32), ValueError),
         ],
     )
     def test_wrong_ones_are_refused(self, name: str, value: Any, error: type[Exception]) -> None:
         assert kernel.compiled is not None
         with pytest.raises((error, ValueError) if error is BufferError else error):
             kernel.compiled.bake(*{**self.arguments(), name: value}.values())
+
+    def test_a_surface_without_vertices_has_no_classes(self) -> None:
+        assert kernel.compiled is not None
+        empty = {
+            name: value[:0] if isinstance(value, np.ndarray) and name not in ("ends", "sums") else value
+            for name, value in self.arguments().items()
+        }
+        empty["ends"] = np.zeros(1, dtype=np.uint64)
+        kernel.compiled.bake(*{**empty, "class_count": 0}.values())
+        with pytest.raises(ValueError, match="weld classes"):
+            kernel.compiled.bake(*{**empty, "class_count": -1}.values())
+
+    def test_vertices_without_slots_are_refused(self) -> None:
+        assert kernel.compiled is not None
+        joints, weights, free = np.zeros((3, 0), np.int32), np.zeros((3, 0)), np.zeros((3, 0), np.bool_)
+        with pytest.raises(ValueError, match="at least 1"):
+            kernel.compiled.normalise(joints, weights, free, 0.99, 1e-3)
+
+
+RACE = """
+import sys, threading
+import numpy as np
+from skinbake import _kernel
+chance, V, S = np.random.default_rng(int(sys.argv[1])), 40_000, 4
+positions = chance.normal(size=(V, 3)).astype(np.float32)
+triangles = chance.integers(0, V, (2 * V, 3)).astype(np.uint32)
+joints = chance.integers(0, 30, (V, S)).astype(np.int32)
+weights, free = chance.random((V, S)), np.zeros((V, S), np.bool_)
+classes, ends = (np.arange(V) // 2).astype(np.int32), np.array([V // 2, V], np.uint64)
+kept = [array.copy() for array in (triangles, joints, classes, ends)]
+going = True
+
+def spoil():
+    chance = np.random.default_rng(7)
+    while going:
+        triangles[chance.integers(2 * V, size=200)] = chance.choice([2**32 - 1, V, 2**31 - 1, 3])
+        joints[chance.integers(V, size=200)] = chance.choice([29, 2**31 - 1, 10**5])
+        classes[chance.integers(V, size=200)] = chance.choice([2**31 - 1, 0, 5, V // 2])
+        ends[:] = 2**60
+
+for turn in range(12):
+    for array, before in zip((triangles, joints, classes, ends), kept):
+        array[...] = before
+    alpha = np.empty((V, S - 1), np.float32)
+    frames = np.zeros((0, 3), np.float32)
+    going, other = True, threading.Timer(0.002 * turn, spoil)
+    other.start()
+    try:
+        _kernel.bake(positions, triangles, joints, weights, free, classes, positions, frames, frames, alpha,
+                     alpha.copy(), np.zeros((V, S), np.int32), ends, np.zeros((2, 4)), V // 2, 1, True, 1e-4)
+    except (IndexError, ValueError):
+        pass
+    going = False
+    other.join()
+"""
+
+
+def test_arrays_that_change_meanwhile_never_lead_the_loops_astray() -> None:
+    """Another thread writes to the arrays while the compiled loops, without the GIL, read them."""
+    for seed in range(2):
+        process = subprocess.run(
+            [sys.executable, "-c", RACE, str(seed)], capture_output=True, timeout=120, check=False
+        )
+        assert process.returncode == 0, process.stderr.decode()
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
