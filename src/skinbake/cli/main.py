@@ -137,13 +137,17 @@ def _said(text: str, code: int) -> int:
     return code
 
 
+class _Stopped(KeyboardInterrupt):
+    """Ctrl-C or SIGTERM. Of KeyboardInterrupt itself Python dies, where it came out of an exec, though caught."""
+
+
 def _watch_for_signals() -> list[int]:
-    """Return a list to which Ctrl-C and SIGTERM are added before they raise KeyboardInterrupt."""
+    """Return a list to which Ctrl-C and SIGTERM are added before they are raised as exceptions."""
     received: list[int] = []
 
     def note(signum: int, frame: object) -> None:
         received.append(signum)
-        raise KeyboardInterrupt
+        raise _Stopped
 
     if current_thread() is main_thread():
         for number, usual in (
