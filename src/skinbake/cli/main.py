@@ -138,7 +138,7 @@ def _said(text: str, code: int) -> int:
 
 
 class _Stopped(KeyboardInterrupt):
-    """Ctrl-C or SIGTERM. KeyboardInterrupt itself, once it left an exec, kills Python though it was caught."""
+    """Ctrl-C or SIGTERM. KeyboardInterrupt itself, once it left an exec, kills Python though it is caught."""
 
 
 def _watch_for_signals() -> list[int]:
