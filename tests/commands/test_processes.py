@@ -6,6 +6,7 @@ import os
 import signal
 import sys
 import time
+from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -14,9 +15,20 @@ import pytest
 
 from skinbake.commands import processes
 from skinbake.commands.batch import FirstThese, InThisProcess, in_order
-from skinbake.commands.processes import Processes
+from skinbake.commands.processes import Limits, Processes
 from skinbake.errors import SkinbakeError
-from tests.commands.works import Crashing, Deadly, DeadlyOnce, Raising, Slow, Surroundings, Unborn, Work
+from tests.commands.works import (
+    Crashing,
+    Deadly,
+    DeadlyOnce,
+    Deaf,
+    Hungry,
+    Raising,
+    Slow,
+    Surroundings,
+    Unborn,
+    Work,
+)
 
 POSIX = pytest.mark.skipif(sys.platform == "win32", reason="needs the signals of POSIX")
 
@@ -146,3 +158,47 @@ def test_those_that_take_turns_come_first_in_order() -> None:
     runner = FirstThese((4, 1), InThisProcess(), Backwards())
     found = [(number, result[0]) for number, result in runner.run(Work(), range(6))]
     assert found == [(1, 2), (4, 8), (5, 10), (3, 6), (2, 4), (0, 0)]
+
+
+def limited(work: Any, jobs: Sequence[Any], limits: Limits, workers: int = 2) -> dict[int, Any]:
+    """Run jobs within limits."""
+    with closing(Processes(workers, limits=limits).run(work, jobs)) as results:  # type: ignore[type-var]
+        return dict(results)
+
+
+@POSIX
+def test_who_takes_too_long_is_told_to_stop_and_lost_alone(tmp_path: Path) -> None:
+    start = time.monotonic()
+    found = limited(Slow(tmp_path), [0.0, 60.0, 0.0, 0.0, 60.0, 0.0], Limits(seconds=0.5))
+    assert time.monotonic() - start < 30
+    assert {number for number, result in found.items() if result[0] == "lost"} == {1, 4}
+    assert found[1] == ("lost", 60.0, "it took longer than 0.5 s (--timeout)")
+    assert list(tmp_path.iterdir()) == []  # what it had begun is undone
+
+
+@POSIX
+def test_who_does_not_stop_is_killed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(processes, "GRACE", 0.5)
+    start = time.monotonic()
+    found = limited(Deaf(), range(6), Limits(seconds=0.5))
+    assert time.monotonic() - start < 30
+    assert found[1] == ("lost", 1, "it took longer than 0.5 s (--timeout)")
+    assert [found[number][0] for number in (0, 2, 3, 4, 5)] == [0, 4, 6, 8, 10]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux holds to the limit")
+def test_a_worker_has_no_more_memory_than_its_limit() -> None:
+    size = 64 << 20
+    found = limited(Hungry(), [size, processes.BASE + 2 * size], Limits(memory=size))
+    assert found[0][0] == size
+    assert found[1][0] == "too much"
+
+
+@POSIX
+def test_with_a_limit_of_memory_each_job_has_a_process_of_its_own() -> None:
+    found = limited(Work(), range(6), Limits(memory=1 << 30))
+    assert {number: result[0] for number, result in found.items()} == {n: 2 * n for n in range(6)}
+    assert len({pid for _, pid in found.values()}) == 6
+    crashed = limited(Crashing(), range(5), Limits(memory=1 << 30))
+    assert [number for number, result in crashed.items() if result[0] == "lost"] == [3]
+    assert "SIGSEGV" in crashed[3][2]

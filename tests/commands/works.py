@@ -109,3 +109,25 @@ class Unborn(Work):
 
     def __reduce__(self) -> Any:
         return os._exit, (7,)
+
+
+@dataclass(frozen=True)
+class Hungry(Work):
+    """Takes as many bytes as the job says, and touches none of them."""
+
+    def __call__(self, job: Any) -> Any:
+        try:
+            return len(bytearray(job)), os.getpid()
+        except MemoryError:
+            return "too much", os.getpid()
+
+
+@dataclass(frozen=True)
+class Deaf(Work):
+    """Does not hear that it is to stop."""
+
+    def __call__(self, job: Any) -> Any:
+        if job == 1:
+            signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM})
+            time.sleep(60)
+        return super().__call__(job)

@@ -249,11 +249,10 @@ def _bake_sources(
 ) -> None:
     """Bake primitives as one surface; append to ``baked``, ``results`` and ``notices``."""
     with stage("arrays"):
-        whole = with_smooth_normals([read_primitive(document, source) for source in sources])
+        whole = with_smooth_normals(_read(document, sources))
     with stage("limit"):
         parts = _limited(document, sources, whole, options)
     primitives = [part.primitive if part else one for part, one in zip(parts, whole, strict=True)]
-    document.budget.claim(_bake_size(primitives), "baking it", sources[0].place)
     outcomes = bake_mesh(primitives, options.settings)
     for source, primitive, (outcome, _) in zip(sources, primitives, outcomes, strict=True):
         _check_finite(source, primitive, outcome)
@@ -291,12 +290,20 @@ def _check_finite(source: PrimitiveSource, primitive: SkinnedPrimitive, outcome:
     raise InputError(f"α or β of {vertices} are not finite numbers; {advice}", source.place)
 
 
-def _bake_size(primitives: Sequence[SkinnedPrimitive]) -> int:
-    """Return about the most bytes that baking primitives as one surface takes."""
-    vertices = sum(len(primitive.positions) for primitive in primitives)
-    triangles = sum(len(primitive.triangles) for primitive in primitives)
-    influences = max(primitive.joints.shape[1] for primitive in primitives)
-    return int(vertices * (BYTES_A_VERTEX + BYTES_A_SLOT * influences) + BYTES_A_TRIANGLE * triangles)
+def _read(document: Document, sources: Sequence[PrimitiveSource]) -> list[SkinnedPrimitive]:
+    """Return the arrays of primitives, once it is clear of each that baking it does not take too much."""
+    found: list[SkinnedPrimitive] = []
+    vertices, widest = 0, 0
+    for source in sources:
+        primitive = read_primitive(document, source)
+        found.append(primitive)
+        # One surface has as many slots everywhere as the widest of its primitives.
+        count, width = primitive.joints.shape
+        slots = max(width, widest) * (vertices + count) - widest * vertices
+        vertices, widest = vertices + count, max(width, widest)
+        size = BYTES_A_VERTEX * count + BYTES_A_SLOT * slots + BYTES_A_TRIANGLE * len(primitive.triangles)
+        document.budget.claim(size, "baking it", source.place)
+    return found
 
 
 def _limited(

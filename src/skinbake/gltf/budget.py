@@ -42,6 +42,9 @@ UNPACKED_RATIO, UNPACKED_FREE = 100, 1 << 29
 Real characters expand 2 to 12 times.
 """
 
+GROUPS, GROUP_ROOT = Path("/proc/self/cgroup"), Path("/sys/fs/cgroup")
+"""Where Linux says which control groups a process is in, and what these may have."""
+
 _limit: ContextVar[int | None] = ContextVar("_limit", default=None)
 
 
@@ -66,16 +69,15 @@ def machine_memory() -> int:
         found = [os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")]
     except (AttributeError, ValueError, OSError):
         found = [8 << 30]  # Windows does not tell this way
-    return min([*found, *_group_limits()])
+    return min([*found, *group_limits()])
 
 
-def _group_limits() -> Iterator[int]:
+def group_limits(groups: Path = GROUPS, root: Path = GROUP_ROOT) -> Iterator[int]:
     """Yield the limits of the control groups that this process is in, version 2 or 1."""
     try:
-        lines = Path("/proc/self/cgroup").read_text(encoding="utf-8", errors="replace").splitlines()
+        lines = groups.read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError:
         return
-    root = Path("/sys/fs/cgroup")
     for line in lines:
         _, controllers, path = (*line.split(":", maxsplit=2), "", "")[:3]
         if controllers and "memory" not in controllers.split(","):
@@ -97,7 +99,7 @@ def shown(size: int) -> str:
     """Return a number of bytes as people read it."""
     units = ("bytes", "KiB", "MiB", "GiB", "TiB")
     scale = min(max(size.bit_length() - 1, 0) // 10, len(units) - 1)
-    return f"{size / (1 << 10 * scale):.3g} {units[scale]}" if size < 1 << 60 else f"{size:.1e} bytes"
+    return f"{size / (1 << 10 * scale):.4g} {units[scale]}" if size < 1 << 50 else "over 1,024 TiB"
 
 
 @dataclass(slots=True)

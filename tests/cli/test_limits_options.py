@@ -1,0 +1,111 @@
+"""--max-memory, --timeout and --isolate: what a file may take, and what becomes of one that takes more."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+
+from skinbake.cli.limits import _size
+from tests.support.command_line import invoke, run
+from tests.support.models import FOLDER, baked
+
+SEAM, TUBE = FOLDER / "seam.glb", FOLDER / "bent_tube.glb"
+POSIX = pytest.mark.skipif(sys.platform == "win32", reason="needs the signals of POSIX")
+
+
+@pytest.mark.parametrize(
+    ("text", "size"),
+    [("1", 1), ("1k", 1024), ("512M", 512 << 20), ("2G", 2 << 30), ("1.5GiB", 3 << 29), ("7 mb", 7 << 20)],
+)
+def test_sizes_are_read(text: str, size: int) -> None:
+    assert _size(None, None, text) == size  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("text", ["", "0", "M", "-1", "2X", "1e9", "nan", "0.1"])
+def test_what_is_no_size_is_a_usage_error(text: str) -> None:
+    result = invoke("inspect", SEAM, "--max-memory", text)
+    assert result.exit_code == 2
+    assert "must be a size in bytes, or like 512M or 2G" in result.stderr
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ["bake", SEAM, "--dry-run"],
+        ["inspect", SEAM],
+        ["cost", SEAM],
+        ["verify", SEAM],
+        ["strip", SEAM, "-o", "out.glb"],
+    ],
+)
+def test_every_command_that_reads_takes_max_memory(
+    command: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert invoke(*command, "--max-memory", "64M").exit_code == 0
+    (tmp_path / "out.glb").unlink(missing_ok=True)
+    result = invoke(*command, "--max-memory", "1k")
+    assert result.exit_code == 3
+    assert result.stderr.count("--max-memory") == 1
+    assert f"error: {SEAM}: " in result.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("option", [["--timeout", "9"], ["--isolate"]])
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["bake", "-", "-o", "out.glb"], "takes files, not - for stdin or stdout"),
+        (["bake", SEAM, "-o", "-"], "takes files, not - for stdin or stdout"),
+        (["verify", "-"], "takes files, not - for stdin or stdout"),
+        (["bake", SEAM, "--dry-run", "--dask", "tcp://h:1"], "is for processes of this machine"),
+        (["verify", SEAM, "--dask", "tcp://h:1"], "is for processes of this machine"),
+    ],
+)
+def test_what_cannot_be_another_process_s_work_is_refused(
+    option: list[str], arguments: list[str], said: str
+) -> None:
+    result = invoke(*arguments, *option)
+    assert result.exit_code == 2
+    assert f"{option[0]} {said}" in result.stderr
+
+
+@pytest.mark.parametrize("seconds", ["0", "-1", "nan", "inf"])
+def test_a_time_that_is_none_is_refused(seconds: str) -> None:
+    assert invoke("bake", SEAM, "--dry-run", "--timeout", seconds).exit_code == 2
+
+
+@POSIX
+@pytest.mark.parametrize("option", [["--timeout", "60"], ["--isolate"], ["--isolate", "--timeout", "60"]])
+def test_another_process_bakes_the_same(option: list[str], tmp_path: Path) -> None:
+    plain, other = tmp_path / "plain.glb", tmp_path / "other.glb"
+    assert run("bake", TUBE, "-o", plain).returncode == 0
+    result = run("bake", TUBE, "-o", other, *option)
+    assert (result.returncode, result.stderr) == (0, b"")
+    assert other.read_bytes() == plain.read_bytes()
+    assert run("verify", other, *option).returncode == 0
+
+
+@POSIX
+def test_a_file_that_takes_too_long_is_given_up_and_others_go_on(tmp_path: Path) -> None:
+    slow, quick = tmp_path / "slow.glb", tmp_path / "quick.glb"
+    baked(TUBE, slow)
+    baked(SEAM, quick)
+    result = run("verify", slow, quick, "--poses", "random:2000", "--timeout", "0.05", "--json")
+    assert result.returncode == 3
+    assert f"{slow}: not verified: it took longer than 0.05 s (--timeout)".encode() in result.stderr
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="a pipe that is a process's input")
+def test_a_bake_that_is_given_up_leaves_nothing(tmp_path: Path) -> None:
+    """A buffer of many megabytes takes longer than a hundredth of a second to bake."""
+    from tests.gltf.test_budget import crowd
+
+    source = crowd(tmp_path / "in.glb", 400, 12)
+    (tmp_path / "out").mkdir()
+    result = run("bake", source, "-o", tmp_path / "out" / "out.glb", "--timeout", "0.01")
+    assert result.returncode == 3
+    assert b"not baked: it took longer than 0.01 s (--timeout)" in result.stderr
+    assert list((tmp_path / "out").iterdir()) == []

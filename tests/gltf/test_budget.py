@@ -1,0 +1,349 @@
+"""What a document claims is counted before it is set aside: by unit, and by the memory that children take."""
+
+from __future__ import annotations
+
+import base64
+import json
+import os
+import struct
+import subprocess
+import sys
+import tracemalloc
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from skinbake.errors import InputError, Place, UnsupportedFeatureError
+from skinbake.gltf import budget as budgets
+from skinbake.gltf import draco
+from skinbake.gltf.animation import read_clips
+from skinbake.gltf.budget import Budget, memory_limited, shown
+from skinbake.gltf.compaction import _Shifts
+from skinbake.gltf.document import parse_gltf, read_document
+from skinbake.gltf.json_access import JsonObject
+from skinbake.gltf.primitives import MOST_SETS, read_primitive, skinned_sources
+from tests.support.corpus import require_corpus
+from tests.support.models import FOLDER, baked, edited, sheet, write_model
+
+HERE = Place("x.glb")
+MIB = 1 << 20
+LINUX = pytest.mark.skipif(sys.platform != "linux", reason="reads what a child took")
+
+
+def test_what_is_held_is_limited_and_can_be_let_go() -> None:
+    budget = Budget(limit=100, backed=1)
+    with budget.passing():
+        budget.claim(90, "a part", HERE)
+    budget.claim(100, "another", HERE)
+    with pytest.raises(InputError, match=r"x.glb: one more would take 1 bytes, .*101 bytes.*--max-memory"):
+        budget.claim(1, "one more", HERE)
+
+
+def test_what_is_spent_in_all_is_limited_by_the_file_s_bytes(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(budgets, "FREE", 1000)
+    budget = Budget(limit=1 << 60, backed=2)
+    for _ in range(2 * budgets.RATIO // 64):
+        with budget.passing():
+            budget.claim(64, "a part", HERE)
+    with pytest.raises(InputError, match=f"over {budgets.RATIO:,} times its 2 bytes"):
+        budget.claim(1, "the last", HERE)
+
+
+def test_zeros_count_once_an_accessor() -> None:
+    budget = Budget(limit=1 << 60, backed=0)
+    for _ in range(3):
+        budget.claim_zeros(budgets.ZEROS_FREE // 2, 7, HERE)
+    budget.claim_zeros(budgets.ZEROS_FREE // 2, 8, HERE)
+    with pytest.raises(InputError, match="accessor 9 has no buffer view and claims 1 bytes of zeros"):
+        budget.claim_zeros(1, 9, HERE)
+
+
+def test_a_file_that_is_named_again_backs_nothing_and_is_claimed() -> None:
+    budget = Budget(limit=150, backed=10)
+    budget.back(100, "a.bin", "buffer 0", HERE)
+    budget.back(100, "a.bin", "buffer 1", HERE)
+    assert (budget.backed, budget.held) == (110, 100)
+    with pytest.raises(InputError, match="buffer 2 would take"):
+        budget.back(100, "a.bin", "buffer 2", HERE)
+
+
+def test_the_default_is_a_share_of_what_the_control_group_allows(tmp_path: Path) -> None:
+    groups, root = tmp_path / "cgroup", tmp_path / "fs"
+    (root / "a" / "b").mkdir(parents=True)
+    groups.write_text("0::/a/b\n")
+    (root / "a" / "memory.max").write_text("4096\n")
+    (root / "a" / "b" / "memory.max").write_text("max\n")
+    (root / "memory").mkdir()
+    (root / "memory" / "memory.limit_in_bytes").write_text("12345")
+    assert list(budgets.group_limits(groups, root)) == [4096]
+    groups.write_text("3:cpu,memory:/gone\n1:cpu:/a\n")
+    assert list(budgets.group_limits(groups, root)) == [12345]
+    assert list(budgets.group_limits(tmp_path / "none", root)) == []
+    assert budgets.default_limit() == budgets.machine_memory() // 4
+    assert budgets.default_limit(16) == budgets.machine_memory() // 16
+
+
+@pytest.mark.parametrize(
+    ("size", "text"),
+    [
+        (7, "7 bytes"),
+        (1536, "1.5 KiB"),
+        (1000 << 10, "1000 KiB"),
+        (3 << 30, "3 GiB"),
+        (10**400, "over 1,024 TiB"),
+    ],
+)
+def test_sizes_read_well(size: int, text: str) -> None:
+    assert shown(size) == text
+
+
+@pytest.mark.parametrize("entry", ["[]", "{}", "0", '{"a":0}'])
+def test_json_is_counted_before_it_is_parsed(entry: str) -> None:
+    text = f'{{"asset":{{"version":"2.0"}},"extras":[{",".join([entry] * 50_000)}]}}'.encode()
+    tracemalloc.start()
+    try:
+        parsed = parse_gltf(text, "x.gltf", Path())
+        taken = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert taken < parsed.budget.held + 100_000
+    with memory_limited(taken // 2), pytest.raises(InputError, match="its JSON would take"):
+        parse_gltf(text, "x.gltf", Path())
+
+
+def test_data_uris_are_counted() -> None:
+    uri = "data:;base64," + base64.b64encode(bytes(30_000)).decode()
+    root = {"asset": {"version": "2.0"}, "buffers": [{"byteLength": 30_000, "uri": uri}] * 9}
+    with memory_limited(1_000_000):
+        document = parse_gltf(json.dumps(root).encode(), "x.gltf", Path())
+        with pytest.raises(InputError, match=r"the data: URI of buffer \d would take"):
+            for number in range(9):
+                document.buffer(number)
+
+
+def bomb(path: Path, count: int, primitives: int) -> Path:
+    """Write primitives that share accessors of ``count`` vertices without data, but for three positions."""
+    data = struct.pack("<3I9f", 0, 1, 2, 0, 0, 0, 1, 0, 0, 0, 0, 1)
+    sparse = {"count": 3, "indices": {"bufferView": 0, "componentType": 5125}, "values": {"bufferView": 1}}
+    attributes = {"POSITION": 1, "NORMAL": 2, "JOINTS_0": 3, "WEIGHTS_0": 4}
+    root = {
+        "asset": {"version": "2.0"},
+        "buffers": [{"byteLength": 48, "uri": "data:;base64," + base64.b64encode(data).decode()}],
+        "bufferViews": [{"buffer": 0, "byteLength": 12}, {"buffer": 0, "byteOffset": 12, "byteLength": 36}],
+        "accessors": [
+            {"bufferView": 0, "componentType": 5125, "count": 3, "type": "SCALAR"},
+            {"componentType": 5126, "count": count, "type": "VEC3", "sparse": sparse},
+            {"componentType": 5126, "count": count, "type": "VEC3"},
+            {"componentType": 5121, "count": count, "type": "VEC4"},
+            {"componentType": 5126, "count": count, "type": "VEC4"},
+        ],
+        "meshes": [{"primitives": [{"attributes": attributes, "indices": 0}] * primitives}],
+        "nodes": [{"mesh": 0, "skin": 0}, {}],
+        "skins": [{"joints": [1]}],
+    }
+    path.write_text(json.dumps(root))
+    return path
+
+
+def taken(*arguments: str | Path) -> tuple[int, int, str]:
+    """Run a command in a child; return its exit code, its peak bytes, and what it said on stderr."""
+    command = [sys.executable, "-m", "skinbake", *map(str, arguments)]
+    child = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+    assert child.stderr is not None
+    said = child.stderr.read()
+    child.stderr.close()
+    _, status, usage = os.wait4(child.pid, 0)
+    child.returncode = os.waitstatus_to_exitcode(status)
+    return child.returncode, usage.ru_maxrss * 1024, said
+
+
+COMMANDS: list[Callable[[Path], list[str | Path]]] = [
+    lambda path: ["bake", path, "-o", path.with_name("out.glb")],
+    lambda path: ["bake", path, "--dry-run", "--compress", "meshopt"],
+    lambda path: ["inspect", path],
+    lambda path: ["cost", path],
+]
+
+
+@LINUX
+@pytest.mark.parametrize("command", COMMANDS)
+def test_zeros_that_no_byte_backs_are_refused(command: Callable[[Path], Any], tmp_path: Path) -> None:
+    """1.7 KB that took 2.4 GB."""
+    path = bomb(tmp_path / "p10.gltf", 1 << 20, 10)
+    code, peak, said = taken(*command(path))
+    assert (code, said.count("\n")) == (3, 1)
+    assert "p10.gltf: mesh 0, primitive 0" in said
+    assert "claims 12 MiB of zeros" in said
+    assert "--max-memory" in said
+    assert peak < 200 * MIB
+
+
+@LINUX
+@pytest.mark.parametrize("name", ["p10.gltf", "p40.gltf"])
+def test_the_bombs_of_the_audit_are_refused(name: str, tmp_path: Path) -> None:
+    path = require_corpus() / "hostile" / "F04-unbacked-bomb" / name
+    code, peak, _ = taken("bake", path, "-o", tmp_path / "out.glb")
+    assert code == 3
+    assert peak < 200 * MIB
+    assert list(tmp_path.iterdir()) == []
+
+
+def crowd(path: Path, side: int, primitives: int) -> Path:
+    """Write primitives that share the accessors of one sheet of side × side vertices, all backed by bytes."""
+    u, v = (axis.ravel() for axis in np.meshgrid(np.arange(side), np.arange(side)))
+    count = side * side
+    arrays = {
+        "POSITION": np.stack([u, 0 * u, v], axis=1).astype(np.float32),
+        "NORMAL": np.tile(np.array([0, 1, 0], np.float32), (count, 1)),
+        "JOINTS_0": np.zeros((count, 4), np.uint8),
+        "WEIGHTS_0": np.tile(np.array([1, 0, 0, 0], np.float32), (count, 1)),
+    }
+
+    def share(content: JsonObject) -> None:
+        content["meshes"][0]["primitives"] *= primitives
+
+    return write_model(path, [sheet(**arrays)], change=share)  # type: ignore[arg-type]
+
+
+@LINUX
+@pytest.mark.parametrize("command", COMMANDS[:1])
+@pytest.mark.parametrize("limit", [100, 200, 400])
+def test_max_memory_bounds_what_a_child_takes(
+    command: Callable[[Path], Any], limit: int, tmp_path: Path
+) -> None:
+    path = crowd(tmp_path / "crowd.glb", 150, 2000)
+    code, peak, said = taken(*command(path), "--max-memory", f"{limit}M")
+    assert code == 3
+    assert f"over the {limit} MiB that it may have (--max-memory)" in said
+    assert peak < (limit + 80) * MIB
+
+
+@LINUX
+def test_what_fits_is_baked_within_what_it_claims(tmp_path: Path) -> None:
+    path = crowd(tmp_path / "crowd.glb", 150, 20)
+    code, peak, said = taken("bake", path, "-o", tmp_path / "out.glb", "--max-memory", "200M")
+    assert (code, said) == (0, "")
+    assert peak < 280 * MIB
+
+
+@LINUX
+def test_verify_keeps_to_max_memory(tmp_path: Path) -> None:
+    baked(crowd(tmp_path / "crowd.glb", 100, 8), tmp_path / "baked.glb")
+    assert taken("verify", tmp_path / "baked.glb", "--poses", "rest")[0] == 0
+    code, peak, said = taken("verify", tmp_path / "baked.glb", "--max-memory", "100M")
+    assert code == 3
+    assert "--max-memory" in said
+    assert peak < 200 * MIB
+
+
+def test_a_mesh_that_is_drawn_more_often_than_its_file_is_long_is_not_measured(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from skinbake.commands import lighting
+    from skinbake.commands.verify import verify_file
+
+    baked(write_model(tmp_path / "in.glb", [sheet()]), tmp_path / "out.glb")
+    assert verify_file(str(tmp_path / "out.glb"), lighting.VerifyOptions()).error is None
+    monkeypatch.setattr(lighting, "SAMPLES_FREE", 20 * 24 - 1)
+    monkeypatch.setattr(lighting, "SAMPLES_A_BYTE", 0)
+    error = verify_file(str(tmp_path / "out.glb"), lighting.VerifyOptions()).error
+    assert "480 vertices times poses" in str(error)
+
+
+def test_targets_that_are_sparse_alone_are_read(tmp_path: Path) -> None:
+    """Two hundred targets of 20,000 vertices claim 48 MB of zeros, of a file of 1 MB."""
+    from skinbake.gltf.morphs import read_targets
+
+    source = crowd(tmp_path / "in.gltf", 141, 1)
+    root = json.loads(source.read_text())
+    count = root["accessors"][root["meshes"][0]["primitives"][0]["attributes"]["POSITION"]]["count"]
+    sparse = {
+        "count": 1,
+        "indices": {"bufferView": len(root["bufferViews"]), "componentType": 5121},
+        "values": {"bufferView": len(root["bufferViews"]) + 1},
+    }
+    root["bufferViews"] += [{"buffer": 0, "byteLength": 1}, {"buffer": 0, "byteLength": 12}]
+    first = len(root["accessors"])
+    entry = {"componentType": 5126, "count": count, "type": "VEC3", "sparse": sparse}
+    root["accessors"] += [entry] * 200
+    root["meshes"][0]["primitives"][0]["targets"] = [{"POSITION": first + n} for n in range(200)]
+    source.write_text(json.dumps(root))
+    document = read_document(str(source))
+    (one,), _ = skinned_sources(document)
+    held = document.budget.held
+    found = read_targets(document, one, list(range(200)), count=count, tangents=False)
+    assert found is not None
+    assert len(found.targets) == 200
+    assert document.budget.zeros == 200 * count * 12
+    assert document.budget.held < held + 1_000_000  # only what moves is kept
+
+
+def test_influence_sets_past_all_measure_are_refused(tmp_path: Path) -> None:
+    def repeat(content: JsonObject) -> None:
+        attributes = content["meshes"][0]["primitives"][0]["attributes"]
+        for number in range(1, MOST_SETS + 1):
+            for kind in ("JOINTS", "WEIGHTS"):
+                attributes[f"{kind}_{number}"] = attributes[f"{kind}_0"]
+
+    document = read_document(str(write_model(tmp_path / "in.glb", [sheet()], change=repeat)))
+    (source,), _ = skinned_sources(document)
+    with pytest.raises(UnsupportedFeatureError, match="has 65 influence sets, 64 are the most"):
+        read_primitive(document, source)
+
+
+def test_channels_of_one_sampler_share_its_values(tmp_path: Path) -> None:
+    def repeat(content: JsonObject) -> None:
+        for animation in content["animations"]:
+            animation["channels"] *= 50
+
+    document = read_document(str(edited("bent_tube.glb", tmp_path, repeat)))
+    (clip, *_) = read_clips(document)
+    distinct = {(channel.path, id(channel.values)) for channel in clip.channels}
+    assert len(clip.channels) == 50 * len(distinct)
+
+
+def test_holes_shift_what_lies_behind_them() -> None:
+    holes = [(4, 8), (20, 32), (40, 44)]
+    shifts = _Shifts.of(holes)
+    for position in range(60):
+        assert shifts.at(position) == sum(end - begin for begin, end in holes if begin < position)
+
+
+def test_streams_that_share_accessors_are_compared_once_each(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from tests.support.compressed import draco_twin
+
+    count = 40
+
+    def share(content: JsonObject) -> None:
+        """Give each of many primitives a buffer view of its own of one stream."""
+        mesh = content["meshes"][0]
+        one = mesh["primitives"][0]
+        extension = one["extensions"][draco.EXTENSION]
+        view = content["bufferViews"][extension["bufferView"]]
+        first = len(content["bufferViews"])
+        content["bufferViews"] += [dict(view) for _ in range(count)]
+        mesh["primitives"] = [
+            {**one, "extensions": {draco.EXTENSION: {**extension, "bufferView": first + number}}}
+            for number in range(count)
+        ]
+
+    document = read_document(str(draco_twin(FOLDER / "bent_tube.glb", tmp_path / "in.glb", change=share)))
+    calls: list[object] = []
+    claimed = draco._claimed
+
+    def counted(*given: Any) -> Any:
+        calls.append(given)
+        return claimed(*given)
+
+    monkeypatch.setattr(draco, "_claimed", counted)
+    sources, _ = skinned_sources(document)
+    attributes = len(sources[0].attributes)
+    for source in sources:
+        read_primitive(document, source)
+    assert len(sources) == count
+    assert count <= len(calls) <= count * (attributes + 1)
