@@ -34,7 +34,7 @@ from skinbake.verify.operator import GradientOperator
 BYTES_A_SAMPLE = 32
 """What is kept at most of a vertex in a pose: its errors, while they may count among the largest."""
 
-SAMPLES_A_BYTE, SAMPLES_FREE = 64, 4_000_000
+SAMPLES_A_BYTE, SAMPLES_FREE = 64, 1_000_000
 """Vertices times poses that a file may ask for, by its own bytes and besides: each takes 3 µs.
 
 A mesh is measured as often as skins draw it, and in at least three poses of each clip. A hundred soldiers of

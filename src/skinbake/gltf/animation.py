@@ -188,10 +188,11 @@ def read_skeleton(document: Document, skin_index: int) -> Skeleton:
 
 def _parents(document: Document) -> dict[int, int]:
     """Return the parent of each node that has one; every skin asks for them."""
-    known = document.derived.setdefault("parents", {})
-    if not known:
-        known.update(_read_parents(document))
-    return known
+    known = document.derived.setdefault("nodes", {})
+    if "parents" not in known:
+        known["parents"] = _read_parents(document)
+    found: dict[int, int] = known["parents"]
+    return found
 
 
 def _read_parents(document: Document) -> dict[int, int]:

@@ -21,12 +21,12 @@ SHARE = 4
 UNCOUNTED = 1 << 26
 """Bytes below which nobody asks how much memory the machine has."""
 
-RATIO, FREE = 4096, 1 << 30
+RATIO, FREE = 2048, 1 << 30
 """What a document makes the program set aside in all, over its whole run, is at most RATIO times its bytes,
 or FREE bytes where that is more: time grows with that, so it grows with the file.
 
-A bake takes 300 bytes for a vertex that is stored in 50, a verification 3,000. Fifty primitives that share
-their vertices take fifty times as much.
+A bake takes 300 bytes for a vertex that is stored in 50, a verification 3,000. Twenty primitives that share
+their vertices take twenty times as much.
 """
 
 ZEROS_RATIO, ZEROS_FREE = 256, 1 << 24
