@@ -34,11 +34,11 @@ from skinbake.verify.operator import GradientOperator
 BYTES_A_SAMPLE = 32
 """What is kept at most of a vertex in a pose: its errors, while they may count among the largest."""
 
-SAMPLES_A_BYTE, SAMPLES_FREE = 64, 1_000_000
+SAMPLES_A_BYTE, SAMPLES_FREE = 24, 1_000_000
 """Vertices times poses that a file may ask for, by its own bytes and besides: each takes 3 µs.
 
-A mesh is measured as often as skins draw it, and in at least three poses of each clip. A hundred soldiers of
-one mesh of 3,000 vertices ask for 40 a byte, a character of a million vertices for 0.5.
+A mesh is measured as often as skins draw it, and in at least three poses of each clip. Fifty soldiers of one
+mesh of 3,000 vertices ask for 20 a byte, a character of a million vertices for 0.5.
 """
 
 Progress = Callable[[str, int, int], None]
@@ -169,13 +169,12 @@ class Lighting:
             tallies = self._whole[method] if alone else {one: ErrorTally(weight) for one in lightings}
             self._by_place.setdefault(place, {})[method] = tallies
 
-    def _pose_sets(self, mesh: int) -> list[PoseSet]:
-        draws = draws_of(self._document, mesh, self._clips)
-        for skin, node in draws:
+    def _pose_sets(self, mesh: int) -> Iterator[PoseSet]:
+        for skin, node in draws_of(self._document, mesh, self._clips):
             if (skin, node) not in self._poses:
                 found = pose_set(self._document, skin, self._clips, self._options.poses, node)
                 self._poses[skin, node] = found
-        return [self._poses[draw] for draw in draws]
+            yield self._poses[skin, node]
 
     def _measure(self, method: str, draw: _Draw) -> None:
         first = len(self._segments)
