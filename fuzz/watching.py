@@ -1,0 +1,91 @@
+"""Which files a process opens, makes, renames and removes, told by the interpreter's audit hook.
+
+The hook sees each path as it goes to the system, whatever the code under test believes of it. What C code
+opens by itself it does not see; for that the secrets outside of the folders are looked for in all outputs.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import sysconfig
+import traceback
+from dataclasses import dataclass, field
+from pathlib import Path
+
+WRITES = {"os.mkdir", "os.remove", "os.rmdir", "os.rename", "os.link", "os.symlink", "os.truncate", "os.chmod"}
+FORBIDDEN = {"socket.connect", "socket.getaddrinfo", "subprocess.Popen", "os.system", "os.exec", "os.posix_spawn"}
+
+OURS = tuple(
+    {
+        os.path.realpath(path) + "/"
+        for path in (sys.prefix, sys.base_prefix, *sysconfig.get_paths().values(), *filter(os.path.isdir, sys.path))
+    }
+)
+READABLE = ("/proc/meminfo", "/dev/null", "/dev/urandom", "/etc/localtime", "/sys/fs/cgroup")
+OWN_PROCESS = ("/proc/self/stat", "/proc/self/statm", "/proc/self/status", "/proc/self/cgroup")
+
+
+@dataclass
+class Watch:
+    """What one run may read and write; ``broken`` lists what it did besides, each with the stack's last line."""
+
+    inputs: str
+    outputs: str
+    replaces_inputs: bool
+    broken: list[tuple[str, str]] = field(default_factory=list)
+
+    def see(self, event: str, values: tuple[object, ...]) -> None:
+        """Judge one event of the audit hook."""
+        if event in FORBIDDEN:
+            self.broken.append((f"{event} {values!r}"[:200], _line()))
+        elif event == "open":
+            path, mode, flags = values
+            if not isinstance(path, int):
+                writes = bool(isinstance(flags, int) and flags & (os.O_WRONLY | os.O_RDWR | os.O_CREAT))
+                self._judge(path, writes or (isinstance(mode, str) and not set("wax+").isdisjoint(mode)), event)
+        elif event in WRITES:
+            for path in values[: 2 if event in {"os.rename", "os.link"} else 1]:
+                if isinstance(path, str | bytes | os.PathLike):
+                    self._judge(path, True, event)
+
+    def _judge(self, path: object, writes: bool, event: str) -> None:
+        try:
+            real = os.path.realpath(os.fsdecode(path))  # type: ignore[arg-type]
+        except (ValueError, OSError, TypeError):
+            return  # no name of a file
+        if self._is_below(real, self.outputs) or (self._is_below(real, self.inputs) and (not writes or self.replaces_inputs)):
+            return
+        if not writes and (path in OWN_PROCESS or str(path) in OWN_PROCESS or real.startswith((*OURS, *READABLE)) or (event == "open" and real + "/" in OURS)):
+            return
+        self.broken.append((f"{event} {'writes' if writes else 'reads'} {os.fsdecode(path)[:200]}", _line()))  # type: ignore[arg-type]
+
+    @staticmethod
+    def _is_below(path: str, folder: str) -> bool:
+        return path == folder or path.startswith(folder + "/")
+
+
+def _line() -> str:
+    """Return the innermost line of skinbake on the stack."""
+    for frame in reversed(traceback.extract_stack()):
+        if "/skinbake/" in frame.filename:
+            return f"{Path(frame.filename).name}:{frame.name}:{frame.lineno}"
+    return "?"
+
+
+class Watcher:
+    """Judges events while a watch is set; the hook itself can never be taken away again."""
+
+    def __init__(self) -> None:
+        self.watch: Watch | None = None
+        self._is_inside = False
+        sys.addaudithook(self._hook)
+
+    def _hook(self, event: str, values: tuple[object, ...]) -> None:
+        if self.watch is None or self._is_inside or (event not in WRITES and event not in FORBIDDEN and event != "open"):
+            return
+        self._is_inside = True
+        try:
+            self.watch.see(event, values)
+        finally:
+            self._is_inside = False
