@@ -1,0 +1,1 @@
+"""The compiled loops and the decoders under AddressSanitizer and UndefinedBehaviorSanitizer, called directly."""

@@ -1,0 +1,60 @@
+"""Build the compiled loops with sanitizers, beside a copy of the package that finds them."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sysconfig
+from pathlib import Path
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+BUILD = REPOSITORY / "build" / "asan"
+COMPILER = os.environ.get("CC", "gcc")
+FLAGS = (
+    "-g", "-O1", "-std=c11", "-fPIC", "-shared", "-ffp-contract=off", "-fno-omit-frame-pointer",
+    "-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-Wno-psabi",
+)  # fmt: skip
+
+
+class NoCompiler(Exception):
+    """No C compiler with sanitizers is here."""
+
+
+def build() -> Path:
+    """Return the folder to import the package from; raises NoCompiler."""
+    package = BUILD / "skinbake"
+    shutil.rmtree(package, ignore_errors=True)
+    shutil.copytree(REPOSITORY / "src" / "skinbake", package, ignore=shutil.ignore_patterns("*.so", "*.pyd", "__pycache__"))
+    source, target = package / "_kernel.c", package / "_kernel.abi3.so"
+    command = [COMPILER, *FLAGS, f"-I{sysconfig.get_path('include')}", str(source), "-o", str(target), "-lm"]
+    try:
+        subprocess.run(command, check=True, capture_output=True, text=True)
+    except FileNotFoundError as error:
+        raise NoCompiler(f"{COMPILER} is not installed") from error
+    except subprocess.CalledProcessError as error:
+        raise NoCompiler(f"{COMPILER} cannot build with sanitizers: {error.stderr.strip()[-300:]}") from error
+    return BUILD
+
+
+def environment() -> dict[str, str]:
+    """Return the environment in which Python runs under the sanitizers.
+
+    The C++ library is loaded with the sanitizer, which looks for its __cxa_throw when it begins.
+    """
+    libraries = [_library("libasan.so"), _library("libstdc++.so.6")]
+    return {
+        **os.environ,
+        "LD_PRELOAD": " ".join(libraries),
+        # The interpreter never frees what lasts as long as it does; an allocation too large is no defect.
+        "ASAN_OPTIONS": "detect_leaks=0:allocator_may_return_null=1:abort_on_error=0:exitcode=99:max_allocation_size_mb=2048",
+        "UBSAN_OPTIONS": "print_stacktrace=1:halt_on_error=1:exitcode=98",
+        "PYTHONPATH": os.pathsep.join([str(BUILD), str(REPOSITORY)]),
+        "PYTHONMALLOC": "malloc",
+        "OPENBLAS_NUM_THREADS": "1",
+    }
+
+
+def _library(name: str) -> str:
+    found = subprocess.run([COMPILER, f"-print-file-name={name}"], check=False, capture_output=True, text=True)
+    return found.stdout.strip()
