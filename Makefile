@@ -2,6 +2,8 @@
 
 PYTHON ?= python3
 WORKERS ?= 2
+MINUTES ?= 2
+SEED ?= $(shell date +%s)
 
 BIN := .venv/bin
 PACKAGE := .venv/package.stamp
@@ -15,10 +17,12 @@ unexport PYTHONHOME PYTHONPATH VIRTUAL_ENV
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help bake setup test test-all check lint fixtures golden picture table bench speeds clean
+.PHONY: help bake setup test test-all check lint fixtures golden picture table bench speeds
+.PHONY: fuzz fuzz-native fuzz-coverage faults clean
 
 help: ## List the targets
-	@awk 'BEGIN { FS = ":.*## " } /^[a-z-]+:.*## / { printf "  make %-9s %s\n", $$1, $$2 }' Makefile
+	@awk 'BEGIN { FS = ":.*## " } /^[a-z-]+:.*## / { printf "  make %-13s %s
+", $$1, $$2 }' Makefile
 
 bake: $(PACKAGE) ## Set up .venv, bake a fixture into build/, and print what it gained
 	@mkdir -p build
@@ -64,6 +68,23 @@ bench: $(DEV) $(NODE_MODULES) ## Time bake and verify against peers: write bench
 speeds: $(DEV) ## Print the times of the replay and of the shaders, algorithm by algorithm
 	$(BIN)/python -m benchmarks.replay_speed
 	$(BIN)/python -m benchmarks.shader_speed
+
+FUZZ_MODELS := build/fuzz-models
+
+fuzz: $(DEV) ## Damage models for MINUTES=2 in WORKERS=2 from SEED, by every command; then the coverage-guided readers
+	status=0; \
+	$(BIN)/python -m fuzz --minutes $(MINUTES) --workers $(WORKERS) --seed $(SEED) --corpus $(FUZZ_MODELS) || status=1; \
+	$(BIN)/python -m fuzz.targets --minutes $(MINUTES) --models $(FUZZ_MODELS) || status=1; \
+	exit $$status
+
+fuzz-native: $(DEV) ## The compiled loops and the decoders under sanitizers for MINUTES=2 from SEED
+	$(BIN)/python -m fuzz.native --minutes $(MINUTES) --seed $(SEED)
+
+fuzz-coverage: $(DEV) ## Which branches of src/skinbake/gltf the fuzzer reaches in MINUTES=2, and which it misses
+	$(BIN)/python -m fuzz.branches --minutes $(MINUTES) --workers $(WORKERS) --seed $(SEED) --corpus $(FUZZ_MODELS)
+
+faults: $(DEV) ## Kills, signals and I/O errors at every call that writes
+	$(BIN)/python -m fuzz.faults
 
 clean: ## Remove everything that make made
 	rm -rf .venv build dist tests/support/node_modules src/*.egg-info

@@ -20,15 +20,15 @@ def main() -> int:
     parser.add_argument("--seed", type=int, help="The first seed; by default the time.")
     parser.add_argument("--runs", type=int, help="Stop after so many runs.")
     parser.add_argument("--finds", type=Path, default=FINDS, help="Where cases are kept.")
-    parser.add_argument("--corpus", type=Path, help="Keep the models to damage here, and take them from here.")
+    parser.add_argument(
+        "--corpus", type=Path, help="Keep the models to damage here, and take them from here."
+    )
     parser.add_argument("--log", type=Path, default=LOG)
     given = parser.parse_args()
     models = all_seeds(given.corpus)
     first = given.seed if given.seed is not None else int(time.time()) * 10_000
     begun = time.monotonic()
-    totals = run_all(
-        Plan(models, first, given.minutes * 60, given.workers, given.runs, given.finds)
-    )
+    totals = run_all(Plan(models, first, given.minutes * 60, given.workers, given.runs, given.finds))
     seconds = time.monotonic() - begun
     note("commands", executions=totals.runs, seconds=seconds, seed=first, finds=totals.finds, log=given.log,
          models=len(models), codes=dict(totals.codes))  # fmt: skip
@@ -39,7 +39,9 @@ def main() -> int:
 def summary(totals: Totals, seconds: float, first: int, models: int, finds: Path) -> list[str]:
     """Return what was done and found, in lines."""
     rate = totals.runs / max(seconds, 1e-9)
-    lines = [f"{totals.runs} runs from seed {first} on {models} models in {seconds:.0f} s, {rate:.0f} a second"]
+    lines = [
+        f"{totals.runs} runs from seed {first} on {models} models in {seconds:.0f} s, {rate:.0f} a second"
+    ]
     lines += [f"  {count:8} {code}" for code, count in sorted(totals.codes.items())]
     if totals.finds:
         lines.append(f"{len(totals.finds)} causes found, kept in {finds}:")

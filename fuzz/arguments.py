@@ -16,7 +16,14 @@ BAKE: Group = (
     (0.3, [["--frame", "tangent"], ["--frame", "normal"]]),
     (0.04, [["--limit-influences", "4"], ["--limit-influences", "8"]]),
     (0.3, [["--generate-normals"]]),
-    (0.1, [["--alpha-name", "_A{set}", "--beta-name", "_B{set}"], ["--alpha-name", "_COLOR_{set}"], ["--beta-name", "_{set}{set}"]]),
+    (
+        0.1,
+        [
+            ["--alpha-name", "_A{set}", "--beta-name", "_B{set}"],
+            ["--alpha-name", "_COLOR_{set}"],
+            ["--beta-name", "_{set}{set}"],
+        ],
+    ),
     (0.04, [["--encoding", "packed8"], ["--encoding", "snorm16"]]),
     (0.2, [["--layout", "texcoord"], ["--layout", "custom"]]),
     (0.05, [["--require-baked"]]),
@@ -61,7 +68,8 @@ STATES = (
     b"\xff\xfe\0garbage\n",
     b"[" * 3000 + b"\n",
     b'{"skinbake":1}\n{"key":1}\n{"key":"bake out/m.glb","how":[],"from":{},"read":null,"made":3}\n',
-    b'{"key":"x","how":"y","from":"../../../etc/passwd","read":{"/etc/passwd":"00"},"made":{"../secret.bin":null}}\n' * 9,
+    b'{"key":"x","how":"y","from":"../../../etc/passwd","read":{"/etc/passwd":"00"},"made":{"../secret.bin":null}}\n'
+    * 9,
 )
 
 

@@ -26,7 +26,8 @@ from fuzz.running import Find, Runner
 BATCH = 250
 HANG_SECONDS = 40.0
 ADDRESS_SPACE = 8 << 30
-FINDS = Path(__file__).resolve().parent / "finds"
+REPOSITORY = Path(__file__).resolve().parents[1]
+FINDS = REPOSITORY / "fuzz" / "finds"
 
 
 @dataclass
@@ -181,7 +182,9 @@ def _ended(
     where = re.search(r"skinbake/(\S+?\.py)\", line (\d+) in (\w+)", told)
     line = f"{where[1]}:{where[3]}" if where else "?"
     kind = "hang" if hung else "crash"
-    code = "" if hung else f" signal {os.WTERMSIG(status)}" if os.WIFSIGNALED(status) else f" exit {status >> 8}"
+    code = (
+        "" if hung else f" signal {os.WTERMSIG(status)}" if os.WIFSIGNALED(status) else f" exit {status >> 8}"
+    )
     case = make_case(batch.at, plan.models)
     totals.runs += 1
     totals.codes[f"{case.arguments[0]} {kind}"] += 1

@@ -11,7 +11,7 @@ from typing import Any
 LOG = Path(__file__).resolve().parents[1] / "build" / "fuzz-log.jsonl"
 
 
-def note(  # noqa: PLR0913 - a line has as many members
+def note(
     kind: str,
     *,
     executions: int,

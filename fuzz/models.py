@@ -40,7 +40,11 @@ class Model:
     def copied(self) -> Model:
         """Return a copy that shares nothing that a mutation may change."""
         return Model(
-            self.name, marshal.loads(marshal.dumps(self.json)), bytearray(self.binary), dict(self.files), dict(self.raw)
+            self.name,
+            marshal.loads(marshal.dumps(self.json)),
+            bytearray(self.binary),
+            dict(self.files),
+            dict(self.raw),
         )
 
     def text(self, indent: int | None = None) -> bytes:
@@ -118,7 +122,7 @@ def span(model: Model, accessor: JsonObject) -> tuple[int, int, int] | None:
         size = element_size(accessor)
         start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
         stride, count = view.get("byteStride", size), accessor["count"]
-        inside = view.get("buffer") == 0 and 0 <= start and start + stride * (count - 1) + size
+        inside = view.get("buffer") == 0 and start >= 0 and start + stride * (count - 1) + size
     except (KeyError, IndexError, TypeError, AttributeError):
         return None
     whole = all(type(number) is int for number in (start, stride, count)) and count > 0 and size > 0

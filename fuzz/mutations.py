@@ -11,7 +11,26 @@ from fuzz.models import JsonObject, Model, element_size, span
 from fuzz.uris import uri
 
 FLOATS = (0.0, -0.0, 1.0, -1.0, 1e-39, 5e-45, 1e-20, 1e20, 3e38, -3e38, 0.5, 1e-6, float("nan"), float("inf"))
-INTEGERS = (0, 1, -1, 2, 3, 4, 127, 255, 256, 65535, 65536, 2**31 - 1, 2**31, 2**32 - 1, 2**32, 2**53, 2**63, 2**64)
+INTEGERS = (
+    0,
+    1,
+    -1,
+    2,
+    3,
+    4,
+    127,
+    255,
+    256,
+    65535,
+    65536,
+    2**31 - 1,
+    2**31,
+    2**32 - 1,
+    2**32,
+    2**53,
+    2**63,
+    2**64,
+)
 COMPONENTS = (5120, 5121, 5122, 5123, 5124, 5125, 5126, 5130)
 TYPES = ("SCALAR", "VEC2", "VEC3", "VEC4", "MAT2", "MAT3", "MAT4", "vec3", "")
 NAMES = (
@@ -70,7 +89,9 @@ def _junk(model: Model, random: Random, old: Any) -> Any:
     if kind == 5:
         return random.choice((None, True, False))
     if kind == 6:
-        return random.choice(([], {}, [None], {"x": 1}, [0], [[]], [{}], [0, 1, 2], {"skinbake": {"version": 1}}))
+        return random.choice(
+            ([], {}, [None], {"x": 1}, [0], [[]], [{}], [0, 1, 2], {"skinbake": {"version": 1}})
+        )
     if kind == 7:
         return [old]
     if kind == 8:
@@ -85,7 +106,19 @@ def _junk(model: Model, random: Random, old: Any) -> Any:
 def _raw(model: Model, random: Random) -> str:
     """Return a mark for a piece of text that json.dumps would not write."""
     piece = random.choice(
-        ("1e999", "-1e999", "NaN", "Infinity", "1" * 5000, "1e-999", "-0", "1.0e0", '"\\ud800"', '"\\u0000"', "[]]")
+        (
+            "1e999",
+            "-1e999",
+            "NaN",
+            "Infinity",
+            "1" * 5000,
+            "1e-999",
+            "-0",
+            "1.0e0",
+            '"\\ud800"',
+            '"\\u0000"',
+            "[]]",
+        )
     )
     mark = f"@raw{len(model.raw)}@"
     model.raw[mark] = piece
@@ -193,7 +226,9 @@ def _accessor(model: Model, random: Random) -> None:
     if not accessors:
         return
     accessor = random.choice(accessors)
-    key = random.choice(("componentType", "type", "count", "byteOffset", "bufferView", "normalized", "sparse", "gone"))
+    key = random.choice(
+        ("componentType", "type", "count", "byteOffset", "bufferView", "normalized", "sparse", "gone")
+    )
     if key == "gone":
         accessor.pop("bufferView", None)
         if random.random() < 0.5:
@@ -217,7 +252,11 @@ def _sparse(model: Model, random: Random, accessor: JsonObject) -> JsonObject:
     size = max(element_size(accessor), 1)
     kind, code = random.choice(((5121, "B"), (5123, "H"), (5125, "I"), (5126, "f")))
     limit = random.choice((3, 3, 8, 200))
-    numbers = sorted(random.sample(range(limit), count)) if random.random() < 0.9 else [random.randrange(limit)] * count
+    numbers = (
+        sorted(random.sample(range(limit), count))
+        if random.random() < 0.9
+        else [random.randrange(limit)] * count
+    )
     pieces = (struct.pack(f"<{count}{code}", *numbers), random.randbytes(size * count))
     made = []
     for piece in pieces:
@@ -227,7 +266,11 @@ def _sparse(model: Model, random: Random, accessor: JsonObject) -> JsonObject:
             views.append({"buffer": 0, "byteOffset": start, "byteLength": len(piece)})
         made.append(len(views) - 1 if isinstance(views, list) else 0)
     _lengthen(model)
-    return {"count": count, "indices": {"bufferView": made[0], "componentType": kind}, "values": {"bufferView": made[1]}}
+    return {
+        "count": count,
+        "indices": {"bufferView": made[0], "componentType": kind},
+        "values": {"bufferView": made[1]},
+    }
 
 
 def _lengthen(model: Model) -> None:
@@ -269,7 +312,11 @@ def _view(model: Model, random: Random) -> None:
     if views:
         view = random.choice(views)
         key = random.choice(("byteOffset", "byteLength", "byteStride", "buffer", "target"))
-        view[key] = random.choice((1, 2, 3, 4, 6, 12, 16, 252, 255)) if key == "byteStride" else _number(random, view.get(key, 0))
+        view[key] = (
+            random.choice((1, 2, 3, 4, 6, 12, 16, 252, 255))
+            if key == "byteStride"
+            else _number(random, view.get(key, 0))
+        )
 
 
 def _skin(model: Model, random: Random) -> None:
@@ -288,7 +335,9 @@ def _skin(model: Model, random: Random) -> None:
     elif nodes:
         node = random.choice(nodes)
         numbers = random.choice((FLOATS[:-2], (1e20, -1e20), (0.0,), (3e38,)))
-        key, length = random.choice((("matrix", 16), ("translation", 3), ("rotation", 4), ("scale", 3), ("children", 2)))
+        key, length = random.choice(
+            (("matrix", 16), ("translation", 3), ("rotation", 4), ("scale", 3), ("children", 2))
+        )
         if key == "children":
             node[key] = [random.randrange(len(nodes)) for _ in range(length)]
         else:
@@ -305,7 +354,11 @@ def _animation(model: Model, random: Random) -> None:
     if samplers and random.random() < 0.5:
         sampler = random.choice(samplers)
         key = random.choice(("interpolation", "input", "output"))
-        sampler[key] = random.choice(("STEP", "LINEAR", "CUBICSPLINE")) if key == "interpolation" else random.randrange(20)
+        sampler[key] = (
+            random.choice(("STEP", "LINEAR", "CUBICSPLINE"))
+            if key == "interpolation"
+            else random.randrange(20)
+        )
     elif channels:
         channel = random.choice(channels)
         channel["target"] = {
@@ -328,7 +381,9 @@ def _resource(model: Model, random: Random) -> None:
     elif isinstance(model.json.get("buffers"), list):
         length = random.choice((1, 10, 60, len(model.binary)))
         model.json["buffers"].append({"uri": uri(random), "byteLength": length})
-        for view in random.sample(_objects(model.json, "bufferViews"), 1 if _objects(model.json, "bufferViews") else 0):
+        for view in random.sample(
+            _objects(model.json, "bufferViews"), 1 if _objects(model.json, "bufferViews") else 0
+        ):
             view["buffer"] = len(model.json["buffers"]) - 1
 
 
@@ -366,14 +421,20 @@ def _data(model: Model, random: Random) -> None:
     is_float = accessor.get("componentType") == 5126
     size = element_size(accessor)
     step = 4 if is_float else 1
-    rows = range(count) if random.random() < 0.2 else [random.randrange(count) for _ in range(random.choice((1, 2, 8)))]
+    rows = (
+        range(count)
+        if random.random() < 0.2
+        else [random.randrange(count) for _ in range(random.choice((1, 2, 8)))]
+    )
     one = random.choice(FLOATS)
     for row in rows:
         for at in range(0, size, step):
             if random.random() < 0.7:
                 place = start + stride * row + at
                 value = one if random.random() < 0.6 else random.choice(FLOATS)
-                piece = struct.pack("<f", value) if is_float else bytes([random.choice((0, 1, 2, 127, 128, 255))])
+                piece = (
+                    struct.pack("<f", value) if is_float else bytes([random.choice((0, 1, 2, 127, 128, 255))])
+                )
                 model.binary[place : place + step] = piece
 
 
@@ -381,7 +442,9 @@ def _bytes(model: Model, random: Random) -> None:
     """Flip bytes anywhere in the binary."""
     for _ in range(random.choice((1, 2, 8, 64))):
         if model.binary:
-            model.binary[random.randrange(len(model.binary))] = random.choice((0, 1, 127, 128, 255, random.randrange(256)))
+            model.binary[random.randrange(len(model.binary))] = random.choice(
+                (0, 1, 127, 128, 255, random.randrange(256))
+            )
 
 
 def _stream(model: Model, random: Random) -> None:
@@ -401,14 +464,18 @@ def _stream(model: Model, random: Random) -> None:
             spans.append(views[number])
     chosen = random.choice(spans) if spans else {}
     start, length = chosen.get("byteOffset", 0), chosen.get("byteLength")
-    if not (type(start) is int and type(length) is int and 0 <= start and 0 < length <= len(model.binary) - start):
+    if not (
+        type(start) is int and type(length) is int and start >= 0 and 0 < length <= len(model.binary) - start
+    ):
         _bytes(model, random)
         return
     if random.random() < 0.15:
         chosen["byteLength"] = max(length - random.randrange(1, length + 1), 1)
     for _ in range(random.choice((1, 1, 2, 4, 16))):
         at = start + random.randrange(min(length, 64) if random.random() < 0.4 else length)
-        model.binary[at] = random.choice((0, 1, 127, 128, 255, random.randrange(256), model.binary[at] ^ (1 << random.randrange(8))))
+        model.binary[at] = random.choice(
+            (0, 1, 127, 128, 255, random.randrange(256), model.binary[at] ^ (1 << random.randrange(8)))
+        )
 
 
 def _length(model: Model, random: Random) -> None:
@@ -444,7 +511,12 @@ def damaged_container(data: bytes, random: Random) -> bytes:
     if kind == 1:
         return bytes(content) + random.randbytes(random.choice((1, 3, 4, 64)))
     if kind == 2 and len(content) > 20:
-        struct.pack_into("<I", content, random.choice((0, 4, 8, 12, 16)), random.choice(INTEGERS) % 2**32 if random.random() < 0.8 else 2)
+        struct.pack_into(
+            "<I",
+            content,
+            random.choice((0, 4, 8, 12, 16)),
+            random.choice(INTEGERS) % 2**32 if random.random() < 0.8 else 2,
+        )
     elif kind == 3:
         return b"\xef\xbb\xbf" + bytes(content)
     elif kind == 4:
@@ -454,7 +526,9 @@ def damaged_container(data: bytes, random: Random) -> bytes:
         content += chunk
         struct.pack_into("<I", content, 8, len(content))
     elif kind == 6:
-        return random.choice((b"", b"{}", b"[]", b"null", b"glTF", b"\0" * 64, b'{"asset":{"version":"2.0"}}', b"{" * 9000))
+        return random.choice(
+            (b"", b"{}", b"[]", b"null", b"glTF", b"\0" * 64, b'{"asset":{"version":"2.0"}}', b"{" * 9000)
+        )
     elif kind == 7:
         at = random.randrange(len(content) + 1)
         content[at:at] = random.choice((b"\0", b'"', b"{", b"\xff", b"}", b",", b" " * 7))

@@ -113,7 +113,13 @@ def _smaller_json(
 
 
 def _members(value: Any) -> Iterator[tuple[Any, Any]]:
-    keys = list(value) if isinstance(value, dict) else list(reversed(range(len(value)))) if isinstance(value, list) else []
+    keys = (
+        list(value)
+        if isinstance(value, dict)
+        else list(reversed(range(len(value))))
+        if isinstance(value, list)
+        else []
+    )
     for key in keys:
         yield value, key
     for inner in value.values() if isinstance(value, dict) else value if isinstance(value, list) else ():

@@ -124,7 +124,7 @@ class Runner:
             self._entry_point()
         except SystemExit as error:
             code = error.code
-        except BaseException as error:  # noqa: BLE001 - whatever it is, nothing may come out
+        except BaseException as error:
             self._tracebacks.found.append(described(error))
             code = -1
         finally:
@@ -166,7 +166,7 @@ class Runner:
             Path(name).mkdir()
         for name, data in case.files.items():
             path = Path("in", name)
-            if len(path.parts) > 2:  # noqa: PLR2004 - in/ and the name
+            if len(path.parts) > 2:
                 path.parent.mkdir(parents=True, exist_ok=True)
             path.write_bytes(data)
         for name, target in case.links.items():
@@ -183,10 +183,16 @@ class Runner:
             key = outcome.stderr.partition("should not: ")[2][:60]
             finds.append(Find("defect", key, outcome.stderr[-3000:]))
         elif "Traceback" in outcome.stderr or "Warning:" in outcome.stderr:
-            finds.append(Find("defect", outcome.stderr.strip().rpartition("\n")[2][:80], outcome.stderr[-3000:]))
+            finds.append(
+                Find("defect", outcome.stderr.strip().rpartition("\n")[2][:80], outcome.stderr[-3000:])
+            )
         if outcome.code not in DOCUMENTED:
             finds.append(Find("exit", f"code {outcome.code}", outcome.stderr[-2000:]))
-        text = outcome.stderr if outcome.stdout[:4] == b"glTF" else outcome.stderr + outcome.stdout.decode("utf-8", "replace")
+        text = (
+            outcome.stderr
+            if outcome.stdout[:4] == b"glTF"
+            else outcome.stderr + outcome.stdout.decode("utf-8", "replace")
+        )
         control = _CONTROL.search(_STYLE.sub("", text))
         if control:
             about = text[max(control.start() - 60, 0) : control.start() + 20]
@@ -208,19 +214,29 @@ class Runner:
         given = {f"in/{name}" for name in case.files}
         made = [path for path in written if path not in REPORTS]
         failed = outcome.code != 0 and case.arguments[1:2] != ("in",)
-        if (failed or case.arguments[0] in {"verify", "inspect", "cost"} or "--dry-run" in case.arguments) and made:
-            finds.append(Find("written", f"{case.arguments[0]} code {outcome.code}", f"{made}\n{outcome.stderr[-1500:]}"))
+        if (
+            failed or case.arguments[0] in {"verify", "inspect", "cost"} or "--dry-run" in case.arguments
+        ) and made:
+            finds.append(
+                Find(
+                    "written", f"{case.arguments[0]} code {outcome.code}", f"{made}\n{outcome.stderr[-1500:]}"
+                )
+            )
         if "--in-place" not in case.arguments or outcome.code != 0:
             now = set(_files("in"))
             changed = [
-                name for name, data in case.files.items() if not name.startswith("..") and not _holds(Path("in", name), data)
+                name
+                for name, data in case.files.items()
+                if not name.startswith("..") and not _holds(Path("in", name), data)
             ]
             extra = now - given - {f"in/{name}" for name in case.links}
             if changed or extra:
                 finds.append(Find("input", case.arguments[0], f"changed {changed}, new {sorted(extra)}"))
         around = {path.name for path in self.room.iterdir()} - {"in", "out", "again", "other", "secret.bin"}
         if around or any(path.read_bytes() != SECRET for path in self._secrets):
-            finds.append(Find("outside", "around", f"{sorted(around)} beside the folders, or a secret overwritten"))
+            finds.append(
+                Find("outside", "around", f"{sorted(around)} beside the folders, or a secret overwritten")
+            )
         return finds
 
     # What must hold of a bake
@@ -259,15 +275,25 @@ class Runner:
         outcome = self.command(["bake", str(target), "-o", str(again), *options])
         if outcome.code != 0:
             words = outcome.stderr.rpartition(": ")[2].strip()
-            return [Find("twice", f"code {outcome.code}: {re.sub(r'[0-9]+', 'N', words)[:70]}", outcome.stderr[-2000:])]
+            return [
+                Find(
+                    "twice",
+                    f"code {outcome.code}: {re.sub(r'[0-9]+', 'N', words)[:70]}",
+                    outcome.stderr[-2000:],
+                )
+            ]
         if again.read_bytes() != target.read_bytes():
-            return [Find("twice", f"other bytes {_difference(target, again)}", "a second bake has other bytes")]
+            return [
+                Find("twice", f"other bytes {_difference(target, again)}", "a second bake has other bytes")
+            ]
         return []
 
     def _stripped(self, case: Case, target: Path) -> list[Find]:
         """Strip what was baked: the JSON and the binary of before must come."""
         data = case.files.get(case.arguments[1].partition("/")[2], case.stdin)
-        is_comparable = case.plain and data[:4] == b"glTF" == target.read_bytes()[:4] and b"skinbake" not in data
+        is_comparable = (
+            case.plain and data[:4] == b"glTF" == target.read_bytes()[:4] and b"skinbake" not in data
+        )
         if not is_comparable or "--compress" in case.arguments or b'"uri"' in data:
             return []
         back = Path("again", "back.glb")
@@ -278,7 +304,13 @@ class Runner:
         if before != after:
             keys = [key for key in {**before[0], **after[0]} if before[0].get(key) != after[0].get(key)]
             what = f"{keys or 'binary'} {sorted(set(re.findall(r'--[a-z-]+', ' '.join(case.arguments))))[:0]}"
-            return [Find("strip", f"differs in {what}", f"strip of the bake differs in {what}\n{outcome.stderr[-500:]}")]
+            return [
+                Find(
+                    "strip",
+                    f"differs in {what}",
+                    f"strip of the bake differs in {what}\n{outcome.stderr[-500:]}",
+                )
+            ]
         return []
 
 
@@ -310,7 +342,7 @@ def parts(data: bytes) -> tuple[Any, bytes]:
     """Return the JSON and the BIN chunk of a GLB."""
     length = struct.unpack_from("<I", data, 12)[0]
     rest = data[20 + length :]
-    binary = rest[8 : 8 + struct.unpack_from("<I", rest)[0]] if len(rest) >= 8 else b""  # noqa: PLR2004
+    binary = rest[8 : 8 + struct.unpack_from("<I", rest)[0]] if len(rest) >= 8 else b""
     return json.loads(data[20 : 20 + length]), binary
 
 
@@ -346,11 +378,14 @@ def _values(path: str) -> list[Find]:
                 note = read_metadata(document, primitive)
                 for name in [] if note is None else slot_names(note):
                     number = primitive["attributes"].get(name)
-                    if number is not None and not np.isfinite(read_accessor(document, number, document.place).decoded()).all():
+                    if (
+                        number is not None
+                        and not np.isfinite(read_accessor(document, number, document.place).decoded()).all()
+                    ):
                         return [Find("finite", name.strip("0123456789"), f"{name} of {path} is not finite")]
     except SkinbakeError as error:
         return [Find("unreadable", re.sub(r"[0-9]+", "N", str(error).rpartition(": ")[2])[:60], str(error))]
-    except Exception as error:  # noqa: BLE001 - reading back must not fail in any way
+    except Exception as error:
         key, text = described(error)
         return [Find("unreadable", key, text)]
     return []

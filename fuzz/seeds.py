@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from fuzz.models import COMPONENT_COUNTS, GLB, JsonObject, Model, element_size, read_model, span
+from fuzz.models import COMPONENT_COUNTS, GLB, JsonObject, Model, read_model, span
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 MOST_BYTES = 20_000
@@ -51,7 +51,11 @@ def corpus_folder() -> Path | None:
 def plain_seeds() -> list[Model]:
     """Return the models that nothing was baked into, small ones as they are."""
     models = [_small(read_model(path)) for path in sorted((REPOSITORY / "fixtures").glob("*.gl[bt]*"))]
-    models += [read_model(path) for path in sorted((REPOSITORY / "fixtures").glob("*.gl[bt]*")) if path.stat().st_size < MOST_BYTES]
+    models += [
+        read_model(path)
+        for path in sorted((REPOSITORY / "fixtures").glob("*.gl[bt]*"))
+        if path.stat().st_size < MOST_BYTES
+    ]
     corpus = corpus_folder()
     for path in [] if corpus is None else sorted(corpus.rglob("*")):
         if path.suffix in {".glb", ".gltf", ".vrm"} and not {"invalid", "hostile"} & set(path.parts):
@@ -71,7 +75,9 @@ def all_seeds(cache: Path | None = None) -> list[Model]:
         cache.mkdir(parents=True, exist_ok=True)
         for number, model in enumerate(models):
             head = json.dumps({"name": model.name, "json": model.json}).encode()
-            (cache / f"{number:04}.model").write_bytes(len(head).to_bytes(8, "little") + head + bytes(model.binary))
+            (cache / f"{number:04}.model").write_bytes(
+                len(head).to_bytes(8, "little") + head + bytes(model.binary)
+            )
         (cache / "done").touch()
     return models
 
@@ -106,7 +112,11 @@ def _small(model: Model) -> Model:
     """Return the model with its first vertices and frames, each accessor in a view of its own."""
     if _is_compressed(model) or len(model.json.get("buffers", [])) != 1:
         return model
-    kept = {key: value for key, value in model.json.items() if key not in {"images", "textures", "samplers", "materials"}}
+    kept = {
+        key: value
+        for key, value in model.json.items()
+        if key not in {"images", "textures", "samplers", "materials"}
+    }
     small = Model(f"small-{model.name}", json.loads(json.dumps(kept)), bytearray())
     accessors = small.json.get("accessors", [])
     counts = [accessor["count"] for accessor in accessors]
@@ -160,7 +170,10 @@ def _rows(model: Model, accessor: JsonObject) -> npt.NDArray[Any] | None:
 
 
 def _choose(
-    model: Model, primitive: JsonObject, chosen: dict[int, npt.NDArray[Any]], corners: dict[int, npt.NDArray[Any]]
+    model: Model,
+    primitive: JsonObject,
+    chosen: dict[int, npt.NDArray[Any]],
+    corners: dict[int, npt.NDArray[Any]],
 ) -> None:
     """Note which vertices of a primitive's accessors stay, and the indices of the triangles among them."""
     accessors = list(_vertex_accessors(primitive))
@@ -198,7 +211,13 @@ def _append(model: Model, views: list[JsonObject], data: bytes) -> None:
 def made_seeds(models: list[Model]) -> list[Model]:
     """Return models with filters of meshopt, edgebreaker streams, sparse accessors, strips and cubic splines."""
     plain = next(model for model in models if model.name == "small-bent_tube.glb")
-    return [_filtered(plain, "EXT"), _filtered(plain, "KHR"), _edgebreaker(plain), _strips(plain), _cubic(plain)]
+    return [
+        _filtered(plain, "EXT"),
+        _filtered(plain, "KHR"),
+        _edgebreaker(plain),
+        _strips(plain),
+        _cubic(plain),
+    ]
 
 
 def _filtered(model: Model, prefix: str) -> Model:
@@ -252,7 +271,10 @@ def _edgebreaker(model: Model) -> Model:
     made = model.copied()
     made.name = "edgebreaker"
     primitive = made.json["meshes"][0]["primitives"][0]
-    arrays = {name: _rows(model, model.json["accessors"][number]) for name, number in primitive["attributes"].items()}
+    arrays = {
+        name: _rows(model, model.json["accessors"][number])
+        for name, number in primitive["attributes"].items()
+    }
     generic = [name for name in arrays if name != "POSITION"]
     stream = DracoPy.encode(
         arrays["POSITION"],
@@ -283,7 +305,9 @@ def _strips(model: Model) -> Model:
     mesh = made.json["meshes"][0]
     first = mesh["primitives"][0]
     for mode in (5, 6, 4):
-        mesh["primitives"].append({key: value for key, value in first.items() if key != "indices"} | {"mode": mode})
+        mesh["primitives"].append(
+            {key: value for key, value in first.items() if key != "indices"} | {"mode": mode}
+        )
     return made
 
 
@@ -299,7 +323,12 @@ def _cubic(model: Model) -> Model:
         values = np.ones((3 * count, width), "<f4") * np.float32(0.5)
         _append(made, made.json["bufferViews"], values.tobytes())
         made.json["accessors"].append(
-            {"bufferView": len(made.json["bufferViews"]) - 1, "componentType": 5126, "type": kind, "count": 3 * count}
+            {
+                "bufferView": len(made.json["bufferViews"]) - 1,
+                "componentType": 5126,
+                "type": kind,
+                "count": 3 * count,
+            }
         )
         animation["samplers"].append(
             {"input": times, "output": len(made.json["accessors"]) - 1, "interpolation": "CUBICSPLINE"}
@@ -327,7 +356,17 @@ def _baked(models: list[Model]) -> Iterator[Model]:
                     _, files = model.packed(GLB, f"{at:03}-{model.name.partition('.')[0]}-{number}")
                     for name, data in files.items():
                         (source / name).write_bytes(data)
-            command = [sys.executable, "-m", "skinbake", "bake", str(source), "--out-dir", str(target), "-q", *options]
+            command = [
+                sys.executable,
+                "-m",
+                "skinbake",
+                "bake",
+                str(source),
+                "--out-dir",
+                str(target),
+                "-q",
+                *options,
+            ]
             subprocess.run(command, check=False, capture_output=True)  # those that cannot be baked stay out
             for path in sorted(target.glob("*.glb")):
                 model = read_model(path)

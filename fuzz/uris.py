@@ -9,7 +9,22 @@ SECRET = b"SKINBAKE-SECRET: this was outside of the folder of the model"
 
 PLAIN = ("m.bin", "tex.png", "sub/tex.png", "x#/tex.png", "a b.png", "ä.png")
 UPWARDS = ("..", "%2e%2e", "%2E.", ".%2e", "..%2f..", "..%5c..", "..\\..", "%252e%252e", "....", "...")
-INWARDS = (".", "", "sub", "x#", "x%23", "x?", "link", "%6cink", "a b", "ä", "%c3%a4", "%ff", "CON", "nul.txt")
+INWARDS = (
+    ".",
+    "",
+    "sub",
+    "x#",
+    "x%23",
+    "x?",
+    "link",
+    "%6cink",
+    "a b",
+    "ä",
+    "%c3%a4",
+    "%ff",
+    "CON",
+    "nul.txt",
+)
 SECRETS = ("secret.bin", "secret%2ebin", "other/secret.bin", "m.glb", "out/m.glb", "in/m.bin")
 ABSOLUTE = (
     "/etc/passwd",
@@ -32,7 +47,26 @@ ABSOLUTE = (
     "~/x",
     "$HOME/x",
 )
-ENDINGS = ("", "", "", "#", "?", "#x", "?x=1", "%00", "%00.png", "\0", "/", "/.", "/..", "%", "%zz", ":", " ", "\n")
+ENDINGS = (
+    "",
+    "",
+    "",
+    "#",
+    "?",
+    "#x",
+    "?x=1",
+    "%00",
+    "%00.png",
+    "\0",
+    "/",
+    "/.",
+    "/..",
+    "%",
+    "%zz",
+    ":",
+    " ",
+    "\n",
+)
 DATA = (
     "data:",
     "data:,",
@@ -58,8 +92,12 @@ def uri(random: Random) -> str:
     if kind == 2:
         return random.choice(PLAIN) + random.choice(ENDINGS)
     if kind == 3:
-        return random.choice(("long/" * 900, "a" * 300, "..", ".", "/", "", "\0", "\ud800", "\x1b[31mred", "%"))
-    parts = [random.choice(UPWARDS if random.random() < 0.5 else INWARDS) for _ in range(random.randint(1, 6))]
+        return random.choice(
+            ("long/" * 900, "a" * 300, "..", ".", "/", "", "\0", "\ud800", "\x1b[31mred", "%")
+        )
+    parts = [
+        random.choice(UPWARDS if random.random() < 0.5 else INWARDS) for _ in range(random.randint(1, 6))
+    ]
     parts.append(random.choice(SECRETS if random.random() < 0.7 else PLAIN))
     separator = "/" if random.random() < 0.9 else random.choice(("\\", "%2f", "//", "%5c"))
     return separator.join(parts) + random.choice(ENDINGS)

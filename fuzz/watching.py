@@ -13,13 +13,34 @@ import traceback
 from dataclasses import dataclass, field
 from pathlib import Path
 
-WRITES = {"os.mkdir", "os.remove", "os.rmdir", "os.rename", "os.link", "os.symlink", "os.truncate", "os.chmod"}
-FORBIDDEN = {"socket.connect", "socket.getaddrinfo", "subprocess.Popen", "os.system", "os.exec", "os.posix_spawn"}
+WRITES = {
+    "os.mkdir",
+    "os.remove",
+    "os.rmdir",
+    "os.rename",
+    "os.link",
+    "os.symlink",
+    "os.truncate",
+    "os.chmod",
+}
+FORBIDDEN = {
+    "socket.connect",
+    "socket.getaddrinfo",
+    "subprocess.Popen",
+    "os.system",
+    "os.exec",
+    "os.posix_spawn",
+}
 
 OURS = tuple(
     {
         os.path.realpath(path) + "/"
-        for path in (sys.prefix, sys.base_prefix, *sysconfig.get_paths().values(), *filter(os.path.isdir, sys.path))
+        for path in (
+            sys.prefix,
+            sys.base_prefix,
+            *sysconfig.get_paths().values(),
+            *filter(os.path.isdir, sys.path),
+        )
     }
 )
 READABLE = ("/proc/meminfo", "/dev/null", "/dev/urandom", "/etc/localtime", "/sys/fs/cgroup")
@@ -43,7 +64,9 @@ class Watch:
             path, mode, flags = values
             if not isinstance(path, int):
                 writes = bool(isinstance(flags, int) and flags & (os.O_WRONLY | os.O_RDWR | os.O_CREAT))
-                self._judge(path, writes or (isinstance(mode, str) and not set("wax+").isdisjoint(mode)), event)
+                self._judge(
+                    path, writes or (isinstance(mode, str) and not set("wax+").isdisjoint(mode)), event
+                )
         elif event in WRITES:
             for path in values[: 2 if event in {"os.rename", "os.link"} else 1]:
                 if isinstance(path, str | bytes | os.PathLike):
@@ -54,9 +77,16 @@ class Watch:
             real = os.path.realpath(os.fsdecode(path))  # type: ignore[arg-type]
         except (ValueError, OSError, TypeError):
             return  # no name of a file
-        if self._is_below(real, self.outputs) or (self._is_below(real, self.inputs) and (not writes or self.replaces_inputs)):
+        if self._is_below(real, self.outputs) or (
+            self._is_below(real, self.inputs) and (not writes or self.replaces_inputs)
+        ):
             return
-        if not writes and (path in OWN_PROCESS or str(path) in OWN_PROCESS or real.startswith((*OURS, *READABLE)) or (event == "open" and real + "/" in OURS)):
+        if not writes and (
+            path in OWN_PROCESS
+            or str(path) in OWN_PROCESS
+            or real.startswith((*OURS, *READABLE))
+            or (event == "open" and real + "/" in OURS)
+        ):
             return
         self.broken.append((f"{event} {'writes' if writes else 'reads'} {os.fsdecode(path)[:200]}", _line()))  # type: ignore[arg-type]
 
@@ -82,7 +112,11 @@ class Watcher:
         sys.addaudithook(self._hook)
 
     def _hook(self, event: str, values: tuple[object, ...]) -> None:
-        if self.watch is None or self._is_inside or (event not in WRITES and event not in FORBIDDEN and event != "open"):
+        if (
+            self.watch is None
+            or self._is_inside
+            or (event not in WRITES and event not in FORBIDDEN and event != "open")
+        ):
             return
         self._is_inside = True
         try:

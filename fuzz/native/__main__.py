@@ -50,9 +50,20 @@ def main() -> int:
     found = False
     with ThreadPoolExecutor(len(kinds)) as pool:
         begun = time.monotonic()
-        for kind, totals in zip(kinds, pool.map(lambda kind: run(kind, first, given.minutes * 60, given.finds), kinds), strict=True):
+        for kind, totals in zip(
+            kinds,
+            pool.map(lambda kind: run(kind, first, given.minutes * 60, given.finds), kinds),
+            strict=True,
+        ):
             seconds = time.monotonic() - begun
-            note(f"native {kind}", executions=totals.executions, seconds=seconds, seed=first, finds=totals.finds, log=given.log)
+            note(
+                f"native {kind}",
+                executions=totals.executions,
+                seconds=seconds,
+                seed=first,
+                finds=totals.finds,
+                log=given.log,
+            )
             print(f"{kind}: {totals.executions} executions from seed {first}, {totals.executions / seconds:.0f} a second, "
                   f"{totals.refused_memory} ended for memory, {sum(totals.finds.values())} finds")  # fmt: skip
             print("".join(f"  {count:6} {name}\n" for name, count in totals.finds.items()), end="")
@@ -68,8 +79,26 @@ def run(kind: str, first: int, seconds: float, finds: Path) -> Totals:
         notes = Path(folder, "note")
         while (left := end - time.monotonic()) > 0:
             notes.write_bytes(NOTE.pack(first, 0))
-            command = [sys.executable, "-m", "fuzz.native.work", kind, str(first), "--seconds", f"{left:.1f}", "--note", str(notes)]
-            process = subprocess.run(command, check=False, capture_output=True, text=True, errors="replace", env=environment(), cwd=REPOSITORY)
+            command = [
+                sys.executable,
+                "-m",
+                "fuzz.native.work",
+                kind,
+                str(first),
+                "--seconds",
+                f"{left:.1f}",
+                "--note",
+                str(notes),
+            ]
+            process = subprocess.run(
+                command,
+                check=False,
+                capture_output=True,
+                text=True,
+                errors="replace",
+                env=environment(),
+                cwd=REPOSITORY,
+            )
             first, done = NOTE.unpack(notes.read_bytes())
             totals.executions += done
             if process.returncode == 0:
@@ -84,9 +113,15 @@ def run(kind: str, first: int, seconds: float, finds: Path) -> Totals:
 
 def _kept(kind: str, seed: int, process: subprocess.CompletedProcess[str], finds: Path) -> str:
     """Keep what a process said before it died; return the name of the cause."""
-    summary = re.search(r"SUMMARY: (.*)|runtime error: (.*)|^(\w+(?:Error|Exception)\b.*)", process.stderr, re.MULTILINE)
-    cause = next((words for words in summary.groups() if words), "") if summary else f"exit {process.returncode}"
-    name = f"native-{kind}-" + re.sub(r"[^A-Za-z0-9.]+", "-", re.sub(r"/\S*/|0x\w+", "", cause))[:80].strip("-")
+    summary = re.search(
+        r"SUMMARY: (.*)|runtime error: (.*)|^(\w+(?:Error|Exception)\b.*)", process.stderr, re.MULTILINE
+    )
+    cause = (
+        next((words for words in summary.groups() if words), "") if summary else f"exit {process.returncode}"
+    )
+    name = f"native-{kind}-" + re.sub(r"[^A-Za-z0-9.]+", "-", re.sub(r"/\S*/|0x\w+", "", cause))[:80].strip(
+        "-"
+    )
     folder = finds / name
     folder.mkdir(parents=True, exist_ok=True)
     said = f"python -m fuzz.native.work {kind} {seed}   # with fuzz.native.build.environment()\n\n{process.stderr}"

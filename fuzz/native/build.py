@@ -25,7 +25,11 @@ def build() -> Path:
     """Return the folder to import the package from; raises NoCompiler."""
     package = BUILD / "skinbake"
     shutil.rmtree(package, ignore_errors=True)
-    shutil.copytree(REPOSITORY / "src" / "skinbake", package, ignore=shutil.ignore_patterns("*.so", "*.pyd", "__pycache__"))
+    shutil.copytree(
+        REPOSITORY / "src" / "skinbake",
+        package,
+        ignore=shutil.ignore_patterns("*.so", "*.pyd", "__pycache__"),
+    )
     source, target = package / "_kernel.c", package / "_kernel.abi3.so"
     command = [COMPILER, *FLAGS, f"-I{sysconfig.get_path('include')}", str(source), "-o", str(target), "-lm"]
     try:
@@ -56,5 +60,7 @@ def environment() -> dict[str, str]:
 
 
 def _library(name: str) -> str:
-    found = subprocess.run([COMPILER, f"-print-file-name={name}"], check=False, capture_output=True, text=True)
+    found = subprocess.run(
+        [COMPILER, f"-print-file-name={name}"], check=False, capture_output=True, text=True
+    )
     return found.stdout.strip()

@@ -12,8 +12,6 @@ from random import Random
 from typing import Any
 
 
-
-
 @dataclass(frozen=True)
 class Stream:
     """A compressed stream: which codec, its bytes, and what its document declares of it."""
@@ -35,16 +33,33 @@ def _draco_streams() -> list[Stream]:
 
     found = []
     random = np.random.default_rng(3)
-    for vertices, ordered, bits in ((4, True, 0), (24, True, 11), (24, False, 11), (60, False, 14), (200, True, 0)):
+    for vertices, ordered, bits in (
+        (4, True, 0),
+        (24, True, 11),
+        (24, False, 11),
+        (60, False, 14),
+        (200, True, 0),
+    ):
         points = random.normal(size=(vertices, 3)).astype("f4")
         base = np.arange(vertices - 2, dtype="u4")
         faces = np.stack([base, base + 1, base + 2], axis=1)
-        generic = {0: random.integers(0, 9, (vertices, 4)).astype("u2"), 1: random.random((vertices, 4)).astype("f4")}
+        generic = {
+            0: random.integers(0, 9, (vertices, 4)).astype("u2"),
+            1: random.random((vertices, 4)).astype("f4"),
+        }
         data = bytes(
-            DracoPy.encode(points, faces, quantization_bits=bits, preserve_order=ordered, generic_attributes=generic)
+            DracoPy.encode(
+                points, faces, quantization_bits=bits, preserve_order=ordered, generic_attributes=generic
+            )
         )
         mesh = DracoPy.decode(data)
-        found.append(Stream("draco", data, (len(mesh.points), 3 * len(mesh.faces), 36 * len(mesh.points) + 12 * len(mesh.faces))))
+        found.append(
+            Stream(
+                "draco",
+                data,
+                (len(mesh.points), 3 * len(mesh.faces), 36 * len(mesh.points) + 12 * len(mesh.faces)),
+            )
+        )
     return found
 
 
@@ -65,8 +80,16 @@ def _meshopt_streams() -> list[Stream]:
                     found.append(Stream("meshopt", data, Packing("ATTRIBUTES", name, count, stride)))
     for size in (2, 4):
         corners = np.arange(90, dtype=f"u{size}") % 31
-        found.append(Stream("meshopt", bytes(meshopt.encode_index_buffer(corners)), Packing("TRIANGLES", "NONE", 90, size)))
-        found.append(Stream("meshopt", bytes(meshopt.encode_index_sequence(corners)), Packing("INDICES", "NONE", 90, size)))
+        found.append(
+            Stream(
+                "meshopt", bytes(meshopt.encode_index_buffer(corners)), Packing("TRIANGLES", "NONE", 90, size)
+            )
+        )
+        found.append(
+            Stream(
+                "meshopt", bytes(meshopt.encode_index_sequence(corners)), Packing("INDICES", "NONE", 90, size)
+            )
+        )
     return found
 
 
@@ -97,7 +120,9 @@ def _damaged(random: Random, data: bytes) -> bytes:
     kind = random.randrange(8)
     if kind < 3:
         for _ in range(random.choice((1, 1, 2, 4, 16))):
-            content[random.randrange(len(content))] = random.choice((0, 255, 128, 127, 1, random.randrange(256)))
+            content[random.randrange(len(content))] = random.choice(
+                (0, 255, 128, 127, 1, random.randrange(256))
+            )
     elif kind == 3:
         for _ in range(random.choice((1, 2))):
             content[random.randrange(min(len(content), 64))] ^= 1 << random.randrange(8)

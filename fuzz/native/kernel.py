@@ -57,7 +57,11 @@ def _calls(kernel: Any, random: np.random.Generator) -> list[Call]:
     positions = _floats(random, (vertices, 3), floats)
     corners = random.integers(0, most if random.random() < 0.95 else most + 3, (triangles, 3)).astype("u4")
     named = random.integers(-1 if random.random() < 0.7 else 0, joints, (vertices, slots)).astype("i4")
-    weights = np.abs(_floats(random, (vertices, slots), "f8")) if random.random() < 0.7 else _floats(random, (vertices, slots), "f8")
+    weights = (
+        np.abs(_floats(random, (vertices, slots), "f8"))
+        if random.random() < 0.7
+        else _floats(random, (vertices, slots), "f8")
+    )
     if random.random() < 0.9:
         weights[named < 0] = 0
     free = random.random((vertices, slots)) < 0.4
@@ -81,7 +85,10 @@ def _calls(kernel: Any, random: np.random.Generator) -> list[Call]:
     return [
         (kernel.bake, bake),
         (kernel.normalise, (named, weights, free, float(random.choice([0, 0.99, np.nan])), 1e-3)),
-        (kernel.proper, (positions, corners, np.zeros(triangles, "?"), float(random.choice([0, 1e-12, np.nan])))),
+        (
+            kernel.proper,
+            (positions, corners, np.zeros(triangles, "?"), float(random.choice([0, 1e-12, np.nan]))),
+        ),
         (kernel.equal_rows, (np.ascontiguousarray(table), np.zeros(len(table), "i4"))),
     ]
 
@@ -142,5 +149,9 @@ def _changed(random: np.random.Generator, value: Array) -> Array:
             flat[at] = not flat[at]
         else:
             limits = np.iinfo(value.dtype)
-            flat[at] = random.choice(np.array([limits.min, limits.max, 0, min(len(value), limits.max), limits.max - 1], value.dtype))
+            flat[at] = random.choice(
+                np.array(
+                    [limits.min, limits.max, 0, min(len(value), limits.max), limits.max - 1], value.dtype
+                )
+            )
     return value

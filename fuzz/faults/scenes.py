@@ -1,0 +1,88 @@
+"""What is done while things fail: commands, the folder that they begin with, and what they may leave."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from fixtures.make_fixtures import FOLDER
+
+Tree = Mapping[str, bytes]
+"""Files below a folder, by path."""
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A command, run in a folder that ``furnish`` has filled; ``appended`` files may hold a part of themselves."""
+
+    name: str
+    arguments: tuple[str, ...]
+    furnish: Callable[[Path], None]
+    appended: tuple[str, ...] = ()
+
+
+def tree(folder: Path) -> Tree:
+    """Return all files below a folder."""
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def lay(folder: Path, files: Tree) -> None:
+    """Fill an empty folder with files, and with the folders that scenes write to."""
+    for name in ("in", "out"):
+        (folder / name).mkdir(parents=True)
+    for name, data in files.items():
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(data)
+
+
+def _one(folder: Path) -> None:
+    lay(folder, {"in/a.glb": (FOLDER / "seam.glb").read_bytes()})
+
+
+def _over(folder: Path) -> None:
+    _one(folder)
+    (folder / "out/a.glb").write_bytes(b"what was there before")
+
+
+def _gltf(folder: Path) -> None:
+    lay(folder, {"in/sub/tex.png": b"an image"})
+    text = (FOLDER / "shared_accessors.gltf").read_bytes()
+    text = text.replace(b'"asset"', b'"images": [{"uri": "sub/tex.png"}], "asset"', 1)
+    (folder / "in/a.gltf").write_bytes(text)
+    shutil.copy(FOLDER / "shared accessors.bin", folder / "in")
+
+
+def _several(folder: Path) -> None:
+    lay(folder, {f"in/{name}.glb": (FOLDER / f"{name}.glb").read_bytes() for name in ("seam", "weights_u8")})
+
+
+NOTES = ("out/state.jsonl", "out/summary.jsonl", "out/.skinbake-state.jsonl")
+QUICK = ("--poses", "rest", "--method", "lbs")
+
+SCENES = (
+    Scene("glb", ("bake", "in/a.glb", "-o", "out/a.glb"), _over),
+    Scene("glb to gltf", ("bake", "in/a.glb", "-o", "out/a.gltf"), _one),
+    Scene("gltf with files", ("bake", "in/a.gltf", "-o", "out/a.gltf"), _gltf),
+    Scene("in place", ("bake", "in/a.glb", "--in-place"), _one),
+    Scene("gltf in place", ("bake", "in/a.gltf", "--in-place"), _gltf),
+    Scene("new folder", ("bake", "in/a.gltf", "--out-dir", "out/new/sub"), _gltf),
+    Scene(
+        "batch",
+        ("bake", "in", "--out-dir", "out", "--skip-unchanged", "--summary", "out/summary.jsonl"),
+        _several,
+        NOTES,
+    ),
+    Scene("compressed", ("bake", "in/a.glb", "-o", "out/a.glb", "--compress", "meshopt"), _over),
+    Scene("strip", ("strip", "in/a.glb", "-o", "out/a.glb"), _over),
+    Scene("shader", ("shader", "--lang", "glsl", "-o", "out/a.txt"), _one),
+    Scene("verify", ("verify", "in", *QUICK, "--junit", "out/junit.xml"), _several),
+    Scene(
+        "verify with notes",
+        ("verify", "in", *QUICK, "--summary", NOTES[1], "--skip-unchanged", "--state", NOTES[0]),
+        _several,
+        NOTES,
+    ),
+)

@@ -1,0 +1,30 @@
+"""Coverage-guided target: the accessors, views and buffers of a .gltf whose data are in its URIs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import suppress
+
+from fuzz.atheris_target import fuzz
+
+
+def load() -> Callable[[bytes], object]:
+    """Return the target."""
+    from pathlib import Path  # noqa: PLC0415
+
+    from skinbake.errors import SkinbakeError  # noqa: PLC0415
+    from skinbake.gltf.accessors import described, read_accessor  # noqa: PLC0415
+    from skinbake.gltf.document import parse_gltf  # noqa: PLC0415
+
+    def target(data: bytes) -> None:
+        document = parse_gltf(data, "fuzz.gltf", Path("nowhere"))
+        for number in range(min(len(document.objects("accessors")), 8)):
+            for read in (read_accessor, described):
+                with suppress(SkinbakeError):
+                    read(document, number, document.place)
+
+    return target
+
+
+if __name__ == "__main__":
+    fuzz(load)

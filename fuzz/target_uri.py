@@ -1,0 +1,26 @@
+"""Coverage-guided target: data: URIs, and the names that others mean."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from fuzz.atheris_target import fuzz
+
+
+def load() -> Callable[[bytes], object]:
+    """Return the target."""
+    from skinbake.errors import Place  # noqa: PLC0415
+    from skinbake.gltf import resources  # noqa: PLC0415
+
+    def target(data: bytes) -> None:
+        uri = data.decode("utf-8", "surrogateescape")
+        if resources.is_data_uri(uri):
+            resources.decode_data_uri(uri, Place("fuzz"))
+        elif resources.is_relative(uri):
+            resources.relative_path(uri)
+
+    return target
+
+
+if __name__ == "__main__":
+    fuzz(load)

@@ -1,0 +1,130 @@
+"""What the fuzzer would find: each of its judges sees what it is there for, and cases are the seed's alone."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from fuzz.batches import keep
+from fuzz.cases import Case, load, make_case
+from fuzz.models import GLB, read_model
+from fuzz.replay import smaller
+from fuzz.running import Find
+from fuzz.watching import Watch
+
+FIXTURES = Path(__file__).resolve().parents[2] / "fixtures"
+MODELS = [read_model(path) for path in sorted(FIXTURES.glob("*.gl[bt]*"))]
+
+PROGRAM = """
+import logging, os, sys, warnings
+from pathlib import Path
+from fuzz.cases import Case
+from fuzz.running import Runner
+import skinbake.cli.main
+
+def broken():
+    {body}
+
+skinbake.cli.main.entry_point = broken
+runner = Runner(Path({root!r}))
+case = Case(1, ("inspect", "in/m.glb"), {{"m.glb": b"glTF"}})
+outcome, finds = runner.run(case)
+print(sorted({{find.kind for find in finds}}))
+"""
+
+BROKEN = {
+    "raise KeyError(1)": ["defect", "exit"],
+    "sys.exit(5)": ["exit"],
+    "warnings.warn('odd', RuntimeWarning)": ["defect", "exit"],
+    "logging.getLogger('skinbake').debug('x', exc_info=ValueError('x'))": ["defect"],
+    "print('error: skinbake failed where it should not: x', file=sys.stderr)": ["defect"],
+    "print('\\x1b]0;title', file=sys.stderr)": ["escape"],
+    "Path('out/x.glb').write_bytes(b'')": ["written"],
+    "Path('out/.skinbake-00.tmp').write_bytes(b'')": ["leftover", "written"],
+    "Path('in/m.glb').read_bytes()": [],
+    "Path('in/m.glb').write_bytes(b'')": ["input", "outside"],
+    "Path('secret.bin').read_bytes()": ["outside"],
+    "Path('in/../secret.bin').read_bytes()": ["outside"],
+    "Path('new').write_bytes(b'')": ["outside"],
+    "os.mkdir('/nowhere/at/all') if False else os.rename('in/m.glb', 'moved')": ["input", "outside"],
+    "sys.stdout.write('SKINBAKE-SECRET: this was outside of the folder of the model')": ["secret"],
+    "bytearray(700 << 20)": ["memory"],
+    "sum(range(10**9)) if False else None": [],
+}
+
+
+@pytest.mark.parametrize("body", BROKEN)
+def test_a_judge_sees_what_is_broken(body: str, tmp_path: Path) -> None:
+    """The audit hook can never be taken away, so each runs in a process of its own."""
+    if sys.platform != "linux" and "bytearray" in body:
+        pytest.skip("ru_maxrss counts in other units")
+    repository = Path(__file__).resolve().parents[2]
+    process = subprocess.run(
+        [sys.executable, "-c", PROGRAM.format(body=body, root=str(tmp_path / "root"))],
+        capture_output=True,
+        text=True,
+        cwd=repository,
+        env={**os.environ, "PYTHONPATH": str(repository)},
+        check=False,
+    )
+    assert process.stdout.strip() == str(BROKEN[body]), process.stderr
+
+
+def test_a_case_is_its_seeds() -> None:
+    assert [make_case(seed, MODELS) for seed in range(50)] == [make_case(seed, MODELS) for seed in range(50)]
+
+
+def test_seeds_give_many_kinds_of_cases() -> None:
+    cases = [make_case(seed, MODELS) for seed in range(400)]
+    assert {case.arguments[0] for case in cases} == {"bake", "verify", "strip", "inspect", "cost", "shader"}
+    options = {word for case in cases for word in case.arguments if word.startswith("--")}
+    assert {"--compress", "--layout", "--weld", "--limit-influences", "--in-place", "--state"} <= options
+    assert len({case.about.split(": ")[1] for case in cases}) > 50
+    assert any(case.links for case in cases)
+
+
+def test_a_case_is_kept_whole_and_once(tmp_path: Path) -> None:
+    case = Case(
+        7, ("bake", "in/m.glb"), {"m.glb": b"12345678", "../out/s": b"\0"}, {"l": ".."}, b"in", True, "x"
+    )
+    names = {keep(tmp_path, case, Find("defect", "KeyError a.py:f:1", "text")) for _ in range(2)}
+    assert len(names) == 1
+    assert load(tmp_path / names.pop()) == case
+
+
+def test_a_case_is_cut_down_to_what_its_find_needs() -> None:
+    _, files = MODELS[0].packed(GLB)
+    case = Case(1, ("inspect", "in/m.glb"), {**files, "other.bin": b"x"})
+    find = Find("defect", "here", "")
+
+    def judge(candidate: Case) -> list[Find]:
+        return [find] if b'"skins"' in candidate.files.get("m.glb", b"") else []
+
+    small = smaller(case, find, judge)
+    assert list(small.files) == ["m.glb"]
+    assert judge(small) == [find]
+    assert b'"meshes"' not in small.files["m.glb"]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="paths of POSIX")
+@pytest.mark.parametrize(
+    ("path", "mode", "allowed"),
+    [
+        ("/r/in/m.glb", "rb", True),
+        ("/r/in/../secret", "rb", False),
+        ("/r/in/m.glb", "wb", False),
+        ("/r/out/m.glb", "wb", True),
+        ("/r/outer/m.glb", "wb", False),
+        ("/etc/passwd", "rb", False),
+        (os.__file__, "rb", True),
+        (os.__file__, "ab", False),
+    ],
+)
+def test_what_a_run_may_open(path: str, mode: str, allowed: bool) -> None:
+    watch = Watch("/r/in", "/r/out", replaces_inputs=False)
+    watch.see("open", (path, mode, 0))
+    assert (not watch.broken) == allowed

@@ -1,0 +1,70 @@
+"""A short slice of the fuzzer: fixed seeds over the fixtures, faults in one scene, sanitizers for seconds."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.support.strictness import missing_tool
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+SECONDS = 120
+
+
+def run(folder: Path, *arguments: str) -> tuple[subprocess.CompletedProcess[str], list[dict[str, object]]]:
+    """Run a part of the fuzzer as a process of its own; return it and the lines of its log."""
+    log = folder / "log.jsonl"
+    process = subprocess.run(
+        [sys.executable, "-m", *arguments, "--log", str(log)],
+        cwd=REPOSITORY,
+        env={**os.environ, "SKINBAKE_CORPUS": str(folder / "none"), "PYTHONPATH": str(REPOSITORY)},
+        capture_output=True,
+        text=True,
+        timeout=SECONDS,
+        check=False,
+    )
+    lines = log.read_text(encoding="utf-8").splitlines() if log.exists() else []
+    return process, [json.loads(line) for line in lines]
+
+
+def require_compiler() -> None:
+    if shutil.which(os.environ.get("CC", "gcc")) is None:
+        missing_tool("a C compiler is not installed")
+
+
+def test_damaged_models_end_in_documented_ways(tmp_path: Path) -> None:
+    """The same cases in every run: the seed, and the fixtures, which alone are damaged here."""
+    process, lines = run(
+        tmp_path, "fuzz", "--seed", "1", "--runs", "500", "--workers", "2", "--finds", str(tmp_path / "finds")
+    )
+    assert process.returncode == 0, process.stdout + process.stderr
+    assert [(line["kind"], line["executions"], line["finds"]) for line in lines] == [("commands", 500, {})]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="calls are caught by LD_PRELOAD")
+def test_faults_leave_the_old_bytes_or_the_new(tmp_path: Path) -> None:
+    require_compiler()
+    process, lines = run(
+        tmp_path, "fuzz.faults", "--scene", "gltf with files", "--scene", "verify", "--every", "2"
+    )
+    assert process.returncode == 0, process.stdout + process.stderr
+    (line,) = lines
+    assert isinstance(line["executions"], int)
+    assert line["executions"] > 40
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="sanitizers are loaded by LD_PRELOAD")
+def test_the_compiled_loops_and_decoders_are_clean(tmp_path: Path) -> None:
+    require_compiler()
+    process, lines = run(
+        tmp_path, "fuzz.native", "--minutes", "0.1", "--seed", "1", "--finds", str(tmp_path / "finds")
+    )
+    assert process.returncode == 0, process.stdout + process.stderr
+    assert [line["kind"] for line in lines] == ["native kernel", "native decoders"]
+    assert all(isinstance(line["executions"], int) and line["executions"] > 0 for line in lines)
