@@ -1,4 +1,4 @@
-"""Hostile input for skinbake: mutated models, arrays and streams, injected faults, and what must hold of them.
+"""Hostile input for skinbake: damaged models, arrays and streams, faults, and what must hold of each run.
 
 ``python -m fuzz`` runs mutated models through every command, ``python -m fuzz.replay`` one case again,
 ``python -m fuzz.native`` the compiled loops and decoders under sanitizers, ``python -m fuzz.faults`` injects

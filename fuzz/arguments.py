@@ -73,6 +73,9 @@ STATES = (
 )
 
 
+TARGETS = (*["out/m.glb", "out/m.gltf"] * 8, "out/gone/m.glb", "out/m.bin/m.glb", "out/", "out/m.txt")
+
+
 def chosen(random: Random, group: Group) -> list[str]:
     """Return options of a group, each with its own likelihood."""
     return [word for often, forms in group if random.random() < often for word in random.choice(forms)]
@@ -95,8 +98,8 @@ def command_line(random: Random, name: str, suffix: str) -> tuple[list[str], dic
         arguments += ["--junit", "out/junit.xml"] if random.random() < 0.1 else []
         return arguments, files, piped
     if kind < 0.77:
-        target = random.choice(("out/m.glb", "out/m.glb", "out/m.gltf", "-"))
-        return ["strip", source, "-o", target, *(["--json"] if random.random() < 0.1 else [])], files, piped
+        goal = random.choice(("out/m.glb", "out/m.glb", "out/m.gltf", "-"))
+        return ["strip", source, "-o", goal, *(["--json"] if random.random() < 0.1 else [])], files, piped
     if kind < 0.86:
         return ["inspect", source, *(["--json"] if random.random() < 0.4 else [])], files, piped
     if kind < 0.91:
@@ -106,12 +109,15 @@ def command_line(random: Random, name: str, suffix: str) -> tuple[list[str], dic
 
 
 def _bake(random: Random, source: str, suffix: str, files: dict[str, bytes]) -> list[str]:
+    if random.random() < 0.15:
+        names = ("m.glb", "m.gltf", "m.bin", "tex.png", "sub/tex.png", "m-1.bin")
+        files.update({f"../out/{name}": b"what was there" for name in names if random.random() < 0.4})
     options = chosen(random, BAKE) + (list(random.choice(COMPRESS)) if random.random() < 0.2 else [])
     where = random.random()
     if source == "-":
         target = ["-o", random.choice(("-", "out/m.glb"))]
     elif where < 0.55:
-        target = ["-o", random.choice((f"out/m{suffix}", "out/m.glb", "out/m.gltf"))]
+        target = ["-o", random.choice((f"out/m{suffix}", f"out/m{suffix}", *TARGETS))]
     elif where < 0.8:
         target = ["--out-dir", random.choice(("out", "out/new/sub"))]
     elif where < 0.85:

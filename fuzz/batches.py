@@ -1,4 +1,4 @@
-"""Run many cases in forked batches, so that a crash or a hang is caught and told by the case that caused it."""
+"""Run many cases in forked batches: a crash or a hang is caught, and told by the case that caused it."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class _Batch:
 
 @dataclass(frozen=True)
 class Plan:
-    """What to run: seeds from ``first`` until ``seconds`` are over or ``most`` are done, in ``workers`` at once.
+    """What to run: seeds from ``first`` until ``seconds`` are over, or ``most`` done, ``workers`` at once.
 
     around wraps the work of each child: coverage is measured so.
     """

@@ -47,7 +47,8 @@ def main() -> int:
         report = _report(folder)
     print("\n".join(lines(report)))
     share = report["totals"]
-    note("branches", executions=totals.runs, seconds=time.monotonic() - begun, seed=given.seed, finds=totals.finds,
+    seconds = time.monotonic() - begun
+    note("branches", executions=totals.runs, seconds=seconds, seed=given.seed, finds=totals.finds,
          log=given.log, branches=share["num_branches"], covered=share["covered_branches"])  # fmt: skip
     return 0
 

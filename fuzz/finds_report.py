@@ -15,9 +15,8 @@ def lines(folder: Path) -> list[str]:
     for path in sorted(folder.glob("*/case.json")):
         case = json.loads(path.read_text(encoding="utf-8"))
         last = (case["text"].strip().splitlines() or [""])[-1][:160]
-        found.append(
-            f"{case['kind']} | {case['key']} | skinbake {' '.join(case['arguments'])} | {last} | {path.parent.name}"
-        )
+        command = f"skinbake {' '.join(case['arguments'])}"
+        found.append(" | ".join([case["kind"], case["key"], command, last, path.parent.name]))
     return found
 
 

@@ -25,7 +25,7 @@ COMPONENT_COUNTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MA
 
 @dataclass
 class Model:
-    """One model. ``binary`` holds buffer 0, ``files`` what other URIs name; ``raw`` pieces of text go in last.
+    """One model. ``binary`` holds buffer 0, ``files`` what other URIs name; ``raw`` text goes in last.
 
     ``raw`` maps marks that stand in the JSON as strings to the text that replaces them, quotes included:
     what json.dumps would never write, such as 1e999.

@@ -34,25 +34,28 @@ INTEGERS = (
 COMPONENTS = (5120, 5121, 5122, 5123, 5124, 5125, 5126, 5130)
 TYPES = ("SCALAR", "VEC2", "VEC3", "VEC4", "MAT2", "MAT3", "MAT4", "vec3", "")
 NAMES = (
-    "POSITION", "NORMAL", "TANGENT", "JOINTS_0", "WEIGHTS_0", "JOINTS_1", "WEIGHTS_1", "JOINTS_2", "WEIGHTS_2",
-    "TEXCOORD_0", "TEXCOORD_1", "TEXCOORD_9", "COLOR_0", "_CUSTOM0", "_CUSTOM1", "_SKINBAKE_ALPHA_0",
-    "_SKINBAKE_BETA_0", "JOINTS_01", "JOINTS_-1", "JOINTS_99999999999", "WEIGHTS_x", "_\x1b[31m", "",
+    "POSITION", "NORMAL", "TANGENT", "JOINTS_0", "WEIGHTS_0", "JOINTS_1", "WEIGHTS_1", "JOINTS_2",
+    "WEIGHTS_2", "TEXCOORD_0", "TEXCOORD_1", "TEXCOORD_9", "COLOR_0", "_CUSTOM0", "_CUSTOM1",
+    "_SKINBAKE_ALPHA_0", "_SKINBAKE_BETA_0", "JOINTS_01", "JOINTS_-1", "JOINTS_99999999999", "WEIGHTS_x",
+    "_\x1b[31m", "",
 )  # fmt: skip
 KEYS = (
-    "accessors", "animations", "asset", "buffers", "bufferViews", "cameras", "images", "materials", "meshes",
-    "nodes", "samplers", "scene", "scenes", "skins", "textures", "extras", "extensions", "extensionsUsed",
-    "extensionsRequired", "uri", "byteLength", "byteOffset", "byteStride", "bufferView", "componentType", "count",
-    "type", "normalized", "sparse", "indices", "values", "min", "max", "primitives", "attributes", "mode",
-    "targets", "weights", "joints", "skeleton", "inverseBindMatrices", "mesh", "skin", "children", "matrix",
-    "translation", "rotation", "scale", "channels", "sampler", "target", "node", "path", "input", "output",
-    "interpolation", "skinbake", "version", "minVersion", "name", "KHR_draco_mesh_compression",
-    "EXT_meshopt_compression", "KHR_meshopt_compression", "KHR_mesh_quantization", "filter", "fallback", "before",
+    "accessors", "animations", "asset", "buffers", "bufferViews", "cameras", "images", "materials",
+    "meshes", "nodes", "samplers", "scene", "scenes", "skins", "textures", "extras", "extensions",
+    "extensionsUsed", "extensionsRequired", "uri", "byteLength", "byteOffset", "byteStride", "bufferView",
+    "componentType", "count", "type", "normalized", "sparse", "indices", "values", "min", "max",
+    "primitives", "attributes", "mode", "targets", "weights", "joints", "skeleton", "inverseBindMatrices",
+    "mesh", "skin", "children", "matrix", "translation", "rotation", "scale", "channels", "sampler",
+    "target", "node", "path", "input", "output", "interpolation", "skinbake", "version", "minVersion",
+    "name", "KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_meshopt_compression",
+    "KHR_mesh_quantization", "filter", "fallback", "before",
 )  # fmt: skip
 TEXTS = (
-    "", "POSITION", "\0", "\x1b[2J\x1b[31m", "\u202egnp", "\ud800", "a\nb: error: c", "2.0", "2.1", "1.0", "3", "x" * 5000,
-    "STEP", "LINEAR", "CUBICSPLINE", "rotation", "translation", "scale", "weights", "pointer", "tangent", "normal",
-    "packed8", "snorm16", "float32", "texcoord", "custom", "ATTRIBUTES", "TRIANGLES", "INDICES", "NONE",
-    "OCTAHEDRAL", "QUATERNION", "EXPONENTIAL", "COLOR", "VEC3", "true", "../secret.bin", "{set}",
+    "", "POSITION", "\0", "\x1b[2J\x1b[31m", "\u202egnp", "\ud800", "a\nb: error: c", "2.0", "2.1", "1.0",
+    "3", "x" * 5000, "STEP", "LINEAR", "CUBICSPLINE", "rotation", "translation", "scale", "weights",
+    "pointer", "tangent", "normal", "packed8", "snorm16", "float32", "texcoord", "custom", "ATTRIBUTES",
+    "TRIANGLES", "INDICES", "NONE", "OCTAHEDRAL", "QUATERNION", "EXPONENTIAL", "COLOR", "VEC3", "true",
+    "../secret.bin", "{set}",
 )  # fmt: skip
 
 
@@ -220,12 +223,23 @@ def _primitives(model: Model) -> Iterator[JsonObject]:
         yield from _objects(mesh, "primitives")
 
 
+def _used(model: Model, random: Random) -> JsonObject:
+    """Return an accessor, mostly one that a primitive names; an empty object where there is none."""
+    accessors = _objects(model.json, "accessors")
+    primitives = list(_primitives(model))
+    if primitives and random.random() < 0.7:
+        primitive = random.choice(primitives)
+        attributes = primitive.get("attributes")
+        numbers = [*(attributes.values() if isinstance(attributes, dict) else ()), primitive.get("indices")]
+        numbers = [number for number in numbers if type(number) is int and 0 <= number < len(accessors)]
+        if numbers:
+            return accessors[random.choice(numbers)]
+    return random.choice(accessors) if accessors else {}
+
+
 def _accessor(model: Model, random: Random) -> None:
     """Change how an accessor says its data are stored."""
-    accessors = _objects(model.json, "accessors")
-    if not accessors:
-        return
-    accessor = random.choice(accessors)
+    accessor = _used(model, random)
     key = random.choice(
         ("componentType", "type", "count", "byteOffset", "bufferView", "normalized", "sparse", "gone")
     )
@@ -351,7 +365,13 @@ def _animation(model: Model, random: Random) -> None:
         return
     animation = random.choice(animations)
     samplers, channels = _objects(animation, "samplers"), _objects(animation, "channels")
-    if samplers and random.random() < 0.5:
+    if random.random() < 0.3:
+        holder = random.choice(
+            [*samplers, *channels, *(channel.get("target") for channel in channels)] or [{}]
+        )
+        if isinstance(holder, dict) and holder:
+            holder.pop(random.choice(list(holder)))
+    elif samplers and random.random() < 0.5:
         sampler = random.choice(samplers)
         key = random.choice(("interpolation", "input", "output"))
         sampler[key] = (
@@ -366,6 +386,71 @@ def _animation(model: Model, random: Random) -> None:
             "path": random.choice(("rotation", "translation", "scale", "weights", "pointer", 3)),
         }
         channel["sampler"] = random.randrange(max(len(samplers), 1) + 1)
+
+
+def _morph(model: Model, random: Random) -> None:
+    """Change morph targets, or the weights of a mesh or node."""
+    primitives, count = list(_primitives(model)), len(_objects(model.json, "accessors"))
+    holders = [*_objects(model.json, "meshes"), *_objects(model.json, "nodes")]
+    if primitives and random.random() < 0.6:
+        primitive = random.choice(primitives)
+        targets = _objects(primitive, "targets")
+        name = random.choice(("POSITION", "NORMAL", "TANGENT", "TEXCOORD_0"))
+        if targets and random.random() < 0.8:
+            random.choice(targets)[name] = random.choice((None, "0", *range(-1, count + 1)))
+        else:
+            primitive["targets"] = random.choice(([], [{}], [{name: random.randrange(count + 1)}] * 2, {}))
+    elif holders:
+        random.choice(holders)["weights"] = random.choice(
+            ([], [0.5], [0.5] * 2, ["x"], [None, 1], 1, [1e300] * 2)
+        )
+
+
+def _packing(model: Model, random: Random) -> None:
+    """Change what an extension says of a compressed stream."""
+    extensions = [
+        extension
+        for holder in [
+            *_objects(model.json, "bufferViews"),
+            *_primitives(model),
+            *_objects(model.json, "buffers"),
+        ]
+        if isinstance(found := holder.get("extensions"), dict)
+        for extension in found.values()
+        if isinstance(extension, dict)
+    ]
+    if not extensions:
+        _accessor(model, random)
+        return
+    extension = random.choice(extensions)
+    key = random.choice([*extension, "filter", "mode"])
+    inside = extension.get("attributes")
+    if isinstance(inside, dict) and inside and random.random() < 0.6:
+        name = random.choice(list(inside))
+        if random.random() < 0.4:
+            del inside[name]
+        else:
+            inside[random.choice((name, *NAMES))] = random.choice((0, 1, 2, 3, 9, -1, None, 1.0))
+    elif key in {"filter", "mode"}:
+        extension[key] = random.choice(TEXTS)
+    elif random.random() < 0.3:
+        extension.pop(key, None)
+    else:
+        extension[key] = _number(random, extension.get(key))
+
+
+def _many(model: Model, random: Random) -> None:
+    """Add more attributes than a codec or a layout has room for, or images named many times."""
+    primitives = list(_primitives(model))
+    if random.random() < 0.3:
+        model.json["images"] = [{"uri": random.choice(("tex.png", "sub/tex.png"))}] * random.choice((3, 500))
+    elif primitives and isinstance(attributes := random.choice(primitives).get("attributes"), dict):
+        value = random.choice([*attributes.values(), 0])
+        prefix, count = random.choice(
+            (("TEXCOORD_", 12), ("_X", 140), ("_X", 300), ("JOINTS_", 5), ("COLOR_", 9))
+        )
+        for number in range(count):
+            attributes.setdefault(f"{prefix}{number}", value)
 
 
 def _resource(model: Model, random: Random) -> None:
@@ -411,8 +496,7 @@ def _notes(primitive: JsonObject) -> Iterator[JsonObject]:
 
 def _data(model: Model, random: Random) -> None:
     """Write special numbers over an accessor's data."""
-    accessors = _objects(model.json, "accessors")
-    accessor = random.choice(accessors) if accessors else {}
+    accessor = _used(model, random)
     found = span(model, accessor)
     if found is None:
         _bytes(model, random)
@@ -494,9 +578,9 @@ def _length(model: Model, random: Random) -> None:
 
 MUTATIONS: tuple[Callable[[Model, Random], None], ...] = (
     _value, _delete, _insert, _move, _accessor, _attribute, _view, _skin, _animation, _resource, _note, _data,
-    _bytes, _stream, _length,
+    _bytes, _stream, _length, _morph, _packing, _many,
 )  # fmt: skip
-WEIGHTS = (5, 3, 2, 2, 3, 4, 2, 3, 2, 3, 2, 6, 1, 3, 1)
+WEIGHTS = (10, 6, 4, 4, 7, 8, 4, 6, 5, 5, 4, 12, 2, 5, 2, 4, 4, 1)
 
 
 # The container
@@ -505,7 +589,14 @@ WEIGHTS = (5, 3, 2, 2, 3, 4, 2, 3, 2, 3, 2, 6, 1, 3, 1)
 def damaged_container(data: bytes, random: Random) -> bytes:
     """Return a file's bytes with its headers, its length or its text damaged."""
     content = bytearray(data)
-    kind = random.randrange(9)
+    kind = random.randrange(11)
+    if kind == 9 and len(content) > 20:  # cut, and the header says so
+        del content[random.choice((20, 24, len(content) - 3, random.randrange(20, len(content)))) :]
+        struct.pack_into("<I", content, 8, len(content))
+    elif kind == 10 and len(content) > 20:  # without its BIN chunk, or so long that it is mapped
+        end = 20 + int.from_bytes(content[12:16], "little")
+        content = content[:end] if random.random() < 0.8 else content + bytes(1 << 20)
+        struct.pack_into("<I", content, 8, min(len(content), end))
     if kind == 0:
         return bytes(content[: random.randrange(len(content) + 1)])
     if kind == 1:
@@ -532,6 +623,6 @@ def damaged_container(data: bytes, random: Random) -> bytes:
     elif kind == 7:
         at = random.randrange(len(content) + 1)
         content[at:at] = random.choice((b"\0", b'"', b"{", b"\xff", b"}", b",", b" " * 7))
-    elif content:
+    elif kind == 8 and content:
         content[random.randrange(len(content))] ^= 1 << random.randrange(8)
     return bytes(content)

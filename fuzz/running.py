@@ -69,7 +69,7 @@ class _Tracebacks(logging.Handler):
 
 
 def described(error: BaseException) -> tuple[str, str]:
-    """Return a key and the traceback of an exception: its type, and the line of skinbake it came through last."""
+    """Return a key and the traceback of an exception: its type, and the last line of skinbake it passed."""
     where = _last_line(error.__traceback__)
     text = "".join(traceback.format_exception(error))
     return f"{type(error).__name__} {where}", text[-6000:]
@@ -212,7 +212,15 @@ class Runner:
             if SECRET in Path(path).read_bytes():
                 finds.append(Find("secret", case.arguments[0], path))
         given = {f"in/{name}" for name in case.files}
-        made = [path for path in written if path not in REPORTS]
+        before = {f"out/{name[7:]}": data for name, data in case.files.items() if name.startswith("../out/")}
+        made = [
+            path
+            for path in written
+            if path not in REPORTS and not (path in before and _holds(Path(path), before[path]))
+        ]
+        gone = [path for path in before if path not in written]
+        if gone:
+            finds.append(Find("written", f"{case.arguments[0]} removes", str(gone)))
         failed = outcome.code != 0 and case.arguments[1:2] != ("in",)
         if (
             failed or case.arguments[0] in {"verify", "inspect", "cost"} or "--dry-run" in case.arguments
@@ -322,7 +330,7 @@ def _holds(path: Path, data: bytes) -> bool:
 
 
 def _files(folder: str) -> list[str]:
-    return [os.path.join(base, name) for base, _, names in os.walk(folder) for name in names]
+    return [f"{base}/{name}" for base, _, names in os.walk(folder) for name in names]
 
 
 def _without_targets(arguments: Sequence[str]) -> list[str]:

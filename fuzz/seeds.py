@@ -65,7 +65,7 @@ def plain_seeds() -> list[Model]:
 
 
 def all_seeds(cache: Path | None = None) -> list[Model]:
-    """Return plain models and their bakes; they are read from ``cache``, and kept there, where one is given."""
+    """Return plain models and their bakes; where ``cache`` is given they are kept there, and read from it."""
     if cache is not None and (cache / "done").is_file():
         return [_loaded(path) for path in sorted(cache.glob("*.model"))]
     plain = plain_seeds()
@@ -185,7 +185,7 @@ def _choose(
     vertices = np.sort(order[np.sort(first)[:VERTICES]])
     vertices = next((chosen[each] for each in accessors if each in chosen), vertices)
     chosen.update(dict.fromkeys(accessors, vertices))
-    if indices is not None:
+    if indices is not None and number is not None:
         place = np.full(max(count, int(indices.max()) + 1), -1)
         place[vertices] = np.arange(len(vertices))
         triangles = place[indices.ravel()[: len(indices) // 3 * 3].reshape(-1, 3)]
@@ -209,7 +209,7 @@ def _append(model: Model, views: list[JsonObject], data: bytes) -> None:
 
 
 def made_seeds(models: list[Model]) -> list[Model]:
-    """Return models with filters of meshopt, edgebreaker streams, sparse accessors, strips and cubic splines."""
+    """Return models with filters of meshopt, an edgebreaker stream, strips, fans, splines and steps."""
     plain = next(model for model in models if model.name == "small-bent_tube.glb")
     return [
         _filtered(plain, "EXT"),

@@ -76,9 +76,9 @@ def run(name: str, seconds: int, seed: int) -> tuple[int, Counter[str]]:
     grown.mkdir(parents=True, exist_ok=True)
     process = subprocess.run(
         [
-            sys.executable, "-m", f"fuzz.target_{name}", str(grown), str(CORPUS / name), f"-max_total_time={seconds}",
-            f"-seed={seed}", f"-dict={DICTIONARY}", f"-artifact_prefix={kept}/", "-print_final_stats=1",
-            f"-max_len={MOST}", "-timeout=10", "-rss_limit_mb=2048",
+            sys.executable, "-m", f"fuzz.target_{name}", str(grown), str(CORPUS / name),
+            f"-max_total_time={seconds}", f"-seed={seed}", f"-dict={DICTIONARY}", f"-artifact_prefix={kept}/",
+            "-print_final_stats=1",            f"-max_len={MOST}", "-timeout=10", "-rss_limit_mb=2048",
         ],
         check=False, capture_output=True, text=True, errors="replace", cwd=REPOSITORY,
         env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},

@@ -1,4 +1,4 @@
-"""URIs that a hostile document may give: a grammar of ways out of its folder, and of names that break readers."""
+"""URIs that a hostile document may give: a grammar of ways out of its folder, and of odd names."""
 
 from __future__ import annotations
 

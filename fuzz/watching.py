@@ -49,7 +49,7 @@ OWN_PROCESS = ("/proc/self/stat", "/proc/self/statm", "/proc/self/status", "/pro
 
 @dataclass
 class Watch:
-    """What one run may read and write; ``broken`` lists what it did besides, each with the stack's last line."""
+    """What one run may read and write; ``broken`` lists what else it did, each with the stack's last line."""
 
     inputs: str
     outputs: str

@@ -5,6 +5,7 @@ from __future__ import annotations
 import tempfile
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -44,7 +45,7 @@ PROPERTIES = settings(
 
 @dataclass(frozen=True)
 class Mesh:
-    """A skinned mesh: points (V, 3), triangles (T, 3), normals, joints and weights (V, 4), tangents or none."""
+    """A skinned mesh: points (V, 3), triangles (T, 3), joints and weights (V, 4), perhaps tangents."""
 
     points: npt.NDArray[np.float32]
     triangles: npt.NDArray[np.int64]
@@ -56,7 +57,7 @@ class Mesh:
     def glb(self) -> bytes:
         """Return the mesh as a file, skinned by a chain of joints."""
         model = Model()
-        attributes = {
+        attributes: dict[str, npt.NDArray[Any]] = {
             "POSITION": self.points,
             "NORMAL": self.normals,
             "JOINTS_0": self.joints,

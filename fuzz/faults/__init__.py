@@ -1,1 +1,1 @@
-"""Kills, signals and I/O errors at every call that writes: each target must be the old bytes or the new ones."""
+"""Kills, signals and I/O errors at every call that writes: each target stays as it was, or is all new."""

@@ -191,7 +191,7 @@ class _Trial:
             path.write_bytes(data)
 
     def _child(self, arguments: tuple[str, ...], call: int, kind: str) -> tuple[int, str]:
-        """Run a command in a child with a fault; return its exit code, negative for a signal, and its stderr."""
+        """Run a command in a child with a fault; return its exit code, or minus a signal, and its stderr."""
         self.fault.clear()
         log = self.folder.parent / "stderr"
         process = os.fork()

@@ -15,7 +15,7 @@ Tree = Mapping[str, bytes]
 
 @dataclass(frozen=True)
 class Scene:
-    """A command, run in a folder that ``furnish`` has filled; ``appended`` files may hold a part of themselves."""
+    """A command in a folder that ``furnish`` fills; ``appended`` files may hold a part of themselves."""
 
     name: str
     arguments: tuple[str, ...]

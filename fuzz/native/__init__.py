@@ -1,1 +1,1 @@
-"""The compiled loops and the decoders under AddressSanitizer and UndefinedBehaviorSanitizer, called directly."""
+"""The compiled loops and the decoders, called directly under Address- and UndefinedBehaviorSanitizer."""

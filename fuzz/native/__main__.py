@@ -15,7 +15,7 @@ from pathlib import Path
 
 from fuzz.batches import FINDS
 from fuzz.log import LOG, note
-from fuzz.native.build import REPOSITORY, NoCompiler, build, environment
+from fuzz.native.build import REPOSITORY, NoCompilerError, build, environment
 from fuzz.native.work import KINDS, NOTE
 
 NO_MEMORY = ("allocation-size-too-big", "out-of-memory", "calloc-overflow")
@@ -42,7 +42,7 @@ def main() -> int:
     given = parser.parse_args()
     try:
         build()
-    except NoCompiler as error:
+    except NoCompilerError as error:
         print(f"not run: {error}", file=sys.stderr)
         return 2
     first = given.seed if given.seed is not None else int(time.time()) * 1_000_000
@@ -64,8 +64,10 @@ def main() -> int:
                 finds=totals.finds,
                 log=given.log,
             )
-            print(f"{kind}: {totals.executions} executions from seed {first}, {totals.executions / seconds:.0f} a second, "
-                  f"{totals.refused_memory} ended for memory, {sum(totals.finds.values())} finds")  # fmt: skip
+            rate = f"{totals.executions} executions from seed {first}, {totals.executions / seconds:.0f}/s"
+            print(
+                f"{kind}: {rate}, {totals.refused_memory} out of memory, {sum(totals.finds.values())} finds"
+            )
             print("".join(f"  {count:6} {name}\n" for name, count in totals.finds.items()), end="")
             found = found or bool(totals.finds)
     return 1 if found else 0
@@ -124,7 +126,8 @@ def _kept(kind: str, seed: int, process: subprocess.CompletedProcess[str], finds
     )
     folder = finds / name
     folder.mkdir(parents=True, exist_ok=True)
-    said = f"python -m fuzz.native.work {kind} {seed}   # with fuzz.native.build.environment()\n\n{process.stderr}"
+    again = f"python -m fuzz.native.work {kind} {seed}   # in fuzz.native.build.environment()"
+    said = f"{again}\n\n{process.stderr}"
     (folder / "report.txt").write_text(said, encoding="utf-8")
     return name
 

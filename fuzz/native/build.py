@@ -17,12 +17,12 @@ FLAGS = (
 )  # fmt: skip
 
 
-class NoCompiler(Exception):
+class NoCompilerError(Exception):
     """No C compiler with sanitizers is here."""
 
 
 def build() -> Path:
-    """Return the folder to import the package from; raises NoCompiler."""
+    """Return the folder to import the package from; raises NoCompilerError."""
     package = BUILD / "skinbake"
     shutil.rmtree(package, ignore_errors=True)
     shutil.copytree(
@@ -35,9 +35,11 @@ def build() -> Path:
     try:
         subprocess.run(command, check=True, capture_output=True, text=True)
     except FileNotFoundError as error:
-        raise NoCompiler(f"{COMPILER} is not installed") from error
+        raise NoCompilerError(f"{COMPILER} is not installed") from error
     except subprocess.CalledProcessError as error:
-        raise NoCompiler(f"{COMPILER} cannot build with sanitizers: {error.stderr.strip()[-300:]}") from error
+        raise NoCompilerError(
+            f"{COMPILER} cannot build with sanitizers: {error.stderr.strip()[-300:]}"
+        ) from error
     return BUILD
 
 
@@ -50,8 +52,8 @@ def environment() -> dict[str, str]:
     return {
         **os.environ,
         "LD_PRELOAD": " ".join(libraries),
-        # The interpreter never frees what lasts as long as it does; an allocation too large is no defect.
-        "ASAN_OPTIONS": "detect_leaks=0:allocator_may_return_null=1:abort_on_error=0:exitcode=99:max_allocation_size_mb=2048",
+        # The interpreter keeps what lasts as long as it does; an allocation too large is no defect.
+        "ASAN_OPTIONS": "detect_leaks=0:allocator_may_return_null=1:exitcode=99:max_allocation_size_mb=2048",
         "UBSAN_OPTIONS": "print_stacktrace=1:halt_on_error=1:exitcode=98",
         "PYTHONPATH": os.pathsep.join([str(BUILD), str(REPOSITORY)]),
         "PYTHONMALLOC": "malloc",

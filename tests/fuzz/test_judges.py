@@ -1,4 +1,4 @@
-"""What the fuzzer would find: each of its judges sees what it is there for, and cases are the seed's alone."""
+"""What the fuzzer would find: each judge sees what it is there for, and a case is its seed's alone."""
 
 from __future__ import annotations
 
@@ -50,10 +50,9 @@ BROKEN = {
     "Path('secret.bin').read_bytes()": ["outside"],
     "Path('in/../secret.bin').read_bytes()": ["outside"],
     "Path('new').write_bytes(b'')": ["outside"],
-    "os.mkdir('/nowhere/at/all') if False else os.rename('in/m.glb', 'moved')": ["input", "outside"],
+    "os.rename('in/m.glb', 'moved')": ["input", "outside"],
     "sys.stdout.write('SKINBAKE-SECRET: this was outside of the folder of the model')": ["secret"],
     "bytearray(700 << 20)": ["memory"],
-    "sum(range(10**9)) if False else None": [],
 }
 
 

@@ -1,0 +1,139 @@
+"""Print docs/reliability.md from the logs of the fuzzer: ``python -m benchmarks.reliability LOG...``.
+
+What was tried, how often, how much of the readers that reached, and what it found. Each line of a log is a
+run of ``make fuzz``, ``fuzz-native``, ``fuzz-coverage`` or ``faults``; nothing else is added here.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+LOG = Path(__file__).resolve().parents[1] / "build" / "fuzz-log.jsonl"
+
+Line = dict[str, Any]
+
+WORDS = {
+    "commands": "`skinbake` with damaged models, by every command and `--compress` way",
+    "branches": "the same, with branches counted",
+    "native kernel": "compiled loops, under AddressSanitizer and UndefinedBehaviorSanitizer",
+    "native decoders": "Draco and meshopt decoders as `skinbake` calls them, under both",
+    "faults": "commands with a kill, a signal or an I/O error at one call",
+    "target glb": "reader of GLB, coverage-guided",
+    "target gltf": "reader of accessors, views and data: URIs, coverage-guided",
+    "target draco": "reader of Draco's counts, coverage-guided",
+    "target meshopt": "reader of meshopt's headers, coverage-guided",
+    "target uri": "reader of URIs, coverage-guided",
+    "target state": "reader of state files, coverage-guided",
+}
+"""What each kind of run tries, in the order of the table."""
+
+
+def read_logs(paths: Iterable[Path]) -> list[Line]:
+    """Return the lines of logs."""
+    return [json.loads(line) for path in paths for line in path.read_text(encoding="utf-8").splitlines()]
+
+
+def page(lines: Sequence[Line]) -> str:
+    """Return the page."""
+    parts = [
+        "# Reliability",
+        "What was tried to break skinbake, and what came of it. `python -m benchmarks.reliability` writes this "
+        "page from the logs of `make fuzz`, `make fuzz-native`, `make fuzz-coverage` and `make faults`.",
+        *_executions(lines),
+        *_codes(lines),
+        *_faults(lines),
+        *_coverage(lines),
+        *_finds(lines),
+    ]
+    return "\n\n".join(parts) + "\n"
+
+
+def _executions(lines: Sequence[Line]) -> list[str]:
+    rows = ["| what is run | executions | hours | runs | causes found |", "|---|---|---|---|---|"]
+    kinds = {line["kind"] for line in lines}
+    for kind in [*(known for known in WORDS if known in kinds), *sorted(kinds - WORDS.keys())]:
+        own = [line for line in lines if line["kind"] == kind]
+        count, hours = sum(line["executions"] for line in own), sum(line["seconds"] for line in own) / 3600
+        found = len({name for line in own for name in line["finds"]})
+        rows.append(f"| {WORDS.get(kind, kind)} | {count:,} | {hours:.2f} | {len(own)} | {found} |")
+    dates = sorted(line["date"] for line in lines)
+    when = f"From {dates[0][:10]} to {dates[-1][:10]}." if dates else "Nothing has been run yet."
+    return ["## Executions", when, "\n".join(rows)]
+
+
+def _codes(lines: Sequence[Line]) -> list[str]:
+    """Return how the commands ended."""
+    counts = Counter[str]()
+    for line in lines:
+        if line["kind"] == "commands":
+            counts.update(line.get("codes", {}))
+    if not counts:
+        return []
+    codes = sorted({name.partition(" ")[2] for name in counts})
+    rows = [f"| command | {' | '.join(codes)} |", "|---" * (len(codes) + 1) + "|"]
+    for command in sorted({name.partition(" ")[0] for name in counts}):
+        rows.append(
+            f"| {command} | " + " | ".join(f"{counts[f'{command} {code}']:,}" for code in codes) + " |"
+        )
+    return ["## How commands ended", "By exit code.", "\n".join(rows)]
+
+
+def _faults(lines: Sequence[Line]) -> list[str]:
+    counts = Counter[str]()
+    for line in lines:
+        if line["kind"] == "faults":
+            counts.update(line.get("kinds", {}))
+    if not counts:
+        return []
+    rows = ["| fault | times |", "|---|---|", *(f"| {kind} | {count:,} |" for kind, count in counts.items())]
+    about = (
+        "At each call that writes, one after another. With `+` all calls that follow fail too, but for those "
+        "that remove files; `short` writes half of what it was given."
+    )
+    return ["## Faults", about, "\n".join(rows)]
+
+
+def _coverage(lines: Sequence[Line]) -> list[str]:
+    measured = [line for line in lines if line["kind"] == "branches" and line.get("branches")]
+    if not measured:
+        return []
+    best = max(measured, key=lambda line: line["covered"] / line["branches"])
+    share = 100 * best["covered"] / best["branches"]
+    return [
+        "## Branches",
+        f"{best['covered']} of {best['branches']} branches of src/skinbake/gltf ({share:.1f} %) are reached "
+        f"by {best['executions']:,} runs of commands from seed {best['seed']}.",
+    ]
+
+
+def _finds(lines: Sequence[Line]) -> list[str]:
+    """Return what was found, each with the day on which it was seen last."""
+    last: dict[str, str] = {}
+    times = Counter[str]()
+    for line in sorted(lines, key=lambda line: str(line["date"])):
+        times.update(line["finds"])
+        last.update(dict.fromkeys(line["finds"], line["date"][:10]))
+    if not last:
+        return ["## Found", "Nothing."]
+    rows = ["| cause | times | last seen |", "|---|---|---|"]
+    rows += [f"| {name.replace('|', '/')} | {times[name]:,} | {day} |" for name, day in sorted(last.items())]
+    return ["## Found", "\n".join(rows)]
+
+
+def main() -> int:
+    """Print the page of the logs that the command line names."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.reliability", description=__doc__)
+    parser.add_argument("logs", nargs="*", type=Path, default=[LOG], metavar="LOG")
+    given = parser.parse_args()
+    print(page(read_logs(given.logs)), end="")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,35 @@
+"""The page about reliability says what the logs say."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from benchmarks.reliability import page, read_logs
+
+LINES = [
+    {"date": "2026-01-02T00:00:00Z", "kind": "commands", "executions": 1500, "seconds": 1800, "seed": 1,
+     "finds": {"defect-A": 2}, "codes": {"bake 0": 1000, "bake 3": 400, "strip 0": 100}},
+    {"date": "2026-01-03T00:00:00Z", "kind": "commands", "executions": 500, "seconds": 1800, "seed": 2,
+     "finds": {"defect-A": 1, "hang-B": 1}, "codes": {"bake 0": 500}},
+    {"date": "2026-01-03T00:00:00Z", "kind": "branches", "executions": 90, "seconds": 9, "seed": 3,
+     "finds": {}, "branches": 200, "covered": 191},
+    {"date": "2026-01-04T00:00:00Z", "kind": "faults", "executions": 7, "seconds": 1, "seed": None,
+     "finds": {}, "kinds": {"kill": 4, "eio+": 3}},
+]  # fmt: skip
+
+
+def test_the_page_adds_up_what_the_logs_have(tmp_path: Path) -> None:
+    logs = [tmp_path / "a.jsonl", tmp_path / "b.jsonl"]
+    logs[0].write_text("".join(json.dumps(line) + "\n" for line in LINES[:2]))
+    logs[1].write_text("".join(json.dumps(line) + "\n" for line in LINES[2:]))
+    text = page(read_logs(logs))
+    assert "by every command and `--compress` way | 2,000 | 1.00 | 2 | 2 |" in text
+    assert "| bake | 1,500 | 400 |" in text
+    assert "191 of 200 branches of src/skinbake/gltf (95.5 %)" in text
+    assert "| kill | 4 |" in text
+    assert "| defect-A | 3 | 2026-01-03 |" in text
+
+
+def test_a_page_without_runs_says_so() -> None:
+    assert "Nothing has been run yet." in page([])
