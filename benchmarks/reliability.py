@@ -43,8 +43,9 @@ def page(lines: Sequence[Line]) -> str:
     """Return the page."""
     parts = [
         "# Reliability",
-        "What was tried to break skinbake, and what came of it. `python -m benchmarks.reliability` writes this "
-        "page from the logs of `make fuzz`, `make fuzz-native`, `make fuzz-coverage` and `make faults`.",
+        "What was tried to break skinbake, and what came of it. "
+        "`python -m benchmarks.reliability` writes this page from the logs of "
+        "`make fuzz`, `make fuzz-native`, `make fuzz-coverage` and `make faults`.",
         *_executions(lines),
         *_codes(lines),
         *_faults(lines),
@@ -77,10 +78,9 @@ def _codes(lines: Sequence[Line]) -> list[str]:
         return []
     codes = sorted({name.partition(" ")[2] for name in counts})
     rows = [f"| command | {' | '.join(codes)} |", "|---" * (len(codes) + 1) + "|"]
-    for command in sorted({name.partition(" ")[0] for name in counts}):
-        rows.append(
-            f"| {command} | " + " | ".join(f"{counts[f'{command} {code}']:,}" for code in codes) + " |"
-        )
+    commands = sorted({name.partition(" ")[0] for name in counts})
+    cells = {command: [f"{counts[f'{command} {code}']:,}" for code in codes] for command in commands}
+    rows += [f"| {' | '.join([command, *cells[command]])} |" for command in commands]
     return ["## How commands ended", "By exit code.", "\n".join(rows)]
 
 

@@ -233,7 +233,8 @@ def _used(model: Model, random: Random) -> JsonObject:
         numbers = [*(attributes.values() if isinstance(attributes, dict) else ()), primitive.get("indices")]
         numbers = [number for number in numbers if type(number) is int and 0 <= number < len(accessors)]
         if numbers:
-            return accessors[random.choice(numbers)]
+            number: int = random.choice(numbers)
+            return accessors[number]
     return random.choice(accessors) if accessors else {}
 
 
