@@ -21,8 +21,7 @@ unexport PYTHONHOME PYTHONPATH VIRTUAL_ENV
 .PHONY: fuzz fuzz-native fuzz-coverage faults clean
 
 help: ## List the targets
-	@awk 'BEGIN { FS = ":.*## " } /^[a-z-]+:.*## / { printf "  make %-13s %s
-", $$1, $$2 }' Makefile
+	@awk 'BEGIN { FS = ":.*## " } /^[a-z-]+:.*## / { printf "  make %-13s %s\n", $$1, $$2 }' Makefile
 
 bake: $(PACKAGE) ## Set up .venv, bake a fixture into build/, and print what it gained
 	@mkdir -p build

@@ -16,8 +16,8 @@ from hypothesis import strategies as st
 from fixtures.builder import Model
 from skinbake.verify.operator import expected_alpha_beta, gradient_operator
 from tests.bake.models import StoredPrimitive, baked_meshes_of
-from tests.cli.running import invoke
 from tests.support import khronos
+from tests.support.command_line import invoke
 from tests.support.gltf_reading import read
 
 STORAGES = (

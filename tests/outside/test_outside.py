@@ -95,9 +95,10 @@ def between(log: Path, mode: str) -> Iterator[str]:
         for line in lines:
             if f"{mode}.ends" in line:
                 return
-            if inside and not re.search(r"= -1 \w+ \(", line):
+            if f"{mode}.begins" in line:
+                inside = True
+            elif inside and not re.search(r"= -1 \w+ \(", line):
                 yield line.rstrip("\n").partition(" ")[2].strip()
-            inside = inside or f"{mode}.begins" in line
 
 
 def paths(call: str) -> list[str]:
