@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 
 from fuzz.atheris_target import fuzz
 
 
 def load() -> Callable[[bytes], object]:
     """Return the target."""
+    from skinbake.containment import Bounds, RefusedError, spots  # noqa: PLC0415
     from skinbake.errors import Place  # noqa: PLC0415
     from skinbake.gltf import resources  # noqa: PLC0415
 
@@ -16,8 +18,9 @@ def load() -> Callable[[bytes], object]:
         uri = data.decode("utf-8", "surrogateescape")
         if resources.is_data_uri(uri):
             resources.decode_data_uri(uri, Place("fuzz"))
-        elif resources.is_relative(uri):
-            resources.relative_path(uri)
+        else:
+            with suppress(RefusedError):
+                spots(uri, "/models", Bounds("/models"))
 
     return target
 
