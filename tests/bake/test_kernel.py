@@ -266,10 +266,10 @@ class TestArguments:
 
 
 RACE = """
-import sys, threading
+import threading
 import numpy as np
 from skinbake import _kernel
-chance, V, S = np.random.default_rng(int(sys.argv[1])), 40_000, 4
+chance, V, S = np.random.default_rng(3), 20_000, 4
 positions = chance.normal(size=(V, 3)).astype(np.float32)
 triangles = chance.integers(0, V, (2 * V, 3)).astype(np.uint32)
 joints = chance.integers(0, 30, (V, S)).astype(np.int32)
@@ -286,12 +286,12 @@ def spoil():
         classes[chance.integers(V, size=200)] = chance.choice([2**31 - 1, 0, 5, V // 2])
         ends[:] = 2**60
 
-for turn in range(12):
+for turn in range(8):
     for array, before in zip((triangles, joints, classes, ends), kept):
         array[...] = before
     alpha = np.empty((V, S - 1), np.float32)
     frames = np.zeros((0, 3), np.float32)
-    going, other = True, threading.Timer(0.002 * turn, spoil)
+    going, other = True, threading.Timer(0.001 * turn, spoil)
     other.start()
     try:
         _kernel.bake(positions, triangles, joints, weights, free, classes, positions, frames, frames, alpha,
@@ -305,11 +305,8 @@ for turn in range(12):
 
 def test_arrays_that_change_meanwhile_never_lead_the_loops_astray() -> None:
     """Another thread writes to the arrays while the compiled loops, without the GIL, read them."""
-    for seed in range(2):
-        process = subprocess.run(
-            [sys.executable, "-c", RACE, str(seed)], capture_output=True, timeout=120, check=False
-        )
-        assert process.returncode == 0, process.stderr.decode()
+    process = subprocess.run([sys.executable, "-c", RACE], capture_output=True, timeout=120, check=False)
+    assert process.returncode == 0, process.stderr.decode()
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])

@@ -429,6 +429,25 @@ class TestJoints:
         assert "joint matrices are singular or too unlike in size" in text
 
 
+@pytest.mark.parametrize("by_numpy", [False, True])
+@pytest.mark.parametrize("name", ["NORMAL", "TANGENT"])
+def test_not_a_numbers_of_every_kind_draw_no_warning(
+    tmp_path: Path, name: str, by_numpy: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A signalling NaN is one that processors announce when they convert it."""
+    if by_numpy:
+        monkeypatch.setattr(kernel, "compiled", None)
+    tangents = np.tile(np.array([1, 0, 0, 1], np.float32), (20, 1))
+    part = sheet(TANGENT=tangents)
+    part.attributes[name].view(np.uint32)[7, 1] = 0x7F800001
+    path, target = write_model(tmp_path / "nan.glb", [part]), tmp_path / "out.glb"
+    assert read(path).buffer(0).count(b"\x01\x00\x80\x7f") == 1
+    result = invoke("bake", path, "-o", target)
+    assert result.exit_code == 0, result.output
+    result = invoke("verify", target)
+    assert result.exit_code == 0, result.output
+
+
 def noted(path: Path) -> list[list[str]]:
     """Return the command lines that once failed on a hostile file, without their file names."""
     found = json.loads((path.parent / "_note.json").read_text(encoding="utf-8"))

@@ -37,7 +37,8 @@ def weld_classes(
     crowded places take, before they are listed.
     """
     positions = np.concatenate([primitive.positions for primitive in primitives]).astype(np.float64)
-    normals = np.concatenate([primitive.normals for primitive in primitives]).astype(np.float64)
+    with np.errstate(invalid="ignore"):  # a signalling NaN
+        normals = np.concatenate([primitive.normals for primitive in primitives]).astype(np.float64)
     joints, shares = influence_keys(primitives)
     # Adding zero turns −0 into +0; the rows are then compared bit by bit, so that NaN is a value as any
     # other.
