@@ -14,7 +14,7 @@ import argparse
 import importlib
 import json
 import os
-import signal
+import resource
 import tempfile
 import time
 from collections.abc import Callable, Iterator
@@ -45,7 +45,7 @@ NOTICEABLE = 0.5
 """Seconds of a processor: what takes less is not seen to grow."""
 
 PATIENCE = 60
-"""Seconds after which a child is given up."""
+"""Seconds of a processor after which a child is given up."""
 
 EXPLAINED = (
     "what bake, verify, strip and inspect take of hostile families at four sizes. "
@@ -342,7 +342,7 @@ def run(command: list[str]) -> Run:
     start = time.perf_counter()
     child = os.fork()
     if child == 0:
-        signal.alarm(PATIENCE)
+        resource.setrlimit(resource.RLIMIT_CPU, (PATIENCE, PATIENCE))
         os._exit(_done(command))
     _, status, usage = os.wait4(child, 0)
     code = os.waitstatus_to_exitcode(status)

@@ -335,3 +335,31 @@ def test_scaling_the_mesh_scales_gradients_inversely(scale: float, weighting: We
     alpha, _ = alpha_beta(surface, weighting)
     scaled, _ = alpha_beta(replace(surface, primitive=larger), weighting)
     assert np.abs(scaled * scale - alpha).max() < 1e-9
+
+
+def test_welding_is_claimed_by_what_its_rows_repeat() -> None:
+    """A fan whose triangles have each a copy of its centre: every copy gets a row as long as the rim."""
+    claimed: list[int] = []
+    count = 50
+    angles = 2 * np.pi * np.arange(count + 1) / (count + 1)
+    rim = np.stack([np.cos(angles), np.sin(angles), 0 * angles], axis=1)
+    positions = np.concatenate([np.zeros((count, 3)), rim])
+    triangles = np.stack([np.arange(count), count + np.arange(count), count + 1 + np.arange(count)], axis=1)
+    weights = np.tile([1.0, 0, 0, 0], (len(positions), 1))
+    normals = np.tile([0.0, 0, 1], (len(positions), 1))
+    joints = np.zeros((len(positions), 4), np.int64)
+    fan = SkinnedPrimitive(positions, normals, None, joints, weights, triangles.astype(np.uint32))
+    operator = gradient_operator([fan], claim=claimed.append)
+    assert operator.x.nnz > count * count
+    assert sum(claimed) > 3 * 12 * count * count
+    apart = SkinnedPrimitive(
+        positions[count:],
+        normals[count:],
+        None,
+        joints[count:],
+        weights[count:],
+        np.array([[0, 1, 20]], np.uint32),
+    )
+    claimed.clear()
+    gradient_operator([apart], claim=claimed.append)
+    assert sum(claimed) == 0

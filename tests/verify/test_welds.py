@@ -144,3 +144,20 @@ def test_long_chains_are_one_class() -> None:
     angles = np.random.default_rng(1).permutation(np.arange(0.0, 180.0, 6.0)).tolist()
     assert set(partition(copies(normals=tilted(*angles)), crease=7.0)) == {0}
     assert len(set(partition(copies(normals=tilted(*angles)), crease=5.0))) == 30
+
+
+def test_pairs_at_crowded_places_are_claimed_before_they_are_listed() -> None:
+    count = 2 * welds.CROWDED
+    close = copies(normals=tilted(*np.linspace(0, 10, count)))
+    claimed: list[int] = []
+    weld_classes([close], claim=claimed.append)
+    assert sum(claimed) >= welds.BYTES_A_PAIR * count * (count - 1) // 2
+
+    class RefusedError(Exception):
+        pass
+
+    def refuse(size: int) -> None:
+        raise RefusedError
+
+    with pytest.raises(RefusedError):
+        weld_classes([close], claim=refuse)
