@@ -49,6 +49,9 @@ YOUNG = 1_000_000_000
 CHEAP = 1 << 20
 """Bytes of a young file that are digested, to see a change that its times do not show."""
 
+SHORT = 1 << 20
+"""Bytes of one file during which interrupts wait: to change handlers at each step would take as long."""
+
 NO_LINKS = frozenset({errno.EPERM, errno.EOPNOTSUPP, errno.ENOSYS, errno.EMLINK, errno.EACCES, errno.EINVAL})
 """What systems answer that do not give a file a second name."""
 
@@ -66,6 +69,9 @@ _NEW = (
     | getattr(os, "O_CLOEXEC", 0)
     | getattr(os, "O_BINARY", 0)
 )
+_putting_off: list[bool] = []
+"""Not empty while the main thread puts interrupts off."""
+
 _looked_through: set[tuple[int, int]] = set()
 
 Signature = tuple[int, ...]
@@ -169,8 +175,9 @@ def write_files(
     place = Place(target)
     begun = _Begun(os.path.realpath(root), str(root))
     is_shared = len(files) > 1 or bool(serving) or replaces is not None
+    is_short = not is_shared and sum(map(len, files[next(iter(files))])) <= SHORT
     try:
-        with ExitStack() as stack, begun:
+        with interrupts_put_off() if is_short else nullcontext(), ExitStack() as stack, begun:
             _make_root(begun)
             for path, pieces in files.items():
                 begun.written.append(_written(path, pieces, begun, stack, place, sync=sync))
@@ -428,7 +435,7 @@ def interrupts_put_off() -> Iterator[None]:
     By Python's handlers, not by a mask: a mask holds for one thread, and numpy has others. Handlers run in
     the main thread alone.
     """
-    if threading.current_thread() is not threading.main_thread():
+    if threading.current_thread() is not threading.main_thread() or _putting_off:
         yield
         return
     late: list[int] = []
@@ -440,8 +447,10 @@ def interrupts_put_off() -> Iterator[None]:
     try:
         for number in before:
             signal.signal(number, lambda number, frame: late.append(number))
+        _putting_off.append(True)
         yield
     finally:
+        _putting_off.clear()
         for number, handler in before.items():
             signal.signal(number, handler)
         for received in dict.fromkeys(late):
