@@ -11,7 +11,7 @@ from random import Random
 from typing import Any
 
 from fuzz.arguments import command_line
-from fuzz.models import EMBEDDED, GLB, GLTF, Model
+from fuzz.models import EMBEDDED, GLB, GLTF, WRAPPED, Model
 from fuzz.mutations import damaged_container, mutate
 from fuzz.uris import surroundings
 
@@ -72,10 +72,10 @@ def make_case(seed: int, models: Sequence[Model]) -> Case:
     model = random.choice(models).copied()
     done = mutate(model, random)
     stem = random.choice(STEMS)
-    suffix, files = model.packed(random.choices((GLB, EMBEDDED, GLTF), (6, 1, 2))[0], stem)
+    suffix, files = model.packed(random.choices((GLB, EMBEDDED, GLTF, WRAPPED), (12, 2, 4, 1))[0], stem)
     main = stem + suffix
     links: dict[str, str] = {}
-    is_damaged = random.random() < 0.08
+    is_damaged = random.random() < 0.12
     if is_damaged:
         files[main] = damaged_container(files[main], random)
         done.append("container")
@@ -83,8 +83,8 @@ def make_case(seed: int, models: Sequence[Model]) -> Case:
         beside, links = surroundings(random)
         files = {**beside, **files}
     if random.random() < 0.02:
-        files[main.replace(suffix, ".vrm" if suffix == ".glb" else ".glb")] = files.pop(main)
-        main = main.replace(suffix, ".vrm" if suffix == ".glb" else ".glb")
+        other = stem + random.choice((".vrm", ".glb", ".gltf", ".GLB", ".txt"))
+        files[other], main = files.pop(main), other
     stem, _, ending = main.rpartition(".")
     arguments, notes, piped = command_line(random, stem, f".{ending}")
     return Case(

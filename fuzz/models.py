@@ -16,8 +16,8 @@ from urllib.parse import unquote
 
 JsonObject = dict[str, Any]
 
-GLB, GLTF, EMBEDDED = "glb", "gltf", "embedded"
-"""How a model is packed: one GLB, a .gltf with a .bin, or a .gltf with its buffer in a data: URI."""
+GLB, GLTF, EMBEDDED, WRAPPED = "glb", "gltf", "embedded", "wrapped"
+"""How a model is packed: one GLB, a .gltf with a .bin, a .gltf or a GLB with its buffer in a data: URI."""
 
 COMPONENT_SIZES = {5120: 1, 5121: 1, 5122: 2, 5123: 2, 5125: 4, 5126: 4}
 COMPONENT_COUNTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
@@ -66,9 +66,11 @@ class Model:
         packed, files = self, dict(self.files)
         if isinstance(buffers, list) and isinstance(first, dict) and "uri" not in first:
             uri = "m.bin"
-            if way == EMBEDDED:
+            if way in {EMBEDDED, WRAPPED}:
                 uri = "data:application/octet-stream;base64," + base64.b64encode(self.binary).decode()
             packed = replace(self, json={**self.json, "buffers": [{**first, "uri": uri}, *buffers[1:]]})
+        if way == WRAPPED:
+            return ".glb", {f"{stem}.glb": glb(packed.text(), b""), **files}
         if way == GLTF:
             files["m.bin"] = bytes(self.binary)
         return ".gltf", {f"{stem}.gltf": packed.text(indent=None if len(self.binary) % 32 else 2), **files}
