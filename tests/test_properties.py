@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 
 from fixtures.builder import Model
 from skinbake.verify.operator import expected_alpha_beta, gradient_operator
-from tests.support.baked_arrays import StoredPrimitive, baked_meshes_of
 from tests.support import khronos
+from tests.support.baked_arrays import StoredPrimitive, baked_meshes_of
 from tests.support.command_line import invoke
 from tests.support.gltf_reading import read
 

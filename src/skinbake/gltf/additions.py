@@ -16,6 +16,7 @@ from skinbake.gltf.document import Document
 from skinbake.gltf.formats import COMPONENT_CODES, TYPES
 from skinbake.gltf.glb import Bytes
 from skinbake.gltf.json_access import JsonObject, integer
+from skinbake.gltf.references import refuse_dangling
 
 ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963
 
@@ -197,10 +198,14 @@ class Additions:
         return {BUFFER_LENGTH: integer(buffer, "byteLength", self._document.place)}
 
     def applied(self, changes: Mapping[str, Any]) -> Document:
-        """Return the document with the additions, and with top-level ``changes`` in its JSON."""
+        """Return the document with the additions, and with top-level ``changes`` in its JSON.
+
+        Raises InputError where a broken reference would come to mean what is added.
+        """
         root = {**self._document.json, **changes}
         for key, added in (("accessors", self._accessors), ("bufferViews", self._views)):
             if added:
+                refuse_dangling(self._document.json, key, len(added), self._document.place)
                 root[key] = [*root.get(key, []), *added]
         buffers = list(self._document.objects("buffers"))
         fallback = self._fallback_buffers()
@@ -208,6 +213,7 @@ class Additions:
             buffers[0] = {**buffers[0], "byteLength": self._base + self._length}
             root["buffers"] = [*buffers, *fallback]
             return self._document.edited(json=root, binary=(*(self._document.binary or ()), *self._pieces))
+        refuse_dangling(self._document.json, "buffers", 1 + len(fallback), self._document.place)
         uri, new_files = self._stored_pieces()
         root["buffers"] = [*buffers, {"uri": uri, "byteLength": self._length}, *fallback]
         return self._document.edited(json=root, new_files={**self._document.new_files, **new_files})

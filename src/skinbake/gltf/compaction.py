@@ -14,7 +14,8 @@ from skinbake.gltf import meshopt, resources
 from skinbake.gltf.additions import content_digest
 from skinbake.gltf.document import Document
 from skinbake.gltf.glb import Bytes
-from skinbake.gltf.json_access import JsonObject, every_object, index, integer, member, names, reference
+from skinbake.gltf.json_access import JsonObject, index, integer, member, names, reference
+from skinbake.gltf.references import views_in_use
 
 Range = tuple[int, int]
 
@@ -60,12 +61,6 @@ def _has_bytes(document: Document, number: int) -> bool:
     """Tell whether bytes stand for a buffer: none do for meshopt's fallback buffers."""
     is_chunk = number == 0 and document.has_binary_buffer
     return is_chunk or document.objects("buffers")[number].get("uri") is not None
-
-
-def views_in_use(root: object) -> set[int]:
-    """Return every number that stands under a key ``bufferView``, at any depth."""
-    found = (reference(node.get(VIEW)) for node in every_object(root))
-    return {number for number in found if number is not None}
 
 
 def _renumbered(root: JsonObject, numbers: dict[int, int]) -> JsonObject:

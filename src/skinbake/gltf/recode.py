@@ -38,9 +38,9 @@ from skinbake.gltf.json_access import (
     objects,
     reference,
     text,
-    values_of,
 )
 from skinbake.gltf.primitives import PrimitiveSource, check_format, read_indices
+from skinbake.gltf.references import uses_of_accessors
 from skinbake.gltf.views import view_bytes
 
 Scheme = Literal["keep", "none", "draco", "meshopt"]
@@ -99,7 +99,7 @@ class _Recoder:
             else mesh
             for mesh in document.objects("meshes")
         ]
-        self._uses = _uses_of_accessors(document.json)
+        self._uses = uses_of_accessors(document.json)
         self._required: list[str] = []
         self._changed = False
 
@@ -142,26 +142,6 @@ class _Recoder:
         applied = self.additions.applied({key: value for key, value in changes.items() if value})
         result = compacted(self.document, applied)
         return result.edited(json=_with_extensions(result.json, self._required, result.place))
-
-
-def _uses_of_accessors(root: JsonObject) -> dict[int, int]:
-    """Return how many attributes, targets, indices, skins and samplers refer to each accessor."""
-    found: list[object] = []
-    for mesh in entries_of(root.get("meshes")):
-        for primitive in entries_of(mesh.get("primitives")):
-            found += [*values_of(primitive.get("attributes")), primitive.get("indices")]
-            for target in entries_of(primitive.get("targets")):
-                found += target.values()
-    found += [skin.get("inverseBindMatrices") for skin in entries_of(root.get("skins"))]
-    for animation in entries_of(root.get("animations")):
-        for sampler in entries_of(animation.get("samplers")):
-            found += [sampler.get("input"), sampler.get("output")]
-    uses: dict[int, int] = {}
-    for value in found:
-        number = reference(value)
-        if number is not None:
-            uses[number] = uses.get(number, 0) + 1
-    return uses
 
 
 def _with_extensions(root: JsonObject, required: list[str], place: Place) -> JsonObject:

@@ -1,0 +1,61 @@
+"""Which entries of a document's arrays its other parts refer to, and references that lead to no entry."""
+
+from __future__ import annotations
+
+from skinbake.errors import InputError, Place
+from skinbake.gltf.json_access import JsonObject, entries_of, every_object, reference, values_of
+
+VIEW = "bufferView"
+
+
+def uses_of_accessors(root: JsonObject) -> dict[int, int]:
+    """Return how many attributes, targets, indices, skins and samplers refer to each accessor."""
+    found: list[object] = []
+    for mesh in entries_of(root.get("meshes")):
+        for primitive in entries_of(mesh.get("primitives")):
+            found += [*values_of(primitive.get("attributes")), primitive.get("indices")]
+            for target in entries_of(primitive.get("targets")):
+                found += target.values()
+    found += [skin.get("inverseBindMatrices") for skin in entries_of(root.get("skins"))]
+    for animation in entries_of(root.get("animations")):
+        for sampler in entries_of(animation.get("samplers")):
+            found += [sampler.get("input"), sampler.get("output")]
+    uses: dict[int, int] = {}
+    for value in found:
+        number = reference(value)
+        if number is not None:
+            uses[number] = uses.get(number, 0) + 1
+    return uses
+
+
+def views_in_use(root: object) -> set[int]:
+    """Return every number that stands under a key ``bufferView``, at any depth."""
+    found = (reference(node.get(VIEW)) for node in every_object(root))
+    return {number for number in found if number is not None}
+
+
+def buffers_in_use(root: object) -> set[int]:
+    """Return every number that stands under a key ``buffer``, at any depth."""
+    found = (reference(node.get("buffer")) for node in every_object(root))
+    return {number for number in found if number is not None}
+
+
+def refuse_dangling(root: JsonObject, key: str, added: int, place: Place) -> None:
+    """Raise InputError where a reference leads to no entry of an array, but would lead to one of ``added``.
+
+    An entry that is added must not become what a broken reference means.
+    """
+    used = {
+        "accessors": lambda: set(uses_of_accessors(root)),
+        "bufferViews": lambda: views_in_use(root),
+        "buffers": lambda: buffers_in_use(root),
+    }[key]()
+    entries = root.get(key)
+    count = len(entries) if isinstance(entries, list) else 0
+    wrong = [number for number in used if count <= number < count + added]
+    if wrong:
+        raise InputError(
+            f'something in it refers to entry {min(wrong)} of "{key}", which has {count}; it would mean an '
+            "entry that is added: mend the reference first",
+            place,
+        )
