@@ -181,6 +181,8 @@ def write_files(
             _make_root(begun)
             for path, pieces in files.items():
                 begun.written.append(_written(path, pieces, begun, stack, place, sync=sync))
+            for path in serving or ():  # what died runs left beside these goes too
+                _opened(tuple(_parts(path, (begun.root, begun.given), place)[:-1]), begun, stack)
             with _locked(begun.open.values()) if is_shared else nullcontext(), interrupts_put_off():
                 _check_still_so(serving or {}, replaces, place)
                 try:
