@@ -45,7 +45,7 @@ EXPLAINED = (
     ("glb.py", "MAX_LENGTH", "takes an output of 4 GiB; tests/gltf/test_glb.py"),
     ("document.py", "if was_on", "the collector is on whenever a command runs"),
 )
-"""Branches that no damaged model reaches: file, part of the line, and why, or what else reaches them."""
+"""Branches that no damaged model reaches: the file, a part of the line, and why, or what else reaches it."""
 
 
 def main() -> int:

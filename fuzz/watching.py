@@ -91,7 +91,7 @@ class Watch:
             real = os.path.realpath(os.fsdecode(path))  # type: ignore[arg-type]
         except (ValueError, OSError, TypeError):
             return  # no name of a file
-        if not os.path.isabs(os.fsdecode(path)) and _line().startswith(BY_DESCRIPTOR):  # type: ignore[arg-type]
+        if not os.fsdecode(path).startswith("/") and _line().startswith(BY_DESCRIPTOR):  # type: ignore[arg-type]
             return
         if real == "/" and not writes:  # the root folder, to see whether the kernel has openat2
             return

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import shutil
 import subprocess
@@ -22,25 +23,33 @@ class NoCompilerError(Exception):
 
 
 def build() -> Path:
-    """Return the folder to import the package from; raises NoCompilerError."""
+    """Return the folder to import the package from; raises NoCompilerError.
+
+    The loops are compiled where they or the flags are others than last time: it takes ten seconds.
+    """
     package = BUILD / "skinbake"
+    source = REPOSITORY / "src" / "skinbake"
+    recipe = hashlib.sha256(" ".join([COMPILER, *FLAGS]).encode() + (source / "_kernel.c").read_bytes())
+    compiled = BUILD / f"{recipe.hexdigest()[:16]}.so"
+    if not compiled.exists():
+        _compile(source / "_kernel.c", compiled)
     shutil.rmtree(package, ignore_errors=True)
-    shutil.copytree(
-        REPOSITORY / "src" / "skinbake",
-        package,
-        ignore=shutil.ignore_patterns("*.so", "*.pyd", "__pycache__"),
-    )
-    source, target = package / "_kernel.c", package / "_kernel.abi3.so"
-    command = [COMPILER, *FLAGS, f"-I{sysconfig.get_path('include')}", str(source), "-o", str(target), "-lm"]
+    shutil.copytree(source, package, ignore=shutil.ignore_patterns("*.so", "*.pyd", "__pycache__"))
+    shutil.copy(compiled, package / "_kernel.abi3.so")
+    return BUILD
+
+
+def _compile(source: Path, target: Path) -> None:
+    target.parent.mkdir(parents=True, exist_ok=True)
+    include = f"-I{sysconfig.get_path('include')}"
+    command = [COMPILER, *FLAGS, include, str(source), "-o", str(target), "-lm"]
     try:
         subprocess.run(command, check=True, capture_output=True, text=True)
     except FileNotFoundError as error:
         raise NoCompilerError(f"{COMPILER} is not installed") from error
     except subprocess.CalledProcessError as error:
-        raise NoCompilerError(
-            f"{COMPILER} cannot build with sanitizers: {error.stderr.strip()[-300:]}"
-        ) from error
-    return BUILD
+        said = error.stderr.strip()[-300:]
+        raise NoCompilerError(f"{COMPILER} cannot build with sanitizers: {said}") from error
 
 
 def environment() -> dict[str, str]:
