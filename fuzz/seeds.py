@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from fuzz.directed import directed_seeds
 from fuzz.models import COMPONENT_COUNTS, GLB, JsonObject, Model, read_model, span
 
 REPOSITORY = Path(__file__).resolve().parents[1]
@@ -216,14 +217,11 @@ def _append(model: Model, views: list[JsonObject], data: bytes) -> None:
 
 def made_seeds(models: list[Model]) -> list[Model]:
     """Return models with filters of meshopt, an edgebreaker stream, strips, fans, splines and steps."""
-    plain = next(model for model in models if model.name == "small-bent_tube.glb")
-    return [
-        _filtered(plain, "EXT"),
-        _filtered(plain, "KHR"),
-        _edgebreaker(plain),
-        _strips(plain),
-        _cubic(plain),
-    ]
+    named = {model.name: model for model in models}
+    plain, morphed = named["small-bent_tube.glb"], named["small-morphed_sheet.glb"]
+    edgebreaker = _edgebreaker(plain)
+    made = [_filtered(plain, "EXT"), _filtered(plain, "KHR"), edgebreaker, _strips(plain), _cubic(plain)]
+    return [*made, *directed_seeds(plain, morphed, edgebreaker)]
 
 
 def _filtered(model: Model, prefix: str) -> Model:
@@ -352,6 +350,7 @@ def _cubic(model: Model) -> Model:
 
 def _baked(models: list[Model]) -> Iterator[Model]:
     """Yield models as bake stores them, a few ways each, all by one process for each way."""
+    always = {"small-two_sets.glb", "edgebreaker"}
     with tempfile.TemporaryDirectory() as folder:
         root = Path(folder)
         for number, options in enumerate(BAKES):
@@ -360,7 +359,11 @@ def _baked(models: list[Model]) -> Iterator[Model]:
             # Draco's search for a grid and the measuring of encodings cost half a second a model.
             every = 12 if {"draco", "--encoding", "--limit-influences"} & set(options) else 5
             for at, model in enumerate(models):
-                if (at + number) % every == 0 or model.name in {"small-two_sets.glb", "edgebreaker"}:
+                if (
+                    (at + number) % every == 0
+                    or model.name in always
+                    or (not options and "directed" in model.name)
+                ):
                     _, files = model.packed(GLB, f"{at:03}-{model.name.partition('.')[0]}-{number}")
                     for name, data in files.items():
                         (source / name).write_bytes(data)
