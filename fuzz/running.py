@@ -271,15 +271,16 @@ class Runner:
             return Path(arguments[arguments.index("--out-dir") + 1], Path(arguments[1]).name)
         target = Path(arguments[arguments.index("-o") + 1])
         if str(target) == "-":
-            target = Path("again", "stdout.glb")
+            target = Path("out", "stdout.glb")
             target.write_bytes(outcome.stdout)
         return target
 
     def _repeated(self, case: Case, target: Path) -> list[Find]:
         """Bake what was baked, with the same options: the same bytes must come."""
         options = [word for word in _without_targets(case.arguments) if word != "--warnings-as-errors"]
-        Path("again", "once").mkdir()
-        again = Path("again", "once", target.name)
+        # As deep as the target: what lies outside is referred to from there.
+        again = Path("again", *target.parent.parts[1:], target.name)
+        again.parent.mkdir(parents=True, exist_ok=True)
         outcome = self.command(["bake", str(target), "-o", str(again), *options])
         if outcome.code != 0:
             words = outcome.stderr.rpartition(": ")[2].strip()

@@ -16,7 +16,7 @@ from skinbake.gltf.document import Document
 from skinbake.gltf.formats import COMPONENT_CODES, TYPES
 from skinbake.gltf.glb import Bytes
 from skinbake.gltf.json_access import JsonObject, integer
-from skinbake.gltf.references import refuse_dangling
+from skinbake.gltf.references import check_views, refuse_dangling
 
 ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963
 
@@ -200,8 +200,10 @@ class Additions:
     def applied(self, changes: Mapping[str, Any]) -> Document:
         """Return the document with the additions, and with top-level ``changes`` in its JSON.
 
-        Raises InputError where a broken reference would come to mean what is added.
+        Raises InputError where a broken reference would come to mean what is added, or a buffer view is not
+        what glTF allows: what is added could not be taken out again.
         """
+        check_views(self._document.objects("bufferViews"), self._document.place)
         root = {**self._document.json, **changes}
         for key, added in (("accessors", self._accessors), ("bufferViews", self._views)):
             if added:

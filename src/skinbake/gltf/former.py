@@ -43,10 +43,14 @@ def _influence_digests(document: Document, attributes: JsonObject, place: Place)
     """Return the digests of JOINTS and WEIGHTS, all sets side by side, as the metadata has them."""
     count = len(document.objects("accessors"))
     sets: dict[str, list[npt.NDArray[Any]]] = {"JOINTS": [], "WEIGHTS": []}
-    for kind, arrays in sets.items():
-        while (number := index(attributes, f"{kind}_{len(arrays)}", count, place)) is not None:
+    while f"JOINTS_{len(sets['JOINTS'])}" in attributes:
+        for kind, arrays in sets.items():
+            number = index(attributes, f"{kind}_{len(arrays)}", count, place)
+            if number is None:
+                raise InputError(f"it has no {kind}_{len(arrays)}", place)
             stored = read_accessor(document, number, place)
             arrays.append(stored.values if kind == "JOINTS" else stored.decoded())
+    for kind, arrays in sets.items():
         if not arrays or len({len(values) for values in arrays}) > 1:
             raise InputError(f"its {kind} sets do not belong together", place)
     return influence_digests(*(np.concatenate(arrays, axis=1) for arrays in sets.values()))

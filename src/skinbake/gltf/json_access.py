@@ -40,6 +40,8 @@ def integer(
     value = parent.get(key, default)
     if type(value) is int and value >= minimum:
         return value
+    if value is None and default is not None:
+        return default  # some exporters write null
     if isinstance(value, float) and value.is_integer():
         value = int(value)  # some exporters write 3.0
     if isinstance(value, bool) or not isinstance(value, int) or value < minimum:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from skinbake.errors import InputError, Place
-from skinbake.gltf.json_access import JsonObject, entries_of, every_object, reference, values_of
+from skinbake.gltf.json_access import JsonObject, entries_of, every_object, integer, reference, values_of
 
 VIEW = "bufferView"
 
@@ -38,6 +40,15 @@ def buffers_in_use(root: object) -> set[int]:
     """Return every number that stands under a key ``buffer``, at any depth."""
     found = (reference(node.get("buffer")) for node in every_object(root))
     return {number for number in found if number is not None}
+
+
+def check_views(views: Sequence[JsonObject], place: Place) -> None:
+    """Raise InputError where a buffer view does not say which bytes of which buffer it is."""
+    for number, view in enumerate(views):
+        where = place.at(f"buffer view {number}")
+        integer(view, "buffer", where)
+        integer(view, "byteOffset", where, default=0)
+        integer(view, "byteLength", where, minimum=1)
 
 
 def refuse_dangling(root: JsonObject, key: str, added: int, place: Place) -> None:
