@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import json
-import os
 import struct
 import subprocess
 import sys
@@ -149,16 +148,17 @@ def bomb(path: Path, count: int, primitives: int) -> Path:
 
 
 def taken(*arguments: str | Path) -> tuple[int, int, str]:
-    """Run a command in a child; return its exit code, its peak bytes, and what it said on stderr."""
-    command = [sys.executable, "-m", "skinbake", *map(str, arguments)]
-    child = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
-    assert child.stderr is not None
-    said = child.stderr.read()
-    child.stderr.close()
-    _, status, usage = os.wait4(child.pid, 0)
-    child.returncode = os.waitstatus_to_exitcode(status)
-    return child.returncode, usage.ru_maxrss * 1024, said
+    """Run a command in a child; return its exit code, its peak bytes, and what it said on stderr.
 
+    A small process starts it, since a new one counts the memory of its parent as its own at first.
+    """
+    launcher = [sys.executable, "-I", "-S", str(LAUNCHER)]
+    command = [sys.executable, "-m", "skinbake", *map(str, arguments)]
+    done = subprocess.run([*launcher, *command], capture_output=True, text=True, check=False)
+    return done.returncode, int(done.stdout.split()[-1]), done.stderr
+
+
+LAUNCHER = Path(__file__).resolve().parents[2] / "benchmarks" / "launch.py"
 
 COMMANDS: list[Callable[[Path], list[str | Path]]] = [
     lambda path: ["bake", path, "-o", path.with_name("out.glb")],

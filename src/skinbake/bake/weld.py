@@ -125,7 +125,8 @@ def _hash(keys: npt.NDArray[np.uint64]) -> npt.NDArray[np.uint64]:
 
 def _bits(values: FloatArray) -> npt.NDArray[np.unsignedinteger]:
     """Return the bit patterns of floats as unsigned integers, −0 made +0."""
-    flat = np.ascontiguousarray(values + values.dtype.type(0))
+    with np.errstate(invalid="ignore"):  # a signalling NaN becomes a quiet one
+        flat = np.ascontiguousarray(values + values.dtype.type(0))
     return flat.view(np.uint32 if flat.dtype == np.float32 else np.uint64)
 
 

@@ -64,7 +64,8 @@ def frame_from_tangent(normals: Float32Array, tangents: FloatArray) -> tuple[Flo
     """
     sound = np.where(np.isfinite(tangents).all(axis=1, keepdims=True), tangents, tangents.dtype.type(0))
     tangent, handedness = sound[:, :3], sound[:, 3:]
-    return tangent, np.cross(normals, tangent) * handedness
+    with np.errstate(over="ignore", invalid="ignore"):  # of a huge TANGENT: what comes of it is looked at
+        return tangent, np.cross(normals, tangent) * handedness
 
 
 def tangent_deviation(normals: Float32Array, tangents: FloatArray) -> Float64Array:

@@ -36,7 +36,7 @@ Morph targets that are sparse alone stand on such zeros: six hundred of a face o
 times the bytes of its file.
 """
 
-UNPACKED_RATIO, UNPACKED_FREE = 100, 1 << 29
+UNPACKED_RATIO, UNPACKED_FREE = 100, 1 << 27
 """Compressed data may expand to UNPACKED_RATIO times its bytes, or UNPACKED_FREE where that is more.
 
 Real characters expand 2 to 12 times.

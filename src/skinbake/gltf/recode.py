@@ -13,7 +13,7 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from skinbake.errors import Notice, Place
+from skinbake.errors import InputError, Notice, Place
 from skinbake.geometry.triangles import TRIANGLES
 from skinbake.gltf import draco, meshopt
 from skinbake.gltf.accessors import read_accessor
@@ -203,12 +203,24 @@ def _leave_draco(
     for number, is_index in draco.accessors_inside(recoder.document, primitive, place):
         if number not in done:
             values = read_accessor(recoder.document, number, place).values
+            members: JsonObject = {}
+            if is_index and values.dtype.kind != "u":
+                raise InputError("indices must be of an unsigned integer type", place.at("indices"))
+            if packed is not None and is_index:
+                values, members = _for_index_codec(values)
             view = recoder.additions.add_values(values, packed, indices=is_index)
-            recoder.set_accessor(number, view, **_bounds(recoder.accessors[number], values))
+            recoder.set_accessor(number, view, **members, **_bounds(recoder.accessors[number], values))
             done.add(number)
     others = {key: value for key, value in primitive["extensions"].items() if key != draco.EXTENSION}
     plain = {key: value for key, value in primitive.items() if key != "extensions"}
     recoder.set_primitive(place, {**plain, **({"extensions": others} if others else {})})
+
+
+def _for_index_codec(indices: npt.NDArray[Any]) -> tuple[npt.NDArray[Any], JsonObject]:
+    """Return indices as meshopt's codecs take them, in shorts at least, and what the accessor must say."""
+    if indices.dtype.itemsize > 1:
+        return indices, {}
+    return indices.astype(np.uint16), {"componentType": UNSIGNED_SHORT}
 
 
 def _keep(recoder: _Recoder, sources: list[PrimitiveSource], compression: Compression) -> Iterator[Notice]:
@@ -264,13 +276,11 @@ def _pack(
     recoder: _Recoder, number: int, packed: Packed, indexed: PrimitiveSource | None, place: Place
 ) -> None:
     """Compress an accessor's values; ``indexed`` is the primitive whose indices they are."""
-    members = {}
+    members: JsonObject = {}
     if indexed is None:
         values = read_accessor(recoder.document, number, place).values
     else:
-        values = read_indices(recoder.document, indexed)[:, None]
-    if indexed is not None and values.dtype.itemsize == 1:  # the index codecs know shorts and integers
-        values, members = values.astype(np.uint16), {"componentType": UNSIGNED_SHORT}
+        values, members = _for_index_codec(read_indices(recoder.document, indexed)[:, None])
     view = recoder.additions.add_values(values, packed, indices=indexed is not None)
     recoder.set_accessor(number, view, **members)
 

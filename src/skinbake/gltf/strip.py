@@ -213,7 +213,7 @@ def _tail_of_bake(document: Document, removed: set[int], streams: set[int]) -> _
     extras = views[first].get("extras")
     undo = extras.get(KEY) if isinstance(extras, dict) else None
     others = (*_views_of(accessors[:kept]), *_views_of(document.objects("images")))
-    if not isinstance(undo, dict) or any(view >= first for view in others):
+    if not isinstance(undo, dict) or any(first <= view < len(views) for view in others):
         return None
     return _at_the_end(document, first, undo)
 
