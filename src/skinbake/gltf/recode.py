@@ -333,6 +333,8 @@ def _reason_against_draco(
         number = index(source.attributes, name, len(accessors), source.place)
         if number is not None and accessors[number].get("componentType") in SIGNED and name != "POSITION":
             return f"its {name} are signed integers, which the encoder cannot store"
+        if number is not None and accessors[number].get("componentType") == UNSIGNED_INT:
+            return f"its {name} is of 32-bit integers, for which Draco would take gigabytes"
     return None
 
 
