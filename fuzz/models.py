@@ -110,8 +110,9 @@ def _taken(buffer: JsonObject, folder: Path) -> bytes:
 
 def element_size(accessor: JsonObject) -> int:
     """Return the bytes of one element of an accessor, 0 where its type is none."""
-    count = COMPONENT_COUNTS.get(accessor.get("type", ""), 0)
-    return count * COMPONENT_SIZES.get(accessor.get("componentType", 0), 0)
+    kind, code = accessor.get("type"), accessor.get("componentType")
+    count = COMPONENT_COUNTS.get(kind, 0) if isinstance(kind, str) else 0
+    return count * (COMPONENT_SIZES.get(code, 0) if isinstance(code, int) else 0)
 
 
 def span(model: Model, accessor: JsonObject) -> tuple[int, int, int] | None:
