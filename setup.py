@@ -15,8 +15,8 @@ OTHERS = ["-O3", "-std=c11", "-ffp-contract=off", "-fno-math-errno", "-fno-trapp
 setup(
     ext_modules=[
         Extension(
-            "skinbake._kernel",
-            ["src/skinbake/_kernel.c"],
+            "skinbake.gradients._kernel",
+            ["src/skinbake/gradients/_kernel.c"],
             extra_compile_args=MICROSOFT if sys.platform == "win32" else OTHERS,
             py_limited_api=True,
             optional=True,

@@ -3,7 +3,7 @@
 Usage: python benchmarks/bend_picture.py [OUTPUT.png]
 
 The fixture is baked, its clip is sampled at every key, and the pose with the largest mean error of the
-standard normals is drawn. Errors are angles to the reference of ``skinbake.verify.reference``, and the means
+standard normals is drawn. Errors are angles to the reference of ``skinbake.lighting.reference``; the means
 printed are weighted by rest area. One rasterisation serves all three panels: they differ in normals alone.
 """
 
@@ -17,19 +17,19 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image, ImageDraw, ImageFont
 
-from skinbake.bake.baker import AUTO, rest_frame
 from skinbake.commands.bake import BakeOptions, bake_document
 from skinbake.gltf.accessors import read_accessor
 from skinbake.gltf.animation import clip_poses, read_clips, read_skeleton
 from skinbake.gltf.document import read_document
 from skinbake.gltf.primitives import read_primitive, skinned_sources
-from skinbake.replay.algorithms import Algorithm
-from skinbake.replay.run import replay
-from skinbake.replay.surface import RestSurface
-from skinbake.verify.influences import normalised_weights
-from skinbake.verify.metrics import ErrorSummary, angular_errors, summarise, vertex_areas
-from skinbake.verify.operator import gradient_operator
-from skinbake.verify.reference import reference_normals, rest_frames
+from skinbake.gradients.baker import AUTO, rest_frame
+from skinbake.lighting.influences import normalised_weights
+from skinbake.lighting.metrics import ErrorSummary, angular_errors, summarise, vertex_areas
+from skinbake.lighting.operator import gradient_operator
+from skinbake.lighting.reference import reference_normals, rest_frames
+from skinbake.skinning.algorithms import Algorithm
+from skinbake.skinning.run import replay
+from skinbake.skinning.surface import RestSurface
 
 Array = npt.NDArray[np.float64]
 

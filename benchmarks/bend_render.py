@@ -3,7 +3,7 @@
 Usage: python -m benchmarks.bend_render [OUTPUT.png | --figures]
 
 The fixture is baked and posed where standard lighting is worst. The WGSL of approximated and of accurate
-lighting skins it, once in a compute pass, whose normals are held against ``skinbake.verify.reference``, and
+lighting skins it, once in a compute pass, whose normals are held against ``skinbake.lighting.reference``, and
 once in the vertex stage of the picture. The errors printed are those of the compute pass: float32, on the
 GPU, weighted by rest area. ``--figures`` prints them and draws nothing.
 """
@@ -22,18 +22,18 @@ from PIL import Image, ImageDraw
 
 from benchmarks.bend_picture import GREY, INK, MODEL, REPOSITORY, SCALE_TOP, STOPS, font, heat, unit
 from skinbake.commands.bake import BakeOptions, bake_document
-from skinbake.commands.baked_views import baked_views
-from skinbake.commands.lighting import rest_surface
 from skinbake.gltf.animation import clip_poses, read_clips, read_skeleton
 from skinbake.gltf.document import read_document
 from skinbake.gltf.primitives import skinned_sources
-from skinbake.replay.algorithms import Algorithm
-from skinbake.replay.run import replay
+from skinbake.lighting.baked_views import baked_views
+from skinbake.lighting.measured import rest_surface
+from skinbake.lighting.metrics import ErrorSummary, angular_errors, summarise, vertex_areas
+from skinbake.lighting.operator import gradient_operator
+from skinbake.lighting.reference import reference_normals, rest_frames
 from skinbake.shaders.choices import Language, Lighting, ShaderChoices
 from skinbake.shaders.text import shader_text
-from skinbake.verify.metrics import ErrorSummary, angular_errors, summarise, vertex_areas
-from skinbake.verify.operator import gradient_operator
-from skinbake.verify.reference import reference_normals, rest_frames
+from skinbake.skinning.algorithms import Algorithm
+from skinbake.skinning.run import replay
 
 Array = npt.NDArray[np.float64]
 Single = npt.NDArray[np.float32]

@@ -19,10 +19,10 @@ from tempfile import TemporaryDirectory
 from benchmarks.corpus_table import REPOSITORY, SUFFIXES, corpus_folders, told_apart
 from skinbake import __version__
 from skinbake.commands.bake import BakeOptions, bake_file
-from skinbake.commands.lighting import VerifyOptions
 from skinbake.commands.verify import verify_file
-from skinbake.gltf.encodings import Encoding
-from skinbake.gltf.layouts import Storage
+from skinbake.format.encodings import Encoding
+from skinbake.format.layouts import Storage
+from skinbake.lighting.measured import VerifyOptions
 from skinbake.report.bake import FileResult
 from skinbake.report.notices import counted
 

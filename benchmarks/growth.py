@@ -33,7 +33,7 @@ SIZES, SMALLEST = 4, 256
 """Sizes of each family, and KiB of the first."""
 
 WARM = (
-    "skinbake.commands.batch_bake",
+    "skinbake.jobs.bake",
     "skinbake.commands.verify",
     "skinbake.cli.strip",
     "igl",

@@ -18,7 +18,6 @@ from typing import Any
 import numpy as np
 
 from skinbake.commands.bake import BakeOptions, bake_file
-from skinbake.commands.lighting import VerifyOptions
 from skinbake.commands.verify import verify_file
 from skinbake.geometry.frames import frame_from_normal, unit_vectors
 from skinbake.geometry.skinned import Float64Array
@@ -27,11 +26,12 @@ from skinbake.gltf.additions import Additions
 from skinbake.gltf.document import read_document
 from skinbake.gltf.output import plan_output
 from skinbake.gltf.primitives import read_primitive, skinned_sources
-from skinbake.replay.algorithms import Algorithm
-from skinbake.replay.morphs import morphed
-from skinbake.replay.run import replay
-from skinbake.replay.surface import RestSurface
+from skinbake.lighting.measured import VerifyOptions
 from skinbake.report.verify import FileVerdict
+from skinbake.skinning.algorithms import Algorithm
+from skinbake.skinning.morphs import morphed
+from skinbake.skinning.run import replay
+from skinbake.skinning.surface import RestSurface
 from tests.support import analytic, morphing
 
 REPOSITORY = Path(__file__).resolve().parents[1]

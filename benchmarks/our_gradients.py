@@ -19,8 +19,8 @@ import numpy as np
 import numpy.typing as npt
 
 from benchmarks.skinned_grid import Grid, grid_arrays
-from skinbake.bake.influences import WeightField
-from skinbake.bake.surface import Surface, surface_slots
+from skinbake.gradients.influences import WeightField
+from skinbake.gradients.surface import Surface, surface_slots
 
 SLOTS = 4
 

@@ -17,9 +17,9 @@ from functools import partial
 import igl
 import numpy as np
 
-from skinbake.replay.algorithms import Algorithm
-from skinbake.replay.run import replay
-from skinbake.replay.surface import RestSurface
+from skinbake.skinning.algorithms import Algorithm
+from skinbake.skinning.run import replay
+from skinbake.skinning.surface import RestSurface
 
 VERTICES, POSES, JOINTS, INFLUENCES = 10_000, 100, 40, 4
 

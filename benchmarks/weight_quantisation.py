@@ -22,26 +22,26 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 from fixtures import make_fixtures
-from skinbake.bake.baker import rest_frame
-from skinbake.bake.gradients import VertexGradients
-from skinbake.bake.influences import weight_field
-from skinbake.bake.normals import with_smooth_normals
-from skinbake.bake.slots import assign, shared_capacity
-from skinbake.bake.weld import concatenated, weld
-from skinbake.commands.poses import PoseRequest, pose_set, skins_of
 from skinbake.geometry import frames
 from skinbake.geometry.skinned import BoolArray, Float64Array, IntArray, SkinnedPrimitive
 from skinbake.geometry.triangles import proper, smooth_normals
 from skinbake.gltf.animation import read_clips
 from skinbake.gltf.document import read_document
 from skinbake.gltf.primitives import PrimitiveSource, read_primitive, reason_to_skip, skinned_sources
-from skinbake.replay.algorithms import Algorithm
-from skinbake.replay.run import replay
-from skinbake.replay.surface import RestSurface
-from skinbake.verify.influences import normalised_weights
-from skinbake.verify.metrics import angular_errors, summarise, vertex_areas
-from skinbake.verify.operator import gradient_operator
-from skinbake.verify.reference import reference_normals, rest_frames
+from skinbake.gradients.baker import rest_frame
+from skinbake.gradients.influences import weight_field
+from skinbake.gradients.normals import with_smooth_normals
+from skinbake.gradients.slots import assign, shared_capacity
+from skinbake.gradients.weight_gradients import VertexGradients
+from skinbake.gradients.weld import concatenated, weld
+from skinbake.lighting.influences import normalised_weights
+from skinbake.lighting.metrics import angular_errors, summarise, vertex_areas
+from skinbake.lighting.operator import gradient_operator
+from skinbake.lighting.poses import PoseRequest, pose_set, skins_of
+from skinbake.lighting.reference import reference_normals, rest_frames
+from skinbake.skinning.algorithms import Algorithm
+from skinbake.skinning.run import replay
+from skinbake.skinning.surface import RestSurface
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 DEFAULT_OUTPUT = REPOSITORY / "docs" / "weight_quantisation.md"

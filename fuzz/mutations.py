@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from random import Random
 from typing import Any
 
@@ -65,7 +66,9 @@ def mutate(model: Model, random: Random) -> list[str]:
     done = []
     for _ in range(count):
         mutation = random.choices(MUTATIONS, WEIGHTS)[0]
-        mutation(model, random)
+        # What an earlier one has damaged, a later one may not find its way in: then it does nothing more.
+        with suppress(ArithmeticError, AttributeError, LookupError, TypeError, ValueError, struct.error):
+            mutation(model, random)
         done.append(mutation.__name__.lstrip("_"))
     return done
 

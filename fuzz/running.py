@@ -375,9 +375,9 @@ def _values(path: str) -> list[Find]:
     import numpy as np  # noqa: PLC0415 - as above
 
     from skinbake.errors import SkinbakeError  # noqa: PLC0415
+    from skinbake.format.metadata import read_metadata, slot_names  # noqa: PLC0415
     from skinbake.gltf.accessors import read_accessor  # noqa: PLC0415
     from skinbake.gltf.document import read_document  # noqa: PLC0415
-    from skinbake.gltf.metadata import read_metadata, slot_names  # noqa: PLC0415
 
     try:
         document = read_document(path)

@@ -10,7 +10,7 @@ from fuzz.atheris_target import fuzz
 def load() -> Callable[[bytes], object]:
     """Return the target."""
     from skinbake.errors import Place  # noqa: PLC0415
-    from skinbake.gltf.draco_stream import read_counts  # noqa: PLC0415
+    from skinbake.gltf.codecs.draco_stream import read_counts  # noqa: PLC0415
 
     return lambda data: read_counts(memoryview(data), Place("fuzz"))
 

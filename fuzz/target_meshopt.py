@@ -12,7 +12,7 @@ def load() -> Callable[[bytes], object]:
     import json  # noqa: PLC0415
 
     from skinbake.errors import InputError, Place  # noqa: PLC0415
-    from skinbake.gltf import meshopt  # noqa: PLC0415
+    from skinbake.gltf.codecs import meshopt  # noqa: PLC0415
 
     def target(data: bytes) -> None:
         try:

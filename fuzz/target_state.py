@@ -12,7 +12,7 @@ def load() -> Callable[[bytes], object]:
     import tempfile  # noqa: PLC0415
     from pathlib import Path  # noqa: PLC0415
 
-    from skinbake.commands.state import State  # noqa: PLC0415
+    from skinbake.jobs.state import State  # noqa: PLC0415
 
     path = Path(tempfile.mkdtemp()) / "state.jsonl"
 

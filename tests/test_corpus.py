@@ -21,10 +21,10 @@ from fixtures.builder import JsonObject
 from fixtures.make_fixtures import FOLDER
 from skinbake.commands.bake import BakeOptions, bake_file
 from skinbake.commands.inspect import inspect_file
-from skinbake.commands.lighting import VerifyOptions
 from skinbake.commands.strip import strip_file
 from skinbake.commands.verify import verify_file
 from skinbake.errors import SkinbakeError
+from skinbake.lighting.measured import VerifyOptions
 from skinbake.report.bake import FileResult
 from tests.support import corpus, khronos
 from tests.support.decoders import read_plain_many

@@ -14,7 +14,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from fixtures.builder import Model
-from skinbake.verify.operator import expected_alpha_beta, gradient_operator
+from skinbake.lighting.operator import expected_alpha_beta, gradient_operator
 from tests.support import khronos
 from tests.support.baked_arrays import StoredPrimitive, baked_meshes_of
 from tests.support.command_line import invoke

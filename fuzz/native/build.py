@@ -18,6 +18,9 @@ FLAGS = (
 )  # fmt: skip
 
 
+LOOPS = Path("gradients", "_kernel.c")
+
+
 class NoCompilerError(Exception):
     """No C compiler with sanitizers is here."""
 
@@ -29,13 +32,13 @@ def build() -> Path:
     """
     package = BUILD / "skinbake"
     source = REPOSITORY / "src" / "skinbake"
-    recipe = hashlib.sha256(" ".join([COMPILER, *FLAGS]).encode() + (source / "_kernel.c").read_bytes())
+    recipe = hashlib.sha256(" ".join([COMPILER, *FLAGS]).encode() + (source / LOOPS).read_bytes())
     compiled = BUILD / f"{recipe.hexdigest()[:16]}.so"
     if not compiled.exists():
-        _compile(source / "_kernel.c", compiled)
+        _compile(source / LOOPS, compiled)
     shutil.rmtree(package, ignore_errors=True)
     shutil.copytree(source, package, ignore=shutil.ignore_patterns("*.so", "*.pyd", "__pycache__"))
-    shutil.copy(compiled, package / "_kernel.abi3.so")
+    shutil.copy(compiled, package / "gradients" / "_kernel.abi3.so")
     return BUILD
 
 

@@ -67,7 +67,7 @@ def _meshopt_streams() -> list[Stream]:
     import meshopt  # noqa: PLC0415
     import numpy as np  # noqa: PLC0415
 
-    from skinbake.gltf.meshopt import STRIDES_OF_FILTERS, Packing  # noqa: PLC0415
+    from skinbake.gltf.codecs.meshopt import STRIDES_OF_FILTERS, Packing  # noqa: PLC0415
 
     found = []
     random = np.random.default_rng(4)
@@ -96,7 +96,7 @@ def _meshopt_streams() -> list[Stream]:
 def executions(seed: int) -> int:
     """Decode one damaged stream; what comes must be an array or an error of ours."""
     from skinbake.errors import Place, SkinbakeError  # noqa: PLC0415
-    from skinbake.gltf import draco_stream, meshopt  # noqa: PLC0415
+    from skinbake.gltf.codecs import draco_stream, meshopt  # noqa: PLC0415
 
     random = Random(seed)
     stream = random.choice(streams())

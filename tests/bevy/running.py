@@ -13,9 +13,9 @@ import numpy.typing as npt
 
 from skinbake.geometry.frames import TANGENT_FRAME, frame_from_normal, frame_from_tangent
 from skinbake.geometry.morphs import Differences, MorphTarget, MorphTargets
-from skinbake.replay.surface import RestSurface
 from skinbake.shaders.choices import Language, Lighting, ShaderChoices
 from skinbake.shaders.text import shader_text
+from skinbake.skinning.surface import RestSurface
 from tests.bevy.compose import compose
 from tests.support import gltf_reading
 from tests.support.characters import Character, Pose

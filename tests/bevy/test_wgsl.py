@@ -13,14 +13,14 @@ import pytest
 from fixtures.make_fixtures import FOLDER
 from skinbake.commands.shader import ShaderRequest, shader
 from skinbake.errors import ChoiceError
+from skinbake.format.encodings import Encoding
+from skinbake.format.layouts import Layout, Storage
 from skinbake.geometry.frames import NORMAL_FRAME, TANGENT_FRAME
-from skinbake.gltf.encodings import Encoding
-from skinbake.gltf.layouts import Layout, Storage
-from skinbake.replay.algorithms import Algorithm
-from skinbake.replay.morphs import morphed
-from skinbake.replay.run import replay
 from skinbake.shaders.choices import AttributeText, Language, Lighting, Method, Morphs, ShaderChoices
 from skinbake.shaders.text import shader_text
+from skinbake.skinning.algorithms import Algorithm
+from skinbake.skinning.morphs import morphed
+from skinbake.skinning.run import replay
 from tests.bevy.compose import compose, without_comments
 from tests.bevy.running import (
     BAKED,

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from skinbake.commands import processes
+from skinbake.jobs import processes
 
 
 @pytest.fixture

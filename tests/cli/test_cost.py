@@ -11,8 +11,8 @@ import jsonschema
 import numpy as np
 import pytest
 
-from skinbake.gltf.encodings import Encoding
-from skinbake.gltf.layouts import Layout, Storage
+from skinbake.format.encodings import Encoding
+from skinbake.format.layouts import Layout, Storage
 from tests.support.command_line import document, invoke, run
 from tests.support.gltf_reading import read
 from tests.support.models import FOLDER, SHARED, Part, bake, edited, rewritten, sheet, write_model
@@ -428,7 +428,7 @@ LOADED = """
 import sys
 from skinbake.cli.main import main
 main(["cost", "--help"], standalone_mode=False)
-heavy = {"numpy", "skinbake.replay", "skinbake.commands", "skinbake.report"}
+heavy = {"numpy", "skinbake.skinning", "skinbake.commands", "skinbake.report"}
 print(sorted(heavy & set(sys.modules)), file=sys.stderr)
 """
 

@@ -18,13 +18,13 @@ import jsonschema
 import pytest
 
 from benchmarks.skinned_grid import grid_of, write_grid
-from skinbake.commands import processes
 from skinbake.commands.bake import BakeOptions, bake_file
-from skinbake.commands.batch_bake import BakeJob, BakeWork
-from skinbake.commands.batch_verify import VerifyJob, VerifyWork
-from skinbake.commands.lighting import VerifyOptions
-from skinbake.commands.poses import PoseRequest
 from skinbake.errors import InputError, OutputError, Place, SkinbakeError
+from skinbake.jobs import processes
+from skinbake.jobs.bake import BakeJob, BakeWork
+from skinbake.jobs.verify import VerifyJob, VerifyWork
+from skinbake.lighting.measured import VerifyOptions
+from skinbake.lighting.poses import PoseRequest
 from skinbake.timing import stage
 from tests.support.command_line import LINUX, document, invoke, run
 from tests.support.models import FIXTURES, FOLDER, SHARED_BIN, sheet, write_model
@@ -263,7 +263,7 @@ class TestSummary:
             seen.append(summary.read_text(encoding="utf-8").count("\n"))
             return original(*arguments)
 
-        monkeypatch.setattr("skinbake.commands.batch_bake.bake_file", looking)
+        monkeypatch.setattr("skinbake.jobs.bake.bake_anywhere", looking)
         models = [FOLDER / name for name in FIXTURES[:4]]
         invoke("bake", *models, "--dry-run", "--summary", summary)
         assert seen == [0, 1, 2, 3]
@@ -323,7 +323,7 @@ class TestTimings:
                 time.sleep(0.03)
             return original(*arguments)
 
-        monkeypatch.setattr("skinbake.commands.batch_bake.bake_file", staged)
+        monkeypatch.setattr("skinbake.jobs.bake.bake_anywhere", staged)
         models = [FOLDER / "seam.glb", FOLDER / "two_sets.glb"]
         result = invoke("bake", *models, "--out-dir", tmp_path, "--timings", "--json")
         for file in document(result)["files"]:

@@ -14,10 +14,10 @@ from typing import Any
 import pytest
 
 import skinbake
-from skinbake.commands import state
 from skinbake.commands.bake import bake_file
-from skinbake.commands.state import HEADER, State
 from skinbake.errors import InputError
+from skinbake.jobs import state
+from skinbake.jobs.state import HEADER, State
 from tests.support.command_line import LINUX, document, invoke, run
 from tests.support.gltf_reading import read
 from tests.support.models import FIXTURES, FOLDER, SHARED, copied, rewritten, sheet, write_model
@@ -260,7 +260,7 @@ class TestWhileItRuns:
                 what(source, target)
                 return result
 
-            monkeypatch.setattr("skinbake.commands.batch_bake.bake_file", both)
+            monkeypatch.setattr("skinbake.jobs.bake.bake_anywhere", both)
 
         return follow
 
@@ -318,7 +318,7 @@ class TestWhileItRuns:
                 raise KeyboardInterrupt
             return bake_file(source, target, *rest)
 
-        monkeypatch.setattr("skinbake.commands.batch_bake.bake_file", interrupted)
+        monkeypatch.setattr("skinbake.jobs.bake.bake_anywhere", interrupted)
         result = run_interrupted(baking)
         assert "interrupted after 2 of 4 files: 1 baked, 1 unchanged" in result
         monkeypatch.undo()

@@ -30,7 +30,7 @@ HEAVY = (
     "distributed",
     "skinbake.commands",
     "skinbake.gltf",
-    "skinbake.bake",
+    "skinbake.gradients",
 )
 MODULES = """
 import sys

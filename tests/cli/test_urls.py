@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from skinbake.cli import exit_codes
-from skinbake.commands import dask_runner
 from skinbake.errors import InputError
+from skinbake.jobs.remote import dask_runner
 from tests.support.command_line import document, invoke
 from tests.support.libraries import filesystem, stored, tree, upload, write_library
 from tests.support.models import FOLDER

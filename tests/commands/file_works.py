@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from skinbake.commands.bake import BakeOptions
-from skinbake.commands.lighting import VerifyOptions
-from skinbake.commands.staging import bake_anywhere, verify_anywhere
 from skinbake.containment import OWN_FOLDERS, Within
 from skinbake.errors import InputError, Place
+from skinbake.jobs.remote.staging import bake_anywhere, verify_anywhere
+from skinbake.lighting.measured import VerifyOptions
 from skinbake.report.bake import FileResult
 from skinbake.report.verify import FileVerdict
 

@@ -16,11 +16,11 @@ from typing import Any
 import pytest
 
 import skinbake
-from skinbake.bake import kernel
 from skinbake.cli import exit_codes
-from skinbake.commands import dask_runner
-from skinbake.commands.dask_runner import DaskRunner
 from skinbake.errors import InputError
+from skinbake.gradients import kernel
+from skinbake.jobs.remote import dask_runner
+from skinbake.jobs.remote.dask_runner import DaskRunner
 from tests.commands.clusters import PATIENCE, cluster, observer, require_dask, wait_for_workers
 from tests.commands.file_works import Bake, BakeOrDie, Job, Raise, Verify
 from tests.support.command_line import document, invoke
@@ -190,7 +190,7 @@ def _work_that_raises_loses_its_job(address: str, jobs: list[Job]) -> None:
 
 def _another_version_is_refused(address: str, monkeypatch: pytest.MonkeyPatch, jobs: list[Job]) -> None:
     with monkeypatch.context() as patch:
-        patch.setattr("skinbake.commands.dask_task.__version__", "9.9.9")
+        patch.setattr("skinbake.jobs.remote.dask_task.__version__", "9.9.9")
         runner = DaskRunner(address)
         with pytest.raises(InputError, match=f"has skinbake {skinbake.__version__}, this is 9.9.9") as raised:
             runner.connect()

@@ -13,10 +13,10 @@ from typing import Any
 
 import pytest
 
-from skinbake.commands import processes
-from skinbake.commands.batch import FirstThese, InThisProcess, in_order
-from skinbake.commands.processes import Limits, Processes
 from skinbake.errors import SkinbakeError
+from skinbake.jobs import processes
+from skinbake.jobs.processes import Limits, Processes
+from skinbake.jobs.runners import FirstThese, InThisProcess, in_order
 from tests.commands.works import (
     Crashing,
     Deadly,

@@ -9,11 +9,11 @@ from typing import Any
 import pytest
 
 from skinbake.commands.bake import BakeOptions
-from skinbake.commands.dask_task import Ready
-from skinbake.commands.shipping import Shipped
 from skinbake.commands.verify import verify_file
 from skinbake.containment import Bounds, Within
 from skinbake.errors import ChoiceError, InputError, OutputError
+from skinbake.jobs.remote.dask_task import Ready
+from skinbake.jobs.remote.shipping import Shipped
 from tests.commands.file_works import Bake, Job, Verify
 from tests.support.libraries import stored, tree, upload, write_library
 

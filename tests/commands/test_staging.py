@@ -12,14 +12,14 @@ import pytest
 
 from skinbake.cli import exit_codes
 from skinbake.commands.bake import BakeOptions, bake_file
-from skinbake.commands.lighting import VerifyOptions
-from skinbake.commands.staging import bake_anywhere, staged_in, verify_anywhere
-from skinbake.commands.storages import expand_url
 from skinbake.commands.verify import verify_file
 from skinbake.containment import Bounds, Within
 from skinbake.errors import InputError, OutputError
-from skinbake.gltf.encodings import Encoding
-from skinbake.gltf.layouts import Storage
+from skinbake.format.encodings import Encoding
+from skinbake.format.layouts import Storage
+from skinbake.jobs.remote.staging import bake_anywhere, staged_in, verify_anywhere
+from skinbake.jobs.remote.storages import expand_url
+from skinbake.lighting.measured import VerifyOptions
 from skinbake.report.bake import FileResult
 from skinbake.urls import is_url, join_url
 from tests.support.libraries import (

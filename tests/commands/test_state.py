@@ -13,11 +13,11 @@ from typing import Any
 import pytest
 
 from skinbake.cli.many import STATE_NAME
-from skinbake.commands import state
 from skinbake.commands.bake import BakeOptions
-from skinbake.commands.batch_bake import BakeJob, BakeWork
-from skinbake.commands.state import HEADER, NAME, Recipe, State, recipe
 from skinbake.errors import InputError
+from skinbake.jobs import state
+from skinbake.jobs.bake import BakeJob, BakeWork
+from skinbake.jobs.state import HEADER, NAME, Recipe, State, recipe
 from tests.support.models import copied
 
 KEY = b'{"key": "bake a.glb", '

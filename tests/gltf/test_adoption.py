@@ -9,14 +9,14 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from skinbake.bake.baker import BakeSettings
 from skinbake.commands.bake import BakeOptions, bake_file
+from skinbake.format.adoption import TINY_WEIGHT, UNIT, with_adopted
 from skinbake.geometry.skinned import Float64Array
 from skinbake.gltf.accessors import StoredArray
-from skinbake.gltf.adoption import TINY_WEIGHT, UNIT, with_adopted
 from skinbake.gltf.animation import random_poses, read_skeleton
 from skinbake.gltf.document import read_document
 from skinbake.gltf.primitives import StoredInfluences
+from skinbake.gradients.baker import BakeSettings
 from tests.support.baked_arrays import (
     AFRAME_HAND,
     CESIUM_MAN,

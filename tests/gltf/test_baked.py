@@ -15,13 +15,13 @@ import numpy as np
 import pytest
 
 from fixtures.builder import AnyArray, JsonObject
-from skinbake.bake.baker import BakeSettings
 from skinbake.commands.bake import BakeOptions, bake_file
 from skinbake.errors import InputError
+from skinbake.format.baked import AttributeNames
 from skinbake.gltf.additions import Additions
-from skinbake.gltf.baked import AttributeNames
 from skinbake.gltf.document import read_document
 from skinbake.gltf.resources import encode_data_uri
+from skinbake.gradients.baker import BakeSettings
 from tests.support.gltf_reading import GltfFile, read
 from tests.support.models import (
     FIXTURES,

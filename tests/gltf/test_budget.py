@@ -17,9 +17,9 @@ import pytest
 
 from skinbake.errors import InputError, Place, UnsupportedFeatureError
 from skinbake.gltf import budget as budgets
-from skinbake.gltf import draco
 from skinbake.gltf.animation import read_clips
 from skinbake.gltf.budget import Budget, memory_limited, shown
+from skinbake.gltf.codecs import draco
 from skinbake.gltf.compaction import _Shifts
 from skinbake.gltf.document import parse_gltf, read_document
 from skinbake.gltf.json_access import JsonObject
@@ -242,8 +242,8 @@ def test_verify_keeps_to_max_memory(tmp_path: Path) -> None:
 def test_a_mesh_that_is_drawn_more_often_than_its_file_is_long_is_not_measured(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from skinbake.commands import lighting
     from skinbake.commands.verify import verify_file
+    from skinbake.lighting import measured as lighting
 
     baked(write_model(tmp_path / "in.glb", [sheet()]), tmp_path / "out.glb")
     assert verify_file(str(tmp_path / "out.glb"), lighting.VerifyOptions()).error is None

@@ -17,12 +17,12 @@ from fixtures.builder import JsonObject
 from skinbake.commands.bake import BakeOptions, bake_file
 from skinbake.commands.cost import cost_of_file
 from skinbake.commands.inspect import inspect_file
-from skinbake.commands.lighting import VerifyOptions
-from skinbake.commands.poses import PoseRequest
 from skinbake.commands.strip import strip_file
 from skinbake.commands.verify import verify_file
 from skinbake.errors import InputError
-from skinbake.gltf.recode import Compression, Scheme
+from skinbake.gltf.codecs.recode import Compression, Scheme
+from skinbake.lighting.measured import VerifyOptions
+from skinbake.lighting.poses import PoseRequest
 from tests.support import corpus, khronos
 from tests.support.compressed import EXT, KHR, content_of, draco_twin, meshopt_twin
 from tests.support.decoders import read_plain, read_plain_many
@@ -489,7 +489,7 @@ def test_real_twins_have_the_same_gradients_within_their_quantisation(
     rounding has moved one of several copies, or a sliver of a triangle, past what edges allow.
     """
     options = {"neighbours": "drop", "frame": "normal"}
-    from skinbake.bake.baker import BakeSettings
+    from skinbake.gradients.baker import BakeSettings
 
     for target, path in (("ours", name), ("theirs", original)):
         settings = BakeSettings(**options)  # type: ignore[arg-type]
@@ -559,7 +559,7 @@ def test_what_bake_decoded_is_what_others_decode_of_its_output(name: str, tmp_pa
 
 
 def _dropping() -> Any:
-    from skinbake.bake.baker import BakeSettings
+    from skinbake.gradients.baker import BakeSettings
 
     return BakeSettings(neighbours="drop")
 

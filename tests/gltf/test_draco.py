@@ -16,8 +16,8 @@ import pytest
 
 from fixtures.builder import JsonObject
 from skinbake.errors import InputError, Place, UnsupportedFeatureError
-from skinbake.gltf import draco_stream
 from skinbake.gltf.accessors import read_accessor
+from skinbake.gltf.codecs import draco_stream
 from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.primitives import read_primitive, reason_to_skip, skinned_sources
 from tests.support import corpus
@@ -83,7 +83,7 @@ def test_signed_integers_come_back_as_such(normalised: bool) -> None:
     """DracoPy gives them as floats, divided by the largest value where the stream says so."""
     stored = np.array([[-127, 0, 127], [5, -6, 64]], np.int8)
     floats = (stored / np.float32(127) if normalised else stored).astype(np.float32)
-    from skinbake.gltf.draco import _of_type
+    from skinbake.gltf.codecs.draco import _of_type
 
     found = _of_type(floats, (np.dtype(np.int8), 3, 2), 127, Place("x"))
     assert found.tolist() == stored.tolist()

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from skinbake.gltf.encodings import CANDIDATES, Encoding, common_scale, decoded, encoded
-from skinbake.gltf.layouts import Storage
+from skinbake.format.encodings import CANDIDATES, Encoding, common_scale, decoded, encoded
+from skinbake.format.layouts import Storage
 from tests.support import khronos
 from tests.support.gltf_reading import GltfFile, read
 from tests.support.models import FIXTURES, FOLDER, bake, baked, note, primitives, sheet, write_model

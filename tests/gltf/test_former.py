@@ -103,7 +103,7 @@ def test_a_baked_glb_becomes_the_same_gltf_as_the_one_it_was_baked_from(tmp_path
 def test_a_file_that_can_no_longer_be_baked_passes_through_with_its_bake(tmp_path: Path) -> None:
     baked_glb = tmp_path / "seam.glb"
     bake_file(str(FOLDER / "seam.glb"), str(baked_glb), BakeOptions())
-    from skinbake.bake.baker import BakeSettings
+    from skinbake.gradients.baker import BakeSettings
 
     options = BakeOptions(settings=BakeSettings(frame="tangent"))
     result = bake_file(str(baked_glb), str(tmp_path / "out.glb"), options)

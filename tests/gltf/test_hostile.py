@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from fixtures.builder import pack_glb
-from skinbake.bake import kernel
 from skinbake.gltf import resources
+from skinbake.gradients import kernel
 from tests.support import corpus, khronos
 from tests.support.command_line import document, invoke
 from tests.support.gltf_reading import GltfFile, read

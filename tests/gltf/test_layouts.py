@@ -13,8 +13,8 @@ import pytest
 from fixtures.builder import JsonObject
 from skinbake.commands.bake import BakeOptions, bake_file
 from skinbake.commands.strip import strip_file
-from skinbake.gltf.encodings import Encoding
-from skinbake.gltf.layouts import Layout, Storage, free_texcoords, noted_storage
+from skinbake.format.encodings import Encoding
+from skinbake.format.layouts import Layout, Storage, free_texcoords, noted_storage
 from tests.support import khronos
 from tests.support.gltf_reading import GltfFile, read
 from tests.support.models import (

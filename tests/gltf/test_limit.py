@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from skinbake.format.limit import common_unit, with_limit
 from skinbake.gltf.accessors import StoredArray
-from skinbake.gltf.limit import common_unit, with_limit
 from skinbake.gltf.primitives import StoredInfluences
 
 

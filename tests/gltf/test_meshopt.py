@@ -13,9 +13,9 @@ import pytest
 from fixtures.builder import AnyArray, JsonObject, pack_glb
 from skinbake.commands.inspect import inspect_file
 from skinbake.errors import InputError, Place
-from skinbake.gltf import meshopt as codec
+from skinbake.gltf.codecs import meshopt as codec
+from skinbake.gltf.codecs.meshopt_filters import unfiltered
 from skinbake.gltf.document import read_document
-from skinbake.gltf.meshopt_filters import unfiltered
 from skinbake.gltf.primitives import read_primitive, skinned_sources
 from skinbake.gltf.views import view_bytes
 from tests.support import corpus

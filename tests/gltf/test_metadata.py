@@ -12,8 +12,8 @@ import pytest
 
 from fixtures.builder import JsonObject
 from skinbake.commands.inspect import inspect_file
+from skinbake.format.metadata import read_metadata
 from skinbake.gltf.document import read_document
-from skinbake.gltf.metadata import read_metadata
 from tests.support.gltf_reading import GltfFile
 from tests.support.models import FIXTURES, FOLDER, SHARED, bake, baked, note, primitives, rewritten
 

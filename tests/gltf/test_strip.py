@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 
 from fixtures.builder import JsonObject
-from skinbake.bake.baker import BakeSettings
 from skinbake.commands.bake import BakeOptions, bake_file
 from skinbake.commands.inspect import inspect_file
 from skinbake.commands.strip import strip_file
 from skinbake.errors import InputError
-from skinbake.gltf.baked import AttributeNames
-from skinbake.gltf.encodings import Encoding
-from skinbake.gltf.layouts import Layout, Storage
+from skinbake.format.baked import AttributeNames
+from skinbake.format.encodings import Encoding
+from skinbake.format.layouts import Layout, Storage
+from skinbake.gradients.baker import BakeSettings
 from tests.support.gltf_reading import GltfFile, read
 from tests.support.models import (
     FIXTURES,

@@ -449,8 +449,8 @@ RACER = """
 import sys, time
 from pathlib import Path
 from skinbake.commands.bake import BakeOptions, bake_file
-from skinbake.gltf.encodings import Encoding
-from skinbake.gltf.layouts import Storage
+from skinbake.format.encodings import Encoding
+from skinbake.format.layouts import Storage
 source, folder, rounds, encoding = sys.argv[1:]
 options = BakeOptions(storage=Storage(Encoding(encoding)), sync=False)
 for number in range(int(rounds)):
@@ -468,8 +468,8 @@ def test_two_runs_into_one_folder_cannot_exchange_their_bins(tmp_path: Path) -> 
         (tmp_path / str(number)).mkdir()
     wanted = {}
     for name, (source, encoding) in {"a": (SEAM, "float32"), "b": (TUBE, "packed8")}.items():
-        from skinbake.gltf.encodings import Encoding
-        from skinbake.gltf.layouts import Storage
+        from skinbake.format.encodings import Encoding
+        from skinbake.format.layouts import Storage
 
         alone = tmp_path / name / "hero.gltf"
         alone.parent.mkdir()

@@ -12,14 +12,14 @@ from contextlib import suppress
 from itertools import islice
 from pathlib import Path
 
-from skinbake.commands import state
 from skinbake.commands.bake import BakeOptions, bake_file
 from skinbake.commands.inspect import inspect_file
-from skinbake.commands.lighting import VerifyOptions
 from skinbake.commands.strip import strip_file
 from skinbake.commands.verify import verify_file
 from skinbake.containment import Bounds, Within
 from skinbake.errors import SkinbakeError
+from skinbake.jobs import state
+from skinbake.lighting.measured import VerifyOptions
 from tests.outside.names import likely_uris, uris
 
 A_DOCUMENT = 5

@@ -9,9 +9,9 @@ from itertools import product
 from typing import Any
 
 from skinbake.geometry.frames import NORMAL_FRAME, TANGENT_FRAME
-from skinbake.replay.surface import DEFAULT_CAP
 from skinbake.shaders.choices import ALGORITHMS, BEST, Language, Method, Morphs, ShaderChoices
 from skinbake.shaders.text import shader_text
+from skinbake.skinning.surface import DEFAULT_CAP
 
 FRAMES = (NORMAL_FRAME, TANGENT_FRAME)
 INFLUENCES = range(1, 9)

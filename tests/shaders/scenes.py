@@ -13,18 +13,18 @@ import numpy as np
 import numpy.typing as npt
 
 from skinbake.commands.bake import BakeOptions, bake_file
-from skinbake.commands.baked_views import baked_views
-from skinbake.commands.lighting import rest_surface
-from skinbake.commands.poses import PoseRequest, pose_set
 from skinbake.geometry import frames
 from skinbake.geometry.dual_quaternions import RigidMotions, rigid_motions
 from skinbake.gltf.animation import read_clips
 from skinbake.gltf.document import read_document
 from skinbake.gltf.primitives import skinned_sources
-from skinbake.replay.algorithms import Algorithm
-from skinbake.replay.run import replay
-from skinbake.replay.surface import RestSurface
+from skinbake.lighting.baked_views import baked_views
+from skinbake.lighting.measured import rest_surface
+from skinbake.lighting.poses import PoseRequest, pose_set
 from skinbake.shaders.choices import SLOTS_PER_SET, Method, ShaderChoices
+from skinbake.skinning.algorithms import Algorithm
+from skinbake.skinning.run import replay
+from skinbake.skinning.surface import RestSurface
 from tests.shaders.combinations import ATTRIBUTES, columns
 from tests.support import analytic, corpus
 

@@ -6,9 +6,9 @@ from functools import cache
 
 import pytest
 
-from skinbake.replay.algorithms import Algorithm
-from skinbake.replay.counting import multiply_adds
 from skinbake.shaders.choices import Language
+from skinbake.skinning.algorithms import Algorithm
+from skinbake.skinning.counting import multiply_adds
 from tests.shaders.combinations import FRAMES, INFLUENCES, combinations, glsl
 from tests.shaders.spirv_counting import Module
 from tests.support import glslang

@@ -15,19 +15,19 @@ import numpy.typing as npt
 import pytest
 from click.testing import CliRunner
 
-from skinbake.bake.baker import BakeSettings
 from skinbake.cli.main import main
 from skinbake.commands.shader import ShaderRequest, shader
 from skinbake.errors import ChoiceError
 from skinbake.geometry.frames import frame_from_normal
 from skinbake.geometry.morphs import carried_by_normal, carried_by_tangent, morphed_normals
 from skinbake.geometry.skinned import Float32Array
-from skinbake.replay.algorithms import Algorithm
-from skinbake.replay.morphs import morphed
-from skinbake.replay.run import replay
-from skinbake.replay.surface import RestSurface
+from skinbake.gradients.baker import BakeSettings
 from skinbake.shaders.choices import ALGORITHMS, Language, Lighting, Method, Morphs, ShaderChoices
 from skinbake.shaders.text import shader_text
+from skinbake.skinning.algorithms import Algorithm
+from skinbake.skinning.morphs import morphed
+from skinbake.skinning.run import replay
+from skinbake.skinning.surface import RestSurface
 from tests.support import analytic, morphing
 from tests.support.analytic_rest import rest_surface, sample
 from tests.support.baked_files import baked, source

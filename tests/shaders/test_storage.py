@@ -16,8 +16,8 @@ import pytest
 
 from skinbake.commands.shader import ShaderRequest, shader
 from skinbake.errors import ChoiceError, InputError
-from skinbake.gltf.encodings import Encoding
-from skinbake.gltf.layouts import Layout, Storage
+from skinbake.format.encodings import Encoding
+from skinbake.format.layouts import Layout, Storage
 from skinbake.shaders import text as shader_texts
 from skinbake.shaders.choices import AttributeText, Language, Lighting, Method, ShaderChoices
 from skinbake.shaders.text import shader_text

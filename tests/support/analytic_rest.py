@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from skinbake.replay.surface import RestSurface
+from skinbake.skinning.surface import RestSurface
 from tests.support import analytic
 
 COLUMNS, ROWS = 24, 20

@@ -10,10 +10,10 @@ import numpy as np
 import numpy.typing as npt
 
 from fixtures.make_fixtures import FOLDER
-from skinbake.bake.baker import BakeFindings, BakeSettings, bake_mesh
 from skinbake.commands.bake import BakeOptions, bake_file
 from skinbake.geometry import frames
 from skinbake.geometry.skinned import BakedPrimitive, Float64Array, FloatArray, SkinnedPrimitive
+from skinbake.gradients.baker import BakeFindings, BakeSettings, bake_mesh
 from tests.support import corpus
 from tests.support.gltf_reading import GltfFile, read
 

@@ -12,9 +12,9 @@ import numpy.typing as npt
 from click.testing import CliRunner
 
 from fixtures.builder import VECTOR_TYPES, pack_glb
-from skinbake.bake.baker import BakeSettings
 from skinbake.cli.main import main
 from skinbake.commands.bake import BakeOptions, bake_file
+from skinbake.gradients.baker import BakeSettings
 from tests.support import corpus, gltf_reading
 
 REPOSITORY = Path(__file__).resolve().parents[2]

@@ -13,16 +13,16 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from skinbake.bake.baker import BakeSettings
 from skinbake.commands.bake import BakeOptions, bake_file
+from skinbake.format.layouts import Storage
 from skinbake.geometry import frames
 from skinbake.geometry.poses import random_rotations
 from skinbake.gltf.animation import clip_poses, random_poses, read_clips, read_skeleton
 from skinbake.gltf.document import read_document
-from skinbake.gltf.layouts import Storage
-from skinbake.replay.algorithms import Algorithm
-from skinbake.replay.run import replay
-from skinbake.replay.surface import RestSurface
+from skinbake.gradients.baker import BakeSettings
+from skinbake.skinning.algorithms import Algorithm
+from skinbake.skinning.run import replay
+from skinbake.skinning.surface import RestSurface
 from tests.support import gltf_reading
 
 Array = npt.NDArray[np.float64]

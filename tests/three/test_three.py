@@ -22,11 +22,11 @@ import pytest
 from fixtures.make_fixtures import FOLDER
 from skinbake.commands.shader import ShaderRequest, shader
 from skinbake.errors import ChoiceError
-from skinbake.gltf.encodings import Encoding
-from skinbake.gltf.layouts import Layout, Storage
-from skinbake.replay.algorithms import Algorithm
+from skinbake.format.encodings import Encoding
+from skinbake.format.layouts import Layout, Storage
 from skinbake.shaders.choices import AttributeText, Language, Lighting, Method, Morphs, ShaderChoices
 from skinbake.shaders.text import shader_text
+from skinbake.skinning.algorithms import Algorithm
 from tests.support import browser, corpus
 from tests.support.baked_files import Editable
 from tests.support.characters import (

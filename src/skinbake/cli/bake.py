@@ -185,7 +185,7 @@ def command(inputs: tuple[str, ...], **given: Any) -> None:
         color=given["color"],
         results_on_stderr=given["output"] == STDIO,
     )
-    from skinbake.commands.batch_bake import MODULES, SECONDS_A_BYTE, SECONDS_A_FILE, BakeJob, BakeWork
+    from skinbake.jobs.bake import MODULES, SECONDS_A_BYTE, SECONDS_A_FILE, BakeJob, BakeWork
     from skinbake.report.bake import SCHEMA, FileResult, as_json, closing_line, detail_lines, file_json
     from skinbake.report.totals import BAKE_OUTCOMES, Totals, totals_json
 
@@ -246,12 +246,12 @@ def _options(given: dict[str, Any]) -> Any:
     """Return the BakeOptions that the command line asks for."""
     import math
 
-    from skinbake.bake.baker import BakeSettings
     from skinbake.commands.bake import BakeOptions
-    from skinbake.gltf.baked import AttributeNames
-    from skinbake.gltf.encodings import Encoding
-    from skinbake.gltf.layouts import Layout, Storage
-    from skinbake.gltf.recode import Compression
+    from skinbake.format.baked import AttributeNames
+    from skinbake.format.encodings import Encoding
+    from skinbake.format.layouts import Layout, Storage
+    from skinbake.gltf.codecs.recode import Compression
+    from skinbake.gradients.baker import BakeSettings
 
     return BakeOptions(
         settings=BakeSettings(

@@ -155,7 +155,7 @@ def console(*, verbose: int, quiet: bool, color: str, results_on_stderr: bool = 
 
     chosen = {"always": True, "never": False, "auto": False if os.environ.get("NO_COLOR") else None}[color]
     if verbose:
-        from skinbake.commands.logs import log_to_stderr
+        from skinbake.jobs.logs import log_to_stderr
 
         log_to_stderr(logging.DEBUG if verbose > 1 else logging.INFO)
     return Console(-1 if quiet else verbose, chosen, results_on_stderr)

@@ -12,7 +12,7 @@ from skinbake.cli.console import Command, finite
 from skinbake.cli.targets import STDIO
 
 if TYPE_CHECKING:
-    from skinbake.commands.processes import Limits
+    from skinbake.jobs.processes import Limits
 
 SIZE = re.compile(r"(\d+(?:\.\d+)?) ?([KMGT]?)(?:i?B)?", re.IGNORECASE)
 
@@ -72,7 +72,7 @@ def worker_limits(given: Mapping[str, Any], sources: Sequence[str]) -> Limits | 
         )
     if STDIO in {*sources, given.get("output")}:
         raise click.UsageError(f"{named[0]} takes files, not - for stdin or stdout")
-    from skinbake.commands.processes import Limits
+    from skinbake.jobs.processes import Limits
 
     return Limits(given["timeout"], memory_of_each(given) if given["isolate"] else None)
 
@@ -82,7 +82,7 @@ def memory_of_each(given: Mapping[str, Any]) -> int | None:
     if given["max_memory"] or given["dask"] or (given["jobs"] == 1 and not given["isolate"]):
         size: int | None = given["max_memory"]
         return size
-    from skinbake.commands.processes import usable_cores
     from skinbake.gltf.budget import default_limit
+    from skinbake.jobs.processes import usable_cores
 
     return default_limit(given["jobs"] or usable_cores())

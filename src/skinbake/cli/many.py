@@ -21,9 +21,9 @@ from skinbake.urls import is_url
 
 if TYPE_CHECKING:
     from skinbake.cli.inputs import Input
-    from skinbake.commands.batch import Runner, Work
-    from skinbake.commands.processes import Limits
-    from skinbake.commands.state import Recipe, State
+    from skinbake.jobs.processes import Limits
+    from skinbake.jobs.runners import Runner, Work
+    from skinbake.jobs.state import Recipe, State
     from skinbake.report.totals import Totals
 
 STATE_NAME = ".skinbake-state.jsonl"
@@ -87,7 +87,7 @@ def state_of(
     """Return the state file, and what its records are compared with; None where none is wanted."""
     if path is None:
         return None, None
-    from skinbake.commands.state import State, recipe
+    from skinbake.jobs.state import State, recipe
 
     roots = {entry.root for entry in inputs if os.sep in entry.kept}  # that arguments were searched in
     return State(path, sync=sync), recipe(command, options, path, sorted(roots))
@@ -157,13 +157,13 @@ def chosen_runner(
     ``turns`` are the numbers of those that must be done in order, ``modules`` what workers need, ``guess``
     how long a file takes and each byte of it. With ``limits`` a file too has a process that keeps them.
     """
-    from skinbake.commands.batch import FirstThese, InThisProcess
+    from skinbake.jobs.runners import FirstThese, InThisProcess
 
     count = given["jobs"]
     alone = count == 1 or len(sources) == 1 or STDIO in sources
     if limits is None and (alone or not _is_worthwhile(sources, guess)):
         return InThisProcess()
-    from skinbake.commands.processes import Limits, Processes, usable_cores
+    from skinbake.jobs.processes import Limits, Processes, usable_cores
 
     limits = limits or Limits()
     whole = Processes(count or usable_cores(), modules, limits)
@@ -287,7 +287,7 @@ def each(
     runner: Runner, work: Work, jobs: Sequence[Any], progress: Progress, tell: Callable[[Any], None]
 ) -> Generator[Any, None, None]:
     """Yield the results in order as they come, each told of above the bar; close it to end the work."""
-    from skinbake.commands.batch import in_order
+    from skinbake.jobs.runners import in_order
 
     with closing(in_order(runner.run(work, jobs))) as results:
         for number, result in enumerate(results, 1):

@@ -14,7 +14,7 @@ from skinbake.errors import InputError, Place
 from skinbake.urls import is_url, join_url
 
 if TYPE_CHECKING:
-    from skinbake.commands.batch import Runner
+    from skinbake.jobs.runners import Runner
 
 
 ADDRESS = re.compile(r"((tcp|tls|ucx|wss?)://)?[^/\s]+:\d+/?|inproc://.+")
@@ -34,7 +34,7 @@ def behind(url: str, but: str | None) -> list[tuple[str, str]]:
 
     ``but`` is the folder of the outputs, which is left out unless the search begins in it.
     """
-    from skinbake.commands.storages import expand_url
+    from skinbake.jobs.remote.storages import expand_url
 
     found = expand_url(url)
     outputs = join_url(but, "") if but and is_url(but) else None
@@ -63,8 +63,8 @@ def cluster_runner(
         raise click.UsageError("--skip-unchanged digests files on this disk: not with --dask or URLs")
     if not address:
         return None
-    from skinbake.commands.batch import FirstThese
-    from skinbake.commands.dask_runner import DaskRunner
+    from skinbake.jobs.remote.dask_runner import DaskRunner
+    from skinbake.jobs.runners import FirstThese
 
     runner = DaskRunner(address)
     click.get_current_context().call_on_close(runner.close)

@@ -11,7 +11,7 @@ from skinbake.cli.many import chosen_runner
 from skinbake.cli.remote import cluster_runner
 
 if TYPE_CHECKING:
-    from skinbake.commands.batch import Runner
+    from skinbake.jobs.runners import Runner
 
 
 def runner_of(

@@ -128,7 +128,7 @@ def command(inputs: tuple[str, ...], **given: Any) -> None:
     reports = {"--junit": given["junit"], "--summary": given["summary"], "--state": notes_at}
     check_reports(reports, None, (entry.source for entry in found))
     say = console(verbose=given["verbose"], quiet=given["quiet"], color=given["color"])
-    from skinbake.commands.batch_verify import MODULES, SECONDS_A_BYTE, SECONDS_A_FILE, VerifyJob, VerifyWork
+    from skinbake.jobs.verify import MODULES, SECONDS_A_BYTE, SECONDS_A_FILE, VerifyJob, VerifyWork
     from skinbake.report.totals import VERIFY_OUTCOMES, Totals, totals_json
     from skinbake.report.verify import SCHEMA, FileVerdict, as_json, as_junit, as_text, file_json
 
@@ -195,9 +195,9 @@ def _options(given: dict[str, Any]) -> Any:
     """Return the VerifyOptions that the command line asks for."""
     import math
 
-    from skinbake.commands.lighting import VerifyOptions
-    from skinbake.commands.poses import PoseRequest
-    from skinbake.replay.surface import Baseline
+    from skinbake.lighting.measured import VerifyOptions
+    from skinbake.lighting.poses import PoseRequest
+    from skinbake.skinning.surface import Baseline
 
     kind, count = given["poses"]
     return VerifyOptions(

@@ -10,21 +10,21 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from skinbake.bake.baker import TANGENT_TOLERANCE, BakeFindings, BakeSettings, bake_mesh
-from skinbake.bake.influences import SUM_TOLERANCE
-from skinbake.bake.normals import with_smooth_normals
 from skinbake.containment import OWN_FOLDERS, Within
 from skinbake.errors import InputError, Notice, Place, SkinbakeError, defect
+from skinbake.format.attribute_store import stored_otherwise
+from skinbake.format.baked import AttributeNames, Baked, with_baked
+from skinbake.format.encodings import Encoding
+from skinbake.format.layouts import Storage
+from skinbake.format.strip import stripped
 from skinbake.geometry.blocks import blocks
 from skinbake.geometry.frames import TANGENT_FRAME
 from skinbake.geometry.skinned import BakedPrimitive, SkinnedPrimitive
-from skinbake.gltf.attribute_store import stored_otherwise
-from skinbake.gltf.baked import AttributeNames, Baked, with_baked
+from skinbake.gltf.codecs.recode import Compression, recoded
 from skinbake.gltf.container import for_target
+from skinbake.gltf.digests import digests_of
 from skinbake.gltf.document import STDIO, Document, read_document
-from skinbake.gltf.encodings import Encoding
 from skinbake.gltf.json_access import JsonObject
-from skinbake.gltf.layouts import Storage
 from skinbake.gltf.output import PlannedOutput, plan_output, refuse_own_input
 from skinbake.gltf.primitives import (
     PrimitiveSource,
@@ -32,14 +32,15 @@ from skinbake.gltf.primitives import (
     reason_to_skip,
     skinned_sources,
 )
-from skinbake.gltf.recode import Compression, recoded
-from skinbake.gltf.strip import stripped
 from skinbake.gltf.writing import version_of
+from skinbake.gradients.baker import TANGENT_TOLERANCE, BakeFindings, BakeSettings, bake_mesh
+from skinbake.gradients.influences import SUM_TOLERANCE
+from skinbake.gradients.normals import with_smooth_normals
 from skinbake.report.bake import BakedCounts, EncodingCost, FileResult, LimitCost, Status
 from skinbake.timing import stage
 
 if TYPE_CHECKING:
-    from skinbake.commands.limiting import Limited, Outcome
+    from skinbake.lighting.limit_cost import Limited, Outcome
 
 logger = logging.getLogger(__name__)
 
@@ -135,8 +136,6 @@ def _bake_file(
 
 
 def _digests(planned: PlannedOutput | None) -> dict[str, str]:
-    from skinbake.commands.state import digests_of  # for --skip-unchanged only
-
     return {} if planned is None else digests_of(planned.files)
 
 
@@ -147,7 +146,7 @@ def _encoding(
     encoding = options.storage.encoding
     if not encoding.is_scaled:
         return EncodingCost(str(encoding))
-    from skinbake.commands.encoding import added_by_encoding  # replays: half a second of imports
+    from skinbake.lighting.encoding_cost import added_by_encoding  # replays: half a second of imports
 
     plain, _, _ = bake_document(prepared, replace(options, storage=Storage()), [])
     try:
@@ -315,7 +314,7 @@ def _limited(
     """Return the primitives that a limit of influences changes, None for each that it leaves alone."""
     if options.limit_influences is None:
         return [None] * len(whole)
-    from skinbake.commands.limiting import limited  # replays, as encodings do
+    from skinbake.lighting.limit_cost import limited  # replays, as encodings do
 
     return [
         limited(document, source, primitive, options.limit_influences)
@@ -333,7 +332,7 @@ def _limit_costs(
 ) -> Sequence[LimitCost | None]:
     if not any(parts):
         return [None] * len(whole)
-    from skinbake.commands.limiting import limit_costs
+    from skinbake.lighting.limit_cost import limit_costs
 
     return limit_costs(document, sources, whole, parts, outcomes, options.settings)
 

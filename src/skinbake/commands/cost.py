@@ -10,26 +10,17 @@ import numpy as np
 
 from skinbake.containment import BESIDE, Bounds
 from skinbake.errors import Notice
+from skinbake.format.layouts import Layout
+from skinbake.format.metadata import read_metadata, slot_names
 from skinbake.geometry.skinned import SkinnedPrimitive
 from skinbake.gltf.accessors import read_accessor
 from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.json_access import JsonObject, integer
-from skinbake.gltf.layouts import Layout
-from skinbake.gltf.metadata import read_metadata, slot_names
 from skinbake.gltf.primitives import (
     PrimitiveSource,
     read_primitive,
     reason_to_skip,
     skinned_sources,
-)
-from skinbake.replay.algorithms import Algorithm
-from skinbake.replay.counting import (
-    Cost,
-    StoredTypes,
-    VertexBytes,
-    cost_table,
-    multiply_adds,
-    vertex_bytes,
 )
 from skinbake.report.cost import (
     CostTable,
@@ -41,6 +32,8 @@ from skinbake.report.cost import (
     VertexCost,
     VertexCosts,
 )
+from skinbake.skinning.algorithms import Algorithm
+from skinbake.skinning.counting import Cost, StoredTypes, VertexBytes, cost_table, multiply_adds, vertex_bytes
 
 TABLE = range(1, 9)
 """The numbers of influences of the table: one or two influence sets of glTF."""

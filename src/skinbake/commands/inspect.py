@@ -6,16 +6,14 @@ from dataclasses import asdict
 
 import numpy as np
 
-from skinbake.bake.baker import AUTO, chosen_frame
-from skinbake.bake.influences import weight_field
 from skinbake.containment import BESIDE, Bounds
-from skinbake.gltf import draco
+from skinbake.format.attribute_store import meshopt_of
+from skinbake.format.metadata import changed_arrays, read_metadata, slot_names
 from skinbake.gltf.accessors import described
-from skinbake.gltf.attribute_store import meshopt_of
+from skinbake.gltf.codecs import draco
+from skinbake.gltf.codecs.meshopt import is_fallback
 from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.json_access import index
-from skinbake.gltf.meshopt import is_fallback
-from skinbake.gltf.metadata import changed_arrays, read_metadata, slot_names
 from skinbake.gltf.primitives import (
     PrimitiveSource,
     read_primitive,
@@ -23,6 +21,8 @@ from skinbake.gltf.primitives import (
     skinned_sources,
 )
 from skinbake.gltf.resources import is_data_uri
+from skinbake.gradients.baker import AUTO, chosen_frame
+from skinbake.gradients.influences import weight_field
 from skinbake.report.inspect import AttributeSummary, BakeSummary, InspectResult, PrimitiveSummary
 
 BYTES_A_VERTEX, BYTES_A_SLOT = 64, 40

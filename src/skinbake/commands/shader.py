@@ -9,23 +9,23 @@ from typing import Any
 
 import numpy as np
 
-from skinbake.commands.baked_views import BakedView, baked_views, is_baked
-from skinbake.commands.lighting import rest_surface, without_dqs
-from skinbake.commands.morphing import carrier
-from skinbake.commands.poses import PoseRequest, PoseSet, pose_set, skins_of
 from skinbake.containment import BESIDE, Bounds
 from skinbake.errors import ChoiceError, InputError, Notice, Place
+from skinbake.format.metadata import slot_names
 from skinbake.geometry.frames import NORMAL_FRAME
 from skinbake.gltf.animation import read_clips
 from skinbake.gltf.document import STDIO, Document, read_document
-from skinbake.gltf.metadata import slot_names
 from skinbake.gltf.output import refuse_own_input
 from skinbake.gltf.primitives import skinned_sources
 from skinbake.gltf.writing import write_file, write_stdout
+from skinbake.lighting.angles import not_rigid_joints
+from skinbake.lighting.baked_views import BakedView, baked_views, is_baked
+from skinbake.lighting.measured import rest_surface, without_dqs
+from skinbake.lighting.morphing import carrier
+from skinbake.lighting.poses import PoseRequest, PoseSet, pose_set, skins_of
 from skinbake.report.notices import counted
 from skinbake.shaders.choices import BEST, AttributeText, Language, Lighting, Method, Morphs, ShaderChoices
 from skinbake.shaders.text import shader_made
-from skinbake.verify.lighting import not_rigid_joints
 
 DEFAULT_INFLUENCES = 4
 DEFAULTS = {"encoding": "float32", "layout": "attributes"}

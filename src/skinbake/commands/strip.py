@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from skinbake.containment import BESIDE, Bounds
 from skinbake.errors import InputError, Notice, Place
+from skinbake.format.strip import stripped
 from skinbake.gltf.container import for_target
 from skinbake.gltf.document import read_document
 from skinbake.gltf.output import plan_output, refuse_own_input
-from skinbake.gltf.strip import stripped
 from skinbake.report.strip import StripResult
 
 

@@ -6,14 +6,14 @@ import logging
 from collections.abc import Sequence
 from dataclasses import replace
 
-from skinbake.commands.baked_views import BakedView, baked_views, gathered_together, is_baked
-from skinbake.commands.lighting import Lighting, Progress, VerifyOptions
-from skinbake.commands.staleness import mesh_operator, staleness
 from skinbake.containment import BESIDE, Bounds
 from skinbake.errors import InputError, Notice, Place, SkinbakeError, defect
+from skinbake.format.metadata import read_metadata
 from skinbake.gltf.document import Document, read_document
-from skinbake.gltf.metadata import read_metadata
 from skinbake.gltf.primitives import PrimitiveSource, reason_to_skip, skinned_sources
+from skinbake.lighting.baked_views import BakedView, baked_views, gathered_together, is_baked
+from skinbake.lighting.measured import Lighting, Progress, VerifyOptions
+from skinbake.lighting.staleness import mesh_operator, staleness
 from skinbake.report.verify import Check, FileVerdict
 from skinbake.timing import stage
 

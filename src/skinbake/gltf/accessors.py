@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from skinbake.errors import InputError, Place
 from skinbake.geometry.skinned import Float64Array, FloatArray
-from skinbake.gltf import draco
+from skinbake.gltf.codecs import draco
 from skinbake.gltf.document import Document
 from skinbake.gltf.formats import COMPONENT_NAMES, COMPONENTS, MATRIX_ROWS, component_dtype
 from skinbake.gltf.json_access import JsonObject, index, integer, member, shown

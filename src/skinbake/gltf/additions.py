@@ -11,7 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from skinbake.geometry.blocks import blocks
-from skinbake.gltf import meshopt, resources
+from skinbake.gltf import resources
+from skinbake.gltf.codecs import meshopt
 from skinbake.gltf.document import Document
 from skinbake.gltf.formats import COMPONENT_CODES, TYPES
 from skinbake.gltf.glb import Bytes

@@ -10,8 +10,9 @@ from itertools import accumulate
 from typing import Any
 
 from skinbake.errors import InputError, Place
-from skinbake.gltf import meshopt, resources
+from skinbake.gltf import resources
 from skinbake.gltf.additions import content_digest
+from skinbake.gltf.codecs import meshopt
 from skinbake.gltf.document import Document
 from skinbake.gltf.glb import Bytes
 from skinbake.gltf.json_access import JsonObject, index, integer, member, names, reference

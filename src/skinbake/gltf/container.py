@@ -8,7 +8,8 @@ from pathlib import Path
 
 from skinbake.containment import RefusedError, is_relative, path_uri, relative_names
 from skinbake.errors import Notice
-from skinbake.gltf import meshopt, resources
+from skinbake.gltf import resources
+from skinbake.gltf.codecs import meshopt
 from skinbake.gltf.document import GLB_SUFFIXES, STDIO, Document
 from skinbake.gltf.glb import Bytes
 from skinbake.gltf.json_access import JsonObject

@@ -12,8 +12,8 @@ import numpy.typing as npt
 from skinbake.errors import InputError, Notice, Place, UnsupportedFeatureError
 from skinbake.geometry.skinned import FloatArray, IntArray, SkinnedPrimitive
 from skinbake.geometry.triangles import TRIANGLE_FAN, TRIANGLES, unrolled
-from skinbake.gltf import draco
 from skinbake.gltf.accessors import StoredArray, element_count, read_accessor
+from skinbake.gltf.codecs import draco
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject, index, integer, member, objects, text
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from skinbake.errors import InputError, Place
-from skinbake.gltf import meshopt
+from skinbake.gltf.codecs import meshopt
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject, index, integer
 

@@ -236,7 +236,7 @@ def as_junit(verdicts: Sequence[FileVerdict]) -> str:
         suite = ElementTree.SubElement(root, "testsuite", name=verdict.input)
         cases = [_case(suite, check) for check in verdict.checks]
         if verdict.error is not None:
-            case = ElementTree.SubElement(suite, "testcase", name="read", classname="skinbake.verify")
+            case = ElementTree.SubElement(suite, "testcase", name="read", classname="skinbake.lighting")
             ElementTree.SubElement(case, "error", message=str(verdict.error))
             cases.append("error")
         suite.set("tests", str(len(cases)))
@@ -254,7 +254,7 @@ def as_junit(verdicts: Sequence[FileVerdict]) -> str:
 def _case(suite: ElementTree.Element, check: Check) -> str:
     from xml.etree import ElementTree  # noqa: PLC0415
 
-    case = ElementTree.SubElement(suite, "testcase", name=check.name, classname="skinbake.verify")
+    case = ElementTree.SubElement(suite, "testcase", name=check.name, classname="skinbake.lighting")
     if check.outcome == "failed":
         more = f" (and {len(check.problems) - 1} more)" if len(check.problems) > 1 else ""
         message = f"{check.problems[0]}{more}" if check.problems else check.remark

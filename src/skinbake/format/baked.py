@@ -1,0 +1,193 @@
+"""Put what was baked into a document, each primitive's attributes into accessors of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from skinbake import __version__
+from skinbake.errors import InputError
+from skinbake.format import metadata
+from skinbake.format.adoption import with_adopted
+from skinbake.format.attribute_store import AttributeStore, store_for
+from skinbake.format.encodings import common_scale, encoded
+from skinbake.format.layouts import CUSTOM_NAMES, Layout, Storage, free_texcoords, of_alpha_and_beta, paired
+from skinbake.geometry.skinned import BakedPrimitive, SkinnedPrimitive
+from skinbake.gltf.additions import KEY, Additions
+from skinbake.gltf.document import Document
+from skinbake.gltf.json_access import JsonObject
+from skinbake.gltf.primitives import PrimitiveSource, StoredInfluences, read_influences, side_by_side
+from skinbake.timing import stage
+
+
+@dataclass(frozen=True, slots=True)
+class AttributeNames:
+    """Patterns of the attribute names; ``{set}`` stands for the influence set's number."""
+
+    alpha: str = "_SKINBAKE_ALPHA_{set}"
+    beta: str = "_SKINBAKE_BETA_{set}"
+
+    def of(self, influence_set: int) -> tuple[str, str]:
+        """Return the names of α and β of one influence set."""
+        number = str(influence_set)
+        return self.alpha.replace("{set}", number), self.beta.replace("{set}", number)
+
+
+@dataclass(frozen=True, slots=True)
+class Baked:
+    """One primitive to be written: where, its arrays as baked from, the result, and how it was made.
+
+    settings is noted in the metadata as it stands. limited are the primitive's new influence sets where it
+    has fewer than the file; its arrays are then theirs.
+    """
+
+    source: PrimitiveSource
+    primitive: SkinnedPrimitive
+    result: BakedPrimitive
+    settings: JsonObject
+    limited: Sequence[StoredInfluences] | None = None
+
+
+def with_baked(
+    document: Document,
+    baked: Sequence[Baked],
+    names: AttributeNames,
+    storage: Storage | None = None,
+    *,
+    level: int | None = None,
+) -> tuple[Document, list[int]]:
+    """Return the document with α, β, metadata and adopted influences, and the bytes each primitive added.
+
+    The document must not hold an earlier bake. A NORMAL is added where the primitive has none. What a
+    primitive gains is stored as the primitive is, compressed at ``level`` (see ``store_for``). The storage's
+    scale is not read: it is found here, for all primitives together. α and β must be finite. Raises
+    InputError where an attribute of the chosen name exists already, or α and β do not fit the storage.
+    """
+    additions = Additions(document)
+    meshes = list(document.objects("meshes"))
+    storage = _scaled(baked, storage or Storage())
+    lengths = []
+    for item in baked:
+        before = additions.byte_length
+        mesh = meshes[item.source.mesh]
+        primitives = list(mesh["primitives"])
+        store = store_for(document, additions, item.source, level)
+        primitives[item.source.primitive] = store.finished(_written(document, store, item, names, storage))
+        meshes[item.source.mesh] = {**mesh, "primitives": primitives}
+        lengths.append(additions.byte_length - before)
+    return additions.applied({"meshes": meshes}), lengths
+
+
+def _scaled(baked: Sequence[Baked], storage: Storage) -> Storage:
+    """Return the storage with the scale of the whole file, so that its shader can hold it as a constant.
+
+    One for α and one for β would gain 0.0015° of mean error at most: measured on sixty models.
+    """
+    if not storage.encoding.is_scaled:
+        return storage
+    scale = common_scale([slots for item in baked for slots in (item.result.alpha, item.result.beta)])
+    return replace(storage, scale=scale)
+
+
+def _written(
+    document: Document, store: AttributeStore, item: Baked, names: AttributeNames, storage: Storage
+) -> JsonObject:
+    """Return the primitive's JSON with everything that bake adds to it."""
+    attributes = dict(item.source.attributes)
+    note: JsonObject = {
+        "version": metadata.VERSION,
+        "generator": f"skinbake {__version__}",
+        "frame": item.result.frame,
+        "influences": item.primitive.joints.shape[1],
+        **item.settings,
+    }
+    if "NORMAL" not in attributes:
+        attributes["NORMAL"] = store.add("NORMAL", item.primitive.normals.astype(np.float32))
+        note["generated"] = ["NORMAL"]
+    primitive = item.primitive
+    if item.limited is not None:
+        note[metadata.FORMER_ATTRIBUTES] = list(item.source.attributes)
+    if item.result.adopts or item.limited is not None:
+        primitive = _replace_influences(document, store, item, attributes, note)
+    with stage("digests"):
+        note["digest"] = metadata.digests(primitive, item.result.frame)
+    note["alpha"], note["beta"], arrays = _stored(item, names, storage)
+    note |= storage.noted
+    extras = item.source.json.get("extras")
+    # A null is what somebody wrote too, and a member of our name that is no note of ours is somebody's.
+    beside = "extras" in item.source.json and (not isinstance(extras, dict) or KEY in extras)
+    if extras == {}:
+        note["keepExtras"] = True
+    for number, (name, values) in enumerate(arrays):
+        own = {KEY: note} if beside and number == 0 else None
+        if name in attributes:
+            raise InputError(
+                f"it has an attribute {name} already, and no metadata that says that it is skinbake's "
+                "(did a tool drop the extras?): remove it, bake from the source file, or "
+                f"choose other names with {_choice_of_names(storage)}",
+                item.source.place,
+            )
+        attributes[name] = store.add(name, values, normalized=storage.encoding.is_scaled, extras=own)
+    written = {**item.source.json, "attributes": attributes}
+    if not beside:
+        written["extras"] = {**(extras or {}), KEY: note}
+    return written
+
+
+def _stored(
+    item: Baked, names: AttributeNames, storage: Storage
+) -> tuple[list[str], list[str], list[tuple[str, npt.NDArray[Any]]]]:
+    """Return the names that hold α, those that hold β, and every array with its name, in the file's order."""
+    result = item.result
+    if storage.layout is Layout.TEXCOORD:
+        chosen = free_texcoords(item.source.attributes, result.alpha.shape[1])
+        arrays = list(zip(chosen, paired(result.alpha, result.beta), strict=True))
+        return *of_alpha_and_beta(chosen), arrays
+    alpha, beta = (encoded(slots, storage.encoding, storage.scale) for slots in (result.alpha, result.beta))
+    pairs = [names.of(number) for number in range(len(alpha))]
+    if storage.layout is Layout.CUSTOM:
+        pairs = list(CUSTOM_NAMES[: len(alpha)])
+        if len(pairs) < len(alpha):
+            raise InputError(
+                f"it has {len(alpha)} influence sets, and --layout custom holds {len(CUSTOM_NAMES)}: "
+                "take --layout attributes",
+                item.source.place,
+            )
+    arrays = [
+        entry
+        for (alpha_name, beta_name), first, second in zip(pairs, alpha, beta, strict=True)
+        for entry in ((alpha_name, first), (beta_name, second))
+    ]
+    return [name for name, _ in pairs], [name for _, name in pairs], arrays
+
+
+def _choice_of_names(storage: Storage) -> str:
+    return "--layout" if storage.layout is Layout.CUSTOM else "--alpha-name and --beta-name"
+
+
+def _replace_influences(
+    document: Document, store: AttributeStore, item: Baked, attributes: dict[str, Any], note: JsonObject
+) -> SkinnedPrimitive:
+    """Point the attributes at the influences of the bake, note those before, and return the arrays stored.
+
+    Attributes of sets that a limit leaves out are removed.
+    """
+    before = read_influences(document, item.source, len(item.primitive.positions))
+    after = with_adopted(item.limited or before, item.result.adopting, item.result.adopted)
+    former: dict[str, int] = {}
+    for number, old in enumerate(before):
+        new = after[number] if number < len(after) else None
+        for kind in ("joints", "weights"):
+            name, stored = f"{kind.upper()}_{number}", getattr(new, kind, None)
+            if stored is getattr(old, kind):
+                continue
+            former[name] = int(attributes.pop(name) if stored is None else attributes[name])
+            if stored is not None:
+                attributes[name] = store.add(name, stored.values, normalized=stored.normalized)
+    note["formerDigest"] = metadata.influence_digests(*side_by_side(before))
+    note["adopted"] = former
+    return item.primitive.with_influences(*side_by_side(after))

@@ -1,0 +1,56 @@
+"""The influences from before adoption, known again by their content: other tools renumber accessors."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from skinbake.errors import InputError, Place
+from skinbake.format.metadata import influence_digests
+from skinbake.gltf.accessors import read_accessor
+from skinbake.gltf.document import Document
+from skinbake.gltf.json_access import JsonObject, index
+
+
+def former_attributes(
+    document: Document, attributes: JsonObject, note: JsonObject, place: Place
+) -> dict[str, int] | None:
+    """Return the accessors to put back where bake adopted joints, empty where it adopted none.
+
+    None where they must not be put back: the accessors that the metadata names no longer hold the influences
+    from before, or the adopted ones have been edited since, which would be lost.
+    """
+    former, noted, digest = note.get("adopted"), note.get("formerDigest"), note.get("digest")
+    if former is None:
+        return {}
+    if not isinstance(former, dict) or not isinstance(digest, dict):
+        return None
+    try:
+        count = len(document.objects("accessors"))
+        numbers = {name: index(former, name, count, place.at(name)) for name in former}
+        found = {name: number for name, number in numbers.items() if number is not None}
+        now = _influence_digests(document, attributes, place)
+        before = _influence_digests(document, {**attributes, **found}, place)
+    except InputError:
+        return None
+    unedited = now == {name: digest.get(name) for name in now}
+    return found if unedited and before == noted else None
+
+
+def _influence_digests(document: Document, attributes: JsonObject, place: Place) -> dict[str, str]:
+    """Return the digests of JOINTS and WEIGHTS, all sets side by side, as the metadata has them."""
+    count = len(document.objects("accessors"))
+    sets: dict[str, list[npt.NDArray[Any]]] = {"JOINTS": [], "WEIGHTS": []}
+    while f"JOINTS_{len(sets['JOINTS'])}" in attributes:
+        for kind, arrays in sets.items():
+            number = index(attributes, f"{kind}_{len(arrays)}", count, place)
+            if number is None:
+                raise InputError(f"it has no {kind}_{len(arrays)}", place)
+            stored = read_accessor(document, number, place)
+            arrays.append(stored.values if kind == "JOINTS" else stored.decoded())
+    for kind, arrays in sets.items():
+        if not arrays or len({len(values) for values in arrays}) > 1:
+            raise InputError(f"its {kind} sets do not belong together", place)
+    return influence_digests(*(np.concatenate(arrays, axis=1) for arrays in sets.values()))

@@ -1,0 +1,86 @@
+"""Under which attributes α and β stand: their own, or texture coordinates, two numbers a set."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from skinbake.format.encodings import Encoding
+from skinbake.gltf.json_access import JsonObject
+
+TEXCOORD = re.compile(r"TEXCOORD_(\d+)")
+
+
+class Layout(StrEnum):
+    """Which attributes hold α and β."""
+
+    ATTRIBUTES = "attributes"
+    """α and β of each influence set in an attribute of its own, under names of one's choice."""
+    TEXCOORD = "texcoord"
+    """α1 α2 | α3 β1 | β2 β3 in TEXCOORD_n: for engines that pass no other attributes."""
+    CUSTOM = "custom"
+    """As ``attributes``, under the names that Godot passes on."""
+
+
+CUSTOM_NAMES = (("_CUSTOM0", "_CUSTOM1"), ("_CUSTOM2", "_CUSTOM3"))
+"""α and β by influence set: what Godot's importer puts into CUSTOM0 … CUSTOM3 (godotengine/godot#120040)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Storage:
+    """How the α and β of one file are stored; scale is the encoding's, in 1 / length unit of POSITION."""
+
+    encoding: Encoding = Encoding.FLOAT32
+    layout: Layout = Layout.ATTRIBUTES
+    scale: float = 0.0
+
+    @property
+    def noted(self) -> JsonObject:
+        """Return the members of the metadata that say it; the usual storage has none."""
+        note: JsonObject = {} if self.layout is Layout.ATTRIBUTES else {"layout": str(self.layout)}
+        return note | (
+            {"encoding": str(self.encoding), "scale": self.scale} if self.encoding.is_scaled else {}
+        )
+
+
+def noted_storage(note: JsonObject) -> Storage:
+    """Return how the metadata say that α and β are stored; ValueError where a name is none of ours."""
+    return Storage(
+        Encoding(note.get("encoding", Encoding.FLOAT32)),
+        Layout(note.get("layout", Layout.ATTRIBUTES)),
+        note.get("scale", 0.0),
+    )
+
+
+def free_texcoords(attributes: Iterable[str], count: int) -> list[str]:
+    """Return the names of ``count`` texture coordinate sets after those that are there.
+
+    glTF numbers them without a gap: those after the last begin where it ends.
+    """
+    taken = (int(found[1]) for name in attributes if (found := TEXCOORD.fullmatch(name)))
+    first = max(taken, default=-1) + 1
+    return [f"TEXCOORD_{number}" for number in range(first, first + count)]
+
+
+def of_alpha_and_beta(names: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Return which of K − 1 texture coordinate sets hold α and which β; the middle one holds both."""
+    half = len(names) // 2
+    return list(names[: half + 1]), list(names[half:])
+
+
+def paired(alpha: npt.NDArray[Any], beta: npt.NDArray[Any]) -> list[npt.NDArray[Any]]:
+    """Return α and β, each (V, K − 1), side by side as K − 1 arrays (V, 2)."""
+    numbers = np.concatenate([alpha, beta], axis=1)
+    return [numbers[:, start : start + 2] for start in range(0, numbers.shape[1], 2)]
+
+
+def unpaired(pairs: Sequence[npt.NDArray[Any]]) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
+    """Return α and β, each (V, K − 1), of what ``paired`` made."""
+    numbers = np.concatenate(pairs, axis=1)
+    return numbers[:, : len(pairs)], numbers[:, len(pairs) :]

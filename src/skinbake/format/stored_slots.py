@@ -1,0 +1,143 @@
+"""The stored α and β of one primitive: decoded as its metadata say, or the problem with them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from skinbake.errors import Notice, Place
+from skinbake.format.encodings import Encoding, decoded
+from skinbake.format.layouts import Layout, Storage, noted_storage, unpaired
+from skinbake.format.metadata import slot_names
+from skinbake.geometry.skinned import Float64Array, FloatArray
+from skinbake.gltf import json_access
+from skinbake.gltf.accessors import StoredArray, read_accessor
+from skinbake.gltf.document import Document
+from skinbake.gltf.json_access import JsonObject, index
+from skinbake.gltf.primitives import PrimitiveSource
+
+BAKE = "run skinbake bake"
+COMPONENT_TYPES = {Encoding.FLOAT32: "FLOAT", Encoding.SNORM16: "SHORT", Encoding.PACKED8: "BYTE"}
+
+
+@dataclass(frozen=True, slots=True)
+class StoredSlots:
+    """α and β of slots 1 … K − 1 as a shader reads them, each (V, K − 1), in 1 / length unit of POSITION.
+
+    rounding (V, 2) is the most by which the encoding may have changed a value of α, and one of β.
+    """
+
+    alpha: FloatArray
+    beta: FloatArray
+    rounding: Float64Array
+
+
+def wrong_storage(metadata: JsonObject, influence_sets: int) -> Iterator[str]:
+    """Yield what is wrong with each member of the metadata that says where and how α and β are stored."""
+    layout, encoding, scale = (metadata.get(key) for key in ("layout", "encoding", "scale"))
+    for key, value, known in (("layout", layout, [*Layout]), ("encoding", encoding, [*Encoding])):
+        if key in metadata and value not in known:
+            yield f'"{key}" is {shown(value)}'
+    if encoding in (Encoding.SNORM16, Encoding.PACKED8) and not _is_scale(scale):
+        yield f'"scale" is {shown(scale)}'
+    count = 2 * influence_sets if layout == Layout.TEXCOORD else influence_sets
+    for key in ("alpha", "beta"):
+        names = metadata.get(key)
+        if not isinstance(names, list) or not _are_names(names, count):
+            yield f'"{key}" is {shown(names)}, not an attribute for each influence set'
+            return
+    if layout == Layout.TEXCOORD and len(slot_names(metadata)) != 4 * influence_sets - 1:
+        yield f'"alpha" and "beta" are {shown(slot_names(metadata))}: the one that both share is not there'
+
+
+def _is_scale(value: object) -> bool:
+    return json_access.is_number(value) and value >= 0  # type: ignore[operator]
+
+
+def _are_names(values: list[Any], count: int) -> bool:
+    return len(values) == count and all(isinstance(value, str) for value in values)
+
+
+def shown(value: object) -> str:
+    """Return a value of the metadata for a message, not too long."""
+    if value is None:
+        return "missing"
+    return json_access.shown(value)
+
+
+def read_slots(
+    document: Document, source: PrimitiveSource, metadata: JsonObject, count: int
+) -> StoredSlots | Notice:
+    """Return α and β of a primitive with ``count`` vertices, or the problem with them.
+
+    The metadata are those that ``wrong_storage`` finds nothing wrong with.
+    """
+    storage = noted_storage(metadata)
+    arrays: dict[str, npt.NDArray[Any]] = {}
+    for name in slot_names(metadata):
+        first = name in (metadata["alpha"][0], metadata["beta"][0])
+        found = _array(document, source, name, _shape(storage, count, first=first), storage.encoding)
+        if isinstance(found, Notice):
+            return found
+        arrays[name] = found
+    if storage.layout is Layout.TEXCOORD:
+        alpha, beta = unpaired(list(arrays.values()))
+        return StoredSlots(alpha, beta, np.zeros((count, 2)))
+    of_alpha, of_beta = (
+        decoded([arrays[name] for name in metadata[key]], storage.encoding, storage.scale)
+        for key in ("alpha", "beta")
+    )
+    rounding = np.column_stack([of_alpha.rounding, of_beta.rounding])
+    return StoredSlots(of_alpha.values, of_beta.values, rounding)
+
+
+def _shape(storage: Storage, count: int, *, first: bool) -> tuple[int, int]:
+    """Return the shape of an attribute that holds slots; first tells whether it is set 0's."""
+    if storage.layout is Layout.TEXCOORD:
+        return count, 2
+    return count, 3 if first and not storage.encoding.is_scaled else 4
+
+
+def _array(
+    document: Document, source: PrimitiveSource, name: str, shape: Sequence[int], encoding: Encoding
+) -> npt.NDArray[Any] | Notice:
+    place = source.place.at(name)
+    accessor = index(source.attributes, name, len(document.objects("accessors")), place)
+    if accessor is None:
+        message = f"its metadata names this attribute, which was removed or renamed since: {BAKE}"
+        return Notice("attribute-missing", message, place)
+    stored = read_accessor(document, accessor, place)
+    problem = _format_problem(stored, shape, encoding, place)
+    if problem is not None:
+        return problem
+    values: npt.NDArray[Any] = stored.values
+    broken = int(np.count_nonzero(~np.isfinite(values).all(axis=1)))
+    if broken:
+        message = f"at {broken:,} vertices it is not a finite number: {BAKE}"
+        return Notice("attribute-not-finite", message, place, broken)
+    return values
+
+
+def _format_problem(
+    stored: StoredArray, shape: Sequence[int], encoding: Encoding, place: Place
+) -> Notice | None:
+    values = stored.values
+    if values.dtype != encoding.dtype or stored.normalized != encoding.is_scaled:
+        found = f"{'normalised ' if stored.normalized else ''}{values.dtype.name}"
+        wanted = f"{'normalised ' if encoding.is_scaled else ''}{COMPONENT_TYPES[encoding]}"
+        message = (
+            f"it is stored as {found}, {wanted} is needed: it looks quantised after its bake. "
+            f"Bake last: {BAKE} on the file that the last tool wrote, or keep the tool off this attribute"
+        )
+        return Notice("attribute-format", message, place)
+    if values.shape != tuple(shape):
+        message = (
+            f"it holds {values.shape[0]:,} vectors of {values.shape[1]}, expected "
+            f"{shape[0]:,} of {shape[1]}: {BAKE}"
+        )
+        return Notice("attribute-format", message, place)
+    return None

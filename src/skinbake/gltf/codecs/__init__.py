@@ -1,0 +1,1 @@
+"""Compressed geometry: Draco, meshopt, and moving a document between them."""

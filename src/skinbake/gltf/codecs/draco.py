@@ -1,0 +1,282 @@
+"""Accessors whose values are in a Draco stream (KHR_draco_mesh_compression).
+
+The extension stands at a primitive and says which attribute of its stream, by unique id, holds which of the
+primitive's attributes; the accessors say how many values of which type these are, and have no buffer view.
+One that has a buffer view too, for loaders that do not know the extension, is read from the stream: there
+the vertices have one order for all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from skinbake.errors import InputError, Place, UnsupportedFeatureError
+from skinbake.geometry.triangles import TRIANGLES
+from skinbake.gltf.document import Document
+from skinbake.gltf.formats import COMPONENTS, component_dtype
+from skinbake.gltf.json_access import JsonObject, entries_of, index, integer, member, reference
+from skinbake.gltf.views import view_bytes
+
+if TYPE_CHECKING:
+    from skinbake.gltf.codecs.draco_stream import DracoMesh
+
+EXTENSION = "KHR_draco_mesh_compression"
+KEY = "skinbake"
+"""The key in the extension's ``extras`` under which bake notes the extension as it was before."""
+
+BEFORE, ACCESSORS = "before", "accessors"
+
+USUAL_LEVEL = 7
+"""How hard Draco compresses where nothing else is asked for, of 0 (fast) to 10 (small)."""
+
+MOST_ATTRIBUTES = 127
+"""Attributes of one stream: DracoPy numbers them with signed bytes."""
+
+Shape = tuple[np.dtype[np.generic], int, int]
+
+
+@dataclass(frozen=True, slots=True)
+class Claim:
+    """What an accessor stands for: one attribute of a primitive's stream, or its triangles (None).
+
+    primitive is the JSON of the primitive as it was when it had that stream.
+    """
+
+    primitive: JsonObject
+    unique_id: int | None
+
+
+def extension_of(primitive: JsonObject) -> JsonObject | None:
+    """Return a primitive's Draco extension, None where it has none; whatever else is there is none either."""
+    extensions = primitive.get("extensions")
+    found = extensions.get(EXTENSION) if isinstance(extensions, dict) else None
+    return found if isinstance(found, dict) else None
+
+
+def before_bake(primitive: JsonObject) -> JsonObject | None:
+    """Return the primitive with the stream that it had before a bake, None where bake noted none.
+
+    Its attributes are the present ones but for those that adoption replaced.
+    """
+    extension = extension_of(primitive) or {}
+    extras = extension.get("extras")
+    note = extras.get(KEY) if isinstance(extras, dict) else None
+    before = note.get(BEFORE) if isinstance(note, dict) else None
+    if not isinstance(note, dict) or not isinstance(before, dict):
+        return None
+    attributes, former = primitive.get("attributes"), note.get(ACCESSORS, {})
+    if not isinstance(attributes, dict) or not isinstance(former, dict):
+        return None
+    extensions = {**primitive["extensions"], EXTENSION: before}
+    return {**primitive, "attributes": {**attributes, **former}, "extensions": extensions}
+
+
+def decoded_accessor(
+    document: Document, number: int, shape: Shape, place: Place
+) -> npt.NDArray[np.generic] | None:
+    """Return the values (count, components) of an accessor from its Draco stream, None where it has none.
+
+    shape is the dtype, components and count that the accessor declares. Raises InputError where the stream
+    cannot be decoded or holds something else, UnsupportedFeatureError where the accessor stands for
+    different values in different streams.
+    """
+    claims = _claims(document).get(number)
+    if claims is None:
+        return None
+    # Primitives that share an accessor have its values compared once, not each with those of all others.
+    known = document.derived.setdefault("draco values", {})
+    if number not in known:
+        values = _claimed(document, claims[0], shape, place)
+        for other in claims[1:]:
+            if not _equal(values, _claimed(document, other, shape, place)):
+                raise UnsupportedFeatureError(
+                    f"accessor {number} stands for different values in two Draco streams", place
+                )
+        known[number] = values
+    found: npt.NDArray[np.generic] = known[number]
+    return found
+
+
+def holds_the_same(document: Document, primitive: JsonObject, before: JsonObject, place: Place) -> bool:
+    """Tell whether the stream of ``before`` still holds what a primitive's stream does, of what both name.
+
+    False where it cannot be read: another tool has moved or removed the buffer view since.
+    """
+    now, then = dict(_claims_of(primitive)), dict(_claims_of(before))
+    known = document.derived.setdefault("draco pairs", {})
+    try:
+        for number in now.keys() & then.keys():
+            pair = now[number], then[number]
+            key = number, *(_data_of(claim) for claim in pair)
+            if key not in known:
+                shape = _shape(document, number, place)
+                known[key] = _equal(*(_claimed(document, claim, shape, place) for claim in pair))
+            if not known[key]:
+                return False
+        return read_stream(document, before, place).faces.size > 0
+    except InputError:
+        return False
+
+
+def _equal(one: npt.NDArray[np.generic], other: npt.NDArray[np.generic]) -> bool:
+    """Tell whether two arrays of one type are equal bit for bit."""
+    return one is other or (one.shape == other.shape and one.tobytes() == other.tobytes())
+
+
+def _shape(document: Document, number: int, place: Place) -> Shape:
+    accessors = document.objects("accessors")
+    if not 0 <= number < len(accessors):
+        raise InputError(f"it refers to accessor {number} of an array of {len(accessors)}", place)
+    accessor = accessors[number]
+    dtype, kind = component_dtype(accessor), accessor.get("type")
+    if dtype is None or not isinstance(kind, str) or kind not in COMPONENTS:
+        raise InputError(f"accessor {number} is of no type that a Draco stream holds", place)
+    return dtype, COMPONENTS[kind], integer(accessor, "count", place, minimum=1)
+
+
+def _claims(document: Document) -> dict[int, list[Claim]]:
+    """Return by accessor what Draco streams hold of it, several where primitives share the accessor."""
+    known = document.derived.setdefault("draco", {})
+    if "claims" not in known:
+        different: dict[int, dict[object, Claim]] = {}
+        for primitive in _primitives(document):
+            for number, claim in _claims_of(primitive):
+                different.setdefault(number, {}).setdefault(_data_of(claim), claim)
+        claims = {number: list(held.values()) for number, held in different.items()}
+        for primitive in filter(None, map(before_bake, _primitives(document))):
+            for number, claim in _claims_of(primitive):
+                claims.setdefault(number, [claim])
+        known["claims"] = claims
+    found: dict[int, list[Claim]] = known["claims"]
+    return found
+
+
+def _primitives(document: Document) -> Iterator[JsonObject]:
+    for mesh in document.objects("meshes"):
+        for primitive in entries_of(mesh.get("primitives")):
+            if extension_of(primitive) is not None:
+                yield primitive
+
+
+def accessors_inside(document: Document, primitive: JsonObject, place: Place) -> Iterator[tuple[int, bool]]:
+    """Yield the accessors whose values a primitive's stream holds, and whether each is its indices.
+
+    Raises InputError where one is not there, or is of no type that a stream holds.
+    """
+    for number, claim in _claims_of(primitive):
+        _shape(document, number, place)
+        yield number, claim.unique_id is None
+
+
+def _claims_of(primitive: JsonObject) -> Iterator[tuple[int, Claim]]:
+    inside = (extension_of(primitive) or {}).get("attributes")
+    attributes = primitive.get("attributes")
+    for name, unique_id in inside.items() if isinstance(inside, dict) else ():
+        number = reference(attributes.get(name)) if isinstance(attributes, dict) else None
+        if number is not None:
+            yield number, Claim(primitive, reference(unique_id))
+    indices = reference(primitive.get("indices"))
+    if indices is not None:
+        yield indices, Claim(primitive, None)
+
+
+def _data_of(claim: Claim) -> tuple[int | None, int | None]:
+    """Return which attribute of which buffer view's stream a claim is of."""
+    view = (extension_of(claim.primitive) or {}).get("bufferView")
+    return reference(view), claim.unique_id
+
+
+def _claimed(document: Document, claim: Claim, shape: Shape, place: Place) -> npt.NDArray[np.generic]:
+    mesh = read_stream(document, claim.primitive, place)
+    faces = mesh.faces.reshape(-1, 1)
+    values = faces if claim.unique_id is None else mesh.attributes.get(claim.unique_id)
+    if values is None:
+        there = ", ".join(map(str, sorted(mesh.attributes))) or "none"
+        raise InputError(f"its Draco stream has no attribute {claim.unique_id}; it has {there}", place)
+    if values.dtype != shape[0]:
+        document.budget.claim(values.size * (shape[0].itemsize + 16), "what its Draco stream holds", place)
+    largest = None if claim.unique_id is None else mesh.signed.get(claim.unique_id)
+    return _of_type(values, shape, largest, place)
+
+
+def _of_type(
+    values: npt.NDArray[Any], shape: Shape, largest: int | None, place: Place
+) -> npt.NDArray[np.generic]:
+    """Return decoded values in the type that the accessor declares, which must hold each of them exactly."""
+    dtype, components, count = shape
+    if values.shape != (count, components):
+        raise InputError(
+            f"its Draco stream holds {values.shape[0]} elements of {values.shape[1]} components, "
+            f"the accessor declares {count} of {components}",
+            place,
+        )
+    if values.dtype == dtype:
+        return values
+    if largest is not None and dtype.kind != "f" and np.any(values != np.rint(values)):
+        values = np.rint(values.astype(np.float64) * largest)  # Draco's "normalized" signed integers
+    with np.errstate(invalid="ignore", over="ignore"):
+        cast = values.astype(dtype)
+    if not np.array_equal(cast.astype(np.float64), values.astype(np.float64)):
+        raise InputError(f"its Draco stream holds values that no {dtype.name} of its accessor can be", place)
+    return cast
+
+
+def read_stream(document: Document, primitive: JsonObject, place: Place) -> DracoMesh:
+    """Return the decoded stream of a Draco primitive; InputError where it is not what the JSON says."""
+    from skinbake.gltf.codecs import draco_stream
+
+    extension = extension_of(primitive) or {}
+    view = index(extension, "bufferView", len(document.objects("bufferViews")), place)
+    if view is None:
+        raise InputError(f"its {EXTENSION} names no buffer view", place)
+    if integer(primitive, "mode", place, default=TRIANGLES) != TRIANGLES:
+        raise UnsupportedFeatureError(
+            "it is a triangle strip in Draco, which decoders read in different ways: store it as triangles",
+            place,
+        )
+    counts = declared(document, primitive, member(extension, "attributes", place), place)
+    known = document.derived.setdefault("draco", {})
+    key = (view, *counts)
+    if key not in known:
+        data = view_bytes(document, view, place)
+        found = draco_stream.check_counts(data, *counts, place)
+        document.budget.claim_unpacked(counts[2], len(data), place)
+        known[key] = draco_stream.decode(data, found, *counts, place)
+    mesh: DracoMesh = known[key]
+    return mesh
+
+
+def declared(
+    document: Document, primitive: JsonObject, inside: Mapping[str, Any], place: Place
+) -> tuple[int, int, int]:
+    """Return the vertices and indices that a Draco primitive's accessors declare, and the bytes of all.
+
+    Raises InputError where the attributes ``inside`` the stream have different counts or no accessor.
+    """
+    accessors = document.objects("accessors")
+    attributes = member(primitive, "attributes", place)
+    vertices, size = 0, 0
+    for name in inside:
+        number = index(attributes, name, len(accessors), place.at(name))
+        if number is None:
+            raise InputError(f"its {EXTENSION} has {name}, which the primitive has not", place)
+        count = integer(accessors[number], "count", place.at(name), minimum=1)
+        if vertices not in {0, count}:
+            raise InputError(f"it has {count} elements, others of its Draco stream {vertices}", place)
+        vertices, size = count, size + count * _element_size(accessors[number])
+    corners = index(primitive, "indices", len(accessors), place.at("indices"))
+    if vertices == 0 or corners is None:
+        raise InputError(f"its {EXTENSION} has no attributes, or the primitive no indices", place)
+    count = integer(accessors[corners], "count", place.at("indices"), minimum=1)
+    return vertices, count, size + 4 * count
+
+
+def _element_size(accessor: JsonObject) -> int:
+    kind, dtype = accessor.get("type"), component_dtype(accessor)
+    components = COMPONENTS.get(kind, 0) if isinstance(kind, str) else 0
+    return components * (dtype.itemsize if dtype is not None else 0)

@@ -1,0 +1,389 @@
+"""Store a document's geometry under another compression before it is baked: values stay, bytes move.
+
+Recoding is what ``--compress none``, ``draco`` and ``meshopt`` ask for. The default, ``keep``, moves
+nothing: what bake adds is then stored as its primitive is (``attribute_store``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from skinbake.errors import InputError, Notice, Place
+from skinbake.geometry.triangles import TRIANGLES
+from skinbake.gltf.accessors import read_accessor
+from skinbake.gltf.additions import Additions, Packed
+from skinbake.gltf.codecs import draco, meshopt
+from skinbake.gltf.compaction import compacted
+from skinbake.gltf.document import Document
+from skinbake.gltf.json_access import (
+    JsonObject,
+    entries_of,
+    every_object,
+    index,
+    integer,
+    is_number,
+    member,
+    names,
+    objects,
+    reference,
+    text,
+)
+from skinbake.gltf.primitives import PrimitiveSource, check_format, read_indices
+from skinbake.gltf.references import uses_of_accessors
+from skinbake.gltf.views import view_bytes
+
+Scheme = Literal["keep", "none", "draco", "meshopt"]
+UNSIGNED_SHORT, UNSIGNED_INT = 5123, 5125
+SIGNED = (5120, 5122)
+
+
+@dataclass(frozen=True, slots=True)
+class Compression:
+    """What ``bake`` does about compression.
+
+    level is 0 (fast) to 10 (small), None for each codec's usual one. bits are those to which ``draco``
+    quantises, by attribute (POSITION, NORMAL, TEXCOORD_0); what is not named stays exact.
+    """
+
+    scheme: Scheme = "keep"
+    level: int | None = None
+    bits: Mapping[str, int] = field(default_factory=dict)
+
+
+def recoded(
+    document: Document, sources: list[PrimitiveSource], compression: Compression
+) -> tuple[Document, list[Notice]]:
+    """Return the document with its geometry stored as ``compression`` says, and what could not be.
+
+    sources are the primitives that will be baked. ``none`` decodes all that Draco or meshopt compressed,
+    animations and images too; ``draco`` and ``meshopt`` compress those primitives and leave the rest as it
+    is; ``keep`` decodes only those whose Draco stream cannot be written again. Bytes that nothing refers to
+    any more are cut out of their buffers. A document without anything to do is returned as it is. Raises
+    InputError where its data cannot be read.
+    """
+    in_draco = any(draco.extension_of(source.json) is not None for source in sources)
+    if compression.scheme == "keep" and not in_draco:
+        return document, []
+    recoder = _Recoder(document)
+    notices: list[Notice] = []
+    if compression.scheme == "none":
+        _decompress(recoder)
+    else:
+        work = {"keep": _keep, "draco": _into_draco, "meshopt": _into_meshopt}[compression.scheme]
+        notices = list(work(recoder, sources, compression))
+    return recoder.finished(), notices
+
+
+class _Recoder:
+    """Collects what changes of a document: accessors, primitives and buffer views, and new bytes."""
+
+    def __init__(self, document: Document) -> None:
+        self.document = document
+        self.additions = Additions(document, undoable=False)
+        self.accessors = list(document.objects("accessors"))
+        self.views = list(document.objects("bufferViews"))
+        self.meshes = [
+            {**mesh, "primitives": list(objects(mesh, "primitives", document.place))}
+            if "primitives" in mesh
+            else mesh
+            for mesh in document.objects("meshes")
+        ]
+        self._uses = uses_of_accessors(document.json)
+        self._required: list[str] = []
+        self._changed = False
+
+    def set_primitive(self, place: Place, primitive: JsonObject) -> None:
+        self._changed = True
+        self.meshes[place.mesh or 0]["primitives"][place.primitive or 0] = primitive
+
+    def set_view(self, number: int, view: JsonObject) -> None:
+        self._changed = True
+        self.views[number] = view
+
+    def set_accessor(self, number: int, view: int | None, **members: Any) -> None:
+        """Give an accessor other data: a buffer view of its own, or (None) a Draco stream."""
+        self._changed = True
+        kept = {
+            key: value
+            for key, value in self.accessors[number].items()
+            if key not in {"bufferView", "byteOffset", "sparse"}
+        }
+        self.accessors[number] = {**({} if view is None else {"bufferView": view}), **kept, **members}
+
+    def own(self, number: int, users: int) -> int:
+        """Return an accessor that ``users`` references alone mean: this one, or a copy if others do too."""
+        left = self._uses.get(number, 0) - users
+        if left <= 0:
+            return number
+        self._uses[number] = left
+        self.accessors.append(self.accessors[number])
+        return len(self.accessors) - 1
+
+    def require(self, extension: str) -> None:
+        if extension not in self._required:
+            self._required.append(extension)
+
+    def finished(self) -> Document:
+        """Return the document with all changes, or as it was where there are none."""
+        if not self._changed:
+            return self.document
+        changes = {"accessors": self.accessors, "bufferViews": self.views, "meshes": self.meshes}
+        applied = self.additions.applied({key: value for key, value in changes.items() if value})
+        result = compacted(self.document, applied)
+        return result.edited(json=_with_extensions(result.json, self._required, result.place))
+
+
+def _with_extensions(root: JsonObject, required: list[str], place: Place) -> JsonObject:
+    """Return the JSON that names the compressions it has in extensionsUsed and extensionsRequired.
+
+    What it has is seen from the JSON; ``required`` are those that it cannot be read without.
+    """
+    ours = {draco.EXTENSION, *meshopt.EXTENSIONS}
+    present = _extensions_in(root) & ours
+    root = dict(root)
+    for key in ("extensionsUsed", "extensionsRequired"):
+        kept = [name for name in names(root, key, place) if name not in ours or name in present]
+        kept += [name for name in required if name not in kept]
+        if kept:
+            root[key] = kept
+        else:
+            root.pop(key, None)
+    return root
+
+
+def _extensions_in(root: JsonObject) -> set[str]:
+    found = (node.get("extensions") for node in every_object(root))
+    return {name for extensions in found if isinstance(extensions, dict) for name in extensions}
+
+
+def _decompress(recoder: _Recoder) -> None:
+    document = recoder.document
+    done: set[int] = set()
+    opened: set[int] = set()
+    for place, primitive in _draco_primitives(document):
+        _leave_draco(recoder, place, primitive, None, done)
+    for number, view in enumerate(document.objects("bufferViews")):
+        name = meshopt.extension_of(view, document.place)
+        if name is None:
+            continue
+        data = recoder.additions.add_data(view_bytes(document, number, document.place))
+        kept = {key: value for key, value in view.items() if key != "extensions"}
+        others = {key: value for key, value in view["extensions"].items() if key != name}
+        recoder.set_view(number, {**kept, **data, **({"extensions": others} if others else {})})
+        opened.add(number)
+    for number, accessor in enumerate(document.objects("accessors")):
+        if number not in done and reference(accessor.get("bufferView")) in opened and "min" in accessor:
+            values = read_accessor(document, number, document.place).values
+            recoder.accessors[number] = {**accessor, **_bounds(accessor, values)}
+
+
+def _draco_primitives(document: Document) -> Iterator[tuple[Place, JsonObject]]:
+    for number, mesh in enumerate(document.objects("meshes")):
+        for position, primitive in enumerate(entries_of(mesh.get("primitives"))):
+            if draco.extension_of(primitive) is not None:
+                name = text(mesh, "name", document.place)
+                yield Place(document.name, number, name, position), primitive
+
+
+def _leave_draco(
+    recoder: _Recoder, place: Place, primitive: JsonObject, packed: Packed | None, done: set[int]
+) -> None:
+    """Give the accessors of a Draco primitive buffer views, and take the extension away."""
+    for number, is_index in draco.accessors_inside(recoder.document, primitive, place):
+        if number not in done:
+            values = read_accessor(recoder.document, number, place).values
+            members: JsonObject = {}
+            if is_index and values.dtype.kind != "u":
+                raise InputError("indices must be of an unsigned integer type", place.at("indices"))
+            if packed is not None and is_index:
+                values, members = _for_index_codec(values)
+            view = recoder.additions.add_values(values, packed, indices=is_index)
+            recoder.set_accessor(number, view, **members, **_bounds(recoder.accessors[number], values))
+            done.add(number)
+    others = {key: value for key, value in primitive["extensions"].items() if key != draco.EXTENSION}
+    plain = {key: value for key, value in primitive.items() if key != "extensions"}
+    recoder.set_primitive(place, {**plain, **({"extensions": others} if others else {})})
+
+
+def _for_index_codec(indices: npt.NDArray[Any]) -> tuple[npt.NDArray[Any], JsonObject]:
+    """Return indices as meshopt's codecs take them, in shorts at least, and what the accessor must say."""
+    if indices.dtype.itemsize > 1:
+        return indices, {}
+    return indices.astype(np.uint16), {"componentType": UNSIGNED_SHORT}
+
+
+def _keep(recoder: _Recoder, sources: list[PrimitiveSource], compression: Compression) -> Iterator[Notice]:
+    """Decode what bake could not write back; the rest stays as it is."""
+    done: set[int] = set()
+    for source in sources:
+        if draco.extension_of(source.json) is None:
+            continue
+        reason = _reason_against_draco(recoder.document, source, inside_only=True)
+        if reason is not None:
+            yield Notice("not-compressed", f"no longer in Draco: {reason}", source.place)
+            _leave_draco(recoder, source.place, source.json, None, done)
+
+
+def _into_meshopt(
+    recoder: _Recoder, sources: list[PrimitiveSource], compression: Compression
+) -> Iterator[Notice]:
+    document = recoder.document
+    used = _extensions_in(document.json)
+    name = next((name for name in meshopt.EXTENSIONS if name in used), meshopt.VENDOR)
+    level = meshopt.level_of(compression.level)
+    packed = Packed(name, level, beside=False)
+    done: set[int] = set()
+    for source in sources:
+        if draco.extension_of(source.json) is not None:
+            recoder.require(name)
+            _leave_draco(recoder, source.place, source.json, packed, done)
+        for number, is_index in _accessors_of(document, source):
+            if number not in done and not _is_packed(document, number, source.place):
+                recoder.require(name)
+                _pack(recoder, number, packed, source if is_index else None, source.place)
+            done.add(number)
+    return iter(())
+
+
+def _accessors_of(document: Document, source: PrimitiveSource) -> Iterator[tuple[int, bool]]:
+    """Yield the accessors of a primitive's attributes, then of its indices, and whether it is the latter."""
+    count = len(document.objects("accessors"))
+    for holder, keys in ((source.attributes, tuple(source.attributes)), (source.json, ("indices",))):
+        for key in keys:
+            number = index(holder, key, count, source.place)
+            if number is not None:
+                yield number, holder is source.json
+
+
+def _is_packed(document: Document, number: int, place: Place) -> bool:
+    views = document.objects("bufferViews")
+    view = index(document.objects("accessors")[number], "bufferView", len(views), place)
+    return view is not None and meshopt.extension_of(views[view], place) is not None
+
+
+def _pack(
+    recoder: _Recoder, number: int, packed: Packed, indexed: PrimitiveSource | None, place: Place
+) -> None:
+    """Compress an accessor's values; ``indexed`` is the primitive whose indices they are."""
+    members: JsonObject = {}
+    if indexed is None:
+        values = read_accessor(recoder.document, number, place).values
+    else:
+        values, members = _for_index_codec(read_indices(recoder.document, indexed)[:, None])
+    view = recoder.additions.add_values(values, packed, indices=indexed is not None)
+    recoder.set_accessor(number, view, **members)
+
+
+def _into_draco(
+    recoder: _Recoder, sources: list[PrimitiveSource], compression: Compression
+) -> Iterator[Notice]:
+    yield from _keep(recoder, sources, compression)
+    groups: dict[tuple[object, ...], list[PrimitiveSource]] = {}
+    for source in sources:
+        if draco.extension_of(source.json) is not None:
+            if compression.bits:
+                message = (
+                    "it is in Draco already and is not quantised again: decode it with --compress none first"
+                )
+                yield Notice("bits-ignored", message, source.place)
+            continue
+        reason = _reason_against_draco(recoder.document, source)
+        if reason is not None:
+            yield Notice("not-compressed", f"left as it is, not put into Draco: {reason}", source.place)
+        else:
+            key = (reference(source.json.get("indices")), *sorted(source.attributes.items()))
+            groups.setdefault(key, []).append(source)
+    for group in groups.values():
+        changes = _streamed(recoder, group[0], len(group), compression)
+        for source in group:
+            extensions = {**member(source.json, "extensions", source.place), **changes["extensions"]}
+            recoder.set_primitive(source.place, {**source.json, **changes, "extensions": extensions})
+        recoder.require(draco.EXTENSION)
+
+
+def _reason_against_draco(
+    document: Document, source: PrimitiveSource, *, inside_only: bool = False
+) -> str | None:
+    """Return why a primitive cannot be written to Draco, None where it can.
+
+    Of its attributes all count, or those that are ``inside`` its stream already.
+    """
+    mode = integer(source.json, "mode", source.place, default=TRIANGLES)
+    if mode != TRIANGLES:
+        return f"its mode is {mode}, and Draco stores lists of triangles"
+    extension = draco.extension_of(source.json) or {}
+    chosen = member(extension, "attributes", source.place) if inside_only else source.attributes
+    if "POSITION" not in chosen:
+        return "it has no POSITION"
+    if len(chosen) > draco.MOST_ATTRIBUTES:
+        return f"it has {len(chosen)} attributes"
+    accessors = document.objects("accessors")
+    for name in chosen:
+        number = index(source.attributes, name, len(accessors), source.place)
+        if number is not None and accessors[number].get("componentType") in SIGNED and name != "POSITION":
+            return f"its {name} are signed integers, which the encoder cannot store"
+        if number is not None and accessors[number].get("componentType") == UNSIGNED_INT:
+            return f"its {name} is of 32-bit integers, for which Draco would take gigabytes"
+    return None
+
+
+def _streamed(recoder: _Recoder, source: PrimitiveSource, users: int, compression: Compression) -> JsonObject:
+    """Put a primitive's attributes and triangles into a stream; return what changes in its JSON.
+
+    users is how many primitives have the same attributes and triangles, and will have these changes.
+    """
+    document, place = recoder.document, source.place
+    accessors = document.objects("accessors")
+    numbers = {name: index(source.attributes, name, len(accessors), place) or 0 for name in source.attributes}
+    stored = {name: read_accessor(document, number, place.at(name)) for name, number in numbers.items()}
+    check_format(stored["POSITION"], "POSITION", 3, place.at("POSITION"))
+    arrays = {name: attribute.values for name, attribute in stored.items()}
+    corners = index(source.json, "indices", len(accessors), place)
+    faces = read_indices(document, source)
+    faces = faces[: len(faces) // 3 * 3].reshape(-1, 3)
+    level = draco.USUAL_LEVEL if compression.level is None else compression.level
+    from skinbake.gltf.codecs import draco_stream
+
+    stream = draco_stream.encode(arrays, faces, place, level=level, bits=compression.bits)
+    attributes = {name: recoder.own(number, users) for name, number in numbers.items()}
+    for name, number in attributes.items():
+        bounds = _bounds(recoder.accessors[number], stream.values[name]) if name in compression.bits else {}
+        recoder.set_accessor(number, None, **bounds)
+    if corners is None:
+        recoder.accessors.append({"componentType": UNSIGNED_INT, "count": faces.size, "type": "SCALAR"})
+        corners = len(recoder.accessors) - 1
+    else:
+        corners = recoder.own(corners, users)
+        recoder.set_accessor(corners, None, count=int(faces.size))
+    inside = {name: stream.unique_ids[name] for name in attributes}
+    extension = {"bufferView": recoder.additions.add_stream(stream.data), "attributes": inside}
+    return {"attributes": attributes, "indices": corners, "extensions": {draco.EXTENSION: extension}}
+
+
+def _bounds(accessor: JsonObject, values: npt.NDArray[Any]) -> JsonObject:
+    """Return the members min and max of an accessor that has others than its values' own, else none.
+
+    Quantising, now or before the file came to us, moves what they bound; glTF wants them exact.
+    """
+    noted = {key: accessor.get(key) for key in ("min", "max")}
+    if not all(isinstance(numbers, list) for numbers in noted.values()):
+        return {}
+    bounds = {"min": values.min(axis=0), "max": values.max(axis=0)}
+    if not all(np.isfinite(bound).all() for bound in bounds.values()):
+        return {}
+    return {
+        key: bound.tolist() for key, bound in bounds.items() if not _is_bound(noted[key], bound, values.dtype)
+    }
+
+
+def _is_bound(noted: Any, bound: npt.NDArray[Any], dtype: np.dtype[Any]) -> bool:
+    """Tell whether numbers of the JSON are those of a bound, once they are rounded to its type."""
+    if len(noted) != len(bound) or not all(map(is_number, noted)):
+        return False
+    numbers = [np.float32(number) for number in noted] if dtype.kind == "f" else noted
+    return bool(numbers == bound.tolist())

@@ -1,0 +1,203 @@
+"""Bake the primitives of one mesh: weight field, welded surface, gradients, slots."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from skinbake.geometry import frames
+from skinbake.geometry.blocks import blocks
+from skinbake.geometry.skinned import BakedPrimitive, BoolArray, FloatArray, IntArray, SkinnedPrimitive
+from skinbake.geometry.triangles import DEGENERATE_AREA, proper
+from skinbake.gradients import kernel
+from skinbake.gradients.influences import WeightDefects, weight_field
+from skinbake.gradients.surface import Surface, surface_slots
+from skinbake.gradients.weld import concatenated, joined, weld
+from skinbake.timing import stage
+
+AUTO = "auto"
+ADOPT, DROP = "adopt", "drop"
+
+TANGENT_TOLERANCE = 0.1
+"""Degrees by which t0 × b0 may lean from n0 before a TANGENT is not used."""
+
+
+@dataclass(frozen=True, slots=True)
+class BakeSettings:
+    """How to bake. crease_angle in radians; weighting, neighbours and frame as on the command line."""
+
+    weighting: str = "max"
+    crease_angle: float = float(np.radians(15.0))
+    neighbours: str = ADOPT
+    frame: str = AUTO
+
+
+@dataclass(frozen=True, slots=True)
+class BakeFindings:
+    """What baking one primitive met, in numbers.
+
+    tangent_deviation is the largest angle in degrees between t0 × b0 and n0, 0 without TANGENT;
+    bad_tangents how many vertices exceed TANGENT_TOLERANCE. magnitude is the summed length of the gradients,
+    in 1 / length unit, lost the share of it that no slot holds.
+    """
+
+    weights: WeightDefects
+    degenerate_triangles: int
+    zero_normals: int
+    tangent_deviation: float
+    bad_tangents: int
+    adopting_vertices: int
+    overflowing_vertices: int
+    magnitude: float
+    lost: float
+
+
+def bake_mesh(
+    primitives: Sequence[SkinnedPrimitive], settings: BakeSettings
+) -> list[tuple[BakedPrimitive, BakeFindings]]:
+    """Return α and β of every primitive of one mesh, gathered across their borders.
+
+    The primitives are those that are baked, in mesh space, all skinned by the same joints. With
+    ``frame="tangent"`` every primitive must have tangents.
+    """
+    with stage("weights"):
+        fields, defects = zip(*(weight_field(primitive) for primitive in primitives), strict=True)
+        field = concatenated(fields)
+    ends = np.cumsum([len(primitive.positions) for primitive in primitives]).tolist()
+    positions = joined([primitive.positions for primitive in primitives])
+    with stage("triangles"):
+        masks = [with_area(primitive) for primitive in primitives]
+        triangles = _together(primitives, masks, [0, *ends])
+    with stage("weld"):
+        normals = joined([primitive.normals for primitive in primitives])
+        classes = weld(positions, normals, field, crease_angle=settings.crease_angle)
+    with stage("frames"):
+        chosen = [chosen_frame(primitive, settings.frame) for primitive in primitives]
+        frame = None
+        if any(choice.kind == frames.TANGENT_FRAME for choice in chosen):
+            pairs = [frame_vectors(*one) for one in zip(primitives, chosen, strict=True)]
+            frame = joined([pair[0] for pair in pairs]), joined([pair[1] for pair in pairs])
+    with stage("gradients"):
+        surface = Surface(positions, triangles, field, classes, normals, frame, ends)
+        slots = surface_slots(surface, weighting=settings.weighting, adopt=settings.neighbours == ADOPT)
+    results = []
+    for number, (primitive, choice) in enumerate(zip(primitives, chosen, strict=True)):
+        rows = slice(ends[number] - len(primitive.positions), ends[number])
+        adopting, overflowing, magnitude, unheld = slots.counts[number].tolist()
+        findings = BakeFindings(
+            weights=defects[number],
+            degenerate_triangles=len(masks[number]) - int(np.count_nonzero(masks[number])),
+            zero_normals=frames.without_direction(primitive.normals),
+            tangent_deviation=choice.deviation,
+            bad_tangents=choice.deviating,
+            adopting_vertices=int(adopting),
+            overflowing_vertices=int(overflowing),
+            magnitude=magnitude,
+            lost=unheld / magnitude if magnitude > 0 else 0.0,
+        )
+        influences = primitive.joints.shape[1]
+        own = slice(*np.searchsorted(slots.adopting, [rows.start, rows.stop]))
+        result = BakedPrimitive(
+            alpha=slots.alpha[rows, : influences - 1],
+            beta=slots.beta[rows, : influences - 1],
+            adopting=slots.adopting[own] - rows.start,
+            adopted=slots.adopted[own, :influences],
+            frame=choice.kind,
+        )
+        results.append((result, findings))
+    return results
+
+
+def with_area(primitive: SkinnedPrimitive) -> BoolArray:
+    """Tell which triangles (T,) have an area."""
+    if kernel.compiled is None:
+        return proper(primitive.positions, primitive.triangles)
+    mask = np.empty(len(primitive.triangles), dtype=np.bool_)
+    positions = np.ascontiguousarray(primitive.positions)
+    triangles = np.ascontiguousarray(primitive.triangles, dtype=np.uint32)
+    kernel.compiled.proper(positions, triangles, mask, DEGENERATE_AREA)
+    return mask
+
+
+def _together(
+    primitives: Sequence[SkinnedPrimitive], masks: Sequence[BoolArray], starts: Sequence[int]
+) -> IntArray:
+    """Return the triangles that have an area as indices into all primitives' vertices together."""
+    parts = [
+        primitive.triangles if mask.all() else primitive.triangles[mask]
+        for primitive, mask in zip(primitives, masks, strict=True)
+    ]
+    if len(parts) == 1:
+        return parts[0]
+    return np.concatenate([part + np.uint32(start) for part, start in zip(parts, starts, strict=False)])
+
+
+@dataclass(frozen=True, slots=True)
+class ChosenFrame:
+    """Which frame one primitive is baked for, and how its TANGENT fares.
+
+    kind is ``tangent`` or ``normal``; deviation the largest angle in degrees by which t0 × b0 leans from n0
+    at a vertex of a triangle, deviating how many vertices lean more than TANGENT_TOLERANCE.
+    """
+
+    kind: str
+    deviation: float = 0.0
+    deviating: int = 0
+
+
+def chosen_frame(primitive: SkinnedPrimitive, choice: str) -> ChosenFrame:
+    """Return the frame of a primitive with normals; choice is ``auto``, ``tangent`` or ``normal``.
+
+    ``auto`` takes TANGENT where it is orthonormal enough at every vertex, else the frame from NORMAL.
+    """
+    if primitive.tangents is None or choice == frames.NORMAL_FRAME:
+        return ChosenFrame(frames.NORMAL_FRAME)
+    deviation, deviating = _deviation(primitive, primitive.tangents)
+    fits = choice == frames.TANGENT_FRAME or deviating == 0
+    return ChosenFrame(frames.TANGENT_FRAME if fits else frames.NORMAL_FRAME, deviation, deviating)
+
+
+@dataclass(frozen=True, slots=True)
+class RestFrame:
+    """The frame at rest of one primitive: kind is ``tangent`` or ``normal``; t0 and b0, each (V, 3)."""
+
+    kind: str
+    tangents: FloatArray
+    bitangents: FloatArray
+
+
+def rest_frame(primitive: SkinnedPrimitive, choice: str) -> RestFrame:
+    """Return the frame at rest of a primitive with normals; choice as for ``chosen_frame``."""
+    chosen = chosen_frame(primitive, choice)
+    return RestFrame(chosen.kind, *frame_vectors(primitive, chosen))
+
+
+def frame_vectors(primitive: SkinnedPrimitive, choice: ChosenFrame) -> tuple[FloatArray, FloatArray]:
+    """Return the tangents t0 and bitangents b0, each (V, 3), of the chosen frame."""
+    given = primitive.tangents if choice.kind == frames.TANGENT_FRAME else None
+    dtype = np.result_type(np.float32, np.float32 if given is None else given.dtype)
+    tangents, bitangents = (np.empty(primitive.normals.shape, dtype=dtype) for _ in range(2))
+    for rows in blocks(len(tangents)):
+        normals = frames.unit_normals(primitive.normals[rows])
+        tangents[rows], bitangents[rows] = (
+            frames.frame_from_normal(normals)
+            if given is None
+            else frames.frame_from_tangent(normals, given[rows])
+        )
+    return tangents, bitangents
+
+
+def _deviation(primitive: SkinnedPrimitive, tangents: FloatArray) -> tuple[float, int]:
+    """Return how far TANGENT leans at most, in degrees, and at how many vertices of triangles it does."""
+    used = np.zeros(len(tangents), dtype=np.bool_)
+    used[primitive.triangles.ravel()] = True
+    largest, count = 0.0, 0
+    for block in blocks(len(tangents)):
+        rows = block.start + np.flatnonzero(used[block])
+        normals = frames.unit_normals(primitive.normals[rows])
+        angles = frames.tangent_deviation(normals, tangents[rows])
+        largest = max(largest, float(angles.max(initial=0.0)))
+        count += int(np.count_nonzero(angles > TANGENT_TOLERANCE))
+    return largest, count

@@ -1,0 +1,35 @@
+"""Smooth normals for primitives that come without any."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from skinbake.geometry.skinned import SkinnedPrimitive
+from skinbake.geometry.triangles import proper, smooth_normals
+from skinbake.gradients.weld import equal_positions
+
+
+def with_smooth_normals(primitives: Sequence[SkinnedPrimitive]) -> list[SkinnedPrimitive]:
+    """Return the primitives of one mesh, those without normals given smooth ones, float32.
+
+    Vertices at one position share a normal, across the primitives that lack them. Tangents, which mean
+    nothing without normals, are dropped. A vertex of no proper triangle gets (0, 0, 1).
+    """
+    lacking = [primitive for primitive in primitives if len(primitive.normals) == 0]
+    if not lacking:
+        return list(primitives)
+    starts = np.cumsum([0, *(len(primitive.positions) for primitive in lacking)])
+    positions = np.concatenate([primitive.positions for primitive in lacking])
+    triangles = np.concatenate(
+        [primitive.triangles + start for primitive, start in zip(lacking, starts, strict=False)]
+    )
+    triangles = triangles[proper(positions, triangles)]
+    normals = smooth_normals(positions, triangles, equal_positions(positions)).astype(np.float32)
+    made = iter(np.split(normals, starts[1:-1]))
+    return [
+        replace(primitive, normals=next(made), tangents=None) if len(primitive.normals) == 0 else primitive
+        for primitive in primitives
+    ]

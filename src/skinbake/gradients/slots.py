@@ -1,0 +1,181 @@
+"""From gradients of joints to α and β of influence slots, joints of neighbours adopted into free ones."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from skinbake.geometry.skinned import Float64Array, FloatArray, IntArray
+from skinbake.gradients.influences import NO_JOINT, WeightField
+from skinbake.gradients.weight_gradients import VertexGradients
+
+NEGLIGIBLE = 1e-4
+"""Share of a vertex's gradient below which a neighbour's joint is not worth a slot.
+
+It changes the correction of a tangent by a ten-thousandth: at a correction as long as the tangent itself
+less than 0.01°.
+"""
+
+
+BLOCK = 1 << 15
+"""Vertices worked on at a time: the arrays of a block stay in the processor's cache."""
+
+
+@dataclass(frozen=True, slots=True)
+class SlotGradients:
+    """α and β of every slot, and what the slots could not hold.
+
+    alpha, beta (V, K) float64, slot 0 included. adopted (V, K) int64: the joint that a slot adopts, −1
+    elsewhere. overflowing: vertices with more foreign joints than free slots (all that have any, where
+    none are adopted). magnitude: the lengths of all joints' gradients summed over the vertices, in 1 / length
+    unit; lost: the share of it that no slot holds, and that falls to s0.
+    """
+
+    alpha: Float64Array
+    beta: Float64Array
+    adopted: IntArray
+    overflowing: int
+    magnitude: float
+    lost: float
+
+
+def assign(
+    gradients: VertexGradients,
+    classes: IntArray,
+    field: WeightField,
+    frame: tuple[FloatArray, FloatArray],
+    capacity: IntArray | None,
+) -> SlotGradients:
+    """Return α and β per slot of V vertices.
+
+    classes (V,) names each vertex's row of ``gradients``; field holds its normalised influences (V, K);
+    frame its t0 and b0, each (V, 3). A slot carries the gradient of the joint that it names. capacity (V,)
+    is how many joints each vertex may adopt (see ``shared_capacity``), None for none at all: joints that
+    vary around the vertex and are not among its influences of positive weight move into free slots, the
+    largest gradients first.
+    """
+    alpha, beta = np.empty(field.joints.shape), np.empty(field.joints.shape)
+    adopted = np.full(field.joints.shape, NO_JOINT, dtype=np.int64)
+    overflowing, homeless, total = 0, 0.0, 0.0
+    for start in range(0, len(classes), BLOCK):
+        rows = slice(start, start + BLOCK)
+        entries = _Entries(gradients, classes[rows])
+        part = field.rows(rows)
+        foreign = _foreign(entries, part)
+        named: IntArray = part.joints
+        if capacity is not None and len(foreign.vertices):
+            adopted[rows] = _adopt(foreign, part, capacity[rows])
+            named = _named_slots(adopted[rows], part)
+        alpha[rows], beta[rows], unheld = _project(entries, named, (frame[0][rows], frame[1][rows]))
+        placed = (named[foreign.vertices] == foreign.joints[:, None]).any(axis=1)
+        overflowing += len(np.unique(foreign.vertices[~placed]))
+        homeless, total = homeless + unheld, total + float(entries.sums.sum())
+    lost = homeless / total if total > 0 else 0.0
+    return SlotGradients(alpha, beta, adopted, overflowing, total, lost)
+
+
+def shared_capacity(field: WeightField, classes: IntArray) -> IntArray:
+    """Return how many joints each vertex (V,) may adopt: as many as every copy of its surface point can.
+
+    Copies that adopted differently would no longer be one vertex to whoever reads the baked file.
+    """
+    free = np.count_nonzero(field.free, axis=1)
+    least = np.full(int(classes.max(initial=-1)) + 1, field.free.shape[1])
+    np.minimum.at(least, classes, free)
+    return np.asarray(least[classes])
+
+
+@dataclass(frozen=True, slots=True)
+class _Rank:
+    """The entries of one rank: whose they are, which they are, and how long their gradients are."""
+
+    vertices: IntArray
+    numbers: IntArray
+    magnitudes: Float64Array
+
+
+class _Entries:
+    """The gradients' entries seen from V vertices, one rank at a time: all first ones, all second ones.
+
+    Vertices are many and ranks are few, so whole arrays of vertices are worked on at once. sums (V,) adds
+    up the magnitudes at each vertex.
+    """
+
+    def __init__(self, gradients: VertexGradients, classes: IntArray) -> None:
+        start = gradients.offsets[classes]
+        count = gradients.offsets[classes + 1] - start
+        self.gradients = gradients
+        self.sums = np.zeros(len(classes))
+        self.ranks: list[_Rank] = []
+        for rank in range(int(count.max(initial=0))):
+            vertices = np.flatnonzero(count > rank)
+            numbers = start[vertices] + rank
+            x, y, z = gradients.gradients[numbers].T
+            self.ranks.append(_Rank(vertices, numbers, np.sqrt(x * x + y * y + z * z)))
+            self.sums[vertices] += self.ranks[-1].magnitudes
+
+
+@dataclass(frozen=True, slots=True)
+class _Foreign:
+    """Joints that vary at a vertex without being its own: vertex, joint, gradient magnitude, all (F,)."""
+
+    vertices: IntArray
+    joints: IntArray
+    magnitudes: Float64Array
+
+
+def _foreign(entries: _Entries, field: WeightField) -> _Foreign:
+    empty = np.empty(0, dtype=np.int64)
+    found: list[tuple[IntArray, IntArray, Float64Array]] = [(empty, empty, np.empty(0))]
+    own_joints = np.ascontiguousarray(np.where(field.weights > 0, field.joints, NO_JOINT).T)
+    for rank in entries.ranks:
+        joints = entries.gradients.joints[rank.numbers]
+        foreign = rank.magnitudes > NEGLIGIBLE * entries.sums[rank.vertices]
+        for column in own_joints:
+            foreign &= column[rank.vertices] != joints
+        found.append((rank.vertices[foreign], joints[foreign], rank.magnitudes[foreign]))
+    return _Foreign(*(np.concatenate(column) for column in zip(*found, strict=True)))
+
+
+def _adopt(foreign: _Foreign, field: WeightField, capacity: IntArray) -> IntArray:
+    """Return the joint that each free slot adopts (V, K): the largest gradients into the first free slots."""
+    order = np.lexsort((foreign.joints, -foreign.magnitudes, foreign.vertices))
+    vertices, joints = foreign.vertices[order], foreign.joints[order]
+    rank = np.arange(len(vertices)) - np.searchsorted(vertices, vertices)
+    free_first = np.argsort(~field.free[vertices], axis=1, kind="stable")
+    fits = rank < capacity[vertices]
+    slot = free_first[fits, rank[fits]]
+    adopted = np.full(field.joints.shape, NO_JOINT, dtype=np.int64)
+    adopted[vertices[fits], slot] = joints[fits]
+    return adopted
+
+
+def _named_slots(adopted: IntArray, field: WeightField) -> IntArray:
+    """Return the joint whose gradient each slot carries (V, K), −1 for none.
+
+    A slot that adopts nothing keeps the joint that it names in the file, also at weight zero, unless that
+    joint has moved into another slot.
+    """
+    named = np.where(adopted != NO_JOINT, adopted, field.joints)
+    rows = np.flatnonzero((adopted != NO_JOINT).any(axis=1))
+    moved = (field.joints[rows, :, None] == adopted[rows, None, :]).any(axis=2) & (adopted[rows] == NO_JOINT)
+    named[rows] = np.where(moved, NO_JOINT, named[rows])
+    return named
+
+
+def _project(
+    entries: _Entries, named: IntArray, frame: tuple[FloatArray, FloatArray]
+) -> tuple[Float64Array, Float64Array, float]:
+    """Return α, β (V, K), and the gradient magnitude that no slot holds, summed over vertices."""
+    alpha, beta = np.zeros(named.shape), np.zeros(named.shape)
+    unheld = 0.0
+    for rank in entries.ranks:
+        at = named[rank.vertices] == entries.gradients.joints[rank.numbers][:, None]
+        row, slot = np.divmod(np.flatnonzero(at), named.shape[1])
+        held = rank.vertices[row]
+        gradients = entries.gradients.gradients[rank.numbers[row]]
+        alpha[held, slot] = np.einsum("ij,ij->i", gradients, frame[0][held])
+        beta[held, slot] = np.einsum("ij,ij->i", gradients, frame[1][held])
+        unheld += float(rank.magnitudes.sum() - rank.magnitudes[row].sum()) if len(row) < len(at) else 0.0
+    return alpha, beta, unheld

@@ -1,0 +1,223 @@
+"""Weld the copies that glTF makes of a surface point, without welding across hard edges."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from skinbake.geometry.blocks import blocks
+from skinbake.geometry.frames import has_direction, unit_vectors
+from skinbake.geometry.skinned import BoolArray, FloatArray, IntArray
+from skinbake.gradients import kernel
+from skinbake.gradients.influences import WeightField
+
+Labels = IntArray
+
+PAIRED_GROUP = 32
+"""Groups of at most this many distinct normals are compared pair by pair; larger ones grow step by step."""
+
+PAIRS = 1 << 16
+"""Pairs that are compared at a time: their vectors and what comes of them take 10 MB."""
+
+LINKED_GROUP = 4096
+"""Points with more distinct normals than this weld equal normals only: comparing all would take minutes."""
+
+ROUNDING = 1e-12
+"""Slack in the length of a chord: the sides of a prism of 24 meet at 15°, the crease angle itself."""
+
+
+def weld(positions: FloatArray, normals: FloatArray, field: WeightField, *, crease_angle: float) -> Labels:
+    """Return the weld class (V,) of every vertex, numbered from 0.
+
+    positions (V, 3) in mesh space, normals (V, 3) of any length, field the normalised weights of the same
+    vertices, crease_angle in radians. Two vertices are copies of one surface point where position (−0 = +0)
+    and influences are equal, whatever the order of the slots; copies are one class where their normals differ
+    by at most the crease angle, or where a chain of such copies joins them. A normal without a direction
+    welds only with a bit-identical one. The result depends on neither vertex nor slot order, except for the
+    numbers of the classes.
+    """
+    labels = equal_positions(positions)
+    if int(labels.max(initial=-1)) + 1 == len(labels):
+        return labels
+    copies = np.flatnonzero(np.bincount(labels)[labels] > 1)
+    points = equal_rows(_point_keys(labels, field, copies))
+    oriented = equal_rows(_oriented_keys(points, normals, copies))
+    first = _firsts(oriented)
+    distinct = normals[copies[first]]
+    directions = np.where(has_direction(distinct)[:, None], unit_vectors(distinct), np.nan)
+    linked = _link_by_angle(points[first], directions, crease_angle)
+    labels[copies] = len(labels) + linked[oriented]
+    return _numbered(labels)
+
+
+def _firsts(labels: Labels) -> npt.NDArray[np.int64]:
+    """Return the first row of each label; np.unique would import a tenth of a second of masked arrays."""
+    first = np.empty(int(labels.max(initial=-1)) + 1, dtype=np.int64)
+    first[labels[::-1]] = np.arange(len(labels))[::-1]
+    return first
+
+
+def equal_positions(positions: FloatArray) -> Labels:
+    """Return a label (V,) for every vertex, the same for equal positions (−0 = +0)."""
+    labels = _labelled(positions)
+    return _sorted_out(_bits(positions)) if labels is None else labels
+
+
+def equal_rows(rows: npt.NDArray[np.unsignedinteger]) -> Labels:
+    """Return a label (V,) from 0 for every row (V, M) of 4 or 8 byte integers, the same for equal ones.
+
+    Labels are numbered as rows meet them.
+    """
+    labels = _labelled(rows)
+    return _sorted_out(rows) if labels is None else labels
+
+
+def _labelled(rows: npt.NDArray[np.generic]) -> Labels | None:
+    """Return what ``_kernel.equal_rows`` makes of rows (V, M) of floats or integers, None where it cannot."""
+    if kernel.compiled is None:
+        return None
+    labels = np.empty(len(rows), dtype=np.int32)
+    count = kernel.compiled.equal_rows(np.ascontiguousarray(rows), labels)
+    return None if count is None else labels
+
+
+def _sorted_out(rows: npt.NDArray[np.unsignedinteger]) -> Labels:
+    """Return the labels of equal rows by sorting.
+
+    Rows are brought together by a 64-bit hash and then compared in full, so a collision costs time, not
+    correctness.
+    """
+    keys = rows.astype(np.uint64, copy=False)
+    hashed = _hash(keys)
+    order = np.argsort(hashed)
+    differs = np.any(keys[order[1:]] != keys[order[:-1]], axis=1)
+    same_hash = hashed[order[1:]] == hashed[order[:-1]]
+    if (differs & same_hash).any():
+        order = np.lexsort(keys.T)
+        differs = np.any(keys[order[1:]] != keys[order[:-1]], axis=1)
+    labels = np.empty(len(keys), dtype=np.int64)
+    labels[order] = np.concatenate([[0], np.cumsum(differs)]) if len(keys) else order
+    return _numbered(labels)
+
+
+def _numbered(labels: Labels) -> Labels:
+    """Return the labels renumbered in the order in which vertices meet them.
+
+    Neighbours on the surface then stay neighbours in memory: gathering by labels in hash order took three
+    times as long.
+    """
+    leader = _firsts(labels)[labels]
+    leads = np.zeros(len(labels), dtype=np.bool_)
+    leads[leader] = True
+    return np.asarray((np.cumsum(leads) - 1)[leader])
+
+
+def _hash(keys: npt.NDArray[np.uint64]) -> npt.NDArray[np.uint64]:
+    """Mix every row into 64 bits (multiply and xor-shift, as in splitmix64)."""
+    state = np.full(len(keys), 0x9E3779B97F4A7C15, dtype=np.uint64)
+    for column in keys.T:
+        state = (state ^ column) * np.uint64(0xBF58476D1CE4E5B9)
+        state ^= state >> np.uint64(29)
+    return state
+
+
+def _bits(values: FloatArray) -> npt.NDArray[np.unsignedinteger]:
+    """Return the bit patterns of floats as unsigned integers, −0 made +0."""
+    with np.errstate(invalid="ignore"):  # a signalling NaN becomes a quiet one
+        flat = np.ascontiguousarray(values + values.dtype.type(0))
+    return flat.view(np.uint32 if flat.dtype == np.float32 else np.uint64)
+
+
+def _point_keys(labels: Labels, field: WeightField, copies: IntArray) -> npt.NDArray[np.uint64]:
+    """Return what makes vertices copies of one surface point: position and influences, (C, 1 + K)."""
+    keys = np.empty((len(copies), 1 + field.joints.shape[1]), dtype=np.uint64)
+    for rows in blocks(len(copies)):
+        keys[rows, 0] = labels[copies[rows]]
+        keys[rows, 1:] = _influence_keys(field.rows(copies[rows]))
+    return keys
+
+
+def _oriented_keys(points: Labels, normals: FloatArray, copies: IntArray) -> npt.NDArray[np.unsignedinteger]:
+    """Return what makes copies of a surface point equal in their normals too, (C, 4)."""
+    wide = normals.dtype != np.float32
+    keys: npt.NDArray[np.unsignedinteger] = np.empty((len(copies), 4), np.uint64 if wide else np.uint32)
+    for rows in blocks(len(copies)):
+        keys[rows, 0] = points[rows]
+        keys[rows, 1:] = _bits(normals[copies[rows]])
+    return keys
+
+
+def _influence_keys(field: WeightField) -> npt.NDArray[np.uint64]:
+    """Return (V, K) keys: joint and float32 weight of every influence, in joint order, empty ones last."""
+    weights = np.ascontiguousarray(field.weights.astype(np.float32)).view(np.uint32).astype(np.uint64)
+    keys = (field.joints.astype(np.uint64) << np.uint64(32)) | weights
+    keys[field.weights == 0] = np.iinfo(np.uint64).max
+    return np.asarray(np.sort(keys, axis=1))
+
+
+def _link_by_angle(points: Labels, normals: npt.NDArray[np.float64], crease_angle: float) -> Labels:
+    """Return single-linkage classes of rows that share a point and have normals within the angle."""
+    order = np.argsort(points, kind="stable")
+    starts = np.flatnonzero(np.diff(points[order], prepend=-1))
+    sizes = np.diff(np.append(starts, len(order)))
+    labels = np.arange(len(points))
+    for size in range(2, PAIRED_GROUP + 1):
+        members = order[starts[sizes == size][:, None] + np.arange(size)]
+        for part in blocks(len(members), PAIRS // size**2):
+            _link_groups(members[part], normals, crease_angle, labels)
+    for start, size in zip(starts[sizes > PAIRED_GROUP], sizes[sizes > PAIRED_GROUP], strict=True):
+        if size <= LINKED_GROUP:
+            _grow_group(order[start : start + size], normals, crease_angle, labels)
+    return labels
+
+
+def _link_groups(members: Labels, normals: npt.NDArray[np.float64], angle: float, labels: Labels) -> None:
+    """Link within groups (G, S) of equal size at once: every row takes the least label it can reach."""
+    near = _within(normals[members][:, :, None], normals[members][:, None, :], angle)
+    near |= np.eye(members.shape[1], dtype=np.bool_)
+    local = np.tile(np.arange(members.shape[1]), (len(members), 1))
+    while True:
+        reached = np.where(near, local[:, None, :], members.shape[1]).min(axis=2)
+        if np.array_equal(reached, local):
+            break
+        local = reached
+    labels[members] = np.take_along_axis(members, local, axis=1)
+
+
+def _grow_group(members: Labels, normals: npt.NDArray[np.float64], angle: float, labels: Labels) -> None:
+    """Link within one large group: grow a class from a seed until no remaining row is near it."""
+    remaining = members
+    while len(remaining):
+        seed, frontier, remaining = remaining[0], [remaining[0]], remaining[1:]
+        while frontier and len(remaining):
+            near = _within(normals[remaining], normals[frontier.pop()], angle)
+            labels[remaining[near]] = seed
+            frontier.extend(remaining[near])
+            remaining = remaining[~near]
+
+
+def _within(first: npt.NDArray[np.float64], second: npt.NDArray[np.float64], angle: float) -> BoolArray:
+    """Tell where two unit vectors differ by at most an angle, exactly also for small ones; NaN never does."""
+    chord = np.linalg.norm(first - second, axis=-1)
+    return np.asarray(chord <= 2.0 * np.sin(angle / 2.0) + ROUNDING, dtype=np.bool_)
+
+
+def concatenated(fields: Sequence[WeightField]) -> WeightField:
+    """Return the weight fields of several primitives as one, filled up to the largest number of slots."""
+    if len(fields) == 1:
+        return fields[0]
+    influences = max(field.joints.shape[1] for field in fields)
+    joints, weights, free = [], [], []
+    for field in fields:
+        missing = ((0, 0), (0, influences - field.joints.shape[1]))
+        joints.append(np.pad(field.joints, missing, constant_values=-1))
+        weights.append(np.pad(field.weights, missing))
+        free.append(np.pad(field.free, missing))
+    return WeightField(np.concatenate(joints), np.concatenate(weights), np.concatenate(free))
+
+
+def joined(arrays: Sequence[FloatArray]) -> FloatArray:
+    """Return the rows of several arrays in one, without a copy where there is only one."""
+    return arrays[0] if len(arrays) == 1 else np.concatenate(arrays)

@@ -1,0 +1,1 @@
+"""Files and workers elsewhere: URLs, staging, Dask. Nothing else needs this package."""

@@ -1,0 +1,364 @@
+"""The same work on a Dask cluster: a runner whose processes are workers of a running ``dask scheduler``."""
+
+from __future__ import annotations
+
+import logging
+import math
+import pickle
+import queue
+import time
+import warnings
+from collections import deque
+from collections.abc import Generator, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+from uuid import uuid4
+
+from skinbake.errors import InputError, Notice, Place
+from skinbake.jobs.remote.dask_task import REFUSED, Ready, build, call, perform, versions
+from skinbake.jobs.remote.shipping import Shipment, Shipped
+
+if TYPE_CHECKING:
+    from distributed import Client, Future
+
+    from skinbake.jobs.runners import Runner, Work
+
+CONNECT_SECONDS = 10.0
+PATIENCE_SECONDS = 300.0
+LOOK_SECONDS = 2.0
+"""How often a waiting client looks how many workers there are."""
+
+WINDOW_PER_THREAD = 4
+LEAST_WINDOW = 16
+WINDOW_BYTES = 512 * 2**20
+"""How many bytes the scheduler holds of inputs that were sent along with their jobs, about."""
+
+TASK_SECONDS = 0.5
+TASK_JOBS = 64
+TASK_BYTES = 16 * 2**20
+"""Small jobs are sent several as one task: until they take this long, are this many or this large."""
+
+BATCH = 64
+"""How many tasks' results are fetched at a time."""
+
+GONE = "the connection to the scheduler was lost"
+
+
+class DaskRunner:
+    """Runs jobs on the workers of a scheduler, given by its address, like ``tcp://host:8786``.
+
+    Some jobs for each worker's thread are under way at a time, however many there are. A job whose worker
+    dies is tried on others, as often as the scheduler's ``allowed-failures`` says. It may have died of
+    another job's doing: those that are given up are tried once more at the end, each alone in the cluster.
+
+    Files with plain paths are read and written here, and travel with their jobs (``Shipped``).
+    """
+
+    def __init__(self, address: str, *, patience: float = PATIENCE_SECONDS) -> None:
+        self.address = address
+        self._patience = patience
+        self._client: Client | None = None
+
+    def __enter__(self) -> DaskRunner:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def one_by_one(self) -> Runner:
+        """Return a runner that has one job under way at a time, and yields in order."""
+        return _OneByOne(self)
+
+    def connect(self) -> list[Notice]:
+        """Connect to the scheduler, and return what has to be known of its workers.
+
+        Raises InputError where nothing answers, Dask is not installed, or a worker has another version of
+        skinbake, whose bytes may be others.
+        """
+        if self._client is not None:
+            return []
+        self._client = _client(self.address)
+        try:
+            return self._checked(self._client)
+        except BaseException:
+            self.close()
+            raise
+
+    def close(self) -> None:
+        """Leave the cluster. What has not begun there is forgotten."""
+        if self._client is not None:
+            with suppress(Exception), warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                self._client.close(timeout=CONNECT_SECONDS)
+            self._client = None
+
+    def _checked(self, client: Client) -> list[Notice]:
+        found = client.run(pickle.loads, call(versions), on_error="return")
+        here = versions()
+        others = set()
+        for worker, theirs in found.items():
+            if isinstance(theirs, ImportError | AttributeError):
+                raise self._refusal(f"{worker} has no skinbake, or one without --dask ({theirs})")
+            if isinstance(theirs, BaseException):  # it died, or is about to: its jobs will be tried elsewhere
+                continue
+            if theirs[0] != here[0]:
+                raise self._refusal(f"{worker} has skinbake {theirs[0]}")
+            if theirs[1:] != here[1:]:
+                others.add("Python {}, NumPy {}".format(*theirs[1:]))
+        if not others:
+            return []
+        message = (
+            f"workers have {' or '.join(sorted(others))}, this is Python {here[1]}, NumPy {here[2]}: outputs "
+            "may differ in rounding"
+        )
+        return [Notice("worker-versions", message, Place(self.address))]
+
+    def _refusal(self, what: str) -> InputError:
+        return InputError(_refused(what), Place(self.address))
+
+    def run(self, work: Work, jobs: Sequence[Any], *, one_by_one: bool = False) -> Generator[tuple[int, Any]]:
+        """Yield (number of the job, result) as jobs are done, in any order, each exactly once.
+
+        Where the scheduler goes away, no worker comes for a while, or one comes with another version of
+        skinbake, all that is left is lost for that reason. Raises InputError as ``connect`` does.
+        """
+        import dask
+
+        self.connect()
+        assert self._client is not None
+        flight = _Flight(self._client, Shipped(work), jobs, self._patience, one_by_one=one_by_one)
+        # The bytes of inputs are meant to be in the tasks: there they outlive workers.
+        with dask.config.set({"distributed.admin.large-graph-warning-threshold": "1 TiB"}):
+            try:
+                yield from flight.results()
+            finally:
+                flight.cancel()
+
+
+@dataclass(frozen=True, slots=True)
+class _OneByOne:
+    runner: DaskRunner
+
+    def run(self, work: Work, jobs: Sequence[Any]) -> Iterator[tuple[int, Any]]:
+        return self.runner.run(work, jobs, one_by_one=True)
+
+
+@dataclass(frozen=True, slots=True)
+class _Task:
+    """Jobs that went to the cluster as one: their numbers, the bytes that were sent, and its future."""
+
+    numbers: tuple[int, ...]
+    size: int
+    future: Future[Any]
+    alone: bool
+
+
+class _Flight:
+    """One run: what is still to be sent, what is under way, and what is suspected of killing workers."""
+
+    def __init__(
+        self, client: Client, work: Shipped, jobs: Sequence[Any], patience: float, *, one_by_one: bool
+    ) -> None:
+        self._client = client
+        self._work = work
+        self._jobs = jobs
+        self._patience = patience
+        self._one_by_one = one_by_one
+        self._name = uuid4().hex
+        self._next = 0
+        self._suspects: deque[int] = deque()
+        self._under_way: dict[str, _Task] = {}
+        self._ended: queue.SimpleQueue[str] = queue.SimpleQueue()
+        self._sent = 0
+        self._seconds: float | None = None
+        self._threads = 0
+        self._looked = -math.inf
+        self._worker_seen = time.monotonic()
+        self._over: str | None = None
+
+    def results(self) -> Iterator[tuple[int, Any]]:
+        """Yield each job's number and result."""
+        while self._over is None and (self._next < len(self._jobs) or self._suspects or self._under_way):
+            self._look()
+            yield from self._launch()
+            yield from self._landed(self._some_ended())
+        left = [n for task in self._under_way.values() for n in task.numbers]
+        for number in (*left, *self._suspects, *range(self._next, len(self._jobs))):
+            yield number, self._work.lost(self._jobs[number], str(self._over))
+
+    def cancel(self) -> None:
+        """Forget what has not begun; what runs on a worker comes to its end there."""
+        self._under_way.clear()  # Dask drops tasks of which nobody holds the future
+
+    def _look(self) -> None:
+        """Count the workers' threads, now and then; give up where there have been none for long."""
+        now = time.monotonic()
+        if now - self._looked < LOOK_SECONDS:
+            return
+        self._looked = now
+        if self._client.status == "closed":
+            self._over = GONE
+            return
+        with suppress(OSError):  # the connection was lost: futures will say so
+            self._threads = sum(self._client.nthreads().values())
+        if self._threads:
+            self._worker_seen = now
+        elif now - self._worker_seen > self._patience:
+            self._over = f"the scheduler has had no worker for {self._patience:.0f} s"
+
+    def _launch(self) -> Iterator[tuple[int, Any]]:
+        """Send jobs while there is room for them; yield results of those that need not be sent."""
+        window = 1 if self._one_by_one else max(LEAST_WINDOW, WINDOW_PER_THREAD * self._threads)
+        while self._next < len(self._jobs) and len(self._under_way) < window and self._sent < WINDOW_BYTES:
+            first, last = self._next, min(self._next + self._jobs_of_a_task(), len(self._jobs))
+            packed: dict[int, Shipment | Ready] = {}
+            size = 0
+            for number in range(first, last):
+                self._next = number + 1
+                packed[number] = self._work.pack(self._jobs[number])
+                size += packed[number].size
+                if size > TASK_BYTES:
+                    break
+            yield from self._submitted(packed, alone=False)
+        if self._suspects and not self._under_way:
+            number = self._suspects.popleft()
+            yield from self._submitted({number: self._work.pack(self._jobs[number])}, alone=True)
+
+    def _jobs_of_a_task(self) -> int:
+        """Return how many jobs to send as one task: each task costs the scheduler about a millisecond."""
+        if self._one_by_one or not self._seconds:
+            return 1
+        share = (len(self._jobs) - self._next) // (2 * WINDOW_PER_THREAD * max(self._threads, 1))
+        return max(1, min(TASK_JOBS, share, int(TASK_SECONDS / self._seconds)))
+
+    def _submitted(self, packed: dict[int, Shipment | Ready], *, alone: bool) -> Iterator[tuple[int, Any]]:
+        """Send jobs as one task; yield results of those that need not be sent."""
+        sent = {}
+        for number, shipment in packed.items():
+            if isinstance(shipment, Ready):
+                yield number, shipment.result
+            else:
+                sent[number] = shipment
+        if not sent:
+            return
+        pickled = call(perform, build(), pickle.dumps((self._work, list(sent.values()))))
+        numbers = tuple(sent)
+        key = f"skinbake-{self._name}-{numbers[0]}{'-alone' if alone else ''}"
+        future = self._client.submit(pickle.loads, pickled, key=key, pure=False)
+        self._under_way[key] = _Task(numbers, len(pickled), future, alone)
+        self._sent += len(pickled)
+        future.add_done_callback(self._note)
+
+    def _note(self, future: Future[Any]) -> None:
+        self._ended.put(future.key)
+
+    def _some_ended(self) -> list[str]:
+        """Wait a little for tasks to end, and return those that have."""
+        keys: list[str] = []
+        if not self._under_way:
+            return keys
+        with suppress(queue.Empty):
+            keys.append(self._ended.get(timeout=LOOK_SECONDS))
+            while len(keys) < BATCH:
+                keys.append(self._ended.get_nowait())
+        return keys
+
+    def _landed(self, keys: Sequence[str]) -> Iterator[tuple[int, Any]]:
+        """Yield the results of tasks that have ended, and take up those that ended otherwise."""
+        finished = []
+        for key in keys:
+            future = self._under_way[key].future
+            if future.status == "finished":
+                finished.append(key)
+            elif future.status == "error":
+                yield from self._broken(self._taken(key), future.exception())
+            elif future.status == "cancelled":
+                self._over = GONE
+            else:  # its worker died with the result: it is done anew
+                future.add_done_callback(self._note)
+        for key, outcome in zip(finished, self._gathered(finished), strict=True):
+            task = self._taken(key)
+            if isinstance(outcome, BaseException):
+                yield from self._broken(task, outcome)
+            elif outcome[0] == REFUSED:
+                self._over = _refused(outcome[1])
+                self._suspects.extend(task.numbers)
+            else:
+                yield from self._done(task, *outcome[1])
+
+    def _taken(self, key: str) -> _Task:
+        task = self._under_way.pop(key)
+        self._sent -= task.size
+        return task
+
+    def _gathered(self, keys: Sequence[str]) -> list[Any]:
+        """Return what finished tasks returned, an exception for one that is broken after all."""
+        futures = [self._under_way[key].future for key in keys]
+        try:
+            return list(self._client.gather(futures))
+        except Exception:  # of one of them, and gather does not say of which
+            return [self._one(future) for future in futures]
+
+    def _one(self, future: Future[Any]) -> Any:
+        try:
+            return future.result()
+        except Exception as error:
+            return error
+
+    def _done(self, task: _Task, results: Sequence[Any], seconds: float) -> Iterator[tuple[int, Any]]:
+        each = seconds / len(results)
+        self._seconds = each if self._seconds is None else 0.8 * self._seconds + 0.2 * each
+        for number, result in zip(task.numbers, results, strict=True):
+            yield number, self._work.unpack(self._jobs[number], result)
+
+    def _broken(self, task: _Task, error: BaseException) -> Iterator[tuple[int, Any]]:
+        """Yield what is lost by a task that raised something or killed its workers."""
+        from distributed import CancelledError
+
+        if isinstance(error, CancelledError):
+            self._over = GONE
+        elif isinstance(error, ImportError | AttributeError):
+            self._over = _refused(f"a worker has no skinbake, or one without --dask ({error})")
+        elif task.alone:
+            number = task.numbers[0]
+            yield number, self._work.lost(self._jobs[number], _blame(error))
+            return
+        self._suspects.extend(task.numbers)
+
+
+def _refused(what: str) -> str:
+    return f"{what}, this is {build()}: install the same on all workers"
+
+
+def _blame(error: BaseException) -> str:
+    from distributed import KilledWorker
+
+    if isinstance(error, KilledWorker):
+        return "each worker that took it died, also when it was alone there: killed, or out of memory"
+    return f"its worker failed: {type(error).__name__}: {error}"
+
+
+def _client(address: str) -> Client:
+    try:
+        from distributed import Client
+    except ImportError as error:
+        message = "--dask needs Dask, which is not installed: pip install 'skinbake[dask]'"
+        raise InputError(message, Place(address)) from error
+    _silence()
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # on versions; ours is about those that matter here
+            return Client(address, timeout=CONNECT_SECONDS, set_as_default=False, name="skinbake")
+    except Exception as error:
+        text = str(error).partition("\n")[0] or type(error).__name__
+        raise InputError(f"no Dask scheduler answers: {text}", Place(address)) from error
+
+
+def _silence() -> None:
+    """Keep what Dask logs off the terminal: what concerns a user is said by our messages."""
+    if logging.getLogger().isEnabledFor(logging.DEBUG):
+        return
+    for name in [*logging.root.manager.loggerDict]:
+        if name.partition(".")[0] in {"distributed", "tornado"}:
+            logging.getLogger(name).setLevel(logging.CRITICAL + 1)

@@ -1,0 +1,379 @@
+"""What was made of which bytes, and how: so that what is still true need not be done again.
+
+A record says: this code with these options made files of these digests from files of these digests. That
+stays true whoever wrote it, and whatever became of the files since; whether it is about the files as they
+are is found out by digesting them, every time. Sizes and times are not trusted: copies, archives and
+checkouts set them. So two runs may write to one state file at once, and a lost record costs a bake, no more.
+"""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import json
+import os
+import re
+import time
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import skinbake
+from skinbake.containment import BESIDE, Bounds, RefusedError, Spot, flush, open_beneath, open_regular, spots
+from skinbake.errors import InputError, OutputError, Place, SkinbakeError
+from skinbake.gltf.beside import named_files
+from skinbake.gltf.digests import DIGITS, digest_of
+from skinbake.gltf.document import Document, read_document
+from skinbake.gltf.resources import FileContent
+from skinbake.gltf.writing import write_file
+from skinbake.gradients import kernel
+
+HEADER = b'{"skinbake": "state/1"}\n'
+
+NAME = ".skinbake-state.jsonl"
+"""What a state file is called that the user has not named: whatever is in it, it is ours."""
+
+LONGEST = 1 << 22
+"""Bytes of a record: those of a document that names ten thousand files. Longer lines are passed over."""
+
+SPARE = 1000
+"""Superseded records that a state file may hold, besides as many as it has live ones, before it is tidied."""
+
+YOUNG = 1_000_000_000
+"""Nanoseconds: a file changed this recently may change again without a later time to show for it."""
+
+ABSENT = (errno.ENOENT, errno.ENOTDIR, errno.ENAMETOOLONG)
+"""What the system says of a file that is not there; the last, of one that cannot be."""
+
+NOT_OPTIONS = ("dry_run", "make_folder", "traced", "sync")
+"""Options that change nothing in what is made."""
+
+DIGEST = re.compile(f"[0-9a-f]{{{DIGITS}}}")
+
+Digests = dict[str, str | None]
+"""By absolute path: a file's digest, None where there is no file."""
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """The files that a document consists of, as they were: digests, and what would show a change.
+
+    By path; ``named`` are those that the document names, which are opened below their folder only.
+    """
+
+    digests: Digests
+    signatures: dict[str, tuple[int, ...]]
+    young: frozenset[str]
+    named: Mapping[str, Spot]
+
+    @property
+    def still_there(self) -> bool:
+        """Tell whether nobody has changed any of them since."""
+        return all(self._signature(path) == found for path, found in self.signatures.items()) and all(
+            self._digest(path) == self.digests[path] for path in self.young
+        )
+
+    def _signature(self, path: str) -> tuple[int, ...]:
+        return _signature_at(self.named[path]) if path in self.named else _signature(path)
+
+    def _digest(self, path: str) -> str | None:
+        return _digest_at(self.named[path]) if path in self.named else _digest(path)
+
+
+@dataclass(frozen=True, slots=True)
+class Recipe:
+    """A command with its options and code, and the folder that paths in records start at.
+
+    ``roots`` are the folders that inputs were searched in: a record may be about files below these, and below
+    the folders of its source and target, but no others.
+    """
+
+    command: str
+    how: str
+    folder: str
+    roots: tuple[str, ...] = ()
+
+    def key(self, path: str) -> str:
+        """Return what records are found by: the command, and the file that it makes (verify: reads)."""
+        return f"{self.command} {self._relative(_absolute(path))}"
+
+    def still_holds(self, record: bytes, source: str, target: str | None) -> bool:
+        """Tell whether a record is about the files as they are now; False where in doubt.
+
+        It may be forged: only files that this run has to do with are opened, and a record that says nothing
+        of the source, or of the target, is none.
+        """
+        try:
+            note = json.loads(record)
+            if (note["key"], note["how"], note["from"]) != self._heading(source, target):
+                return False
+            read, made = dict(note["read"]), dict(note["made"])
+            sides = [(read, source)] if target is None else [(read, source), (made, target)]
+            if any(DIGEST.fullmatch(side[self._relative(_absolute(path))]) is None for side, path in sides):
+                return False
+            roots = [*self.roots, *(os.path.dirname(_absolute(path)) for _, path in sides)]
+            found = {**made, **read}
+            return all(found[path] == digest for path, digest in made.items()) and all(
+                self._is_so(path, digest, roots) for path, digest in found.items()
+            )
+        except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
+            return False
+
+    def _is_so(self, path: str, digest: str | None, roots: Iterable[str]) -> bool:
+        """Tell whether a file below one of the folders has the digest, or None and is not there."""
+        whole = os.path.normpath(os.path.join(self.folder, path))
+        below = any(whole.startswith(root.rstrip(os.sep) + os.sep) for root in roots)
+        return below and _digest(whole) == digest
+
+    def record(self, source: str, target: str | None, read: Digests, made: Digests) -> bytes:
+        """Return the record that ``made`` is what came of ``read``, a line."""
+        key, how, origin = self._heading(source, target)
+        note = {
+            "key": key,
+            "how": how,
+            "from": origin,
+            "read": {self._relative(path): digest for path, digest in read.items()},
+            "made": {self._relative(path): digest for path, digest in made.items()},
+        }
+        return json.dumps(note).encode("ascii") + b"\n"
+
+    def _heading(self, source: str, target: str | None) -> tuple[str, str, str]:
+        return self.key(target or source), self.how, self._relative(_absolute(source))
+
+    def _relative(self, path: str) -> str:
+        try:
+            return os.path.relpath(path, self.folder).replace(os.sep, "/")
+        except ValueError:  # another drive
+            return path
+
+
+def recipe(command: str, options: Any, state: str, roots: Iterable[str] = ()) -> Recipe:
+    """Return the recipe of a command with its options, a dataclass, for the state file of that name.
+
+    ``roots`` are the folders that inputs were searched in.
+    """
+    chosen = {name: value for name, value in asdict(options).items() if name not in NOT_OPTIONS}
+    text = json.dumps(
+        [command, skinbake.__version__, _code(), kernel.compiled is not None, chosen],
+        sort_keys=True,
+        default=str,
+    )
+    folders = tuple(dict.fromkeys(map(os.path.realpath, roots)))
+    return Recipe(command, digest_of([text.encode()]), os.path.dirname(_absolute(state)), folders)
+
+
+def seen(source: str, bounds: Bounds = BESIDE) -> Seen | None:
+    """Look at a file and those that it names in ``bounds``; None where it cannot be read, or has gone."""
+    start = time.time_ns()
+    path = _absolute(source)
+    try:
+        signatures = {path: _signature(path)}
+        document = read_document(source, bounds)
+        digests: Digests = {path: digest_of([document.raw or b""])}
+        named = {spot.path: spot for spot in _named_files(document)}
+        for other, spot in named.items():
+            signatures[other], digests[other] = _signature_at(spot), _digest_at(spot)
+    except (OSError, ValueError, SkinbakeError):
+        return None
+    young = frozenset(path for path, found in signatures.items() if found and start - max(found[-2:]) < YOUNG)
+    return Seen(digests, signatures, young, named)
+
+
+def made(target: str, written: Mapping[str, str], read: Digests, bounds: Bounds = BESIDE) -> Digests | None:
+    """Return the digests of a target that was just written and of the files that it names.
+
+    None where they are not all known to be ours: ``written``, by path, or the same bytes as one of ``read``.
+    Somebody else may have written there since.
+    """
+    found = seen(target, bounds)
+    if found is None:
+        return None
+    known = set(read.values())
+    for path, digest in found.digests.items():
+        ours = written.get(os.path.realpath(path))
+        content_named = digest is not None and Path(path).stem.removeprefix("skinbake-") == digest[:16]
+        if digest != ours and not (ours is None and (digest in known or content_named)):
+            return None
+    return found.digests if _absolute(target) in found.digests else None
+
+
+class State:
+    """A state file: a record a line, of which the last one of each key counts; added to as files are done.
+
+    Its lines may hold anything: what is no record is passed over.
+    """
+
+    def __init__(self, path: str, *, sync: bool = True) -> None:
+        """Read it; one that is not there is empty. Raises InputError where it is none of skinbake's.
+
+        ``sync`` waits until all is on the disk when it is closed.
+        """
+        self._path, self._sync = Path(path), sync
+        self._records: dict[str, bytes] = {}
+        self._lines = 0
+        self._descriptor: int | None = None
+        self._is_damaged = False
+        self._read()
+
+    def known(self, key: str) -> bytes | None:
+        """Return the record of a key, None where there is none."""
+        return self._records.get(key)
+
+    def add(self, record: bytes) -> None:
+        """Add a record, on the disk too; OutputError where that fails."""
+        try:
+            if self._descriptor is None:
+                self._descriptor = self._opened()
+            # In one write, lest records of two runs mingle.
+            if os.write(self._descriptor, record) < len(record):
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        except OSError as error:
+            raise OutputError(f"cannot be written: {error.strerror}", Place(str(self._path))) from error
+        self._take(record)
+
+    def close(self) -> None:
+        """Let go of the file; where most of it is superseded, write it anew."""
+        if self._descriptor is None:
+            return
+        descriptor, self._descriptor = self._descriptor, None
+        try:
+            if self._sync:
+                with suppress(OSError):  # what is lost costs a bake
+                    flush(descriptor)
+        finally:
+            os.close(descriptor)
+        if self._lines > 2 * len(self._records) + SPARE:
+            with suppress(SkinbakeError):  # it stays as it is
+                write_file([HEADER, *self._records.values()], str(self._path), sync=self._sync)
+
+    def _read(self) -> None:
+        place = Place(str(self._path))
+        try:
+            descriptor = open_regular(str(self._path))
+        except FileNotFoundError:
+            return
+        except OSError as error:
+            if error.errno in {errno.EINVAL, errno.EISDIR}:
+                raise InputError("it exists and is no state file of skinbake", place) from error
+            raise InputError(f"cannot be read: {error.strerror}", place) from error
+        except ValueError as error:
+            raise InputError(f"cannot be read: {error}", place) from error
+        try:
+            with os.fdopen(descriptor, "rb") as file:
+                head = file.read(len(HEADER))
+                if head == HEADER:
+                    for line in _lines(file):
+                        self._take(line)
+                    return
+        except OSError as error:
+            raise InputError(f"cannot be read: {error.strerror}", place) from error
+        # A power cut leaves what it likes; of a file with another name we cannot know whose it is.
+        if not HEADER.startswith(head) and self._path.name != NAME:
+            raise InputError("it exists and is no state file of skinbake", place)
+        self._is_damaged = bool(head)
+
+    def _take(self, record: bytes) -> None:
+        with suppress(ValueError, KeyError, TypeError, RecursionError):
+            key = json.loads(record)["key"]
+            if isinstance(key, str):
+                self._records[key] = record
+                self._lines += 1
+
+    def _opened(self) -> int:
+        self._path.parent.mkdir(parents=True, exist_ok=True)
+        flags = os.O_RDWR | os.O_APPEND | os.O_CREAT | getattr(os, "O_BINARY", 0)
+        descriptor = os.open(self._path, flags | (os.O_TRUNC if self._is_damaged else 0), 0o666)
+        self._is_damaged = False
+        size = os.fstat(descriptor).st_size
+        if not size:
+            os.write(descriptor, HEADER)
+        else:
+            os.lseek(descriptor, -1, os.SEEK_END)
+            if os.read(descriptor, 1) != b"\n":
+                os.write(descriptor, b"\n")
+        return descriptor
+
+
+def _named_files(document: Document) -> Iterable[Spot]:
+    """Return where the document's URIs may lead in its bounds, each once."""
+    found: dict[str, Spot] = {}
+    for named in named_files(document):
+        with suppress(RefusedError):
+            for spot in spots(named.uri, os.fspath(document.folder), document.bounds):
+                found[spot.path] = spot
+    return found.values()
+
+
+def _signature_at(spot: Spot) -> tuple[int, ...]:
+    """Return what changes with a file that a document names: empty where none can be read."""
+    try:
+        descriptor = open_beneath(spot)
+    except (OSError, ValueError):
+        return ()
+    try:
+        return _signature_of(os.fstat(descriptor))
+    finally:
+        os.close(descriptor)
+
+
+def _digest_at(spot: Spot) -> str | None:
+    """Return the digest of a file that a document names, None where none can be read."""
+    try:
+        return digest_of(FileContent(spot))
+    except (OSError, ValueError):
+        return None
+
+
+def _lines(file: BinaryIO) -> Iterator[bytes]:
+    """Yield whole lines; one without an end was cut by an interrupt, one that is too long is no record."""
+    is_within = False
+    while line := file.readline(LONGEST):
+        if line.endswith(b"\n"):
+            if not is_within:
+                yield line
+            is_within = False
+        else:
+            is_within = True
+
+
+def _absolute(path: str) -> str:
+    """Return a path without links in its folder, so that ``..`` in a relative one means what it says."""
+    folder, name = os.path.split(path)
+    return os.path.join(os.path.realpath(folder), name)
+
+
+def _signature(path: str) -> tuple[int, ...]:
+    """Return what changes with a file: empty where there is none; its times are last."""
+    try:
+        found = os.stat(path)
+    except OSError as error:
+        if error.errno in ABSENT:
+            return ()
+        raise
+    return _signature_of(found)
+
+
+def _signature_of(found: os.stat_result) -> tuple[int, ...]:
+    return found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns, found.st_ctime_ns
+
+
+def _digest(path: str) -> str | None:
+    """Return a file's digest, None where there is none; OSError or ValueError where it cannot be read."""
+    try:
+        with os.fdopen(open_regular(path), "rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()[:DIGITS]
+    except OSError as error:
+        if error.errno in (*ABSENT, errno.EISDIR):
+            return None
+        raise
+
+
+def _code() -> str:
+    """Return a digest of skinbake itself: in a checkout, code changes and its version does not."""
+    folder = Path(skinbake.__file__).parent
+    files = sorted(path for path in folder.rglob("*") if path.is_file() and "__pycache__" not in path.parts)
+    return digest_of(
+        piece for path in files for piece in (str(path.relative_to(folder)).encode(), path.read_bytes())
+    )

@@ -1,0 +1,228 @@
+"""The baked primitives of a file, read back with their metadata and checked for their structure."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from skinbake.errors import Notice
+from skinbake.format.former import former_attributes
+from skinbake.format.limit import common_unit
+from skinbake.format.metadata import FORMER_ATTRIBUTES, VERSION, changed_arrays, read_metadata
+from skinbake.format.stored_slots import BAKE, read_slots, shown, wrong_storage
+from skinbake.geometry import frames
+from skinbake.geometry.skinned import Float64Array, FloatArray, SkinnedPrimitive
+from skinbake.gltf.document import Document
+from skinbake.gltf.json_access import JsonObject
+from skinbake.gltf.primitives import PrimitiveSource, read_influences, read_primitive
+from skinbake.gltf.skin_groups import meshes_of_one_skin
+from skinbake.gradients.baker import TANGENT_TOLERANCE
+from skinbake.lighting.limits import limited_primitive
+from skinbake.timing import stage
+
+BYTES_A_VERTEX, BYTES_A_SLOT, BYTES_A_TRIANGLE = 800, 128, 400
+"""What looking at a baked primitive sets aside at most, about: its gradient operator above all."""
+
+WELDS = ("mesh", "skin")
+WEIGHTINGS = ("max", "angle", "area", "angle-area")
+FRAMES = (frames.NORMAL_FRAME, frames.TANGENT_FRAME)
+
+
+@dataclass(frozen=True, slots=True)
+class BakedView:
+    """One baked primitive as it stands in the file.
+
+    now holds its arrays, before the arrays from before adoption where the file still has them (else now).
+    alpha, beta (V, K − 1); tangents, bitangents (V, 3) of the frame that the metadata names. changed are the
+    digests that no longer hold. rounding (V, 2) is the most by which an encoding may have changed a value of
+    α, and one of β.
+    """
+
+    source: PrimitiveSource
+    metadata: JsonObject
+    now: SkinnedPrimitive
+    before: SkinnedPrimitive
+    alpha: FloatArray
+    beta: FloatArray
+    tangents: FloatArray
+    bitangents: FloatArray
+    changed: tuple[str, ...]
+    rounding: Float64Array
+
+
+def is_baked(document: Document, source: PrimitiveSource) -> bool:
+    """Tell whether a primitive carries metadata of a bake, or attributes of the usual names."""
+    return read_metadata(document, source.json) is not None or any(
+        name.startswith("_SKINBAKE_") for name in source.attributes
+    )
+
+
+def baked_views(
+    document: Document, sources: Sequence[PrimitiveSource]
+) -> tuple[list[BakedView], list[Notice]]:
+    """Return every baked primitive that holds together, and a problem for each that does not."""
+    views: list[BakedView] = []
+    problems: list[Notice] = []
+    for source in sources:
+        found = _view(document, source)
+        if isinstance(found, BakedView):
+            views.append(found)
+            problems += _skewed(found)
+        else:
+            problems.append(found)
+    return views, [*problems, *_contradictions(document, views)]
+
+
+def gathered_together(document: Document, views: Sequence[BakedView]) -> list[list[BakedView]]:
+    """Return the views in the groups that one bake gathered as one surface, by what their metadata says.
+
+    Groups and views keep their order. Where one is welded over its skin, all that the same skins draw are:
+    that all of them say so is for ``baked_views`` to check.
+    """
+    meshes = list(dict.fromkeys(view.source.mesh for view in views))
+    groups = [[mesh] for mesh in meshes]
+    if any(_weld(view) == "skin" for view in views):
+        groups, _ = meshes_of_one_skin(document, meshes)
+    return [[view for view in views if view.source.mesh in group] for group in groups]
+
+
+def _weld(view: BakedView) -> str:
+    return str(view.metadata.get("weld", WELDS[0]))
+
+
+def _view(document: Document, source: PrimitiveSource) -> BakedView | Notice:
+    metadata = read_metadata(document, source.json)
+    if metadata is None:
+        what = "has α/β but no metadata that can be read" if is_baked(document, source) else "is not baked"
+        return Notice("metadata-missing", f"it {what}: {BAKE}", source.place)
+    version = metadata.get("version")
+    if isinstance(version, bool) or version != VERSION:
+        message = f"its metadata has version {shown(version)}, this skinbake reads {VERSION}: {BAKE}"
+        return Notice("version", message, source.place)
+    wrong = next(_wrong_members(metadata, source), None)
+    if wrong is not None:
+        return Notice("metadata-broken", f"its metadata is damaged: {wrong}; {BAKE}", source.place)
+    now = read_primitive(document, source)
+    size = len(now.positions) * (BYTES_A_VERTEX + BYTES_A_SLOT * now.joints.shape[1])
+    document.budget.claim(size + BYTES_A_TRIANGLE * len(now.triangles), "measuring it", source.place)
+    slots = read_slots(document, source, metadata, len(now.positions))
+    if isinstance(slots, Notice):
+        return slots
+    frame = _rest_frame(now, metadata["frame"])
+    if frame is None:
+        message = (
+            "it was baked for TANGENT, which was removed since (some tools do where no material needs it). "
+            f"Bake last: {BAKE} on the file that the last tool wrote"
+        )
+        return Notice("frame", message, source.place)
+    with stage("digests"):
+        changed = changed_arrays(metadata, now)
+    before = _before_adoption(document, source, metadata, now)
+    return BakedView(
+        source, metadata, now, before, slots.alpha, slots.beta, frame[0], frame[1], changed, slots.rounding
+    )
+
+
+def _wrong_members(metadata: JsonObject, source: PrimitiveSource) -> Iterator[str]:
+    """Yield what is wrong with each member of the metadata that is not as CONVENTIONS.md has it."""
+    if metadata.get("frame") not in FRAMES:
+        yield f'"frame" is {shown(metadata.get("frame"))}'
+    if metadata.get("weld", WELDS[0]) not in WELDS:
+        yield f'"weld" is {shown(metadata.get("weld"))}'
+    if metadata.get("weighting") not in WEIGHTINGS:
+        yield f'"weighting" is {shown(metadata.get("weighting"))}'
+    angle = metadata.get("creaseAngle")
+    if isinstance(angle, bool) or not isinstance(angle, int | float) or not 0 <= angle <= 180:
+        yield f'"creaseAngle" is {shown(angle)}'
+    slots, now = metadata.get("influences"), 4 * source.influence_sets
+    if isinstance(slots, bool) or slots != now:
+        yield f'"influences" is {shown(slots)}, and it has {now} a vertex'
+    yield from wrong_storage(metadata, source.influence_sets)
+    digest = metadata.get("digest")
+    if not isinstance(digest, dict) or not digest:
+        yield f'"digest" is {shown(digest)}'
+        return
+    wanted = ["POSITION", "NORMAL", "JOINTS", "WEIGHTS", "indices"]
+    if metadata.get("frame") == frames.TANGENT_FRAME:
+        wanted.append("TANGENT")
+    for name in wanted:
+        if not isinstance(digest.get(name), str):
+            yield f'"digest" of {name} is {shown(digest.get(name))}'
+
+
+def _rest_frame(primitive: SkinnedPrimitive, kind: str) -> tuple[FloatArray, FloatArray] | None:
+    """Return (t0, b0) of the frame that the metadata names, None where its TANGENT is gone."""
+    normals = frames.unit_normals(primitive.normals)
+    if kind == frames.NORMAL_FRAME:
+        return frames.frame_from_normal(normals)
+    if primitive.tangents is None:
+        return None
+    return frames.frame_from_tangent(normals, primitive.tangents)
+
+
+def _before_adoption(
+    document: Document, source: PrimitiveSource, metadata: JsonObject, now: SkinnedPrimitive
+) -> SkinnedPrimitive:
+    """Return the primitive with the influences that its bake began with, or as it is now where they are gone.
+
+    Those are the file's from before it, or what its limit of influences leaves of them.
+
+    α and β come from those; the weights that adoption gave its slots are too small to matter much.
+    """
+    former = former_attributes(document, source.attributes, metadata, source.place)
+    if not former:
+        return now
+    attributes = {**source.attributes, **former}
+    source = replace(source, json={**source.json, "attributes": attributes})
+    before = read_primitive(document, source)
+    if FORMER_ATTRIBUTES not in metadata:
+        return before
+    unit = common_unit(read_influences(document, source, len(before.positions)))
+    return limited_primitive(before, now.joints.shape[1], unit)
+
+
+def _skewed(view: BakedView) -> Iterator[Notice]:
+    """Yield a problem where the rest frame's normal is not the one stored."""
+    if (
+        view.metadata["frame"] != frames.TANGENT_FRAME
+        or view.now.tangents is None
+        or "TANGENT" in view.changed
+    ):
+        return
+    used = np.unique(view.now.triangles)
+    normals = frames.unit_normals(view.now.normals[used])
+    angles = frames.tangent_deviation(normals, view.now.tangents[used])
+    count, largest = int(np.count_nonzero(angles > TANGENT_TOLERANCE)), float(angles.max(initial=0.0))
+    if count:
+        message = (
+            f"at {count:,} vertices TANGENT × bitangent leans more than {TANGENT_TOLERANCE}° from NORMAL "
+            f"(up to {largest:.3g}°), and so does the lighting at rest: {BAKE} with --frame normal"
+        )
+        yield Notice("tangents-skewed", message, view.source.place, count)
+
+
+def _contradictions(document: Document, views: Sequence[BakedView]) -> Iterator[Notice]:
+    """Yield a problem for each primitive whose settings are not those of the first it was gathered with.
+
+    The primitives of a mesh, or of a skin, are gathered together: one bake made them all.
+    """
+    for group in gathered_together(document, views):
+        other = group[0]
+        theirs = _gathering(other)
+        for view in group[1:]:
+            for key, ours in _gathering(view).items():
+                if ours != theirs[key] and not (key == "creaseAngle" and math.isclose(ours, theirs[key])):
+                    message = (
+                        f'its metadata is damaged: "{key}" is {shown(ours)}, and {shown(theirs[key])} in '
+                        f"{other.source.place.within_file}, which it was gathered with; {BAKE}"
+                    )
+                    yield Notice("metadata-broken", message, view.source.place)
+
+
+def _gathering(view: BakedView) -> dict[str, Any]:
+    """Return the settings that all primitives of one surface share."""
+    return {"weld": _weld(view), **{key: view.metadata[key] for key in ("weighting", "creaseAngle")}}

@@ -1,0 +1,222 @@
+"""Linear blend skinning in matrix form: what is linear in the joint matrices, for many poses at once.
+
+Algorithms 1–3 (Tarini et al. 2014, supplement, §1–3; ``replay.lbs`` has them line by line) are linear in the
+joint matrices until a product of two posed vectors is taken. With p̃ = (p, 1), all they make before it are of
+one form:
+
+    F(u, c) = Σ w[s] M[s] u + Σ c[s] M[s] p̃
+
+    p' = F(p̃, 0)        T v = F((v, 0), 0)        t' = F((t, 0), α)        column i of J = F((eᵢ, 0), aᵢ)
+
+where α[0] is minus the sum of the others, as Σ α (M[s] p − M[0] p) has it. F is a sparse matrix, a row a
+vertex, times the joint matrices of all poses.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+
+from skinbake.geometry.skinned import Float64Array, FloatArray, IntArray
+from skinbake.skinning.algorithms import Algorithm
+from skinbake.skinning.components import (
+    Rows,
+    Vector,
+    cofactors,
+    corrected,
+    cross,
+    dot,
+    linear,
+    quotient,
+    scaled,
+)
+from skinbake.skinning.surface import Baseline, Options, RestSurface
+
+Form: TypeAlias = tuple[FloatArray, FloatArray | None]
+"""What F is of: u (V, 3) or (3,), a direction, and c (V, K), or None for zeros."""
+
+CHUNK_SAMPLES = 1 << 21
+"""Vertices × poses that are deformed before they are measured: 50 MB of positions."""
+
+CHUNK_POSES = 8
+"""Poses of a chunk, however many vertices there are: below, the sparse products have too little to do."""
+
+BLOCK_SAMPLES = 1 << 14
+"""Vertices × poses in flight: the temporaries of a block stay in the processor's cache."""
+
+
+def chunks(vertices: int, poses: int) -> list[slice]:
+    """Cut the poses of so many vertices into chunks."""
+    size = max(CHUNK_POSES, CHUNK_SAMPLES // max(vertices, 1))
+    return [slice(start, min(start + size, poses)) for start in range(0, poses, size)]
+
+
+def blocks(vertices: slice, poses: int) -> list[slice]:
+    """Cut vertices into blocks, for chunks of so many poses."""
+    size = max(1, BLOCK_SAMPLES // max(poses, 1))
+    return [
+        slice(start, min(start + size, vertices.stop)) for start in range(vertices.start, vertices.stop, size)
+    ]
+
+
+class BlendedSurface:
+    """A rest surface under linear blend skinning by joint matrices (P, J, 4, 4), block by block.
+
+    Vectors are components (P, V), stored vertex by vertex.
+    """
+
+    def __init__(
+        self,
+        rest: RestSurface,
+        joint_matrices: Float64Array,
+        options: Options,
+        *,
+        direct: RestSurface | None = None,
+    ) -> None:
+        """Prepare a surface. Algorithm 2 starts from ``direct``, and needs it."""
+        self._rest, self._options = rest, options
+        self._direct = None if direct is None else (direct.normals, direct.weight_gradients())
+        columns = 4 * rest.joints.astype(np.int32)[:, :, None] + np.arange(4, dtype=np.int32)
+        self._columns = np.asarray(columns.reshape(len(columns), -1), dtype=np.int32)
+        self._alpha, self._beta = _with_pivot(rest.alpha), _with_pivot(rest.beta)
+        self._handedness = rest.handedness()
+        self._matrices = _Table(joint_matrices)
+        self._cofactors = None
+        if options.baseline is Baseline.COFACTOR:
+            turned = np.zeros_like(joint_matrices)
+            rows = tuple(tuple(np.moveaxis(joint_matrices[..., row, :3], -1, 0)) for row in range(3))
+            for row, entries in enumerate(cofactors(rows)):
+                turned[..., row, :3] = np.stack(entries, axis=-1)
+            self._cofactors = _Table(turned)
+
+    def positions(self, pose: slice, part: slice) -> Float64Array:
+        """Return p' of a block: (V, 3, P)."""
+        block = self._block(part)
+        posed: Float64Array = self._matrices.product(block, [block.weights * block.points], pose)[0]
+        return posed
+
+    def normals(self, algorithms: Sequence[Algorithm], pose: slice, part: slice) -> list[Vector]:
+        """Return the normals that algorithms 1–3 give a block, not unit."""
+        steps = {
+            Algorithm.LBS_APPROXIMATED: self._approximated,
+            Algorithm.LBS_DIRECT: self._direct_normals,
+            Algorithm.LBS_ACCURATE: self._accurate,
+        }
+        block = self._block(part)
+        # One product for all of them would be one to set up, but its results leave the cache.
+        return [steps[algorithm](block, pose) for algorithm in algorithms]
+
+    def _block(self, part: slice) -> _Block:
+        positions = self._rest.positions[part]
+        points = np.concatenate([positions, np.ones((len(positions), 1))], axis=1)
+        return _Block(part, self._rest.weights[part, :, None], points[:, None], self._columns[part])
+
+    def _approximated(self, block: _Block, pose: slice) -> Vector:
+        """Return T n, T⁻ᵀ n or Σ w cof(M[s]) n."""
+        normal = self._rest.normals[block.part]
+        if self._options.baseline is Baseline.INVERSE_TRANSPOSE:
+            axes: list[Form] = [(axis, None) for axis in np.eye(3)]
+            return _inverse_transposed(self._forms(axes, block, pose), normal)
+        return self._forms([(normal, None)], block, pose, self._cofactors)[0]
+
+    def _direct_normals(self, block: _Block, pose: slice) -> Vector:
+        """Return J⁻ᵀ n."""
+        if self._direct is None:
+            raise ValueError("algorithm 2 was not prepared for")
+        normals, gradients = (values[block.part] for values in self._direct)
+        axes: list[Form] = [(axis, gradients[:, :, i]) for i, axis in enumerate(np.eye(3))]
+        return _inverse_transposed(self._forms(axes, block, pose), normals)
+
+    def _accurate(self, block: _Block, pose: slice) -> Vector:
+        """Return ± t' × b', the sign being that of b'."""
+        sign = self._handedness[block.part, None]
+        frame = self._rest.tangents[block.part], sign * self._rest.bitangents[block.part]
+        changes = self._alpha[block.part], sign * self._beta[block.part]
+        cap = self._options.cap
+        if cap is None or changes[0].shape[1] == 1:
+            return cross(*self._forms(list(zip(frame, changes, strict=True)), block, pose))
+        still = self._forms([(vector, None) for vector in frame], block, pose)
+        moved = self._forms([(np.zeros(3), change) for change in changes], block, pose)
+        return cross(*(corrected(base, by, cap) for base, by in zip(still, moved, strict=True)))
+
+    def _forms(
+        self, forms: Sequence[Form], block: _Block, pose: slice, table: _Table | None = None
+    ) -> list[Vector]:
+        """Return F of a block, by form."""
+        data = [block.entries(form) for form in forms]
+        product = (table or self._matrices).product(block, data, pose)
+        # Arithmetic on components that are not contiguous takes three times as long.
+        by_component = np.ascontiguousarray(np.swapaxes(product, 1, 2))
+        return [tuple(component.T for component in vectors) for vectors in by_component]
+
+
+@dataclass(frozen=True, slots=True)
+class _Block:
+    """Some vertices: weights (V, K, 1), points p̃ (V, 1, 4) and columns of the joint matrices (V, 4 K)."""
+
+    part: slice
+    weights: FloatArray
+    points: FloatArray
+    columns: IntArray
+
+    def entries(self, form: Form) -> Float64Array:
+        """Return the entries (V, K, 4) of F's sparse matrix for one form."""
+        direction, change = form
+        wide = np.zeros((*direction.shape[:-1], 1, 4))
+        wide[..., 0, :3] = direction
+        entries = np.asarray(self.weights * wide, dtype=np.float64)
+        if change is not None:
+            entries += change[:, :, None] * self.points
+        return entries
+
+
+class _Table:
+    """The first three rows of matrices (P, J, 4, 4), in the form that F is multiplied with."""
+
+    def __init__(self, matrices: Float64Array) -> None:
+        self._matrices = matrices
+        self._pose: slice | None = None
+        self._table: Float64Array = np.empty(0)
+
+    def product(self, block: _Block, data: Sequence[Float64Array], pose: slice) -> Float64Array:
+        """Multiply sparse matrices with entries (V, K, 4) by those of some poses: (forms, V, 3, P)."""
+        from scipy.sparse import csr_array
+
+        if pose != self._pose:
+            rows = np.transpose(self._matrices[pose, :, :3], (1, 3, 2, 0))
+            self._table = np.ascontiguousarray(rows, dtype=np.float64).reshape(rows.shape[0] * 4, -1)
+            self._pose = pose
+        count, width = block.columns.shape
+        columns = np.tile(block.columns.ravel(), len(data))
+        ends = np.arange(len(data) * count + 1, dtype=np.int32) * np.int32(width)
+        sparse = csr_array(
+            (np.concatenate(data).ravel(), columns, ends), shape=(len(ends) - 1, len(self._table))
+        )
+        return np.asarray(sparse @ self._table).reshape(len(data), count, 3, -1)
+
+
+def _inverse_transposed(columns: Sequence[Vector], normal: FloatArray) -> Vector:
+    """Return M⁻ᵀ n for a matrix given by its columns and n (V, 3); cof(M) n where det M is 0."""
+    rows: Rows = tuple(zip(*columns, strict=True))
+    turned = cofactors(rows)
+    reciprocal = quotient(1.0, dot(rows[0], turned[0]))
+    return scaled(reciprocal, linear(turned, tuple(normal.T)))
+
+
+def _with_pivot(derivatives: FloatArray) -> FloatArray:
+    """Return derivatives (V, K) of all slots from those of all but the first, which has minus their sum."""
+    return np.concatenate([-derivatives.sum(axis=1, keepdims=True), derivatives], axis=1)
+
+
+def blended_blocks(
+    surfaces: Sequence[RestSurface], joint_matrices: Float64Array
+) -> Iterator[tuple[slice, slice, list[BlendedSurface]]]:
+    """Yield poses and vertices of blocks, with surfaces of the same vertices blended in all poses."""
+    count = len(surfaces[0].positions)
+    blended = [BlendedSurface(surface, joint_matrices, Options()) for surface in surfaces]
+    for pose in chunks(count, len(joint_matrices)):
+        for part in blocks(slice(0, count), pose.stop - pose.start):
+            yield pose, part, blended

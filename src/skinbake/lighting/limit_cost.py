@@ -1,0 +1,160 @@
+"""``bake --limit-influences``: fewer influences a vertex, and what that costs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from skinbake.format.limit import with_limit
+from skinbake.geometry import frames
+from skinbake.geometry.skinned import BakedPrimitive, Float64Array, FloatArray, SkinnedPrimitive
+from skinbake.gltf.animation import read_clips
+from skinbake.gltf.document import Document
+from skinbake.gltf.primitives import PrimitiveSource, StoredInfluences, read_influences
+from skinbake.gradients.baker import BakeFindings, BakeSettings, bake_mesh, rest_frame
+from skinbake.gradients.limit import limited_slots
+from skinbake.lighting.blending import blended_blocks
+from skinbake.lighting.influences import normalised_weights
+from skinbake.lighting.metrics import ErrorTally, angles_between, total_area, vertex_areas
+from skinbake.lighting.poses import PoseRequest, PoseSet, described, pose_set, skins_of
+from skinbake.report.bake import LimitCost, Spread
+from skinbake.skinning.algorithms import Algorithm
+from skinbake.skinning.surface import RestSurface
+
+Outcome = tuple[BakedPrimitive, BakeFindings]
+
+
+@dataclass(frozen=True, slots=True)
+class Limited:
+    """A primitive with its largest influences alone.
+
+    stored are its new influence sets; vertices is how many lost influences, left_out the share of their
+    weight that went, on average.
+    """
+
+    primitive: SkinnedPrimitive
+    stored: tuple[StoredInfluences, ...]
+    vertices: int
+    left_out: float
+
+
+def limited(
+    document: Document, source: PrimitiveSource, primitive: SkinnedPrimitive, count: int | None
+) -> Limited | None:
+    """Return the primitive with ``count`` influences a vertex, None where it stores no more than that."""
+    if count is None or primitive.joints.shape[1] <= count:
+        return None
+    kept = limited_slots(primitive, count)
+    before = read_influences(document, source, len(primitive.positions))
+    stored = with_limit(before, kept.slots, kept.shares, kept.rewritten)
+    losing = kept.dropped > 0
+    return Limited(
+        primitive.with_influences(
+            np.concatenate([entry.joints.values.astype(np.int64) for entry in stored], axis=1),
+            np.concatenate([entry.weights.decoded() for entry in stored], axis=1),
+        ),
+        tuple(stored),
+        int(np.count_nonzero(losing)),
+        float(kept.dropped[losing].mean()) if losing.any() else 0.0,
+    )
+
+
+def limit_costs(
+    document: Document,
+    sources: Sequence[PrimitiveSource],
+    whole: Sequence[SkinnedPrimitive],
+    parts: Sequence[Limited | None],
+    outcomes: Sequence[Outcome],
+    settings: BakeSettings,
+) -> list[LimitCost | None]:
+    """Return what the limit costs each primitive of one surface, None for those that it leaves alone.
+
+    ``whole`` are the primitives with all their influences, ``outcomes`` the bakes of the limited ones.
+    Accurate normals (algorithm 3) and positions before and after are compared over the poses that verify
+    takes by default. Raises InputError where animations or skins cannot be read.
+    """
+    if not any(parts):
+        return [None] * len(parts)
+    clips = read_clips(document)
+    sets = [pose_set(document, skin, clips, PoseRequest()) for skin in skins_of(document, sources[0].mesh)]
+    told = described(PoseRequest(), sets, sum(clip.duration - clip.start for clip in clips))
+    costs: list[LimitCost | None] = []
+    for source, primitive, part, (before, _), (after, _) in zip(
+        sources, whole, parts, bake_mesh(whole, settings), outcomes, strict=True
+    ):
+        if part is None:
+            costs.append(None)
+            continue
+        pair = (
+            _surface(primitive, before, source.joint_count, settings),
+            _surface(part.primitive, after, source.joint_count, settings),
+        )
+        areas = vertex_areas(primitive.positions, primitive.triangles)
+        turned, moved, size = _differences(pair, sets, areas)
+        costs.append(
+            LimitCost(
+                influences=part.primitive.joints.shape[1],
+                vertices=part.vertices,
+                left_out=part.left_out,
+                normals=_spread(turned),
+                positions=_spread(moved),
+                size=size,
+                poses=told,
+            )
+        )
+    return costs
+
+
+def _surface(
+    primitive: SkinnedPrimitive, baked: BakedPrimitive, joint_count: int, settings: BakeSettings
+) -> RestSurface:
+    """Return what a replay reads of a bake that is not written yet; adopted joints stand at weight 0."""
+    frame = rest_frame(primitive, settings.frame)
+    named = np.where(baked.adopted_joints >= 0, baked.adopted_joints, primitive.joints)
+    joints = np.where(named < joint_count, named, 0)
+    return RestSurface(
+        positions=primitive.positions.astype(np.float64),
+        normals=frames.unit_normals(primitive.normals).astype(np.float64),
+        tangents=frame.tangents.astype(np.float64),
+        bitangents=frame.bitangents.astype(np.float64),
+        joints=joints,
+        weights=normalised_weights(primitive.weights, joints),
+        alpha=baked.alpha.astype(np.float64),
+        beta=baked.beta.astype(np.float64),
+    )
+
+
+def _differences(
+    pair: tuple[RestSurface, RestSurface], sets: Sequence[PoseSet], areas: Float64Array
+) -> tuple[ErrorTally, ErrorTally, float]:
+    """Return angles between normals in degrees, distances between positions, and the size.
+
+    areas (V,) weigh the vertices. The size is the diagonal of the box around the posed primitive, the largest
+    of all poses.
+    """
+    weight = sum(len(poses.joint_matrices) for poses in sets) * total_area(areas)
+    turned, moved = ErrorTally(weight), ErrorTally(weight)
+    size = 0.0
+    for matrices in (poses.joint_matrices for poses in sets):
+        low, high = np.full((3, len(matrices)), np.inf), np.full((3, len(matrices)), -np.inf)
+        for pose, part, blended in blended_blocks(pair, matrices):
+            before, after = (one.normals((Algorithm.LBS_ACCURATE,), pose, part)[0] for one in blended)
+            _count(turned, angles_between(after, before), areas[part])
+            first, second = (one.positions(pose, part) for one in blended)
+            _count(moved, np.linalg.norm(second - first, axis=1).T, areas[part])
+            low[:, pose] = np.minimum(low[:, pose], first.min(axis=0))
+            high[:, pose] = np.maximum(high[:, pose], first.max(axis=0))
+        size = max(size, float(np.linalg.norm(high - low, axis=0).max(initial=0.0)))
+    return turned, moved, size
+
+
+def _count(tally: ErrorTally, values: FloatArray, areas: FloatArray) -> None:
+    """Count values (P, V); one that does not exist, like the angle to a normal that does not, is left out."""
+    tally.add(values, areas, valid=np.isfinite(values))
+
+
+def _spread(tally: ErrorTally) -> Spread:
+    summary = tally.summary()
+    return Spread(0.0, 0.0, 0.0) if summary is None else Spread(summary.mean, summary.p99, summary.max)

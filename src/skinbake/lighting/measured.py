@@ -1,0 +1,362 @@
+"""The lighting of a baked document, measured mesh by mesh and skin by skin, and held against limits."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from skinbake.errors import InputError, Notice, Place
+from skinbake.geometry import frames
+from skinbake.geometry.skinned import Float64Array
+from skinbake.gltf.animation import read_clips
+from skinbake.gltf.document import Document
+from skinbake.lighting.angles import (
+    IDENTITY_TOLERANCE,
+    METHODS,
+    MeasuredBlock,
+    lighting_errors,
+    not_rigid_joints,
+)
+from skinbake.lighting.baked_views import BakedView
+from skinbake.lighting.influences import normalised_weights
+from skinbake.lighting.metrics import ErrorTally, total_area, vertex_areas
+from skinbake.lighting.morphing import morph_count, morphing_of
+from skinbake.lighting.operator import GradientOperator
+from skinbake.lighting.poses import SHARED_SAMPLES, PoseRequest, PoseSet, described, draws_of, pose_set
+from skinbake.report.notices import counted
+from skinbake.report.verify import Check, ErrorFigures, FileVerdict, Normals, Worst, gain
+from skinbake.skinning.surface import Baseline, Options, RestSurface
+from skinbake.timing import stage
+
+BYTES_A_SAMPLE = 32
+"""What is kept at most of a vertex in a pose: its errors, while they may count among the largest."""
+
+SAMPLES_A_BYTE, SAMPLES_FREE = 24, 1_000_000
+"""Vertices times poses that a file may ask for, by its own bytes and besides: each takes 3 µs.
+
+A mesh is measured as often as skins draw it, and in at least three poses of each clip. Fifty soldiers of one
+mesh of 3,000 vertices ask for 20 a byte, a character of a million vertices for 0.5.
+"""
+
+Progress = Callable[[str, int, int], None]
+"""Called with what is being done, how many poses are done, and how many there are."""
+
+
+@dataclass(frozen=True, slots=True)
+class VerifyOptions:
+    """The options of ``skinbake verify``.
+
+    methods are those asked for; empty: LBS, and DQS where the joints are rigid. Limits are degrees, or a
+    factor, of the accurate lighting; None asks nothing.
+    """
+
+    methods: tuple[str, ...] = ()
+    poses: PoseRequest = field(default_factory=PoseRequest)
+    max_mean_error: float | None = None
+    max_p95_error: float | None = None
+    min_gain: float | None = None
+    require_baked: bool = False
+    warnings_as_errors: bool = False
+    cap: float | None = None
+    baseline: Baseline = Baseline.BLENDED
+
+
+@dataclass(frozen=True, slots=True)
+class _Draw:
+    """One mesh as one skin draws it: its baked primitives, what is replayed of them, and their areas (V,)."""
+
+    views: Sequence[BakedView]
+    operator: GradientOperator
+    rest: Sequence[RestSurface]
+    areas: Sequence[Float64Array]
+    poses: PoseSet
+
+
+@dataclass(frozen=True, slots=True)
+class _Segment:
+    """One primitive under one skin: where it is, and in which poses."""
+
+    place: Place
+    poses: PoseSet
+
+
+_Tallies = dict[str, dict[str, ErrorTally]]
+"""By method and lighting."""
+
+
+class Lighting:
+    """Measures a document's lighting, mesh by mesh and skin by skin."""
+
+    def __init__(self, document: Document, options: VerifyOptions, progress: Progress) -> None:
+        self._document, self._options, self._progress = document, options, progress
+        with stage("poses"):
+            self._clips = read_clips(document)
+        self._done, self._total, self._identity = 0, 0, 0.0
+        self._samples = 0
+        self._segments: list[_Segment] = []
+        self._whole: _Tallies = {}
+        self._by_place: dict[Place, _Tallies] = {}
+        self._poses: dict[tuple[int, int | None], PoseSet] = {}
+
+    def measured(
+        self, meshes: Sequence[Sequence[BakedView]], operators: Sequence[GradientOperator]
+    ) -> FileVerdict:
+        """Return a verdict that holds the lighting checks and figures."""
+        with stage("poses"):
+            drawn = list(self._drawn(meshes, operators))
+        not_rigid = list(dict.fromkeys(n for draw in drawn for n in _not_rigid(draw.rest, draw.poses)))
+        methods = self._options.methods or (("lbs",) if not_rigid else ("lbs", "dqs"))
+        reason = without_dqs(not_rigid)
+        if "dqs" in methods and not_rigid:
+            problem = Notice("not-rigid", f"dual quaternions were asked for: {reason}", self._document.place)
+            check = Check("lighting", "failed", (problem,))
+            return FileVerdict(self._document.name, (check,), without_dqs=reason)
+        self._total = sum(len(draw.poses.clips) for draw in drawn) * len(methods)
+        with np.errstate(
+            over="ignore", invalid="ignore", divide="ignore"
+        ):  # figures are checked to be finite
+            for method in methods:
+                self._expect(method, drawn)
+                for draw in drawn:
+                    self._measure(method, draw)
+            with stage("figures"):
+                verdict = self._verdict(drawn, reason if not_rigid else None)
+        morphs = morph_count(self._document, [(draw.views[0].source.mesh, draw.poses) for draw in drawn])
+        return replace(verdict, notices=tuple(dict.fromkeys(_mirrored(drawn))), morphs=morphs)
+
+    def _drawn(
+        self, meshes: Sequence[Sequence[BakedView]], operators: Sequence[GradientOperator]
+    ) -> Iterator[_Draw]:
+        for views, operator in zip(meshes, operators, strict=True):
+            rest = [rest_surface(view) for view in views]
+            areas = [vertex_areas(view.now.positions, view.now.triangles) for view in views]
+            for poses in self._pose_sets(views[0].source.mesh):
+                self._claim(views, poses)
+                yield _Draw(views, operator, rest, areas, poses)
+
+    def _claim(self, views: Sequence[BakedView], poses: PoseSet) -> None:
+        """Count what measuring a draw takes, and refuse what takes out of all proportion to the file."""
+        vertices, count = sum(len(view.now.positions) for view in views), len(poses.clips)
+        place = replace(views[0].source.place, primitive=None)
+        self._document.budget.claim(
+            BYTES_A_SAMPLE * vertices * count, f"{vertices:,} vertices in {count:,} poses", place
+        )
+        asked = self._options.poses.samples
+        self._samples += vertices * (count if asked is None else -(-count // asked) * SHARED_SAMPLES)
+        most = SAMPLES_FREE + SAMPLES_A_BYTE * self._document.budget.backed
+        if self._samples > most:
+            raise InputError(
+                f"it asks for {self._samples:,} vertices times poses, as often as nodes draw it and clips "
+                f"move it: over the {most:,} that a file of its size may ask for",
+                place,
+            )
+
+    def _expect(self, method: str, drawn: Sequence[_Draw]) -> None:
+        """Prepare to count what a method yields: a tally must know how much weight may come."""
+        weights: dict[Place, float] = {}
+        for draw in drawn:
+            for view, areas in zip(draw.views, draw.areas, strict=True):
+                weight = len(draw.poses.clips) * total_area(areas)
+                weights[view.source.place] = weights.get(view.source.place, 0.0) + weight
+        lightings = METHODS[method]
+        self._whole[method] = {one: ErrorTally(sum(weights.values())) for one in lightings}
+        for place, weight in weights.items():
+            # The figures of a single primitive are those of the whole: nothing need be counted twice.
+            alone = len(weights) == 1
+            tallies = self._whole[method] if alone else {one: ErrorTally(weight) for one in lightings}
+            self._by_place.setdefault(place, {})[method] = tallies
+
+    def _pose_sets(self, mesh: int) -> Iterator[PoseSet]:
+        for skin, node in draws_of(self._document, mesh, self._clips):
+            if (skin, node) not in self._poses:
+                found = pose_set(self._document, skin, self._clips, self._options.poses, node)
+                self._poses[skin, node] = found
+            yield self._poses[skin, node]
+
+    def _measure(self, method: str, draw: _Draw) -> None:
+        first = len(self._segments)
+        self._segments += [_Segment(view.source.place, draw.poses) for view in draw.views]
+        tallies = [(self._whole[method], self._by_place[view.source.place][method]) for view in draw.views]
+
+        def record(block: MeasuredBlock) -> None:
+            areas = draw.areas[block.surface][block.vertex : block.vertex + block.errors.shape[1]]
+            start = first + block.surface, block.pose, block.vertex
+            whole, own = (found[block.lighting] for found in tallies[block.surface])
+            with stage("figures"):
+                whole.add(block.errors, areas, valid=block.valid, start=start)
+                if own is not whole:
+                    own.add(block.errors, areas, valid=block.valid, start=start)
+
+        identity = lighting_errors(
+            draw.operator,
+            draw.rest,
+            draw.poses.joint_matrices,
+            method,
+            record,
+            options=Options(self._options.cap, self._options.baseline),
+            morphing=morphing_of(self._document, draw.views, draw.poses),
+            advance=self._advance,
+        )
+        self._identity = max(self._identity, identity)
+
+    def _advance(self, poses: int) -> None:
+        self._done += poses
+        self._progress(self._document.name, self._done, self._total)
+
+    def _identity_check(self, drawn: Sequence[_Draw]) -> Check:
+        remark = f"direct and accurate (algorithms 2 and 3) agree within {self._identity:.1g}°"
+        if self._identity <= IDENTITY_TOLERANCE:
+            return Check("identity", "passed", (), remark)
+        message = f"direct and accurate normals (algorithms 2 and 3) differ by {self._identity:.2g}°"
+        strained = max((_strain(draw) for draw in drawn), default=(0.0, ""))
+        if strained[0] > STRAINED:
+            message += (
+                f": its joint matrices are singular or too unlike in size, {strained[1]} most of all, and "
+                "rounding takes over: mend the nodes, inverse bind matrices or animations that make them"
+            )
+        else:
+            message += ", and should agree to rounding: this is a fault of skinbake, please report it"
+        return Check("identity", "failed", (Notice("identity", message, self._document.place),))
+
+    def _verdict(self, drawn: Sequence[_Draw], without_dqs: str | None) -> FileVerdict:
+        normals = self._figures(self._whole)
+        found = [figures for lightings in normals.values() for figures in lightings.values()]
+        if not all(math.isfinite(figures.mean) and math.isfinite(figures.max) for figures in found):
+            raise InputError(
+                "its positions, gradients and joint matrices are so large that their products overflow: "
+                "scale the model down",
+                self._document.place,
+            )
+        poses = [draw.poses for draw in drawn]
+        seconds = sum(clip.duration - clip.start for clip in self._clips)
+        identity = self._identity_check(drawn)
+        checks = [identity] if "lbs" in normals else []
+        if not normals:
+            checks.append(
+                Check("lighting", "skipped", (), "there is no true normal at any vertex in these poses")
+            )
+        limits = _exceeded(normals, self._options, self._document.place)
+        asked = (self._options.max_mean_error, self._options.max_p95_error, self._options.min_gain)
+        if any(limit is not None for limit in asked):
+            checks.append(_limits_check(limits, normals, self._options))
+        by_primitive = tuple((place, self._figures(tallies)) for place, tallies in self._by_place.items())
+        return FileVerdict(
+            self._document.name,
+            tuple(checks),
+            normals,
+            by_primitive,
+            described(self._options.poses, poses, seconds),
+            without_dqs,
+        )
+
+    def _figures(self, tallies: _Tallies) -> Normals:
+        """Return the figures of what was counted, by method and lighting; poses weigh equally."""
+        result: Normals = {}
+        for method, lightings in tallies.items():
+            for lighting, tally in lightings.items():
+                summary = tally.summary()
+                if summary is not None:
+                    segment, pose = self._segments[summary.worst_part], summary.worst_pose
+                    clip, time = segment.poses.clips[pose], segment.poses.times[pose]
+                    worst = Worst(segment.place, summary.worst_vertex, clip, time)
+                    result.setdefault(method, {})[lighting] = ErrorFigures(
+                        summary.mean, summary.p95, summary.p99, summary.max, worst
+                    )
+        return result
+
+
+def _mirrored(drawn: Sequence[_Draw]) -> Iterator[Notice]:
+    """Yield a notice for each mesh that a mirroring joint draws inside out."""
+    counts: dict[int, int] = {}
+    for draw in drawn:
+        poses = draw.poses
+        if id(poses) not in counts:
+            mirrors = np.linalg.det(poses.joint_matrices[..., :3, :3]) < 0
+            counts[id(poses)] = int(np.count_nonzero(mirrors.any(axis=0)))
+        count = counts[id(poses)]
+        if count:
+            message = (
+                f"{counted(count, 'joint mirrors', 'joints mirror')} (negative determinant): t' × b' points "
+                "inside there, and the shader must turn it round"
+            )
+            yield Notice("joints-mirror", message, replace(draw.views[0].source.place, primitive=None), count)
+
+
+STRAINED = 1e6
+"""How unlike in size joint matrices may be before rounding alone can part algorithms 2 and 3."""
+
+
+def _strain(draw: _Draw) -> tuple[float, str]:
+    """Return how far the largest that joints do to a frame is from the least, and the joint most to blame."""
+    matrices = draw.poses.joint_matrices
+    stretches = np.linalg.svd(matrices[..., :3, :3], compute_uv=False)
+    extent = max(float(np.abs(rest.positions).max(initial=0.0)) for rest in draw.rest)
+    slope = max(float(np.abs([rest.alpha, rest.beta]).max(initial=0.0)) for rest in draw.rest)
+    reach = stretches[..., 0] * extent + np.abs(matrices[..., :3, 3]).max(axis=-1)
+    largest = (stretches[..., 0] + reach * slope).max(axis=0)
+    least = stretches[..., 2].min(axis=0)
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        too_large, too_small = largest / np.median(largest), np.median(least) / least
+        strain = float(largest.max() / least.min())
+        worst = int(np.argmax(np.nan_to_num(np.maximum(too_large, too_small), nan=np.inf)))
+    return (math.inf if math.isnan(strain) else strain), draw.poses.joint_names[worst]
+
+
+def _limits_check(problems: Sequence[Notice], normals: Normals, options: VerifyOptions) -> Check:
+    if problems:
+        return Check("limits", "failed", tuple(problems), "; ".join(problem.message for problem in problems))
+    bends = any(gain(figures) is not None for figures in normals.values())
+    remark = "no gain to hold to --min-gain: nothing bends in these poses"
+    return Check("limits", "passed", (), remark if options.min_gain is not None and not bends else "")
+
+
+def _not_rigid(rest: Sequence[RestSurface], poses: PoseSet) -> list[str]:
+    return [poses.joint_names[joint] for joint in not_rigid_joints(rest, poses.joint_matrices)]
+
+
+def rest_surface(view: BakedView) -> RestSurface:
+    """Return what a replay reads of a baked primitive, float64; joints past the skin's become 0."""
+    joints = np.where(view.now.joints < view.source.joint_count, view.now.joints, 0)
+    return RestSurface(
+        positions=view.now.positions.astype(np.float64),
+        normals=frames.unit_normals(view.now.normals).astype(np.float64),
+        tangents=view.tangents.astype(np.float64),
+        bitangents=view.bitangents.astype(np.float64),
+        joints=joints,
+        weights=normalised_weights(view.now.weights, joints),
+        alpha=view.alpha.astype(np.float64),
+        beta=view.beta.astype(np.float64),
+    )
+
+
+def without_dqs(joints: Sequence[str]) -> str:
+    """Return why dual quaternions cannot stand for these joints, by name."""
+    shown = ", ".join(joints[:4]) + (", …" if len(joints) > 4 else "")
+    verb = "is" if len(joints) == 1 else "are"
+    return f"{shown} {verb} not rigid up to one scale common to all joints"
+
+
+def _exceeded(normals: Normals, options: VerifyOptions, place: Place) -> list[Notice]:
+    """Return a problem for each limit that the accurate lighting of a method exceeds."""
+    problems = []
+    for method in options.methods or ("lbs",):
+        figures = normals.get(method, {})
+        if "accurate" not in figures:
+            problems.append(Notice("no-figures", f"no lighting could be measured for {method}", place))
+            continue
+        accurate = figures["accurate"]
+        for name, limit, value in (
+            ("mean", options.max_mean_error, accurate.mean),
+            ("95th percentile", options.max_p95_error, accurate.p95),
+        ):
+            if limit is not None and not value <= limit:
+                message = f"{method.upper()} accurate: the {name} of the error is {value:.3f}°, over {limit}°"
+                problems.append(Notice("limit", message, place))
+        factor = gain(figures)
+        if options.min_gain is not None and factor is not None and factor < options.min_gain:
+            message = f"{method.upper()}: the gain is {factor:.2f}, below {options.min_gain}"
+            problems.append(Notice("limit", message, place))
+    return problems

@@ -1,0 +1,61 @@
+"""Morph targets of baked meshes: those that move in the poses that a file is measured over."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+from skinbake.geometry.frames import TANGENT_FRAME
+from skinbake.gltf.document import Document
+from skinbake.gltf.json_access import objects
+from skinbake.gltf.morphs import read_targets, target_count
+from skinbake.lighting.angles import Morphing
+from skinbake.lighting.baked_views import BakedView
+from skinbake.lighting.poses import PoseSet
+from skinbake.report.verify import MorphCount
+
+
+def morphing_of(document: Document, views: Sequence[BakedView], poses: PoseSet) -> Morphing | None:
+    """Return what moves the primitives of one mesh in these poses; None where no target does.
+
+    Targets whose weight is 0 in every pose are not read. Raises InputError where one of the others is broken.
+    """
+    moving = poses.moving_targets
+    if poses.morph_weights is None or not moving:
+        return None
+    targets = tuple(
+        read_targets(
+            document,
+            view.source,
+            moving,
+            count=len(view.now.positions),
+            tangents=view.metadata["frame"] == TANGENT_FRAME,
+        )
+        for view in views
+    )
+    return Morphing(targets, poses.morph_weights[:, moving])
+
+
+def carrier(views: Iterable[BakedView]) -> str:
+    """Return what the frame of primitives follows under their morph targets.
+
+    ``tangent`` where it is that of TANGENT and any target has TANGENT, else ``normal``; ``none`` without any.
+    """
+    found = "none"
+    for view in views:
+        for target in objects(view.source.json, "targets", view.source.place):
+            if "TANGENT" in target and view.metadata["frame"] == TANGENT_FRAME:
+                return "tangent"
+            found = "normal"
+    return found
+
+
+def morph_count(document: Document, drawn: Iterable[tuple[int, PoseSet]]) -> MorphCount | None:
+    """Count the morph targets of meshes, and those that move in the poses of any node that draws them.
+
+    drawn are meshes with their poses. None where there are no targets.
+    """
+    moving: dict[int, set[int]] = {}
+    for mesh, poses in drawn:
+        moving.setdefault(mesh, set()).update(poses.moving_targets)
+    targets = sum(target_count(document, mesh) for mesh in moving)
+    return MorphCount(targets, sum(map(len, moving.values()))) if targets else None

@@ -1,0 +1,206 @@
+"""Whether baked primitives are fresh, and if they are not, what was done to them since."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from skinbake.errors import Notice
+from skinbake.gltf.accessors import read_accessor
+from skinbake.gltf.document import Document
+from skinbake.lighting import freshness
+from skinbake.lighting.baked_views import WEIGHTINGS, BakedView
+from skinbake.lighting.operator import GradientOperator, expected_alpha_beta, gradient_operator
+
+BAKE_LAST = "Bake last: run skinbake bake on the file that the last tool wrote"
+BAKE_AGAIN = "run skinbake bake again"
+
+EDITED_ALONE = {
+    "POSITION": "its vertices moved",
+    "NORMAL": "its normals flipped, recomputed or edited",
+    "TANGENT": "its tangents recomputed or edited",
+    "WEIGHTS": "its weights edited",
+    "JOINTS": "its joints edited",
+    "indices": "its triangles edited",
+}
+"""What it looks like where one array changed, or one and those that follow from it."""
+
+
+NAMED = 16
+"""Primitives that a message names: each of a thousand that are stale would name all others."""
+
+
+def mesh_operator(
+    document: Document, views: Sequence[BakedView], weighting: str | None = None
+) -> GradientOperator:
+    """Return the gradient operator of one surface, weighted as its metadata says or as ``weighting`` does."""
+    noted = views[0].metadata
+    chosen: Any = weighting or noted["weighting"]
+    return gradient_operator(
+        [view.before for view in views],
+        weighting=chosen,
+        crease_angle_degrees=float(noted["creaseAngle"]),
+        claim=lambda size: document.budget.claim(size, "welding it", views[0].source.place),
+    )
+
+
+def staleness(document: Document, views: Sequence[BakedView], operator: GradientOperator) -> list[Notice]:
+    """Return a problem for each primitive of one surface whose α/β are not those of its present arrays."""
+    surface = _Surface(document, views, _comparisons(views, operator))
+    return [
+        _staleness_notice(surface, number)
+        for number, view in enumerate(views)
+        if view.changed or not surface.compared[number].agrees
+    ]
+
+
+@dataclass(frozen=True)
+class _Surface:
+    """The views of one surface, how α/β of each compare, and as they would under other weightings.
+
+    The latter are for all views at once: each primitive of a mesh may be stale.
+    """
+
+    document: Document
+    views: Sequence[BakedView]
+    compared: Sequence[freshness.Comparison]
+    _otherwise: dict[str, list[freshness.Comparison]] = field(default_factory=dict)
+
+    def weighted(self, weighting: str) -> list[freshness.Comparison]:
+        if weighting not in self._otherwise:
+            with self.document.budget.passing():
+                operator = mesh_operator(self.document, self.views, weighting)
+                self._otherwise[weighting] = _comparisons(self.views, operator)
+        return self._otherwise[weighting]
+
+    @cached_property
+    def changed(self) -> list[str]:
+        return [view.source.place.within_file for view in self.views if view.changed]
+
+
+def _comparisons(views: Sequence[BakedView], operator: GradientOperator) -> list[freshness.Comparison]:
+    expected = expected_alpha_beta(
+        operator,
+        [view.before for view in views],
+        [(view.tangents, view.bitangents) for view in views],
+        named=[view.now for view in views],
+    )
+    reach = np.sum([abs(part).sum(axis=1) for part in (operator.x, operator.y, operator.z)], axis=0)
+    return [
+        freshness.compare(
+            (view.alpha, view.beta), (alpha[:, 1:], beta[:, 1:]), reach=reach[rows], rounding=view.rounding
+        )
+        for view, (alpha, beta), rows in zip(views, expected, operator.slices, strict=True)
+    ]
+
+
+def _staleness_notice(surface: _Surface, number: int) -> Notice:
+    view, comparison = surface.views[number], surface.compared[number]
+    changed = f"{_listed(view.changed)} changed since its bake, and " if view.changed else ""
+    differ = (
+        "α/β still fit"
+        if comparison.agrees
+        else f"α/β are wrong at {comparison.differing:,} of {comparison.count:,} vertices, "
+        f"most at vertex {comparison.worst}"
+    )
+    what = _likely_cause(surface, number)
+    return Notice("stale", f"{changed}{differ}. {what}", view.source.place, comparison.differing)
+
+
+def _likely_cause(surface: _Surface, number: int) -> str:
+    """Say what the difference looks like, and what to do."""
+    view, comparison = surface.views[number], surface.compared[number]
+    if view.changed:
+        doings = _doings(surface.document, view, comparison)
+        return f"It looks like this was done after the bake: {doings}. {BAKE_LAST}"
+    if comparison.reordered:
+        return f"They stand in the wrong slots: {BAKE_AGAIN}"
+    if comparison.factors is not None:
+        return f"{_factors(comparison.factors)} what they should be: {BAKE_AGAIN}"
+    weighting = _weighting_that_fits(surface, number)
+    if weighting is not None:
+        noted = view.metadata["weighting"]
+        return f'They were made with the weighting "{weighting}", not "{noted}" as noted: {BAKE_AGAIN}'
+    return _cause_beyond(surface, view)
+
+
+def _cause_beyond(surface: _Surface, view: BakedView) -> str:
+    """Say what the difference looks like where the primitive's own arrays do not tell."""
+    neighbours, more = surface.changed[:NAMED], len(surface.changed) - NAMED
+    if neighbours:
+        named = [*neighbours, f"{more} more"] if more > 0 else neighbours
+        return f"It is welded with {_listed(named)}, which changed: {BAKE_AGAIN}"
+    if view.metadata.get("weld") == "skin":
+        return (
+            "They were edited or damaged, or a mesh that the same skin draws was added, removed or bound to "
+            f"another skin: {BAKE_AGAIN}"
+        )
+    return f"They were edited or damaged, nothing else was: {BAKE_AGAIN}"
+
+
+def _factors(factors: tuple[float, float]) -> str:
+    off = [
+        f"{name} are {factor:.4g} times"
+        for name, factor in zip("αβ", factors, strict=True)
+        if abs(factor - 1.0) > freshness.RELATIVE_TOLERANCE
+    ]
+    return " and ".join(off)
+
+
+def _common(factors: tuple[float, float] | None) -> float | None:
+    if factors is None or abs(factors[0] - factors[1]) > freshness.RELATIVE_TOLERANCE:
+        return None
+    return factors[0]
+
+
+def _doings(document: Document, view: BakedView, comparison: freshness.Comparison) -> str:
+    """Return what the usual tools do that explains the arrays that changed."""
+    doings = []
+    if _is_quantised(document, view):
+        doings.append("its vertices quantised")
+    scale = comparison.rescaled or _common(comparison.factors)
+    if "POSITION" in view.changed and scale is not None:
+        doings.append(f"its vertices rescaled (by {scale:.3g})")
+    if {"JOINTS", "WEIGHTS"} & set(view.changed) and comparison.resorted:
+        doings.append("its influences re-sorted")
+    if not doings and comparison.mostly_agrees:
+        # α and β moved along with the vertices that they belong to.
+        if view.changed == ("indices",):
+            doings.append("its triangles re-ordered")
+        elif {"POSITION", "NORMAL"} <= set(view.changed):
+            doings.append("its vertices re-ordered, merged or split")
+    return _listed(doings or [_edit(view.changed)])
+
+
+def _is_quantised(document: Document, view: BakedView) -> bool:
+    position = read_accessor(document, view.source.attributes["POSITION"], view.source.place).values
+    return "POSITION" in view.changed and position.dtype.kind != "f"
+
+
+def _edit(changed: Sequence[str]) -> str:
+    """Return what changed digests say where nothing else tells more."""
+    if len(changed) == 1:
+        return EDITED_ALONE[changed[0]]
+    if set(changed) <= {"NORMAL", "TANGENT"}:
+        return EDITED_ALONE["NORMAL"]
+    if set(changed) <= {"POSITION", "NORMAL", "TANGENT"}:
+        return EDITED_ALONE["POSITION"]
+    if set(changed) <= {"JOINTS", "WEIGHTS"}:
+        return EDITED_ALONE["WEIGHTS"]
+    return "the mesh simplified or edited" if "indices" in changed else "the mesh edited"
+
+
+def _listed(words: Sequence[str]) -> str:
+    return ", ".join(words[:-1]) + (" and " if len(words) > 1 else "") + words[-1]
+
+
+def _weighting_that_fits(surface: _Surface, number: int) -> str | None:
+    for weighting in WEIGHTINGS:
+        noted = surface.views[number].metadata.get("weighting")
+        if weighting != noted and surface.weighted(weighting)[number].agrees:
+            return weighting
+    return None

@@ -1,0 +1,123 @@
+"""Which vertices of a mesh are one point of its surface: glTF splits a vertex wherever any attribute differs.
+
+Rows are numbered by sorting, and chains of similar normals are the connected components of a graph.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from skinbake.geometry.skinned import Float64Array, SkinnedPrimitive
+from skinbake.lighting.influences import Int64Array, influence_keys
+
+BYTES_A_PAIR = 64
+"""What a pair of vertices that may be one takes: two indices, four times over."""
+
+CROWDED = 32
+"""Vertices at one place from which on all their pairs are too many to look at, and SciPy has better ways.
+
+Real meshes have a handful; importing those ways takes longer than most meshes need.
+"""
+
+
+def weld_classes(
+    primitives: Sequence[SkinnedPrimitive],
+    *,
+    crease_angle_degrees: float = 15.0,
+    claim: Callable[[int], None] = lambda size: None,
+) -> Int64Array:
+    """Return the number of each vertex's weld class: (V,) int64 over all primitives, from 0 without gaps.
+
+    One class are vertices whose positions are equal (−0 is +0), whose influences are equal (joint → w / Σw,
+    in any slot order, compared in float32), and which a chain of normals joins where neighbours differ by
+    at most ``crease_angle_degrees``, in any primitive of the mesh. Normals may have any length; a zero or
+    non-finite one welds only with one of identical bits. ``claim`` is told how many bytes the pairs at
+    crowded places take, before they are listed.
+    """
+    positions = np.concatenate([primitive.positions for primitive in primitives]).astype(np.float64)
+    with np.errstate(invalid="ignore"):  # a signalling NaN
+        normals = np.concatenate([primitive.normals for primitive in primitives]).astype(np.float64)
+    joints, shares = influence_keys(primitives)
+    # Adding zero turns −0 into +0; the rows are then compared bit by bit, so that NaN is a value as any
+    # other.
+    places = _row_numbers(np.hstack([(positions + 0.0).view(np.int64), joints, shares.view(np.int32)]))
+    # Copies that differ in nothing collapse here, which leaves few pairs to compare by angle.
+    nodes = _row_numbers(np.column_stack([places, normals.view(np.int64)]))
+    firsts = np.unique(nodes, return_index=True)[1]
+    pairs = _close_pairs(places[firsts], normals[firsts], np.radians(crease_angle_degrees), claim)
+    return _components(pairs, len(firsts))[nodes]
+
+
+def _row_numbers(rows: Int64Array) -> Int64Array:
+    """Give equal rows equal numbers, (V,) from 0 without gaps."""
+    order = np.lexsort(rows.T)
+    ordered = rows[order]
+    starts = np.ones(len(rows), dtype=bool)
+    starts[1:] = (ordered[1:] != ordered[:-1]).any(axis=1)
+    numbers = np.empty(len(rows), dtype=np.int64)
+    numbers[order] = np.cumsum(starts) - 1
+    return numbers
+
+
+def _close_pairs(
+    places: Int64Array, normals: Float64Array, angle: float, claim: Callable[[int], None]
+) -> Int64Array:
+    """List the pairs (N, 2) at one place whose normals differ by at most ``angle`` radians."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        # Scaled before squaring: a normal of any length that the type can hold has a direction.
+        scaled = normals / np.abs(normals).max(axis=1, initial=0.0, keepdims=True)
+        units = scaled / np.linalg.norm(scaled, axis=1, keepdims=True)
+    counts = np.bincount(places, minlength=len(places))
+    candidates = np.flatnonzero((counts[places] > 1) & np.isfinite(units).all(axis=1))
+    # A chord of the unit sphere stands for the angle; normalising leaves errors far below the slack.
+    chord = 2.0 * np.sin(min(angle, np.pi) / 2.0) + 1e-12
+    if counts.max(initial=0) > CROWDED:
+        return _pairs_in_crowds(candidates, places, units, chord, claim)
+    candidates = candidates[np.argsort(places[candidates], kind="stable")]
+    at, directions = places[candidates], units[candidates]
+    found = [np.zeros((0, 2), dtype=np.int64)]
+    for step in range(1, int(counts.max(initial=0))):
+        first = np.flatnonzero(at[:-step] == at[step:])
+        apart = np.linalg.norm(directions[first] - directions[first + step], axis=1)
+        first = first[apart <= chord]
+        found.append(np.column_stack([candidates[first], candidates[first + step]]))
+    return np.concatenate(found)
+
+
+def _pairs_in_crowds(
+    candidates: Int64Array,
+    places: Int64Array,
+    units: Float64Array,
+    chord: float,
+    claim: Callable[[int], None],
+) -> Int64Array:
+    """List pairs of candidates without looking at all of them."""
+    from scipy.spatial import cKDTree
+
+    # Places lie 4 apart on the first axis and normals within 2 of one another: only pairs at one place are
+    # near.
+    tree = cKDTree(np.column_stack([4.0 * places[candidates], units[candidates]]))
+    claim(BYTES_A_PAIR * int(tree.count_neighbors(tree, chord)) // 2)
+    close: Int64Array = candidates[tree.query_pairs(chord, output_type="ndarray")]
+    return close
+
+
+def _components(pairs: Int64Array, count: int) -> Int64Array:
+    """Return the number of each node's connected component: (V,) from 0 without gaps."""
+    labels = np.arange(count)
+    if len(pairs) > CROWDED * count:
+        from scipy.sparse import coo_array
+        from scipy.sparse.csgraph import connected_components
+
+        links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
+        return np.asarray(connected_components(links, directed=False)[1], dtype=np.int64)
+    while True:
+        lowest = labels[pairs].min(axis=1, initial=count)
+        before = labels.copy()
+        for end in range(2):
+            np.minimum.at(labels, pairs[:, end], lowest)
+        labels = labels[labels]
+        if np.array_equal(labels, before):
+            return np.unique(labels, return_inverse=True)[1].astype(np.int64)

@@ -1,0 +1,40 @@
+"""The six algorithms by number: 1–5 of Tarini et al. 2014 (supplemental material), 6 of ``dqs.exact``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from enum import IntEnum
+from typing import Any, TypeAlias
+
+from skinbake.skinning import dqs, lbs
+from skinbake.skinning.components import LineMark, PosedVertex, RestVertex
+from skinbake.skinning.surface import Options
+
+
+class Algorithm(IntEnum):
+    """Numbers and names; 1–3 are linear blend skinning, 4–6 dual quaternion skinning."""
+
+    LBS_APPROXIMATED = 1
+    LBS_DIRECT = 2
+    LBS_ACCURATE = 3
+    DQS_APPROXIMATED = 4
+    DQS_ACCURATE = 5
+    DQS_EXACT = 6
+
+    @property
+    def uses_dual_quaternions(self) -> bool:
+        """True for dual quaternion skinning: the joints must be rigid."""
+        return self >= Algorithm.DQS_APPROXIMATED
+
+
+# The second argument is a list of Rows for 1–3 and of dual quaternions for 4–6, one a slot.
+Steps: TypeAlias = Callable[[RestVertex, Sequence[Any], Options, LineMark], PosedVertex]
+
+STEPS: dict[Algorithm, Steps] = {
+    Algorithm.LBS_APPROXIMATED: lbs.approximated,
+    Algorithm.LBS_DIRECT: lbs.direct,
+    Algorithm.LBS_ACCURATE: lbs.accurate,
+    Algorithm.DQS_APPROXIMATED: dqs.approximated,
+    Algorithm.DQS_ACCURATE: dqs.accurate,
+    Algorithm.DQS_EXACT: dqs.exact,
+}

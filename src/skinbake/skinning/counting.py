@@ -1,0 +1,230 @@
+"""What each algorithm costs, counted by running it on a scalar that counts (Tarini et al. 2014, supplement).
+
+The rules, which are the paper's where it states them and else the only ones that give its figures:
+
+- a multiplication costs one multiply-add; an addition costs one, unless a product made in the same line meets
+  it: the two fuse, and the addition is free. A product fuses once;
+- a division and a reciprocal square root cost one each;
+- the sign of a hemisphere or a handedness is free: instruction sets have it as a modifier of an operand.
+
+These give every line of the paper but three kinds, where it charges more than the code needs: SURCHARGES.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from skinbake.skinning.algorithms import STEPS, Algorithm
+from skinbake.skinning.components import RestVertex, Rows, Vector
+from skinbake.skinning.surface import Options
+
+
+@dataclass(frozen=True, slots=True)
+class Surcharge:
+    """What the paper charges beyond the operations that a line needs, and where."""
+
+    lines: frozenset[tuple[Algorithm, int]]
+    multiply_adds: int
+    reason: str
+
+
+SURCHARGES = (
+    Surcharge(
+        frozenset({(Algorithm.LBS_APPROXIMATED, 2), (Algorithm.LBS_DIRECT, 5)}),
+        3,
+        "T p is charged 12, the homogeneous 1 included, where q = M p of the same size is charged 9",
+    ),
+    Surcharge(
+        frozenset({(Algorithm.DQS_APPROXIMATED, 1), (Algorithm.DQS_ACCURATE, 1), (Algorithm.DQS_EXACT, 1)}),
+        4,
+        "mixing is charged 12 an influence, 8 to add and 4 for the hemisphere, also of slot 0, its pivot",
+    ),
+    Surcharge(
+        frozenset({(Algorithm.DQS_APPROXIMATED, 3), (Algorithm.DQS_ACCURATE, 3), (Algorithm.DQS_EXACT, 3)}),
+        3,
+        "a position is charged 27, one for differences 24: adding p to its displacement is charged apart",
+    ),
+)
+"""The assumptions about the paper's figures, all of them; algorithm 6 is charged as 4 and 5 are."""
+
+
+class Sign:
+    """A factor of ±1, which costs nothing."""
+
+    def __mul__(self, other: Count) -> Count:
+        return other
+
+
+@dataclass(slots=True)
+class Tally:
+    """Multiply-adds by line of the algorithm that runs."""
+
+    lines: dict[int, int] = field(default_factory=dict)
+    current: int = 0
+
+    def mark(self, number: int) -> None:
+        """Charge what follows to a line."""
+        self.current = number
+        self.lines.setdefault(number, 0)
+
+    def charge(self) -> None:
+        """Add one multiply-add to the current line."""
+        self.lines[self.current] += 1
+
+
+class Count:
+    """A scalar without a value: arithmetic on it is charged to a tally, by the rules of the module."""
+
+    __slots__ = ("_product_of", "_tally")
+
+    def __init__(self, tally: Tally, *, product: bool = False) -> None:
+        self._tally = tally
+        self._product_of = tally.current if product else None
+
+    def __add__(self, other: Count | float) -> Count:
+        fused = [operand._fuses() for operand in (self, other) if isinstance(operand, Count)]
+        if not any(fused):
+            self._tally.charge()
+        return Count(self._tally)
+
+    __radd__ = __sub__ = __rsub__ = __add__
+
+    def __mul__(self, other: Count | float) -> Count:
+        self._tally.charge()
+        return Count(self._tally, product=True)
+
+    __rmul__ = __mul__
+
+    def __rtruediv__(self, other: float) -> Count:
+        return self.reciprocal_root()
+
+    def reciprocal_root(self) -> Count:
+        """Charge 1 / √x, as 1 / x, one."""
+        self._tally.charge()
+        return Count(self._tally)
+
+    def sign(self) -> Sign:
+        """Return the sign, for free."""
+        return Sign()
+
+    def _fuses(self) -> bool:
+        """Return whether this is a product of the current line that has met no addition; now it has."""
+        fresh = self._product_of == self._tally.current
+        self._product_of = None
+        return fresh
+
+
+def multiply_adds(algorithm: Algorithm, influences: int) -> dict[int, int]:
+    """Return the multiply-adds of each numbered line, for N ≥ 1 influences a vertex, in the paper's options.
+
+    Their sum is the algorithm's cost a vertex. Algorithm 6's lines are those of ``dqs.exact``: 36 N + 118 in
+    all.
+    """
+    tally = Tally()
+    columns = 8 if algorithm.uses_dual_quaternions else 12
+    motions = [_components(tally, columns) for _ in range(influences)]
+    per_slot = motions if algorithm.uses_dual_quaternions else [_rows(motion) for motion in motions]
+    STEPS[algorithm](_vertex(tally, influences), per_slot, Options(), tally.mark)
+    for surcharge in SURCHARGES:
+        for charged, number in surcharge.lines:
+            if charged is algorithm:
+                tally.lines[number] += surcharge.multiply_adds
+    return tally.lines
+
+
+def _components(tally: Tally, count: int) -> Vector:
+    return tuple(Count(tally) for _ in range(count))
+
+
+def _rows(components: Vector) -> Rows:
+    return (components[:4], components[4:8], components[8:])
+
+
+def _vertex(tally: Tally, influences: int) -> RestVertex:
+    """Return a vertex of counting scalars."""
+    return RestVertex(
+        position=_components(tally, 3),
+        normal=_components(tally, 3),
+        tangent=_components(tally, 3),
+        bitangent=_components(tally, 3),
+        weights=_components(tally, influences),
+        alpha=_components(tally, influences - 1),
+        beta=_components(tally, influences - 1),
+        gradients=[_components(tally, 3) for _ in range(influences)],
+        handedness=Sign(),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class StoredTypes:
+    """Bytes of stored vertex data: whole attributes, then single numbers of those that grow with N.
+
+    The defaults are glTF's commonest: float positions, normals and tangents (with handedness), 8-bit joints,
+    float weights, float gradients. ``gradient_scale`` is what an encoding with a scale a vertex adds to each
+    of α and β.
+    """
+
+    position: int = 12
+    normal: int = 12
+    tangent: int = 16
+    joint: int = 1
+    weight: int = 4
+    gradient: int = 4
+    gradient_scale: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class VertexBytes:
+    """Bytes a vertex: what plain skinning with a tangent frame reads, and what an algorithm adds to it."""
+
+    plain: int
+    added: int
+
+    @property
+    def total(self) -> int:
+        """What the algorithm's shader reads."""
+        return self.plain + self.added
+
+
+def vertex_bytes(algorithm: Algorithm, influences: int, stored: StoredTypes | None = None) -> VertexBytes:
+    """Return the bytes of a vertex with N ≥ 1 influences.
+
+    Added are a[s], 3 numbers a slot, or α and β, 2 (N − 1) numbers (the paper's §2 and §3).
+    The normal is counted for all: algorithms 3, 5 and 6 need none, but glTF rebuilds b0 from it. A joint of
+    plain skinning data has one index and one weight. With a single influence there are no derivatives to
+    store.
+    """
+    types = stored or StoredTypes()
+    plain = types.position + types.normal + types.tangent + influences * (types.joint + types.weight)
+    numbers, scales = _derivatives(algorithm, influences)
+    return VertexBytes(plain, numbers * types.gradient + scales * types.gradient_scale)
+
+
+def _derivatives(algorithm: Algorithm, influences: int) -> tuple[int, int]:
+    """Return how many numbers an algorithm adds to a vertex, and how many groups of them may have a scale."""
+    if algorithm in (Algorithm.LBS_APPROXIMATED, Algorithm.DQS_APPROXIMATED):
+        return 0, 0
+    if algorithm is Algorithm.LBS_DIRECT:
+        return 3 * influences, influences
+    return 2 * (influences - 1), 2 if influences > 1 else 0
+
+
+@dataclass(frozen=True, slots=True)
+class Cost:
+    """Multiply-adds of each numbered line and in all, and bytes, of one algorithm a vertex."""
+
+    lines: dict[int, int]
+    vertex_bytes: VertexBytes
+
+    @property
+    def multiply_adds(self) -> int:
+        """The sum over the lines."""
+        return sum(self.lines.values())
+
+
+def cost_table(influences: int, stored: StoredTypes | None = None) -> dict[Algorithm, Cost]:
+    """Return the cost of all six algorithms for vertices with N ≥ 1 influences."""
+    return {
+        algorithm: Cost(multiply_adds(algorithm, influences), vertex_bytes(algorithm, influences, stored))
+        for algorithm in Algorithm
+    }

@@ -1,0 +1,129 @@
+"""Linear blend skinning: algorithms 1, 2 and 3 of Tarini et al. 2014 (supplement, §1–3), line by line.
+
+Joint matrices M[s] come as their upper three rows, one matrix a slot. ``line(n)`` announces the paper's line
+n.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from skinbake.skinning.components import (
+    Component,
+    LineMark,
+    PosedVertex,
+    RestVertex,
+    Rows,
+    Vector,
+    affine,
+    cofactors,
+    corrected,
+    cross,
+    inverse_transpose,
+    linear,
+    minus,
+    plus_scaled,
+    plus_weighted,
+    scaled,
+    weighted_sum,
+)
+from skinbake.skinning.surface import Baseline, Options
+
+
+def approximated(
+    vertex: RestVertex, matrices: Sequence[Rows], options: Options, line: LineMark
+) -> PosedVertex:
+    """Run algorithm 1: move the frame by the blended matrix, as if the weights were constant.
+
+    The normal of line 3 is that of ``options.baseline``; the paper's own is ``Baseline.BLENDED``.
+    """
+    line(1)
+    blended = _blend(vertex.weights, matrices, columns=4)
+    line(2)
+    position = affine(blended, vertex.position)
+    line(3)
+    normal = _standard_normal(blended, vertex, matrices, options.baseline)
+    line(4)
+    tangent = linear(blended, vertex.tangent)
+    line(5)
+    bitangent = linear(blended, vertex.bitangent)
+    return PosedVertex(position, normal, tangent, bitangent)
+
+
+def direct(vertex: RestVertex, matrices: Sequence[Rows], options: Options, line: LineMark) -> PosedVertex:
+    """Run algorithm 2: build the Jacobian J = T + Σ q aᵀ of the skinned position, and invert it.
+
+    The text applies J to every vector of lines 6–8; only the tangents of lines 7 and 8 go through J, the
+    normal of line 6 through its inverse transpose J' of line 4. J⁻ᵀ n stays on the side of J n: where a fold
+    or a mirrored joint makes det J negative it is opposite to algorithm 3's t' × b' = det J · J⁻ᵀ n. Where
+    det J is 0, cof(J) n is returned. ``options`` change nothing here.
+    """
+    line(1)
+    blended = _blend(vertex.weights, matrices, columns=4)
+    line(2)
+    moved = [affine(matrix, vertex.position) for matrix in matrices]
+    line(3)
+    jacobian: Rows = tuple(row[:3] for row in blended)
+    for position, gradient in zip(moved, vertex.gradients, strict=True):
+        jacobian = tuple(
+            plus_scaled(row, value, gradient) for row, value in zip(jacobian, position, strict=True)
+        )
+    line(4)
+    inverted = inverse_transpose(jacobian)
+    line(5)
+    position = affine(blended, vertex.position)
+    line(6)
+    normal = linear(inverted, vertex.normal)
+    line(7)
+    tangent = linear(jacobian, vertex.tangent)
+    line(8)
+    bitangent = linear(jacobian, vertex.bitangent)
+    return PosedVertex(position, normal, tangent, bitangent)
+
+
+def accurate(vertex: RestVertex, matrices: Sequence[Rows], options: Options, line: LineMark) -> PosedVertex:
+    """Run algorithm 3: t' = T t + Σ α (M[s] p − M[s₀] p), b' likewise with β, n' = ± t' × b'.
+
+    The sign is the handedness of the rest frame. ``options.cap`` limits the length of the two sums.
+    """
+    line(1)
+    blended = _blend(vertex.weights, matrices, columns=3)
+    line(2)
+    moved = [affine(matrix, vertex.position) for matrix in matrices]
+    line(3)
+    differences = [minus(position, moved[0]) for position in moved[1:]]
+    line(4)
+    tangent = plus_gradient(linear(blended, vertex.tangent), vertex.alpha, differences, options.cap)
+    line(5)
+    bitangent = plus_gradient(linear(blended, vertex.bitangent), vertex.beta, differences, options.cap)
+    line(6)
+    normal = scaled(vertex.handedness, cross(tangent, bitangent))
+    line(7)
+    position = plus_weighted(moved[0], vertex.weights[1:], differences)
+    return PosedVertex(position, normal, tangent, bitangent)
+
+
+def plus_gradient(
+    base: Vector, derivatives: Sequence[Component], differences: Sequence[Vector], cap: float | None
+) -> Vector:
+    """Return base + Σ derivative · difference, the sum limited to cap × |base| where there is a cap."""
+    if cap is None or not differences:
+        return plus_weighted(base, derivatives, differences)
+    return corrected(base, weighted_sum(derivatives, differences), cap)
+
+
+def _blend(weights: Sequence[Component], matrices: Sequence[Rows], *, columns: int) -> Rows:
+    """Return T = Σ w[s] M[s], its first three or all four columns."""
+    return tuple(weighted_sum(weights, [matrix[row][:columns] for matrix in matrices]) for row in range(3))
+
+
+def _standard_normal(
+    blended: Rows, vertex: RestVertex, matrices: Sequence[Rows], baseline: Baseline
+) -> Vector:
+    """Return the normal that engines ship: T n (three.js), T⁻ᵀ n (Bevy) or Σ w cof(M[s]) n (Filament)."""
+    if baseline is Baseline.INVERSE_TRANSPOSE:
+        return linear(inverse_transpose(blended), vertex.normal)
+    if baseline is Baseline.COFACTOR:
+        turned = [linear(cofactors(matrix), vertex.normal) for matrix in matrices]
+        return weighted_sum(vertex.weights, turned)
+    return linear(blended, vertex.normal)

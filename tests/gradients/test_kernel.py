@@ -1,0 +1,468 @@
+"""The two ways to bake a surface, compiled loops and whole arrays: one result, on good and on bad input."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+import sysconfig
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+from importlib.machinery import ExtensionFileLoader
+from importlib.util import module_from_spec, spec_from_loader
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from skinbake.geometry.skinned import BakedPrimitive, Float64Array, FloatArray, SkinnedPrimitive
+from skinbake.gradients import kernel
+from skinbake.gradients.baker import (
+    BakeFindings,
+    BakeSettings,
+    bake_mesh,
+    chosen_frame,
+    frame_vectors,
+    with_area,
+)
+from skinbake.gradients.corner import WEIGHTINGS
+from skinbake.gradients.influences import weight_field
+from skinbake.gradients.surface import Surface, SurfaceSlots, surface_slots
+from skinbake.gradients.weight_gradients import VertexGradients, weight_gradients
+from skinbake.gradients.weld import concatenated, equal_positions, equal_rows, weld
+from tests.support.baked_arrays import (
+    AFRAME_HAND,
+    BARBARIAN,
+    CESIUM_MAN,
+    ELF,
+    HAND_U8,
+    MANTIS,
+    PBR_TEST,
+    TREX,
+    meshes_of,
+    path_of,
+)
+from tests.support.strictness import missing_tool
+from tests.support.surfaces import analytic_surface
+
+if kernel.compiled is None:
+    missing_tool("skinbake was installed without its compiled loops")
+
+FIXTURES = ["bent_tube.glb", "two_primitives.glb", "two_sets.glb", "foreign_joints.glb", "weights_u8.glb"]
+MODELS = [CESIUM_MAN, BARBARIAN, TREX, PBR_TEST, HAND_U8, ELF, MANTIS, AFRAME_HAND]
+Result = TypeVar("Result")
+SOURCE = Path(__file__).parents[2] / "src/skinbake/gradients/_kernel.c"
+
+
+def both(monkeypatch: pytest.MonkeyPatch, work: Callable[[], Result]) -> tuple[Result, Result]:
+    """Return the results of the compiled loops and of numpy."""
+    compiled = work()
+    with monkeypatch.context() as patch:
+        patch.setattr(kernel, "compiled", None)
+        return compiled, work()
+
+
+def surface_of(primitives: Sequence[SkinnedPrimitive]) -> Surface:
+    field = concatenated([weight_field(part)[0] for part in primitives])
+    positions = np.concatenate([part.positions for part in primitives])
+    ends = np.cumsum([len(part.positions) for part in primitives]).tolist()
+    triangles = np.concatenate(
+        [
+            part.triangles[with_area(part)].astype(np.int64) + start
+            for part, start in zip(primitives, [0, *ends], strict=False)
+        ]
+    )
+    normals = np.concatenate([part.normals for part in primitives])
+    classes = weld(positions, normals, field, crease_angle=np.radians(15.0))
+    return Surface(positions, triangles, field, classes, normals, None, ends)
+
+
+def dense(slots: SurfaceSlots) -> npt.NDArray[np.int64]:
+    """Return the joint that each slot of each vertex adopts, −1 for none."""
+    adopted = np.full((len(slots.alpha), slots.alpha.shape[1] + 1), -1)
+    adopted[slots.adopting] = slots.adopted
+    return adopted
+
+
+def assert_paths_agree(
+    primitives: Sequence[SkinnedPrimitive], weighting: str, monkeypatch: pytest.MonkeyPatch
+) -> Float64Array:
+    """Compare the surfaces and their slots; return α and β side by side."""
+    surface, plain_surface = both(monkeypatch, lambda: surface_of(primitives))
+    for name in ("joints", "weights", "free"):
+        assert np.array_equal(getattr(surface.field, name), getattr(plain_surface.field, name)), name
+    assert np.array_equal(surface.triangles, plain_surface.triangles)
+    assert np.array_equal(surface.classes, plain_surface.classes)
+    for adopt in (True, False):
+        work = partial(surface_slots, surface, weighting=weighting, adopt=adopt)
+        compiled, plain = both(monkeypatch, work)
+        found, expected = (np.hstack([slots.alpha, slots.beta]) for slots in (compiled, plain))
+        # Copies of a vertex may differ in their weights' last digits below float32: each array corner takes
+        # its own copy's weights, the compiled class those of its first vertex. Gradients as large that the
+        # order of a sum decides which is larger may change places.
+        same = (np.sort(dense(compiled), axis=1) == np.sort(dense(plain), axis=1)).all(axis=1)
+        assert np.count_nonzero(~same) <= len(same) // 1000
+        placed = (dense(compiled) == dense(plain)).all(axis=1)
+        off = np.abs(found - expected)[placed]
+        assert off.max(initial=0.0) <= 2e-7 * np.abs(expected).max(initial=0.0)
+        assert np.array_equal(compiled.counts[:, :2], plain.counts[:, :2])
+        assert compiled.counts[:, 2] == pytest.approx(plain.counts[:, 2], rel=1e-9)
+        assert compiled.counts[:, 3] == pytest.approx(plain.counts[:, 3], rel=1e-6, abs=1e-9)
+    return np.asarray(expected, dtype=np.float64)
+
+
+@pytest.mark.parametrize("weighting", WEIGHTINGS)
+@pytest.mark.parametrize("name", FIXTURES)
+def test_both_paths_agree_on_fixtures(name: str, weighting: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    for primitives in meshes_of(path_of(name)).values():
+        assert assert_paths_agree(primitives, weighting, monkeypatch).any()
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_both_paths_agree_on_real_models(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    for primitives in meshes_of(path_of(name)).values():
+        assert_paths_agree(primitives, "max", monkeypatch)
+
+
+@pytest.mark.parametrize("name", [CESIUM_MAN, PBR_TEST])
+def test_positions_in_float64_give_the_same(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    for primitives in meshes_of(path_of(name)).values():
+        wide = [replace(part, positions=part.positions.astype(np.float64)) for part in primitives]
+        narrow = surface_slots(surface_of(primitives), weighting="max", adopt=True)
+        found = surface_slots(surface_of(wide), weighting="max", adopt=True)
+        for member in ("alpha", "beta", "adopting", "adopted", "counts"):
+            assert np.array_equal(getattr(found, member), getattr(narrow, member))
+        assert_paths_agree(wide, "max", monkeypatch)
+
+
+def test_the_kernels_frame_from_normals_is_the_contracts_bit_by_bit() -> None:
+    [primitives] = meshes_of(path_of(CESIUM_MAN)).values()
+    lengths = np.random.default_rng(1).uniform(0.1, 30.0, (len(primitives[0].normals), 1))
+    normals: FloatArray = (primitives[0].normals * lengths).astype(np.float32)
+    normals[:4] = np.array([[0, 0, 0], [np.nan, 0, 1], [0, 0, -1], [0, 0, -0.0]])
+    part = replace(primitives[0], normals=normals, tangents=None)
+    own = surface_of([part])
+    vectors = frame_vectors(part, chosen_frame(part, "normal"))
+    given = replace(own, frame=vectors)
+    one, other = (surface_slots(surface, weighting="max", adopt=True) for surface in (own, given))
+    assert np.array_equal(one.alpha, other.alpha)
+    assert np.array_equal(one.beta, other.beta)
+    assert one.alpha[:4].any()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("weighting", WEIGHTINGS)
+@pytest.mark.parametrize("name", ["foreign_joints.glb", CESIUM_MAN, PBR_TEST])
+def test_without_any_optimisation_the_bits_are_the_same(
+    name: str, weighting: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    compiler = shutil.which("cc")
+    if compiler is None:
+        missing_tool("there is no C compiler")
+    library = tmp_path / "_kernel.so"
+    headers = f"-I{sysconfig.get_path('include')}"
+    plain = [compiler, "-std=c11", "-O0", "-ffp-contract=off", "-w", "-shared", "-fPIC", headers]
+    subprocess.run([*plain, str(SOURCE), "-o", str(library), "-lm"], check=True)
+    loader = ExtensionFileLoader("_kernel", str(library))
+    specification = spec_from_loader("_kernel", loader)
+    assert specification is not None
+    other = module_from_spec(specification)
+    for primitives in meshes_of(path_of(name)).values():
+        expected = surface_slots(surface_of(primitives), weighting=weighting, adopt=True)
+        with monkeypatch.context() as patch:
+            patch.setattr(kernel, "compiled", other)
+            found = surface_slots(surface_of(primitives), weighting=weighting, adopt=True)
+        for member in ("alpha", "beta", "adopting", "adopted", "counts"):
+            assert np.array_equal(getattr(found, member), getattr(expected, member)), member
+
+
+def test_the_environment_can_ask_for_numpy(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert kernel._loaded() is not None
+    monkeypatch.setenv("SKINBAKE_KERNEL", "numpy")
+    assert kernel._loaded() is None
+
+
+class TestArguments:
+    """What the compiled loops are given by mistake is an exception, never memory read past its end."""
+
+    def arguments(self) -> dict[str, Any]:
+        field, _ = weight_field(empty(3))
+        return {
+            "positions": np.zeros((3, 3), dtype=np.float32),
+            "triangles": np.array([[0, 1, 2]], dtype=np.uint32),
+            "joints": field.joints,
+            "weights": field.weights,
+            "free": field.free,
+            "classes": np.arange(3, dtype=np.int32),
+            "normals": np.zeros((3, 3), dtype=np.float32),
+            "tangents": np.zeros((0, 3)),
+            "bitangents": np.zeros((0, 3)),
+            "alpha": np.zeros((3, 3), dtype=np.float32),
+            "beta": np.zeros((3, 3), dtype=np.float32),
+            "adopted": np.zeros((3, 4), dtype=np.int32),
+            "ends": np.array([3], dtype=np.uint64),
+            "sums": np.zeros((1, 4)),
+            "class_count": 3,
+            "weighting": 0,
+            "adopts": True,
+            "negligible": 1e-4,
+        }
+
+    def test_these_are_right(self) -> None:
+        assert kernel.compiled is not None
+        kernel.compiled.bake(*self.arguments().values())
+
+    @pytest.mark.parametrize(
+        ("name", "value", "error"),
+        [
+            ("triangles", np.array([[0, 1, 3]], dtype=np.uint32), IndexError),
+            ("triangles", np.array([[0, 1, -1]], dtype=np.int32), IndexError),
+            ("triangles", np.array([[0, 1, 2]], dtype=np.int64), TypeError),
+            ("classes", np.array([0, 1, 3], dtype=np.int32), IndexError),
+            ("classes", np.array([0, 1, -1], dtype=np.int32), IndexError),
+            ("classes", np.arange(2, dtype=np.int32), ValueError),
+            ("positions", np.zeros((3, 4), dtype=np.float32), ValueError),
+            ("positions", np.zeros((3, 3), dtype=np.float16), TypeError),
+            ("positions", np.zeros((6, 3), dtype=np.float32)[::2], BufferError),
+            ("joints", np.full((3, 4), -1, dtype=np.int32), ValueError),
+            ("weights", np.zeros((3, 5)), ValueError),
+            ("tangents", np.zeros((2, 3)), ValueError),
+            ("tangents", np.zeros((3, 3)), ValueError),
+            ("alpha", np.zeros((3, 4), dtype=np.float32), ValueError),
+            ("ends", np.array([4], dtype=np.uint64), ValueError),
+            ("ends", np.zeros(0, dtype=np.uint64), ValueError),
+            ("sums", np.zeros((2, 4)), ValueError),
+            ("class_count", 2, IndexError),
+            ("class_count", 4, ValueError),
+            ("class_count", -1, ValueError),
+            ("joints", np.zeros((3, 1), dtype=np.int32), ValueError),
+            ("joints", np.full((3, 4), 2**31 - 1, dtype=np.int32), ValueError),
+        ],
+    )
+    def test_wrong_ones_are_refused(self, name: str, value: Any, error: type[Exception]) -> None:
+        assert kernel.compiled is not None
+        with pytest.raises((error, ValueError) if error is BufferError else error):
+            kernel.compiled.bake(*{**self.arguments(), name: value}.values())
+
+    def test_a_surface_without_vertices_has_no_classes(self) -> None:
+        assert kernel.compiled is not None
+        empty = {
+            name: value[:0] if isinstance(value, np.ndarray) and name not in ("ends", "sums") else value
+            for name, value in self.arguments().items()
+        }
+        empty["ends"] = np.zeros(1, dtype=np.uint64)
+        kernel.compiled.bake(*{**empty, "class_count": 0}.values())
+        with pytest.raises(ValueError, match="weld classes"):
+            kernel.compiled.bake(*{**empty, "class_count": -1}.values())
+
+    def test_vertices_without_slots_are_refused(self) -> None:
+        assert kernel.compiled is not None
+        joints, weights, free = np.zeros((3, 0), np.int32), np.zeros((3, 0)), np.zeros((3, 0), np.bool_)
+        with pytest.raises(ValueError, match="at least 1"):
+            kernel.compiled.normalise(joints, weights, free, 0.99, 1e-3)
+
+
+RACE = """
+import threading
+import numpy as np
+from skinbake.gradients import _kernel
+chance, V, S = np.random.default_rng(3), 20_000, 4
+positions = chance.normal(size=(V, 3)).astype(np.float32)
+triangles = chance.integers(0, V, (2 * V, 3)).astype(np.uint32)
+joints = chance.integers(0, 30, (V, S)).astype(np.int32)
+weights, free = chance.random((V, S)), np.zeros((V, S), np.bool_)
+classes, ends = (np.arange(V) // 2).astype(np.int32), np.array([V // 2, V], np.uint64)
+kept = [array.copy() for array in (triangles, joints, classes, ends)]
+going = True
+
+def spoil():
+    chance = np.random.default_rng(7)
+    while going:
+        triangles[chance.integers(2 * V, size=200)] = chance.choice([2**32 - 1, V, 2**31 - 1, 3])
+        joints[chance.integers(V, size=200)] = chance.choice([29, 2**31 - 1, 10**5])
+        classes[chance.integers(V, size=200)] = chance.choice([2**31 - 1, 0, 5, V // 2])
+        ends[:] = 2**60
+
+for turn in range(8):
+    for array, before in zip((triangles, joints, classes, ends), kept):
+        array[...] = before
+    alpha = np.empty((V, S - 1), np.float32)
+    frames = np.zeros((0, 3), np.float32)
+    going, other = True, threading.Timer(0.001 * turn, spoil)
+    other.start()
+    try:
+        _kernel.bake(positions, triangles, joints, weights, free, classes, positions, frames, frames, alpha,
+                     alpha.copy(), np.zeros((V, S), np.int32), ends, np.zeros((2, 4)), V // 2, 1, True, 1e-4)
+    except (IndexError, ValueError):
+        pass
+    going = False
+    other.join()
+"""
+
+
+def test_arrays_that_change_meanwhile_never_lead_the_loops_astray() -> None:
+    """Another thread writes to the arrays while the compiled loops, without the GIL, read them."""
+    process = subprocess.run([sys.executable, "-c", RACE], capture_output=True, timeout=120, check=False)
+    assert process.returncode == 0, process.stderr.decode()
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_equal_rows_are_found_as_by_sorting(dtype: type, monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(3)
+    positions: FloatArray = rng.integers(-2, 3, (5000, 3)).astype(dtype)
+    positions[rng.random(positions.shape) < 0.2] *= -1  # makes −0 of some zeros
+    found, expected = both(monkeypatch, lambda: equal_positions(positions))
+    assert np.array_equal(found, expected)
+    keys = rng.integers(0, 3, (3000, 5)).astype(np.uint64)
+    found, expected = both(monkeypatch, lambda: equal_rows(keys))
+    assert np.array_equal(found, expected)
+    assert len(np.unique(found)) == len(np.unique(keys, axis=0))
+
+
+def degenerate() -> SkinnedPrimitive:
+    """Return a mesh with all that has no area or no triangle, next to slivers and huge and tiny triangles."""
+    surface = analytic_surface(100, "random", seed=4).primitive
+    count = len(surface.positions)
+    extra = np.array(
+        [
+            [0.0, 0.0, 9.0],
+            [1.0, 0.0, 9.0],
+            [2.0, 0.0, 9.0],  # on the line of the two above
+            [1.0, 1e-12, 9.0],  # a sliver's height away from it
+            [1e6, 1e6, 9.0],
+            [1e-6, 0.0, 9.0],
+            [0.0, 1e-6, 9.0],
+            [5.0, 5.0, 5.0],  # of no triangle
+        ]
+    )
+    faces = np.array([[0, 1, 2], [0, 1, 1], [2, 2, 2], [0, 1, 3], [0, 2, 4], [0, 5, 6]]) + count
+    faces = np.concatenate([faces, [[0, 0, 1], [0, 1, 0]]])
+    return SkinnedPrimitive(
+        np.concatenate([surface.positions, extra]),
+        np.concatenate([surface.normals, np.tile([0.0, 0.0, 1.0], (len(extra), 1))]),
+        None,
+        np.concatenate([surface.joints.astype(np.int64), np.tile([[0, 5, 5, 9]], (len(extra), 1))]),
+        np.concatenate([surface.weights, np.random.default_rng(0).random((len(extra), 4))]),
+        np.concatenate([surface.triangles, faces]),
+    )
+
+
+@pytest.mark.parametrize("weighting", WEIGHTINGS)
+def test_both_paths_ignore_what_has_no_area_without_a_warning(
+    weighting: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # Warnings are errors in this suite: a division by an area of zero would not pass.
+    table = assert_paths_agree([degenerate()], weighting, monkeypatch)
+    assert not table[-1].any()
+
+
+def empty(vertices: int) -> SkinnedPrimitive:
+    return SkinnedPrimitive(
+        np.zeros((vertices, 3), dtype=np.float32),
+        np.tile(np.array([0, 0, 1], dtype=np.float32), (vertices, 1)),
+        None,
+        np.tile([3, 0, 0, 0], (vertices, 1)),
+        np.tile(np.array([1, 0, 0, 0], dtype=np.float32), (vertices, 1)),
+        np.zeros((0, 3), dtype=np.int64),
+    )
+
+
+@pytest.mark.parametrize("faces", [[], [[0, 1, 2]]])
+def test_a_mesh_without_any_area_has_alpha_zero(
+    faces: list[list[int]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    flat = replace(empty(3), triangles=np.array(faces, dtype=np.int64).reshape(-1, 3))
+    for [(found, numbers)] in both(monkeypatch, lambda: bake_mesh([flat], BakeSettings())):
+        assert found.alpha.tolist() == np.zeros((3, 3)).tolist()
+        assert numbers.degenerate_triangles == len(faces)
+        assert numbers.lost == 0.0
+        assert not found.adopts
+
+
+@pytest.mark.parametrize("name", ["foreign_joints.glb", CESIUM_MAN, BARBARIAN])
+def test_both_paths_bake_the_same_file(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    def bake() -> list[tuple[BakedPrimitive, BakeFindings]]:
+        return [
+            outcome
+            for primitives in meshes_of(path_of(name)).values()
+            for outcome in bake_mesh(primitives, BakeSettings())
+        ]
+
+    def joints(outcome: BakedPrimitive) -> list[list[int]]:
+        listed: list[list[int]] = np.sort(outcome.adopted_joints, axis=1).tolist()
+        return listed
+
+    for (compiled, numbers), (plain, own) in zip(*both(monkeypatch, bake), strict=True):
+        assert joints(compiled) == joints(plain)
+        assert numbers.overflowing_vertices == own.overflowing_vertices
+        assert numbers.adopting_vertices == own.adopting_vertices
+        assert numbers.lost == pytest.approx(own.lost, abs=1e-9)
+
+
+def test_many_joints_at_one_vertex_outgrow_the_kernels_first_guess(monkeypatch: pytest.MonkeyPatch) -> None:
+    # A fan whose hub has more corners than the kernel makes room for, and sees a new joint on every spoke.
+    spokes = 400
+    angles = np.linspace(0.0, 2.0 * np.pi, spokes, endpoint=False)
+    rim = np.column_stack([np.cos(angles), np.sin(angles), np.zeros(spokes)])
+    numbers = np.arange(spokes)
+    joints: npt.NDArray[np.int64] = np.zeros((spokes + 1, 4), dtype=np.int64)
+    joints[1:, 0] = spokes - numbers
+    part = SkinnedPrimitive(
+        np.concatenate([[[0.0, 0.0, 0.0]], rim]),
+        np.tile([0.0, 0.0, 1.0], (spokes + 1, 1)),
+        None,
+        joints,
+        np.tile([1.0, 0.0, 0.0, 0.0], (spokes + 1, 1)),
+        np.column_stack([np.zeros(spokes, dtype=np.int64), 1 + numbers, 1 + (numbers + 1) % spokes]),
+    )
+    compiled, plain = both(
+        monkeypatch, lambda: surface_slots(surface_of([part]), weighting="max", adopt=True)
+    )
+    # By symmetry every spoke's joint has a gradient c (cos θ, sin θ) along its spoke. The mean is exact for
+    # the linear field x, which is cos θ at the rim: Σ cos θ · c cos θ = c · spokes / 2 = 1.
+    for slots in (compiled, plain):
+        assert slots.adopting[0] == 0
+        assert slots.adopted[0, 0] == -1
+        assert len(set(slots.adopted[0, 1:].tolist())) == 3
+        assert np.hypot(slots.alpha[0], slots.beta[0]) == pytest.approx(np.full(3, 2.0 / spokes), rel=1e-6)
+        # Of the hub's spokes + 1 gradients three have a slot; slot 0 holds joint 0's, which is 0.
+        assert slots.counts[0, 3] >= (spokes - 3) * 2.0 / spokes * (1 - 1e-9)
+
+
+def test_the_definition_in_numpy_keeps_its_promise() -> None:
+    surface = surface_of([degenerate()])
+    found: VertexGradients = weight_gradients(
+        surface.positions, surface.triangles, surface.field, surface.classes, weighting="max"
+    )
+    assert found.offsets[0] == 0
+    assert found.offsets[-1] == len(found.joints) == len(found.gradients)
+    for start, end in zip(found.offsets[:-1], found.offsets[1:], strict=True):
+        assert (np.diff(found.joints[start:end]) > 0).all()
+        # Weights sum to one, so their gradients sum to zero, up to float64's rounding.
+        vectors = found.gradients[start:end]
+        assert np.abs(vectors.sum(axis=0)).max() <= 1e-12 * max(np.abs(vectors).max(initial=0.0), 1.0)
+
+
+def test_rows_made_to_collide_take_no_longer_than_sorting_does() -> None:
+    """Invert the kernel's hash: rows that all begin their search at one place of its table."""
+    count, bits = 20_000, (1 << 64) - 1
+    factor, start = 0xBF58476D1CE4E5B9, 0x9E3779B97F4A7C15
+    undone = pow(factor, -1, 1 << 64)
+    rows = []
+    for number in range(count):
+        mixed = number << 40
+        mixed ^= mixed >> 32
+        mixed ^= (mixed >> 29) ^ (mixed >> 58)
+        rows.append((mixed * undone & bits) ^ start)
+    keys = np.array(rows, dtype=np.uint64)[:, None]
+    assert kernel.compiled is not None
+    assert kernel.compiled.equal_rows(keys, np.empty(count, dtype=np.int32)) is None
+    assert np.array_equal(equal_rows(keys), np.arange(count))
+    keys[1::2] = keys[::2]
+    assert np.array_equal(equal_rows(keys), np.arange(count) // 2)
+    # Half as many that collide by chance alone are none of this.
+    ordinary = np.random.default_rng(5).integers(0, 1 << 62, (count, 1)).astype(np.uint64)
+    assert kernel.compiled.equal_rows(ordinary, np.empty(count, dtype=np.int32)) == count

@@ -1,0 +1,73 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from skinbake.geometry.skinned import SkinnedPrimitive
+from skinbake.lighting.influences import carrying_slots, normalised_weights, weight_field
+
+
+def bound(joints: list[list[int]], weights: list[list[float]]) -> SkinnedPrimitive:
+    points = np.zeros((len(joints), 3))
+    return SkinnedPrimitive(
+        points,
+        points,
+        None,
+        np.array(joints, dtype=np.uint8),
+        np.array(weights),
+        np.zeros((0, 3), dtype=np.uint32),
+    )
+
+
+@pytest.mark.parametrize(
+    ("stored", "meant"),
+    [
+        ([0.5, 0.25, 0.25, 0.0], [0.5, 0.25, 0.25, 0.0]),
+        ([1.0, 0.5, 0.5, 0.0], [0.5, 0.25, 0.25, 0.0]),
+        ([0.1, 0.1, 0.0, 0.0], [0.5, 0.5, 0.0, 0.0]),
+        ([0.0, 0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0]),
+        ([-1.0, 0.0, 1.0, 1.0], [0.0, 0.0, 0.5, 0.5]),
+        ([-1.0, -1.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0]),
+        ([np.nan, 2.0, 0.0, 2.0], [0.0, 0.5, 0.0, 0.5]),
+    ],
+)
+def test_the_policy_for_bad_weights(stored: list[float], meant: list[float]) -> None:
+    weights = np.array([stored], dtype=np.float32)
+    kept = weights.copy()
+    found = normalised_weights(weights, np.zeros((1, 4), dtype=np.uint8))
+    assert found.dtype == np.float64
+    assert found.tolist() == [meant]
+    assert np.array_equal(weights, kept, equal_nan=True)
+
+
+def test_weights_and_joints_must_agree_in_shape() -> None:
+    with pytest.raises(ValueError, match="differ in shape"):
+        normalised_weights(np.ones((2, 4)), np.zeros((2, 8), dtype=np.uint8))
+
+
+def test_the_field_sums_a_joint_that_stands_twice_and_spans_primitives_of_any_width() -> None:
+    first = bound([[2, 0, 2, 0]], [[0.5, 0.25, 0.25, 0.0]])
+    second = bound([[1, 1, 1, 1, 3, 3, 3, 9]], [[0.0] * 4 + [0.5, 0.5, 1.0, 0.0]])
+    field = weight_field([first, second])
+    expected = np.zeros((2, 10))
+    expected[0, [0, 2]] = 0.25, 0.75
+    expected[1, 3] = 1.0
+    assert field.toarray().tolist() == expected.tolist()
+
+
+def test_a_vertex_without_weight_follows_its_first_joint() -> None:
+    assert weight_field([bound([[3, 1, 0, 0]], [[0.0] * 4])]).toarray().tolist() == [[0.0, 0.0, 0.0, 1.0]]
+
+
+@pytest.mark.parametrize(
+    ("joints", "weights", "carries"),
+    [
+        ([0, 1, 2, 3], [1.0, 1.0, 0.0, 0.0], [True, True, True, True]),
+        ([0, 0, 0, 0], [0.0, 0.0, 1.0, 1.0], [False, False, True, False]),
+        ([5, 0, 0, 0], [1.0, 0.0, 0.0, 0.0], [True, True, False, False]),
+        ([5, 5, 6, 6], [0.0, 0.0, 0.0, 0.0], [True, False, True, False]),
+        ([5, 5, 6, 6], [-1.0, 0.5, 0.5, 0.0], [False, True, True, False]),
+    ],
+)
+def test_one_slot_carries_each_joint(joints: list[int], weights: list[float], carries: list[bool]) -> None:
+    assert carrying_slots(bound([joints], [weights])).tolist() == [carries]

@@ -1,0 +1,402 @@
+"""Whatever is done to a baked file, verify fails and says what happened; every case is a file on disk."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+
+from skinbake.commands.verify import verify_file
+from skinbake.gradients.baker import BakeSettings
+from skinbake.lighting.measured import VerifyOptions
+from skinbake.lighting.poses import PoseRequest
+from tests.support import corpus
+from tests.support.baked_files import CESIUM_MAN, Editable, baked, source, verify
+
+HERE = "here.glb"
+FEW = ("--poses", "random:2", "--method", "lbs")
+MODELS = [
+    "bent_tube.glb",
+    "two_sets.glb",
+    pytest.param(CESIUM_MAN, marks=corpus.needed),
+]
+
+
+class Case(NamedTuple):
+    """What is done to a file, the notice's code, and words that its message holds."""
+
+    edit: Callable[[Editable], None]
+    code: str
+    words: Sequence[str]
+
+
+@pytest.fixture(scope="module")
+def bakes(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
+    """Return a function that bakes a model once for the whole module."""
+    made: dict[str, Path] = {}
+
+    def of(name: str) -> Path:
+        if name not in made:
+            made[name] = baked(source(name), tmp_path_factory.mktemp("baked"))
+        return made[name]
+
+    return of
+
+
+def scaled(*names: str, by: float) -> Callable[[Editable], None]:
+    def edit(model: Editable) -> None:
+        for name in names:
+            model.array(name)[:] *= np.float32(by)
+
+    return edit
+
+
+def baked_scaled(*keys: str) -> Callable[[Editable], None]:
+    def edit(model: Editable) -> None:
+        for key in keys:
+            scaled(*model.metadata()[key], by=1.01)(model)
+
+    return edit
+
+
+def two_slots_swapped(model: Editable) -> None:
+    for name in ("_SKINBAKE_ALPHA_0", "_SKINBAKE_BETA_0"):
+        model.array(name)[:] = model.array(name)[:, [1, 0, 2]]
+
+
+def influences_swapped(model: Editable) -> None:
+    for name in ("JOINTS_0", "WEIGHTS_0"):
+        model.array(name)[:] = model.array(name)[:, [1, 0, 2, 3]]
+
+
+def influences_sorted(model: Editable) -> None:
+    order = np.argsort(model.array("WEIGHTS_0").astype(float), axis=1, kind="stable")
+    for name in ("JOINTS_0", "WEIGHTS_0"):
+        model.array(name)[:] = np.take_along_axis(model.array(name), order, axis=1)
+
+
+def one_negated(model: Editable) -> None:
+    alpha = model.array("_SKINBAKE_ALPHA_0")
+    alpha[np.abs(alpha).sum(axis=1).argmax()] *= -1
+
+
+def indices_reordered(model: Editable) -> None:
+    indices = model.array("indices")
+    indices[:] = np.roll(indices, 3, axis=0)
+
+
+def triangles_lost(model: Editable) -> None:
+    indices = model.array("indices")
+    indices[: len(indices) // 6 * 3] = indices[0]
+
+
+def weights_edited(model: Editable) -> None:
+    weights = model.array("WEIGHTS_0")
+    edited = weights.astype(float) ** 2
+    weights[:] = edited / edited.sum(axis=1, keepdims=True) * weights.sum(axis=1, keepdims=True)
+
+
+def vertices_moved(model: Editable) -> None:
+    positions = model.array("POSITION")
+    positions[:, 1] += 0.1 * np.sin(9 * positions[:, 0])
+
+
+def renamed(model: Editable) -> None:
+    attributes = model.primitive()["attributes"]
+    attributes["_skinbake_beta_0"] = attributes.pop("_SKINBAKE_BETA_0")
+
+
+def metadata_removed(model: Editable) -> None:
+    del model.primitive()["extras"]
+
+
+def attributes_removed(model: Editable) -> None:
+    attributes = model.primitive()["attributes"]
+    for name in [name for name in attributes if name.startswith("_SKINBAKE_")]:
+        del attributes[name]
+
+
+def not_finite(value: float) -> Callable[[Editable], None]:
+    def edit(model: Editable) -> None:
+        model.array("_SKINBAKE_ALPHA_0")[5, 1] = value
+
+    return edit
+
+
+def shorter(model: Editable) -> None:
+    accessor = model.primitive()["attributes"]["_SKINBAKE_ALPHA_0"]
+    model.content["accessors"][accessor]["count"] -= 1
+
+
+def normal_removed(model: Editable) -> None:
+    del model.primitive()["attributes"]["NORMAL"]
+
+
+def joints_removed(model: Editable) -> None:
+    attributes = model.primitive()["attributes"]
+    for name in [name for name in attributes if name.startswith(("JOINTS", "WEIGHTS"))]:
+        del attributes[name]
+
+
+def note(key: str, value: Any) -> Callable[[Editable], None]:
+    def edit(model: Editable) -> None:
+        model.metadata()[key] = value
+
+    return edit
+
+
+STALE = {
+    "alpha scaled by 1.01": Case(baked_scaled("alpha"), "stale", [". α are 1.01 times"]),
+    "both scaled by 1.01": Case(
+        baked_scaled("alpha", "beta"), "stale", ["α are 1.01 times", "β are 1.01 times"]
+    ),
+    "two slots swapped": Case(two_slots_swapped, "stale", ["wrong slots", "run skinbake bake"]),
+    "influences swapped": Case(influences_swapped, "stale", ["JOINTS and WEIGHTS changed", "re-sorted"]),
+    "influences sorted": Case(influences_sorted, "stale", ["JOINTS and WEIGHTS changed", "re-sorted"]),
+    "one vertex's alpha negated": Case(one_negated, "stale", ["wrong at 1 of", "edited or damaged"]),
+    "POSITION doubled": Case(scaled("POSITION", by=2), "stale", ["POSITION changed", "rescaled (by 2)"]),
+    "POSITION by 1.01": Case(
+        scaled("POSITION", by=1.01), "stale", ["POSITION changed", "rescaled (by 1.01)"]
+    ),
+    "POSITION moved": Case(vertices_moved, "stale", ["POSITION changed", "vertices moved", "Bake last"]),
+    "indices reordered": Case(indices_reordered, "stale", ["indices changed", "still fit", "re-ordered"]),
+    "triangles lost": Case(triangles_lost, "stale", ["indices changed", "triangles edited"]),
+    "normals flipped": Case(scaled("NORMAL", by=-1), "stale", ["NORMAL changed", "normals flipped"]),
+    "weights edited": Case(weights_edited, "stale", ["WEIGHTS changed", "weights edited", "Bake last"]),
+}
+BROKEN = {
+    "attribute renamed": Case(renamed, "attribute-missing", ["_SKINBAKE_BETA_0", "removed or renamed"]),
+    "metadata removed": Case(metadata_removed, "metadata-missing", ["no metadata", "run skinbake bake"]),
+    "attributes removed": Case(attributes_removed, "attribute-missing", ["_SKINBAKE_ALPHA_0", "removed"]),
+    "alpha NaN": Case(not_finite(np.nan), "attribute-not-finite", ["_SKINBAKE_ALPHA_0", "finite"]),
+    "alpha infinite": Case(not_finite(np.inf), "attribute-not-finite", ["_SKINBAKE_ALPHA_0", "finite"]),
+    "alpha shorter": Case(shorter, "attribute-format", ["_SKINBAKE_ALPHA_0", "expected"]),
+    "NORMAL removed": Case(normal_removed, "no-normals", ["it is baked", "NORMAL"]),
+    "JOINTS removed": Case(joints_removed, "no-joints", ["it is baked", "JOINTS_0"]),
+    "version 2": Case(note("version", 2), "version", ["version 2"]),
+    "fewer influences": Case(note("influences", 12), "metadata-broken", ["influences", "12"]),
+    "frame unknown": Case(note("frame", "uv"), "metadata-broken", ["frame", "uv"]),
+    "no digest": Case(note("digest", None), "metadata-broken", ["digest", "missing"]),
+    "digest of numbers": Case(
+        note("digest", {"POSITION": 7}), "metadata-broken", ["digest", "7", "POSITION"]
+    ),
+}
+
+
+@pytest.mark.parametrize("case", STALE.values(), ids=STALE.keys())
+@pytest.mark.parametrize("name", MODELS)
+def test_an_edit_is_stale(bakes: Callable[[str], Path], tmp_path: Path, name: str, case: Case) -> None:
+    model = Editable(bakes(name))
+    case.edit(model)
+    check_failure(model.write(tmp_path / HERE), case, "freshness")
+
+
+@pytest.mark.parametrize("case", BROKEN.values(), ids=BROKEN.keys())
+@pytest.mark.parametrize("name", MODELS)
+def test_what_is_missing_is_named(
+    bakes: Callable[[str], Path], tmp_path: Path, name: str, case: Case
+) -> None:
+    model = Editable(bakes(name))
+    case.edit(model)
+    check_failure(model.write(tmp_path / HERE), case, "structure")
+
+
+def check_failure(path: Path, case: Case, check: str) -> None:
+    answer = verify(path, *FEW)
+    assert answer.exit_code == 1
+    assert answer.failed == [check]
+    (problem,) = answer.problems(check)
+    assert problem["code"] == case.code
+    assert (problem["mesh"], problem["primitive"]) == (0, 0)
+    for word in case.words:
+        assert word in problem["message"] or word == problem.get("attribute"), problem
+    assert problem["message"] in answer.messages
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_an_untouched_copy_is_fresh(bakes: Callable[[str], Path], tmp_path: Path, name: str) -> None:
+    answer = verify(Editable(bakes(name)).write(tmp_path / HERE), *FEW)
+    assert answer.exit_code == 0
+    assert answer.failed == []
+
+
+@pytest.mark.parametrize("weighting", ["angle", "area", "angle-area"])
+@pytest.mark.parametrize("name", MODELS)
+def test_another_weighting_declared_as_max_is_stale(tmp_path: Path, name: str, weighting: str) -> None:
+    path = baked(source(name), tmp_path, BakeSettings(weighting=weighting))
+    assert verify(path, *FEW).exit_code == 0
+    model = Editable(path)
+    model.metadata()["weighting"] = "max"
+    case = Case(note("weighting", "max"), "stale", [f'made with the weighting "{weighting}"', 'not "max"'])
+    check_failure(model.write(tmp_path / HERE), case, "freshness")
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_a_truncated_buffer_cannot_be_read(bakes: Callable[[str], Path], tmp_path: Path, name: str) -> None:
+    whole = bakes(name).read_bytes()
+    for number, cut in enumerate((whole[:-4000], whole[:1000], whole[:10], b"")):
+        path = tmp_path / f"{number}.glb"
+        path.write_bytes(cut)
+        answer = verify(path)
+        assert answer.exit_code == 3
+        assert answer.file["error"]["kind"] == "InputError"
+        assert answer.messages.startswith(f"error: {path}: ")
+    model = Editable(bakes(name))
+    model.binary = model.binary[:-4000]
+    answer = verify(model.write(tmp_path / HERE))
+    assert answer.exit_code == 3
+    assert "buffer" in answer.file["error"]["message"].lower()
+
+
+def test_a_primitive_that_is_not_baked_is_named(bakes: Callable[[str], Path], tmp_path: Path) -> None:
+    model = Editable(bakes("two_primitives.glb"))
+    attributes = model.primitive(1)["attributes"]
+    for name in [name for name in attributes if name.startswith("_SKINBAKE_")]:
+        del attributes[name]
+    del model.primitive(1)["extras"]
+    answer = verify(model.write(tmp_path / HERE), *FEW)
+    assert (answer.exit_code, answer.failed) == (1, ["structure"])
+    (problem,) = answer.problems("structure")
+    assert (problem["code"], problem["primitive"]) == ("metadata-missing", 1)
+    assert "is not baked" in problem["message"]
+
+
+def test_primitives_of_a_mesh_must_be_of_one_bake(bakes: Callable[[str], Path], tmp_path: Path) -> None:
+    model = Editable(bakes("two_primitives.glb"))
+    model.metadata(1)["weighting"] = "area"
+    answer = verify(model.write(tmp_path / HERE), *FEW)
+    (problem,) = answer.problems("structure")
+    assert (problem["code"], problem["primitive"]) == ("metadata-broken", 1)
+    assert "'area'" in problem["message"]
+
+
+def tangent_removed(model: Editable) -> None:
+    del model.primitive()["attributes"]["TANGENT"]
+
+
+def handedness_flipped(model: Editable) -> None:
+    model.array("TANGENT")[:, 3] *= -1
+
+
+def test_a_bake_for_tangent_needs_it(bakes: Callable[[str], Path], tmp_path: Path) -> None:
+    model = Editable(bakes("mirrored_tangent.glb"))
+    tangent_removed(model)
+    check_failure(
+        model.write(tmp_path / HERE),
+        Case(tangent_removed, "frame", ["TANGENT", "removed", "Bake last"]),
+        "structure",
+    )
+    model = Editable(bakes("mirrored_tangent.glb"))
+    handedness_flipped(model)
+    words = ["TANGENT changed", "tangents recomputed or edited"]
+    check_failure(model.write(tmp_path / HERE), Case(handedness_flipped, "stale", words), "freshness")
+
+
+def test_a_skewed_rest_frame_fails(tmp_path: Path) -> None:
+    model = Editable(source("mirrored_tangent.glb"))
+    model.array("TANGENT")[:, :3] += 0.02 * model.array("NORMAL")
+    skewed = model.write(tmp_path / "skewed.glb")
+    folder = tmp_path / "baked"
+    folder.mkdir()
+    answer = verify(baked(skewed, folder, BakeSettings(frame="tangent")), *FEW)
+    assert (answer.exit_code, answer.failed) == (1, ["structure"])
+    (problem,) = answer.problems("structure")
+    assert problem["code"] == "tangents-skewed"
+    assert problem["count"] == 198
+    assert "up to 1.1" in problem["message"]
+    # bake's own choice is the other frame, and that is sound.
+    assert verify(baked(skewed, folder), *FEW).exit_code == 0
+
+
+ODD: list[Any] = [None, True, 0, -3, 1.5, 10**400, "", "x", [], [None], [[]], [{}], ["NORMAL"], {}, {"a": []}]
+NEEDED = {"version", "frame", "influences", "weighting", "creaseAngle", "digest", "alpha", "beta"}
+
+
+@pytest.mark.parametrize(
+    "key", sorted(NEEDED | {"generator", "neighbours", "generated", "adopted", "keepExtras"})
+)
+def test_metadata_of_odd_types_is_told_in_a_sentence(
+    bakes: Callable[[str], Path], tmp_path: Path, key: str
+) -> None:
+    options = VerifyOptions(methods=("lbs",), poses=PoseRequest("random", 1))
+    for number, value in enumerate(ODD):
+        model = Editable(bakes("foreign_joints.glb"))
+        model.metadata()[key] = value
+        path = model.write(tmp_path / f"{number}.glb")
+        verdict = verify_file(str(path), options)
+        if key == "creaseAngle" and value in (0, 1.5) and value is not True:
+            continue  # an angle as good as any
+        if key in NEEDED:
+            problems = [problem for check in verdict.checks for problem in check.problems]
+            told = str(verdict.error) if verdict.error else problems[0].message
+            assert not verdict.passed, (key, value)
+            assert len(told) > 20
+        elif key != "adopted":
+            assert verdict.passed, (key, value)
+
+
+@pytest.mark.parametrize("digest", ["POSITION", "NORMAL", "JOINTS", "WEIGHTS", "indices"])
+def test_every_digest_is_needed(bakes: Callable[[str], Path], tmp_path: Path, digest: str) -> None:
+    odd: list[Any] = [None, 5, []]
+    for value in odd:
+        model = Editable(bakes("bent_tube.glb"))
+        model.metadata()["digest"][digest] = value
+        answer = verify(model.write(tmp_path / HERE), *FEW)
+        assert answer.exit_code == 1
+        assert digest in answer.problems("structure")[0]["message"]
+    model = Editable(bakes("bent_tube.glb"))
+    model.metadata()["digest"][digest] = "0" * 32
+    answer = verify(model.write(tmp_path / HERE), *FEW)
+    assert f"{digest} changed" in answer.problems("freshness")[0]["message"]
+
+
+def test_the_former_influences_may_be_gone(bakes: Callable[[str], Path], tmp_path: Path) -> None:
+    """Another tool drops accessors that nothing uses, and whatever stands at their index is not believed."""
+    for name in ("foreign_joints.glb", "two_sets.glb", "weights_u8.glb"):
+        model = Editable(bakes(name))
+        assert model.metadata()["adopted"]
+        model.metadata()["adopted"] = dict.fromkeys(model.metadata()["adopted"], 0)
+        answer = verify(model.write(tmp_path / HERE), *FEW)
+        assert answer.exit_code == 0, (name, answer.messages)
+    model = Editable(bakes("foreign_joints.glb"))
+    others = model.stored(model.metadata()["adopted"]["JOINTS_0"])
+    others[:] = np.where(others > 0, others - 1, 3)
+    assert verify(model.write(tmp_path / HERE), *FEW).exit_code == 0
+
+
+def test_an_unbaked_file_passes_unless_it_must_be_baked(tmp_path: Path) -> None:
+    path = source("bent_tube.glb")
+    answer = verify(path)
+    assert answer.exit_code == 0
+    assert [notice["code"] for notice in answer.file["warnings"]] == ["not-baked"]
+    assert answer.file["normals"] is None
+    answer = verify(path, "--require-baked")
+    assert (answer.exit_code, answer.failed) == (1, ["structure"])
+    (problem,) = answer.problems("structure")
+    assert problem["code"] == "not-baked"
+    assert "run skinbake bake" in problem["message"]
+    assert verify(path, "--warnings-as-errors").exit_code == 1
+
+
+def test_a_file_without_skins_passes_unless_it_must_be_baked(tmp_path: Path) -> None:
+    model = Editable(source("bent_tube.glb"))
+    del model.content["skins"], model.content["nodes"][0]["skin"]
+    for node in model.content["nodes"]:
+        node.pop("skin", None)
+    path = model.write(tmp_path / HERE)
+    assert verify(path).exit_code == 0
+    assert verify(path, "--require-baked").exit_code == 1
+    (tmp_path / "empty.gltf").write_text(json.dumps({"asset": {"version": "2.0"}}))
+    assert verify(tmp_path / "empty.gltf").exit_code == 0
+    assert verify(tmp_path / "empty.gltf", "--require-baked").exit_code == 1
+
+
+def test_vrm_is_read_as_glb(bakes: Callable[[str], Path], tmp_path: Path) -> None:
+    model = Editable(bakes("bent_tube.glb"))
+    assert verify(model.write(tmp_path / "avatar.vrm"), *FEW).exit_code == 0
+    scaled("_SKINBAKE_ALPHA_0", by=1.01)(model)
+    assert verify(model.write(tmp_path / "avatar.vrm"), *FEW).exit_code == 1
