@@ -73,13 +73,13 @@ def tangent_deviation(normals: Float32Array, tangents: FloatArray) -> Float64Arr
 
     180 where TANGENT has no finite length, or a handedness other than 1 or −1.
     """
-    with np.errstate(invalid="ignore"):  # a signalling NaN
+    with np.errstate(invalid="ignore", over="ignore"):  # a signalling NaN, or a huge TANGENT
         wide = tangents.astype(np.float64)
-    tangent, bitangent = frame_from_tangent(normals, wide)
-    handedness = np.nan_to_num(wide[:, 3])
-    rebuilt = np.cross(tangent, bitangent) * handedness[:, None]
-    sine = np.linalg.norm(np.cross(normals, rebuilt), axis=1)
-    cosine = np.einsum("ij,ij->i", normals.astype(np.float64), rebuilt)
-    degrees = np.degrees(np.arctan2(sine, cosine))
-    usable = (np.abs(handedness) == 1.0) & (np.linalg.norm(rebuilt, axis=1) > 0)
-    return np.where(usable, degrees, 180.0)
+        tangent, bitangent = frame_from_tangent(normals, wide)
+        handedness = np.nan_to_num(wide[:, 3])
+        rebuilt = np.cross(tangent, bitangent) * handedness[:, None]
+        sine = np.linalg.norm(np.cross(normals, rebuilt), axis=1)
+        cosine = np.einsum("ij,ij->i", normals.astype(np.float64), rebuilt)
+        degrees = np.degrees(np.arctan2(sine, cosine))
+        usable = (np.abs(handedness) == 1.0) & (np.linalg.norm(rebuilt, axis=1) > 0)
+    return np.where(usable & np.isfinite(degrees), degrees, 180.0)

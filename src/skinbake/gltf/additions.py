@@ -204,7 +204,8 @@ class Additions:
         Raises InputError where a broken reference would come to mean what is added, or a buffer view is not
         what glTF allows: what is added could not be taken out again.
         """
-        check_views(self._document.objects("bufferViews"), self._document.place)
+        grows_from = self._base if self._into_binary else None
+        check_views(self._document.objects("bufferViews"), grows_from, self._document.place)
         root = {**self._document.json, **changes}
         for key, added in (("accessors", self._accessors), ("bufferViews", self._views)):
             if added:

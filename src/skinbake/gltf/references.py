@@ -42,13 +42,17 @@ def buffers_in_use(root: object) -> set[int]:
     return {number for number in found if number is not None}
 
 
-def check_views(views: Sequence[JsonObject], place: Place) -> None:
-    """Raise InputError where a buffer view does not say which bytes of which buffer it is."""
+def check_views(views: Sequence[JsonObject], grows_from: int | None, place: Place) -> None:
+    """Raise InputError where a buffer view does not say which bytes it is, or would mean some that are added.
+
+    ``grows_from`` is the length of buffer 0 where bytes are added at its end.
+    """
     for number, view in enumerate(views):
         where = place.at(f"buffer view {number}")
-        integer(view, "buffer", where)
-        integer(view, "byteOffset", where, default=0)
-        integer(view, "byteLength", where, minimum=1)
+        buffer = integer(view, "buffer", where)
+        end = integer(view, "byteOffset", where, default=0) + integer(view, "byteLength", where, minimum=1)
+        if buffer == 0 and grows_from is not None and end > grows_from:
+            raise InputError(f"it ends at byte {end} of buffer 0, which has {grows_from}", where)
 
 
 def refuse_dangling(root: JsonObject, key: str, added: int, place: Place) -> None:
