@@ -227,7 +227,7 @@ def _at_the_end(document: Document, first: int, undo: JsonObject) -> _Tail | Non
     fallbacks = 1 if undo.get(FALLBACK_ADDED) else 0
     last = len(buffers) - fallbacks
     whole = last - 1 if undo.get(BUFFER_ADDED) else last  # from here on the buffers go
-    if any(buffer >= whole for buffer, _, _ in kept):
+    if any(whole <= buffer < len(buffers) for buffer, _, _ in kept):
         return None
     if undo.get(BUFFER_ADDED):
         return _Tail(first, undo, 0, fallbacks) if all(buffer >= whole for buffer, _, _ in added) else None
