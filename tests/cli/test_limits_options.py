@@ -9,7 +9,7 @@ import pytest
 
 from skinbake.cli.limits import _size
 from tests.support.command_line import invoke, run
-from tests.support.models import FOLDER, baked
+from tests.support.models import FOLDER, baked, crowd
 
 SEAM, TUBE = FOLDER / "seam.glb", FOLDER / "bent_tube.glb"
 POSIX = pytest.mark.skipif(sys.platform == "win32", reason="needs the signals of POSIX")
@@ -101,8 +101,6 @@ def test_a_file_that_takes_too_long_is_given_up_and_others_go_on(tmp_path: Path)
 @pytest.mark.skipif(sys.platform != "linux", reason="a pipe that is a process's input")
 def test_a_bake_that_is_given_up_leaves_nothing(tmp_path: Path) -> None:
     """A buffer of many megabytes takes longer than a hundredth of a second to bake."""
-    from tests.gltf.test_budget import crowd
-
     source = crowd(tmp_path / "in.glb", 400, 12)
     (tmp_path / "out").mkdir()
     result = run("bake", source, "-o", tmp_path / "out" / "out.glb", "--timeout", "0.01")

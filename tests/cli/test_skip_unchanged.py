@@ -197,7 +197,7 @@ def test_the_code_is_all_that_is_installed(tmp_path: Path, monkeypatch: pytest.M
     before = state._code()
     monkeypatch.setattr(skinbake, "__file__", str(copy / "__init__.py"))
     assert state._code() == before
-    for changed in ("bake/gradients.py", "shaders/templates"):
+    for changed in ("gradients/weight_gradients.py", "shaders/templates"):
         path = copy / changed
         file = path if path.is_file() else next(p for p in sorted(path.rglob("*")) if p.is_file())
         file.write_bytes(file.read_bytes() + b" ")

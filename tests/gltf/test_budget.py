@@ -12,7 +12,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from skinbake.errors import InputError, Place, UnsupportedFeatureError
@@ -25,7 +24,7 @@ from skinbake.gltf.document import parse_gltf, read_document
 from skinbake.gltf.json_access import JsonObject
 from skinbake.gltf.primitives import MOST_SETS, read_primitive, skinned_sources
 from tests.support.corpus import require_corpus
-from tests.support.models import FOLDER, baked, edited, sheet, write_model
+from tests.support.models import FOLDER, baked, crowd, edited, sheet, write_model
 
 HERE = Place("x.glb")
 MIB = 1 << 20
@@ -189,23 +188,6 @@ def test_the_bombs_of_the_audit_are_refused(name: str, tmp_path: Path) -> None:
     assert code == 3
     assert peak < 200 * MIB
     assert list(tmp_path.iterdir()) == []
-
-
-def crowd(path: Path, side: int, primitives: int) -> Path:
-    """Write primitives that share the accessors of one sheet of side × side vertices, all backed by bytes."""
-    u, v = (axis.ravel() for axis in np.meshgrid(np.arange(side), np.arange(side)))
-    count = side * side
-    arrays = {
-        "POSITION": np.stack([u, 0 * u, v], axis=1).astype(np.float32),
-        "NORMAL": np.tile(np.array([0, 1, 0], np.float32), (count, 1)),
-        "JOINTS_0": np.zeros((count, 4), np.uint8),
-        "WEIGHTS_0": np.tile(np.array([1, 0, 0, 0], np.float32), (count, 1)),
-    }
-
-    def share(content: JsonObject) -> None:
-        content["meshes"][0]["primitives"] *= primitives
-
-    return write_model(path, [sheet(**arrays)], change=share)  # type: ignore[arg-type]
 
 
 @LINUX

@@ -250,7 +250,7 @@ def test_a_stream_wider_than_its_accessors_is_refused_in_bounded_memory(tmp_path
         "import sys, resource\n"
         "from pathlib import Path\n"
         "from skinbake.errors import InputError, Place\n"
-        "from skinbake.gltf import draco_stream\n"
+        "from skinbake.gltf.codecs import draco_stream\n"
         "draco_stream.MEMORY_BASE = 1 << 26\n"
         "data = memoryview(Path(sys.argv[1]).read_bytes())\n"
         f"declared = ({count}, 3, {count * 12}, Place('x'))\n"

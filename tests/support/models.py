@@ -106,6 +106,23 @@ def write_model(path: Path, parts: Sequence[Part], *, joints: int = 2, change: C
     return rewritten(GltfFile(path, content, data), path)
 
 
+def crowd(path: Path, side: int, primitives: int) -> Path:
+    """Write primitives that share the accessors of one sheet of side × side vertices, all backed by bytes."""
+    u, v = (axis.ravel() for axis in np.meshgrid(np.arange(side), np.arange(side)))
+    count = side * side
+    arrays = {
+        "POSITION": np.stack([u, 0 * u, v], axis=1).astype(np.float32),
+        "NORMAL": np.tile(np.array([0, 1, 0], np.float32), (count, 1)),
+        "JOINTS_0": np.zeros((count, 4), np.uint8),
+        "WEIGHTS_0": np.tile(np.array([1, 0, 0, 0], np.float32), (count, 1)),
+    }
+
+    def share(content: JsonObject) -> None:
+        content["meshes"][0]["primitives"] *= primitives
+
+    return write_model(path, [sheet(**arrays)], change=share)  # type: ignore[arg-type]
+
+
 def bake(source: Path | str, target: Path | str, **options: Any) -> FileResult:
     """Bake a file, which must succeed, and return what bake says of it."""
     result = bake_file(str(source), str(target), BakeOptions(**options))
