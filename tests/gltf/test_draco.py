@@ -333,6 +333,13 @@ class TestEncoder:
             assert found[name].tobytes() == coarse.values[name].tobytes()
         assert len(again.data) < len(raw.data) - 3000 * 11
 
+    def test_values_too_far_apart_to_quantise_stay_exact(self) -> None:
+        """Draco would compute their extent as infinite, and die by a segmentation fault."""
+        arrays = self.arrays()
+        arrays["POSITION"][0], arrays["POSITION"][1] = -3e38, 3e38
+        found = self.decoded(draco_stream.encode(arrays, self.faces, PLACE, level=7, bits={"POSITION": 8}))
+        assert found["POSITION"].tobytes() == arrays["POSITION"].tobytes()
+
     def test_quantises_what_is_asked_for_alone(self) -> None:
         arrays = self.arrays()
         found = self.decoded(draco_stream.encode(arrays, self.faces, PLACE, level=7, bits={"POSITION": 10}))

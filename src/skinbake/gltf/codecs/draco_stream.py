@@ -235,6 +235,9 @@ GRID_BITS, GRID_SAMPLES = range(4, 25), 64
 LARGEST_EXTENT = 1e38
 """Largest side of a bounding box that a grid is looked for in: past it numbers near the next overflow."""
 
+WIDEST = float(np.finfo(np.float32).max) / 16
+"""How far apart values may lie that Draco quantises."""
+
 _TYPES = {0: "POSITION", 1: "NORMAL", 3: "TEXCOORD_0"}
 """By Draco's number of a semantic, the attribute that ``_encoded`` stores under it."""
 
@@ -304,7 +307,11 @@ def _is_quantisable(name: str, arrays: Mapping[str, npt.NDArray[Any]]) -> bool:
     values = arrays.get(name)
     if values is None or values.dtype.kind != "f" or values.shape[1] != QUANTISABLE.get(name):
         return False
-    return bool(np.isfinite(values).all())
+    if not np.isfinite(values).all():
+        return False
+    # Draco computes with the extent in float32, and crashes where that overflows.
+    extent = values.max(axis=0, initial=-np.inf).astype(np.float64) - values.min(axis=0, initial=np.inf)
+    return bool((extent < WIDEST).all())
 
 
 @dataclass(frozen=True, slots=True)
