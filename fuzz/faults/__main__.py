@@ -234,7 +234,10 @@ class _Trial:
             found.append(f"exit code {code}")
         if code == 0 and whole != expected:
             found.append("exit code 0, and not all is written")
-        is_late = kind in {"int", "term"} and whole == expected  # renaming is not interrupted: all is there
+        # Renaming is not interrupted; and once the old file is replaced, a disk that then fails to take the
+        # folder cannot bring it back. In both cases all is there.
+        replaced = any(name in self.old and self.old[name] != data for name, data in whole.items())
+        is_late = whole == expected and (kind in {"int", "term"} or replaced)
         if code not in {0, 1} and kind != "kill" and not self.scene.appended and not is_late:
             found += [f"{name} is new though it failed" for name in whole.keys() - self.old.keys()]
             found += [f"folder {name} is new though it failed" for name in _folders(self.folder) - before]

@@ -5,7 +5,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from skinbake.errors import InputError, Place
-from skinbake.gltf.json_access import JsonObject, entries_of, every_object, integer, reference, values_of
+from skinbake.gltf.codecs import meshopt
+from skinbake.gltf.json_access import (
+    JsonObject,
+    entries_of,
+    every_object,
+    integer,
+    member,
+    reference,
+    values_of,
+)
 
 VIEW = "bufferView"
 
@@ -49,10 +58,14 @@ def check_views(views: Sequence[JsonObject], grows_from: int | None, place: Plac
     """
     for number, view in enumerate(views):
         where = place.at(f"buffer view {number}")
-        buffer = integer(view, "buffer", where)
-        end = integer(view, "byteOffset", where, default=0) + integer(view, "byteLength", where, minimum=1)
-        if buffer == 0 and grows_from is not None and end > grows_from:
-            raise InputError(f"it ends at byte {end} of buffer 0, which has {grows_from}", where)
+        name = meshopt.extension_of(view, where)
+        packed = [] if name is None else [member(member(view, "extensions", where), name, where)]
+        for holder in (view, *packed):
+            buffer = integer(holder, "buffer", where)
+            start = integer(holder, "byteOffset", where, default=0)
+            end = start + integer(holder, "byteLength", where, minimum=1)
+            if buffer == 0 and grows_from is not None and end > grows_from:
+                raise InputError(f"it ends at byte {end} of buffer 0, which has {grows_from}", where)
 
 
 def refuse_dangling(root: JsonObject, key: str, added: int, place: Place) -> None:
