@@ -1,0 +1,99 @@
+"""Run every command on files that once broke a promise: ``python -m fuzz.hostile [--asan]``.
+
+The files are those of ``hostile/`` in the corpus. A table says how each command ended, how long the slowest
+took and how much memory the largest; with ``--asan`` all run under AddressSanitizer, which is slower and
+larger. The exit code is 1 where a command ended in an undocumented way, or over the bounds.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from fuzz.native.build import REPOSITORY, build, environment
+from tests.support.corpus import find_corpus
+
+DOCUMENTED = {0, 1, 2, 3, 4}
+SECONDS, MEBIBYTES = 1.0, 512
+LAUNCHER = REPOSITORY / "benchmarks" / "launch.py"
+
+
+@dataclass(frozen=True)
+class Run:
+    """How a command ended: its exit code, wall time, peak memory, and the last line that it said."""
+
+    code: int
+    seconds: float
+    mebibytes: float
+    said: str
+
+
+def command_lines(path: Path, out: Path) -> Iterator[list[str]]:
+    """Yield the command lines for a file: that which broke the promise, where it is noted, and the usual."""
+    note = path.parent / "_note.json"
+    if note.exists():
+        recorded = json.loads(note.read_text(encoding="utf-8"))[1][0][2]
+        yield [
+            word.replace("WORKDIR/c/in", str(path.parent)).replace("WORKDIR/c/out", str(out))
+            for word in recorded
+        ]
+    yield ["bake", str(path), "-o", str(out / "o.glb"), "--generate-normals"]
+    yield ["bake", str(path), "-o", str(out / "d.glb"), "--compress", "draco", "--texcoord-bits", "12"]
+    yield ["verify", str(path)]
+    yield ["inspect", str(path)]
+    yield ["strip", str(path), "-o", str(out / "s.gltf")]
+
+
+def run(arguments: list[str], env: dict[str, str]) -> Run:
+    """Run one command in a process of its own."""
+    launch = [sys.executable, "-I", "-S", str(LAUNCHER)]
+    command = [*launch, sys.executable, "-m", "skinbake", *arguments]
+    done = subprocess.run(command, env=env, capture_output=True, text=True, check=False, errors="replace")
+    seconds, peak = done.stdout.split()[-2:]
+    said = done.stderr.strip().rpartition("\n")[2]
+    return Run(done.returncode, float(seconds), int(peak) / 2**20, said)
+
+
+def main() -> int:
+    """Print the table."""
+    parser = argparse.ArgumentParser(prog="python -m fuzz.hostile", description=__doc__)
+    parser.add_argument("--asan", action="store_true", help="Under AddressSanitizer.")
+    given = parser.parse_args()
+    corpus = find_corpus()
+    if corpus is None:
+        sys.exit("there is no corpus: set SKINBAKE_CORPUS")
+    env = dict(os.environ)
+    if given.asan:
+        build()
+        env = environment()
+    bad = 0
+    print("| file | exit codes | slowest, s | largest, MiB |\n|---|---|---|---|")
+    with tempfile.TemporaryDirectory() as folder:
+        copy = Path(folder, "hostile")
+        shutil.copytree(corpus / "hostile", copy, copy_function=shutil.copyfile)
+        out = Path(folder, "out")
+        for path in sorted(path for path in copy.rglob("*") if path.suffix in {".glb", ".gltf"}):
+            out.mkdir()
+            runs = [run(arguments, env) for arguments in command_lines(path, out)]
+            shutil.rmtree(out)
+            slowest, largest = max(r.seconds for r in runs), max(r.mebibytes for r in runs)
+            codes = " ".join(str(r.code) for r in runs)
+            print(f"| {path.relative_to(copy)} | {codes} | {slowest:.2f} | {largest:.0f} |", flush=True)
+            wrong = [r for r in runs if r.code not in DOCUMENTED or "should not" in r.said]
+            over = not given.asan and (slowest > SECONDS or largest > MEBIBYTES)
+            bad += bool(wrong) or over
+            for one in wrong:
+                print(f"  {one.said}")
+    return 1 if bad else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
