@@ -24,7 +24,7 @@ from typing import Any
 
 from fuzz.cases import Case
 from fuzz.uris import SECRET
-from fuzz.watching import Watch, Watcher
+from fuzz.watching import Watch, Watcher, package
 
 DOCUMENTED = {0, 1, 2, 3, 4}
 CPU_SECONDS = 10.0
@@ -78,7 +78,7 @@ def described(error: BaseException) -> tuple[str, str]:
 def _last_line(trace: TracebackType | None) -> str:
     found = "?"
     for frame in traceback.extract_tb(trace):
-        if "/skinbake/" in frame.filename:
+        if frame.filename.startswith(package()):
             found = f"{Path(frame.filename).name}:{frame.name}:{frame.lineno}"
     return found
 

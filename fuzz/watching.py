@@ -12,6 +12,7 @@ import sys
 import sysconfig
 import traceback
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
 
 WRITES = {
@@ -114,10 +115,18 @@ class Watch:
         return path == folder or path.startswith(folder + "/")
 
 
+@lru_cache(maxsize=1)
+def package() -> str:
+    """Return the folder of the package that is watched."""
+    import skinbake  # noqa: PLC0415 - importing this module must stay cheap
+
+    return f"{Path(skinbake.__file__).parent}{os.sep}"
+
+
 def _line() -> str:
     """Return the innermost line of skinbake on the stack."""
     for frame in reversed(traceback.extract_stack()):
-        if "/skinbake/" in frame.filename:
+        if frame.filename.startswith(package()):
             return f"{Path(frame.filename).name}:{frame.name}:{frame.lineno}"
     return "?"
 

@@ -3,11 +3,18 @@
 from __future__ import annotations
 
 import os
+import signal
 
 import pytest
 
 from tests.support.corpus import NOT_HERE, find_corpus
 from tests.support.strictness import is_strict
+
+
+def pytest_configure() -> None:
+    """Hear Ctrl-C also in a background job of a shell, whose children ignore it: tests send it."""
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def pytest_report_header() -> list[str]:
