@@ -38,6 +38,7 @@ def require_compiler() -> None:
         missing_tool("a C compiler is not installed")
 
 
+@pytest.mark.slow
 def test_damaged_models_end_in_documented_ways(tmp_path: Path) -> None:
     """The same cases in every run: the seed, and the fixtures, which alone are damaged here."""
     process, lines = run(
@@ -48,6 +49,7 @@ def test_damaged_models_end_in_documented_ways(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="calls are caught by LD_PRELOAD")
+@pytest.mark.slow
 def test_faults_leave_the_old_bytes_or_the_new(tmp_path: Path) -> None:
     require_compiler()
     process, lines = run(
@@ -60,6 +62,7 @@ def test_faults_leave_the_old_bytes_or_the_new(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="sanitizers are loaded by LD_PRELOAD")
+@pytest.mark.slow
 def test_the_compiled_loops_and_decoders_are_clean(tmp_path: Path) -> None:
     require_compiler()
     process, lines = run(

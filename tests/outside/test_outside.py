@@ -123,6 +123,7 @@ def snapshot(world: Path) -> dict[str, object]:
     return found
 
 
+@pytest.mark.slow
 def test_nothing_outside_is_opened_or_changed(world: Path) -> None:
     before = snapshot(world)
     log = watched(world, COUNT)
