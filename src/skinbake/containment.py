@@ -265,15 +265,6 @@ def _made_up() -> frozenset[int]:
     return frozenset(devices)
 
 
-def is_there(spot: Spot) -> bool:
-    """Tell whether a regular file can be opened there."""
-    try:
-        os.close(open_beneath(spot))
-    except (OSError, ValueError):
-        return False
-    return True
-
-
 class Folder:
     """An open folder below a root: names in it are used without following links.
 
