@@ -17,12 +17,13 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image, ImageDraw, ImageFont
 
+from skinbake.choices import FrameChoice
 from skinbake.commands.bake import BakeOptions, bake_document
 from skinbake.gltf.accessors import read_accessor
 from skinbake.gltf.animation import clip_poses, read_clips, read_skeleton
 from skinbake.gltf.document import read_document
 from skinbake.gltf.primitives import read_primitive, skinned_sources
-from skinbake.gradients.baker import AUTO, rest_frame
+from skinbake.gradients.baker import rest_frame
 from skinbake.lighting.influences import normalised_weights
 from skinbake.lighting.metrics import ErrorSummary, angular_errors, summarise, vertex_areas
 from skinbake.lighting.operator import gradient_operator
@@ -73,7 +74,7 @@ def strongest_bend() -> Bend:
     document, _, _ = bake_document(read_document(str(MODEL)), BakeOptions(), [])
     source = skinned_sources(document)[0][0]
     primitive = read_primitive(document, source)
-    frame = rest_frame(primitive, AUTO)
+    frame = rest_frame(primitive, FrameChoice.AUTO)
     alpha, beta = (
         read_accessor(document, source.attributes[f"_SKINBAKE_{name}_0"], source.place).decoded()
         for name in ("ALPHA", "BETA")

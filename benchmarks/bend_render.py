@@ -21,6 +21,7 @@ import wgpu
 from PIL import Image, ImageDraw
 
 from benchmarks.bend_picture import GREY, INK, MODEL, REPOSITORY, SCALE_TOP, STOPS, font, heat, unit
+from skinbake.choices import Language, Lighting
 from skinbake.commands.bake import BakeOptions, bake_document
 from skinbake.gltf.animation import clip_poses, read_clips, read_skeleton
 from skinbake.gltf.document import read_document
@@ -30,7 +31,7 @@ from skinbake.lighting.measured import rest_surface
 from skinbake.lighting.metrics import ErrorSummary, angular_errors, summarise, vertex_areas
 from skinbake.lighting.operator import gradient_operator
 from skinbake.lighting.reference import reference_normals, rest_frames
-from skinbake.shaders.choices import Language, Lighting, ShaderChoices
+from skinbake.shaders.choices import ShaderChoices
 from skinbake.shaders.text import shader_text
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.run import replay

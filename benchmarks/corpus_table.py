@@ -19,12 +19,12 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from skinbake import __version__
+from skinbake.choices import Baseline
 from skinbake.commands.bake import BakeOptions, bake_file
 from skinbake.commands.verify import verify_file
 from skinbake.lighting.measured import VerifyOptions
 from skinbake.lighting.poses import PoseRequest
 from skinbake.report.verify import ErrorFigures, FileVerdict, gain
-from skinbake.skinning.surface import Baseline
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 DEFAULT_OUTPUT = REPOSITORY / "docs" / "lighting.md"

@@ -18,9 +18,9 @@ from tempfile import TemporaryDirectory
 
 from benchmarks.corpus_table import REPOSITORY, SUFFIXES, corpus_folders, told_apart
 from skinbake import __version__
+from skinbake.choices import Encoding
 from skinbake.commands.bake import BakeOptions, bake_file
 from skinbake.commands.verify import verify_file
-from skinbake.format.encodings import Encoding
 from skinbake.format.layouts import Storage
 from skinbake.lighting.measured import VerifyOptions
 from skinbake.report.bake import FileResult

@@ -14,6 +14,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from fixtures.builder import Model
+from skinbake.choices import Weighting
 from skinbake.lighting.operator import expected_alpha_beta, gradient_operator
 from tests.support import khronos
 from tests.support.baked_arrays import StoredPrimitive, baked_meshes_of
@@ -156,7 +157,7 @@ def test_alpha_and_beta_of_all_slots_sum_to_zero(mesh: Mesh) -> None:
 def _slot_0(stored: StoredPrimitive) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
     weights = stored.arrays.weights.astype(np.float64)
     primitive = replace(stored.arrays, weights=weights / weights.sum(axis=1, keepdims=True))
-    operator = gradient_operator([primitive], weighting="max")
+    operator = gradient_operator([primitive], weighting=Weighting.MAX)
     ((alpha, beta),) = expected_alpha_beta(operator, [primitive], [stored.rest_frame])
     return alpha[:, 0], beta[:, 0]
 

@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from skinbake.choices import Language, Lighting
 from skinbake.geometry.frames import TANGENT_FRAME, frame_from_normal, frame_from_tangent
 from skinbake.geometry.morphs import Differences, MorphTarget, MorphTargets
-from skinbake.shaders.choices import Language, Lighting, ShaderChoices
+from skinbake.shaders.choices import ShaderChoices
 from skinbake.shaders.text import shader_text
 from skinbake.skinning.surface import RestSurface
 from tests.bevy.compose import compose

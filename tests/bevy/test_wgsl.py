@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 from fixtures.make_fixtures import FOLDER
+from skinbake.choices import Encoding, Language, Layout, Lighting, Method, Morphs
 from skinbake.commands.shader import ShaderRequest, shader
 from skinbake.errors import ChoiceError
-from skinbake.format.encodings import Encoding
-from skinbake.format.layouts import Layout, Storage
+from skinbake.format.layouts import Storage
 from skinbake.geometry.frames import NORMAL_FRAME, TANGENT_FRAME
-from skinbake.shaders.choices import AttributeText, Language, Lighting, Method, Morphs, ShaderChoices
+from skinbake.shaders.choices import AttributeText, ShaderChoices
 from skinbake.shaders.text import shader_text
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.morphs import morphed

@@ -11,8 +11,8 @@ import jsonschema
 import numpy as np
 import pytest
 
-from skinbake.format.encodings import Encoding
-from skinbake.format.layouts import Layout, Storage
+from skinbake.choices import Encoding, Layout
+from skinbake.format.layouts import Storage
 from tests.support.command_line import document, invoke, run
 from tests.support.gltf_reading import read
 from tests.support.models import FOLDER, SHARED, Part, bake, edited, rewritten, sheet, write_model

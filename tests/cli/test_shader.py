@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from skinbake.shaders.choices import ALGORITHMS, Language, Lighting, ShaderChoices
+from skinbake.choices import Frame, Language, Lighting
+from skinbake.shaders.choices import ALGORITHMS, ShaderChoices
 from skinbake.shaders.text import shader_text
 from tests.support.command_line import invoke, run
 from tests.support.gltf_reading import read
@@ -34,7 +35,7 @@ def header(text: str) -> str:
 def test_text_goes_to_stdout_and_everything_else_to_stderr() -> None:
     result = invoke("shader", "--lang", "glsl", "--frame", "tangent")
     assert result.exit_code == 0
-    choices = ShaderChoices(Language.GLSL, frame="tangent")
+    choices = ShaderChoices(Language.GLSL, frame=Frame.TANGENT)
     assert result.stdout == shader_text(choices)
     assert result.stderr == ""
 
@@ -118,9 +119,9 @@ def test_the_command_in_the_header_writes_the_same_text_again() -> None:
     cases: list[ShaderChoices] = []
     for language in Language:
         for method, lighting in ALGORITHMS:
-            cases.append(ShaderChoices(language, method, lighting, 5, "tangent"))
+            cases.append(ShaderChoices(language, method, lighting, 5, Frame.TANGENT))
             if lighting in (Lighting.ACCURATE, Lighting.EXACT):
-                cases.append(ShaderChoices(language, method, lighting, 3, "normal", cap=0.75))
+                cases.append(ShaderChoices(language, method, lighting, 3, Frame.NORMAL, cap=0.75))
         cases.append(ShaderChoices(language, mirrored_joints=True))
     for choices in cases:
         text = shader_text(choices)

@@ -10,12 +10,12 @@ from pathlib import Path
 
 import pytest
 
+from skinbake.choices import Encoding
 from skinbake.cli import exit_codes
 from skinbake.commands.bake import BakeOptions, bake_file
 from skinbake.commands.verify import verify_file
 from skinbake.containment import Bounds, Within
 from skinbake.errors import InputError, OutputError
-from skinbake.format.encodings import Encoding
 from skinbake.format.layouts import Storage
 from skinbake.jobs.remote.staging import bake_anywhere, staged_in, verify_anywhere
 from skinbake.jobs.remote.storages import expand_url

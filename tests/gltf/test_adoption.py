@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from skinbake.choices import Neighbours
 from skinbake.commands.bake import BakeOptions, bake_file
 from skinbake.format.adoption import TINY_WEIGHT, UNIT, with_adopted
 from skinbake.geometry.skinned import Float64Array
@@ -227,7 +228,7 @@ def test_no_pose_moves_a_vertex_beyond_the_stated_bound(name: str, tmp_path: Pat
 @pytest.mark.parametrize("name", ["foreign_joints.glb", HAND_U8])
 def test_without_adoption_the_influences_stay_the_files_own(name: str, tmp_path: Path) -> None:
     source, target = path_of(name), tmp_path / "dropped.glb"
-    settings = BakeSettings(neighbours="drop")
+    settings = BakeSettings(neighbours=Neighbours.DROP)
     assert bake_file(str(source), str(target), BakeOptions(settings=settings)).status == "baked"
     before, after = read(source), read(target)
     for place in primitives_of(target):

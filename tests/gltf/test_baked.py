@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from fixtures.builder import AnyArray, JsonObject
+from skinbake.choices import FrameChoice, Neighbours, Weighting
 from skinbake.commands.bake import BakeOptions, bake_file
 from skinbake.errors import InputError
 from skinbake.format.baked import AttributeNames
@@ -119,7 +120,9 @@ class TestEveryFixture:
         assert contents(once) == contents(twice)
 
     def test_an_earlier_bake_leaves_no_trace(self, name: str, tmp_path: Path) -> None:
-        other = BakeSettings(weighting="area", crease_angle=0.0, neighbours="drop", frame="normal")
+        other = BakeSettings(
+            weighting=Weighting.AREA, crease_angle=0.0, neighbours=Neighbours.DROP, frame=FrameChoice.NORMAL
+        )
         odd = target_of(FOLDER / name, tmp_path / "odd")
         bake(FOLDER / name, odd, settings=other, names=OTHER_NAMES)
         again, plain = (target_of(FOLDER / name, tmp_path / folder) for folder in ("again", "plain"))
@@ -321,7 +324,7 @@ class TestFrames:
         source = FOLDER / "mirrored_tangent.glb"
         auto, forced, normal = (
             baked(source, tmp_path / f"{frame}.glb", settings=BakeSettings(frame=frame))
-            for frame in ("auto", "tangent", "normal")
+            for frame in FrameChoice
         )
         assert (note(auto.content) or {})["frame"] == "tangent"
         assert (note(normal.content) or {})["frame"] == "normal"
@@ -368,14 +371,16 @@ class TestFrames:
 
     def test_a_leaning_tangent_is_used_where_it_is_asked_for(self, tmp_path: Path) -> None:
         path = write_model(tmp_path / "sheet.glb", [leaning(1.0)])
-        result = bake(path, tmp_path / "baked.glb", settings=BakeSettings(frame="tangent"))
+        result = bake(path, tmp_path / "baked.glb", settings=BakeSettings(frame=FrameChoice.TANGENT))
         (notice,) = result.notices
         assert notice.code == "tangents-skewed"
         assert "as asked" in notice.message
         assert (note(read(tmp_path / "baked.glb").content) or {})["frame"] == "tangent"
 
     def test_a_primitive_without_tangents_is_skipped_where_they_are_asked_for(self, tmp_path: Path) -> None:
-        result = bake(FOLDER / "seam.glb", tmp_path / "a.glb", settings=BakeSettings(frame="tangent"))
+        result = bake(
+            FOLDER / "seam.glb", tmp_path / "a.glb", settings=BakeSettings(frame=FrameChoice.TANGENT)
+        )
         assert [notice.code for notice in result.notices] == ["no-tangents", "nothing-baked"]
         assert result.status == "unchanged"
 
@@ -472,7 +477,7 @@ class TestInfluences:
         assert (old.argmax(axis=1)[adopting] == change.argmin(axis=1)[adopting]).all()
 
     def test_eight_bit_weights_without_a_change_stay(self, tmp_path: Path) -> None:
-        settings = BakeSettings(neighbours="drop")
+        settings = BakeSettings(neighbours=Neighbours.DROP)
         before = read(FOLDER / "weights_u8.glb")
         after = baked(FOLDER / "weights_u8.glb", tmp_path / "baked.glb", settings=settings)
         assert attributes_of(after)["WEIGHTS_0"] == attributes_of(before)["WEIGHTS_0"]

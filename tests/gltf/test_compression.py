@@ -14,13 +14,14 @@ import numpy as np
 import pytest
 
 from fixtures.builder import JsonObject
+from skinbake.choices import Neighbours, Scheme
 from skinbake.commands.bake import BakeOptions, bake_file
 from skinbake.commands.cost import cost_of_file
 from skinbake.commands.inspect import inspect_file
 from skinbake.commands.strip import strip_file
 from skinbake.commands.verify import verify_file
 from skinbake.errors import InputError
-from skinbake.gltf.codecs.recode import Compression, Scheme
+from skinbake.gltf.codecs.recode import Compression
 from skinbake.lighting.measured import VerifyOptions
 from skinbake.lighting.poses import PoseRequest
 from tests.support import corpus, khronos
@@ -50,7 +51,7 @@ COMPRESSED = [
     "barbarian-EXT_meshopt-high.glb",
     "barbarian-EXT_meshopt-medium.glb",
 ]
-SCHEMES: tuple[Scheme, ...] = ("keep", "none", "draco", "meshopt")
+SCHEMES = tuple(Scheme)
 REST = VerifyOptions(poses=PoseRequest("rest"))
 
 
@@ -172,7 +173,7 @@ class TestEveryCompressionIntoEvery:
         self, name: str, scheme: Scheme, kind: str, tmp_path: Path
     ) -> None:
         bake(self.source(kind, name, tmp_path), tmp_path / "one.glb", **compress(scheme))
-        for options in (compress("keep"), compress(scheme)):
+        for options in (compress(Scheme.KEEP), compress(scheme)):
             bake(tmp_path / "one.glb", tmp_path / "two.glb", **options)
             assert (tmp_path / "two.glb").read_bytes() == (tmp_path / "one.glb").read_bytes()
         stripped(tmp_path / "one.glb", tmp_path / "bare.glb")
@@ -190,7 +191,7 @@ def test_the_rest_of_the_file_is_left_alone(tmp_path: Path) -> None:
     """What is not skinned stays compressed as it was, by the very bytes, under every scheme but none."""
     path = corpus.model("barbarian-draco-edgebreaker.glb")
     before = read(path)
-    for scheme in ("keep", "draco"):
+    for scheme in (Scheme.KEEP, Scheme.DRACO):
         bake(path, tmp_path / "baked.glb", **compress(scheme))
         after = read(tmp_path / "baked.glb")
         count = 0
@@ -206,7 +207,7 @@ def test_the_rest_of_the_file_is_left_alone(tmp_path: Path) -> None:
 def test_a_skipped_primitive_keeps_its_stream(tmp_path: Path) -> None:
     path = write_model(tmp_path / "two.glb", [sheet(), sheet(NORMAL=None)])
     source = draco_twin(path, tmp_path / "draco.glb")
-    for scheme in ("keep", "meshopt", "draco"):
+    for scheme in (Scheme.KEEP, Scheme.MESHOPT, Scheme.DRACO):
         bake(source, tmp_path / "baked.glb", **compress(scheme))
         assert read(tmp_path / "baked.glb").primitive(0, 1)["extensions"][DRACO]["attributes"].keys() == {
             "POSITION",
@@ -275,7 +276,7 @@ def test_the_sources_buffer_beside_a_gltf_is_not_overwritten(tmp_path: Path) -> 
     bake(twin(EXT, ADOPTING, tmp_path), tmp_path / "model.gltf")
     strip_file(str(tmp_path / "model.gltf"), str(tmp_path / "bare.gltf"))
     kept = {path: path.read_bytes() for path in tmp_path.glob("*.bin")}
-    bake(tmp_path / "bare.gltf", tmp_path / "bare.gltf", **compress("none"))
+    bake(tmp_path / "bare.gltf", tmp_path / "bare.gltf", **compress(Scheme.NONE))
     assert {path: path.read_bytes() for path in kept} == kept
     bake(FOLDER / ADOPTING, tmp_path / "plain.glb")
     assert_same_bake(tmp_path / "bare.gltf", tmp_path / "plain.glb")
@@ -305,7 +306,7 @@ class TestNotices:
         found = self.codes(corpus.model("barbarian-draco-edgebreaker.glb"), tmp_path / "out.glb")
         assert found["draco-sequential"] == 6
         assert "draco-sequential" not in self.codes(
-            tmp_path / "out.glb", tmp_path / "out.glb", **compress("none")
+            tmp_path / "out.glb", tmp_path / "out.glb", **compress(Scheme.NONE)
         )
 
     def test_sequential_stays_so_without_a_word(self, tmp_path: Path) -> None:
@@ -327,20 +328,20 @@ class TestNotices:
         after = read(tmp_path / "out.glb")
         assert np.array_equal(after.stored_attribute("NORMAL"), quantised)
         assert names_of(after.content) == set()
-        assert self.codes(tmp_path / "out.glb", tmp_path / "out.glb", **compress("draco")) == {
+        assert self.codes(tmp_path / "out.glb", tmp_path / "out.glb", **compress(Scheme.DRACO)) == {
             "not-compressed": 1
         }
 
     def test_strips_are_not_put_into_draco(self, tmp_path: Path) -> None:
         path = corpus.model("spider-triangle-strip.glb")
-        assert self.codes(path, tmp_path / "out.glb", **compress("draco"))["not-compressed"] == 1
+        assert self.codes(path, tmp_path / "out.glb", **compress(Scheme.DRACO))["not-compressed"] == 1
         assert names_of(read(tmp_path / "out.glb").content) == set()
 
 
 class TestQuantising:
     def test_the_gradients_fit_the_quantised_mesh(self, tmp_path: Path) -> None:
         """Of 8 bits something is to be seen; digests and verify's own gradients are those of the output."""
-        options = compress("draco", POSITION=8, NORMAL=8)
+        options = compress(Scheme.DRACO, POSITION=8, NORMAL=8)
         bake(FOLDER / "bent_tube.glb", tmp_path / "baked.glb", **options)
         found, original = read_plain(tmp_path / "baked.glb"), read(FOLDER / "bent_tube.glb")
         off = np.abs(found.attribute("POSITION") - original.attribute("POSITION")).max()
@@ -354,7 +355,7 @@ class TestQuantising:
         assert found.stored_attribute("JOINTS_0").tobytes() == original.stored_attribute("JOINTS_0").tobytes()
 
     def test_the_original_is_quantised_but_once(self, tmp_path: Path) -> None:
-        options = compress("draco", POSITION=9)
+        options = compress(Scheme.DRACO, POSITION=9)
         bake(FOLDER / "bent_tube.glb", tmp_path / "one.glb", **options)
         bake(tmp_path / "one.glb", tmp_path / "two.glb", **options)
         assert (tmp_path / "two.glb").read_bytes() == (tmp_path / "one.glb").read_bytes()
@@ -363,7 +364,7 @@ class TestQuantising:
 def test_level_reaches_the_encoder(tmp_path: Path) -> None:
     sizes = []
     for level in (0, 3):
-        options = {"compression": Compression("meshopt", level)}
+        options = {"compression": Compression(Scheme.MESHOPT, level)}
         bake(twin(KHR, "bent_tube.glb", tmp_path), tmp_path / f"{level}.glb", **options)
         sizes.append((tmp_path / f"{level}.glb").stat().st_size)
     assert sizes[1] < sizes[0]
@@ -381,7 +382,7 @@ def test_shared_accessors_get_copies_of_their_own_in_draco(tmp_path: Path) -> No
 
     path = edited(ADOPTING, tmp_path, share)
     bake(path, tmp_path / "plain.glb")
-    bake(path, tmp_path / "draco.glb", **compress("draco"))
+    bake(path, tmp_path / "draco.glb", **compress(Scheme.DRACO))
     assert_same_bake(tmp_path / "draco.glb", tmp_path / "plain.glb")
     content = read(tmp_path / "draco.glb").content
     views = {primitive["extensions"][DRACO]["bufferView"] for _, _, primitive in primitives(content)}
@@ -397,7 +398,7 @@ def test_a_plain_primitive_keeps_the_accessors_that_it_shares(tmp_path: Path) ->
         content["nodes"].append({"mesh": len(content["meshes"]) - 1})
 
     path = edited(ADOPTING, tmp_path, share)
-    bake(path, tmp_path / "draco.glb", **compress("draco"))
+    bake(path, tmp_path / "draco.glb", **compress(Scheme.DRACO))
     before, after = read(path), read(tmp_path / "draco.glb")
     assert after.primitive(1) == before.primitive(1)
     assert after.stored_attribute("POSITION", 1).tobytes() == before.stored_attribute("POSITION").tobytes()
@@ -561,7 +562,7 @@ def test_what_bake_decoded_is_what_others_decode_of_its_output(name: str, tmp_pa
 def _dropping() -> Any:
     from skinbake.gradients.baker import BakeSettings
 
-    return BakeSettings(neighbours="drop")
+    return BakeSettings(neighbours=Neighbours.DROP)
 
 
 @pytest.mark.parametrize("kind", ["draco", EXT])
@@ -591,7 +592,7 @@ def test_a_broken_primitive_that_none_would_decode_is_an_input_error(tmp_path: P
         content["meshes"].append({"primitives": [broken]})
 
     path = draco_twin(FOLDER / ADOPTING, tmp_path / "twin.glb", change=append)
-    result = bake_file(str(path), str(tmp_path / "out.glb"), BakeOptions(**compress("none")))
+    result = bake_file(str(path), str(tmp_path / "out.glb"), BakeOptions(**compress(Scheme.NONE)))
     assert str(result.error).startswith(f"{path}: mesh 1, primitive 0")
     assert not (tmp_path / "out.glb").exists()
     bake(path, tmp_path / "out.glb")

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from skinbake.format.encodings import CANDIDATES, Encoding, common_scale, decoded, encoded
+from skinbake.choices import Encoding
+from skinbake.format.encodings import CANDIDATES, LARGEST, common_scale, decoded, encoded, vertex_bytes
 from skinbake.format.layouts import Storage
 from tests.support import khronos
 from tests.support.gltf_reading import GltfFile, read
@@ -88,7 +89,7 @@ def test_a_vertex_takes_the_bytes_that_are_promised(encoding: Encoding, tmp_path
     for name, influences in (("bent_tube.glb", 4), ("two_sets.glb", 8)):
         model = baked(FOLDER / name, tmp_path / name, storage=Storage(encoding))
         size = {Encoding.PACKED8: 2, Encoding.SNORM16: 4}[encoding] * influences
-        assert encoding.vertex_bytes(influences) == size
+        assert vertex_bytes(encoding, influences) == size
         found = note(model.content)
         assert found is not None
         accessors = [
@@ -148,7 +149,7 @@ def test_zeros_and_next_to_nothing(encoding: Encoding) -> None:
         back = decoded([stored], encoding, scale)
     assert stored[0].tolist() == [0, 0, 0, 0]
     assert stored[1, 3] > 0
-    assert stored[3, [0, 3]].tolist() == [encoding.limit, encoding.limit]
+    assert stored[3, [0, 3]].tolist() == [LARGEST[encoding], LARGEST[encoding]]
     assert np.isfinite(back.values).all()
     assert (
         np.abs(back.values.astype(float) - slots) <= back.rounding[:, None] + FLOAT_ROUNDING * abs(slots)

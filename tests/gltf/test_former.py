@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from fixtures.builder import JsonObject
+from skinbake.choices import FrameChoice
 from skinbake.commands.bake import BakeOptions, bake_file
 from skinbake.commands.strip import strip_file
 from tests.support.gltf_reading import GltfFile, read
@@ -105,7 +106,7 @@ def test_a_file_that_can_no_longer_be_baked_passes_through_with_its_bake(tmp_pat
     bake_file(str(FOLDER / "seam.glb"), str(baked_glb), BakeOptions())
     from skinbake.gradients.baker import BakeSettings
 
-    options = BakeOptions(settings=BakeSettings(frame="tangent"))
+    options = BakeOptions(settings=BakeSettings(frame=FrameChoice.TANGENT))
     result = bake_file(str(baked_glb), str(tmp_path / "out.glb"), options)
     assert result.status == "unchanged"
     assert (tmp_path / "out.glb").read_bytes() == baked_glb.read_bytes()

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from fixtures.builder import JsonObject
+from skinbake.choices import Encoding, Layout
 from skinbake.commands.bake import BakeOptions, bake_file
 from skinbake.commands.strip import strip_file
-from skinbake.format.encodings import Encoding
-from skinbake.format.layouts import Layout, Storage, free_texcoords, noted_storage
+from skinbake.format.layouts import Storage, free_texcoords, noted_storage
 from tests.support import khronos
 from tests.support.gltf_reading import GltfFile, read
 from tests.support.models import (

@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 
 from fixtures.builder import JsonObject
+from skinbake.choices import Encoding, FrameChoice, Layout, Neighbours, Weighting
 from skinbake.commands.bake import BakeOptions, bake_file
 from skinbake.commands.inspect import inspect_file
 from skinbake.commands.strip import strip_file
 from skinbake.errors import InputError
 from skinbake.format.baked import AttributeNames
-from skinbake.format.encodings import Encoding
-from skinbake.format.layouts import Layout, Storage
+from skinbake.format.layouts import Storage
 from skinbake.gradients.baker import BakeSettings
 from tests.support.gltf_reading import GltfFile, read
 from tests.support.models import (
@@ -42,7 +42,11 @@ from tests.support.models import (
 OPTIONS: list[dict[str, Any]] = [
     {},
     {"names": AttributeNames("_A{set}", "_B{set}")},
-    {"settings": BakeSettings(weighting="angle", neighbours="drop", frame="normal")},
+    {
+        "settings": BakeSettings(
+            weighting=Weighting.ANGLE, neighbours=Neighbours.DROP, frame=FrameChoice.NORMAL
+        )
+    },
     {"storage": Storage(Encoding.PACKED8, Layout.CUSTOM)},
     {"storage": Storage(Encoding.SNORM16)},
     {"storage": Storage(layout=Layout.TEXCOORD)},

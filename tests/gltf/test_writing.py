@@ -17,6 +17,7 @@ from typing import Any
 import pytest
 
 from skinbake import containment
+from skinbake.choices import Encoding
 from skinbake.commands.bake import BakeOptions, bake_file
 from skinbake.errors import OutputError
 from skinbake.gltf import writing
@@ -448,8 +449,8 @@ class TestTaken:
 RACER = """
 import sys, time
 from pathlib import Path
+from skinbake.choices import Encoding
 from skinbake.commands.bake import BakeOptions, bake_file
-from skinbake.format.encodings import Encoding
 from skinbake.format.layouts import Storage
 source, folder, rounds, encoding = sys.argv[1:]
 options = BakeOptions(storage=Storage(Encoding(encoding)), sync=False)
@@ -468,7 +469,6 @@ def test_two_runs_into_one_folder_cannot_exchange_their_bins(tmp_path: Path) -> 
         (tmp_path / str(number)).mkdir()
     wanted = {}
     for name, (source, encoding) in {"a": (SEAM, "float32"), "b": (TUBE, "packed8")}.items():
-        from skinbake.format.encodings import Encoding
         from skinbake.format.layouts import Storage
 
         alone = tmp_path / name / "hero.gltf"

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from skinbake.choices import FrameChoice
 from skinbake.geometry.skinned import SkinnedPrimitive
 from skinbake.gradients.baker import BakeSettings, bake_mesh, rest_frame
 from tests.support.baked_arrays import bake_one, meshes_of, path_of
@@ -43,7 +44,7 @@ def test_alpha_and_beta_are_along_the_files_tangent_and_its_bitangent() -> None:
 
 def test_alpha_and_beta_are_along_the_normals_own_frame_where_asked() -> None:
     # The frame of +Z is X, Y.
-    baked, findings = bake_one(square(), BakeSettings(frame="normal"))
+    baked, findings = bake_one(square(), BakeSettings(frame=FrameChoice.NORMAL))
     assert baked.frame == "normal"
     assert baked.alpha[:, 0].tolist() == [1.0] * 4
     assert baked.beta[:, 0].tolist() == [0.0] * 4
@@ -72,7 +73,7 @@ def test_a_tangent_that_leans_by_more_than_a_tenth_of_a_degree_is_not_used(
 
 
 def test_a_leaning_tangent_is_used_where_asked_and_counted_all_the_same() -> None:
-    baked, findings = bake_one(square(lean=30.0), BakeSettings(frame="tangent"))
+    baked, findings = bake_one(square(lean=30.0), BakeSettings(frame=FrameChoice.TANGENT))
     assert baked.frame == "tangent"
     assert (findings.bad_tangents, round(findings.tangent_deviation, 9)) == (1, 30.0)
 

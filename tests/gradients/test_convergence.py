@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 
+from skinbake.choices import Weighting
 from skinbake.geometry.skinned import Float64Array
 from skinbake.gradients.baker import BakeSettings, rest_frame
 from skinbake.lighting.metrics import angular_errors, vertex_areas
@@ -20,7 +21,7 @@ SEEDS = range(3)
 
 
 def normals_of(
-    surface: AnalyticSurface, poses: Float64Array, weighting: str, algorithm: Algorithm
+    surface: AnalyticSurface, poses: Float64Array, weighting: Weighting, algorithm: Algorithm
 ) -> Float64Array:
     primitive = surface.primitive
     settings = BakeSettings(weighting=weighting)
@@ -44,7 +45,7 @@ def mean_error(
     triangulation: Triangulation,
     seed: int,
     *,
-    weighting: str = "max",
+    weighting: Weighting = Weighting.MAX,
     algorithm: Algorithm = Algorithm.LBS_ACCURATE,
     bend: float = MILD,
 ) -> tuple[float, int]:
@@ -72,16 +73,16 @@ def test_max_weights_have_at_most_0_6_of_the_published_weightings_error_on_rando
 ) -> None:
     best, published = (
         np.mean([mean_error(count, "random", seed, weighting=weighting)[0] for seed in SEEDS])
-        for weighting in ("max", "angle-area")
+        for weighting in (Weighting.MAX, Weighting.ANGLE_AREA)
     )
     assert best <= 0.6 * published
 
 
-@pytest.mark.parametrize("weighting", ["angle", "area", "angle-area"])
-def test_max_is_the_best_of_the_weightings_on_an_irregular_triangulation(weighting: str) -> None:
+@pytest.mark.parametrize("weighting", [Weighting.ANGLE, Weighting.AREA, Weighting.ANGLE_AREA])
+def test_max_is_the_best_of_the_weightings_on_an_irregular_triangulation(weighting: Weighting) -> None:
     best, other = (
         np.mean([mean_error(700, "irregular", seed, weighting=name)[0] for seed in SEEDS])
-        for name in ("max", weighting)
+        for name in (Weighting.MAX, weighting)
     )
     assert best < other
 

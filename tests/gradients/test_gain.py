@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import pytest
 
+from skinbake.choices import Neighbours, Weighting
 from skinbake.geometry.frames import unit_normals
 from skinbake.geometry.skinned import Float64Array, SkinnedPrimitive
 from skinbake.gltf.animation import clip_poses, random_poses, read_clips, read_skeleton
@@ -131,7 +132,7 @@ def test_adoption_takes_error_off_real_animations(name: str) -> None:
     # 1.94° → 1.84° and 0.58° → 0.55°, measured.
     poses = animated(name)
     _, adopted = mean_errors(name, poses, BakeSettings())
-    _, dropped = mean_errors(name, poses, BakeSettings(neighbours="drop"))
+    _, dropped = mean_errors(name, poses, BakeSettings(neighbours=Neighbours.DROP))
     assert adopted < 0.96 * dropped
 
 
@@ -139,5 +140,5 @@ def test_max_weights_beat_the_published_weighting_on_a_real_animation() -> None:
     # 1.84° against 2.44°, measured.
     poses = animated(CESIUM_MAN)
     _, best = mean_errors(CESIUM_MAN, poses, BakeSettings())
-    _, published = mean_errors(CESIUM_MAN, poses, BakeSettings(weighting="angle-area"))
+    _, published = mean_errors(CESIUM_MAN, poses, BakeSettings(weighting=Weighting.ANGLE_AREA))
     assert best < 0.8 * published

@@ -10,9 +10,10 @@ from typing import get_args
 import numpy as np
 import pytest
 
+from skinbake.choices import Weighting
 from skinbake.geometry.skinned import FloatArray, SkinnedPrimitive
 from skinbake.gradients.baker import BakeSettings
-from skinbake.lighting.operator import Weighting, expected_alpha_beta, gradient_operator
+from skinbake.lighting.operator import expected_alpha_beta, gradient_operator
 from tests.support.baked_arrays import (
     AFRAME_HAND,
     BARBARIAN,
@@ -54,7 +55,7 @@ TOLERANCE = 1e-6
 
 
 def relative_deviation(
-    stored: Sequence[StoredPrimitive], weights: Sequence[FloatArray], weighting: Weighting = "max"
+    stored: Sequence[StoredPrimitive], weights: Sequence[FloatArray], weighting: Weighting = Weighting.MAX
 ) -> float:
     """Return the largest |α − expected| of slots 1 … K − 1, relative to the primitive's largest; β too.
 
@@ -73,7 +74,7 @@ def relative_deviation(
     return worst
 
 
-def assert_agrees(name: str, folder: Path, weighting: Weighting = "max") -> None:
+def assert_agrees(name: str, folder: Path, weighting: Weighting = Weighting.MAX) -> None:
     """Bake to a file, read it back, and compare every primitive with the operator."""
     target = bake_to(name, folder, BakeSettings(weighting=weighting))
     originals = meshes_of(path_of(name))

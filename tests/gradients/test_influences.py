@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from skinbake.choices import Neighbours
 from skinbake.commands.bake import BakeOptions, bake_file
 from skinbake.geometry.skinned import SkinnedPrimitive
 from skinbake.gradients.baker import BakeSettings
@@ -218,7 +219,7 @@ def test_a_repeated_joints_gradient_stands_in_one_slot(slots: tuple[int, int]) -
     weights[:, 0] = [1.0, 0.25, 0.5]
     weights[1, first], weights[1, second] = 0.5, 0.25
     weights[2, second] = 0.5
-    baked, findings = bake_one(triangle([1, 5, 5, 5], weights), BakeSettings(neighbours="drop"))
+    baked, findings = bake_one(triangle([1, 5, 5, 5], weights), BakeSettings(neighbours=Neighbours.DROP))
     carried = [1, 1, second]
     expected = np.zeros((3, 3))
     expected[np.arange(3), np.array(carried) - 1] = 0.75

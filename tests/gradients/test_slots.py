@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from skinbake.choices import Neighbours
 from skinbake.geometry.skinned import BakedPrimitive, Float64Array, SkinnedPrimitive
 from skinbake.gradients import slots
 from skinbake.gradients.baker import BakeFindings, BakeSettings, bake_mesh, rest_frame
@@ -159,9 +160,9 @@ def assert_slots_hold_their_joints(
     assert np.abs(found - expected).max() <= 5e-7 * np.abs(expected).max(initial=0.0)
 
 
-@pytest.mark.parametrize("neighbours", ["adopt", "drop"])
+@pytest.mark.parametrize("neighbours", list(Neighbours))
 @pytest.mark.parametrize("name", FILES)
-def test_slots_are_filled_as_a_loop_over_vertices_fills_them(name: str, neighbours: str) -> None:
+def test_slots_are_filled_as_a_loop_over_vertices_fills_them(name: str, neighbours: Neighbours) -> None:
     adopts = False
     for primitives in meshes_of(path_of(name)).values():
         outcomes = bake_mesh(primitives, BakeSettings(neighbours=neighbours))
@@ -283,7 +284,9 @@ def test_copies_adopt_the_same_joints_as_many_as_the_poorest_has_room_for() -> N
 
 
 def test_dropping_adopts_nothing_and_counts_every_vertex_that_would() -> None:
-    baked, findings = bake_one(star([[9, 0, 0, 0]], [[1.0, 0.0, 0.0, 0.0]]), BakeSettings(neighbours="drop"))
+    baked, findings = bake_one(
+        star([[9, 0, 0, 0]], [[1.0, 0.0, 0.0, 0.0]]), BakeSettings(neighbours=Neighbours.DROP)
+    )
     assert not baked.adopts
     assert not baked.alpha.any()
     assert findings.adopting_vertices == 0

@@ -7,12 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from skinbake.choices import Baseline
 from skinbake.geometry.skinned import Float64Array
 from skinbake.lighting import blending
 from skinbake.lighting.blending import BlendedSurface, blended_blocks
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.run import replay
-from skinbake.skinning.surface import Baseline, Options, RestSurface
+from skinbake.skinning.surface import Options, RestSurface
 
 ALGORITHMS = (Algorithm.LBS_APPROXIMATED, Algorithm.LBS_DIRECT, Algorithm.LBS_ACCURATE)
 JOINTS, VERTICES = 200, 23

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from skinbake.format.encodings import Encoding
-from skinbake.format.layouts import Layout, Storage
+from skinbake.choices import Encoding, Layout
+from skinbake.format.layouts import Storage
 from tests.support import corpus
 from tests.support.baked_files import CESIUM_MAN, Editable, JsonObject, source, verify
 from tests.support.models import FIXTURES, FOLDER, bake

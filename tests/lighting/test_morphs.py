@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from skinbake.choices import FrameChoice
 from skinbake.gltf.animation import read_clips
 from skinbake.gltf.document import read_document
 from skinbake.gradients.baker import BakeSettings
@@ -126,7 +127,7 @@ def test_targets_that_change_after_a_bake_make_it_no_staler(tmp_path: Path) -> N
 
 
 def test_the_morphed_fixture_is_better_lit_in_either_frame(tmp_path: Path) -> None:
-    for frame in ("tangent", "normal"):
+    for frame in (FrameChoice.TANGENT, FrameChoice.NORMAL):
         path = baked(source("morphed_sheet.glb"), tmp_path, BakeSettings(frame=frame))
         answer = verify(path)
         assert answer.exit_code == 0, answer.messages
@@ -144,7 +145,7 @@ def test_targets_of_tangents_carry_the_tangent_frame(tmp_path: Path) -> None:
 
 
 def test_targets_of_tangents_do_not_touch_the_normal_frame(tmp_path: Path) -> None:
-    path = baked(source("mirrored_tangent.glb"), tmp_path, BakeSettings(frame="normal"))
+    path = baked(source("mirrored_tangent.glb"), tmp_path, BakeSettings(frame=FrameChoice.NORMAL))
     path = morphed(path, tmp_path / "moved.glb", targets=1)
     before = lbs(path)
     assert lbs(with_tangents(path, 0.8)) == before

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
+from skinbake.choices import FrameChoice, Weighting
 from skinbake.commands.verify import verify_file
 from skinbake.gradients.baker import BakeSettings
 from skinbake.lighting.measured import VerifyOptions
@@ -224,9 +225,9 @@ def test_an_untouched_copy_is_fresh(bakes: Callable[[str], Path], tmp_path: Path
     assert answer.failed == []
 
 
-@pytest.mark.parametrize("weighting", ["angle", "area", "angle-area"])
+@pytest.mark.parametrize("weighting", [Weighting.ANGLE, Weighting.AREA, Weighting.ANGLE_AREA])
 @pytest.mark.parametrize("name", MODELS)
-def test_another_weighting_declared_as_max_is_stale(tmp_path: Path, name: str, weighting: str) -> None:
+def test_another_weighting_declared_as_max_is_stale(tmp_path: Path, name: str, weighting: Weighting) -> None:
     path = baked(source(name), tmp_path, BakeSettings(weighting=weighting))
     assert verify(path, *FEW).exit_code == 0
     model = Editable(path)
@@ -302,7 +303,7 @@ def test_a_skewed_rest_frame_fails(tmp_path: Path) -> None:
     skewed = model.write(tmp_path / "skewed.glb")
     folder = tmp_path / "baked"
     folder.mkdir()
-    answer = verify(baked(skewed, folder, BakeSettings(frame="tangent")), *FEW)
+    answer = verify(baked(skewed, folder, BakeSettings(frame=FrameChoice.TANGENT)), *FEW)
     assert (answer.exit_code, answer.failed) == (1, ["structure"])
     (problem,) = answer.problems("structure")
     assert problem["code"] == "tangents-skewed"

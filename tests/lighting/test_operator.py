@@ -7,11 +7,12 @@ from typing import get_args
 import numpy as np
 import pytest
 
+from skinbake.choices import Weighting
 from skinbake.errors import InputError
 from skinbake.geometry.skinned import Float64Array, SkinnedPrimitive
 from skinbake.lighting.influences import weight_field
 from skinbake.lighting.metrics import angular_errors, vertex_areas
-from skinbake.lighting.operator import GradientOperator, Weighting, expected_alpha_beta, gradient_operator
+from skinbake.lighting.operator import GradientOperator, expected_alpha_beta, gradient_operator
 from tests.support.surfaces import (
     MILD,
     AnalyticSurface,
@@ -49,7 +50,9 @@ def gradients(operator: GradientOperator, field: object) -> Float64Array:
     return np.stack([operator.x @ values, operator.y @ values, operator.z @ values], axis=-1)
 
 
-def alpha_beta(surface: AnalyticSurface, weighting: Weighting = "max") -> tuple[Float64Array, Float64Array]:
+def alpha_beta(
+    surface: AnalyticSurface, weighting: Weighting = Weighting.MAX
+) -> tuple[Float64Array, Float64Array]:
     operator = gradient_operator([surface.primitive], weighting=weighting)
     frames = [(surface.tangents, surface.bitangents)]
     [(alpha, beta)] = expected_alpha_beta(operator, [surface.primitive], frames)
@@ -140,7 +143,7 @@ def test_max_weights_converge(triangulation: Triangulation, order: float) -> Non
     # In the range of real characters. Ever finer, every average of triangle gradients falls back to order 1
     # where the stencils stay irregular: its error in a quadratic field is proportional to the edge length.
     coarse, fine = (
-        [mean_error(count, triangulation, "max", seed) for seed in range(3)] for count in (700, 5600)
+        [mean_error(count, triangulation, Weighting.MAX, seed) for seed in range(3)] for count in (700, 5600)
     )
     spacing = math.sqrt(np.mean([count for _, count in fine]) / np.mean([count for _, count in coarse]))
     drop = np.mean([error for error, _ in coarse]) / np.mean([error for error, _ in fine])
@@ -151,7 +154,7 @@ def test_max_weights_converge(triangulation: Triangulation, order: float) -> Non
 def test_max_weights_beat_angle_times_area_on_random_triangulations(count: int) -> None:
     best, published = (
         np.mean([mean_error(count, "random", weighting, seed)[0] for seed in range(3)])
-        for weighting in ("max", "angle-area")
+        for weighting in (Weighting.MAX, Weighting.ANGLE_AREA)
     )
     assert best <= 0.6 * published
 

@@ -8,8 +8,9 @@ from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any
 
+from skinbake.choices import Language, Method, Morphs
 from skinbake.geometry.frames import NORMAL_FRAME, TANGENT_FRAME
-from skinbake.shaders.choices import ALGORITHMS, BEST, Language, Method, Morphs, ShaderChoices
+from skinbake.shaders.choices import ALGORITHMS, BEST, ShaderChoices
 from skinbake.shaders.text import shader_text
 from skinbake.skinning.surface import DEFAULT_CAP
 

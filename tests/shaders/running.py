@@ -7,7 +7,8 @@ from collections.abc import Mapping
 import numpy as np
 import numpy.typing as npt
 
-from skinbake.shaders.choices import Method, ShaderChoices
+from skinbake.choices import Method
+from skinbake.shaders.choices import ShaderChoices
 from tests.shaders.combinations import ATTRIBUTES, Column, columns, glsl, wgsl
 from tests.shaders.scenes import Scene
 from tests.support import opengl, webgpu

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from skinbake.choices import Frame, Method
 from skinbake.commands.bake import BakeOptions, bake_file
 from skinbake.geometry import frames
 from skinbake.geometry.dual_quaternions import RigidMotions, rigid_motions
@@ -21,7 +22,7 @@ from skinbake.gltf.primitives import skinned_sources
 from skinbake.lighting.baked_views import baked_views
 from skinbake.lighting.measured import rest_surface
 from skinbake.lighting.poses import PoseRequest, pose_set
-from skinbake.shaders.choices import SLOTS_PER_SET, Method, ShaderChoices
+from skinbake.shaders.choices import SLOTS_PER_SET, ShaderChoices
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.run import replay
 from skinbake.skinning.surface import RestSurface
@@ -211,7 +212,7 @@ class Character:
     """A model of the corpus by its path, the frame that it is baked in, and its influences."""
 
     path: str
-    frame: str
+    frame: Frame
     influences: int
 
     def scene(self, folder: Path, samples: int) -> Scene:

@@ -9,8 +9,9 @@ from dataclasses import replace
 
 import pytest
 
+from skinbake.choices import Language, Layout, Lighting, Method, Morphs
 from skinbake.geometry.frames import NORMAL_FRAME, TANGENT_FRAME
-from skinbake.shaders.choices import Language, Lighting, Method, Morphs, ShaderChoices
+from skinbake.shaders.choices import ShaderChoices
 from tests.shaders.combinations import STORED, every_stored_and_morphed, every_text, glsl, together, wgsl
 from tests.support import glslang, webgpu
 
@@ -65,7 +66,7 @@ def test_texts_can_be_included_together(version: str) -> None:
         "cap": [EXACT, CAPPED],
         "cap-of-two-methods": [CAPPED, replace(CAPPED, method=Method.LBS, lighting=Lighting.ACCURATE)],
         "storages": [BASE, *storages],
-        "coordinates": [replace(BASE, layout="texcoord", influences=count) for count in (3, 4, 8, 12)],
+        "coordinates": [replace(BASE, layout=Layout.TEXCOORD, influences=count) for count in (3, 4, 8, 12)],
         "morphs": [BASE, *morphs],
         "all": [BASE, EXACT, CAPPED, replace(BASE, lighting=Lighting.DIRECT), replace(BASE, influences=1)],
     }

@@ -6,7 +6,7 @@ from functools import cache
 
 import pytest
 
-from skinbake.shaders.choices import Language
+from skinbake.choices import Language
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.counting import multiply_adds
 from tests.shaders.combinations import FRAMES, INFLUENCES, combinations, glsl

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from skinbake.choices import Language, Method
 from skinbake.geometry.dual_quaternions import dual_quaternions_from_matrices, matrices_from_dual_quaternions
-from skinbake.shaders.choices import BEST, Language, Method, ShaderChoices
+from skinbake.shaders.choices import BEST, ShaderChoices
 from skinbake.shaders.text import shader_text
 from tests.shaders.running import WORKGROUP, Single, done
 from tests.shaders.scenes import shader_order

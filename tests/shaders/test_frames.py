@@ -6,8 +6,9 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from skinbake.choices import Language
 from skinbake.geometry import frames
-from skinbake.shaders.choices import Language, ShaderChoices
+from skinbake.shaders.choices import ShaderChoices
 from skinbake.shaders.text import shader_text
 from tests.shaders.running import WORKGROUP, Single, done
 from tests.support import opengl, webgpu

@@ -15,6 +15,7 @@ import numpy.typing as npt
 import pytest
 from click.testing import CliRunner
 
+from skinbake.choices import Frame, FrameChoice, Language, Lighting, Method, Morphs
 from skinbake.cli.main import main
 from skinbake.commands.shader import ShaderRequest, shader
 from skinbake.errors import ChoiceError
@@ -22,7 +23,7 @@ from skinbake.geometry.frames import frame_from_normal
 from skinbake.geometry.morphs import carried_by_normal, carried_by_tangent, morphed_normals
 from skinbake.geometry.skinned import Float32Array
 from skinbake.gradients.baker import BakeSettings
-from skinbake.shaders.choices import ALGORITHMS, Language, Lighting, Method, Morphs, ShaderChoices
+from skinbake.shaders.choices import ALGORITHMS, ShaderChoices
 from skinbake.shaders.text import shader_text
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.morphs import morphed
@@ -35,10 +36,14 @@ from tests.support.morphed_files import morphed as with_targets
 from tests.support.morphed_files import with_tangents
 from tests.support.strictness import missing_tool
 
-KINDS = [("normal", Morphs.NORMAL), ("tangent", Morphs.NORMAL), ("tangent", Morphs.TANGENT)]
+KINDS = [
+    (Frame.NORMAL, Morphs.NORMAL),
+    (Frame.TANGENT, Morphs.NORMAL),
+    (Frame.TANGENT, Morphs.TANGENT),
+]
 
 
-def choices(language: Language, frame: str, morphs: Morphs, **others: Any) -> ShaderChoices:
+def choices(language: Language, frame: Frame, morphs: Morphs, **others: Any) -> ShaderChoices:
     return ShaderChoices(language, frame=frame, morphs=morphs, influences=3, **others)
 
 
@@ -143,7 +148,7 @@ def test_the_frame_that_follows_the_normal_is_the_replay_s(language: Language, t
     t0, b0 = frame_from_normal(n0)
     n = morphed_normals(n0, differences)
     t, b = carried_by_normal(n0, (t0, b0), n)
-    text = shader_text(choices(language, "normal", Morphs.NORMAL))
+    text = shader_text(choices(language, Frame.NORMAL, Morphs.NORMAL))
     code = FRAME[language].format(call="skinbake_morphed_frame(skinbake_frame(row[0].xyz), row[1].xyz)")
     found = run(language, text, code + WRITE_FRAME[language], padded(n0, n0 + differences), tmp_path)
     # Rounding counts up to 2 / |n0 + n| times: 200 at the threshold.
@@ -169,7 +174,7 @@ def test_the_frame_that_follows_the_tangent_is_the_replay_s(language: Language, 
     moved = t0 + directions(2000, 6) * np.float32(0.8)
     moved[:20] = 0.0005 * directions(20, 7)  # cancelled
     t, b = carried_by_tangent(n0, (t0, b0), n, moved, hand)
-    text = shader_text(choices(language, "tangent", Morphs.TANGENT))
+    text = shader_text(choices(language, Frame.TANGENT, Morphs.TANGENT))
     call = "skinbake_morphed_tangent_frame(skinbake_frame(row[0].xyz, row[1]), row[2].xyz, row[3].xyz)"
     code = FRAME[language].format(call=call) + WRITE_FRAME[language]
     rows = padded(n0, np.concatenate([t0, hand[:, None]], axis=1), n, moved)
@@ -209,7 +214,7 @@ def surface_at(frame: str) -> tuple[RestSurface, analytic.Sample]:
 @pytest.mark.parametrize("lighting", [Lighting.DIRECT, Lighting.ACCURATE])
 @pytest.mark.parametrize("language", Language)
 def test_a_morphed_and_skinned_vertex_is_the_float32_replay_s(
-    language: Language, lighting: Lighting, frame: str, morphs: Morphs, tmp_path: Path
+    language: Language, lighting: Lighting, frame: Frame, morphs: Morphs, tmp_path: Path
 ) -> None:
     """From p + Δp, n + Δn, t + Δt to the skinned normal: the call that the header shows."""
     rest, points = surface_at(frame)
@@ -320,7 +325,7 @@ def test_a_file_says_what_its_frames_follow(tmp_path: Path) -> None:
 
 
 def test_targets_of_tangents_do_not_matter_to_the_normal_frame(tmp_path: Path) -> None:
-    path = baked(source("mirrored_tangent.glb"), tmp_path, BakeSettings(frame="normal"))
+    path = baked(source("mirrored_tangent.glb"), tmp_path, BakeSettings(frame=FrameChoice.NORMAL))
     assert for_file(with_tangents(with_targets(path, tmp_path / "moved.glb"), 0.2)).morphs is Morphs.NORMAL
 
 
@@ -336,7 +341,7 @@ def test_the_command_line_in_the_header_writes_the_text_again() -> None:
 
 def test_morphed_tangents_need_the_tangent_frame() -> None:
     with pytest.raises(ChoiceError, match="--morphs tangent needs --frame tangent"):
-        ShaderChoices(Language.GLSL, frame="normal", morphs=Morphs.TANGENT)
+        ShaderChoices(Language.GLSL, frame=Frame.NORMAL, morphs=Morphs.TANGENT)
     result = CliRunner().invoke(
         main, ["shader", "--lang", "glsl", "--frame", "normal", "--morphs", "tangent"]
     )

@@ -16,8 +16,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from skinbake.choices import Language, Lighting, Method
 from skinbake.geometry.frames import NORMAL_FRAME
-from skinbake.shaders.choices import ALGORITHMS, Language, Lighting, Method, ShaderChoices
+from skinbake.shaders.choices import ALGORITHMS, ShaderChoices
 from tests.shaders.combinations import ATTRIBUTES, every_text, label
 from tests.shaders.running import Single, Wide, Work, run_glsl, run_wgsl
 from tests.shaders.scenes import CHARACTERS, Character, Scene, irregular

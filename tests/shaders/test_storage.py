@@ -14,12 +14,12 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from skinbake.choices import Encoding, Language, Layout, Lighting, Method
 from skinbake.commands.shader import ShaderRequest, shader
 from skinbake.errors import ChoiceError, InputError
-from skinbake.format.encodings import Encoding
-from skinbake.format.layouts import Layout, Storage
+from skinbake.format.layouts import Storage
 from skinbake.shaders import text as shader_texts
-from skinbake.shaders.choices import AttributeText, Language, Lighting, Method, ShaderChoices
+from skinbake.shaders.choices import AttributeText, ShaderChoices
 from skinbake.shaders.text import shader_text
 from tests.support.command_line import invoke
 from tests.support.gltf_reading import GltfFile, read
@@ -212,7 +212,7 @@ class TestText:
             assert f'"scale" in extras.skinbake of its baked primitives: {literal}.' in text
 
     def test_without_a_file_the_scale_is_a_parameter(self) -> None:
-        text = shader_text(ShaderChoices(GLSL, encoding="snorm16"))
+        text = shader_text(ShaderChoices(GLSL, encoding=Encoding.SNORM16))
         assert "vec3 skinbake_decoded(vec4 stored, float scale)" in text
         assert "skinbake_decoded_further" not in text
         assert "scale =" not in text
@@ -221,21 +221,21 @@ class TestText:
         assert "max(c / 32767, -1)" in text
 
     def test_the_table_of_inputs_tells_the_stored_types(self) -> None:
-        text = shader_text(ShaderChoices(GLSL, encoding="packed8"))
+        text = shader_text(ShaderChoices(GLSL, encoding=Encoding.PACKED8))
         assert "_SKINBAKE_ALPHA_0    vec4   alpha = grad w . t0 of slots 1 to 3, as snorm8x4" in text
-        text = shader_text(ShaderChoices(WGSL, encoding="snorm16", influences=8))
+        text = shader_text(ShaderChoices(WGSL, encoding=Encoding.SNORM16, influences=8))
         assert "_SKINBAKE_ALPHA_1    vec4<f32>  alpha = grad w . t0 of slots 4 to 7, as snorm16x4" in text
-        text = shader_text(ShaderChoices(GLSL, layout="texcoord"))
+        text = shader_text(ShaderChoices(GLSL, layout=Layout.TEXCOORD))
         assert "TEXCOORD_2           vec2   alpha of slot 3, beta of slot 1" in text
         assert "The sets follow those that a primitive had before: here one, TEXCOORD_0." in text
-        text = shader_text(ShaderChoices(GLSL, layout="custom"))
+        text = shader_text(ShaderChoices(GLSL, layout=Layout.CUSTOM))
         assert "_CUSTOM1             vec3   beta" in text
 
     def test_a_shader_of_fewer_influences_reads_the_pairs_of_the_file(self) -> None:
         """K is 8 in the file: β begins after seven α, however many of them the shader reads."""
         names = [f"TEXCOORD_{number}" for number in range(7)]
         attributes = AttributeText("hero.glb", tuple(names[:4]), tuple(names[3:]))
-        text = shader_text(ShaderChoices(GLSL, influences=4, layout="texcoord", attributes=attributes))
+        text = shader_text(ShaderChoices(GLSL, influences=4, layout=Layout.TEXCOORD, attributes=attributes))
         assert "vec3 alpha_0 = skinbake_alpha_0(texcoord_0, texcoord_1);" in usage(text)
         assert "vec3 beta_0 = skinbake_beta_0(texcoord_3, texcoord_4);" in usage(text)
         assert "return vec3(pair_4.y, pair_5.x, pair_5.y);" in text
@@ -245,7 +245,7 @@ class TestText:
         for lighting in (Lighting.ACCURATE, Lighting.APPROXIMATED):
             text = shader_text(ShaderChoices(GLSL, lighting=lighting))
             assert not re.search("scale|decoded|pair|stored_|snorm", text)
-        text = shader_text(ShaderChoices(GLSL, lighting=Lighting.APPROXIMATED, encoding="packed8"))
+        text = shader_text(ShaderChoices(GLSL, lighting=Lighting.APPROXIMATED, encoding=Encoding.PACKED8))
         assert "skinbake_decoded" not in text
 
     @pytest.mark.parametrize(
@@ -259,9 +259,9 @@ class TestText:
     def test_texts_of_different_storage_have_different_guards(self) -> None:
         made = [
             ShaderChoices(GLSL),
-            ShaderChoices(GLSL, encoding="packed8"),
-            ShaderChoices(GLSL, encoding="snorm16"),
-            ShaderChoices(GLSL, layout="texcoord"),
+            ShaderChoices(GLSL, encoding=Encoding.PACKED8),
+            ShaderChoices(GLSL, encoding=Encoding.SNORM16),
+            ShaderChoices(GLSL, layout=Layout.TEXCOORD),
         ]
         guards = [re.search(r"#ifndef (\w+_GLSL)", shader_text(choices)) for choices in made]
         assert len({guard[1] for guard in guards if guard}) == len(made)
@@ -301,7 +301,9 @@ class TestRefusals:
             shader_text(ShaderChoices(GLSL, target="bare", **storage))
         approximated = ShaderChoices(GLSL, lighting=Lighting.APPROXIMATED, target="bare", **storage)
         assert "skinbake_lbs_approximated" in shader_text(approximated)
-        assert "skinbake_lbs_accurate" in shader_text(ShaderChoices(GLSL, target="bare", layout="custom"))
+        assert "skinbake_lbs_accurate" in shader_text(
+            ShaderChoices(GLSL, target="bare", layout=Layout.CUSTOM)
+        )
 
     @pytest.mark.parametrize(
         ("storage", "asked", "words"),

@@ -8,7 +8,8 @@ from functools import cache
 
 import pytest
 
-from skinbake.shaders.choices import Language, ShaderChoices
+from skinbake.choices import Language
+from skinbake.shaders.choices import ShaderChoices
 from skinbake.shaders.text import shader_text
 from tests.shaders.combinations import every_stored_and_morphed, every_text, usage
 

@@ -7,8 +7,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from skinbake.choices import Language
 from skinbake.geometry.frames import NORMAL_FRAME, TANGENT_FRAME
-from skinbake.shaders.choices import ALGORITHMS, Language, ShaderChoices
+from skinbake.shaders.choices import ALGORITHMS, ShaderChoices
 from skinbake.shaders.text import shader_text
 from tests.shaders.combinations import label
 

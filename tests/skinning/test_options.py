@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from skinbake.choices import Baseline
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.run import replay
-from skinbake.skinning.surface import DEFAULT_CAP, Baseline, RestSurface
+from skinbake.skinning.surface import DEFAULT_CAP, RestSurface
 from tests.support import analytic
 from tests.support.analytic_rest import poses, rest_surface, sample
 

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from skinbake.choices import Frame, FrameChoice
 from skinbake.commands.bake import BakeOptions, bake_file
 from skinbake.format.layouts import Storage
 from skinbake.geometry import frames
@@ -68,7 +69,7 @@ class Character:
         normals = frames.unit_normals(file.attribute("NORMAL"))
         metadata = file.primitive(0)["extras"]["skinbake"]
         self.tangents = file.attribute("TANGENT") if file.has_attribute("TANGENT") else None
-        self.frame: str = metadata["frame"]
+        self.frame = Frame(metadata["frame"])
         if self.frame == frames.NORMAL_FRAME:
             tangents, bitangents = frames.frame_from_normal(normals)
         else:
@@ -185,7 +186,7 @@ def baked(source: Path, folder: Path, frame: str = "auto", storage: Storage = AS
     """Bake a file into a folder, frame and storage in its name, and return what was written."""
     target = folder / f"{source.stem}-{frame}-{storage.encoding}-{storage.layout}.glb"
     if not target.exists():
-        options = BakeOptions(settings=BakeSettings(frame=frame), storage=storage)
+        options = BakeOptions(settings=BakeSettings(frame=FrameChoice(frame)), storage=storage)
         result = bake_file(str(source), str(target), options)
         assert result.status == "baked", result.error or result.notices
     return target

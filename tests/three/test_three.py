@@ -20,11 +20,11 @@ import numpy.typing as npt
 import pytest
 
 from fixtures.make_fixtures import FOLDER
+from skinbake.choices import Encoding, Frame, Language, Layout, Lighting, Method, Morphs
 from skinbake.commands.shader import ShaderRequest, shader
 from skinbake.errors import ChoiceError
-from skinbake.format.encodings import Encoding
-from skinbake.format.layouts import Layout, Storage
-from skinbake.shaders.choices import AttributeText, Language, Lighting, Method, Morphs, ShaderChoices
+from skinbake.format.layouts import Storage
+from skinbake.shaders.choices import AttributeText, ShaderChoices
 from skinbake.shaders.text import shader_text
 from skinbake.skinning.algorithms import Algorithm
 from tests.support import browser, corpus
@@ -152,7 +152,7 @@ def floats(text: str) -> npt.NDArray[np.float32]:
 
 
 def for_frame(frame: str, lighting: Lighting = Lighting.ACCURATE) -> ShaderChoices:
-    return dataclasses.replace(CHOICES, frame=frame, lighting=lighting)
+    return dataclasses.replace(CHOICES, frame=Frame(frame), lighting=lighting)
 
 
 def deviation(found: Array, expected: Array | None) -> float:
@@ -469,12 +469,14 @@ class TestStorage:
 
     def test_modules_of_two_scales_are_two_programs(self) -> None:
         """three.js shares the programs of materials whose keys are the same."""
-        texts = [shader_text(dataclasses.replace(CHOICES, encoding="packed8", scale=x)) for x in (1.5, 2.5)]
+        texts = [
+            shader_text(dataclasses.replace(CHOICES, encoding=Encoding.PACKED8, scale=x)) for x in (1.5, 2.5)
+        ]
         keys = [re.search(r"const SCALE = (.*);\nconst KEY = `.* \$\{SCALE\}`;", text) for text in texts]
         assert [key and key[1] for key in keys] == ["1.5", "2.5"]
 
-    @pytest.mark.parametrize("encoding", ["packed8", "snorm16"])
-    def test_an_unknown_scale_is_refused(self, encoding: str) -> None:
+    @pytest.mark.parametrize("encoding", [Encoding.PACKED8, Encoding.SNORM16])
+    def test_an_unknown_scale_is_refused(self, encoding: Encoding) -> None:
         with pytest.raises(ChoiceError, match=f"three: {encoding} counts in .*; say --for BAKED_FILE"):
             shader_text(dataclasses.replace(CHOICES, encoding=encoding))
 

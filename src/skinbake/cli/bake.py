@@ -9,8 +9,9 @@ from typing import Any
 import click
 from click.core import ParameterSource
 
+from skinbake.choices import Encoding, FrameChoice, Layout, Neighbours, Scheme, Weighting, Weld
 from skinbake.cli import exit_codes
-from skinbake.cli.console import console, finite, message_options, outside_option
+from skinbake.cli.console import console, finite, message_options, one_of, outside_option
 from skinbake.cli.inputs import Input, expanded
 from skinbake.cli.limits import limit_options, memory_of_each
 from skinbake.cli.many import (
@@ -60,7 +61,7 @@ def _multiple_of_4(ctx: click.Context, param: click.Parameter, value: int | None
 @click.option("--json", "as_json", is_flag=True, help="Print the results as JSON.")
 @click.option(
     "--weighting",
-    type=click.Choice(["max", "angle", "area", "angle-area"]),
+    type=one_of(Weighting),
     default="max",
     show_default=True,
     help="How triangles at a vertex are weighted (Max 1999 is the most accurate).",
@@ -76,7 +77,7 @@ def _multiple_of_4(ctx: click.Context, param: click.Parameter, value: int | None
 )
 @click.option(
     "--weld",
-    type=click.Choice(["mesh", "skin"]),
+    type=one_of(Weld),
     default="mesh",
     show_default=True,
     help="Gather over the primitives of one mesh, or over all meshes that the same skin draws: for "
@@ -84,14 +85,14 @@ def _multiple_of_4(ctx: click.Context, param: click.Parameter, value: int | None
 )
 @click.option(
     "--neighbours",
-    type=click.Choice(["adopt", "drop"]),
+    type=one_of(Neighbours),
     default="adopt",
     show_default=True,
     help="What becomes of joints that only a vertex's neighbours have: into free slots, or dropped.",
 )
 @click.option(
     "--frame",
-    type=click.Choice(["auto", "tangent", "normal"]),
+    type=one_of(FrameChoice),
     default="auto",
     show_default=True,
     help="Take the tangent frame from TANGENT, or from NORMAL alone; auto prefers TANGENT.",
@@ -122,7 +123,7 @@ def _multiple_of_4(ctx: click.Context, param: click.Parameter, value: int | None
 )
 @click.option(
     "--compress",
-    type=click.Choice(["keep", "none", "draco", "meshopt"]),
+    type=one_of(Scheme),
     default="keep",
     show_default=True,
     help="Leave geometry compressed as it came, decompress it, or compress skinned primitives, without loss.",
@@ -145,14 +146,14 @@ def _multiple_of_4(ctx: click.Context, param: click.Parameter, value: int | None
 )
 @click.option(
     "--encoding",
-    type=click.Choice(["float32", "snorm16", "packed8"]),
+    type=one_of(Encoding),
     default="float32",
     show_default=True,
     help="How α and β are stored: 24, 16 or 8 bytes a vertex with four influences.",
 )
 @click.option(
     "--layout",
-    type=click.Choice(["attributes", "texcoord", "custom"]),
+    type=one_of(Layout),
     default="attributes",
     show_default=True,
     help="Where: in attributes of their own, in free TEXCOORD_n, or in _CUSTOM0 and _CUSTOM1 (Godot).",
@@ -248,21 +249,20 @@ def _options(given: dict[str, Any]) -> Any:
 
     from skinbake.commands.bake import BakeOptions
     from skinbake.format.baked import AttributeNames
-    from skinbake.format.encodings import Encoding
-    from skinbake.format.layouts import Layout, Storage
+    from skinbake.format.layouts import Storage
     from skinbake.gltf.codecs.recode import Compression
     from skinbake.gradients.baker import BakeSettings
 
     return BakeOptions(
         settings=BakeSettings(
-            weighting=given["weighting"],
+            weighting=Weighting(given["weighting"]),
             crease_angle=math.radians(given["crease_angle"]),
-            neighbours=given["neighbours"],
-            frame=given["frame"],
+            neighbours=Neighbours(given["neighbours"]),
+            frame=FrameChoice(given["frame"]),
         ),
         names=AttributeNames(given["alpha_name"], given["beta_name"]),
         storage=Storage(Encoding(given["encoding"]), Layout(given["layout"])),
-        weld=given["weld"],
+        weld=Weld(given["weld"]),
         limit_influences=given["limit_influences"],
         generate_normals=given["generate_normals"],
         require_baked=given["require_baked"],
@@ -270,7 +270,7 @@ def _options(given: dict[str, Any]) -> Any:
         dry_run=given["dry_run"],
         sync=not given["no_sync"],
         make_folder=bool(given["out_dir"]),
-        compression=Compression(given["compress"], given["compress_level"], _bits(given)),
+        compression=Compression(Scheme(given["compress"]), given["compress_level"], _bits(given)),
     )
 
 

@@ -10,6 +10,7 @@ import re
 import sys
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from enum import StrEnum
 from typing import Any, TypeVar
 
 import click
@@ -120,6 +121,11 @@ def finite(ctx: click.Context, param: click.Parameter, value: float | None) -> f
     if value is not None and not math.isfinite(value):
         raise click.BadParameter("must be a finite number")
     return value
+
+
+def one_of(choices: type[StrEnum]) -> click.Choice[str]:
+    """Return the type of an option whose values are those of an enumeration."""
+    return click.Choice([choice.value for choice in choices])
 
 
 def message_options(command: Command) -> Command:

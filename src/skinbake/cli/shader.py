@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from skinbake.choices import Encoding, Frame, Language, Layout, Lighting, Method, Morphs
 from skinbake.cli import exit_codes
-from skinbake.cli.console import console, finite, message_options, outside_option
+from skinbake.cli.console import console, finite, message_options, one_of, outside_option
 from skinbake.cli.targets import STDIO, check_readable_suffix, sync_option
 from skinbake.containment import Bounds
 from skinbake.errors import ChoiceError, SkinbakeError, printable
-from skinbake.shaders.choices import ENCODINGS, LAYOUTS, Language, Lighting, Method, Morphs
 from skinbake.shaders.text import targets
 
 if TYPE_CHECKING:
@@ -27,19 +27,19 @@ PUBLISHED_CAP = 0.9
 @click.option(
     "--lang",
     "language",
-    type=click.Choice([language.value for language in Language]),
+    type=one_of(Language),
     help="Shading language; may be left out where --target has one only.",
 )
 @click.option(
     "--method",
-    type=click.Choice([method.value for method in Method]),
+    type=one_of(Method),
     default=Method.LBS.value,
     show_default=True,
     help="Linear blend skinning, or dual quaternions.",
 )
 @click.option(
     "--lighting",
-    type=click.Choice([lighting.value for lighting in Lighting]),
+    type=one_of(Lighting),
     help="approximated (what engines do), direct (LBS only), accurate, exact (DQS only). "
     "By default accurate for LBS, exact for DQS.",
 )
@@ -51,7 +51,7 @@ PUBLISHED_CAP = 0.9
 )
 @click.option(
     "--frame",
-    type=click.Choice(["tangent", "normal"]),
+    type=one_of(Frame),
     help="What t0 and b0 are taken from; by default that of --for.",
 )
 @click.option(
@@ -70,17 +70,17 @@ PUBLISHED_CAP = 0.9
 )
 @click.option(
     "--encoding",
-    type=click.Choice(ENCODINGS),
+    type=one_of(Encoding),
     help="How α and β are stored; by default as --for has them, else float32.",
 )
 @click.option(
     "--layout",
-    type=click.Choice(LAYOUTS),
+    type=one_of(Layout),
     help="In which attributes; by default as --for has them, else attributes of their own.",
 )
 @click.option(
     "--morphs",
-    type=click.Choice([morphs.value for morphs in Morphs]),
+    type=one_of(Morphs),
     help="What t0 and b0 follow under morph targets: the morphed normal, or the morphed TANGENT. "
     "By default what the targets of --for have, else none.",
 )
@@ -140,12 +140,12 @@ def _request(given: dict[str, Any]) -> ShaderRequest:
         method=Method(given["method"]),
         lighting=Lighting(given["lighting"]) if given["lighting"] else None,
         influences=given["influences"],
-        frame=given["frame"],
+        frame=Frame(given["frame"]) if given["frame"] else None,
         cap=given["cap"],
         mirrored_joints=given["mirrored_joints"],
         target=given["target"],
-        encoding=given["encoding"],
-        layout=given["layout"],
+        encoding=Encoding(given["encoding"]) if given["encoding"] else None,
+        layout=Layout(given["layout"]) if given["layout"] else None,
         morphs=Morphs(given["morphs"]) if given["morphs"] else None,
     )
 

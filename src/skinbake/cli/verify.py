@@ -9,8 +9,9 @@ from typing import Any
 
 import click
 
+from skinbake.choices import Baseline, Method
 from skinbake.cli import exit_codes
-from skinbake.cli.console import Console, console, finite, message_options, outside_option
+from skinbake.cli.console import Console, console, finite, message_options, one_of, outside_option
 from skinbake.cli.inputs import expanded
 from skinbake.cli.limits import limit_options, memory_of_each
 from skinbake.cli.many import (
@@ -47,7 +48,7 @@ def _poses(ctx: click.Context, param: click.Parameter, value: str) -> tuple[str,
 @click.option(
     "--method",
     "methods",
-    type=click.Choice(["lbs", "dqs"]),
+    type=one_of(Method),
     multiple=True,
     help="Skinning to measure; both by default, DQS where all joints are rigid.",
 )
@@ -76,7 +77,7 @@ def _poses(ctx: click.Context, param: click.Parameter, value: str) -> tuple[str,
 @click.option("--seed", type=int, default=0, show_default=True, help="Seed of random poses.")
 @click.option(
     "--baseline",
-    type=click.Choice(["blended", "inverse-transpose", "cofactor"]),
+    type=one_of(Baseline),
     default="blended",
     show_default=True,
     help="What standard LBS lighting is: as in three.js, Bevy or Filament.",
@@ -197,7 +198,6 @@ def _options(given: dict[str, Any]) -> Any:
 
     from skinbake.lighting.measured import VerifyOptions
     from skinbake.lighting.poses import PoseRequest
-    from skinbake.skinning.surface import Baseline
 
     kind, count = given["poses"]
     return VerifyOptions(

@@ -10,11 +10,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from skinbake.choices import Encoding, FrameChoice
 from skinbake.containment import OWN_FOLDERS, Within
 from skinbake.errors import InputError, Notice, Place, SkinbakeError, defect
 from skinbake.format.attribute_store import stored_otherwise
 from skinbake.format.baked import AttributeNames, Baked, with_baked
-from skinbake.format.encodings import Encoding
+from skinbake.format.encodings import vertex_bytes
 from skinbake.format.layouts import Storage
 from skinbake.format.strip import stripped
 from skinbake.geometry.blocks import blocks
@@ -230,7 +231,7 @@ def _welded_together(
 
 
 def _reason_of_frame(source: PrimitiveSource, options: BakeOptions) -> Notice | None:
-    if options.settings.frame != TANGENT_FRAME or {"NORMAL", "TANGENT"} <= source.attributes.keys():
+    if options.settings.frame is not FrameChoice.TANGENT or {"NORMAL", "TANGENT"} <= source.attributes.keys():
         return None
     lacking = "NORMAL" if "NORMAL" not in source.attributes else "TANGENT"
     return Notice(
@@ -356,7 +357,7 @@ def _counts(
         gradient=findings.magnitude,
         lost_gradient=findings.lost,
         added_bytes=0,
-        bytes_per_vertex=encoding.vertex_bytes(primitive.joints.shape[1]),
+        bytes_per_vertex=vertex_bytes(encoding, primitive.joints.shape[1]),
     )
 
 

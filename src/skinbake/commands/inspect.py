@@ -6,6 +6,7 @@ from dataclasses import asdict
 
 import numpy as np
 
+from skinbake.choices import FrameChoice
 from skinbake.containment import BESIDE, Bounds
 from skinbake.format.attribute_store import meshopt_of
 from skinbake.format.metadata import changed_arrays, read_metadata, slot_names
@@ -21,7 +22,7 @@ from skinbake.gltf.primitives import (
     skinned_sources,
 )
 from skinbake.gltf.resources import is_data_uri
-from skinbake.gradients.baker import AUTO, chosen_frame
+from skinbake.gradients.baker import chosen_frame
 from skinbake.gradients.influences import weight_field
 from skinbake.report.inspect import AttributeSummary, BakeSummary, InspectResult, PrimitiveSummary
 
@@ -88,7 +89,7 @@ def _summary(document: Document, source: PrimitiveSource) -> PrimitiveSummary:
         influences=int(np.count_nonzero(primitive.weights > 0, axis=1).max(initial=0)),
         weight_sums=(float(sums.min()), float(sums.max())),
         defects=asdict(defects),
-        frame=chosen_frame(primitive, AUTO).kind if len(primitive.normals) else "none: no NORMAL",
+        frame=chosen_frame(primitive, FrameChoice.AUTO).kind if len(primitive.normals) else "none: no NORMAL",
         attributes=tuple(attributes),
         compression=_compression(document, source),
         morph_targets=len(targets) if isinstance(targets, list) else 0,

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from skinbake.choices import Encoding, Frame, Language, Layout, Lighting, Method, Morphs
 from skinbake.containment import BESIDE, Bounds
 from skinbake.errors import ChoiceError, InputError, Notice, Place
 from skinbake.format.metadata import slot_names
-from skinbake.geometry.frames import NORMAL_FRAME
 from skinbake.gltf.animation import read_clips
 from skinbake.gltf.document import STDIO, Document, read_document
 from skinbake.gltf.output import refuse_own_input
@@ -24,11 +24,11 @@ from skinbake.lighting.measured import rest_surface, without_dqs
 from skinbake.lighting.morphing import carrier
 from skinbake.lighting.poses import PoseRequest, PoseSet, pose_set, skins_of
 from skinbake.report.notices import counted
-from skinbake.shaders.choices import BEST, AttributeText, Language, Lighting, Method, Morphs, ShaderChoices
+from skinbake.shaders.choices import BEST, AttributeText, ShaderChoices
 from skinbake.shaders.text import shader_made
 
 DEFAULT_INFLUENCES = 4
-DEFAULTS = {"encoding": "float32", "layout": "attributes"}
+DEFAULTS = {"encoding": Encoding.FLOAT32, "layout": Layout.ATTRIBUTES}
 """What metadata mean that do not say how α and β are stored."""
 
 
@@ -40,12 +40,12 @@ class ShaderRequest:
     method: Method = Method.LBS
     lighting: Lighting | None = None
     influences: int | None = None
-    frame: str | None = None
+    frame: Frame | None = None
     cap: float | None = None
     mirrored_joints: bool = False
     target: str = "plain"
-    encoding: str | None = None
-    layout: str | None = None
+    encoding: Encoding | None = None
+    layout: Layout | None = None
     morphs: Morphs | None = None
 
 
@@ -102,15 +102,15 @@ def _choices(request: ShaderRequest) -> tuple[ShaderChoices, list[Notice]]:
     notices = []
     if request.frame is None:
         message = (
-            f"made for --frame {NORMAL_FRAME}: bake takes the tangent frame where a mesh has TANGENT. "
+            f"made for --frame {Frame.NORMAL}: bake takes the tangent frame where a mesh has TANGENT. "
             "Name the baked file with --for, or say --frame"
         )
         notices.append(Notice("frame-assumed", message, Place("shader")))
-    frame, influences = request.frame or NORMAL_FRAME, request.influences or DEFAULT_INFLUENCES
+    frame, influences = request.frame or Frame.NORMAL, request.influences or DEFAULT_INFLUENCES
     return _made(request, frame, influences), notices
 
 
-def _made(request: ShaderRequest, frame: str, influences: int) -> ShaderChoices:
+def _made(request: ShaderRequest, frame: Frame, influences: int) -> ShaderChoices:
     return ShaderChoices(
         language=request.language,
         method=request.method,
@@ -120,8 +120,8 @@ def _made(request: ShaderRequest, frame: str, influences: int) -> ShaderChoices:
         cap=request.cap,
         mirrored_joints=request.mirrored_joints,
         target=request.target,
-        encoding=request.encoding or DEFAULTS["encoding"],
-        layout=request.layout or DEFAULTS["layout"],
+        encoding=request.encoding or Encoding.FLOAT32,
+        layout=request.layout or Layout.ATTRIBUTES,
         morphs=request.morphs or Morphs.NONE,
     )
 
@@ -137,12 +137,15 @@ def _choices_of_file(
     serving = [view for view in views if _serves(view, request)]
     if not serving:
         raise InputError(_why_none(views, request), document.place)
-    frame = request.frame or str(_agreed(document, serving, "frame"))
+    frame = request.frame or Frame(str(_agreed(document, serving, "frame")))
     influences = request.influences or int(_agreed(document, serving, "influences"))
     for view in serving:
         _refuse_fewer(view, influences)
-    storage = {member: str(_agreed(document, serving, member)) for member in DEFAULTS}
-    choices = replace(_made(request, frame, influences), **storage)  # type: ignore[arg-type]
+    choices = replace(
+        _made(request, frame, influences),
+        encoding=Encoding(str(_agreed(document, serving, "encoding"))),
+        layout=Layout(str(_agreed(document, serving, "layout"))),
+    )
     choices, others = _with_names(document, serving, choices)
     if request.morphs is None:
         choices = replace(choices, morphs=Morphs(carrier(serving)))

@@ -10,12 +10,13 @@ import numpy as np
 import numpy.typing as npt
 
 from skinbake import __version__
+from skinbake.choices import Layout
 from skinbake.errors import InputError
 from skinbake.format import metadata
 from skinbake.format.adoption import with_adopted
 from skinbake.format.attribute_store import AttributeStore, store_for
 from skinbake.format.encodings import common_scale, encoded
-from skinbake.format.layouts import CUSTOM_NAMES, Layout, Storage, free_texcoords, of_alpha_and_beta, paired
+from skinbake.format.layouts import CUSTOM_NAMES, Storage, free_texcoords, of_alpha_and_beta, paired
 from skinbake.geometry.skinned import BakedPrimitive, SkinnedPrimitive
 from skinbake.gltf.additions import KEY, Additions
 from skinbake.gltf.document import Document

@@ -8,41 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from enum import StrEnum
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from skinbake.choices import Encoding
 from skinbake.geometry.skinned import Float64Array, FloatArray
-
-
-class Encoding(StrEnum):
-    """How α and β are stored."""
-
-    FLOAT32 = "float32"
-    SNORM16 = "snorm16"
-    PACKED8 = "packed8"
-
-    @property
-    def dtype(self) -> np.dtype[Any]:
-        """Return the component type."""
-        return np.dtype(DTYPES[self])
-
-    @property
-    def is_scaled(self) -> bool:
-        """Tell whether values are relative to scales, and normalised integers."""
-        return self is not Encoding.FLOAT32
-
-    @property
-    def limit(self) -> int:
-        """Return the integer that stands for 1 (glTF 2.0, §3.11)."""
-        return int(np.iinfo(self.dtype).max)
-
-    def vertex_bytes(self, influences: int) -> int:
-        """Return the bytes of α and β at a vertex with K slots: 2 (K − 1) numbers, and its scales."""
-        return self.dtype.itemsize * 2 * (influences - (0 if self.is_scaled else 1))
-
 
 CANDIDATES = 8
 """Vertex scales that are tried for each vertex, the least one and those after it: the best is kept.
@@ -51,11 +23,19 @@ Mean error that packed8 adds, with 1, 2, 4, 8, 16 of them: 0.026, 0.022, 0.020, 
 0.028, 0.025, 0.021, 0.018, 0.016° (a hand), 0.033, 0.028, 0.024, 0.022, 0.020° (it, eight influences).
 """
 
-DTYPES = {
-    Encoding.FLOAT32: "<f4",
-    Encoding.SNORM16: "<i2",
-    Encoding.PACKED8: "<i1",
+DTYPES: dict[Encoding, np.dtype[Any]] = {
+    Encoding.FLOAT32: np.dtype("<f4"),
+    Encoding.SNORM16: np.dtype("<i2"),
+    Encoding.PACKED8: np.dtype("<i1"),
 }
+
+LARGEST = {Encoding.SNORM16: 32767, Encoding.PACKED8: 127}
+"""The integer that stands for 1 (glTF 2.0, §3.11)."""
+
+
+def vertex_bytes(encoding: Encoding, influences: int) -> int:
+    """Return the bytes of α and β at a vertex with K slots: 2 (K − 1) numbers, and its scales."""
+    return DTYPES[encoding].itemsize * 2 * (influences - (0 if encoding.is_scaled else 1))
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,7 +70,7 @@ def encoded(slots: FloatArray, encoding: Encoding, scale: float) -> list[npt.NDA
     """
     if not encoding.is_scaled:
         return by_set(slots)
-    limit, wide = encoding.limit, slots.astype(np.float64)
+    limit, wide = LARGEST[encoding], slots.astype(np.float64)
     largest = np.abs(wide).max(axis=1, initial=0.0)
     least = np.ceil(limit * np.sqrt(largest / (scale or 1.0)))
     least += (least / limit) ** 2 * scale < largest  # the root's own rounding
@@ -101,8 +81,8 @@ def encoded(slots: FloatArray, encoding: Encoding, scale: float) -> list[npt.NDA
         root = np.where(better, tried[0], root)
         integers = np.where(better[:, None], tried[1], integers)
         error = np.where(better, tried[2], error)
-    first, *others = by_set(integers.astype(encoding.dtype))
-    return [np.column_stack([first, root.astype(encoding.dtype)]), *others]
+    first, *others = by_set(integers.astype(DTYPES[encoding]))
+    return [np.column_stack([first, root.astype(DTYPES[encoding])]), *others]
 
 
 def _rounded(
@@ -120,7 +100,7 @@ def decoded(sets: Sequence[npt.NDArray[Any]], encoding: Encoding, scale: float) 
     if not encoding.is_scaled:
         values = np.concatenate(sets, axis=1).astype(np.float32)
         return DecodedSlots(values, np.zeros(len(values)))
-    limit = encoding.limit
+    limit = LARGEST[encoding]
     parts = [np.maximum(part.astype(np.float64) / limit, -1.0) for part in sets]
     own = parts[0][:, 3] ** 2 * scale
     relative = np.concatenate([parts[0][:, :3], *parts[1:]], axis=1)

@@ -5,28 +5,15 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from enum import StrEnum
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from skinbake.format.encodings import Encoding
+from skinbake.choices import Encoding, Layout
 from skinbake.gltf.json_access import JsonObject
 
 TEXCOORD = re.compile(r"TEXCOORD_(\d+)")
-
-
-class Layout(StrEnum):
-    """Which attributes hold α and β."""
-
-    ATTRIBUTES = "attributes"
-    """α and β of each influence set in an attribute of its own, under names of one's choice."""
-    TEXCOORD = "texcoord"
-    """α1 α2 | α3 β1 | β2 β3 in TEXCOORD_n: for engines that pass no other attributes."""
-    CUSTOM = "custom"
-    """As ``attributes``, under the names that Godot passes on."""
-
 
 CUSTOM_NAMES = (("_CUSTOM0", "_CUSTOM1"), ("_CUSTOM2", "_CUSTOM3"))
 """α and β by influence set: what Godot's importer puts into CUSTOM0 … CUSTOM3 (godotengine/godot#120040)."""

@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from skinbake.choices import Encoding, Layout
 from skinbake.errors import Notice, Place
-from skinbake.format.encodings import Encoding, decoded
-from skinbake.format.layouts import Layout, Storage, noted_storage, unpaired
+from skinbake.format.encodings import DTYPES, decoded
+from skinbake.format.layouts import Storage, noted_storage, unpaired
 from skinbake.format.metadata import slot_names
 from skinbake.geometry.skinned import Float64Array, FloatArray
 from skinbake.gltf import json_access
@@ -126,7 +127,7 @@ def _format_problem(
     stored: StoredArray, shape: Sequence[int], encoding: Encoding, place: Place
 ) -> Notice | None:
     values = stored.values
-    if values.dtype != encoding.dtype or stored.normalized != encoding.is_scaled:
+    if values.dtype != DTYPES[encoding] or stored.normalized != encoding.is_scaled:
         found = f"{'normalised ' if stored.normalized else ''}{values.dtype.name}"
         wanted = f"{'normalised ' if encoding.is_scaled else ''}{COMPONENT_TYPES[encoding]}"
         message = (

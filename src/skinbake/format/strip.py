@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
+from skinbake.choices import Layout
 from skinbake.errors import Notice, Place
 from skinbake.format.former import former_attributes
-from skinbake.format.layouts import Layout
 from skinbake.format.metadata import FORMER_ATTRIBUTES, noted_names, read_metadata, slot_names
 from skinbake.gltf import json_access
 from skinbake.gltf.additions import BUFFER_ADDED, BUFFER_LENGTH, FALLBACK_ADDED, KEY

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from skinbake.choices import FrameChoice, Neighbours, Weighting
 from skinbake.geometry import frames
 from skinbake.geometry.blocks import blocks
 from skinbake.geometry.skinned import BakedPrimitive, BoolArray, FloatArray, IntArray, SkinnedPrimitive
@@ -17,9 +18,6 @@ from skinbake.gradients.surface import Surface, surface_slots
 from skinbake.gradients.weld import concatenated, joined, weld
 from skinbake.timing import stage
 
-AUTO = "auto"
-ADOPT, DROP = "adopt", "drop"
-
 TANGENT_TOLERANCE = 0.1
 """Degrees by which t0 × b0 may lean from n0 before a TANGENT is not used."""
 
@@ -28,10 +26,10 @@ TANGENT_TOLERANCE = 0.1
 class BakeSettings:
     """How to bake. crease_angle in radians; weighting, neighbours and frame as on the command line."""
 
-    weighting: str = "max"
+    weighting: Weighting = Weighting.MAX
     crease_angle: float = float(np.radians(15.0))
-    neighbours: str = ADOPT
-    frame: str = AUTO
+    neighbours: Neighbours = Neighbours.ADOPT
+    frame: FrameChoice = FrameChoice.AUTO
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +79,9 @@ def bake_mesh(
             frame = joined([pair[0] for pair in pairs]), joined([pair[1] for pair in pairs])
     with stage("gradients"):
         surface = Surface(positions, triangles, field, classes, normals, frame, ends)
-        slots = surface_slots(surface, weighting=settings.weighting, adopt=settings.neighbours == ADOPT)
+        slots = surface_slots(
+            surface, weighting=settings.weighting, adopt=settings.neighbours == Neighbours.ADOPT
+        )
     results = []
     for number, (primitive, choice) in enumerate(zip(primitives, chosen, strict=True)):
         rows = slice(ends[number] - len(primitive.positions), ends[number])

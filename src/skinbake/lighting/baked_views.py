@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from skinbake.choices import Frame, Weighting, Weld
 from skinbake.errors import Notice
 from skinbake.format.former import former_attributes
 from skinbake.format.limit import common_unit
@@ -26,10 +27,6 @@ from skinbake.timing import stage
 
 BYTES_A_VERTEX, BYTES_A_SLOT, BYTES_A_TRIANGLE = 800, 128, 400
 """What looking at a baked primitive sets aside at most, about: its gradient operator above all."""
-
-WELDS = ("mesh", "skin")
-WEIGHTINGS = ("max", "angle", "area", "angle-area")
-FRAMES = (frames.NORMAL_FRAME, frames.TANGENT_FRAME)
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +88,7 @@ def gathered_together(document: Document, views: Sequence[BakedView]) -> list[li
 
 
 def _weld(view: BakedView) -> str:
-    return str(view.metadata.get("weld", WELDS[0]))
+    return str(view.metadata.get("weld", Weld.MESH))
 
 
 def _view(document: Document, source: PrimitiveSource) -> BakedView | Notice:
@@ -129,11 +126,11 @@ def _view(document: Document, source: PrimitiveSource) -> BakedView | Notice:
 
 def _wrong_members(metadata: JsonObject, source: PrimitiveSource) -> Iterator[str]:
     """Yield what is wrong with each member of the metadata that is not as CONVENTIONS.md has it."""
-    if metadata.get("frame") not in FRAMES:
+    if metadata.get("frame") not in list(Frame):
         yield f'"frame" is {shown(metadata.get("frame"))}'
-    if metadata.get("weld", WELDS[0]) not in WELDS:
+    if metadata.get("weld", Weld.MESH) not in list(Weld):
         yield f'"weld" is {shown(metadata.get("weld"))}'
-    if metadata.get("weighting") not in WEIGHTINGS:
+    if metadata.get("weighting") not in list(Weighting):
         yield f'"weighting" is {shown(metadata.get("weighting"))}'
     angle = metadata.get("creaseAngle")
     if isinstance(angle, bool) or not isinstance(angle, int | float) or not 0 <= angle <= 180:

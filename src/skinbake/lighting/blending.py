@@ -20,6 +20,7 @@ from typing import TypeAlias
 
 import numpy as np
 
+from skinbake.choices import Baseline
 from skinbake.geometry.skinned import Float64Array, FloatArray, IntArray
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.components import (
@@ -33,7 +34,7 @@ from skinbake.skinning.components import (
     quotient,
     scaled,
 )
-from skinbake.skinning.surface import Baseline, Options, RestSurface
+from skinbake.skinning.surface import Options, RestSurface
 
 Form: TypeAlias = tuple[FloatArray, FloatArray | None]
 """What F is of: u (V, 3) or (3,), a direction, and c (V, K), or None for zeros."""

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from skinbake.choices import Baseline
 from skinbake.errors import InputError, Notice, Place
 from skinbake.geometry import frames
 from skinbake.geometry.skinned import Float64Array
@@ -28,7 +29,7 @@ from skinbake.lighting.operator import GradientOperator
 from skinbake.lighting.poses import SHARED_SAMPLES, PoseRequest, PoseSet, described, draws_of, pose_set
 from skinbake.report.notices import counted
 from skinbake.report.verify import Check, ErrorFigures, FileVerdict, Normals, Worst, gain
-from skinbake.skinning.surface import Baseline, Options, RestSurface
+from skinbake.skinning.surface import Options, RestSurface
 from skinbake.timing import stage
 
 BYTES_A_SAMPLE = 32

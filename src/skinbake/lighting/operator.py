@@ -9,10 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, TypeAlias, get_args
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
+from skinbake.choices import Weighting
 from skinbake.errors import InputError
 from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray, SkinnedPrimitive
 from skinbake.lighting.influences import Int64Array, carrying_slots, weight_field
@@ -22,7 +23,6 @@ from skinbake.skinning.components import Vector, cross, dot, minus, scaled
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-Weighting: TypeAlias = Literal["max", "angle", "area", "angle-area"]
 Frame: TypeAlias = tuple[FloatArray, FloatArray]
 
 # A triangle is a line or a point when its doubled area is at most this share of its longest squared edge.
@@ -60,7 +60,7 @@ class GradientOperator:
 def gradient_operator(
     primitives: Sequence[SkinnedPrimitive],
     *,
-    weighting: Weighting = "max",
+    weighting: Weighting = Weighting.MAX,
     crease_angle_degrees: float = 15.0,
     claim: Callable[[int], None] = lambda size: None,
 ) -> GradientOperator:
@@ -75,8 +75,8 @@ def gradient_operator(
     index outside its primitive, which libigl would not survive, and ValueError for an unknown weighting.
     ``claim`` is told how many bytes welding adds, before it does.
     """
-    if weighting not in get_args(Weighting):
-        raise ValueError(f"weighting {weighting!r}, expected one of {', '.join(get_args(Weighting))}")
+    if weighting not in list(Weighting):
+        raise ValueError(f"weighting {weighting!r}, expected one of {', '.join(Weighting)}")
     import igl
     from scipy.sparse import csr_array
 

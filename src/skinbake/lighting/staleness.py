@@ -9,11 +9,12 @@ from typing import Any
 
 import numpy as np
 
+from skinbake.choices import Weighting
 from skinbake.errors import Notice
 from skinbake.gltf.accessors import read_accessor
 from skinbake.gltf.document import Document
 from skinbake.lighting import freshness
-from skinbake.lighting.baked_views import WEIGHTINGS, BakedView
+from skinbake.lighting.baked_views import BakedView
 from skinbake.lighting.operator import GradientOperator, expected_alpha_beta, gradient_operator
 
 BAKE_LAST = "Bake last: run skinbake bake on the file that the last tool wrote"
@@ -199,7 +200,7 @@ def _listed(words: Sequence[str]) -> str:
 
 
 def _weighting_that_fits(surface: _Surface, number: int) -> str | None:
-    for weighting in WEIGHTINGS:
+    for weighting in Weighting:
         noted = surface.views[number].metadata.get("weighting")
         if weighting != noted and surface.weighted(weighting)[number].agrees:
             return weighting

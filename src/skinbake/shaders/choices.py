@@ -3,47 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import StrEnum
 
+from skinbake.choices import Encoding, Frame, Language, Layout, Lighting, Method, Morphs
 from skinbake.errors import ChoiceError
 
-FRAMES = ("tangent", "normal")
-ENCODINGS = ("float32", "snorm16", "packed8")
-LAYOUTS = ("attributes", "texcoord", "custom")
 SLOTS_PER_SET = 4
 CUSTOM_SETS = 2
 """Influence sets of the custom layout: Godot reads `_CUSTOM0` to `_CUSTOM3`."""
-
-
-class Language(StrEnum):
-    """The shading languages."""
-
-    GLSL = "glsl"
-    WGSL = "wgsl"
-
-
-class Method(StrEnum):
-    """How joint motions are blended: as matrices or as dual quaternions."""
-
-    LBS = "lbs"
-    DQS = "dqs"
-
-
-class Lighting(StrEnum):
-    """How the normal follows: by number, algorithms 1 and 4, 2, 3 and 5, and 6."""
-
-    APPROXIMATED = "approximated"
-    DIRECT = "direct"
-    ACCURATE = "accurate"
-    EXACT = "exact"
-
-
-class Morphs(StrEnum):
-    """What the frame follows under morph targets; none: the text has no function for them."""
-
-    NONE = "none"
-    NORMAL = "normal"
-    TANGENT = "tangent"
 
 
 ALGORITHMS = {
@@ -54,7 +20,7 @@ ALGORITHMS = {
     (Method.DQS, Lighting.ACCURATE): 5,
     (Method.DQS, Lighting.EXACT): 6,
 }
-"""The numbers of ``replay.Algorithm``; a pair that is missing does not exist."""
+"""The numbers of ``skinning.algorithms.Algorithm``; a pair that is missing does not exist."""
 
 BEST = {Method.LBS: Lighting.ACCURATE, Method.DQS: Lighting.EXACT}
 """The lighting of least error that each method has without inverting a matrix."""
@@ -88,13 +54,13 @@ class ShaderChoices:
     method: Method = Method.LBS
     lighting: Lighting = Lighting.ACCURATE
     influences: int = 4
-    frame: str = "normal"
+    frame: Frame = Frame.NORMAL
     cap: float | None = None
     mirrored_joints: bool = False
     target: str = "plain"
     attributes: AttributeText | None = None
-    encoding: str = "float32"
-    layout: str = "attributes"
+    encoding: Encoding = Encoding.FLOAT32
+    layout: Layout = Layout.ATTRIBUTES
     scale: float | None = None
     morphs: Morphs = Morphs.NONE
 
@@ -107,23 +73,23 @@ class ShaderChoices:
             )
         if self.influences < 1:
             raise ChoiceError(f"--influences {self.influences}: a vertex needs at least one")
-        if self.frame not in FRAMES:
-            raise ChoiceError(f"--frame {self.frame} is neither {' nor '.join(FRAMES)}")
+        if self.frame not in list(Frame):
+            raise ChoiceError(f"--frame {self.frame} is neither {' nor '.join(Frame)}")
         for option, value, known in (
-            ("--encoding", self.encoding, ENCODINGS),
-            ("--layout", self.layout, LAYOUTS),
+            ("--encoding", self.encoding, list(Encoding)),
+            ("--layout", self.layout, list(Layout)),
         ):
             if value not in known:
                 raise ChoiceError(f"{option} {value} is none of {', '.join(known)}")
-        if self.layout == "custom" and self.influence_sets > CUSTOM_SETS:
+        if self.layout == Layout.CUSTOM and self.influence_sets > CUSTOM_SETS:
             raise ChoiceError(
                 f"--layout custom holds {CUSTOM_SETS * SLOTS_PER_SET} influences, not {self.influences}"
             )
-        if self.layout == "texcoord" and self.encoding != "float32":
+        if self.layout == Layout.TEXCOORD and self.encoding != Encoding.FLOAT32:
             raise ChoiceError(f"--layout texcoord takes --encoding float32, not {self.encoding}")
         if self.cap is not None and not self.is_corrected:
             raise ChoiceError(f"--cap is for accurate and exact lighting; {self.lighting} corrects nothing")
-        if self.morphs is Morphs.TANGENT and self.frame != "tangent":
+        if self.morphs is Morphs.TANGENT and self.frame != Frame.TANGENT:
             raise ChoiceError(f"--morphs tangent needs --frame tangent; --frame {self.frame} takes normal")
         if self.mirrored_joints and not self.crosses:
             raise ChoiceError(
@@ -159,12 +125,12 @@ class ShaderChoices:
     @property
     def decodes(self) -> bool:
         """Tell whether α and β are read as integers relative to scales."""
-        return self.reads_gradients and self.encoding != "float32"
+        return self.reads_gradients and self.encoding != Encoding.FLOAT32
 
     @property
     def assembles(self) -> bool:
         """Tell whether α and β are read from texture coordinates."""
-        return self.reads_gradients and self.layout == "texcoord"
+        return self.reads_gradients and self.layout == Layout.TEXCOORD
 
     @property
     def pair_names(self) -> tuple[str, ...]:
@@ -190,8 +156,10 @@ class ShaderChoices:
     @property
     def storage_words(self) -> str:
         """Return how α and β are stored, in words that follow others, where it is not the usual way."""
-        words = [self.encoding] if self.decodes else []
-        words += [f"{self.layout} layout"] if self.reads_gradients and self.layout != "attributes" else []
+        words = [str(self.encoding)] if self.decodes else []
+        words += (
+            [f"{self.layout} layout"] if self.reads_gradients and self.layout != Layout.ATTRIBUTES else []
+        )
         return "".join(f", {word}" for word in words)
 
     @property

@@ -16,8 +16,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from skinbake import __version__
+from skinbake.choices import Language, Method, Morphs
 from skinbake.errors import ChoiceError, printable
-from skinbake.shaders.choices import SLOTS_PER_SET, Language, Method, Morphs, ShaderChoices
+from skinbake.shaders.choices import SLOTS_PER_SET, ShaderChoices
 from skinbake.shaders.storage import storage_context, storage_parts
 
 if TYPE_CHECKING:
@@ -89,8 +90,8 @@ def _text_for(choices: ShaderChoices, reads: Sequence[str]) -> dict[str, Any]:
     reads are the encodings and layouts that the target's own code gets α and β from, by the functions in the
     snippet; attributes of floats, of any names, are read by all. Raises ChoiceError for others.
     """
-    needed = [choices.encoding] if choices.decodes else []
-    needed += [choices.layout] if choices.assembles else []
+    needed = [str(choices.encoding)] if choices.decodes else []
+    needed += [str(choices.layout)] if choices.assembles else []
     if not set(needed) <= set(reads):
         raise ChoiceError(
             f"--target {choices.target} reads alpha and beta as floats in attributes of their own, "

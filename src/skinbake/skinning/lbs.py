@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from skinbake.choices import Baseline
 from skinbake.skinning.components import (
     Component,
     LineMark,
@@ -27,7 +28,7 @@ from skinbake.skinning.components import (
     scaled,
     weighted_sum,
 )
-from skinbake.skinning.surface import Baseline, Options
+from skinbake.skinning.surface import Options
 
 
 def approximated(

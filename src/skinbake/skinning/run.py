@@ -8,12 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from skinbake.choices import Baseline
 from skinbake.errors import UnsupportedFeatureError
 from skinbake.geometry.dual_quaternions import RIGID_TOLERANCE, rigid_motions
 from skinbake.geometry.skinned import FloatArray
 from skinbake.skinning.algorithms import STEPS, Algorithm
 from skinbake.skinning.components import PosedVertex, RestVertex, Rows, Vector
-from skinbake.skinning.surface import Baseline, Options, RestSurface, SkinnedSurface
+from skinbake.skinning.surface import Options, RestSurface, SkinnedSurface
 
 # Bytes of one component of a block, some sixty of which are alive at a time. Measured at 10,000 vertices ×
 # 100 poses: flat from 32 to 256 KiB, half as long again at 16, where the interpreter begins to show.

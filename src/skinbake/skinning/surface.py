@@ -3,25 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import StrEnum
 
 import numpy as np
 
+from skinbake.choices import Baseline
 from skinbake.geometry.skinned import BoolArray, FloatArray, IntArray
 
 DEFAULT_CAP = 0.9
 """The limit of the paper's published demo, for callers that switch the cap on without another figure."""
-
-
-class Baseline(StrEnum):
-    """The standard normal that algorithm 1 stands for under linear blend skinning."""
-
-    BLENDED = "blended"
-    """(Σ w M) n, the paper's own and three.js's."""
-    INVERSE_TRANSPOSE = "inverse-transpose"
-    """(Σ w M)⁻ᵀ n, as Bevy."""
-    COFACTOR = "cofactor"
-    """(Σ w cof M) n, as Filament."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,11 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from skinbake.choices import Scheme
 from skinbake.errors import InputError, Notice, Place
 from skinbake.geometry.triangles import TRIANGLES
 from skinbake.gltf.accessors import read_accessor
@@ -37,7 +38,6 @@ from skinbake.gltf.primitives import PrimitiveSource, check_format, read_indices
 from skinbake.gltf.references import uses_of_accessors
 from skinbake.gltf.views import view_bytes
 
-Scheme = Literal["keep", "none", "draco", "meshopt"]
 UNSIGNED_SHORT, UNSIGNED_INT = 5123, 5125
 SIGNED = (5120, 5122)
 
@@ -50,7 +50,7 @@ class Compression:
     quantises, by attribute (POSITION, NORMAL, TEXCOORD_0); what is not named stays exact.
     """
 
-    scheme: Scheme = "keep"
+    scheme: Scheme = Scheme.KEEP
     level: int | None = None
     bits: Mapping[str, int] = field(default_factory=dict)
 
@@ -67,14 +67,16 @@ def recoded(
     InputError where its data cannot be read.
     """
     in_draco = any(draco.extension_of(source.json) is not None for source in sources)
-    if compression.scheme == "keep" and not in_draco:
+    if compression.scheme is Scheme.KEEP and not in_draco:
         return document, []
     recoder = _Recoder(document)
     notices: list[Notice] = []
-    if compression.scheme == "none":
+    if compression.scheme is Scheme.NONE:
         _decompress(recoder)
     else:
-        work = {"keep": _keep, "draco": _into_draco, "meshopt": _into_meshopt}[compression.scheme]
+        work = {Scheme.KEEP: _keep, Scheme.DRACO: _into_draco, Scheme.MESHOPT: _into_meshopt}[
+            compression.scheme
+        ]
         notices = list(work(recoder, sources, compression))
     return recoder.finished(), notices
 
