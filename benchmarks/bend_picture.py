@@ -71,7 +71,7 @@ class Bend:
 
 def strongest_bend() -> Bend:
     """Bake the fixture and pose it where standard lighting is worst."""
-    document, _, _ = bake_document(read_document(str(MODEL)), BakeOptions(), [])
+    document = bake_document(read_document(str(MODEL)), BakeOptions()).document
     source = skinned_sources(document)[0][0]
     primitive = read_primitive(document, source)
     frame = rest_frame(primitive, FrameChoice.AUTO)

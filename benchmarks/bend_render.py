@@ -149,7 +149,7 @@ class Bend:
 
 def strongest_bend() -> Bend:
     """Bake the fixture and pose it where standard lighting is worst."""
-    document, _, _ = bake_document(read_document(str(MODEL)), BakeOptions(), [])
+    document = bake_document(read_document(str(MODEL)), BakeOptions()).document
     (view,), _ = baked_views(document, skinned_sources(document)[0])
     rest, now = rest_surface(view), view.now
     (clip,) = read_clips(document)

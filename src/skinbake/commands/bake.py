@@ -10,16 +10,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from skinbake.choices import Encoding, FrameChoice
+from skinbake.choices import Encoding, FrameChoice, Weld
 from skinbake.containment import OWN_FOLDERS, Within
 from skinbake.errors import InputError, Notice, Place, SkinbakeError, defect
 from skinbake.format.attribute_store import stored_otherwise
-from skinbake.format.baked import AttributeNames, Baked, with_baked
+from skinbake.format.baked import AttributeNames, Baked, with_baked, with_scale
 from skinbake.format.encodings import vertex_bytes
 from skinbake.format.layouts import Storage
 from skinbake.format.strip import stripped
-from skinbake.geometry.blocks import blocks
-from skinbake.geometry.frames import TANGENT_FRAME
 from skinbake.geometry.skinned import BakedPrimitive, SkinnedPrimitive
 from skinbake.gltf.codecs.recode import Compression, recoded
 from skinbake.gltf.container import for_target
@@ -34,21 +32,20 @@ from skinbake.gltf.primitives import (
     skinned_sources,
 )
 from skinbake.gltf.writing import version_of
-from skinbake.gradients.baker import TANGENT_TOLERANCE, BakeFindings, BakeSettings, bake_mesh
-from skinbake.gradients.influences import SUM_TOLERANCE
+from skinbake.gradients.assumptions import assumptions, check_finite
+from skinbake.gradients.baker import BakeFindings, BakeSettings, bake_mesh
 from skinbake.gradients.normals import with_smooth_normals
 from skinbake.report.bake import BakedCounts, EncodingCost, FileResult, LimitCost, Status
 from skinbake.timing import stage
 
 if TYPE_CHECKING:
-    from skinbake.lighting.limit_cost import Limited, Outcome
+    from skinbake.lighting.limit_cost import Limited
+    from skinbake.lighting.unwritten import UnwrittenBake
 
 logger = logging.getLogger(__name__)
 
 BYTES_A_VERTEX, BYTES_A_SLOT, BYTES_A_TRIANGLE = 128, 48, 24
 """What a bake sets aside at most, about."""
-
-WELD_MESH, WELD_SKIN = "mesh", "skin"
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +58,7 @@ class BakeOptions:
 
     settings: BakeSettings = field(default_factory=BakeSettings)
     names: AttributeNames = field(default_factory=AttributeNames)
-    weld: str = WELD_MESH
+    weld: Weld = Weld.MESH
     limit_influences: int | None = None
     generate_normals: bool = False
     require_baked: bool = False
@@ -105,15 +102,11 @@ def _bake_file(
     with stage("strip"):
         original, _, undone = stripped(document)
         prepared, moved = (original, []) if target is None else for_target(original, target)
-    with stage("compress"):
-        prepared, kept = recoded(prepared, _bakeable(prepared, options), options.compression)
-    found = [*undone, *moved, *kept]
-    begun = len(found)
-    result, primitives, skipped = bake_document(prepared, options, found)
-    if not primitives:
-        result, found = _passed_through(document, target, skipped, options, found[begun:])
-    with stage("encoding"):
-        encoding = _encoding(prepared, result, options, found) if primitives else None
+    made = bake_document(prepared, options)
+    if made.primitives:
+        result, found = made.document, [*undone, *moved, *made.notices]
+    else:
+        result, found = _passed_through(document, target, made, options)
     notices += found
     untouched = result is document and target == source and source != STDIO
     with stage("write"):
@@ -129,10 +122,17 @@ def _bake_file(
     if planned is not None and not options.dry_run:
         with stage("write"):
             planned = replace(planned, replaces=replaced).write(sync=options.sync)
-    status: Status = "baked" if primitives else "unchanged"
+    status: Status = "baked" if made.primitives else "unchanged"
     written = _digests(planned) if options.traced else None
     return FileResult(
-        source, target, status, tuple(primitives), skipped, tuple(notices), encoding=encoding, written=written
+        source,
+        target,
+        status,
+        made.primitives,
+        made.skipped,
+        tuple(notices),
+        encoding=made.encoding,
+        written=written,
     )
 
 
@@ -140,98 +140,83 @@ def _digests(planned: PlannedOutput | None) -> dict[str, str]:
     return {} if planned is None else digests_of(planned.files)
 
 
-def _encoding(
-    prepared: Document, result: Document, options: BakeOptions, notices: list[Notice]
-) -> EncodingCost:
-    """Return what the encoding costs; a file that cannot be posed is told of in ``notices``."""
-    encoding = options.storage.encoding
-    if not encoding.is_scaled:
-        return EncodingCost(str(encoding))
-    from skinbake.lighting.encoding_cost import added_by_encoding  # replays: half a second of imports
-
-    plain, _, _ = bake_document(prepared, replace(options, storage=Storage()), [])
-    try:
-        added = added_by_encoding(result, plain)
-    except InputError as error:
-        message = f"what --encoding {encoding} adds to the error could not be measured: {error.message}"
-        notices.append(Notice("encoding-unmeasured", message, error.place or prepared.place))
-        added = None
-    return EncodingCost(str(encoding), added.mean if added else None, added.p99 if added else None)
-
-
-def _bakeable(document: Document, options: BakeOptions) -> list[PrimitiveSource]:
-    sources, _ = skinned_sources(document)
-    return [
-        source
-        for source in sources
-        if reason_to_skip(document, source, generate_normals=options.generate_normals) is None
-        and _reason_of_frame(source, options) is None
-    ]
-
-
 def _passed_through(
-    document: Document, target: str | None, skipped: int, options: BakeOptions, notices: list[Notice]
+    document: Document, target: str | None, made: BakedDocument, options: BakeOptions
 ) -> tuple[Document, list[Notice]]:
     """Return a document in which nothing can be baked as it came, an earlier bake included, and why."""
-    reason = "none of its skinned primitives can be baked" if skipped else "nothing in it is skinned"
+    reason = "none of its skinned primitives can be baked" if made.skipped else "nothing in it is skinned"
     if options.require_baked:
         raise InputError(f"{reason} (--require-baked)", document.place)
     result, moved = (document, []) if target is None else for_target(document, target)
     last = Notice("nothing-baked", f"passed through unchanged: {reason}", document.place)
-    return result, [*moved, *notices, last]
+    return result, [*moved, *made.notices, last]
 
 
-def bake_document(
-    document: Document, options: BakeOptions, notices: list[Notice]
-) -> tuple[Document, list[tuple[Place, BakedCounts]], int]:
-    """Return the baked document, what was baked, and how many skinned primitives were skipped.
+@dataclass(frozen=True, slots=True)
+class BakedDocument:
+    """A document with α and β, what was baked into each primitive, and what had to be assumed.
 
-    The document holds no earlier bake (``stripped``). One in which nothing can be baked is returned as it is.
-    What had to be assumed is added to ``notices``. Raises InputError.
+    skipped counts the skinned primitives that were left out. Where nothing can be baked, the document is
+    the one that was given, primitives is empty and encoding None.
     """
-    sources, found = skinned_sources(document)
-    notices += found
-    by_mesh: dict[int, list[PrimitiveSource]] = defaultdict(list)
+
+    document: Document
+    primitives: tuple[tuple[Place, BakedCounts], ...]
+    skipped: int
+    notices: tuple[Notice, ...]
+    encoding: EncodingCost | None = None
+
+
+def bake_document(document: Document, options: BakeOptions) -> BakedDocument:
+    """Bake every skinned primitive of a document that holds no earlier bake (``stripped``).
+
+    Raises InputError.
+    """
+    sources, skipped, reasons = _bakeable(document, options)
+    if not sources:
+        return BakedDocument(document, (), skipped, tuple(reasons))
+    with stage("compress"):
+        document, kept = recoded(document, sources, options.compression)
+    sources = [source.in_document(document) for source in sources]
+    surfaces, apart = _surfaces(document, sources, options)
+    bakes = [bake for surface in surfaces for bake in _baked_surface(document, surface, options)]
+    storage = with_scale(options.storage, [bake.result for bake in bakes])
+    with stage("store"):
+        written, lengths = with_baked(
+            document,
+            [bake.to_store(_noted_settings(options)) for bake in bakes],
+            options.names,
+            storage,
+            level=options.compression.level,
+        )
+    with stage("encoding"):
+        cost, unmeasured = _encoding_cost(document, bakes, storage)
+    notices = [*kept, *reasons, *apart, *(notice for bake in bakes for notice in bake.notices)]
+    notices += [*stored_otherwise(document, sources), *unmeasured]
+    primitives = tuple(
+        (bake.source.place, bake.counts(storage.encoding, length))
+        for bake, length in zip(bakes, lengths, strict=True)
+    )
+    return BakedDocument(written, primitives, skipped, tuple(notices), cost)
+
+
+def _bakeable(document: Document, options: BakeOptions) -> tuple[list[PrimitiveSource], int, list[Notice]]:
+    """Return the primitives that are baked, how many skinned ones are not, and a notice on each of those."""
+    sources, notices = skinned_sources(document)
+    wanted: list[PrimitiveSource] = []
     for source in sources:
         reason = reason_to_skip(document, source, generate_normals=options.generate_normals)
         reason = reason or _reason_of_frame(source, options)
         if reason is None:
-            by_mesh[source.mesh].append(source)
+            wanted.append(source)
         else:
             notices.append(reason)
-    baked: list[Baked] = []
-    results: list[tuple[Place, BakedCounts]] = []
-    for group in _welded_together(document, by_mesh, options, notices):
-        _bake_sources(document, group, options, notices, baked, results)
-    skipped = len(sources) - len(baked)
-    if not baked:
-        return document, [], skipped
-    notices += stored_otherwise(document, [item.source for item in baked])
-    level = options.compression.level
-    with stage("store"):
-        written, lengths = with_baked(document, baked, options.names, options.storage, level=level)
-    counts = [(place, replace(c, added_bytes=n)) for (place, c), n in zip(results, lengths, strict=True)]
-    return written, counts, skipped
-
-
-def _welded_together(
-    document: Document,
-    by_mesh: dict[int, list[PrimitiveSource]],
-    options: BakeOptions,
-    notices: list[Notice],
-) -> list[list[PrimitiveSource]]:
-    """Return the primitives in the groups that are baked as one surface; append to ``notices``."""
-    if options.weld != WELD_SKIN:
-        return list(by_mesh.values())
-    from skinbake.gltf.skin_groups import meshes_of_one_skin
-
-    groups, found = meshes_of_one_skin(document, by_mesh)
-    notices += found
-    return [[source for mesh in group for source in by_mesh[mesh]] for group in groups]
+    return wanted, len(sources) - len(wanted), notices
 
 
 def _reason_of_frame(source: PrimitiveSource, options: BakeOptions) -> Notice | None:
-    if options.settings.frame is not FrameChoice.TANGENT or {"NORMAL", "TANGENT"} <= source.attributes.keys():
+    wants_tangents = options.settings.frame is FrameChoice.TANGENT
+    if not wants_tangents or {"NORMAL", "TANGENT"} <= source.attributes.keys():
         return None
     lacking = "NORMAL" if "NORMAL" not in source.attributes else "TANGENT"
     return Notice(
@@ -239,55 +224,139 @@ def _reason_of_frame(source: PrimitiveSource, options: BakeOptions) -> Notice | 
     )
 
 
-def _bake_sources(
-    document: Document,
-    sources: list[PrimitiveSource],
-    options: BakeOptions,
-    notices: list[Notice],
-    baked: list[Baked],
-    results: list[tuple[Place, BakedCounts]],
-) -> None:
-    """Bake primitives as one surface; append to ``baked``, ``results`` and ``notices``."""
+def _surfaces(
+    document: Document, sources: Sequence[PrimitiveSource], options: BakeOptions
+) -> tuple[list[list[PrimitiveSource]], list[Notice]]:
+    """Return the primitives in the groups that are baked as one surface, and what is kept apart."""
+    by_mesh: dict[int, list[PrimitiveSource]] = defaultdict(list)
+    for source in sources:
+        by_mesh[source.mesh].append(source)
+    if options.weld is not Weld.SKIN:
+        return list(by_mesh.values()), []
+    from skinbake.gltf.skin_groups import meshes_of_one_skin
+
+    groups, apart = meshes_of_one_skin(document, by_mesh)
+    return [[source for mesh in group for source in by_mesh[mesh]] for group in groups], apart
+
+
+@dataclass(frozen=True, slots=True)
+class PrimitiveBake:
+    """One primitive: its arrays as baked from, the result, what was found, and what a limit took from it."""
+
+    source: PrimitiveSource
+    primitive: SkinnedPrimitive
+    result: BakedPrimitive
+    findings: BakeFindings
+    limited: Limited | None = None
+    limit_cost: LimitCost | None = None
+
+    @property
+    def notices(self) -> list[Notice]:
+        """Return what had to be assumed."""
+        source = self.source
+        return assumptions(self.primitive, self.result, self.findings, source.joint_count, source.place)
+
+    def to_store(self, settings: JsonObject) -> Baked:
+        """Return what is written of it; settings is noted in the metadata."""
+        influences = self.limited.stored if self.limited else None
+        return Baked(self.source, self.primitive, self.result, settings, influences)
+
+    def counts(self, encoding: Encoding, added_bytes: int) -> BakedCounts:
+        """Return the numbers of the report."""
+        influences = self.primitive.joints.shape[1]
+        return BakedCounts(
+            vertices=len(self.primitive.positions),
+            triangles=len(self.primitive.triangles),
+            degenerate_triangles=self.findings.degenerate_triangles,
+            influences=influences,
+            frame=self.result.frame,
+            generated_normals="NORMAL" not in self.source.attributes,
+            adopting_vertices=self.findings.adopting_vertices,
+            overflowing_vertices=self.findings.overflowing_vertices,
+            gradient=self.findings.magnitude,
+            lost_gradient=self.findings.lost,
+            added_bytes=added_bytes,
+            bytes_per_vertex=vertex_bytes(encoding, influences),
+            limited=self.limit_cost,
+        )
+
+
+def _baked_surface(
+    document: Document, sources: Sequence[PrimitiveSource], options: BakeOptions
+) -> list[PrimitiveBake]:
+    """Bake primitives as one surface."""
     with stage("arrays"):
         whole = with_smooth_normals(_read(document, sources))
-    with stage("limit"):
-        parts = _limited(document, sources, whole, options)
-    primitives = [part.primitive if part else one for part, one in zip(parts, whole, strict=True)]
+    if options.limit_influences is not None:
+        return _limited_surface(document, sources, whole, options, options.limit_influences)
+    return _finite(_bakes(sources, whole, options))
+
+
+def _bakes(
+    sources: Sequence[PrimitiveSource], primitives: Sequence[SkinnedPrimitive], options: BakeOptions
+) -> list[PrimitiveBake]:
+    """Bake primitives as one surface."""
     outcomes = bake_mesh(primitives, options.settings)
-    for source, primitive, (outcome, _) in zip(sources, primitives, outcomes, strict=True):
-        _check_finite(source, primitive, outcome)
+    return [
+        PrimitiveBake(source, primitive, *outcome)
+        for source, primitive, outcome in zip(sources, primitives, outcomes, strict=True)
+    ]
+
+
+def _finite(bakes: list[PrimitiveBake]) -> list[PrimitiveBake]:
+    """Return the bakes; InputError where α or β of one are not finite."""
+    for bake in bakes:
+        check_finite(bake.primitive, bake.result, bake.source.place)
+    return bakes
+
+
+def _limited_surface(
+    document: Document,
+    sources: Sequence[PrimitiveSource],
+    whole: Sequence[SkinnedPrimitive],
+    options: BakeOptions,
+    count: int,
+) -> list[PrimitiveBake]:
+    """Bake primitives as one surface with at most ``count`` influences a vertex, and measure the cost."""
+    from skinbake.lighting.limit_cost import limit_costs, limited  # replays: half a second of imports
+
     with stage("limit"):
-        costs = _limit_costs(document, sources, whole, parts, outcomes, options)
-    for source, primitive, part, cost, (outcome, findings) in zip(
-        sources, primitives, parts, costs, outcomes, strict=True
-    ):
-        notices += _assumptions(source, primitive, outcome, findings)
-        stored = part.stored if part else None
-        baked.append(Baked(source, primitive, outcome, _noted_settings(options), stored))
-        counts = _counts(source, primitive, outcome, findings, options.storage.encoding)
-        results.append((source.place, replace(counts, limited=cost)))
+        parts = [limited(document, *pair, count) for pair in zip(sources, whole, strict=True)]
+    primitives = [part.primitive if part else one for part, one in zip(parts, whole, strict=True)]
+    bakes = _finite(_bakes(sources, primitives, options))
+    if not any(parts):
+        return bakes
+    with stage("limit"):
+        before = _bakes(sources, whole, options)
+        costs = limit_costs(document, _unwritten(before), _unwritten(bakes), parts)
+    return [
+        replace(bake, limited=part, limit_cost=cost)
+        for bake, part, cost in zip(bakes, parts, costs, strict=True)
+    ]
 
 
-def _check_finite(source: PrimitiveSource, primitive: SkinnedPrimitive, outcome: BakedPrimitive) -> None:
-    """Raise InputError where α or β of a vertex are not finite: no shader can make a normal of those."""
-    count, of_tangents = 0, False
-    for rows in blocks(len(outcome.alpha)):
-        slots = np.isfinite(outcome.alpha[rows]) & np.isfinite(outcome.beta[rows])
-        if slots.all():
-            continue
-        bad = ~slots.all(axis=1)
-        count += int(np.count_nonzero(bad))
-        if outcome.frame == TANGENT_FRAME and primitive.tangents is not None:
-            of_tangents |= bool((np.abs(primitive.tangents[rows][bad]) > 2.0).any())
-    if not count:
-        return
-    vertices = "1 vertex" if count == 1 else f"{count} vertices"
-    advice = (
-        "their TANGENT is not of length 1: mend it, or take --frame normal"
-        if of_tangents
-        else "they lie closer together than float32 can hold a slope for: scale the model up, or merge them"
-    )
-    raise InputError(f"α or β of {vertices} are not finite numbers; {advice}", source.place)
+def _unwritten(bakes: Sequence[PrimitiveBake]) -> list[UnwrittenBake]:
+    from skinbake.lighting.unwritten import UnwrittenBake
+
+    return [UnwrittenBake(bake.source, bake.primitive, bake.result) for bake in bakes]
+
+
+def _encoding_cost(
+    document: Document, bakes: Sequence[PrimitiveBake], storage: Storage
+) -> tuple[EncodingCost, list[Notice]]:
+    """Return what the encoding costs, and a notice where the file cannot be posed to measure it."""
+    encoding = storage.encoding
+    if not encoding.is_scaled:
+        return EncodingCost(str(encoding)), []
+    from skinbake.lighting.encoding_cost import added_by_encoding  # replays, as limits do
+
+    try:
+        added = added_by_encoding(document, _unwritten(bakes), storage)
+    except InputError as error:
+        message = f"what --encoding {encoding} adds to the error could not be measured: {error.message}"
+        notice = Notice("encoding-unmeasured", message, error.place or document.place)
+        return EncodingCost(str(encoding)), [notice]
+    return EncodingCost(str(encoding), added.mean if added else None, added.p99 if added else None), []
 
 
 def _read(document: Document, sources: Sequence[PrimitiveSource]) -> list[SkinnedPrimitive]:
@@ -306,116 +375,11 @@ def _read(document: Document, sources: Sequence[PrimitiveSource]) -> list[Skinne
     return found
 
 
-def _limited(
-    document: Document,
-    sources: Sequence[PrimitiveSource],
-    whole: Sequence[SkinnedPrimitive],
-    options: BakeOptions,
-) -> list[Limited | None]:
-    """Return the primitives that a limit of influences changes, None for each that it leaves alone."""
-    if options.limit_influences is None:
-        return [None] * len(whole)
-    from skinbake.lighting.limit_cost import limited  # replays, as encodings do
-
-    return [
-        limited(document, source, primitive, options.limit_influences)
-        for source, primitive in zip(sources, whole, strict=True)
-    ]
-
-
-def _limit_costs(
-    document: Document,
-    sources: Sequence[PrimitiveSource],
-    whole: Sequence[SkinnedPrimitive],
-    parts: Sequence[Limited | None],
-    outcomes: Sequence[Outcome],
-    options: BakeOptions,
-) -> Sequence[LimitCost | None]:
-    if not any(parts):
-        return [None] * len(whole)
-    from skinbake.lighting.limit_cost import limit_costs
-
-    return limit_costs(document, sources, whole, parts, outcomes, options.settings)
-
-
-def _counts(
-    source: PrimitiveSource,
-    primitive: SkinnedPrimitive,
-    outcome: BakedPrimitive,
-    findings: BakeFindings,
-    encoding: Encoding,
-) -> BakedCounts:
-    return BakedCounts(
-        vertices=len(primitive.positions),
-        triangles=len(primitive.triangles),
-        degenerate_triangles=findings.degenerate_triangles,
-        influences=primitive.joints.shape[1],
-        frame=outcome.frame,
-        generated_normals="NORMAL" not in source.attributes,
-        adopting_vertices=findings.adopting_vertices,
-        overflowing_vertices=findings.overflowing_vertices,
-        gradient=findings.magnitude,
-        lost_gradient=findings.lost,
-        added_bytes=0,
-        bytes_per_vertex=vertex_bytes(encoding, primitive.joints.shape[1]),
-    )
-
-
 def _noted_settings(options: BakeOptions) -> JsonObject:
     settings = options.settings
     return {
-        "weighting": settings.weighting,
+        "weighting": str(settings.weighting),
         "creaseAngle": round(float(np.degrees(settings.crease_angle)), 6),
-        "neighbours": settings.neighbours,
-        **({"weld": WELD_SKIN} if options.weld == WELD_SKIN else {}),
+        "neighbours": str(settings.neighbours),
+        **({"weld": str(options.weld)} if options.weld is Weld.SKIN else {}),
     }
-
-
-def _assumptions(
-    source: PrimitiveSource, primitive: SkinnedPrimitive, outcome: BakedPrimitive, findings: BakeFindings
-) -> list[Notice]:
-    """Return one notice for each kind of thing that had to be assumed."""
-    weights = findings.weights
-    outside = 0
-    if primitive.joints.max() >= source.joint_count:
-        unused = (primitive.joints >= source.joint_count) & (primitive.weights == 0)
-        outside = int(np.count_nonzero(unused.any(axis=1)))
-    forced = outcome.frame == TANGENT_FRAME
-    consequence = "used all the same, as asked" if forced else "the frame is taken from NORMAL instead"
-    table = [
-        ("weights-negative", weights.negative, "{} vertices have negative weights: taken as 0"),
-        (
-            "weights-zero",
-            weights.all_zero,
-            "{} vertices have no weight at all: taken as bound to slot 0's joint",
-        ),
-        (
-            "weights-sum",
-            weights.not_normalised,
-            f"the weights of {{}} vertices miss a sum of 1 by over {SUM_TOLERANCE}: taken as divided by it",
-        ),
-        (
-            "joints-repeated",
-            weights.repeated_joint,
-            "{} vertices name a joint twice: its weights are added up",
-        ),
-        (
-            "joints-outside-skin",
-            outside,
-            f"{{}} vertices name a joint past the skin's {source.joint_count}, at weight 0: ignored",
-        ),
-        (
-            "tangents-skewed",
-            findings.bad_tangents,
-            f"at {{}} vertices TANGENT × bitangent leans more than {TANGENT_TOLERANCE}° from NORMAL "
-            f"(up to {findings.tangent_deviation:.3g}°): {consequence}",
-        ),
-        (
-            "normals-zero",
-            findings.zero_normals,
-            "{} vertices have a NORMAL without a direction: taken as (0, 0, 1)",
-        ),
-    ]
-    return [
-        Notice(code, text.format(f"{count:,}"), source.place, count) for code, count, text in table if count
-    ]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -57,7 +57,7 @@ def with_baked(
     document: Document,
     baked: Sequence[Baked],
     names: AttributeNames,
-    storage: Storage | None = None,
+    storage: Storage,
     *,
     level: int | None = None,
 ) -> tuple[Document, list[int]]:
@@ -65,12 +65,11 @@ def with_baked(
 
     The document must not hold an earlier bake. A NORMAL is added where the primitive has none. What a
     primitive gains is stored as the primitive is, compressed at ``level`` (see ``store_for``). The storage's
-    scale is not read: it is found here, for all primitives together. α and β must be finite. Raises
-    InputError where an attribute of the chosen name exists already, or α and β do not fit the storage.
+    scale is the file's (``with_scale``). α and β must be finite. Raises InputError where an attribute of the
+    chosen name exists already, or α and β do not fit the storage.
     """
     additions = Additions(document)
     meshes = list(document.objects("meshes"))
-    storage = _scaled(baked, storage or Storage())
     lengths = []
     for item in baked:
         before = additions.byte_length
@@ -83,14 +82,14 @@ def with_baked(
     return additions.applied({"meshes": meshes}), lengths
 
 
-def _scaled(baked: Sequence[Baked], storage: Storage) -> Storage:
+def with_scale(storage: Storage, results: Iterable[BakedPrimitive]) -> Storage:
     """Return the storage with the scale of the whole file, so that its shader can hold it as a constant.
 
     One for α and one for β would gain 0.0015° of mean error at most: measured on sixty models.
     """
     if not storage.encoding.is_scaled:
         return storage
-    scale = common_scale([slots for item in baked for slots in (item.result.alpha, item.result.beta)])
+    scale = common_scale([slots for result in results for slots in (result.alpha, result.beta)])
     return replace(storage, scale=scale)
 
 

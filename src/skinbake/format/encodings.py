@@ -95,6 +95,11 @@ def _rounded(
     return root, integers, error
 
 
+def rounded(slots: FloatArray, encoding: Encoding, scale: float) -> FloatArray:
+    """Return α or β (V, K − 1) float32 as a shader reads what ``encoded`` makes of them."""
+    return decoded(encoded(slots, encoding, scale), encoding, scale).values
+
+
 def decoded(sets: Sequence[npt.NDArray[Any]], encoding: Encoding, scale: float) -> DecodedSlots:
     """Return α or β of arrays as ``encoded`` gives them; a set 0 of (V, 4), further sets of (V, 4)."""
     if not encoding.is_scaled:

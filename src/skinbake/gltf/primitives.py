@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import cast
 
 import numpy as np
@@ -53,6 +53,11 @@ class PrimitiveSource:
     json: JsonObject
     joint_count: int
     place: Place
+
+    def in_document(self, document: Document) -> PrimitiveSource:
+        """Return the same primitive of a document in which others stand where its accessors stood."""
+        mesh = document.objects("meshes")[self.mesh]
+        return replace(self, json=objects(mesh, "primitives", self.place)[self.primitive])
 
     @property
     def attributes(self) -> JsonObject:

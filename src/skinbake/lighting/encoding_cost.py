@@ -2,40 +2,45 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
-from skinbake.format.metadata import read_metadata
+import numpy as np
+
+from skinbake.format.encodings import rounded
+from skinbake.format.layouts import Storage
 from skinbake.gltf.animation import read_clips
 from skinbake.gltf.document import Document
-from skinbake.gltf.primitives import skinned_sources
-from skinbake.lighting.baked_views import BakedView, baked_views
 from skinbake.lighting.encoding import AddedError, EncodedSurface, added_error
-from skinbake.lighting.measured import rest_surface
 from skinbake.lighting.metrics import vertex_areas
 from skinbake.lighting.poses import PoseRequest, PoseSet, pose_set, skins_of
+from skinbake.lighting.unwritten import UnwrittenBake
 
 
-def added_by_encoding(encoded: Document, plain: Document) -> AddedError | None:
-    """Return how far the accurate normals of two bakes of one file lie apart: encoded, and as float32.
+def added_by_encoding(
+    document: Document, bakes: Sequence[UnwrittenBake], storage: Storage
+) -> AddedError | None:
+    """Return how far accurate normals lie apart with α and β as ``storage`` rounds them, and as float32.
 
-    None where there is no normal in any pose. Raises InputError where the file's animations are broken.
+    The poses are those of the document. None where there is no normal in any of them. Raises InputError where
+    its animations or skins cannot be read.
     """
-    return added_error(_surfaces(encoded, plain))
+    return added_error(_surfaces(document, bakes, storage))
 
 
-def _surfaces(encoded: Document, plain: Document) -> Iterator[EncodedSurface]:
-    clips, sets = read_clips(plain), dict[int, PoseSet]()
-    for stored, exact in zip(_views(encoded), _views(plain), strict=True):
-        areas = vertex_areas(exact.now.positions, exact.now.triangles)
-        for skin in skins_of(plain, exact.source.mesh):
+def _surfaces(
+    document: Document, bakes: Sequence[UnwrittenBake], storage: Storage
+) -> Iterator[EncodedSurface]:
+    clips, sets = read_clips(document), dict[int, PoseSet]()
+    for bake in bakes:
+        exact, primitive = bake.rest_surface(), bake.primitive
+        alpha, beta = (
+            rounded(slots, storage.encoding, storage.scale).astype(np.float64)
+            for slots in (bake.baked.alpha, bake.baked.beta)
+        )
+        areas = vertex_areas(primitive.positions, primitive.triangles)
+        for skin in skins_of(document, bake.source.mesh):
             if skin not in sets:
-                sets[skin] = pose_set(plain, skin, clips, PoseRequest())
-            yield EncodedSurface(
-                rest_surface(stored), exact.alpha, exact.beta, areas, sets[skin].joint_matrices
-            )
-
-
-def _views(document: Document) -> list[BakedView]:
-    sources, _ = skinned_sources(document)
-    baked = [source for source in sources if read_metadata(document, source.json) is not None]
-    return baked_views(document, baked)[0]
+                sets[skin] = pose_set(document, skin, clips, PoseRequest())
+            stored = replace(exact, alpha=alpha, beta=beta)
+            yield EncodedSurface(stored, exact.alpha, exact.beta, areas, sets[skin].joint_matrices)

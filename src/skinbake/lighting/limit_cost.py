@@ -8,22 +8,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from skinbake.format.limit import with_limit
-from skinbake.geometry import frames
-from skinbake.geometry.skinned import BakedPrimitive, Float64Array, FloatArray, SkinnedPrimitive
+from skinbake.geometry.skinned import Float64Array, FloatArray, SkinnedPrimitive
 from skinbake.gltf.animation import read_clips
 from skinbake.gltf.document import Document
 from skinbake.gltf.primitives import PrimitiveSource, StoredInfluences, read_influences
-from skinbake.gradients.baker import BakeFindings, BakeSettings, bake_mesh, rest_frame
 from skinbake.gradients.limit import limited_slots
 from skinbake.lighting.blending import blended_blocks
-from skinbake.lighting.influences import normalised_weights
 from skinbake.lighting.metrics import ErrorTally, angles_between, total_area, vertex_areas
 from skinbake.lighting.poses import PoseRequest, PoseSet, described, pose_set, skins_of
+from skinbake.lighting.unwritten import UnwrittenBake
 from skinbake.report.bake import LimitCost, Spread
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.surface import RestSurface
-
-Outcome = tuple[BakedPrimitive, BakeFindings]
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,66 +59,39 @@ def limited(
 
 def limit_costs(
     document: Document,
-    sources: Sequence[PrimitiveSource],
-    whole: Sequence[SkinnedPrimitive],
+    whole: Sequence[UnwrittenBake],
+    limited: Sequence[UnwrittenBake],
     parts: Sequence[Limited | None],
-    outcomes: Sequence[Outcome],
-    settings: BakeSettings,
 ) -> list[LimitCost | None]:
     """Return what the limit costs each primitive of one surface, None for those that it leaves alone.
 
-    ``whole`` are the primitives with all their influences, ``outcomes`` the bakes of the limited ones.
+    ``whole`` are their bakes with all influences, ``limited`` those with the influences of ``parts``.
     Accurate normals (algorithm 3) and positions before and after are compared over the poses that verify
     takes by default. Raises InputError where animations or skins cannot be read.
     """
-    if not any(parts):
-        return [None] * len(parts)
     clips = read_clips(document)
-    sets = [pose_set(document, skin, clips, PoseRequest()) for skin in skins_of(document, sources[0].mesh)]
+    skins = skins_of(document, whole[0].source.mesh)
+    sets = [pose_set(document, skin, clips, PoseRequest()) for skin in skins]
     told = described(PoseRequest(), sets, sum(clip.duration - clip.start for clip in clips))
-    costs: list[LimitCost | None] = []
-    for source, primitive, part, (before, _), (after, _) in zip(
-        sources, whole, parts, bake_mesh(whole, settings), outcomes, strict=True
-    ):
-        if part is None:
-            costs.append(None)
-            continue
-        pair = (
-            _surface(primitive, before, source.joint_count, settings),
-            _surface(part.primitive, after, source.joint_count, settings),
-        )
-        areas = vertex_areas(primitive.positions, primitive.triangles)
-        turned, moved, size = _differences(pair, sets, areas)
-        costs.append(
-            LimitCost(
-                influences=part.primitive.joints.shape[1],
-                vertices=part.vertices,
-                left_out=part.left_out,
-                normals=_spread(turned),
-                positions=_spread(moved),
-                size=size,
-                poses=told,
-            )
-        )
-    return costs
+    return [
+        None if part is None else _cost(part, before, after, sets, told)
+        for part, before, after in zip(parts, whole, limited, strict=True)
+    ]
 
 
-def _surface(
-    primitive: SkinnedPrimitive, baked: BakedPrimitive, joint_count: int, settings: BakeSettings
-) -> RestSurface:
-    """Return what a replay reads of a bake that is not written yet; adopted joints stand at weight 0."""
-    frame = rest_frame(primitive, settings.frame)
-    named = np.where(baked.adopted_joints >= 0, baked.adopted_joints, primitive.joints)
-    joints = np.where(named < joint_count, named, 0)
-    return RestSurface(
-        positions=primitive.positions.astype(np.float64),
-        normals=frames.unit_normals(primitive.normals).astype(np.float64),
-        tangents=frame.tangents.astype(np.float64),
-        bitangents=frame.bitangents.astype(np.float64),
-        joints=joints,
-        weights=normalised_weights(primitive.weights, joints),
-        alpha=baked.alpha.astype(np.float64),
-        beta=baked.beta.astype(np.float64),
+def _cost(
+    part: Limited, before: UnwrittenBake, after: UnwrittenBake, sets: Sequence[PoseSet], told: str
+) -> LimitCost:
+    areas = vertex_areas(before.primitive.positions, before.primitive.triangles)
+    turned, moved, size = _differences((before.rest_surface(), after.rest_surface()), sets, areas)
+    return LimitCost(
+        influences=part.primitive.joints.shape[1],
+        vertices=part.vertices,
+        left_out=part.left_out,
+        normals=_spread(turned),
+        positions=_spread(moved),
+        size=size,
+        poses=told,
     )
 
 

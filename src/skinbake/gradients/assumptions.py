@@ -1,0 +1,86 @@
+"""What a bake had to assume of a primitive, as notices, and where its result is of no use."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from skinbake.choices import Frame
+from skinbake.errors import InputError, Notice, Place
+from skinbake.geometry.blocks import blocks
+from skinbake.geometry.skinned import BakedPrimitive, SkinnedPrimitive
+from skinbake.gradients.baker import TANGENT_TOLERANCE, BakeFindings
+from skinbake.gradients.influences import SUM_TOLERANCE
+
+
+def assumptions(
+    primitive: SkinnedPrimitive,
+    baked: BakedPrimitive,
+    findings: BakeFindings,
+    joint_count: int,
+    place: Place,
+) -> list[Notice]:
+    """Return one notice for each kind of thing that had to be assumed; joint_count is the skin's."""
+    weights = findings.weights
+    outside = 0
+    if primitive.joints.max() >= joint_count:
+        unused = (primitive.joints >= joint_count) & (primitive.weights == 0)
+        outside = int(np.count_nonzero(unused.any(axis=1)))
+    forced = baked.frame == Frame.TANGENT
+    consequence = "used all the same, as asked" if forced else "the frame is taken from NORMAL instead"
+    table = [
+        ("weights-negative", weights.negative, "{} vertices have negative weights: taken as 0"),
+        (
+            "weights-zero",
+            weights.all_zero,
+            "{} vertices have no weight at all: taken as bound to slot 0's joint",
+        ),
+        (
+            "weights-sum",
+            weights.not_normalised,
+            f"the weights of {{}} vertices miss a sum of 1 by over {SUM_TOLERANCE}: taken as divided by it",
+        ),
+        (
+            "joints-repeated",
+            weights.repeated_joint,
+            "{} vertices name a joint twice: its weights are added up",
+        ),
+        (
+            "joints-outside-skin",
+            outside,
+            f"{{}} vertices name a joint past the skin's {joint_count}, at weight 0: ignored",
+        ),
+        (
+            "tangents-skewed",
+            findings.bad_tangents,
+            f"at {{}} vertices TANGENT × bitangent leans more than {TANGENT_TOLERANCE}° from NORMAL "
+            f"(up to {findings.tangent_deviation:.3g}°): {consequence}",
+        ),
+        (
+            "normals-zero",
+            findings.zero_normals,
+            "{} vertices have a NORMAL without a direction: taken as (0, 0, 1)",
+        ),
+    ]
+    return [Notice(code, text.format(f"{count:,}"), place, count) for code, count, text in table if count]
+
+
+def check_finite(primitive: SkinnedPrimitive, baked: BakedPrimitive, place: Place) -> None:
+    """Raise InputError where α or β of a vertex are not finite: no shader can make a normal of those."""
+    count, of_tangents = 0, False
+    for rows in blocks(len(baked.alpha)):
+        slots = np.isfinite(baked.alpha[rows]) & np.isfinite(baked.beta[rows])
+        if slots.all():
+            continue
+        bad = ~slots.all(axis=1)
+        count += int(np.count_nonzero(bad))
+        if baked.frame == Frame.TANGENT and primitive.tangents is not None:
+            of_tangents |= bool((np.abs(primitive.tangents[rows][bad]) > 2.0).any())
+    if not count:
+        return
+    vertices = "1 vertex" if count == 1 else f"{count} vertices"
+    advice = (
+        "their TANGENT is not of length 1: mend it, or take --frame normal"
+        if of_tangents
+        else "they lie closer together than float32 can hold a slope for: scale the model up, or merge them"
+    )
+    raise InputError(f"α or β of {vertices} are not finite numbers; {advice}", place)

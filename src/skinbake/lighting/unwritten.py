@@ -1,0 +1,40 @@
+"""A bake that no file holds yet, as a replay reads it: costs of encodings and limits are measured on it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from skinbake.geometry import frames
+from skinbake.geometry.skinned import BakedPrimitive, SkinnedPrimitive
+from skinbake.gltf.primitives import PrimitiveSource
+from skinbake.gradients.baker import ChosenFrame, frame_vectors
+from skinbake.lighting.influences import normalised_weights
+from skinbake.skinning.surface import RestSurface
+
+
+@dataclass(frozen=True, slots=True)
+class UnwrittenBake:
+    """One primitive, its arrays as baked from, and what was baked."""
+
+    source: PrimitiveSource
+    primitive: SkinnedPrimitive
+    baked: BakedPrimitive
+
+    def rest_surface(self) -> RestSurface:
+        """Return it as float64; adopted joints stand at weight 0, and joints past the skin become 0."""
+        primitive, baked = self.primitive, self.baked
+        tangents, bitangents = frame_vectors(primitive, ChosenFrame(baked.frame))
+        named = np.where(baked.adopted_joints >= 0, baked.adopted_joints, primitive.joints)
+        joints = np.where(named < self.source.joint_count, named, 0)
+        return RestSurface(
+            positions=primitive.positions.astype(np.float64),
+            normals=frames.unit_normals(primitive.normals).astype(np.float64),
+            tangents=tangents.astype(np.float64),
+            bitangents=bitangents.astype(np.float64),
+            joints=joints,
+            weights=normalised_weights(primitive.weights, joints),
+            alpha=baked.alpha.astype(np.float64),
+            beta=baked.beta.astype(np.float64),
+        )

@@ -1,0 +1,43 @@
+"""How often ``bake`` does its work: a primitive is baked once, and once more for what a limit costs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from fixtures.make_fixtures import FOLDER
+from skinbake.choices import Encoding
+from skinbake.commands import bake
+from skinbake.commands.bake import BakeOptions, bake_file
+from skinbake.format.layouts import Storage
+
+PACKED8 = Storage(Encoding.PACKED8)
+
+
+@pytest.mark.parametrize(
+    ("options", "bakes"),
+    [
+        (BakeOptions(), 1),
+        (BakeOptions(storage=PACKED8), 1),
+        (BakeOptions(limit_influences=4), 2),
+        (BakeOptions(limit_influences=4, storage=PACKED8), 2),
+        (BakeOptions(limit_influences=8), 1),  # the file has no more
+    ],
+)
+def test_a_surface_is_baked_once_and_once_more_for_the_cost_of_a_limit(
+    options: BakeOptions, bakes: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calls: list[int] = []
+    original = bake.bake_mesh
+
+    def counted(primitives: Sequence[Any], settings: Any) -> Any:
+        calls.append(len(primitives))
+        return original(primitives, settings)
+
+    monkeypatch.setattr(bake, "bake_mesh", counted)
+    result = bake_file(str(FOLDER / "two_sets.glb"), str(tmp_path / "out.glb"), options)
+    assert result.status == "baked"
+    assert len(calls) == bakes
