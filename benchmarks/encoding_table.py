@@ -41,7 +41,7 @@ SCALED = (Encoding.SNORM16, Encoding.PACKED8)
 
 HEAD = """# What smaller α and β cost
 
-`bake --encoding` stores α and β in fewer bytes; [CONVENTIONS.md](../CONVENTIONS.md#encodings) has the
+`bake --encoding` stores α and β in fewer bytes; [the reference](reference/file-format.md#encodings) has the
 formats. What that does to the lighting, in degrees:
 
 **Reading it.** *Bytes* are those of α and β at a vertex. *Error* is the mean angle between the accurate

@@ -49,8 +49,8 @@ HEAD = """# What morph targets cost
 α and β are derivatives along curves on the surface whose tangents are t0 and b0 at rest. Under a morph they
 stay exact, if t and b are the images of t0 and b0 under its differential, not renormalised. A glTF file holds
 no differential. It holds a morphed NORMAL, and seldom a morphed TANGENT: directions, without the stretch and
-the shear. So t and b are approximations ([the rules](../CONVENTIONS.md#morph-targets)), and this is what each
-one costs.
+the shear. So t and b are approximations ([the rules](reference/frame.md#morph-targets)). This page measures
+how large an error each one makes.
 
 ## On a surface whose differential is known
 A bumpy tube of three joints, morphed, then bent (the mean over a medium and a strong bend of the tests'

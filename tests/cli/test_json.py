@@ -1,4 +1,4 @@
-"""--json: stdout is one JSON document and nothing else, of the shape that CONVENTIONS.md documents."""
+"""--json: stdout is one JSON document and nothing else, as docs/reference/json.md says."""
 
 from __future__ import annotations
 

@@ -36,7 +36,7 @@ def vectors(model: GltfFile, accessor: int, form: str) -> list[tuple[int, ...]]:
 def slots_by_hand(
     model: GltfFile, mesh: int, primitive: int, key: str
 ) -> tuple[list[list[float]], list[float]]:
-    """Return α or β of every vertex after the table in CONVENTIONS.md, and the scale of each."""
+    """Return α or β of every vertex by the table in docs/reference/file-format.md, and each scale."""
     found = note(model.content, mesh, primitive)
     assert found is not None
     code, form, limit = FORMATS[found["encoding"]]
@@ -103,7 +103,7 @@ def test_a_vertex_takes_the_bytes_that_are_promised(encoding: Encoding, tmp_path
 
 
 def best_by_trial(slots: list[float], limit: int, scale: float) -> tuple[list[int], float]:
-    """Return the integers that the rule of CONVENTIONS.md leads to, and the squared error, the slow way."""
+    """Return the best integers by trying all (docs/reference/file-format.md), and the squared error."""
     largest = max(abs(value) for value in slots)
     if largest == 0.0:
         return [0] * (len(slots) + 1), 0.0

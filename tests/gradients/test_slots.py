@@ -47,7 +47,7 @@ FILES = [
 ]
 
 NEGLIGIBLE = 1e-4
-"""CONVENTIONS.md: below this share of a vertex's gradient a joint gets no slot."""
+"""docs/reference/gradients.md: below this share of a vertex's gradient a joint gets no slot."""
 
 SAME = 1.0 + 1e-9
 """Gradients of two implementations are taken for equal within this factor, which leaves ties open."""

@@ -24,7 +24,7 @@ from tests.support.schemas import VERIFY
 
 PLACE = Place("hero.glb", 2, "Body", 1)
 
-"""The JSON document, with no member that is not listed; CONVENTIONS.md says it in words."""
+"""The JSON document, with no member that is not listed; docs/reference/json.md says it in words."""
 
 
 def figure(mean: float) -> ErrorFigures:

@@ -53,7 +53,7 @@ def stored_words(model: GltfFile, name: str) -> npt.NDArray[np.uint32]:
 
 
 def by_hand(model: GltfFile, key: str) -> npt.NDArray[np.float64]:
-    """Decode α or β of every vertex after CONVENTIONS.md, float64, (V, K − 1)."""
+    """Decode α or β of every vertex after docs/reference/file-format.md, float64, (V, K − 1)."""
     found = note(model.content)
     assert found is not None
     form, limit = {"packed8": ("<4b", 127), "snorm16": ("<4h", 32767)}[found["encoding"]]

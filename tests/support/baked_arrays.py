@@ -114,7 +114,7 @@ def _stored(file: GltfFile, mesh: int, primitive: int, found: SkinnedPrimitive) 
     accessors = file.content["accessors"]
     first = accessors[file.primitive(mesh, primitive)["attributes"]["_SKINBAKE_ALPHA_0"]]
     extras = file.primitive(mesh, primitive).get("extras")
-    # CONVENTIONS.md: extras that are not an object stay, and the note moves to the first α's accessor.
+    # Extras that are not an object stay; the note is then in the first α's accessor (file-format.md).
     note = extras if isinstance(extras, dict) and "skinbake" in extras else first["extras"]
     return StoredPrimitive(found, alpha, beta, note["skinbake"]["frame"])
 

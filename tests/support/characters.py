@@ -158,7 +158,7 @@ class Character:
 
 
 def _gradients(file: gltf_reading.GltfFile, metadata: JsonObject) -> tuple[Array, Array]:
-    """Return α and β of one influence set, (V, 3) each, as the file means them (CONVENTIONS.md)."""
+    """Return α and β of one influence set, (V, 3) each, decoded (docs/reference/file-format.md)."""
     if metadata.get("layout") == "texcoord":
         names = dict.fromkeys([*metadata["alpha"], *metadata["beta"]])
         row = np.hstack([file.attribute(name) for name in names])

@@ -1,4 +1,4 @@
-"""The shapes of --json that CONVENTIONS.md documents, as JSON schemas."""
+"""The shapes of --json that docs/reference/json.md documents, as JSON schemas."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
 """Store adopted joints: weights too small to see, so that no tool takes their slots for empty.
 
 A joint with weight zero draws a warning from the Khronos validator, and several tools reset it. So an
-adopted slot gets the smallest weight that its type can afford; CONVENTIONS.md states how little that moves a
-vertex.
+adopted slot gets the smallest weight that its type can afford; docs/reference/gradients.md states how little
+that moves a vertex.
 """
 
 from __future__ import annotations

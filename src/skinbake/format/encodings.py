@@ -1,4 +1,6 @@
-"""α and β in fewer bytes: normalised integers relative to a scale a vertex, as CONVENTIONS.md has it.
+"""Encode α and β in fewer bytes: normalised integers relative to a scale of each vertex.
+
+The format is in docs/reference/file-format.md.
 
 Linear integers relative to one scale for all are up to 1.9° off in the mean: single outliers set the scale
 and ruin the rest. So the fourth component of set 0 holds the square root of the vertex's own scale.

@@ -1,4 +1,4 @@
-"""What bake notes in the file: ``extras.skinbake`` of each baked primitive, as CONVENTIONS.md has it."""
+"""The metadata ``extras.skinbake`` of each baked primitive (docs/reference/file-format.md)."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """The arrays that travel between the parts: a skinned primitive before and after baking.
 
-Axis letters, units and frames are those of CONVENTIONS.md.
+Axis letters, units and frames are those of docs/reference/units.md.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The weight field: stored influences made a partition of unity (the policy of CONVENTIONS.md)."""
+"""The weight field: stored influences made a partition of unity (docs/reference/gradients.md)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which influences stay where a vertex may have only so many (the policy of CONVENTIONS.md)."""
+"""Which influences stay where a vertex may have only so many (the policy of docs/reference/gradients.md)."""
 
 from __future__ import annotations
 

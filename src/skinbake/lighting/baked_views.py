@@ -125,7 +125,7 @@ def _view(document: Document, source: PrimitiveSource) -> BakedView | Notice:
 
 
 def _wrong_members(metadata: JsonObject, source: PrimitiveSource) -> Iterator[str]:
-    """Yield what is wrong with each member of the metadata that is not as CONVENTIONS.md has it."""
+    """Yield each defect of a member of the metadata (docs/reference/file-format.md)."""
     if metadata.get("frame") not in list(Frame):
         yield f'"frame" is {shown(metadata.get("frame"))}'
     if metadata.get("weld", Weld.MESH) not in list(Weld):

@@ -208,7 +208,7 @@ def as_json(
     dry_run: bool,
     process: Mapping[str, float | None] | None = None,
 ) -> dict[str, Any]:
-    """Return the results as one JSON object; CONVENTIONS.md documents its members.
+    """Return the results as one JSON object; docs/reference/json.md documents its members.
 
     process is how the seconds of the whole process were spent, None where nobody asked.
     """

@@ -122,7 +122,7 @@ def _storage(noted: dict[str, Any]) -> str:
 
 
 def as_json(result: InspectResult) -> dict[str, Any]:
-    """Return the summary as one JSON object; CONVENTIONS.md documents its members."""
+    """Return the summary as one JSON object; docs/reference/json.md documents its members."""
     return {
         "schema": SCHEMA,
         "input": result.input,

@@ -161,7 +161,7 @@ def _where(worst: Worst) -> str:
 def as_json(
     verdicts: Sequence[FileVerdict], *, exit_code: int, process: Mapping[str, float | None] | None = None
 ) -> dict[str, Any]:
-    """Return the verdicts as one JSON object; CONVENTIONS.md documents its members.
+    """Return the verdicts as one JSON object; docs/reference/json.md documents its members.
 
     process is how the seconds of the whole process were spent, None where nobody asked.
     """

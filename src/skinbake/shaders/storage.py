@@ -1,6 +1,6 @@
 """How a shader gets α and β from what bake stored: decoded from integers, or assembled from pairs.
 
-CONVENTIONS.md, *Encodings* and *Layouts*.
+docs/reference/file-format.md, *Encodings* and *Layouts*.
 """
 
 from __future__ import annotations
