@@ -41,15 +41,20 @@ SCALED = (Encoding.SNORM16, Encoding.PACKED8)
 
 HEAD = """# What smaller α and β cost
 
-`bake --encoding` stores α and β in fewer bytes; [the reference](reference/file-format.md#encodings) has the
-formats. What that does to the lighting, in degrees:
+α and β are two numbers for each influence of a vertex: the slopes of its skin weight along the two tangent
+directions. `bake --encoding` stores them in fewer bytes. [The reference](reference/file-format.md#encodings)
+defines the formats. This page measures the effect on the lighting, in degrees.
 
-**Reading it.** *Bytes* are those of α and β at a vertex. *Error* is the mean angle between the accurate
-normals (algorithm 3) and the true ones with `float32`, as `skinbake verify` measures it. *Turned* is the
-angle by which the encoding turns the accurate normals, mean and 99th percentile; `skinbake bake` prints the
-same. *Added* is by how much the mean error grows: by less than the normals turn, since some turn towards
-the true ones. All of it is over the model's own animations (random poses where it has none), weighted by
+**Reading it.** All figures are over the model's own animations (random poses if it has none), weighted by
 rest area.
+
+- *Bytes*: the size of α and β at a vertex.
+- *Error*: the mean angle between the accurate normals (algorithm 3) with `float32` and the true normals, as
+  `skinbake verify` measures it.
+- *Turned*: the angle by which the encoding turns the accurate normals, mean and 99th percentile.
+  `skinbake bake` prints the same.
+- *Added*: the growth of the mean error. It is smaller than *turned*, because some normals turn towards the
+  true ones.
 """
 
 
@@ -158,7 +163,10 @@ def table(rows: dict[str, Row]) -> Iterator[str]:
 
 def largest(rows: dict[str, Row]) -> Iterator[str]:
     """Yield what the worst of all models are, by encoding and bytes."""
-    yield f"Over all {len(rows)} models of the corpus that can be baked, the most that normals turn:"
+    yield (
+        f"The largest angles by which normals turn, over all {len(rows)} models of the corpus that can be "
+        "baked:"
+    )
     yield ""
     for encoding in SCALED:
         for bytes_ in sorted({row[encoding].size for row in rows.values()}):

@@ -63,15 +63,16 @@ LARGEST_FOR_RATE = 1_000_000
 
 HEAD = """# What a library of a million assets costs
 
-Computed by `python -m benchmarks.library_cost` from the figures of the last `make bench`
-([benchmarks/RESULTS.md](../benchmarks/RESULTS.md)); nobody has run a million files. Rates are measured on one
-machine, the library and the cluster are assumed: put your own into the script.
+`python -m benchmarks.library_cost` computes this page from the figures of the last `make bench`
+([benchmarks/RESULTS.md](../benchmarks/RESULTS.md)). It is a calculation, not a run of a million files. The
+rates are measured on one machine. The library and the cluster are assumed: put your own numbers into the
+script.
 """
 
 FORMULAE = """## How it is computed
 For the mean asset (V vertices, X bytes that bake only copies) and N cores on M = ⌈N / {cores}⌉ nodes:
 
-    t = file + vertex · V + payload · X + wait      seconds that an asset keeps a core
+    t = file + vertex · V + payload · X + wait      seconds of a core for an asset
     B = (read + written) · V + 2 X                  bytes moved for an asset
 
     cores     = 1,000,000 · t / N
@@ -80,7 +81,8 @@ For the mean asset (V vertices, X bytes that bake only copies) and N cores on M 
     scheduler = 1,000,000 / (tasks · files of a task)
     wall time = start + the largest of these
 
-They overlap, since every worker is at another file; so the largest counts, and it is the bottleneck.
+The four parts overlap, because each worker is at another file. So the largest time counts: it is the
+bottleneck.
 """
 
 
@@ -197,15 +199,16 @@ def page(results: Json) -> str:
 
 def quick_warning(results: Json) -> str:
     """Return a warning where the figures are those of a quick run."""
-    return "**From a quick run: the figures say nothing.**\n" if results["quick"] else ""
+    return "**From a quick run: the figures mean nothing.**\n" if results["quick"] else ""
 
 
 def costs(asset: Asset, found: Rates) -> Iterator[str]:
     """Yield the table of what the library costs."""
     read, written = ASSETS * asset.read, ASSETS * asset.written
     yield (
-        f"In the mean an asset has {asset.vertices:,.0f} vertices and keeps a core for "
-        f"{1e3 * asset.seconds:.0f} ms. The whole library: {read / 1e12:.1f} TB read, "
+        f"The mean asset has {asset.vertices:,.0f} vertices and takes {1e3 * asset.seconds:.0f} ms of a "
+        "core. "
+        f"The whole library: {read / 1e12:.1f} TB read, "
         f"{written / 1e12:.1f} TB written, {ASSETS * asset.seconds / 3600:,.1f} core hours."
     )
     yield ""
@@ -221,7 +224,7 @@ def costs(asset: Asset, found: Rates) -> Iterator[str]:
 
 
 def bottlenecks(asset: Asset, found: Rates) -> Iterator[str]:
-    """Yield what the bottleneck becomes, and what moves it."""
+    """Yield the bottleneck of each part, and the remedy."""
     yield "## The bottleneck"
     moved = asset.read + asset.written
     textures = 2 * sum(kind.share * kind.payload for kind in LIBRARY) / moved
@@ -229,37 +232,40 @@ def bottlenecks(asset: Asset, found: Rates) -> Iterator[str]:
     scheduled = asset.seconds * (found.tasks or 0) * task_files(asset, CLUSTER)
     node = moved / asset.seconds * CLUSTER.node_cores
     yield (
-        f"- **Cores**, until something else is slower: twice as many halve the time. The store keeps up with "
+        "- **Cores**: twice as many cores halve the time, until another part is slower. The store keeps "
+        "up with "
         f"{stored:,.0f} cores" + ("." if found.tasks is None else f", the scheduler with {scheduled:,.0f}.")
     )
     yield (
-        f"- **Network of a node**: {CLUSTER.node_cores} busy cores move {node / 1e9:.2f} GB/s of its "
-        f"{CLUSTER.node_bytes / 1e9:.2f}: "
+        f"- **Network of a node**: {CLUSTER.node_cores} busy cores move {node / 1e9:.2f} GB/s, and the "
+        "network "
+        f"carries {CLUSTER.node_bytes / 1e9:.2f}. "
         + (
-            "fewer workers a node, or a faster link, would help."
+            "Fewer workers on a node, or a faster link, would help."
             if node > CLUSTER.node_bytes
-            else "it is no limit."
+            else "The network is no limit."
         )
     )
     yield (
         f"- **Store**: {moved * ASSETS / CLUSTER.store_bytes / 60:,.0f} minutes at "
         f"{CLUSTER.store_bytes / 1e9:.0f} GB/s, whatever the number of cores. {textures:.0%} of the bytes "
-        "are textures and animation: a library that keeps textures beside its .gltf files need not move them."
+        "are textures and animation. A library that keeps textures beside its .gltf files need not move them."
     )
     if found.tasks is not None:
         group, alone = task_files(asset, CLUSTER), asset.seconds * found.tasks
         yield (
             f"- **Scheduler**: one process, {found.tasks:,.0f} tasks a second, whatever the number of cores. "
-            f"`--dask` puts files into a task together, {group} of the mean; with one to a task it would "
-            f"keep up with {alone:,.0f} cores."
+            f"`--dask` puts several files into a task, {group} of the mean size. With one file in a task the "
+            f"scheduler would keep up with {alone:,.0f} cores."
         )
     yield (
-        "- **The client**, where the library lies on its own disk: then every byte goes through its network, "
-        f"{duration(ASSETS * moved / CLUSTER.node_bytes)} at {CLUSTER.node_bytes / 1e9:.2f} GB/s. Give URLs "
-        "that workers read themselves."
+        "- **The client**, if the library is on its own disk. Then every byte goes through its network, "
+        "which takes "
+        f"{duration(ASSETS * moved / CLUSTER.node_bytes)} at {CLUSTER.node_bytes / 1e9:.2f} GB/s. Use "
+        "URLs, which the workers read themselves."
     )
     yield (
-        f"- **Start-up**: {found.start:.2f} s a worker, once. Called once for each file it would be "
+        f"- **Start-up**: {found.start:.2f} s for each worker, once. One call for each file would take "
         f"{ASSETS * found.start / 3600:,.0f} core hours, {found.start / asset.seconds:.1f} × the work itself."
     )
 
@@ -276,16 +282,19 @@ def measured_rates(found: Rates, results: Json) -> Iterator[str]:
     yield f"| start | {found.start:.2f} s | the smallest grid, as a whole process |"
     many = f"{files['files']:,} files of {files['vertices']:,} vertices in one call"
     noise = f"{textured['payload'] / 1e6:.0f} MB of textures"
-    stored = f"{found.read:.0f}, {found.written:.0f} bytes a vertex"
-    yield f"| file | {1e3 * found.file:.1f} ms | {many}, less start and vertices |"
+    stored = f"{found.read:.0f}, {found.written:.0f} bytes for each vertex"
+    yield f"| file | {1e3 * found.file:.1f} ms | {many}, minus start and vertices |"
     yield f"| vertex | {1e6 * found.vertex:.2f} µs | the two largest grids of at most a million vertices |"
-    yield f"| payload | {1e9 * found.payload:.2f} ns a byte | a small file with {noise}, less one without |"
+    yield (
+        f"| payload | {1e9 * found.payload:.2f} ns for each byte | a small file with {noise}, minus one "
+        "without |"
+    )
     yield f"| read, written | {stored} | the larger of those grids |"
-    yield f"| tasks | {tasks} | tasks that do nothing; scheduler, client and workers on this machine |"
+    yield f"| tasks | {tasks} | empty tasks, with scheduler, client and workers on this machine |"
 
 
 def assumptions(asset: Asset) -> Iterator[str]:
-    """Yield what is assumed."""
+    """Yield the assumptions."""
     yield "## Assumed"
     yield "The characters of the corpus that the tests use have 1,000 to 16,000 vertices."
     yield ""
@@ -297,32 +306,36 @@ def assumptions(asset: Asset) -> Iterator[str]:
     yield "| of the cluster | |"
     yield "|---|---|"
     yield f"| cores of a node | {CLUSTER.node_cores} |"
-    yield f"| node: a node's network, both ways together | {CLUSTER.node_bytes / 1e9:.2f} GB/s |"
-    yield f"| store: what the store delivers and takes in all | {CLUSTER.store_bytes / 1e9:.0f} GB/s |"
+    yield f"| node: the network of a node, both ways together | {CLUSTER.node_bytes / 1e9:.2f} GB/s |"
+    yield f"| store: the total rate of the store, both ways together | {CLUSTER.store_bytes / 1e9:.0f} GB/s |"
     yield f"| files of a task | {CLUSTER.task_seconds} s of work, at most {CLUSTER.task_files} |"
     yield f"| wait: until an asset is opened and its output is closed | {1e3 * CLUSTER.latency:.0f} ms |"
 
 
 def caveats(found: Rates, results: Json) -> Iterator[str]:
-    """Yield what the figures leave out."""
+    """Yield the costs that the figures leave out."""
     longest = max(LIBRARY, key=lambda kind: kind.vertices)
     seconds = found.file + found.vertex * longest.vertices + found.payload * longest.payload
     together = results["rows"]["files"]["jobs"]
     yield "## What this leaves out"
     yield (
-        f"- Cores that share a memory: `file` is measured with {together} at work, the other rates with 1; "
-        f"a node has {CLUSTER.node_cores}."
+        f"- Cores that share a memory. `file` is measured with {together} busy cores, the other rates "
+        "with 1. "
+        f"A node has {CLUSTER.node_cores}."
     )
     yield (
-        f"- The end of a run, when some workers have no file left: the largest asset takes {seconds:.1f} s, "
-        "and is better not the last."
+        f"- The end of a run, when some workers have no file left. The largest asset takes {seconds:.1f} s, "
+        "so it should not be the last."
     )
-    yield "- Compressed input: Draco and meshopt are decoded, at rates of their own."
-    yield "- Waiting for the cluster; workers that die, and their files again; verify, longer than bake."
+    yield "- Compressed input. Draco and meshopt are decoded at other rates."
+    yield (
+        "- Waiting for the cluster, repeated work after a worker dies, and `verify`, which takes longer than "
+        "`bake`."
+    )
 
 
 def bottleneck(needed: dict[str, float]) -> str:
-    """Return what takes longest."""
+    """Return the part that takes longest."""
     return max(needed, key=lambda name: needed[name])
 
 

@@ -46,48 +46,57 @@ CHARACTERS = (
 
 HEAD = """# What morph targets cost
 
-α and β are derivatives along curves on the surface whose tangents are t0 and b0 at rest. Under a morph they
-stay exact, if t and b are the images of t0 and b0 under its differential, not renormalised. A glTF file holds
-no differential. It holds a morphed NORMAL, and seldom a morphed TANGENT: directions, without the stretch and
-the shear. So t and b are approximations ([the rules](reference/frame.md#morph-targets)). This page measures
-how large an error each one makes.
+α and β are the slopes of a vertex's skin weights along its two tangent directions, t0 and b0. With the normal
+n0 these directions are the *frame* of the vertex. α and β are derivatives along curves on the surface whose
+tangents are t0 and b0 at rest.
+
+A morph changes the surface. α and β stay exact if t and b are the images of t0 and b0 under the differential
+of the morph, not renormalised. A glTF file holds no differential. It holds a morphed NORMAL, and seldom a
+morphed TANGENT. These are directions, without the stretch and the shear. So t and b are approximations
+([the rules](reference/frame.md#morph-targets)). This page measures how large an error each one makes.
 
 ## On a surface whose differential is known
-A bumpy tube of three joints, morphed, then bent (the mean over a medium and a strong bend of the tests'
-surface). Angle in degrees between the normals and those that the exact differential gives to the file's
-morphed normal, weighted by area:
+The surface is the bumpy tube of the tests, with three joints. It is morphed, then bent. Each figure is the
+mean over a medium and a strong bend. It is an angle in degrees, weighted by area, between the computed
+normals and the normals that the exact differential gives to the morphed normal of the file.
 
-- *turn*: how far the target turns the normals. *File*: how far the file's morphed normal itself is from the
-  true one; at weight ½ a file has only the sum of differences. No lighting can know better, and none of the
-  other columns counts it.
-- *standard*: linear blend skinning of the morphed normal, as engines do. *Exact*: the images under the
-  differential, against finite differences of the skinned surface.
-- *by normal*: the smallest rotation of n0 to n. *By tangent*: t0 + Σ w ΔTANGENT, of exact targets of TANGENT.
-- Rejected: *rest*, t0 and b0 as without a morph; *anew*, the normal frame of n; *length*, the smallest
-  rotation, with the part across its axis as long as n0 + Σ w ΔNORMAL; *along n0*, t0 and b0 pushed along n0
-  until they touch the morphed surface.
+- *turn*: the angle by which the target turns the normals.
+- *file*: the angle between the morphed normal of the file and the true one. At weight ½ a file has only the
+  sum of differences. No lighting can do better, and no other column counts this error.
+- *standard*: linear blend skinning of the morphed normal, as in common engines.
+- *exact*: the images under the differential, compared with finite differences of the skinned surface.
+- *by normal*: the smallest rotation of n0 to n.
+- *by tangent*: t0 + Σ w ΔTANGENT, with exact targets of TANGENT.
+
+Four rules were rejected:
+
+- *rest*: t0 and b0 as without a morph.
+- *anew*: the normal frame of n.
+- *length*: the smallest rotation, with the part across its axis as long as n0 + Σ w ΔNORMAL.
+- *along n0*: t0 and b0 pushed along n0 until they touch the morphed surface.
 
 """
 
 BETWEEN = """
-**By normal** is the rule: it is cheap (some 25 multiply-adds), it turns the frame no further than the normal
-has turned, and it needs nothing but what every engine has. *Length* and *along n0* use no more data; they are
-better on some targets and worse on others: the first by up to a tenth, the second by up to two fifths where a
+**By normal** is the rule. It is cheap (some 25 multiply-adds), it turns the frame no further than the normal
+has turned, and it needs only data that every engine has. *Length* and *along n0* use no more data. They are
+better on some targets and worse on others: *length* by up to a tenth, *along n0* by up to two fifths where a
 target turns instead of pushing.
 
-**By tangent** is better where the surface turns within itself (a jaw), worse where it is wrung or stretched:
-b = n × t cannot shear. It is the rule where a file has targets of TANGENT, because the tangent is then the
-one that normal maps expect.
+**By tangent** is better where the surface turns within itself (a jaw). It is worse where the surface is wrung
+or stretched, because b = n × t cannot shear. It is the rule for a file with targets of TANGENT, because
+normal maps then expect this tangent.
 
-**Exact** would need more data: D = I + Σ w ∇Δp is linear in the weights, so that the derivatives of Δp along
-t0 and b0, six numbers a vertex and target, give the images at every weight, and t × b the true normal between
-weights too. Targets of NORMAL and TANGENT are as large, and hold less.
+**Exact** would need more data. D = I + Σ w ∇Δp is linear in the weights. So the derivatives of Δp along t0
+and b0, six numbers for each vertex and target, give the images at every weight. Then t × b is the true normal
+between weights too. Targets of NORMAL and TANGENT are as large, and hold less.
 
 ## On characters
-Models of the corpus in their own animations, which also move the weight of one target from 0 to 1 and back.
-The targets are made for this, with exact normals at weight 1, for the corpus has no character with real ones:
-*wave*, bumps of 1 % of the model's size that stretch it by up to 60 %; *bend*, 60° over its greatest extent.
-Linear blend skinning, mean and 95th percentile of the angle to the reference of `skinbake verify`.
+These are models of the corpus in their own animations. The animations also move the weight of one target from
+0 to 1 and back. The corpus has no character with real targets, so the targets are made for this test, with
+exact normals at weight 1. *Wave* adds bumps of 1 % of the model's size that stretch it by up to 60 %. *Bend*
+bends it by 60° over its greatest extent. The figures are for linear blend skinning: mean and 95th percentile
+of the angle to the reference of `skinbake verify`.
 
 """
 KEY_WEIGHTS = np.array([[0.0], [1.0], [0.0]], np.float32)
