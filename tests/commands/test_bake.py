@@ -13,6 +13,7 @@ from skinbake.choices import Encoding
 from skinbake.commands import bake
 from skinbake.commands.bake import BakeOptions, bake_file
 from skinbake.format.layouts import Storage
+from skinbake.gradients import baker
 
 PACKED8 = Storage(Encoding.PACKED8)
 
@@ -31,7 +32,7 @@ def test_a_surface_is_baked_once_and_once_more_for_the_cost_of_a_limit(
     options: BakeOptions, bakes: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     calls: list[int] = []
-    original = bake.bake_mesh
+    original = baker.bake_mesh
 
     def counted(primitives: Sequence[Any], settings: Any) -> Any:
         calls.append(len(primitives))
