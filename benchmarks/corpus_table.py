@@ -21,7 +21,10 @@ from tempfile import TemporaryDirectory
 from skinbake import __version__
 from skinbake.choices import Baseline
 from skinbake.commands.bake import BakeOptions, bake_file
-from skinbake.commands.verify import verify_file
+from skinbake.errors import SkinbakeError
+from skinbake.jobs.file_work import FileWork
+from skinbake.jobs.verify import Verify
+from skinbake.jobs.work import Job
 from skinbake.lighting.measured import VerifyOptions
 from skinbake.lighting.poses import PoseRequest
 from skinbake.report.verify import ErrorFigures, FileVerdict, gain
@@ -92,6 +95,11 @@ def corpus_folders() -> list[Path]:
     return [corpus / name for name in CORPUS_FOLDERS if (corpus / name).is_dir()]
 
 
+def verified(target: str, options: VerifyOptions) -> FileVerdict:
+    """Return the verdict on a file, with an error where it cannot be verified."""
+    return FileWork(Verify(options))(Job(target))
+
+
 def measure(paths: list[Path], samples: int | None) -> tuple[list[Model], list[tuple[str, str]]]:
     """Bake and verify every file; return the models, and (name, reason) of what was left out."""
     models, left_out = [], []
@@ -101,13 +109,16 @@ def measure(paths: list[Path], samples: int | None) -> tuple[list[Model], list[t
         print(f"{names[path]} ...", file=sys.stderr)
         with TemporaryDirectory() as folder:
             target = str(Path(folder) / path.name)
-            result = bake_file(str(path), target, BakeOptions(generate_normals=True))
-            if result.status != "baked":
-                reason = result.error.message if result.error else result.notices[-1].message
-                left_out.append((names[path], reason))
+            try:
+                result = bake_file(str(path), target, BakeOptions(generate_normals=True))
+            except SkinbakeError as error:
+                left_out.append((names[path], error.message))
                 continue
-            verdict = verify_file(target, VerifyOptions(poses=request))
-            other = verify_file(target, VerifyOptions(("lbs",), request, baseline=Baseline.INVERSE_TRANSPOSE))
+            if result.status != "baked":
+                left_out.append((names[path], result.notices[-1].message))
+                continue
+            verdict = verified(target, VerifyOptions(poses=request))
+            other = verified(target, VerifyOptions(("lbs",), request, baseline=Baseline.INVERSE_TRANSPOSE))
         if verdict.passed and not verdict.normals:
             left_out.append((names[path], verdict.checks[-1].remark))
         else:

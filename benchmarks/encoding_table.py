@@ -21,6 +21,7 @@ from skinbake import __version__
 from skinbake.choices import Encoding
 from skinbake.commands.bake import BakeOptions, bake_file
 from skinbake.commands.verify import verify_file
+from skinbake.errors import SkinbakeError
 from skinbake.format.layouts import Storage
 from skinbake.lighting.measured import VerifyOptions
 from skinbake.report.bake import FileResult
@@ -107,7 +108,10 @@ def measured(path: Path, *, verified: bool) -> Row:
         target = str(Path(folder) / path.name)
         for encoding in Encoding:
             options = BakeOptions(generate_normals=True, storage=Storage(encoding))
-            result = bake_file(str(path), target, options)
+            try:
+                result = bake_file(str(path), target, options)
+            except SkinbakeError:
+                return {}
             if result.status != "baked":
                 return {}
             row[encoding] = Measured(size(result), turned(result), mean_error(target) if verified else None)
@@ -127,7 +131,10 @@ def turned(result: FileResult) -> tuple[float, float] | None:
 
 def mean_error(target: str) -> float | None:
     """Return the mean error of accurate LBS normals, None where the file does not verify."""
-    verdict = verify_file(target, VerifyOptions(methods=("lbs",)))
+    try:
+        verdict = verify_file(target, VerifyOptions(methods=("lbs",)))
+    except SkinbakeError:
+        return None
     figures = (verdict.normals or {}).get("lbs", {}).get("accurate")
     return figures.mean if figures and verdict.passed else None
 

@@ -262,9 +262,7 @@ def character_table() -> Iterator[str]:
     for path in found:
         with TemporaryDirectory() as folder:
             target = Path(folder) / "baked" / f"{path.stem}.glb"
-            result = bake_file(str(path), str(target), BakeOptions(generate_normals=True, make_folder=True))
-            if result.error is not None:
-                raise result.error
+            bake_file(str(path), str(target), BakeOptions(generate_normals=True, make_folder=True))
             yield f"| {path.name} | as it is | {verdict_row(target)} |"
             for name, warp in (("wave", wave), ("bend", bend)):
                 moved = Path(folder) / f"{name}.glb"
@@ -275,8 +273,6 @@ def character_table() -> Iterator[str]:
 def verdict_row(path: Path) -> str:
     """Return the cells of one verdict."""
     verdict: FileVerdict = verify_file(str(path), VerifyOptions(methods=("lbs",)))
-    if verdict.error is not None:
-        raise verdict.error
     lbs = (verdict.normals or {})["lbs"]
     standard, accurate = lbs["approximated"], lbs["accurate"]
     return (

@@ -14,6 +14,8 @@ A file that was read and does not pass verification is no error: it is a verdict
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 
@@ -81,12 +83,26 @@ class Notice:
 
 
 class SkinbakeError(Exception):
-    """Base of every error that skinbake raises on purpose."""
+    """Base of every error that skinbake raises on purpose.
+
+    ``notices`` are what had been assumed of the file before it failed.
+    """
 
     def __init__(self, message: str, place: Place | None = None) -> None:
         super().__init__(f"{place}: {message}" if place else message)
         self.message = message
         self.place = place
+        self.notices: tuple[Notice, ...] = ()
+
+
+@contextmanager
+def noticed(notices: Sequence[Notice]) -> Iterator[None]:
+    """Have an error that leaves the block carry what was noticed before it was raised."""
+    try:
+        yield
+    except SkinbakeError as error:
+        error.notices = (*notices, *error.notices)
+        raise
 
 
 class InputError(SkinbakeError):

@@ -3,9 +3,15 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
+from typing import TypeVar
+
+T = TypeVar("T")
+
+OTHER = "other"
+"""The stage that stands for what no stage was recorded for."""
 
 
 class Timings:
@@ -56,3 +62,12 @@ def stage(name: str) -> Iterator[None]:
         return
     with timings._stage(name):
         yield
+
+
+def timed(call: Callable[[], T]) -> tuple[T, dict[str, float]]:
+    """Return what the call returned, and its seconds by stage; ``other`` is what is outside of any."""
+    start = time.perf_counter()
+    with recorded() as timings:
+        result = call()
+    spent = time.perf_counter() - start
+    return result, {**timings.seconds, OTHER: max(0.0, spent - sum(timings.seconds.values()))}

@@ -20,5 +20,5 @@ def workers(monkeypatch: pytest.MonkeyPatch) -> list[int]:
         return original(self, work, jobs)
 
     monkeypatch.setattr(processes.Processes, "run", counted)
-    monkeypatch.setattr("skinbake.cli.many.WORTHWHILE", 0.0)
+    monkeypatch.setattr("skinbake.cli.runners.WORTHWHILE", 0.0)
     return counts

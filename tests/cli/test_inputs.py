@@ -215,7 +215,7 @@ def two_of_one_name(tmp_path: Path) -> list[Path]:
 def test_files_beside_of_one_name_stay_apart_whoever_is_first(
     jobs: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("skinbake.cli.many.WORTHWHILE", 0.0)
+    monkeypatch.setattr("skinbake.cli.runners.WORTHWHILE", 0.0)
     first, second = two_of_one_name(tmp_path)
     for order in ([first, second], [second, first]):
         out = tmp_path / f"out-{order[0].stem}"

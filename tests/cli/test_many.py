@@ -21,8 +21,10 @@ from benchmarks.skinned_grid import grid_of, write_grid
 from skinbake.commands.bake import BakeOptions, bake_file
 from skinbake.errors import InputError, OutputError, Place, SkinbakeError
 from skinbake.jobs import processes
-from skinbake.jobs.bake import BakeJob, BakeWork
-from skinbake.jobs.verify import VerifyJob, VerifyWork
+from skinbake.jobs.bake import Bake
+from skinbake.jobs.file_work import FileWork
+from skinbake.jobs.verify import Verify
+from skinbake.jobs.work import Job
 from skinbake.lighting.measured import VerifyOptions
 from skinbake.lighting.poses import PoseRequest
 from skinbake.timing import stage
@@ -99,7 +101,7 @@ def test_few_small_files_start_no_process(
     models = [FOLDER / "seam.glb", FOLDER / "two_sets.glb"]
     assert invoke("bake", *models, "--out-dir", tmp_path, *jobs).exit_code == 0
     with pytest.raises(AssertionError, match="a process was started"):
-        monkeypatch.setattr("skinbake.cli.many.WORTHWHILE", 0.0)
+        monkeypatch.setattr("skinbake.cli.runners.WORTHWHILE", 0.0)
         invoke("bake", *models, "--out-dir", tmp_path, "--jobs", "2")
 
 
@@ -125,11 +127,11 @@ def test_errors_survive_the_way_between_processes(error: SkinbakeError) -> None:
 
 
 def test_results_and_verdicts_survive_it(mixed: Path, tmp_path: Path) -> None:
-    bake = BakeWork(BakeOptions(make_folder=True), timed=True)
-    verify = VerifyWork(VerifyOptions(poses=PoseRequest("random", 1)), timed=True)
+    bake = FileWork(Bake(BakeOptions(make_folder=True)), is_timed=True)
+    verify = FileWork(Verify(VerifyOptions(poses=PoseRequest("random", 1))), is_timed=True)
     for path in sorted(mixed.glob("*.gl*")):
-        result = bake(BakeJob(str(path), str(tmp_path / "out" / path.name)))
-        verdict = verify(VerifyJob(str(tmp_path / "out" / path.name)))
+        result = bake(Job(str(path), str(tmp_path / "out" / path.name)))
+        verdict = verify(Job(str(tmp_path / "out" / path.name)))
         for found in (result, verdict):
             copy = pickle.loads(pickle.dumps(found))
             # Errors are equal by identity only.
@@ -263,7 +265,7 @@ class TestSummary:
             seen.append(summary.read_text(encoding="utf-8").count("\n"))
             return original(*arguments)
 
-        monkeypatch.setattr("skinbake.jobs.bake.bake_anywhere", looking)
+        monkeypatch.setattr("skinbake.jobs.bake.bake_file", looking)
         models = [FOLDER / name for name in FIXTURES[:4]]
         invoke("bake", *models, "--dry-run", "--summary", summary)
         assert seen == [0, 1, 2, 3]
@@ -323,7 +325,7 @@ class TestTimings:
                 time.sleep(0.03)
             return original(*arguments)
 
-        monkeypatch.setattr("skinbake.jobs.bake.bake_anywhere", staged)
+        monkeypatch.setattr("skinbake.jobs.bake.bake_file", staged)
         models = [FOLDER / "seam.glb", FOLDER / "two_sets.glb"]
         result = invoke("bake", *models, "--out-dir", tmp_path, "--timings", "--json")
         for file in document(result)["files"]:

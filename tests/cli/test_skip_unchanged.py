@@ -260,7 +260,7 @@ class TestWhileItRuns:
                 what(source, target)
                 return result
 
-            monkeypatch.setattr("skinbake.jobs.bake.bake_anywhere", both)
+            monkeypatch.setattr("skinbake.jobs.bake.bake_file", both)
 
         return follow
 
@@ -318,7 +318,7 @@ class TestWhileItRuns:
                 raise KeyboardInterrupt
             return bake_file(source, target, *rest)
 
-        monkeypatch.setattr("skinbake.jobs.bake.bake_anywhere", interrupted)
+        monkeypatch.setattr("skinbake.jobs.bake.bake_file", interrupted)
         result = run_interrupted(baking)
         assert "interrupted after 2 of 4 files: 1 baked, 1 unchanged" in result
         monkeypatch.undo()

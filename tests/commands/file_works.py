@@ -8,34 +8,39 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from skinbake.commands.bake import BakeOptions
-from skinbake.containment import OWN_FOLDERS, Within
-from skinbake.errors import InputError, Place
-from skinbake.jobs.remote.staging import bake_anywhere, verify_anywhere
+from skinbake.errors import SkinbakeError
+from skinbake.jobs import bake, verify
+from skinbake.jobs.file_work import FileWork
+from skinbake.jobs.work import Job
 from skinbake.lighting.measured import VerifyOptions
 from skinbake.report.bake import FileResult
 from skinbake.report.verify import FileVerdict
 
 
-@dataclass(frozen=True)
-class Job:
-    """One file to work on."""
+def baking(options: BakeOptions | None = None) -> FileWork[FileResult]:
+    """Return the work that bakes."""
+    return FileWork(bake.Bake(options or BakeOptions(make_folder=True)))
 
-    source: str
-    target: str | None = None
-    within: Within = OWN_FOLDERS
+
+def verifying(options: VerifyOptions | None = None) -> FileWork[FileVerdict]:
+    """Return the work that verifies."""
+    return FileWork(verify.Verify(options or VerifyOptions()))
 
 
 @dataclass(frozen=True)
 class Bake:
-    """Bakes."""
+    """Bakes, and is there to be varied."""
 
-    options: BakeOptions = field(default_factory=lambda: BakeOptions(make_folder=True))
+    work: FileWork[FileResult] = field(default_factory=baking)
 
     def __call__(self, job: Job) -> FileResult:
-        return bake_anywhere(job.source, job.target, self.options, job.within)
+        return self.work(job)
+
+    def failed(self, job: Job, error: SkinbakeError) -> FileResult:
+        return self.work.failed(job, error)
 
     def lost(self, job: Job, reason: str) -> FileResult:
-        return FileResult(job.source, job.target, "failed", error=InputError(reason, Place(job.source)))
+        return self.work.lost(job, reason)
 
 
 @dataclass(frozen=True)
@@ -59,16 +64,3 @@ class Raise(Bake):
 
     def __call__(self, job: Job) -> FileResult:
         raise RuntimeError("on purpose")
-
-
-@dataclass(frozen=True)
-class Verify:
-    """Verifies."""
-
-    options: VerifyOptions = field(default_factory=VerifyOptions)
-
-    def __call__(self, job: Job) -> FileVerdict:
-        return verify_anywhere(job.source, self.options, within=job.within)
-
-    def lost(self, job: Job, reason: str) -> FileVerdict:
-        return FileVerdict(job.source, error=InputError(reason, Place(job.source)))

@@ -21,31 +21,40 @@ from skinbake.errors import InputError
 from skinbake.gradients import kernel
 from skinbake.jobs.remote import dask_runner
 from skinbake.jobs.remote.dask_runner import DaskRunner
+from skinbake.jobs.work import Job, Writing
+from skinbake.report.bake import FileResult
 from tests.commands.clusters import PATIENCE, cluster, observer, require_dask, wait_for_workers
-from tests.commands.file_works import Bake, BakeOrDie, Job, Raise, Verify
+from tests.commands.file_works import BakeOrDie, Raise, baking, verifying
 from tests.support.command_line import document, invoke
 from tests.support.libraries import tree, write_library, write_sheets
 
 require_dask()
+
+MAKING_FOLDERS = Writing(make_folder=True)
 
 
 def jobs_of(folder: Path, sources: list[Path], *, url: str = "") -> list[Job]:
     return [Job(f"{url}{source}", f"{url}{folder}/{source.name}") for source in sources]
 
 
+def message_of(result: FileResult) -> str:
+    assert result.error is not None
+    return result.error.message
+
+
 @pytest.mark.slow
 def test_a_worker_is_killed_midway(tmp_path: Path) -> None:
     sources = write_sheets(tmp_path / "in", 200)
     for job in jobs_of(tmp_path / "here", sources):
-        assert Bake()(job).error is None
+        assert baking()(job).error is None
     jobs = jobs_of(tmp_path / "away", sources, url="file://")
     results: dict[int, Any] = {}
     with cluster(tmp_path / "cluster", options=["--no-nanny"]) as found, observer(found.address) as client:
         wait_for_workers(client, 2)
-        with DaskRunner(found.address) as runner:
+        with DaskRunner(found.address, MAKING_FOLDERS) as runner:
             assert runner.connect() == []
             held: tuple[str, ...] = ()
-            for number, result in runner.run(Bake(), jobs):
+            for number, result in runner.run(baking(), jobs):
                 assert number not in results
                 results[number] = result
                 if len(results) == 40:
@@ -80,7 +89,7 @@ def test_plain_paths_travel_and_a_killer_harms_nobody_else(tmp_path: Path) -> No
     sources[7:7] = killer
     for job in jobs_of(tmp_path / "here", sources):
         if "killer" not in job.source:
-            assert Bake()(job).error is None
+            assert baking()(job).error is None
     (tmp_path / "notes").mkdir()
     work = BakeOrDie(notes=str(tmp_path / "notes"))
     jobs = jobs_of(tmp_path / "away", sources)
@@ -88,7 +97,7 @@ def test_plain_paths_travel_and_a_killer_harms_nobody_else(tmp_path: Path) -> No
     with cluster(tmp_path / "cluster", allowed_failures=0) as found:
         with observer(found.address) as client:
             wait_for_workers(client, 2)
-        with DaskRunner(found.address) as runner:
+        with DaskRunner(found.address, MAKING_FOLDERS) as runner:
             results = dict(runner.run(work, jobs))
     assert sorted(results) == list(range(25))
     failed = [number for number, result in results.items() if result.error is not None]
@@ -107,7 +116,7 @@ def test_one_cluster_for_what_needs_no_deaths(
     sources = write_sheets(tmp_path / "in", 30)
     baked = jobs_of(tmp_path / "baked", sources)
     for job in baked:
-        Bake()(job)
+        baking()(job)
     with (
         cluster(tmp_path / "cluster", workers=1, options=["--no-nanny"]) as found,
         observer(found.address) as client,
@@ -125,9 +134,9 @@ def test_one_cluster_for_what_needs_no_deaths(
 
 def _verdicts_are_those_of_this_process(address: str, baked: list[Job]) -> None:
     jobs = [Job(job.target or "") for job in baked[:4]]
-    with DaskRunner(address) as runner:
-        verdicts = dict(runner.run(Verify(), jobs))
-    assert verdicts == {number: Verify()(job) for number, job in enumerate(jobs)}
+    with DaskRunner(address, MAKING_FOLDERS) as runner:
+        verdicts = dict(runner.run(verifying(), jobs))
+    assert verdicts == {number: verifying()(job) for number, job in enumerate(jobs)}
     assert all(verdict.passed for verdict in verdicts.values())
 
 
@@ -153,11 +162,11 @@ def _jobs_are_sent_in_a_bounded_number(
 ) -> None:
     jobs = jobs_of(folder / "bounded", sources)
     most = 0
-    with monkeypatch.context() as patch, DaskRunner(address) as runner:
+    with monkeypatch.context() as patch, DaskRunner(address, MAKING_FOLDERS) as runner:
         patch.setattr(dask_runner, "LEAST_WINDOW", 2)
         patch.setattr(dask_runner, "WINDOW_PER_THREAD", 3)
         patch.setattr(dask_runner, "TASK_JOBS", 1)
-        for _ in runner.run(Bake(), jobs):
+        for _ in runner.run(baking(), jobs):
             most = max(most, _count_of_tasks(client))
     assert 0 < most <= 3
 
@@ -168,8 +177,8 @@ def _count_of_tasks(client: Any) -> int:
 
 
 def _closing_forgets_what_has_not_begun(address: str, client: Any, folder: Path, sources: list[Path]) -> None:
-    runner = DaskRunner(address)
-    results = runner.run(Bake(), jobs_of(folder / "closed", sources))
+    runner = DaskRunner(address, MAKING_FOLDERS)
+    results = runner.run(baking(), jobs_of(folder / "closed", sources))
     with closing(results):
         next(results)
     while _count_of_tasks(client):
@@ -181,34 +190,34 @@ def _closing_forgets_what_has_not_begun(address: str, client: Any, folder: Path,
 
 
 def _work_that_raises_loses_its_job(address: str, jobs: list[Job]) -> None:
-    with DaskRunner(address) as runner:
+    with DaskRunner(address, MAKING_FOLDERS) as runner:
         results = dict(runner.run(Raise(), jobs))
-    assert [results[number].error.message for number in range(2)] == [
-        "its worker failed: RuntimeError: on purpose"
+    assert [message_of(results[number]) for number in range(2)] == [
+        "not baked: its worker failed: RuntimeError: on purpose"
     ] * 2
 
 
 def _another_version_is_refused(address: str, monkeypatch: pytest.MonkeyPatch, jobs: list[Job]) -> None:
     with monkeypatch.context() as patch:
         patch.setattr("skinbake.jobs.remote.dask_task.__version__", "9.9.9")
-        runner = DaskRunner(address)
+        runner = DaskRunner(address, MAKING_FOLDERS)
         with pytest.raises(InputError, match=f"has skinbake {skinbake.__version__}, this is 9.9.9") as raised:
             runner.connect()
         assert raised.value.place is not None
         assert raised.value.place.file == address
         # A worker that comes when all was well at first.
         patch.setattr(DaskRunner, "_checked", lambda self, client: [])
-        with DaskRunner(address) as trusting:
-            results = dict(trusting.run(Bake(), jobs))
+        with DaskRunner(address, MAKING_FOLDERS) as trusting:
+            results = dict(trusting.run(baking(), jobs))
     assert sorted(results) == [0, 1, 2]
-    assert all("has skinbake 0" in result.error.message for result in results.values())
+    assert all("has skinbake 0" in message_of(result) for result in results.values())
     with monkeypatch.context() as patch:  # whose last bits may differ
         patch.setattr(kernel, "compiled", None)
         with pytest.raises(InputError, match=r"has skinbake [0-9.]+, this is [0-9.]+ without compiled loops"):
-            DaskRunner(address).connect()
+            DaskRunner(address, MAKING_FOLDERS).connect()
     with monkeypatch.context() as patch:
         patch.setattr("platform.python_version", lambda: "3.99.0")
-        with DaskRunner(address) as other:
+        with DaskRunner(address, MAKING_FOLDERS) as other:
             (notice,) = other.connect()
     assert (notice.code, notice.place.file) == ("worker-versions", address)
     assert "this is Python 3.99.0" in notice.message
@@ -218,12 +227,10 @@ def _without_workers_jobs_are_lost(found: Any, client: Any, jobs: list[Job]) -> 
     found.workers[0].kill()
     while client.nthreads():
         time.sleep(0.05)
-    with DaskRunner(found.address, patience=1.0) as runner:
-        results = dict(runner.run(Bake(), jobs))
+    with DaskRunner(found.address, MAKING_FOLDERS, patience=1.0) as runner:
+        results = dict(runner.run(baking(), jobs))
     assert sorted(results) == [0, 1, 2]
-    assert {result.error.message for result in results.values()} == {
-        "the scheduler has had no worker for 1 s"
-    }
+    assert {message_of(result) for result in results.values()} == {"the scheduler has had no worker for 1 s"}
 
 
 @pytest.mark.slow
@@ -260,6 +267,6 @@ def test_the_scheduler_goes_away(tmp_path: Path) -> None:
 def test_no_scheduler_answers(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(dask_runner, "CONNECT_SECONDS", 0.5)
     with pytest.raises(InputError, match="no Dask scheduler answers") as raised:
-        DaskRunner(address).connect()
+        DaskRunner(address, MAKING_FOLDERS).connect()
     assert raised.value.place is not None
     assert raised.value.place.file == address

@@ -16,8 +16,10 @@ from skinbake.cli.many import STATE_NAME
 from skinbake.commands.bake import BakeOptions
 from skinbake.errors import InputError
 from skinbake.jobs import state
-from skinbake.jobs.bake import BakeJob, BakeWork
+from skinbake.jobs.bake import Bake
+from skinbake.jobs.file_work import FileWork
 from skinbake.jobs.state import HEADER, NAME, Recipe, State, recipe
+from skinbake.jobs.work import Job
 from tests.support.models import copied
 
 KEY = b'{"key": "bake a.glb", '
@@ -86,7 +88,7 @@ class Forge:
         self.target = str(folder / "out" / "seam.glb")
         options = BakeOptions(make_folder=True)
         self.recipe: Recipe = recipe("bake", options, str(folder / "out" / NAME))
-        result = BakeWork(options, self.recipe)(BakeJob(self.source, self.target))
+        result = FileWork(Bake(options), self.recipe)(Job(self.source, self.target))
         assert result.record is not None
         self.note: Any = json.loads(result.record)
 

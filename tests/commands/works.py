@@ -10,6 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from skinbake.errors import SkinbakeError
+
 
 @dataclass(frozen=True)
 class Work:
@@ -17,6 +19,9 @@ class Work:
 
     def __call__(self, job: Any) -> Any:
         return 2 * job, os.getpid()
+
+    def failed(self, job: Any, error: SkinbakeError) -> Any:
+        return "failed", job, error.message
 
     def lost(self, job: Any, reason: str) -> Any:
         return "lost", job, reason

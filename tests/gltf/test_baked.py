@@ -277,10 +277,9 @@ class TestNames:
                     {taken: 0}
                 ),
             )
-            result = bake_file(str(path), str(tmp_path / "baked.glb"), BakeOptions())
-            assert isinstance(result.error, InputError)
-            assert taken in str(result.error)
-            assert "--alpha-name" in str(result.error)
+            with pytest.raises(InputError, match="--alpha-name") as raised:
+                bake_file(str(path), str(tmp_path / "baked.glb"), BakeOptions())
+            assert taken in str(raised.value)
             assert not (tmp_path / "baked.glb").exists()
             assert baked(path, tmp_path / "other.glb", names=OTHER_NAMES).has_attribute(taken)
 

@@ -228,11 +228,11 @@ def test_a_mesh_that_is_drawn_more_often_than_its_file_is_long_is_not_measured(
     from skinbake.lighting import measured as lighting
 
     baked(write_model(tmp_path / "in.glb", [sheet()]), tmp_path / "out.glb")
-    assert verify_file(str(tmp_path / "out.glb"), lighting.VerifyOptions()).error is None
+    assert verify_file(str(tmp_path / "out.glb"), lighting.VerifyOptions()).checks
     monkeypatch.setattr(lighting, "SAMPLES_FREE", 20 * 24 - 1)
     monkeypatch.setattr(lighting, "SAMPLES_A_BYTE", 0)
-    error = verify_file(str(tmp_path / "out.glb"), lighting.VerifyOptions()).error
-    assert "480 vertices times poses" in str(error)
+    with pytest.raises(InputError, match="480 vertices times poses"):
+        verify_file(str(tmp_path / "out.glb"), lighting.VerifyOptions())
 
 
 def test_targets_that_are_sparse_alone_are_read(tmp_path: Path) -> None:

@@ -573,10 +573,9 @@ def test_what_all_of_a_file_expands_to_is_limited(
     monkeypatch.setattr("skinbake.gltf.budget.UNPACKED_FREE", 1000)
     bake(source, tmp_path / "out.glb")
     monkeypatch.setattr("skinbake.gltf.budget.UNPACKED_RATIO", 1)
-    result = bake_file(str(source), str(tmp_path / "not.glb"), BakeOptions())
-    assert isinstance(result.error, InputError)
-    assert "over the limit of 1 times as many" in str(result.error)
-    assert 'mesh 0 "tube", primitive 0' in str(result.error)
+    with pytest.raises(InputError, match="over the limit of 1 times as many") as raised:
+        bake_file(str(source), str(tmp_path / "not.glb"), BakeOptions())
+    assert 'mesh 0 "tube", primitive 0' in str(raised.value)
 
 
 def test_a_broken_primitive_that_none_would_decode_is_an_input_error(tmp_path: Path) -> None:
@@ -592,6 +591,9 @@ def test_a_broken_primitive_that_none_would_decode_is_an_input_error(tmp_path: P
         content["meshes"].append({"primitives": [broken]})
 
     path = draco_twin(FOLDER / ADOPTING, tmp_path / "twin.glb", change=append)
+    with pytest.raises(InputError) as raised:
+        bake_file(str(path), str(tmp_path / "out.glb"), BakeOptions(**compress(Scheme.NONE)))
+    assert str(raised.value).startswith(f"{path}: mesh 1, primitive 0")
     result = bake_file(str(path), str(tmp_path / "out.glb"), BakeOptions(**compress(Scheme.NONE)))
     assert str(result.error).startswith(f"{path}: mesh 1, primitive 0")
     assert not (tmp_path / "out.glb").exists()

@@ -11,6 +11,7 @@ from fixtures.builder import JsonObject
 from skinbake.choices import FrameChoice
 from skinbake.commands.bake import BakeOptions, bake_file
 from skinbake.commands.strip import strip_file
+from skinbake.errors import InputError
 from tests.support.gltf_reading import GltfFile, read
 from tests.support.models import FOLDER, Change, baked, copied, rewritten
 
@@ -132,5 +133,6 @@ def test_a_folder_for_results_is_made_and_goes_again_where_nothing_comes_of_it(t
     broken = tmp_path / "broken.glb"
     broken.write_bytes(b"glTF")
     other = tmp_path / "other" / "broken.glb"
-    assert bake_file(str(broken), str(other), options).status == "failed"
+    with pytest.raises(InputError):
+        bake_file(str(broken), str(other), options)
     assert not other.parent.exists()

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from skinbake.commands.bake import BakeOptions, bake_file
+from skinbake.errors import InputError
 from tests.support.models import SHARED, edited
 
 
@@ -31,6 +32,6 @@ def test_a_reference_past_the_end_is_refused(array: str, broken: object, tmp_pat
 
     source = edited(SHARED, tmp_path / "in", damage)
     target = tmp_path / "out.gltf"
-    result = bake_file(str(source), str(target), BakeOptions())
-    assert f'of "{array}"' in str(result.error)
+    with pytest.raises(InputError, match=f'of "{array}"'):
+        bake_file(str(source), str(target), BakeOptions())
     assert not target.exists()

@@ -247,13 +247,12 @@ def test_a_mangled_note_crashes_nothing(member: str, value: Any, tmp_path: Path)
     for attempt in (
         lambda: strip_file(path, str(tmp_path / "stripped.glb")),
         lambda: inspect_file(path),
+        lambda: bake_file(path, str(tmp_path / "again.glb"), BakeOptions()),
     ):
         try:
             attempt()
         except InputError as error:
             assert str(error).startswith(path)
-    result = bake_file(path, str(tmp_path / "again.glb"), BakeOptions())
-    assert result.error is None or isinstance(result.error, InputError)
 
 
 def test_a_noted_primitive_without_attributes_crashes_nothing(tmp_path: Path) -> None:

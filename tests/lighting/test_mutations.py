@@ -11,8 +11,10 @@ import numpy as np
 import pytest
 
 from skinbake.choices import FrameChoice, Weighting
-from skinbake.commands.verify import verify_file
 from skinbake.gradients.baker import BakeSettings
+from skinbake.jobs.file_work import FileWork
+from skinbake.jobs.verify import Verify
+from skinbake.jobs.work import Job
 from skinbake.lighting.measured import VerifyOptions
 from skinbake.lighting.poses import PoseRequest
 from tests.support import corpus
@@ -328,7 +330,7 @@ def test_metadata_of_odd_types_is_told_in_a_sentence(
         model = Editable(bakes("foreign_joints.glb"))
         model.metadata()[key] = value
         path = model.write(tmp_path / f"{number}.glb")
-        verdict = verify_file(str(path), options)
+        verdict = FileWork(Verify(options))(Job(str(path)))
         if key == "creaseAngle" and value in (0, 1.5) and value is not True:
             continue  # an angle as good as any
         if key in NEEDED:

@@ -46,10 +46,10 @@ def write(path: Path, found: list[str], *, with_buffers: bool) -> None:
 
 def work(source: Path, target: Path, within: Within) -> None:
     """Do with one document all that reads or writes what it names."""
-    bake_file(str(source), str(target), BakeOptions(make_folder=True), within)
-    verify_file(str(source), VerifyOptions(), bounds=within.bounds)
     state.seen(str(source), within.bounds)
     for command in (
+        lambda: bake_file(str(source), str(target), BakeOptions(make_folder=True), within),
+        lambda: verify_file(str(source), VerifyOptions(), bounds=within.bounds),
         lambda: inspect_file(str(source), within.bounds),
         lambda: strip_file(str(source), str(target.with_name("stripped.gltf")), bounds=within.bounds),
     ):

@@ -61,7 +61,7 @@ def bake_to(name: str, folder: Path, settings: BakeSettings | None = None) -> Pa
     source = path_of(name)
     target = folder / source.name
     result = bake_file(str(source), str(target), BakeOptions(settings=settings or BakeSettings()))
-    assert result.status == "baked", result.error
+    assert result.status == "baked", result.notices
     return target
 
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Generator
-from typing import Any
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
 
 import click
 from click.core import ParameterSource
@@ -14,23 +14,19 @@ from skinbake.cli import exit_codes
 from skinbake.cli.console import console, finite, message_options, one_of, outside_option
 from skinbake.cli.inputs import Input, expanded
 from skinbake.cli.limits import limit_options, memory_of_each
-from skinbake.cli.many import (
-    Clock,
-    Notes,
-    Summary,
-    each,
-    many_options,
-    outcomes,
-    show_timings,
-    state_of,
-    state_path,
-    worst,
-)
-from skinbake.cli.progress import Progress
+from skinbake.cli.many import Clock, Reporting, Run, many_options, notes_of, state_path, work_through
+from skinbake.cli.names import STDIO
 from skinbake.cli.remote import cluster_option
 from skinbake.cli.runners import runner_of
-from skinbake.cli.targets import STDIO, check_reports, check_target, in_turns, once, pair_up
+from skinbake.cli.targets import check_reports, check_target, in_turns, once, pair_up
 from skinbake.containment import Bounds, Within
+
+if TYPE_CHECKING:
+    from typing import Unpack
+
+    from skinbake.cli.console import Console
+    from skinbake.cli.given import Given
+    from skinbake.report.bake import FileResult
 
 HIGHEST_MESHOPT_LEVEL = 3
 
@@ -167,7 +163,7 @@ def _multiple_of_4(ctx: click.Context, param: click.Parameter, value: int | None
 @cluster_option
 @outside_option
 @message_options
-def command(inputs: tuple[str, ...], **given: Any) -> None:
+def command(inputs: tuple[str, ...], **given: Unpack[Given]) -> None:
     """Add α/β, the skin-weight gradients along tangent and bitangent, to every skinned primitive.
 
     INPUT is a .glb, .gltf or .vrm file, or - for a GLB on stdin; a folder, for all such files below it; or a
@@ -176,41 +172,52 @@ def command(inputs: tuple[str, ...], **given: Any) -> None:
     tools that reorder influences or quantise positions falsify α and β.
     """
     clock = Clock()
-    found = expanded(inputs, but=given["out_dir"])
+    found = expanded(inputs, but=given.get("out_dir"))
     targets, notes_at = _targets(found, given), state_path(given)
+    output, out_dir = given.get("output"), given.get("out_dir")
     reports = {"--summary": given["summary"], "--state": notes_at}
-    check_reports(reports, given["output"], (entry.source for entry in found))
+    check_reports(reports, output, (entry.source for entry in found))
     say = console(
         verbose=given["verbose"],
         quiet=given["quiet"],
         color=given["color"],
-        results_on_stderr=given["output"] == STDIO,
+        results_on_stderr=output == STDIO,
     )
-    from skinbake.jobs.bake import MODULES, SECONDS_A_BYTE, SECONDS_A_FILE, BakeJob, BakeWork
-    from skinbake.report.bake import SCHEMA, FileResult, as_json, closing_line, detail_lines, file_json
-    from skinbake.report.totals import BAKE_OUTCOMES, Totals, totals_json
+    from skinbake.jobs.bake import MODULES, SECONDS_A_BYTE, SECONDS_A_FILE, Bake
+    from skinbake.jobs.file_work import FileWork
+    from skinbake.jobs.work import Job
 
     options = _options(given)
-    state, recipe = state_of("bake", options, notes_at, found, sync=not given["no_sync"])
+    notes = notes_of("bake", options, notes_at, found, say, sync=not given["no_sync"])
     jobs = [
-        BakeJob(
+        Job(
             entry.source,
             target,
-            state.known(recipe.key(target)) if state and recipe and target else None,
-            within=Within(Bounds(entry.searched, given["allow_outside"]), given["out_dir"]),
+            notes.known(target),
+            within=Within(Bounds(entry.searched, given["allow_outside"]), out_dir),
         )
         if entry.missing is None
-        else BakeJob(entry.source, None, missing=entry.missing)
+        else Job(entry.source, missing=entry.missing)
         for entry, target in targets
     ]
+    reporting = _reporting(given, say)
     clock.imports_done()
-    turns = in_turns([entry for entry, _ in targets]) if given["out_dir"] else []
+    turns = in_turns([entry for entry, _ in targets]) if out_dir else []
     guess = (SECONDS_A_FILE, SECONDS_A_BYTE)
-    sources = [entry.source for entry, _ in targets]
-    runner = runner_of(given, sources, turns, MODULES, guess, say)
-    work = BakeWork(options, recipe, given["timings"], memory_of_each(given))
-    totals, results, code = Totals(len(jobs), BAKE_OUTCOMES), list[FileResult](), exit_codes.OK
-    summary, notes = Summary(given["summary"], SCHEMA, say, sync=not given["no_sync"]), Notes(state, say)
+    run = Run(
+        jobs,
+        runner_of(given, [job.source for job in jobs], turns, MODULES, guess, say),
+        lambda progress: FileWork(Bake(options), notes.recipe, given["timings"], memory_of_each(given)),
+    )
+    sys.exit(work_through(run, reporting, given, say, clock, notes))
+
+
+def _reporting(given: Given, say: Console) -> Reporting[FileResult]:
+    """Return how results of bake are told, counted and written."""
+    from skinbake.report.bake import SCHEMA, as_json, closing_line, detail_lines, file_json
+    from skinbake.report.totals import BAKE_OUTCOMES, Totals
+
+    dry_run = given.get("dry_run", False)
 
     def tell(result: FileResult) -> None:
         say.notices(result.notices)
@@ -218,32 +225,22 @@ def command(inputs: tuple[str, ...], **given: Any) -> None:
             say.error(result.error)
         say.details(detail_lines(result))
         if not given["as_json"]:
-            say.result(closing_line(result, dry_run=options.dry_run))
+            say.result(closing_line(result, dry_run=dry_run))
 
-    def begin(progress: Progress) -> Generator[FileResult, None, None]:
-        return each(runner, work, jobs, progress, tell)
-
-    with outcomes(say, totals, clock, [summary, notes], begin) as found_out:
-        for result in found_out:
-            notes.add(result.record)
-            summary.file(file_json(result))
-            totals.add_baked(result)
-            if result.error is not None:
-                code = worst(code, result.error)
-            if given["as_json"]:
-                results.append(result)
-        code = max(code, exit_codes.OUTPUT if notes.failed else code)
-        summary.line(totals_json(totals, clock.working, schema=SCHEMA, exit_code=code))
-    code = max(code, exit_codes.OUTPUT if summary.failed else code)
-    if given["timings"]:
-        show_timings(say, totals, clock)
-    if given["as_json"]:
-        spent = clock.process() if given["timings"] else None
-        say.document(as_json(results, exit_code=code, dry_run=options.dry_run, process=spent))
-    sys.exit(code)
+    return Reporting(
+        schema=SCHEMA,
+        outcomes=BAKE_OUTCOMES,
+        tell=tell,
+        count=Totals.add_baked,
+        code=lambda result: exit_codes.OK if result.error is None else exit_codes.of_error(result.error),
+        file_json=file_json,
+        document=lambda results, code, process: as_json(
+            results, exit_code=code, dry_run=dry_run, process=process
+        ),
+    )
 
 
-def _options(given: dict[str, Any]) -> Any:
+def _options(given: Mapping[str, Any]) -> Any:
     """Return the BakeOptions that the command line asks for."""
     import math
 
@@ -274,13 +271,13 @@ def _options(given: dict[str, Any]) -> Any:
     )
 
 
-def _bits(given: dict[str, Any]) -> dict[str, int]:
+def _bits(given: Mapping[str, Any]) -> dict[str, int]:
     """Return the bits to quantise to, by attribute."""
     options = {"POSITION": "position_bits", "NORMAL": "normal_bits", "TEXCOORD_0": "texcoord_bits"}
     return {name: given[option] for name, option in options.items() if given[option] is not None}
 
 
-def _check_compression(given: dict[str, Any]) -> None:
+def _check_compression(given: Mapping[str, Any]) -> None:
     """Raise click.UsageError for bits or a level that the compression has no use for."""
     if _bits(given) and given["compress"] != "draco":
         raise click.UsageError("--position-bits, --normal-bits and --texcoord-bits need --compress draco")
@@ -291,7 +288,7 @@ def _check_compression(given: dict[str, Any]) -> None:
         raise click.UsageError(f"--compress-level of meshopt is at most {HIGHEST_MESHOPT_LEVEL}")
 
 
-def _targets(inputs: list[Input], given: dict[str, Any]) -> list[tuple[Input, str | None]]:
+def _targets(inputs: list[Input], given: Mapping[str, Any]) -> list[tuple[Input, str | None]]:
     """Return (input, output) pairs, or raise click.UsageError for a combination that makes no sense."""
     if given["alpha_name"] == given["beta_name"]:
         raise click.UsageError("--alpha-name and --beta-name must differ")
@@ -316,7 +313,7 @@ def _targets(inputs: list[Input], given: dict[str, Any]) -> list[tuple[Input, st
     return [(entry, None) for entry in inputs]
 
 
-def _check_storage(given: dict[str, Any]) -> None:
+def _check_storage(given: Mapping[str, Any]) -> None:
     """Raise click.UsageError where the layout cannot go with the encoding, or with chosen names."""
     if given["layout"] == "attributes":
         return

@@ -10,7 +10,7 @@ import click
 from skinbake.cli import exit_codes
 from skinbake.cli.console import console, message_options, outside_option
 from skinbake.cli.limits import memory_option
-from skinbake.cli.targets import check_readable_suffix
+from skinbake.cli.names import check_readable_suffix
 from skinbake.containment import Bounds
 from skinbake.errors import SkinbakeError
 

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import click
 
+from skinbake.cli.names import STDIO, check_readable_suffix
 from skinbake.cli.remote import behind
-from skinbake.cli.targets import STDIO, check_readable_suffix
 from skinbake.errors import InputError
 from skinbake.urls import SUFFIXES, is_url, on_disk
 

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import click
 
 from skinbake.cli.console import Command, finite
-from skinbake.cli.targets import STDIO
+from skinbake.cli.names import STDIO
 
 if TYPE_CHECKING:
+    from skinbake.cli.given import Given
     from skinbake.jobs.processes import Limits
 
 SIZE = re.compile(r"(\d+(?:\.\d+)?) ?([KMGT]?)(?:i?B)?", re.IGNORECASE)
@@ -58,12 +59,14 @@ def limit_options(command: Command) -> Command:
     return command
 
 
-def worker_limits(given: Mapping[str, Any], sources: Sequence[str]) -> Limits | None:
+def worker_limits(given: Given, sources: Sequence[str]) -> Limits | None:
     """Return the limits that workers keep, None where files need none of their own.
 
     Raises click.UsageError where the work cannot be another process's.
     """
-    named = [f"--{name}" for name in ("timeout", "isolate") if given[name]]
+    named = [
+        f"--{name}" for name, value in (("timeout", given["timeout"]), ("isolate", given["isolate"])) if value
+    ]
     if not named:
         return None
     if given["dask"]:
@@ -77,11 +80,10 @@ def worker_limits(given: Mapping[str, Any], sources: Sequence[str]) -> Limits | 
     return Limits(given["timeout"], memory_of_each(given) if given["isolate"] else None)
 
 
-def memory_of_each(given: Mapping[str, Any]) -> int | None:
+def memory_of_each(given: Given) -> int | None:
     """Return what a file may take of this machine's memory, None for the default of one file at a time."""
     if given["max_memory"] or given["dask"] or (given["jobs"] == 1 and not given["isolate"]):
-        size: int | None = given["max_memory"]
-        return size
+        return given["max_memory"]
     from skinbake.gltf.budget import default_limit
     from skinbake.jobs.processes import usable_cores
 

@@ -6,24 +6,27 @@ import os
 import time
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager, suppress
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Generic, TypeVar
 
 import click
 
 from skinbake.cli import exit_codes
 from skinbake.cli.console import Command, Console, json_text
 from skinbake.cli.progress import Progress
-from skinbake.cli.targets import STDIO, sync_option
+from skinbake.cli.targets import sync_option
 from skinbake.containment import flush
-from skinbake.errors import OutputError, Place, SkinbakeError
-from skinbake.urls import is_url
+from skinbake.errors import OutputError, Place
 
 if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+    from skinbake.cli.given import Given
     from skinbake.cli.inputs import Input
-    from skinbake.jobs.processes import Limits
-    from skinbake.jobs.runners import Runner, Work
     from skinbake.jobs.state import Recipe, State
+    from skinbake.jobs.work import Job, Result, Runner, Work
     from skinbake.report.totals import Totals
 
 STATE_NAME = ".skinbake-state.jsonl"
@@ -31,11 +34,7 @@ STATE_NAME = ".skinbake-state.jsonl"
 MANY = 20
 """Files whose lines one still takes in at a glance; of more a line tells the sum."""
 
-SECONDS_A_URL = 0.1
-"""What it takes to fetch and store a file, about."""
-
-WORTHWHILE = 0.5
-"""Seconds of work from which on other processes are started for it."""
+ResultT = TypeVar("ResultT", bound="Result")
 
 
 def _jobs(ctx: click.Context, param: click.Parameter, value: str) -> int:
@@ -81,28 +80,17 @@ def many_options(command: Command) -> Command:
     return sync_option(command)
 
 
-def state_of(
-    command: str, options: Any, path: str | None, inputs: Iterable[Input], *, sync: bool
-) -> tuple[State, Recipe] | tuple[None, None]:
-    """Return the state file, and what its records are compared with; None where none is wanted."""
-    if path is None:
-        return None, None
-    from skinbake.jobs.state import State, recipe
-
-    roots = {entry.root for entry in inputs if os.sep in entry.kept}  # that arguments were searched in
-    return State(path, sync=sync), recipe(command, options, path, sorted(roots))
-
-
-def state_path(given: Mapping[str, Any]) -> str | None:
+def state_path(given: Given) -> str | None:
     """Return where the state file is, None where none is wanted; click.UsageError where it has no place."""
     if not given["skip_unchanged"]:
         if given["state"]:
             raise click.UsageError("--state is for --skip-unchanged")
         return None
     if given["state"]:
-        return str(given["state"])
-    if given.get("out_dir"):
-        return str(Path(given["out_dir"], STATE_NAME))
+        return given["state"]
+    out_dir = given.get("out_dir")
+    if out_dir:
+        return str(Path(out_dir, STATE_NAME))
     raise click.UsageError(
         "--skip-unchanged needs --state FILE to keep its notes in; only --out-dir has a place"
     )
@@ -144,45 +132,6 @@ def _age() -> float | None:
         return None
 
 
-def chosen_runner(
-    given: Mapping[str, Any],
-    sources: Sequence[str],
-    turns: Sequence[int],
-    modules: Sequence[str],
-    guess: tuple[float, float],
-    limits: Limits | None = None,
-) -> Runner:
-    """Return who does the work on the sources.
-
-    ``turns`` are the numbers of those that must be done in order, ``modules`` what workers need, ``guess``
-    how long a file takes and each byte of it. With ``limits`` a file too has a process that keeps them.
-    """
-    from skinbake.jobs.runners import FirstThese, InThisProcess
-
-    count = given["jobs"]
-    alone = count == 1 or len(sources) == 1 or STDIO in sources
-    if limits is None and (alone or not _is_worthwhile(sources, guess)):
-        return InThisProcess()
-    from skinbake.jobs.processes import Limits, Processes, usable_cores
-
-    limits = limits or Limits()
-    whole = Processes(count or usable_cores(), modules, limits)
-    return FirstThese(turns, Processes(1, modules, limits), whole) if turns else whole
-
-
-def _is_worthwhile(sources: Sequence[str], guess: tuple[float, float]) -> bool:
-    """Tell whether the work is enough to start processes for."""
-    seconds = 0.0
-    for source in sources:
-        try:
-            seconds += guess[0] + guess[1] * Path(source).stat().st_size
-        except (OSError, ValueError):
-            seconds += SECONDS_A_URL if is_url(source) else 0.0
-        if seconds > WORTHWHILE:
-            return True
-    return False
-
-
 class Summary:
     """Writes JSON lines, one a file, and totals at last; says once where it cannot."""
 
@@ -198,11 +147,11 @@ class Summary:
                 reason = getattr(error, "strerror", None) or error
                 raise OutputError(f"cannot be written: {reason}", Place(path)) from error
 
-    def file(self, content: Mapping[str, Any]) -> None:
+    def file(self, content: Mapping[str, object]) -> None:
         """Add a file's line."""
         self.line({"schema": self._schema, "kind": "file", **content})
 
-    def line(self, content: Mapping[str, Any]) -> None:
+    def line(self, content: Mapping[str, object]) -> None:
         """Add a line."""
         if self._file is None:
             return
@@ -232,11 +181,17 @@ class Summary:
 
 
 class Notes:
-    """What --skip-unchanged keeps; says once where it cannot."""
+    """What --skip-unchanged keeps, where it was asked for; says once where it cannot."""
 
-    def __init__(self, state: State | None, say: Console) -> None:
-        self._state, self._say = state, say
+    def __init__(self, say: Console, state: State | None = None, recipe: Recipe | None = None) -> None:
+        self._say, self._state, self.recipe = say, state, recipe
         self.failed = False
+
+    def known(self, path: str | None) -> bytes | None:
+        """Return what is noted of the file that is made at a path, or read; None where nothing is."""
+        if path is None or self._state is None or self.recipe is None:
+            return None
+        return self._state.known(self.recipe.key(path))
 
     def add(self, record: bytes | None) -> None:
         """Keep a record."""
@@ -254,15 +209,94 @@ class Notes:
             self._state.close()
 
 
+def notes_of(
+    command: str,
+    options: DataclassInstance,
+    path: str | None,
+    inputs: Iterable[Input],
+    say: Console,
+    *,
+    sync: bool,
+) -> Notes:
+    """Return the notes in the state file at ``path``; empty ones, of which none are kept, for None.
+
+    Raises InputError for a file that is no state file.
+    """
+    if path is None:
+        return Notes(say)
+    from skinbake.jobs.state import State, recipe
+
+    roots = {entry.root for entry in inputs if os.sep in entry.kept}  # that arguments were searched in
+    return Notes(say, State(path, sync=sync), recipe(command, options, path, sorted(roots)))
+
+
+@dataclass(frozen=True, slots=True)
+class Run(Generic[ResultT]):
+    """The jobs of a command, who does them, and what is done, which may tell of its progress."""
+
+    jobs: Sequence[Job]
+    runner: Runner[Job, ResultT]
+    work: Callable[[Progress], Work[Job, ResultT]]
+
+
+@dataclass(frozen=True, slots=True)
+class Reporting(Generic[ResultT]):
+    """How a command's results are told, counted and written, and which exit code each of them means.
+
+    outcomes are those that files are counted by. document makes the JSON of all results, of the exit code
+    and of the seconds of the process. write, where there is one, writes another report of all results, and
+    returns the exit code of that.
+    """
+
+    schema: str
+    outcomes: tuple[str, ...]
+    tell: Callable[[ResultT], None]
+    count: Callable[[Totals, ResultT], None]
+    code: Callable[[ResultT], int]
+    file_json: Callable[[ResultT], Mapping[str, object]]
+    document: Callable[[Sequence[ResultT], int, Mapping[str, float | None] | None], Mapping[str, object]]
+    write: Callable[[Sequence[ResultT]], int] | None = None
+
+
+def work_through(
+    run: Run[ResultT], reporting: Reporting[ResultT], given: Given, say: Console, clock: Clock, notes: Notes
+) -> int:
+    """Do all jobs, tell of each result as it comes and of all at the end, and return the exit code."""
+    from skinbake.report.totals import Totals, timing_lines, totals_json
+
+    totals, results, code = Totals(len(run.jobs), reporting.outcomes), list[ResultT](), exit_codes.OK
+    summary = Summary(given["summary"], reporting.schema, say, sync=not given["no_sync"])
+    with _outcomes(run, reporting.tell, say, totals, clock, [summary, notes]) as found:
+        for result in found:
+            notes.add(result.record)
+            summary.file(reporting.file_json(result))
+            reporting.count(totals, result)
+            code = max(code, reporting.code(result))
+            if given["as_json"] or reporting.write:
+                results.append(result)
+        if reporting.write:
+            code = max(code, reporting.write(results))
+        code = max(code, exit_codes.OUTPUT if notes.failed else code)
+        summary.line(totals_json(totals, clock.working, schema=reporting.schema, exit_code=code))
+    code = max(code, exit_codes.OUTPUT if summary.failed else code)
+    if given["timings"]:  # whatever the verbosity: it was asked for
+        say.listing(timing_lines(totals, clock.process()))
+    if given["as_json"]:
+        spent = clock.process() if given["timings"] else None
+        say.document(reporting.document(results, code, spent))
+    return code
+
+
 @contextmanager
-def outcomes(
+def _outcomes(
+    run: Run[ResultT],
+    tell: Callable[[ResultT], None],
     say: Console,
     totals: Totals,
     clock: Clock,
     kept: Sequence[Summary | Notes],
-    begin: Callable[[Progress], Generator[Any, None, None]],
-) -> Iterator[Iterator[Any]]:
-    """Yield the results that ``begin`` gives, and when they are done with, or an interrupt came, end it all.
+) -> Iterator[Iterator[ResultT]]:
+    """Yield the results, and when they are done with, or an interrupt came, end it all.
 
     That ends the work, takes the bar away, says what became of all files, and lets go of what is kept.
     """
@@ -272,7 +306,7 @@ def outcomes(
         for one in kept:
             stack.enter_context(closing(one))
         try:
-            with Progress(say) as progress, closing(begin(progress)) as results:
+            with Progress(say) as progress, closing(_told(run, tell, progress)) as results:
                 yield results
         except KeyboardInterrupt:
             if totals.files > 1:
@@ -283,27 +317,15 @@ def outcomes(
         say.note(closing_line(totals, clock.working))
 
 
-def each(
-    runner: Runner, work: Work, jobs: Sequence[Any], progress: Progress, tell: Callable[[Any], None]
-) -> Generator[Any, None, None]:
+def _told(
+    run: Run[ResultT], tell: Callable[[ResultT], None], progress: Progress
+) -> Generator[ResultT, None, None]:
     """Yield the results in order as they come, each told of above the bar; close it to end the work."""
     from skinbake.jobs.runners import in_order
 
-    with closing(in_order(runner.run(work, jobs))) as results:
+    with closing(in_order(run.runner.run(run.work(progress), run.jobs))) as results:
         for number, result in enumerate(results, 1):
-            progress.print(lambda result=result: tell(result))  # type: ignore[misc]
+            progress.print(partial(tell, result))
             yield result
-            if len(jobs) > 1:
-                progress.step("files", number, len(jobs))
-
-
-def worst(code: int, error: SkinbakeError) -> int:
-    """Return the worse of a code and an error's."""
-    return max(code, exit_codes.of_error(error))
-
-
-def show_timings(say: Console, totals: Totals, clock: Clock) -> None:
-    """Print where the time went, to stderr, whatever the verbosity: it was asked for."""
-    from skinbake.report.totals import timing_lines
-
-    say.listing(timing_lines(totals, clock.process()))
+            if len(run.jobs) > 1:
+                progress.step("files", number, len(run.jobs))

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, TypeVar
 
 import click
 
 from skinbake.cli.console import Command, Console
-from skinbake.cli.targets import STDIO
+from skinbake.cli.names import STDIO
 from skinbake.errors import InputError, Place
 from skinbake.urls import is_url, join_url
 
 if TYPE_CHECKING:
-    from skinbake.jobs.runners import Runner
+    from skinbake.cli.given import Given
+    from skinbake.jobs.work import Job, Result, Runner
 
+ResultT = TypeVar("ResultT", bound="Result")
 
 ADDRESS = re.compile(r"((tcp|tls|ucx|wss?)://)?[^/\s]+:\d+/?|inproc://.+")
 
@@ -34,9 +36,9 @@ def behind(url: str, but: str | None) -> list[tuple[str, str]]:
 
     ``but`` is the folder of the outputs, which is left out unless the search begins in it.
     """
-    from skinbake.jobs.remote.storages import expand_url
+    from skinbake.jobs.elsewhere import files_behind
 
-    found = expand_url(url)
+    found = files_behind(url)
     outputs = join_url(but, "") if but and is_url(but) else None
     if outputs is None or join_url(url, "").startswith(outputs):
         return found
@@ -44,8 +46,8 @@ def behind(url: str, but: str | None) -> list[tuple[str, str]]:
 
 
 def cluster_runner(
-    given: Mapping[str, Any], sources: Sequence[str], turns: Sequence[int], say: Console
-) -> Runner | None:
+    given: Given, sources: Sequence[str], turns: Sequence[int], say: Console
+) -> Runner[Job, ResultT] | None:
     """Return the runner of the cluster, connected until the command ends; None where none is asked for.
 
     ``turns`` are the numbers of those sources that must be done in order. Raises click.UsageError for options
@@ -63,10 +65,12 @@ def cluster_runner(
         raise click.UsageError("--skip-unchanged digests files on this disk: not with --dask or URLs")
     if not address:
         return None
-    from skinbake.jobs.remote.dask_runner import DaskRunner
+    from skinbake.jobs.elsewhere import dask_runner
     from skinbake.jobs.runners import FirstThese
+    from skinbake.jobs.work import Writing
 
-    runner = DaskRunner(address)
+    writing = Writing(bool(given.get("out_dir")), not given["no_sync"], given.get("dry_run", False))
+    runner = dask_runner(address, writing)
     click.get_current_context().call_on_close(runner.close)
     notices = runner.connect()
     say.notices(notices)

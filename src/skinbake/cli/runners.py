@@ -2,35 +2,86 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeVar
 
 from skinbake.cli.console import Console
 from skinbake.cli.limits import worker_limits
-from skinbake.cli.many import chosen_runner
+from skinbake.cli.names import STDIO
 from skinbake.cli.remote import cluster_runner
+from skinbake.urls import is_url
 
 if TYPE_CHECKING:
-    from skinbake.jobs.runners import Runner
+    from skinbake.cli.given import Given
+    from skinbake.jobs.processes import Limits
+    from skinbake.jobs.work import Job, Result, Runner
+
+ResultT = TypeVar("ResultT", bound="Result")
+
+SECONDS_A_URL = 0.1
+"""What it takes to fetch and store a file, about."""
+
+WORTHWHILE = 0.5
+"""Seconds of work from which on other processes are started for it."""
 
 
 def runner_of(
-    given: Mapping[str, Any],
+    given: Given,
     sources: Sequence[str],
     turns: Sequence[int],
     modules: Sequence[str],
     guess: tuple[float, float],
     say: Console,
-) -> Runner:
+) -> Runner[Job, ResultT]:
     """Return the runner for some sources; parameters as for ``chosen_runner`` and ``cluster_runner``.
 
     Raises click.UsageError for options that do not go together, InputError where a cluster cannot be used.
     """
     limits = worker_limits(given, sources)
-    cluster = cluster_runner(given, sources, turns, say)
+    cluster: Runner[Job, ResultT] | None = cluster_runner(given, sources, turns, say)
     return cluster or chosen_runner(given, sources, turns, modules, guess, limits)
 
 
-def is_elsewhere(given: Mapping[str, Any]) -> bool:
+def chosen_runner(
+    given: Given,
+    sources: Sequence[str],
+    turns: Sequence[int],
+    modules: Sequence[str],
+    guess: tuple[float, float],
+    limits: Limits | None = None,
+) -> Runner[Job, ResultT]:
+    """Return who does the work on the sources.
+
+    ``turns`` are the numbers of those that must be done in order, ``modules`` what workers need, ``guess``
+    how long a file takes and each byte of it. With ``limits`` a file too has a process that keeps them.
+    """
+    from skinbake.jobs.runners import FirstThese, InThisProcess
+
+    count = given["jobs"]
+    alone = count == 1 or len(sources) == 1 or STDIO in sources
+    if limits is None and (alone or not _is_worthwhile(sources, guess)):
+        return InThisProcess()
+    from skinbake.jobs.processes import Limits, Processes, usable_cores
+
+    limits = limits or Limits()
+    whole = Processes(count or usable_cores(), modules, limits)
+    return FirstThese(turns, Processes(1, modules, limits), whole) if turns else whole
+
+
+def _is_worthwhile(sources: Sequence[str], guess: tuple[float, float]) -> bool:
+    """Tell whether the work is enough to start processes for."""
+    seconds = 0.0
+    for source in sources:
+        try:
+            seconds += guess[0] + guess[1] * Path(source).stat().st_size
+        except (OSError, ValueError):
+            seconds += SECONDS_A_URL if is_url(source) else 0.0
+        if seconds > WORTHWHILE:
+            return True
+    return False
+
+
+def is_elsewhere(given: Given) -> bool:
     """Tell whether even a single file is worked on in another process."""
     return bool(given["dask"] or given["timeout"] or given["isolate"])

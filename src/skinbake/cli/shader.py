@@ -11,7 +11,8 @@ import click
 from skinbake.choices import Encoding, Frame, Language, Layout, Lighting, Method, Morphs
 from skinbake.cli import exit_codes
 from skinbake.cli.console import console, finite, message_options, one_of, outside_option
-from skinbake.cli.targets import STDIO, check_readable_suffix, sync_option
+from skinbake.cli.names import STDIO, check_readable_suffix
+from skinbake.cli.targets import sync_option
 from skinbake.containment import Bounds
 from skinbake.errors import ChoiceError, SkinbakeError, printable
 from skinbake.shaders.text import targets

@@ -10,7 +10,8 @@ import click
 from skinbake.cli import exit_codes
 from skinbake.cli.console import console, message_options, outside_option
 from skinbake.cli.limits import memory_option
-from skinbake.cli.targets import STDIO, check_readable_suffix, check_target, sync_option
+from skinbake.cli.names import STDIO, check_readable_suffix
+from skinbake.cli.targets import check_target, sync_option
 from skinbake.containment import Bounds
 from skinbake.errors import SkinbakeError
 

@@ -7,25 +7,16 @@ import stat
 import struct
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
 from skinbake.cli.console import Command
+from skinbake.cli.inputs import Input
+from skinbake.cli.names import STDIO
 from skinbake.urls import SUFFIXES, canonical, is_url, join_url, on_disk
 
-if TYPE_CHECKING:
-    from skinbake.cli.inputs import Input
-
-STDIO = "-"
 GLB_HEADERS = struct.Struct("<4sIIII")
 """A GLB's header, and that of its first chunk, which is its JSON."""
-
-
-def check_readable_suffix(source: str) -> None:
-    """Raise click.UsageError where an input's name does not say which kind of file it is."""
-    if source != STDIO and Path(source).suffix.lower() not in SUFFIXES:
-        raise click.UsageError(f"{source}: expected a name that ends in {', '.join(SUFFIXES)}, or -")
 
 
 def check_target(source: str, target: str, *, instead: str = "use --in-place to replace it") -> None:

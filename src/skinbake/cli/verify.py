@@ -3,35 +3,49 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Generator
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import click
 
 from skinbake.choices import Baseline, Method
 from skinbake.cli import exit_codes
 from skinbake.cli.console import Console, console, finite, message_options, one_of, outside_option
+from skinbake.cli.given import Given
 from skinbake.cli.inputs import expanded
 from skinbake.cli.limits import limit_options, memory_of_each
-from skinbake.cli.many import (
-    Clock,
-    Notes,
-    Summary,
-    each,
-    many_options,
-    outcomes,
-    show_timings,
-    state_of,
-    state_path,
-    worst,
-)
-from skinbake.cli.progress import Progress
+from skinbake.cli.many import Clock, Reporting, Run, many_options, notes_of, state_path, work_through
 from skinbake.cli.remote import cluster_option
 from skinbake.cli.runners import is_elsewhere, runner_of
 from skinbake.cli.targets import check_reports
 from skinbake.containment import Bounds, Within
 from skinbake.errors import OutputError, Place
+
+if TYPE_CHECKING:
+    from typing import Unpack
+
+    from skinbake.cli.progress import Progress
+    from skinbake.jobs.file_work import FileWork
+    from skinbake.lighting.measured import VerifyOptions
+    from skinbake.report.verify import FileVerdict
+
+
+class VerifyGiven(Given):
+    """The options of verify, as click gives them."""
+
+    methods: tuple[str, ...]
+    poses: tuple[str, int | None]
+    samples: int | None
+    angle: float
+    seed: int
+    baseline: str
+    cap: float | None
+    max_mean_error: float | None
+    max_p95_error: float | None
+    min_gain: float | None
+    require_baked: bool
+    junit: str | None
 
 
 def _poses(ctx: click.Context, param: click.Parameter, value: str) -> tuple[str, int | None]:
@@ -114,7 +128,7 @@ def _poses(ctx: click.Context, param: click.Parameter, value: str) -> tuple[str,
 @cluster_option
 @outside_option
 @message_options
-def command(inputs: tuple[str, ...], **given: Any) -> None:
+def command(inputs: tuple[str, ...], **given: Unpack[VerifyGiven]) -> None:
     """Check that files still carry the right α/β, and measure what they are worth.
 
     Structure: α/β and metadata are there and whole. Freshness: nothing that α/β depend on was changed since
@@ -129,26 +143,40 @@ def command(inputs: tuple[str, ...], **given: Any) -> None:
     reports = {"--junit": given["junit"], "--summary": given["summary"], "--state": notes_at}
     check_reports(reports, None, (entry.source for entry in found))
     say = console(verbose=given["verbose"], quiet=given["quiet"], color=given["color"])
-    from skinbake.jobs.verify import MODULES, SECONDS_A_BYTE, SECONDS_A_FILE, VerifyJob, VerifyWork
-    from skinbake.report.totals import VERIFY_OUTCOMES, Totals, totals_json
-    from skinbake.report.verify import SCHEMA, FileVerdict, as_json, as_junit, as_text, file_json
+    from skinbake.jobs.file_work import FileWork
+    from skinbake.jobs.verify import MODULES, SECONDS_A_BYTE, SECONDS_A_FILE, Verify
+    from skinbake.jobs.work import Job
 
     options = _options(given)
-    state, recipe = state_of("verify", options, notes_at, found, sync=not given["no_sync"])
+    notes = notes_of("verify", options, notes_at, found, say, sync=not given["no_sync"])
     jobs = [
-        VerifyJob(
+        Job(
             entry.source,
-            state.known(recipe.key(entry.source)) if state and recipe else None,
-            entry.missing,
-            Within(Bounds(entry.searched, given["allow_outside"])),
+            known=notes.known(entry.source),
+            missing=entry.missing,
+            within=Within(Bounds(entry.searched, given["allow_outside"])),
         )
         for entry in found
     ]
+    reporting = _reporting(given, say)
     clock.imports_done()
+    is_alone = len(jobs) == 1 and not is_elsewhere(given)
+
+    def work(progress: Progress) -> FileWork[FileVerdict]:
+        command = Verify(options, progress.step if is_alone else None)
+        return FileWork(command, notes.recipe, given["timings"], memory_of_each(given))
+
     guess = (SECONDS_A_FILE, SECONDS_A_BYTE)
-    runner = runner_of(given, [entry.source for entry in found], [], MODULES, guess, say)
-    totals, verdicts, code = Totals(len(jobs), VERIFY_OUTCOMES), list[FileVerdict](), exit_codes.OK
-    summary, notes = Summary(given["summary"], SCHEMA, say, sync=not given["no_sync"]), Notes(state, say)
+    run = Run(jobs, runner_of(given, [job.source for job in jobs], [], MODULES, guess, say), work)
+    sys.exit(work_through(run, reporting, given, say, clock, notes))
+
+
+def _reporting(given: VerifyGiven, say: Console) -> Reporting[FileVerdict]:
+    """Return how verdicts are told, counted and written."""
+    from skinbake.report.totals import VERIFY_OUTCOMES, Totals
+    from skinbake.report.verify import SCHEMA, as_json, as_junit, as_text, file_json
+
+    junit = given["junit"]
 
     def tell(verdict: FileVerdict) -> None:
         say.notices(verdict.notices)
@@ -158,41 +186,29 @@ def command(inputs: tuple[str, ...], **given: Any) -> None:
         if not given["as_json"]:
             say.result(as_text(verdict))
 
-    def begin(progress: Progress) -> Generator[FileVerdict, None, None]:
-        poses = progress.step if len(jobs) == 1 and not is_elsewhere(given) else None
-        return each(
-            runner,
-            VerifyWork(options, recipe, given["timings"], poses, memory_of_each(given)),
-            jobs,
-            progress,
-            tell,
-        )
+    def write(verdicts: Sequence[FileVerdict]) -> int:
+        return _write(str(junit), as_junit(verdicts), say, sync=not given["no_sync"])
 
-    with outcomes(say, totals, clock, [summary, notes], begin) as found_out:
-        for verdict in found_out:
-            notes.add(verdict.record)
-            summary.file(file_json(verdict))
-            totals.add_verified(verdict)
-            if verdict.error is not None:
-                code = worst(code, verdict.error)
-            elif not verdict.passed:
-                code = max(code, exit_codes.VERIFICATION)
-            if given["as_json"] or given["junit"]:
-                verdicts.append(verdict)
-        if given["junit"]:
-            code = max(code, _write(given["junit"], as_junit(verdicts), say, sync=not given["no_sync"]))
-        code = max(code, exit_codes.OUTPUT if notes.failed else code)
-        summary.line(totals_json(totals, clock.working, schema=SCHEMA, exit_code=code))
-    code = max(code, exit_codes.OUTPUT if summary.failed else code)
-    if given["timings"]:
-        show_timings(say, totals, clock)
-    if given["as_json"]:
-        spent = clock.process() if given["timings"] else None
-        say.document(as_json(verdicts, exit_code=code, process=spent))
-    sys.exit(code)
+    return Reporting(
+        schema=SCHEMA,
+        outcomes=VERIFY_OUTCOMES,
+        tell=tell,
+        count=Totals.add_verified,
+        code=_code,
+        file_json=file_json,
+        document=lambda verdicts, code, process: as_json(verdicts, exit_code=code, process=process),
+        write=write if junit else None,
+    )
 
 
-def _options(given: dict[str, Any]) -> Any:
+def _code(verdict: FileVerdict) -> int:
+    """Return the exit code that a verdict means."""
+    if verdict.error is not None:
+        return exit_codes.of_error(verdict.error)
+    return exit_codes.OK if verdict.passed else exit_codes.VERIFICATION
+
+
+def _options(given: VerifyGiven) -> VerifyOptions:
     """Return the VerifyOptions that the command line asks for."""
     import math
 

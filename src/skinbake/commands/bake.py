@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -12,7 +11,7 @@ import numpy as np
 
 from skinbake.choices import Encoding, FrameChoice, Weld
 from skinbake.containment import OWN_FOLDERS, Within
-from skinbake.errors import InputError, Notice, Place, SkinbakeError, defect
+from skinbake.errors import InputError, Notice, Place, noticed
 from skinbake.format.attribute_store import stored_otherwise
 from skinbake.format.baked import AttributeNames, Baked, with_baked, with_scale
 from skinbake.format.encodings import vertex_bytes
@@ -41,8 +40,6 @@ from skinbake.timing import stage
 if TYPE_CHECKING:
     from skinbake.lighting.limit_cost import Limited
     from skinbake.lighting.unwritten import UnwrittenBake
-
-logger = logging.getLogger(__name__)
 
 BYTES_A_VERTEX, BYTES_A_SLOT, BYTES_A_TRIANGLE = 128, 48, 24
 """What a bake sets aside at most, about."""
@@ -76,19 +73,11 @@ def bake_file(
 ) -> FileResult:
     """Bake one file and write it to ``target`` (nowhere for None, or on a dry run).
 
-    Raises nothing: what fails is in the result, and then nothing has been written.
+    Raises SkinbakeError, and then nothing has been written; its notices are what was found before.
     """
     notices: list[Notice] = []
-    try:
+    with noticed(notices):
         return _bake_file(source, target, options, within, notices)
-    except SkinbakeError as error:
-        failure = error
-    except MemoryError:
-        failure = InputError("it needs more memory than there is or --max-memory allows", Place(source))
-    except Exception as error:  # a defect of ours: the other files of a build must not suffer from it
-        logger.debug("where it failed", exc_info=True)
-        failure = defect(error, source)
-    return FileResult(source, target, "failed", notices=tuple(notices), error=failure)
 
 
 def _bake_file(

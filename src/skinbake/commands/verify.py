@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Sequence
 from dataclasses import replace
 
 from skinbake.containment import BESIDE, Bounds
-from skinbake.errors import InputError, Notice, Place, SkinbakeError, defect
+from skinbake.errors import Notice
 from skinbake.format.metadata import read_metadata
 from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.primitives import PrimitiveSource, reason_to_skip, skinned_sources
@@ -17,27 +16,14 @@ from skinbake.lighting.staleness import mesh_operator, staleness
 from skinbake.report.verify import Check, FileVerdict
 from skinbake.timing import stage
 
-logger = logging.getLogger(__name__)
-
 
 def verify_file(
     source: str, options: VerifyOptions, progress: Progress | None = None, bounds: Bounds = BESIDE
 ) -> FileVerdict:
-    """Verify one file. Raises nothing: what cannot be read is in the verdict."""
-    try:
-        verdict = _verify_file(source, options, progress or (lambda what, done, total: None), bounds)
-        verdict = replace(verdict, input=source)
-    except SkinbakeError as error:
-        return FileVerdict(source, error=error)
-    except MemoryError:
-        return FileVerdict(
-            source,
-            error=InputError("it needs more memory than there is or --max-memory allows", Place(source)),
-        )
-    except Exception as error:  # a defect of ours: the other files must not suffer from it
-        logger.debug("where it failed", exc_info=True)
-        return FileVerdict(source, error=defect(error, source))
-    if options.warnings_as_errors and verdict.notices and verdict.error is None:
+    """Verify one file; raises SkinbakeError where it cannot be read."""
+    verdict = _verify_file(source, options, progress or (lambda what, done, total: None), bounds)
+    verdict = replace(verdict, input=source)
+    if options.warnings_as_errors and verdict.notices:
         problem = Check("warnings", "failed", verdict.notices)
         return replace(verdict, checks=(*verdict.checks, problem))
     return verdict

@@ -4,18 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from skinbake.commands.bake import BakeOptions
-from skinbake.containment import OWN_FOLDERS, Bounds, Within
-from skinbake.errors import InputError, Place
-from skinbake.gltf.budget import memory_limited
-from skinbake.gltf.document import STDIO
+from skinbake.commands.bake import BakeOptions, bake_file
+from skinbake.containment import Bounds
+from skinbake.errors import SkinbakeError
 from skinbake.jobs import state
-from skinbake.jobs.remote.staging import bake_anywhere
-from skinbake.jobs.runners import timed
+from skinbake.jobs.elsewhere import elsewhere_of
+from skinbake.jobs.work import Job
 from skinbake.report.bake import FileResult
-from skinbake.timing import stage
 
-MODULES = ("skinbake.cli.main", "skinbake.jobs.bake")
+MODULES = ("skinbake.cli.main", "skinbake.jobs.bake", "skinbake.jobs.file_work")
 """What a worker needs, to be imported before it starts."""
 
 SECONDS_A_FILE, SECONDS_A_BYTE = 5e-3, 1.3e-8
@@ -23,80 +20,47 @@ SECONDS_A_FILE, SECONDS_A_BYTE = 5e-3, 1.3e-8
 
 
 @dataclass(frozen=True, slots=True)
-class BakeJob:
-    """One file to bake; known is what a state file has on it, missing why there is none after all.
-
-    ``within`` are the folders that reading and writing stay in.
-    """
-
-    source: str
-    target: str | None
-    known: bytes | None = None
-    missing: str | None = None
-    within: Within = OWN_FOLDERS
-
-
-@dataclass(frozen=True, slots=True)
-class BakeWork:
-    """Bakes a file, unless ``recipe`` is given and what is known of the file says that it is up to date.
-
-    max_memory is what a file may take, in bytes.
-    """
+class Bake:
+    """Bakes a job's source into its target."""
 
     options: BakeOptions
-    recipe: state.Recipe | None = None
-    timed: bool = False
-    max_memory: int | None = None
+    undone: str = "not baked"
 
-    def __call__(self, job: BakeJob) -> FileResult:
-        """Return what became of the file."""
-        with memory_limited(self.max_memory):
-            if not self.timed:
-                return self._done(job)
-            result, timings = timed(lambda: self._done(job))
-        return replace(result, timings=timings)
+    def result_of(self, job: Job, *, traced: bool) -> FileResult:
+        """Bake the file; raises SkinbakeError, and then nothing has been written."""
+        options = replace(self.options, traced=traced)
+        there = elsewhere_of(job)
+        if there is not None:
+            return there.bake_file(job.source, job.target, options, job.within)
+        return bake_file(job.source, job.target, options, job.within)
 
-    def lost(self, job: BakeJob, reason: str) -> FileResult:
+    def failed(self, job: Job, error: SkinbakeError) -> FileResult:
         """Return that the file failed."""
-        return _failed(job, f"not baked: {reason}")
+        return FileResult(job.source, job.target, "failed", notices=error.notices, error=error)
 
-    def _done(self, job: BakeJob) -> FileResult:
-        if job.missing is not None:
-            return _failed(job, job.missing)
-        if self.recipe is None or job.target is None or STDIO in {job.source, job.target}:
-            return bake_anywhere(job.source, job.target, self.options, job.within)
-        with stage("state"):
-            if job.known is not None and self.recipe.still_holds(job.known, job.source, job.target):
-                return FileResult(job.source, job.target, "up-to-date")
-            before = state.seen(job.source, job.within.bounds)
-        result = bake_anywhere(job.source, job.target, replace(self.options, traced=True), job.within)
-        if before is None or result.error is not None or self.options.dry_run:
-            return result
-        with stage("state"):
-            return replace(result, record=self._record(job, before, result.written or {}))
+    def up_to_date(self, job: Job) -> FileResult:
+        """Return that the target is what a bake would make."""
+        return FileResult(job.source, job.target, "up-to-date")
 
-    def _record(self, job: BakeJob, before: state.Seen, written: dict[str, str]) -> bytes | None:
-        """Return what to note of a file that was just baked, None where anything casts doubt on it."""
-        if self.recipe is None or job.target is None:
+    def is_noted(self, job: Job) -> bool:
+        """Tell whether there is a target to note."""
+        return job.target is not None
+
+    def evidence(
+        self, job: Job, result: FileResult, before: state.Seen
+    ) -> tuple[state.Digests, state.Digests] | None:
+        """Return the digests of what was read and of what was made, None where anything is in doubt."""
+        if self.options.dry_run:
             return None
-        try:
-            if job.source == job.target:  # baking what was baked changes nothing: it is its own input
-                after = self._made(job, written, before) if written else before.digests
-                unharmed = bool(written) or before.still_there
-                return (
-                    self.recipe.record(job.source, job.target, after, after) if after and unharmed else None
-                )
+        written = result.written or {}
+        if job.source != job.target:
             made = self._made(job, written, before)
-            if made is None or not before.still_there:
-                return None
-            return self.recipe.record(job.source, job.target, before.digests, made)
-        except (OSError, ValueError):
-            return None
+            return None if made is None or not before.still_there else (before.digests, made)
+        # Baking what was baked changes nothing: it is its own input.
+        after = self._made(job, written, before) if written else before.digests
+        is_unharmed = bool(written) or before.still_there
+        return (after, after) if after and is_unharmed else None
 
-    def _made(self, job: BakeJob, written: dict[str, str], before: state.Seen) -> state.Digests | None:
+    def _made(self, job: Job, written: dict[str, str], before: state.Seen) -> state.Digests | None:
         bounds = Bounds(job.within.output, job.within.bounds.allowed)
         return state.made(str(job.target), written, before.digests, bounds)
-
-
-def _failed(job: BakeJob, reason: str) -> FileResult:
-    return FileResult(job.source, job.target, "failed", error=InputError(reason, Place(job.source)))

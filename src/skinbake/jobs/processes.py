@@ -14,20 +14,23 @@ import sys
 import threading
 import time
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
+from multiprocessing.reduction import ForkingPickler
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Generic
 
 from skinbake.errors import SkinbakeError
+from skinbake.jobs.boundary import survived
 from skinbake.jobs.logs import log_to_stderr
-from skinbake.jobs.runners import Work
+from skinbake.jobs.work import JobT, ReturnT, Work
 
-logger = logging.getLogger(__name__)
+if TYPE_CHECKING:
+    from multiprocessing.context import ForkServerContext, SpawnContext
 
 WINDOW = 4096
 """Jobs that may be done ahead of one that takes long: their results wait in memory."""
@@ -105,10 +108,12 @@ class Processes:
     modules: Sequence[str] = ()
     limits: Limits = field(default_factory=Limits)
 
-    def run(self, work: Work, jobs: Sequence[Any]) -> Iterator[tuple[int, Any]]:
+    def run(
+        self, work: Work[JobT, ReturnT], jobs: Sequence[JobT]
+    ) -> Generator[tuple[int, ReturnT], None, None]:
         """Yield (number, ``work(job)``) as jobs are done; raises SkinbakeError where no worker starts.
 
-        Closing the iterator, or an interrupt, ends the workers at once: what they had begun is undone.
+        Closing the generator, or an interrupt, ends the workers at once: what they had begun is undone.
         """
         pool = _Pool(self, work, jobs)
         try:
@@ -117,10 +122,10 @@ class Processes:
             pool.stop()
 
 
-class _Pool:
+class _Pool(Generic[JobT, ReturnT]):
     """The workers of one run, and which job is where."""
 
-    def __init__(self, runner: Processes, work: Work, jobs: Sequence[Any]) -> None:
+    def __init__(self, runner: Processes, work: Work[JobT, ReturnT], jobs: Sequence[JobT]) -> None:
         self._work, self._jobs, self._limits = work, jobs, runner.limits
         self._retired: list[BaseProcess] = []
         self._size = min(runner.workers, len(jobs))
@@ -135,7 +140,7 @@ class _Pool:
         self._oldest = 0
         self._stillborn = 0
 
-    def results(self) -> Iterator[tuple[int, Any]]:
+    def results(self) -> Iterator[tuple[int, ReturnT]]:
         while self._unfinished:
             self._hand_out()
             ready = wait([worker.connection for worker in self._workers], self._until_late())
@@ -143,7 +148,7 @@ class _Pool:
             for connection in ready:
                 worker = next(w for w in self._workers if w.connection is connection)
                 try:
-                    message = worker.connection.recv()
+                    message: tuple[int, ReturnT, float] | None = worker.connection.recv()
                 except (EOFError, OSError):
                     yield from self._bury(worker)
                     continue
@@ -210,12 +215,12 @@ class _Pool:
         for depth in (1,) if self._is_isolated else (1, 2):
             for worker in self._workers:
                 if len(worker.sent) < depth and (depth == 1 or worker.is_quick):
-                    number = self._take()
+                    number = self._next_number()
                     if number is None:
                         return
                     self._send(worker, number)
 
-    def _take(self) -> int | None:
+    def _next_number(self) -> int | None:
         if self._back:
             return self._back.popleft()
         if self._next == len(self._jobs) or self._next >= self._oldest + WINDOW:
@@ -230,7 +235,7 @@ class _Pool:
         with suppress(OSError):  # it has died: its pipe says so next
             worker.connection.send((number, self._jobs[number]))
 
-    def _finished(self, worker: _Worker, number: int, result: Any, seconds: float) -> tuple[int, Any]:
+    def _finished(self, worker: _Worker, number: int, result: ReturnT, seconds: float) -> tuple[int, ReturnT]:
         worker.sent.remove(number)
         worker.is_quick = seconds < QUICK
         worker.begun, worker.late = time.monotonic(), None
@@ -258,7 +263,7 @@ class _Pool:
             self._done_ahead.remove(self._oldest)
             self._oldest += 1
 
-    def _bury(self, worker: _Worker) -> Iterator[tuple[int, Any]]:
+    def _bury(self, worker: _Worker) -> Iterator[tuple[int, ReturnT]]:
         """Take a dead worker out; its job is suspected, or yielded as lost, and the others go back."""
         self._workers.remove(worker)
         worker.connection.close()
@@ -296,7 +301,7 @@ def _cause_of_death(process: BaseProcess) -> str:
     return f"{name}; is there too little memory?" if name == "SIGKILL" else name
 
 
-def _context(modules: Sequence[str]) -> Any:
+def _context(modules: Sequence[str]) -> SpawnContext | ForkServerContext:
     """Return how processes are started: as forks of a server that has done the imports, or afresh.
 
     Never as forks of this process, which may have threads by then.
@@ -308,7 +313,7 @@ def _context(modules: Sequence[str]) -> Any:
     return context
 
 
-def _started(context: Any, work: Work, limits: Limits) -> _Worker:
+def _started(context: SpawnContext | ForkServerContext, work: Work[JobT, ReturnT], limits: Limits) -> _Worker:
     here, there = context.Pipe()
     with _quiet_start():
         process = context.Process(
@@ -353,7 +358,7 @@ def _no_interrupts() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _serve(connection: Connection, work: Work, limits: Limits, level: int, logs: bool) -> None:
+def _serve(connection: Connection, work: Work[JobT, ReturnT], limits: Limits, level: int, logs: bool) -> None:
     """Do jobs as they come, until the pipe is closed or a signal says stop; the main of a worker."""
     stopped = threading.Event()
     try:
@@ -365,10 +370,9 @@ def _serve(connection: Connection, work: Work, limits: Limits, level: int, logs:
         connection.send(None)
         while not stopped.is_set():
             number, job = connection.recv()
-            start = time.perf_counter()
-            result = _result(work, job)
+            message = _message(work, number, job)
             if not stopped.is_set():  # an interrupt may have come out as another exception
-                _send(connection, work, job, (number, result, time.perf_counter() - start))
+                connection.send_bytes(message)
     except (EOFError, OSError, KeyboardInterrupt):
         pass  # the other end is gone, or we are to go
 
@@ -391,25 +395,19 @@ def _limit_memory(size: int) -> None:
             resource.setrlimit(kind, (limit if hard == resource.RLIM_INFINITY else min(limit, hard), hard))
 
 
-def _result(work: Work, job: Any) -> Any:
-    try:
-        return work(job)
-    except Exception as error:  # a defect of ours: the other files must not suffer from it
-        logger.debug("where it failed", exc_info=True)
-        return work.lost(job, _defect(error))
+def _message(work: Work[JobT, ReturnT], number: int, job: JobT) -> bytes:
+    """Do a job, and return what is sent of it: its number, its result and the seconds that it took.
 
+    A work that raises, and a result that cannot be pickled, are defects of ours: that job alone is lost.
+    """
+    start = time.perf_counter()
 
-def _send(connection: Connection, work: Work, job: Any, message: tuple[int, Any, float]) -> None:
-    try:
-        connection.send(message)
-    except OSError:
-        raise
-    except Exception as error:  # it cannot be pickled: a defect of ours too
-        connection.send((message[0], work.lost(job, _defect(error)), message[2]))
+    def pickled(result: ReturnT) -> bytes:
+        return bytes(ForkingPickler.dumps((number, result, time.perf_counter() - start)))
 
-
-def _defect(error: Exception) -> str:
-    return f"skinbake failed where it should not: {type(error).__name__}: {error}"
+    return survived(
+        lambda: pickled(work(job)), lambda error: pickled(work.lost(job, error.message)), f"job {number}"
+    )
 
 
 def _hear_signals(stopped: threading.Event) -> None:

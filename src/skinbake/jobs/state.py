@@ -18,7 +18,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import TYPE_CHECKING, BinaryIO
 
 import skinbake
 from skinbake.containment import BESIDE, Bounds, RefusedError, Spot, flush, open_beneath, open_regular, spots
@@ -29,6 +29,9 @@ from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.resources import FileContent
 from skinbake.gltf.writing import write_file
 from skinbake.gradients import kernel
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
 
 HEADER = b'{"skinbake": "state/1"}\n'
 
@@ -149,7 +152,7 @@ class Recipe:
             return path
 
 
-def recipe(command: str, options: Any, state: str, roots: Iterable[str] = ()) -> Recipe:
+def recipe(command: str, options: DataclassInstance, state: str, roots: Iterable[str] = ()) -> Recipe:
     """Return the recipe of a command with its options, a dataclass, for the state file of that name.
 
     ``roots`` are the folders that inputs were searched in.
@@ -231,7 +234,7 @@ class State:
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         except OSError as error:
             raise OutputError(f"cannot be written: {error.strerror}", Place(str(self._path))) from error
-        self._take(record)
+        self._remember(record)
 
     def close(self) -> None:
         """Let go of the file; where most of it is superseded, write it anew."""
@@ -265,7 +268,7 @@ class State:
                 head = file.read(len(HEADER))
                 if head == HEADER:
                     for line in _lines(file):
-                        self._take(line)
+                        self._remember(line)
                     return
         except OSError as error:
             raise InputError(f"cannot be read: {error.strerror}", place) from error
@@ -274,7 +277,7 @@ class State:
             raise InputError("it exists and is no state file of skinbake", place)
         self._is_damaged = bool(head)
 
-    def _take(self, record: bytes) -> None:
+    def _remember(self, record: bytes) -> None:
         with suppress(ValueError, KeyError, TypeError, RecursionError):
             key = json.loads(record)["key"]
             if isinstance(key, str):

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
-from skinbake.containment import OWN_FOLDERS, Within
-from skinbake.errors import InputError, Place
-from skinbake.gltf.budget import memory_limited
-from skinbake.gltf.document import STDIO
+from skinbake.commands.verify import verify_file
+from skinbake.errors import SkinbakeError
 from skinbake.jobs import state
-from skinbake.jobs.remote.staging import verify_anywhere
-from skinbake.jobs.runners import timed
+from skinbake.jobs.elsewhere import elsewhere_of
+from skinbake.jobs.work import Job
 from skinbake.lighting.measured import Progress, VerifyOptions
 from skinbake.report.verify import FileVerdict
 
-MODULES = ("skinbake.cli.main", "skinbake.jobs.verify")
+MODULES = ("skinbake.cli.main", "skinbake.jobs.verify", "skinbake.jobs.file_work")
 """What a worker needs, to be imported before it starts."""
 
 SECONDS_A_FILE, SECONDS_A_BYTE = 0.05, 2e-6
@@ -22,63 +20,34 @@ SECONDS_A_FILE, SECONDS_A_BYTE = 0.05, 2e-6
 
 
 @dataclass(frozen=True, slots=True)
-class VerifyJob:
-    """One file to verify; known is what a state file has on it, missing why there is none after all.
-
-    ``within`` are the folders that reading stays in.
-    """
-
-    source: str
-    known: bytes | None = None
-    missing: str | None = None
-    within: Within = OWN_FOLDERS
-
-
-@dataclass(frozen=True, slots=True)
-class VerifyWork:
-    """Verifies a file, unless ``recipe`` is given and what is known says that it passed as it is.
-
-    ``progress`` cannot go to another process. max_memory is what a file may take, in bytes.
-    """
+class Verify:
+    """Verifies a job's source. ``progress`` cannot go to another process."""
 
     options: VerifyOptions
-    recipe: state.Recipe | None = None
-    timed: bool = False
     progress: Progress | None = None
-    max_memory: int | None = None
+    undone: str = "not verified"
 
-    def __call__(self, job: VerifyJob) -> FileVerdict:
-        """Return the verdict on the file."""
-        with memory_limited(self.max_memory):
-            if not self.timed:
-                return self._done(job)
-            verdict, timings = timed(lambda: self._done(job))
-        return replace(verdict, timings=timings)
+    def result_of(self, job: Job, *, traced: bool) -> FileVerdict:
+        """Verify the file; raises SkinbakeError where it cannot be read. It writes nothing to trace."""
+        there = elsewhere_of(job)
+        if there is not None:
+            return there.verify_file(job.source, self.options, self.progress, job.within)
+        return verify_file(job.source, self.options, self.progress, job.within.bounds)
 
-    def lost(self, job: VerifyJob, reason: str) -> FileVerdict:
+    def failed(self, job: Job, error: SkinbakeError) -> FileVerdict:
         """Return that the file could not be verified."""
-        return _failed(job, f"not verified: {reason}")
+        return FileVerdict(job.source, notices=error.notices, error=error)
 
-    def _done(self, job: VerifyJob) -> FileVerdict:
-        if job.missing is not None:
-            return _failed(job, job.missing)
-        if self.recipe is None or job.source == STDIO:
-            return verify_anywhere(job.source, self.options, self.progress, job.within)
-        if job.known is not None and self.recipe.still_holds(job.known, job.source, None):
-            return FileVerdict(job.source, up_to_date=True)
-        before = state.seen(job.source, job.within.bounds)
-        verdict = verify_anywhere(job.source, self.options, self.progress, job.within)
-        if before is None or not verdict.passed or not _is_still_there(before):
-            return verdict
-        return replace(verdict, record=self.recipe.record(job.source, None, before.digests, {}))
+    def up_to_date(self, job: Job) -> FileVerdict:
+        """Return that the file has passed as it is."""
+        return FileVerdict(job.source, up_to_date=True)
 
+    def is_noted(self, job: Job) -> bool:
+        """Tell that every file's verdict can be noted."""
+        return True
 
-def _is_still_there(files: state.Seen) -> bool:
-    try:
-        return files.still_there
-    except (OSError, ValueError):
-        return False
-
-
-def _failed(job: VerifyJob, reason: str) -> FileVerdict:
-    return FileVerdict(job.source, error=InputError(reason, Place(job.source)))
+    def evidence(
+        self, job: Job, result: FileVerdict, before: state.Seen
+    ) -> tuple[state.Digests, state.Digests] | None:
+        """Return the digests of what was read, of a file that passed and that has not changed meanwhile."""
+        return (before.digests, {}) if result.passed and before.still_there else None

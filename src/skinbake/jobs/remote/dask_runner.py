@@ -12,17 +12,16 @@ from collections import deque
 from collections.abc import Generator, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Generic
 from uuid import uuid4
 
 from skinbake.errors import InputError, Notice, Place
-from skinbake.jobs.remote.dask_task import REFUSED, Ready, build, call, perform, versions
-from skinbake.jobs.remote.shipping import Shipment, Shipped
+from skinbake.jobs.remote.dask_task import build, call, perform, versions
+from skinbake.jobs.remote.sent_files import DoneHere, JobWithFiles, ResultWithFiles, WorkWithFiles
+from skinbake.jobs.work import Job, ResultT, Work, Writing
 
 if TYPE_CHECKING:
-    from distributed import Client, Future
-
-    from skinbake.jobs.runners import Runner, Work
+    from distributed import Client, Future  # distributed is untyped: these are Any
 
 CONNECT_SECONDS = 10.0
 PATIENCE_SECONDS = 300.0
@@ -45,6 +44,10 @@ BATCH = 64
 GONE = "the connection to the scheduler was lost"
 
 
+_Outcome = str | tuple[list[ResultWithFiles[ResultT]], float]
+"""What ``perform`` returns of a task."""
+
+
 class DaskRunner:
     """Runs jobs on the workers of a scheduler, given by its address, like ``tcp://host:8786``.
 
@@ -52,11 +55,15 @@ class DaskRunner:
     dies is tried on others, as often as the scheduler's ``allowed-failures`` says. It may have died of
     another job's doing: those that are given up are tried once more at the end, each alone in the cluster.
 
-    Files with plain paths are read and written here, and travel with their jobs (``Shipped``).
+    Files with plain paths are read and written here, and travel with their jobs (``WorkWithFiles``);
+    ``writing`` says how.
     """
 
-    def __init__(self, address: str, *, patience: float = PATIENCE_SECONDS) -> None:
+    def __init__(
+        self, address: str, writing: Writing | None = None, *, patience: float = PATIENCE_SECONDS
+    ) -> None:
         self.address = address
+        self._writing = writing or Writing()
         self._patience = patience
         self._client: Client | None = None
 
@@ -66,9 +73,9 @@ class DaskRunner:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def one_by_one(self) -> Runner:
+    def one_by_one(self) -> OneByOne:
         """Return a runner that has one job under way at a time, and yields in order."""
-        return _OneByOne(self)
+        return OneByOne(self)
 
     def connect(self) -> list[Notice]:
         """Connect to the scheduler, and return what has to be known of its workers.
@@ -117,7 +124,9 @@ class DaskRunner:
     def _refusal(self, what: str) -> InputError:
         return InputError(_refused(what), Place(self.address))
 
-    def run(self, work: Work, jobs: Sequence[Any], *, one_by_one: bool = False) -> Generator[tuple[int, Any]]:
+    def run(
+        self, work: Work[Job, ResultT], jobs: Sequence[Job], *, one_by_one: bool = False
+    ) -> Generator[tuple[int, ResultT], None, None]:
         """Yield (number of the job, result) as jobs are done, in any order, each exactly once.
 
         Where the scheduler goes away, no worker comes for a while, or one comes with another version of
@@ -127,7 +136,8 @@ class DaskRunner:
 
         self.connect()
         assert self._client is not None
-        flight = _Flight(self._client, Shipped(work), jobs, self._patience, one_by_one=one_by_one)
+        sent = WorkWithFiles(work, self._writing)
+        flight = _Flight(self._client, sent, jobs, self._patience, one_by_one=one_by_one)
         # The bytes of inputs are meant to be in the tasks: there they outlive workers.
         with dask.config.set({"distributed.admin.large-graph-warning-threshold": "1 TiB"}):
             try:
@@ -137,10 +147,15 @@ class DaskRunner:
 
 
 @dataclass(frozen=True, slots=True)
-class _OneByOne:
+class OneByOne:
+    """A runner that has one job under way at a time."""
+
     runner: DaskRunner
 
-    def run(self, work: Work, jobs: Sequence[Any]) -> Iterator[tuple[int, Any]]:
+    def run(
+        self, work: Work[Job, ResultT], jobs: Sequence[Job]
+    ) -> Generator[tuple[int, ResultT], None, None]:
+        """Yield (number, result) in order."""
         return self.runner.run(work, jobs, one_by_one=True)
 
 
@@ -150,15 +165,21 @@ class _Task:
 
     numbers: tuple[int, ...]
     size: int
-    future: Future[Any]
+    future: Future
     alone: bool
 
 
-class _Flight:
+class _Flight(Generic[ResultT]):
     """One run: what is still to be sent, what is under way, and what is suspected of killing workers."""
 
     def __init__(
-        self, client: Client, work: Shipped, jobs: Sequence[Any], patience: float, *, one_by_one: bool
+        self,
+        client: Client,
+        work: WorkWithFiles[ResultT],
+        jobs: Sequence[Job],
+        patience: float,
+        *,
+        one_by_one: bool,
     ) -> None:
         self._client = client
         self._work = work
@@ -177,7 +198,7 @@ class _Flight:
         self._worker_seen = time.monotonic()
         self._over: str | None = None
 
-    def results(self) -> Iterator[tuple[int, Any]]:
+    def results(self) -> Iterator[tuple[int, ResultT]]:
         """Yield each job's number and result."""
         while self._over is None and (self._next < len(self._jobs) or self._suspects or self._under_way):
             self._look()
@@ -207,23 +228,23 @@ class _Flight:
         elif now - self._worker_seen > self._patience:
             self._over = f"the scheduler has had no worker for {self._patience:.0f} s"
 
-    def _launch(self) -> Iterator[tuple[int, Any]]:
+    def _launch(self) -> Iterator[tuple[int, ResultT]]:
         """Send jobs while there is room for them; yield results of those that need not be sent."""
         window = 1 if self._one_by_one else max(LEAST_WINDOW, WINDOW_PER_THREAD * self._threads)
         while self._next < len(self._jobs) and len(self._under_way) < window and self._sent < WINDOW_BYTES:
             first, last = self._next, min(self._next + self._jobs_of_a_task(), len(self._jobs))
-            packed: dict[int, Shipment | Ready] = {}
+            packed: dict[int, JobWithFiles | DoneHere[ResultT]] = {}
             size = 0
             for number in range(first, last):
                 self._next = number + 1
-                packed[number] = self._work.pack(self._jobs[number])
+                packed[number] = self._work.with_files(self._jobs[number])
                 size += packed[number].size
                 if size > TASK_BYTES:
                     break
             yield from self._submitted(packed, alone=False)
         if self._suspects and not self._under_way:
             number = self._suspects.popleft()
-            yield from self._submitted({number: self._work.pack(self._jobs[number])}, alone=True)
+            yield from self._submitted({number: self._work.with_files(self._jobs[number])}, alone=True)
 
     def _jobs_of_a_task(self) -> int:
         """Return how many jobs to send as one task: each task costs the scheduler about a millisecond."""
@@ -232,14 +253,16 @@ class _Flight:
         share = (len(self._jobs) - self._next) // (2 * WINDOW_PER_THREAD * max(self._threads, 1))
         return max(1, min(TASK_JOBS, share, int(TASK_SECONDS / self._seconds)))
 
-    def _submitted(self, packed: dict[int, Shipment | Ready], *, alone: bool) -> Iterator[tuple[int, Any]]:
+    def _submitted(
+        self, packed: dict[int, JobWithFiles | DoneHere[ResultT]], *, alone: bool
+    ) -> Iterator[tuple[int, ResultT]]:
         """Send jobs as one task; yield results of those that need not be sent."""
         sent = {}
-        for number, shipment in packed.items():
-            if isinstance(shipment, Ready):
-                yield number, shipment.result
+        for number, job in packed.items():
+            if isinstance(job, DoneHere):
+                yield number, job.result
             else:
-                sent[number] = shipment
+                sent[number] = job
         if not sent:
             return
         pickled = call(perform, build(), pickle.dumps((self._work, list(sent.values()))))
@@ -250,7 +273,7 @@ class _Flight:
         self._sent += len(pickled)
         future.add_done_callback(self._note)
 
-    def _note(self, future: Future[Any]) -> None:
+    def _note(self, future: Future) -> None:
         self._ended.put(future.key)
 
     def _some_ended(self) -> list[str]:
@@ -264,7 +287,7 @@ class _Flight:
                 keys.append(self._ended.get_nowait())
         return keys
 
-    def _landed(self, keys: Sequence[str]) -> Iterator[tuple[int, Any]]:
+    def _landed(self, keys: Sequence[str]) -> Iterator[tuple[int, ResultT]]:
         """Yield the results of tasks that have ended, and take up those that ended otherwise."""
         finished = []
         for key in keys:
@@ -281,18 +304,18 @@ class _Flight:
             task = self._taken(key)
             if isinstance(outcome, BaseException):
                 yield from self._broken(task, outcome)
-            elif outcome[0] == REFUSED:
-                self._over = _refused(outcome[1])
+            elif isinstance(outcome, str):
+                self._over = _refused(outcome)
                 self._suspects.extend(task.numbers)
             else:
-                yield from self._done(task, *outcome[1])
+                yield from self._done(task, *outcome)
 
     def _taken(self, key: str) -> _Task:
         task = self._under_way.pop(key)
         self._sent -= task.size
         return task
 
-    def _gathered(self, keys: Sequence[str]) -> list[Any]:
+    def _gathered(self, keys: Sequence[str]) -> list[_Outcome[ResultT] | BaseException]:
         """Return what finished tasks returned, an exception for one that is broken after all."""
         futures = [self._under_way[key].future for key in keys]
         try:
@@ -300,19 +323,22 @@ class _Flight:
         except Exception:  # of one of them, and gather does not say of which
             return [self._one(future) for future in futures]
 
-    def _one(self, future: Future[Any]) -> Any:
+    def _one(self, future: Future) -> _Outcome[ResultT] | BaseException:
         try:
-            return future.result()
+            outcome: _Outcome[ResultT] = future.result()
+            return outcome
         except Exception as error:
             return error
 
-    def _done(self, task: _Task, results: Sequence[Any], seconds: float) -> Iterator[tuple[int, Any]]:
+    def _done(
+        self, task: _Task, results: Sequence[ResultWithFiles[ResultT]], seconds: float
+    ) -> Iterator[tuple[int, ResultT]]:
         each = seconds / len(results)
         self._seconds = each if self._seconds is None else 0.8 * self._seconds + 0.2 * each
         for number, result in zip(task.numbers, results, strict=True):
-            yield number, self._work.unpack(self._jobs[number], result)
+            yield number, self._work.result_here(self._jobs[number], result)
 
-    def _broken(self, task: _Task, error: BaseException) -> Iterator[tuple[int, Any]]:
+    def _broken(self, task: _Task, error: BaseException) -> Iterator[tuple[int, ResultT]]:
         """Yield what is lost by a task that raised something or killed its workers."""
         from distributed import CancelledError
 

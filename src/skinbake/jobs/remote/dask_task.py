@@ -6,36 +6,29 @@ import pickle
 import platform
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING
 
 from skinbake import __version__
 
-DONE, REFUSED = "done", "refused"
+if TYPE_CHECKING:
+    from skinbake.jobs.remote.sent_files import JobWithFiles, ResultWithFiles, WorkWithFiles
+    from skinbake.jobs.work import ResultT
 
 Versions = tuple[str, str, str]
 """Of skinbake, Python and NumPy."""
 
 
-@dataclass(frozen=True, slots=True)
-class Ready:
-    """What stands for a job that need not be sent: its result."""
-
-    result: Any
-    size: int = 0
-
-
 class _Call:
     """Unpickling it calls the function with the arguments, and returns what that returns."""
 
-    def __init__(self, function: Callable[..., Any], *arguments: Any) -> None:
+    def __init__(self, function: Callable[..., object], *arguments: object) -> None:
         self._call = function, arguments
 
-    def __reduce__(self) -> tuple[Callable[..., Any], tuple[Any, ...]]:
+    def __reduce__(self) -> tuple[Callable[..., object], tuple[object, ...]]:
         return self._call
 
 
-def call(function: Callable[..., Any], *arguments: Any) -> bytes:
+def call(function: Callable[..., object], *arguments: object) -> bytes:
     """Return a call in such a form that ``pickle.loads`` makes it.
 
     Schedulers of Dask unpickle the tasks that they pass on. A task that is ``pickle.loads`` and some bytes
@@ -58,21 +51,21 @@ def versions() -> Versions:
     return build(), platform.python_version(), np.__version__
 
 
-def perform(version: str, pickled: bytes) -> tuple[str, Any]:
-    """Do a pickled (work, jobs): return ``done`` with the results and the seconds that they took.
+def perform(version: str, pickled: bytes) -> str | tuple[list[ResultWithFiles[ResultT]], float]:
+    """Do a pickled (work, jobs): return the results and the seconds that they took.
 
-    Or ``refused``, and what is here instead: nothing but the version is read of a client with another one,
-    since its classes may have other members.
+    Or, as a text, which other version is here: nothing else is read of a client with another one, since its
+    classes may have other members.
     """
     if version != build():
-        return REFUSED, f"{_address()} has skinbake {build()}"
-    from skinbake.jobs.remote.staging import staged_in
-
+        return f"{_address()} has skinbake {build()}"
+    work: WorkWithFiles[ResultT]
+    jobs: list[JobWithFiles]
     work, jobs = pickle.loads(pickled)
     start = time.perf_counter()
-    with staged_in(_local_folder()):
-        results = [work(job) for job in jobs]
-    return DONE, (results, time.perf_counter() - start)
+    workspace = _local_folder()
+    results = [work.result_there(job, workspace) for job in jobs]
+    return results, time.perf_counter() - start
 
 
 def _address() -> str:

@@ -6,10 +6,13 @@ import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path, PurePosixPath
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Protocol
 
 from skinbake.errors import InputError, OutputError, Place, SkinbakeError
 from skinbake.urls import SUFFIXES, URL, join_url
+
+if TYPE_CHECKING:
+    from fsspec import AbstractFileSystem  # fsspec is untyped: this is Any
 
 OBJECT_STORES = frozenset({"s3", "s3a", "gs", "gcs", "abfs", "abfss", "az"})
 """Protocols that know buckets, but no folders, and by which a file appears when its last byte is there."""
@@ -24,26 +27,26 @@ class Storage(Protocol):
     and ``writing`` make sentences of that.
     """
 
-    def fetch(self, name: str, to: Path) -> None:
+    def fetch_file(self, name: str, to: Path) -> None:
         """Copy a file here; FileNotFoundError where there is none."""
 
-    def has(self, name: str) -> bool:
+    def has_file(self, name: str) -> bool:
         """Tell whether there is such a file."""
 
-    def holds(self, name: str, content: Path) -> bool:
+    def has_content(self, name: str, content: Path) -> bool:
         """Tell whether an existing file has the content of the file at ``content``."""
 
-    def put(self, name: str, content: Path) -> None:
+    def store_file(self, name: str, content: Path) -> None:
         """Store a file whole or not at all, in place of one of that name; folders are made."""
 
-    def shown(self, name: str) -> str:
+    def public_name(self, name: str) -> str:
         """Return what a person calls the file."""
 
 
 class UrlStorage:
     """The files that one fsspec filesystem reaches; their paths begin with ``root``."""
 
-    def __init__(self, filesystem: Any, root: str) -> None:
+    def __init__(self, filesystem: AbstractFileSystem, root: str) -> None:
         self._filesystem = filesystem
         self._root = root
 
@@ -55,27 +58,27 @@ class UrlStorage:
     def __hash__(self) -> int:
         return hash(self._root)
 
-    def fetch(self, name: str, to: Path) -> None:
+    def fetch_file(self, name: str, to: Path) -> None:
         """Copy a file here; FileNotFoundError where there is none."""
         self._filesystem.get_file(self._root + name, str(to))
         if not to.is_file():  # of a folder, drivers make one
             raise FileNotFoundError(name)
 
-    def has(self, name: str) -> bool:
+    def has_file(self, name: str) -> bool:
         """Tell whether there is such a file."""
         try:
             return bool(self._filesystem.info(self._root + name)["type"] == "file")
         except FileNotFoundError:
             return False
 
-    def holds(self, name: str, content: Path) -> bool:
+    def has_content(self, name: str, content: Path) -> bool:
         """Tell whether an existing file has the content of the file at ``content``."""
         path = self._root + name
         if self._filesystem.size(path) != content.stat().st_size:
             return False
         return bool(self._filesystem.cat_file(path) == content.read_bytes())
 
-    def put(self, name: str, content: Path) -> None:
+    def store_file(self, name: str, content: Path) -> None:
         """Store a file whole or not at all, in place of one of that name; folders are made."""
         path = self._root + name
         if _is_object_store(self._filesystem):
@@ -96,15 +99,15 @@ class UrlStorage:
             raise
 
     def _rename(self, old: str, new: str) -> None:
-        from fsspec import AbstractFileSystem
+        import fsspec
 
-        if type(self._filesystem).mv is not AbstractFileSystem.mv:
+        if type(self._filesystem).mv is not fsspec.AbstractFileSystem.mv:
             self._filesystem.mv(old, new)
         else:  # it would copy too, and take brackets in names for patterns
             self._filesystem.cp_file(old, new)
             self._filesystem.rm_file(old)
 
-    def shown(self, name: str) -> str:
+    def public_name(self, name: str) -> str:
         """Return the file's URL."""
         return str(self._filesystem.unstrip_protocol(self._root + name))
 
@@ -124,7 +127,7 @@ def located(url: str) -> tuple[UrlStorage | None, str]:
     return UrlStorage(filesystem, root), path[len(root) :]
 
 
-def _filesystem(url: str) -> tuple[Any, str]:
+def _filesystem(url: str) -> tuple[AbstractFileSystem, str]:
     scheme = url.partition("://")[0]
     try:
         from fsspec.core import url_to_fs
@@ -145,13 +148,13 @@ def _filesystem(url: str) -> tuple[Any, str]:
     return filesystem, str(path)
 
 
-def _is_local(filesystem: Any) -> bool:
+def _is_local(filesystem: AbstractFileSystem) -> bool:
     from fsspec.implementations.local import LocalFileSystem
 
     return isinstance(filesystem, LocalFileSystem)
 
 
-def _is_object_store(filesystem: Any) -> bool:
+def _is_object_store(filesystem: AbstractFileSystem) -> bool:
     protocol = filesystem.protocol
     return not OBJECT_STORES.isdisjoint({protocol} if isinstance(protocol, str) else protocol)
 

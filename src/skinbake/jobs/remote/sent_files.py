@@ -1,8 +1,8 @@
-"""Work for machines that do not see this one's disk: what a plain path means travels with its job.
+"""Work for machines that do not see this one's disk: the files that a plain path means travel with its job.
 
 The file and those that it names are read here and sent along; the worker unpacks them into a private folder
-and goes on as it does with URLs; what it made is sent back and written here. URLs are read and written by
-the worker itself.
+and goes on as it does with URLs; the files that it made are sent back and written here. URLs are read and
+written by the worker itself.
 """
 
 from __future__ import annotations
@@ -13,25 +13,26 @@ import posixpath
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Generic
 
 from skinbake.containment import Bounds, RefusedError, Within, below, spot_of
-from skinbake.errors import ChoiceError, InputError, OutputError, Place, SkinbakeError
+from skinbake.errors import ChoiceError, InputError, OutputError, Place, noticed
 from skinbake.gltf.document import STDIO, Document, read_named
 from skinbake.gltf.output import plan_output
 from skinbake.gltf.resources import FileContent, find, read_open_file
 from skinbake.gltf.writing import TakenError
-from skinbake.jobs.remote.dask_task import Ready
-from skinbake.jobs.remote.staging import End, carrying, needed, resources_of
+from skinbake.jobs.boundary import survived
+from skinbake.jobs.remote.staging import End, Staging, needed, resources_of
+from skinbake.jobs.work import Job, ResultT, Work, Writing
 from skinbake.urls import is_url
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Parcel:
+class SentFiles:
     """Files of one machine's disk, for another: a storage.
 
     Names are relative to ``base``, a folder. ``paths`` has the names of what the user calls otherwise,
-    ``made`` what was put on the other machine, in that order.
+    ``made`` the files that were stored on the other machine, in that order.
     """
 
     base: str
@@ -43,137 +44,167 @@ class Parcel:
         """Return the name of what a path means on the machine that sent this."""
         return self.paths[path]
 
-    def fetch(self, name: str, to: Path) -> None:
+    def fetch_file(self, name: str, to: Path) -> None:
         """Copy a file here; FileNotFoundError where there is none."""
         if name not in self.files:
             raise FileNotFoundError(name)
         to.write_bytes(self.files[name])
 
-    def has(self, name: str) -> bool:
+    def has_file(self, name: str) -> bool:
         """Tell whether there is such a file in here."""
         return name in self.files
 
-    def holds(self, name: str, content: Path) -> bool:
+    def has_content(self, name: str, content: Path) -> bool:
         """Tell whether an existing file has the content of the file at ``content``."""
         return self.files[name] == content.read_bytes()
 
-    def put(self, name: str, content: Path) -> None:
+    def store_file(self, name: str, content: Path) -> None:
         """Note what is to be written where this came from."""
         self.made[name] = content.read_bytes()
 
-    def shown(self, name: str) -> str:
+    def public_name(self, name: str) -> str:
         """Return the path on the machine that sent this."""
         return str(Path(self.base, name)) if name else self.base.rstrip(os.sep) + os.sep
 
 
 @dataclass(frozen=True, slots=True)
-class Shipment:
+class JobWithFiles:
     """A job with the files that it needs; None where all of them have URLs."""
 
-    job: Any
-    parcel: Parcel | None
+    job: Job
+    files: SentFiles | None
 
     @property
     def size(self) -> int:
         """The bytes of the files."""
-        return 0 if self.parcel is None else sum(map(len, self.parcel.files.values()))
+        return 0 if self.files is None else sum(map(len, self.files.files.values()))
 
 
 @dataclass(frozen=True, slots=True)
-class Returned:
+class ResultWithFiles(Generic[ResultT]):
     """A job's result, and the files that were made of it, by names relative to ``base``."""
 
-    result: Any
+    result: ResultT
     base: str
     made: dict[str, bytes]
 
 
 @dataclass(frozen=True, slots=True)
-class Shipped:
-    """A work for other machines; its jobs have a ``source``, and a ``target`` where they write.
+class DoneHere(Generic[ResultT]):
+    """The result of a job that need not be sent."""
 
-    The work must find its files by ``bake_anywhere`` or ``verify_anywhere``; its results have an ``error``.
+    result: ResultT
+    size: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class WorkWithFiles(Generic[ResultT]):
+    """A work for other machines; its jobs may have plain paths, and ``writing`` says how targets are written.
+
+    The work must find its files by its job's ``elsewhere``.
     """
 
-    work: Any
+    work: Work[Job, ResultT]
+    writing: Writing
 
-    def pack(self, job: Any) -> Shipment | Ready:
+    def with_files(self, job: Job) -> JobWithFiles | DoneHere[ResultT]:
         """Return the job with its files, or the failure to read them."""
-        if getattr(job, "missing", None) is not None:
-            return Ready(self.work(job))
-        try:
-            return Shipment(job, _parcel(job.source, getattr(job, "target", None), job.within))
-        except SkinbakeError as error:
-            return Ready(replace(self.work.lost(job, ""), error=error))
-        except MemoryError:
-            failure = InputError("it needs more memory than there is", Place(job.source))
-            return Ready(replace(self.work.lost(job, ""), error=failure))
+        if job.missing is not None:
+            return DoneHere(self.work(job))
 
-    def __call__(self, shipment: Shipment) -> Returned:
-        """Do the work with the files that came along, and return what it made of them."""
-        parcel = shipment.parcel
-        if parcel is None:
-            return Returned(self.work(shipment.job), "", {})
-        with carrying(parcel):
-            return Returned(self.work(shipment.job), parcel.base, parcel.made)
+        def gathered() -> JobWithFiles | DoneHere[ResultT]:
+            return JobWithFiles(job, _sent_files(job.source, job.target, job.within))
 
-    def unpack(self, job: Any, returned: Returned) -> Any:
+        return survived(gathered, lambda error: DoneHere(self.work.failed(job, error)), job.source)
+
+    def result_there(self, sent: JobWithFiles, workspace: str | None) -> ResultWithFiles[ResultT]:
+        """Do the work on the machine that a job was sent to, and return the files that it made with it.
+
+        Private folders are made in the workspace.
+        """
+        files = sent.files
+        result = self.work(replace(sent.job, elsewhere=Staging(files, workspace)))
+        if files is None:
+            return ResultWithFiles(result, "", {})
+        return ResultWithFiles(result, files.base, files.made)
+
+    def result_here(self, job: Job, returned: ResultWithFiles[ResultT]) -> ResultT:
         """Write the files that were made, and return the job's result."""
         result = returned.result
-        target = getattr(job, "target", None)
-        if target is None or is_url(target) or result.error is not None:
+        if job.target is None or is_url(job.target) or result.error is not None:
             return result
-        try:
-            return self._written(job, returned)
-        except SkinbakeError as error:
-            return replace(self.work.lost(job, ""), notices=result.notices, error=error)
+        target = job.target
+        return survived(
+            lambda: self._written(job, target, returned),
+            lambda error: self.work.failed(job, error),
+            job.source,
+        )
 
-    def lost(self, job: Any, reason: str) -> Any:
+    def lost(self, job: Job, reason: str) -> ResultT:
         """Return the result of a job that nobody lived to report on."""
         return self.work.lost(job, reason)
 
-    def _written(self, job: Any, returned: Returned) -> Any:
-        options = self.work.options
-        if not (returned.made or options.dry_run):
-            return returned.result
-        path = Path(os.path.realpath(job.target))
+    def _written(self, job: Job, target: str, returned: ResultWithFiles[ResultT]) -> ResultT:
+        """Write the files that were made; work here after all where other files have their names."""
+        result, writing = returned.result, self.writing
+        if not (returned.made or writing.dry_run):
+            return result
+        path = Path(os.path.realpath(target))
         nothing = Document(job.source, path.parent, {}, is_glb=True, raw=b"")
-        planned = plan_output(nothing, job.target, make_folder=options.make_folder, root=job.within.output)
-        if options.dry_run:
-            return returned.result
-        *beside, (_, content) = returned.made.items()
-        files: dict[Path, Sequence[bytes]] = {}
-        for name, data in beside:
-            other = Path(os.path.normpath(Path(returned.base, name)))
-            if below(os.fspath(other), os.fspath(planned.root)) is None:
-                raise OutputError(f"a worker returned a file outside its folder: {name}", Place(job.target))
-            if not os.path.lexists(other):
-                files[other] = [data]
-            elif not _holds(other, planned.root, data):
-                # Somebody else's file has the name: bake here, where the names that are taken can be seen.
-                return self.work(job)
-        try:
-            replace(planned, files={**files, path: [content]}, again=None).write(sync=options.sync)
-        except TakenError:  # by now
-            return self.work(job)
-        return returned.result
+        with noticed(result.notices):
+            planned = plan_output(nothing, target, make_folder=writing.make_folder, root=job.within.output)
+            if writing.dry_run:
+                return result
+            files = _files_to_write(returned, target, planned.root)
+            try:
+                if files is not None:
+                    replace(planned, files={**files, path: [_last(returned.made)]}, again=None).write(
+                        sync=writing.sync
+                    )
+                    return result
+            except TakenError:  # by now
+                pass
+        # Somebody else's file has the name: here the names that are taken can be seen.
+        return self.work(job)
 
 
-def _holds(path: Path, root: Path, data: bytes) -> bool:
+def _last(made: dict[str, bytes]) -> bytes:
+    """Return the content of the file that was made last, the target."""
+    return next(reversed(made.values()))
+
+
+def _files_to_write(
+    returned: ResultWithFiles[ResultT], target: str, root: Path
+) -> dict[Path, Sequence[bytes]] | None:
+    """Return the files beside the target that are not there yet; None where another file has a name."""
+    files: dict[Path, Sequence[bytes]] = {}
+    *beside, _ = returned.made.items()
+    for name, data in beside:
+        path = Path(os.path.normpath(Path(returned.base, name)))
+        if below(os.fspath(path), os.fspath(root)) is None:
+            raise OutputError(f"a worker returned a file outside its folder: {name}", Place(target))
+        if not os.path.lexists(path):
+            files[path] = [data]
+        elif not _has_content(path, root, data):
+            return None
+    return files
+
+
+def _has_content(path: Path, root: Path, data: bytes) -> bool:
     try:
         return b"".join(FileContent(spot_of(os.fspath(path), os.fspath(root)))) == data
     except OSError as error:
         raise OutputError(f"cannot be read: {error.strerror}", Place(str(path))) from error
 
 
-def _parcel(source: str, target: str | None, within: Within) -> Parcel | None:
+def _sent_files(source: str, target: str | None, within: Within) -> SentFiles | None:
     """Return the files that a bake of the source to the target needs, as far as they have plain paths.
 
     Raises InputError where they cannot be read, ChoiceError for standard input and output.
     """
     if STDIO in {source, target}:
         raise ChoiceError("standard input and output cannot be sent to a cluster", Place(source))
-    disk = Parcel("", {}, {})
+    disk = SentFiles("", {}, {})
     roots = [root for root in (within.bounds.root, *within.bounds.allowed, within.output) if root is not None]
     tops = {root: Path(os.path.realpath(root)).as_posix() for root in roots if not is_url(root)}
     start = _end(source, _absolute(source), disk, tops.get(within.bounds.root or ""))
@@ -197,14 +228,14 @@ def _parcel(source: str, target: str | None, within: Within) -> Parcel | None:
     def name(path: str) -> str:
         return Path(os.path.relpath(path, base)).as_posix()
 
-    return Parcel(
+    return SentFiles(
         base,
         {given: name(path) for given, path in paths.items()},
         {name(path): data for path, data in files.items()},
     )
 
 
-def _end(given: str, path: str, disk: Parcel, top: str | None) -> End:
+def _end(given: str, path: str, disk: SentFiles, top: str | None) -> End:
     own = posixpath.dirname(path) if top is None else top
     return End(given, None if is_url(given) else disk, path, (own,))
 

@@ -1,0 +1,32 @@
+"""The options that ``bake`` and ``verify`` share, as click gives them."""
+
+from __future__ import annotations
+
+from typing import NotRequired, TypedDict
+
+
+class Given(TypedDict):
+    """What both commands are given; each has options of its own besides.
+
+    ``output``, ``out_dir`` and ``dry_run`` are those of commands that write.
+    """
+
+    as_json: bool
+    timings: bool
+    summary: str | None
+    state: str | None
+    skip_unchanged: bool
+    jobs: int
+    no_sync: bool
+    isolate: bool
+    timeout: float | None
+    max_memory: int | None
+    dask: str | None
+    allow_outside: tuple[str, ...]
+    warnings_as_errors: bool
+    color: str
+    quiet: bool
+    verbose: int
+    output: NotRequired[str | None]
+    out_dir: NotRequired[str | None]
+    dry_run: NotRequired[bool]
