@@ -18,7 +18,7 @@ import numpy.typing as npt
 from PIL import Image, ImageDraw, ImageFont
 
 from skinbake.choices import FrameChoice
-from skinbake.commands.bake import BakeOptions, bake_document
+from skinbake.commands.bake import Baker
 from skinbake.gltf.accessors import read_accessor
 from skinbake.gltf.animation import clip_poses, read_clips, read_skeleton
 from skinbake.gltf.document import read_document
@@ -71,7 +71,7 @@ class Bend:
 
 def strongest_bend() -> Bend:
     """Bake the fixture and pose it where standard lighting is worst."""
-    document = bake_document(read_document(str(MODEL)), BakeOptions()).document
+    document = Baker().bake_document(read_document(str(MODEL))).document
     source = skinned_sources(document)[0][0]
     primitive = read_primitive(document, source)
     frame = rest_frame(primitive, FrameChoice.AUTO)

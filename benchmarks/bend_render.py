@@ -22,7 +22,7 @@ from PIL import Image, ImageDraw
 
 from benchmarks.bend_picture import GREY, INK, MODEL, REPOSITORY, SCALE_TOP, STOPS, font, heat, unit
 from skinbake.choices import Language, Lighting
-from skinbake.commands.bake import BakeOptions, bake_document
+from skinbake.commands.bake import Baker
 from skinbake.gltf.animation import clip_poses, read_clips, read_skeleton
 from skinbake.gltf.document import read_document
 from skinbake.gltf.primitives import skinned_sources
@@ -149,7 +149,7 @@ class Bend:
 
 def strongest_bend() -> Bend:
     """Bake the fixture and pose it where standard lighting is worst."""
-    document = bake_document(read_document(str(MODEL)), BakeOptions()).document
+    document = Baker().bake_document(read_document(str(MODEL))).document
     (view,), _ = baked_views(document, skinned_sources(document)[0])
     rest, now = rest_surface(view), view.now
     (clip,) = read_clips(document)

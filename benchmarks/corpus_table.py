@@ -20,7 +20,7 @@ from tempfile import TemporaryDirectory
 
 from skinbake import __version__
 from skinbake.choices import Baseline
-from skinbake.commands.bake import BakeOptions, bake_file
+from skinbake.commands.bake import Baker
 from skinbake.errors import SkinbakeError
 from skinbake.jobs.file_work import FileWork
 from skinbake.jobs.verify import Verify
@@ -110,7 +110,7 @@ def measure(paths: list[Path], samples: int | None) -> tuple[list[Model], list[t
         with TemporaryDirectory() as folder:
             target = str(Path(folder) / path.name)
             try:
-                result = bake_file(str(path), target, BakeOptions(generate_normals=True))
+                result = Baker(generate_normals=True).bake_file(str(path), target)
             except SkinbakeError as error:
                 left_out.append((names[path], error.message))
                 continue

@@ -19,10 +19,9 @@ from tempfile import TemporaryDirectory
 from benchmarks.corpus_table import REPOSITORY, SUFFIXES, corpus_folders, told_apart
 from skinbake import __version__
 from skinbake.choices import Encoding
-from skinbake.commands.bake import BakeOptions, bake_file
+from skinbake.commands.bake import Baker
 from skinbake.commands.verify import verify_file
 from skinbake.errors import SkinbakeError
-from skinbake.format.layouts import Storage
 from skinbake.lighting.measured import VerifyOptions
 from skinbake.report.bake import FileResult
 from skinbake.report.notices import counted
@@ -107,9 +106,9 @@ def measured(path: Path, *, verified: bool) -> Row:
     with TemporaryDirectory() as folder:
         target = str(Path(folder) / path.name)
         for encoding in Encoding:
-            options = BakeOptions(generate_normals=True, storage=Storage(encoding))
+            baker = Baker(generate_normals=True, encoding=encoding)
             try:
-                result = bake_file(str(path), target, options)
+                result = baker.bake_file(str(path), target)
             except SkinbakeError:
                 return {}
             if result.status != "baked":

@@ -17,14 +17,14 @@ from typing import Any
 
 import numpy as np
 
-from skinbake.commands.bake import BakeOptions, bake_file
+from skinbake.commands.bake import Baker
 from skinbake.commands.verify import verify_file
 from skinbake.geometry.frames import frame_from_normal, unit_vectors
 from skinbake.geometry.skinned import Float64Array
 from skinbake.gltf.accessors import read_accessor
 from skinbake.gltf.additions import Additions
 from skinbake.gltf.document import read_document
-from skinbake.gltf.output import plan_output
+from skinbake.gltf.output import Writing, plan_output
 from skinbake.gltf.primitives import read_primitive, skinned_sources
 from skinbake.lighting.measured import VerifyOptions
 from skinbake.report.verify import FileVerdict
@@ -262,7 +262,7 @@ def character_table() -> Iterator[str]:
     for path in found:
         with TemporaryDirectory() as folder:
             target = Path(folder) / "baked" / f"{path.stem}.glb"
-            bake_file(str(path), str(target), BakeOptions(generate_normals=True, make_folder=True))
+            Baker(generate_normals=True).bake_file(str(path), str(target), Writing(make_folder=True))
             yield f"| {path.name} | as it is | {verdict_row(target)} |"
             for name, warp in (("wave", wave), ("bend", bend)):
                 moved = Path(folder) / f"{name}.glb"

@@ -14,12 +14,12 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from types import FrameType
+from typing import Any
 
 import pytest
 
 from fixtures.builder import JsonObject
 from fixtures.make_fixtures import FOLDER
-from skinbake.commands.bake import BakeOptions, bake_file
 from skinbake.commands.inspect import inspect_file
 from skinbake.commands.strip import strip_file
 from skinbake.commands.verify import verify_file
@@ -27,6 +27,7 @@ from skinbake.errors import InputError, SkinbakeError
 from skinbake.lighting.measured import VerifyOptions
 from skinbake.report.bake import FileResult
 from tests.support import corpus, khronos
+from tests.support.baking import bake_file
 from tests.support.decoders import read_plain_many
 from tests.support.gltf_reading import DRACO, MESHOPT, GltfFile, read
 from tests.support.models import FIXTURES, KEY, assert_buffers_kept, note, primitives, without_additions
@@ -72,34 +73,34 @@ def time_limit() -> Iterator[None]:
         signal.signal(signal.SIGALRM, before)
 
 
-def attempted(source: Path, target: Path, options: BakeOptions) -> FileResult:
+def attempted(source: Path, target: Path, **options: Any) -> FileResult:
     """Bake a file, and return a failure that is said in words as a result too."""
     try:
-        return bake_file(str(source), str(target), options)
+        return bake_file(source, target, **options)
     except SkinbakeError as error:
         return FileResult(str(source), str(target), "failed", notices=error.notices, error=error)
 
 
-def bake_all(folder: Path, options: BakeOptions) -> list[Run]:
+def bake_all(folder: Path, **options: Any) -> list[Run]:
     runs = []
     for number, source in enumerate(corpus.valid_models()):
         target = folder / str(number) / source.name
         target.parent.mkdir()
         with time_limit():
-            runs.append(Run(source, target, attempted(source, target, options)))
+            runs.append(Run(source, target, attempted(source, target, **options)))
     return runs
 
 
 @pytest.fixture(scope="session")
 def runs(tmp_path_factory: pytest.TempPathFactory) -> list[Run]:
     """Every model baked once, each into an empty folder of its own."""
-    return bake_all(tmp_path_factory.mktemp("baked"), BakeOptions())
+    return bake_all(tmp_path_factory.mktemp("baked"))
 
 
 @pytest.fixture(scope="session")
 def with_normals(tmp_path_factory: pytest.TempPathFactory) -> list[Run]:
     """The same with --generate-normals."""
-    return bake_all(tmp_path_factory.mktemp("normals"), BakeOptions(generate_normals=True))
+    return bake_all(tmp_path_factory.mktemp("normals"), generate_normals=True)
 
 
 def baked(runs: list[Run]) -> list[Run]:
@@ -173,7 +174,7 @@ class TestRealModels:
         for number, run in enumerate(baked(runs)):
             folder = tmp_path / str(number)
             folder.mkdir()
-            bake_file(str(run.target), str(folder / run.target.name), BakeOptions())
+            bake_file(str(run.target), str(folder / run.target.name))
             assert written(folder) == written(run.target.parent), run.source
 
     def test_strip_gives_the_original_back(self, runs: list[Run], tmp_path: Path) -> None:
@@ -204,7 +205,7 @@ class TestRealModels:
             suffix = ".gltf" if run.source.suffix == ".glb" else ".glb"
             target = tmp_path / str(number) / f"model{suffix}"
             target.parent.mkdir()
-            assert bake_file(str(run.source), str(target), BakeOptions()).status != "failed"
+            assert bake_file(str(run.source), str(target)).status != "failed"
             assert_buffers_kept(read(run.source), read(target))
             models = read_plain_many([run.target, target]).values()
             for mesh, part, primitive in primitives(read(run.target).content):
@@ -232,7 +233,7 @@ def test_the_khronos_validator_finds_nothing_new(
         if any(count.generated_normals for _, count in run.result.primitives)
     ]
     for name in FIXTURES:
-        bake_file(str(FOLDER / name), str(tmp_path / name), BakeOptions())
+        bake_file(str(FOLDER / name), str(tmp_path / name))
         pairs.append((FOLDER / name, tmp_path / name))
     reports = khronos.validate_many([path for pair in pairs for path in pair])
     new = {str(target): khronos.new_findings(reports[source], reports[target]) for source, target in pairs}
@@ -243,7 +244,7 @@ def test_the_khronos_validator_finds_nothing_new(
 def test_the_khronos_validator_would_find_a_wrong_addition(tmp_path: Path) -> None:
     khronos.require_node()
     target = tmp_path / "seam.glb"
-    bake_file(str(FOLDER / "seam.glb"), str(target), BakeOptions())
+    bake_file(str(FOLDER / "seam.glb"), str(target))
     data = target.read_bytes()
     target.write_bytes(
         data.replace(
@@ -265,9 +266,7 @@ class TestBrokenFiles:
             folder = tmp_path / str(number)
             folder.mkdir()
             with time_limit():
-                result = attempted(
-                    source, folder / source.name, BakeOptions(generate_normals=generate_normals)
-                )
+                result = attempted(source, folder / source.name, generate_normals=generate_normals)
             statuses[result.status] += 1
             if result.status == "failed":
                 assert result.error is not None
@@ -282,7 +281,7 @@ class TestBrokenFiles:
         for source, _ in corpus.invalid_models():
             target = tmp_path / source.name
             target.write_bytes(b"old")
-            if attempted(source, target, BakeOptions()).status == "failed":
+            if attempted(source, target).status == "failed":
                 assert target.read_bytes() == b"old"
 
     def test_none_crashes_the_other_commands(self, tmp_path: Path) -> None:
@@ -300,7 +299,7 @@ class TestBrokenFiles:
         for length in (0, 3, 11, 12, 19, 20, 1000, len(data) // 2, len(data) - 4, len(data) - 1):
             (tmp_path / "cut.glb").write_bytes(data[:length])
             with pytest.raises(InputError):
-                bake_file(str(tmp_path / "cut.glb"), str(tmp_path / "out.glb"), BakeOptions())
+                bake_file(str(tmp_path / "cut.glb"), str(tmp_path / "out.glb"))
         assert [path.name for path in tmp_path.iterdir()] == ["cut.glb"]
 
 

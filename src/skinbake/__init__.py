@@ -3,24 +3,64 @@
 After Tarini, Panozzo, Sorkine-Hornung, *Accurate and Efficient Lighting for Skinned Models*,
 Computer Graphics Forum 33(2), 2014, doi:10.1111/cgf.12330.
 
-``joint_dual_quaternions`` prepares joint matrices on the host for the shaders of ``--method dqs``.
+``bake``, ``verify``, ``inspect`` and ``strip`` do for files what the commands of these names do.
+``weight_gradients`` computes α and β of arrays. ``joint_dual_quaternions`` prepares joint matrices on the
+host for the shaders of ``--method dqs``. docs/python.md shows how they are used.
 """
 
 from __future__ import annotations
 
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from skinbake.version import __version__
+
 if TYPE_CHECKING:
+    from skinbake.api import BakeOptions, WeightGradients, bake, inspect, strip, verify, weight_gradients
+    from skinbake.errors import (
+        ChoiceError,
+        InputError,
+        OutputError,
+        SkinbakeError,
+        UnsupportedFeatureError,
+    )
     from skinbake.geometry.host import joint_dual_quaternions
 
-__version__ = "0.1.0"
-__all__ = ["__version__", "joint_dual_quaternions"]
+__all__ = [
+    "BakeOptions",
+    "ChoiceError",
+    "InputError",
+    "OutputError",
+    "SkinbakeError",
+    "UnsupportedFeatureError",
+    "WeightGradients",
+    "__version__",
+    "bake",
+    "inspect",
+    "joint_dual_quaternions",
+    "strip",
+    "verify",
+    "weight_gradients",
+]
+
+_ERRORS = "skinbake.errors"
+_HOMES = {
+    "ChoiceError": _ERRORS,
+    "InputError": _ERRORS,
+    "OutputError": _ERRORS,
+    "SkinbakeError": _ERRORS,
+    "UnsupportedFeatureError": _ERRORS,
+    "joint_dual_quaternions": "skinbake.geometry.host",
+}
 
 
 def __getattr__(name: str) -> Any:
     """Import a function when it is asked for: numpy would double the time of the command line's --help."""
-    if name == "joint_dual_quaternions":
-        from skinbake.geometry.host import joint_dual_quaternions  # noqa: PLC0415
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(_HOMES.get(name, "skinbake.api")), name)
 
-        return joint_dual_quaternions
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+def __dir__() -> list[str]:
+    """Return the public names."""
+    return list(__all__)

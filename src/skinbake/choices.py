@@ -6,6 +6,24 @@ The members are strings, spelt as a user types them and as the metadata of a bak
 from __future__ import annotations
 
 from enum import StrEnum
+from typing import TypeVar
+
+from skinbake.errors import ChoiceError
+
+MemberT = TypeVar("MemberT", bound=StrEnum)
+
+
+def member_of(kind: type[MemberT], value: str, name: str) -> MemberT:
+    """Return a member by its value; ``name`` is the option's. Raises ChoiceError where there is none."""
+    try:
+        return kind(value)
+    except ValueError as error:
+        raise ChoiceError(f"{option_of(name)} {value}: expected one of {', '.join(kind)}") from error
+
+
+def option_of(name: str) -> str:
+    """Return how the command line spells an option of the Python API."""
+    return "--" + name.replace("_", "-")
 
 
 class Weighting(StrEnum):

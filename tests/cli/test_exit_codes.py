@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from skinbake.cli import exit_codes
+from skinbake.commands.bake import Baker
 from skinbake.errors import (
     InputError,
     OutputError,
@@ -77,27 +78,23 @@ class TestBake:
     def test_an_input_that_breaks_skinbake_does_not_stop_the_others(
         self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        from skinbake.commands import bake
+        original = Baker.bake_document
 
-        original = bake.bake_document
-
-        def breaking(document: object, *others: object) -> object:
+        def breaking(baker: Baker, document: object) -> object:
             if "two_sets" in document.name:  # type: ignore[attr-defined]
                 raise RuntimeError("a defect of skinbake")
-            return original(document, *others)  # type: ignore[arg-type]
+            return original(baker, document)  # type: ignore[arg-type]
 
-        monkeypatch.setattr(bake, "bake_document", breaking)
+        monkeypatch.setattr(Baker, "bake_document", breaking)
         result = invoke("bake", FOLDER / "two_sets.glb", SEAM, "--out-dir", tmp_path)
         assert result.exit_code == 3
         assert names(tmp_path) == ["seam.glb"]
 
     def test_too_little_memory_is_3(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-        from skinbake.commands import bake
-
         def exhausted(*arguments: object) -> object:
             raise MemoryError
 
-        monkeypatch.setattr(bake, "bake_document", exhausted)
+        monkeypatch.setattr(Baker, "bake_document", exhausted)
         result = invoke("bake", SEAM, "-o", tmp_path / "out.glb")
         assert result.exit_code == 3
         assert "it needs more memory than there is" in result.stderr
@@ -204,8 +201,8 @@ class TestUsage:
             (["{seam}", "-o", "{dir}/a.glb", "--crease-angle", "-1"], "-1.0 is not in the range"),
             (["{seam}", "-o", "{dir}/a.glb", "--crease-angle", "181"], "181.0 is not in the range"),
             (["{seam}", "-o", "{dir}/a.glb", "--crease-angle", "nan"], "--crease-angle"),
-            (["{seam}", "-o", "{dir}/a.glb", "--alpha-name", "ALPHA_{set}"], "begin with an underscore"),
-            (["{seam}", "-o", "{dir}/a.glb", "--beta-name", "_BETA"], "contain {set}"),
+            (["{seam}", "-o", "{dir}/a.glb", "--alpha-name", "ALPHA_{set}"], "begins with an underscore"),
+            (["{seam}", "-o", "{dir}/a.glb", "--beta-name", "_BETA"], "contains {set}"),
             (
                 ["{seam}", "-o", "{dir}/a.glb", "--alpha-name", "_X{set}", "--beta-name", "_X{set}"],
                 "must differ",

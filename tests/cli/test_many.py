@@ -18,16 +18,16 @@ import jsonschema
 import pytest
 
 from benchmarks.skinned_grid import grid_of, write_grid
-from skinbake.commands.bake import BakeOptions, bake_file
+from skinbake.commands.bake import Baker
 from skinbake.errors import InputError, OutputError, Place, SkinbakeError
 from skinbake.jobs import processes
-from skinbake.jobs.bake import Bake
 from skinbake.jobs.file_work import FileWork
 from skinbake.jobs.verify import Verify
 from skinbake.jobs.work import Job
 from skinbake.lighting.measured import VerifyOptions
 from skinbake.lighting.poses import PoseRequest
 from skinbake.timing import stage
+from tests.support.baking import bake_work
 from tests.support.command_line import LINUX, document, invoke, run
 from tests.support.models import FIXTURES, FOLDER, SHARED_BIN, sheet, write_model
 from tests.support.schemas import BAKE, PROCESS_TIMINGS, TIMINGS, VERIFY, checked
@@ -127,7 +127,7 @@ def test_errors_survive_the_way_between_processes(error: SkinbakeError) -> None:
 
 
 def test_results_and_verdicts_survive_it(mixed: Path, tmp_path: Path) -> None:
-    bake = FileWork(Bake(BakeOptions(make_folder=True)), is_timed=True)
+    bake = FileWork(bake_work(make_folder=True), is_timed=True)
     verify = FileWork(Verify(VerifyOptions(poses=PoseRequest("random", 1))), is_timed=True)
     for path in sorted(mixed.glob("*.gl*")):
         result = bake(Job(str(path), str(tmp_path / "out" / path.name)))
@@ -259,13 +259,13 @@ class TestSummary:
 
     def test_it_is_there_as_it_goes(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         summary, seen = tmp_path / "s.jsonl", []
-        original = bake_file
+        original = Baker.bake_file
 
         def looking(*arguments: Any) -> Any:
             seen.append(summary.read_text(encoding="utf-8").count("\n"))
             return original(*arguments)
 
-        monkeypatch.setattr("skinbake.jobs.bake.bake_file", looking)
+        monkeypatch.setattr(Baker, "bake_file", looking)
         models = [FOLDER / name for name in FIXTURES[:4]]
         invoke("bake", *models, "--dry-run", "--summary", summary)
         assert seen == [0, 1, 2, 3]
@@ -318,14 +318,14 @@ class TestTimings:
     def test_stages_are_those_that_were_recorded(
         self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        original = bake_file
+        original = Baker.bake_file
 
         def staged(*arguments: Any) -> Any:
             with stage("sleeping"):
                 time.sleep(0.03)
             return original(*arguments)
 
-        monkeypatch.setattr("skinbake.jobs.bake.bake_file", staged)
+        monkeypatch.setattr(Baker, "bake_file", staged)
         models = [FOLDER / "seam.glb", FOLDER / "two_sets.glb"]
         result = invoke("bake", *models, "--out-dir", tmp_path, "--timings", "--json")
         for file in document(result)["files"]:

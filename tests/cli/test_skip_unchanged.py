@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 import skinbake
-from skinbake.commands.bake import bake_file
+from skinbake.commands.bake import Baker
 from skinbake.errors import InputError
 from skinbake.jobs import state
 from skinbake.jobs.state import HEADER, State
@@ -180,7 +180,7 @@ def test_other_options_are_another_bake(options: list[str], baking: Baking) -> N
 
 def test_another_version_is_another_bake(baking: Baking, monkeypatch: pytest.MonkeyPatch) -> None:
     baking()
-    monkeypatch.setattr(skinbake, "__version__", "0.1.1")
+    monkeypatch.setattr(state, "__version__", "0.1.1")
     assert baking() == FIRST
 
 
@@ -195,7 +195,7 @@ def test_the_code_is_all_that_is_installed(tmp_path: Path, monkeypatch: pytest.M
     copy = tmp_path / "skinbake"
     shutil.copytree(Path(skinbake.__file__).parent, copy, ignore=shutil.ignore_patterns("__pycache__"))
     before = state._code()
-    monkeypatch.setattr(skinbake, "__file__", str(copy / "__init__.py"))
+    monkeypatch.setattr(state, "__file__", str(copy / "jobs" / "state.py"))
     assert state._code() == before
     for changed in ("gradients/weight_gradients.py", "shaders/templates"):
         path = copy / changed
@@ -249,18 +249,21 @@ class TestInPlace:
         assert baking_in_place() == FIRST
 
 
+bake_file = Baker.bake_file
+
+
 class TestWhileItRuns:
     """What others do meanwhile; ``bake_file`` is followed by it."""
 
     @pytest.fixture
     def then(self, monkeypatch: pytest.MonkeyPatch) -> Callable[[Callable[[str, str], object]], None]:
         def follow(what: Callable[[str, str], object]) -> None:
-            def both(source: str, target: str, *rest: Any) -> Any:
-                result = bake_file(source, target, *rest)
+            def both(baker: Baker, source: str, target: str, *rest: Any) -> Any:
+                result = bake_file(baker, source, target, *rest)
                 what(source, target)
                 return result
 
-            monkeypatch.setattr("skinbake.jobs.bake.bake_file", both)
+            monkeypatch.setattr(Baker, "bake_file", both)
 
         return follow
 
@@ -313,12 +316,12 @@ class TestWhileItRuns:
         assert "up-to-date" not in baking().values()
 
     def test_an_interrupt_keeps_what_was_done(self, baking: Baking, monkeypatch: pytest.MonkeyPatch) -> None:
-        def interrupted(source: str, target: str, *rest: Any) -> Any:
+        def interrupted(baker: Baker, source: str, target: str, *rest: Any) -> Any:
             if "seam" in source:
                 raise KeyboardInterrupt
-            return bake_file(source, target, *rest)
+            return bake_file(baker, source, target, *rest)
 
-        monkeypatch.setattr("skinbake.jobs.bake.bake_file", interrupted)
+        monkeypatch.setattr(Baker, "bake_file", interrupted)
         result = run_interrupted(baking)
         assert "interrupted after 2 of 4 files: 1 baked, 1 unchanged" in result
         monkeypatch.undo()

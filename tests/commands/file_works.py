@@ -6,20 +6,21 @@ import os
 import signal
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
-from skinbake.commands.bake import BakeOptions
 from skinbake.errors import SkinbakeError
-from skinbake.jobs import bake, verify
+from skinbake.jobs import verify
 from skinbake.jobs.file_work import FileWork
 from skinbake.jobs.work import Job
 from skinbake.lighting.measured import VerifyOptions
 from skinbake.report.bake import FileResult
 from skinbake.report.verify import FileVerdict
+from tests.support.baking import bake_work
 
 
-def baking(options: BakeOptions | None = None) -> FileWork[FileResult]:
+def baking(**options: Any) -> FileWork[FileResult]:
     """Return the work that bakes."""
-    return FileWork(bake.Bake(options or BakeOptions(make_folder=True)))
+    return FileWork(bake_work(**(options or {"make_folder": True})))
 
 
 def verifying(options: VerifyOptions | None = None) -> FileWork[FileVerdict]:

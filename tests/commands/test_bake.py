@@ -11,9 +11,9 @@ import pytest
 from fixtures.make_fixtures import FOLDER
 from skinbake.choices import Encoding
 from skinbake.commands import bake
-from skinbake.commands.bake import BakeOptions, bake_file
 from skinbake.format.layouts import Storage
 from skinbake.gradients import baker
+from tests.support.baking import bake_file
 
 PACKED8 = Storage(Encoding.PACKED8)
 
@@ -21,15 +21,15 @@ PACKED8 = Storage(Encoding.PACKED8)
 @pytest.mark.parametrize(
     ("options", "bakes"),
     [
-        (BakeOptions(), 1),
-        (BakeOptions(storage=PACKED8), 1),
-        (BakeOptions(limit_influences=4), 2),
-        (BakeOptions(limit_influences=4, storage=PACKED8), 2),
-        (BakeOptions(limit_influences=8), 1),  # the file has no more
+        ({}, 1),
+        ({"storage": PACKED8}, 1),
+        ({"limit_influences": 4}, 2),
+        ({"limit_influences": 4, "storage": PACKED8}, 2),
+        ({"limit_influences": 8}, 1),  # the file has no more
     ],
 )
 def test_a_surface_is_baked_once_and_once_more_for_the_cost_of_a_limit(
-    options: BakeOptions, bakes: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    options: dict[str, Any], bakes: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     calls: list[int] = []
     original = baker.bake_mesh
@@ -39,6 +39,6 @@ def test_a_surface_is_baked_once_and_once_more_for_the_cost_of_a_limit(
         return original(primitives, settings)
 
     monkeypatch.setattr(bake, "bake_mesh", counted)
-    result = bake_file(str(FOLDER / "two_sets.glb"), str(tmp_path / "out.glb"), options)
+    result = bake_file(str(FOLDER / "two_sets.glb"), str(tmp_path / "out.glb"), **options)
     assert result.status == "baked"
     assert len(calls) == bakes

@@ -18,10 +18,11 @@ import pytest
 import skinbake
 from skinbake.cli import exit_codes
 from skinbake.errors import InputError
+from skinbake.gltf.output import Writing
 from skinbake.gradients import kernel
 from skinbake.jobs.remote import dask_runner
 from skinbake.jobs.remote.dask_runner import DaskRunner
-from skinbake.jobs.work import Job, Writing
+from skinbake.jobs.work import Job
 from skinbake.report.bake import FileResult
 from tests.commands.clusters import PATIENCE, cluster, observer, require_dask, wait_for_workers
 from tests.commands.file_works import BakeOrDie, Raise, baking, verifying

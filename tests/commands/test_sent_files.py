@@ -8,12 +8,12 @@ from typing import Any
 
 import pytest
 
-from skinbake.commands.bake import BakeOptions
 from skinbake.commands.verify import verify_file
 from skinbake.containment import Bounds, Within
 from skinbake.errors import ChoiceError, InputError, OutputError
+from skinbake.gltf.output import Writing
 from skinbake.jobs.remote.sent_files import DoneHere, WorkWithFiles
-from skinbake.jobs.work import Job, Writing
+from skinbake.jobs.work import Job
 from skinbake.lighting.measured import VerifyOptions
 from tests.commands.file_works import baking, verifying
 from tests.support.libraries import stored, tree, upload, write_library
@@ -21,12 +21,7 @@ from tests.support.libraries import stored, tree, upload, write_library
 
 def elsewhere(work: Any, job: Job, hidden: Path | None = None) -> Any:
     """Do a job as another machine would: all by pickles, and with a folder out of sight meanwhile."""
-    options = work.command.options
-    writing = (
-        Writing(options.make_folder, options.sync, options.dry_run)
-        if isinstance(options, BakeOptions)
-        else Writing()
-    )
+    writing = getattr(work.command, "writing", Writing())
     sending = WorkWithFiles(work, writing)
     packed = sending.with_files(job)
     if isinstance(packed, DoneHere):
@@ -106,14 +101,14 @@ def test_files_of_others_beside_the_target_are_left_alone(tmp_path: Path) -> Non
 def test_what_fails_is_said_as_on_one_machine(tmp_path: Path) -> None:
     name = write_library(tmp_path / "lib")[-1]
     source, gone = f"{tmp_path}/lib/{name}", f"{tmp_path}/gone/a.gltf"
-    options, within = BakeOptions(), Within(Bounds(f"{tmp_path}/lib"))
+    within = Within(Bounds(f"{tmp_path}/lib"))
     for work, job in (
-        (baking(options), Job(gone, f"{tmp_path}/a.glb")),
-        (baking(options), Job(source, f"{tmp_path}/a.glb")),
-        (baking(options), Job(source, gone, within=within)),
-        (baking(BakeOptions(dry_run=True)), Job(source, gone, within=within)),
-        (baking(options), Job(source, f"{tmp_path}/lib/props/crate #1.bin", within=within)),
-        (baking(BakeOptions(warnings_as_errors=True)), Job(source, f"{tmp_path}/a.gltf", within=within)),
+        (baking(make_folder=False), Job(gone, f"{tmp_path}/a.glb")),
+        (baking(make_folder=False), Job(source, f"{tmp_path}/a.glb")),
+        (baking(make_folder=False), Job(source, gone, within=within)),
+        (baking(dry_run=True), Job(source, gone, within=within)),
+        (baking(make_folder=False), Job(source, f"{tmp_path}/lib/props/crate #1.bin", within=within)),
+        (baking(warnings_as_errors=True), Job(source, f"{tmp_path}/a.gltf", within=within)),
         (verifying(), Job(gone)),
     ):
         before = tree(tmp_path)
@@ -128,7 +123,7 @@ def test_a_dry_run_writes_nothing(tmp_path: Path) -> None:
     name = write_library(tmp_path / "lib")[-1]
     before = tree(tmp_path)
     job = Job(f"{tmp_path}/lib/{name}", f"{tmp_path}/a.gltf", within=Within(Bounds(f"{tmp_path}/lib")))
-    result = elsewhere(baking(BakeOptions(dry_run=True)), job, tmp_path / "lib")
+    result = elsewhere(baking(dry_run=True), job, tmp_path / "lib")
     assert (result.status, result.error) == ("baked", None)
     assert tree(tmp_path) == before
 

@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-import dataclasses
 import re
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from skinbake.choices import Encoding
 from skinbake.cli import exit_codes
-from skinbake.commands.bake import BakeOptions, bake_file
 from skinbake.commands.verify import verify_file
 from skinbake.containment import OWN_FOLDERS, Bounds, Within
 from skinbake.errors import InputError, OutputError
-from skinbake.format.layouts import Storage
-from skinbake.jobs import bake, verify
+from skinbake.jobs import verify
 from skinbake.jobs.file_work import FileWork
 from skinbake.jobs.remote.staging import Staging
 from skinbake.jobs.remote.storages import expand_url
@@ -26,6 +24,7 @@ from skinbake.lighting.measured import Progress, VerifyOptions
 from skinbake.report.bake import FileResult
 from skinbake.report.verify import FileVerdict
 from skinbake.urls import is_url, join_url
+from tests.support.baking import bake_file, bake_work
 from tests.support.libraries import (
     Torn,
     Tree,
@@ -59,13 +58,13 @@ def _storages() -> Iterator[None]:
 def bake_one(
     source: str,
     target: str | None,
-    options: BakeOptions,
     within: Within = OWN_FOLDERS,
     workspace: Path | None = None,
+    **options: Any,
 ) -> FileResult:
     """Bake a file as one of many."""
     there = None if workspace is None else Staging(workspace=str(workspace))
-    return FileWork(bake.Bake(options))(Job(source, target, within=within, elsewhere=there))
+    return FileWork(bake_work(**options))(Job(source, target, within=within, elsewhere=there))
 
 
 def verify_one(source: str, options: VerifyOptions, progress: Progress | None = None) -> FileVerdict:
@@ -73,10 +72,10 @@ def verify_one(source: str, options: VerifyOptions, progress: Progress | None = 
     return FileWork(verify.Verify(options, progress))(Job(source))
 
 
-def bake_all(names: list[str], source: str, target: str, **options: object) -> list[FileResult]:
-    chosen = dataclasses.replace(BakeOptions(make_folder=True), **options)  # type: ignore[arg-type]
+def bake_all(names: list[str], source: str, target: str, **options: Any) -> list[FileResult]:
+    options = {"make_folder": True, **options}
     within = Within(Bounds(source), target)
-    return [bake_one(f"{source}/{name}", f"{target}/{name}", chosen, within) for name in names]
+    return [bake_one(f"{source}/{name}", f"{target}/{name}", within, **options) for name in names]
 
 
 def baked_locally(folder: Path) -> tuple[list[str], Tree, list[FileResult]]:
@@ -130,7 +129,7 @@ def test_a_file_in_another_folder_is_out_of_another_storages_reach(tmp_path: Pat
     upload(tmp_path / "lib", "s3://b/lib")
     for root in (str(tmp_path / "lib"), "s3://b/lib"):
         within = Within(Bounds(root))
-        result = bake_one(f"{root}/props/crate.gltf", "memory://out/crate.gltf", BakeOptions(), within)
+        result = bake_one(f"{root}/props/crate.gltf", "memory://out/crate.gltf", within)
         assert isinstance(result.error, OutputError)
         assert str(result.error).startswith('memory://out/crate.gltf: "../common/motion.bin" is outside')
     assert stored("memory://out") == {}
@@ -142,12 +141,12 @@ def test_in_place_and_into_the_other_container(tmp_path: Path) -> None:
     for name in names:
         path, url = tmp_path / "lib" / name, f"s3://b/lib/{name}"
         here, there = Within(Bounds(str(tmp_path / "lib"))), Within(Bounds("s3://b/lib"))
-        assert bake_file(str(path), str(path), BakeOptions(), here).status == "baked"
-        assert bake_one(url, url, BakeOptions(), there).status == "baked"
+        assert bake_file(str(path), str(path), within=here).status == "baked"
+        assert bake_one(url, url, there).status == "baked"
         suffix = ".glb" if name.endswith(".gltf") else ".gltf"
         other = f"{name.rpartition('.')[0]}-2{suffix}"
-        assert bake_file(str(path), str(tmp_path / "lib" / other), BakeOptions(), here).status == "baked"
-        assert bake_one(url, f"s3://b/lib/{other}", BakeOptions(), there).status == "baked"
+        assert bake_file(str(path), str(tmp_path / "lib" / other), within=here).status == "baked"
+        assert bake_one(url, f"s3://b/lib/{other}", there).status == "baked"
     assert stored("s3://b/lib") == tree(tmp_path / "lib")
 
 
@@ -214,11 +213,12 @@ def test_messages_name_urls_and_no_private_folder(tmp_path: Path) -> None:
     upload(tmp_path / "lib", "s3://b/lib")
     private = tmp_path / "private"
     private.mkdir()
-    options = BakeOptions(storage=Storage(Encoding.PACKED8))
     codes: set[str] = set()
     for source in ("props/crate.gltf", "shared/shared_accessors.gltf", "characters/two_sets.glb"):
         within = Within(Bounds("s3://b/lib"), "s3://b/out")
-        result = bake_one(f"s3://b/lib/{source}", f"s3://b/out/{source}", options, within, private)
+        result = bake_one(
+            f"s3://b/lib/{source}", f"s3://b/out/{source}", within, private, encoding=Encoding.PACKED8
+        )
         assert result.error is None
         assert str(private) not in repr(result)
         assert {notice.place.file for notice in result.notices} <= {f"s3://b/lib/{source}"}
@@ -247,7 +247,7 @@ def test_inputs_that_cannot_be_had(source: str, message: str) -> None:
     with bucket_for_s3() as bucket:
         bucket.objects["b/secret.glb"] = TUBE.read_bytes()
         bucket.forbidden.add("b/secret.glb")
-        result = bake_one(source, "memory://out/a.glb", BakeOptions())
+        result = bake_one(source, "memory://out/a.glb")
         verdict = verify_one(source, VerifyOptions())
     for error in (result.error, verdict.error):
         assert isinstance(error, InputError)
@@ -269,7 +269,7 @@ def test_outputs_that_cannot_be_stored(target: str, message: str) -> None:
     filesystem("memory").pipe_file("/a.glb", TUBE.read_bytes())
     with bucket_for_s3() as bucket:
         bucket.forbidden.add("b/closed.glb")
-        result = bake_one("memory://a.glb", target, BakeOptions())
+        result = bake_one("memory://a.glb", target)
     assert isinstance(result.error, OutputError)
     assert str(result.error).startswith(f"{target}: {message}")
     assert exit_codes.of_error(result.error) == exit_codes.OUTPUT
@@ -280,17 +280,17 @@ def test_a_connection_that_breaks_leaves_the_old_file() -> None:
     upload_one("torn://lib/a.glb", TUBE.read_bytes())
     upload_one("torn://out/[1]/a.glb", b"the former one")
     Torn.breaks_at = "everywhere"
-    result = bake_one("torn://lib/a.glb", "torn://out/[1]/a.glb", BakeOptions())
+    result = bake_one("torn://lib/a.glb", "torn://out/[1]/a.glb")
     assert str(result.error) == "torn://out/[1]/a.glb: cannot be written: Connection reset by peer"
     assert stored("torn://out") == {"[1]/a.glb": b"the former one"}
     Torn.breaks_at = ""
-    assert bake_one("torn://lib/a.glb", "torn://out/[1]/a.glb", BakeOptions()).error is None
+    assert bake_one("torn://lib/a.glb", "torn://out/[1]/a.glb").error is None
     assert list(stored("torn://out")) == ["[1]/a.glb"]
 
 
 def test_a_target_that_is_the_input_is_refused() -> None:
     upload_one("memory://b/lib/a.glb", TUBE.read_bytes())
-    result = bake_one("memory://b/lib/a.glb", "memory:///b/lib/a.glb", BakeOptions())
+    result = bake_one("memory://b/lib/a.glb", "memory:///b/lib/a.glb")
     assert "it is the input" in str(result.error)
     assert stored("memory://b") == {"lib/a.glb": TUBE.read_bytes()}
 
@@ -303,7 +303,7 @@ def test_a_target_that_the_input_consists_of_is_refused(tmp_path: Path) -> None:
     upload_one("s3://b/lib/wood.glb", b"wood")
     upload_one("s3://b/common/motion.bin", b"motion")
     before = stored("s3://b")
-    result = bake_one("s3://b/lib/crate.gltf", "s3://b/lib/wood.glb", BakeOptions())
+    result = bake_one("s3://b/lib/crate.gltf", "s3://b/lib/wood.glb")
     assert str(result.error) == "s3://b/lib/wood.glb: it is a file that the input consists of"
     assert stored("s3://b") == before
 
@@ -320,7 +320,7 @@ def test_uris_lead_out_of_neither_the_bucket_nor_the_private_folder(uri: str, tm
     for folder in (tmp_path, tmp_path / "1"):
         (folder / "secret.bin").write_bytes(secret)
     before = tree(tmp_path)
-    result = bake_one("s3://b/crate.gltf", "s3://b/out/crate.gltf", BakeOptions(), workspace=private)
+    result = bake_one("s3://b/crate.gltf", "s3://b/out/crate.gltf", workspace=private)
     assert f'its buffer "{uri}" is not read: it leads out of s3://b/' in str(result.error)
     assert tree(tmp_path) == before
     assert list(stored("s3://b")) == ["crate.gltf"]
@@ -328,7 +328,7 @@ def test_uris_lead_out_of_neither_the_bucket_nor_the_private_folder(uri: str, tm
 
 def test_a_dry_run_stores_nothing() -> None:
     upload_one("s3://b/a.glb", TUBE.read_bytes())
-    result = bake_one("s3://b/a.glb", "s3://b/out/a.glb", BakeOptions(dry_run=True))
+    result = bake_one("s3://b/a.glb", "s3://b/out/a.glb", dry_run=True)
     assert result.status == "baked"
     assert list(stored("s3://b")) == ["a.glb"]
 

@@ -13,13 +13,12 @@ from typing import Any
 import pytest
 
 from skinbake.cli.many import STATE_NAME
-from skinbake.commands.bake import BakeOptions
 from skinbake.errors import InputError
 from skinbake.jobs import state
-from skinbake.jobs.bake import Bake
 from skinbake.jobs.file_work import FileWork
 from skinbake.jobs.state import HEADER, NAME, Recipe, State, recipe
 from skinbake.jobs.work import Job
+from tests.support.baking import bake_work, baker_of
 from tests.support.models import copied
 
 KEY = b'{"key": "bake a.glb", '
@@ -86,9 +85,9 @@ class Forge:
     def __init__(self, folder: Path) -> None:
         self.source = str(copied("seam.glb", folder / "in"))
         self.target = str(folder / "out" / "seam.glb")
-        options = BakeOptions(make_folder=True)
-        self.recipe: Recipe = recipe("bake", options, str(folder / "out" / NAME))
-        result = FileWork(Bake(options), self.recipe)(Job(self.source, self.target))
+        work = bake_work(make_folder=True)
+        self.recipe: Recipe = recipe("bake", work.baker, str(folder / "out" / NAME))
+        result = FileWork(work, self.recipe)(Job(self.source, self.target))
         assert result.record is not None
         self.note: Any = json.loads(result.record)
 
@@ -171,8 +170,7 @@ def test_files_below_the_folder_that_was_searched_are_the_run_s(forge: Forge, tm
     digest = state._digest(str(tmp_path / "tex" / "a.png"))
     more = {**forge.note["read"], "../tex/a.png": digest}
     assert not forge.holds(read=more)
-    options = BakeOptions(make_folder=True)
-    forge.recipe = recipe("bake", options, str(tmp_path / "out" / NAME), [str(tmp_path)])
+    forge.recipe = recipe("bake", baker_of(), str(tmp_path / "out" / NAME), [str(tmp_path)])
     assert forge.holds(read=more)
 
 

@@ -10,7 +10,6 @@ import numpy.typing as npt
 import pytest
 
 from skinbake.choices import Neighbours
-from skinbake.commands.bake import BakeOptions, bake_file
 from skinbake.format.adoption import TINY_WEIGHT, UNIT, with_adopted
 from skinbake.geometry.skinned import Float64Array
 from skinbake.gltf.accessors import StoredArray
@@ -29,6 +28,7 @@ from tests.support.baked_arrays import (
     bake_to,
     path_of,
 )
+from tests.support.baking import bake_file
 from tests.support.gltf_reading import read
 
 FLOAT_FILES = ["foreign_joints.glb", CESIUM_MAN, TREX, MANTIS, PBR_TEST, AFRAME_HAND]
@@ -229,7 +229,7 @@ def test_no_pose_moves_a_vertex_beyond_the_stated_bound(name: str, tmp_path: Pat
 def test_without_adoption_the_influences_stay_the_files_own(name: str, tmp_path: Path) -> None:
     source, target = path_of(name), tmp_path / "dropped.glb"
     settings = BakeSettings(neighbours=Neighbours.DROP)
-    assert bake_file(str(source), str(target), BakeOptions(settings=settings)).status == "baked"
+    assert bake_file(str(source), str(target), settings=settings).status == "baked"
     before, after = read(source), read(target)
     for place in primitives_of(target):
         for attribute in ("JOINTS_0", "WEIGHTS_0"):

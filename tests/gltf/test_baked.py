@@ -16,13 +16,13 @@ import pytest
 
 from fixtures.builder import AnyArray, JsonObject
 from skinbake.choices import FrameChoice, Neighbours, Weighting
-from skinbake.commands.bake import BakeOptions, bake_file
 from skinbake.errors import InputError
 from skinbake.format.baked import AttributeNames
 from skinbake.gltf.additions import Additions
 from skinbake.gltf.document import read_document
 from skinbake.gltf.resources import encode_data_uri
 from skinbake.gradients.baker import BakeSettings
+from tests.support.baking import bake_file
 from tests.support.gltf_reading import GltfFile, read
 from tests.support.models import (
     FIXTURES,
@@ -278,7 +278,7 @@ class TestNames:
                 ),
             )
             with pytest.raises(InputError, match="--alpha-name") as raised:
-                bake_file(str(path), str(tmp_path / "baked.glb"), BakeOptions())
+                bake_file(str(path), str(tmp_path / "baked.glb"))
             assert taken in str(raised.value)
             assert not (tmp_path / "baked.glb").exists()
             assert baked(path, tmp_path / "other.glb", names=OTHER_NAMES).has_attribute(taken)

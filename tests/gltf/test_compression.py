@@ -15,7 +15,6 @@ import pytest
 
 from fixtures.builder import JsonObject
 from skinbake.choices import Neighbours, Scheme
-from skinbake.commands.bake import BakeOptions, bake_file
 from skinbake.commands.cost import cost_of_file
 from skinbake.commands.inspect import inspect_file
 from skinbake.commands.strip import strip_file
@@ -25,6 +24,7 @@ from skinbake.gltf.codecs.recode import Compression
 from skinbake.lighting.measured import VerifyOptions
 from skinbake.lighting.poses import PoseRequest
 from tests.support import corpus, khronos
+from tests.support.baking import bake_file
 from tests.support.compressed import EXT, KHR, content_of, draco_twin, meshopt_twin
 from tests.support.decoders import read_plain, read_plain_many
 from tests.support.gltf_reading import DRACO, MESHOPT, GltfFile, read
@@ -286,7 +286,7 @@ def test_vrm_passes_through_but_for_the_additions(tmp_path: Path) -> None:
     """A .vrm is a GLB; its extensions name no buffer views of ours."""
     for path in corpus.valid_models():
         if path.suffix == ".vrm":
-            result = bake_file(str(path), str(tmp_path / path.name), BakeOptions())
+            result = bake_file(str(path), str(tmp_path / path.name))
             before, after = read(path), read(tmp_path / path.name)
             for key in ("extensions", "extensionsUsed", "nodes", "materials", "images", "textures"):
                 assert json.dumps(after.content.get(key)) == json.dumps(before.content.get(key))
@@ -574,7 +574,7 @@ def test_what_all_of_a_file_expands_to_is_limited(
     bake(source, tmp_path / "out.glb")
     monkeypatch.setattr("skinbake.gltf.budget.UNPACKED_RATIO", 1)
     with pytest.raises(InputError, match="over the limit of 1 times as many") as raised:
-        bake_file(str(source), str(tmp_path / "not.glb"), BakeOptions())
+        bake_file(str(source), str(tmp_path / "not.glb"))
     assert 'mesh 0 "tube", primitive 0' in str(raised.value)
 
 
@@ -592,9 +592,9 @@ def test_a_broken_primitive_that_none_would_decode_is_an_input_error(tmp_path: P
 
     path = draco_twin(FOLDER / ADOPTING, tmp_path / "twin.glb", change=append)
     with pytest.raises(InputError) as raised:
-        bake_file(str(path), str(tmp_path / "out.glb"), BakeOptions(**compress(Scheme.NONE)))
+        bake_file(str(path), str(tmp_path / "out.glb"), **compress(Scheme.NONE))
     assert str(raised.value).startswith(f"{path}: mesh 1, primitive 0")
-    result = bake_file(str(path), str(tmp_path / "out.glb"), BakeOptions(**compress(Scheme.NONE)))
+    result = bake_file(str(path), str(tmp_path / "out.glb"), **compress(Scheme.NONE))
     assert str(result.error).startswith(f"{path}: mesh 1, primitive 0")
     assert not (tmp_path / "out.glb").exists()
     bake(path, tmp_path / "out.glb")

@@ -12,9 +12,9 @@ from pathlib import Path
 import pytest
 
 from fixtures.builder import JsonObject, pack_glb
-from skinbake.commands.bake import BakeOptions, bake_file
 from skinbake.commands.strip import strip_file
 from skinbake.errors import OutputError
+from tests.support.baking import bake_file
 from tests.support.gltf_reading import GltfFile, read
 from tests.support.models import (
     FOLDER,
@@ -320,7 +320,7 @@ class TestSameFolder:
     def test_the_target_may_not_be_a_file_of_the_input(self, tmp_path: Path) -> None:
         source = with_image(tmp_path, "texture.glb", "texture.glb")
         with pytest.raises(OutputError, match="a file that the input consists of"):
-            bake_file(str(source), str(tmp_path / "texture.glb"), BakeOptions())
+            bake_file(str(source), str(tmp_path / "texture.glb"))
         assert (tmp_path / "texture.glb").read_bytes() == PNG + b"texture.glb"
 
     def test_strip_does_not_write_over_a_file_of_the_input(self, tmp_path: Path) -> None:

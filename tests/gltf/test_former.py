@@ -9,9 +9,9 @@ import pytest
 
 from fixtures.builder import JsonObject
 from skinbake.choices import FrameChoice
-from skinbake.commands.bake import BakeOptions, bake_file
 from skinbake.commands.strip import strip_file
 from skinbake.errors import InputError
+from tests.support.baking import bake_file
 from tests.support.gltf_reading import GltfFile, read
 from tests.support.models import FOLDER, Change, baked, copied, rewritten
 
@@ -41,10 +41,10 @@ def swapped_weights(path: Path, tmp_path: Path) -> tuple[Path, np.ndarray]:
 @pytest.mark.parametrize("name", ["weights_u8.glb", "weights_u16.glb"])
 def test_weights_edited_after_a_bake_survive_the_next_bake_and_strip(name: str, tmp_path: Path) -> None:
     first = tmp_path / f"first_{name}"
-    bake_file(str(FOLDER / name), str(first), BakeOptions())
+    bake_file(str(FOLDER / name), str(first))
     changed, weights = swapped_weights(first, tmp_path)
     assert not np.array_equal(weights, read(first).attribute("WEIGHTS_0"))
-    result = bake_file(str(changed), str(tmp_path / "again.glb"), BakeOptions())
+    result = bake_file(str(changed), str(tmp_path / "again.glb"))
     assert "adopted-kept" in [notice.code for notice in result.notices]
     now = read(tmp_path / "again.glb").attribute("WEIGHTS_0")
     assert np.abs(now - weights).max() <= 4 / 65535
@@ -74,8 +74,8 @@ def test_indices_written_as_floats_change_nothing(tmp_path: Path) -> None:
     change(source.content)
     path = rewritten(source, tmp_path / "floats.glb")
     once, twice, back = (tmp_path / f"{name}.glb" for name in ("once", "twice", "back"))
-    bake_file(str(path), str(once), BakeOptions())
-    bake_file(str(once), str(twice), BakeOptions())
+    bake_file(str(path), str(once))
+    bake_file(str(once), str(twice))
     assert once.read_bytes() == twice.read_bytes()
     strip_file(str(once), str(back))
     assert read(back).content == read(path).content
@@ -94,21 +94,19 @@ def test_an_accessor_of_the_bake_that_a_morph_target_shares_stays(tmp_path: Path
 
 def test_a_baked_glb_becomes_the_same_gltf_as_the_one_it_was_baked_from(tmp_path: Path) -> None:
     baked_glb = tmp_path / "foreign_joints.glb"
-    bake_file(str(FOLDER / "foreign_joints.glb"), str(baked_glb), BakeOptions())
+    bake_file(str(FOLDER / "foreign_joints.glb"), str(baked_glb))
     for folder, source in (("one", FOLDER / "foreign_joints.glb"), ("two", baked_glb)):
         (tmp_path / folder).mkdir()
-        bake_file(str(source), str(tmp_path / folder / "x.gltf"), BakeOptions())
+        bake_file(str(source), str(tmp_path / folder / "x.gltf"))
     first, second = (sorted((tmp_path / folder).iterdir()) for folder in ("one", "two"))
     assert [path.read_bytes() for path in first] == [path.read_bytes() for path in second]
 
 
 def test_a_file_that_can_no_longer_be_baked_passes_through_with_its_bake(tmp_path: Path) -> None:
     baked_glb = tmp_path / "seam.glb"
-    bake_file(str(FOLDER / "seam.glb"), str(baked_glb), BakeOptions())
-    from skinbake.gradients.baker import BakeSettings
+    bake_file(str(FOLDER / "seam.glb"), str(baked_glb))
 
-    options = BakeOptions(settings=BakeSettings(frame=FrameChoice.TANGENT))
-    result = bake_file(str(baked_glb), str(tmp_path / "out.glb"), options)
+    result = bake_file(str(baked_glb), str(tmp_path / "out.glb"), frame=FrameChoice.TANGENT)
     assert result.status == "unchanged"
     assert (tmp_path / "out.glb").read_bytes() == baked_glb.read_bytes()
 
@@ -120,19 +118,18 @@ def test_an_image_that_has_the_name_of_the_new_bin_keeps_its_bytes(tmp_path: Pat
     path = rewritten(source, tmp_path / "in" / "seam.glb")
     (tmp_path / "in" / "clash.bin").write_bytes(b"picture")
     (tmp_path / "out").mkdir()
-    bake_file(str(path), str(tmp_path / "out" / "clash.gltf"), BakeOptions())
+    bake_file(str(path), str(tmp_path / "out" / "clash.gltf"))
     assert (tmp_path / "out" / "clash.bin").read_bytes() == b"picture"
     assert read(tmp_path / "out" / "clash.gltf").attribute("_SKINBAKE_ALPHA_0").any()
 
 
 def test_a_folder_for_results_is_made_and_goes_again_where_nothing_comes_of_it(tmp_path: Path) -> None:
-    options = BakeOptions(make_folder=True)
     target = tmp_path / "new" / "deeper" / "seam.glb"
-    assert bake_file(str(FOLDER / "seam.glb"), str(target), options).status == "baked"
+    assert bake_file(str(FOLDER / "seam.glb"), str(target), make_folder=True).status == "baked"
     assert target.is_file()
     broken = tmp_path / "broken.glb"
     broken.write_bytes(b"glTF")
     other = tmp_path / "other" / "broken.glb"
     with pytest.raises(InputError):
-        bake_file(str(broken), str(other), options)
+        bake_file(str(broken), str(other), make_folder=True)
     assert not other.parent.exists()

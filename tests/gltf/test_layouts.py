@@ -12,11 +12,11 @@ import pytest
 
 from fixtures.builder import JsonObject
 from skinbake.choices import Encoding, Layout
-from skinbake.commands.bake import BakeOptions, bake_file
 from skinbake.commands.strip import strip_file
 from skinbake.errors import InputError
 from skinbake.format.layouts import Storage, free_texcoords, noted_storage
 from tests.support import khronos
+from tests.support.baking import bake_file
 from tests.support.gltf_reading import GltfFile, read
 from tests.support.models import (
     FIXTURES,
@@ -150,7 +150,7 @@ class TestCustom:
         }
         path = write_model(tmp_path / "model.glb", [sheet(**more)])
         with pytest.raises(InputError) as raised:
-            bake_file(str(path), str(tmp_path / "out.glb"), BakeOptions(storage=CUSTOM))
+            bake_file(str(path), str(tmp_path / "out.glb"), storage=CUSTOM)
         assert str(raised.value).endswith(
             'model.glb: mesh 0 "sheet", primitive 0: it has 3 influence sets, and --layout custom holds 2: '
             "take --layout attributes"
@@ -160,7 +160,7 @@ class TestCustom:
     def test_a_name_that_is_taken_is_an_error(self, tmp_path: Path) -> None:
         path = write_model(tmp_path / "model.glb", [sheet(_CUSTOM1=np.zeros((20, 4), np.float32))])
         with pytest.raises(InputError, match="it has an attribute _CUSTOM1 already") as raised:
-            bake_file(str(path), str(tmp_path / "out.glb"), BakeOptions(storage=CUSTOM))
+            bake_file(str(path), str(tmp_path / "out.glb"), storage=CUSTOM)
         assert "choose other names with --layout" in str(raised.value)
 
 

@@ -15,11 +15,11 @@ from typing import Any
 import pytest
 
 from skinbake import containment
-from skinbake.commands.bake import BakeOptions, bake_file
 from skinbake.commands.strip import strip_file
 from skinbake.errors import OutputError
 from skinbake.gltf.document import read_document
 from skinbake.gltf.output import plan_output
+from tests.support.baking import bake_file
 from tests.support.gltf_reading import read
 from tests.support.models import FOLDER, SHARED, SHARED_BIN, bake, copied, edited
 
@@ -44,7 +44,7 @@ def tree(folder: Path) -> Tree:
 def write(source: Path, target: Path) -> OutputError:
     """Bake into a target that cannot be written, and return the error."""
     with pytest.raises(OutputError) as raised:
-        bake_file(str(source), str(target), BakeOptions())
+        bake_file(str(source), str(target))
     return raised.value
 
 
@@ -129,7 +129,7 @@ class TestFailures:
     def test_an_interrupt_leaves_nothing(self, source: Path, target: Path, function: str, call: int) -> None:
         before = tree(target.parent.parent)
         with failing(function, call, KeyboardInterrupt()), pytest.raises(KeyboardInterrupt):
-            bake_file(str(source), str(target), BakeOptions())
+            bake_file(str(source), str(target))
         assert tree(target.parent.parent) == before
 
     def test_an_interrupt_between_two_names_waits_for_both(

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from skinbake.commands.bake import BakeOptions, bake_file
 from skinbake.errors import InputError
+from tests.support.baking import bake_file
 from tests.support.models import SHARED, edited
 
 
@@ -33,5 +33,5 @@ def test_a_reference_past_the_end_is_refused(array: str, broken: object, tmp_pat
     source = edited(SHARED, tmp_path / "in", damage)
     target = tmp_path / "out.gltf"
     with pytest.raises(InputError, match=f'of "{array}"'):
-        bake_file(str(source), str(target), BakeOptions())
+        bake_file(str(source), str(target))
     assert not target.exists()

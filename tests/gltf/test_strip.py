@@ -12,13 +12,13 @@ import pytest
 
 from fixtures.builder import JsonObject
 from skinbake.choices import Encoding, FrameChoice, Layout, Neighbours, Weighting
-from skinbake.commands.bake import BakeOptions, bake_file
 from skinbake.commands.inspect import inspect_file
 from skinbake.commands.strip import strip_file
 from skinbake.errors import InputError
 from skinbake.format.baked import AttributeNames
 from skinbake.format.layouts import Storage
 from skinbake.gradients.baker import BakeSettings
+from tests.support.baking import bake_file
 from tests.support.gltf_reading import GltfFile, read
 from tests.support.models import (
     FIXTURES,
@@ -247,7 +247,7 @@ def test_a_mangled_note_crashes_nothing(member: str, value: Any, tmp_path: Path)
     for attempt in (
         lambda: strip_file(path, str(tmp_path / "stripped.glb")),
         lambda: inspect_file(path),
-        lambda: bake_file(path, str(tmp_path / "again.glb"), BakeOptions()),
+        lambda: bake_file(path, str(tmp_path / "again.glb")),
     ):
         try:
             attempt()

@@ -18,7 +18,6 @@ import pytest
 
 from skinbake import containment
 from skinbake.choices import Encoding
-from skinbake.commands.bake import BakeOptions, bake_file
 from skinbake.errors import OutputError
 from skinbake.gltf import writing
 from skinbake.gltf.document import read_document
@@ -32,6 +31,7 @@ from skinbake.gltf.writing import (
     write_file,
     write_files,
 )
+from tests.support.baking import bake_file
 from tests.support.gltf_reading import read
 from tests.support.models import FOLDER, copied
 
@@ -151,7 +151,7 @@ class TestBelowTheRoot:
         uri = "x#/../../.ssh/keys"
         text = json.dumps({"asset": {"version": "2.0"}, "images": [{"uri": uri}]})
         (model / "a.gltf").write_text(text, encoding="utf-8")
-        bake_file(str(model / "a.gltf"), str(tmp_path / "home" / "build" / "a.gltf"), BakeOptions())
+        bake_file(str(model / "a.gltf"), str(tmp_path / "home" / "build" / "a.gltf"))
         assert (tmp_path / "home" / ".ssh" / "keys").read_bytes() == b"victim"
 
 
@@ -450,7 +450,7 @@ RACER = """
 import sys, time
 from pathlib import Path
 from skinbake.choices import Encoding
-from skinbake.commands.bake import BakeOptions, bake_file
+from tests.support.baking import bake_file
 from skinbake.format.layouts import Storage
 source, folder, rounds, encoding = sys.argv[1:]
 options = BakeOptions(storage=Storage(Encoding(encoding)), sync=False)
@@ -472,7 +472,7 @@ def test_two_runs_into_one_folder_cannot_exchange_their_bins(tmp_path: Path) -> 
 
         alone = tmp_path / name / "hero.gltf"
         alone.parent.mkdir()
-        bake_file(str(source), str(alone), BakeOptions(storage=Storage(Encoding(encoding))))
+        bake_file(str(source), str(alone), storage=Storage(Encoding(encoding)))
         document = json.loads(alone.read_bytes())
         wanted[len(document["accessors"]), document["buffers"][0]["byteLength"]] = [
             (alone.parent / buffer["uri"]).read_bytes() for buffer in document["buffers"]
@@ -539,7 +539,7 @@ class TestInPlace:
 
         monkeypatch.setattr(bake, "plan_output", saved)
         with pytest.raises(OutputError) as raised:
-            bake_file(str(path), str(path), BakeOptions())
+            bake_file(str(path), str(path))
         assert str(raised.value) == (
             f"{path}: it was saved anew since it was read, and is left as it is: run this again"
         )
@@ -565,5 +565,5 @@ class TestInPlace:
 
     def test_what_nobody_touched_is_replaced(self, tmp_path: Path) -> None:
         path = copied("seam.glb", tmp_path)
-        assert bake_file(str(path), str(path), BakeOptions()).status == "baked"
+        assert bake_file(str(path), str(path)).status == "baked"
         assert read(path).has_attribute("_SKINBAKE_ALPHA_0")

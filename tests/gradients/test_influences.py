@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from skinbake.choices import Neighbours
-from skinbake.commands.bake import BakeOptions, bake_file
 from skinbake.geometry.skinned import SkinnedPrimitive
 from skinbake.gradients.baker import BakeSettings
 from skinbake.gradients.influences import NO_JOINT, WeightDefects, WeightField, weight_field
 from tests.support.baked_arrays import AFRAME_HAND, ELF, MANTIS, TREX, bake_one, meshes_of, path_of
+from tests.support.baking import bake_file
 from tests.support.gltf_reading import read
 
 FINE = WeightDefects(negative=0, all_zero=0, not_normalised=0, repeated_joint=0)
@@ -245,7 +245,7 @@ def test_integer_weights_need_no_mending() -> None:
 
 def notices_of(name: str, tmp_path: Path) -> dict[str, int]:
     source = path_of(name)
-    result = bake_file(str(source), str(tmp_path / source.name), BakeOptions())
+    result = bake_file(str(source), str(tmp_path / source.name))
     return {notice.code: notice.count for notice in result.notices}
 
 

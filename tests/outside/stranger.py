@@ -12,7 +12,6 @@ from contextlib import suppress
 from itertools import islice
 from pathlib import Path
 
-from skinbake.commands.bake import BakeOptions, bake_file
 from skinbake.commands.inspect import inspect_file
 from skinbake.commands.strip import strip_file
 from skinbake.commands.verify import verify_file
@@ -21,6 +20,7 @@ from skinbake.errors import SkinbakeError
 from skinbake.jobs import state
 from skinbake.lighting.measured import VerifyOptions
 from tests.outside.names import likely_uris, uris
+from tests.support.baking import bake_file
 
 A_DOCUMENT = 5
 DATA = "data:application/octet-stream;base64,AAAA"
@@ -48,7 +48,7 @@ def work(source: Path, target: Path, within: Within) -> None:
     """Do with one document all that reads or writes what it names."""
     state.seen(str(source), within.bounds)
     for command in (
-        lambda: bake_file(str(source), str(target), BakeOptions(make_folder=True), within),
+        lambda: bake_file(str(source), str(target), make_folder=True, within=within),
         lambda: verify_file(str(source), VerifyOptions(), bounds=within.bounds),
         lambda: inspect_file(str(source), within.bounds),
         lambda: strip_file(str(source), str(target.with_name("stripped.gltf")), bounds=within.bounds),

@@ -13,7 +13,6 @@ import numpy as np
 import numpy.typing as npt
 
 from skinbake.choices import Frame, Method
-from skinbake.commands.bake import BakeOptions, bake_file
 from skinbake.geometry import frames
 from skinbake.geometry.dual_quaternions import RigidMotions, rigid_motions
 from skinbake.gltf.animation import read_clips
@@ -28,6 +27,7 @@ from skinbake.skinning.run import replay
 from skinbake.skinning.surface import RestSurface
 from tests.shaders.combinations import ATTRIBUTES, columns
 from tests.support import analytic, corpus
+from tests.support.baking import bake_file
 
 Single = npt.NDArray[np.float32]
 Wide = npt.NDArray[np.float64]
@@ -219,7 +219,7 @@ class Character:
         """Bake the model into a folder and pose it ``samples`` times by its own clip; skip without it."""
         source = corpus.model(self.path)
         target = folder / f"{source.stem}.glb"
-        bake_file(str(source), str(target), BakeOptions())
+        bake_file(str(source), str(target))
         document = read_document(str(target))
         sources, _ = skinned_sources(document)
         views, problems = baked_views(document, sources)

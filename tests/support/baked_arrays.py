@@ -10,11 +10,11 @@ import numpy as np
 import numpy.typing as npt
 
 from fixtures.make_fixtures import FOLDER
-from skinbake.commands.bake import BakeOptions, bake_file
 from skinbake.geometry import frames
 from skinbake.geometry.skinned import BakedPrimitive, Float64Array, FloatArray, SkinnedPrimitive
 from skinbake.gradients.baker import BakeFindings, BakeSettings, bake_mesh
 from tests.support import corpus
+from tests.support.baking import bake_file
 from tests.support.gltf_reading import GltfFile, read
 
 CESIUM_MAN = "CesiumMan/CesiumMan.glb"
@@ -60,7 +60,7 @@ def bake_to(name: str, folder: Path, settings: BakeSettings | None = None) -> Pa
     """Bake a fixture or a corpus model into a folder and return the written file."""
     source = path_of(name)
     target = folder / source.name
-    result = bake_file(str(source), str(target), BakeOptions(settings=settings or BakeSettings()))
+    result = bake_file(str(source), str(target), settings=settings or BakeSettings())
     assert result.status == "baked", result.notices
     return target
 

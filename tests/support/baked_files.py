@@ -13,9 +13,9 @@ from click.testing import CliRunner
 
 from fixtures.builder import VECTOR_TYPES, pack_glb
 from skinbake.cli.main import main
-from skinbake.commands.bake import BakeOptions, bake_file
 from skinbake.gradients.baker import BakeSettings
 from tests.support import corpus, gltf_reading
+from tests.support.baking import bake_file
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 CESIUM_MAN = "CesiumMan/CesiumMan.glb"
@@ -34,8 +34,7 @@ def baked(
 ) -> Path:
     """Bake a file into a folder and return what was written."""
     target = folder / original.name
-    options = BakeOptions(settings=settings or BakeSettings(), generate_normals=generate_normals)
-    result = bake_file(str(original), str(target), options)
+    result = bake_file(original, target, settings=settings, generate_normals=generate_normals)
     assert result.status == "baked", result.notices
     return target
 

@@ -13,18 +13,17 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from skinbake.choices import Frame, FrameChoice
-from skinbake.commands.bake import BakeOptions, bake_file
+from skinbake.choices import Frame
 from skinbake.format.layouts import Storage
 from skinbake.geometry import frames
 from skinbake.geometry.poses import random_rotations
 from skinbake.gltf.animation import clip_poses, random_poses, read_clips, read_skeleton
 from skinbake.gltf.document import read_document
-from skinbake.gradients.baker import BakeSettings
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.run import replay
 from skinbake.skinning.surface import RestSurface
 from tests.support import gltf_reading
+from tests.support.baking import bake_file
 
 Array = npt.NDArray[np.float64]
 JsonObject = dict[str, Any]
@@ -186,8 +185,7 @@ def baked(source: Path, folder: Path, frame: str = "auto", storage: Storage = AS
     """Bake a file into a folder, frame and storage in its name, and return what was written."""
     target = folder / f"{source.stem}-{frame}-{storage.encoding}-{storage.layout}.glb"
     if not target.exists():
-        options = BakeOptions(settings=BakeSettings(frame=FrameChoice(frame)), storage=storage)
-        result = bake_file(str(source), str(target), options)
+        result = bake_file(source, target, frame=frame, storage=storage)
         assert result.status == "baked", result.notices
     return target
 

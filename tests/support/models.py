@@ -16,9 +16,9 @@ import pygltflib
 
 from fixtures import make_fixtures
 from fixtures.builder import AnyArray, JsonObject, Model, pack_glb
-from skinbake.commands.bake import BakeOptions, bake_file
 from skinbake.commands.strip import strip_file
 from skinbake.report.bake import FileResult
+from tests.support.baking import bake_file
 from tests.support.gltf_reading import GltfFile, read
 
 FOLDER = make_fixtures.FOLDER
@@ -125,7 +125,7 @@ def crowd(path: Path, side: int, primitives: int) -> Path:
 
 def bake(source: Path | str, target: Path | str, **options: Any) -> FileResult:
     """Bake a file, which must succeed, and return what bake says of it."""
-    result = bake_file(str(source), str(target), BakeOptions(**options))
+    result = bake_file(str(source), str(target), **options)
     assert result.error is None, result.error
     return result
 

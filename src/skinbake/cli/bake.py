@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping
+from dataclasses import fields
 from typing import TYPE_CHECKING, Any
 
 import click
-from click.core import ParameterSource
 
 from skinbake.choices import Encoding, FrameChoice, Layout, Neighbours, Scheme, Weighting, Weld
 from skinbake.cli import exit_codes
@@ -19,28 +19,17 @@ from skinbake.cli.names import STDIO
 from skinbake.cli.remote import cluster_option
 from skinbake.cli.runners import runner_of
 from skinbake.cli.targets import check_reports, check_target, in_turns, once, pair_up
+from skinbake.cli.writing import writing_of
 from skinbake.containment import Bounds, Within
+from skinbake.errors import ChoiceError
 
 if TYPE_CHECKING:
     from typing import Unpack
 
     from skinbake.cli.console import Console
     from skinbake.cli.given import Given
+    from skinbake.commands.bake import Baker
     from skinbake.report.bake import FileResult
-
-HIGHEST_MESHOPT_LEVEL = 3
-
-
-def _pattern(ctx: click.Context, param: click.Parameter, value: str) -> str:
-    if not value.startswith("_") or "{set}" not in value:
-        raise click.BadParameter("must begin with an underscore, as glTF wants, and contain {set}")
-    return value
-
-
-def _multiple_of_4(ctx: click.Context, param: click.Parameter, value: int | None) -> int | None:
-    if value is not None and value % 4:
-        raise click.BadParameter("must be a multiple of 4: glTF stores influences in sets of 4")
-    return value
 
 
 @click.command("bake")
@@ -96,24 +85,19 @@ def _multiple_of_4(ctx: click.Context, param: click.Parameter, value: int | None
 @click.option(
     "--limit-influences",
     type=click.IntRange(min=4),
-    callback=_multiple_of_4,
     metavar="N",
     help="Keep the N largest influences of each vertex, N a multiple of 4, and say what that costs.",
 )
 @click.option("--generate-normals", is_flag=True, help="Add smooth NORMALs where a primitive has none.")
 @click.option(
     "--alpha-name",
-    default="_SKINBAKE_ALPHA_{set}",
-    show_default=True,
-    callback=_pattern,
+    show_default="_SKINBAKE_ALPHA_{set}",
     metavar="PATTERN",
     help="Name of the α attributes; {set} is the influence set's number.",
 )
 @click.option(
     "--beta-name",
-    default="_SKINBAKE_BETA_{set}",
-    show_default=True,
-    callback=_pattern,
+    show_default="_SKINBAKE_BETA_{set}",
     metavar="PATTERN",
     help="Name of the β attributes.",
 )
@@ -173,6 +157,7 @@ def command(inputs: tuple[str, ...], **given: Unpack[Given]) -> None:
     """
     clock = Clock()
     found = expanded(inputs, but=given.get("out_dir"))
+    baker = _baker(given)
     targets, notes_at = _targets(found, given), state_path(given)
     output, out_dir = given.get("output"), given.get("out_dir")
     reports = {"--summary": given["summary"], "--state": notes_at}
@@ -187,8 +172,7 @@ def command(inputs: tuple[str, ...], **given: Unpack[Given]) -> None:
     from skinbake.jobs.file_work import FileWork
     from skinbake.jobs.work import Job
 
-    options = _options(given)
-    notes = notes_of("bake", options, notes_at, found, say, sync=not given["no_sync"])
+    notes = notes_of("bake", baker, notes_at, found, say, sync=not given["no_sync"])
     jobs = [
         Job(
             entry.source,
@@ -200,6 +184,7 @@ def command(inputs: tuple[str, ...], **given: Unpack[Given]) -> None:
         else Job(entry.source, missing=entry.missing)
         for entry, target in targets
     ]
+    work = Bake(baker, writing_of(given))
     reporting = _reporting(given, say)
     clock.imports_done()
     turns = in_turns([entry for entry, _ in targets]) if out_dir else []
@@ -207,7 +192,7 @@ def command(inputs: tuple[str, ...], **given: Unpack[Given]) -> None:
     run = Run(
         jobs,
         runner_of(given, [job.source for job in jobs], turns, MODULES, guess, say),
-        lambda progress: FileWork(Bake(options), notes.recipe, given["timings"], memory_of_each(given)),
+        lambda progress: FileWork(work, notes.recipe, given["timings"], memory_of_each(given)),
     )
     sys.exit(work_through(run, reporting, given, say, clock, notes))
 
@@ -240,60 +225,18 @@ def _reporting(given: Given, say: Console) -> Reporting[FileResult]:
     )
 
 
-def _options(given: Mapping[str, Any]) -> Any:
-    """Return the BakeOptions that the command line asks for."""
-    import math
+def _baker(given: Mapping[str, Any]) -> Baker:
+    """Return what bakes as the command line asks for; click.UsageError for what contradicts itself."""
+    from skinbake.commands.bake import Baker
 
-    from skinbake.commands.bake import BakeOptions
-    from skinbake.format.baked import AttributeNames
-    from skinbake.format.layouts import Storage
-    from skinbake.gltf.codecs.recode import Compression
-    from skinbake.gradients.baker import BakeSettings
-
-    return BakeOptions(
-        settings=BakeSettings(
-            weighting=Weighting(given["weighting"]),
-            crease_angle=math.radians(given["crease_angle"]),
-            neighbours=Neighbours(given["neighbours"]),
-            frame=FrameChoice(given["frame"]),
-        ),
-        names=AttributeNames(given["alpha_name"], given["beta_name"]),
-        storage=Storage(Encoding(given["encoding"]), Layout(given["layout"])),
-        weld=Weld(given["weld"]),
-        limit_influences=given["limit_influences"],
-        generate_normals=given["generate_normals"],
-        require_baked=given["require_baked"],
-        warnings_as_errors=given["warnings_as_errors"],
-        dry_run=given["dry_run"],
-        sync=not given["no_sync"],
-        make_folder=bool(given["out_dir"]),
-        compression=Compression(Scheme(given["compress"]), given["compress_level"], _bits(given)),
-    )
-
-
-def _bits(given: Mapping[str, Any]) -> dict[str, int]:
-    """Return the bits to quantise to, by attribute."""
-    options = {"POSITION": "position_bits", "NORMAL": "normal_bits", "TEXCOORD_0": "texcoord_bits"}
-    return {name: given[option] for name, option in options.items() if given[option] is not None}
-
-
-def _check_compression(given: Mapping[str, Any]) -> None:
-    """Raise click.UsageError for bits or a level that the compression has no use for."""
-    if _bits(given) and given["compress"] != "draco":
-        raise click.UsageError("--position-bits, --normal-bits and --texcoord-bits need --compress draco")
-    level = given["compress_level"]
-    if level is not None and given["compress"] == "none":
-        raise click.UsageError("--compress-level needs something to compress, not --compress none")
-    if given["compress"] == "meshopt" and level is not None and level > HIGHEST_MESHOPT_LEVEL:
-        raise click.UsageError(f"--compress-level of meshopt is at most {HIGHEST_MESHOPT_LEVEL}")
+    try:
+        return Baker(**{entry.name: given[entry.name] for entry in fields(Baker)})
+    except ChoiceError as error:
+        raise click.UsageError(error.message) from error
 
 
 def _targets(inputs: list[Input], given: Mapping[str, Any]) -> list[tuple[Input, str | None]]:
     """Return (input, output) pairs, or raise click.UsageError for a combination that makes no sense."""
-    if given["alpha_name"] == given["beta_name"]:
-        raise click.UsageError("--alpha-name and --beta-name must differ")
-    _check_compression(given)
-    _check_storage(given)
     chosen = [name for name in ("output", "out_dir", "in_place") if given[name]]
     if len(chosen) > 1 or (not chosen and not given["dry_run"]):
         raise click.UsageError("give one of -o/--output, --out-dir and --in-place")
@@ -311,20 +254,3 @@ def _targets(inputs: list[Input], given: Mapping[str, Any]) -> list[tuple[Input,
     if given["out_dir"]:
         return list(pair_up(inputs, given["out_dir"]))
     return [(entry, None) for entry in inputs]
-
-
-def _check_storage(given: Mapping[str, Any]) -> None:
-    """Raise click.UsageError where the layout cannot go with the encoding, or with chosen names."""
-    if given["layout"] == "attributes":
-        return
-    if given["layout"] == "texcoord" and given["encoding"] != "float32":
-        raise click.UsageError(
-            f"--layout texcoord takes --encoding float32, not {given['encoding']}: glTF knows no texture "
-            "coordinates with a sign but floats"
-        )
-    context = click.get_current_context()
-    for option, name in (("alpha_name", "--alpha-name"), ("beta_name", "--beta-name")):
-        if context.get_parameter_source(option) is not ParameterSource.DEFAULT:
-            raise click.UsageError(
-                f"{name} is for --layout attributes; {given['layout']} has names of its own"
-            )

@@ -15,9 +15,9 @@ from typing import Any
 
 import click
 
-from skinbake import __version__
 from skinbake.cli import exit_codes
 from skinbake.errors import SkinbakeError, printable_lines
+from skinbake.version import __version__
 
 COMMANDS = {
     "bake": "Add α/β to every skinned primitive of glTF files.",

@@ -10,6 +10,7 @@ import click
 
 from skinbake.cli.console import Command, Console
 from skinbake.cli.names import STDIO
+from skinbake.cli.writing import writing_of
 from skinbake.errors import InputError, Place
 from skinbake.urls import is_url, join_url
 
@@ -67,10 +68,8 @@ def cluster_runner(
         return None
     from skinbake.jobs.elsewhere import dask_runner
     from skinbake.jobs.runners import FirstThese
-    from skinbake.jobs.work import Writing
 
-    writing = Writing(bool(given.get("out_dir")), not given["no_sync"], given.get("dry_run", False))
-    runner = dask_runner(address, writing)
+    runner = dask_runner(address, writing_of(given))
     click.get_current_context().call_on_close(runner.close)
     notices = runner.connect()
     say.notices(notices)

@@ -2,16 +2,27 @@
 
 from __future__ import annotations
 
+import math
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from skinbake.choices import Encoding, FrameChoice, Weld
+from skinbake.choices import (
+    Encoding,
+    FrameChoice,
+    Layout,
+    Neighbours,
+    Scheme,
+    Weighting,
+    Weld,
+    member_of,
+    option_of,
+)
 from skinbake.containment import OWN_FOLDERS, Within
-from skinbake.errors import InputError, Notice, Place, noticed
+from skinbake.errors import ChoiceError, InputError, Notice, Place, noticed
 from skinbake.format.attribute_store import stored_otherwise
 from skinbake.format.baked import AttributeNames, Baked, with_baked, with_scale
 from skinbake.format.encodings import vertex_bytes
@@ -23,7 +34,7 @@ from skinbake.gltf.container import for_target
 from skinbake.gltf.digests import digests_of
 from skinbake.gltf.document import STDIO, Document, read_document
 from skinbake.gltf.json_access import JsonObject
-from skinbake.gltf.output import PlannedOutput, plan_output, refuse_own_input
+from skinbake.gltf.output import AS_USUAL, Writing, plan_output, refuse_own_input
 from skinbake.gltf.primitives import (
     PrimitiveSource,
     read_primitive,
@@ -34,111 +45,288 @@ from skinbake.gltf.writing import version_of
 from skinbake.gradients.assumptions import assumptions, check_finite
 from skinbake.gradients.baker import BakeFindings, BakeSettings, bake_mesh
 from skinbake.gradients.normals import with_smooth_normals
-from skinbake.report.bake import BakedCounts, EncodingCost, FileResult, LimitCost, Status
+from skinbake.report.bake import BakedCounts, EncodingCost, FileResult, LimitCost
 from skinbake.timing import stage
 
 if TYPE_CHECKING:
     from skinbake.lighting.limit_cost import Limited
     from skinbake.lighting.unwritten import UnwrittenBake
 
+SLOTS_PER_SET = 4
+
 BYTES_A_VERTEX, BYTES_A_SLOT, BYTES_A_TRIANGLE = 128, 48, 24
 """What a bake sets aside at most, about."""
 
 
-@dataclass(frozen=True, slots=True)
-class BakeOptions:
-    """The options of ``skinbake bake`` that do not name files.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Baker:
+    """Bakes files and documents; its fields are the options of ``skinbake bake``, under their names there.
 
-    weld is ``mesh`` or ``skin``; limit_influences a multiple of 4, or None; traced asks for
-    digests of what is written; sync waits until that is on the disk.
+    crease_angle is in degrees. Enumerations may be given by their values. Raises ChoiceError for a value
+    that does not exist, and for options that contradict each other.
     """
 
-    settings: BakeSettings = field(default_factory=BakeSettings)
-    names: AttributeNames = field(default_factory=AttributeNames)
+    weighting: Weighting = Weighting.MAX
+    crease_angle: float = 15.0
     weld: Weld = Weld.MESH
+    neighbours: Neighbours = Neighbours.ADOPT
+    frame: FrameChoice = FrameChoice.AUTO
     limit_influences: int | None = None
     generate_normals: bool = False
+    alpha_name: str | None = None
+    beta_name: str | None = None
+    compress: Scheme = Scheme.KEEP
+    compress_level: int | None = None
+    position_bits: int | None = None
+    normal_bits: int | None = None
+    texcoord_bits: int | None = None
+    encoding: Encoding = Encoding.FLOAT32
+    layout: Layout = Layout.ATTRIBUTES
     require_baked: bool = False
     warnings_as_errors: bool = False
-    storage: Storage = field(default_factory=Storage)
-    dry_run: bool = False
-    make_folder: bool = False
-    traced: bool = False
-    sync: bool = True
-    compression: Compression = field(default_factory=Compression)
 
+    def __post_init__(self) -> None:
+        for name, kind in ENUMERATIONS.items():
+            object.__setattr__(self, name, member_of(kind, getattr(self, name), name))
+        _check_ranges(self)
+        _check_names(self)
+        _check_compression(self)
 
-def bake_file(
-    source: str, target: str | None, options: BakeOptions, within: Within = OWN_FOLDERS
-) -> FileResult:
-    """Bake one file and write it to ``target`` (nowhere for None, or on a dry run).
+    def bake_file(
+        self, source: str, target: str | None, writing: Writing = AS_USUAL, within: Within = OWN_FOLDERS
+    ) -> FileResult:
+        """Bake one file and write it to ``target`` (nowhere for None, or on a dry run).
 
-    Raises SkinbakeError, and then nothing has been written; its notices are what was found before.
-    """
-    notices: list[Notice] = []
-    with noticed(notices):
-        return _bake_file(source, target, options, within, notices)
-
-
-def _bake_file(
-    source: str, target: str | None, options: BakeOptions, within: Within, notices: list[Notice]
-) -> FileResult:
-    replaced = version_of(source) if target == source != STDIO else None
-    with stage("read"):
-        document = read_document(source, within.bounds)
-    if target is not None:
-        refuse_own_input(document, source, target)
-    with stage("strip"):
-        original, _, undone = stripped(document)
-        prepared, moved = (original, []) if target is None else for_target(original, target)
-    made = bake_document(prepared, options)
-    if made.primitives:
-        result, found = made.document, [*undone, *moved, *made.notices]
-    else:
-        result, found = _passed_through(document, target, made, options)
-    notices += found
-    untouched = result is document and target == source and source != STDIO
-    with stage("write"):
-        planned = (
-            None
-            if target is None or untouched
-            else plan_output(result, target, make_folder=options.make_folder, root=within.output)
+        Raises SkinbakeError, and then nothing has been written; its notices are those found before.
+        """
+        replaced = version_of(source) if target == source != STDIO else None
+        with stage("read"):
+            document = read_document(source, within.bounds)
+        if target is not None:
+            refuse_own_input(document, source, target)
+        made, result, notices = self._rebaked(document, target)
+        untouched = result is document and target == source and source != STDIO
+        planned = None
+        if target is not None and not untouched:
+            with noticed(notices), stage("write"):
+                planned = plan_output(result, target, make_folder=writing.make_folder, root=within.output)
+            notices = [*notices, *planned.notices]
+        with noticed(notices):
+            if self.warnings_as_errors and notices:
+                raise InputError("not written: there are warnings (--warnings-as-errors)", document.place)
+            if planned is not None and not writing.dry_run:
+                with stage("write"):
+                    planned = replace(planned, replaces=replaced).write(sync=writing.sync)
+        return FileResult(
+            source,
+            target,
+            "baked" if made.primitives else "unchanged",
+            made.primitives,
+            made.skipped,
+            tuple(notices),
+            encoding=made.encoding,
+            written=digests_of(planned.files) if writing.traced and planned else {},
         )
-    if planned is not None:
-        notices += planned.notices
-    if options.warnings_as_errors and notices:
-        raise InputError("not written: there are warnings (--warnings-as-errors)", document.place)
-    if planned is not None and not options.dry_run:
-        with stage("write"):
-            planned = replace(planned, replaces=replaced).write(sync=options.sync)
-    status: Status = "baked" if made.primitives else "unchanged"
-    written = _digests(planned) if options.traced else None
-    return FileResult(
-        source,
-        target,
-        status,
-        made.primitives,
-        made.skipped,
-        tuple(notices),
-        encoding=made.encoding,
-        written=written,
-    )
+
+    def _rebaked(
+        self, document: Document, target: str | None
+    ) -> tuple[BakedDocument, Document, list[Notice]]:
+        """Bake a document that may hold an earlier bake, for the container of the target.
+
+        Returns what was baked, the document to write, and notices. A document in which nothing can be baked
+        is written as it came, an earlier bake included.
+        """
+        with stage("strip"):
+            original, _, undone = stripped(document)
+            prepared, moved = (original, []) if target is None else for_target(original, target)
+        made = self.bake_document(prepared)
+        if made.primitives:
+            return made, made.document, [*undone, *moved, *made.notices]
+        reason = "none of its skinned primitives can be baked" if made.skipped else "nothing in it is skinned"
+        if self.require_baked:
+            raise InputError(f"{reason} (--require-baked)", document.place)
+        result, moved = (document, []) if target is None else for_target(document, target)
+        last = Notice("nothing-baked", f"passed through unchanged: {reason}", document.place)
+        return made, result, [*moved, *made.notices, last]
+
+    def bake_document(self, document: Document) -> BakedDocument:
+        """Bake every skinned primitive of a document that holds no earlier bake (``stripped``).
+
+        Raises InputError.
+        """
+        sources, skipped, reasons = self._bakeable(document)
+        if not sources:
+            return BakedDocument(document, (), skipped, tuple(reasons))
+        with stage("compress"):
+            document, kept = recoded(document, sources, self.compression)
+        sources = [source.in_document(document) for source in sources]
+        surfaces, apart = _surfaces(document, sources, self.weld)
+        bakes = [bake for surface in surfaces for bake in self._baked_surface(document, surface)]
+        storage = with_scale(Storage(self.encoding, self.layout), [bake.result for bake in bakes])
+        with stage("store"):
+            to_store = [bake.to_store(self._noted_settings) for bake in bakes]
+            names, level = self.attribute_names, self.compress_level
+            written, lengths = with_baked(document, to_store, names, storage, level=level)
+        with stage("encoding"):
+            cost, unmeasured = _encoding_cost(document, bakes, storage)
+        notices = [*kept, *reasons, *apart, *(notice for bake in bakes for notice in bake.notices)]
+        notices += [*stored_otherwise(document, sources), *unmeasured]
+        primitives = tuple(
+            (bake.source.place, bake.counts(self.encoding, length))
+            for bake, length in zip(bakes, lengths, strict=True)
+        )
+        return BakedDocument(written, primitives, skipped, tuple(notices), cost)
+
+    def _bakeable(self, document: Document) -> tuple[list[PrimitiveSource], int, list[Notice]]:
+        """Return the primitives to bake, how many skinned ones are left out, and notices on those."""
+        sources, notices = skinned_sources(document)
+        wanted: list[PrimitiveSource] = []
+        for source in sources:
+            reason = reason_to_skip(document, source, generate_normals=self.generate_normals)
+            if reason is None and self.frame is FrameChoice.TANGENT:
+                reason = _reason_of_frame(source)
+            if reason is None:
+                wanted.append(source)
+            else:
+                notices.append(reason)
+        return wanted, len(sources) - len(wanted), notices
+
+    def _baked_surface(self, document: Document, sources: Sequence[PrimitiveSource]) -> list[PrimitiveBake]:
+        """Bake primitives as one surface; InputError where α or β are not finite."""
+        with stage("arrays"):
+            whole = with_smooth_normals(_read(document, sources))
+        if self.limit_influences is not None:
+            return self._limited_surface(document, sources, whole, self.limit_influences)
+        return _finite(self._bakes(sources, whole))
+
+    def _limited_surface(
+        self,
+        document: Document,
+        sources: Sequence[PrimitiveSource],
+        whole: Sequence[SkinnedPrimitive],
+        count: int,
+    ) -> list[PrimitiveBake]:
+        """Bake primitives as one surface with at most ``count`` influences a vertex, and measure the cost."""
+        from skinbake.lighting.limit_cost import limit_costs, limited  # replays: half a second of imports
+
+        with stage("limit"):
+            parts = [limited(document, *pair, count) for pair in zip(sources, whole, strict=True)]
+        primitives = [part.primitive if part else one for part, one in zip(parts, whole, strict=True)]
+        bakes = _finite(self._bakes(sources, primitives))
+        if not any(parts):
+            return bakes
+        with stage("limit"):
+            before = self._bakes(sources, whole)
+            costs = limit_costs(document, _unwritten(before), _unwritten(bakes), parts)
+        return [
+            replace(bake, limited=part, limit_cost=cost)
+            for bake, part, cost in zip(bakes, parts, costs, strict=True)
+        ]
+
+    def _bakes(
+        self, sources: Sequence[PrimitiveSource], primitives: Sequence[SkinnedPrimitive]
+    ) -> list[PrimitiveBake]:
+        outcomes = bake_mesh(primitives, self.settings)
+        return [
+            PrimitiveBake(source, primitive, *outcome)
+            for source, primitive, outcome in zip(sources, primitives, outcomes, strict=True)
+        ]
+
+    @property
+    def settings(self) -> BakeSettings:
+        """Return the options of the gradients."""
+        return BakeSettings(self.weighting, math.radians(self.crease_angle), self.neighbours, self.frame)
+
+    @property
+    def attribute_names(self) -> AttributeNames:
+        """Return the patterns of the attributes' names."""
+        usual = AttributeNames()
+        return AttributeNames(self.alpha_name or usual.alpha, self.beta_name or usual.beta)
+
+    @property
+    def compression(self) -> Compression:
+        """Return the options of the compression."""
+        bits = {"POSITION": self.position_bits, "NORMAL": self.normal_bits, "TEXCOORD_0": self.texcoord_bits}
+        chosen = {name: count for name, count in bits.items() if count is not None}
+        return Compression(self.compress, self.compress_level, chosen)
+
+    @property
+    def _noted_settings(self) -> JsonObject:
+        return {
+            "weighting": str(self.weighting),
+            "creaseAngle": round(float(np.degrees(math.radians(self.crease_angle))), 6),
+            "neighbours": str(self.neighbours),
+            **({"weld": str(self.weld)} if self.weld is Weld.SKIN else {}),
+        }
 
 
-def _digests(planned: PlannedOutput | None) -> dict[str, str]:
-    return {} if planned is None else digests_of(planned.files)
+ENUMERATIONS = {
+    "weighting": Weighting,
+    "weld": Weld,
+    "neighbours": Neighbours,
+    "frame": FrameChoice,
+    "compress": Scheme,
+    "encoding": Encoding,
+    "layout": Layout,
+}
+
+RANGES = {
+    "crease_angle": (0, 180),
+    "limit_influences": (4, math.inf),
+    "compress_level": (0, 10),
+    "position_bits": (1, 30),
+    "normal_bits": (2, 30),
+    "texcoord_bits": (1, 30),
+}
+
+HIGHEST_MESHOPT_LEVEL = 3
 
 
-def _passed_through(
-    document: Document, target: str | None, made: BakedDocument, options: BakeOptions
-) -> tuple[Document, list[Notice]]:
-    """Return a document in which nothing can be baked as it came, an earlier bake included, and why."""
-    reason = "none of its skinned primitives can be baked" if made.skipped else "nothing in it is skinned"
-    if options.require_baked:
-        raise InputError(f"{reason} (--require-baked)", document.place)
-    result, moved = (document, []) if target is None else for_target(document, target)
-    last = Notice("nothing-baked", f"passed through unchanged: {reason}", document.place)
-    return result, [*moved, *made.notices, last]
+def _check_ranges(baker: Baker) -> None:
+    for name, (least, most) in RANGES.items():
+        value = getattr(baker, name)
+        if value is not None and not least <= value <= most:
+            bound = f"at least {least}" if most == math.inf else f"from {least} to {most}"
+            raise ChoiceError(f"{option_of(name)} {value}: expected a number {bound}")
+    if (baker.limit_influences or 0) % SLOTS_PER_SET:
+        raise ChoiceError(
+            f"--limit-influences {baker.limit_influences}: expected a multiple of 4, "
+            "because glTF stores influences in sets of 4"
+        )
+
+
+def _check_names(baker: Baker) -> None:
+    for name in ("alpha_name", "beta_name"):
+        pattern = getattr(baker, name)
+        if pattern is None:
+            continue
+        if not pattern.startswith("_") or "{set}" not in pattern:
+            raise ChoiceError(
+                f"{option_of(name)} {pattern}: expected a name that begins with an underscore, as glTF "
+                "wants, and contains {set}"
+            )
+        if baker.layout is not Layout.ATTRIBUTES:
+            raise ChoiceError(
+                f"{option_of(name)} is for --layout attributes; {baker.layout} has names of its own"
+            )
+    if baker.attribute_names.alpha == baker.attribute_names.beta:
+        raise ChoiceError("--alpha-name and --beta-name must differ")
+
+
+def _check_compression(baker: Baker) -> None:
+    """Raise ChoiceError for bits or a level that the compression has no use for, and for such a layout."""
+    if baker.compression.bits and baker.compress is not Scheme.DRACO:
+        raise ChoiceError("--position-bits, --normal-bits and --texcoord-bits need --compress draco")
+    level = baker.compress_level
+    if level is not None and baker.compress is Scheme.NONE:
+        raise ChoiceError("--compress-level needs something to compress, not --compress none")
+    if baker.compress is Scheme.MESHOPT and level is not None and level > HIGHEST_MESHOPT_LEVEL:
+        raise ChoiceError(f"--compress-level of meshopt is at most {HIGHEST_MESHOPT_LEVEL}")
+    if baker.layout is Layout.TEXCOORD and baker.encoding is not Encoding.FLOAT32:
+        raise ChoiceError(
+            f"--layout texcoord takes --encoding float32, not {baker.encoding}: glTF knows no texture "
+            "coordinates with a sign but floats"
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,78 +342,6 @@ class BakedDocument:
     skipped: int
     notices: tuple[Notice, ...]
     encoding: EncodingCost | None = None
-
-
-def bake_document(document: Document, options: BakeOptions) -> BakedDocument:
-    """Bake every skinned primitive of a document that holds no earlier bake (``stripped``).
-
-    Raises InputError.
-    """
-    sources, skipped, reasons = _bakeable(document, options)
-    if not sources:
-        return BakedDocument(document, (), skipped, tuple(reasons))
-    with stage("compress"):
-        document, kept = recoded(document, sources, options.compression)
-    sources = [source.in_document(document) for source in sources]
-    surfaces, apart = _surfaces(document, sources, options)
-    bakes = [bake for surface in surfaces for bake in _baked_surface(document, surface, options)]
-    storage = with_scale(options.storage, [bake.result for bake in bakes])
-    with stage("store"):
-        written, lengths = with_baked(
-            document,
-            [bake.to_store(_noted_settings(options)) for bake in bakes],
-            options.names,
-            storage,
-            level=options.compression.level,
-        )
-    with stage("encoding"):
-        cost, unmeasured = _encoding_cost(document, bakes, storage)
-    notices = [*kept, *reasons, *apart, *(notice for bake in bakes for notice in bake.notices)]
-    notices += [*stored_otherwise(document, sources), *unmeasured]
-    primitives = tuple(
-        (bake.source.place, bake.counts(storage.encoding, length))
-        for bake, length in zip(bakes, lengths, strict=True)
-    )
-    return BakedDocument(written, primitives, skipped, tuple(notices), cost)
-
-
-def _bakeable(document: Document, options: BakeOptions) -> tuple[list[PrimitiveSource], int, list[Notice]]:
-    """Return the primitives that are baked, how many skinned ones are not, and a notice on each of those."""
-    sources, notices = skinned_sources(document)
-    wanted: list[PrimitiveSource] = []
-    for source in sources:
-        reason = reason_to_skip(document, source, generate_normals=options.generate_normals)
-        reason = reason or _reason_of_frame(source, options)
-        if reason is None:
-            wanted.append(source)
-        else:
-            notices.append(reason)
-    return wanted, len(sources) - len(wanted), notices
-
-
-def _reason_of_frame(source: PrimitiveSource, options: BakeOptions) -> Notice | None:
-    wants_tangents = options.settings.frame is FrameChoice.TANGENT
-    if not wants_tangents or {"NORMAL", "TANGENT"} <= source.attributes.keys():
-        return None
-    lacking = "NORMAL" if "NORMAL" not in source.attributes else "TANGENT"
-    return Notice(
-        "no-tangents", f"skipped: it has no {lacking}; --frame auto takes the frame from NORMAL", source.place
-    )
-
-
-def _surfaces(
-    document: Document, sources: Sequence[PrimitiveSource], options: BakeOptions
-) -> tuple[list[list[PrimitiveSource]], list[Notice]]:
-    """Return the primitives in the groups that are baked as one surface, and what is kept apart."""
-    by_mesh: dict[int, list[PrimitiveSource]] = defaultdict(list)
-    for source in sources:
-        by_mesh[source.mesh].append(source)
-    if options.weld is not Weld.SKIN:
-        return list(by_mesh.values()), []
-    from skinbake.gltf.skin_groups import meshes_of_one_skin
-
-    groups, apart = meshes_of_one_skin(document, by_mesh)
-    return [[source for mesh in group for source in by_mesh[mesh]] for group in groups], apart
 
 
 @dataclass(frozen=True, slots=True)
@@ -258,7 +374,7 @@ class PrimitiveBake:
             triangles=len(self.primitive.triangles),
             degenerate_triangles=self.findings.degenerate_triangles,
             influences=influences,
-            frame=self.result.frame,
+            frame=str(self.result.frame),
             generated_normals="NORMAL" not in self.source.attributes,
             adopting_vertices=self.findings.adopting_vertices,
             overflowing_vertices=self.findings.overflowing_vertices,
@@ -270,28 +386,6 @@ class PrimitiveBake:
         )
 
 
-def _baked_surface(
-    document: Document, sources: Sequence[PrimitiveSource], options: BakeOptions
-) -> list[PrimitiveBake]:
-    """Bake primitives as one surface."""
-    with stage("arrays"):
-        whole = with_smooth_normals(_read(document, sources))
-    if options.limit_influences is not None:
-        return _limited_surface(document, sources, whole, options, options.limit_influences)
-    return _finite(_bakes(sources, whole, options))
-
-
-def _bakes(
-    sources: Sequence[PrimitiveSource], primitives: Sequence[SkinnedPrimitive], options: BakeOptions
-) -> list[PrimitiveBake]:
-    """Bake primitives as one surface."""
-    outcomes = bake_mesh(primitives, options.settings)
-    return [
-        PrimitiveBake(source, primitive, *outcome)
-        for source, primitive, outcome in zip(sources, primitives, outcomes, strict=True)
-    ]
-
-
 def _finite(bakes: list[PrimitiveBake]) -> list[PrimitiveBake]:
     """Return the bakes; InputError where α or β of one are not finite."""
     for bake in bakes:
@@ -299,29 +393,29 @@ def _finite(bakes: list[PrimitiveBake]) -> list[PrimitiveBake]:
     return bakes
 
 
-def _limited_surface(
-    document: Document,
-    sources: Sequence[PrimitiveSource],
-    whole: Sequence[SkinnedPrimitive],
-    options: BakeOptions,
-    count: int,
-) -> list[PrimitiveBake]:
-    """Bake primitives as one surface with at most ``count`` influences a vertex, and measure the cost."""
-    from skinbake.lighting.limit_cost import limit_costs, limited  # replays: half a second of imports
+def _reason_of_frame(source: PrimitiveSource) -> Notice | None:
+    """Return why a primitive cannot be baked for the frame from TANGENT, None where it can."""
+    lacking = next((name for name in ("NORMAL", "TANGENT") if name not in source.attributes), None)
+    if lacking is None:
+        return None
+    return Notice(
+        "no-tangents", f"skipped: it has no {lacking}; --frame auto takes the frame from NORMAL", source.place
+    )
 
-    with stage("limit"):
-        parts = [limited(document, *pair, count) for pair in zip(sources, whole, strict=True)]
-    primitives = [part.primitive if part else one for part, one in zip(parts, whole, strict=True)]
-    bakes = _finite(_bakes(sources, primitives, options))
-    if not any(parts):
-        return bakes
-    with stage("limit"):
-        before = _bakes(sources, whole, options)
-        costs = limit_costs(document, _unwritten(before), _unwritten(bakes), parts)
-    return [
-        replace(bake, limited=part, limit_cost=cost)
-        for bake, part, cost in zip(bakes, parts, costs, strict=True)
-    ]
+
+def _surfaces(
+    document: Document, sources: Sequence[PrimitiveSource], weld: Weld
+) -> tuple[list[list[PrimitiveSource]], list[Notice]]:
+    """Return the primitives in the groups that are baked as one surface, and what is kept apart."""
+    by_mesh: dict[int, list[PrimitiveSource]] = defaultdict(list)
+    for source in sources:
+        by_mesh[source.mesh].append(source)
+    if weld is not Weld.SKIN:
+        return list(by_mesh.values()), []
+    from skinbake.gltf.skin_groups import meshes_of_one_skin
+
+    groups, apart = meshes_of_one_skin(document, by_mesh)
+    return [[source for mesh in group for source in by_mesh[mesh]] for group in groups], apart
 
 
 def _unwritten(bakes: Sequence[PrimitiveBake]) -> list[UnwrittenBake]:
@@ -362,13 +456,3 @@ def _read(document: Document, sources: Sequence[PrimitiveSource]) -> list[Skinne
         size = BYTES_A_VERTEX * count + BYTES_A_SLOT * slots + BYTES_A_TRIANGLE * len(primitive.triangles)
         document.budget.claim(size, "baking it", source.place)
     return found
-
-
-def _noted_settings(options: BakeOptions) -> JsonObject:
-    settings = options.settings
-    return {
-        "weighting": str(settings.weighting),
-        "creaseAngle": round(float(np.degrees(settings.crease_angle)), 6),
-        "neighbours": str(settings.neighbours),
-        **({"weld": str(options.weld)} if options.weld is Weld.SKIN else {}),
-    }

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from skinbake import __version__
 from skinbake.choices import Layout
 from skinbake.errors import InputError
 from skinbake.format import metadata
@@ -23,6 +22,7 @@ from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject
 from skinbake.gltf.primitives import PrimitiveSource, StoredInfluences, read_influences, side_by_side
 from skinbake.timing import stage
+from skinbake.version import __version__
 
 
 @dataclass(frozen=True, slots=True)

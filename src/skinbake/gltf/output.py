@@ -20,6 +20,23 @@ ATTEMPTS = 8
 """How often an output is planned anew that finds other files beside it than it did before."""
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Writing:
+    """How an output is written.
+
+    A ``dry_run`` does everything else. ``make_folder`` makes the target's folder where it is missing.
+    ``traced`` asks for digests of the files that are written. ``sync`` waits until they are on the disk.
+    """
+
+    dry_run: bool = False
+    make_folder: bool = False
+    traced: bool = False
+    sync: bool = True
+
+
+AS_USUAL = Writing()
+
+
 @dataclass(frozen=True, slots=True)
 class PlannedOutput:
     """Everything that writing a document will do: the pieces of each file, the target's last, and notices.

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from skinbake.commands.bake import BakeOptions, bake_file
+from skinbake.commands.bake import Baker
 from skinbake.containment import Bounds
 from skinbake.errors import SkinbakeError
+from skinbake.gltf.output import AS_USUAL, Writing
 from skinbake.jobs import state
 from skinbake.jobs.elsewhere import elsewhere_of
 from skinbake.jobs.work import Job
@@ -23,16 +24,17 @@ SECONDS_A_FILE, SECONDS_A_BYTE = 5e-3, 1.3e-8
 class Bake:
     """Bakes a job's source into its target."""
 
-    options: BakeOptions
+    baker: Baker
+    writing: Writing = AS_USUAL
     undone: str = "not baked"
 
     def result_of(self, job: Job, *, traced: bool) -> FileResult:
         """Bake the file; raises SkinbakeError, and then nothing has been written."""
-        options = replace(self.options, traced=traced)
+        writing = replace(self.writing, traced=traced)
         there = elsewhere_of(job)
         if there is not None:
-            return there.bake_file(job.source, job.target, options, job.within)
-        return bake_file(job.source, job.target, options, job.within)
+            return there.bake_file(job.source, job.target, self.baker, writing, job.within)
+        return self.baker.bake_file(job.source, job.target, writing, job.within)
 
     def failed(self, job: Job, error: SkinbakeError) -> FileResult:
         """Return that the file failed."""
@@ -50,7 +52,7 @@ class Bake:
         self, job: Job, result: FileResult, before: state.Seen
     ) -> tuple[state.Digests, state.Digests] | None:
         """Return the digests of what was read and of what was made, None where anything is in doubt."""
-        if self.options.dry_run:
+        if self.writing.dry_run:
             return None
         written = result.written or {}
         if job.source != job.target:

@@ -12,8 +12,9 @@ from skinbake.errors import InputError, OutputError, Place
 from skinbake.urls import is_url
 
 if TYPE_CHECKING:
+    from skinbake.gltf.output import Writing
     from skinbake.jobs.remote.dask_runner import DaskRunner
-    from skinbake.jobs.work import Elsewhere, Job, Writing
+    from skinbake.jobs.work import Elsewhere, Job
 
 T = TypeVar("T")
 

@@ -20,7 +20,6 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO
 
-import skinbake
 from skinbake.containment import BESIDE, Bounds, RefusedError, Spot, flush, open_beneath, open_regular, spots
 from skinbake.errors import InputError, OutputError, Place, SkinbakeError
 from skinbake.gltf.beside import named_files
@@ -29,6 +28,7 @@ from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.resources import FileContent
 from skinbake.gltf.writing import write_file
 from skinbake.gradients import kernel
+from skinbake.version import __version__
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -49,9 +49,6 @@ YOUNG = 1_000_000_000
 
 ABSENT = (errno.ENOENT, errno.ENOTDIR, errno.ENAMETOOLONG)
 """What the system says of a file that is not there; the last, of one that cannot be."""
-
-NOT_OPTIONS = ("dry_run", "make_folder", "traced", "sync")
-"""Options that change nothing in what is made."""
 
 DIGEST = re.compile(f"[0-9a-f]{{{DIGITS}}}")
 
@@ -157,9 +154,8 @@ def recipe(command: str, options: DataclassInstance, state: str, roots: Iterable
 
     ``roots`` are the folders that inputs were searched in.
     """
-    chosen = {name: value for name, value in asdict(options).items() if name not in NOT_OPTIONS}
     text = json.dumps(
-        [command, skinbake.__version__, _code(), kernel.compiled is not None, chosen],
+        [command, __version__, _code(), kernel.compiled is not None, asdict(options)],
         sort_keys=True,
         default=str,
     )
@@ -375,7 +371,7 @@ def _digest(path: str) -> str | None:
 
 def _code() -> str:
     """Return a digest of skinbake itself: in a checkout, code changes and its version does not."""
-    folder = Path(skinbake.__file__).parent
+    folder = Path(__file__).parents[1]
     files = sorted(path for path in folder.rglob("*") if path.is_file() and "__pycache__" not in path.parts)
     return digest_of(
         piece for path in files for piece in (str(path.relative_to(folder)).encode(), path.read_bytes())

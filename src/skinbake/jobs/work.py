@@ -10,7 +10,8 @@ from skinbake.containment import OWN_FOLDERS, Within
 from skinbake.errors import Notice, SkinbakeError
 
 if TYPE_CHECKING:
-    from skinbake.commands.bake import BakeOptions
+    from skinbake.commands.bake import Baker
+    from skinbake.gltf.output import Writing
     from skinbake.lighting.measured import Progress, VerifyOptions
     from skinbake.report.bake import FileResult
     from skinbake.report.verify import FileVerdict
@@ -22,7 +23,9 @@ class Elsewhere(Protocol):
     Its methods do what the commands' functions of the same names do, and raise what these raise.
     """
 
-    def bake_file(self, source: str, target: str | None, options: BakeOptions, within: Within) -> FileResult:
+    def bake_file(
+        self, source: str, target: str | None, baker: Baker, how: Writing, within: Within
+    ) -> FileResult:
         """Bake a file."""
 
     def verify_file(
@@ -46,19 +49,6 @@ class Job:
     missing: str | None = None
     within: Within = OWN_FOLDERS
     elsewhere: Elsewhere | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class Writing:
-    """How results are written that come from another machine.
-
-    make_folder makes a folder that is missing, sync waits until files are on the disk, dry_run writes
-    nothing.
-    """
-
-    make_folder: bool = False
-    sync: bool = True
-    dry_run: bool = False
 
 
 class Result(Protocol):

@@ -15,11 +15,11 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from skinbake import __version__
 from skinbake.choices import Language, Method, Morphs
 from skinbake.errors import ChoiceError, printable
 from skinbake.shaders.choices import SLOTS_PER_SET, ShaderChoices
 from skinbake.shaders.storage import storage_context, storage_parts
+from skinbake.version import __version__
 
 if TYPE_CHECKING:
     import jinja2

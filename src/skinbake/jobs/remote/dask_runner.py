@@ -16,9 +16,10 @@ from typing import TYPE_CHECKING, Generic
 from uuid import uuid4
 
 from skinbake.errors import InputError, Notice, Place
+from skinbake.gltf.output import Writing
 from skinbake.jobs.remote.dask_task import build, call, perform, versions
 from skinbake.jobs.remote.sent_files import DoneHere, JobWithFiles, ResultWithFiles, WorkWithFiles
-from skinbake.jobs.work import Job, ResultT, Work, Writing
+from skinbake.jobs.work import Job, ResultT, Work
 
 if TYPE_CHECKING:
     from distributed import Client, Future  # distributed is untyped: these are Any

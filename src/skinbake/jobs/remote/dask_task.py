@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from skinbake import __version__
+from skinbake.version import __version__
 
 if TYPE_CHECKING:
     from skinbake.jobs.remote.sent_files import JobWithFiles, ResultWithFiles, WorkWithFiles

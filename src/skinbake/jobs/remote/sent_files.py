@@ -18,12 +18,12 @@ from typing import Generic
 from skinbake.containment import Bounds, RefusedError, Within, below, spot_of
 from skinbake.errors import ChoiceError, InputError, OutputError, Place, noticed
 from skinbake.gltf.document import STDIO, Document, read_named
-from skinbake.gltf.output import plan_output
+from skinbake.gltf.output import Writing, plan_output
 from skinbake.gltf.resources import FileContent, find, read_open_file
 from skinbake.gltf.writing import TakenError
 from skinbake.jobs.boundary import survived
 from skinbake.jobs.remote.staging import End, Staging, needed, resources_of
-from skinbake.jobs.work import Job, ResultT, Work, Writing
+from skinbake.jobs.work import Job, ResultT, Work
 from skinbake.urls import is_url
 
 

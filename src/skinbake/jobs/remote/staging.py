@@ -35,7 +35,8 @@ from skinbake.timing import stage
 from skinbake.urls import is_url, on_disk
 
 if TYPE_CHECKING:
-    from skinbake.commands.bake import BakeOptions
+    from skinbake.commands.bake import Baker
+    from skinbake.gltf.output import Writing
     from skinbake.lighting.measured import Progress, VerifyOptions
     from skinbake.report.bake import FileResult
     from skinbake.report.verify import FileVerdict
@@ -84,7 +85,9 @@ class Staging:
     disk: RemoteDisk | None = None
     workspace: str | None = None
 
-    def bake_file(self, source: str, target: str | None, options: BakeOptions, within: Within) -> FileResult:
+    def bake_file(
+        self, source: str, target: str | None, baker: Baker, how: Writing, within: Within
+    ) -> FileResult:
         """Bake one file, where source and target may be URLs.
 
         What is written is byte for byte what the command writes on a disk; the result calls files as the
@@ -92,9 +95,10 @@ class Staging:
         not been touched.
         """
         goal = None if target is None else self._target_end(target, within.output)
-        made = options.make_folder or (target is not None and is_url(target))
+        made = how.make_folder or (target is not None and is_url(target))
         start = self.end_of(source, within.bounds)
-        return _bake_between(start, goal, replace(options, make_folder=made), within, self.workspace)
+        how = replace(how, make_folder=made)
+        return _bake_between(start, goal, baker, how, within, self.workspace)
 
     def verify_file(
         self, source: str, options: VerifyOptions, progress: Progress | None, within: Within
@@ -161,7 +165,7 @@ def _verify_at(
 
 
 def _bake_between(
-    source: End, target: End | None, options: BakeOptions, within: Within, workspace: str | None
+    source: End, target: End | None, baker: Baker, how: Writing, within: Within, workspace: str | None
 ) -> FileResult:
     """Bake from one end to another, through a private folder; may raise SkinbakeError, nothing stored."""
     if target is not None and source.given != target.given and _one_file(source, target):
@@ -169,7 +173,7 @@ def _bake_between(
     taken: frozenset[str] = frozenset()
     for _ in range(ATTEMPTS):
         with _PrivateFolder(workspace) as folder:
-            result, clashing = _attempt(folder, source, target, options, within, taken)
+            result, clashing = _attempt(folder, source, target, baker, how, within, taken)
         if not clashing:
             return result
         taken |= clashing
@@ -185,7 +189,8 @@ def _attempt(
     folder: _PrivateFolder,
     source: End,
     target: End | None,
-    options: BakeOptions,
+    baker: Baker,
+    how: Writing,
     within: Within,
     taken: frozenset[str],
 ) -> tuple[FileResult, frozenset[str]]:
@@ -193,8 +198,6 @@ def _attempt(
 
     Of files in ``taken`` it is known; the bake sees them, and gives its own other names.
     """
-    from skinbake.commands.bake import bake_file
-
     path = folder.fetch_input(source)
     bounds = folder.bounds_of(source, within.bounds)
     _fetch_needed(folder, source, path, target, bounds)
@@ -206,9 +209,9 @@ def _attempt(
     before = folder.files_of(target)
     is_stored = target is not None and target.storage is not None
     output = within.output if target is None else folder.output_of(target, within.output)
-    chosen = replace(options, sync=options.sync and not is_stored)
+    how = replace(how, sync=how.sync and not is_stored)
     naming = folder.naming((source, path), (target, goal))
-    result = _named(lambda: bake_file(path, goal, chosen, Within(bounds, output)), naming)
+    result = _named(lambda: baker.bake_file(path, goal, how, Within(bounds, output)), naming)
     written = [name for name, state in folder.files_of(target).items() if before.get(name) != state]
     if target is None or target.storage is None or not written:
         return result, frozenset()

@@ -1,0 +1,494 @@
+"""The functions of the Python API: the commands for files, and the gradients for arrays.
+
+``import skinbake`` imports this module when one of its functions is asked for, and not before.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, TypeAlias, TypedDict, Unpack, overload
+
+import numpy as np
+import numpy.typing as npt
+
+from skinbake.choices import (
+    Baseline,
+    Encoding,
+    FrameChoice,
+    Layout,
+    Method,
+    Neighbours,
+    PoseKind,
+    Scheme,
+    Weighting,
+    Weld,
+    member_of,
+)
+from skinbake.containment import Bounds, Within
+from skinbake.geometry.skinned import Float32Array, IntArray, SkinnedPrimitive
+
+if TYPE_CHECKING:
+    from pygltflib import GLTF2
+
+FilePath: TypeAlias = "str | os.PathLike[str]"
+
+
+class BakeOptions(TypedDict, total=False):
+    """The options of ``bake``: those of the command line, under their names there.
+
+    Enumerations may be given as members or by their values. ``crease_angle`` is in degrees.
+    """
+
+    weighting: Weighting | str
+    crease_angle: float
+    weld: Weld | str
+    neighbours: Neighbours | str
+    frame: FrameChoice | str
+    limit_influences: int | None
+    generate_normals: bool
+    alpha_name: str | None
+    beta_name: str | None
+    compress: Scheme | str
+    compress_level: int | None
+    position_bits: int | None
+    normal_bits: int | None
+    texcoord_bits: int | None
+    encoding: Encoding | str
+    layout: Layout | str
+    require_baked: bool
+    warnings_as_errors: bool
+
+
+@overload
+def bake(
+    source: FilePath,
+    target: FilePath,
+    *,
+    allow_outside: Sequence[FilePath] = (),
+    dry_run: bool = False,
+    sync: bool = True,
+    **options: Unpack[BakeOptions],
+) -> dict[str, Any]: ...
+
+
+@overload
+def bake(source: GLTF2, **options: Unpack[BakeOptions]) -> GLTF2: ...
+
+
+def bake(
+    source: FilePath | GLTF2,
+    target: FilePath | None = None,
+    *,
+    allow_outside: Sequence[FilePath] = (),
+    dry_run: bool = False,
+    sync: bool = True,
+    **options: Unpack[BakeOptions],
+) -> dict[str, Any] | GLTF2:
+    """Add α and β, the skin-weight gradients, to every skinned primitive of a file or a model.
+
+    Parameters
+    ----------
+    source
+        A ``.glb``, ``.gltf`` or ``.vrm`` file, or a ``GLTF2`` of pygltflib.
+    target
+        The file to write. It may be the source, which is then replaced. A ``GLTF2`` has no target.
+    allow_outside
+        Folders in which a document may name files, besides its own folder.
+    dry_run
+        Do everything except writing.
+    sync
+        Wait until the output is on the disk.
+    **options
+        The options of ``skinbake bake``: see ``BakeOptions``.
+
+    Returns
+    -------
+    dict or GLTF2
+        For a file: its entry in ``files`` of ``skinbake bake --json`` (docs/reference/json.md).
+        For a ``GLTF2``: a new one with α and β. The one that was given stays as it is.
+
+    Raises
+    ------
+    skinbake.ChoiceError
+        An option has a value that does not exist, or two options contradict each other.
+    skinbake.InputError
+        The source cannot be read, or cannot be baked.
+    skinbake.OutputError
+        The target cannot be written. Then nothing has been written.
+
+    Examples
+    --------
+    >>> result = skinbake.bake("fixtures/bent_tube.glb", folder / "tube.glb", encoding="packed8")
+    >>> result["status"], result["primitives"][0]["vertices"]
+    ('baked', 1518)
+
+    """
+    from skinbake.commands.bake import Baker
+    from skinbake.gltf.output import Writing
+
+    baker = Baker(**options)  # type: ignore[arg-type]  # it takes the values of enumerations too
+    if not isinstance(source, str | os.PathLike):
+        from skinbake.pygltflib_models import baked_model
+
+        return baked_model(source, baker)
+    if target is None:
+        raise TypeError("bake() needs a target for a file")
+    from skinbake.report.bake import file_json
+
+    writing = Writing(dry_run=dry_run, sync=sync)
+    within = Within(_bounds(allow_outside))
+    return file_json(baker.bake_file(os.fspath(source), os.fspath(target), writing, within))
+
+
+def verify(
+    source: FilePath,
+    *,
+    methods: Sequence[Method | str] = (),
+    poses: PoseKind | str = PoseKind.ANIMATION,
+    samples: int | None = None,
+    angle: float = 30.0,
+    seed: int = 0,
+    baseline: Baseline | str = Baseline.BLENDED,
+    cap: float | None = None,
+    max_mean_error: float | None = None,
+    max_p95_error: float | None = None,
+    min_gain: float | None = None,
+    require_baked: bool = False,
+    warnings_as_errors: bool = False,
+    allow_outside: Sequence[FilePath] = (),
+) -> dict[str, Any]:
+    """Check that a file still carries the right α and β, and measure its lighting in degrees.
+
+    Parameters
+    ----------
+    source
+        A ``.glb``, ``.gltf`` or ``.vrm`` file.
+    methods
+        ``lbs``, ``dqs`` or both. Without any: LBS, and DQS where all joints are rigid.
+    poses, samples, angle, seed
+        ``animation`` samples each clip of the file ``samples`` times. ``random`` takes ``samples`` poses and
+        turns each joint by at most ``angle`` degrees. ``rest`` takes the rest pose.
+    baseline, cap
+        As ``--baseline`` and ``--cap``.
+    max_mean_error, max_p95_error, min_gain
+        Limits of the accurate lighting, in degrees and as a factor. None sets no limit.
+    require_baked, warnings_as_errors
+        Fail where the file holds no bake, or where there are warnings.
+    allow_outside
+        Folders in which the document may name files, besides its own folder.
+
+    Returns
+    -------
+    dict
+        The file's entry in ``files`` of ``skinbake verify --json`` (docs/reference/json.md). Its ``passed``
+        is the verdict.
+
+    Raises
+    ------
+    skinbake.ChoiceError
+        An option has a value that does not exist.
+    skinbake.InputError
+        The file cannot be read.
+
+    Examples
+    --------
+    >>> verdict = skinbake.verify(baked, poses="random", samples=4, min_gain=2.0)
+    >>> verdict["passed"]
+    True
+
+    """
+    from skinbake.commands.verify import verify_file
+    from skinbake.lighting.measured import VerifyOptions
+    from skinbake.lighting.poses import PoseRequest
+    from skinbake.report.verify import file_json
+
+    request = PoseRequest(member_of(PoseKind, poses, "poses"), samples, math.radians(angle), seed)
+    options = VerifyOptions(
+        methods=tuple(dict.fromkeys(member_of(Method, method, "method") for method in methods)),
+        poses=request,
+        max_mean_error=max_mean_error,
+        max_p95_error=max_p95_error,
+        min_gain=min_gain,
+        require_baked=require_baked,
+        warnings_as_errors=warnings_as_errors,
+        cap=cap,
+        baseline=member_of(Baseline, baseline, "baseline"),
+    )
+    return file_json(verify_file(os.fspath(source), options, bounds=_bounds(allow_outside)))
+
+
+def inspect(source: FilePath, *, allow_outside: Sequence[FilePath] = ()) -> dict[str, Any]:
+    """Return what is skinned in a file, and what is baked into it.
+
+    Parameters
+    ----------
+    source
+        A ``.glb``, ``.gltf`` or ``.vrm`` file.
+    allow_outside
+        Folders in which the document may name files, besides its own folder.
+
+    Returns
+    -------
+    dict
+        The object of ``skinbake inspect --json`` (docs/reference/json.md).
+
+    Raises
+    ------
+    skinbake.InputError
+        The file cannot be read.
+
+    Examples
+    --------
+    >>> skinbake.inspect(baked)["primitives"][0]["joints"]
+    3
+
+    """
+    from skinbake.commands.inspect import inspect_file
+    from skinbake.report.inspect import as_json
+
+    return as_json(inspect_file(os.fspath(source), _bounds(allow_outside)))
+
+
+def strip(
+    source: FilePath,
+    target: FilePath,
+    *,
+    warnings_as_errors: bool = False,
+    sync: bool = True,
+    allow_outside: Sequence[FilePath] = (),
+) -> dict[str, Any]:
+    """Write a file as it was before its bake, byte for byte where no tool has changed it since.
+
+    Parameters
+    ----------
+    source, target
+        The baked file, and the file to write. They may be the same.
+    warnings_as_errors
+        Raise InputError, and write nothing, where there are warnings.
+    sync
+        Wait until the output is on the disk.
+    allow_outside
+        Folders in which the document may name files, besides its own folder.
+
+    Returns
+    -------
+    dict
+        The object of ``skinbake strip --json`` (docs/reference/json.md).
+
+    Raises
+    ------
+    skinbake.InputError
+        The source cannot be read.
+    skinbake.OutputError
+        The target cannot be written. Then nothing has been written.
+
+    Examples
+    --------
+    >>> skinbake.strip(baked, folder / "as_it_was.glb")["primitives"]
+    1
+    >>> (folder / "as_it_was.glb").read_bytes() == pathlib.Path("fixtures/bent_tube.glb").read_bytes()
+    True
+
+    """
+    from skinbake.commands.strip import strip_file
+    from skinbake.report.strip import as_json
+
+    bounds = _bounds(allow_outside)
+    paths = os.fspath(source), os.fspath(target)
+    return as_json(strip_file(*paths, warnings_as_errors=warnings_as_errors, sync=sync, bounds=bounds))
+
+
+def _bounds(allow_outside: Sequence[FilePath]) -> Bounds:
+    return Bounds(None, tuple(os.fspath(folder) for folder in allow_outside))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WeightGradients:
+    """The gradients of a surface's skin weights, along its tangents and bitangents.
+
+    Two names take it apart: ``alpha, beta = weight_gradients(…)``.
+
+    Attributes
+    ----------
+    alpha, beta : ndarray (V, K − 1) float32
+        ∇w · t0 and ∇w · b0 of slots 1 … K − 1, in 1 / length unit of the positions. The entry of slot 0 is
+        minus their sum.
+    joints : ndarray (V, K) integer
+        The joints that α and β belong to. They are the given ones, except where a vertex adopted joints.
+    tangents, bitangents : ndarray (V, 3) float
+        The frame: t0 and b0.
+    frame : str
+        ``tangent`` where the frame was taken from the given tangents, else ``normal``.
+    lost : float
+        The share of the gradients that no slot holds, from 0 to 1.
+
+    """
+
+    alpha: Float32Array
+    beta: Float32Array
+    joints: IntArray
+    tangents: npt.NDArray[np.floating]
+    bitangents: npt.NDArray[np.floating]
+    frame: str
+    lost: float
+
+    def __iter__(self) -> Iterator[Float32Array]:
+        yield self.alpha
+        yield self.beta
+
+
+def weight_gradients(
+    positions: npt.ArrayLike,
+    normals: npt.ArrayLike,
+    triangles: npt.ArrayLike,
+    joints: npt.ArrayLike,
+    weights: npt.ArrayLike,
+    *,
+    tangents: npt.ArrayLike | None = None,
+    weighting: Weighting | str = Weighting.MAX,
+    crease_angle: float = 15.0,
+    neighbours: Neighbours | str = Neighbours.DROP,
+    frame: FrameChoice | str = FrameChoice.AUTO,
+) -> WeightGradients:
+    """Return α and β of one skinned surface: arrays in, arrays out, no file.
+
+    Copies of a vertex (equal position, weights, and normals within ``crease_angle``) count as one.
+
+    Parameters
+    ----------
+    positions : (V, 3) float
+        Rest positions.
+    normals : (V, 3) float
+        Rest normals, of any length.
+    triangles : (T, 3) integer
+        Indices of vertices, counter-clockwise.
+    joints : (V, K) integer
+        Joint indices of K ≥ 2 slots.
+    weights : (V, K) float
+        Skin weights. They are divided by their sum.
+    tangents : (V, 4) float, optional
+        As glTF's TANGENT: unit vectors, and the handedness 1 or −1.
+    weighting
+        ``max``, ``angle``, ``area`` or ``angle-area``.
+    crease_angle
+        Degrees. Copies of a vertex whose normals differ by more are a hard edge.
+    neighbours
+        ``drop`` leaves out joints that only the neighbours of a vertex have. ``adopt`` takes them into slots
+        of weight 0; a shader must then read the result's ``joints``.
+    frame
+        ``auto``, ``tangent`` or ``normal``: see docs/reference/frame.md.
+
+    Returns
+    -------
+    WeightGradients
+        α, β and the frame that they belong to.
+
+    Raises
+    ------
+    ValueError
+        An array has another shape, an index is out of range, or a number is not finite.
+    skinbake.ChoiceError
+        An option has a value that does not exist.
+    skinbake.InputError
+        α or β of a vertex are not finite.
+
+    Examples
+    --------
+    The weight of joint 1 grows by 1 along x, over a square with its normals along z:
+
+    >>> positions = [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]
+    >>> weights = [[1, 0], [0, 1], [0, 1], [1, 0]]
+    >>> alpha, beta = skinbake.weight_gradients(
+    ...     positions, [[0, 0, 1]] * 4, [[0, 1, 2], [0, 2, 3]], [[0, 1]] * 4, weights
+    ... )
+    >>> alpha.ravel().tolist(), beta.ravel().tolist()
+    ([1.0, 1.0, 1.0, 1.0], [0.0, 0.0, 0.0, 0.0])
+
+    Notes
+    -----
+    Tarini, Panozzo, Sorkine-Hornung 2014, section 4: doi:10.1111/cgf.12330.
+
+    """
+    from skinbake.errors import Place
+    from skinbake.gradients.assumptions import check_finite
+    from skinbake.gradients.baker import BakeSettings, ChosenFrame, bake_mesh, frame_vectors
+
+    settings = BakeSettings(
+        member_of(Weighting, weighting, "weighting"),
+        math.radians(crease_angle),
+        member_of(Neighbours, neighbours, "neighbours"),
+        member_of(FrameChoice, frame, "frame"),
+    )
+    if settings.frame is FrameChoice.TANGENT and tangents is None:
+        raise ValueError('frame is "tangent", and there are no tangents')
+    primitive = _surface(positions, normals, triangles, joints, weights, tangents)
+    [(baked, findings)] = bake_mesh([primitive], settings)
+    check_finite(primitive, baked, Place("weight_gradients"))
+    t0, b0 = frame_vectors(primitive, ChosenFrame(baked.frame))
+    adopted = baked.adopted_joints
+    return WeightGradients(
+        baked.alpha,
+        baked.beta,
+        np.where(adopted >= 0, adopted, primitive.joints),
+        t0,
+        b0,
+        str(baked.frame),
+        findings.lost,
+    )
+
+
+def _surface(
+    positions: npt.ArrayLike,
+    normals: npt.ArrayLike,
+    triangles: npt.ArrayLike,
+    joints: npt.ArrayLike,
+    weights: npt.ArrayLike,
+    tangents: npt.ArrayLike | None,
+) -> SkinnedPrimitive:
+    """Return the arrays as a primitive; ValueError where they do not belong together."""
+    points = _floats("positions", positions, (None, 3))
+    count = len(points)
+    weighed = _floats("weights", weights, (count, None))
+    slots = weighed.shape[1]
+    if slots < 2:
+        raise ValueError(f"weights have shape {weighed.shape}: a vertex needs at least 2 slots")
+    return SkinnedPrimitive(
+        positions=points,
+        normals=_floats("normals", normals, (count, 3)),
+        tangents=None if tangents is None else _floats("tangents", tangents, (count, 4)),
+        joints=_indices("joints", joints, (count, slots), np.iinfo(np.int32).max),
+        weights=weighed,
+        triangles=_indices("triangles", triangles, (None, 3), count),
+    )
+
+
+def _floats(name: str, values: npt.ArrayLike, shape: tuple[int | None, int | None]) -> npt.NDArray[Any]:
+    array = np.asarray(values)
+    if array.dtype != np.float32:
+        array = array.astype(np.float64)
+    _check_shape(name, array, shape)
+    if not np.isfinite(array).all():
+        raise ValueError(f"{name} hold numbers that are not finite")
+    return np.ascontiguousarray(array)
+
+
+def _indices(name: str, values: npt.ArrayLike, shape: tuple[int | None, int | None], end: int) -> IntArray:
+    array = np.asarray(values)
+    if array.dtype.kind not in "iu":
+        raise ValueError(f"{name} are {array.dtype}: expected integers")
+    _check_shape(name, array, shape)
+    if array.size and not 0 <= int(array.min()) <= int(array.max()) < end:
+        raise ValueError(f"{name} hold {array.min()} to {array.max()}: expected 0 to {end - 1}")
+    return np.ascontiguousarray(array.astype(np.uint32))
+
+
+def _check_shape(name: str, array: npt.NDArray[Any], shape: tuple[int | None, int | None]) -> None:
+    fits = array.ndim == len(shape) and all(
+        wanted is None or found == wanted for found, wanted in zip(array.shape, shape, strict=True)
+    )
+    if not fits or len(array) == 0:
+        wanted = ", ".join("any" if size is None else str(size) for size in shape)
+        raise ValueError(f"{name} have shape {array.shape}: expected ({wanted})")

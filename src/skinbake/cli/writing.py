@@ -1,0 +1,20 @@
+"""How outputs are written, as the options of a command say."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from skinbake.cli.given import Given
+    from skinbake.gltf.output import Writing
+
+
+def writing_of(given: Given) -> Writing:
+    """Return how the command line asks that outputs are written."""
+    from skinbake.gltf.output import Writing
+
+    return Writing(
+        dry_run=given.get("dry_run", False),
+        make_folder=bool(given.get("out_dir")),
+        sync=not given["no_sync"],
+    )

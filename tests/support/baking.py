@@ -1,0 +1,60 @@
+"""Bakes for tests: one file, with the options of the bake and of the writing in one call."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+from skinbake.commands.bake import Baker
+from skinbake.containment import OWN_FOLDERS, Within
+from skinbake.format.baked import AttributeNames
+from skinbake.format.layouts import Storage
+from skinbake.gltf.codecs.recode import Compression
+from skinbake.gltf.output import Writing
+from skinbake.gradients.baker import BakeSettings
+from skinbake.jobs.bake import Bake
+from skinbake.report.bake import FileResult
+
+WRITING = {entry.name for entry in fields(Writing)}
+
+
+def baker_of(
+    *,
+    settings: BakeSettings | None = None,
+    storage: Storage | None = None,
+    names: AttributeNames | None = None,
+    compression: Compression | None = None,
+    **options: Any,
+) -> Baker:
+    """Return what bakes so; options that the code under test holds together may be given together."""
+    if settings is not None:
+        options |= {name: getattr(settings, name) for name in ("weighting", "neighbours", "frame")}
+        options["crease_angle"] = math.degrees(settings.crease_angle)
+    if storage is not None:
+        options |= {"encoding": storage.encoding, "layout": storage.layout}
+    if names is not None:
+        options |= {"alpha_name": names.alpha, "beta_name": names.beta}
+    if compression is not None:
+        options |= {"compress": compression.scheme, "compress_level": compression.level}
+        options |= {
+            f"{'texcoord' if name == 'TEXCOORD_0' else name.lower()}_bits": bits
+            for name, bits in compression.bits.items()
+        }
+    return Baker(**options)
+
+
+def bake_work(**options: Any) -> Bake:
+    """Return the work of baking a job so; options are those of ``baker_of`` and of ``Writing``."""
+    how = {name: options.pop(name) for name in list(options) if name in WRITING}
+    return Bake(baker_of(**options), Writing(**how))
+
+
+def bake_file(
+    source: str | Path, target: str | Path | None, *, within: Within = OWN_FOLDERS, **options: Any
+) -> FileResult:
+    """Bake one file; options are those of ``baker_of`` and of ``Writing``."""
+    work = bake_work(**options)
+    goal = None if target is None else str(target)
+    return work.baker.bake_file(str(source), goal, work.writing, within)

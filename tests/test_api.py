@@ -1,0 +1,256 @@
+"""The Python API: what it returns is what the commands print, and its documentation runs."""
+
+from __future__ import annotations
+
+import doctest
+import json
+import pathlib
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pygltflib
+import pytest
+
+import skinbake
+from fixtures.make_fixtures import FOLDER
+from skinbake import api
+from tests.support import corpus
+from tests.support.command_line import document, invoke
+from tests.support.gltf_reading import read
+
+ROOT = Path(__file__).parents[1]
+TUBE = FOLDER / "bent_tube.glb"
+
+
+@pytest.fixture
+def examples(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+    """What the examples of the documentation may use."""
+    monkeypatch.chdir(ROOT)
+    baked = tmp_path / "baked.glb"
+    skinbake.bake(TUBE, baked)
+    return {"skinbake": skinbake, "folder": tmp_path, "baked": baked, "pathlib": pathlib}
+
+
+def test_the_examples_of_the_docstrings_run(examples: dict[str, Any]) -> None:
+    found = doctest.testmod(api, extraglobs=examples, raise_on_error=False)
+    assert (found.failed, found.attempted > 8) == (0, True)
+
+
+def test_the_examples_of_the_page_run(examples: dict[str, Any]) -> None:
+    page = str(ROOT / "docs" / "python.md")
+    found = doctest.testfile(page, module_relative=False, globs=examples, encoding="utf-8")
+    assert (found.failed, found.attempted > 30) == (0, True)
+
+
+def test_every_public_name_is_documented() -> None:
+    page = (ROOT / "docs" / "python.md").read_text(encoding="utf-8")
+    for name in set(skinbake.__all__) - {"__version__"}:
+        thing = getattr(skinbake, name)
+        assert thing.__doc__, name
+        assert name in page or name in (api.bake.__doc__ or ""), name
+    for name in ("bake", "verify", "inspect", "strip", "weight_gradients"):
+        text = getattr(skinbake, name).__doc__
+        assert all(part in text for part in ("Parameters", "Returns", "Raises", "Examples")), name
+    assert dir(skinbake) == sorted(skinbake.__all__)
+    with pytest.raises(AttributeError, match="no attribute 'bkae'"):
+        _ = skinbake.bkae
+
+
+def test_an_import_brings_nothing_heavy() -> None:
+    heavy = ("numpy", "click", "igl", "scipy", "pygltflib", "json")
+    code = f"import sys, skinbake; print([name for name in {heavy} if name in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_results_are_the_entries_of_json(tmp_path: Path) -> None:
+    baked, again = tmp_path / "baked.glb", str(tmp_path / "again.glb")
+    entry = document(invoke("bake", TUBE, "-o", baked, "--encoding", "packed8", "--json"))["files"][0]
+    result = skinbake.bake(TUBE, again, encoding="packed8")
+    assert json.loads(json.dumps(result)) == {**entry, "output": again}
+    assert baked.read_bytes() == Path(again).read_bytes()
+    arguments = ("--poses", "random:3", "--method", "lbs", "--max-mean-error", "0.001")
+    entry = document(invoke("verify", baked, *arguments, "--json"))["files"][0]
+    verdict = skinbake.verify(baked, poses="random", samples=3, methods=["lbs"], max_mean_error=0.001)
+    assert not verdict["passed"]
+    assert json.loads(json.dumps(verdict)) == entry
+    assert json.loads(json.dumps(skinbake.inspect(baked))) == document(invoke("inspect", baked, "--json"))
+
+
+def test_options_reach_the_bake(tmp_path: Path) -> None:
+    """Each option of the command line is a keyword, and gives the same bytes."""
+    flags: dict[str, Any] = {
+        "weighting": "angle",
+        "crease_angle": 60.0,
+        "neighbours": "drop",
+        "frame": "normal",
+        "alpha_name": "_A{set}",
+        "beta_name": "_B{set}",
+        "limit_influences": 4,
+    }
+    words = [word for name, value in flags.items() for word in (f"--{name.replace('_', '-')}", str(value))]
+    source = FOLDER / "two_sets.glb"
+    assert invoke("bake", source, "-o", tmp_path / "a.glb", *words).exit_code == 0
+    skinbake.bake(source, tmp_path / "b.glb", **flags)
+    assert (tmp_path / "a.glb").read_bytes() == (tmp_path / "b.glb").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"weighting": "maximal"}, "--weighting maximal: expected one of max, angle, area, angle-area"),
+        ({"crease_angle": 181.0}, "--crease-angle 181.0: expected a number from 0 to 180"),
+        ({"crease_angle": float("nan")}, "--crease-angle nan: expected a number from 0 to 180"),
+        ({"limit_influences": 6}, "--limit-influences 6: expected a multiple of 4"),
+        ({"limit_influences": 0}, "--limit-influences 0: expected a number at least 4"),
+        ({"alpha_name": "ALPHA_{set}"}, "--alpha-name ALPHA_{set}: expected a name that begins with"),
+        ({"layout": "custom", "beta_name": "_B{set}"}, "--beta-name is for --layout attributes"),
+        ({"layout": "texcoord", "encoding": "packed8"}, "--layout texcoord takes --encoding float32"),
+        ({"position_bits": 12}, "need --compress draco"),
+        ({"compress": "draco", "normal_bits": 1}, "--normal-bits 1: expected a number from 2 to 30"),
+        ({"compress": "meshopt", "compress_level": 4}, "--compress-level of meshopt is at most 3"),
+    ],
+)
+def test_options_that_make_no_sense_are_refused(
+    options: dict[str, Any], message: str, tmp_path: Path
+) -> None:
+    with pytest.raises(skinbake.ChoiceError) as caught:
+        skinbake.bake(TUBE, tmp_path / "out.glb", **options)
+    assert message in str(caught.value)
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_unknown_keyword_is_a_type_error(tmp_path: Path) -> None:
+    with pytest.raises(TypeError, match="wieghting"):
+        skinbake.bake(TUBE, tmp_path / "out.glb", **{"wieghting": "max"})  # type: ignore[call-overload]
+    with pytest.raises(TypeError, match="needs a target"):
+        skinbake.bake(TUBE)
+
+
+def test_a_failure_writes_nothing_and_has_its_notices(tmp_path: Path) -> None:
+    with pytest.raises(skinbake.OutputError) as caught:
+        skinbake.bake(FOLDER / "morphed_sheet.glb", tmp_path / "missing" / "out.glb")
+    assert caught.value.place is not None
+    with pytest.raises(skinbake.InputError):
+        skinbake.verify(tmp_path / "missing.glb")
+    assert not list(tmp_path.iterdir())
+
+
+class TestModels:
+    """Models of pygltflib's."""
+
+    @pytest.mark.parametrize("name", ["bent_tube.glb", "seam.glb", "two_sets.glb", "mirrored_tangent.glb"])
+    def test_a_model_is_baked_as_its_file_is(self, name: str, tmp_path: Path) -> None:
+        model = pygltflib.GLTF2().load(FOLDER / name)
+        before, blob = model.to_json(), model.binary_blob()
+        skinbake.bake(model).save(tmp_path / "model.glb")
+        assert (model.to_json(), model.binary_blob()) == (before, blob)
+        skinbake.bake(FOLDER / name, tmp_path / "file.glb")
+        ours, theirs = read(tmp_path / "model.glb"), read(tmp_path / "file.glb")
+        attributes = theirs.primitive(0, 0)["attributes"]
+        assert set(ours.primitive(0, 0)["attributes"]) == set(attributes)
+        for attribute in attributes:
+            found, wanted = (one.stored_attribute(attribute) for one in (ours, theirs))
+            assert found.tobytes() == wanted.tobytes(), attribute
+        assert skinbake.verify(tmp_path / "model.glb", samples=2)["passed"]
+
+    def test_a_second_bake_changes_nothing(self) -> None:
+        once = skinbake.bake(pygltflib.GLTF2().load(TUBE))
+        twice = skinbake.bake(once)
+        assert json.loads(twice.to_json()) == json.loads(once.to_json())
+        assert twice.binary_blob() == once.binary_blob()
+
+    @corpus.needed
+    def test_files_beside_a_model_are_found_in_its_folder(self, tmp_path: Path) -> None:
+        model = pygltflib.GLTF2().load(corpus.model("pbrTest/pbrTest.gltf"))
+        baked = skinbake.bake(model)
+        assert baked.buffers[0].uri is None
+        assert [image.uri for image in baked.images] == [image.uri for image in model.images]
+        baked.images, baked.textures, baked.materials = [], [], []
+        for primitive in (primitive for mesh in baked.meshes for primitive in mesh.primitives):
+            primitive.material = None
+        baked.save(tmp_path / "model.glb")
+        assert skinbake.verify(tmp_path / "model.glb", samples=1)["passed"]
+
+    def test_a_model_without_a_skin_comes_back_as_it_was(self) -> None:
+        model = pygltflib.GLTF2(asset=pygltflib.Asset(version="2.0"))
+        assert skinbake.bake(model).to_json() == model.to_json()
+        with pytest.raises(skinbake.InputError, match="nothing in it can be baked"):
+            skinbake.bake(model, require_baked=True)
+
+    def test_what_is_no_model_is_refused(self) -> None:
+        with pytest.raises(TypeError, match="takes a path or a GLTF2 of pygltflib, not dict"):
+            skinbake.bake({})
+
+
+class TestArrays:
+    """``weight_gradients``."""
+
+    def test_a_linear_weight_has_its_own_slope(self) -> None:
+        """On a plane the gradient of w = a x + b y is (a, b) at every vertex, whatever the triangles."""
+        random = np.random.default_rng(5)
+        points = np.column_stack([random.uniform(0, 1, (40, 2)), np.zeros(40)])
+        triangles = np.array([[a, a + 1, a + 2] for a in range(38)])
+        corners = points[triangles]
+        turned = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, 2] < 0
+        triangles[turned] = triangles[turned][:, ::-1]
+        share = 0.2 + 0.3 * points[:, 0] + 0.4 * points[:, 1]
+        found = skinbake.weight_gradients(
+            points,
+            np.tile([0.0, 0.0, 2.0], (40, 1)),
+            triangles,
+            np.tile([3, 9], (40, 1)),
+            np.column_stack([1 - share, share]),
+        )
+        alpha, beta = found
+        gradient = alpha * found.tangents + beta * found.bitangents
+        assert np.abs(gradient - [0.3, 0.4, 0.0]).max() < 1e-5
+
+    @pytest.mark.parametrize("neighbours", ["drop", "adopt"])
+    @pytest.mark.parametrize("name", ["seam.glb", "foreign_joints.glb", "mirrored_tangent.glb"])
+    def test_arrays_give_what_a_file_gives(self, name: str, neighbours: str, tmp_path: Path) -> None:
+        skinbake.bake(FOLDER / name, tmp_path / "out.glb", neighbours=neighbours)
+        before, after = read(FOLDER / name), read(tmp_path / "out.glb")
+        attributes = before.primitive(0, 0)["attributes"]
+        found = skinbake.weight_gradients(
+            before.attribute("POSITION").astype(np.float32),
+            before.attribute("NORMAL").astype(np.float32),
+            before.triangles(),
+            before.stored_attribute("JOINTS_0"),
+            before.attribute("WEIGHTS_0").astype(np.float32),
+            tangents=before.attribute("TANGENT").astype(np.float32) if "TANGENT" in attributes else None,
+            neighbours=neighbours,
+        )
+        assert found.alpha.tobytes() == after.stored_attribute("_SKINBAKE_ALPHA_0").tobytes()
+        assert found.beta.tobytes() == after.stored_attribute("_SKINBAKE_BETA_0").tobytes()
+        assert np.array_equal(found.joints, after.attribute("JOINTS_0"))
+
+    @pytest.mark.parametrize(
+        ("change", "message"),
+        [
+            ({"positions": [[0, 0]] * 4}, r"positions have shape \(4, 2\): expected \(any, 3\)"),
+            ({"positions": np.zeros((0, 3))}, "positions have shape"),
+            ({"normals": [[0, 0, 1]] * 3}, r"normals have shape \(3, 3\): expected \(4, 3\)"),
+            ({"triangles": [[0, 1, 4]]}, "triangles hold 0 to 4: expected 0 to 3"),
+            ({"triangles": [[0.0, 1.0, 2.0]]}, "triangles are float64: expected integers"),
+            ({"joints": [[0, -1]] * 4}, "joints hold -1 to 0"),
+            ({"weights": [[1]] * 4}, "a vertex needs at least 2 slots"),
+            ({"weights": [[np.nan, 1]] * 4}, "weights hold numbers that are not finite"),
+            ({"tangents": [[1, 0, 0]] * 4}, r"tangents have shape \(4, 3\): expected \(4, 4\)"),
+            ({"frame": "tangent"}, "there are no tangents"),
+        ],
+    )
+    def test_arrays_that_do_not_fit_are_refused(self, change: dict[str, Any], message: str) -> None:
+        square: dict[str, Any] = {
+            "positions": [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]],
+            "normals": [[0, 0, 1]] * 4,
+            "triangles": [[0, 1, 2], [0, 2, 3]],
+            "joints": [[0, 1]] * 4,
+            "weights": [[1, 0], [0, 1], [0, 1], [1, 0]],
+        }
+        assert skinbake.weight_gradients(**square).alpha.shape == (4, 1)
+        with pytest.raises(ValueError, match=message):
+            skinbake.weight_gradients(**{**square, **change})
