@@ -231,7 +231,9 @@ def _without_workers_jobs_are_lost(found: Any, client: Any, jobs: list[Job]) -> 
     with DaskRunner(found.address, MAKING_FOLDERS, patience=1.0) as runner:
         results = dict(runner.run(baking(), jobs))
     assert sorted(results) == [0, 1, 2]
-    assert {message_of(result) for result in results.values()} == {"the scheduler has had no worker for 1 s"}
+    assert {message_of(result) for result in results.values()} == {
+        "not baked: the scheduler has had no worker for 1 s"
+    }
 
 
 @pytest.mark.slow
