@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 from skinbake.commands.bake import Baker
 from skinbake.containment import Bounds
@@ -24,9 +25,9 @@ SECONDS_A_FILE, SECONDS_A_BYTE = 5e-3, 1.3e-8
 class Bake:
     """Bakes a job's source into its target."""
 
+    undone: ClassVar[str] = "not baked"
     baker: Baker
     writing: Writing = AS_USUAL
-    undone: str = "not baked"
 
     def result_of(self, job: Job, *, traced: bool) -> FileResult:
         """Bake the file; raises SkinbakeError, and then nothing has been written."""

@@ -5,8 +5,9 @@ Only what is reached by a URL or by ``--dask`` goes through here, and nothing el
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import TYPE_CHECKING, TypeVar
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
 
 from skinbake.errors import InputError, OutputError, Place
 from skinbake.urls import is_url
@@ -16,10 +17,6 @@ if TYPE_CHECKING:
     from skinbake.jobs.remote.dask_runner import DaskRunner
     from skinbake.jobs.work import Elsewhere, Job
 
-T = TypeVar("T")
-
-INSTALL = "which is not installed: pip install 'skinbake[dask]'"
-
 
 def elsewhere_of(job: Job) -> Elsewhere | None:
     """Return who fetches and stores a job's files, None where all of them are on this machine's disk.
@@ -28,52 +25,39 @@ def elsewhere_of(job: Job) -> Elsewhere | None:
     """
     if job.elsewhere is not None:
         return job.elsewhere
+    error: type[InputError | OutputError]
     if is_url(job.source):
-        return _imported(
-            _staging, InputError("URLs need skinbake.jobs.remote, " + INSTALL, Place(job.source))
-        )
-    if job.target is not None and is_url(job.target):
-        return _imported(
-            _staging, OutputError("URLs need skinbake.jobs.remote, " + INSTALL, Place(job.target))
-        )
-    return None
+        url, error = job.source, InputError
+    elif job.target is not None and is_url(job.target):
+        url, error = job.target, OutputError
+    else:
+        return None
+    with _installed("URLs need", url, error):
+        from skinbake.jobs.remote.staging import Staging
+    return Staging()
 
 
 def files_behind(url: str) -> list[tuple[str, str]]:
     """Return (URL, relative path) of the files that a URL stands for; raises InputError."""
-    expand_url = _imported(_expand_url, InputError("URLs need skinbake.jobs.remote, " + INSTALL, Place(url)))
+    with _installed("URLs need", url):
+        from skinbake.jobs.remote.storages import expand_url
     return expand_url(url)
 
 
 def dask_runner(address: str, writing: Writing) -> DaskRunner:
     """Return the runner for a scheduler's address; raises InputError."""
-    runner = _imported(
-        _dask_runner, InputError("--dask needs skinbake.jobs.remote, " + INSTALL, Place(address))
-    )
-    return runner(address, writing)
+    with _installed("--dask needs", address):
+        from skinbake.jobs.remote.dask_runner import DaskRunner
+    return DaskRunner(address, writing)
 
 
-def _imported(load: Callable[[], T], error: InputError | OutputError) -> T:
-    """Return what ``load`` imports; raises the error where there is no such part."""
+@contextmanager
+def _installed(
+    what_needs: str, file: str, error: type[InputError | OutputError] = InputError
+) -> Iterator[None]:
+    """Raise the error, which says what to install, where the block cannot import that part."""
     try:
-        return load()
+        yield
     except ImportError as missing:
-        raise error from missing
-
-
-def _staging() -> Elsewhere:
-    from skinbake.jobs.remote.staging import Staging
-
-    return Staging()
-
-
-def _expand_url() -> Callable[[str], list[tuple[str, str]]]:
-    from skinbake.jobs.remote.storages import expand_url
-
-    return expand_url
-
-
-def _dask_runner() -> type[DaskRunner]:
-    from skinbake.jobs.remote.dask_runner import DaskRunner
-
-    return DaskRunner
+        message = f"{what_needs} skinbake.jobs.remote, which is not installed: pip install 'skinbake[dask]'"
+        raise error(message, Place(file)) from missing

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 from skinbake.commands.verify import verify_file
 from skinbake.errors import SkinbakeError
@@ -23,9 +24,9 @@ SECONDS_A_FILE, SECONDS_A_BYTE = 0.05, 2e-6
 class Verify:
     """Verifies a job's source. ``progress`` cannot go to another process."""
 
+    undone: ClassVar[str] = "not verified"
     options: VerifyOptions
     progress: Progress | None = None
-    undone: str = "not verified"
 
     def result_of(self, job: Job, *, traced: bool) -> FileVerdict:
         """Verify the file; raises SkinbakeError where it cannot be read. It writes nothing to trace."""

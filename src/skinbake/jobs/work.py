@@ -68,7 +68,7 @@ class Result(Protocol):
 
     @property
     def timings(self) -> Mapping[str, float] | None:
-        """Seconds by stage, None where nobody asked."""
+        """Seconds by stage, None where they were not asked for."""
 
 
 JobT = TypeVar("JobT")
@@ -93,7 +93,7 @@ class Work(Protocol[JobT_contra, ReturnT_co]):
         """Return the result of a job that an error ended."""
 
     def lost(self, job: JobT_contra, reason: str, /) -> ReturnT_co:
-        """Return the result of a job that nobody lived to report on."""
+        """Return the result of a job that no process lived to report on."""
 
 
 class Runner(Protocol[JobT, ReturnT]):

@@ -141,7 +141,7 @@ class WorkWithFiles(Generic[ResultT]):
         )
 
     def lost(self, job: Job, reason: str) -> ResultT:
-        """Return the result of a job that nobody lived to report on."""
+        """Return the result of a job that no process lived to report on."""
         return self.work.lost(job, reason)
 
     def _written(self, job: Job, target: str, returned: ResultWithFiles[ResultT]) -> ResultT:
@@ -164,7 +164,7 @@ class WorkWithFiles(Generic[ResultT]):
                     return result
             except TakenError:  # by now
                 pass
-        # Somebody else's file has the name: here the names that are taken can be seen.
+        # Another file has the name: here the names that are taken can be seen.
         return self.work(job)
 
 
