@@ -19,8 +19,9 @@ import numpy as np
 import numpy.typing as npt
 
 from benchmarks.skinned_grid import Grid, grid_arrays
-from skinbake.gradients.influences import WeightField
-from skinbake.gradients.surface import Surface, surface_slots
+from skinbake.gradients import kernel
+from skinbake.gradients.field import WeightField
+from skinbake.gradients.surface import Surface
 
 SLOTS = 4
 
@@ -85,7 +86,7 @@ def prepared(mesh: Mesh) -> Callable[[], Any]:
         None,
         [len(mesh.positions)],
     )
-    return lambda: surface_slots(surface, weighting="max", adopt=True)
+    return lambda: kernel.bake_surface(surface, weighting="max", adopt=True)
 
 
 def main() -> None:

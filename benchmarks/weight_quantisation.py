@@ -24,16 +24,17 @@ from scipy.sparse.linalg import splu
 from fixtures import make_fixtures
 from skinbake.geometry import frames
 from skinbake.geometry.skinned import BoolArray, Float64Array, IntArray, SkinnedPrimitive
-from skinbake.geometry.triangles import proper, smooth_normals
+from skinbake.geometry.triangles import mark_proper, smooth_normals
 from skinbake.gltf.animation import read_clips
 from skinbake.gltf.document import read_document
 from skinbake.gltf.primitives import PrimitiveSource, read_primitive, reason_to_skip, skinned_sources
 from skinbake.gradients.baker import rest_frame
+from skinbake.gradients.field import concatenate_fields
 from skinbake.gradients.influences import weight_field
 from skinbake.gradients.normals import with_smooth_normals
 from skinbake.gradients.slots import assign, shared_capacity
 from skinbake.gradients.weight_gradients import VertexGradients
-from skinbake.gradients.weld import concatenated, weld
+from skinbake.gradients.weld import weld
 from skinbake.lighting.influences import normalised_weights
 from skinbake.lighting.metrics import angular_errors, summarise, vertex_areas
 from skinbake.lighting.operator import gradient_operator
@@ -78,7 +79,7 @@ class Surface:
     def __init__(self, primitives: Sequence[SkinnedPrimitive]) -> None:
         self.primitives = list(primitives)
         self.fields = [weight_field(primitive)[0] for primitive in primitives]
-        self.field = concatenated(self.fields)
+        self.field = concatenate_fields(self.fields)
         positions = np.concatenate([primitive.positions for primitive in primitives])
         normals = np.concatenate([primitive.normals for primitive in primitives])
         self.starts = np.cumsum([0, *(len(primitive.positions) for primitive in primitives)])
@@ -425,12 +426,12 @@ def subdivided(primitives: Sequence[SkinnedPrimitive], levels: int) -> SkinnedPr
     """Return a denser character: positions and weights after Loop 1987, the four largest weights kept."""
     surface = Surface(primitives)
     triangles = surface.points[surface.triangles]
-    triangles = triangles[proper(surface.positions, triangles)]
+    triangles = triangles[mark_proper(surface.positions, triangles)]
     values = np.hstack([surface.positions, surface.weights])
     if levels:
         values, triangles = igl.loop(values, triangles.astype(np.int64), levels)
     positions, weights = np.asarray(values)[:, :3], np.asarray(values)[:, 3:]
-    triangles = np.asarray(triangles)[proper(positions, np.asarray(triangles))]
+    triangles = np.asarray(triangles)[mark_proper(positions, np.asarray(triangles))]
     joints, kept = make_fixtures.influences(weights)
     normals = smooth_normals(positions, triangles, np.arange(len(positions)))
     return SkinnedPrimitive(

@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 Array = Any
-Call = tuple[Callable[..., Any], tuple[Any, ...]]
+Call = tuple[Callable[..., Any], dict[str, Any], bool]
+"""A loop, its arguments in order, and whether it takes them by name."""
 
 SPECIAL = np.array(
     [0, -0.0, 1, -1, 1e30, -1e30, 1e300, 1e-300, 5e-324, 1e-39, np.nan, np.inf, -np.inf, 0.5, 1e-6, 3.4e38]
@@ -27,21 +28,24 @@ def executions(seed: int) -> int:
 
     random = np.random.default_rng(seed)
     with np.errstate(all="ignore"):
-        return _varied(_calls(_kernel, random), random)
+        return _varied(_kernel, _calls(_kernel, random), random)
 
 
-def _varied(calls: list[Call], random: np.random.Generator) -> int:
+def _varied(kernel: Any, calls: list[Call], random: np.random.Generator) -> int:
     """Make calls, first as they are, then with an argument or two that do not fit."""
     done = 0
     for variation in range(VARIATIONS):
-        for function, arguments in calls:
-            given = [value.copy() if isinstance(value, np.ndarray) else value for value in arguments]
+        for function, arguments, by_name in calls:
+            given = {
+                name: value.copy() if isinstance(value, np.ndarray) else value
+                for name, value in arguments.items()
+            }
             if variation:
                 for _ in range(random.integers(1, 3)):
-                    at = int(random.integers(len(given)))
-                    given[at] = _other(random, given[at])
-            with contextlib.suppress(*REFUSALS):
-                function(*given)
+                    name = list(given)[int(random.integers(len(given)))]
+                    given[name] = _other(random, given[name])
+            with contextlib.suppress(*REFUSALS, kernel.CollisionError):
+                function(**given) if by_name else function(*given.values())
             done += 1
     return done
 
@@ -74,22 +78,46 @@ def _calls(kernel: Any, random: np.random.Generator) -> list[Call]:
     primitives = int(random.choice([1, 1, 2, 3]))
     ends = np.sort(random.integers(0, vertices + 1, primitives)).astype("u8")
     ends[-1] = vertices
-    bake = (
-        positions, corners, named, weights, free, classes, _floats(random, (vertices, 3), floats), *frame,
-        np.empty((vertices, slots - 1), "f4"), np.empty((vertices, slots - 1), "f4"),
-        np.zeros((vertices, slots), "i4"), ends, np.zeros((primitives, 4)), count,
-        int(random.integers(0, 4)), bool(random.integers(2)), float(random.choice([0, 1e-3, np.nan])),
-    )  # fmt: skip
-    rows = random.choice(5)
-    table = [positions, named, corners, weights, named.astype("u8")][rows]
+    surface = {
+        "positions": positions,
+        "triangles": corners,
+        "joints": named,
+        "weights": weights,
+        "free": free,
+        "classes": classes,
+        "normals": _floats(random, (vertices, 3), floats),
+        "tangents": frame[0],
+        "bitangents": frame[1],
+        "alpha": np.empty((vertices, slots - 1), "f4"),
+        "beta": np.empty((vertices, slots - 1), "f4"),
+        "adopted": np.zeros((vertices, slots), "i4"),
+        "ends": ends,
+        "sums": np.zeros((primitives, 4)),
+        "class_count": count,
+        "weighting": int(random.integers(0, 4)),
+        "adopts": bool(random.integers(2)),
+        "negligible": float(random.choice([0, 1e-3, np.nan])),
+    }
+    influences = {
+        "joints": named,
+        "weights": weights,
+        "free": free,
+        "adopting_sum": float(random.choice([0, 0.99, np.nan])),
+        "tolerance": 1e-3,
+    }
+    areas = {
+        "positions": positions,
+        "triangles": corners,
+        "mask": np.zeros(triangles, "?"),
+        "least": float(random.choice([0, 1e-12, np.nan])),
+    }
+    table = [positions, named, corners, weights, named.astype("u8")][random.choice(5)]
+    rows = {"rows": np.ascontiguousarray(table), "labels": np.zeros(len(table), "i4")}
     return [
-        (kernel.bake, bake),
-        (kernel.normalise, (named, weights, free, float(random.choice([0, 0.99, np.nan])), 1e-3)),
-        (
-            kernel.proper,
-            (positions, corners, np.zeros(triangles, "?"), float(random.choice([0, 1e-12, np.nan]))),
-        ),
-        (kernel.equal_rows, (np.ascontiguousarray(table), np.zeros(len(table), "i4"))),
+        (kernel.bake_surface, surface, True),
+        (kernel.normalise_influences, influences, False),
+        (kernel.mark_proper, areas, False),
+        (kernel.label_equal_rows, rows, False),
     ]
 
 

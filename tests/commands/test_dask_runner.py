@@ -19,7 +19,6 @@ import skinbake
 from skinbake.cli import exit_codes
 from skinbake.errors import InputError
 from skinbake.gltf.output import Writing
-from skinbake.gradients import kernel
 from skinbake.jobs.remote import dask_runner
 from skinbake.jobs.remote.dask_runner import DaskRunner
 from skinbake.jobs.work import Job
@@ -27,6 +26,7 @@ from skinbake.report.bake import FileResult
 from tests.commands.clusters import PATIENCE, cluster, observer, require_dask, wait_for_workers
 from tests.commands.file_works import BakeOrDie, Raise, baking, verifying
 from tests.support.command_line import document, invoke
+from tests.support.kernels import use_numpy
 from tests.support.libraries import tree, write_library, write_sheets
 
 require_dask()
@@ -213,7 +213,7 @@ def _another_version_is_refused(address: str, monkeypatch: pytest.MonkeyPatch, j
     assert sorted(results) == [0, 1, 2]
     assert all("has skinbake 0" in message_of(result) for result in results.values())
     with monkeypatch.context() as patch:  # whose last bits may differ
-        patch.setattr(kernel, "compiled", None)
+        use_numpy(patch)
         with pytest.raises(InputError, match=r"has skinbake [0-9.]+, this is [0-9.]+ without compiled loops"):
             DaskRunner(address, MAKING_FOLDERS).connect()
     with monkeypatch.context() as patch:

@@ -10,7 +10,7 @@ from skinbake.geometry.triangles import (
     TRIANGLE_FAN,
     TRIANGLE_STRIP,
     TRIANGLES,
-    proper,
+    mark_proper,
     smooth_normals,
     unrolled,
 )
@@ -88,11 +88,11 @@ def test_a_triangle_has_an_area_whatever_its_size_and_first_corner(
 ) -> None:
     positions: npt.NDArray[np.floating] = (np.array(corners) * scale).astype(dtype)
     faces = np.array([[0, 1, 2], [1, 2, 0], [2, 0, 1], [2, 1, 0]])
-    assert proper(positions, faces).tolist() == [has_area] * 4
+    assert mark_proper(positions, faces).tolist() == [has_area] * 4
 
 
 def test_no_triangles_have_no_areas() -> None:
-    assert proper(np.zeros((3, 3)), np.zeros((0, 3), dtype=np.int64)).tolist() == []
+    assert mark_proper(np.zeros((3, 3)), np.zeros((0, 3), dtype=np.int64)).tolist() == []
 
 
 def test_triangles_in_blocks_are_measured_each_at_its_place(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -102,7 +102,7 @@ def test_triangles_in_blocks_are_measured_each_at_its_place(monkeypatch: pytest.
     distinct = np.array([len(set(face)) == 3 for face in faces.tolist()])
     assert 0 < distinct.sum() < 100
     monkeypatch.setattr(measuring, "BLOCK", 7)
-    assert np.array_equal(proper(positions, faces), distinct)
+    assert np.array_equal(mark_proper(positions, faces), distinct)
 
 
 def icosphere(rounds: int) -> tuple[Float64Array, npt.NDArray[np.int64]]:

@@ -14,10 +14,10 @@ import pytest
 
 from fixtures.builder import pack_glb
 from skinbake.gltf import resources
-from skinbake.gradients import kernel
 from tests.support import corpus, khronos
 from tests.support.command_line import document, invoke
 from tests.support.gltf_reading import GltfFile, read
+from tests.support.kernels import use_numpy
 from tests.support.models import FOLDER, Change, baked, edited, note, rewritten, sheet, write_model
 
 COMPRESSIONS = ["keep", "none", "draco", "meshopt"]
@@ -353,7 +353,7 @@ class TestGradientsThatAreNotFinite:
         self, tiny: Path, options: list[str], by_numpy: bool, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         if by_numpy:
-            monkeypatch.setattr(kernel, "compiled", None)
+            use_numpy(monkeypatch)
         message = refused(tiny, *options)
         assert f'{tiny}: mesh 0 "sheet", primitive 1: α or β of 16 vertices are not finite numbers' in message
         assert "scale the model up" in message
@@ -436,7 +436,7 @@ def test_not_a_numbers_of_every_kind_draw_no_warning(
 ) -> None:
     """A signalling NaN is one that processors announce when they convert it."""
     if by_numpy:
-        monkeypatch.setattr(kernel, "compiled", None)
+        use_numpy(monkeypatch)
     tangents = np.tile(np.array([1, 0, 0, 1], np.float32), (20, 1))
     part = sheet(TANGENT=tangents)
     part.attributes[name].view(np.uint32)[7, 1] = 0x7F800001

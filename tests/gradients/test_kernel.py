@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import runpy
 import shutil
 import subprocess
 import sys
 import sysconfig
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import partial
 from importlib.machinery import ExtensionFileLoader
 from importlib.util import module_from_spec, spec_from_loader
@@ -19,20 +20,20 @@ import numpy.typing as npt
 import pytest
 
 from skinbake.geometry.skinned import BakedPrimitive, Float64Array, FloatArray, SkinnedPrimitive
-from skinbake.gradients import kernel
+from skinbake.gradients import by_numpy, kernel
 from skinbake.gradients.baker import (
     BakeFindings,
     BakeSettings,
     bake_mesh,
     chosen_frame,
     frame_vectors,
-    with_area,
 )
 from skinbake.gradients.corner import WEIGHTINGS
+from skinbake.gradients.field import WeightDefects, concatenate_fields
 from skinbake.gradients.influences import weight_field
-from skinbake.gradients.surface import Surface, SurfaceSlots, surface_slots
+from skinbake.gradients.surface import Surface, SurfaceSlots
 from skinbake.gradients.weight_gradients import VertexGradients, weight_gradients
-from skinbake.gradients.weld import concatenated, equal_positions, equal_rows, weld
+from skinbake.gradients.weld import weld
 from tests.support.baked_arrays import (
     AFRAME_HAND,
     BARBARIAN,
@@ -45,11 +46,14 @@ from tests.support.baked_arrays import (
     meshes_of,
     path_of,
 )
+from tests.support.kernels import use_numpy
 from tests.support.strictness import missing_tool
 from tests.support.surfaces import analytic_surface
 
-if kernel.compiled is None:
+if not kernel.IS_COMPILED:
     missing_tool("skinbake was installed without its compiled loops")
+
+from skinbake.gradients import _kernel, by_loops
 
 FIXTURES = ["bent_tube.glb", "two_primitives.glb", "two_sets.glb", "foreign_joints.glb", "weights_u8.glb"]
 MODELS = [CESIUM_MAN, BARBARIAN, TREX, PBR_TEST, HAND_U8, ELF, MANTIS, AFRAME_HAND]
@@ -61,23 +65,27 @@ def both(monkeypatch: pytest.MonkeyPatch, work: Callable[[], Result]) -> tuple[R
     """Return the results of the compiled loops and of numpy."""
     compiled = work()
     with monkeypatch.context() as patch:
-        patch.setattr(kernel, "compiled", None)
+        use_numpy(patch)
         return compiled, work()
 
 
 def surface_of(primitives: Sequence[SkinnedPrimitive]) -> Surface:
-    field = concatenated([weight_field(part)[0] for part in primitives])
+    field = concatenate_fields([weight_field(part)[0] for part in primitives])
     positions = np.concatenate([part.positions for part in primitives])
     ends = np.cumsum([len(part.positions) for part in primitives]).tolist()
     triangles = np.concatenate(
         [
-            part.triangles[with_area(part)].astype(np.int64) + start
+            part.triangles[kernel.mark_proper(part.positions, part.triangles)].astype(np.int64) + start
             for part, start in zip(primitives, [0, *ends], strict=False)
         ]
     )
     normals = np.concatenate([part.normals for part in primitives])
     classes = weld(positions, normals, field, crease_angle=np.radians(15.0))
     return Surface(positions, triangles, field, classes, normals, None, ends)
+
+
+def bake(surface: Surface, weighting: str = "max", adopt: bool = True) -> SurfaceSlots:
+    return kernel.bake_surface(surface, weighting=weighting, adopt=adopt)
 
 
 def dense(slots: SurfaceSlots) -> npt.NDArray[np.int64]:
@@ -97,8 +105,7 @@ def assert_paths_agree(
     assert np.array_equal(surface.triangles, plain_surface.triangles)
     assert np.array_equal(surface.classes, plain_surface.classes)
     for adopt in (True, False):
-        work = partial(surface_slots, surface, weighting=weighting, adopt=adopt)
-        compiled, plain = both(monkeypatch, work)
+        compiled, plain = both(monkeypatch, partial(bake, surface, weighting, adopt))
         found, expected = (np.hstack([slots.alpha, slots.beta]) for slots in (compiled, plain))
         # Copies of a vertex may differ in their weights' last digits below float32: each array corner takes
         # its own copy's weights, the compiled class those of its first vertex. Gradients as large that the
@@ -131,8 +138,8 @@ def test_both_paths_agree_on_real_models(name: str, monkeypatch: pytest.MonkeyPa
 def test_positions_in_float64_give_the_same(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     for primitives in meshes_of(path_of(name)).values():
         wide = [replace(part, positions=part.positions.astype(np.float64)) for part in primitives]
-        narrow = surface_slots(surface_of(primitives), weighting="max", adopt=True)
-        found = surface_slots(surface_of(wide), weighting="max", adopt=True)
+        narrow = bake(surface_of(primitives))
+        found = bake(surface_of(wide))
         for member in ("alpha", "beta", "adopting", "adopted", "counts"):
             assert np.array_equal(getattr(found, member), getattr(narrow, member))
         assert_paths_agree(wide, "max", monkeypatch)
@@ -147,7 +154,7 @@ def test_the_kernels_frame_from_normals_is_the_contracts_bit_by_bit() -> None:
     own = surface_of([part])
     vectors = frame_vectors(part, chosen_frame(part, "normal"))
     given = replace(own, frame=vectors)
-    one, other = (surface_slots(surface, weighting="max", adopt=True) for surface in (own, given))
+    one, other = (bake(surface) for surface in (own, given))
     assert np.array_equal(one.alpha, other.alpha)
     assert np.array_equal(one.beta, other.beta)
     assert one.alpha[:4].any()
@@ -171,18 +178,28 @@ def test_without_any_optimisation_the_bits_are_the_same(
     assert specification is not None
     other = module_from_spec(specification)
     for primitives in meshes_of(path_of(name)).values():
-        expected = surface_slots(surface_of(primitives), weighting=weighting, adopt=True)
+        expected = bake(surface_of(primitives), weighting)
         with monkeypatch.context() as patch:
-            patch.setattr(kernel, "compiled", other)
-            found = surface_slots(surface_of(primitives), weighting=weighting, adopt=True)
+            patch.setattr(by_loops, "_kernel", other)
+            found = bake(surface_of(primitives), weighting)
         for member in ("alpha", "beta", "adopting", "adopted", "counts"):
             assert np.array_equal(getattr(found, member), getattr(expected, member)), member
 
 
+def test_weightings_and_defects_have_the_names_of_the_definition() -> None:
+    assert list(by_loops.WEIGHTINGS) == list(WEIGHTINGS)
+    assert len(set(by_loops.WEIGHTINGS.values())) == len(WEIGHTINGS)
+    field, _ = weight_field(empty(3))
+    found = _kernel.normalise_influences(field.joints, field.weights, field.free, 0.99, 1e-3)
+    assert set(found) == {field.name for field in fields(WeightDefects)}
+
+
 def test_the_environment_can_ask_for_numpy(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert kernel._loaded() is not None
+    assert runpy.run_path(kernel.__file__)["IS_COMPILED"]
     monkeypatch.setenv("SKINBAKE_KERNEL", "numpy")
-    assert kernel._loaded() is None
+    chosen = runpy.run_path(kernel.__file__)
+    assert not chosen["IS_COMPILED"]
+    assert all(chosen[name] is getattr(by_numpy, name) for name in kernel.__all__)
 
 
 class TestArguments:
@@ -206,14 +223,13 @@ class TestArguments:
             "ends": np.array([3], dtype=np.uint64),
             "sums": np.zeros((1, 4)),
             "class_count": 3,
-            "weighting": 0,
+            "weighting": _kernel.BY_MAX,
             "adopts": True,
             "negligible": 1e-4,
         }
 
     def test_these_are_right(self) -> None:
-        assert kernel.compiled is not None
-        kernel.compiled.bake(*self.arguments().values())
+        _kernel.bake_surface(**self.arguments())
 
     @pytest.mark.parametrize(
         ("name", "value", "error"),
@@ -240,29 +256,28 @@ class TestArguments:
             ("class_count", -1, ValueError),
             ("joints", np.zeros((3, 1), dtype=np.int32), ValueError),
             ("joints", np.full((3, 4), 2**31 - 1, dtype=np.int32), ValueError),
+            ("weighting", -1, ValueError),
+            ("weighting", 4, ValueError),
         ],
     )
     def test_wrong_ones_are_refused(self, name: str, value: Any, error: type[Exception]) -> None:
-        assert kernel.compiled is not None
         with pytest.raises((error, ValueError) if error is BufferError else error):
-            kernel.compiled.bake(*{**self.arguments(), name: value}.values())
+            _kernel.bake_surface(**{**self.arguments(), name: value})
 
     def test_a_surface_without_vertices_has_no_classes(self) -> None:
-        assert kernel.compiled is not None
-        empty = {
+        empty: dict[str, Any] = {
             name: value[:0] if isinstance(value, np.ndarray) and name not in ("ends", "sums") else value
             for name, value in self.arguments().items()
         }
         empty["ends"] = np.zeros(1, dtype=np.uint64)
-        kernel.compiled.bake(*{**empty, "class_count": 0}.values())
+        _kernel.bake_surface(**{**empty, "class_count": 0})
         with pytest.raises(ValueError, match="weld classes"):
-            kernel.compiled.bake(*{**empty, "class_count": -1}.values())
+            _kernel.bake_surface(**{**empty, "class_count": -1})
 
     def test_vertices_without_slots_are_refused(self) -> None:
-        assert kernel.compiled is not None
         joints, weights, free = np.zeros((3, 0), np.int32), np.zeros((3, 0)), np.zeros((3, 0), np.bool_)
         with pytest.raises(ValueError, match="at least 1"):
-            kernel.compiled.normalise(joints, weights, free, 0.99, 1e-3)
+            _kernel.normalise_influences(joints, weights, free, 0.99, 1e-3)
 
 
 RACE = """
@@ -294,8 +309,12 @@ for turn in range(8):
     going, other = True, threading.Timer(0.001 * turn, spoil)
     other.start()
     try:
-        _kernel.bake(positions, triangles, joints, weights, free, classes, positions, frames, frames, alpha,
-                     alpha.copy(), np.zeros((V, S), np.int32), ends, np.zeros((2, 4)), V // 2, 1, True, 1e-4)
+        _kernel.bake_surface(
+            positions=positions, triangles=triangles, joints=joints, weights=weights, free=free,
+            classes=classes, normals=positions, tangents=frames, bitangents=frames, alpha=alpha,
+            beta=alpha.copy(), adopted=np.zeros((V, S), np.int32), ends=ends,
+            sums=np.zeros((2, 4)), class_count=V // 2,
+            weighting=_kernel.BY_ANGLE, adopts=True, negligible=1e-4)
     except (IndexError, ValueError):
         pass
     going = False
@@ -314,10 +333,10 @@ def test_equal_rows_are_found_as_by_sorting(dtype: type, monkeypatch: pytest.Mon
     rng = np.random.default_rng(3)
     positions: FloatArray = rng.integers(-2, 3, (5000, 3)).astype(dtype)
     positions[rng.random(positions.shape) < 0.2] *= -1  # makes −0 of some zeros
-    found, expected = both(monkeypatch, lambda: equal_positions(positions))
+    found, expected = both(monkeypatch, lambda: kernel.label_equal_rows(positions))
     assert np.array_equal(found, expected)
     keys = rng.integers(0, 3, (3000, 5)).astype(np.uint64)
-    found, expected = both(monkeypatch, lambda: equal_rows(keys))
+    found, expected = both(monkeypatch, lambda: kernel.label_equal_rows(keys))
     assert np.array_equal(found, expected)
     assert len(np.unique(found)) == len(np.unique(keys, axis=0))
 
@@ -384,7 +403,7 @@ def test_a_mesh_without_any_area_has_alpha_zero(
 
 @pytest.mark.parametrize("name", ["foreign_joints.glb", CESIUM_MAN, BARBARIAN])
 def test_both_paths_bake_the_same_file(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    def bake() -> list[tuple[BakedPrimitive, BakeFindings]]:
+    def bake_file() -> list[tuple[BakedPrimitive, BakeFindings]]:
         return [
             outcome
             for primitives in meshes_of(path_of(name)).values()
@@ -395,7 +414,7 @@ def test_both_paths_bake_the_same_file(name: str, monkeypatch: pytest.MonkeyPatc
         listed: list[list[int]] = np.sort(outcome.adopted_joints, axis=1).tolist()
         return listed
 
-    for (compiled, numbers), (plain, own) in zip(*both(monkeypatch, bake), strict=True):
+    for (compiled, numbers), (plain, own) in zip(*both(monkeypatch, bake_file), strict=True):
         assert joints(compiled) == joints(plain)
         assert numbers.overflowing_vertices == own.overflowing_vertices
         assert numbers.adopting_vertices == own.adopting_vertices
@@ -418,9 +437,7 @@ def test_many_joints_at_one_vertex_outgrow_the_kernels_first_guess(monkeypatch: 
         np.tile([1.0, 0.0, 0.0, 0.0], (spokes + 1, 1)),
         np.column_stack([np.zeros(spokes, dtype=np.int64), 1 + numbers, 1 + (numbers + 1) % spokes]),
     )
-    compiled, plain = both(
-        monkeypatch, lambda: surface_slots(surface_of([part]), weighting="max", adopt=True)
-    )
+    compiled, plain = both(monkeypatch, lambda: bake(surface_of([part])))
     # By symmetry every spoke's joint has a gradient c (cos θ, sin θ) along its spoke. The mean is exact for
     # the linear field x, which is cos θ at the rim: Σ cos θ · c cos θ = c · spokes / 2 = 1.
     for slots in (compiled, plain):
@@ -458,11 +475,11 @@ def test_rows_made_to_collide_take_no_longer_than_sorting_does() -> None:
         mixed ^= (mixed >> 29) ^ (mixed >> 58)
         rows.append((mixed * undone & bits) ^ start)
     keys = np.array(rows, dtype=np.uint64)[:, None]
-    assert kernel.compiled is not None
-    assert kernel.compiled.equal_rows(keys, np.empty(count, dtype=np.int32)) is None
-    assert np.array_equal(equal_rows(keys), np.arange(count))
+    with pytest.raises(_kernel.CollisionError):
+        _kernel.label_equal_rows(keys, np.empty(count, dtype=np.int32))
+    assert np.array_equal(kernel.label_equal_rows(keys), np.arange(count))
     keys[1::2] = keys[::2]
-    assert np.array_equal(equal_rows(keys), np.arange(count) // 2)
+    assert np.array_equal(kernel.label_equal_rows(keys), np.arange(count) // 2)
     # Half as many that collide by chance alone are none of this.
     ordinary = np.random.default_rng(5).integers(0, 1 << 62, (count, 1)).astype(np.uint64)
-    assert kernel.compiled.equal_rows(ordinary, np.empty(count, dtype=np.int32)) == count
+    assert _kernel.label_equal_rows(ordinary, np.empty(count, dtype=np.int32)) == count

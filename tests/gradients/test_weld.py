@@ -10,10 +10,11 @@ import numpy.typing as npt
 import pytest
 
 from skinbake.geometry.skinned import IntArray, SkinnedPrimitive
-from skinbake.gradients import kernel
+from skinbake.gradients import by_numpy, kernel
 from skinbake.gradients import weld as welding
+from skinbake.gradients.field import concatenate_fields
 from skinbake.gradients.influences import weight_field
-from skinbake.gradients.weld import concatenated, equal_positions, equal_rows, weld
+from skinbake.gradients.weld import weld
 from skinbake.lighting.welds import weld_classes
 from tests.support.baked_arrays import (
     AFRAME_HAND,
@@ -79,7 +80,7 @@ def labels_of(primitives: Sequence[SkinnedPrimitive], crease: float = 15.0) -> I
     return weld(
         np.concatenate([part.positions for part in primitives]),
         np.concatenate([part.normals for part in primitives]),
-        concatenated([weight_field(part)[0] for part in primitives]),
+        concatenate_fields([weight_field(part)[0] for part in primitives]),
         crease_angle=math.radians(crease),
     )
 
@@ -120,7 +121,7 @@ def test_hard_edges_stay_apart() -> None:
 def test_equal_positions_weld_and_minus_zero_is_zero() -> None:
     positions = [[0, 0, 0], [-0.0, 0, -0.0], [0, 1e-30, 0], [0, 0, 1e-45]]
     assert classes(copies(positions=positions)) == [0, 0, 1, 2]
-    assert partition(equal_positions(np.array(positions, dtype=np.float32))) == [0, 0, 1, 2]
+    assert partition(kernel.label_equal_rows(np.array(positions, dtype=np.float32))) == [0, 0, 1, 2]
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
@@ -266,15 +267,14 @@ def test_the_order_of_vertices_changes_no_class(crease: float, seed: int) -> Non
 
 def test_rows_of_one_hash_are_compared_in_full(monkeypatch: pytest.MonkeyPatch) -> None:
     rows = np.random.default_rng(1).integers(0, 3, (200, 4)).astype(np.uint64)
-    expected = partition(equal_rows(rows))
+    expected = partition(kernel.label_equal_rows(rows))
     assert expected == partition(np.unique(rows, axis=0, return_inverse=True)[1].reshape(-1))
 
     def collide(keys: npt.NDArray[np.uint64]) -> npt.NDArray[np.uint64]:
         return np.asarray(keys[:, 0] % np.uint64(2))
 
-    monkeypatch.setattr(kernel, "compiled", None)  # whose hash nobody can bend
-    monkeypatch.setattr(welding, "_hash", collide)
-    assert partition(equal_rows(rows)) == expected
+    monkeypatch.setattr(by_numpy, "_hash_rows", collide)
+    assert partition(by_numpy.label_equal_rows(rows)) == expected
 
 
 def test_a_welded_seam_bakes_as_if_it_had_never_been_cut() -> None:

@@ -38,7 +38,7 @@ def unrolled(indices: IntArray, mode: int) -> npt.NDArray[np.uint32]:
     return np.stack([corners[first], corners[first + 1 + odd], corners[first + 2 - odd]], axis=1)
 
 
-def proper(positions: FloatArray, triangles: IntArray) -> BoolArray:
+def mark_proper(positions: FloatArray, triangles: IntArray) -> BoolArray:
     """Tell for each triangle (T, 3) whether it has an area: a mask (T,), see DEGENERATE_AREA."""
     components = np.ascontiguousarray(positions.T, dtype=np.float64)
     blocks = [triangles[start : start + BLOCK] for start in range(0, len(triangles), BLOCK)]

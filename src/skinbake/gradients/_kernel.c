@@ -1,7 +1,7 @@
 /* The loops of `skinbake bake` that visit every vertex, triangle or corner, for arrays that numpy owns.
 
-   Each function has a twin in numpy (named beside it), which is the definition, the test's oracle, and what
-   runs where this module could not be compiled. Here the same mathematics is written for one pass over
+   Each function has a twin in numpy (named beside it), which is the definition, the test's oracle, and the
+   code that runs where this module could not be compiled. Here the same mathematics is written for one pass over
    memory: nothing is kept of a corner or a gradient once its vertex is done.
 
    Arrays come in through the buffer protocol: contiguous, aligned, and of the types that
@@ -38,9 +38,59 @@
 
 #define NO_JOINT (-1)
 
-enum { MAX_WEIGHTING, ANGLE, AREA, ANGLE_AREA };
+/* How corners are weighted in the mean (see corner.py); the module has constants of these names. */
+typedef enum { BY_MAX, BY_ANGLE, BY_AREA, BY_ANGLE_AREA, WEIGHTINGS } Weighting;
 
-/* ---- Arrays ------------------------------------------------------------------------------------------ */
+/* ---- Status -------------------------------------------------------------------------------------------- */
+
+/* How a loop ended. Loops run without the GIL and cannot raise: raise_status does it once they have ended. */
+typedef enum { DONE, NO_MEMORY, STRAY_INDEX, TOO_MANY_COLLISIONS } Status;
+
+static PyObject *collision_error; /* _kernel.CollisionError */
+
+static void raise_status(Status status)
+{
+    switch (status) {
+    case DONE:
+        return;
+    case NO_MEMORY:
+        PyErr_NoMemory();
+        return;
+    case STRAY_INDEX:
+        PyErr_SetString(PyExc_IndexError, "a triangle, a slot or a weld class names what is not there");
+        return;
+    case TOO_MANY_COLLISIONS:
+        PyErr_SetString(collision_error, "the hashes of the rows collide beyond all chance");
+        return;
+    }
+}
+
+/* ---- Arrays -------------------------------------------------------------------------------------------- */
+
+/* The axes of arrays by their letters: V vertices, T triangles, P primitives, K slots. Arrays of one call that
+   share an axis have one size there. LATER_K is K without the first slot; FRAMES is V, or 0 for none. */
+typedef enum {
+    AXIS_ANY,
+    AXIS_1,
+    AXIS_3,
+    AXIS_4,
+    AXIS_V,
+    AXIS_T,
+    AXIS_P,
+    AXIS_K,
+    AXIS_LATER_K,
+    AXIS_FRAMES,
+    AXES
+} Axis;
+
+typedef enum { READ, WRITTEN } Access;
+
+/* What an argument must be. */
+typedef struct {
+    const char *name, *kinds; /* kinds: the types it may have, see Array */
+    Axis rows, columns;       /* an array of one axis has one column */
+    Access access;
+} Requirement;
 
 typedef struct {
     Py_buffer buffer;
@@ -49,7 +99,7 @@ typedef struct {
     char kind; /* f d: floats, i: int32, I: uint32, Q: uint64, ?: bytes */
 } Array;
 
-static void release(Array *arrays, int count)
+static void release_arrays(Array *arrays, int count)
 {
     for (int n = 0; n < count; n++)
         if (arrays[n].held)
@@ -78,48 +128,68 @@ static char kind_of(const Py_buffer *buffer)
     return 0;
 }
 
-/* Take an array of one or two axes; `kinds` lists the types it may have. `columns` of 0 allows any number. */
-static int take(PyObject *object, Array *array, const char *name, const char *kinds, Py_ssize_t columns,
-                int writable)
+/* Hold the size of an axis against the sizes known so far; the first array that has the axis sets it. */
+static int check_size(const char *name, const char *along, Py_ssize_t found, Axis axis, Py_ssize_t *sizes)
 {
-    int flags = PyBUF_C_CONTIGUOUS | PyBUF_FORMAT | (writable ? PyBUF_WRITABLE : 0);
+    if (axis == AXIS_ANY)
+        return 0;
+    if (sizes[axis] < 0) {
+        sizes[axis] = found;
+        if (axis == AXIS_K)
+            sizes[AXIS_LATER_K] = found - 1;
+    }
+    if (sizes[axis] == found)
+        return 0;
+    PyErr_Format(PyExc_ValueError, "%s has %zd %s, not %zd", name, found, along, sizes[axis]);
+    return -1;
+}
+
+/* Hold one argument as an array of one or two axes. */
+static int read_array(PyObject *object, const Requirement *required, Array *array, Py_ssize_t *sizes)
+{
+    int flags = PyBUF_C_CONTIGUOUS | PyBUF_FORMAT | (required->access == WRITTEN ? PyBUF_WRITABLE : 0);
     if (PyObject_GetBuffer(object, &array->buffer, flags) < 0)
         return -1;
     array->held = 1;
     const Py_buffer *buffer = &array->buffer;
     array->kind = kind_of(buffer);
-    if (array->kind == 0 || strchr(kinds, array->kind) == NULL) {
-        PyErr_Format(PyExc_TypeError, "%s has elements of type %s", name, buffer->format);
+    if (array->kind == 0 || strchr(required->kinds, array->kind) == NULL) {
+        PyErr_Format(PyExc_TypeError, "%s has elements of type %s", required->name, buffer->format);
         return -1;
     }
     if (buffer->ndim < 1 || buffer->ndim > 2 || (uintptr_t)buffer->buf % (uintptr_t)buffer->itemsize) {
-        PyErr_Format(PyExc_ValueError, "%s is not an aligned array of one or two axes", name);
+        PyErr_Format(PyExc_ValueError, "%s is not an aligned array of one or two axes", required->name);
         return -1;
     }
     array->rows = buffer->shape[0];
     array->columns = buffer->ndim == 2 ? buffer->shape[1] : 1;
-    if (columns && array->columns != columns) {
-        PyErr_Format(PyExc_ValueError, "%s has %zd columns, not %zd", name, array->columns, columns);
+    if (check_size(required->name, "columns", array->columns, required->columns, sizes) < 0)
+        return -1;
+    return check_size(required->name, "rows", array->rows, required->rows, sizes);
+}
+
+/* Hold the arguments of a call; a vertex must have `least_slots` slots or more. */
+static int read_arrays(PyObject *const *objects, const Requirement *required, int count, Py_ssize_t least_slots,
+                       Array *arrays)
+{
+    Py_ssize_t sizes[AXES];
+    for (int axis = 0; axis < AXES; axis++)
+        sizes[axis] = -1;
+    sizes[AXIS_1] = 1, sizes[AXIS_3] = 3, sizes[AXIS_4] = 4;
+    for (int n = 0; n < count; n++) {
+        if (read_array(objects[n], &required[n], &arrays[n], sizes) < 0)
+            return -1;
+        if (required[n].columns == AXIS_K && arrays[n].columns < least_slots) {
+            PyErr_Format(PyExc_ValueError, "%s has %zd columns; at least %zd are needed", required[n].name,
+                         arrays[n].columns, least_slots);
+            return -1;
+        }
+    }
+    if (sizes[AXIS_FRAMES] > 0 && sizes[AXIS_FRAMES] != sizes[AXIS_V]) {
+        PyErr_Format(PyExc_ValueError, "there are %zd tangents, not %zd", sizes[AXIS_FRAMES], sizes[AXIS_V]);
         return -1;
     }
     return 0;
-}
-
-static int same_rows(const Array *array, const char *name, Py_ssize_t rows)
-{
-    if (array->rows == rows)
-        return 0;
-    PyErr_Format(PyExc_ValueError, "%s has %zd rows, not %zd", name, array->rows, rows);
-    return -1;
-}
-
-/* A vertex has `least` slots or more. */
-static int least_slots(const Array *joints, Py_ssize_t least)
-{
-    if (joints->columns >= least)
-        return 0;
-    PyErr_Format(PyExc_ValueError, "joints has %zd columns; at least %zd are needed", joints->columns, least);
-    return -1;
 }
 
 typedef struct {
@@ -150,7 +220,7 @@ typedef double Four __attribute__((vector_size(32)));
 static ALWAYS_INLINE Four four(double a, double b, double c, double d) { return (Four){a, b, c, d}; }
 static ALWAYS_INLINE Four add(Four a, Four b) { return a + b; }
 static ALWAYS_INLINE Four subtract(Four a, Four b) { return a - b; }
-static ALWAYS_INLINE Four times(Four a, Four b) { return a * b; }
+static ALWAYS_INLINE Four multiply(Four a, Four b) { return a * b; }
 static ALWAYS_INLINE Four divide(Four a, Four b) { return a / b; }
 static ALWAYS_INLINE Four root(Four a) { return four(sqrt(a[0]), sqrt(a[1]), sqrt(a[2]), sqrt(a[3])); }
 #else
@@ -165,21 +235,21 @@ typedef struct {
 static ALWAYS_INLINE Four four(double a, double b, double c, double d) { return (Four){{a, b, c, d}}; }
 static ALWAYS_INLINE Four add(Four a, Four b) { EACH(a.of[n] + b.of[n]); }
 static ALWAYS_INLINE Four subtract(Four a, Four b) { EACH(a.of[n] - b.of[n]); }
-static ALWAYS_INLINE Four times(Four a, Four b) { EACH(a.of[n] * b.of[n]); }
+static ALWAYS_INLINE Four multiply(Four a, Four b) { EACH(a.of[n] * b.of[n]); }
 static ALWAYS_INLINE Four divide(Four a, Four b) { EACH(a.of[n] / b.of[n]); }
 static ALWAYS_INLINE Four root(Four a) { EACH(sqrt(a.of[n])); }
 #endif
-static ALWAYS_INLINE Four get(const double *from)
+static ALWAYS_INLINE Four load(const double *from)
 {
     Four values;
     memcpy(&values, from, sizeof values);
     return values;
 }
-static ALWAYS_INLINE void put(double *to, Four values) { memcpy(to, &values, sizeof values); }
+static ALWAYS_INLINE void store(double *to, Four values) { memcpy(to, &values, sizeof values); }
 
-/* ---- Equal rows (twin: weld.equal_rows) -------------------------------------------------------------- */
+/* ---- Equal rows (twin: by_numpy.label_equal_rows) ------------------------------------------------------ */
 
-static inline uint64_t mixed(uint64_t state, uint64_t word)
+static inline uint64_t mix(uint64_t state, uint64_t word)
 {
     state = (state ^ word) * UINT64_C(0xBF58476D1CE4E5B9);
     return state ^ (state >> 29);
@@ -203,15 +273,15 @@ static inline uint64_t word_at(const void *row, char kind, Py_ssize_t column)
     }
 }
 
-static inline uint64_t row_hash(const char *row, char kind, Py_ssize_t columns)
+static inline uint64_t hash_row(const char *row, char kind, Py_ssize_t columns)
 {
     uint64_t state = UINT64_C(0x9E3779B97F4A7C15);
     for (Py_ssize_t column = 0; column < columns; column++)
-        state = mixed(state, word_at(row, kind, column));
+        state = mix(state, word_at(row, kind, column));
     return state ^ (state >> 32);
 }
 
-static inline int equal(const char *a, const char *b, char kind, Py_ssize_t columns)
+static inline int equal_words(const char *a, const char *b, char kind, Py_ssize_t columns)
 {
     for (Py_ssize_t column = 0; column < columns; column++)
         if (word_at(a, kind, column) != word_at(b, kind, column))
@@ -227,11 +297,11 @@ typedef struct {
 /* Rows whose hashes are known ahead of their turn, while memory fetches their slots of the table. */
 enum { AHEAD = 16 };
 
-enum { NO_MEMORY = -1, TOO_MANY_COLLISIONS = -2, PROBES_A_ROW = 64 };
+enum { PROBES_A_ROW = 64 };
 
-/* Fill labels; return how many there are, or NO_MEMORY, or TOO_MANY_COLLISIONS: rows that somebody made to have
-   like hashes would take time that grows with their square. `first` keeps a row of each label. */
-static Py_ssize_t label_rows(const Array *rows, int32_t *labels)
+/* Fill labels, and count them. Rows that somebody made to have like hashes would take time that grows with the
+   square of their number; they end it. `first` keeps a row of each label. */
+static Status label_rows(const Array *rows, int32_t *labels, Py_ssize_t *labelled)
 {
     size_t size = 16;
     while (size < 2 * (size_t)rows->rows)
@@ -239,17 +309,18 @@ static Py_ssize_t label_rows(const Array *rows, int32_t *labels)
     size_t width = (size_t)rows->buffer.itemsize * (size_t)rows->columns;
     Slot *table = malloc(size * sizeof *table);
     int32_t *first = malloc(((size_t)rows->rows + 1) * sizeof *first);
-    Py_ssize_t count = table && first ? 0 : NO_MEMORY;
+    Status status = table && first ? DONE : NO_MEMORY;
+    Py_ssize_t count = 0;
     uint64_t probes_left = (uint64_t)rows->rows * PROBES_A_ROW + 1024;
-    if (count == 0)
+    if (status == DONE)
         memset(table, 0xFF, size * sizeof *table); /* label -1: empty */
     const char *data = rows->buffer.buf;
     uint64_t hashes[AHEAD] = {0};
-    for (Py_ssize_t next = 0; count >= 0 && next < rows->rows + AHEAD; next++) {
+    for (Py_ssize_t next = 0; status == DONE && next < rows->rows + AHEAD; next++) {
         Py_ssize_t row = next - AHEAD;
         uint64_t hash = hashes[next % AHEAD];
         if (next < rows->rows) {
-            hashes[next % AHEAD] = row_hash(data + (size_t)next * width, rows->kind, rows->columns);
+            hashes[next % AHEAD] = hash_row(data + (size_t)next * width, rows->kind, rows->columns);
             PREFETCH(&table[(size_t)hashes[next % AHEAD] & (size - 1)]);
         }
         if (row < 0)
@@ -265,57 +336,75 @@ static Py_ssize_t label_rows(const Array *rows, int32_t *labels)
                 break;
             }
             const char *there = data + (size_t)first[table[at].label] * width;
-            if (table[at].tag == tag && equal(here, there, rows->kind, rows->columns)) {
+            if (table[at].tag == tag && equal_words(here, there, rows->kind, rows->columns)) {
                 labels[row] = table[at].label;
                 break;
             }
             if (probes_left-- == 0) {
-                count = TOO_MANY_COLLISIONS;
+                status = TOO_MANY_COLLISIONS;
                 break;
             }
         }
     }
     free(table);
     free(first);
-    return count;
+    *labelled = count;
+    return status;
 }
 
-static PyObject *equal_rows(PyObject *module, PyObject *args)
+static PyObject *label_equal_rows(PyObject *Py_UNUSED(module), PyObject *args)
 {
-    PyObject *rows_object, *labels_object;
-    Array a[2] = {{.held = 0}};
-    if (!PyArg_ParseTuple(args, "OO", &rows_object, &labels_object))
+    enum { ROWS, LABELS, ARRAYS };
+    static const Requirement required[ARRAYS] = {
+        [ROWS] = {"rows", "fdiIQ", AXIS_V, AXIS_ANY, READ},
+        [LABELS] = {"labels", "i", AXIS_V, AXIS_1, WRITTEN},
+    };
+    PyObject *objects[ARRAYS], *result = NULL;
+    Array a[ARRAYS] = {{.held = 0}};
+    if (!PyArg_ParseTuple(args, "OO", &objects[ROWS], &objects[LABELS]))
         return NULL;
-    PyObject *result = NULL;
-    if (take(rows_object, &a[0], "rows", "fdiIQ", 0, 0) < 0 ||
-        take(labels_object, &a[1], "labels", "i", 1, 1) < 0 || same_rows(&a[1], "labels", a[0].rows) < 0)
+    if (read_arrays(objects, required, ARRAYS, 0, a) < 0)
         goto done;
-    if (a[0].rows >= INT32_MAX) {
+    if (a[ROWS].rows >= INT32_MAX) {
         PyErr_SetString(PyExc_ValueError, "too many rows");
         goto done;
     }
     Py_ssize_t count;
+    Status status;
     Py_BEGIN_ALLOW_THREADS
-    count = label_rows(&a[0], a[1].buffer.buf);
+    status = label_rows(&a[ROWS], a[LABELS].buffer.buf, &count);
     Py_END_ALLOW_THREADS
-    if (count == NO_MEMORY)
-        PyErr_NoMemory();
+    if (status == DONE)
+        result = PyLong_FromSsize_t(count);
     else
-        result = count < 0 ? Py_NewRef(Py_None) : PyLong_FromSsize_t(count);
+        raise_status(status);
 done:
-    release(a, 2);
+    release_arrays(a, ARRAYS);
     return result;
 }
 
-/* ---- Weight field (twin: influences.weight_field) ---------------------------------------------------- */
+/* ---- Weight field (twin: by_numpy.normalise_influences) ------------------------------------------------ */
 
+/* The influences of all vertices, to be normalised in place. */
 typedef struct {
-    Py_ssize_t negative, all_zero, not_normalised, repeated;
+    int32_t *joints; /* (V, K) */
+    double *weights;
+    uint8_t *unused;
+    Py_ssize_t slots;
+    double adopting_sum, tolerance;
+} Influences;
+
+/* At how many vertices something was assumed. */
+typedef struct {
+    Py_ssize_t negative, all_zero, not_normalised, repeated_joint;
 } Defects;
 
-static void normalise_vertex(int32_t *joints, double *weights, uint8_t *unused, Py_ssize_t slots,
-                             double adopting_sum, double tolerance, Defects *defects)
+static void normalise_vertex(const Influences *field, Py_ssize_t vertex, Defects *defects)
 {
+    const Py_ssize_t slots = field->slots;
+    int32_t *joints = field->joints + vertex * slots;
+    double *weights = field->weights + vertex * slots;
+    uint8_t *unused = field->unused + vertex * slots;
     int negative = 0, merged = 0;
     double total = 0.0;
     for (Py_ssize_t k = 0; k < slots; k++) {
@@ -326,7 +415,7 @@ static void normalise_vertex(int32_t *joints, double *weights, uint8_t *unused, 
         }
         total += weights[k];
     }
-    if (!(total > adopting_sum))
+    if (!(total > field->adopting_sum))
         memset(unused, 0, (size_t)slots);
     if (total == 0.0) {
         defects->all_zero++;
@@ -346,39 +435,45 @@ static void normalise_vertex(int32_t *joints, double *weights, uint8_t *unused, 
             }
         }
     defects->negative += negative;
-    defects->repeated += merged;
-    defects->not_normalised += fabs(total - 1.0) > tolerance;
+    defects->repeated_joint += merged;
+    defects->not_normalised += fabs(total - 1.0) > field->tolerance;
     for (Py_ssize_t k = 0; k < slots; k++)
         weights[k] /= total;
 }
 
-static PyObject *normalise(PyObject *module, PyObject *args)
+static PyObject *normalise_influences(PyObject *Py_UNUSED(module), PyObject *args)
 {
-    PyObject *objects[3];
-    double adopting_sum, tolerance;
-    Array a[3] = {{.held = 0}};
-    if (!PyArg_ParseTuple(args, "OOOdd", &objects[0], &objects[1], &objects[2], &adopting_sum, &tolerance))
+    enum { JOINTS, WEIGHTS, UNUSED, ARRAYS };
+    static const Requirement required[ARRAYS] = {
+        [JOINTS] = {"joints", "i", AXIS_V, AXIS_K, WRITTEN},
+        [WEIGHTS] = {"weights", "d", AXIS_V, AXIS_K, WRITTEN},
+        [UNUSED] = {"free", "?", AXIS_V, AXIS_K, WRITTEN},
+    };
+    PyObject *objects[ARRAYS], *result = NULL;
+    Array a[ARRAYS] = {{.held = 0}};
+    Influences field;
+    if (!PyArg_ParseTuple(args, "OOOdd", &objects[JOINTS], &objects[WEIGHTS], &objects[UNUSED],
+                          &field.adopting_sum, &field.tolerance))
         return NULL;
-    PyObject *result = NULL;
-    if (take(objects[0], &a[0], "joints", "i", 0, 1) < 0 || least_slots(&a[0], 1) < 0 ||
-        take(objects[1], &a[1], "weights", "d", a[0].columns, 1) < 0 ||
-        take(objects[2], &a[2], "free", "?", a[0].columns, 1) < 0 ||
-        same_rows(&a[1], "weights", a[0].rows) < 0 || same_rows(&a[2], "free", a[0].rows) < 0)
+    if (read_arrays(objects, required, ARRAYS, 1, a) < 0)
         goto done;
+    field.joints = a[JOINTS].buffer.buf;
+    field.weights = a[WEIGHTS].buffer.buf;
+    field.unused = a[UNUSED].buffer.buf;
+    field.slots = a[JOINTS].columns;
     Defects defects = {0, 0, 0, 0};
     Py_BEGIN_ALLOW_THREADS
-    for (Py_ssize_t row = 0, at = 0; row < a[0].rows; row++, at += a[0].columns)
-        normalise_vertex((int32_t *)a[0].buffer.buf + at, (double *)a[1].buffer.buf + at,
-                         (uint8_t *)a[2].buffer.buf + at, a[0].columns, adopting_sum, tolerance, &defects);
+    for (Py_ssize_t vertex = 0; vertex < a[JOINTS].rows; vertex++)
+        normalise_vertex(&field, vertex, &defects);
     Py_END_ALLOW_THREADS
-    result = Py_BuildValue("nnnn", defects.negative, defects.all_zero, defects.not_normalised,
-                           defects.repeated);
+    result = Py_BuildValue("{snsnsnsn}", "negative", defects.negative, "all_zero", defects.all_zero,
+                           "not_normalised", defects.not_normalised, "repeated_joint", defects.repeated_joint);
 done:
-    release(a, 3);
+    release_arrays(a, ARRAYS);
     return result;
 }
 
-/* ---- Triangles with an area (twin: triangles.proper) ------------------------------------------------- */
+/* ---- Triangles with an area (twin: triangles.mark_proper) ---------------------------------------------- */
 
 static inline int has_area(Vector p, Vector q, Vector r, double least)
 {
@@ -389,50 +484,50 @@ static inline int has_area(Vector p, Vector q, Vector r, double least)
     return sqrt(dot(n, n)) > least * longest;
 }
 
-/* Return how many triangles have no area, -1 where one names a vertex that is not there. */
-static Py_ssize_t mark_proper(const Array *positions, const Array *triangles, uint8_t *mask, double least)
+static Status mark_areas(const Array *positions, const Array *triangles, uint8_t *mask, double least)
 {
     const void *points = positions->buffer.buf;
     int wide = positions->kind == 'd';
     const uint32_t *index = triangles->buffer.buf;
     size_t vertices = (size_t)positions->rows;
-    Py_ssize_t degenerate = 0;
     for (Py_ssize_t t = 0; t < triangles->rows; t++, index += 3) {
         const uint32_t p = index[0], q = index[1], r = index[2];
         if (p >= vertices || q >= vertices || r >= vertices)
-            return -1;
+            return STRAY_INDEX;
         mask[t] = (uint8_t)has_area(row3(points, wide, p), row3(points, wide, q), row3(points, wide, r), least);
-        degenerate += !mask[t];
     }
-    return degenerate;
+    return DONE;
 }
 
-static PyObject *proper(PyObject *module, PyObject *args)
+static PyObject *mark_proper(PyObject *Py_UNUSED(module), PyObject *args)
 {
-    PyObject *objects[3];
+    enum { POSITIONS, TRIANGLES, MASK, ARRAYS };
+    static const Requirement required[ARRAYS] = {
+        [POSITIONS] = {"positions", "fd", AXIS_V, AXIS_3, READ},
+        [TRIANGLES] = {"triangles", "iI", AXIS_T, AXIS_3, READ},
+        [MASK] = {"mask", "?", AXIS_T, AXIS_1, WRITTEN},
+    };
+    PyObject *objects[ARRAYS], *result = NULL;
+    Array a[ARRAYS] = {{.held = 0}};
     double least;
-    Array a[3] = {{.held = 0}};
-    if (!PyArg_ParseTuple(args, "OOOd", &objects[0], &objects[1], &objects[2], &least))
+    if (!PyArg_ParseTuple(args, "OOOd", &objects[POSITIONS], &objects[TRIANGLES], &objects[MASK], &least))
         return NULL;
-    PyObject *result = NULL;
-    if (take(objects[0], &a[0], "positions", "fd", 3, 0) < 0 ||
-        take(objects[1], &a[1], "triangles", "iI", 3, 0) < 0 || take(objects[2], &a[2], "mask", "?", 1, 1) < 0 ||
-        same_rows(&a[2], "mask", a[1].rows) < 0)
+    if (read_arrays(objects, required, ARRAYS, 0, a) < 0)
         goto done;
-    Py_ssize_t degenerate;
+    Status status;
     Py_BEGIN_ALLOW_THREADS
-    degenerate = mark_proper(&a[0], &a[1], a[2].buffer.buf, least);
+    status = mark_areas(&a[POSITIONS], &a[TRIANGLES], a[MASK].buffer.buf, least);
     Py_END_ALLOW_THREADS
-    if (degenerate < 0)
-        PyErr_SetString(PyExc_IndexError, "a triangle names a vertex that is not there");
+    if (status == DONE)
+        result = Py_NewRef(Py_None);
     else
-        result = PyLong_FromSsize_t(degenerate);
+        raise_status(status);
 done:
-    release(a, 3);
+    release_arrays(a, ARRAYS);
     return result;
 }
 
-/* ---- Gradients and slots (twins: gradients.weight_gradients, slots.assign) --------------------------- */
+/* ---- Gradients and slots (twin: by_numpy.bake_surface) ------------------------------------------------- */
 
 /* What is baked: V vertices with K slots each, T triangles, C weld classes. Rows as in the twins. */
 typedef struct {
@@ -444,16 +539,23 @@ typedef struct {
     const uint8_t *unused;     /* (V, K): may adopt */
     const int32_t *classes;    /* (V,) */
     Py_ssize_t vertices, slots, triangle_count, class_count, joint_count;
-    int weighting, adopts;
+    Weighting weighting;
+    int adopts;
     double negligible;
 } Surface;
+
+/* What is counted of one primitive: a row of float64. */
+typedef struct {
+    double adopting, overflowing; /* vertices */
+    double magnitude, unheld;     /* of all gradients; of those that no slot holds */
+} Sums;
 
 typedef struct {
     float *alpha, *beta; /* (V, K - 1) */
     int32_t *adopted;    /* (V, K) of zeros; 1 + joint is written where a slot adopts one */
     const uint64_t *ends; /* (P,): where the rows of each primitive end */
     size_t primitives;
-    double *sums; /* (P, 4): adopting and overflowing vertices, gradient magnitude, its unheld part */
+    Sums *sums; /* (P,) */
 } Baked;
 
 /* Members of every group, in ascending order: those of group g stand at start[g] ... start[g + 1]. */
@@ -461,9 +563,8 @@ typedef struct {
     uint32_t *start, *members;
 } Groups;
 
-/* While the GIL is released another thread may write to the arrays. So every index is held against what it counts
-   in where it is used, on the value that is used, whatever an earlier loop saw; STRAY tells of one. */
-enum { STRAY = -2 };
+/* While the GIL is released another thread may write to the arrays. So every index is checked where it is used, on
+   the value that is used, whatever an earlier loop saw; STRAY_INDEX tells of one that is out of range. */
 
 /* The class of a vertex; class_count where the vertex or its class is not there. */
 static ALWAYS_INLINE size_t class_of(const Surface *s, size_t vertex)
@@ -472,19 +573,19 @@ static ALWAYS_INLINE size_t class_of(const Surface *s, size_t vertex)
     return found < (size_t)s->class_count ? found : (size_t)s->class_count;
 }
 
-/* Group the corners 4 t + i by weld class (by counting); -1: no memory, STRAY: an index is out of range. */
-static int corners_of_classes(const Surface *s, Groups *groups)
+/* Group the corners 4 t + i by weld class, by counting. */
+static Status group_corners(const Surface *s, Groups *groups)
 {
     size_t corners = 3 * (size_t)s->triangle_count, classes = (size_t)s->class_count;
     groups->start = calloc(classes + 2, sizeof *groups->start);
     groups->members = malloc((corners + 1) * sizeof *groups->members);
     if (!groups->start || !groups->members)
-        return -1;
+        return NO_MEMORY;
     uint32_t *next = groups->start + 1; /* one ahead: filling moves every start to its place */
     for (size_t corner = 0; corner < corners; corner++) {
         size_t c = class_of(s, s->triangles[corner]);
         if (c == classes)
-            return STRAY;
+            return STRAY_INDEX;
         next[c + 1]++;
     }
     for (size_t c = 0; c < classes; c++)
@@ -493,30 +594,30 @@ static int corners_of_classes(const Surface *s, Groups *groups)
         for (size_t i = 0; i < 3; i++) {
             size_t c = class_of(s, s->triangles[3 * t + i]);
             if (c == classes || next[c] >= corners)
-                return STRAY;
+                return STRAY_INDEX;
             groups->members[next[c]++] = (uint32_t)(4 * t + i);
         }
-    return 0;
+    return DONE;
 }
 
 /* Group the vertices by weld class; members stay NULL where every class has one vertex, its own number. */
-static int vertices_of_classes(const Surface *s, Groups *groups)
+static Status group_vertices(const Surface *s, Groups *groups)
 {
     size_t vertices = (size_t)s->vertices, classes = (size_t)s->class_count;
     size_t v = 0;
     while (v < vertices && s->classes[v] == (int32_t)v)
         v++;
     if (v == vertices && classes == vertices)
-        return 0;
+        return DONE;
     groups->start = calloc(classes + 2, sizeof *groups->start);
     groups->members = malloc((vertices + 1) * sizeof *groups->members);
     if (!groups->start || !groups->members)
-        return -1;
+        return NO_MEMORY;
     uint32_t *next = groups->start + 1;
     for (v = 0; v < vertices; v++) {
         size_t c = class_of(s, v);
         if (c == classes)
-            return STRAY;
+            return STRAY_INDEX;
         next[c + 1]++;
     }
     for (size_t c = 0; c < classes; c++)
@@ -524,11 +625,23 @@ static int vertices_of_classes(const Surface *s, Groups *groups)
     for (v = 0; v < vertices; v++) {
         size_t c = class_of(s, v);
         if (c == classes || next[c] >= vertices)
-            return STRAY;
+            return STRAY_INDEX;
         groups->members[next[c]++] = (uint32_t)v;
     }
-    return 0;
+    return DONE;
 }
+
+/* Some members of a group. */
+typedef struct {
+    const uint32_t *first;
+    size_t count;
+} Members;
+
+/* What each copy of the loop knows beforehand: whether positions are doubles, and how many slots there are. */
+typedef struct {
+    int wide;
+    size_t slots;
+} Shape;
 
 /* Some corners of a class at once, component by component. Edges lead to the two other corners of the triangle,
    the vertices `ends`; coefficients are what the differences of weights along the edges count for in the sum,
@@ -563,13 +676,13 @@ typedef struct {
     int stray;      /* an index was out of range where it was to be used */
 } Scratch;
 
-static void scratch_free(Scratch *w)
+static void free_scratch(Scratch *w)
 {
     free(w->local), free(w->met), free(w->seen), free(w->own), free(w->x), free(w->y), free(w->z);
     free(w->entries), free(w->foreign), free(w->named);
 }
 
-static int scratch_alloc(Scratch *w, const Surface *s)
+static Status allocate_scratch(Scratch *w, const Surface *s)
 {
     size_t joints = (size_t)s->joint_count, room = joints + (size_t)s->slots;
     w->local = malloc((joints + 1) * sizeof *w->local);
@@ -584,28 +697,28 @@ static int scratch_alloc(Scratch *w, const Surface *s)
     w->named = malloc((size_t)s->slots * sizeof *w->named);
     if (!w->local || !w->met || !w->seen || !w->own || !w->x || !w->y || !w->z || !w->entries ||
         !w->foreign || !w->named)
-        return -1;
+        return NO_MEMORY;
     memset(w->local, 0xFF, (joints + 1) * sizeof *w->local);
-    return 0;
+    return DONE;
 }
 
-/* Write ends and edges of some corners, whose class is at `origin`; the first one stands for what is left over. */
-static ALWAYS_INLINE void find_edges(const Surface *s, int wide, Vector origin, const uint32_t *corners,
-                                     size_t count, Corners *c, Scratch *w)
+/* Write ends and edges of at most AT_ONCE corners, whose class is at `origin`; the first fills places left. */
+static ALWAYS_INLINE void find_edges(const Surface *s, Shape shape, Vector origin, Members some, Corners *c,
+                                     Scratch *w)
 {
     const size_t vertices = (size_t)s->vertices;
     Vector e1[AT_ONCE], e2[AT_ONCE];
-    for (size_t n = 0; n < count; n++) {
+    for (size_t n = 0; n < some.count; n++) {
         static const uint8_t following[] = {1, 2, 0}, last[] = {2, 0, 1};
-        const uint32_t *triangle = s->triangles + 3 * (size_t)(corners[n] >> 2);
-        uint32_t one = triangle[following[corners[n] & 3]], other = triangle[last[corners[n] & 3]];
+        const uint32_t *triangle = s->triangles + 3 * (size_t)(some.first[n] >> 2);
+        uint32_t one = triangle[following[some.first[n] & 3]], other = triangle[last[some.first[n] & 3]];
         if (one >= vertices || other >= vertices)
             one = other = 0, w->stray = 1;
         c->ends[n][0] = one, c->ends[n][1] = other;
-        e1[n] = minus(row3(s->positions, wide, one), origin);
-        e2[n] = minus(row3(s->positions, wide, other), origin);
+        e1[n] = minus(row3(s->positions, shape.wide, one), origin);
+        e2[n] = minus(row3(s->positions, shape.wide, other), origin);
     }
-    for (size_t n = count; n < AT_ONCE; n++)
+    for (size_t n = some.count; n < AT_ONCE; n++)
         e1[n] = e1[0], e2[n] = e2[0];
     c->edges[X1] = four(e1[0].x, e1[1].x, e1[2].x, e1[3].x);
     c->edges[Y1] = four(e1[0].y, e1[1].y, e1[2].y, e1[3].y);
@@ -617,38 +730,38 @@ static ALWAYS_INLINE void find_edges(const Surface *s, int wide, Vector origin, 
 
 static ALWAYS_INLINE Four four_dot(const Four *a, const Four *b)
 {
-    return add(add(times(a[0], b[0]), times(a[1], b[1])), times(a[2], b[2]));
+    return add(add(multiply(a[0], b[0]), multiply(a[1], b[1])), multiply(a[2], b[2]));
 }
 
 /* Work out share and coefficients from the edges. With n = e1 x e2, corner.py's e2 x n is
    e1 |e2|^2 - e2 (e1 . e2), and n x e1 likewise. */
-static ALWAYS_INLINE void weigh_corners(Corners *c, int weighting)
+static ALWAYS_INLINE void weigh_corners(Corners *c, Weighting weighting)
 {
     const Four *e1 = c->edges + X1, *e2 = c->edges + X2;
     Four normal[3] = {
-        subtract(times(e1[1], e2[2]), times(e1[2], e2[1])),
-        subtract(times(e1[2], e2[0]), times(e1[0], e2[2])),
-        subtract(times(e1[0], e2[1]), times(e1[1], e2[0])),
+        subtract(multiply(e1[1], e2[2]), multiply(e1[2], e2[1])),
+        subtract(multiply(e1[2], e2[0]), multiply(e1[0], e2[2])),
+        subtract(multiply(e1[0], e2[1]), multiply(e1[1], e2[0])),
     };
     Four squared_area2 = four_dot(normal, normal), dots = four_dot(e1, e2);
     Four squared1 = four_dot(e1, e1), squared2 = four_dot(e2, e2), area2 = root(squared_area2), scale;
-    if (weighting == MAX_WEIGHTING) { /* 1 / (|e1|^2 |e2|^2) times |e1 x e2| */
-        scale = divide(four(1.0, 1.0, 1.0, 1.0), times(times(area2, squared1), squared2));
-        put(c->share, times(squared_area2, scale));
+    if (weighting == BY_MAX) { /* 1 / (|e1|^2 |e2|^2) times |e1 x e2| */
+        scale = divide(four(1.0, 1.0, 1.0, 1.0), multiply(multiply(area2, squared1), squared2));
+        store(c->share, multiply(squared_area2, scale));
     } else {
         double areas[AT_ONCE], cosines[AT_ONCE];
-        put(areas, area2);
-        put(cosines, dots);
+        store(areas, area2);
+        store(cosines, dots);
         for (int n = 0; n < AT_ONCE; n++) {
-            c->share[n] = weighting == AREA ? areas[n] : atan2(areas[n], cosines[n]);
-            c->share[n] *= weighting == ANGLE_AREA ? areas[n] : 1.0;
+            c->share[n] = weighting == BY_AREA ? areas[n] : atan2(areas[n], cosines[n]);
+            c->share[n] *= weighting == BY_ANGLE_AREA ? areas[n] : 1.0;
         }
-        scale = divide(get(c->share), squared_area2);
+        scale = divide(load(c->share), squared_area2);
     }
-    Four mixed = times(dots, scale), own1 = times(squared2, scale), own2 = times(squared1, scale);
+    Four mixed = multiply(dots, scale), own1 = multiply(squared2, scale), own2 = multiply(squared1, scale);
     for (int axis = 0; axis < 3; axis++) {
-        put(c->coefficients[X1 + axis], subtract(times(e1[axis], own1), times(e2[axis], mixed)));
-        put(c->coefficients[X2 + axis], subtract(times(e2[axis], own2), times(e1[axis], mixed)));
+        store(c->coefficients[X1 + axis], subtract(multiply(e1[axis], own1), multiply(e2[axis], mixed)));
+        store(c->coefficients[X2 + axis], subtract(multiply(e2[axis], own2), multiply(e1[axis], mixed)));
     }
 }
 
@@ -698,9 +811,10 @@ static ALWAYS_INLINE int same_joints(const Surface *s, size_t slots, size_t here
 
 /* Sum over all corners, for every joint met; return how many local numbers are used, and the weight of all
    corners as `total`. */
-static ALWAYS_INLINE int32_t sum_corners(const Surface *s, int wide, size_t slots, size_t vertex,
-                                         const uint32_t *corners, size_t count, Scratch *w, double *total)
+static ALWAYS_INLINE int32_t sum_corners(const Surface *s, Shape shape, size_t vertex, Members corners, Scratch *w,
+                                         double *total)
 {
+    const size_t slots = shape.slots;
     const int32_t *joints = s->joints + vertex * slots;
     int32_t used = (int32_t)slots;
     for (size_t k = 0; k < slots; k++) {
@@ -711,15 +825,15 @@ static ALWAYS_INLINE int32_t sum_corners(const Surface *s, int wide, size_t slot
         if (w->met[k] >= 0)
             w->local[w->met[k]] = (int32_t)k;
     }
-    Vector origin = row3(s->positions, wide, vertex);
+    Vector origin = row3(s->positions, shape.wide, vertex);
     const double *here = s->weights + vertex * slots;
     Four none = four(0.0, 0.0, 0.0, 0.0), x = none, y = none, z = none; /* sums of the usual four slots */
-    Four own = slots == 4 ? get(here) : none;
+    Four own = slots == 4 ? load(here) : none;
     *total = 0.0;
-    for (size_t from = 0; from < count; from += AT_ONCE) {
-        size_t some = count - from < AT_ONCE ? count - from : AT_ONCE;
+    for (size_t from = 0; from < corners.count; from += AT_ONCE) {
+        size_t some = corners.count - from < AT_ONCE ? corners.count - from : AT_ONCE;
         Corners c;
-        find_edges(s, wide, origin, corners + from, some, &c, w);
+        find_edges(s, shape, origin, (Members){corners.first + from, some}, &c, w);
         weigh_corners(&c, s->weighting);
         for (size_t n = 0; n < some; n++)
             for (int end = 0; end < 2; end++) {
@@ -727,10 +841,10 @@ static ALWAYS_INLINE int32_t sum_corners(const Surface *s, int wide, size_t slot
                 const double(*component)[AT_ONCE] = c.coefficients + 3 * end;
                 Vector by = {component[X1][n], component[Y1][n], component[Z1][n]};
                 if (slots == 4 && same_joints(s, slots, vertex, there)) {
-                    Four difference = subtract(get(s->weights + there * slots), own);
-                    x = add(x, times(four(by.x, by.x, by.x, by.x), difference));
-                    y = add(y, times(four(by.y, by.y, by.y, by.y), difference));
-                    z = add(z, times(four(by.z, by.z, by.z, by.z), difference));
+                    Four difference = subtract(load(s->weights + there * slots), own);
+                    x = add(x, multiply(four(by.x, by.x, by.x, by.x), difference));
+                    y = add(y, multiply(four(by.y, by.y, by.y, by.y), difference));
+                    z = add(z, multiply(four(by.z, by.z, by.z, by.z), difference));
                 } else
                     used = add_differences(s, there, by, used, w);
             }
@@ -738,9 +852,9 @@ static ALWAYS_INLINE int32_t sum_corners(const Surface *s, int wide, size_t slot
             *total += c.share[n];
     }
     if (slots == 4) {
-        put(w->x, add(get(w->x), x));
-        put(w->y, add(get(w->y), y));
-        put(w->z, add(get(w->z), z));
+        store(w->x, add(load(w->x), x));
+        store(w->y, add(load(w->y), y));
+        store(w->z, add(load(w->z), z));
     }
     for (int32_t n = 0; n < used; n++)
         if (w->met[n] >= 0)
@@ -756,6 +870,13 @@ static int by_joint(const void *a, const void *b)
 
 /* Entries up to which moving them into place one by one is the fastest way to sort. */
 enum { FEW = 32 };
+
+/* How many entries and foreign entries of a class stand in the scratch; the sum of the entries' magnitudes. */
+typedef struct {
+    size_t entries, foreign;
+    size_t capacity; /* joints that each of the class's vertices may adopt */
+    double magnitude;
+} ClassGradients;
 
 /* Turn sums into entries, joints ascending; return how many, and the sum of their magnitudes. */
 static ALWAYS_INLINE size_t make_entries(Scratch *w, int32_t used, double total, double *magnitudes)
@@ -803,13 +924,13 @@ static ALWAYS_INLINE size_t find_foreign(const Surface *s, size_t entries, doubl
 }
 
 /* Fill `named`, and the adopted joints of one vertex where it adopts any; return whether it does. */
-static inline int name_slots(const Surface *s, size_t vertex, size_t foreign, size_t capacity, Scratch *w,
+static inline int name_slots(const Surface *s, size_t vertex, const ClassGradients *found, Scratch *w,
                              int32_t *adopted)
 {
     const size_t slots = (size_t)s->slots;
     const int32_t *joints = s->joints + vertex * slots;
     const uint8_t *unused = s->unused + vertex * slots;
-    size_t moved = 0, wanted = foreign < capacity ? foreign : capacity;
+    size_t moved = 0, wanted = found->foreign < found->capacity ? found->foreign : found->capacity;
     memcpy(w->named, joints, slots * sizeof *joints);
     for (size_t k = 0; k < slots && moved < wanted; k++)
         if (unused[k]) {
@@ -841,10 +962,13 @@ static ALWAYS_INLINE void frame_from_normal(Vector normal, Vector *tangent, Vect
     *bitangent = (Vector){b, across, -y};
 }
 
-/* Write alpha and beta of one vertex; return the magnitude that its slots do not hold. `as_numbered` says that
-   its slots are the local numbers: it is the class's first vertex, and adopts nothing. */
-static ALWAYS_INLINE double project(const Surface *s, size_t slots, size_t vertex, size_t entries,
-                                    int as_numbered, Scratch *w, const Baked *out)
+/* Whose slots a vertex's gradients go to: those that `named` says, or those that the local numbers say. The latter
+   hold for a class's first vertex where it adopts nothing. */
+typedef enum { AS_NAMED, AS_NUMBERED } Placing;
+
+/* Write alpha and beta of one vertex; return the magnitude that its slots do not hold. */
+static ALWAYS_INLINE double project(const Surface *s, size_t slots, size_t vertex, size_t entries, Placing placing,
+                                    const Baked *out, Scratch *w)
 {
     Vector t, b;
     if (s->tangents) {
@@ -860,7 +984,7 @@ static ALWAYS_INLINE double project(const Surface *s, size_t slots, size_t verte
     for (size_t n = 0; n < entries; n++) {
         Entry *entry = &w->entries[n];
         size_t slot = (size_t)entry->local;
-        if (!as_numbered)
+        if (placing == AS_NAMED)
             for (slot = 0; slot < slots && w->named[slot] != entry->joint;)
                 slot++;
         entry->held = slot < slots;
@@ -874,86 +998,113 @@ static ALWAYS_INLINE double project(const Surface *s, size_t slots, size_t verte
     return unheld;
 }
 
-static size_t shared_capacity(const Surface *s, const uint32_t *members, size_t count)
+static size_t shared_capacity(const Surface *s, Members vertices)
 {
     size_t least = (size_t)s->slots;
-    for (size_t n = 0; n < count; n++) {
+    for (size_t n = 0; n < vertices.count; n++) {
         size_t unused = 0;
         for (Py_ssize_t k = 0; k < s->slots; k++)
-            unused += s->unused[members[n] * (size_t)s->slots + (size_t)k] != 0;
+            unused += s->unused[vertices.first[n] * (size_t)s->slots + (size_t)k] != 0;
         least = unused < least ? unused : least;
     }
     return least;
 }
 
-static ALWAYS_INLINE int bake_classes(const Surface *s, int wide, size_t slots, const Groups *corners,
-                                      const Groups *members, Scratch *w, const Baked *out)
+/* All that a surface is baked with: its corners and vertices by weld class, and room to work in. */
+typedef struct {
+    const Surface *surface;
+    Groups corners, vertices;
+    Scratch scratch;
+    const Baked *out;
+} Work;
+
+/* Sum up the gradients of a class of some vertices, into the scratch. */
+static ALWAYS_INLINE ClassGradients find_gradients(Work *work, Shape shape, Members corners, Members vertices)
 {
-    for (size_t c = 0; c < (size_t)s->class_count; c++) {
+    const Surface *s = work->surface;
+    ClassGradients found = {0, 0, 0, 0.0};
+    if (corners.count == 0)
+        return found;
+    double total;
+    int32_t used = sum_corners(s, shape, vertices.first[0], corners, &work->scratch, &total);
+    found.entries = make_entries(&work->scratch, used, total, &found.magnitude);
+    found.foreign = find_foreign(s, found.entries, found.magnitude, &work->scratch);
+    found.capacity = found.foreign && s->adopts ? shared_capacity(s, vertices) : 0;
+    return found;
+}
+
+/* Write all that is known of one vertex of a class. */
+static ALWAYS_INLINE void write_vertex(Work *work, Shape shape, size_t vertex, Placing placing,
+                                       const ClassGradients *found)
+{
+    const Surface *s = work->surface;
+    const Baked *out = work->out;
+    Scratch *w = &work->scratch;
+    size_t primitive = 0;
+    while (primitive + 1 < out->primitives && vertex >= out->ends[primitive])
+        primitive++;
+    Sums *sums = out->sums + primitive;
+    if (placing == AS_NAMED)
+        sums->adopting += name_slots(s, vertex, found, w, out->adopted + vertex * shape.slots);
+    sums->magnitude += found->magnitude;
+    sums->unheld += project(s, shape.slots, vertex, found->entries, placing, out, w);
+    int overflows = 0;
+    for (size_t f = 0; f < found->foreign; f++)
+        overflows |= !w->foreign[f]->held;
+    sums->overflowing += overflows;
+}
+
+static ALWAYS_INLINE Status bake_classes(Work *work, Shape shape)
+{
+    const Groups *corners = &work->corners, *vertices = &work->vertices;
+    for (size_t c = 0; c < (size_t)work->surface->class_count; c++) {
         uint32_t itself = (uint32_t)c;
         if (corners->start[c + 1] < corners->start[c] ||
-            (members->start && members->start[c + 1] < members->start[c]))
-            return STRAY; /* the classes have changed while they were counted */
-        const uint32_t *vertices = members->start ? members->members + members->start[c] : &itself;
-        size_t count = members->start ? members->start[c + 1] - members->start[c] : 1;
-        size_t corner_count = corners->start[c + 1] - corners->start[c];
-        if (count == 0)
+            (vertices->start && vertices->start[c + 1] < vertices->start[c]))
+            return STRAY_INDEX; /* the classes have changed while they were counted */
+        Members own = {&itself, 1};
+        if (vertices->start)
+            own = (Members){vertices->members + vertices->start[c], vertices->start[c + 1] - vertices->start[c]};
+        if (own.count == 0)
             continue;
-        size_t entries = 0, foreign = 0, capacity = 0;
-        double magnitudes = 0.0;
-        if (corner_count) {
-            const uint32_t *first = corners->members + corners->start[c];
-            double total;
-            int32_t used = sum_corners(s, wide, slots, vertices[0], first, corner_count, w, &total);
-            entries = make_entries(w, used, total, &magnitudes);
-            foreign = find_foreign(s, entries, magnitudes, w);
-            capacity = foreign && s->adopts ? shared_capacity(s, vertices, count) : 0;
-        }
-        for (size_t n = 0; n < count; n++) {
-            size_t vertex = vertices[n], primitive = 0;
-            while (primitive + 1 < out->primitives && vertex >= out->ends[primitive])
-                primitive++;
-            double *sums = out->sums + 4 * primitive;
-            int as_numbered = n == 0 && (foreign == 0 || capacity == 0);
-            if (!as_numbered)
-                sums[0] += name_slots(s, vertex, foreign, capacity, w, out->adopted + vertex * slots);
-            sums[2] += magnitudes;
-            sums[3] += project(s, slots, vertex, entries, as_numbered, w, out);
-            int overflows = 0;
-            for (size_t f = 0; f < foreign; f++)
-                overflows |= !w->foreign[f]->held;
-            sums[1] += overflows;
+        Members around = {corners->members + corners->start[c], corners->start[c + 1] - corners->start[c]};
+        ClassGradients found = find_gradients(work, shape, around, own);
+        for (size_t n = 0; n < own.count; n++) {
+            int adopts_nothing = found.foreign == 0 || found.capacity == 0;
+            Placing placing = n == 0 && adopts_nothing ? AS_NUMBERED : AS_NAMED;
+            write_vertex(work, shape, own.first[n], placing, &found);
         }
     }
-    return w->stray ? STRAY : 0;
+    return work->scratch.stray ? STRAY_INDEX : DONE;
 }
 
 /* Copies of the loop for the usual cases, so that it need not ask for types and counts again and again. */
 FOR_PROCESSORS
-static int bake_in_classes(const Surface *s, const Groups *corners, const Groups *members, Scratch *w,
-                           const Baked *out)
+static Status bake_all_classes(Work *work)
 {
-    if (s->wide_positions)
-        return bake_classes(s, 1, (size_t)s->slots, corners, members, w, out);
-    if (s->slots == 4)
-        return bake_classes(s, 0, 4, corners, members, w, out);
-    return bake_classes(s, 0, (size_t)s->slots, corners, members, w, out);
+    const size_t slots = (size_t)work->surface->slots;
+    if (work->surface->wide_positions)
+        return bake_classes(work, (Shape){1, slots});
+    if (slots == 4)
+        return bake_classes(work, (Shape){0, 4});
+    return bake_classes(work, (Shape){0, slots});
 }
 
-static int bake_surface(const Surface *s, const Baked *out)
+static Status bake_checked_surface(const Surface *s, const Baked *out)
 {
-    Groups corners = {NULL, NULL}, members = {NULL, NULL};
-    Scratch scratch;
-    memset(&scratch, 0, sizeof scratch);
-    int status = corners_of_classes(s, &corners);
-    if (status == 0)
-        status = vertices_of_classes(s, &members);
-    if (status == 0)
-        status = scratch_alloc(&scratch, s);
-    if (status == 0)
-        status = bake_in_classes(s, &corners, &members, &scratch, out);
-    scratch_free(&scratch);
-    free(corners.start), free(corners.members), free(members.start), free(members.members);
+    Work work;
+    memset(&work, 0, sizeof work);
+    work.surface = s, work.out = out;
+    Status status = group_corners(s, &work.corners);
+    if (status == DONE)
+        status = group_vertices(s, &work.vertices);
+    if (status == DONE)
+        status = allocate_scratch(&work.scratch, s);
+    if (status == DONE)
+        status = bake_all_classes(&work);
+    free_scratch(&work.scratch);
+    free(work.corners.start), free(work.corners.members);
+    free(work.vertices.start), free(work.vertices.members);
     return status;
 }
 
@@ -992,28 +1143,39 @@ static int check_surface(Surface *s)
 enum { POSITIONS, TRIANGLES, JOINTS, WEIGHTS, UNUSED, CLASSES, NORMALS, TANGENTS, BITANGENTS, ALPHA, BETA, ADOPTED,
        ENDS, SUMS, ARRAYS };
 
-static int take_surface(PyObject **o, Array *a)
+static const Requirement surface_arrays[ARRAYS] = {
+    [POSITIONS] = {"positions", "fd", AXIS_V, AXIS_3, READ},
+    [TRIANGLES] = {"triangles", "iI", AXIS_T, AXIS_3, READ},
+    [JOINTS] = {"joints", "i", AXIS_V, AXIS_K, READ},
+    [WEIGHTS] = {"weights", "d", AXIS_V, AXIS_K, READ},
+    [UNUSED] = {"free", "?", AXIS_V, AXIS_K, READ},
+    [CLASSES] = {"classes", "i", AXIS_V, AXIS_1, READ},
+    [NORMALS] = {"normals", "fd", AXIS_V, AXIS_3, READ},
+    [TANGENTS] = {"tangents", "fd", AXIS_FRAMES, AXIS_3, READ},
+    [BITANGENTS] = {"bitangents", "fd", AXIS_FRAMES, AXIS_3, READ},
+    [ALPHA] = {"alpha", "f", AXIS_V, AXIS_LATER_K, WRITTEN},
+    [BETA] = {"beta", "f", AXIS_V, AXIS_LATER_K, WRITTEN},
+    [ADOPTED] = {"adopted", "i", AXIS_V, AXIS_K, WRITTEN},
+    [ENDS] = {"ends", "Q", AXIS_P, AXIS_1, READ},
+    [SUMS] = {"sums", "d", AXIS_P, AXIS_4, WRITTEN},
+};
+
+/* Hold and check the arguments of bake_surface; -1 with an exception where one is wrong. */
+static int read_surface(PyObject *args, PyObject *keywords, Array *a, Surface *s, Baked *out)
 {
-    if (take(o[POSITIONS], &a[POSITIONS], "positions", "fd", 3, 0) < 0 ||
-        take(o[TRIANGLES], &a[TRIANGLES], "triangles", "iI", 3, 0) < 0 ||
-        take(o[JOINTS], &a[JOINTS], "joints", "i", 0, 0) < 0 || least_slots(&a[JOINTS], 2) < 0 ||
-        take(o[WEIGHTS], &a[WEIGHTS], "weights", "d", a[JOINTS].columns, 0) < 0 ||
-        take(o[UNUSED], &a[UNUSED], "free", "?", a[JOINTS].columns, 0) < 0 ||
-        take(o[CLASSES], &a[CLASSES], "classes", "i", 1, 0) < 0 ||
-        take(o[NORMALS], &a[NORMALS], "normals", "fd", 3, 0) < 0 ||
-        take(o[TANGENTS], &a[TANGENTS], "tangents", "fd", 3, 0) < 0 ||
-        take(o[BITANGENTS], &a[BITANGENTS], "bitangents", "fd", 3, 0) < 0 ||
-        take(o[ALPHA], &a[ALPHA], "alpha", "f", a[JOINTS].columns - 1, 1) < 0 ||
-        take(o[BETA], &a[BETA], "beta", "f", a[JOINTS].columns - 1, 1) < 0 ||
-        take(o[ADOPTED], &a[ADOPTED], "adopted", "i", a[JOINTS].columns, 1) < 0 ||
-        take(o[ENDS], &a[ENDS], "ends", "Q", 1, 0) < 0 || take(o[SUMS], &a[SUMS], "sums", "d", 4, 1) < 0)
+    static char *names[] = {"positions", "triangles", "joints", "weights", "free", "classes", "normals", "tangents",
+                            "bitangents", "alpha", "beta", "adopted", "ends", "sums", "class_count", "weighting",
+                            "adopts", "negligible", NULL};
+    PyObject *o[ARRAYS];
+    Py_ssize_t class_count;
+    int weighting, adopts;
+    double negligible;
+    if (!PyArg_ParseTupleAndKeywords(args, keywords, "$OOOOOOOOOOOOOOnipd", names, &o[POSITIONS], &o[TRIANGLES],
+                                     &o[JOINTS], &o[WEIGHTS], &o[UNUSED], &o[CLASSES], &o[NORMALS], &o[TANGENTS],
+                                     &o[BITANGENTS], &o[ALPHA], &o[BETA], &o[ADOPTED], &o[ENDS], &o[SUMS],
+                                     &class_count, &weighting, &adopts, &negligible))
         return -1;
-    for (int n = JOINTS; n <= ADOPTED; n++)
-        if (!(n == TANGENTS || n == BITANGENTS) && same_rows(&a[n], "an array of the surface", a[POSITIONS].rows) < 0)
-            return -1;
-    Py_ssize_t frames = a[TANGENTS].rows ? a[POSITIONS].rows : 0;
-    if (same_rows(&a[TANGENTS], "tangents", frames) < 0 || same_rows(&a[BITANGENTS], "bitangents", frames) < 0 ||
-        same_rows(&a[SUMS], "sums", a[ENDS].rows) < 0)
+    if (read_arrays(o, surface_arrays, ARRAYS, 2, a) < 0)
         return -1;
     const uint64_t *ends = a[ENDS].buffer.buf;
     if (a[ENDS].rows < 1 || ends[a[ENDS].rows - 1] != (uint64_t)a[POSITIONS].rows ||
@@ -1021,67 +1183,74 @@ static int take_surface(PyObject **o, Array *a)
         PyErr_SetString(PyExc_ValueError, "the arrays of the surface do not belong together");
         return -1;
     }
-    return 0;
+    if (weighting < 0 || weighting >= WEIGHTINGS) {
+        PyErr_Format(PyExc_ValueError, "there is no weighting %d", weighting);
+        return -1;
+    }
+    *s = (Surface){
+        .positions = a[POSITIONS].buffer.buf,
+        .normals = a[NORMALS].buffer.buf,
+        .tangents = a[TANGENTS].rows ? a[TANGENTS].buffer.buf : NULL,
+        .bitangents = a[BITANGENTS].buffer.buf,
+        .wide_positions = a[POSITIONS].kind == 'd',
+        .wide_normals = a[NORMALS].kind == 'd',
+        .wide_frame = a[TANGENTS].kind == 'd',
+        .triangles = a[TRIANGLES].buffer.buf,
+        .joints = a[JOINTS].buffer.buf,
+        .weights = a[WEIGHTS].buffer.buf,
+        .unused = a[UNUSED].buffer.buf,
+        .classes = a[CLASSES].buffer.buf,
+        .vertices = a[POSITIONS].rows,
+        .slots = a[JOINTS].columns,
+        .triangle_count = a[TRIANGLES].rows,
+        .class_count = class_count,
+        .weighting = (Weighting)weighting,
+        .adopts = adopts,
+        .negligible = negligible,
+    };
+    *out = (Baked){
+        .alpha = a[ALPHA].buffer.buf,
+        .beta = a[BETA].buffer.buf,
+        .adopted = a[ADOPTED].buffer.buf,
+        .ends = ends,
+        .primitives = (size_t)a[ENDS].rows,
+        .sums = a[SUMS].buffer.buf,
+    };
+    return check_surface(s);
 }
 
-static PyObject *bake(PyObject *module, PyObject *args)
+static PyObject *bake_surface(PyObject *Py_UNUSED(module), PyObject *args, PyObject *keywords)
 {
-    PyObject *o[ARRAYS];
+    PyObject *result = NULL;
     Array a[ARRAYS];
     memset(a, 0, sizeof a);
-    Py_ssize_t class_count;
-    int weighting, adopts;
-    double negligible;
-    if (!PyArg_ParseTuple(args, "OOOOOOOOOOOOOOnipd", &o[POSITIONS], &o[TRIANGLES], &o[JOINTS], &o[WEIGHTS],
-                          &o[UNUSED], &o[CLASSES], &o[NORMALS], &o[TANGENTS], &o[BITANGENTS], &o[ALPHA],
-                          &o[BETA], &o[ADOPTED], &o[ENDS], &o[SUMS], &class_count, &weighting, &adopts,
-                          &negligible))
-        return NULL;
-    PyObject *result = NULL;
-    if (take_surface(o, a) < 0)
+    Surface surface;
+    Baked out;
+    if (read_surface(args, keywords, a, &surface, &out) < 0)
         goto done;
-    Surface surface = {
-        .positions = a[POSITIONS].buffer.buf, .normals = a[NORMALS].buffer.buf,
-        .tangents = a[TANGENTS].rows ? a[TANGENTS].buffer.buf : NULL,
-        .bitangents = a[BITANGENTS].buffer.buf, .wide_normals = a[NORMALS].kind == 'd', .wide_positions = a[POSITIONS].kind == 'd',
-        .wide_frame = a[TANGENTS].kind == 'd', .triangles = a[TRIANGLES].buffer.buf,
-        .joints = a[JOINTS].buffer.buf, .weights = a[WEIGHTS].buffer.buf, .unused = a[UNUSED].buffer.buf,
-        .classes = a[CLASSES].buffer.buf, .vertices = a[POSITIONS].rows, .slots = a[JOINTS].columns,
-        .triangle_count = a[TRIANGLES].rows, .class_count = class_count, .weighting = weighting,
-        .adopts = adopts, .negligible = negligible,
-    };
-    Baked out = {
-        .alpha = a[ALPHA].buffer.buf, .beta = a[BETA].buffer.buf, .adopted = a[ADOPTED].buffer.buf,
-        .ends = a[ENDS].buffer.buf, .primitives = (size_t)a[ENDS].rows, .sums = a[SUMS].buffer.buf,
-    };
-    if (check_surface(&surface) < 0)
-        goto done;
-    int status;
+    Status status;
     Py_BEGIN_ALLOW_THREADS
-    status = bake_surface(&surface, &out);
+    status = bake_checked_surface(&surface, &out);
     Py_END_ALLOW_THREADS
-    if (status == -1)
-        PyErr_NoMemory();
-    else if (status == STRAY)
-        PyErr_SetString(PyExc_IndexError, "a triangle or a slot names what is not there");
-    else
+    if (status == DONE)
         result = Py_NewRef(Py_None);
+    else
+        raise_status(status);
 done:
-    release(a, ARRAYS);
+    release_arrays(a, ARRAYS);
     return result;
 }
 
-/* ---- The module -------------------------------------------------------------------------------------- */
+/* ---- The module ---------------------------------------------------------------------------------------- */
 
 static PyMethodDef functions[] = {
-    {"equal_rows", equal_rows, METH_VARARGS, "equal_rows(rows, labels): fill labels, return their number."},
-    {"normalise", normalise, METH_VARARGS,
-     "normalise(joints, weights, free, adopting_sum, tolerance): in place; return the defects."},
-    {"proper", proper, METH_VARARGS,
-     "proper(positions, triangles, mask, least): fill mask, return how many have no area."},
-    {"bake", bake, METH_VARARGS,
-     "bake(positions, triangles, joints, weights, free, classes, normals, tangents, bitangents, alpha, beta, adopted, "
-     "ends, sums, class_count, weighting, adopts, negligible): fill alpha, beta, adopted and sums."},
+    {"label_equal_rows", label_equal_rows, METH_VARARGS,
+     "label_equal_rows(rows, labels): fill labels, return how many there are."},
+    {"normalise_influences", normalise_influences, METH_VARARGS,
+     "normalise_influences(joints, weights, free, adopting_sum, tolerance): in place; return the defects by name."},
+    {"mark_proper", mark_proper, METH_VARARGS, "mark_proper(positions, triangles, mask, least): fill mask."},
+    {"bake_surface", (PyCFunction)(void (*)(void))bake_surface, METH_VARARGS | METH_KEYWORDS,
+     "bake_surface(*, positions, triangles, ...): fill alpha, beta, adopted and sums; see _kernel.pyi."},
     {NULL, NULL, 0, NULL},
 };
 
@@ -1090,4 +1259,19 @@ static struct PyModuleDef definition = {
     NULL, NULL, NULL, NULL,
 };
 
-PyMODINIT_FUNC PyInit__kernel(void) { return PyModule_Create(&definition); }
+PyMODINIT_FUNC PyInit__kernel(void)
+{
+    PyObject *module = PyModule_Create(&definition);
+    if (module == NULL)
+        return NULL;
+    collision_error = PyErr_NewException("skinbake.gradients._kernel.CollisionError", PyExc_RuntimeError, NULL);
+    if (collision_error == NULL || PyModule_AddObjectRef(module, "CollisionError", collision_error) < 0 ||
+        PyModule_AddIntConstant(module, "BY_MAX", BY_MAX) < 0 ||
+        PyModule_AddIntConstant(module, "BY_ANGLE", BY_ANGLE) < 0 ||
+        PyModule_AddIntConstant(module, "BY_AREA", BY_AREA) < 0 ||
+        PyModule_AddIntConstant(module, "BY_ANGLE_AREA", BY_ANGLE_AREA) < 0) {
+        Py_DECREF(module);
+        return NULL;
+    }
+    return module;
+}

@@ -11,11 +11,11 @@ from skinbake.choices import FrameChoice, Neighbours, Weighting
 from skinbake.geometry import frames
 from skinbake.geometry.blocks import blocks
 from skinbake.geometry.skinned import BakedPrimitive, BoolArray, FloatArray, IntArray, SkinnedPrimitive
-from skinbake.geometry.triangles import DEGENERATE_AREA, proper
 from skinbake.gradients import kernel
-from skinbake.gradients.influences import WeightDefects, weight_field
-from skinbake.gradients.surface import Surface, surface_slots
-from skinbake.gradients.weld import concatenated, joined, weld
+from skinbake.gradients.field import WeightDefects, concatenate_fields
+from skinbake.gradients.influences import weight_field
+from skinbake.gradients.surface import Surface
+from skinbake.gradients.weld import weld
 from skinbake.timing import stage
 
 TANGENT_TOLERANCE = 0.1
@@ -62,26 +62,25 @@ def bake_mesh(
     """
     with stage("weights"):
         fields, defects = zip(*(weight_field(primitive) for primitive in primitives), strict=True)
-        field = concatenated(fields)
+        field = concatenate_fields(fields)
     ends = np.cumsum([len(primitive.positions) for primitive in primitives]).tolist()
-    positions = joined([primitive.positions for primitive in primitives])
+    positions = _concatenate([primitive.positions for primitive in primitives])
     with stage("triangles"):
-        masks = [with_area(primitive) for primitive in primitives]
-        triangles = _together(primitives, masks, [0, *ends])
+        masks = [kernel.mark_proper(part.positions, part.triangles) for part in primitives]
+        triangles = _concatenate_triangles(primitives, masks, [0, *ends])
     with stage("weld"):
-        normals = joined([primitive.normals for primitive in primitives])
+        normals = _concatenate([primitive.normals for primitive in primitives])
         classes = weld(positions, normals, field, crease_angle=settings.crease_angle)
     with stage("frames"):
         chosen = [chosen_frame(primitive, settings.frame) for primitive in primitives]
         frame = None
         if any(choice.kind == frames.TANGENT_FRAME for choice in chosen):
             pairs = [frame_vectors(*one) for one in zip(primitives, chosen, strict=True)]
-            frame = joined([pair[0] for pair in pairs]), joined([pair[1] for pair in pairs])
+            frame = _concatenate([pair[0] for pair in pairs]), _concatenate([pair[1] for pair in pairs])
     with stage("gradients"):
         surface = Surface(positions, triangles, field, classes, normals, frame, ends)
-        slots = surface_slots(
-            surface, weighting=settings.weighting, adopt=settings.neighbours == Neighbours.ADOPT
-        )
+        adopt = settings.neighbours == Neighbours.ADOPT
+        slots = kernel.bake_surface(surface, weighting=settings.weighting, adopt=adopt)
     results = []
     for number, (primitive, choice) in enumerate(zip(primitives, chosen, strict=True)):
         rows = slice(ends[number] - len(primitive.positions), ends[number])
@@ -110,18 +109,7 @@ def bake_mesh(
     return results
 
 
-def with_area(primitive: SkinnedPrimitive) -> BoolArray:
-    """Tell which triangles (T,) have an area."""
-    if kernel.compiled is None:
-        return proper(primitive.positions, primitive.triangles)
-    mask = np.empty(len(primitive.triangles), dtype=np.bool_)
-    positions = np.ascontiguousarray(primitive.positions)
-    triangles = np.ascontiguousarray(primitive.triangles, dtype=np.uint32)
-    kernel.compiled.proper(positions, triangles, mask, DEGENERATE_AREA)
-    return mask
-
-
-def _together(
+def _concatenate_triangles(
     primitives: Sequence[SkinnedPrimitive], masks: Sequence[BoolArray], starts: Sequence[int]
 ) -> IntArray:
     """Return the triangles that have an area as indices into all primitives' vertices together."""
@@ -132,6 +120,11 @@ def _together(
     if len(parts) == 1:
         return parts[0]
     return np.concatenate([part + np.uint32(start) for part, start in zip(parts, starts, strict=False)])
+
+
+def _concatenate(arrays: Sequence[FloatArray]) -> FloatArray:
+    """Return the rows of several arrays in one, without a copy where there is only one."""
+    return arrays[0] if len(arrays) == 1 else np.concatenate(arrays)
 
 
 @dataclass(frozen=True, slots=True)

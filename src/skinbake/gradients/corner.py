@@ -25,7 +25,7 @@ def corner_coefficients(e1: Any, e2: Any, weighting: int) -> Any:
 
     e1, e2 are triples of components (numbers or equal arrays) of the edges at the corner; c1 and c2 are
     such triples: the corner adds c1 (w1 − w0) + c2 (w2 − w0) to the vertex's sum. The triangle must have an
-    area. The arithmetic holds for numbers and arrays alike: gradients.py calls it with arrays. The
+    area. The arithmetic holds for numbers and arrays alike: weight_gradients.py calls it with arrays. The
     compiled loops have the same mathematics in other words.
     """
     e1x, e1y, e1z = e1

@@ -1,32 +1,37 @@
-"""The compiled loops of ``_kernel.c``, where they were compiled and nobody asked for numpy's.
+"""The operations that visit every vertex, triangle or corner: compiled loops, or whole arrays of numpy.
 
-They are what runs. The functions of numpy beside every use are the definition and the test's oracle, and do
-the work where the package was installed without a compiler: more slowly, to the same result within rounding.
-``SKINBAKE_KERNEL=numpy`` in the environment asks for those.
+This is the one place that chooses. Callers write ``kernel.bake_surface(…)`` and need not know which it is.
+``by_loops`` calls the loops of ``_kernel.c``. ``by_numpy`` has the definitions. They are the tests' oracle,
+and do the work where the package was installed without a compiler: more slowly, with the same result within
+rounding. ``SKINBAKE_KERNEL=numpy`` in the environment asks for them.
 """
 
 from __future__ import annotations
 
 import logging
 import os
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from types import ModuleType
+__all__ = ["bake_surface", "label_equal_rows", "mark_proper", "normalise_influences"]
 
 logger = logging.getLogger(__name__)
 
-
-def _loaded() -> ModuleType | None:
+try:
     if os.environ.get("SKINBAKE_KERNEL") == "numpy":
-        return None
-    try:
-        from skinbake.gradients import _kernel  # noqa: PLC0415  (it may not be there)
-    except ImportError as error:
-        logger.info("without its compiled loops (%s): large meshes take many times as long", error)
-        return None
-    return _kernel
+        raise ImportError("SKINBAKE_KERNEL asks for numpy")
+    from skinbake.gradients.by_loops import (
+        bake_surface,
+        label_equal_rows,
+        mark_proper,
+        normalise_influences,
+    )
+except ImportError as error:
+    logger.info("without its compiled loops (%s): large meshes take many times as long", error)
+    from skinbake.gradients.by_numpy import (
+        bake_surface,
+        label_equal_rows,
+        mark_proper,
+        normalise_influences,
+    )
 
-
-compiled = _loaded()
-"""The compiled module, or None."""
+IS_COMPILED = bake_surface.__module__.endswith("by_loops")
+"""Whether the compiled loops were chosen: the last bits of results depend on it."""

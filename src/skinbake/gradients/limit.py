@@ -8,7 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from skinbake.geometry.skinned import BoolArray, Float64Array, SkinnedPrimitive
-from skinbake.gradients.influences import NO_JOINT, weight_field
+from skinbake.gradients.field import NO_JOINT
+from skinbake.gradients.influences import weight_field
 
 
 @dataclass(frozen=True, slots=True)

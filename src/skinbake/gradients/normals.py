@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from skinbake.geometry.skinned import SkinnedPrimitive
-from skinbake.geometry.triangles import proper, smooth_normals
-from skinbake.gradients.weld import equal_positions
+from skinbake.geometry.triangles import smooth_normals
+from skinbake.gradients import kernel
 
 
 def with_smooth_normals(primitives: Sequence[SkinnedPrimitive]) -> list[SkinnedPrimitive]:
@@ -26,8 +26,9 @@ def with_smooth_normals(primitives: Sequence[SkinnedPrimitive]) -> list[SkinnedP
     triangles = np.concatenate(
         [primitive.triangles + start for primitive, start in zip(lacking, starts, strict=False)]
     )
-    triangles = triangles[proper(positions, triangles)]
-    normals = smooth_normals(positions, triangles, equal_positions(positions)).astype(np.float32)
+    triangles = triangles[kernel.mark_proper(positions, triangles)]
+    points = kernel.label_equal_rows(positions)
+    normals = smooth_normals(positions, triangles, points).astype(np.float32)
     made = iter(np.split(normals, starts[1:-1]))
     return [
         replace(primitive, normals=next(made), tangents=None) if len(primitive.normals) == 0 else primitive

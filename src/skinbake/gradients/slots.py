@@ -7,16 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from skinbake.geometry.skinned import Float64Array, FloatArray, IntArray
-from skinbake.gradients.influences import NO_JOINT, WeightField
+from skinbake.gradients.field import NO_JOINT, WeightField
+from skinbake.gradients.surface import NEGLIGIBLE
 from skinbake.gradients.weight_gradients import VertexGradients
-
-NEGLIGIBLE = 1e-4
-"""Share of a vertex's gradient below which a neighbour's joint is not worth a slot.
-
-It changes the correction of a tangent by a ten-thousandth: at a correction as long as the tangent itself
-less than 0.01°.
-"""
-
 
 BLOCK = 1 << 15
 """Vertices worked on at a time: the arrays of a block stay in the processor's cache."""
@@ -78,7 +71,7 @@ def assign(
 def shared_capacity(field: WeightField, classes: IntArray) -> IntArray:
     """Return how many joints each vertex (V,) may adopt: as many as every copy of its surface point can.
 
-    Copies that adopted differently would no longer be one vertex to whoever reads the baked file.
+    Copies that adopted differently would no longer be one vertex to a reader of the baked file.
     """
     free = np.count_nonzero(field.free, axis=1)
     least = np.full(int(classes.max(initial=-1)) + 1, field.free.shape[1])

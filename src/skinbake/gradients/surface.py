@@ -1,20 +1,19 @@
-"""α and β of all primitives that are baked as one surface, by the compiled loops or by numpy."""
+"""One surface to bake, of all primitives that are baked together, and what its baking gives."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
-import numpy.typing as npt
+from skinbake.geometry.skinned import Float32Array, Float64Array, FloatArray, IntArray
+from skinbake.gradients.field import WeightField
 
-from skinbake.geometry.frames import frame_from_normal, unit_normals
-from skinbake.geometry.skinned import Float32Array, FloatArray, IntArray
-from skinbake.gradients import kernel
-from skinbake.gradients.corner import WEIGHTINGS
-from skinbake.gradients.influences import NO_JOINT, WeightField
-from skinbake.gradients.slots import NEGLIGIBLE, assign, shared_capacity
-from skinbake.gradients.weight_gradients import weight_gradients
+NEGLIGIBLE = 1e-4
+"""Share of a vertex's gradient below which a neighbour's joint is not worth a slot.
+
+It changes the correction of a tangent by a ten-thousandth: at a correction as long as the tangent itself
+less than 0.01°.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,69 +50,4 @@ class SurfaceSlots:
     beta: Float32Array
     adopting: IntArray
     adopted: IntArray
-    counts: npt.NDArray[np.float64]
-
-
-def surface_slots(surface: Surface, *, weighting: str, adopt: bool) -> SurfaceSlots:
-    """Return α and β of a surface; weighting is a key of WEIGHTINGS.
-
-    With ``adopt``, joints that vary around a vertex without being its own move into free slots.
-    """
-    if kernel.compiled is None:
-        with np.errstate(over="ignore", invalid="ignore"):  # the compiled loops overflow without a word too
-            return _by_numpy(surface, weighting=weighting, adopt=adopt)
-    shape = surface.field.joints.shape
-    alpha, beta = (np.empty((shape[0], shape[1] - 1), dtype=np.float32) for _ in range(2))
-    adopted = np.zeros(shape, dtype=np.int32)  # memory that stays untouched where nothing is adopted
-    tangents, bitangents = surface.frame or (np.zeros((0, 3)), np.zeros((0, 3)))
-    counts = np.zeros((len(surface.ends), 4))
-    kernel.compiled.bake(
-        np.ascontiguousarray(surface.positions),
-        np.ascontiguousarray(surface.triangles, dtype=np.uint32),
-        surface.field.joints,
-        surface.field.weights,
-        surface.field.free,
-        np.ascontiguousarray(surface.classes, dtype=np.int32),
-        np.ascontiguousarray(surface.normals),
-        np.ascontiguousarray(tangents),
-        np.ascontiguousarray(bitangents),
-        alpha,
-        beta,
-        adopted,
-        np.array(surface.ends, dtype=np.uint64),
-        counts,
-        int(surface.classes.max(initial=-1)) + 1,
-        WEIGHTINGS[weighting],
-        adopt,
-        NEGLIGIBLE,
-    )
-    adopts = np.zeros(shape[0], dtype=np.bool_)
-    adopts[np.flatnonzero(adopted) // shape[1]] = True
-    rows = np.flatnonzero(adopts)
-    return SurfaceSlots(alpha, beta, rows, adopted[rows] - 1, counts)
-
-
-def _by_numpy(surface: Surface, *, weighting: str, adopt: bool) -> SurfaceSlots:
-    field, classes = surface.field, surface.classes
-    gradients = weight_gradients(surface.positions, surface.triangles, field, classes, weighting=weighting)
-    capacity = shared_capacity(field, classes) if adopt else None
-    tangents, bitangents = surface.frame or frame_from_normal(unit_normals(surface.normals))
-    parts, counts, start = [], [], 0
-    for end in surface.ends:
-        rows = slice(start, end)
-        frame = (tangents[rows], bitangents[rows])
-        room = None if capacity is None else capacity[rows]
-        part = assign(gradients, classes[rows], field.rows(rows), frame, room)
-        takers = np.count_nonzero((part.adopted != NO_JOINT).any(axis=1))
-        counts.append([takers, part.overflowing, part.magnitude, part.lost * part.magnitude])
-        parts.append(part)
-        start = end
-    adopted = np.concatenate([part.adopted for part in parts])
-    adopting = np.flatnonzero((adopted != NO_JOINT).any(axis=1))
-    return SurfaceSlots(
-        alpha=np.concatenate([part.alpha[:, 1:] for part in parts]).astype(np.float32),
-        beta=np.concatenate([part.beta[:, 1:] for part in parts]).astype(np.float32),
-        adopting=adopting,
-        adopted=adopted[adopting],
-        counts=np.array(counts),
-    )
+    counts: Float64Array

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from skinbake.geometry.skinned import Float64Array, FloatArray, IntArray
 from skinbake.gradients.corner import WEIGHTINGS, corner_coefficients
-from skinbake.gradients.influences import WeightField
+from skinbake.gradients.field import WeightField
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 import numpy.typing as npt
 
@@ -11,9 +9,8 @@ from skinbake.geometry.blocks import blocks
 from skinbake.geometry.frames import has_direction, unit_vectors
 from skinbake.geometry.skinned import BoolArray, FloatArray, IntArray
 from skinbake.gradients import kernel
-from skinbake.gradients.influences import WeightField
-
-Labels = IntArray
+from skinbake.gradients.field import WeightField
+from skinbake.gradients.labels import Labels, bit_patterns, first_rows, number_as_met
 
 PAIRED_GROUP = 32
 """Groups of at most this many distinct normals are compared pair by pair; larger ones grow step by step."""
@@ -38,96 +35,18 @@ def weld(positions: FloatArray, normals: FloatArray, field: WeightField, *, crea
     welds only with a bit-identical one. The result depends on neither vertex nor slot order, except for the
     numbers of the classes.
     """
-    labels = equal_positions(positions)
+    labels = kernel.label_equal_rows(positions)
     if int(labels.max(initial=-1)) + 1 == len(labels):
         return labels
     copies = np.flatnonzero(np.bincount(labels)[labels] > 1)
-    points = equal_rows(_point_keys(labels, field, copies))
-    oriented = equal_rows(_oriented_keys(points, normals, copies))
-    first = _firsts(oriented)
+    points = kernel.label_equal_rows(_point_keys(labels, field, copies))
+    oriented = kernel.label_equal_rows(_oriented_keys(points, normals, copies))
+    first = first_rows(oriented)
     distinct = normals[copies[first]]
     directions = np.where(has_direction(distinct)[:, None], unit_vectors(distinct), np.nan)
     linked = _link_by_angle(points[first], directions, crease_angle)
     labels[copies] = len(labels) + linked[oriented]
-    return _numbered(labels)
-
-
-def _firsts(labels: Labels) -> npt.NDArray[np.int64]:
-    """Return the first row of each label; np.unique would import a tenth of a second of masked arrays."""
-    first = np.empty(int(labels.max(initial=-1)) + 1, dtype=np.int64)
-    first[labels[::-1]] = np.arange(len(labels))[::-1]
-    return first
-
-
-def equal_positions(positions: FloatArray) -> Labels:
-    """Return a label (V,) for every vertex, the same for equal positions (−0 = +0)."""
-    labels = _labelled(positions)
-    return _sorted_out(_bits(positions)) if labels is None else labels
-
-
-def equal_rows(rows: npt.NDArray[np.unsignedinteger]) -> Labels:
-    """Return a label (V,) from 0 for every row (V, M) of 4 or 8 byte integers, the same for equal ones.
-
-    Labels are numbered as rows meet them.
-    """
-    labels = _labelled(rows)
-    return _sorted_out(rows) if labels is None else labels
-
-
-def _labelled(rows: npt.NDArray[np.generic]) -> Labels | None:
-    """Return what ``_kernel.equal_rows`` makes of rows (V, M) of floats or integers, None where it cannot."""
-    if kernel.compiled is None:
-        return None
-    labels = np.empty(len(rows), dtype=np.int32)
-    count = kernel.compiled.equal_rows(np.ascontiguousarray(rows), labels)
-    return None if count is None else labels
-
-
-def _sorted_out(rows: npt.NDArray[np.unsignedinteger]) -> Labels:
-    """Return the labels of equal rows by sorting.
-
-    Rows are brought together by a 64-bit hash and then compared in full, so a collision costs time, not
-    correctness.
-    """
-    keys = rows.astype(np.uint64, copy=False)
-    hashed = _hash(keys)
-    order = np.argsort(hashed)
-    differs = np.any(keys[order[1:]] != keys[order[:-1]], axis=1)
-    same_hash = hashed[order[1:]] == hashed[order[:-1]]
-    if (differs & same_hash).any():
-        order = np.lexsort(keys.T)
-        differs = np.any(keys[order[1:]] != keys[order[:-1]], axis=1)
-    labels = np.empty(len(keys), dtype=np.int64)
-    labels[order] = np.concatenate([[0], np.cumsum(differs)]) if len(keys) else order
-    return _numbered(labels)
-
-
-def _numbered(labels: Labels) -> Labels:
-    """Return the labels renumbered in the order in which vertices meet them.
-
-    Neighbours on the surface then stay neighbours in memory: gathering by labels in hash order took three
-    times as long.
-    """
-    leader = _firsts(labels)[labels]
-    leads = np.zeros(len(labels), dtype=np.bool_)
-    leads[leader] = True
-    return np.asarray((np.cumsum(leads) - 1)[leader])
-
-
-def _hash(keys: npt.NDArray[np.uint64]) -> npt.NDArray[np.uint64]:
-    """Mix every row into 64 bits (multiply and xor-shift, as in splitmix64)."""
-    state = np.full(len(keys), 0x9E3779B97F4A7C15, dtype=np.uint64)
-    for column in keys.T:
-        state = (state ^ column) * np.uint64(0xBF58476D1CE4E5B9)
-        state ^= state >> np.uint64(29)
-    return state
-
-
-def _bits(values: FloatArray) -> npt.NDArray[np.unsignedinteger]:
-    """Return the bit patterns of floats as unsigned integers, −0 made +0."""
-    with np.errstate(invalid="ignore"):  # a signalling NaN becomes a quiet one
-        flat = np.ascontiguousarray(values + values.dtype.type(0))
-    return flat.view(np.uint32 if flat.dtype == np.float32 else np.uint64)
+    return number_as_met(labels)
 
 
 def _point_keys(labels: Labels, field: WeightField, copies: IntArray) -> npt.NDArray[np.uint64]:
@@ -145,7 +64,7 @@ def _oriented_keys(points: Labels, normals: FloatArray, copies: IntArray) -> npt
     keys: npt.NDArray[np.unsignedinteger] = np.empty((len(copies), 4), np.uint64 if wide else np.uint32)
     for rows in blocks(len(copies)):
         keys[rows, 0] = points[rows]
-        keys[rows, 1:] = _bits(normals[copies[rows]])
+        keys[rows, 1:] = bit_patterns(normals[copies[rows]])
     return keys
 
 
@@ -202,22 +121,3 @@ def _within(first: npt.NDArray[np.float64], second: npt.NDArray[np.float64], ang
     """Tell where two unit vectors differ by at most an angle, exactly also for small ones; NaN never does."""
     chord = np.linalg.norm(first - second, axis=-1)
     return np.asarray(chord <= 2.0 * np.sin(angle / 2.0) + ROUNDING, dtype=np.bool_)
-
-
-def concatenated(fields: Sequence[WeightField]) -> WeightField:
-    """Return the weight fields of several primitives as one, filled up to the largest number of slots."""
-    if len(fields) == 1:
-        return fields[0]
-    influences = max(field.joints.shape[1] for field in fields)
-    joints, weights, free = [], [], []
-    for field in fields:
-        missing = ((0, 0), (0, influences - field.joints.shape[1]))
-        joints.append(np.pad(field.joints, missing, constant_values=-1))
-        weights.append(np.pad(field.weights, missing))
-        free.append(np.pad(field.free, missing))
-    return WeightField(np.concatenate(joints), np.concatenate(weights), np.concatenate(free))
-
-
-def joined(arrays: Sequence[FloatArray]) -> FloatArray:
-    """Return the rows of several arrays in one, without a copy where there is only one."""
-    return arrays[0] if len(arrays) == 1 else np.concatenate(arrays)

@@ -155,7 +155,7 @@ def recipe(command: str, options: DataclassInstance, state: str, roots: Iterable
     ``roots`` are the folders that inputs were searched in.
     """
     text = json.dumps(
-        [command, __version__, _code(), kernel.compiled is not None, asdict(options)],
+        [command, __version__, _code(), kernel.IS_COMPILED, asdict(options)],
         sort_keys=True,
         default=str,
     )

@@ -41,7 +41,7 @@ def build() -> str:
     """Return skinbake's version, and whether it lacks its compiled loops: the last bits depend on both."""
     from skinbake.gradients import kernel
 
-    return __version__ if kernel.compiled is not None else f"{__version__} without compiled loops"
+    return __version__ if kernel.IS_COMPILED else f"{__version__} without compiled loops"
 
 
 def versions() -> Versions:

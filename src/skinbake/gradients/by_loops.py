@@ -1,0 +1,86 @@
+"""The operations of the kernel by the compiled loops: give them arrays of the types and layout they read.
+
+The same operations in numpy, ``by_numpy``, say what each returns.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray, IntArray
+from skinbake.geometry.triangles import DEGENERATE_AREA
+from skinbake.gradients import _kernel, by_numpy
+from skinbake.gradients.field import WeightDefects, WeightField
+from skinbake.gradients.labels import Labels
+from skinbake.gradients.surface import NEGLIGIBLE, Surface, SurfaceSlots
+
+WEIGHTINGS = {
+    "max": _kernel.BY_MAX,
+    "angle": _kernel.BY_ANGLE,
+    "area": _kernel.BY_AREA,
+    "angle-area": _kernel.BY_ANGLE_AREA,
+}
+
+
+def label_equal_rows(rows: npt.NDArray[np.generic]) -> Labels:
+    """Return a label (V,) from 0 for every row (V, M), the same for equal ones.
+
+    Rows that somebody made to have like hashes are sorted instead.
+    """
+    labels = np.empty(len(rows), dtype=np.int32)
+    try:
+        _kernel.label_equal_rows(np.ascontiguousarray(rows), labels)
+    except _kernel.CollisionError:
+        return by_numpy.label_equal_rows(rows)
+    return labels
+
+
+def normalise_influences(
+    joints: npt.NDArray[np.int32], weights: Float64Array, *, adopting_sum: float, tolerance: float
+) -> tuple[WeightField, WeightDefects]:
+    """Make stored influences (V, K) a weight field in place; return it with what had to be assumed."""
+    free = np.empty(joints.shape, dtype=np.bool_)
+    defects = _kernel.normalise_influences(joints, weights, free, adopting_sum, tolerance)
+    return WeightField(joints, weights, free), WeightDefects(**defects)
+
+
+def mark_proper(positions: FloatArray, triangles: IntArray) -> BoolArray:
+    """Tell for each triangle (T, 3) whether it has an area: a mask (T,)."""
+    mask = np.empty(len(triangles), dtype=np.bool_)
+    corners = np.ascontiguousarray(triangles, dtype=np.uint32)
+    _kernel.mark_proper(np.ascontiguousarray(positions), corners, mask, DEGENERATE_AREA)
+    return mask
+
+
+def bake_surface(surface: Surface, *, weighting: str, adopt: bool) -> SurfaceSlots:
+    """Return α and β of a surface."""
+    vertices, slots = surface.field.joints.shape
+    alpha, beta = (np.empty((vertices, slots - 1), dtype=np.float32) for _ in range(2))
+    adopted = np.zeros((vertices, slots), dtype=np.int32)  # memory stays untouched where nothing is adopted
+    tangents, bitangents = surface.frame or (np.zeros((0, 3)), np.zeros((0, 3)))
+    counts = np.zeros((len(surface.ends), 4))
+    _kernel.bake_surface(
+        positions=np.ascontiguousarray(surface.positions),
+        triangles=np.ascontiguousarray(surface.triangles, dtype=np.uint32),
+        joints=surface.field.joints,
+        weights=surface.field.weights,
+        free=surface.field.free,
+        classes=np.ascontiguousarray(surface.classes, dtype=np.int32),
+        normals=np.ascontiguousarray(surface.normals),
+        tangents=np.ascontiguousarray(tangents),
+        bitangents=np.ascontiguousarray(bitangents),
+        alpha=alpha,
+        beta=beta,
+        adopted=adopted,
+        ends=np.array(surface.ends, dtype=np.uint64),
+        sums=counts,
+        class_count=int(surface.classes.max(initial=-1)) + 1,
+        weighting=WEIGHTINGS[weighting],
+        adopts=adopt,
+        negligible=NEGLIGIBLE,
+    )
+    adopts = np.zeros(vertices, dtype=np.bool_)
+    adopts[np.flatnonzero(adopted) // slots] = True
+    rows = np.flatnonzero(adopts)
+    return SurfaceSlots(alpha, beta, rows, adopted[rows] - 1, counts)

@@ -1,0 +1,127 @@
+"""The operations of the kernel by whole arrays of numpy: the definition of what the compiled loops do."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from skinbake.geometry.frames import frame_from_normal, unit_normals
+from skinbake.geometry.skinned import Float64Array
+from skinbake.geometry.triangles import mark_proper
+from skinbake.gradients.field import NO_JOINT, WeightDefects, WeightField
+from skinbake.gradients.labels import Labels, bit_patterns, number_as_met
+from skinbake.gradients.slots import assign, shared_capacity
+from skinbake.gradients.surface import Surface, SurfaceSlots
+from skinbake.gradients.weight_gradients import weight_gradients
+
+__all__ = ["bake_surface", "label_equal_rows", "mark_proper", "normalise_influences"]
+
+
+def label_equal_rows(rows: npt.NDArray[np.generic]) -> Labels:
+    """Return a label (V,) from 0 for every row (V, M), the same for equal ones, numbered as rows meet them.
+
+    rows holds float32, float64 (both with −0 = +0), or integers of 4 or 8 bytes. Equal rows are brought
+    together by a 64-bit hash and then compared in full, so a collision costs time, not correctness.
+    """
+    bits = bit_patterns(rows) if rows.dtype.kind == "f" else rows
+    keys = bits.astype(np.uint64, copy=False)
+    hashed = _hash_rows(keys)
+    order = np.argsort(hashed)
+    differs = np.any(keys[order[1:]] != keys[order[:-1]], axis=1)
+    same_hash = hashed[order[1:]] == hashed[order[:-1]]
+    if (differs & same_hash).any():
+        order = np.lexsort(keys.T)
+        differs = np.any(keys[order[1:]] != keys[order[:-1]], axis=1)
+    labels = np.empty(len(keys), dtype=np.int64)
+    labels[order] = np.concatenate([[0], np.cumsum(differs)]) if len(keys) else order
+    return number_as_met(labels)
+
+
+def _hash_rows(keys: npt.NDArray[np.uint64]) -> npt.NDArray[np.uint64]:
+    """Mix every row into 64 bits (multiply and xor-shift, as in splitmix64)."""
+    state = np.full(len(keys), 0x9E3779B97F4A7C15, dtype=np.uint64)
+    for column in keys.T:
+        state = (state ^ column) * np.uint64(0xBF58476D1CE4E5B9)
+        state ^= state >> np.uint64(29)
+    return state
+
+
+def normalise_influences(
+    joints: npt.NDArray[np.int32], weights: Float64Array, *, adopting_sum: float, tolerance: float
+) -> tuple[WeightField, WeightDefects]:
+    """Make stored influences (V, K) a weight field in place; return it with what had to be assumed.
+
+    A vertex may adopt where its weights sum to more than ``adopting_sum``; it counts as not normalised where
+    the sum is further than ``tolerance`` from 1. ``influences.weight_field`` has the policy.
+    """
+    free = weights == 0
+    negative = weights < 0
+    weights[negative] = 0.0
+    total = weights.sum(axis=1)
+    free &= (total > adopting_sum)[:, None]
+    empty = total == 0
+    weights[empty, 0] = 1.0
+    total[empty] = 1.0
+    repeated = _merge_repeats(joints, weights)
+    defects = WeightDefects(
+        negative=int(np.count_nonzero(negative.any(axis=1))),
+        all_zero=int(np.count_nonzero(empty)),
+        not_normalised=int(np.count_nonzero(np.abs(total - 1.0) > tolerance)),
+        repeated_joint=repeated,
+    )
+    weights /= total[:, None]
+    return WeightField(joints, weights, free), defects
+
+
+def _merge_repeats(joints: npt.NDArray[np.int32], weights: Float64Array) -> int:
+    """Merge repeated joints in place; return at how many vertices two positive weights were merged."""
+    influences = joints.shape[1]
+    merged = np.zeros(len(joints), dtype=np.bool_)
+    for later in range(1, influences):
+        for earlier in range(later):
+            same = (joints[:, later] == joints[:, earlier]) & (joints[:, later] != NO_JOINT)
+            if not same.any():
+                continue
+            merged |= same & (weights[:, later] > 0) & (weights[:, earlier] > 0)
+            moves_back = same & (weights[:, earlier] == 0) & (weights[:, later] > 0)
+            keeps_first = same & ~moves_back
+            weights[keeps_first, earlier] += weights[keeps_first, later]
+            weights[keeps_first, later] = 0.0
+            joints[keeps_first, later] = NO_JOINT
+            joints[moves_back, earlier] = NO_JOINT
+    return int(np.count_nonzero(merged))
+
+
+def bake_surface(surface: Surface, *, weighting: str, adopt: bool) -> SurfaceSlots:
+    """Return α and β of a surface; weighting is a key of ``corner.WEIGHTINGS``.
+
+    With ``adopt``, joints that vary around a vertex without being its own move into free slots.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):  # the compiled loops overflow without a word too
+        return _bake_parts(surface, weighting=weighting, adopt=adopt)
+
+
+def _bake_parts(surface: Surface, *, weighting: str, adopt: bool) -> SurfaceSlots:
+    field, classes = surface.field, surface.classes
+    gradients = weight_gradients(surface.positions, surface.triangles, field, classes, weighting=weighting)
+    capacity = shared_capacity(field, classes) if adopt else None
+    tangents, bitangents = surface.frame or frame_from_normal(unit_normals(surface.normals))
+    parts, counts, start = [], [], 0
+    for end in surface.ends:
+        rows = slice(start, end)
+        frame = (tangents[rows], bitangents[rows])
+        room = None if capacity is None else capacity[rows]
+        part = assign(gradients, classes[rows], field.rows(rows), frame, room)
+        takers = np.count_nonzero((part.adopted != NO_JOINT).any(axis=1))
+        counts.append([takers, part.overflowing, part.magnitude, part.lost * part.magnitude])
+        parts.append(part)
+        start = end
+    adopted = np.concatenate([part.adopted for part in parts])
+    adopting = np.flatnonzero((adopted != NO_JOINT).any(axis=1))
+    return SurfaceSlots(
+        alpha=np.concatenate([part.alpha[:, 1:] for part in parts]).astype(np.float32),
+        beta=np.concatenate([part.beta[:, 1:] for part in parts]).astype(np.float32),
+        adopting=adopting,
+        adopted=adopted[adopting],
+        counts=np.array(counts),
+    )
