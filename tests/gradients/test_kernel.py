@@ -312,9 +312,8 @@ for turn in range(8):
         _kernel.bake_surface(
             positions=positions, triangles=triangles, joints=joints, weights=weights, free=free,
             classes=classes, normals=positions, tangents=frames, bitangents=frames, alpha=alpha,
-            beta=alpha.copy(), adopted=np.zeros((V, S), np.int32), ends=ends,
-            sums=np.zeros((2, 4)), class_count=V // 2,
-            weighting=_kernel.BY_ANGLE, adopts=True, negligible=1e-4)
+            beta=alpha.copy(), adopted=np.zeros((V, S), np.int32), ends=ends, sums=np.zeros((2, 4)),
+            class_count=V // 2, weighting=_kernel.BY_ANGLE, adopts=True, negligible=1e-4)
     except (IndexError, ValueError):
         pass
     going = False

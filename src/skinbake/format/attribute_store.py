@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from skinbake.errors import Notice
+from skinbake.format.former import note_former_stream
 from skinbake.gltf.accessors import read_accessor
 from skinbake.gltf.additions import Additions, Packed
 from skinbake.gltf.codecs import draco, meshopt
@@ -137,13 +138,11 @@ class _DracoStore:
         view, numbers = self._encoded(names)
         replaced = [name for name in inside if name in self._new or name not in left]
         former = {name: self._source.attributes[name] for name in replaced}
-        extras = before.get("extras")
-        note = {draco.BEFORE: before, **({draco.ACCESSORS: former} if former else {})}
         extension = {
             **before,
             "bufferView": view,
             "attributes": numbers,
-            "extras": {**(extras if isinstance(extras, dict) else {}), draco.KEY: note},
+            "extras": note_former_stream(before, former),
         }
         return {**primitive, "extensions": {**primitive["extensions"], draco.EXTENSION: extension}}
 

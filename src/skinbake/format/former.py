@@ -1,4 +1,7 @@
-"""The influences from before adoption, known again by their content: other tools renumber accessors."""
+"""A primitive as it was before its bake: its influences, and its Draco stream.
+
+Influences are known again by their content, since other tools renumber accessors.
+"""
 
 from __future__ import annotations
 
@@ -10,8 +13,40 @@ import numpy.typing as npt
 from skinbake.errors import InputError, Place
 from skinbake.format.metadata import influence_digests
 from skinbake.gltf.accessors import read_accessor
+from skinbake.gltf.additions import KEY
+from skinbake.gltf.codecs import draco
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject, index
+
+BEFORE, ACCESSORS = "before", "accessors"
+
+
+def note_former_stream(former: JsonObject, accessors: JsonObject) -> JsonObject:
+    """Return the ``extras`` of a new Draco extension: those of the former one, and that one noted in them.
+
+    accessors are those of the attributes that the new stream replaces or leaves out, by name.
+    """
+    extras = former.get("extras")
+    note = {BEFORE: former, **({ACCESSORS: accessors} if accessors else {})}
+    return {**(extras if isinstance(extras, dict) else {}), KEY: note}
+
+
+def with_former_stream(primitive: JsonObject) -> JsonObject | None:
+    """Return the primitive with the stream that it had before a bake, None where bake noted none.
+
+    Its attributes are the present ones but for those that adoption replaced.
+    """
+    extension = draco.extension_of(primitive) or {}
+    extras = extension.get("extras")
+    note = extras.get(KEY) if isinstance(extras, dict) else None
+    before = note.get(BEFORE) if isinstance(note, dict) else None
+    if not isinstance(note, dict) or not isinstance(before, dict):
+        return None
+    attributes, former = primitive.get("attributes"), note.get(ACCESSORS, {})
+    if not isinstance(attributes, dict) or not isinstance(former, dict):
+        return None
+    extensions = {**primitive["extensions"], draco.EXTENSION: before}
+    return {**primitive, "attributes": {**attributes, **former}, "extensions": extensions}
 
 
 def former_attributes(
@@ -28,6 +63,7 @@ def former_attributes(
     if not isinstance(former, dict) or not isinstance(digest, dict):
         return None
     try:
+        draco.add_former_streams(document, with_former_stream)
         count = len(document.objects("accessors"))
         numbers = {name: index(former, name, count, place.at(name)) for name in former}
         found = {name: number for name, number in numbers.items() if number is not None}

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from skinbake.choices import Layout
 from skinbake.errors import Notice, Place
-from skinbake.format.former import former_attributes
+from skinbake.format.former import former_attributes, with_former_stream
 from skinbake.format.metadata import FORMER_ATTRIBUTES, noted_names, read_metadata, slot_names
 from skinbake.gltf import json_access
 from skinbake.gltf.additions import BUFFER_ADDED, BUFFER_LENGTH, FALLBACK_ADDED, KEY
@@ -140,15 +140,15 @@ def _extensions_before(
     extension no longer names what of it is ours.
     """
     extensions = dict(json_access.member(primitive, "extensions", place))
-    before = draco.before_bake(primitive)
+    before = with_former_stream(primitive)
     if complete and before is not None and draco.holds_the_same(document, primitive, before, place):
         return {**extensions, draco.EXTENSION: draco.extension_of(before)}
     extension = dict(draco.extension_of(primitive) or {})
     inside = json_access.member(extension, "attributes", place)
     extension["attributes"] = {name: number for name, number in inside.items() if name not in ours}
     extras = extension.get("extras")
-    if isinstance(extras, dict) and draco.KEY in extras:
-        extension["extras"] = {key: value for key, value in extras.items() if key != draco.KEY}
+    if isinstance(extras, dict) and KEY in extras:
+        extension["extras"] = {key: value for key, value in extras.items() if key != KEY}
         if not extension["extras"]:
             del extension["extras"]
     return {**extensions, draco.EXTENSION: extension}

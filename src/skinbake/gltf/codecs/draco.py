@@ -8,7 +8,7 @@ the vertices have one order for all.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -26,11 +26,6 @@ if TYPE_CHECKING:
     from skinbake.gltf.codecs.draco_stream import DracoMesh
 
 EXTENSION = "KHR_draco_mesh_compression"
-KEY = "skinbake"
-"""The key in the extension's ``extras`` under which bake notes the extension as it was before."""
-
-BEFORE, ACCESSORS = "before", "accessors"
-
 USUAL_LEVEL = 7
 """How hard Draco compresses where nothing else is asked for, of 0 (fast) to 10 (small)."""
 
@@ -56,24 +51,6 @@ def extension_of(primitive: JsonObject) -> JsonObject | None:
     extensions = primitive.get("extensions")
     found = extensions.get(EXTENSION) if isinstance(extensions, dict) else None
     return found if isinstance(found, dict) else None
-
-
-def before_bake(primitive: JsonObject) -> JsonObject | None:
-    """Return the primitive with the stream that it had before a bake, None where bake noted none.
-
-    Its attributes are the present ones but for those that adoption replaced.
-    """
-    extension = extension_of(primitive) or {}
-    extras = extension.get("extras")
-    note = extras.get(KEY) if isinstance(extras, dict) else None
-    before = note.get(BEFORE) if isinstance(note, dict) else None
-    if not isinstance(note, dict) or not isinstance(before, dict):
-        return None
-    attributes, former = primitive.get("attributes"), note.get(ACCESSORS, {})
-    if not isinstance(attributes, dict) or not isinstance(former, dict):
-        return None
-    extensions = {**primitive["extensions"], EXTENSION: before}
-    return {**primitive, "attributes": {**attributes, **former}, "extensions": extensions}
 
 
 def decoded_accessor(
@@ -147,13 +124,20 @@ def _claims(document: Document) -> dict[int, list[Claim]]:
         for primitive in _primitives(document):
             for number, claim in _claims_of(primitive):
                 different.setdefault(number, {}).setdefault(_data_of(claim), claim)
-        claims = {number: list(held.values()) for number, held in different.items()}
-        for primitive in filter(None, map(before_bake, _primitives(document))):
-            for number, claim in _claims_of(primitive):
-                claims.setdefault(number, [claim])
-        known["claims"] = claims
+        known["claims"] = {number: list(held.values()) for number, held in different.items()}
     found: dict[int, list[Claim]] = known["claims"]
     return found
+
+
+def add_former_streams(document: Document, former: Callable[[JsonObject], JsonObject | None]) -> None:
+    """Let accessors that no present stream holds be read from the streams that primitives had before an edit.
+
+    former returns a primitive of the document as it was, None where it had no other stream.
+    """
+    claims = _claims(document)
+    for primitive in filter(None, map(former, _primitives(document))):
+        for number, claim in _claims_of(primitive):
+            claims.setdefault(number, [claim])
 
 
 def _primitives(document: Document) -> Iterator[JsonObject]:
