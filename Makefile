@@ -13,7 +13,7 @@ BUILT_FROM := pyproject.toml setup.py src/skinbake/gradients/_kernel.c
 EXAMPLE := fixtures/bent_tube.glb
 
 # What the caller's shell has set up for other projects must not leak into .venv.
-unexport PYTHONHOME PYTHONPATH VIRTUAL_ENV
+unexport PYTHONHOME PYTHONPATH PYTHONDONTWRITEBYTECODE VIRTUAL_ENV
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:

@@ -188,6 +188,7 @@ class TestRealModels:
             assert after.binary_chunk == before.binary_chunk
             assert_buffers_kept(before, after)
 
+    @pytest.mark.slow
     def test_strip_undoes_generated_normals_too(self, with_normals: list[Run], tmp_path: Path) -> None:
         generated = [
             run for run in with_normals if any(count.generated_normals for _, count in run.result.primitives)
@@ -257,7 +258,7 @@ def test_the_khronos_validator_would_find_a_wrong_addition(tmp_path: Path) -> No
 
 
 class TestBrokenFiles:
-    @pytest.mark.parametrize("generate_normals", [False, True])
+    @pytest.mark.parametrize("generate_normals", [False, pytest.param(True, marks=pytest.mark.slow)])
     def test_none_crashes_or_hangs_or_leaves_a_file_on_failure(
         self, generate_normals: bool, tmp_path: Path
     ) -> None:
@@ -277,6 +278,7 @@ class TestBrokenFiles:
         assert sum(statuses.values()) == 339
         assert statuses["failed"] > 30
 
+    @pytest.mark.slow
     def test_a_failure_leaves_an_old_file_as_it_was(self, tmp_path: Path) -> None:
         for source, _ in corpus.invalid_models():
             target = tmp_path / source.name
@@ -308,6 +310,7 @@ class TestProcesses:
         command = [sys.executable, "-m", "skinbake", "bake", *map(str, sources), "--out-dir", str(folder)]
         return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
 
+    @pytest.mark.slow
     def test_real_models_leave_in_order(self, tmp_path: Path) -> None:
         sources = {source.name: source for source in corpus.valid_models()}
         process = self.run(list(sources.values()), tmp_path)

@@ -20,6 +20,7 @@ from tests.support import khronos
 from tests.support.baked_arrays import StoredPrimitive, baked_meshes_of
 from tests.support.command_line import invoke
 from tests.support.gltf_reading import read
+from tests.support.strictness import is_strict
 
 STORAGES = (
     (),
@@ -36,6 +37,9 @@ GATHERINGS = (
     ("--frame", "normal"),
 )
 COMPRESSIONS = ((), ("--compress", "meshopt"), ("--compress", "draco"))
+
+EXAMPLES = 40 if is_strict() else 10
+"""Of each property: all in a strict run, a quarter where a developer waits."""
 
 # Derandomised: the same examples in every run, so that a failure is a change's and not luck's. The machine
 # that runs them may be busy: no deadline.
@@ -117,7 +121,7 @@ OPTIONS = st.builds(
 )
 
 
-@settings(PROPERTIES, max_examples=40)
+@settings(PROPERTIES, max_examples=EXAMPLES)
 @given(meshes(), OPTIONS, st.sampled_from(COMPRESSIONS))
 def test_a_bake_verifies_repeats_and_is_undone(
     mesh: Mesh, options: list[str], compression: tuple[str, ...]
@@ -139,7 +143,7 @@ def test_a_bake_verifies_repeats_and_is_undone(
             assert read(back).binary_chunk == read(source).binary_chunk
 
 
-@settings(PROPERTIES, max_examples=40)
+@settings(PROPERTIES, max_examples=EXAMPLES)
 @given(meshes())
 def test_alpha_and_beta_of_all_slots_sum_to_zero(mesh: Mesh) -> None:
     """Slot 0 is not stored: its gradient comes from libigl's operator, of which the baker has no code."""

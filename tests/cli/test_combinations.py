@@ -13,9 +13,9 @@ from tests.support.models import FOLDER
 
 STORAGES = (
     (),
-    ("--encoding", "packed8"),
+    pytest.param(("--encoding", "packed8"), marks=pytest.mark.slow),
     ("--encoding", "snorm16", "--layout", "custom"),
-    ("--layout", "texcoord"),
+    pytest.param(("--layout", "texcoord"), marks=pytest.mark.slow),
 )
 GATHERINGS = ((), pytest.param(("--weld", "skin", "--limit-influences", "4"), marks=pytest.mark.slow))
 COMPRESSED = (

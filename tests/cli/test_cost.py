@@ -11,9 +11,8 @@ import jsonschema
 import numpy as np
 import pytest
 
-from skinbake.choices import Encoding, Layout
 from skinbake.format.layouts import Storage
-from tests.support.command_line import document, invoke, run
+from tests.support.command_line import call, document, invoke, run
 from tests.support.gltf_reading import read
 from tests.support.models import FOLDER, SHARED, Part, bake, edited, rewritten, sheet, write_model
 from tests.support.schemas import COUNT, PLACE, TEXT, WARNINGS, strict
@@ -394,7 +393,7 @@ class TestErrors:
         (tmp_path / "empty.glb").touch()
         (tmp_path / "short.glb").write_bytes((FOLDER / "seam.glb").read_bytes()[:5_000])
         (tmp_path / "text.gltf").write_text("hello", encoding="utf-8")
-        process = run("cost", tmp_path / name, *flags)
+        process = (run if name == "short.glb" else call)("cost", tmp_path / name, *flags)
         assert (process.returncode, process.stdout) == (3, b"")
         assert process.stderr.startswith(f"error: {tmp_path / name}: ".encode())
         assert b"Traceback" not in process.stderr
@@ -417,7 +416,7 @@ class TestErrors:
             for key, members in primitive.items():
                 found[key] = {**found.get(key, {}), **members}
 
-        process = run("cost", edited("seam.glb", tmp_path, spoil))
+        process = call("cost", edited("seam.glb", tmp_path, spoil))
         assert (process.returncode, process.stdout) == (3, b"")
         assert message.encode() in process.stderr
         assert b"Traceback" not in process.stderr

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from skinbake.cli.limits import _size
-from tests.support.command_line import invoke, run
+from tests.support.command_line import call, invoke, run
 from tests.support.models import FOLDER, baked, crowd
 
 SEAM, TUBE = FOLDER / "seam.glb", FOLDER / "bent_tube.glb"
@@ -81,7 +81,7 @@ def test_a_time_that_is_none_is_refused(seconds: str) -> None:
 @pytest.mark.parametrize("option", [["--timeout", "60"], ["--isolate"], ["--isolate", "--timeout", "60"]])
 def test_another_process_bakes_the_same(option: list[str], tmp_path: Path) -> None:
     plain, other = tmp_path / "plain.glb", tmp_path / "other.glb"
-    assert run("bake", TUBE, "-o", plain).returncode == 0
+    assert call("bake", TUBE, "-o", plain).returncode == 0
     result = run("bake", TUBE, "-o", other, *option)
     assert (result.returncode, result.stderr) == (0, b"")
     assert other.read_bytes() == plain.read_bytes()

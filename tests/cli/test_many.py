@@ -480,8 +480,15 @@ def made(folder: Path) -> list[Path]:
 
 
 @LINUX
-@pytest.mark.parametrize("whom", ["group", "command"])
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+@pytest.mark.parametrize(
+    ("whom", "number", "code"),
+    [
+        ("group", signal.SIGINT, 130),
+        ("command", signal.SIGTERM, 143),
+        pytest.param("command", signal.SIGINT, 130, marks=pytest.mark.slow),
+        pytest.param("group", signal.SIGTERM, 143, marks=pytest.mark.slow),
+    ],
+)
 def test_an_interrupt_ends_all_and_leaves_whole_files_only(
     number: signal.Signals,
     code: int,

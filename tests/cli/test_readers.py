@@ -18,16 +18,16 @@ if sys.platform == "win32":
 SEAM = str(FOLDER / "seam.glb")
 COMMANDS = [
     ["--help"],
-    ["--version"],
-    ["bake", "--help"],
-    ["bake", SEAM, "--dry-run"],
+    pytest.param(["--version"], marks=pytest.mark.slow),
+    pytest.param(["bake", "--help"], marks=pytest.mark.slow),
+    pytest.param(["bake", SEAM, "--dry-run"], marks=pytest.mark.slow),
     ["bake", SEAM, "-o", "-"],
-    ["bake", SEAM, SEAM, "--dry-run", "--jobs", "2"],
+    pytest.param(["bake", SEAM, SEAM, "--dry-run", "--jobs", "2"], marks=pytest.mark.slow),
     ["verify", SEAM, "--poses", "rest"],
-    ["shader", "--lang", "glsl", "--frame", "normal"],
+    pytest.param(["shader", "--lang", "glsl", "--frame", "normal"], marks=pytest.mark.slow),
     ["inspect", SEAM],
     ["strip", SEAM, "-o", "-"],
-    ["cost"],
+    pytest.param(["cost"], marks=pytest.mark.slow),
     ["cost", SEAM, "--json"],
 ]
 

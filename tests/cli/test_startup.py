@@ -119,7 +119,7 @@ def test_a_defect_is_a_sentence_and_a_traceback_only_where_it_is_asked_for() -> 
         assert b"Traceback" in process.stderr, flags
 
 
-@pytest.mark.parametrize("encoding", ["latin-1", "cp1252"])
+@pytest.mark.parametrize("encoding", [pytest.param("latin-1", marks=pytest.mark.slow), "cp1252"])
 @pytest.mark.parametrize("arguments", [["--help"], ["bake", "--help"], ["inspect", str(SEAM)]])
 def test_any_encoding_of_the_terminal_will_do(encoding: str, arguments: list[str]) -> None:
     """Output to a pipe on Windows is cp1252, which has no α."""
@@ -157,7 +157,14 @@ FULL = pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /d
 @FULL
 @pytest.mark.parametrize(
     "command",
-    ["bake {} -o -", "bake {} --dry-run", "bake {} --dry-run --json", "inspect {}", "inspect {} --json"],
+    [
+        "bake {} -o -",
+        *(
+            pytest.param(command, marks=pytest.mark.slow)
+            for command in ("bake {} --dry-run", "bake {} --dry-run --json", "inspect {}")
+        ),
+        "inspect {} --json",
+    ],
 )
 def test_a_full_disk_behind_stdout_is_an_output_error(command: str) -> None:
     process = shell(f"skinbake {command.format(SEAM)} > /dev/full")

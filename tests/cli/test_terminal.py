@@ -12,7 +12,7 @@ import pytest
 
 from skinbake.cli.console import json_text
 from skinbake.errors import Place, printable_lines
-from tests.support.command_line import run
+from tests.support.command_line import call, run
 from tests.support.models import edited
 
 if sys.platform == "win32":
@@ -82,8 +82,13 @@ COMMANDS = [
 ]
 
 
+OWN = ("inspect", "shader")
+"""Commands that run as processes of their own; the others print by the same functions."""
+
+
 def said(*arguments: str | Path) -> bytes:
-    process = run(*arguments, env=UTF_8)
+    way = run if arguments[0] in OWN else call
+    process = way(*arguments, env=UTF_8)
     assert b"Traceback" not in process.stderr
     return process.stdout + process.stderr
 
@@ -107,7 +112,7 @@ def test_errors_are_no_exception(command: list[str], evil: Path, tmp_path: Path)
 
 
 def test_json_has_the_names_as_they_are(evil: Path) -> None:
-    process = run("inspect", evil, "--json", env=UTF_8)
+    process = call("inspect", evil, "--json", env=UTF_8)
     content = json.loads(process.stdout)
     assert content["input"] == str(evil)
     assert "α" in json_text({"α": 1})

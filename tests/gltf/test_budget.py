@@ -192,7 +192,9 @@ def test_the_bombs_of_the_audit_are_refused(name: str, tmp_path: Path) -> None:
 
 @LINUX
 @pytest.mark.parametrize("command", COMMANDS[:1])
-@pytest.mark.parametrize("limit", [100, 200, 400])
+@pytest.mark.parametrize(
+    "limit", [100, *(pytest.param(limit, marks=pytest.mark.slow) for limit in (200, 400))]
+)
 def test_max_memory_bounds_what_a_child_takes(
     command: Callable[[Path], Any], limit: int, tmp_path: Path
 ) -> None:

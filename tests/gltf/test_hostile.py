@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import shutil
@@ -140,7 +141,10 @@ class TestEncoders:
         assert found in refused(path, "--compress", "draco", "--position-bits", "11")
 
 
-@pytest.mark.parametrize("compression", COMPRESSIONS)
+@pytest.mark.parametrize(
+    "compression",
+    ["keep", *(pytest.param(name, marks=pytest.mark.slow) for name in ("none", "meshopt")), "draco"],
+)
 @pytest.mark.parametrize("name", ["POSITION", "NORMAL", "JOINTS_0", "WEIGHTS_0", "indices"])
 def test_what_lies_unaligned_is_read(tmp_path: Path, name: str, compression: str) -> None:
     """The same values one byte further on give the same α and β."""
@@ -204,8 +208,18 @@ class TestNesting:
         path.write_bytes(b"glTF" + (2).to_bytes(4, "little") + length.to_bytes(4, "little") + b"".join(parts))
         return path
 
-    @pytest.mark.parametrize("suffix", [".glb", ".gltf"])
-    @pytest.mark.parametrize("compression", COMPRESSIONS)
+    @pytest.mark.parametrize(
+        ("compression", "suffix"),
+        [
+            ("keep", ".glb"),
+            ("draco", ".gltf"),
+            *(
+                pytest.param(compression, suffix, marks=pytest.mark.slow)
+                for compression, suffix in itertools.product(COMPRESSIONS, (".glb", ".gltf"))
+                if (compression, suffix) not in {("keep", ".glb"), ("draco", ".gltf")}
+            ),
+        ],
+    )
     def test_deep_files_are_baked_verified_and_stripped(
         self, nested: Path, tmp_path: Path, compression: str, suffix: str
     ) -> None:

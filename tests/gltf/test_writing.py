@@ -461,6 +461,7 @@ for number in range(int(rounds)):
 """
 
 
+@pytest.mark.slow
 def test_two_runs_into_one_folder_cannot_exchange_their_bins(tmp_path: Path) -> None:
     """The same target at the same time by other options, many times: each .gltf has the .bin it names."""
     rounds = 30

@@ -115,8 +115,8 @@ def mean_errors(name: str, matrices: Sequence[Float64Array], settings: BakeSetti
     [
         (CESIUM_MAN, animated),
         (CESIUM_MAN, turned_at_random),
-        (MANNEQUINY, animated),
-        (BARBARIAN, turned_at_random),
+        pytest.param(MANNEQUINY, animated, marks=pytest.mark.slow),
+        pytest.param(BARBARIAN, turned_at_random, marks=pytest.mark.slow),
     ],
 )
 def test_accurate_normals_have_at_most_half_of_the_standard_ones_error(
@@ -127,7 +127,7 @@ def test_accurate_normals_have_at_most_half_of_the_standard_ones_error(
     assert accurate <= 0.5 * standard
 
 
-@pytest.mark.parametrize("name", [CESIUM_MAN, MANNEQUINY])
+@pytest.mark.parametrize("name", [CESIUM_MAN, pytest.param(MANNEQUINY, marks=pytest.mark.slow)])
 def test_adoption_takes_error_off_real_animations(name: str) -> None:
     # 1.94° → 1.84° and 0.58° → 0.55°, measured.
     poses = animated(name)

@@ -46,6 +46,8 @@ FILES = [
     PBR_TEST,  # eight slots
 ]
 
+LARGE = (BARBARIAN, MANTIS)
+
 NEGLIGIBLE = 1e-4
 """docs/reference/gradients.md: below this share of a vertex's gradient a joint gets no slot."""
 
@@ -161,7 +163,9 @@ def assert_slots_hold_their_joints(
 
 
 @pytest.mark.parametrize("neighbours", list(Neighbours))
-@pytest.mark.parametrize("name", FILES)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.slow] if name in LARGE else []) for name in FILES]
+)
 def test_slots_are_filled_as_a_loop_over_vertices_fills_them(name: str, neighbours: Neighbours) -> None:
     adopts = False
     for primitives in meshes_of(path_of(name)).values():

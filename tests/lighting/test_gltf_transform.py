@@ -51,10 +51,9 @@ def transform(tmp_path_factory: pytest.TempPathFactory) -> Transform:
     "command",
     [
         "copy",
-        "prune",
         *(
             pytest.param(command, marks=pytest.mark.slow)
-            for command in ("dedup", "resample", "sparse", "unlit", "flatten", "join", "metalrough")
+            for command in ("prune", "dedup", "resample", "sparse", "unlit", "flatten", "join", "metalrough")
         ),
     ],
 )
@@ -64,6 +63,7 @@ def test_what_leaves_the_geometry_alone_leaves_the_bake_fresh(transform: Transfo
     assert answer.failed == []
 
 
+@pytest.mark.slow
 def test_a_copy_as_separate_files_is_fresh(transform: Transform) -> None:
     assert transform("two_primitives.glb", "copy", suffix=".gltf").exit_code == 0
 
@@ -94,7 +94,7 @@ def test_optimized_is_recognised(transform: Transform) -> None:
     assert "its vertices re-ordered, merged or split" in message
 
 
-@pytest.mark.parametrize("command", ["prune", "optimize"])
+@pytest.mark.parametrize("command", ["prune", pytest.param("optimize", marks=pytest.mark.slow)])
 def test_a_dropped_tangent_is_recognised(transform: Transform, command: str) -> None:
     options = ("--compress", "false", "--texture-compress", "false") if command == "optimize" else ()
     answer = transform("mirrored_tangent.glb", command, *options)
@@ -112,6 +112,7 @@ def test_quantised_attributes_are_recognised(transform: Transform) -> None:
     assert BAKE_LAST in problem["message"]
 
 
+@pytest.mark.slow
 @corpus.needed
 def test_quantised_rescaled_and_re_sorted_positions_are_recognised(transform: Transform) -> None:
     """glTF-Transform leaves attributes with values beyond ±1 alone, so α and β stay FLOAT here."""
@@ -121,6 +122,7 @@ def test_quantised_rescaled_and_re_sorted_positions_are_recognised(transform: Tr
     assert "its vertices quantised, its vertices rescaled (by 1.33) and its influences re-sorted" in message
 
 
+@pytest.mark.slow
 def test_quantised_positions_alone_are_recognised(transform: Transform) -> None:
     message = stale(transform("foreign_joints.glb", "quantize"))
     assert "its vertices quantised and its vertices rescaled (by 0.667)" in message
@@ -130,7 +132,7 @@ def test_quantised_positions_alone_are_recognised(transform: Transform) -> None:
     ("command", "doing"),
     [
         ("meshopt", "its vertices quantised, its vertices rescaled"),
-        ("draco", "the mesh simplified or edited"),
+        pytest.param("draco", "the mesh simplified or edited", marks=pytest.mark.slow),
     ],
 )
 def test_compressing_after_a_bake_is_recognised(transform: Transform, command: str, doing: str) -> None:

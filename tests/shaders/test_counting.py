@@ -42,7 +42,9 @@ def table(frame: str) -> str:
     return "\n".join(rows)
 
 
-@pytest.mark.parametrize("frame", FRAMES)
+@pytest.mark.parametrize(
+    "frame", [FRAMES[0], *(pytest.param(frame, marks=pytest.mark.slow) for frame in FRAMES[1:])]
+)
 def test_costs_are_those_of_the_replay(frame: str) -> None:
     """Within a tenth; with one influence the mix is constant, and 5 and 6 leave out what comes to nothing."""
     for algorithm in Algorithm:

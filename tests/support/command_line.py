@@ -26,6 +26,14 @@ def invoke(*arguments: str | Path, env: Mapping[str, str] | None = None) -> Resu
     return result
 
 
+def call(*arguments: str | Path, env: Mapping[str, str] | None = None) -> subprocess.CompletedProcess[bytes]:
+    """Run ``skinbake`` in this process, and return what ``run`` would."""
+    result = invoke(*arguments, env=env)
+    return subprocess.CompletedProcess(
+        ["skinbake", *map(str, arguments)], result.exit_code, result.stdout_bytes, result.stderr_bytes
+    )
+
+
 def document(result: Result) -> Any:
     """Return the JSON on stdout, where nothing else may stand."""
     return json.loads(result.stdout)

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import base64
 import copy
-import json
-import subprocess
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -13,10 +11,10 @@ from typing import Any
 import pygltflib
 
 from tests.support.gltf_reading import DRACO, MESHOPT, GltfFile, JsonObject, read
-from tests.support.node import SUPPORT
+from tests.support.node import Script
 from tests.support.node import require_node as _require_node
 
-TIMEOUT_SECONDS = 600
+DECODERS = Script("decompress.mjs", "draco3dgltf", "meshoptimizer")
 
 
 def require_node() -> str:
@@ -30,7 +28,7 @@ def read_plain(path: Path) -> GltfFile:
 
 
 def read_plain_many(paths: Iterable[Path]) -> dict[Path, GltfFile]:
-    """Read files in one node process; the keys are the paths as given.
+    """Read files; the keys are the paths as given.
 
     Each is as if it had never been compressed: the accessors that Draco holds and the buffer views that
     meshopt compressed have ordinary data, in a buffer of its own at the end. Raises ValueError where a file
@@ -38,22 +36,8 @@ def read_plain_many(paths: Iterable[Path]) -> dict[Path, GltfFile]:
     """
     models = {path: read(path) for path in dict.fromkeys(paths)}
     wanted = [path for path, model in models.items() if is_compressed(model.content)]
-    if not wanted:
-        return models
-    process = subprocess.run(
-        [require_node(), str(SUPPORT / "decompress.mjs")],
-        input="".join(json.dumps(str(path.resolve())) + "\n" for path in wanted),
-        capture_output=True,
-        text=True,
-        encoding="utf-8",
-        timeout=TIMEOUT_SECONDS,
-        check=False,
-    )
-    answers = process.stdout.splitlines()
-    if process.returncode != 0 or len(answers) != len(wanted):
-        raise RuntimeError(f"decoded {len(answers)} of {len(wanted)} files: {process.stderr.strip()}")
-    for path, answer in zip(wanted, answers, strict=True):
-        models[path] = _plain(models[path], json.loads(answer))
+    for path, answer in zip(wanted, DECODERS.ask_about(wanted), strict=True):
+        models[path] = _plain(models[path], answer)
     return models
 
 

@@ -1,14 +1,26 @@
-"""Find node and the npm packages that tests/support/package-lock.json pins."""
+"""Find node and the npm packages that tests/support/package-lock.json pins, and ask scripts about files.
+
+A script of this folder answers each line on its stdin with one on its stdout. It is started once and asked
+again and again: node takes half a second to start, and is slow until it has compiled what it runs.
+"""
 
 from __future__ import annotations
 
+import atexit
+import json
 import shutil
+import subprocess
+import tempfile
+import threading
+from collections.abc import Sequence
 from pathlib import Path
+from typing import IO, Any
 
 from tests.support.strictness import missing_tool
 
 SUPPORT = Path(__file__).resolve().parent
 INSTALL_COMMAND = "npm ci --prefix tests/support"
+PATIENCE_SECONDS = 600
 
 
 def package_folder(package: str) -> Path:
@@ -28,3 +40,67 @@ def require_node(*packages: str) -> str:
     if absent:
         missing_tool(f"{', '.join(absent)} not installed: run `{INSTALL_COMMAND}`")
     return node
+
+
+class Script:
+    """A script of this folder that runs in a node process of its own, from its first question on."""
+
+    def __init__(self, name: str, *packages: str) -> None:
+        self._name = name
+        self._packages = packages
+        self._process: subprocess.Popen[str] | None = None
+        self._said: IO[str] | None = None
+
+    def ask_about(self, paths: Sequence[Path]) -> list[Any]:
+        """Return the answer of the script, any JSON, about each file.
+
+        Raises RuntimeError where the script ends before it has answered.
+        """
+        if not paths:
+            return []
+        process = self._started()
+        assert process.stdin is not None
+        assert process.stdout is not None
+        watch = threading.Timer(PATIENCE_SECONDS, process.kill)
+        watch.start()
+        try:
+            answers = []
+            for path in paths:
+                process.stdin.write(json.dumps(str(path.resolve())) + "\n")
+                process.stdin.flush()
+                answers.append(json.loads(process.stdout.readline()))
+        except (OSError, ValueError) as error:
+            said = self.stop()
+            raise RuntimeError(
+                f"{self._name} answered for {len(answers)} of {len(paths)} files: {said}"
+            ) from error
+        finally:
+            watch.cancel()
+        return answers
+
+    def _started(self) -> subprocess.Popen[str]:
+        node = require_node(*self._packages)
+        if self._process is None:
+            self._said = tempfile.TemporaryFile("w+", encoding="utf-8")  # noqa: SIM115 - stop closes it
+            self._process = subprocess.Popen(
+                [node, str(SUPPORT / self._name)],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=self._said,
+                encoding="utf-8",
+            )
+            atexit.register(self.stop)
+        return self._process
+
+    def stop(self) -> str:
+        """End the process, and return its words on stderr."""
+        atexit.unregister(self.stop)
+        process, said = self._process, self._said
+        if process is None or said is None:
+            return ""
+        self._process = self._said = None
+        process.kill()
+        process.communicate()
+        said.seek(0)
+        with said:
+            return said.read().strip()[-2000:]

@@ -80,6 +80,13 @@ class TestKhronos:
         with pytest.raises(FileNotFoundError):
             khronos.validate(tmp_path / "nowhere.glb")
 
+    def test_a_validator_that_ended_is_said_and_started_anew(self) -> None:
+        khronos.validate(TUBE)
+        khronos.VALIDATOR._started().kill()
+        with pytest.raises(RuntimeError, match="answered for 0 of 1 files"):
+            khronos.validate(TUBE)
+        assert khronos.validate(TUBE)["errors"] == []
+
     def test_new_findings_ignore_moved_pointers_and_infos(self) -> None:
         before = report(errors=["A", "A"], warnings=["B"])
         assert not khronos.new_findings(before, report(errors=["A"], warnings=["B"], at="/moved/"))
