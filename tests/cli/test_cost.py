@@ -11,6 +11,7 @@ import jsonschema
 import numpy as np
 import pytest
 
+from skinbake.choices import Encoding, Layout
 from skinbake.format.layouts import Storage
 from tests.support.command_line import call, document, invoke, run
 from tests.support.gltf_reading import read
