@@ -128,7 +128,7 @@ def _checked(name: str) -> str:
     if "\0" in name:
         raise RefusedError("it holds a NUL character")
     if "\\" in name:
-        raise RefusedError("it holds a backslash; paths in glTF have forward slashes")
+        raise RefusedError("it holds a backslash; paths in glTF use forward slashes")
     if name.startswith("/"):
         raise RefusedError("it is an absolute path")
     if ":" in name:
@@ -137,7 +137,7 @@ def _checked(name: str) -> str:
         raise RefusedError(f"it has {kind}, and is neither a relative path nor a data: URI")
     for part in name.split("/"):
         if part not in {"", ".", ".."} and not part.strip(". "):
-            raise RefusedError(f'"{part}" is the name of no file on every system')
+            raise RefusedError(f'"{part}" is not a valid file name on every system')
         if part.split(".")[0].rstrip(" ").upper() in DEVICES:
             raise RefusedError(f'"{part}" is a device on Windows')
     normal = posixpath.normpath(name) if name else "."

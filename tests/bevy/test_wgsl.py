@@ -223,12 +223,12 @@ def test_a_mesh_that_is_not_baked_is_lit_as_bevy_does(seen: dict[str, Seen]) -> 
     [
         ({"method": Method.DQS, "lighting": Lighting.EXACT}, "--method lbs"),
         ({"lighting": Lighting.APPROXIMATED}, "Bevy's own"),
-        ({"influences": 5}, "four influences a vertex, not 5"),
+        ({"influences": 5}, "four influences per vertex, not 5"),
         ({"influences": 1}, "one influence"),
-        ({"language": Language.GLSL}, "takes --lang wgsl"),
+        ({"language": Language.GLSL}, "needs --lang wgsl"),
         ({"layout": "texcoord"}, "two sets of texture coordinates"),
-        ({"encoding": "packed8"}, "packed8 counts in .*; say --for BAKED_FILE"),
-        ({"encoding": "snorm16"}, "snorm16 counts in .*; say --for BAKED_FILE"),
+        ({"encoding": "packed8"}, "packed8 needs .*; give --for BAKED_FILE"),
+        ({"encoding": "snorm16"}, "snorm16 needs .*; give --for BAKED_FILE"),
     ],
 )
 def test_what_bevy_cannot_use_is_refused(choices: dict[str, Any], reason: str) -> None:

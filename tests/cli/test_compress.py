@@ -87,7 +87,7 @@ def test_damaged_data_ends_in_exit_3_or_0_and_never_in_a_traceback(kind: str, tm
     assert "Traceback" not in text
     assert "should not" not in text
     assert len(process.stdout.splitlines()) == len(sources)
-    errors = [line for line in text.splitlines() if "cannot be decoded" in line or "stream says" in line]
+    errors = [line for line in text.splitlines() if "cannot be decoded" in line or "stream declares" in line]
     assert errors
     assert all("mesh 0" in line or "buffer view" in line for line in errors)
 
@@ -97,7 +97,7 @@ def test_bits_asked_for_what_is_in_draco_already_are_a_notice(tmp_path: Path) ->
     assert invoke("bake", TUBE, "-o", first, "--compress", "draco").exit_code == 0
     result = invoke("bake", first, "-o", second, "--compress", "draco", "--position-bits", "8")
     assert result.exit_code == 0
-    assert "it is in Draco already and is not quantised again" in result.stderr
+    assert "it is already in Draco and is not quantised again" in result.stderr
     assert second.read_bytes() == first.read_bytes()
 
 

@@ -193,7 +193,7 @@ class TestUsage:
             (["{seam}", "{own}/seam.glb", "--out-dir", "{dir}"], "would both become"),
             (["-", "--out-dir", "{dir}"], "--out-dir needs inputs that have a name"),
             (["-", "--in-place"], "--in-place needs files"),
-            (["-", "-", "--dry-run"], "stdin can be read once only"),
+            (["-", "-", "--dry-run"], "stdin can be read only once"),
             (["{seam}", "-o", "-", "--json"], "stdout cannot take both"),
             (["{seam}", "-o", "{dir}/a.glb", "--weighting", "uniform"], "'uniform' is not one of"),
             (["{seam}", "-o", "{dir}/a.glb", "--frame", "none"], "'none' is not one of"),
@@ -211,15 +211,15 @@ class TestUsage:
             (["{seam}", "-o", "{dir}/a.glb", "--layout", "uv"], "'uv' is not one of"),
             (
                 ["{seam}", "-o", "{dir}/a.glb", "--layout", "texcoord", "--encoding", "packed8"],
-                "--layout texcoord takes --encoding float32, not packed8",
+                "--layout texcoord needs --encoding float32, not packed8",
             ),
             (
                 ["{seam}", "-o", "{dir}/a.glb", "--layout", "texcoord", "--alpha-name", "_A{set}"],
-                "--alpha-name is for --layout attributes; texcoord has names of its own",
+                "--alpha-name needs --layout attributes; texcoord has fixed names",
             ),
             (
                 ["{seam}", "-o", "{dir}/a.glb", "--layout", "custom", "--beta-name", "_SKINBAKE_BETA_{set}"],
-                "--beta-name is for --layout attributes; custom has names of its own",
+                "--beta-name needs --layout attributes; custom has fixed names",
             ),
             (["{seam}", "-o", "{dir}/a.glb", "--color", "blue"], "'blue' is not one of"),
             (["{seam}", "-o", "{dir}/a.glb", "--no-such"], "No such option"),

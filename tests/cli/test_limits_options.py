@@ -57,11 +57,11 @@ def test_every_command_that_reads_takes_max_memory(
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["bake", "-", "-o", "out.glb"], "takes files, not - for stdin or stdout"),
-        (["bake", SEAM, "-o", "-"], "takes files, not - for stdin or stdout"),
-        (["verify", "-"], "takes files, not - for stdin or stdout"),
-        (["bake", SEAM, "--dry-run", "--dask", "tcp://h:1"], "is for processes of this machine"),
-        (["verify", SEAM, "--dask", "tcp://h:1"], "is for processes of this machine"),
+        (["bake", "-", "-o", "out.glb"], "needs files, not - for stdin or stdout"),
+        (["bake", SEAM, "-o", "-"], "needs files, not - for stdin or stdout"),
+        (["verify", "-"], "needs files, not - for stdin or stdout"),
+        (["bake", SEAM, "--dry-run", "--dask", "tcp://h:1"], "controls processes of this machine"),
+        (["verify", SEAM, "--dask", "tcp://h:1"], "controls processes of this machine"),
     ],
 )
 def test_what_cannot_be_another_process_s_work_is_refused(

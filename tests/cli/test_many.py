@@ -293,7 +293,7 @@ class TestSummary:
             "bake", FOLDER / "seam.glb", "-o", tmp_path / "a.glb", option, tmp_path / "b.glb", *more
         )
         assert result.exit_code == 2
-        assert "is a model's name" in result.stderr
+        assert "is the name of a model" in result.stderr
 
 
 class TestTimings:

@@ -51,7 +51,7 @@ def test_a_report_that_is_an_input_is_refused(
     places = {"model": model, "link": link, "folder": tmp_path, "out": tmp_path / "out"}
     result = invoke(*(argument.format_map(places) for argument in arguments))
     assert result.exit_code == 2
-    assert "is an input" in result.stderr or "is a model's name" in result.stderr
+    assert "is an input" in result.stderr or "is the name of a model" in result.stderr
     assert contents(tmp_path) == before
 
 

@@ -44,7 +44,7 @@ def test_without_a_file_the_assumed_frame_is_a_warning() -> None:
     result = invoke("shader", "--lang", "wgsl")
     assert result.exit_code == 0
     assert "normal frame" in header(result.stdout)
-    assert "warning: shader: made for --frame normal" in result.stderr
+    assert "warning: shader: the shader is made for --frame normal" in result.stderr
 
 
 @pytest.mark.parametrize(("method", "lighting"), [("lbs", "accurate"), ("dqs", "exact")])
@@ -182,8 +182,11 @@ class TestForFile:
     @pytest.mark.parametrize(
         ("options", "message"),
         [
-            (["--frame", "tangent"], "it cannot serve --frame tangent: it is baked in the normal frame"),
-            (["--influences", "5"], "it cannot serve --influences 5"),
+            (
+                ["--frame", "tangent"],
+                "this file does not fit --frame tangent: it is baked in the normal frame",
+            ),
+            (["--influences", "5"], "this file does not fit --influences 5"),
         ],
     )
     def test_what_the_file_does_not_hold_is_refused(
@@ -206,8 +209,8 @@ class TestForFile:
         file = baked(TWO_SETS, tmp_path)
         result = invoke("shader", "--target", target, "--for", file)
         assert result.exit_code == 3
-        assert f"{file}: it cannot serve target {target}" in result.stderr
-        assert "four influences a vertex, not 8; bake with --limit-influences 4" in result.stderr
+        assert f"{file}: this file does not fit target {target}" in result.stderr
+        assert "four influences per vertex, not 8; bake with --limit-influences 4" in result.stderr
         asked = invoke("shader", "--target", target, "--for", file, "--method", "dqs")
         assert asked.exit_code == 2
 
@@ -234,11 +237,11 @@ class TestForFile:
         file = baked(write_model(tmp_path / "both.glb", [part, sheet(TANGENT=tangents)]), tmp_path)
         result = invoke("shader", "--lang", "glsl", "--for", file)
         assert result.exit_code == 3
-        assert "differ in frame" in result.stderr
-        assert "say which with --frame" in result.stderr
+        assert "have different values of frame" in result.stderr
+        assert "choose one with --frame" in result.stderr
         result = invoke("shader", "--lang", "glsl", "--for", file, "--frame", "tangent")
         assert result.exit_code == 0
-        assert "primitive 0: this shader is not for it: it is baked in the normal frame" in result.stderr
+        assert "primitive 0: this shader does not fit it: it is baked in the normal frame" in result.stderr
 
     def test_mirroring_joints_are_seen_to(self, tmp_path: Path) -> None:
         def mirror(content: Any) -> None:
@@ -264,7 +267,7 @@ class TestForFile:
         file = baked(edited(SEAM.name, tmp_path, stretch), tmp_path)
         result = invoke("shader", "--lang", "glsl", "--for", file, "--method", "dqs")
         assert result.exit_code == 3
-        assert "it cannot serve --method dqs" in result.stderr
+        assert "this file does not fit --method dqs" in result.stderr
         assert invoke("shader", "--lang", "glsl", "--for", file).exit_code == 0
 
 

@@ -101,10 +101,10 @@ def test_what_cannot_be_had_is_one_sentence_a_file(library: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["a.glb", "--dask", "tcp://h:1", "--jobs", "2"], "--jobs is for processes of this machine"),
+        (["a.glb", "--dask", "tcp://h:1", "--jobs", "2"], "--jobs controls processes of this machine"),
         (["-", "--dask", "tcp://h:1"], "not - for stdin"),
-        (["memory://a.glb", "--skip-unchanged", "--state", "s.jsonl"], "not with --dask or URLs"),
-        (["a.glb", "--dask", "tcp://h:1", "--skip-unchanged", "--state", "s"], "not with --dask or URLs"),
+        (["memory://a.glb", "--skip-unchanged", "--state", "s.jsonl"], "without --dask and URLs"),
+        (["a.glb", "--dask", "tcp://h:1", "--skip-unchanged", "--state", "s"], "without --dask and URLs"),
     ],
 )
 def test_what_does_not_go_together(arguments: list[str], message: str) -> None:
@@ -186,5 +186,5 @@ def test_a_pipe_is_not_waited_for(tmp_path: Path) -> None:
 def test_what_is_no_address_is_no_cluster(address: str, tmp_path: Path) -> None:
     result = invoke("bake", str(FOLDER / "seam.glb"), "-o", str(tmp_path / "out.glb"), "--dask", address)
     assert result.exit_code == 2
-    assert "--dask takes the address" in result.stderr
+    assert "--dask needs the address" in result.stderr
     assert not (tmp_path / "out.glb").exists()

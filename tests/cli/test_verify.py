@@ -108,7 +108,7 @@ def test_stdin_is_a_glb_called_dash(good: Path, bad: Path) -> None:
     assert run("-", data=b"").exit_code == 3
     twice = run("-", "-", data=good.read_bytes())
     assert twice.exit_code == 2
-    assert "stdin can be read once only" in twice.stderr
+    assert "stdin can be read only once" in twice.stderr
 
 
 def test_stdin_of_a_real_process(good: Path) -> None:

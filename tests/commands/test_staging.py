@@ -304,7 +304,7 @@ def test_a_target_that_the_input_consists_of_is_refused(tmp_path: Path) -> None:
     upload_one("s3://b/common/motion.bin", b"motion")
     before = stored("s3://b")
     result = bake_one("s3://b/lib/crate.gltf", "s3://b/lib/wood.glb")
-    assert str(result.error) == "s3://b/lib/wood.glb: it is a file that the input consists of"
+    assert str(result.error) == "s3://b/lib/wood.glb: it is a file of the input"
     assert stored("s3://b") == before
 
 

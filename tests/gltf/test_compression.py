@@ -573,7 +573,7 @@ def test_what_all_of_a_file_expands_to_is_limited(
     monkeypatch.setattr("skinbake.gltf.budget.UNPACKED_FREE", 1000)
     bake(source, tmp_path / "out.glb")
     monkeypatch.setattr("skinbake.gltf.budget.UNPACKED_RATIO", 1)
-    with pytest.raises(InputError, match="over the limit of 1 times as many") as raised:
+    with pytest.raises(InputError, match="The limit is 1 times as many") as raised:
         bake_file(str(source), str(tmp_path / "not.glb"))
     assert 'mesh 0 "tube", primitive 0' in str(raised.value)
 

@@ -319,13 +319,13 @@ class TestSameFolder:
 
     def test_the_target_may_not_be_a_file_of_the_input(self, tmp_path: Path) -> None:
         source = with_image(tmp_path, "texture.glb", "texture.glb")
-        with pytest.raises(OutputError, match="a file that the input consists of"):
+        with pytest.raises(OutputError, match="a file of the input"):
             bake_file(str(source), str(tmp_path / "texture.glb"))
         assert (tmp_path / "texture.glb").read_bytes() == PNG + b"texture.glb"
 
     def test_strip_does_not_write_over_a_file_of_the_input(self, tmp_path: Path) -> None:
         source = with_image(tmp_path, "texture.glb", "texture.glb")
-        with pytest.raises(OutputError, match="a file that the input consists of"):
+        with pytest.raises(OutputError, match="a file of the input"):
             strip_file(str(source), str(tmp_path / "texture.glb"))
         assert (tmp_path / "texture.glb").read_bytes() == PNG + b"texture.glb"
 

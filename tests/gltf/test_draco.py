@@ -136,11 +136,15 @@ BROKEN: list[tuple[str, Callable[[bytes], bytes], str]] = [
     ("cut in the counts", lambda data: data[:12], "is cut short"),
     ("cut in the data", lambda data: data[:-100], "cannot be decoded"),
     ("an old version", lambda data: data[:5] + b"\1\3" + data[7:], "version 1.3; glTF has 2.2"),
-    ("a point cloud", lambda data: data[:7] + b"\0" + data[8:], "kind 0 and method 0: no mesh"),
-    ("an unknown method", lambda data: data[:8] + b"\7" + data[9:], "kind 1 and method 7: no mesh"),
-    ("more triangles", with_counts(209, 112), "says 112 vertices and 627 indices, its accessors declare 112"),
-    ("more vertices", with_counts(208, 1 << 31), "says 2147483648 vertices and 624 indices"),
-    ("fewer vertices", with_counts(208, 111), "says 111 vertices"),
+    ("a point cloud", lambda data: data[:7] + b"\0" + data[8:], "kind 0 and method 0: it is not a mesh"),
+    ("an unknown method", lambda data: data[:8] + b"\7" + data[9:], "kind 1 and method 7: it is not a mesh"),
+    (
+        "more triangles",
+        with_counts(209, 112),
+        "declares 112 vertices and 627 indices, but its accessors declare 112",
+    ),
+    ("more vertices", with_counts(208, 1 << 31), "declares 2147483648 vertices and 624 indices"),
+    ("fewer vertices", with_counts(208, 111), "declares 111 vertices"),
     ("an endless number", lambda data: data[:11] + b"\xff" * 8 + data[19:], "a number that does not end"),
     (
         "endless metadata",
@@ -182,19 +186,28 @@ WRONG_JSON: list[tuple[Callable[[JsonObject], Any], str]] = [
         extension(attributes={"POSITION": 9}),
         "its Draco stream has no attribute 9; it has 0, 1, 2, 3",
     ),
-    (extension(attributes={"POSITION": 3, "COLOR_0": 1}), "has COLOR_0, which the primitive has not"),
-    (extension(attributes={"POSITION": 1}), "values that no float32 of its accessor|components"),
+    (extension(attributes={"POSITION": 3, "COLOR_0": 1}), "has COLOR_0, but the primitive does not"),
+    (extension(attributes={"POSITION": 1}), "values that do not fit the float32 of its accessor|components"),
     (extension(attributes=[]), '"attributes" must be an object'),
-    (lambda content: content["meshes"][0]["primitives"][0].pop("indices"), "or the primitive no indices"),
+    (lambda content: content["meshes"][0]["primitives"][0].pop("indices"), "or the primitive has no indices"),
     (
         lambda content: content["meshes"][0]["primitives"][0]["extensions"][DRACO].pop("bufferView"),
         "names no buffer view",
     ),
-    (accessor("NORMAL", count=111), "POSITION: it has 112 elements, others of its Draco stream 111"),
-    (accessor("indices", count=621), "says 112 vertices and 624 indices, its accessors declare 112 and 621"),
-    (accessor("NORMAL", type="VEC4"), "holds 112 elements of 3 components, the accessor declares 112 of 4"),
-    (accessor("POSITION", componentType=5123), "values that no uint16 of its accessor can be"),
-    (every_accessor, "says 112 vertices and 624 indices, its accessors declare 1073741824"),
+    (
+        accessor("NORMAL", count=111),
+        "POSITION: it has 112 elements, but other attributes of its Draco stream have 111",
+    ),
+    (
+        accessor("indices", count=621),
+        "declares 112 vertices and 624 indices, but its accessors declare 112 and 621",
+    ),
+    (
+        accessor("NORMAL", type="VEC4"),
+        "holds 112 elements of 3 components, but the accessor declares 112 of 4",
+    ),
+    (accessor("POSITION", componentType=5123), "values that do not fit the uint16 of its accessor"),
+    (every_accessor, "declares 112 vertices and 624 indices, but its accessors declare 1073741824"),
 ]
 
 

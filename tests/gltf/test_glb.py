@@ -66,7 +66,7 @@ def test_unknown_chunks_and_trailing_bytes_are_kept() -> None:
         (packed([EXTRA, JSON]), "first chunk of the GLB is not JSON"),
         (packed([JSON, JSON]), "second JSON or BIN"),
         (packed([JSON, BIN, BIN]), "second JSON or BIN"),
-        (packed([JSON, EXTRA, BIN]), "out of its place"),
+        (packed([JSON, EXTRA, BIN]), "in the wrong place"),
         (packed([JSON], longer=4) + b"\0\0\0\0", "inside the chunk header at byte 24"),
         (packed([(b"JSON", b"{} ")]), "not a multiple of 4"),
         (packed([JSON]).replace(b"\x04\0\0\0JSON", b"\x08\0\0\0JSON"), "more than the 4 bytes left"),

@@ -109,7 +109,7 @@ class TestEncoders:
         part.indices[3, 1] = 20
         path = write_model(tmp_path / "past.glb", [part])
         message = refused(path, "--compress", scheme)
-        assert 'mesh 0 "sheet", primitive 0, indices: index 20 refers past the 20 vertices' in message
+        assert 'mesh 0 "sheet", primitive 0, indices: index 20 is too large for 20 vertices' in message
 
     @pytest.mark.parametrize("scheme", ["draco", "meshopt"])
     @pytest.mark.parametrize("member", [{"componentType": 5120}, {"componentType": 5126}, {"type": "VEC2"}])
@@ -286,8 +286,8 @@ PRIMITIVE = ("meshes", 0, "primitives", 0)
     ("change", "message"),
     [
         (set_member("accessors", 0, "bufferView", value=[0]), '"bufferView" must be an integer'),
-        (set_member("accessors", 0, "componentType", value=[]), "glTF does not know"),
-        (set_member("accessors", 0, "type", value={}), "glTF does not know"),
+        (set_member("accessors", 0, "componentType", value=[]), "glTF does not define"),
+        (set_member("accessors", 0, "type", value={}), "glTF does not define"),
         (set_member("bufferViews", 0, "buffer", value=5123), '"buffer" refers to entry 5123 of an array'),
         (set_member("bufferViews", 0, "buffer", value=None), '"buffer" must be an integer'),
         (set_member("bufferViews", 0, "extensions", value=[]), '"extensions" must be an object'),

@@ -123,7 +123,7 @@ class TestTexcoord:
         result = strip_file(str(tmp_path / "edited.glb"), str(tmp_path / "out.glb"))
         (notice,) = [notice for notice in result.notices if notice.code != "bytes-left"]
         assert (notice.code, notice.count) == ("texcoords-kept", 1)
-        assert "TEXCOORD_1 to TEXCOORD_3, of which TEXCOORD_2, TEXCOORD_3 are gone" in notice.message
+        assert "TEXCOORD_1 to TEXCOORD_3, but TEXCOORD_2, TEXCOORD_3 are missing" in notice.message
         stripped = read(tmp_path / "out.glb")
         assert "TEXCOORD_1" in stripped.primitive(0, 0)["attributes"]
         assert note(stripped.content) is None
@@ -153,13 +153,13 @@ class TestCustom:
             bake_file(str(path), str(tmp_path / "out.glb"), storage=CUSTOM)
         assert str(raised.value).endswith(
             'model.glb: mesh 0 "sheet", primitive 0: it has 3 influence sets, and --layout custom holds 2: '
-            "take --layout attributes"
+            "use --layout attributes"
         )
         assert not (tmp_path / "out.glb").exists()
 
     def test_a_name_that_is_taken_is_an_error(self, tmp_path: Path) -> None:
         path = write_model(tmp_path / "model.glb", [sheet(_CUSTOM1=np.zeros((20, 4), np.float32))])
-        with pytest.raises(InputError, match="it has an attribute _CUSTOM1 already") as raised:
+        with pytest.raises(InputError, match="it already has an attribute _CUSTOM1") as raised:
             bake_file(str(path), str(tmp_path / "out.glb"), storage=CUSTOM)
         assert "choose other names with --layout" in str(raised.value)
 

@@ -542,7 +542,7 @@ class TestInPlace:
         with pytest.raises(OutputError) as raised:
             bake_file(str(path), str(path))
         assert str(raised.value) == (
-            f"{path}: it was saved anew since it was read, and is left as it is: run this again"
+            f"{path}: another program has saved it since it was read, so it is not replaced: run this again"
         )
         assert contents(tmp_path) == {"seam.glb": TUBE.read_bytes()}
 

@@ -150,8 +150,8 @@ def test_damaged_metadata_are_told(edit: Edit, words: str, tmp_path: Path) -> No
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"encoding": None, "scale": None}, "stored as normalised int8, FLOAT is needed"),
-        ({"encoding": "snorm16"}, "stored as normalised int8, normalised SHORT is needed"),
+        ({"encoding": None, "scale": None}, "stored as normalised int8, expected FLOAT"),
+        ({"encoding": "snorm16"}, "stored as normalised int8, expected normalised SHORT"),
     ],
 )
 def test_another_encoding_than_noted_is_told(changes: JsonObject, words: str, tmp_path: Path) -> None:
@@ -166,14 +166,14 @@ def test_integers_that_are_not_normalised_are_told(tmp_path: Path) -> None:
 
     (problem,) = after(edit, written("seam.glb", tmp_path, PACKED8)).problems("structure")
     assert (problem["code"], problem["attribute"]) == ("attribute-format", BETA)
-    assert "stored as int8, normalised BYTE is needed" in problem["message"]
+    assert "stored as int8, expected normalised BYTE" in problem["message"]
 
 
 def test_metadata_without_the_shared_texture_coordinates_are_told(tmp_path: Path) -> None:
     edit = metadata(beta=["TEXCOORD_8", "TEXCOORD_9"])
     (problem,) = after(edit, written("seam.glb", tmp_path, TEXCOORD)).problems("structure")
     assert problem["code"] == "metadata-broken"
-    assert "the one that both share" in problem["message"]
+    assert "the set that both share" in problem["message"]
 
 
 def test_a_texture_coordinate_set_that_is_gone_is_told(tmp_path: Path) -> None:

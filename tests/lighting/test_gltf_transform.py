@@ -108,7 +108,7 @@ def test_quantised_attributes_are_recognised(transform: Transform) -> None:
     answer = transform("bent_tube.glb", "quantize")
     (problem,) = answer.problems("structure")
     assert (answer.exit_code, problem["code"]) == (1, "attribute-format")
-    assert "looks quantised after its bake" in problem["message"]
+    assert "quantised it after the bake" in problem["message"]
     assert BAKE_LAST in problem["message"]
 
 

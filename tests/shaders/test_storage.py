@@ -276,11 +276,11 @@ class TestRefusals:
     @pytest.mark.parametrize(
         ("changes", "words"),
         [
-            ({"encoding": "half"}, "--encoding half is none of float32, snorm16, packed8"),
-            ({"layout": "uv"}, "--layout uv is none of attributes, texcoord, custom"),
+            ({"encoding": "half"}, "--encoding half is not one of float32, snorm16, packed8"),
+            ({"layout": "uv"}, "--layout uv is not one of attributes, texcoord, custom"),
             (
                 {"layout": "texcoord", "encoding": "packed8"},
-                "--layout texcoord takes --encoding float32, not packed8",
+                "--layout texcoord needs --encoding float32, not packed8",
             ),
         ],
     )
@@ -308,9 +308,17 @@ class TestRefusals:
     @pytest.mark.parametrize(
         ("storage", "asked", "words"),
         [
-            (PACKED8, {"encoding": "snorm16"}, "it cannot serve --encoding snorm16: .*, encoding packed8"),
-            (TEXCOORD, {"layout": "custom"}, "it cannot serve --layout custom: .*, layout texcoord"),
-            (Storage(), {"encoding": "packed8"}, "it cannot serve --encoding packed8: .*, encoding float32"),
+            (
+                PACKED8,
+                {"encoding": "snorm16"},
+                "this file does not fit --encoding snorm16: .*, encoding packed8",
+            ),
+            (TEXCOORD, {"layout": "custom"}, "this file does not fit --layout custom: .*, layout texcoord"),
+            (
+                Storage(),
+                {"encoding": "packed8"},
+                "this file does not fit --encoding packed8: .*, encoding float32",
+            ),
         ],
     )
     def test_a_file_that_is_stored_otherwise(
@@ -325,7 +333,9 @@ class TestRefusals:
         model = baked(FOLDER / "two_primitives.glb", tmp_path / "two.glb", storage=PACKED8)
         (note_of_second,) = [model.primitive(0, 1)["extras"]["skinbake"]]
         note_of_second["scale"] *= 2.0
-        with pytest.raises(InputError, match=r"its primitives differ in scale \(.* and .*\): bake it anew"):
+        with pytest.raises(
+            InputError, match=r"its primitives have different scales \(.* and .*\): bake it again"
+        ):
             text_for(rewritten(model, tmp_path / "scales.glb"))
 
 

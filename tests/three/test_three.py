@@ -477,7 +477,7 @@ class TestStorage:
 
     @pytest.mark.parametrize("encoding", [Encoding.PACKED8, Encoding.SNORM16])
     def test_an_unknown_scale_is_refused(self, encoding: Encoding) -> None:
-        with pytest.raises(ChoiceError, match=f"three: {encoding} counts in .*; say --for BAKED_FILE"):
+        with pytest.raises(ChoiceError, match=f"three: {encoding} needs .*; give --for BAKED_FILE"):
             shader_text(dataclasses.replace(CHOICES, encoding=encoding))
 
 
@@ -583,10 +583,10 @@ class TestPatching:
     @pytest.mark.parametrize(
         ("changes", "words"),
         [
-            ({"method": Method.DQS}, "take --method lbs"),
+            ({"method": Method.DQS}, "use --method lbs"),
             ({"lighting": Lighting.APPROXIMATED}, "three.js's own"),
             ({"influences": 5}, "four influences"),
-            ({"influences": 1}, "take --influences 4"),
+            ({"influences": 1}, "use --influences 4"),
             ({"attributes": AttributeText("x.glb", ("_A-0",), ("_B",))}, "_a-0"),
             ({"attributes": AttributeText("x.glb", ("_A",), ("_B__0",))}, "_b__0"),
             ({"attributes": AttributeText("x.glb", ("POSITION",), ("_B",))}, "position"),

@@ -34,22 +34,22 @@ if TYPE_CHECKING:
 
 @click.command("bake")
 @click.argument("inputs", nargs=-1, required=True, metavar="INPUT...")
-@click.option("-o", "--output", metavar="FILE", help="Where to write; - for a GLB on stdout.")
+@click.option("-o", "--output", metavar="FILE", help="Output file; - is a GLB on stdout.")
 @click.option(
     "--out-dir",
     metavar="DIR",
-    help="Write each input under its own name into this folder, made where it is missing; what was found in "
-    "a folder, or by a pattern, under its path from there.",
+    help="Output folder, made if it is missing. A named input keeps its name. A file found in a folder "
+    "or by a pattern keeps its path from there.",
 )
 @click.option("--in-place", is_flag=True, help="Replace each input by its baked version.")
-@click.option("--dry-run", is_flag=True, help="Do everything but write.")
+@click.option("--dry-run", is_flag=True, help="Do everything except writing.")
 @click.option("--json", "as_json", is_flag=True, help="Print the results as JSON.")
 @click.option(
     "--weighting",
     type=one_of(Weighting),
     default="max",
     show_default=True,
-    help="How triangles at a vertex are weighted (Max 1999 is the most accurate).",
+    help="Weight of the triangles at a vertex (Max 1999 is the most accurate).",
 )
 @click.option(
     "--crease-angle",
@@ -58,42 +58,42 @@ if TYPE_CHECKING:
     show_default=True,
     callback=finite,
     metavar="DEG",
-    help="Copies of a vertex whose normals differ by more are a hard edge.",
+    help="Copies of a vertex form a hard edge if their normals differ by more than this angle.",
 )
 @click.option(
     "--weld",
     type=one_of(Weld),
     default="mesh",
     show_default=True,
-    help="Gather over the primitives of one mesh, or over all meshes that the same skin draws: for "
-    "characters cut into several.",
+    help="Compute gradients over one mesh, or over all meshes that the same skins draw. The latter is "
+    "for characters cut into several meshes.",
 )
 @click.option(
     "--neighbours",
     type=one_of(Neighbours),
     default="adopt",
     show_default=True,
-    help="What becomes of joints that only a vertex's neighbours have: into free slots, or dropped.",
+    help="Joints that only the neighbours of a vertex have: put them into free slots, or drop them.",
 )
 @click.option(
     "--frame",
     type=one_of(FrameChoice),
     default="auto",
     show_default=True,
-    help="Take the tangent frame from TANGENT, or from NORMAL alone; auto prefers TANGENT.",
+    help="Compute the tangent frame from TANGENT, or from NORMAL alone; auto prefers TANGENT.",
 )
 @click.option(
     "--limit-influences",
     type=click.IntRange(min=4),
     metavar="N",
-    help="Keep the N largest influences of each vertex, N a multiple of 4, and say what that costs.",
+    help="Keep the N largest influences of each vertex, N a multiple of 4, and print the cost.",
 )
-@click.option("--generate-normals", is_flag=True, help="Add smooth NORMALs where a primitive has none.")
+@click.option("--generate-normals", is_flag=True, help="Add smooth NORMALs to primitives without NORMAL.")
 @click.option(
     "--alpha-name",
     show_default="_SKINBAKE_ALPHA_{set}",
     metavar="PATTERN",
-    help="Name of the α attributes; {set} is the influence set's number.",
+    help="Name of the α attributes; {set} is the number of the influence set.",
 )
 @click.option(
     "--beta-name",
@@ -106,41 +106,44 @@ if TYPE_CHECKING:
     type=one_of(Scheme),
     default="keep",
     show_default=True,
-    help="Leave geometry compressed as it came, decompress it, or compress skinned primitives, without loss.",
+    help="Keep geometry compressed as it is, decompress it, or compress skinned primitives without loss.",
 )
 @click.option(
     "--compress-level",
     type=click.IntRange(0, 10),
     metavar="N",
-    help="0 (fast) to 10 (small), for meshopt 0 to 3; it changes little in Draco. Each codec has a default.",
+    help="Effort: 0 (fast) to 10 (small), for meshopt 0 to 3. It changes little in Draco. Each codec "
+    "has its own default.",
 )
 @click.option(
     "--position-bits",
     type=click.IntRange(1, 30),
     metavar="N",
-    help="Quantise POSITION, before baking; with --compress draco.",
+    help="Quantise POSITION before baking, with --compress draco.",
 )
-@click.option("--normal-bits", type=click.IntRange(2, 30), metavar="N", help="Quantise NORMAL too.")
 @click.option(
-    "--texcoord-bits", type=click.IntRange(1, 30), metavar="N", help="Quantise TEXCOORD_0 likewise."
+    "--normal-bits", type=click.IntRange(2, 30), metavar="N", help="Quantise NORMAL in the same way."
+)
+@click.option(
+    "--texcoord-bits", type=click.IntRange(1, 30), metavar="N", help="Quantise TEXCOORD_0 in the same way."
 )
 @click.option(
     "--encoding",
     type=one_of(Encoding),
     default="float32",
     show_default=True,
-    help="How α and β are stored: 24, 16 or 8 bytes a vertex with four influences.",
+    help="Number type of α and β: 24, 16 or 8 bytes for a vertex with four influences.",
 )
 @click.option(
     "--layout",
     type=one_of(Layout),
     default="attributes",
     show_default=True,
-    help="Where: in attributes of their own, in free TEXCOORD_n, or in _CUSTOM0 and _CUSTOM1 (Godot).",
+    help="Attributes of α and β: their own, free TEXCOORD_n, or _CUSTOM0 and _CUSTOM1 (Godot).",
 )
-@click.option("--require-baked", is_flag=True, help="Fail (3) where nothing in a file can be baked.")
+@click.option("--require-baked", is_flag=True, help="Fail (exit 3) if nothing in a file can be baked.")
 @click.option(
-    "--warnings-as-errors", is_flag=True, help="Fail (3), and write nothing, where there are warnings."
+    "--warnings-as-errors", is_flag=True, help="Fail (exit 3) and write nothing if there are warnings."
 )
 @many_options
 @limit_options
@@ -249,7 +252,7 @@ def _targets(inputs: list[Input], given: Mapping[str, Any]) -> list[tuple[Input,
         return [(inputs[0], given["output"])]
     if given["in_place"]:
         if any(entry.source == STDIO for entry in inputs):
-            raise click.UsageError("--in-place needs files")
+            raise click.UsageError("--in-place needs files, not - for stdin")
         return [(entry, entry.source) for entry in once(inputs)]
     if given["out_dir"]:
         return list(pair_up(inputs, given["out_dir"]))

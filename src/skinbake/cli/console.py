@@ -135,10 +135,10 @@ def message_options(command: Command) -> Command:
             "--color",
             type=click.Choice(["auto", "always", "never"]),
             default="auto",
-            help="Colour messages; auto does where they go to a terminal and NO_COLOR is not set.",
+            help="Colour of messages; auto uses colours on a terminal if NO_COLOR is not set.",
         ),
         click.option("-q", "--quiet", is_flag=True, help="Print errors only."),
-        click.option("-v", "--verbose", count=True, help="Print more; twice for debugging."),
+        click.option("-v", "--verbose", count=True, help="Print more; give it twice for debugging."),
     ):
         command = option(command)
     return command
@@ -150,8 +150,9 @@ def outside_option(command: Command) -> Command:
         "--allow-outside",
         metavar="DIR",
         multiple=True,
-        help="Also read files in this folder where a document names them; without it, only files in the "
-        "document's own folder, or in the folder given as INPUT. May be given several times.",
+        help="Also read files of this folder that a document names. Without it, only files in the "
+        "document's own folder, or in the folder given as INPUT, are read. May be given several "
+        "times.",
     )(command)
 
 

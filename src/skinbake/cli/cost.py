@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     "--influences",
     type=click.IntRange(1, 64),
     metavar="N",
-    help="Line by line for N influences a vertex, 1 to 64, instead of a table for 1 to 8.",
+    help="Print line by line for N influences per vertex, 1 to 64, instead of a table for 1 to 8.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print the costs as JSON.")
 @outside_option

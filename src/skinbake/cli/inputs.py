@@ -48,7 +48,7 @@ def expanded(arguments: Sequence[str], *, but: str | None = None) -> list[Input]
     for a file whose name says nothing, and where stdin is to be read twice.
     """
     if list(arguments).count(STDIO) > 1:
-        raise click.UsageError("stdin can be read once only")
+        raise click.UsageError("stdin can be read only once")
     search = _Search(but)
     found: list[Input] = []
     seen: set[tuple[str, str]] = set()

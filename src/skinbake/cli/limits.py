@@ -34,7 +34,7 @@ def memory_option(command: Command) -> Command:
         "--max-memory",
         metavar="SIZE",
         callback=_size,
-        help="What a file may take, like 512M or 2G; by default a quarter of the machine's memory.",
+        help="Memory that a file may use, like 512M or 2G; by default a quarter of the machine's memory.",
     )(command)
 
 
@@ -44,14 +44,14 @@ def limit_options(command: Command) -> Command:
         click.option(
             "--isolate",
             is_flag=True,
-            help="Work on each file in a process of its own, limited to --max-memory: a crash is exit 3.",
+            help="Work on each file in its own process, limited to --max-memory, so that a crash is exit 3.",
         ),
         click.option(
             "--timeout",
             type=click.FloatRange(0, min_open=True),
             callback=finite,
             metavar="SECONDS",
-            help="Give a file up that takes longer.",
+            help="Give up a file that takes longer.",
         ),
         memory_option,
     ):
@@ -71,10 +71,10 @@ def worker_limits(given: Given, sources: Sequence[str]) -> Limits | None:
         return None
     if given["dask"]:
         raise click.UsageError(
-            f"{named[0]} is for processes of this machine, --dask for a cluster's: give one"
+            f"{named[0]} controls processes of this machine, --dask uses a cluster: give only one"
         )
     if STDIO in {*sources, given.get("output")}:
-        raise click.UsageError(f"{named[0]} takes files, not - for stdin or stdout")
+        raise click.UsageError(f"{named[0]} needs files, not - for stdin or stdout")
     from skinbake.jobs.processes import Limits
 
     return Limits(given["timeout"], memory_of_each(given) if given["isolate"] else None)

@@ -23,9 +23,9 @@ COMMANDS = {
     "bake": "Add α/β to every skinned primitive of glTF files.",
     "verify": "Check a baked file, and measure its lighting in degrees.",
     "shader": "Write the GLSL or WGSL that reads α/β.",
-    "inspect": "Show what is skinned in a file, and what is baked into it.",
-    "strip": "Write a file as it was before bake.",
-    "cost": "Multiply-adds and bytes per vertex of the paper's algorithms.",
+    "inspect": "Show the skinned primitives of a file, and their bakes.",
+    "strip": "Restore a file from before its bake.",
+    "cost": "Count multiply-adds and bytes per vertex of the paper's algorithms.",
 }
 
 

@@ -56,14 +56,16 @@ def cluster_runner(
     """
     address = given["dask"]
     if address is not None and not ADDRESS.fullmatch(address):
-        raise click.UsageError("--dask takes the address that a scheduler prints, like tcp://host:8786")
+        raise click.UsageError("--dask needs the address that a scheduler prints, like tcp://host:8786")
     if address and given["jobs"] != 1:
-        raise click.UsageError("--jobs is for processes of this machine, --dask for a cluster's: give one")
+        raise click.UsageError(
+            "--jobs controls processes of this machine, --dask uses a cluster: give only one"
+        )
     if address and STDIO in {*sources, given.get("output")}:
-        raise click.UsageError("--dask takes files and URLs, not - for stdin or stdout")
+        raise click.UsageError("--dask needs files or URLs, not - for stdin or stdout")
     named = [*sources, given.get("out_dir") or "", given.get("output") or ""]
     if given["skip_unchanged"] and (address or any(map(is_url, named))):
-        raise click.UsageError("--skip-unchanged digests files on this disk: not with --dask or URLs")
+        raise click.UsageError("--skip-unchanged needs files on this disk, without --dask and URLs")
     if not address:
         return None
     from skinbake.jobs.elsewhere import dask_runner

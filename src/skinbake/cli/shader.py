@@ -29,7 +29,7 @@ PUBLISHED_CAP = 0.9
     "--lang",
     "language",
     type=one_of(Language),
-    help="Shading language; may be left out where --target has one only.",
+    help="Shading language; not needed if --target has only one.",
 )
 @click.option(
     "--method",
@@ -41,19 +41,19 @@ PUBLISHED_CAP = 0.9
 @click.option(
     "--lighting",
     type=one_of(Lighting),
-    help="approximated (what engines do), direct (LBS only), accurate, exact (DQS only). "
-    "By default accurate for LBS, exact for DQS.",
+    help="approximated (as in common engines), direct (LBS only), accurate, exact (DQS only). By "
+    "default accurate for LBS, exact for DQS.",
 )
 @click.option(
     "--influences",
     type=click.IntRange(1, 64),
     metavar="N",
-    help="Influences a vertex, 1 to 64; by default those of --for, else 4.",
+    help="Influences per vertex, 1 to 64; by default those of --for, else 4.",
 )
 @click.option(
     "--frame",
     type=one_of(Frame),
-    help="What t0 and b0 are taken from; by default that of --for.",
+    help="Source of the tangent frame (t0, b0); by default that of --for.",
 )
 @click.option(
     "--cap",
@@ -67,23 +67,23 @@ PUBLISHED_CAP = 0.9
 @click.option(
     "--mirrored-joints",
     is_flag=True,
-    help="Keep normals outside where joints mirror; --for sets it where they do.",
+    help="Keep normals outside if joints mirror the surface; --for sets it if they do.",
 )
 @click.option(
     "--encoding",
     type=one_of(Encoding),
-    help="How α and β are stored; by default as --for has them, else float32.",
+    help="Number type of α and β; by default that of --for, else float32.",
 )
 @click.option(
     "--layout",
     type=one_of(Layout),
-    help="In which attributes; by default as --for has them, else attributes of their own.",
+    help="Attributes of α and β; by default those of --for, else their own.",
 )
 @click.option(
     "--morphs",
     type=one_of(Morphs),
-    help="What t0 and b0 follow under morph targets: the morphed normal, or the morphed TANGENT. "
-    "By default what the targets of --for have, else none.",
+    help="Direction that t0 and b0 follow under morph targets: the morphed normal, or the morphed "
+    "TANGENT. By default it fits the targets of --for, else none.",
 )
 @click.option(
     "--target",
@@ -96,9 +96,10 @@ PUBLISHED_CAP = 0.9
     "--for",
     "source",
     metavar="BAKED_FILE",
-    help="Match this baked file (.glb, .gltf, .vrm; - for a GLB on stdin); refuse what it cannot serve.",
+    help="Match this baked file (.glb, .gltf, .vrm; - for a GLB on stdin), and refuse options that "
+    "contradict it.",
 )
-@click.option("-o", "--output", metavar="FILE", default=STDIO, help="Write here instead of to stdout.")
+@click.option("-o", "--output", metavar="FILE", default=STDIO, help="Output file; stdout by default.")
 @outside_option
 @sync_option
 @message_options

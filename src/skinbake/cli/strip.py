@@ -18,10 +18,10 @@ from skinbake.errors import SkinbakeError
 
 @click.command("strip")
 @click.argument("source", metavar="INPUT")
-@click.option("-o", "--output", required=True, metavar="FILE", help="Where to write; - for a GLB on stdout.")
+@click.option("-o", "--output", required=True, metavar="FILE", help="Output file; - is a GLB on stdout.")
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 @click.option(
-    "--warnings-as-errors", is_flag=True, help="Fail (3), and write nothing, where there are warnings."
+    "--warnings-as-errors", is_flag=True, help="Fail (exit 3) and write nothing if there are warnings."
 )
 @outside_option
 @sync_option

@@ -63,7 +63,7 @@ def pair_up(inputs: Sequence[Input], folder: str) -> list[tuple[Input, str]]:
             taken[target] = source
             check_target(source, target)
             if found.real(target) in sources:
-                raise click.UsageError(f"{target}, where {source} would be written, is an input too")
+                raise click.UsageError(f"{source} would be written to {target}, which is also an input")
         pairs.append((entry, target))
     return pairs
 
@@ -88,7 +88,7 @@ def check_reports(reports: Mapping[str, str | None], output: str | None, sources
             continue
         keys = _keys(path)
         if path.lower().endswith(SUFFIXES) or (keys and str(keys[0]).lower().endswith(SUFFIXES)):
-            raise click.UsageError(f"{option}: {path} is a model's name")
+            raise click.UsageError(f"{option}: {path} is the name of a model")
         for key in keys:
             if key in taken:
                 raise click.UsageError(f"{option}: {path} is {taken[key]}")
@@ -101,7 +101,7 @@ def check_reports(reports: Mapping[str, str | None], output: str | None, sources
             raise click.UsageError(f"{identities[identity]} is an input")
     for option, path in reports.items():
         if path is not None and option in REPORTS and _identity(path) and not _is_report(path, option):
-            raise click.UsageError(f"{option}: {path} exists, and no earlier run has written it")
+            raise click.UsageError(f"{option}: {path} exists and was not written by an earlier run")
 
 
 def _keys(path: str | None) -> list[str | tuple[int, int]]:
@@ -146,7 +146,7 @@ def sync_option(command: Command) -> Command:
     return click.option(
         "--no-sync",
         is_flag=True,
-        help="Do not wait until files are on the disk: faster, but a power cut may leave them empty.",
+        help="Do not wait until files are on the disk. This is faster, but a power cut may leave them empty.",
     )(command)
 
 

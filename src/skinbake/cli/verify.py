@@ -64,7 +64,7 @@ def _poses(ctx: click.Context, param: click.Parameter, value: str) -> tuple[str,
     "methods",
     type=one_of(Method),
     multiple=True,
-    help="Skinning to measure; both by default, DQS where all joints are rigid.",
+    help="Skinning to measure; by default both, DQS only if all joints are rigid.",
 )
 @click.option(
     "--poses",
@@ -77,7 +77,7 @@ def _poses(ctx: click.Context, param: click.Parameter, value: str) -> tuple[str,
 @click.option(
     "--samples",
     type=click.IntRange(1),
-    help="Poses of each clip; by default about 60 in all, at least 3 a clip.",
+    help="Poses of each clip; by default about 60 in all, at least 3 for each clip.",
 )
 @click.option(
     "--angle",
@@ -94,33 +94,37 @@ def _poses(ctx: click.Context, param: click.Parameter, value: str) -> tuple[str,
     type=one_of(Baseline),
     default="blended",
     show_default=True,
-    help="What standard LBS lighting is: as in three.js, Bevy or Filament.",
+    help="Standard LBS lighting to compare with: that of three.js, Bevy or Filament.",
 )
 @click.option(
     "--cap",
     type=click.FloatRange(0, min_open=True),
     callback=finite,
-    help="Limit the correction of a tangent to this share of it (the authors' demo: 0.9); off by default.",
+    help="Limit the correction of a tangent to this share of it (0.9 in the authors' demo); off by default.",
 )
 @click.option(
-    "--max-mean-error", type=click.FloatRange(0), callback=finite, metavar="DEG", help="Fail above this mean."
+    "--max-mean-error",
+    type=click.FloatRange(0),
+    callback=finite,
+    metavar="DEG",
+    help="Fail if the mean error is larger.",
 )
 @click.option(
     "--max-p95-error",
     type=click.FloatRange(0),
     callback=finite,
     metavar="DEG",
-    help="Fail above this percentile.",
+    help="Fail if the 95th percentile of the error is larger.",
 )
 @click.option(
     "--min-gain",
     type=click.FloatRange(0),
     callback=finite,
     metavar="X",
-    help="Fail below this gain over standard.",
+    help="Fail if the gain over standard lighting is smaller.",
 )
-@click.option("--require-baked", is_flag=True, help="Fail where a file holds no bake.")
-@click.option("--warnings-as-errors", is_flag=True, help="Fail where there are warnings.")
+@click.option("--require-baked", is_flag=True, help="Fail if a file holds no bake.")
+@click.option("--warnings-as-errors", is_flag=True, help="Fail if there are warnings.")
 @click.option("--json", "as_json", is_flag=True, help="Print the results as JSON.")
 @click.option("--junit", metavar="FILE", help="Also write the results as JUnit XML.")
 @many_options

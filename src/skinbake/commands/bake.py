@@ -306,9 +306,7 @@ def _check_names(baker: Baker) -> None:
                 "wants, and contains {set}"
             )
         if baker.layout is not Layout.ATTRIBUTES:
-            raise ChoiceError(
-                f"{option_of(name)} is for --layout attributes; {baker.layout} has names of its own"
-            )
+            raise ChoiceError(f"{option_of(name)} needs --layout attributes; {baker.layout} has fixed names")
     if baker.attribute_names.alpha == baker.attribute_names.beta:
         raise ChoiceError("--alpha-name and --beta-name must differ")
 
@@ -319,13 +317,13 @@ def _check_compression(baker: Baker) -> None:
         raise ChoiceError("--position-bits, --normal-bits and --texcoord-bits need --compress draco")
     level = baker.compress_level
     if level is not None and baker.compress is Scheme.NONE:
-        raise ChoiceError("--compress-level needs something to compress, not --compress none")
+        raise ChoiceError("--compress-level contradicts --compress none, which compresses nothing")
     if baker.compress is Scheme.MESHOPT and level is not None and level > HIGHEST_MESHOPT_LEVEL:
         raise ChoiceError(f"--compress-level of meshopt is at most {HIGHEST_MESHOPT_LEVEL}")
     if baker.layout is Layout.TEXCOORD and baker.encoding is not Encoding.FLOAT32:
         raise ChoiceError(
-            f"--layout texcoord takes --encoding float32, not {baker.encoding}: glTF knows no texture "
-            "coordinates with a sign but floats"
+            f"--layout texcoord needs --encoding float32, not {baker.encoding}: only float texture "
+            "coordinates of glTF may be negative"
         )
 
 

@@ -89,7 +89,7 @@ def _draws(document: Document) -> Counter[int]:
 def _missing_normal(source: PrimitiveSource) -> Notice | None:
     if "NORMAL" in source.attributes:
         return None
-    message = "it has no NORMAL: counted with the one that bake --generate-normals adds"
+    message = "it has no NORMAL: the cost includes the one that bake --generate-normals adds"
     return Notice("no-normals", message, source.place)
 
 

@@ -76,7 +76,9 @@ def shader(
     except ChoiceError as error:
         if _contradicts_itself(request):
             raise
-        raise InputError(f"it cannot serve {error.message.removeprefix('--')}", Place(source)) from error
+        raise InputError(
+            f"this file does not fit {error.message.removeprefix('--')}", Place(source)
+        ) from error
     return ShaderResult(text, choices, tuple(notices))
 
 
@@ -102,8 +104,8 @@ def _choices(request: ShaderRequest) -> tuple[ShaderChoices, list[Notice]]:
     notices = []
     if request.frame is None:
         message = (
-            f"made for --frame {Frame.NORMAL}: bake takes the tangent frame where a mesh has TANGENT. "
-            "Name the baked file with --for, or say --frame"
+            f"the shader is made for --frame {Frame.NORMAL}, but bake uses the tangent frame if a "
+            "mesh has TANGENT. Name the baked file with --for, or give --frame"
         )
         notices.append(Notice("frame-assumed", message, Place("shader")))
     frame, influences = request.frame or Frame.NORMAL, request.influences or DEFAULT_INFLUENCES
@@ -164,11 +166,13 @@ def _with_names(
     names = {(tuple(view.metadata["alpha"]), tuple(view.metadata["beta"])): view for view in reversed(views)}
     if len(names) > 1 and choices.layout != "texcoord":
         found = " and ".join(sorted(", ".join(alpha) for alpha, _ in names))
-        raise InputError(f"its primitives name alpha differently ({found}): bake it anew", document.place)
+        raise InputError(
+            f"its primitives have different names for alpha ({found}): bake it again", document.place
+        )
     scales = {view.metadata.get("scale") for view in views}
     if len(scales) > 1:
         found = " and ".join(sorted(f"{scale:.9g}" for scale in scales))
-        raise InputError(f"its primitives differ in scale ({found}): bake it anew", document.place)
+        raise InputError(f"its primitives have different scales ({found}): bake it again", document.place)
     first = views[0].metadata
     text = AttributeText(PurePath(document.name).name, tuple(first["alpha"]), tuple(first["beta"]))
     choices = replace(choices, attributes=text, scale=scales.pop() if choices.decodes else None)
@@ -177,7 +181,7 @@ def _with_names(
 
 def _other_texcoords(view: BakedView) -> Notice:
     names = slot_names(view.metadata)
-    message = f"its α and β are in {names[0]} to {names[-1]}: pass those, the functions are the same"
+    message = f"its α and β are in {names[0]} to {names[-1]}: pass these attributes to the same functions"
     return Notice("texcoords-differ", message, view.source.place)
 
 
@@ -217,8 +221,8 @@ def _why_none(views: Sequence[BakedView], request: ShaderRequest) -> str:
         if getattr(request, member)
     )
     return (
-        f"it cannot serve {' '.join(asked)}: it is baked in the {frames} frame, {slots} influences a "
-        f"vertex{stored}"
+        f"this file does not fit {' '.join(asked)}: it is baked in the {frames} frame, with {slots} "
+        f"influences per vertex{stored}"
     )
 
 
@@ -228,8 +232,8 @@ def _agreed(document: Document, views: Sequence[BakedView], member: str) -> Any:
     if len(found) > 1:
         listed = ", ".join(f"{value} in {place}" for value, place in found.items())
         raise InputError(
-            f"its primitives differ in {member} ({listed}), and each kind needs its own shader: "
-            f"say which with --{member}",
+            f"its primitives have different values of {member} ({listed}), and each kind needs its "
+            f"own shader: choose one with --{member}",
             document.place,
         )
     return next(iter(found))
@@ -244,7 +248,7 @@ def _refuse_fewer(view: BakedView, influences: int) -> None:
         slots = int(view.metadata["influences"])
         raise InputError(
             f"{counted(count, 'vertex uses', 'vertices use')} more than {influences} of its {slots} "
-            f"influences, adopted joints included: say --influences {slots}",
+            f"influences, adopted joints included: use --influences {slots}",
             view.source.place,
         )
 
@@ -258,7 +262,8 @@ def _with_joints(document: Document, views: Sequence[BakedView], choices: Shader
             joints = not_rigid_joints([surface], poses.joint_matrices)
             if joints:
                 raise InputError(
-                    f"it cannot serve --method dqs: {without_dqs([poses.joint_names[j] for j in joints])}",
+                    "this file does not fit --method dqs: "
+                    f"{without_dqs([poses.joint_names[j] for j in joints])}",
                     view.source.place,
                 )
         used = surface.joints_in_use(poses.joint_matrices.shape[1])
@@ -280,7 +285,7 @@ def _not_for(view: BakedView) -> Notice:
     metadata = view.metadata
     frame, influences = metadata["frame"], metadata["influences"]
     message = (
-        f"this shader is not for it: it is baked in the {frame} frame with {influences} influences; write "
-        f"another with --frame {frame} --influences {influences}"
+        f"this shader does not fit it: it is baked in the {frame} frame with {influences} "
+        f"influences. Write another shader with --frame {frame} --influences {influences}"
     )
     return Notice("shader-not-for", message, view.source.place)

@@ -87,7 +87,7 @@ def _has_metadata(document: Document, notice: Notice) -> bool:
 
 
 def _lost(notice: Notice) -> Notice:
-    message = f"it is baked, and has lost what α/β are for ({notice.message}): run skinbake bake"
+    message = f"it is baked, but it has lost data that α/β need ({notice.message}): run skinbake bake"
     return replace(notice, message=message.replace("skipped: ", ""))
 
 
@@ -97,7 +97,9 @@ def _unbaked(
     missing = Notice("not-baked", "nothing in it is baked", document.place)
     if options.require_baked:
         advice = (
-            "run skinbake bake" if bakeable else "nothing in it can be; --require-baked is for characters"
+            "run skinbake bake"
+            if bakeable
+            else "nothing in it can be baked; --require-baked is for characters"
         )
         problem = replace(missing, message=f"nothing in it is baked: {advice}")
         return FileVerdict(document.name, (Check("structure", "failed", (problem,)),), notices=tuple(notices))

@@ -69,8 +69,8 @@ def stored_otherwise(document: Document, sources: Sequence[PrimitiveSource]) -> 
         return []
     streams = "Draco stream is" if count == 1 else "Draco streams are"
     message = (
-        f"{count} {streams} no longer edgebreaker but sequential, which is larger: edgebreaker would order "
-        "the vertices anew"
+        f"{count} {streams} stored by the sequential method instead of edgebreaker: it is larger, "
+        "but it keeps the order of vertices"
     )
     return [Notice("draco-sequential", message, document.place, count)]
 

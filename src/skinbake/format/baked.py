@@ -126,8 +126,8 @@ def _written(
         own = {KEY: note} if beside and number == 0 else None
         if name in attributes:
             raise InputError(
-                f"it has an attribute {name} already, and no metadata that says that it is skinbake's "
-                "(did a tool drop the extras?): remove it, bake from the source file, or "
+                f"it already has an attribute {name}, but no metadata of skinbake (another tool may "
+                "have dropped the extras): remove the attribute, bake from the source file, or "
                 f"choose other names with {_choice_of_names(storage)}",
                 item.source.place,
             )
@@ -153,8 +153,8 @@ def _stored(
         pairs = list(CUSTOM_NAMES[: len(alpha)])
         if len(pairs) < len(alpha):
             raise InputError(
-                f"it has {len(alpha)} influence sets, and --layout custom holds {len(CUSTOM_NAMES)}: "
-                "take --layout attributes",
+                f"it has {len(alpha)} influence sets, and --layout custom holds "
+                f"{len(CUSTOM_NAMES)}: use --layout attributes",
                 item.source.place,
             )
     arrays = [

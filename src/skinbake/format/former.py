@@ -88,5 +88,5 @@ def _influence_digests(document: Document, attributes: JsonObject, place: Place)
             arrays.append(stored.values if kind == "JOINTS" else stored.decoded())
     for kind, arrays in sets.items():
         if not arrays or len({len(values) for values in arrays}) > 1:
-            raise InputError(f"its {kind} sets do not belong together", place)
+            raise InputError(f"its {kind} sets have different numbers of vertices, or are missing", place)
     return influence_digests(*(np.concatenate(arrays, axis=1) for arrays in sets.values()))

@@ -52,7 +52,7 @@ def wrong_storage(metadata: JsonObject, influence_sets: int) -> Iterator[str]:
             yield f'"{key}" is {shown(names)}, not an attribute for each influence set'
             return
     if layout == Layout.TEXCOORD and len(slot_names(metadata)) != 4 * influence_sets - 1:
-        yield f'"alpha" and "beta" are {shown(slot_names(metadata))}: the one that both share is not there'
+        yield (f'"alpha" and "beta" are {shown(slot_names(metadata))}: the set that both share is missing')
 
 
 def _is_scale(value: object) -> bool:
@@ -109,7 +109,7 @@ def _array(
     place = source.place.at(name)
     accessor = index(source.attributes, name, len(document.objects("accessors")), place)
     if accessor is None:
-        message = f"its metadata names this attribute, which was removed or renamed since: {BAKE}"
+        message = f"its metadata names this attribute, but the attribute was removed or renamed: {BAKE}"
         return Notice("attribute-missing", message, place)
     stored = read_accessor(document, accessor, place)
     problem = _format_problem(stored, shape, encoding, place)
@@ -131,8 +131,9 @@ def _format_problem(
         found = f"{'normalised ' if stored.normalized else ''}{values.dtype.name}"
         wanted = f"{'normalised ' if encoding.is_scaled else ''}{COMPONENT_TYPES[encoding]}"
         message = (
-            f"it is stored as {found}, {wanted} is needed: it looks quantised after its bake. "
-            f"Bake last: {BAKE} on the file that the last tool wrote, or keep the tool off this attribute"
+            f"it is stored as {found}, expected {wanted}: another tool has probably quantised it "
+            f"after the bake. Bake last: {BAKE} on the output of the last tool, or keep the tool "
+            "off this attribute"
         )
         return Notice("attribute-format", message, place)
     if values.shape != tuple(shape):

@@ -104,13 +104,13 @@ def _restored(
         return written, notices
     if FORMER_ATTRIBUTES in note:
         message = (
-            "the influences from before its bake are gone, or were edited since: those that "
-            "--limit-influences left stay, and adopted joints among them"
+            "another tool has removed or edited the influences from before the bake: the "
+            "influences that --limit-influences left stay, with adopted joints among them"
         )
         return written, [*notices, Notice("limited-kept", message, place)]
     message = (
-        "the influences from before its bake are gone, or were edited since: joints that bake adopted stay, "
-        "with weights too small to see"
+        "another tool has removed or edited the influences from before the bake: joints that bake "
+        "adopted stay, with weights too small to see"
     )
     return written, [*notices, Notice("adopted-kept", message, place)]
 
@@ -125,8 +125,8 @@ def _removed(attributes: JsonObject, note: JsonObject, place: Place) -> list[Not
     if not doubtful:
         return []
     message = (
-        f"α and β were in {names[0]} to {names[-1]}, of which {', '.join(missing)} are gone: the rest stay, "
-        "since they may be texture coordinates by now"
+        f"α and β were in {names[0]} to {names[-1]}, but {', '.join(missing)} are missing: the "
+        "other sets stay, because they may hold texture coordinates now"
     )
     return [Notice("texcoords-kept", message, place, len(names) - len(missing))]
 
@@ -173,7 +173,8 @@ def _without(
         notices.append(
             Notice(
                 "bytes-left",
-                "another tool has rearranged the file since its bake: unused data of the bake stays in it",
+                "another tool has rearranged the file since its bake: the data of the bake stays "
+                "in the file, unused",
                 document.place,
             )
         )

@@ -32,8 +32,8 @@ def joint_dual_quaternions(
     if not motions.is_rigid:
         shown = ", ".join(str(joint) for joint in motions.not_rigid[:8])
         raise UnsupportedFeatureError(
-            f"joints {shown}{', …' if motions.not_rigid.size > 8 else ''} are not rigid up to one scale "
-            "common to all: use linear blend skinning for them"
+            f"joints {shown}{(', …' if motions.not_rigid.size > 8 else '')} are not rigid, even "
+            "with one scale for all joints: use linear blend skinning for them"
         )
     parts = motions.dual_quaternions.reshape(*poses, joints, 2, 4)[..., _X_Y_Z_W]
     return motions.scale.reshape(poses).astype(np.float32), parts.astype(np.float32)

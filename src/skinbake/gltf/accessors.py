@@ -103,7 +103,7 @@ def _format(accessor: JsonObject, number: int, place: Place) -> tuple[np.dtype[n
 def _unknown_format(accessor: JsonObject, number: int, place: Place) -> InputError:
     kind, code = accessor.get("type"), accessor.get("componentType")
     known = isinstance(kind, str) and kind in MATRIX_ROWS and component_dtype(accessor) is not None
-    verdict = "cannot stand here" if known else "glTF does not know"
+    verdict = "is not allowed here" if known else "glTF does not define"
     return InputError(
         f"accessor {number} has type {shown(kind)} of component type {shown(code)}, which {verdict}", place
     )
@@ -159,7 +159,7 @@ def _substituted(
     where, what = member(sparse, "indices", place), member(sparse, "values", place)
     dtype = component_dtype(where)
     if dtype is None or dtype.kind != "u":
-        raise InputError("a sparse accessor's indices are not unsigned integers", place)
+        raise InputError("the indices of a sparse accessor are not unsigned integers", place)
     views = document.objects("bufferViews")
     index_view, value_view = (
         index(where, "bufferView", len(views), place),
@@ -170,7 +170,10 @@ def _substituted(
     offsets = integer(where, "byteOffset", place, default=0), integer(what, "byteOffset", place, default=0)
     positions = _view_array(document, index_view, offsets[0], (dtype, 1, count), place)[:, 0].astype(np.int64)
     if positions.max() >= len(dense):
-        raise InputError(f"a sparse accessor replaces element {positions.max()} of {len(dense)}", place)
+        raise InputError(
+            f"a sparse accessor replaces element {positions.max()}, but it has only {len(dense)} elements",
+            place,
+        )
     document.budget.claim(dense.nbytes, "its sparse accessor", place)
     values = dense.copy()
     values[positions] = _view_array(

@@ -161,20 +161,20 @@ class Beside:
         if self._missing:
             count = len(self._missing)
             files = "1 file that it names is" if count == 1 else f"{count} files that it names are"
-            message = f"{files} not beside it and cannot be copied: {_listed(self._missing)}"
+            message = f"{files} missing and cannot be copied: {_listed(self._missing)}"
             found.append(Notice("file-missing", message, place, count))
         if self._outside:
             count = len(self._outside)
             images = "1 image is" if count == 1 else f"{count} images are"
             message = (
-                f"{images} outside its folder and stayed there, unread; the output refers to that place: "
-                f"{_listed(self._outside)}"
+                f"{images} outside its folder, and neither read nor copied; the output refers to "
+                f"the same place: {_listed(self._outside)}"
             )
             found.append(Notice("image-outside", message, place, count))
         if self._refused:
             count, (uri, why) = len(self._refused), self._refused[0]
             names = "1 URI names" if count == 1 else f"{count} URIs name"
-            message = f'{names} no file beside it, and stayed as it is: "{shortened(uri)}": {why}'
+            message = f'{names} no file beside it, and stays as it is: "{shortened(uri)}": {why}'
             found.append(Notice("uri-refused", message, place, count))
         return found
 

@@ -137,8 +137,9 @@ class Budget:
         self.spent += size
         if self.spent > max(FREE, RATIO * self.backed):
             raise InputError(
-                f"{what} would take {shown(size)}, and the file {shown(self.spent)} in all: over {RATIO:,} "
-                f"times its {shown(self.backed)}, whatever --max-memory says",
+                f"{what} would take {shown(size)}, so the file would take {shown(self.spent)} in "
+                f"all. The limit is {RATIO:,} times its {shown(self.backed)}, whatever --max-memory "
+                "says",
                 place,
             )
         if self.held <= UNCOUNTED and self.limit is None:
@@ -147,8 +148,8 @@ class Budget:
             self.limit = default_limit()
         if self.held > self.limit:
             raise InputError(
-                f"{what} would take {shown(size)}, and the file {shown(self.held)} in all: over the "
-                f"{shown(self.limit)} that it may have (--max-memory)",
+                f"{what} would take {shown(size)}, so the file would take {shown(self.held)} in "
+                f"all. The limit is {shown(self.limit)} (--max-memory)",
                 place,
             )
 
@@ -160,9 +161,9 @@ class Budget:
         most = ZEROS_RATIO * self.backed + ZEROS_FREE
         if self.zeros > most:
             raise InputError(
-                f"accessor {accessor} has no buffer view and claims {shown(size)} of zeros, with others "
-                f"{shown(self.zeros)}: over the {shown(most)} that a file of {shown(self.backed)} may claim, "
-                "whatever --max-memory says",
+                f"accessor {accessor} has no buffer view and claims {shown(size)} of zeros, "
+                f"{shown(self.zeros)} with others. A file of {shown(self.backed)} may claim at most "
+                f"{shown(most)}, whatever --max-memory says",
                 place,
             )
         self.claim(size, f"accessor {accessor}, which has no buffer view,", place)
@@ -173,8 +174,8 @@ class Budget:
         self.packed += stored
         if self.unpacked > max(UNPACKED_RATIO * self.packed, UNPACKED_FREE):
             raise InputError(
-                f"{self.packed} bytes of compressed data, this included, would expand to {self.unpacked}, "
-                f"over the limit of {UNPACKED_RATIO} times as many",
+                f"{self.packed} bytes of compressed data, this included, would expand to "
+                f"{self.unpacked}. The limit is {UNPACKED_RATIO} times as many",
                 place,
             )
         self.claim(size, "compressed data", place)

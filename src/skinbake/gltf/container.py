@@ -74,7 +74,7 @@ def _dropped(document: Document) -> Iterator[Notice]:
     if document.other_chunks:
         lost.append(f"{len(document.other_chunks)} GLB chunks of unknown type")
     if document.binary is not None and not document.has_binary_buffer:
-        lost.append("a BIN chunk that no buffer means")
+        lost.append("an unreferenced BIN chunk")
     if document.trailing:
         lost.append(f"{len(document.trailing)} trailing bytes")
     if lost:

@@ -100,7 +100,8 @@ class Document:
             raise InputError(f"buffer {index} has no URI and there is no BIN chunk that holds it", self.place)
         if len(data) < length:
             raise InputError(
-                f"buffer {index} is cut short: it declares {length} bytes, {len(data)} are there", self.place
+                f"buffer {index} is cut short: it declares {length} bytes, but only {len(data)} are there",
+                self.place,
             )
         return memoryview(data)[:length]
 
@@ -156,7 +157,7 @@ def read_named(path: str, root: str | None) -> Bytes:
         raise InputError(f"cannot be read: {error}", Place(path)) from error
     except OSError as error:
         if error.errno == errno.EXDEV:
-            message = f"is not read: a link leads out of {root}; name the file itself, or its folder"
+            message = f"is not read: a link leads out of {root}; give the file itself, or its folder"
             raise InputError(message, Place(path)) from error
         raise InputError(f"cannot be read: {error.strerror or error}", Place(path)) from error
     except ValueError as error:
@@ -228,11 +229,11 @@ def _parsed_size(data: bytes) -> int:
 def _check_version(asset: json_access.JsonObject, place: Place) -> None:
     version = json_access.text(asset, "version", place)
     if version is None:
-        raise InputError('it does not say which glTF version it is: "asset.version" is missing', place)
+        raise InputError('its glTF version is unknown: "asset.version" is missing', place)
     least = json_access.text(asset, "minVersion", place) or "2.0"
     if version.split(".")[0] != "2" or least != "2.0":
         wanted = version if least == "2.0" else least
-        raise UnsupportedFeatureError(f'it wants glTF version "{wanted}"; only 2.0 is supported', place)
+        raise UnsupportedFeatureError(f'it needs glTF version "{wanted}"; only 2.0 is supported', place)
 
 
 def _indentation(data: bytes) -> str | None:

@@ -84,7 +84,7 @@ def _sorted_chunks(
     if rest and rest[0][0] == CHUNK_BIN:
         binary, rest = rest[0][1], rest[1:]
     if any(kind in {CHUNK_JSON, CHUNK_BIN} for kind, _ in rest):
-        raise InputError("the GLB has a second JSON or BIN chunk, or one out of its place", place)
+        raise InputError("the GLB has a second JSON or BIN chunk, or one in the wrong place", place)
     return chunks[0][1], binary, tuple(rest)
 
 

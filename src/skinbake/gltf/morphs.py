@@ -38,7 +38,8 @@ def target_count(document: Document, mesh: int) -> int:
     if len(counts) > 1:
         found = " and ".join(str(count) for count in counts)
         raise InputError(
-            f"its primitives have {found} morph targets; the primitives of a mesh must have the same", place
+            f"its primitives have {found} morph targets; all primitives of a mesh must have the same number",
+            place,
         )
     return counts[0] if counts else 0
 
@@ -118,7 +119,7 @@ def _differences(
         with document.budget.passing():
             read[name, accessor] = _moved_rows(document, accessor, name, place)
         kept = read[name, accessor]
-        document.budget.claim(kept.rows.nbytes + kept.values.nbytes, "what it moves", place)
+        document.budget.claim(kept.rows.nbytes + kept.values.nbytes, "its differences", place)
     return read[name, accessor]
 
 
@@ -130,7 +131,7 @@ def _moved_rows(document: Document, accessor: int, name: str, place: Place) -> D
     if (stored.values.dtype.str[1:], stored.normalized) not in FORMATS[name]:
         kind = f"{'normalised ' if stored.normalized else ''}{stored.values.dtype.name}"
         raise InputError(f"differences must be {EXPECTED[name]}, found {kind}", place)
-    document.budget.claim(stored.decoded_size, "what it stands for", place)
+    document.budget.claim(stored.decoded_size, "its decoded values", place)
     values = stored.decoded()
     if name == "POSITION" and not np.isfinite(values).all():
         raise InputError("its values are not all finite numbers", place)

@@ -144,7 +144,7 @@ def refuse_own_input(document: Document, source: str, target: str) -> None:
             is_own = Path(spot.path) == written or os.path.samestat(os.fstat(descriptor), there)
             os.close(descriptor)
         if is_own:
-            raise OutputError("it is a file that the input consists of", Place(target))
+            raise OutputError("it is a file of the input", Place(target))
 
 
 def _leads_to(uri: str, folder: Path, path: Path) -> bool:

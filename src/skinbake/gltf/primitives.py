@@ -149,7 +149,7 @@ def reason_to_skip(document: Document, source: PrimitiveSource, *, generate_norm
             "no-normals", "skipped: it has no NORMAL; --generate-normals adds smooth ones", source.place
         )
     if _triangle_count(document, source, mode) == 0:
-        return Notice("no-triangles", "skipped: it has not one whole triangle", source.place)
+        return Notice("no-triangles", "skipped: it has no whole triangle", source.place)
     return None
 
 
@@ -203,7 +203,7 @@ def read_influences(document: Document, source: PrimitiveSource, count: int) -> 
     sets = []
     if source.influence_sets > MOST_SETS:
         raise UnsupportedFeatureError(
-            f"it has {source.influence_sets} influence sets, {MOST_SETS} are the most", source.place
+            f"it has {source.influence_sets} influence sets; the limit is {MOST_SETS}", source.place
         )
     for number in range(source.influence_sets):
         joints = _stored(document, source, f"JOINTS_{number}", 4, count)
@@ -247,7 +247,7 @@ def read_indices(document: Document, source: PrimitiveSource) -> IntArray:
         raise InputError("indices must be scalars of an unsigned integer type", place)
     indices: IntArray = stored[:, 0]  # type: ignore[assignment]
     if indices.max() >= count:
-        raise InputError(f"index {indices.max()} refers past the {count} vertices", place)
+        raise InputError(f"index {indices.max()} is too large for {count} vertices", place)
     return indices
 
 
@@ -286,7 +286,7 @@ def _decoded(
     document: Document, source: PrimitiveSource, attribute: str, components: int, count: int | None = None
 ) -> FloatArray:
     stored = _stored(document, source, attribute, components, count)
-    document.budget.claim(stored.decoded_size, "what it stands for", source.place.at(attribute))
+    document.budget.claim(stored.decoded_size, "its decoded values", source.place.at(attribute))
     return stored.decoded()
 
 
@@ -297,7 +297,8 @@ def _check_joints(joints: IntArray, weights: FloatArray, source: PrimitiveSource
     if outside.any():
         vertex, slot = np.argwhere(outside)[0]
         raise InputError(
-            f"vertex {vertex} is weighted to joint {joints[vertex, slot]} of a skin with "
-            f"{source.joint_count}; {np.count_nonzero(outside.any(axis=1))} vertices are",
+            f"vertex {vertex} has a weight for joint {joints[vertex, slot]}, but the skin has only "
+            f"{source.joint_count} joints. The number of such vertices is "
+            f"{np.count_nonzero(outside.any(axis=1))}",
             source.place.at(f"JOINTS_{slot // 4}"),
         )

@@ -83,7 +83,7 @@ def refuse_dangling(root: JsonObject, key: str, added: int, place: Place) -> Non
     wrong = [number for number in used if count <= number < count + added]
     if wrong:
         raise InputError(
-            f'something in it refers to entry {min(wrong)} of "{key}", which has {count}: what bake adds '
-            "there must not become what a broken reference means. Mend the reference first",
+            f'a reference names entry {min(wrong)} of "{key}", which has only {count} entries. '
+            "The entries that bake adds must not become its target: correct the reference first",
             place,
         )

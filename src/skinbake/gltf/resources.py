@@ -36,7 +36,7 @@ def decode_data_uri(uri: str, place: Place) -> bytes:
             return unquote_to_bytes(payload)
         return base64.b64decode(unquote(payload) if "%" in payload else payload, validate=True)
     except ValueError as error:  # binascii.Error, or characters that no byte stands for
-        raise InputError(f"a data: URI does not hold what it says: {error}", place) from error
+        raise InputError(f"a data: URI cannot be decoded: {error}", place) from error
 
 
 def encode_data_uri(data: bytes) -> str:
@@ -162,8 +162,8 @@ def read_resource(uri: str, folder: Path, bounds: Bounds, place: Place) -> Bytes
 def outside(uri: str, why: str, place: Place) -> InputError:
     """Return the error of a buffer outside the folders that a document may have read."""
     return InputError(
-        f'its buffer "{shortened(uri)}" is not read: {why}. If the file is to be read, name its folder with '
-        "--allow-outside DIR",
+        f'its buffer "{shortened(uri)}" is not read: {why}. To read the file, give its folder '
+        "with --allow-outside DIR",
         place,
     )
 

@@ -72,8 +72,8 @@ def _kept_apart(document: Document, groups: dict[Skins, list[int]]) -> list[Noti
     if not concerned:
         return []
     message = (
-        f"{len(concerned)} groups of meshes share joints and are not welded, --weld skin or not: only meshes "
-        "that all the same skins draw are, and skins are the same where joints, in order, and inverse bind "
-        f"matrices are equal. The groups begin with meshes {', '.join(map(str, concerned))}"
+        f"{len(concerned)} groups of meshes share joints but are not welded by --weld skin. Meshes "
+        "are welded only if all their skins are the same: equal joints, in order, and equal "
+        f"inverse bind matrices. The groups begin with meshes {', '.join(map(str, concerned))}"
     )
     return [Notice("weld-apart", message, Place(document.name), len(concerned))]

@@ -340,7 +340,9 @@ def _write_all(descriptor: int, pieces: Sequence[Bytes]) -> None:
 def _check_still_so(serving: Mapping[Path, Signature], replaces: Version | None, place: Place) -> None:
     """Raise OutputError where files are not what they were when the write was planned."""
     if replaces is not None and not replaces.is_current:
-        raise OutputError("it was saved anew since it was read, and is left as it is: run this again", place)
+        raise OutputError(
+            "another program has saved it since it was read, so it is not replaced: run this again", place
+        )
     for path, before in serving.items():
         if signature_of(path) != before:
             raise TakenError(f"cannot be written: {path} was changed meanwhile", place)

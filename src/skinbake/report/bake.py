@@ -131,7 +131,7 @@ def closing_line(result: FileResult, *, dry_run: bool) -> str:
     overflowing = sum(count.overflowing_vertices for count in counts)
     if overflowing:
         parts.append(
-            f"{counted(overflowing, 'vertex', 'vertices')} left some of their neighbours' joints out "
+            f"{counted(overflowing, 'vertex', 'vertices')} left out some joints of their neighbours "
             f"({_lost(counts):.2%} of the gradient lost)"
         )
     degenerate = sum(count.degenerate_triangles for count in counts)

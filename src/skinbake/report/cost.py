@@ -52,19 +52,20 @@ NAMES = {
 }
 
 RULES = (
-    "Multiply-adds are counted by the rules of the supplement to Tarini, Panozzo and Sorkine-Hornung 2014 "
-    "(doi:10.1111/cgf.12330), which charges T p 12, mixing dual quaternions 12 per influence and moving a "
-    "position by one 27; algorithm 6 is not the paper's and is charged alike."
+    "Multiply-adds are counted by the rules of the supplement to Tarini, Panozzo and "
+    "Sorkine-Hornung 2014 (doi:10.1111/cgf.12330). They count T p as 12, mixing dual quaternions "
+    "as 12 per influence, and moving a position by one as 27. Algorithm 6 is not in the paper and "
+    "is counted by the same rules."
 )
-ADDED = "those added are α and β of all influences but one, or ∇w of all for algorithm 2"
+ADDED = "added bytes are α and β of all influences except one, or ∇w of all influences for algorithm 2"
 COMMON_TYPES = (
-    "Bytes are those of float position (12), normal (12) and tangent (16), with an 8-bit joint and a float "
-    f"weight per influence; {ADDED}, as floats."
+    "Bytes count float position (12), normal (12) and tangent (16), with an 8-bit joint and a "
+    f"float weight per influence; {ADDED}, as floats."
 )
 STORED_TYPES = (
-    f"Bytes are those of every stored slot, used or not, each attribute in multiples of 4; {ADDED}. "
-    "A frame skins each vertex of a triangle once for every node that draws it. Not counted: morph targets, "
-    "and building a tangent frame from NORMAL."
+    f"Bytes count every stored slot, used or not, each attribute in multiples of 4; {ADDED}. A "
+    "frame skins each vertex of a triangle once for every node that draws it. Morph targets, and "
+    "building a tangent frame from NORMAL, are not counted."
 )
 WIDTH = 100
 

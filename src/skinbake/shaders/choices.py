@@ -80,21 +80,22 @@ class ShaderChoices:
             ("--layout", self.layout, list(Layout)),
         ):
             if value not in known:
-                raise ChoiceError(f"{option} {value} is none of {', '.join(known)}")
+                raise ChoiceError(f"{option} {value} is not one of {', '.join(known)}")
         if self.layout == Layout.CUSTOM and self.influence_sets > CUSTOM_SETS:
             raise ChoiceError(
                 f"--layout custom holds {CUSTOM_SETS * SLOTS_PER_SET} influences, not {self.influences}"
             )
         if self.layout == Layout.TEXCOORD and self.encoding != Encoding.FLOAT32:
-            raise ChoiceError(f"--layout texcoord takes --encoding float32, not {self.encoding}")
+            raise ChoiceError(f"--layout texcoord needs --encoding float32, not {self.encoding}")
         if self.cap is not None and not self.is_corrected:
-            raise ChoiceError(f"--cap is for accurate and exact lighting; {self.lighting} corrects nothing")
+            raise ChoiceError(f"--cap is for accurate and exact lighting; {self.lighting} has no correction")
         if self.morphs is Morphs.TANGENT and self.frame != Frame.TANGENT:
-            raise ChoiceError(f"--morphs tangent needs --frame tangent; --frame {self.frame} takes normal")
+            raise ChoiceError(
+                f"--morphs tangent needs --frame tangent; --frame {self.frame} needs --morphs normal"
+            )
         if self.mirrored_joints and not self.crosses:
             raise ChoiceError(
-                f"--mirrored-joints turns the normal of --method lbs --lighting accurate, "
-                f"not of {self.method} {self.lighting}"
+                f"--mirrored-joints needs --method lbs --lighting accurate, not {self.method} {self.lighting}"
             )
 
     @property

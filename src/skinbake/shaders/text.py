@@ -94,8 +94,9 @@ def _text_for(choices: ShaderChoices, reads: Sequence[str]) -> dict[str, Any]:
     needed += [str(choices.layout)] if choices.assembles else []
     if not set(needed) <= set(reads):
         raise ChoiceError(
-            f"--target {choices.target} reads alpha and beta as floats in attributes of their own, "
-            f"not{choices.storage_words.removeprefix(',')}: take --target plain, or bake with the defaults"
+            f"--target {choices.target} reads alpha and beta as floats in their own attributes, "
+            f"not{choices.storage_words.removeprefix(',')}: use --target plain, or bake with the "
+            "defaults"
         )
     context = _context(choices)
     language = choices.language
@@ -134,7 +135,7 @@ def _target_file(choices: ShaderChoices) -> str:
     languages = targets().get(choices.target, ())
     if choices.language not in languages:
         legal = " or ".join(languages) or "none"
-        raise ChoiceError(f"--target {choices.target} takes --lang {legal}, not {choices.language}")
+        raise ChoiceError(f"--target {choices.target} needs --lang {legal}, not {choices.language}")
     pattern = f"{choices.target}.{choices.language}"
     names = [path.name for path in (TEMPLATES / "targets").iterdir()]
     return "targets/" + next(name for name in names if name == pattern or name.startswith(f"{pattern}."))

@@ -150,8 +150,9 @@ def _rigid_motions(
         found = ", ".join(str(joint) for joint in motions.not_rigid[:8])
         more = f" and {motions.not_rigid.size - 8} more" if motions.not_rigid.size > 8 else ""
         raise UnsupportedFeatureError(
-            f"dual quaternions need rigid joints, up to one uniform scale common to all; "
-            f"joints {found}{more} are not within {tolerance:g}. Use linear blend skinning for them"
+            "dual quaternions need rigid joints, apart from one uniform scale that all joints "
+            f"share; joints {found}{more} exceed the tolerance of {tolerance:g}. Use linear blend "
+            "skinning for them"
         )
     table = np.ascontiguousarray(np.transpose(motions.dual_quaternions, (2, 1, 0)), dtype=dtype)
     return _Motions(table, None, motions.scale.astype(dtype))

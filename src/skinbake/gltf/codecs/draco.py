@@ -112,7 +112,7 @@ def _shape(document: Document, number: int, place: Place) -> Shape:
     accessor = accessors[number]
     dtype, kind = component_dtype(accessor), accessor.get("type")
     if dtype is None or not isinstance(kind, str) or kind not in COMPONENTS:
-        raise InputError(f"accessor {number} is of no type that a Draco stream holds", place)
+        raise InputError(f"accessor {number} has a type that a Draco stream cannot hold", place)
     return dtype, COMPONENTS[kind], integer(accessor, "count", place, minimum=1)
 
 
@@ -183,7 +183,9 @@ def _claimed(document: Document, claim: Claim, shape: Shape, place: Place) -> np
         there = ", ".join(map(str, sorted(mesh.attributes))) or "none"
         raise InputError(f"its Draco stream has no attribute {claim.unique_id}; it has {there}", place)
     if values.dtype != shape[0]:
-        document.budget.claim(values.size * (shape[0].itemsize + 16), "what its Draco stream holds", place)
+        document.budget.claim(
+            values.size * (shape[0].itemsize + 16), "the content of its Draco stream", place
+        )
     largest = None if claim.unique_id is None else mesh.signed.get(claim.unique_id)
     return _of_type(values, shape, largest, place)
 
@@ -196,7 +198,7 @@ def _of_type(
     if values.shape != (count, components):
         raise InputError(
             f"its Draco stream holds {values.shape[0]} elements of {values.shape[1]} components, "
-            f"the accessor declares {count} of {components}",
+            f"but the accessor declares {count} of {components}",
             place,
         )
     if values.dtype == dtype:
@@ -206,7 +208,9 @@ def _of_type(
     with np.errstate(invalid="ignore", over="ignore"):
         cast = values.astype(dtype)
     if not np.array_equal(cast.astype(np.float64), values.astype(np.float64)):
-        raise InputError(f"its Draco stream holds values that no {dtype.name} of its accessor can be", place)
+        raise InputError(
+            f"its Draco stream holds values that do not fit the {dtype.name} of its accessor", place
+        )
     return cast
 
 
@@ -248,14 +252,16 @@ def declared(
     for name in inside:
         number = index(attributes, name, len(accessors), place.at(name))
         if number is None:
-            raise InputError(f"its {EXTENSION} has {name}, which the primitive has not", place)
+            raise InputError(f"its {EXTENSION} has {name}, but the primitive does not", place)
         count = integer(accessors[number], "count", place.at(name), minimum=1)
         if vertices not in {0, count}:
-            raise InputError(f"it has {count} elements, others of its Draco stream {vertices}", place)
+            raise InputError(
+                f"it has {count} elements, but other attributes of its Draco stream have {vertices}", place
+            )
         vertices, size = count, size + count * _element_size(accessors[number])
     corners = index(primitive, "indices", len(accessors), place.at("indices"))
     if vertices == 0 or corners is None:
-        raise InputError(f"its {EXTENSION} has no attributes, or the primitive no indices", place)
+        raise InputError(f"its {EXTENSION} has no attributes, or the primitive has no indices", place)
     count = integer(accessors[corners], "count", place.at("indices"), minimum=1)
     return vertices, count, size + 4 * count
 

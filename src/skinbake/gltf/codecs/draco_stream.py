@@ -96,7 +96,9 @@ def decode(
     except Exception as error:  # whatever C++ throws: DracoPy has no class of its own for damaged data
         raise InputError(f"its Draco stream cannot be decoded: {error}", place) from error
     if 3 * len(faces) != corners:
-        raise InputError(f"its Draco stream holds {3 * len(faces)} indices, its accessor {corners}", place)
+        raise InputError(
+            f"its Draco stream holds {3 * len(faces)} indices, but its accessor declares {corners}", place
+        )
     return DracoMesh(
         {number: _values(entry, number, vertices, place) for number, entry in attributes.items()},
         faces,
@@ -114,7 +116,8 @@ def _values(entry: Mapping[str, Any], number: int, vertices: int, place: Place) 
     found = 0 if values is None else len(values)
     if found != vertices:
         raise InputError(
-            f"its Draco stream holds {found} elements of attribute {number}, its accessors {vertices}",
+            f"its Draco stream holds {found} elements of attribute {number}, but its accessors "
+            f"declare {vertices}",
             place,
         )
     return np.asarray(values)
@@ -126,8 +129,8 @@ def _check_counts(counts: Counts, length: int, declared: tuple[int, int, int], p
     too_many = counts.vertices > vertices if counts.method == EDGEBREAKER else counts.vertices != vertices
     if 3 * counts.faces != corners or too_many:
         raise InputError(
-            f"its Draco stream says {counts.vertices} vertices and {3 * counts.faces} indices, its accessors "
-            f"declare {vertices} and {corners}",
+            f"its Draco stream declares {counts.vertices} vertices and {3 * counts.faces} indices, "
+            f"but its accessors declare {vertices} and {corners}",
             place,
         )
     if size > max(EXPANSION * length, SMALL):
@@ -193,7 +196,7 @@ class _Reader:
 def read_counts(data: memoryview, place: Place) -> Counts:
     """Return the counts at the beginning of a stream, without decoding it; InputError where it is not one."""
     if bytes(data[:5]) != MAGIC:
-        raise InputError("what should be its Draco stream does not begin with 'DRACO'", place)
+        raise InputError("its Draco stream does not begin with 'DRACO'", place)
     reader = _Reader(data, place)
     header = reader.skip(HEADER_LENGTH)
     version, kind, method = (header[5], header[6]), header[7], header[8]
@@ -201,7 +204,7 @@ def read_counts(data: memoryview, place: Place) -> Counts:
         found = ".".join(map(str, version))
         raise UnsupportedFeatureError(f"its Draco stream has version {found}; glTF has 2.2", place)
     if kind != TRIANGULAR_MESH or method not in {SEQUENTIAL, EDGEBREAKER}:
-        raise InputError(f"its Draco stream is of kind {kind} and method {method}: no mesh", place)
+        raise InputError(f"its Draco stream has kind {kind} and method {method}: it is not a mesh", place)
     if int.from_bytes(header[9:11], "little") & METADATA_FLAG:
         for _ in range(reader.varint()):
             reader.varint()
@@ -300,7 +303,7 @@ def _check_arrays(arrays: Mapping[str, npt.NDArray[Any]], faces: npt.NDArray[Any
         if len(values) != count:
             raise InputError(f"it has {len(values)} elements, POSITION has {count}", place.at(name))
     if faces.size and faces.max() >= count:
-        raise InputError(f"index {faces.max()} refers past the {count} vertices", place.at("indices"))
+        raise InputError(f"index {faces.max()} is too large for {count} vertices", place.at("indices"))
 
 
 def _is_quantisable(name: str, arrays: Mapping[str, npt.NDArray[Any]]) -> bool:

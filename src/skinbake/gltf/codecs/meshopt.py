@@ -80,10 +80,10 @@ def packing(view: JsonObject, name: str, what: str, place: Place) -> Packing:
     else:
         allowed = (2, 4) if mode in {TRIANGLES, INDICES} and chosen == "NONE" else ()
     if stride not in allowed or (mode == TRIANGLES and count % 3):
-        raise InputError(f"{found}, which do not go together", place)
+        raise InputError(f"{found}, which contradict each other", place)
     length = integer(view, "byteLength", place, minimum=1)
     if count * stride != length:
-        raise InputError(f"{found}: that is {count * stride} bytes, its byteLength is {length}", place)
+        raise InputError(f"{found}: that is {count * stride} bytes, but its byteLength is {length}", place)
     return Packing(str(mode), chosen, count, stride)
 
 
@@ -92,8 +92,8 @@ def check_length(data: memoryview, packing: Packing, what: str, place: Place) ->
     least = packing.count * packing.stride // EXPANSION if packing.mode == ATTRIBUTES else packing.count // 3
     if len(data) < least:
         raise InputError(
-            f"{what} has {len(data)} bytes for {packing.count} elements of {packing.stride} bytes; "
-            f"{least} are the least that its codec needs",
+            f"{what} has {len(data)} bytes for {packing.count} elements of {packing.stride} bytes, "
+            f"but its codec needs at least {least}",
             place,
         )
 

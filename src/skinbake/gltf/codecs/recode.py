@@ -290,7 +290,7 @@ def _into_draco(
         if draco.extension_of(source.json) is not None:
             if compression.bits:
                 message = (
-                    "it is in Draco already and is not quantised again: decode it with --compress none first"
+                    "it is already in Draco and is not quantised again: decode it with --compress none first"
                 )
                 yield Notice("bits-ignored", message, source.place)
             continue
@@ -317,7 +317,7 @@ def _reason_against_draco(
     """
     mode = integer(source.json, "mode", source.place, default=TRIANGLES)
     if mode != TRIANGLES:
-        return f"its mode is {mode}, and Draco stores lists of triangles"
+        return f"its mode is {mode}, but Draco stores only lists of triangles"
     extension = draco.extension_of(source.json) or {}
     chosen = member(extension, "attributes", source.place) if inside_only else source.attributes
     if "POSITION" not in chosen:
@@ -330,7 +330,7 @@ def _reason_against_draco(
         if number is not None and accessors[number].get("componentType") in SIGNED and name != "POSITION":
             return f"its {name} are signed integers, which the encoder cannot store"
         if number is not None and accessors[number].get("componentType") == UNSIGNED_INT:
-            return f"its {name} is of 32-bit integers, for which Draco would take gigabytes"
+            return f"its {name} has 32-bit integers, for which Draco would need gigabytes of memory"
     return None
 
 

@@ -1,15 +1,15 @@
 //% if method != "lbs"
-//%   set _ = refuse("--target bevy: Bevy blends joint matrices; take --method lbs")
+//%   set _ = refuse("--target bevy: Bevy blends joint matrices; use --method lbs")
 //% elif lighting == "approximated"
-//%   set _ = refuse("--target bevy: approximated lighting is Bevy's own and needs no shader; take --lighting accurate or direct")
+//%   set _ = refuse("--target bevy: approximated lighting is Bevy's own and needs no shader; use --lighting accurate or direct")
 //% elif influences > 4
-//%   set _ = refuse("--target bevy: Bevy reads four influences a vertex, not " ~ influences ~ "; bake with --limit-influences 4")
+//%   set _ = refuse("--target bevy: Bevy reads four influences per vertex, not " ~ influences ~ "; bake with --limit-influences 4")
 //% elif influences < 2
-//%   set _ = refuse("--target bevy: one influence needs no shader, Bevy lights it right; take --influences 4")
+//%   set _ = refuse("--target bevy: one influence needs no shader, Bevy lights it correctly; use --influences 4")
 //% elif assembles
-//%   set _ = refuse("--target bevy: Bevy reads two sets of texture coordinates, and alpha and beta take " ~ pairs | length ~ "; bake with --layout attributes")
+//%   set _ = refuse("--target bevy: Bevy reads two sets of texture coordinates, but alpha and beta need " ~ pairs | length ~ "; bake with --layout attributes")
 //% elif decodes and not scale
-//%   set _ = refuse("--target bevy: " ~ encoding ~ " counts in a scale of the baked file's own; say --for BAKED_FILE")
+//%   set _ = refuse("--target bevy: " ~ encoding ~ " needs the scale of the baked file; give --for BAKED_FILE")
 //% endif
 //% set text = text_for(reads=["snorm16", "packed8"], morphs="tangent" if morphs == "tangent" else "normal")
 //% set vertex_format = {"float32": "Float32x3", "snorm16": "Snorm16x4", "packed8": "Snorm8x4"}[encoding]

@@ -1,13 +1,13 @@
 //% if method != "lbs"
-//%   set _ = refuse("--target three: three.js blends joint matrices; take --method lbs")
+//%   set _ = refuse("--target three: three.js blends joint matrices; use --method lbs")
 //% elif lighting == "approximated"
-//%   set _ = refuse("--target three: approximated lighting is three.js's own; take --lighting accurate or direct")
+//%   set _ = refuse("--target three: approximated lighting is three.js's own; use --lighting accurate or direct")
 //% elif influences > 4
-//%   set _ = refuse("--target three: three.js reads four influences a vertex, not " ~ influences ~ "; bake with --limit-influences 4")
+//%   set _ = refuse("--target three: three.js reads four influences per vertex, not " ~ influences ~ "; bake with --limit-influences 4")
 //% elif influences < 2
-//%   set _ = refuse("--target three: one influence needs no shader; take --influences 4")
+//%   set _ = refuse("--target three: one influence needs no shader; use --influences 4")
 //% elif decodes and not scale
-//%   set _ = refuse("--target three: " ~ encoding ~ " counts in a scale of the baked file's own; say --for BAKED_FILE")
+//%   set _ = refuse("--target three: " ~ encoding ~ " needs the scale of the baked file; give --for BAKED_FILE")
 //% endif
 //% set text = text_for(reads=["snorm16", "packed8", "texcoord"], morphs="normal")
 //% set names, read = [], {}
