@@ -14,7 +14,7 @@ MemberT = TypeVar("MemberT", bound=StrEnum)
 
 
 def member_of(kind: type[MemberT], value: str, name: str) -> MemberT:
-    """Return a member by its value; ``name`` is the option's. Raises ChoiceError where there is none."""
+    """Return a member by its value; ``name`` is the name of the option. Raises ChoiceError without one."""
     try:
         return kind(value)
     except ValueError as error:
@@ -22,12 +22,12 @@ def member_of(kind: type[MemberT], value: str, name: str) -> MemberT:
 
 
 def option_of(name: str) -> str:
-    """Return how the command line spells an option of the Python API."""
+    """Return the spelling of a Python option on the command line."""
     return "--" + name.replace("_", "-")
 
 
 class Weighting(StrEnum):
-    """How the triangles at a vertex are weighted when their gradients are averaged."""
+    """The weights of the triangles at a vertex in the mean of their gradients."""
 
     MAX = "max"
     """1 / (|e1|² |e2|²) of the corner's edges (Max 1999)."""
@@ -37,22 +37,22 @@ class Weighting(StrEnum):
 
 
 class Neighbours(StrEnum):
-    """What becomes of a joint that the neighbours of a vertex have, and the vertex has not."""
+    """The treatment of a joint that the neighbours of a vertex have, and the vertex does not have."""
 
     ADOPT = "adopt"
-    """The vertex takes it into a free slot, at weight 0."""
+    """The vertex takes it into a free slot, with a weight too small to see."""
     DROP = "drop"
 
 
 class Frame(StrEnum):
-    """Where the tangent frame of a bake comes from: TANGENT, or NORMAL alone."""
+    """The source of the tangent frame of a bake: TANGENT, or NORMAL alone."""
 
     TANGENT = "tangent"
     NORMAL = "normal"
 
 
 class FrameChoice(StrEnum):
-    """Which ``Frame`` a bake is asked for; ``auto`` takes TANGENT where it is good enough."""
+    """The requested ``Frame`` of a bake; ``auto`` takes TANGENT if it is good enough."""
 
     AUTO = "auto"
     TANGENT = "tangent"
@@ -60,14 +60,14 @@ class FrameChoice(StrEnum):
 
 
 class Weld(StrEnum):
-    """Which primitives are one surface: those of one mesh, or all that one skin draws."""
+    """The primitives that are one surface: those of one mesh, or all that the same skins draw."""
 
     MESH = "mesh"
     SKIN = "skin"
 
 
 class Encoding(StrEnum):
-    """How α and β are stored: as floats, or as normalised integers of 16 or 8 bits."""
+    """The number types of α and β: floats, or normalised integers of 16 or 8 bits."""
 
     FLOAT32 = "float32"
     SNORM16 = "snorm16"
@@ -75,23 +75,23 @@ class Encoding(StrEnum):
 
     @property
     def is_scaled(self) -> bool:
-        """Tell whether values are relative to scales, and normalised integers."""
+        """Tell whether values are normalised integers, relative to scales."""
         return self is not Encoding.FLOAT32
 
 
 class Layout(StrEnum):
-    """Which attributes hold α and β."""
+    """The attributes that hold α and β."""
 
     ATTRIBUTES = "attributes"
-    """α and β of each influence set in an attribute of its own, under names of one's choice."""
+    """α and β of each influence set in their own attributes, with names of the user's choice."""
     TEXCOORD = "texcoord"
     """α1 α2 | α3 β1 | β2 β3 in TEXCOORD_n: for engines that pass no other attributes."""
     CUSTOM = "custom"
-    """As ``attributes``, under the names that Godot passes on."""
+    """As ``attributes``, with the names that Godot passes to shaders."""
 
 
 class Scheme(StrEnum):
-    """How geometry is compressed in the output: as in the input, not at all, by Draco, by meshopt."""
+    """The compression of geometry in the output: as in the input, none, Draco, meshopt."""
 
     KEEP = "keep"
     NONE = "none"
@@ -100,14 +100,14 @@ class Scheme(StrEnum):
 
 
 class Method(StrEnum):
-    """How joint motions are blended: as matrices or as dual quaternions."""
+    """The blending of joint motions: as matrices or as dual quaternions."""
 
     LBS = "lbs"
     DQS = "dqs"
 
 
 class Lighting(StrEnum):
-    """How the normal follows: by number, algorithms 1 and 4, 2, 3 and 5, and 6."""
+    """The computation of the normal: algorithms 1 and 4, 2, 3 and 5, and 6."""
 
     APPROXIMATED = "approximated"
     DIRECT = "direct"
@@ -116,18 +116,18 @@ class Lighting(StrEnum):
 
 
 class Baseline(StrEnum):
-    """The standard normal that algorithm 1 stands for under linear blend skinning."""
+    """The standard normal of algorithm 1 under linear blend skinning."""
 
     BLENDED = "blended"
-    """(Σ w M) n, the paper's own and three.js's."""
+    """(Σ w M) n, as in the paper and in three.js."""
     INVERSE_TRANSPOSE = "inverse-transpose"
-    """(Σ w M)⁻ᵀ n, as Bevy."""
+    """(Σ w M)⁻ᵀ n, as in Bevy."""
     COFACTOR = "cofactor"
-    """(Σ w cof M) n, as Filament."""
+    """(Σ w cof M) n, as in Filament."""
 
 
 class PoseKind(StrEnum):
-    """Where the poses come from in which lighting is measured."""
+    """The source of the poses of a lighting measurement."""
 
     ANIMATION = "animation"
     RANDOM = "random"
@@ -142,7 +142,7 @@ class Language(StrEnum):
 
 
 class Morphs(StrEnum):
-    """What the frame follows under morph targets; none: the text has no function for them."""
+    """The direction that the frame follows under morph targets; none: the text has no function for them."""
 
     NONE = "none"
     NORMAL = "normal"

@@ -1,1 +1,1 @@
-"""A bake inside a file: what it stores, how it is read, and how it is taken out again."""
+"""A bake inside a file: storing, reading and removing it."""

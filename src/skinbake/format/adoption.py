@@ -1,8 +1,8 @@
-"""Store adopted joints: weights too small to see, so that no tool takes their slots for empty.
+"""Store adopted joints with weights too small to see, so that no tool takes their slots for empty.
 
-A joint with weight zero draws a warning from the Khronos validator, and several tools reset it. So an
-adopted slot gets the smallest weight that its type can afford; docs/reference/gradients.md states how little
-that moves a vertex.
+The Khronos validator warns of a joint with weight zero, and several tools reset it. So an adopted slot gets
+the smallest weight that its type can afford. docs/reference/gradients.md states how little this moves a
+vertex.
 """
 
 from __future__ import annotations
@@ -19,19 +19,19 @@ from skinbake.gltf.accessors import StoredArray
 from skinbake.gltf.primitives import StoredInfluences
 
 TINY_WEIGHT = np.float32(2.0**-30)
-"""FLOAT weight of an adopted slot; the others stay as they are, the sum grows by a billionth a slot."""
+"""FLOAT weight of an adopted slot. Other weights stay; the sum grows by a billionth for each slot."""
 
 UNIT = 65535
-"""Integer weights are kept as unsigned shorts, where an adopted slot has 1 and the largest gives it up."""
+"""Integer weights are stored as unsigned shorts. An adopted slot has 1, and the largest weight loses 1."""
 
 
 def with_adopted(
     sets: Sequence[StoredInfluences], rows: IntArray, adopted: IntArray
 ) -> list[StoredInfluences]:
-    """Return the influence sets with adopted joints in place; arrays without a change are the same objects.
+    """Return the influence sets with adopted joints; unchanged arrays are the same objects.
 
-    rows (A,) are the vertices that adopt, adopted (A, K) the joint that each slot adopts, −1 where it stays.
-    Unsigned bytes become shorts where they must change: v / 255 is exactly 257 v / 65535.
+    rows (A,) are the vertices that adopt. adopted (A, K) is the joint that each slot adopts, −1 for none.
+    Unsigned bytes become shorts if they must change: v / 255 is exactly 257 v / 65535.
     """
     slots = [adopted[:, 4 * number : 4 * number + 4] for number in range(len(sets))]
     dues = _dues(sets, rows, slots)
@@ -46,10 +46,10 @@ def with_adopted(
 
 
 def _dues(sets: Sequence[StoredInfluences], rows: IntArray, slots: Sequence[IntArray]) -> list[IntArray]:
-    """Return per set (A, 4) how many units each slot gives up: a vertex's largest weight pays for all.
+    """Return per set (A, 4) the units that each slot loses: the largest weight of a vertex pays for all.
 
-    Of equal weights the one of the lowest joint pays, so that copies of a vertex with their slots in another
-    order still agree.
+    Of equal weights, the weight of the lowest joint pays. So copies of a vertex with another order of slots
+    still agree.
     """
     weights = np.concatenate([_rows_of(stored.weights, rows).decoded() for stored in sets], axis=1)
     joints = np.concatenate([stored.joints.values[rows].astype(np.int64) for stored in sets], axis=1)

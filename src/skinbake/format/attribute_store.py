@@ -1,4 +1,4 @@
-"""Where the new attributes of a primitive go: plain views, meshopt's, or the primitive's Draco stream."""
+"""Store the new attributes of a primitive: in plain views, meshopt views, or its Draco stream."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Values = npt.NDArray[Any]
 
 
 class AttributeStore(Protocol):
-    """Takes the new attributes of one primitive, and at last changes what else of its JSON they need."""
+    """Take the new attributes of one primitive, and make the other changes of its JSON at the end."""
 
     def add(
         self,
@@ -31,18 +31,18 @@ class AttributeStore(Protocol):
         normalized: bool = False,
         extras: JsonObject | None = None,
     ) -> int:
-        """Store an attribute (V, components) of one of glTF's types and return its accessor's index."""
+        """Store an attribute (V, components) of a glTF type and return the index of its accessor."""
 
     def finished(self, primitive: JsonObject) -> JsonObject:
-        """Return the primitive's JSON, all its new attributes in it, with what their storage changes."""
+        """Return the JSON of the primitive with all its new attributes, and the changes of their storage."""
 
 
 def store_for(
     document: Document, additions: Additions, source: PrimitiveSource, level: int | None
 ) -> AttributeStore:
-    """Return the store that keeps a primitive as it is stored: plain, by meshopt, or in Draco.
+    """Return the store for the present storage of a primitive: plain, meshopt, or Draco.
 
-    level is that of ``--compress-level``, 0 … 10, None for each codec's usual one.
+    level is that of ``--compress-level``, 0 … 10, None for the default of each codec.
     """
     if draco.extension_of(source.json) is not None:
         return _DracoStore(document, additions, source, draco.USUAL_LEVEL if level is None else level)
@@ -56,7 +56,7 @@ def store_for(
 
 
 def stored_otherwise(document: Document, sources: Sequence[PrimitiveSource]) -> list[Notice]:
-    """Return a notice where primitives cannot be stored quite as they were in ``document``."""
+    """Return a notice if the storage of primitives must differ from that in ``document``."""
     compressed = [source for source in sources if draco.extension_of(source.json) is not None]
     if not compressed:
         return []
@@ -76,7 +76,7 @@ def stored_otherwise(document: Document, sources: Sequence[PrimitiveSource]) -> 
 
 
 def meshopt_of(document: Document, source: PrimitiveSource) -> str | None:
-    """Return the meshopt extension in which any of a primitive's attributes is stored, None where none is."""
+    """Return the meshopt extension of any attribute of a primitive, None without one."""
     accessors, views = document.objects("accessors"), document.objects("bufferViews")
     for attribute in source.attributes:
         number = index(source.attributes, attribute, len(accessors), source.place.at(attribute))
@@ -88,7 +88,7 @@ def meshopt_of(document: Document, source: PrimitiveSource) -> str | None:
 
 
 class _PlainStore:
-    """Accessors with buffer views of their own, which meshopt compresses where ``packed`` says so."""
+    """Accessors with their own buffer views, which meshopt compresses if ``packed`` says so."""
 
     def __init__(self, additions: Additions, packed: Packed | None) -> None:
         self._additions, self._packed = additions, packed
@@ -108,9 +108,9 @@ class _PlainStore:
 
 
 class _DracoStore:
-    """A new stream that holds all that the old one does, in the order of its decoder, and the new attributes.
+    """A new stream with all data of the old one, in the order of its decoder, and the new attributes.
 
-    The old stream stays in the file, for strip: the extension's ``extras`` say where.
+    The old stream stays in the file for ``strip``. The extension's ``extras`` name its place.
     """
 
     def __init__(self, document: Document, additions: Additions, source: PrimitiveSource, level: int) -> None:
@@ -125,7 +125,9 @@ class _DracoStore:
         normalized: bool = False,
         extras: JsonObject | None = None,
     ) -> int:
-        if values.dtype.kind == "i":  # DracoPy encodes unsigned integers and floats; beside the stream, then
+        if (
+            values.dtype.kind == "i"
+        ):  # DracoPy encodes only unsigned integers and floats, so these go beside the stream
             return self._additions.add(values, normalized=normalized, extras=extras)
         self._new[name] = values
         return self._additions.add_inside(values, normalized=normalized, extras=extras)

@@ -52,10 +52,10 @@ def with_former_stream(primitive: JsonObject) -> JsonObject | None:
 def former_attributes(
     document: Document, attributes: JsonObject, note: JsonObject, place: Place
 ) -> dict[str, int] | None:
-    """Return the accessors to put back where bake adopted joints, empty where it adopted none.
+    """Return the accessors to restore if bake adopted joints, empty if it adopted none.
 
-    None where they must not be put back: the accessors that the metadata names no longer hold the influences
-    from before, or the adopted ones have been edited since, which would be lost.
+    None if they must not be restored: the accessors in the metadata no longer hold the former influences, or
+    the adopted ones have been edited since and the edits would be lost.
     """
     former, noted, digest = note.get("adopted"), note.get("formerDigest"), note.get("digest")
     if former is None:
@@ -76,7 +76,7 @@ def former_attributes(
 
 
 def _influence_digests(document: Document, attributes: JsonObject, place: Place) -> dict[str, str]:
-    """Return the digests of JOINTS and WEIGHTS, all sets side by side, as the metadata has them."""
+    """Return the digests of JOINTS and WEIGHTS, all sets side by side, as in the metadata."""
     count = len(document.objects("accessors"))
     sets: dict[str, list[npt.NDArray[Any]]] = {"JOINTS": [], "WEIGHTS": []}
     while f"JOINTS_{len(sets['JOINTS'])}" in attributes:

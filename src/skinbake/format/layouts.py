@@ -1,4 +1,4 @@
-"""Under which attributes α and β stand: their own, or texture coordinates, two numbers a set."""
+"""The attributes that hold α and β: their own, or texture coordinates with two numbers each."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from skinbake.gltf.json_access import JsonObject
 TEXCOORD = re.compile(r"TEXCOORD_(\d+)")
 
 CUSTOM_NAMES = (("_CUSTOM0", "_CUSTOM1"), ("_CUSTOM2", "_CUSTOM3"))
-"""α and β by influence set: what Godot's importer puts into CUSTOM0 … CUSTOM3 (godotengine/godot#120040)."""
+"""α and β by influence set: Godot's importer reads them into CUSTOM0 … CUSTOM3 (godotengine/godot#120040)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Storage:
-    """How the α and β of one file are stored; scale is the encoding's, in 1 / length unit of POSITION."""
+    """The storage of α and β in one file; scale is the encoding's, in 1 / length unit of POSITION."""
 
     encoding: Encoding = Encoding.FLOAT32
     layout: Layout = Layout.ATTRIBUTES
@@ -29,7 +29,7 @@ class Storage:
 
     @property
     def noted(self) -> JsonObject:
-        """Return the members of the metadata that say it; the usual storage has none."""
+        """Return the members of the metadata for this storage; the default storage has none."""
         note: JsonObject = {} if self.layout is Layout.ATTRIBUTES else {"layout": str(self.layout)}
         return note | (
             {"encoding": str(self.encoding), "scale": self.scale} if self.encoding.is_scaled else {}
@@ -37,7 +37,7 @@ class Storage:
 
 
 def noted_storage(note: JsonObject) -> Storage:
-    """Return how the metadata say that α and β are stored; ValueError where a name is none of ours."""
+    """Return the storage in the metadata; ValueError if a name is unknown."""
     return Storage(
         Encoding(note.get("encoding", Encoding.FLOAT32)),
         Layout(note.get("layout", Layout.ATTRIBUTES)),
@@ -46,9 +46,9 @@ def noted_storage(note: JsonObject) -> Storage:
 
 
 def free_texcoords(attributes: Iterable[str], count: int) -> list[str]:
-    """Return the names of ``count`` texture coordinate sets after those that are there.
+    """Return the names of ``count`` texture coordinate sets after the existing ones.
 
-    glTF numbers them without a gap: those after the last begin where it ends.
+    glTF numbers them without a gap, so the new ones begin after the last.
     """
     taken = (int(found[1]) for name in attributes if (found := TEXCOORD.fullmatch(name)))
     first = max(taken, default=-1) + 1
@@ -56,7 +56,7 @@ def free_texcoords(attributes: Iterable[str], count: int) -> list[str]:
 
 
 def of_alpha_and_beta(names: Sequence[str]) -> tuple[list[str], list[str]]:
-    """Return which of K − 1 texture coordinate sets hold α and which β; the middle one holds both."""
+    """Return the texture coordinate sets of α and of β, out of K − 1; the middle one holds both."""
     half = len(names) // 2
     return list(names[: half + 1]), list(names[half:])
 
@@ -68,6 +68,6 @@ def paired(alpha: npt.NDArray[Any], beta: npt.NDArray[Any]) -> list[npt.NDArray[
 
 
 def unpaired(pairs: Sequence[npt.NDArray[Any]]) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
-    """Return α and β, each (V, K − 1), of what ``paired`` made."""
+    """Return α and β, each (V, K − 1), from the arrays of ``paired``."""
     numbers = np.concatenate(pairs, axis=1)
     return numbers[:, : len(pairs)], numbers[:, len(pairs) :]

@@ -18,11 +18,12 @@ def with_limit(
     shares: Float64Array,
     rewritten: BoolArray,
 ) -> list[StoredInfluences]:
-    """Return influence sets of N slots a vertex, N a multiple of 4.
+    """Return influence sets of N slots for each vertex, N a multiple of 4.
 
-    slots (V, N): the stored slot whose joint each takes, −1 for none (joint 0, weight 0). Where
-    ``rewritten`` (V,), weights are ``shares`` (V, N), which sum to 1; elsewhere they are those stored. Joints
-    take the widest type of the sets, weights the one that all sets have, else FLOAT.
+    slots (V, N) is the stored slot whose joint each new slot takes, −1 for none (joint 0, weight 0). At
+    vertices in ``rewritten`` (V,), weights are ``shares`` (V, N), which sum to 1. At other vertices they are
+    the stored ones. Joints take the widest type of the sets. Weights take the type that all sets have,
+    otherwise FLOAT.
     """
     joints = np.concatenate([stored.joints.values.astype(np.int64) for stored in sets], axis=1)
     taken = np.where(slots >= 0, np.take_along_axis(joints, np.maximum(slots, 0), axis=1), 0)
@@ -46,7 +47,7 @@ def with_limit(
 
 
 def common_unit(sets: Sequence[StoredInfluences]) -> int | None:
-    """Return the integer that stands for a weight of 1 in all sets; None: they are FLOAT, or differ."""
+    """Return the integer that means a weight of 1 in all sets; None if they are FLOAT, or differ."""
     dtypes = {stored.weights.values.dtype for stored in sets}
     if len(dtypes) > 1 or any(dtype.kind == "f" for dtype in dtypes):
         return None
@@ -56,7 +57,7 @@ def common_unit(sets: Sequence[StoredInfluences]) -> int | None:
 def _shared_out(shares: Float64Array, unit: int) -> Float64Array:
     """Round shares (V, N) to integers that sum to ``unit``: the largest remainders are rounded up.
 
-    Of equal remainders that of the earlier slot is: the larger weight, then the lower joint.
+    Of equal remainders, that of the earlier slot is rounded up: the larger weight, then the lower joint.
     """
     exact = shares * unit
     floors = np.floor(exact)

@@ -18,7 +18,7 @@ from skinbake.gltf.json_access import JsonObject, is_deeper, reference
 VERSION = 1
 
 DEEPEST_NOTE = 32
-"""Levels of a note that can be ours: bake writes two."""
+"""The most levels of a note of skinbake; bake writes two."""
 
 FORMER_ATTRIBUTES = "formerAttributes"
 """The member that lists a primitive's attributes before a bake that limited its influences."""
@@ -28,8 +28,8 @@ def digests(primitive: SkinnedPrimitive, frame: str) -> dict[str, str]:
     """Return a digest of each array that α and β depend on, by name.
 
     Each is the first 32 hexadecimal digits of the SHA-256 of the decoded values, tightly packed and little
-    endian: float32 for POSITION, NORMAL, TANGENT (only where the frame uses it) and WEIGHTS, uint16 for
-    JOINTS, uint32 for the unrolled triangles. So storing the same values in another way changes nothing.
+    endian: float32 for POSITION, NORMAL, TANGENT (only if the frame uses it) and WEIGHTS, uint16 for JOINTS,
+    uint32 for the unrolled triangles. So another storage of the same values has the same digests.
     """
     arrays: dict[str, tuple[npt.NDArray[Any], str]] = {
         "POSITION": (primitive.positions, "<f4"),
@@ -43,7 +43,7 @@ def digests(primitive: SkinnedPrimitive, frame: str) -> dict[str, str]:
 
 
 def influence_digests(joints: npt.NDArray[Any], weights: npt.NDArray[Any]) -> dict[str, str]:
-    """Return the digests of joints and weights (V, K) alone, as ``digests`` has them."""
+    """Return the digests of joints and weights (V, K) alone, in the form of ``digests``."""
     return {"JOINTS": array_digest(joints, "<u2"), "WEIGHTS": array_digest(weights, "<f4")}
 
 
@@ -54,13 +54,13 @@ def array_digest(values: npt.NDArray[Any], dtype: str) -> str:
         digest.update(values.data)
     else:
         for rows in blocks(len(values)):
-            with np.errstate(invalid="ignore", over="ignore"):  # not-a-numbers have digests too
+            with np.errstate(invalid="ignore", over="ignore"):  # NaN has a digest too
                 digest.update(np.ascontiguousarray(values[rows], dtype=dtype).data)
     return digest.hexdigest()[:32]
 
 
 def changed_arrays(note: JsonObject, primitive: SkinnedPrimitive) -> tuple[str, ...]:
-    """Return the names of the arrays whose digest is not the noted one, missing ones included."""
+    """Return the names of arrays that are missing or whose digest differs from the noted one."""
     noted = note.get("digest")
     noted = noted if isinstance(noted, dict) else {}
     now = digests(primitive, str(note.get("frame")))
@@ -68,10 +68,10 @@ def changed_arrays(note: JsonObject, primitive: SkinnedPrimitive) -> tuple[str, 
 
 
 def read_metadata(document: Document, primitive: JsonObject) -> JsonObject | None:
-    """Return what bake noted of a primitive, None where it is not baked.
+    """Return the metadata of a primitive, None if it is not baked.
 
-    It stands in the primitive's ``extras``, or, where those are not an object, in the ``extras`` of its
-    first α accessor.
+    It is in the ``extras`` of the primitive. If these are not an object, it is in the ``extras`` of its first
+    α accessor.
     """
     found = _noted(primitive)
     if found is not None:
@@ -87,7 +87,7 @@ def read_metadata(document: Document, primitive: JsonObject) -> JsonObject | Non
 
 
 def noted_names(note: JsonObject, key: str) -> list[str]:
-    """Return the attribute names under a key like ``alpha``, none where they are no list."""
+    """Return the attribute names under a key like ``alpha``, none if they are not a list."""
     names = note.get(key)
     return [name for name in names if isinstance(name, str)] if isinstance(names, list) else []
 

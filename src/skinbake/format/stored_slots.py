@@ -1,4 +1,4 @@
-"""The stored α and β of one primitive: decoded as its metadata say, or the problem with them."""
+"""The stored α and β of one primitive, decoded by its metadata, or the problem with them."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ COMPONENT_TYPES = {Encoding.FLOAT32: "FLOAT", Encoding.SNORM16: "SHORT", Encodin
 class StoredSlots:
     """α and β of slots 1 … K − 1 as a shader reads them, each (V, K − 1), in 1 / length unit of POSITION.
 
-    rounding (V, 2) is the most by which the encoding may have changed a value of α, and one of β.
+    rounding (V, 2) is the largest change of a value of α, and of β, by the encoding.
     """
 
     alpha: FloatArray
@@ -38,7 +38,7 @@ class StoredSlots:
 
 
 def wrong_storage(metadata: JsonObject, influence_sets: int) -> Iterator[str]:
-    """Yield what is wrong with each member of the metadata that says where and how α and β are stored."""
+    """Yield the defects of the metadata's members about the storage of α and β."""
     layout, encoding, scale = (metadata.get(key) for key in ("layout", "encoding", "scale"))
     for key, value, known in (("layout", layout, [*Layout]), ("encoding", encoding, [*Encoding])):
         if key in metadata and value not in known:
@@ -64,7 +64,7 @@ def _are_names(values: list[Any], count: int) -> bool:
 
 
 def shown(value: object) -> str:
-    """Return a value of the metadata for a message, not too long."""
+    """Return a value of the metadata for a message, shortened."""
     if value is None:
         return "missing"
     return json_access.shown(value)
@@ -75,7 +75,7 @@ def read_slots(
 ) -> StoredSlots | Notice:
     """Return α and β of a primitive with ``count`` vertices, or the problem with them.
 
-    The metadata are those that ``wrong_storage`` finds nothing wrong with.
+    ``wrong_storage`` must have found no defect in the metadata.
     """
     storage = noted_storage(metadata)
     arrays: dict[str, npt.NDArray[Any]] = {}
@@ -97,7 +97,7 @@ def read_slots(
 
 
 def _shape(storage: Storage, count: int, *, first: bool) -> tuple[int, int]:
-    """Return the shape of an attribute that holds slots; first tells whether it is set 0's."""
+    """Return the shape of an attribute that holds slots; ``first`` tells whether it belongs to set 0."""
     if storage.layout is Layout.TEXCOORD:
         return count, 2
     return count, 3 if first and not storage.encoding.is_scaled else 4

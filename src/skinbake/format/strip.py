@@ -1,4 +1,4 @@
-"""Take out of a document everything that bake added, and put back what it replaced."""
+"""Remove all additions of bake from a document, and restore the parts that it replaced."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from skinbake.gltf.json_access import JsonObject, integer, objects, text
 
 
 def stripped(document: Document) -> tuple[Document, int, list[Notice]]:
-    """Return the document as before bake, how many primitives were baked, and what could not be undone.
+    """Return the document as before bake, the number of baked primitives, and notices on leftovers.
 
-    A document that holds no bake is returned as it is. Accessors, buffer views and bytes are removed where
-    they still stand at the end, as bake put them; where another tool has rearranged the file since, they
-    stay behind unused, and a notice says so. Raises InputError where the file's structure is broken.
+    A document without a bake is returned as it is. Accessors, buffer views and bytes are removed if they are
+    still at the end, where bake put them. If another tool has rearranged the file since, they stay in it
+    unused, and a notice says so. Raises InputError if the structure of the file is broken.
     """
     meshes: list[JsonObject] = []
     changed: list[tuple[JsonObject, JsonObject]] = []
@@ -64,7 +64,7 @@ def _attribute_accessors(primitive: JsonObject) -> set[int]:
 
 
 def _accessors_in_use(root: JsonObject) -> set[int]:
-    """Return every accessor that glTF 2.0 itself refers to; what extensions refer to cannot be known."""
+    """Return every accessor that glTF 2.0 itself refers to; references of extensions are unknown."""
     values: list[object] = []
     for primitive in _all_primitives(root):
         values += [*json_access.values_of(primitive.get("attributes")), primitive.get("indices")]
@@ -85,7 +85,7 @@ def _numbers(values: Iterable[object]) -> set[int]:
 def _restored(
     document: Document, primitive: JsonObject, note: JsonObject, place: Place
 ) -> tuple[JsonObject, list[Notice]]:
-    """Return the primitive's JSON without our attributes and metadata, its own influences back in place."""
+    """Return the JSON of the primitive without bake's attributes and metadata, with its own influences."""
     attributes = dict(json_access.member(primitive, "attributes", place))
     notices = _removed(attributes, note, place)
     ours = [name for name in json_access.member(primitive, "attributes", place) if name not in attributes]
@@ -116,7 +116,7 @@ def _restored(
 
 
 def _removed(attributes: JsonObject, note: JsonObject, place: Place) -> list[Notice]:
-    """Take what bake added out of the attributes; return a notice where that can no longer be told."""
+    """Remove bake's additions from the attributes; return a notice if some can no longer be recognised."""
     names = slot_names(note)
     missing = [name for name in names if name not in attributes]
     doubtful = note.get("layout") == Layout.TEXCOORD and missing and len(missing) < len(names)
@@ -134,10 +134,10 @@ def _removed(attributes: JsonObject, note: JsonObject, place: Place) -> list[Not
 def _extensions_before(
     document: Document, primitive: JsonObject, ours: list[str], complete: bool, place: Place
 ) -> JsonObject:
-    """Return a primitive's extensions with the Draco stream from before its bake, where that is there still.
+    """Return the extensions of a primitive with the former Draco stream, if that still exists.
 
-    Else, or where not all attributes are back (``complete``), the stream of the bake stays, and the
-    extension no longer names what of it is ours.
+    Otherwise, or if not all attributes are restored (``complete``), the stream of the bake stays, and the
+    extension no longer names the attributes of the bake in it.
     """
     extensions = dict(json_access.member(primitive, "extensions", place))
     before = with_former_stream(primitive)
@@ -155,7 +155,7 @@ def _extensions_before(
 
 
 def _in_former_order(attributes: JsonObject, note: JsonObject) -> JsonObject:
-    """Return the attributes in the order of before, where bake removed some and noted it."""
+    """Return the attributes in their former order, if bake removed some and noted the order."""
     noted = noted_names(note, FORMER_ATTRIBUTES)
     order = [*(name for name in noted if name in attributes), *attributes]
     return {name: attributes[name] for name in order}
@@ -164,9 +164,9 @@ def _in_former_order(attributes: JsonObject, note: JsonObject) -> JsonObject:
 def _without(
     document: Document, root: JsonObject, removed: set[int], streams: set[int], notices: list[Notice]
 ) -> Document:
-    """Return the document without the accessors, and without the buffer views and bytes only they used.
+    """Return the document without the accessors, and without buffer views and bytes that only they used.
 
-    streams are buffer views of Draco streams that no primitive has any more.
+    streams are the buffer views of Draco streams that no primitive uses any more.
     """
     tail = _tail_of_bake(document, removed, streams)
     if tail is None:
@@ -187,10 +187,10 @@ def _without(
 
 @dataclass(frozen=True, slots=True)
 class _Tail:
-    """Where the buffer views of a bake begin, and what it noted of the buffer as it was.
+    """The start of a bake's buffer views, and its note on the former buffer.
 
-    start is the first byte of them in the buffer that holds their data; fallbacks the number of buffers at
-    the end that no bytes stand for.
+    start is their first byte in the buffer that holds their data. fallbacks is the number of buffers at the
+    end without bytes.
     """
 
     first_view: int
@@ -200,9 +200,10 @@ class _Tail:
 
 
 def _tail_of_bake(document: Document, removed: set[int], streams: set[int]) -> _Tail | None:
-    """Return the end of the document that is the bake's alone, None where it is no longer as bake left it.
+    """Return the end of the document that belongs to the bake alone, None if it has changed since.
 
-    Other tools renumber accessors, put several into one buffer view, and append: then nothing can be cut off.
+    Other tools renumber accessors, put several into one buffer view, and append. Then the end cannot be cut
+    off.
     """
     accessors, views = document.objects("accessors"), document.objects("bufferViews")
     kept = len(accessors) - len(removed)
@@ -221,13 +222,13 @@ def _tail_of_bake(document: Document, removed: set[int], streams: set[int]) -> _
 
 
 def _at_the_end(document: Document, first: int, undo: JsonObject) -> _Tail | None:
-    """Return the tail where nothing that stays lies in the buffers, or the part of one, to be cut off."""
+    """Return the tail if the buffers, or the part of one, to be cut off hold no other data."""
     views, buffers = document.objects("bufferViews"), document.objects("buffers")
     kept = [data for view in views[:first] for data in _stored_ranges(view, document.place)]
     added = [data for view in views[first:] for data in _stored_ranges(view, document.place)]
     fallbacks = 1 if undo.get(FALLBACK_ADDED) else 0
     last = len(buffers) - fallbacks
-    whole = last - 1 if undo.get(BUFFER_ADDED) else last  # from here on the buffers go
+    whole = last - 1 if undo.get(BUFFER_ADDED) else last  # buffers from here on are removed
     if any(whole <= buffer < len(buffers) for buffer, _, _ in kept):
         return None
     if undo.get(BUFFER_ADDED):
@@ -244,7 +245,7 @@ def _at_the_end(document: Document, first: int, undo: JsonObject) -> _Tail | Non
 
 
 def _stored_ranges(view: JsonObject, place: Place) -> Iterator[tuple[int, int, int]]:
-    """Yield (buffer, start, end) of a buffer view's bytes, and of its compressed ones."""
+    """Yield (buffer, start, end) of the bytes of a buffer view, and of its compressed bytes."""
     name = meshopt.extension_of(view, place)
     extensions = json_access.member(view, "extensions", place)
     for holder in (view, *((json_access.member(extensions, name, place),) if name is not None else ())):
@@ -264,7 +265,7 @@ def _views_of(holders: list[JsonObject]) -> Iterator[int]:
 
 
 def _put_back(root: JsonObject, key: str, entries: list[JsonObject]) -> None:
-    """Set a top-level array, or remove it where nothing is left: glTF allows no empty one."""
+    """Set a top-level array, or remove it if it is empty: glTF allows no empty array."""
     if entries:
         root[key] = entries
     else:

@@ -1,4 +1,4 @@
-"""Long arrays a piece at a time, so that temporary arrays stay in the processor's cache."""
+"""Process long arrays in pieces, so that temporary arrays stay in the processor's cache."""
 
 from __future__ import annotations
 

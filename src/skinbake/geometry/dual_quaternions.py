@@ -11,21 +11,21 @@ from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray, IntAr
 RIGID_TOLERANCE = 1e-3
 """The largest entry of |MᵀM / s² − I| at which a joint matrix M still counts as rigid.
 
-Dropping a deviation of ε turns a normal by about ε radians: 1e-3 is about 0.06°, below the 0.2° and more
-that gradients from a mesh leave. Rounding is far below: the float32 inverse bind matrices of sixteen public
+Ignoring a deviation of ε turns a normal by about ε radians. 1e-3 is about 0.06°, and gradients from a mesh
+have errors of 0.2° and more. Rounding is far smaller: the float32 inverse bind matrices of sixteen public
 models deviate by at most 1e-5.
 """
 
 
 @dataclass(frozen=True, slots=True)
 class RigidMotions:
-    """Joint matrices as one uniform scale a pose, then a rigid motion a joint: p' = Q(scale · p).
+    """Joint matrices as a uniform scale of each pose, then a rigid motion of each joint: p' = Q(scale · p).
 
-    scale (P,) float64. dual_quaternions (P, J, 8) float64, real part then dual part, scalar first; the
-    identity for every joint in ``not_rigid`` and every joint that was not in use. not_rigid, 1-D, the indices
-    of the joints, among those in use, that are not rigid up to the common scale in every pose, ascending.
-    deviation (J,) float64, the largest entry of |MᵀM / s² − I| of each joint over the poses: 0 for a joint
-    not in use, infinite for a mirrored or a non-finite matrix.
+    scale (P,) float64. dual_quaternions (P, J, 8) float64, real part then dual part, scalar first. Joints in
+    ``not_rigid`` and joints that are not in use have the identity. not_rigid, 1-D, are the indices of joints
+    in use that are not rigid up to the common scale in every pose, ascending. deviation (J,) float64 is the
+    largest entry of |MᵀM / s² − I| of each joint over the poses: 0 for a joint that is not in use, infinite
+    for a mirrored matrix or one that is not finite.
     """
 
     scale: Float64Array
@@ -35,7 +35,7 @@ class RigidMotions:
 
     @property
     def is_rigid(self) -> bool:
-        """True where the dual quaternions stand for every joint in use: dual quaternion skinning is legal."""
+        """Tell whether the dual quaternions describe every joint in use, so that DQS is valid."""
         return self.not_rigid.size == 0
 
 
@@ -44,12 +44,13 @@ def rigid_motions(
 ) -> RigidMotions:
     """Split joint matrices (P, J, 4, 4) into a uniform scale common to all joints and one rigid motion each.
 
-    A dual quaternion carries no scale (algorithms of Tarini et al. 2014, §4–5, assume rigid joints): the
-    scale of a pose is the median of the joints' ∛det M, which a few deviating joints do not move, and what is
-    left must be a rotation within ``tolerance`` (see RIGID_TOLERANCE). Nothing is stripped silently: a joint
-    with another scale, with shear, mirrored (det M ≤ 0) or non-finite is listed in ``not_rigid`` and gets the
-    identity. ``in_use`` (J,) restricts check and median to the joints that carry weight. The bottom row is
-    taken to be (0, 0, 0, 1). With no joint in use, or none with det M > 0, the scale is 1. Raises nothing.
+    A dual quaternion carries no scale: the algorithms of Tarini et al. 2014, §4–5, assume rigid joints. The
+    scale of a pose is the median of ∛det M over the joints, which a few deviating joints do not move. The
+    rest of the matrix must be a rotation within ``tolerance`` (see RIGID_TOLERANCE). Nothing is removed
+    silently: a joint with another scale, with shear, mirrored (det M ≤ 0) or not finite is listed in
+    ``not_rigid`` and gets the identity. ``in_use`` (J,) restricts check and median to the joints that carry
+    weight. The bottom row is assumed to be (0, 0, 0, 1). With no joint in use, or none with det M > 0, the
+    scale is 1. Raises nothing.
     """
     matrices = np.asarray(joint_matrices, dtype=np.float64)
     poses, joints = matrices.shape[:2]
@@ -69,7 +70,7 @@ def rigid_motions(
 
 
 def _common_scale(determinant: Float64Array, used: BoolArray) -> Float64Array:
-    """Return the scale (P,) of most joints in use: the lower median of ∛det where det is positive."""
+    """Return the scale (P,) of most joints in use: the lower median of ∛det over positive determinants."""
     scale = np.ones(len(determinant))
     for pose, values in enumerate(determinant[:, used]):
         candidates = np.sort(np.cbrt(values[values > 0]))
@@ -89,10 +90,10 @@ def _deviation(linear: Float64Array, scale: Float64Array) -> Float64Array:
 def quaternions_from_rotations(rotations: FloatArray) -> Float64Array:
     """Convert rotation matrices (..., 3, 3) to unit quaternions (..., 4), scalar part first, float64.
 
-    The entries of R give the whole matrix 4 q qᵀ (Shepperd 1978, *Quaternion from rotation matrix*). Its row
-    with the largest diagonal entry, which is at least 1, is 4 qᵢ q: normalised, it is q without cancellation
-    at any angle. The component that row belongs to comes out positive; the other sign of q is the same
-    rotation. A matrix that is a rotation only within a tolerance ε gives a quaternion within about ε.
+    The entries of R give the whole matrix 4 q qᵀ (Shepperd 1978, *Quaternion from rotation matrix*). The row
+    with the largest diagonal entry, which is at least 1, is 4 qᵢ q. Normalised, this row is q without
+    cancellation at any angle. Its component qᵢ is positive; the other sign of q is the same rotation. A
+    matrix that is a rotation only within a tolerance ε gives a quaternion within about ε.
     """
     r = np.asarray(rotations, dtype=np.float64)
     (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = (
@@ -116,8 +117,9 @@ def quaternions_from_rotations(rotations: FloatArray) -> Float64Array:
 def dual_quaternions_from_matrices(matrices: FloatArray) -> Float64Array:
     """Convert rigid matrices (..., 4, 4) to unit dual quaternions (..., 8), float64.
 
-    Real part r from the rotation, dual part d = ½ (0, τ) r from the translation τ (Kavan et al. 2007):
-    unit length of the matrices. The linear part must be a rotation; ``rigid_motions`` says whether it is.
+    The real part r comes from the rotation, the dual part d = ½ (0, τ) r from the translation τ (Kavan et al.
+    2007), in the length unit of the matrices. The linear part must be a rotation; ``rigid_motions`` checks
+    it.
     """
     wide = np.asarray(matrices, dtype=np.float64)
     real = quaternions_from_rotations(wide[..., :3, :3])

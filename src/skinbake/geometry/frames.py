@@ -13,7 +13,7 @@ NORMAL_FRAME = Frame.NORMAL
 
 
 def unit_vectors(vectors: FloatArray) -> Float64Array:
-    """Return vectors (V, 3) normalised, float64; one without a finite length becomes (0, 0, 1)."""
+    """Return vectors (V, 3) normalised, float64; a vector without a finite length becomes (0, 0, 1)."""
     with np.errstate(invalid="ignore"):  # a signalling NaN
         wide = vectors.astype(np.float64)
     x, y, z = wide.T
@@ -25,19 +25,19 @@ def unit_vectors(vectors: FloatArray) -> Float64Array:
 
 
 def has_direction(vectors: FloatArray) -> BoolArray:
-    """Tell which vectors (V, 3) have a length other than zero, and finite components."""
+    """Tell which vectors (V, 3) have finite components and a length other than zero."""
     x, y, z = vectors.T
     finite = np.isfinite(x) & np.isfinite(y) & np.isfinite(z)
     return np.asarray(finite & ((x != 0) | (y != 0) | (z != 0)))
 
 
 def without_direction(vectors: FloatArray) -> int:
-    """Return how many vectors (V, 3) have no direction."""
+    """Return the number of vectors (V, 3) without a direction."""
     return sum(int(np.count_nonzero(~has_direction(vectors[rows]))) for rows in blocks(len(vectors)))
 
 
 def unit_normals(normals: FloatArray) -> Float32Array:
-    """Return NORMAL (V, 3) normalised, float32; one without a finite length becomes (0, 0, 1)."""
+    """Return NORMAL (V, 3) normalised, float32; a normal without a finite length becomes (0, 0, 1)."""
     return unit_vectors(normals).astype(np.float32)
 
 
@@ -45,8 +45,8 @@ def frame_from_normal(normals: Float32Array) -> tuple[Float32Array, Float32Array
     """Return the tangents and bitangents (V, 3) float32 of an orthonormal frame around unit normals.
 
     Duff, Burgess, Christensen, Hery, Kensler, Liani, Villemin, *Building an Orthonormal Basis, Revisited*,
-    JCGT 6(1), 2017. The sign of n.z is taken as +1 at 0 and −0 alike. The order of operations is part of
-    the contract: in float32 every shader that keeps it gets the same bits.
+    JCGT 6(1), 2017. The sign of n.z counts as +1 at 0 and at −0. The order of operations is part of the
+    contract: every shader that keeps it in float32 gets the same bits.
     """
     x, y, z = normals.T
     one = np.float32(1.0)
@@ -61,18 +61,18 @@ def frame_from_normal(normals: Float32Array) -> tuple[Float32Array, Float32Array
 def frame_from_tangent(normals: Float32Array, tangents: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return t0 = TANGENT.xyz and b0 = (n0 × t0) · TANGENT.w, each (V, 3), of tangents (V, 4).
 
-    A tangent that is not finite counts as zero: nothing is baked along it.
+    A tangent that is not finite counts as zero, so nothing is baked along it.
     """
     sound = np.where(np.isfinite(tangents).all(axis=1, keepdims=True), tangents, tangents.dtype.type(0))
     tangent, handedness = sound[:, :3], sound[:, 3:]
-    with np.errstate(over="ignore", invalid="ignore"):  # of a huge TANGENT: what comes of it is looked at
+    with np.errstate(over="ignore", invalid="ignore"):  # a huge TANGENT; the result is checked
         return tangent, np.cross(normals, tangent) * handedness
 
 
 def tangent_deviation(normals: Float32Array, tangents: FloatArray) -> Float64Array:
-    """Return how far t0 × b0 (turned by the handedness) leans from n0: (V,) degrees.
+    """Return the angle between t0 × b0 (turned by the handedness) and n0: (V,) degrees.
 
-    180 where TANGENT has no finite length, or a handedness other than 1 or −1.
+    It is 180 if TANGENT has no finite length, or a handedness other than 1 or −1.
     """
     with np.errstate(invalid="ignore", over="ignore"):  # a signalling NaN, or a huge TANGENT
         wide = tangents.astype(np.float64)

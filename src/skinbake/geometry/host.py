@@ -1,4 +1,4 @@
-"""Joint matrices as a renderer's host hands them to the shaders of ``skinbake shader --method dqs``."""
+"""Joint matrices as a renderer passes them to the shaders of ``skinbake shader --method dqs``."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ def joint_dual_quaternions(
 ) -> tuple[Float32Array, Float32Array]:
     """Return the uniform scale of each pose and the dual quaternion of each joint, float32.
 
-    joint_matrices (..., J, 4, 4), floating, indexed [row, column]: the joints' global transforms times their
-    inverse bind matrices, of one pose or of several. The scale is (...), the dual quaternions (..., J, 2, 4):
-    real part, then dual part, each (x, y, z, w), the scalar last: columns of the shaders' mat2x4. A shader
-    skins scale · p, scale · t0 and scale · b0 with them (Kavan et al. 2007; a dual quaternion carries no
-    scale). ``in_use`` (J,) restricts the check to joints that carry weight; the others get the identity.
-    Raises UnsupportedFeatureError where a joint is not rigid up to the common scale, within ``tolerance``:
-    use linear blend skinning there. ValueError where the shape is another.
+    joint_matrices (..., J, 4, 4), floating, indexed [row, column], are the global transforms of the joints
+    times their inverse bind matrices, of one pose or of several. The scale is (...). The dual quaternions are
+    (..., J, 2, 4): real part, then dual part, each (x, y, z, w) with the scalar last. These are the columns
+    of mat2x4 in the shaders. With them a shader skins scale · p, scale · t0 and scale · b0, because a dual
+    quaternion carries no scale (Kavan et al. 2007). ``in_use`` (J,) restricts the check to joints that carry
+    weight; the others get the identity. Raises UnsupportedFeatureError if a joint is not rigid up to the
+    common scale, within ``tolerance``: use linear blend skinning then. Raises ValueError for another shape.
     """
     matrices = np.asarray(joint_matrices)
     if matrices.ndim < 3 or matrices.shape[-2:] != (4, 4):

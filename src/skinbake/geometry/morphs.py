@@ -1,8 +1,8 @@
-"""Morph targets as sparse differences, and the rest frame carried along (glTF 2.0, §3.7.2.2).
+"""Morph targets as sparse differences, and the rest frame that follows them (glTF 2.0, §3.7.2.2).
 
-α and β stay exact under a morph where t and b are the images of t0 and b0 under the morph's differential. A
-file holds no differential, only a morphed normal and perhaps a morphed tangent: what is carried here stands
-for it, and docs/morphs.md has what that costs.
+α and β stay exact under a morph if t and b are the images of t0 and b0 under the differential of the morph. A
+file holds no differential, only a morphed normal and perhaps a morphed tangent. The frame here follows these.
+docs/morphs.md measures the error.
 """
 
 from __future__ import annotations
@@ -18,22 +18,22 @@ from skinbake.geometry.skinned import Float64Array, FloatArray, IntArray
 Kind: TypeAlias = Literal["positions", "normals", "tangents"]
 
 OPPOSITE = 1e-4
-"""|n0 + n|² below which n counts as −n0: 0.6°. Closer by, a TANGENT that leans 0.1° stretches the frame."""
+"""|n0 + n|² below which n counts as −n0, at 0.6°. Closer, a TANGENT that leans 0.1° stretches the frame."""
 
 CANCELLED = 1e-4
-"""|t|² / |t0|² below which targets have cancelled a tangent: what is left of it, 1 %, is a TANGENT's lean."""
+"""|t|² / |t0|² below which targets have cancelled a tangent: the 1 % that is left is only its lean."""
 
 
 @dataclass(frozen=True, slots=True)
 class Differences:
-    """What one target adds to one attribute: values (R, 3) at the vertices rows (R,), 0 at all others."""
+    """The differences of one target in one attribute: values (R, 3) at vertices rows (R,), otherwise 0."""
 
     rows: IntArray
     values: FloatArray
 
     @classmethod
     def of(cls, dense: FloatArray) -> Differences:
-        """Keep the rows of (V, 3) that are finite and not zero: a face's target moves few of its vertices."""
+        """Keep the rows of (V, 3) that are finite and not zero: most targets of a face move few vertices."""
         rows = np.flatnonzero(dense.any(axis=1) & np.isfinite(dense).all(axis=1))
         return cls(rows, dense[rows])
 
@@ -54,15 +54,15 @@ class MorphTarget:
 class MorphTargets:
     """The targets of a primitive, in mesh space.
 
-    with_tangents says that the frame is taken from TANGENT and that targets morph it: only then are their
-    tangents read.
+    with_tangents says that the frame is from TANGENT and that targets morph it. Only then are their tangents
+    read.
     """
 
     targets: tuple[MorphTarget, ...]
     with_tangents: bool = False
 
     def summed(self, kind: Kind, weights: FloatArray, count: int) -> Float64Array:
-        """Return Σ weight · difference, (V, 3) float64 for ``count`` vertices, over one weight a target."""
+        """Return Σ weight · difference, (V, 3) float64 for ``count`` vertices; each target has one weight."""
         total = np.zeros((count, 3))
         for weight, target in zip(weights.tolist(), self.targets, strict=True):
             differences: Differences = getattr(target, kind)
@@ -76,10 +76,10 @@ def carried_by_normal(
 ) -> tuple[FloatArray, FloatArray]:
     """Return t0 and b0 after the smallest rotation that takes n0 to the morphed normal n.
 
-    normals n0, vectors t0 and b0, morphed n: each (V, 3) of one floating type, n0 and n of length 1. With
-    s = n0 + n a vector v at right angles to n0 becomes v − s (2 (n − n0) · v / s · s): v itself, bit for
-    bit, where n = n0. A lean of v against n0 stays what it is. Where n is opposite to n0 any half turn is
-    the smallest; it is then the one about t0, so that t × b still points along n.
+    normals n0, vectors t0 and b0, and morphed n are each (V, 3) of one floating type. n0 and n have length 1.
+    With s = n0 + n, a vector v at right angles to n0 becomes v − s (2 (n − n0) · v / s · s). This is v
+    itself, bit for bit, if n = n0. The lean of v against n0 stays. If n is opposite to n0, any half turn is a
+    smallest rotation. Then it is the half turn about t0, so that t × b still points along n.
     """
     s, d = normals + morphed, morphed - normals
     square = dot(s, s)
@@ -99,9 +99,9 @@ def carried_by_tangent(
     """Return t and b of a morphed TANGENT: t = T − n (n · T − n0 · t0), b = (n × t) · handedness.
 
     n0, t0 and b0 (vectors), n (length 1) and T = t0 + Σ w ΔT are (V, 3) of one floating type, handedness
-    (V,). Tangents that are morphed by several targets lean out of the surface; t leans as much as t0 does,
-    and is t0 bit for bit where nothing moves. Its length is that of the sum: where targets are isometric, it
-    is the image's. Where targets cancel t0 (CANCELLED) the frame is ``carried_by_normal``.
+    (V,). If several targets morph a tangent, it leans out of the surface; t leans as much as t0 does, and
+    equals t0 bit for bit if nothing moves. Its length is that of the sum. If targets are isometric, this is
+    the length of the image. If targets cancel t0 (CANCELLED), the frame is ``carried_by_normal``.
     """
     lean = dot(morphed, tangents) - dot(normals, vectors[0])
     tangent = tangents - morphed * lean[:, None]
@@ -117,7 +117,7 @@ def carried_by_tangent(
 
 
 def morphed_normals(normals: FloatArray, differences: FloatArray) -> FloatArray:
-    """Return n0 + Σ w ΔN, each (V, 3), at length 1; n0 where nothing is added or nothing is left."""
+    """Return n0 + Σ w ΔN, each (V, 3), at length 1; n0 if nothing is added or the sum is 0."""
     total = normals + differences
     square = dot(total, total)
     sound = (square > 0) & np.isfinite(square) & differences.any(axis=1)
@@ -126,5 +126,5 @@ def morphed_normals(normals: FloatArray, differences: FloatArray) -> FloatArray:
 
 
 def dot(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return a · b (V,) of (V, 3) arrays, summed in the order x, y, z as shaders do."""
+    """Return a · b (V,) of (V, 3) arrays, summed in the order x, y, z as in the shaders."""
     return np.asarray(a[:, 0] * b[:, 0] + a[:, 1] * b[:, 1] + a[:, 2] * b[:, 2])

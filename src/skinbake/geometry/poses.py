@@ -1,4 +1,4 @@
-"""Transforms of joints: interpolated, composed, passed down the hierarchy (glTF 2.0, §3.5 and appendix C)."""
+"""Transforms of joints: interpolated, composed, passed down the hierarchy (glTF 2.0, §3.5, appendix C)."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from skinbake.geometry.skinned import Float64Array
 STEP, LINEAR, CUBICSPLINE = "STEP", "LINEAR", "CUBICSPLINE"
 
 MORPH_STREAM = 1
-"""Sets the random numbers of morph weights apart from those of rotations, under one seed."""
+"""The stream of random numbers for morph weights, separate from that of rotations, under one seed."""
 
 
 def interpolated(
@@ -20,10 +20,10 @@ def interpolated(
 ) -> Float64Array:
     """Return an animated property at the times ``at`` (P,), each (P, C).
 
-    times (N,) ascend, in seconds; values are (N, C), or (N, 3, C) as in-tangent, value, out-tangent for
-    CUBICSPLINE. Several properties of the same times may be one array (…, N, C), the result is (…, P, C)
-    then. Before the first and after the last key the value stays. Rotations are quaternions
-    (w, x, y, z), interpolated along the shorter arc for LINEAR, and normalised.
+    times (N,) ascend, in seconds. values are (N, C), or (N, 3, C) as in-tangent, value, out-tangent for
+    CUBICSPLINE. Several properties with the same times may be one array (…, N, C), and the result is then (…,
+    P, C). Before the first and after the last key the value stays. Rotations are quaternions (w, x, y, z),
+    interpolated along the shorter arc for LINEAR, and normalised.
     """
     last = len(times) - 1
     before = np.clip(np.searchsorted(times, at, side="right") - 1, 0, max(last - 1, 0))
@@ -55,7 +55,7 @@ def _hermite(left: Float64Array, right: Float64Array, s: Float64Array, span: Flo
 
 
 def _slerp(first: Float64Array, second: Float64Array, share: Float64Array) -> Float64Array:
-    """Return quaternions (…, P, 4) on the shorter arc; linear where the arc is too short for its sine."""
+    """Return quaternions (…, P, 4) on the shorter arc; linear if the arc is too short for its sine."""
     first, second = normalised(first), normalised(second)
     cosine = np.einsum("...c,...c->...", first, second)
     second = np.where(cosine[..., None] < 0, -second, second)
@@ -69,7 +69,7 @@ def _slerp(first: Float64Array, second: Float64Array, share: Float64Array) -> Fl
 
 
 def normalised(quaternions: Float64Array) -> Float64Array:
-    """Return unit quaternions (…, 4); one without length becomes the identity (w, x, y, z) = (1, 0, 0, 0)."""
+    """Return unit quaternions (…, 4); a quaternion without length becomes the identity (1, 0, 0, 0)."""
     length = np.linalg.norm(quaternions, axis=-1, keepdims=True)
     identity = np.broadcast_to([1.0, 0.0, 0.0, 0.0], quaternions.shape).copy()
     return np.asarray(np.divide(quaternions, length, out=identity, where=length > 0))
@@ -96,7 +96,7 @@ def composed(translations: Float64Array, rotations: Float64Array, scales: Float6
 
 
 def global_transforms(local: Float64Array, parents: Sequence[int]) -> Float64Array:
-    """Return global transforms (N, P, 4, 4) of local ones; parents precede children, −1 has none."""
+    """Return global transforms (N, P, 4, 4) of local ones; parents precede children, −1 means no parent."""
     result = np.empty_like(local)
     for node, parent in enumerate(parents):
         result[node] = local[node] if parent < 0 else result[parent] @ local[node]
@@ -113,10 +113,10 @@ def random_rotations(shape: tuple[int, ...], angle: float, seed: int) -> Float64
 
 
 def random_weights(resting: Float64Array, count: int, at_once: int, seed: int) -> Float64Array:
-    """Return morph weights (P, N): in each pose ``at_once`` targets, or all, at random in 0 … 1.
+    """Return morph weights (P, N): in each pose ``at_once`` targets, or all, are random in 0 … 1.
 
-    The others keep their resting weight (N,). The generator is not that of ``random_rotations``: joints turn
-    the same with morph targets and without.
+    The others keep their resting weight (N,). The generator differs from that of ``random_rotations``, so
+    joints turn the same with morph targets and without.
     """
     generator = np.random.default_rng([seed, MORPH_STREAM])
     weights = np.tile(resting, (count, 1))

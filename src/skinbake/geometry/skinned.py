@@ -1,6 +1,6 @@
-"""The arrays that travel between the parts: a skinned primitive before and after baking.
+"""The arrays that the parts exchange: a skinned primitive before and after baking.
 
-Axis letters, units and frames are those of docs/reference/units.md.
+docs/reference/units.md defines axis letters, units and frames.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ BoolArray: TypeAlias = npt.NDArray[np.bool_]
 class SkinnedPrimitive:
     """One skinned primitive of a mesh, as the vertex shader reads it, in mesh space.
 
-    positions (V, 3) float32 or float64, length unit of POSITION. normals (V, 3), any length.
-    tangents (V, 4), w is the handedness, or None. joints (V, K) integer, weights (V, K) as stored
-    (normalised integers decoded, the sum not yet mended). triangles (T, 3) integer, every index < V,
-    strips and fans already unrolled in winding order. K is 4 × the number of influence sets.
+    positions (V, 3) float32 or float64, length unit of POSITION. normals (V, 3), any length. tangents (V, 4),
+    w is the handedness, or None. joints (V, K) integer. weights (V, K) as stored: normalised integers are
+    decoded, and the sum is not corrected yet. triangles (T, 3) integer, every index < V, with strips and fans
+    unrolled in winding order. K is 4 × the number of influence sets.
     """
 
     positions: FloatArray
@@ -42,12 +42,12 @@ class SkinnedPrimitive:
 
 @dataclass(frozen=True, slots=True)
 class BakedPrimitive:
-    """What bake computed for one primitive.
+    """The bake of one primitive.
 
-    alpha, beta (V, K − 1) float32, 1 / length unit of POSITION: ∇w · t0 and ∇w · b0 of slots 1 … K − 1;
-    slot 0's entry is minus their sum. adopting (A,) names the vertices that adopt joints, ascending; adopted
-    (A, K) integer the joint that each of their slots adopts, −1 where a slot stays as it is. frame is
-    ``tangent`` or ``normal``.
+    alpha, beta (V, K − 1) float32, 1 / length unit of POSITION: ∇w · t0 and ∇w · b0 of slots 1 … K − 1. The
+    values of slot 0 are minus their sum. adopting (A,) are the vertices that adopt joints, ascending. adopted
+    (A, K) integer is the joint that each of their slots adopts, −1 for none. frame is ``tangent`` or
+    ``normal``.
     """
 
     alpha: Float32Array
@@ -58,7 +58,7 @@ class BakedPrimitive:
 
     @property
     def adopted_joints(self) -> IntArray:
-        """Return the joint that each slot of each vertex (V, K) adopts, −1 where it stays."""
+        """Return the joint that each slot of each vertex (V, K) adopts, −1 for none."""
         joints = np.full((len(self.alpha), self.alpha.shape[1] + 1), -1, dtype=np.int32)
         joints[self.adopting] = self.adopted
         return joints

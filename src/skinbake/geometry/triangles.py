@@ -1,4 +1,4 @@
-"""Triangles of a mesh: unrolled from glTF's modes, freed of those without an area, measured."""
+"""Triangles of a mesh: unrolled from the modes of glTF, without degenerate ones, measured."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ TRIANGLES, TRIANGLE_STRIP, TRIANGLE_FAN = 4, 5, 6
 """Values of ``primitive.mode`` that draw a surface (glTF 2.0, §5.24.4)."""
 
 DEGENERATE_AREA = 1e-10
-"""A triangle whose doubled area is at most this share of its longest squared edge has no area.
+"""A triangle has no area if its doubled area is at most this share of its longest squared edge.
 
-float32 positions leave about 1e-7 of relative noise in the height of a sliver that was meant to be flat;
-what is a thousand times flatter than that was never a surface.
+float32 positions leave about 1e-7 of relative noise in the height of a flat sliver. A triangle that is a
+thousand times flatter was never a surface.
 """
 
 BLOCK = 1 << 15
-"""Triangles measured at a time: the arrays of a block stay in the processor's cache."""
+"""Number of triangles in a block, so that its arrays stay in the processor's cache."""
 
 
 def unrolled(indices: IntArray, mode: int) -> npt.NDArray[np.uint32]:
-    """Return the triangles (T, 3) that an index list (N,) draws in ``mode``; a list's are not copied.
+    """Return the triangles (T, 3) that an index list (N,) draws in ``mode``; those of a list are not copied.
 
-    Odd triangles of a strip are turned, so that every triangle keeps the winding of the first; a fan's
-    triangles are (i + 1, i + 2, 0), as glTF 2.0 §3.7.2.1 says. Surplus indices of a list are ignored.
+    Odd triangles of a strip are turned, so that every triangle keeps the winding of the first. Triangles of a
+    fan are (i + 1, i + 2, 0), as in glTF 2.0 §3.7.2.1. Surplus indices of a list are ignored.
     """
     corners = indices.astype(np.uint32, copy=False)
     if mode == TRIANGLES:

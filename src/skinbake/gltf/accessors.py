@@ -18,21 +18,22 @@ from skinbake.gltf.views import view_bytes
 
 @dataclass(frozen=True, slots=True)
 class StoredArray:
-    """An accessor's elements as stored: values (count, components) of its component type."""
+    """The elements of an accessor as stored: values (count, components) of its component type."""
 
     values: npt.NDArray[np.generic]
     normalized: bool
 
     @property
     def decoded_size(self) -> int:
-        """The bytes that ``decoded`` takes: integers become float64, in three steps where normalised."""
+        """Return the bytes that ``decoded`` takes: integers become float64, in three steps if normalised."""
         return 0 if self.values.dtype.kind == "f" else self.values.size * (24 if self.normalized else 8)
 
     def decoded(self) -> FloatArray:
         """Return the values as the vertex shader reads them.
 
-        FLOAT stays float32, without a copy. Integers become float64, divided by the type's largest value
-        (and clamped at −1) where normalised: 255ths and 65535ths then sum to one exactly enough.
+        FLOAT stays float32, without a copy. Integers become float64. Normalised integers are divided by the
+        largest value of the type, and clamped at −1. In float64, 255ths and 65535ths sum to one exactly
+        enough.
         """
         values = self.values
         if values.dtype.kind == "f":
@@ -43,17 +44,17 @@ class StoredArray:
         return np.asarray(np.maximum(decoded / np.iinfo(values.dtype.str).max, -1.0))
 
     def wide(self) -> Float64Array:
-        """Return the decoded values as float64, not-a-numbers of every kind among them."""
+        """Return the decoded values as float64; NaN of every kind stays."""
         with np.errstate(invalid="ignore"):  # casting a signalling NaN
             return self.decoded().astype(np.float64)
 
 
 def read_accessor(document: Document, number: int, place: Place) -> StoredArray:
-    """Return the elements of accessor ``number``, sparse substitution applied.
+    """Return the elements of accessor ``number``, with its sparse substitution.
 
-    The array may be a read-only, strided view of the buffer; its elements are aligned, in a file where they
-    are not too. Raises InputError where the accessor, its
-    buffer view or its buffer contradict each other or the bytes that are there.
+    The array may be a read-only, strided view of the buffer. Its elements are aligned, even if the file does
+    not align them. Raises InputError if the accessor, its buffer view, its buffer and the bytes contradict
+    each other.
     """
     accessor = document.objects("accessors")[number]
     dtype, components = _format(accessor, number, place)
@@ -63,15 +64,15 @@ def read_accessor(document: Document, number: int, place: Place) -> StoredArray:
         values = _dense(document, number, (dtype, components, count), place)
     if "sparse" in accessor:
         values = _substituted(document, member(accessor, "sparse", place), values, place)
-    if not values.flags.aligned:  # glTF forbids it; compiled code cannot read it
+    if not values.flags.aligned:  # glTF forbids this, and compiled code cannot read it
         values = values.copy()
     return StoredArray(values, accessor.get("normalized") is True and dtype.kind != "f")
 
 
 def described(document: Document, number: int, place: Place) -> tuple[str, int]:
-    """Return how an accessor is stored, like ``VEC3 FLOAT``, and its size in bytes when tightly packed.
+    """Return the format of an accessor, like ``VEC3 FLOAT``, and its size in bytes when tightly packed.
 
-    Raises InputError where its type or count is not what glTF allows; its data is not touched.
+    Does not read the data. Raises InputError if glTF does not allow its type or count.
     """
     accessor = document.objects("accessors")[number]
     kind, dtype = accessor.get("type"), component_dtype(accessor)
@@ -80,14 +81,14 @@ def described(document: Document, number: int, place: Place) -> tuple[str, int]:
     if dtype is None or components is None:
         raise _unknown_format(accessor, number, place)
     column = components * dtype.itemsize
-    size = column if rows is None else rows * (column + -column % 4)  # columns of matrices are aligned
+    size = column if rows is None else rows * (column + -column % 4)  # glTF aligns the columns of matrices
     name = COMPONENT_NAMES[accessor["componentType"]]
     suffix = " normalised" if accessor.get("normalized") is True else ""
     return f"{kind} {name}{suffix}", size * integer(accessor, "count", place, minimum=1)
 
 
 def element_count(document: Document, number: int, place: Place) -> int:
-    """Return an accessor's declared number of elements, without touching its data."""
+    """Return the declared number of elements of an accessor, without reading its data."""
     return integer(document.objects("accessors")[number], "count", place, minimum=1)
 
 
@@ -146,7 +147,7 @@ def _view_array(
         raise InputError(
             f"{count} elements need {end} bytes of buffer view {view_index}, which has {len(data)}", place
         )
-    # The stride of a single element may be past all numbers that an address can have.
+    # The stride of a single element may be larger than any address.
     return np.ndarray(
         (count, components), dtype, data, offset, (stride if count > 1 else element, dtype.itemsize)
     )

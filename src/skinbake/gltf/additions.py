@@ -1,4 +1,4 @@
-"""New accessors at the end of a document: what was there keeps its index, its bytes and its place."""
+"""New accessors at the end of a document: old ones keep their index, their bytes and their place."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from skinbake.gltf.references import check_views, refuse_dangling
 ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963
 
 KEY = "skinbake"
-"""The key in ``extras`` under which everything that skinbake notes in a file stands."""
+"""The key in ``extras`` of all notes that skinbake makes in a file."""
 
 BUFFER_LENGTH = "bufferByteLength"
 BUFFER_ADDED = "bufferAdded"
@@ -31,10 +31,10 @@ FALLBACK_ADDED = "fallbackAdded"
 
 @dataclass(frozen=True, slots=True)
 class Packed:
-    """That views are compressed by the meshopt extension ``name``, at a level of 0 … 3.
+    """The compression of views by the meshopt extension ``name``, at a level of 0 … 3.
 
-    beside: the data itself is stored too, for loaders without the extension. Else the view lies in a
-    fallback buffer, which no bytes stand for, and the extension is required.
+    beside: the plain data is stored too, for loaders without the extension. Otherwise the view is in a
+    fallback buffer without bytes, and the extension is required.
     """
 
     name: str
@@ -43,12 +43,12 @@ class Packed:
 
 
 class Additions:
-    """Collects vertex attributes, and other data, and appends them to a document in one go.
+    """Collect vertex attributes and other data, and append them to a document at once.
 
-    Every attribute gets an accessor and a buffer view of its own, 4-byte aligned; equal arrays share one.
-    The bytes go to the end of a GLB's BIN chunk, or into a new buffer: a file named after its content
-    beside a ``.gltf``, a data: URI in a GLB whose buffers are elsewhere. Fallback buffers of compressed
-    views come after it. ``undoable`` additions say in the first view what strip needs to know.
+    Every attribute has its own accessor and buffer view, 4-byte aligned. Equal arrays share one. The bytes go
+    to the end of the BIN chunk of a GLB, or into a new buffer. The new buffer is a file beside a ``.gltf``,
+    named after its content. In a GLB whose buffers are elsewhere, it is a data: URI. Fallback buffers of
+    compressed views come after it. With ``undoable``, the first view has the note that ``strip`` needs.
     """
 
     def __init__(self, document: Document, *, undoable: bool = True) -> None:
@@ -69,7 +69,7 @@ class Additions:
 
     @property
     def byte_length(self) -> int:
-        """Return how many bytes have been added."""
+        """Return the number of added bytes."""
         return self._length
 
     def add(
@@ -80,10 +80,10 @@ class Additions:
         extras: JsonObject | None = None,
         packed: Packed | None = None,
     ) -> int:
-        """Add an attribute (V, components) and return its accessor's index.
+        """Add an attribute (V, components) and return the index of its accessor.
 
-        values has one of glTF's component types; elements must be multiples of 4 bytes long. With
-        ``extras`` the accessor is its own and carries them.
+        values has one of the component types of glTF. The size of an element must be a multiple of 4 bytes.
+        With ``extras`` the accessor is not shared, and has these extras.
         """
         data = np.ascontiguousarray(values)
         like_it = self._shared.setdefault((data.dtype.str, data.shape, normalized, packed), [])
@@ -105,7 +105,7 @@ class Additions:
         return self._add_accessor({}, values, normalized, extras)
 
     def add_stream(self, data: bytes) -> int:
-        """Add a Draco stream, or one that is equal, and return its buffer view's index."""
+        """Add a Draco stream and return the index of its buffer view; equal streams share one."""
         key = hashlib.sha256(data).digest()
         if key not in self._streams:
             self._streams[key] = self._add_view({"buffer": self._buffer, **self._add_piece(data)})
@@ -127,13 +127,13 @@ class Additions:
         return len(self._document.objects("accessors")) + len(self._accessors) - 1
 
     def add_data(self, data: Bytes) -> JsonObject:
-        """Add bytes, and return what a buffer view says of where they are."""
+        """Add bytes, and return the members of a buffer view that say where they are."""
         return {"buffer": self._buffer, **self._add_piece(data)}
 
     def add_values(self, values: npt.NDArray[Any], packed: Packed | None, *, indices: bool = False) -> int:
         """Add the buffer view of a whole accessor (count, components) and return its index.
 
-        Elements of vertex attributes are padded to a multiple of 4 bytes, as glTF wants.
+        Elements of vertex attributes are padded to a multiple of 4 bytes, as glTF requires.
         """
         if indices:
             data = np.ascontiguousarray(values)
@@ -159,7 +159,7 @@ class Additions:
         )
 
     def _add_packed(self, values: npt.NDArray[Any], packed: Packed, members: JsonObject) -> int:
-        """Add a compressed view; ``members`` are its others, byteStride among them for attributes."""
+        """Add a compressed view; ``members`` are its other members, for attributes with byteStride."""
         data = values.data.cast("B")
         if packed.beside:
             place = self.add_data(data)
@@ -178,7 +178,7 @@ class Additions:
         return self._add_view({**place, **members, "extensions": {packed.name: stored}})
 
     def _add_piece(self, data: Bytes) -> JsonObject:
-        """Append bytes, padded so that the next are aligned, and return where they are in the buffer."""
+        """Append bytes with padding for the next ones, and return their place in the buffer."""
         offset = self._base + self._length
         padding = bytes(-len(data) % 4)
         self._pieces += [data, padding] if padding else [data]
@@ -192,7 +192,7 @@ class Additions:
         return len(self._document.objects("bufferViews")) + len(self._views) - 1
 
     def _undo_note(self) -> JsonObject:
-        """Return what strip needs to know of the buffer as it was."""
+        """Return the note that ``strip`` needs about the former buffer."""
         if not self._into_binary:
             return {BUFFER_ADDED: True}
         buffer = self._document.objects("buffers")[0]
@@ -201,8 +201,8 @@ class Additions:
     def applied(self, changes: Mapping[str, Any]) -> Document:
         """Return the document with the additions, and with top-level ``changes`` in its JSON.
 
-        Raises InputError where a broken reference would come to mean what is added, or a buffer view is not
-        what glTF allows: what is added could not be taken out again.
+        Raises InputError if an addition would become the target of a broken reference, or if a buffer view is
+        not valid: ``strip`` could not remove the additions again.
         """
         grows_from = self._base if self._into_binary else None
         check_views(self._document.objects("bufferViews"), grows_from, self._document.place)
@@ -245,7 +245,7 @@ def _same_bytes(first: npt.NDArray[Any], second: npt.NDArray[Any]) -> bool:
 
 
 def content_digest(pieces: Iterable[Bytes]) -> str:
-    """Return 16 hexadecimal digits that name some bytes by their content."""
+    """Return 16 hexadecimal digits that name bytes by their content."""
     digest = hashlib.sha256()
     for piece in pieces:
         digest.update(piece)

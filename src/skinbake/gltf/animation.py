@@ -1,4 +1,4 @@
-"""Joint matrices and morph weights: by animations, at random, or at rest (glTF 2.0, §3.7.3, §3.11)."""
+"""Joint matrices and morph weights: from animations, random, or at rest (glTF 2.0, §3.7.3, §3.11)."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ MORPH_WEIGHTS = "weights"
 
 
 BYTES_A_NODE = 1024
-"""What reading a node of a skeleton takes at most, about."""
+"""About the most bytes that reading one node of a skeleton takes."""
 
 
 @dataclass(frozen=True, slots=True)
 class Channel:
     """One animated property of one node.
 
-    times (N,) in seconds; values (N, C), (N, 3, C) for CUBICSPLINE; rotations have w first, and C is the
-    number of morph targets for the path ``weights``.
+    times (N,) are in seconds. values are (N, C), or (N, 3, C) for CUBICSPLINE. Rotations have w first. For
+    the path ``weights``, C is the number of morph targets.
     """
 
     node: int
@@ -41,10 +41,10 @@ class Channel:
 
 @dataclass(frozen=True, slots=True)
 class Clip:
-    """One animation: what it is called, and the channels that move nodes or morph skinned meshes.
+    """One animation: its name, and the channels that move nodes or morph skinned meshes.
 
-    start and duration are its first and last key, in seconds: glTF's clips run from 0, and those that an
-    exporter cut from a longer take begin later.
+    start and duration are in seconds, from the first key to the last. glTF clips usually begin at 0, but
+    exporters also cut clips from a longer take, and these begin later.
     """
 
     name: str
@@ -55,11 +55,12 @@ class Clip:
 
 @dataclass(frozen=True, slots=True)
 class Skeleton:
-    """A skin's joints and all their ancestors, parents before children.
+    """The joints of a skin and all their ancestors, parents before children.
 
-    nodes (N,) are document indices, parents (N,) positions in this list or −1. translations, rotations (w
-    first), scales are those of the nodes at rest, each (N, 3 or 4); matrices holds, by position, the nodes
-    that have a matrix instead. joints (J,) are positions of the skin's joints, inverse_bind (J, 4, 4).
+    nodes (N,) are indices in the document. parents (N,) are positions in this list, or −1. translations,
+    rotations (w first) and scales are those of the nodes at rest, each (N, 3 or 4). matrices holds, by
+    position, the nodes that have a matrix instead. joints (J,) are positions of the joints of the skin,
+    inverse_bind (J, 4, 4) their matrices.
     """
 
     nodes: tuple[int, ...]
@@ -76,8 +77,8 @@ class Skeleton:
     ) -> Float64Array:
         """Return joint matrices (P, J, 4, 4): global transform × inverse bind matrix.
 
-        animated maps (node of the document, path) to its values in P poses; turned (J, P, 4) are rotations
-        added to the joints' own, or None. The transform of the node that draws the mesh plays no part.
+        animated maps (node of the document, path) to its values in P poses. turned (J, P, 4) are rotations to
+        add to those of the joints, or None. The transform of the node that draws the mesh has no effect.
         """
         local = self._local(animated, count)
         if turned is not None:
@@ -104,7 +105,7 @@ class Skeleton:
 
 
 def rest_pose(skeleton: Skeleton) -> Float64Array:
-    """Return the joint matrices (1, J, 4, 4) of the nodes as the file has them."""
+    """Return the joint matrices (1, J, 4, 4) of the nodes as stored in the file."""
     return skeleton.joint_matrices({}, None, 1)
 
 
@@ -116,9 +117,9 @@ def random_poses(skeleton: Skeleton, count: int, *, angle: float, seed: int) -> 
 
 def clip_poses(skeleton: Skeleton, clip: Clip, at: Float64Array) -> Float64Array:
     """Return the joint matrices (P, J, 4, 4) of a clip at the times ``at`` (P,) in seconds."""
-    # Exporters write all channels of a clip with the same keys: those take as long together as one.
+    # Exporters write all channels of a clip with the same keys. Together they take as long as one.
     moving = [channel for channel in clip.channels if channel.path != MORPH_WEIGHTS]
-    # Those that share their values too are one.
+    # Channels with equal values too are evaluated once.
     alike: dict[tuple[int, str, str], dict[int, Channel]] = {}
     for channel in moving:
         same = alike.setdefault((id(channel.times), channel.path, channel.method), {})
@@ -140,7 +141,7 @@ def clip_poses(skeleton: Skeleton, clip: Clip, at: Float64Array) -> Float64Array
 
 
 def clip_weights(node: int, clip: Clip, at: Float64Array, resting: Float64Array) -> Float64Array:
-    """Return a node's morph weights (P, N) in a clip; ``resting`` (N,) where the clip leaves them alone."""
+    """Return the morph weights (P, N) of a node; ``resting`` (N,) if the clip does not animate them."""
     weights = np.broadcast_to(resting, (len(at), len(resting)))
     for channel in clip.channels:
         if (channel.node, channel.path) == (node, MORPH_WEIGHTS):
@@ -155,7 +156,10 @@ def _at(channel: Channel, at: Float64Array) -> Float64Array:
 
 
 def read_skeleton(document: Document, skin_index: int) -> Skeleton:
-    """Return a skin's joints with their ancestors; InputError where hierarchy or matrices are broken."""
+    """Return the joints of a skin with their ancestors.
+
+    Raises InputError if the hierarchy or the matrices are broken.
+    """
     skin, place = document.objects("skins")[skin_index], document.place
     nodes = document.objects("nodes")
     listed = skin.get("joints")
@@ -187,7 +191,7 @@ def read_skeleton(document: Document, skin_index: int) -> Skeleton:
 
 
 def _parents(document: Document) -> dict[int, int]:
-    """Return the parent of each node that has one; every skin asks for them."""
+    """Return the parent of each node that has one; cached, because every skin needs it."""
     known = document.derived.setdefault("nodes", {})
     if "parents" not in known:
         known["parents"] = _read_parents(document)
@@ -244,7 +248,7 @@ def _inverse_bind(document: Document, skin: JsonObject, count: int) -> Float64Ar
 
 
 def read_clips(document: Document) -> list[Clip]:
-    """Return the animations that move, turn, scale or morph; InputError where one is broken."""
+    """Return the animations that move, turn, scale or morph; InputError if one is broken."""
     clips = []
     times: dict[int, Float64Array] = {}
     outputs: dict[tuple[object, ...], Float64Array] = {}
@@ -271,9 +275,9 @@ def _channel(
     known: dict[int, Float64Array],
     outputs: dict[tuple[object, ...], Float64Array],
 ) -> Channel | None:
-    """Return one channel, None where it moves no node, and morphs none that draws a skinned mesh.
+    """Return one channel, or None if it moves no node and morphs no skinned mesh.
 
-    known are the times that were read before, by accessor, outputs the values, by accessor and use.
+    known are the times that were read before, by accessor. outputs are the values, by accessor and use.
     """
     place = document.place
     target = member(channel, "target", place)
@@ -306,9 +310,9 @@ def _channel(
 
 
 def _wide(document: Document, number: int, place: Place) -> Float64Array:
-    """Return an accessor's decoded values as float64."""
+    """Return the decoded values of an accessor as float64."""
     stored = read_accessor(document, number, place)
-    # Once decoded, once widened; and as much again where components change places.
+    # The decoded values, the widened ones, and the same again if components change places.
     size = stored.decoded_size + 16 * stored.values.size
     document.budget.claim(size, f"accessor {number} of an animation or skin", place)
     return stored.wide()
@@ -334,7 +338,7 @@ def _key_values(values: Float64Array, count: int, components: int, path: str, pl
 
 
 def _key_weights(values: Float64Array, count: int, components: int, path: str, place: Place) -> Float64Array:
-    """Return the output of a sampler for morph weights (count, C); it is stored as scalars, key by key."""
+    """Return the morph weights of a sampler (count, C); the file stores them as scalars, key by key."""
     if values.shape != (count * components, 1) or not np.isfinite(values).all():
         targets = f"{components} morph target{'s' if components > 1 else ''}"
         raise InputError(

@@ -1,4 +1,4 @@
-"""The files that a document names beside itself, and what becomes of them in another folder."""
+"""The files that a document names, and their place beside an output in another folder."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from skinbake.gltf.writing import Signature, signature_of
 
 @dataclass(frozen=True, slots=True)
 class NamedFile:
-    """A file that a document names: in which array, at which index, under which URI."""
+    """A reference of a document to a file: its array, index and URI."""
 
     array: str
     number: int
@@ -41,7 +41,7 @@ class _LinkedOutError(Exception):
 
 
 class Beside:
-    """The files that a document names, on their way to the target's folder."""
+    """The files that a document names, on their way to the folder of the target."""
 
     def __init__(self, document: Document, folder: Path, root: Path) -> None:
         self._document, self._folder, self._root = document, folder, root
@@ -55,9 +55,9 @@ class Beside:
     def planned(
         self,
     ) -> tuple[Document, dict[Path, Iterable[Bytes]], dict[Path, Signature], list[Notice]]:
-        """Return the document with URIs that hold from the folder, the files to write there, and notices.
+        """Return the document with URIs for the target's folder, the files to write there, and notices.
 
-        Before the notices, those that are there already and serve, as they are.
+        Before the notices come the files that are already there with the same content.
         """
         named = list(named_files(self._document))
         is_buffer = {resource.uri: resource.array == "buffers" for resource in reversed(named)}
@@ -67,7 +67,7 @@ class Beside:
         return document, self._files, self._serving, self._notices()
 
     def _placed(self, uri: str, *, is_buffer: bool) -> str:
-        """Return a URI as it reads from the target's folder; note the file that has to come along."""
+        """Return a URI relative to the target's folder, and note the file if it must be copied."""
         new = self._document.new_files.get(uri)
         if new is not None:
             return self._copied(uri, relative_names(uri)[0], new)
@@ -85,7 +85,7 @@ class Beside:
         return self._copied(uri, name, FileContent(spot))
 
     def _found(self, uri: str) -> Spot | None:
-        """Return where a file is; None, and a note of why, for one that is not there or has no such name."""
+        """Return the place of a file; None, with a note, if it is missing or its URI is refused."""
         try:
             spot, descriptor = find(uri, self._document.folder, self._document.bounds)
         except OutsideError:
@@ -105,11 +105,11 @@ class Beside:
         return spot
 
     def _path(self, name: str) -> str:
-        """Return the path that a relative one has from the target's folder."""
+        """Return the path of a relative one, seen from the target's folder."""
         return os.path.normpath(self._folder / name)
 
     def _left(self, uri: str, why: str, *, is_buffer: bool) -> str:
-        """Return the URI of a file that is not looked at, as it reads from the target's folder."""
+        """Return the URI of a file that is not read, relative to the target's folder."""
         if is_buffer:
             raise outside(uri, why, self._document.place)
         try:
@@ -121,20 +121,20 @@ class Beside:
         return moved
 
     def _copied(self, uri: str, name: str, pieces: Iterable[Bytes]) -> str:
-        """Return the URI of a file that goes along, under its name or, where that is taken, another."""
-        before = signature_of(self._path(name))  # asked for before the content is looked at
+        """Return the URI of a copied file: its own name, or another one if that is taken."""
+        before = signature_of(self._path(name))  # read before the content, so that a later change shows
         free = self._free_name(name, pieces)
         path = Path(self._path(free))
         if not os.path.lexists(path):
             self._files[path] = pieces
         elif path not in self._files:
             self._serving[path] = before if free == name else signature_of(path)
-        meant = relative_names(uri)[0]  # the literal name is looked for where there is none of this one
+        meant = relative_names(uri)[0]  # the literal name is tried if this one does not exist
         stays = free == name and (name == meant or not os.path.lexists(self._path(meant)))
         return uri if stays else path_uri(free)
 
     def _free_name(self, name: str, pieces: Iterable[Bytes]) -> str:
-        """Return ``name``, or one made from the content where another file has or will have that name."""
+        """Return ``name``, or a name made from the content if another file has or will have that name."""
         planned = self._files.get(Path(self._path(name)))
         if (planned is None or _same(planned, pieces)) and not self._occupied(name, pieces):
             return name
@@ -147,7 +147,7 @@ class Beside:
         return other
 
     def _occupied(self, name: str, pieces: Iterable[Bytes]) -> bool:
-        """Tell whether something else has a name in the target's folder; no link is followed out of it."""
+        """Tell whether another file has a name in the target's folder; no link is followed out of it."""
         path = self._path(name)
         if not os.path.lexists(path):
             return False
@@ -184,14 +184,14 @@ def _listed(uris: Sequence[str]) -> str:
 
 
 def _same(first: Iterable[Bytes], second: Iterable[Bytes]) -> bool:
-    """Tell whether two runs of pieces are the same bytes."""
+    """Tell whether two series of pieces are the same bytes."""
     if first is second or first == second:
         return True
     return content_digest(first) == content_digest(second)
 
 
 def named_files(document: Document) -> Iterator[NamedFile]:
-    """Yield the buffers and images that are neither data nor on the network."""
+    """Yield the buffers and images that are neither data: URIs nor on the network."""
     for array in ("buffers", "images"):
         for number, entry in enumerate(document.objects(array)):
             uri = entry.get("uri")

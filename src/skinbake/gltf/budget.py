@@ -1,7 +1,7 @@
-"""One budget for a document: what it makes the program set aside is counted before that is done.
+"""Count the memory that a document claims, before the program allocates it.
 
-A small file can stand for any amount of memory: accessors without data, streams that expand, arrays that a
-thousand primitives share. A codec's own limits hold for one stream at a time; these hold for all together.
+A small file can claim any amount of memory: by accessors without data, by streams that expand, by arrays that
+a thousand primitives share. Each codec has limits for one stream. These limits hold for all together.
 """
 
 from __future__ import annotations
@@ -16,41 +16,41 @@ from pathlib import Path
 from skinbake.errors import InputError, Place
 
 SHARE = 4
-"""The memory that a file may take without ``--max-memory`` is the machine's divided by this."""
+"""Without ``--max-memory`` a file may take the memory of the machine divided by this."""
 
 UNCOUNTED = 1 << 26
-"""Bytes below which nobody asks how much memory the machine has."""
+"""Below this number of bytes, the memory of the machine is not looked up."""
 
 RATIO, FREE = 2048, 1 << 30
-"""What a document makes the program set aside in all, over its whole run, is at most RATIO times its bytes,
-or FREE bytes where that is more: time grows with that, so it grows with the file.
+"""All memory that a run allocates for a document is at most RATIO times its bytes, or FREE bytes.
 
-A bake takes 300 bytes for a vertex that is stored in 50, a verification 3,000. Twenty primitives that share
-their vertices take twenty times as much.
+The larger of the two counts. Time grows with this memory, so it grows with the file. A bake takes 300 bytes
+for a vertex that is stored in 50 bytes, a verification 3,000. Twenty primitives that share their vertices
+take twenty times as much.
 """
 
 ZEROS_RATIO, ZEROS_FREE = 256, 1 << 24
 """Accessors without a buffer view may claim ZEROS_RATIO times the document's bytes, and ZEROS_FREE more.
 
-Morph targets that are sparse alone stand on such zeros: six hundred of a face of 100,000 vertices claim 150
-times the bytes of its file.
+Only sparse morph targets use such zeros in practice: six hundred of them, on a face of 100,000 vertices,
+claim 150 times the bytes of the file.
 """
 
 UNPACKED_RATIO, UNPACKED_FREE = 100, 1 << 27
-"""Compressed data may expand to UNPACKED_RATIO times its bytes, or UNPACKED_FREE where that is more.
+"""Compressed data may expand to UNPACKED_RATIO times its bytes, or to UNPACKED_FREE if that is more.
 
 Real characters expand 2 to 12 times.
 """
 
 GROUPS, GROUP_ROOT = Path("/proc/self/cgroup"), Path("/sys/fs/cgroup")
-"""Where Linux says which control groups a process is in, and what these may have."""
+"""The paths where Linux lists the control groups of a process, and their limits."""
 
 _limit: ContextVar[int | None] = ContextVar("_limit", default=None)
 
 
 @contextmanager
 def memory_limited(size: int | None) -> Iterator[None]:
-    """Let each document that is read while the block runs take ``size`` bytes; None: a share of all."""
+    """Let each document that is read in the block take ``size`` bytes; None: a share of all memory."""
     token = _limit.set(size)
     try:
         yield
@@ -59,21 +59,21 @@ def memory_limited(size: int | None) -> Iterator[None]:
 
 
 def default_limit(workers: int = 1) -> int:
-    """Return the bytes that a file may take where nothing was asked for, beside those of other workers."""
+    """Return the default limit of a file in bytes, with ``workers`` processes at work."""
     return machine_memory() // max(SHARE, workers)
 
 
 def machine_memory() -> int:
-    """Return the bytes of memory that this process may use: the machine's, or its control group's."""
+    """Return the bytes of memory that this process may use, of the machine or of its control group."""
     try:
         found = [os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")]
     except (AttributeError, ValueError, OSError):
-        found = [8 << 30]  # Windows does not tell this way
+        found = [8 << 30]  # Windows has no such call
     return min([*found, *group_limits()])
 
 
 def group_limits(groups: Path = GROUPS, root: Path = GROUP_ROOT) -> Iterator[int]:
-    """Yield the limits of the control groups that this process is in, version 2 or 1."""
+    """Yield the limits of the control groups of this process, version 2 or 1."""
     try:
         lines = groups.read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError:
@@ -96,7 +96,7 @@ def group_limits(groups: Path = GROUPS, root: Path = GROUP_ROOT) -> Iterator[int
 
 
 def shown(size: int) -> str:
-    """Return a number of bytes as people read it."""
+    """Return a number of bytes in a readable unit."""
     units = ("bytes", "KiB", "MiB", "GiB", "TiB")
     scale = min(max(size.bit_length() - 1, 0) // 10, len(units) - 1)
     return f"{size / (1 << 10 * scale):.4g} {units[scale]}" if size < 1 << 50 else "over 1,024 TiB"
@@ -104,10 +104,10 @@ def shown(size: int) -> str:
 
 @dataclass(slots=True)
 class Budget:
-    """What a document has claimed so far, all its edited versions together.
+    """The memory that a document has claimed so far, in all its edited versions together.
 
-    limit is the most that it may hold at a time, None for the default; backed the bytes of its files, held
-    what it has claimed and not let go, spent all that it ever claimed.
+    limit is the most that it may hold at a time, None for the default. backed is the size of its files. held
+    is the memory that it has claimed and not released. spent is all that it has ever claimed.
     """
 
     limit: int | None = field(default_factory=_limit.get)
@@ -121,7 +121,7 @@ class Budget:
     _files: set[str] = field(default_factory=set)
 
     def back(self, size: int, path: str, what: str, place: Place) -> None:
-        """Count the bytes of a file that was read for ``what``; where it is named again, they are claimed."""
+        """Count the bytes of a file that was read for ``what``; if it is named again, they are claimed."""
         if path in self._files:
             self.claim(size, what, place)
             return
@@ -129,9 +129,9 @@ class Budget:
         self.backed += size
 
     def claim(self, size: int, what: str, place: Place) -> None:
-        """Count ``size`` bytes that are about to be set aside for ``what``; InputError where it is too much.
+        """Count ``size`` bytes that are about to be allocated for ``what``; InputError if it is too much.
 
-        ``what`` goes on as ``… would take``.
+        The message begins with ``what`` and goes on with ``would take``.
         """
         self.held += size
         self.spent += size
@@ -154,7 +154,7 @@ class Budget:
             )
 
     def claim_zeros(self, size: int, accessor: int, place: Place) -> None:
-        """Count the zeros of an accessor without a buffer view: no byte of the file stands for them."""
+        """Count the zeros of an accessor without a buffer view, which have no bytes in the file."""
         if accessor not in self._zeros_of:
             self._zeros_of.add(accessor)
             self.zeros += size
@@ -169,7 +169,7 @@ class Budget:
         self.claim(size, f"accessor {accessor}, which has no buffer view,", place)
 
     def claim_unpacked(self, size: int, stored: int, place: Place) -> None:
-        """Count ``size`` bytes that ``stored`` ones of compressed data will expand to."""
+        """Count ``size`` bytes, to which ``stored`` bytes of compressed data will expand."""
         self.unpacked += size
         self.packed += stored
         if self.unpacked > max(UNPACKED_RATIO * self.packed, UNPACKED_FREE):
@@ -182,7 +182,7 @@ class Budget:
 
     @contextmanager
     def passing(self) -> Iterator[None]:
-        """Let go at the end of the block what is claimed in it."""
+        """Release at the end of the block all that is claimed in it."""
         held = self.held
         yield
         self.held = held

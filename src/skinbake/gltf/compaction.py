@@ -1,4 +1,4 @@
-"""Cut out of a document's buffers what no buffer view means any more, and renumber what is left."""
+"""Remove unreferenced bytes from the buffers of a document, and renumber its buffer views and buffers."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ Range = tuple[int, int]
 VIEW = "bufferView"
 
 ALIGNMENT = 4
-"""What is cut out is a multiple of this many bytes, so that all that follows stays aligned."""
+"""Removed ranges are multiples of this many bytes, so that all later bytes stay aligned."""
 
 OTHER_REFERENCES = ("EXT_structural_metadata", "EXT_mesh_features", "MSFT_texture_dds")
-"""Extensions that may name buffer views by other keys than ``bufferView``: none is removed beside them."""
+"""Extensions that may name buffer views by other keys: no view is removed in a file that uses them."""
 
 
 def compacted(before: Document, after: Document) -> Document:
     """Return ``after`` without the buffer views that only ``before`` used, and without their bytes.
 
-    Bytes that no view of ``before`` meant stay. A buffer that is left without use goes too, but for the BIN
-    chunk's.
+    Bytes that no view of ``before`` referred to stay. A buffer that becomes unused goes too, except the BIN
+    chunk.
     """
     old, views = before.objects("bufferViews"), after.objects("bufferViews")
     used = set(names(after.json, "extensionsUsed", after.place))
@@ -59,13 +59,13 @@ def compacted(before: Document, after: Document) -> Document:
 
 
 def _has_bytes(document: Document, number: int) -> bool:
-    """Tell whether bytes stand for a buffer: none do for meshopt's fallback buffers."""
+    """Tell whether a buffer has bytes; fallback buffers of meshopt have none."""
     is_chunk = number == 0 and document.has_binary_buffer
     return is_chunk or document.objects("buffers")[number].get("uri") is not None
 
 
 def _renumbered(root: JsonObject, numbers: dict[int, int]) -> JsonObject:
-    """Return a copy of the JSON whose references to buffer views are other numbers."""
+    """Return a copy of the JSON with new numbers in its references to buffer views."""
     result: JsonObject = {}
     left: list[tuple[Any, Any]] = [(root, result)]
     while left:
@@ -131,7 +131,7 @@ def _difference(ranges: list[Range], needed: list[Range]) -> list[Range]:
 
 @dataclass(frozen=True, slots=True)
 class _Shifts:
-    """How far back bytes of a buffer move: by ``lengths[n]`` those behind the starts of ``n`` holes."""
+    """The distances by which bytes move back: ``lengths[n]`` for bytes behind the starts of ``n`` holes."""
 
     starts: list[int]
     lengths: list[int]
@@ -146,7 +146,7 @@ class _Shifts:
 
 
 def _moved(view: JsonObject, shifts: dict[int, _Shifts], gone: list[int], place: Place) -> JsonObject:
-    """Return a buffer view at its new place; ``gone`` are the buffers that are left out, ascending."""
+    """Return a buffer view at its new place; ``gone`` are the numbers of removed buffers, ascending."""
 
     def placed(holder: JsonObject) -> JsonObject:
         buffer, start = integer(holder, "buffer", place), integer(holder, "byteOffset", place, default=0)
@@ -162,7 +162,7 @@ def _moved(view: JsonObject, shifts: dict[int, _Shifts], gone: list[int], place:
 
 
 def _cut(document: Document, root: JsonObject, holes: dict[int, list[Range]], gone: set[int]) -> Document:
-    """Return the document with the holes cut out of its buffers, and without those that are gone."""
+    """Return the document without the holes in its buffers, and without the buffers in ``gone``."""
     buffers: list[JsonObject] = []
     binary, new_files = document.binary, dict(document.new_files)
     for number, buffer in enumerate(document.objects("buffers")):

@@ -1,4 +1,4 @@
-"""Move a document between its two containers, ``.gltf`` with files beside it and ``.glb``."""
+"""Convert a document between its two containers: ``.glb``, and ``.gltf`` with files beside it."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from skinbake.gltf.json_access import JsonObject
 
 
 def for_target(document: Document, target: str) -> tuple[Document, list[Notice]]:
-    """Return the document in the container that ``target`` asks for by suffix, ``-`` being a GLB.
+    """Return the document in the container that the suffix of ``target`` means; ``-`` is a GLB.
 
-    A ``.gltf`` that becomes a GLB has its first buffer in the BIN chunk; further buffers stay where they
-    are, except on standard output, where they move into data: URIs. A GLB that becomes a ``.gltf`` has its
-    BIN chunk in a file named after the target.
+    If a ``.gltf`` becomes a GLB, its first buffer becomes the BIN chunk. Further buffers stay where they are.
+    On standard output they become data: URIs. If a GLB becomes a ``.gltf``, its BIN chunk becomes a file
+    named after the target.
     """
     if target == STDIO or Path(target).suffix.lower() in GLB_SUFFIXES:
         packed = document if document.is_glb else _as_glb(document)
@@ -30,7 +30,7 @@ def for_target(document: Document, target: str) -> tuple[Document, list[Notice]]
 
 def _as_glb(document: Document) -> Document:
     buffers = document.objects("buffers")
-    if not buffers or buffers[0].get("uri") is None:  # no bytes stand for meshopt's fallback buffers
+    if not buffers or buffers[0].get("uri") is None:  # fallback buffers of meshopt have no bytes
         return document.edited(is_glb=True, indent=None)
     data: Bytes = document.buffer(0)
     first = {key: value for key, value in buffers[0].items() if key != "uri"}
@@ -61,7 +61,7 @@ def _as_gltf(document: Document, stem: str) -> tuple[Document, list[Notice]]:
 
 
 def _names(uri: str) -> tuple[str, ...]:
-    """Return the relative paths that a URI may mean; none where it means no file."""
+    """Return the relative paths that a URI may mean; none if it names no file."""
     try:
         return relative_names(uri)
     except RefusedError:
@@ -69,7 +69,7 @@ def _names(uri: str) -> tuple[str, ...]:
 
 
 def _dropped(document: Document) -> Iterator[Notice]:
-    """Yield a notice on what a GLB holds and a ``.gltf`` cannot."""
+    """Yield a notice on the parts of a GLB that a ``.gltf`` cannot hold."""
     lost = []
     if document.other_chunks:
         lost.append(f"{len(document.other_chunks)} GLB chunks of unknown type")
@@ -83,7 +83,7 @@ def _dropped(document: Document) -> Iterator[Notice]:
 
 
 def _self_contained(document: Document) -> Document:
-    """Return the GLB with every buffer that is in a file moved into a data: URI."""
+    """Return the GLB with every external buffer as a data: URI."""
     buffers = document.objects("buffers")
     inside = [
         {**buffer, "uri": resources.encode_data_uri(bytes(document.buffer(number)))}
@@ -99,7 +99,7 @@ def _self_contained(document: Document) -> Document:
 
 
 def _is_hollow(document: Document, buffer: JsonObject, uri: str) -> bool:
-    """Tell whether a buffer is one of meshopt's fallbacks whose file was left out."""
+    """Tell whether a buffer is a fallback of meshopt whose file was left out."""
     return meshopt.is_fallback(buffer, document.place) and not resources.is_there(
         uri, document.folder, document.bounds
     )

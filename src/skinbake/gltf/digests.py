@@ -1,4 +1,4 @@
-"""Digests of files, by which two of them are told to be the same."""
+"""Digests of files, to tell whether two of them are equal."""
 
 from __future__ import annotations
 
@@ -21,5 +21,5 @@ def digest_of(pieces: Iterable[Bytes]) -> str:
 
 
 def digests_of(files: Mapping[Path, Iterable[Bytes]]) -> dict[str, str]:
-    """Return the digests of files that are about to be written, in pieces, by path."""
+    """Return the digests of files that will be written, given in pieces, by path."""
     return {str(path): digest_of(pieces) for path, pieces in files.items()}

@@ -1,7 +1,7 @@
-"""The glTF document: the parsed JSON and its buffers, kept as they came (glTF 2.0 specification, §3).
+"""The glTF document: the parsed JSON and its buffers, as read (glTF 2.0 specification, §3).
 
-pygltflib loses data as a whole-file reader and writer, so the document *is* the parsed JSON: what nobody
-touches is written back as it was read, unknown keys, key order and all.
+pygltflib loses data as a whole-file reader and writer. So the document *is* the parsed JSON. Untouched parts
+are written back as they were read, with unknown keys and in the same key order.
 """
 
 from __future__ import annotations
@@ -28,16 +28,16 @@ STDIO = "-"
 
 @dataclass(frozen=True, slots=True)
 class Document:
-    """A glTF document. Treat it as immutable: edits make a new one and share what they do not change.
+    """A glTF document. Treat it as immutable: edits make a new one, and share the unchanged parts.
 
-    ``name`` is what messages call it, ``folder`` where its relative URIs start, ``bounds`` where they may
-    lead. ``is_glb`` tells the
-    container. ``binary`` is the BIN chunk in pieces (None: no such chunk), ``new_files`` what the document
-    refers to by a relative URI and has to be written beside it. ``other_chunks`` and ``trailing`` are what a
-    GLB holds besides. ``raw`` is the file's text or container
-    as read, while nothing has been edited. ``derived`` is what decoders have worked out of it, each under a
-    key of its own, so that nothing is decoded twice. ``budget`` is what it may take, and has claimed, edited
-    versions included.
+    - ``name`` is its name in messages.
+    - ``folder`` is the folder where its relative URIs start, ``bounds`` the folders where they may lead.
+    - ``is_glb`` tells the container. ``binary`` is the BIN chunk in pieces, None without such a chunk.
+    - ``new_files`` are files that must be written beside it, by relative URI.
+    - ``other_chunks`` and ``trailing`` are further contents of a GLB.
+    - ``raw`` is the text or the container as read, None after an edit.
+    - ``derived`` holds results of decoders, each under its own key, so that nothing is decoded twice.
+    - ``budget`` counts the memory that it has claimed, with all edited versions.
     """
 
     name: str
@@ -59,7 +59,7 @@ class Document:
 
     @property
     def place(self) -> Place:
-        """Where messages about the whole document point."""
+        """Return the place for messages about the whole document."""
         return Place(self.name)
 
     @property
@@ -69,7 +69,7 @@ class Document:
         return self.binary is not None and bool(buffers) and buffers[0].get("uri") is None
 
     def edited(self, **changes: Any) -> Document:
-        """Return a copy with fields replaced, no longer equal to the bytes it was read from."""
+        """Return a copy with fields replaced, which no longer has the bytes that were read."""
         return replace(self, raw=None, derived={}, _loaded={}, _checked={}, **changes)
 
     def objects(self, key: str) -> list[json_access.JsonObject]:
@@ -106,7 +106,7 @@ class Document:
         return memoryview(data)[:length]
 
     def _resource(self, index: int, uri: str) -> Bytes:
-        """Return what a buffer's URI stands for; a file is read once for all edited versions."""
+        """Return the bytes that the URI of a buffer names; all edited versions share one reading."""
         if resources.is_data_uri(uri):
             self.budget.claim(2 * len(uri), f"the data: URI of buffer {index}", self.place)
             return resources.decode_data_uri(uri, self.place)
@@ -118,17 +118,17 @@ class Document:
 
 
 def joined(pieces: Sequence[Bytes]) -> Bytes:
-    """Return the pieces as one run of bytes, without a copy where there is only one."""
+    """Return the pieces as one series of bytes, without a copy if there is only one."""
     return pieces[0] if len(pieces) == 1 else b"".join(pieces)
 
 
 def read_document(path: str, bounds: Bounds = BESIDE) -> Document:
     """Read ``.gltf``, ``.glb`` or ``.vrm`` by suffix, or a GLB from standard input for ``-``.
 
-    ``bounds`` say which files it may name: without any, those in its own folder and below. Where they have a
-    root, the file itself is opened from there, and no link leads out. What comes from standard input may
-    name no file but in the folders that are allowed. Buffers of a ``.gltf`` are read when they are first
-    needed. Raises InputError where the file cannot be read or is not glTF 2.
+    ``bounds`` are the folders of the files that it may name. The default is its own folder and the folders
+    below. If the bounds have a root, the file itself is opened from there, and no link leads out. A document
+    from standard input may only name files in the allowed folders. Buffers of a ``.gltf`` are read when they
+    are first needed. Raises InputError if the file cannot be read or is not glTF 2.
     """
     if path == STDIO:
         return parse_glb(_read_stdin(), "<stdin>", Path(), replace(bounds, root=NOWHERE))
@@ -141,7 +141,7 @@ def read_document(path: str, bounds: Bounds = BESIDE) -> Document:
 
 
 def read_named(path: str, root: str | None) -> Bytes:
-    """Return the bytes of an input; one that was found in the folder ``root`` is opened from there.
+    """Return the bytes of an input; a file found in the folder ``root`` is opened from there.
 
     Raises InputError.
     """
@@ -174,7 +174,7 @@ def _read_stdin() -> bytes:
 
 
 def parse_glb(data: Bytes, name: str, folder: Path, bounds: Bounds = BESIDE) -> Document:
-    """Return the document of a GLB's bytes; InputError where they are not one."""
+    """Return the document in the bytes of a GLB; InputError if they are no GLB."""
     chunks: GlbChunks = split_glb(data, Place(name))
     budget = Budget(backed=len(data))
     return Document(
@@ -192,7 +192,7 @@ def parse_glb(data: Bytes, name: str, folder: Path, bounds: Bounds = BESIDE) -> 
 
 
 def parse_gltf(data: Bytes, name: str, folder: Path, bounds: Bounds = BESIDE) -> Document:
-    """Return the document of a ``.gltf`` file's text; InputError where it is not one."""
+    """Return the document in the text of a ``.gltf`` file; InputError if it is none."""
     if data[:4] == b"glTF":
         raise InputError("this is a GLB container; name it .glb instead", Place(name))
     budget = Budget(backed=len(data))
@@ -221,7 +221,7 @@ def _parse_json(data: bytes, budget: Budget, place: Place) -> json_access.JsonOb
 
 
 def _parsed_size(data: bytes) -> int:
-    """Return about how many bytes a JSON text takes once it is parsed (CPython's objects, 64 bit)."""
+    """Return about the memory of a parsed JSON text in bytes (objects of CPython, 64 bit)."""
     costs = {b"{": 240, b":": 100, b"[": 64, b",": 40}
     return 2 * len(data) + sum(cost * data.count(mark) for mark, cost in costs.items())
 

@@ -1,4 +1,4 @@
-"""Component types and shapes of accessors, by their numbers and names in glTF 2.0 (§3.6.2.2)."""
+"""Component types and shapes of accessors, by number and name in glTF 2.0 (§3.6.2.2)."""
 
 from __future__ import annotations
 
@@ -30,6 +30,6 @@ MATRIX_ROWS = {"MAT2": 2, "MAT3": 3, "MAT4": 4}
 
 
 def component_dtype(holder: JsonObject) -> np.dtype[np.generic] | None:
-    """Return the dtype of an object's ``componentType``, None where glTF does not know it."""
+    """Return the dtype of an object's ``componentType``, None if glTF does not define it."""
     code = holder.get("componentType")
     return COMPONENT_TYPES.get(code) if isinstance(code, int) else None

@@ -21,10 +21,10 @@ MAX_LENGTH = 2**32 - 1
 
 @dataclass(frozen=True, slots=True)
 class GlbChunks:
-    """The chunks of one GLB, in file order. ``binary`` is None where there is no BIN chunk.
+    """The chunks of one GLB, in file order; ``binary`` is None without a BIN chunk.
 
-    ``others`` are chunks of unknown type that follow, ``trailing`` bytes past the length that the header
-    says; both are kept so that they can be written back.
+    ``others`` are further chunks of unknown type. ``trailing`` are bytes past the length in the header. Both
+    are kept so that they can be written back.
     """
 
     json: Bytes
@@ -36,7 +36,7 @@ class GlbChunks:
 def split_glb(data: Bytes, place: Place) -> GlbChunks:
     """Return the chunks of a GLB without copying them.
 
-    Raises InputError where the header or a chunk header contradicts the bytes that are there, and
+    Raises InputError if the header or a chunk header contradicts the size of the file, and
     UnsupportedFeatureError for a container version other than 2.
     """
     view = memoryview(data)
@@ -93,8 +93,8 @@ def join_glb(
 ) -> list[Bytes]:
     """Return the pieces of a GLB file in order, ready to be written one after the other.
 
-    ``binary`` is given as pieces so that large buffers are never copied together; None writes no BIN
-    chunk. Raises OutputError where the whole exceeds the 4 GiB that the header can say.
+    ``binary`` comes in pieces so that large buffers are never joined; None writes no BIN chunk. Raises
+    OutputError if the file exceeds the 4 GiB that the header can hold.
     """
     parts: list[Bytes] = _chunk(CHUNK_JSON, [json_bytes], b" ")
     if binary is not None:

@@ -1,4 +1,4 @@
-"""Checked reading of the parsed glTF JSON: nothing of a file's structure is believed before it is seen."""
+"""Checked reading of the parsed glTF JSON: every structure is checked before it is used."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ JsonObject: TypeAlias = dict[str, Any]
 
 
 def objects(parent: Mapping[str, Any], key: str, place: Place) -> list[JsonObject]:
-    """Return the array of objects under ``key``, empty where there is none.
+    """Return the array of objects under ``key``, empty if there is none.
 
-    Raises InputError where it is not an array, or has an entry that is not an object.
+    Raises InputError if it is not an array, or has an entry that is not an object.
     """
     value = parent.get(key)
     if value is None:
@@ -24,7 +24,7 @@ def objects(parent: Mapping[str, Any], key: str, place: Place) -> list[JsonObjec
 
 
 def member(parent: Mapping[str, Any], key: str, place: Place) -> JsonObject:
-    """Return the object under ``key``, empty where there is none; InputError where it is something else."""
+    """Return the object under ``key``, empty if there is none; InputError if it is something else."""
     value = parent.get(key)
     if value is None:
         return {}
@@ -36,7 +36,7 @@ def member(parent: Mapping[str, Any], key: str, place: Place) -> JsonObject:
 def integer(
     parent: Mapping[str, Any], key: str, place: Place, *, default: int | None = None, minimum: int = 0
 ) -> int:
-    """Return the integer under ``key``; InputError where it is missing without default, or out of range."""
+    """Return the integer under ``key``; InputError if it is missing without default, or out of range."""
     value = parent.get(key, default)
     if type(value) is int and value >= minimum:
         return value
@@ -50,7 +50,7 @@ def integer(
 
 
 def index(parent: Mapping[str, Any], key: str, length: int, place: Place) -> int | None:
-    """Return the index under ``key`` into an array of ``length``, None where there is none."""
+    """Return the index under ``key`` into an array of ``length``, None if there is none."""
     if key not in parent:
         return None
     value = integer(parent, key, place)
@@ -60,7 +60,7 @@ def index(parent: Mapping[str, Any], key: str, length: int, place: Place) -> int
 
 
 def names(parent: Mapping[str, Any], key: str, place: Place) -> list[str]:
-    """Return the array of strings under ``key``, empty where there is none; InputError for another."""
+    """Return the array of strings under ``key``, empty if there is none; InputError for another value."""
     value = parent.get(key)
     if value is None:
         return []
@@ -70,7 +70,7 @@ def names(parent: Mapping[str, Any], key: str, place: Place) -> list[str]:
 
 
 def every_object(root: object) -> Iterator[JsonObject]:
-    """Yield the objects within a value, itself included, at any depth."""
+    """Yield the objects in a value, itself included, at any depth."""
     left = [root]
     while left:
         node = left.pop()
@@ -82,7 +82,7 @@ def every_object(root: object) -> Iterator[JsonObject]:
 
 
 def is_deeper(value: object, levels: int) -> bool:
-    """Tell whether arrays and objects are nested in more levels than these."""
+    """Tell whether arrays and objects have more than this many levels."""
     layer = [value]
     for _ in range(levels):
         inner = [list(node.values()) if isinstance(node, dict) else node for node in layer]
@@ -93,33 +93,33 @@ def is_deeper(value: object, levels: int) -> bool:
 
 
 def reference(value: object) -> int | None:
-    """Return what refers to an entry of an array as an integer, None where it does not; 3.0 is 3."""
+    """Return a reference to an entry of an array as an integer, None if it is none; 3.0 is 3."""
     if isinstance(value, float) and value.is_integer():
         return int(value)
     return value if isinstance(value, int) and not isinstance(value, bool) else None
 
 
 MOST = 3.4028234663852886e38
-"""The largest number that a file means: FLOAT's. What follows stays finite in float64."""
+"""The largest valid number in a file, that of FLOAT; sums and products stay finite in float64."""
 
 
 def is_number(value: object) -> bool:
-    """Tell whether a value of the JSON is a number of float32's range; integers there can be of any size."""
+    """Tell whether a value of the JSON is a number in the range of float32; JSON integers have any size."""
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= MOST
 
 
 def entries_of(value: object) -> list[JsonObject]:
-    """Return the objects of an array whatever it is, for a search that must not stop at a broken entry."""
+    """Return the objects in any value, for a search that must not stop at a broken entry."""
     return [entry for entry in value if isinstance(entry, dict)] if isinstance(value, list) else []
 
 
 def values_of(value: object) -> list[Any]:
-    """Return the values of an object, none where it is something else."""
+    """Return the values of an object, none if it is something else."""
     return list(value.values()) if isinstance(value, dict) else []
 
 
 def text(parent: Mapping[str, Any], key: str, place: Place) -> str | None:
-    """Return the string under ``key``, None where there is none; InputError where it is something else."""
+    """Return the string under ``key``, None if there is none; InputError if it is something else."""
     value = parent.get(key)
     if value is not None and not isinstance(value, str):
         raise InputError(f'"{key}" must be a string, found {shown(value)}', place)
@@ -127,7 +127,7 @@ def text(parent: Mapping[str, Any], key: str, place: Place) -> str | None:
 
 
 def shown(value: object) -> str:
-    """Return a value as a message shows it, cut short."""
+    """Return a value for a message, shortened."""
     try:
         text = repr(value)
     except RecursionError:

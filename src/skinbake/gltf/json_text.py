@@ -1,7 +1,7 @@
-"""JSON text to values and back, however deep it is nested (RFC 8259).
+"""JSON text to values and back, at any depth (RFC 8259).
 
-Python's own parser and writer do the work. They call themselves for every level and stop at some hundred;
-what is deeper goes through the loops below, which are slower and keep their place in lists.
+Python's own parser and writer do the work. They are recursive and fail at some hundred levels. Deeper texts
+go through the loops below, which are slower and keep their state in lists.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from typing import Any
 
 DEEPEST = 1 << 16
-"""Levels that a text may be nested; the Khronos validator's memory ends somewhere past 10,000."""
+"""The largest number of levels of a text. The Khronos validator runs out of memory somewhere past 10,000."""
 
 _SPACE = re.compile(r"[ \t\n\r]*")
 _CLOSING = {"[": "]", "{": "}"}
@@ -22,7 +22,7 @@ _CLOSING = {"[": "]", "{": "}"}
 
 @contextmanager
 def collector_off() -> Iterator[None]:
-    """Switch the garbage collector off: it would look at every object of a large JSON again and again."""
+    """Switch the garbage collector off: it would visit every object of a large JSON again and again."""
     was_on = gc.isenabled()
     gc.disable()
     try:
@@ -33,7 +33,7 @@ def collector_off() -> Iterator[None]:
 
 
 def parsed(text: str) -> Any:
-    """Return the value of a JSON text; ValueError where it is none, or is nested past DEEPEST."""
+    """Return the value of a JSON text; ValueError if it is invalid, or has more levels than DEEPEST."""
     decoder = json.JSONDecoder(parse_constant=_reject_constant)
     with collector_off():
         try:
@@ -75,7 +75,7 @@ def _parsed_in_a_loop(text: str, decoder: json.JSONDecoder) -> Any:
 
 
 def _closed(text: str, at: int, holders: list[Any]) -> int:
-    """Drop the holders that end after a value; return where the next value begins, or the text ends."""
+    """Close the holders that end after a value; return where the next value begins, or the text ends."""
     while True:
         at = _after_space(text, at)
         if len(holders) == 1:
@@ -114,8 +114,8 @@ def _add(holder: Any, key: str, value: Any) -> None:
 def written(value: Any, *, indent: str | None, ascii_only: bool) -> str:
     """Return a JSON text, on one line without ``indent``; ValueError for numbers that are not finite.
 
-    What is nested too deep for Python's own writer is on one line too: indented, its length would grow with
-    the square of its depth.
+    A text that is too deep for Python's own writer is always on one line: with indentation, its length would
+    grow with the square of its depth.
     """
     options: dict[str, Any] = {"ensure_ascii": ascii_only, "allow_nan": False}
     separators = (",", ":") if indent is None else (",", ": ")
@@ -127,7 +127,7 @@ def written(value: Any, *, indent: str | None, ascii_only: bool) -> str:
 
 def _pieces(value: Any, encoder: json.JSONEncoder) -> Iterator[str]:
     """Yield the text of a value piece by piece."""
-    left: list[tuple[Iterator[Any], str]] = [(iter([value]), "")]  # entries to come, and what closes them
+    left: list[tuple[Iterator[Any], str]] = [(iter([value]), "")]  # entries to come, and the closing text
     is_first = True
     while left:
         entries, closing = left[-1]

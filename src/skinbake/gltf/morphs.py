@@ -17,7 +17,7 @@ FORMATS: dict[str, tuple[tuple[str, bool], ...]] = {
     "NORMAL": (FLOAT, *NORMALISED_SIGNED),
     "TANGENT": (FLOAT, *NORMALISED_SIGNED),
 }
-"""Component types, and whether normalised, of glTF 2.0 §3.7.2.2 and KHR_mesh_quantization."""
+"""Component types, and their normalisation (glTF 2.0 §3.7.2.2 and KHR_mesh_quantization)."""
 
 EXPECTED = {
     "POSITION": "floats, or signed bytes or shorts",
@@ -27,9 +27,9 @@ EXPECTED = {
 
 
 def target_count(document: Document, mesh: int) -> int:
-    """Return how many morph targets a mesh has; 0: none.
+    """Return the number of morph targets of a mesh.
 
-    A primitive without any takes no part. Raises InputError where the others differ in number.
+    Primitives without targets do not count. Raises InputError if the others have different numbers.
     """
     content = document.objects("meshes")[mesh]
     place = Place(document.name, mesh, text(content, "name", document.place))
@@ -45,16 +45,17 @@ def target_count(document: Document, mesh: int) -> int:
 
 
 def skinned_target_count(document: Document, node: int) -> int:
-    """Return how many morph targets the mesh that a node draws with a skin has; 0 where there is none."""
+    """Return the number of morph targets of the mesh that a node draws with a skin; 0 without one."""
     content = document.objects("nodes")[node]
     mesh = index(content, "mesh", len(document.objects("meshes")), document.place)
     return 0 if mesh is None or "skin" not in content else target_count(document, mesh)
 
 
 def resting_weights(document: Document, node: int) -> Float64Array:
-    """Return the weights (N,) of the targets where nothing animates them.
+    """Return the weights (N,) of targets without an animation.
 
-    They are those of the node, else of its mesh, else 0. Raises InputError where they are not N numbers.
+    They are the weights of the node, otherwise of the mesh, otherwise 0. Raises InputError if they are not N
+    numbers.
     """
     count = skinned_target_count(document, node)
     content = document.objects("nodes")[node]
@@ -80,11 +81,12 @@ def _numbers(owner: JsonObject, count: int, called: str, place: Place) -> Float6
 def read_targets(
     document: Document, source: PrimitiveSource, wanted: list[int], *, count: int, tangents: bool
 ) -> MorphTargets | None:
-    """Return the wanted targets of a primitive of ``count`` vertices, None where it has no targets.
+    """Return the wanted targets of a primitive of ``count`` vertices, None if it has no targets.
 
-    ``tangents``: the frame is that of TANGENT, so that targets of TANGENT count. Raises InputError, naming
-    the target and the attribute, for a format that glTF does not allow, a number of elements other than
-    POSITION's, or positions that are not finite. Normals and tangents that are not finite count as 0.
+    ``tangents`` means that the frame is from TANGENT, so that targets of TANGENT count. Raises InputError
+    with the target and the attribute for a format that glTF does not allow, for a number of elements that
+    differs from POSITION, and for positions that are not finite. Normals and tangents that are not finite
+    count as 0.
     """
     targets = objects(source.json, "targets", source.place)
     if not targets:
@@ -106,7 +108,7 @@ def _differences(
     count: int,
     read: dict[tuple[str, int], Differences],
 ) -> Differences:
-    """Return one attribute of one target; ``read`` holds what an accessor gave before."""
+    """Return one attribute of one target; ``read`` caches the results by accessor."""
     number, name = which
     place = source.place.at(f"{name} of morph target {number}")
     accessor = index(targets[number], name, len(document.objects("accessors")), place)
@@ -124,7 +126,7 @@ def _differences(
 
 
 def _moved_rows(document: Document, accessor: int, name: str, place: Place) -> Differences:
-    """Return the differences that an accessor holds, those that are not 0."""
+    """Return the differences in an accessor that are not 0."""
     stored = read_accessor(document, accessor, place)
     if stored.values.shape[1] != 3:
         raise InputError(f"it has {stored.values.shape[1]} components, 3 are needed", place)

@@ -1,4 +1,4 @@
-"""Write a document and the files beside it, whole or not at all, overwriting nothing but the target."""
+"""Write a document and the files beside it, whole or not at all; only the target is replaced."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from skinbake.gltf.resources import find
 from skinbake.gltf.writing import Signature, TakenError, Version, check_target, write_files, write_stdout
 
 ATTEMPTS = 8
-"""How often an output is planned anew that finds other files beside it than it did before."""
+"""The number of times that an output is planned again if the files beside it change meanwhile."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Writing:
-    """How an output is written.
+    """The options of writing an output.
 
-    A ``dry_run`` does everything else. ``make_folder`` makes the target's folder where it is missing.
-    ``traced`` asks for digests of the files that are written. ``sync`` waits until they are on the disk.
+    A ``dry_run`` does everything except writing. ``make_folder`` makes the folder of the target if it is
+    missing. ``traced`` requests digests of the written files. ``sync`` waits until they are on the disk.
     """
 
     dry_run: bool = False
@@ -39,11 +39,11 @@ AS_USUAL = Writing()
 
 @dataclass(frozen=True, slots=True)
 class PlannedOutput:
-    """Everything that writing a document will do: the pieces of each file, the target's last, and notices.
+    """All that writing a document will do: the pieces of each file, the target last, and notices.
 
-    Nothing is written but below ``root``. ``serving`` are files that are there already and that the document
-    names, as they were; ``replaces`` is the file that it was made from, where that is to be replaced.
-    ``again`` plans anew, where another run has taken a name meanwhile.
+    Nothing is written outside ``root``. ``serving`` are existing files that the document names, as they were.
+    ``replaces`` is the source file, if it will be replaced. ``again`` makes a new plan if another run has
+    taken a name meanwhile.
     """
 
     target: str
@@ -55,9 +55,10 @@ class PlannedOutput:
     again: Callable[[], PlannedOutput] | None = None
 
     def write(self, *, sync: bool = True) -> PlannedOutput:
-        """Write all files, or raise OutputError and leave everything as it was; return what was written.
+        """Write all files, or raise OutputError and leave everything as it was; return the written paths.
 
-        ``sync`` waits until all is on the disk. TakenError where a name is taken, and ``again`` is not there.
+        ``sync`` waits until all is on the disk. Raises TakenError if a name is taken and there is no
+        ``again``.
         """
         if self.target == STDIO:
             write_stdout(self.files[Path(STDIO)])
@@ -85,15 +86,16 @@ class PlannedOutput:
 def plan_output(
     document: Document, target: str, *, make_folder: bool = False, root: str | None = None
 ) -> PlannedOutput:
-    """Return how a document goes to ``target``, whose suffix its container must match, or stdout for ``-``.
+    """Return the plan of writing a document to ``target``, or to stdout for ``-``.
 
-    ``root`` is the folder that nothing is written outside of; the target's own by default. Files that a
-    relative URI names are copied, under their relative path, where the target is in another folder and that
-    path is below the root. A file that is there already is left alone: where its content is the same it
-    serves, else ours gets a name of its own and the URI follows. Other URIs are rewritten so that they still
-    lead to the same file. A document that was not edited is written as the bytes it was read from. The
-    target's folder must exist, unless ``make_folder``. Raises OutputError where the target cannot be written,
-    InputError where a buffer is outside the document's bounds.
+    The suffix of the target must match the container. ``root`` is the folder that nothing is written outside
+    of; the default is the folder of the target. Files that a relative URI names are copied under their
+    relative path, if the target is in another folder and that path is below the root. An existing file is not
+    changed: if it has the same content it serves, otherwise the copy has another name and the URI follows.
+    Other URIs are rewritten so that they still lead to the same file. A document that was not edited is
+    written with the bytes that were read. The folder of the target must exist, unless ``make_folder``. Raises
+    OutputError if the target cannot be written, and InputError if a buffer is outside the bounds of the
+    document.
     """
     if target == STDIO:
         return PlannedOutput(target, {Path(STDIO): _serialised(document)}, [])
@@ -113,8 +115,8 @@ def plan_output(
 
 
 def _place_of(target: str, root: str | None) -> tuple[Path, Path]:
-    """Return the path that a target has without links, and the folder that nothing is written outside of."""
-    if root is None:  # the user named the file: a link there is meant
+    """Return the path of a target without links, and the folder that nothing is written outside of."""
+    if root is None:  # the user named the file, so a link in its path is followed
         path = Path(os.path.realpath(target))
         return path, path.parent
     base = os.path.realpath(root)
@@ -125,7 +127,7 @@ def _place_of(target: str, root: str | None) -> tuple[Path, Path]:
 
 
 def refuse_own_input(document: Document, source: str, target: str) -> None:
-    """Raise OutputError where the target is a buffer or image of the document read from ``source``."""
+    """Raise OutputError if the target is a buffer or image of the document read from ``source``."""
     if STDIO in {target, source}:
         return
     written = Path(os.path.realpath(target))
@@ -136,7 +138,7 @@ def refuse_own_input(document: Document, source: str, target: str) -> None:
     for resource in named_files(document):
         try:
             spot, descriptor = find(resource.uri, document.folder, document.bounds)
-        except OutsideError:  # it is not looked at, not even by its identity
+        except OutsideError:  # the file is not opened, and its identity is not read
             is_own = _leads_to(resource.uri, document.folder, written)
         except (OSError, RefusedError):
             continue
@@ -148,7 +150,7 @@ def refuse_own_input(document: Document, source: str, target: str) -> None:
 
 
 def _leads_to(uri: str, folder: Path, path: Path) -> bool:
-    """Tell whether a URI names a path, as far as names tell."""
+    """Tell whether a URI names a path, judged by names only."""
     home = os.path.realpath(folder)
     return any(os.path.normpath(Path(home, name)) == os.path.normpath(path) for name in relative_names(uri))
 
@@ -163,7 +165,7 @@ def _serialised(document: Document) -> Sequence[Bytes]:
 
 
 def _json_bytes(document: Document) -> bytes:
-    """Return the JSON as UTF-8, indented as it came; escapes where its strings hold lone surrogates."""
+    """Return the JSON as UTF-8 with its former indentation; lone surrogates are escaped."""
     end = "" if document.indent is None else "\n"
     root, indent = document.json, document.indent
     try:

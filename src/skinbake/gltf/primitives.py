@@ -1,4 +1,4 @@
-"""Skinned primitives: from the document to arrays, with a reason for each one that is left out."""
+"""Skinned primitives: from the document to arrays, with a reason for each skipped primitive."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ FORMATS: dict[str, tuple[tuple[str, bool], ...]] = {
     "WEIGHTS": (FLOAT, ("u1", True), ("u2", True)),
     "JOINTS": (("u1", False), ("u2", False), ("u1", True), ("u2", True)),
 }
-"""Component types, and whether normalised, of glTF 2.0 §3.7.2.1 and KHR_mesh_quantization.
+"""Component types, and their normalisation (glTF 2.0 §3.7.2.1 and KHR_mesh_quantization).
 
-A "normalized" on JOINTS means nothing and is let pass: an index is an index.
+"normalized" on JOINTS has no meaning and is ignored, because an index is an index.
 """
 
 EXPECTED = {
@@ -41,12 +41,12 @@ EXPECTED = {
 
 
 MOST_SETS = 64
-"""Influence sets of a primitive: each slot of a vertex is compared with all others of it."""
+"""The most influence sets of a primitive: each slot of a vertex is compared with all others of it."""
 
 
 @dataclass(frozen=True, slots=True)
 class PrimitiveSource:
-    """One primitive of a skinned mesh in the document: its JSON, and where it stands."""
+    """One primitive of a skinned mesh in the document: its JSON and its place."""
 
     mesh: int
     primitive: int
@@ -55,7 +55,7 @@ class PrimitiveSource:
     place: Place
 
     def in_document(self, document: Document) -> PrimitiveSource:
-        """Return the same primitive of a document in which others stand where its accessors stood."""
+        """Return the same primitive of a document in which other accessors replace its own."""
         mesh = document.objects("meshes")[self.mesh]
         return replace(self, json=objects(mesh, "primitives", self.place)[self.primitive])
 
@@ -66,7 +66,7 @@ class PrimitiveSource:
 
     @property
     def influence_sets(self) -> int:
-        """Return how many ``JOINTS_n`` sets the primitive has, counted from 0 without a gap."""
+        """Return the number of ``JOINTS_n`` sets of the primitive, counted from 0 without a gap."""
         attributes = self.attributes
         count = 0
         while f"JOINTS_{count}" in attributes:
@@ -85,9 +85,9 @@ class StoredInfluences:
 def skinned_sources(document: Document) -> tuple[list[PrimitiveSource], list[Notice]]:
     """Return the primitives that a node with a skin draws, and notices on half-skinned ones.
 
-    A primitive counts as skinned where its mesh is used by a node with a skin *and* it has JOINTS_0.
-    ``joint_count`` is the smallest number of joints of all skins that its mesh is used with. Raises
-    InputError where nodes, skins or meshes contradict each other.
+    A primitive is skinned if a node with a skin uses its mesh *and* it has JOINTS_0. ``joint_count`` is the
+    smallest number of joints of all skins of its mesh. Raises InputError if nodes, skins or meshes contradict
+    each other.
     """
     joint_counts = _joint_counts(document)
     sources, notices = [], []
@@ -131,9 +131,9 @@ def _all_sources(document: Document, joint_counts: dict[int, int]) -> Iterator[P
 
 
 def reason_to_skip(document: Document, source: PrimitiveSource, *, generate_normals: bool) -> Notice | None:
-    """Return why a skinned primitive cannot be baked, None where it can.
+    """Return the reason why a skinned primitive cannot be baked, None if it can.
 
-    Raises InputError where its JSON refers to accessors that are not there, or is not what glTF wants.
+    Raises InputError if its JSON refers to missing accessors, or is not valid glTF.
     """
     _check_references(document, source)
     mode = integer(source.json, "mode", source.place, default=TRIANGLES)
@@ -162,7 +162,7 @@ def _check_references(document: Document, source: PrimitiveSource) -> None:
 
 
 def _triangle_count(document: Document, source: PrimitiveSource, mode: int) -> int:
-    """Return how many triangles are drawn, from the number of indices or vertices alone."""
+    """Return the number of drawn triangles, from the number of indices or vertices alone."""
     number = index(source.json, "indices", len(document.objects("accessors")), source.place)
     if number is None:
         number = _accessor_index(document, source, "POSITION")
@@ -173,10 +173,9 @@ def _triangle_count(document: Document, source: PrimitiveSource, mode: int) -> i
 def read_primitive(document: Document, source: PrimitiveSource) -> SkinnedPrimitive:
     """Return the arrays of one skinned primitive.
 
-    normals is (0, 3) where there is no NORMAL. Raises InputError where an attribute has a format that
-    glTF does not allow or another count than POSITION, where positions or weights are not finite, or for a
-    joint index past the skin's joints at a weight other than zero. Normals and tangents that are not finite
-    are left to whoever uses them.
+    normals is (0, 3) without NORMAL. Raises InputError if an attribute has a format that glTF does not allow
+    or another count than POSITION, if positions or weights are not finite, and for a joint index outside the
+    skin at a weight other than zero. Normals and tangents that are not finite stay for the caller.
     """
     positions = _decoded(document, source, "POSITION", 3)
     if not np.isfinite(positions).all():
@@ -222,18 +221,18 @@ def side_by_side(sets: Sequence[StoredInfluences]) -> tuple[IntArray, FloatArray
 
 
 def read_triangles(document: Document, source: PrimitiveSource) -> npt.NDArray[np.uint32]:
-    """Return the primitive's triangles (T, 3), strips and fans unrolled; InputError for an index ≥ V."""
+    """Return the triangles (T, 3) of the primitive, strips and fans unrolled; InputError for an index ≥ V."""
     place = source.place.at("indices")
     mode = integer(source.json, "mode", place, default=TRIANGLES)
     indices = read_indices(document, source)
-    # A strip's or fan's triangles are made of three arrays that go again.
+    # The triangles of a strip or fan come from three temporary arrays.
     each = 4 * (indices.dtype != np.uint32) if mode == TRIANGLES else 40
     document.budget.claim(each * len(indices), "its triangles", place)
     return unrolled(indices, mode)
 
 
 def read_indices(document: Document, source: PrimitiveSource) -> IntArray:
-    """Return the primitive's indices (N,), 0 … V − 1 where it has none; InputError for an index ≥ V."""
+    """Return the indices (N,) of the primitive, 0 … V − 1 without any; InputError for an index ≥ V."""
     place = source.place.at("indices")
     count = element_count(
         document, _accessor_index(document, source, "POSITION"), source.place.at("POSITION")
@@ -273,7 +272,7 @@ def _stored(
 
 
 def check_format(stored: StoredArray, attribute: str, components: int, place: Place) -> None:
-    """Raise InputError where glTF does not allow an attribute these components, or of this type."""
+    """Raise InputError if glTF does not allow these components or this type for an attribute."""
     if stored.values.shape[1] != components:
         raise InputError(f"it has {stored.values.shape[1]} components, {components} are needed", place)
     family = attribute.split("_", maxsplit=1)[0]

@@ -1,4 +1,4 @@
-"""Which entries of a document's arrays its other parts refer to, and references that lead to no entry."""
+"""References between the entries of a document's arrays, and references to missing entries."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ VIEW = "bufferView"
 
 
 def uses_of_accessors(root: JsonObject) -> dict[int, int]:
-    """Return how many attributes, targets, indices, skins and samplers refer to each accessor."""
+    """Return the number of attributes, targets, indices, skins and samplers that refer to each accessor."""
     found: list[object] = []
     for mesh in entries_of(root.get("meshes")):
         for primitive in entries_of(mesh.get("primitives")):
@@ -40,21 +40,21 @@ def uses_of_accessors(root: JsonObject) -> dict[int, int]:
 
 
 def views_in_use(root: object) -> set[int]:
-    """Return every number that stands under a key ``bufferView``, at any depth."""
+    """Return every number under a key ``bufferView``, at any depth."""
     found = (reference(node.get(VIEW)) for node in every_object(root))
     return {number for number in found if number is not None}
 
 
 def buffers_in_use(root: object) -> set[int]:
-    """Return every number that stands under a key ``buffer``, at any depth."""
+    """Return every number under a key ``buffer``, at any depth."""
     found = (reference(node.get("buffer")) for node in every_object(root))
     return {number for number in found if number is not None}
 
 
 def check_views(views: Sequence[JsonObject], grows_from: int | None, place: Place) -> None:
-    """Raise InputError where a buffer view does not say which bytes it is, or would mean some that are added.
+    """Raise InputError if a buffer view does not name its bytes, or would reach into added ones.
 
-    ``grows_from`` is the length of buffer 0 where bytes are added at its end.
+    ``grows_from`` is the length of buffer 0 if bytes are added at its end.
     """
     for number, view in enumerate(views):
         where = place.at(f"buffer view {number}")
@@ -69,9 +69,9 @@ def check_views(views: Sequence[JsonObject], grows_from: int | None, place: Plac
 
 
 def refuse_dangling(root: JsonObject, key: str, added: int, place: Place) -> None:
-    """Raise InputError where a reference leads to no entry of an array, but would lead to one of ``added``.
+    """Raise InputError if a reference names a missing entry that ``added`` entries would supply.
 
-    An entry that is added must not become what a broken reference means.
+    An added entry must not become the target of a broken reference.
     """
     used = {
         "accessors": lambda: set(uses_of_accessors(root)),

@@ -1,4 +1,4 @@
-"""What the URIs of buffers and images stand for: data in the URI, or a file beside the document."""
+"""The data that URIs of buffers and images name: in the URI, or in a file beside the document."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from skinbake.errors import InputError, Place
 from skinbake.gltf.glb import Bytes
 
 BLOCK = 1 << 20
-"""Bytes of a file that are copied at a time."""
+"""Number of bytes of a file that are copied at a time."""
 
 
 def is_data_uri(uri: str) -> bool:
@@ -27,7 +27,7 @@ def is_data_uri(uri: str) -> bool:
 
 
 def decode_data_uri(uri: str, place: Place) -> bytes:
-    """Return the bytes of a ``data:`` URI, base64 or percent-encoded; InputError where it is malformed."""
+    """Return the bytes of a ``data:`` URI, base64 or percent-encoded; InputError if it is malformed."""
     header, comma, payload = uri.partition(",")
     if not comma:
         raise InputError("a data: URI has no comma before its data", place)
@@ -35,7 +35,7 @@ def decode_data_uri(uri: str, place: Place) -> bytes:
         if not header.lower().endswith(";base64"):
             return unquote_to_bytes(payload)
         return base64.b64decode(unquote(payload) if "%" in payload else payload, validate=True)
-    except ValueError as error:  # binascii.Error, or characters that no byte stands for
+    except ValueError as error:  # binascii.Error, or characters outside of one byte
         raise InputError(f"a data: URI cannot be decoded: {error}", place) from error
 
 
@@ -54,15 +54,15 @@ def read_file(path: Path) -> Bytes:
 
 
 PAGES_FROM = 1 << 20
-"""Bytes from which a file is read into pages of its own."""
+"""From this number of bytes on, a file is read into its own pages."""
 
 
 def read_open_file(descriptor: int) -> Bytes:
-    """Return the bytes of an open regular file, in memory of our own.
+    """Return the bytes of an open regular file, as a copy in memory.
 
-    They are read, not mapped: another process may rewrite a mapped file between a check and the use of what
-    was checked, and one that it cuts short ends this process. Raises OSError, also for a file that changes
-    its length while it is read.
+    The file is read, not mapped. Another process may rewrite a mapped file between a check and its use, and
+    if it truncates the file, this process dies. Raises OSError, also for a file that changes its length while
+    it is read.
     """
     size = os.fstat(descriptor).st_size
     with open(descriptor, "rb", buffering=0, closefd=False) as file:
@@ -80,9 +80,9 @@ def read_open_file(descriptor: int) -> Bytes:
 
 
 def _own_pages(size: int) -> memoryview:
-    """Return memory that nobody has to fill with zeros first, in huge pages where there are any.
+    """Return memory that is not filled with zeros first, in huge pages if there are any.
 
-    Reading 72 MiB takes 23 ms of processor time so, 41 ms into ordinary pages.
+    Reading 72 MiB then takes 23 ms of processor time. It takes 41 ms with ordinary pages.
     """
     if not hasattr(mmap, "MAP_ANONYMOUS"):
         return memoryview(bytearray(size))
@@ -95,7 +95,7 @@ def _own_pages(size: int) -> memoryview:
 
 @dataclass(frozen=True, slots=True)
 class FileContent:
-    """The bytes of a file beside the document, read a block at a time whenever they are needed."""
+    """The bytes of a file beside the document, read a block at a time when they are needed."""
 
     spot: Spot
 
@@ -110,10 +110,10 @@ class FileContent:
 
 
 def find(uri: str, folder: Path, bounds: Bounds) -> tuple[Spot, int]:
-    """Return where a document's URI leads, and a descriptor of the regular file there.
+    """Return the path of a document's URI, and a descriptor of the regular file there.
 
-    Raises RefusedError where the URI is none that is opened (OutsideError: it leads out of ``bounds``), and
-    OSError where there is no such file, or a link on the way leads out.
+    Raises RefusedError if the URI may not be opened (OutsideError: it leads out of ``bounds``). Raises
+    OSError if there is no such file, or if a link on the way leads out.
     """
     missing: OSError | None = None
     for spot in containment.spots(uri, os.fspath(folder), bounds):
@@ -121,7 +121,7 @@ def find(uri: str, folder: Path, bounds: Bounds) -> tuple[Spot, int]:
             return spot, containment.open_beneath(spot)
         except (FileNotFoundError, NotADirectoryError, IsADirectoryError) as error:
             missing = missing or error
-        except ValueError as error:  # a name that this system cannot have
+        except ValueError as error:  # not a valid name on this system
             missing = missing or OSError(errno.ENOENT, str(error))
     raise missing or FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT))
 
@@ -136,10 +136,10 @@ def is_there(uri: str, folder: Path, bounds: Bounds) -> bool:
 
 
 def read_resource(uri: str, folder: Path, bounds: Bounds, place: Place) -> Bytes:
-    """Return the bytes that a buffer's URI stands for.
+    """Return the bytes of a buffer's URI.
 
-    Raises InputError where the file is missing or unreadable, the data URI is malformed, or the URI is none
-    that a document may have read: a model does not get to read arbitrary files or the network.
+    Raises InputError if the file is missing or unreadable, if the data URI is malformed, or if the document
+    may not read the URI: a model must not read arbitrary files or the network.
     """
     if is_data_uri(uri):
         return decode_data_uri(uri, place)
@@ -160,7 +160,7 @@ def read_resource(uri: str, folder: Path, bounds: Bounds, place: Place) -> Bytes
 
 
 def outside(uri: str, why: str, place: Place) -> InputError:
-    """Return the error of a buffer outside the folders that a document may have read."""
+    """Return the error for a buffer outside the folders that a document may read."""
     return InputError(
         f'its buffer "{shortened(uri)}" is not read: {why}. To read the file, give its folder '
         "with --allow-outside DIR",
@@ -169,5 +169,5 @@ def outside(uri: str, why: str, place: Place) -> InputError:
 
 
 def shortened(uri: str) -> str:
-    """Return a URI as messages show it."""
+    """Return a URI for messages, shortened."""
     return uri if len(uri) <= 80 else f"{uri[:77]}…"

@@ -1,4 +1,4 @@
-"""Which meshes are one character: those that the same skins draw (glTF 2.0, §3.7.3)."""
+"""Group meshes into characters: a group is drawn with the same skins (glTF 2.0, §3.7.3)."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ Skins = frozenset[int]
 
 
 def meshes_of_one_skin(document: Document, meshes: Iterable[int]) -> tuple[list[list[int]], list[Notice]]:
-    """Return the given meshes in groups that the same skins draw, and a notice on those kept apart.
+    """Return the given meshes in groups that the same skins draw, and a notice on separate meshes.
 
-    Groups, and the meshes in each, stand in the given order. Two skins with the same joints in the same
-    order and equal inverse bind matrices count as one: some exporters write one for each mesh. Meshes are
-    one group only where they have *all* skins in common: a mesh that a further skin draws by itself ends
-    there where it is cut. Only meshes of equal inverse bind matrices have a mesh space in common, so the
-    notice also counts meshes that share joints with another group and bind them otherwise: quantisation
-    gives every mesh its own.
+    Groups, and the meshes in each, keep the given order. Two skins count as one if they have the same joints
+    in the same order and equal inverse bind matrices: some exporters write one skin for each mesh. Meshes are
+    one group only if they have *all* skins in common: if one more skin draws a mesh by itself, the mesh
+    really ends at its border there. Only meshes with equal inverse bind matrices share a mesh space.
+    Quantisation gives every mesh its own, so the notice also counts meshes that share joints with another
+    group but have other inverse bind matrices.
 
-    Raises InputError where a skin cannot be read.
+    Raises InputError if a skin cannot be read.
     """
     drawn_by = _skins_by_mesh(document)
     groups: dict[Skins, list[int]] = {}
@@ -31,8 +31,8 @@ def meshes_of_one_skin(document: Document, meshes: Iterable[int]) -> tuple[list[
 
 
 def _skins_by_mesh(document: Document) -> dict[int, Skins]:
-    """Return the skins that nodes draw each mesh with, the first skin standing for all that equal it."""
-    # Some exporters write 3.0; that they are indices was seen when the primitives were read.
+    """Return the skins of each mesh; the first of equal skins stands for all of them."""
+    # Some exporters write 3.0. Reading the primitives has checked that they are indices.
     pairs = [
         (int(node["mesh"]), int(node["skin"]))
         for node in document.objects("nodes")
@@ -49,18 +49,18 @@ def _skins_by_mesh(document: Document) -> dict[int, Skins]:
 
 
 def _binding(document: Document, skin: int) -> Hashable:
-    """Return what makes a skin the same as another: its joints, in order, and their inverse bind matrices."""
+    """Return the identity of a skin: its joints, in order, and their inverse bind matrices."""
     matrices = read_skeleton(document, skin).inverse_bind
     return tuple(_joints(document, skin)), (matrices + 0.0).tobytes()  # −0 = +0
 
 
 def _joints(document: Document, skin: int) -> Sequence[int]:
-    """Return a skin's joint nodes; that they are a list of indices was seen when it was read."""
+    """Return the joint nodes of a skin; reading the skin has checked that they are indices."""
     return [int(node) for node in document.objects("skins")[skin]["joints"]]
 
 
 def _kept_apart(document: Document, groups: dict[Skins, list[int]]) -> list[Notice]:
-    """Return a notice where joints of one group also move another."""
+    """Return a notice if joints of one group also move another one."""
     moved = {skins: {node for skin in skins for node in _joints(document, skin)} for skins in groups}
     apart = [
         meshes[0]

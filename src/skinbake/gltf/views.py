@@ -1,4 +1,4 @@
-"""The bytes of buffer views, decompressed where they are stored compressed (glTF 2.0, §3.6.2)."""
+"""The bytes of buffer views, decompressed if meshopt compressed them (glTF 2.0, §3.6.2)."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from skinbake.gltf.json_access import JsonObject, index, integer
 
 
 def view_bytes(document: Document, view_index: int, place: Place) -> memoryview:
-    """Return the bytes of one buffer view, decoded where meshopt compressed them.
+    """Return the bytes of one buffer view, decoded if meshopt compressed them.
 
-    Raises InputError where it does not fit its buffer, or cannot be decoded.
+    Raises InputError if the view does not fit its buffer, or cannot be decoded.
     """
     view = document.objects("bufferViews")[view_index]
     if meshopt.extension_of(view, place) is None:
@@ -24,9 +24,9 @@ def view_bytes(document: Document, view_index: int, place: Place) -> memoryview:
 
 
 def stored_bytes(document: Document, holder: JsonObject, what: str, place: Place) -> memoryview:
-    """Return the bytes that ``buffer``, ``byteOffset`` and ``byteLength`` of an object name, as stored.
+    """Return the stored bytes that ``buffer``, ``byteOffset`` and ``byteLength`` of an object name.
 
-    ``what`` is what messages call the object.
+    ``what`` names the object in messages.
     """
     buffer_index = index(holder, "buffer", len(document.objects("buffers")), place)
     if buffer_index is None:

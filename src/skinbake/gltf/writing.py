@@ -1,8 +1,8 @@
-"""Write several files below a folder, whole or not at all, so that they outlast a power cut.
+"""Write several files below a folder, whole or not at all, so that they survive a power cut.
 
-Of several files the last is the one that names the others. It replaces what has its name; the others replace
-nothing, so that no run changes what another one's file names. ``TakenError`` says that a name was taken
-meanwhile. Names are used relative to open folders: no link leads out of the root.
+The last file names the others. It replaces an existing file of its name. The others replace nothing, so that
+no run changes a file that another run's document names. ``TakenError`` says that a name was taken meanwhile.
+Names are used relative to open folders, so no link leads out of the root.
 """
 
 from __future__ import annotations
@@ -32,34 +32,35 @@ if sys.platform != "win32":
     import fcntl
 
 MOST_PIECES = 512
-"""Pieces that go into one call: POSIX promises 16, every system that has writev takes 1,024."""
+"""Pieces of one call: POSIX promises 16, every system with writev accepts 1,024."""
 
 PATIENCE = 5.0
-"""Seconds to wait for another run that gives its files their names in the same folder: it takes it some ms.
+"""Seconds to wait for another run that names its files in the same folder, which takes it some ms.
 
-After that it has been stopped, and we go on: names that are taken are found taken without the lock too.
+After that time the other run has been stopped. This run then goes on: it finds taken names also without the
+lock.
 """
 
 ABANDONED = 86_400.0
-"""Seconds after which a temporary file of an unknown process is taken for a dead one's."""
+"""Seconds after which a temporary file of an unknown process counts as abandoned."""
 
 YOUNG = 1_000_000_000
-"""Nanoseconds: a file changed this recently may change again without a later time to show for it."""
+"""Nanoseconds: a file that changed so recently may change again without a later time stamp."""
 
 CHEAP = 1 << 20
-"""Bytes of a young file that are digested, to see a change that its times do not show."""
+"""Bytes of a young file that are digested, to find a change that its time stamps do not show."""
 
 SHORT = 1 << 20
-"""Bytes of one file during which interrupts wait: to change handlers at each step would take as long."""
+"""Bytes of one file during which interrupts wait. Changing handlers for each piece would take as long."""
 
 NO_LINKS = frozenset({errno.EPERM, errno.EOPNOTSUPP, errno.ENOSYS, errno.EMLINK, errno.EACCES, errno.EINVAL})
-"""What systems answer that do not give a file a second name."""
+"""Error codes of systems that cannot give a file a second name."""
 
 TEMPORARY = re.compile(r"\.skinbake-(?:([0-9a-f]{8})_([0-9a-f]+)_([0-9a-f]+)_)?[0-9a-f]{12}\.tmp")
-"""Names of temporary files: kernel, process and when it was started, where they are known."""
+"""Names of temporary files: kernel, process and its start time, if they are known."""
 
 REMEMBERED = 4096
-"""Folders of which a process remembers that it has looked for what dead ones left."""
+"""Number of folders that a process remembers as cleaned of abandoned files."""
 
 _NEW = (
     os.O_WRONLY
@@ -70,21 +71,21 @@ _NEW = (
     | getattr(os, "O_BINARY", 0)
 )
 _putting_off: list[bool] = []
-"""Not empty while the main thread puts interrupts off."""
+"""Not empty while the main thread delays interrupts."""
 
 _looked_through: set[tuple[int, int]] = set()
 
 Signature = tuple[int, ...]
-"""What changes with a file; empty where there is none."""
+"""The properties that change with a file; empty if there is none."""
 
 
 class TakenError(OutputError):
-    """Beside the output somebody has put a file, or changed one, since it was planned."""
+    """Another program has put or changed a file beside the output since it was planned."""
 
 
 @dataclass(frozen=True, slots=True)
 class Version:
-    """A file as it was when it was read; ``digest`` where its times alone may not show a change."""
+    """A file as it was when it was read; ``digest`` if its times alone may not show a change."""
 
     path: str
     signature: Signature
@@ -92,21 +93,21 @@ class Version:
 
     @property
     def is_current(self) -> bool:
-        """Tell whether nobody has saved the file since."""
+        """Tell whether the file is unchanged since."""
         if signature_of(self.path) != self.signature:
             return False
         return self.digest is None or _digest(self.path) == self.digest
 
 
 def version_of(path: str) -> Version:
-    """Return how a file is now, to be asked for before it is read."""
+    """Return the present version of a file; call it before the file is read."""
     now, signature = time.time_ns(), signature_of(path)
     young = bool(signature) and now - max(signature[-2:]) < YOUNG and signature[2] <= CHEAP
     return Version(path, signature, _digest(path) if young else None)
 
 
 def signature_of(path: str | Path) -> Signature:
-    """Return what changes with a file: identity, size, times; empty where it cannot be asked for."""
+    """Return the properties that change with a file: identity, size, times; empty if unknown."""
     try:
         found = os.stat(path)
     except (OSError, ValueError):
@@ -123,8 +124,8 @@ def _digest(path: str) -> str | None:
 
 
 def check_target(path: Path, target: str, *, make_folder: bool) -> None:
-    """Raise OutputError where the user's target, ``path`` without links, cannot be written."""
-    there = os.path.lexists(path.parent)  # asked first: another process may be about to make it
+    """Raise OutputError if the user's target, ``path`` without links, cannot be written."""
+    there = os.path.lexists(path.parent)  # read first, because another process may be about to make it
     if not (path.parent.is_dir() if there else make_folder):
         raise OutputError("its folder does not exist", Place(target))
     if path.is_symlink() or (path.exists() and not path.is_file()):
@@ -134,7 +135,7 @@ def check_target(path: Path, target: str, *, make_folder: bool) -> None:
 
 
 def write_stdout(pieces: Iterable[Bytes]) -> None:
-    """Write to stdout; raises OutputError, ReaderGoneError where whoever read it has left."""
+    """Write to stdout; raises OutputError, or ReaderGoneError if the reader of stdout has left."""
     try:
         for piece in pieces:
             sys.stdout.buffer.write(piece)
@@ -168,9 +169,10 @@ def write_files(
 ) -> None:
     """Write files below ``root`` under temporary names, then rename them, the last one last.
 
-    ``serving`` are files that are there and that the last one names, as they were; ``replaces`` is the file
-    that the last one was made from and replaces. ``sync`` waits until all is on the disk. Raises OutputError
-    that names ``target``, and TakenError where the names have to be planned again; then all is as it was.
+    ``serving`` are existing files that the last one names, as they were. ``replaces`` is the source of the
+    last one, if it replaces its source. ``sync`` waits until all is on the disk. Raises OutputError that
+    names ``target``, and TakenError if the names must be planned again. In both cases everything is as it
+    was.
     """
     place = Place(target)
     begun = _Begun(os.path.realpath(root), str(root))
@@ -181,14 +183,14 @@ def write_files(
             _make_root(begun)
             for path, pieces in files.items():
                 begun.written.append(_written(path, pieces, begun, stack, place, sync=sync))
-            for path in serving or ():  # what died runs left beside these goes too
+            for path in serving or ():  # files that ended runs left beside these are removed too
                 _opened(tuple(_parts(path, (begun.root, begun.given), place)[:-1]), begun, stack)
             with _locked(begun.open.values()) if is_shared else nullcontext(), interrupts_put_off():
                 _check_still_so(serving or {}, replaces, place)
                 try:
                     _rename(begun, place)
                 except BaseException:
-                    begun.take_names_back()  # before another run can take them for its own
+                    begun.take_names_back()  # before another run can use them
                     raise
             if sync:
                 _sync_folders(begun)
@@ -197,7 +199,7 @@ def write_files(
 
 
 class _Written(NamedTuple):
-    """A file under its temporary name, and the one that it is to have."""
+    """A file with its temporary name and its final name."""
 
     folder: Folder
     temporary: str
@@ -207,10 +209,10 @@ class _Written(NamedTuple):
 
 @dataclass(slots=True)
 class _Begun:
-    """What a write has made so far; where it fails, all of that is removed again.
+    """The files of a write so far; if it fails, all of them are removed again.
 
-    ``is_done`` from when the last file has its name: an interrupt no longer undoes anything then, and a
-    failure only what replaced nothing.
+    ``is_done`` is true when the last file has its name. From then on an interrupt undoes nothing, and a
+    failure undoes only files that replaced nothing.
     """
 
     root: str
@@ -243,7 +245,7 @@ class _Begun:
                     os.rmdir(path)
 
     def take_names_back(self) -> None:
-        """Remove the files that had no name before."""
+        """Remove the files whose names were new."""
         for folder, name in self.created:
             with suppress(OSError):
                 os.unlink(folder.name(name), dir_fd=folder.descriptor)
@@ -251,7 +253,7 @@ class _Begun:
 
 
 def _make_root(begun: _Begun) -> None:
-    """Make the folder that the user named, and those above it, where they are missing."""
+    """Make the folder that the user named, and its parents, if they are missing."""
     missing, folder = [], begun.root
     while not os.path.exists(folder):
         missing.append(folder)
@@ -265,7 +267,7 @@ def _make_root(begun: _Begun) -> None:
 def _written(
     path: Path, pieces: Iterable[Bytes], begun: _Begun, stack: ExitStack, place: Place, *, sync: bool
 ) -> _Written:
-    """Write one file under a temporary name beside its own, with the mode that it has, or a new file's."""
+    """Write one file under a temporary name, with the mode of its target, or the mode of a new file."""
     *parts, name = _parts(path, (begun.root, begun.given), place)
     folder = _opened(tuple(parts), begun, stack)
     temporary = temporary_name()
@@ -286,7 +288,7 @@ def _written(
 
 
 def _parts(path: Path, roots: Sequence[str], place: Place) -> Sequence[str]:
-    """Return a path's parts from the root on; OutputError where it is not below."""
+    """Return the parts of a path from the root on; OutputError if it is not below the root."""
     parts = next((path.relative_to(base).parts for base in roots if path.is_relative_to(base)), ())
     if not parts or not {"", ".", ".."}.isdisjoint(parts):
         raise OutputError(f"cannot be written: {path} is not below {roots[-1]}", place)
@@ -294,7 +296,7 @@ def _parts(path: Path, roots: Sequence[str], place: Place) -> Sequence[str]:
 
 
 def _opened(parts: tuple[str, ...], begun: _Begun, stack: ExitStack) -> Folder:
-    """Return a folder below the root, made where it is missing, open until the stack is done with."""
+    """Return an open folder below the root, made if it is missing; the stack closes it."""
     if parts not in begun.open:
 
         def made(path: str) -> None:
@@ -315,7 +317,7 @@ def _there(folder: Folder, name: str) -> os.stat_result | None:
 
 
 def _write_pieces(descriptor: int, pieces: Iterable[Bytes]) -> None:
-    """Write the pieces one after the other, without joining them; those that are made as they go, singly."""
+    """Write the pieces one after the other, without joining them; generated pieces are written singly."""
     if isinstance(pieces, Sequence):
         _write_all(descriptor, pieces)
     else:
@@ -324,7 +326,7 @@ def _write_pieces(descriptor: int, pieces: Iterable[Bytes]) -> None:
 
 
 def _write_all(descriptor: int, pieces: Sequence[Bytes]) -> None:
-    """Write pieces, many in one call where the system can."""
+    """Write pieces, many in one call if the system can."""
     left = [view for piece in pieces if (view := memoryview(piece).cast("B"))]
     while left:
         if hasattr(os, "writev"):
@@ -338,7 +340,7 @@ def _write_all(descriptor: int, pieces: Sequence[Bytes]) -> None:
 
 
 def _check_still_so(serving: Mapping[Path, Signature], replaces: Version | None, place: Place) -> None:
-    """Raise OutputError where files are not what they were when the write was planned."""
+    """Raise OutputError if files have changed since the write was planned."""
     if replaces is not None and not replaces.is_current:
         raise OutputError(
             "another program has saved it since it was read, so it is not replaced: run this again", place
@@ -349,7 +351,7 @@ def _check_still_so(serving: Mapping[Path, Signature], replaces: Version | None,
 
 
 def _rename(begun: _Begun, place: Place) -> None:
-    """Give all files their names, the last one last; only that one replaces another."""
+    """Give all files their names, the last one last; only the last one replaces another file."""
     *beside, last = begun.written
     for one in beside:
         _put_new(one, begun, place)
@@ -367,7 +369,7 @@ def _rename(begun: _Begun, place: Place) -> None:
 
 
 def _put_new(one: _Written, begun: _Begun, place: Place) -> None:
-    """Give a file a name that no other has, unless one with the same content has it already."""
+    """Give a file a name that no other file has, unless a file with the same content has it already."""
     descriptor = one.folder.descriptor
     source, goal = one.folder.name(one.temporary), one.folder.name(one.name)
     try:
@@ -384,7 +386,7 @@ def _put_new(one: _Written, begun: _Begun, place: Place) -> None:
 
 
 def _name_anew(source: str, goal: str, descriptor: int | None) -> bool:
-    """Give a file a name; FileExistsError where that is taken. False: it still has its old one too."""
+    """Give a file a name; FileExistsError if it is taken. False: the file still has its old name too."""
     if not BY_DESCRIPTOR:
         os.rename(source, goal)  # Windows replaces nothing
         return True
@@ -401,7 +403,7 @@ def _name_anew(source: str, goal: str, descriptor: int | None) -> bool:
 
 
 def _has_content(one: _Written) -> bool:
-    """Tell whether the file of that name, not a link, holds what was to be written."""
+    """Tell whether the file of that name exists, is no link, and holds the new content."""
     flags = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
     try:
         descriptor = os.open(
@@ -421,7 +423,7 @@ def _flat(piece: Bytes) -> memoryview:
 
 
 def _sync_folders(begun: _Begun) -> None:
-    """Wait until the names are on the disk: of files, and of the folders that were made for them."""
+    """Wait until names are on the disk: of files, and of the folders that were made for them."""
     for folder in begun.open.values():
         folder.sync()
     for parts in {parts[:-1] for parts in begun.below} - begun.open.keys():
@@ -434,10 +436,10 @@ def _sync_folders(begun: _Begun) -> None:
 
 @contextmanager
 def interrupts_put_off() -> Iterator[None]:
-    """Let Ctrl-C and SIGTERM wait until the block is done, so that all it makes is known to the clean-up.
+    """Delay Ctrl-C and SIGTERM until the end of the block, so that the clean-up knows all new files.
 
-    By Python's handlers, not by a mask: a mask holds for one thread, and numpy has others. Handlers run in
-    the main thread alone.
+    This uses Python's handlers, not a signal mask. A mask holds for one thread, and numpy has more threads.
+    Handlers run only in the main thread.
     """
     if threading.current_thread() is not threading.main_thread() or _putting_off:
         yield
@@ -463,9 +465,9 @@ def interrupts_put_off() -> Iterator[None]:
 
 @contextmanager
 def _locked(folders: Iterable[Folder]) -> Iterator[None]:
-    """Keep other runs from giving files names in these folders, where the system has locks for that.
+    """Keep other runs from naming files in these folders, if the system has locks for this.
 
-    In one order everywhere, lest two wait for each other.
+    The order of the locks is the same everywhere, so that two runs never wait for each other.
     """
     held: dict[tuple[int, int], int] = {}
     for folder in folders:
@@ -506,7 +508,7 @@ def _unlock(descriptor: int) -> None:
 
 
 def temporary_name() -> str:
-    """Return a name for a temporary file that says which process it belongs to."""
+    """Return a name for a temporary file that identifies its process."""
     return f".skinbake-{_owner(os.getpid())}{secrets.token_hex(6)}.tmp"
 
 
@@ -518,9 +520,9 @@ def _owner(process: int) -> str:
 
 @lru_cache(maxsize=1)
 def _kernel() -> str:
-    """Return what tells this running system from all others that may share a folder; empty if unknown.
+    """Return an identity of this running system among all that may share a folder; empty if unknown.
 
-    Containers on one system count processes by themselves, and have the namespace to show for it.
+    Containers on one system count processes separately. Their namespace identifies them.
     """
     try:
         boot = Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
@@ -530,7 +532,7 @@ def _kernel() -> str:
 
 
 def _process(process: int) -> tuple[str, int]:
-    """Return a process's state and when it was started, in ticks; empty and 0 where that is unknown."""
+    """Return the state of a process and its start time in ticks; empty and 0 if unknown."""
     try:
         fields = Path(f"/proc/{process}/stat").read_bytes().rpartition(b")")[2].split()
         return fields[0].decode("ascii"), int(fields[19])
@@ -539,7 +541,7 @@ def _process(process: int) -> tuple[str, int]:
 
 
 def _is_dead(process: int, started: int) -> bool:
-    """Tell whether a process of this system has ended; False where in doubt."""
+    """Tell whether a process of this system has ended; False if in doubt."""
     try:
         os.kill(process, 0)
     except ProcessLookupError:
@@ -551,7 +553,7 @@ def _is_dead(process: int, started: int) -> bool:
 
 
 def _collect(folder: Folder) -> None:
-    """Remove temporary files of processes that died; once for each folder, since others may be many."""
+    """Remove temporary files of ended processes, once for each folder, because there may be many files."""
     with suppress(OSError):
         found = os.stat(folder.path if folder.descriptor is None else folder.descriptor)
         if (found.st_dev, found.st_ino) in _looked_through:
@@ -567,7 +569,7 @@ def _collect(folder: Folder) -> None:
 
 
 def _is_left_behind(entry: os.DirEntry[str]) -> bool:
-    """Tell whether a file is a temporary one of a process that is no more; False where in doubt."""
+    """Tell whether a file is a temporary file of an ended process; False if in doubt."""
     match = TEMPORARY.fullmatch(entry.name)
     if match is None or not entry.is_file(follow_symlinks=False):
         return False

@@ -1,4 +1,4 @@
-"""What bake did: the result of each file, as a closing line and as JSON."""
+"""The result of bake for each file, as a closing line and as JSON."""
 
 from __future__ import annotations
 
@@ -12,16 +12,18 @@ from skinbake.report.notices import counted, error_fields, notice_list, place_fi
 SCHEMA = "skinbake.bake/1"
 
 SEEN = 0.0001
-"""Degrees below which nobody asks how many."""
+"""Below this angle in degrees, the exact value does not matter."""
 
 Status = Literal["baked", "unchanged", "up-to-date", "failed"]
-"""``unchanged``: passed through, nothing in it can be baked. ``up-to-date``: not baked again, it would be the
-same."""
+"""``unchanged``: passed through, because nothing in it can be baked.
+
+``up-to-date``: not baked again, because the result would be the same.
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class Spread:
-    """How far something differs over vertices and poses, weighted by rest area."""
+    """Differences over vertices and poses, weighted by rest area."""
 
     mean: float
     p99: float
@@ -30,11 +32,12 @@ class Spread:
 
 @dataclass(frozen=True, slots=True)
 class LimitCost:
-    """What fewer influences cost a primitive.
+    """The cost of fewer influences for a primitive.
 
-    influences a vertex are left; vertices lost some, and left_out is the share of their weight that went, on
-    average. normals: degrees between accurate normals before and after; positions: how far vertices move, in
-    the scene's length unit; size: the primitive's, posed, in that unit. poses says what was measured over.
+    influences is the new number for each vertex. vertices is the number of vertices that lost some. left_out
+    is the lost share of their weight, on average. normals are degrees between the accurate normals before and
+    after. positions are distances of vertices in the length unit of the scene. size is the size of the posed
+    primitive in that unit. poses describes the poses of the measurement.
     """
 
     influences: int
@@ -48,13 +51,12 @@ class LimitCost:
 
 @dataclass(frozen=True, slots=True)
 class BakedCounts:
-    """What was baked into one primitive, in numbers.
+    """The bake of one primitive, in numbers.
 
-    adopting_vertices took joints of their neighbours into free slots, overflowing_vertices had more such
-    joints than free slots; gradient is the summed length of the weight gradients, in 1 / length unit, and
-    lost_gradient the share of it that no slot holds.
-    added_bytes is what the primitive added to the file, bytes_per_vertex what α and β take of a vertex;
-    limited is what --limit-influences did to it.
+    adopting_vertices took joints of their neighbours into free slots. overflowing_vertices had more such
+    joints than free slots. gradient is the summed length of the weight gradients, in 1 / length unit, and
+    lost_gradient the share of it that no slot holds. added_bytes is the growth of the file by the primitive,
+    bytes_per_vertex the size of α and β for a vertex. limited is the effect of --limit-influences.
     """
 
     vertices: int
@@ -74,9 +76,9 @@ class BakedCounts:
 
 @dataclass(frozen=True, slots=True)
 class EncodingCost:
-    """How α and β are stored, and by how many degrees that moves the accurate normals, area weighted.
+    """The encoding of α and β, and the angle by which it turns accurate normals, weighted by area.
 
-    The degrees are None for float32, which is what the others are held against, and where no normal is known.
+    The degrees are None for float32, which is the reference of the others, and if no normal is known.
     """
 
     name: str
@@ -86,12 +88,12 @@ class EncodingCost:
 
 @dataclass(frozen=True, slots=True)
 class FileResult:
-    """What became of one input.
+    """The result of one input.
 
-    output is None where nothing was to be written. skipped counts the skinned primitives that were left
-    out, error says why a file failed, encoding how α and β are stored (None where nothing was baked).
-    written has digests of the files that were written, by path, where that was asked for, record what a
-    state file is to hold of it. timings are seconds by stage, None where nobody asked.
+    output is None if nothing was to be written. skipped counts the skinned primitives that were left out.
+    error is the reason of a failure. encoding is the encoding of α and β (None if nothing was baked). written
+    has digests of the written files, by path, if they were requested. record is the entry for a state file.
+    timings are seconds by stage, None if they were not requested.
     """
 
     input: str
@@ -108,7 +110,7 @@ class FileResult:
 
 
 def closing_line(result: FileResult, *, dry_run: bool) -> str:
-    """Return one line that says what was baked, skipped and assumed, in numbers."""
+    """Return one line with the numbers of baked, skipped and assumed things."""
     name = printable(result.input)
     where = name if result.output in {None, result.input} else f"{name} -> {printable(str(result.output))}"
     if dry_run:
@@ -143,7 +145,7 @@ def closing_line(result: FileResult, *, dry_run: bool) -> str:
 
 
 def detail_lines(result: FileResult) -> Iterator[str]:
-    """Yield a line for each baked primitive, for those who asked for more."""
+    """Yield a line for each baked primitive, for ``--verbose``."""
     for place, count in result.primitives:
         yield (
             f"{place}: {counted(count.vertices, 'vertex', 'vertices')}, "
@@ -165,7 +167,7 @@ def _baked(counts: Sequence[BakedCounts]) -> str:
 
 
 def _encoding_text(encoding: EncodingCost | None, counts: Sequence[BakedCounts]) -> Iterator[str]:
-    """Yield what an encoding other than float32 takes and costs."""
+    """Yield the size and the cost of an encoding other than float32."""
     if encoding is None or encoding.name == "float32":
         return
     sizes = " or ".join(str(size) for size in sorted({count.bytes_per_vertex for count in counts}))
@@ -180,7 +182,7 @@ def _degrees(angle: float) -> str:
 
 
 def _limited(costs: Sequence[LimitCost]) -> str:
-    """Return what a limit of influences cost; p99 and shares of the size are those of the worst primitive."""
+    """Return the cost of a limit of influences; p99 and size are those of the worst primitive."""
     vertices = sum(cost.vertices for cost in costs)
     left_out = sum(cost.left_out * cost.vertices for cost in costs) / max(vertices, 1)
     lost = "no weight lost"
@@ -196,7 +198,7 @@ def _limited(costs: Sequence[LimitCost]) -> str:
 
 
 def _lost(counts: Sequence[BakedCounts]) -> float:
-    """Return the share of all primitives' gradients together that is lost."""
+    """Return the lost share of all gradients of all primitives together."""
     whole = sum(count.gradient for count in counts)
     return sum(count.lost_gradient * count.gradient for count in counts) / whole if whole else 0.0
 
@@ -210,7 +212,7 @@ def as_json(
 ) -> dict[str, Any]:
     """Return the results as one JSON object; docs/reference/json.md documents its members.
 
-    process is how the seconds of the whole process were spent, None where nobody asked.
+    process holds the seconds of the whole process, None if they were not requested.
     """
     return {
         "schema": SCHEMA,
@@ -222,7 +224,7 @@ def as_json(
 
 
 def file_json(result: FileResult) -> dict[str, Any]:
-    """Return what became of one file as a JSON object."""
+    """Return the result of one file as a JSON object."""
     return {
         "input": result.input,
         "output": result.output,

@@ -1,4 +1,4 @@
-"""What the paper's algorithms cost, as short tables and as JSON.
+"""The cost of the paper's algorithms, as short tables and as JSON.
 
 ``--json`` prints one object, ``skinbake.cost/1``. *costs* are four members of it or of one of its entries,
 each an object by algorithm number ("1" … "6"):
@@ -6,8 +6,8 @@ each an object by algorithm number ("1" … "6"):
 | member | values | |
 |---|---|---|
 | ``multiply_adds`` | integer | per vertex |
-| ``bytes`` | integer | that the vertex shader reads per vertex |
-| ``added_bytes`` | integer | those among them that plain skinning does not read: α and β, or ∇w for "2" |
+| ``bytes`` | integer | read by the vertex shader, per vertex |
+| ``added_bytes`` | integer | the bytes that plain skinning does not read: α and β, or ∇w for "2" |
 | ``lines`` | object of integers | multiply-adds per vertex, by line number of the algorithm ("1" …) |
 
 With ``--influences N``: ``schema``, ``influences`` (integer, N) and *costs*.
@@ -19,7 +19,7 @@ For a file:
 | ``schema``, ``input`` | string | |
 | ``primitives[]`` | array | skinned ones with a surface: *place*, *costs*, and |
 | ``.vertices`` | integer | that its triangles refer to |
-| ``.draws`` | integer | nodes that draw its mesh with a skin: so often a frame skins it |
+| ``.draws`` | integer | nodes that draw its mesh with a skin: the number of times that a frame skins it |
 | ``.influences`` | integer | N: 4 × the number of ``JOINTS_n`` sets |
 | ``.baked`` | boolean | false: α and β are counted as bake would store them |
 | ``.stored`` | object of integers | bytes per vertex by attribute, in multiples of 4 as glTF aligns them |
@@ -72,7 +72,7 @@ WIDTH = 100
 
 @dataclass(frozen=True, slots=True)
 class VertexCost:
-    """One algorithm at one vertex: multiply-adds in all and by line number, bytes read, and those it adds."""
+    """One algorithm at one vertex: multiply-adds in all and by line number, bytes read, and added bytes."""
 
     multiply_adds: int
     bytes: int
@@ -99,7 +99,7 @@ FrameCosts: TypeAlias = Mapping[int, FrameCost]
 
 @dataclass(frozen=True, slots=True)
 class InfluenceCosts:
-    """A vertex with a number of influences, its data in glTF's commonest types."""
+    """A vertex with a number of influences, its data in the most common types of glTF."""
 
     influences: int
     costs: VertexCosts
@@ -114,9 +114,9 @@ class CostTable:
 
 @dataclass(frozen=True, slots=True)
 class PrimitiveCosts:
-    """One skinned primitive: how many vertices are skinned how often, what is stored, what that costs.
+    """One skinned primitive: its vertices, its draws, its stored bytes, and its costs.
 
-    stored is bytes a vertex by attribute; baked tells whether α and β are among them.
+    stored is bytes for each vertex by attribute. baked tells whether α and β are among them.
     """
 
     place: Place
@@ -131,7 +131,7 @@ class PrimitiveCosts:
 
 @dataclass(frozen=True, slots=True)
 class FileCosts:
-    """A file: its skinned primitives, their sum (vertices × draws, costs a frame), and what is left out."""
+    """A file: its skinned primitives, their sum (vertices × draws, costs of a frame), and the notices."""
 
     input: str
     primitives: tuple[PrimitiveCosts, ...]
@@ -144,7 +144,7 @@ CostResult: TypeAlias = InfluenceCosts | CostTable | FileCosts
 
 
 def as_text(result: CostResult) -> str:
-    """Return the costs as tables for a terminal, and a sentence each on what operations and bytes are."""
+    """Return the costs as tables for a terminal, with a sentence on operations and one on bytes."""
     if isinstance(result, FileCosts):
         return "\n".join(_file_lines(result))
     lines = _single_lines(result) if isinstance(result, InfluenceCosts) else _table_lines(result)

@@ -1,4 +1,4 @@
-"""What a file holds, as text for people and as JSON."""
+"""The contents of a file, as text for people and as JSON."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ SCHEMA = "skinbake.inspect/1"
 
 @dataclass(frozen=True, slots=True)
 class AttributeSummary:
-    """How one attribute is stored, like ``VEC3 FLOAT``, and its size in bytes, tightly packed."""
+    """The format of one attribute, like ``VEC3 FLOAT``, and its size in bytes, tightly packed."""
 
     name: str
     format: str
@@ -23,7 +23,7 @@ class AttributeSummary:
 
 @dataclass(frozen=True, slots=True)
 class BakeSummary:
-    """What the metadata says of a bake, which arrays changed since, and the size of α and β."""
+    """The metadata of a bake, the arrays that changed since, and the size of α and β."""
 
     metadata: dict[str, Any]
     changed: tuple[str, ...]
@@ -34,9 +34,9 @@ class BakeSummary:
 class PrimitiveSummary:
     """One skinned primitive.
 
-    influences is the largest number of positive weights at a vertex, weight_sums the least and largest sum
-    as stored; defects counts the vertices whose weights need an assumption, by kind. frame is what
-    ``--frame auto`` takes. compression is the extension in which any of its data is, None where none is.
+    influences is the largest number of positive weights at a vertex. weight_sums are the smallest and largest
+    sum as stored. defects counts the vertices whose weights need an assumption, by kind. frame is the choice
+    of ``--frame auto``. compression is the extension that holds any of its data, None without one.
     """
 
     place: Place
@@ -56,7 +56,7 @@ class PrimitiveSummary:
 
 @dataclass(frozen=True, slots=True)
 class InspectResult:
-    """What a file holds: its size, its skins and animations, its skinned primitives, and what is left out."""
+    """The contents of a file: its size, skins, animations and skinned primitives, and the notices."""
 
     input: str
     byte_length: int
@@ -116,7 +116,7 @@ def _bake_text(bake: BakeSummary | None) -> str:
 
 
 def _storage(noted: dict[str, Any]) -> str:
-    """Return how α and β are stored, where it is not the usual way."""
+    """Return the storage of α and β, if it is not the default."""
     found = [f"{key} {printable(str(noted[key]))}, " for key in ("encoding", "layout") if key in noted]
     return "".join(found)
 

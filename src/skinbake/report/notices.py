@@ -9,7 +9,7 @@ from skinbake.errors import Notice, Place, SkinbakeError
 
 
 def place_fields(place: Place) -> dict[str, Any]:
-    """Return where something is: the members that are known, without the file."""
+    """Return a place as the members that are known, without the file."""
     fields = {
         "mesh": place.mesh,
         "mesh_name": place.mesh_name,
@@ -28,7 +28,7 @@ def notice_list(notices: Iterable[Notice]) -> list[dict[str, Any]]:
 
 
 def error_fields(error: SkinbakeError | None) -> dict[str, Any] | None:
-    """Return an error as a JSON object, None where there is none."""
+    """Return an error as a JSON object, None if there is none."""
     if error is None:
         return None
     where = place_fields(error.place) if error.place else {}

@@ -1,4 +1,4 @@
-"""What strip did, as a closing line and as JSON."""
+"""The result of strip, as a closing line and as JSON."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ SCHEMA = "skinbake.strip/1"
 
 @dataclass(frozen=True, slots=True)
 class StripResult:
-    """How many primitives lost their bake, and what could not be undone."""
+    """The number of primitives that lost their bake, and notices on leftovers."""
 
     input: str
     output: str
@@ -22,7 +22,7 @@ class StripResult:
 
 
 def closing_line(result: StripResult) -> str:
-    """Return one line that says what was taken out."""
+    """Return one line with the number of stripped primitives."""
     what = f"stripped {counted(result.primitives, 'primitive')}" if result.primitives else "unchanged"
     return f"{printable(result.input)} -> {printable(result.output)}: {what}"
 

@@ -1,4 +1,4 @@
-"""What became of many files together: counts, failures once more, and where the time went."""
+"""The result of many files together: counts, repeated failures, and times."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any
 from skinbake.errors import SkinbakeError, printable
 from skinbake.report.notices import counted
 
-if TYPE_CHECKING:  # bake need not load what verify's XML takes
+if TYPE_CHECKING:  # bake need not load the XML modules of verify
     from skinbake.report.bake import FileResult
     from skinbake.report.verify import FileVerdict
 
 LISTED = 100
-"""Failures that are listed at the end."""
+"""The number of failures that the end lists."""
 
 BAKE_OUTCOMES = ("baked", "unchanged", "up-to-date", "failed")
 VERIFY_OUTCOMES = ("passed", "up-to-date", "failed")
@@ -23,7 +23,7 @@ VERIFY_OUTCOMES = ("passed", "up-to-date", "failed")
 
 @dataclass(slots=True)
 class Totals:
-    """Counts of files by outcome, in the order in which outcomes are told; files is how many there are."""
+    """Counts of files by outcome, in the order of the report; files is their number."""
 
     files: int
     outcomes: tuple[str, ...]
@@ -33,16 +33,16 @@ class Totals:
 
     @property
     def done(self) -> int:
-        """How many files are done with."""
+        """Return the number of finished files."""
         return self.counts.total()
 
     def add_baked(self, result: FileResult) -> None:
-        """Count a file that was baked, or was to be."""
+        """Count a file of bake."""
         reason = _reason(result.input, result.error) if result.error else ""
         self._add(result.status, reason, result.timings)
 
     def add_verified(self, verdict: FileVerdict) -> None:
-        """Count a file that was verified, or was to be."""
+        """Count a file of verify."""
         if verdict.error:
             self._add("failed", _reason(verdict.input, verdict.error), verdict.timings)
         elif not verdict.passed:
@@ -74,7 +74,7 @@ def _problem(verdict: FileVerdict) -> str:
 
 
 def failure_lines(totals: Totals) -> Iterator[str]:
-    """Yield the failures once more, where among several files more than one failed."""
+    """Yield the failures again, if there are several files and more than one failed."""
     count = len(totals.failures)
     if count < 2:
         return
@@ -86,7 +86,7 @@ def failure_lines(totals: Totals) -> Iterator[str]:
 
 
 def closing_line(totals: Totals, seconds: float, *, interrupted: bool = False) -> str:
-    """Return one line on all files."""
+    """Return one line about all files."""
     parts = [
         f"{totals.counts[outcome]:,} {outcome.replace('-', ' ')}"
         for outcome in totals.outcomes
@@ -115,9 +115,10 @@ def totals_json(totals: Totals, seconds: float, *, schema: str, exit_code: int) 
 
 
 def timing_lines(totals: Totals, process: Mapping[str, float | None]) -> Iterator[str]:
-    """Yield a table of seconds by stage, and of what the process spent in all.
+    """Yield a table of seconds by stage, and of the seconds of the whole process.
 
-    Shares are of the stages' sum, which is more than the process's time where several work side by side.
+    Shares are shares of the sum of the stages. This sum is more than the time of the process if several work
+    at once.
     """
     timings, whole = totals.timings, sum(totals.timings.values())
     over = "" if totals.files == 1 else f", summed over {counted(totals.done, 'file')}"

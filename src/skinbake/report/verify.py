@@ -1,4 +1,4 @@
-"""What verify found: checks passed or failed, and how lighting fares, as text, JSON and JUnit XML."""
+"""The result of verify: checks and lighting errors, as text, JSON and JUnit XML."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ SCHEMA = "skinbake.verify/1"
 Outcome = Literal["passed", "failed", "skipped"]
 
 SHOWN_LIGHTINGS = {"approximated": "standard", "accurate": "accurate", "exact": "exact"}
-"""What the table shows, and how it calls it. Direct lighting is accurate lighting up to its sign in folds."""
+"""The rows of the table, by name. Direct lighting equals accurate lighting up to its sign in folds."""
 
 ROUNDING = 1e-4
-"""Degrees below which a mean error is float32 rounding: dividing by it would tell nothing."""
+"""Below this angle in degrees, a mean error is float32 rounding, and dividing by it is meaningless."""
 
 XML_DECLARATION = '<?xml version="1.0" encoding="UTF-8"?>\n'
-"""By hand: ElementTree names the locale's encoding for a text, and the file is written in UTF-8."""
+"""Written by hand: ElementTree would name the locale's encoding, but the file is written in UTF-8."""
 
 NOT_IN_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
-"""Characters that XML 1.0 cannot hold, not even escaped; glTF names can."""
+"""Characters that XML 1.0 cannot hold, not even escaped; names in glTF can have them."""
 
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """One question that was asked of a file; problems say what is wrong where, and what to do."""
+    """One check of a file; its problems name the place, the defect and the remedy."""
 
     name: str
     outcome: Outcome
@@ -42,9 +42,9 @@ class Check:
 
 @dataclass(frozen=True, slots=True)
 class Worst:
-    """Where the largest error is: place, vertex, clip and time in seconds.
+    """The place of the largest error: primitive, vertex, clip and time in seconds.
 
-    Where the pose is of no clip, time is None and clip says which it is, like ``random pose 3``.
+    If the pose belongs to no clip, time is None, and clip names the pose, like ``random pose 3``.
     """
 
     place: Place
@@ -70,7 +70,7 @@ Normals = dict[str, dict[str, ErrorFigures]]
 
 @dataclass(frozen=True, slots=True)
 class MorphCount:
-    """How many morph targets the baked meshes have, and how many of them move in the poses."""
+    """The number of morph targets of the baked meshes, and of those that move in the poses."""
 
     targets: int
     moving: int
@@ -85,12 +85,12 @@ class MorphCount:
 
 @dataclass(frozen=True, slots=True)
 class FileVerdict:
-    """What verify says of one file.
+    """The result of verify for one file.
 
-    poses describes what the lighting was measured over. without_dqs says why dual quaternions were left out,
-    None where they were not. morphs is None where no baked mesh has morph targets. up_to_date: it was not
-    verified again, having passed as it is; record is what a state file is to hold of it. timings are seconds
-    by stage, None where nobody asked.
+    poses describes the poses of the lighting figures. without_dqs is the reason why dual quaternions were
+    left out, None if they were not. morphs is None if no baked mesh has morph targets. up_to_date: the file
+    was not verified again, because it has passed and is unchanged. record is the entry for a state file.
+    timings are seconds by stage, None if they were not requested.
     """
 
     input: str
@@ -113,7 +113,7 @@ class FileVerdict:
 
 
 def gain(figures: dict[str, ErrorFigures]) -> float | None:
-    """Return the standard mean error divided by the accurate one, None where the latter is rounding."""
+    """Return the standard mean error divided by the accurate one, None if the latter is rounding."""
     if "accurate" not in figures or figures["accurate"].mean < ROUNDING:
         return None
     return figures["approximated"].mean / figures["accurate"].mean
@@ -163,7 +163,7 @@ def as_json(
 ) -> dict[str, Any]:
     """Return the verdicts as one JSON object; docs/reference/json.md documents its members.
 
-    process is how the seconds of the whole process were spent, None where nobody asked.
+    process holds the seconds of the whole process, None if they were not requested.
     """
     return {
         "schema": SCHEMA,
@@ -174,7 +174,7 @@ def as_json(
 
 
 def file_json(verdict: FileVerdict) -> dict[str, Any]:
-    """Return what verify says of one file as a JSON object."""
+    """Return the result of verify for one file as a JSON object."""
     return {
         "input": verdict.input,
         "passed": verdict.passed,
@@ -228,8 +228,8 @@ def _figures_json(error: ErrorFigures) -> dict[str, Any]:
 
 
 def as_junit(verdicts: Sequence[FileVerdict]) -> str:
-    """Return the verdicts as JUnit XML: a suite per file, a case per check."""
-    from xml.etree import ElementTree  # noqa: PLC0415  # few ask for it
+    """Return the verdicts as JUnit XML: a suite for each file, a case for each check."""
+    from xml.etree import ElementTree  # noqa: PLC0415  # rarely used
 
     root = ElementTree.Element("testsuites", name="skinbake verify")
     for verdict in verdicts:

@@ -1,1 +1,1 @@
-"""Templates to GLSL and WGSL text, one file a language and algorithm, one file a target engine."""
+"""GLSL and WGSL text from templates: one file for each language and algorithm, and for each engine."""

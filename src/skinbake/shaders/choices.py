@@ -1,4 +1,4 @@
-"""What a shader is asked to be, and which of the six algorithms that makes it."""
+"""The choices for a shader, and the one of the six algorithms that follows from them."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from skinbake.errors import ChoiceError
 
 SLOTS_PER_SET = 4
 CUSTOM_SETS = 2
-"""Influence sets of the custom layout: Godot reads `_CUSTOM0` to `_CUSTOM3`."""
+"""The number of influence sets of the custom layout: Godot reads `_CUSTOM0` to `_CUSTOM3`."""
 
 
 ALGORITHMS = {
@@ -20,18 +20,18 @@ ALGORITHMS = {
     (Method.DQS, Lighting.ACCURATE): 5,
     (Method.DQS, Lighting.EXACT): 6,
 }
-"""The numbers of ``skinning.algorithms.Algorithm``; a pair that is missing does not exist."""
+"""The numbers of ``skinning.algorithms.Algorithm``; a missing pair does not exist."""
 
 BEST = {Method.LBS: Lighting.ACCURATE, Method.DQS: Lighting.EXACT}
-"""The lighting of least error that each method has without inverting a matrix."""
+"""The lighting with the smallest error of each method, without inverting a matrix."""
 
 
 @dataclass(frozen=True, slots=True)
 class AttributeText:
-    """Names of α's and β's attributes by influence set, as the file of this name spells them.
+    """Names of the attributes of α and β by influence set, in the spelling of the file ``file``.
 
-    In the texcoord layout those that hold any of α, and any of β: the last of the one is the first of the
-    other.
+    In the texcoord layout these are the sets that hold any of α, and any of β. The last set of α is the first
+    set of β.
     """
 
     file: str
@@ -44,10 +44,10 @@ class ShaderChoices:
     """One shader: every choice that changes its text.
 
     influences N ≥ 1. cap limits the correction of t' and b' to cap × |T t|, None is off. With
-    ``mirrored_joints`` the normal is turned by the sign of det M[s0]. attributes None stands for bake's usual
-    names. encoding and layout are how α and β are stored; scale is the encoding's where the file is known, in
-    1 / length unit of POSITION. ``morphs`` says what the frame follows under morph targets. Raises
-    ChoiceError for choices that exclude each other.
+    ``mirrored_joints`` the normal is turned by the sign of det M[s0]. attributes None means the default names
+    of bake. encoding and layout are the storage of α and β. scale is that of the encoding if the file is
+    known, in 1 / length unit of POSITION. ``morphs`` is the direction that the frame follows under morph
+    targets. Raises ChoiceError for choices that exclude each other.
     """
 
     language: Language
@@ -100,7 +100,7 @@ class ShaderChoices:
 
     @property
     def algorithm(self) -> int:
-        """Return the algorithm's number, 1 … 6."""
+        """Return the number of the algorithm, 1 … 6."""
         return ALGORITHMS[self.method, self.lighting]
 
     @property
@@ -115,12 +115,12 @@ class ShaderChoices:
 
     @property
     def reads_gradients(self) -> bool:
-        """Tell whether α and β are read (all but 1 and 4); with one influence there are none."""
+        """Tell whether α and β are read (in all algorithms except 1 and 4); one influence alone has none."""
         return self.lighting is not Lighting.APPROXIMATED and self.influences > 1
 
     @property
     def influence_sets(self) -> int:
-        """Return how many sets of four hold the influences."""
+        """Return the number of sets of four influences."""
         return -(-self.influences // SLOTS_PER_SET)
 
     @property
@@ -137,7 +137,7 @@ class ShaderChoices:
     def pair_names(self) -> tuple[str, ...]:
         """Return the texture coordinate sets that hold α and β, K − 1 of them.
 
-        Without a file, those after a primitive's only set of its own.
+        Without a file, they are the sets after the only one of the primitive itself.
         """
         if self.attributes is not None:
             return (*self.attributes.alpha, *self.attributes.beta[1:])
@@ -156,7 +156,7 @@ class ShaderChoices:
 
     @property
     def storage_words(self) -> str:
-        """Return how α and β are stored, in words that follow others, where it is not the usual way."""
+        """Return the storage of α and β in words to append, if it is not the default."""
         words = [str(self.encoding)] if self.decodes else []
         words += (
             [f"{self.layout} layout"] if self.reads_gradients and self.layout != Layout.ATTRIBUTES else []
@@ -165,5 +165,5 @@ class ShaderChoices:
 
     @property
     def stem(self) -> str:
-        """Return the name of the algorithm's template and function, without the prefix."""
+        """Return the name of the template and function of the algorithm, without the prefix."""
         return f"{self.method}_{self.lighting}"

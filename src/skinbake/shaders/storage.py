@@ -1,4 +1,4 @@
-"""How a shader gets α and β from what bake stored: decoded from integers, or assembled from pairs.
+"""Shader code that reads stored α and β: decoded from integers, or assembled from pairs.
 
 docs/reference/file-format.md, *Encodings* and *Layouts*.
 """
@@ -12,14 +12,14 @@ from skinbake.errors import printable
 from skinbake.shaders.choices import SLOTS_PER_SET, ShaderChoices
 
 FORMATS = {"snorm16": "snorm16x4", "packed8": "snorm8x4"}
-"""As WebGPU calls them: normalised SHORT and BYTE."""
+"""The WebGPU names of normalised SHORT and BYTE."""
 LIMITS = {"snorm16": 32767, "packed8": 127}
 KINDS = ("alpha", "beta")
 
 
 @dataclass(frozen=True, slots=True)
 class Pair:
-    """One texture coordinate set of two numbers: its attribute, and what they are; empty where not read."""
+    """One texture coordinate set of two numbers: its attribute, and its contents; empty if not read."""
 
     name: str
     holds: str
@@ -27,9 +27,9 @@ class Pair:
 
 @dataclass(frozen=True, slots=True)
 class Assembled:
-    """α or β of one influence set, put together from pairs: ``alpha_0``, a vec3 of ``pair_1.x`` ….
+    """α or β of one influence set, assembled from pairs: ``alpha_0``, a vec3 of ``pair_1.x`` ….
 
-    params are the pairs that it takes, names their attributes, numbers those pairs as words.
+    params are the pairs that it reads, names are their attributes, numbers are the pair numbers as words.
     """
 
     name: str
@@ -44,7 +44,7 @@ class Assembled:
 
 @dataclass(frozen=True, slots=True)
 class Preparation:
-    """One line before the example call: what α or β of one influence set is, as a call of ours."""
+    """One line before the example call: a call that computes α or β of one influence set."""
 
     name: str
     type: str
@@ -52,7 +52,7 @@ class Preparation:
 
 
 def storage_parts(choices: ShaderChoices) -> list[str]:
-    """Return the templates of the functions that read α and β, none where they are read as they are."""
+    """Return the templates of the functions that read α and β, none if they need no function."""
     if choices.assembles:
         return ["assembled"]
     if not choices.decodes:
@@ -61,7 +61,7 @@ def storage_parts(choices: ShaderChoices) -> list[str]:
 
 
 def storage_context(choices: ShaderChoices) -> dict[str, Any]:
-    """Return what the templates name of encodings and layouts."""
+    """Return the values of encodings and layouts for the templates."""
     assembled = _assembled(choices) if choices.assembles else []
     return {
         "encoding": choices.encoding,
@@ -79,13 +79,13 @@ def storage_context(choices: ShaderChoices) -> dict[str, Any]:
 
 
 def float32_literal(value: float) -> str:
-    """Return a literal of both languages for a float32's value: nine digits tell any two of them apart."""
+    """Return a literal of both languages for a float32 value; nine digits are enough for any two."""
     text = f"{value:.9g}"
     return text if "." in text or "e" in text else f"{text}.0"
 
 
 def _assembled(choices: ShaderChoices) -> list[Assembled]:
-    """Return what each set of the shader takes from the row α1 … α(K−1), β1 … β(K−1), two to a pair."""
+    """Return the parts of each set from the row α1 … α(K−1), β1 … β(K−1), two to a pair."""
     others = len(choices.pair_names)
     found = []
     for kind, start in zip(KINDS, (0, others), strict=True):

@@ -1,9 +1,9 @@
 """Render the templates: one text for one set of choices, the same text every time.
 
 A target is a file ``templates/targets/NAME.LANGUAGE[.SUFFIX]``. It may ``refuse`` choices that its engine
-cannot serve, and takes what it is made of from ``text_for``, which it tells what it can read: see
+cannot serve. It gets its parts from ``text_for``, and tells this function the storage that it can read: see
 ``_text_for``. Lines that begin with ``//%`` are statements and ``@{ }`` holds values, so that a template
-reads as the language that it writes.
+reads like its own language.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ METHOD_NAMES = {Method.LBS: "linear blend skinning", Method.DQS: "dual quaternio
 
 @dataclass(frozen=True, slots=True)
 class Slot:
-    """One influence slot as the text names it: ``weights_0.x``, ``alpha_0.x``; slot 0 has no α and β."""
+    """One influence slot, named as in the text: ``weights_0.x``, ``alpha_0.x``; slot 0 has no α and β."""
 
     index: int
     weight: str
@@ -45,7 +45,7 @@ class Slot:
 
 @dataclass(frozen=True, slots=True)
 class InfluenceSet:
-    """One set of four slots, as the table of inputs words it."""
+    """One set of four slots, in the words of the table of inputs."""
 
     number: int
     slots: str
@@ -64,15 +64,15 @@ def targets() -> dict[str, tuple[Language, ...]]:
 
 
 def shader_text(choices: ShaderChoices) -> str:
-    """Return the file that ``skinbake shader`` writes: ASCII, a newline at its end.
+    """Return the file that ``skinbake shader`` writes: ASCII, with a newline at its end.
 
-    Raises ChoiceError where the target has no such language, or cannot serve the choices.
+    Raises ChoiceError if the target does not have the language, or cannot serve the choices.
     """
     return shader_made(choices)[0]
 
 
 def shader_made(choices: ShaderChoices) -> tuple[str, ShaderChoices]:
-    """Return the text and the choices that it is made by: what frames follow is a target's to say."""
+    """Return the text and its choices; the target decides which direction the frame follows."""
     made = choices
 
     def text_for(reads: Sequence[str] = (), morphs: str | None = None) -> dict[str, Any]:
@@ -85,10 +85,10 @@ def shader_made(choices: ShaderChoices) -> tuple[str, ShaderChoices]:
 
 
 def _text_for(choices: ShaderChoices, reads: Sequence[str]) -> dict[str, Any]:
-    """Return what a target's file is made of: header, inputs, usage and snippet, the pure functions.
+    """Return the parts of a target's file: header, inputs, usage, snippet, and the pure functions.
 
-    reads are the encodings and layouts that the target's own code gets α and β from, by the functions in the
-    snippet; attributes of floats, of any names, are read by all. Raises ChoiceError for others.
+    reads are the encodings and layouts that the code of the target can read, by the functions in the snippet.
+    All targets read attributes of floats, of any names. Raises ChoiceError for other storage.
     """
     needed = [str(choices.encoding)] if choices.decodes else []
     needed += [str(choices.layout)] if choices.assembles else []
@@ -147,7 +147,7 @@ def _tidy(text: str) -> str:
 
 
 def _broken(line: str) -> str:
-    """Break a line of code where a term or an argument ends, so that none is wider than it must be."""
+    """Break a line of code at the end of a term or an argument, so that it is not too wide."""
     stripped = line.lstrip()
     indent = " " * (len(line) - len(stripped) + 8)
     lines = []
@@ -162,7 +162,7 @@ def _broken(line: str) -> str:
 
 
 def _context(choices: ShaderChoices) -> dict[str, Any]:
-    """Return everything that the templates name."""
+    """Return all values for the templates."""
     slots = [_slot(index) for index in range(choices.influences)]
     others = slots[1:]
     sets = _sets(choices)
@@ -228,7 +228,7 @@ def _context(choices: ShaderChoices) -> dict[str, Any]:
 
 
 def command_line(choices: ShaderChoices) -> str:
-    """Return the command that writes the same text again, every choice spelled out and the file named."""
+    """Return the command that writes the same text again, with every choice and the file."""
     words = ["skinbake shader", f"--lang {choices.language}", f"--method {choices.method}"]
     words += [
         f"--lighting {choices.lighting}",
@@ -286,7 +286,7 @@ def _usual_name(choices: ShaderChoices, kind: str, number: int) -> str:
 
 
 def _ascii(name: str) -> str:
-    """Return a name from a file as printable ASCII: it goes into comments, and must not leave them."""
+    """Return a name from a file as printable ASCII, because it must not end the comment that holds it."""
     return printable(name).encode("ascii", "backslashreplace").decode()
 
 
@@ -295,12 +295,12 @@ def _slot_words(first: int, last: int) -> str:
 
 
 def _parts(choices: ShaderChoices) -> list[str]:
-    """Return the templates of the functions that the algorithm calls, in an order in which they may stand."""
+    """Return the templates of the functions that the algorithm calls, in an order that compiles."""
     several, wgsl = choices.influences > 1, choices.language is Language.WGSL
     wanted = {
         "morphed": choices.morphs is not Morphs.NONE,
         "morphed_tangent": choices.morphs is Morphs.TANGENT,
-        # WGSL has no constructor that takes part of a matrix.
+        # WGSL has no constructor from a part of a matrix.
         "rows": wgsl and choices.algorithm in (1, 2),
         "upper": wgsl and choices.algorithm == 3,
         "moved": choices.algorithm in (2, 3),
@@ -346,7 +346,7 @@ def _arguments(
 
 
 def _sum(kind: str, pattern: str, slots: Sequence[Slot]) -> str:
-    """Return Σ factor · term over slots, the factors being ``weight``, ``alpha`` or ``beta``."""
+    """Return Σ factor · term over slots; the factors are ``weight``, ``alpha`` or ``beta``."""
     return " + ".join(f"{getattr(slot, kind)} * {pattern % slot.index}" for slot in slots)
 
 

@@ -1,1 +1,1 @@
-"""The algorithms of the paper, step by step on the CPU, and what each step costs."""
+"""The algorithms of the paper, step by step on the CPU, and the cost of each step."""

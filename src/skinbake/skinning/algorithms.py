@@ -23,11 +23,11 @@ class Algorithm(IntEnum):
 
     @property
     def uses_dual_quaternions(self) -> bool:
-        """True for dual quaternion skinning: the joints must be rigid."""
+        """Tell whether it is dual quaternion skinning, which needs rigid joints."""
         return self >= Algorithm.DQS_APPROXIMATED
 
 
-# The second argument is a list of Rows for 1–3 and of dual quaternions for 4–6, one a slot.
+# The second argument has an entry for each slot: Rows for 1–3, dual quaternions for 4–6.
 Steps: TypeAlias = Callable[[RestVertex, Sequence[Any], Options, LineMark], PosedVertex]
 
 STEPS: dict[Algorithm, Steps] = {

@@ -1,9 +1,9 @@
-"""Vectors and matrices as tuples of components: one algorithm runs on arrays and on a counting scalar.
+"""Vectors and matrices as tuples of components: an algorithm runs on arrays and on counting scalars.
 
 A component is an elementwise value: an ndarray that broadcasts over (poses, vertices), or a
-``counting.Count``. Sums are written in the order in which a product meets an addition, which is one
-multiply-add for Tarini et al. 2014 (supplemental material, §1). No function changes its arguments; ``+=``
-only ever adds to a value that the function itself made.
+``counting.Count``. A sum is written so that each product meets an addition, which is one multiply-add for
+Tarini et al. 2014 (supplemental material, §1). No function changes its arguments. ``+=`` only adds to a value
+that the function itself made.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ LineMark: TypeAlias = Callable[[int], None]
 
 @dataclass(frozen=True, slots=True)
 class RestVertex:
-    """What an algorithm may read of a vertex at rest: the fields of RestSurface, component by component.
+    """The input of an algorithm at one vertex: the fields of RestSurface, component by component.
 
-    weights and gradients have one entry a slot; alpha and beta one a slot after the first. handedness is 1 or
-    −1.
+    weights and gradients have one entry for each slot, alpha and beta one for each slot after the first.
+    handedness is 1 or −1.
     """
 
     position: Vector
@@ -41,7 +41,7 @@ class RestVertex:
 
 @dataclass(frozen=True, slots=True)
 class PosedVertex:
-    """What every algorithm computes of a posed vertex; the normal is not unit."""
+    """The output of every algorithm at one vertex; the normal does not have unit length."""
 
     position: Vector
     normal: Vector
@@ -148,7 +148,7 @@ def reciprocal_root(square: Component) -> Component:
 
 
 def sign_of(value: Component) -> Component:
-    """Return −1 where the value is negative and 1 elsewhere."""
+    """Return −1 where the value is negative, otherwise 1."""
     if isinstance(value, np.ndarray):
         one = value.dtype.type(1)
         return np.where(value < 0, -one, one)
@@ -158,8 +158,8 @@ def sign_of(value: Component) -> Component:
 def corrected(base: Vector, correction: Vector, cap: float) -> Vector:
     """Return base + correction, the correction shortened to at most cap × |base|.
 
-    The limit of the paper's published demo, made relative to |base|: beyond it a fold turns the normal inside
-    out. Where the base has no length there is nothing to be relative to, and the correction stays as it is.
+    This is the limit of the paper's published demo, relative to |base|. Beyond it a fold turns the normal
+    inside out. If the base has no length, the correction stays as it is.
     """
     allowed = cap * cap * dot(base, base)
     length = dot(correction, correction)

@@ -1,13 +1,14 @@
-"""What each algorithm costs, counted by running it on a scalar that counts (Tarini et al. 2014, supplement).
+"""The cost of each algorithm, counted by running it on a counting scalar (Tarini et al. 2014, supplement).
 
-The rules, which are the paper's where it states them and else the only ones that give its figures:
+The rules are those of the paper. If it states none, they are the only rules that give its figures:
 
-- a multiplication costs one multiply-add; an addition costs one, unless a product made in the same line meets
-  it: the two fuse, and the addition is free. A product fuses once;
-- a division and a reciprocal square root cost one each;
-- the sign of a hemisphere or a handedness is free: instruction sets have it as a modifier of an operand.
+- A multiplication costs one multiply-add. An addition costs one, unless it meets a product of the same line:
+  then the two fuse, and the addition is free. A product fuses once.
+- A division and a reciprocal square root cost one each.
+- The sign of a hemisphere or of a handedness is free: instruction sets have it as a modifier of an operand.
 
-These give every line of the paper but three kinds, where it charges more than the code needs: SURCHARGES.
+These rules give every line of the paper except three kinds, where the paper counts more than the code needs:
+SURCHARGES.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from skinbake.skinning.surface import Options
 
 @dataclass(frozen=True, slots=True)
 class Surcharge:
-    """What the paper charges beyond the operations that a line needs, and where."""
+    """The operations that the paper counts beyond the needs of a line, and their place."""
 
     lines: frozenset[tuple[Algorithm, int]]
     multiply_adds: int
@@ -45,7 +46,7 @@ SURCHARGES = (
         "a position is charged 27, one for differences 24: adding p to its displacement is charged apart",
     ),
 )
-"""The assumptions about the paper's figures, all of them; algorithm 6 is charged as 4 and 5 are."""
+"""All assumptions about the paper's figures; algorithm 6 is counted like 4 and 5."""
 
 
 class Sign:
@@ -63,7 +64,7 @@ class Tally:
     current: int = 0
 
     def mark(self, number: int) -> None:
-        """Charge what follows to a line."""
+        """Charge the following operations to a line."""
         self.current = number
         self.lines.setdefault(number, 0)
 
@@ -73,7 +74,7 @@ class Tally:
 
 
 class Count:
-    """A scalar without a value: arithmetic on it is charged to a tally, by the rules of the module."""
+    """A scalar without a value: its arithmetic is charged to a tally, by the rules of the module."""
 
     __slots__ = ("_product_of", "_tally")
 
@@ -99,7 +100,7 @@ class Count:
         return self.reciprocal_root()
 
     def reciprocal_root(self) -> Count:
-        """Charge 1 / √x, as 1 / x, one."""
+        """Charge 1 / √x, which costs one like 1 / x."""
         self._tally.charge()
         return Count(self._tally)
 
@@ -108,17 +109,17 @@ class Count:
         return Sign()
 
     def _fuses(self) -> bool:
-        """Return whether this is a product of the current line that has met no addition; now it has."""
+        """Return whether this is a product of the current line that has not met an addition, and mark it."""
         fresh = self._product_of == self._tally.current
         self._product_of = None
         return fresh
 
 
 def multiply_adds(algorithm: Algorithm, influences: int) -> dict[int, int]:
-    """Return the multiply-adds of each numbered line, for N ≥ 1 influences a vertex, in the paper's options.
+    """Return the multiply-adds of each numbered line, for N ≥ 1 influences, in the paper's options.
 
-    Their sum is the algorithm's cost a vertex. Algorithm 6's lines are those of ``dqs.exact``: 36 N + 118 in
-    all.
+    Their sum is the cost of the algorithm for a vertex. The lines of algorithm 6 are those of ``dqs.exact``:
+    36 N + 118 in all.
     """
     tally = Tally()
     columns = 8 if algorithm.uses_dual_quaternions else 12
@@ -157,11 +158,11 @@ def _vertex(tally: Tally, influences: int) -> RestVertex:
 
 @dataclass(frozen=True, slots=True)
 class StoredTypes:
-    """Bytes of stored vertex data: whole attributes, then single numbers of those that grow with N.
+    """Bytes of stored vertex data: whole attributes, then single numbers of attributes that grow with N.
 
-    The defaults are glTF's commonest: float positions, normals and tangents (with handedness), 8-bit joints,
-    float weights, float gradients. ``gradient_scale`` is what an encoding with a scale a vertex adds to each
-    of α and β.
+    The defaults are the most common types of glTF: float positions, normals and tangents (with handedness),
+    8-bit joints, float weights, float gradients. ``gradient_scale`` is the size of the scale at each vertex,
+    which an encoding adds to α and to β.
     """
 
     position: int = 12
@@ -175,24 +176,23 @@ class StoredTypes:
 
 @dataclass(frozen=True, slots=True)
 class VertexBytes:
-    """Bytes a vertex: what plain skinning with a tangent frame reads, and what an algorithm adds to it."""
+    """Bytes of a vertex: those of plain skinning with a tangent frame, and those that an algorithm adds."""
 
     plain: int
     added: int
 
     @property
     def total(self) -> int:
-        """What the algorithm's shader reads."""
+        """Return the bytes that the shader of the algorithm reads."""
         return self.plain + self.added
 
 
 def vertex_bytes(algorithm: Algorithm, influences: int, stored: StoredTypes | None = None) -> VertexBytes:
     """Return the bytes of a vertex with N ≥ 1 influences.
 
-    Added are a[s], 3 numbers a slot, or α and β, 2 (N − 1) numbers (the paper's §2 and §3).
-    The normal is counted for all: algorithms 3, 5 and 6 need none, but glTF rebuilds b0 from it. A joint of
-    plain skinning data has one index and one weight. With a single influence there are no derivatives to
-    store.
+    The added bytes are a[s], 3 numbers for each slot, or α and β, 2 (N − 1) numbers (the paper's §2 and §3).
+    The normal is counted for all: algorithms 3, 5 and 6 need none, but glTF computes b0 from it. In plain
+    skinning, each joint has one index and one weight. A single influence has no derivatives to store.
     """
     types = stored or StoredTypes()
     plain = types.position + types.normal + types.tangent + influences * (types.joint + types.weight)
@@ -201,7 +201,7 @@ def vertex_bytes(algorithm: Algorithm, influences: int, stored: StoredTypes | No
 
 
 def _derivatives(algorithm: Algorithm, influences: int) -> tuple[int, int]:
-    """Return how many numbers an algorithm adds to a vertex, and how many groups of them may have a scale."""
+    """Return the numbers that an algorithm adds to a vertex, and the groups of them that may have a scale."""
     if algorithm in (Algorithm.LBS_APPROXIMATED, Algorithm.DQS_APPROXIMATED):
         return 0, 0
     if algorithm is Algorithm.LBS_DIRECT:
@@ -211,14 +211,14 @@ def _derivatives(algorithm: Algorithm, influences: int) -> tuple[int, int]:
 
 @dataclass(frozen=True, slots=True)
 class Cost:
-    """Multiply-adds of each numbered line and in all, and bytes, of one algorithm a vertex."""
+    """The cost of one algorithm for a vertex: multiply-adds by line and in all, and bytes."""
 
     lines: dict[int, int]
     vertex_bytes: VertexBytes
 
     @property
     def multiply_adds(self) -> int:
-        """The sum over the lines."""
+        """Return the sum over the lines."""
         return sum(self.lines.values())
 
 

@@ -1,8 +1,7 @@
-"""Dual quaternion skinning: algorithms 4 and 5 of Tarini et al. 2014 (supplement, §4–5), and 6, ours.
+"""Dual quaternion skinning: algorithms 4 and 5 of Tarini et al. 2014 (supplement, §4–5), and our 6.
 
-A dual quaternion Q[s] comes as its eight components (r₀, r, d₀, d): real part, dual part, each scalar first.
-One uniform scale common to all joints is no matter of theirs: position, tangent and bitangent arrive already
-scaled.
+A dual quaternion Q[s] is given by its eight components (r₀, r, d₀, d): real part, dual part, each scalar
+first. A uniform scale that all joints share is not part of it: position, tangent and bitangent arrive scaled.
 """
 
 from __future__ import annotations
@@ -38,7 +37,7 @@ def approximated(
 ) -> PosedVertex:
     """Run algorithm 4: move the frame by the normalised mix, as if the weights were constant.
 
-    A mix of length zero leaves the vertex where it is. ``options`` change nothing here.
+    A mix of length zero leaves the vertex where it is. ``options`` have no effect here.
     """
     line(1)
     mixed = weighted_sum(_signed(vertex.weights, _hemispheres(quaternions)), quaternions)
@@ -103,8 +102,8 @@ def exact(vertex: RestVertex, quaternions: Sequence[Vector], options: Options, l
 
         t' = R t + ω × (p' − τ/2) + ν − (ρ/2) τ − (r · d) ω
 
-    whose last term is easily lost: r · d is 0 for each joint and for planar motions, but not for a mix of
-    spatial ones. With ``options.cap``, t' − R t is the correction that is limited. A mix of length zero
+    The last term is easily overlooked: r · d is 0 for each joint and for planar motions, but not for a mix of
+    spatial ones. With ``options.cap``, the correction t' − R t is limited. A mix of length zero
     leaves the vertex where it is.
     """
     line(1)
@@ -149,7 +148,7 @@ class _Blend:
         """Return t' = t + k (ḣ − (r₀ ṙ₀ + r · ṙ) δ) for the rate ḃ at which the mix changes along t."""
         real, vector, dual, dual_vector = _parts(self.mixed)
         real_rate, vector_rate, dual_rate, dual_vector_rate = _parts(rate)
-        # Terms with t come first: they have the shape of the whole block, also where a single influence makes
+        # Terms with t come first: they have the shape of the whole block, also if a single influence makes
         # ḃ = 0.
         lever_rate = plus_scaled(dual_vector_rate, real, tangent)
         lever_rate = plus_cross(lever_rate, vector, tangent)
@@ -191,7 +190,7 @@ def _signed(weights: Sequence[Component], signs: Sequence[Component]) -> list[Co
 
 
 def _rate(derivatives: Sequence[Component], differences: Sequence[Vector]) -> Vector:
-    """Return ḃ = Σ derivative · difference; of one influence alone the mix is constant."""
+    """Return ḃ = Σ derivative · difference; for a single influence the mix is constant."""
     return weighted_sum(derivatives, differences) if differences else (0.0,) * 8
 
 

@@ -1,7 +1,7 @@
 """Linear blend skinning: algorithms 1, 2 and 3 of Tarini et al. 2014 (supplement, §1–3), line by line.
 
-Joint matrices M[s] come as their upper three rows, one matrix a slot. ``line(n)`` announces the paper's line
-n.
+Joint matrices M[s] come as their upper three rows, one matrix for each slot. ``line(n)`` marks line n of the
+paper.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def approximated(
 ) -> PosedVertex:
     """Run algorithm 1: move the frame by the blended matrix, as if the weights were constant.
 
-    The normal of line 3 is that of ``options.baseline``; the paper's own is ``Baseline.BLENDED``.
+    The normal of line 3 is that of ``options.baseline``. The paper uses ``Baseline.BLENDED``.
     """
     line(1)
     blended = _blend(vertex.weights, matrices, columns=4)
@@ -54,10 +54,10 @@ def approximated(
 def direct(vertex: RestVertex, matrices: Sequence[Rows], options: Options, line: LineMark) -> PosedVertex:
     """Run algorithm 2: build the Jacobian J = T + Σ q aᵀ of the skinned position, and invert it.
 
-    The text applies J to every vector of lines 6–8; only the tangents of lines 7 and 8 go through J, the
-    normal of line 6 through its inverse transpose J' of line 4. J⁻ᵀ n stays on the side of J n: where a fold
-    or a mirrored joint makes det J negative it is opposite to algorithm 3's t' × b' = det J · J⁻ᵀ n. Where
-    det J is 0, cof(J) n is returned. ``options`` change nothing here.
+    The text of the paper applies J to every vector of lines 6–8. In fact only the tangents of lines 7 and 8
+    go through J. The normal of line 6 goes through the inverse transpose J' of line 4. J⁻ᵀ n stays on the
+    side of J n. If a fold or a mirrored joint makes det J negative, it is opposite to algorithm 3's t' × b' =
+    det J · J⁻ᵀ n. If det J is 0, cof(J) n is returned. ``options`` have no effect here.
     """
     line(1)
     blended = _blend(vertex.weights, matrices, columns=4)
@@ -107,7 +107,7 @@ def accurate(vertex: RestVertex, matrices: Sequence[Rows], options: Options, lin
 def plus_gradient(
     base: Vector, derivatives: Sequence[Component], differences: Sequence[Vector], cap: float | None
 ) -> Vector:
-    """Return base + Σ derivative · difference, the sum limited to cap × |base| where there is a cap."""
+    """Return base + Σ derivative · difference, with the sum limited to cap × |base| if there is a cap."""
     if cap is None or not differences:
         return plus_weighted(base, derivatives, differences)
     return corrected(base, weighted_sum(derivatives, differences), cap)
@@ -121,7 +121,7 @@ def _blend(weights: Sequence[Component], matrices: Sequence[Rows], *, columns: i
 def _standard_normal(
     blended: Rows, vertex: RestVertex, matrices: Sequence[Rows], baseline: Baseline
 ) -> Vector:
-    """Return the normal that engines ship: T n (three.js), T⁻ᵀ n (Bevy) or Σ w cof(M[s]) n (Filament)."""
+    """Return the normal of common engines: T n (three.js), T⁻ᵀ n (Bevy) or Σ w cof(M[s]) n (Filament)."""
     if baseline is Baseline.INVERSE_TRANSPOSE:
         return linear(inverse_transpose(blended), vertex.normal)
     if baseline is Baseline.COFACTOR:

@@ -1,4 +1,4 @@
-"""A rest surface under morph targets: moved positions, and the frame that the shader would carry along."""
+"""A rest surface under morph targets: moved positions, and the frame that the shader would use."""
 
 from __future__ import annotations
 
@@ -21,11 +21,12 @@ from skinbake.skinning.surface import RestSurface
 def morphed(
     rest: RestSurface, targets: MorphTargets, weights: FloatArray, *, dtype: npt.DTypeLike = np.float64
 ) -> RestSurface:
-    """Return the surface that skinning meets where the targets have these weights (N,).
+    """Return the rest surface with the targets at these weights (N,).
 
     α, β, joints and weights of influences stay. The normal is n0 + Σ w ΔN at length 1. t and b are those of
-    ``carried_by_tangent`` where ``targets.with_tangents``, else of ``carried_by_normal``. Positions and frame
-    are computed in ``dtype``, the sums over targets in float64. The surface itself, where all weights are 0.
+    ``carried_by_tangent`` if ``targets.with_tangents``, otherwise of ``carried_by_normal``. Positions and
+    frame are computed in ``dtype``, the sums over targets in float64. If all weights are 0, the surface
+    itself is returned.
     """
     if not weights.any():
         return rest

@@ -16,14 +16,14 @@ from skinbake.skinning.algorithms import STEPS, Algorithm
 from skinbake.skinning.components import PosedVertex, RestVertex, Rows, Vector
 from skinbake.skinning.surface import Options, RestSurface, SkinnedSurface
 
-# Bytes of one component of a block, some sixty of which are alive at a time. Measured at 10,000 vertices ×
-# 100 poses: flat from 32 to 256 KiB, half as long again at 16, where the interpreter begins to show.
+# Bytes of one component of a block. Some sixty components exist at a time. Measured at 10,000 vertices ×
+# 100 poses: equal from 32 to 256 KiB, half as long again at 16, because of the interpreter's overhead.
 _BLOCK_BYTES = 65536
 
-# Poses of a block, where there are as many: gathering a joint's motion then copies a row of them.
+# Poses of a block, if there are as many: gathering the motion of a joint then copies a row of them.
 _BLOCK_POSES = 64
 
-# From how many poses on components lie pose by pose in memory; below, rows would be too short to pay.
+# From this number of poses on, components are stored pose by pose; with fewer poses rows are too short.
 _ROWS = 16
 
 
@@ -37,18 +37,17 @@ def replay(
     baseline: Baseline = Baseline.BLENDED,
     tolerance: float = RIGID_TOLERANCE,
 ) -> SkinnedSurface:
-    """Skin a rest surface by joint matrices (P, J, 4, 4), with the frame that the algorithm gives it.
+    """Skin a rest surface by joint matrices (P, J, 4, 4), with the frame of the algorithm.
 
     Every number is converted to ``dtype`` (float32 or float64) first, and so is the result, in mesh space
-    moved by the joint matrices. Normals are not unit. ``cap`` limits the length of the correction of t' and
-    of b' to cap × |T t| and cap × |T b| in algorithms 3, 5 and 6 (DEFAULT_CAP is the published figure; None
-    is off); ``baseline`` chooses the normal of algorithm 1. Both are ignored by the algorithms that they do
-    not concern.
+    moved by the joint matrices. Normals do not have unit length. ``cap`` limits the length of the correction
+    of t' and of b' to cap × |T t| and cap × |T b| in algorithms 3, 5 and 6 (DEFAULT_CAP is the published
+    value; None is off). ``baseline`` chooses the normal of algorithm 1. Other algorithms ignore both.
 
-    Algorithms 4–6 apply the scale common to all joints of a pose to p, t and b first; a joint in use that is
-    not rigid beyond it, within ``tolerance``, raises UnsupportedFeatureError (ask ``rigid_motions``
-    beforehand). A vertex without weight collapses to the origin under linear blending and stays in place
-    under dual quaternions.
+    Algorithms 4–6 first apply the scale that all joints of a pose share to p, t and b. A joint in use that is
+    not rigid beyond this scale, within ``tolerance``, raises UnsupportedFeatureError (check with
+    ``rigid_motions`` beforehand). A vertex without weight collapses to the origin under linear blending. It
+    stays in place under dual quaternions.
     """
     skinning = Skinning.of(
         rest,
@@ -97,7 +96,7 @@ class Skinning:
         return cls(_Vertices.of(rest, dtype), motions, options or Options())
 
     def run(self, algorithms: Sequence[Algorithm], pose: slice, part: slice) -> list[PosedVertex]:
-        """Return what algorithms of one kind make of a block of poses and vertices, components (P, V)."""
+        """Return the result of an algorithm for a block of poses and vertices, as components (P, V)."""
         scale = self.motions.scale
         vertex = self.vertices.block(part, None if scale is None else scale[pose])
         per_slot = [self.motions.of_slot(joints[part], pose) for joints in self.vertices.joints]
@@ -105,15 +104,15 @@ class Skinning:
 
 
 def _ignore_line(number: int) -> None:
-    """Mark nothing: only counting listens to the lines."""
+    """Ignore the mark: only counting needs the lines."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Motions:
-    """Joint motions as a table (components, J, P), a row's length or None, and the uniform scale (P,).
+    """Joint motions as a table (components, J, P), the length of a row or None, and the uniform scale (P,).
 
-    Components of a block are (P, V). Where there are many poses they are stored pose by pose, so that joints
-    are gathered in rows; a few poses would make the rows too short. scale is None where there is none.
+    Components of a block are (P, V). If there are many poses, components are stored pose by pose, so that
+    joints are gathered in rows. With few poses the rows would be too short. scale is None if there is none.
     """
 
     table: FloatArray
@@ -142,7 +141,7 @@ def _matrices(joint_matrices: FloatArray, dtype: npt.DTypeLike) -> _Motions:
 def _rigid_motions(
     rest: RestSurface, joint_matrices: FloatArray, tolerance: float, dtype: npt.DTypeLike
 ) -> _Motions:
-    """Bring joint matrices into the form of dual quaternions."""
+    """Convert joint matrices to dual quaternions."""
     motions = rigid_motions(
         joint_matrices, tolerance=tolerance, in_use=rest.joints_in_use(joint_matrices.shape[1])
     )
@@ -160,7 +159,7 @@ def _rigid_motions(
 
 @dataclass(frozen=True, slots=True)
 class _Vertices:
-    """A rest surface turned round: one contiguous array a component, vertices last."""
+    """A rest surface transposed: one contiguous array for each component, vertices last."""
 
     position: FloatArray
     normal: FloatArray
@@ -194,7 +193,7 @@ class _Vertices:
         )
 
     def block(self, part: slice, scale: FloatArray | None) -> RestVertex:
-        """Return the vertices of a block; p, t and b times the scale (P,) of its poses where there is one."""
+        """Return the vertices of a block; p, t and b times the scale (P,) of its poses if there is one."""
         position, tangent, bitangent = (
             tuple(vectors[:, part]) if scale is None else _scaled(scale, vectors[:, part])
             for vectors in (self.position, self.tangent, self.bitangent)
@@ -213,14 +212,14 @@ class _Vertices:
 
 
 def _scaled(scale: FloatArray, vectors: FloatArray) -> Vector:
-    """Return vectors (3, V) times the scale of each pose (P,), stored as gathered motions are."""
+    """Return vectors (3, V) times the scale of each pose (P,), stored like gathered motions."""
     if len(scale) < _ROWS:
         return tuple(scale[:, None] * component for component in vectors)
     return tuple((component[:, None] * scale).T for component in vectors)
 
 
 def _blocks(poses: int, vertices: int, itemsize: int) -> Iterator[tuple[slice, slice]]:
-    """Cut poses × vertices into blocks of one size: some poses of some vertices, more of a small mesh."""
+    """Divide poses × vertices into blocks of one size: some poses of some vertices, more for a small mesh."""
     size = _BLOCK_BYTES // itemsize
     pose_step = max(1, min(poses, max(_BLOCK_POSES, size // max(1, vertices))))
     vertex_step = max(1, size // pose_step)

@@ -1,4 +1,4 @@
-"""What a replay takes and gives: a surface at rest with its weight gradients, and the surface skinned."""
+"""The input and output of a replay: a surface at rest with its weight gradients, and the skinned surface."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from skinbake.choices import Baseline
 from skinbake.geometry.skinned import BoolArray, FloatArray, IntArray
 
 DEFAULT_CAP = 0.9
-"""The limit of the paper's published demo, for callers that switch the cap on without another figure."""
+"""The limit of the paper's published demo, for callers that switch the cap on without a value."""
 
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """How an algorithm departs from the paper: a cap for 3, 5 and 6 (None is off), a baseline for 1."""
+    """The options of an algorithm: a cap for 3, 5 and 6 (None is off), a baseline for 1."""
 
     cap: float | None = None
     baseline: Baseline = Baseline.BLENDED
@@ -25,10 +25,10 @@ class Options:
 class RestSurface:
     """A skinned surface at rest, in mesh space, with the derivatives of its weights.
 
-    positions, normals, tangents (t0), bitangents (b0) (V, 3) floating; the frame is taken to be orthonormal.
-    joints (V, K) integer, each below the J of the poses that it meets; weights (V, K), summing to one. alpha,
-    beta (V, K − 1): ∇w · t0 and ∇w · b0 of slots 1 … K − 1, 1 / length unit of POSITION. gradients (V, K, 3),
-    ∇w of every slot for algorithm 2, or None to have them rebuilt from alpha and beta.
+    positions, normals, tangents (t0), bitangents (b0) are (V, 3) floating. The frame is assumed to be
+    orthonormal. joints (V, K) are integers below the J of the poses. weights (V, K) sum to one. alpha, beta
+    (V, K − 1) are ∇w · t0 and ∇w · b0 of slots 1 … K − 1, in 1 / length unit of POSITION. gradients (V, K, 3)
+    is ∇w of every slot for algorithm 2, or None to compute them from alpha and beta.
     """
 
     positions: FloatArray
@@ -42,9 +42,9 @@ class RestSurface:
     gradients: FloatArray | None = None
 
     def weight_gradients(self) -> FloatArray:
-        """Return ∇w (V, K, 3): as given, else α t0 + β b0, slot 0's being minus the sum of the others'.
+        """Return ∇w (V, K, 3): as given, otherwise α t0 + β b0; slot 0 has minus the sum of the others.
 
-        Along n0, which no tangent of the surface sees, the rebuilt gradient is zero.
+        Along n0 the computed gradient is zero: no tangent of the surface has this direction.
         """
         if self.gradients is not None:
             return self.gradients
@@ -55,15 +55,15 @@ class RestSurface:
         return np.concatenate([-others.sum(axis=1, keepdims=True), others], axis=1)
 
     def handedness(self) -> FloatArray:
-        """Return the sign (V,) of (t0 × b0) · n0: −1 where the frame is mirrored, 1 also where it is flat.
+        """Return the sign (V,) of (t0 × b0) · n0: −1 if the frame is mirrored, 1 also if it is flat.
 
-        t' × b' lies along the normal of an unmirrored frame and against that of a mirrored one.
+        t' × b' points along the normal of an unmirrored frame and against that of a mirrored one.
         """
         volume = np.einsum("vi,vi->v", np.cross(self.tangents, self.bitangents), self.normals)
         return np.where(volume < 0, -1.0, 1.0)
 
     def joints_in_use(self, joint_count: int) -> BoolArray:
-        """Return which of the joints (J,) have a weight or a weight derivative at any vertex."""
+        """Tell which of the joints (J,) have a weight or a weight derivative at any vertex."""
         derivative = (self.alpha != 0) | (self.beta != 0)
         active = self.weights != 0
         active[:, 1:] |= derivative
@@ -77,7 +77,8 @@ class RestSurface:
 class SkinnedSurface:
     """The surface in P poses: positions, normals, tangents, bitangents, each (P, V, 3).
 
-    Normals are *not* unit, and neither are the tangents, which are images under the differential of skinning.
+    Normals do *not* have unit length. Neither do the tangents, which are images under the differential of
+    skinning.
     """
 
     positions: FloatArray

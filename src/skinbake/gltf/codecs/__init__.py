@@ -1,1 +1,1 @@
-"""Compressed geometry: Draco, meshopt, and moving a document between them."""
+"""Compressed geometry: Draco, meshopt, and the change of a document from one to the other."""

@@ -1,9 +1,9 @@
 """Accessors whose values are in a Draco stream (KHR_draco_mesh_compression).
 
-The extension stands at a primitive and says which attribute of its stream, by unique id, holds which of the
-primitive's attributes; the accessors say how many values of which type these are, and have no buffer view.
-One that has a buffer view too, for loaders that do not know the extension, is read from the stream: there
-the vertices have one order for all.
+The extension is a member of a primitive. It says by unique id which attribute of the stream holds which
+attribute of the primitive. The accessors declare the number and the type of the values, and have no buffer
+view. An accessor may have a buffer view too, for loaders that do not know the extension. It is still read
+from the stream, because the vertices have the same order there for all attributes.
 """
 
 from __future__ import annotations
@@ -27,19 +27,19 @@ if TYPE_CHECKING:
 
 EXTENSION = "KHR_draco_mesh_compression"
 USUAL_LEVEL = 7
-"""How hard Draco compresses where nothing else is asked for, of 0 (fast) to 10 (small)."""
+"""The default effort of Draco, from 0 (fast) to 10 (small)."""
 
 MOST_ATTRIBUTES = 127
-"""Attributes of one stream: DracoPy numbers them with signed bytes."""
+"""The most attributes of one stream: DracoPy numbers them with signed bytes."""
 
 Shape = tuple[np.dtype[np.generic], int, int]
 
 
 @dataclass(frozen=True, slots=True)
 class Claim:
-    """What an accessor stands for: one attribute of a primitive's stream, or its triangles (None).
+    """The data of an accessor: one attribute of a primitive's stream, or its triangles (None).
 
-    primitive is the JSON of the primitive as it was when it had that stream.
+    primitive is the JSON of the primitive at the time when it had that stream.
     """
 
     primitive: JsonObject
@@ -47,7 +47,7 @@ class Claim:
 
 
 def extension_of(primitive: JsonObject) -> JsonObject | None:
-    """Return a primitive's Draco extension, None where it has none; whatever else is there is none either."""
+    """Return the Draco extension of a primitive; None without one, or if its value is no object."""
     extensions = primitive.get("extensions")
     found = extensions.get(EXTENSION) if isinstance(extensions, dict) else None
     return found if isinstance(found, dict) else None
@@ -56,16 +56,16 @@ def extension_of(primitive: JsonObject) -> JsonObject | None:
 def decoded_accessor(
     document: Document, number: int, shape: Shape, place: Place
 ) -> npt.NDArray[np.generic] | None:
-    """Return the values (count, components) of an accessor from its Draco stream, None where it has none.
+    """Return the values (count, components) of an accessor from its Draco stream, None without one.
 
-    shape is the dtype, components and count that the accessor declares. Raises InputError where the stream
-    cannot be decoded or holds something else, UnsupportedFeatureError where the accessor stands for
-    different values in different streams.
+    shape is the dtype, components and count that the accessor declares. Raises InputError if the stream
+    cannot be decoded or holds other data. Raises UnsupportedFeatureError if streams hold different values for
+    one accessor.
     """
     claims = _claims(document).get(number)
     if claims is None:
         return None
-    # Primitives that share an accessor have its values compared once, not each with those of all others.
+    # If primitives share an accessor, their values are compared once, not each with all others.
     known = document.derived.setdefault("draco values", {})
     if number not in known:
         values = _claimed(document, claims[0], shape, place)
@@ -80,9 +80,9 @@ def decoded_accessor(
 
 
 def holds_the_same(document: Document, primitive: JsonObject, before: JsonObject, place: Place) -> bool:
-    """Tell whether the stream of ``before`` still holds what a primitive's stream does, of what both name.
+    """Tell whether the stream of ``before`` has the data of a primitive's stream, where both name it.
 
-    False where it cannot be read: another tool has moved or removed the buffer view since.
+    False if it cannot be read, because another tool has moved or removed the buffer view since.
     """
     now, then = dict(_claims_of(primitive)), dict(_claims_of(before))
     known = document.derived.setdefault("draco pairs", {})
@@ -117,7 +117,7 @@ def _shape(document: Document, number: int, place: Place) -> Shape:
 
 
 def _claims(document: Document) -> dict[int, list[Claim]]:
-    """Return by accessor what Draco streams hold of it, several where primitives share the accessor."""
+    """Return the claims of Draco streams by accessor; several if primitives share the accessor."""
     known = document.derived.setdefault("draco", {})
     if "claims" not in known:
         different: dict[int, dict[object, Claim]] = {}
@@ -148,9 +148,9 @@ def _primitives(document: Document) -> Iterator[JsonObject]:
 
 
 def accessors_inside(document: Document, primitive: JsonObject, place: Place) -> Iterator[tuple[int, bool]]:
-    """Yield the accessors whose values a primitive's stream holds, and whether each is its indices.
+    """Yield the accessors in a primitive's stream, and whether each one holds its indices.
 
-    Raises InputError where one is not there, or is of no type that a stream holds.
+    Raises InputError if one is missing, or has a type that a stream cannot hold.
     """
     for number, claim in _claims_of(primitive):
         _shape(document, number, place)
@@ -170,7 +170,7 @@ def _claims_of(primitive: JsonObject) -> Iterator[tuple[int, Claim]]:
 
 
 def _data_of(claim: Claim) -> tuple[int | None, int | None]:
-    """Return which attribute of which buffer view's stream a claim is of."""
+    """Return the attribute and the buffer view of a claim."""
     view = (extension_of(claim.primitive) or {}).get("bufferView")
     return reference(view), claim.unique_id
 
@@ -193,7 +193,7 @@ def _claimed(document: Document, claim: Claim, shape: Shape, place: Place) -> np
 def _of_type(
     values: npt.NDArray[Any], shape: Shape, largest: int | None, place: Place
 ) -> npt.NDArray[np.generic]:
-    """Return decoded values in the type that the accessor declares, which must hold each of them exactly."""
+    """Return decoded values in the declared type of the accessor, which must hold each of them exactly."""
     dtype, components, count = shape
     if values.shape != (count, components):
         raise InputError(
@@ -215,7 +215,7 @@ def _of_type(
 
 
 def read_stream(document: Document, primitive: JsonObject, place: Place) -> DracoMesh:
-    """Return the decoded stream of a Draco primitive; InputError where it is not what the JSON says."""
+    """Return the decoded stream of a Draco primitive; InputError if it contradicts the JSON."""
     from skinbake.gltf.codecs import draco_stream
 
     extension = extension_of(primitive) or {}
@@ -242,9 +242,9 @@ def read_stream(document: Document, primitive: JsonObject, place: Place) -> Drac
 def declared(
     document: Document, primitive: JsonObject, inside: Mapping[str, Any], place: Place
 ) -> tuple[int, int, int]:
-    """Return the vertices and indices that a Draco primitive's accessors declare, and the bytes of all.
+    """Return the declared vertices and indices of a Draco primitive, and the bytes of all its accessors.
 
-    Raises InputError where the attributes ``inside`` the stream have different counts or no accessor.
+    Raises InputError if the attributes ``inside`` the stream have different counts or no accessor.
     """
     accessors = document.objects("accessors")
     attributes = member(primitive, "attributes", place)

@@ -1,8 +1,8 @@
 """Draco bitstreams: one mesh in, one mesh out (Draco Bitstream Specification 2.2; DracoPy is Google's code).
 
-The decoder sets memory aside for whatever counts a stream claims, so these are read first and held against
-what the glTF file declares. What counts alone cannot tell, how wide a stream's attributes are, is held by a
-limit on memory while it decodes.
+The decoder allocates memory for any count that a stream claims. So the counts are read first and compared
+with the declarations of the glTF file. The counts do not show the width of the attributes. For this, a memory
+limit holds while the stream is decoded.
 """
 
 from __future__ import annotations
@@ -27,25 +27,25 @@ METADATA_FLAG = 1 << 15
 DEEPEST_METADATA = 16
 
 EXPANSION, SMALL = 1000, 1 << 26
-"""A stream may declare at most EXPANSION times its bytes, or SMALL bytes where that is more.
+"""A stream may declare at most EXPANSION times its bytes, or SMALL bytes if that is more.
 
-Entropy codes have no least size: a stream of 100 bytes can mean a billion equal vertices. Real streams of
+Entropy codes have no minimum size: a stream of 100 bytes can hold a billion equal vertices. Real streams of
 characters expand 4 to 12 times, a flat grid of a million vertices 400 times.
 """
 
 MEMORY_BASE, MEMORY_FACTOR = 1 << 28, 16
-"""Bytes of memory that decoding may take: MEMORY_BASE and MEMORY_FACTOR times what the file declares.
+"""Decoding may take MEMORY_BASE bytes, and MEMORY_FACTOR times the bytes that the file declares.
 
 Measured on a million vertices: twice the decoded bytes, by either method.
 """
 
 INT_MAXIMA = {1: 127, 3: 32767, 5: 2147483647}
-"""By Draco's number of a signed integer type, which DracoPy returns as floats: its largest value."""
+"""The largest value of each signed integer type, by Draco's number; DracoPy returns it as floats."""
 
 
 @dataclass(frozen=True, slots=True)
 class Counts:
-    """What a stream says of itself before any data: vertices (points at least), triangles, its method."""
+    """The counts at the beginning of a stream: vertices (points at least), triangles, its method."""
 
     vertices: int
     faces: int
@@ -56,7 +56,7 @@ class Counts:
 class DracoMesh:
     """A decoded stream: attributes (V, components) by unique id, triangles (T, 3) uint32, and its method.
 
-    Signed integers come as float32, by ``signed`` ids with their type's largest value.
+    Signed integers come as float32. ``signed`` holds the largest value of their type, by id.
     """
 
     attributes: dict[int, npt.NDArray[Any]]
@@ -66,10 +66,11 @@ class DracoMesh:
 
 
 def check_counts(data: memoryview, vertices: int, corners: int, size: int, place: Place) -> Counts:
-    """Return what a stream says of itself, held against what the accessors declare, without decoding it.
+    """Return the counts of a stream, compared with the declarations of the accessors, without decoding.
 
-    vertices and corners are how many they declare, ``size`` the bytes of all their elements. Raises
-    InputError where the stream is not one of 2.2 or contradicts them, or is out of all proportion to them.
+    vertices and corners are the declared numbers, ``size`` is the bytes of all declared elements. Raises
+    InputError if the stream has another version than 2.2, contradicts the declarations, or is out of
+    proportion to them.
     """
     counts = read_counts(data, place)
     _check_counts(counts, len(data), (vertices, corners, size), place)
@@ -81,8 +82,8 @@ def decode(
 ) -> DracoMesh:
     """Return the mesh of a stream whose ``counts`` were checked against the same declarations.
 
-    Raises InputError where it is damaged, holds something else, or needs more memory than they justify. Over
-    6,000 cut or altered streams of real files the decoder never crashed.
+    Raises InputError if the stream is damaged, holds other data, or needs more memory than the declarations
+    justify. The decoder never crashed on 6,000 cut or altered streams of real files.
     """
     import DracoPy
 
@@ -93,7 +94,7 @@ def decode(
             faces = np.asarray(getattr(mesh, "faces", np.zeros((0, 3), np.uint32)), dtype=np.uint32)
     except MemoryError as error:
         raise InputError("its Draco stream needs more memory than its accessors justify", place) from error
-    except Exception as error:  # whatever C++ throws: DracoPy has no class of its own for damaged data
+    except Exception as error:  # C++ may throw anything: DracoPy has no class for damaged data
         raise InputError(f"its Draco stream cannot be decoded: {error}", place) from error
     if 3 * len(faces) != corners:
         raise InputError(
@@ -125,7 +126,7 @@ def _values(entry: Mapping[str, Any], number: int, vertices: int, place: Place) 
 
 def _check_counts(counts: Counts, length: int, declared: tuple[int, int, int], place: Place) -> None:
     vertices, corners, size = declared
-    # A point of edgebreaker is a vertex with one set of attributes: there are as many at least.
+    # A point of edgebreaker is a vertex with one set of attributes, so there are at least as many points.
     too_many = counts.vertices > vertices if counts.method == EDGEBREAKER else counts.vertices != vertices
     if 3 * counts.faces != corners or too_many:
         raise InputError(
@@ -143,10 +144,10 @@ def _check_counts(counts: Counts, length: int, declared: tuple[int, int, int], p
 
 @contextmanager
 def _memory_limit(size: int) -> Iterator[None]:
-    """Let the block's allocations fail past ``size`` bytes; where the system cannot, let it be.
+    """Make allocations of the block fail past ``size`` bytes; no limit if the system has none.
 
-    Draco's code then throws std::bad_alloc, which arrives as MemoryError. Only Linux tells what a process
-    has, and holds to the limit.
+    The code of Draco then throws std::bad_alloc, which arrives as MemoryError. Only Linux reports the memory
+    of a process and enforces the limit.
     """
     try:
         import resource
@@ -168,7 +169,7 @@ def _memory_limit(size: int) -> Iterator[None]:
 
 
 class _Reader:
-    """Reads the plain numbers at the beginning of a stream; InputError past its end."""
+    """Read the plain numbers at the beginning of a stream; InputError past its end."""
 
     def __init__(self, data: memoryview, place: Place) -> None:
         self._data, self._at, self._place = data, 0, place
@@ -194,7 +195,7 @@ class _Reader:
 
 
 def read_counts(data: memoryview, place: Place) -> Counts:
-    """Return the counts at the beginning of a stream, without decoding it; InputError where it is not one."""
+    """Return the counts at the beginning of a stream, without decoding it; InputError if it is none."""
     if bytes(data[:5]) != MAGIC:
         raise InputError("its Draco stream does not begin with 'DRACO'", place)
     reader = _Reader(data, place)
@@ -233,21 +234,21 @@ QUANTISABLE = {"POSITION": 3, "NORMAL": 3, "TEXCOORD_0": 2}
 """Components of the attributes that DracoPy can quantise."""
 
 GRID_BITS, GRID_SAMPLES = range(4, 25), 64
-"""Numbers of bits that are looked for, and how many vertices sort out most of them before all are tried."""
+"""The numbers of bits to try, and the number of vertices that exclude most of them before all are tried."""
 
 LARGEST_EXTENT = 1e38
-"""Largest side of a bounding box that a grid is looked for in: past it numbers near the next overflow."""
+"""The largest side of a bounding box for which a grid is sought: the next number would overflow."""
 
 WIDEST = float(np.finfo(np.float32).max) / 16
-"""How far apart values may lie that Draco quantises."""
+"""The largest range of values that Draco quantises."""
 
 _TYPES = {0: "POSITION", 1: "NORMAL", 3: "TEXCOORD_0"}
-"""By Draco's number of a semantic, the attribute that ``_encoded`` stores under it."""
+"""The attributes that ``_encoded`` stores, by Draco's number of a semantic."""
 
 
 @dataclass(frozen=True, slots=True)
 class Encoded:
-    """A stream, and by attribute name its unique id in it and the values (V, components) it decodes to."""
+    """A stream, and by attribute name its unique id and its decoded values (V, components)."""
 
     data: bytes
     unique_ids: dict[str, int]
@@ -264,17 +265,17 @@ def encode(
 ) -> Encoded:
     """Return a stream of attributes (V, components), POSITION among them, and triangles (T, 3).
 
-    The order of vertices and triangles stays, which only Draco's sequential method keeps: edgebreaker orders
-    them anew. Values stay exactly, but for attributes in ``bits`` (POSITION, NORMAL, TEXCOORD_0 of floats),
-    which are quantised to that many. ``level`` is Draco's, 0 (fast) to 10 (small).
+    The order of vertices and triangles stays. Only Draco's sequential method keeps it; edgebreaker changes
+    it. Values stay exactly, except attributes in ``bits`` (POSITION, NORMAL, TEXCOORD_0 of floats), which are
+    quantised to that number of bits. ``level`` is the effort of Draco, 0 (fast) to 10 (small).
 
-    Draco stores floats as they are, and integers as entropy-coded differences. So floats that an earlier
-    quantisation put on a grid are quantised on the same grid, where the stream then gives them back
-    exactly: a tenth smaller on real characters. Arrays other than POSITION must not be of signed integers:
-    DracoPy has none, and of floats that stand for them decoders do not give the largest back as an integer.
+    Draco stores floats as they are, and integers as entropy-coded differences. If an earlier quantisation has
+    put floats on a grid, they are quantised on the same grid, provided that the stream then returns them
+    exactly. This is a tenth smaller on real characters. Arrays other than POSITION must not be signed
+    integers. DracoPy has none, and if floats hold them, decoders do not return the largest one as an integer.
 
-    Raises InputError where an attribute has another count than POSITION, or a triangle names a vertex that is
-    not there: the encoder would read what is not its own.
+    Raises InputError if an attribute has another count than POSITION, or if a triangle names a missing
+    vertex: the encoder would read foreign memory.
     """
     _check_arrays(arrays, faces, place)
     wanted = {name: number for name, number in (bits or {}).items() if _is_quantisable(name, arrays)}
@@ -286,7 +287,7 @@ def encode(
     while True:
         try:
             result = _encoded(arrays, faces, level, wanted, grids)
-        except Exception as error:  # whatever C++ throws: DracoPy has no class of its own for it
+        except Exception as error:  # C++ may throw anything: DracoPy has no class for it
             raise InputError(f"Draco cannot store it ({error}): leave it out of Draco", place) from error
         inexact = [name for name in grids if result.values[name].tobytes() != arrays[name].tobytes()]
         if not inexact:
@@ -312,14 +313,14 @@ def _is_quantisable(name: str, arrays: Mapping[str, npt.NDArray[Any]]) -> bool:
         return False
     if not np.isfinite(values).all():
         return False
-    # Draco computes with the extent in float32, and crashes where that overflows.
+    # Draco computes with the extent in float32, and crashes if it overflows.
     extent = values.max(axis=0, initial=-np.inf).astype(np.float64) - values.min(axis=0, initial=np.inf)
     return bool((extent < WIDEST).all())
 
 
 @dataclass(frozen=True, slots=True)
 class _Grid:
-    """Quantisation to ``bits``; for POSITION also from where and how far, as the encoder must be told."""
+    """Quantisation to ``bits``; for POSITION with the origin and the extent, which the encoder must know."""
 
     bits: int
     origin: npt.NDArray[np.float32] | None = None
@@ -327,11 +328,11 @@ class _Grid:
 
 
 def _grid(name: str, values: npt.NDArray[Any]) -> _Grid | None:
-    """Return the grid on which values lie that an earlier quantisation rounded, None where none is seen.
+    """Return the grid of values that an earlier quantisation rounded, None if none is found.
 
-    Quantised values are origin + n · extent / (2^bits − 1), origin and extent those of their bounding box,
-    in float32 (Draco, ``AttributeQuantizationTransform``). The extent comes back from the values with
-    an error of a few units in the last place. Of NORMAL only the number of bits is to be found.
+    Quantised values are origin + n · extent / (2^bits − 1). Origin and extent are those of their bounding
+    box, in float32 (Draco, ``AttributeQuantizationTransform``). The extent is computed from the values with
+    an error of a few units in the last place. For NORMAL only the number of bits is sought.
     """
     values = np.ascontiguousarray(values, dtype=np.float32)
     sample = values[:: max(len(values) // GRID_SAMPLES, 1)]
@@ -359,7 +360,7 @@ def _on_grid(values: npt.NDArray[np.float32], origin: npt.NDArray[np.float32], s
 
 
 def _octahedral(normals: npt.NDArray[np.float32], number: int) -> npt.NDArray[Any]:
-    """Return normals (V, 3) as they come back from Draco's octahedral quantisation to ``number`` bits."""
+    """Return normals (V, 3) after Draco's octahedral quantisation to ``number`` bits and back."""
     triangle = np.zeros((1, 3), np.uint32)
     grid = {"NORMAL": _Grid(number)}
     arrays = {"POSITION": np.zeros_like(normals), "NORMAL": normals}
@@ -376,7 +377,7 @@ def _encoded(
     import DracoPy
 
     bits = {**wanted, **{name: grid.bits for name, grid in grids.items()}}
-    native = {name: np.asarray(arrays[name], np.float64) for name in bits}  # its check of types wants doubles
+    native = {name: np.asarray(arrays[name], np.float64) for name in bits}  # its type check needs doubles
     generic = [name for name in arrays if name not in native and name != "POSITION"]
     grid = grids.get("POSITION", _Grid(0))
     data = bytes(

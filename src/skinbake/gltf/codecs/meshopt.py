@@ -1,7 +1,7 @@
-"""Buffer views compressed by meshoptimizer: EXT_meshopt_compression, and KHR_meshopt_compression after it.
+"""Buffer views compressed by meshoptimizer: EXT_meshopt_compression, and its successor KHR_.
 
-Both store the same codecs; the latter adds version 1 of the attribute codec and the COLOR filter. Which of
-the two a file says makes no difference to reading it.
+Both store the same codecs. The latter adds version 1 of the attribute codec and the COLOR filter. A file is
+read in the same way, whichever of the two names it uses.
 """
 
 from __future__ import annotations
@@ -28,22 +28,22 @@ STRIDES_OF_FILTERS: dict[str, tuple[int, ...]] = {
     "COLOR": (4, 8),
 }
 USUAL_LEVEL, HIGHEST_LEVEL = 2, 3
-"""How hard meshopt compresses where nothing else is asked for, and at most; 0 is the fastest."""
+"""The default effort of meshopt, and the highest; 0 is the fastest."""
 
 CODEC_VERSIONS = {VENDOR: 0, KHRONOS: 1}
 
 EXPANSION = 1024
-"""Bytes that one byte of the attribute codec can stand for at most.
+"""The most bytes that one byte of the attribute codec can hold.
 
-Version 1 spends at least 2 bits on a run of one byte of up to 256 elements; version 0 at least 2 bits on
-one of 16. The index codecs spend a byte on a triangle or index at least. The decoder sets all memory aside
-before it looks at the data, so the count has to be held against its length first.
+Version 1 uses at least 2 bits for one byte of up to 256 elements, version 0 at least 2 bits for one byte of
+16. The index codecs use at least a byte for each triangle or index. The decoder allocates all memory before
+it reads the data, so the count must be compared with the length first.
 """
 
 
 @dataclass(frozen=True, slots=True)
 class Packing:
-    """How one buffer view is compressed: ``count`` elements of ``stride`` bytes, by mode and filter."""
+    """The compression of one buffer view: ``count`` elements of ``stride`` bytes, with mode and filter."""
 
     mode: str
     filter: str
@@ -52,23 +52,23 @@ class Packing:
 
 
 def extension_of(holder: JsonObject, place: Place) -> str | None:
-    """Return which of the two extensions a buffer view or buffer has, None where it has neither."""
+    """Return the extension that a buffer view or buffer has, None if it has neither."""
     extensions = member(holder, "extensions", place)
     return next((name for name in EXTENSIONS if name in extensions), None)
 
 
 def is_fallback(buffer: JsonObject, place: Place) -> bool:
-    """Tell whether a buffer only says how long the decompressed data would be."""
+    """Tell whether a buffer has no bytes and only declares the length of the decompressed data."""
     name = extension_of(buffer, place)
     extension = {} if name is None else member(member(buffer, "extensions", place), name, place)
     return extension.get("fallback") is True
 
 
 def packing(view: JsonObject, name: str, what: str, place: Place) -> Packing:
-    """Return how a buffer view is compressed.
+    """Return the compression of a buffer view.
 
-    Raises InputError where the extension's members contradict each other or the view, after the extension's
-    specification. ``what`` is what messages call the view.
+    Raises InputError if members of the extension contradict each other or the view, by the specification of
+    the extension. ``what`` names the view in messages.
     """
     extension = member(member(view, "extensions", place), name, place)
     mode, chosen = text(extension, "mode", place), text(extension, "filter", place) or "NONE"
@@ -88,7 +88,7 @@ def packing(view: JsonObject, name: str, what: str, place: Place) -> Packing:
 
 
 def check_length(data: memoryview, packing: Packing, what: str, place: Place) -> None:
-    """Raise InputError where compressed data is too short for what it should hold, whatever it says."""
+    """Raise InputError if compressed data is too short for its declared content."""
     least = packing.count * packing.stride // EXPANSION if packing.mode == ATTRIBUTES else packing.count // 3
     if len(data) < least:
         raise InputError(
@@ -99,10 +99,10 @@ def check_length(data: memoryview, packing: Packing, what: str, place: Place) ->
 
 
 def decoded(data: memoryview, packing: Packing, what: str, place: Place) -> memoryview:
-    """Return the bytes that compressed ``data`` stands for, its filter undone.
+    """Return the bytes in compressed ``data``, with its filter undone.
 
-    Its length must have been checked. Raises InputError where it is malformed. Over 4,000 cut or
-    altered streams of real files the decoder never read past the end nor crashed: it checks every length.
+    The length must have been checked. Raises InputError if the data is malformed. On 4,000 cut or altered
+    streams of real files, the decoder never read past the end and never crashed: it checks every length.
     """
     import meshopt
 
@@ -117,16 +117,16 @@ def decoded(data: memoryview, packing: Packing, what: str, place: Place) -> memo
 
 
 def level_of(asked: int | None) -> int:
-    """Return the codec's level for one of 0 to 10, None for the usual one."""
+    """Return the level of the codec for one of 0 to 10, None for the default one."""
     return USUAL_LEVEL if asked is None else min(asked, HIGHEST_LEVEL)
 
 
 def encoded(values: npt.NDArray[Any], mode: str, name: str, level: int) -> tuple[bytes, str]:
-    """Return an array compressed without loss, for a view of the extension ``name``, and the mode it took.
+    """Return an array compressed without loss, for a view of the extension ``name``, and its mode.
 
-    values: attributes (V, components), elements a multiple of 4 bytes long, or triangles (3 T, 1) uint16 or
-    uint32. level is 0 (fast) to 3 (small) and matters to attributes alone. Triangles are stored as a plain
-    sequence of indices where their own codec would begin some of them at another corner.
+    values are attributes (V, components) with elements of a multiple of 4 bytes, or triangles (3 T, 1) uint16
+    or uint32. level is 0 (fast) to 3 (small) and has an effect only on attributes. Triangles are stored as a
+    plain sequence of indices if their own codec would rotate the corners of some of them.
     """
     import meshopt
 

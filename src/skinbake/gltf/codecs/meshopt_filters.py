@@ -1,9 +1,9 @@
-"""Undo the filters of EXT_ and KHR_meshopt_compression, alike on every machine.
+"""Undo the filters of EXT_ and KHR_meshopt_compression, with equal results on every machine.
 
-The formulas are those of the extension's specification, §"Filters". meshoptimizer has them too, with the
-processor's estimate of 1 / sqrt for octahedral bytes: its results differ by a unit between makes of
-processors, and so would α, β and the digests of what they were baked from. Here every operation is float32
-as IEEE 754 rounds it.
+The formulas are in the specification of the extension, §"Filters". meshoptimizer has them too, but it uses
+the 1 / sqrt estimate of the processor for octahedral bytes. So its results differ by a unit between brands of
+processors, and so would α, β and the digests of their input. Here every operation is float32 as IEEE 754
+rounds it.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def _rounded(values: Values, dtype: np.dtype[Any]) -> Values:
 
 
 def _octahedral(stored: Values) -> Values:
-    """Return unit vectors; x and y lie on the octahedron, z is what stands for 1, w stays."""
+    """Return unit vectors; x and y are on the octahedron, z is the value that means 1, w stays."""
     x, y, one = (stored[:, column].astype(np.float32) for column in range(3))
     z = one - np.abs(x) - np.abs(y)
     fold = np.minimum(z, np.float32(0))
@@ -50,7 +50,7 @@ def _octahedral(stored: Values) -> Values:
 
 
 def _quaternions(stored: Values) -> Values:
-    """Return quaternions; the largest component is left out, w says which, and what stands for 1 / √2."""
+    """Return quaternions; the largest component is left out; w has its index and the value of 1 / √2."""
     x, y, z = (stored[:, column].astype(np.float32) for column in range(3))
     one = (stored[:, 3] | 3).astype(np.float32)
     w = np.sqrt(np.maximum(one * one * TWO - x * x - y * y - z * z, np.float32(0)))
@@ -71,7 +71,7 @@ def _exponential(stored: npt.NDArray[np.int32]) -> npt.NDArray[np.float32]:
 
 
 def _colours(stored: Values) -> Values:
-    """Return RGBA of YCoCgA; the highest set bit of alpha says what stands for 1."""
+    """Return RGBA of YCoCgA; the highest set bit of alpha gives the value that means 1."""
     unsigned = stored.view(f"<u{stored.dtype.itemsize}").astype(np.int64)
     luma, orange, green = unsigned[:, 0], stored[:, 1].astype(np.int64), stored[:, 2].astype(np.int64)
     alpha, one = unsigned[:, 3], unsigned[:, 3].copy()

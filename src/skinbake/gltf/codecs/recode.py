@@ -1,7 +1,7 @@
-"""Store a document's geometry under another compression before it is baked: values stay, bytes move.
+"""Store the geometry of a document in another compression before a bake: values stay, bytes change.
 
-Recoding is what ``--compress none``, ``draco`` and ``meshopt`` ask for. The default, ``keep``, moves
-nothing: what bake adds is then stored as its primitive is (``attribute_store``).
+``--compress none``, ``draco`` and ``meshopt`` recode. The default, ``keep``, moves nothing: the additions of
+bake are then stored like their primitive (``attribute_store``).
 """
 
 from __future__ import annotations
@@ -44,10 +44,10 @@ SIGNED = (5120, 5122)
 
 @dataclass(frozen=True, slots=True)
 class Compression:
-    """What ``bake`` does about compression.
+    """The compression that ``bake`` writes.
 
-    level is 0 (fast) to 10 (small), None for each codec's usual one. bits are those to which ``draco``
-    quantises, by attribute (POSITION, NORMAL, TEXCOORD_0); what is not named stays exact.
+    level is 0 (fast) to 10 (small), None for the default of each codec. bits are the numbers of bits to which
+    ``draco`` quantises, by attribute (POSITION, NORMAL, TEXCOORD_0). Other attributes stay exact.
     """
 
     scheme: Scheme = Scheme.KEEP
@@ -58,13 +58,13 @@ class Compression:
 def recoded(
     document: Document, sources: list[PrimitiveSource], compression: Compression
 ) -> tuple[Document, list[Notice]]:
-    """Return the document with its geometry stored as ``compression`` says, and what could not be.
+    """Return the document with its geometry in ``compression``, and notices on the exceptions.
 
-    sources are the primitives that will be baked. ``none`` decodes all that Draco or meshopt compressed,
-    animations and images too; ``draco`` and ``meshopt`` compress those primitives and leave the rest as it
-    is; ``keep`` decodes only those whose Draco stream cannot be written again. Bytes that nothing refers to
-    any more are cut out of their buffers. A document without anything to do is returned as it is. Raises
-    InputError where its data cannot be read.
+    sources are the primitives that will be baked. ``none`` decodes all data that Draco or meshopt compressed,
+    animations and images too. ``draco`` and ``meshopt`` compress those primitives and leave all other data as
+    it is. ``keep`` decodes only primitives whose Draco stream cannot be written again. Unreferenced bytes are
+    removed from their buffers. A document without any change is returned as it is. Raises InputError if its
+    data cannot be read.
     """
     in_draco = any(draco.extension_of(source.json) is not None for source in sources)
     if compression.scheme is Scheme.KEEP and not in_draco:
@@ -82,7 +82,7 @@ def recoded(
 
 
 class _Recoder:
-    """Collects what changes of a document: accessors, primitives and buffer views, and new bytes."""
+    """Collect the changes of a document: accessors, primitives, buffer views, and new bytes."""
 
     def __init__(self, document: Document) -> None:
         self.document = document
@@ -108,7 +108,7 @@ class _Recoder:
         self.views[number] = view
 
     def set_accessor(self, number: int, view: int | None, **members: Any) -> None:
-        """Give an accessor other data: a buffer view of its own, or (None) a Draco stream."""
+        """Give an accessor other data: its own buffer view, or (None) a Draco stream."""
         self._changed = True
         kept = {
             key: value
@@ -118,7 +118,7 @@ class _Recoder:
         self.accessors[number] = {**({} if view is None else {"bufferView": view}), **kept, **members}
 
     def own(self, number: int, users: int) -> int:
-        """Return an accessor that ``users`` references alone mean: this one, or a copy if others do too."""
+        """Return an accessor that only ``users`` references name: this one, or a copy if it has more."""
         left = self._uses.get(number, 0) - users
         if left <= 0:
             return number
@@ -131,7 +131,7 @@ class _Recoder:
             self._required.append(extension)
 
     def finished(self) -> Document:
-        """Return the document with all changes, or as it was where there are none."""
+        """Return the document with all changes, or as it was if there are none."""
         if not self._changed:
             return self.document
         changes = {"accessors": self.accessors, "bufferViews": self.views, "meshes": self.meshes}
@@ -141,9 +141,9 @@ class _Recoder:
 
 
 def _with_extensions(root: JsonObject, required: list[str], place: Place) -> JsonObject:
-    """Return the JSON that names the compressions it has in extensionsUsed and extensionsRequired.
+    """Return the JSON with its compressions in extensionsUsed and extensionsRequired.
 
-    What it has is seen from the JSON; ``required`` are those that it cannot be read without.
+    The JSON itself shows the extensions in use. ``required`` are those without which it cannot be read.
     """
     ours = {draco.EXTENSION, *meshopt.EXTENSIONS}
     present = _extensions_in(root) & ours
@@ -195,7 +195,7 @@ def _draco_primitives(document: Document) -> Iterator[tuple[Place, JsonObject]]:
 def _leave_draco(
     recoder: _Recoder, place: Place, primitive: JsonObject, packed: Packed | None, done: set[int]
 ) -> None:
-    """Give the accessors of a Draco primitive buffer views, and take the extension away."""
+    """Give the accessors of a Draco primitive buffer views, and remove the extension."""
     for number, is_index in draco.accessors_inside(recoder.document, primitive, place):
         if number not in done:
             values = read_accessor(recoder.document, number, place).values
@@ -213,14 +213,14 @@ def _leave_draco(
 
 
 def _for_index_codec(indices: npt.NDArray[Any]) -> tuple[npt.NDArray[Any], JsonObject]:
-    """Return indices as meshopt's codecs take them, in shorts at least, and what the accessor must say."""
+    """Return indices for the codecs of meshopt, at least as shorts, and the new members of the accessor."""
     if indices.dtype.itemsize > 1:
         return indices, {}
     return indices.astype(np.uint16), {"componentType": UNSIGNED_SHORT}
 
 
 def _keep(recoder: _Recoder, sources: list[PrimitiveSource], compression: Compression) -> Iterator[Notice]:
-    """Decode what bake could not write back; the rest stays as it is."""
+    """Decode only the data that bake could not write back."""
     done: set[int] = set()
     for source in sources:
         if draco.extension_of(source.json) is None:
@@ -253,7 +253,7 @@ def _into_meshopt(
 
 
 def _accessors_of(document: Document, source: PrimitiveSource) -> Iterator[tuple[int, bool]]:
-    """Yield the accessors of a primitive's attributes, then of its indices, and whether it is the latter."""
+    """Yield the accessors of a primitive's attributes, then of its indices, and whether it is the indices."""
     count = len(document.objects("accessors"))
     for holder, keys in ((source.attributes, tuple(source.attributes)), (source.json, ("indices",))):
         for key in keys:
@@ -271,7 +271,7 @@ def _is_packed(document: Document, number: int, place: Place) -> bool:
 def _pack(
     recoder: _Recoder, number: int, packed: Packed, indexed: PrimitiveSource | None, place: Place
 ) -> None:
-    """Compress an accessor's values; ``indexed`` is the primitive whose indices they are."""
+    """Compress the values of an accessor; ``indexed`` is the primitive whose indices they are."""
     members: JsonObject = {}
     if indexed is None:
         values = read_accessor(recoder.document, number, place).values
@@ -311,9 +311,9 @@ def _into_draco(
 def _reason_against_draco(
     document: Document, source: PrimitiveSource, *, inside_only: bool = False
 ) -> str | None:
-    """Return why a primitive cannot be written to Draco, None where it can.
+    """Return the reason why a primitive cannot be written to Draco, None if it can.
 
-    Of its attributes all count, or those that are ``inside`` its stream already.
+    All its attributes count, or only those that are already ``inside`` its stream.
     """
     mode = integer(source.json, "mode", source.place, default=TRIANGLES)
     if mode != TRIANGLES:
@@ -335,9 +335,9 @@ def _reason_against_draco(
 
 
 def _streamed(recoder: _Recoder, source: PrimitiveSource, users: int, compression: Compression) -> JsonObject:
-    """Put a primitive's attributes and triangles into a stream; return what changes in its JSON.
+    """Put the attributes and triangles of a primitive into a stream; return the changes of its JSON.
 
-    users is how many primitives have the same attributes and triangles, and will have these changes.
+    users is the number of primitives that have the same attributes and triangles, and so the same changes.
     """
     document, place = recoder.document, source.place
     accessors = document.objects("accessors")
@@ -368,9 +368,9 @@ def _streamed(recoder: _Recoder, source: PrimitiveSource, users: int, compressio
 
 
 def _bounds(accessor: JsonObject, values: npt.NDArray[Any]) -> JsonObject:
-    """Return the members min and max of an accessor that has others than its values' own, else none.
+    """Return the members min and max of an accessor, if they differ from its values; otherwise none.
 
-    Quantising, now or before the file came to us, moves what they bound; glTF wants them exact.
+    Quantisation, by this run or by an earlier tool, moves the bounded values. glTF requires exact bounds.
     """
     noted = {key: accessor.get(key) for key in ("min", "max")}
     if not all(isinstance(numbers, list) for numbers in noted.values()):
@@ -384,7 +384,7 @@ def _bounds(accessor: JsonObject, values: npt.NDArray[Any]) -> JsonObject:
 
 
 def _is_bound(noted: Any, bound: npt.NDArray[Any], dtype: np.dtype[Any]) -> bool:
-    """Tell whether numbers of the JSON are those of a bound, once they are rounded to its type."""
+    """Tell whether numbers of the JSON equal a bound after rounding to its type."""
     if len(noted) != len(bound) or not all(map(is_number, noted)):
         return False
     numbers = [np.float32(number) for number in noted] if dtype.kind == "f" else noted
