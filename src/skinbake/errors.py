@@ -6,7 +6,7 @@ The tree::
     ├── InputError                  the file cannot be read, or is not valid glTF        exit 3
     │   └── UnsupportedFeatureError it is valid, and this version cannot process it      exit 3
     ├── OutputError                 the result cannot be written                         exit 4
-    │   └── ReaderGoneError         whoever read it has left                             exit 141
+    │   └── ReaderGoneError         its reader has left                                  exit 141
     └── ChoiceError                 options that exclude each other                      exit 2
 
 A file that was read and does not pass verification is no error: it is a verdict (exit 1).
@@ -127,7 +127,7 @@ class OutputError(SkinbakeError):
 
 
 class ReaderGoneError(OutputError):
-    """Whoever read the output has left."""
+    """The reader of the output has left."""
 
 
 class ChoiceError(SkinbakeError):
