@@ -29,8 +29,8 @@ from skinbake.lighting.metrics import ErrorSummary, angular_errors, summarise, v
 from skinbake.lighting.operator import gradient_operator
 from skinbake.lighting.reference import reference_normals, rest_frames
 from skinbake.skinning.algorithms import Algorithm
-from skinbake.skinning.run import replay
 from skinbake.skinning.surface import RestSurface
+from tests.support.replay import replay
 
 Array = npt.NDArray[np.float64]
 

@@ -34,7 +34,7 @@ from skinbake.lighting.reference import reference_normals, rest_frames
 from skinbake.shaders.choices import ShaderChoices
 from skinbake.shaders.text import shader_text
 from skinbake.skinning.algorithms import Algorithm
-from skinbake.skinning.run import replay
+from tests.support.replay import replay
 
 Array = npt.NDArray[np.float64]
 Single = npt.NDArray[np.float32]

@@ -30,9 +30,9 @@ from skinbake.lighting.measured import VerifyOptions
 from skinbake.report.verify import FileVerdict
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.morphs import morphed
-from skinbake.skinning.run import replay
 from skinbake.skinning.surface import RestSurface
 from tests.support import analytic, morphing
+from tests.support.replay import replay
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 BENDS = ("medium", "strong")

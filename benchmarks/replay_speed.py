@@ -18,8 +18,8 @@ import igl
 import numpy as np
 
 from skinbake.skinning.algorithms import Algorithm
-from skinbake.skinning.run import replay
 from skinbake.skinning.surface import RestSurface
+from tests.support.replay import replay
 
 VERTICES, POSES, JOINTS, INFLUENCES = 10_000, 100, 40, 4
 

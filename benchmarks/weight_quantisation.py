@@ -41,8 +41,8 @@ from skinbake.lighting.operator import gradient_operator
 from skinbake.lighting.poses import PoseRequest, pose_set, skins_of
 from skinbake.lighting.reference import reference_normals, rest_frames
 from skinbake.skinning.algorithms import Algorithm
-from skinbake.skinning.run import replay
 from skinbake.skinning.surface import RestSurface
+from tests.support.replay import replay
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 DEFAULT_OUTPUT = REPOSITORY / "docs" / "weight_quantisation.md"

@@ -20,7 +20,6 @@ from skinbake.shaders.choices import AttributeText, ShaderChoices
 from skinbake.shaders.text import shader_text
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.morphs import morphed
-from skinbake.skinning.run import replay
 from tests.bevy.compose import compose, without_comments
 from tests.bevy.running import (
     BAKED,
@@ -38,6 +37,7 @@ from tests.bevy.running import (
 )
 from tests.support.analytic import degrees_between
 from tests.support.characters import Pose, baked
+from tests.support.replay import replay
 from tests.support.webgpu import NAGA, TINT, Implementation, Job, answers
 
 # Float32 on both sides of a subtraction of numbers near 1; t' and b' may be nearly parallel.

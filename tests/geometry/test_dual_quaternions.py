@@ -8,11 +8,11 @@ import pytest
 from skinbake.geometry.dual_quaternions import (
     RIGID_TOLERANCE,
     dual_quaternions_from_matrices,
-    matrices_from_dual_quaternions,
     quaternions_from_rotations,
     rigid_motions,
 )
 from tests.support import analytic
+from tests.support.rigid_motions import matrices_from_dual_quaternions
 
 AXES = (
     np.array(

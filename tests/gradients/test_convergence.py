@@ -12,9 +12,9 @@ from skinbake.geometry.skinned import Float64Array
 from skinbake.gradients.baker import BakeSettings, rest_frame
 from skinbake.lighting.metrics import angular_errors, vertex_areas
 from skinbake.skinning.algorithms import Algorithm
-from skinbake.skinning.run import replay
 from skinbake.skinning.surface import RestSurface
 from tests.support.baked_arrays import bake_one
+from tests.support.replay import replay
 from tests.support.surfaces import MILD, STRONG, AnalyticSurface, Triangulation, analytic_surface, bends
 
 SEEDS = range(3)

@@ -18,9 +18,9 @@ from skinbake.lighting.metrics import angular_errors, vertex_areas
 from skinbake.lighting.operator import gradient_operator
 from skinbake.lighting.reference import reference_normals, rest_frames
 from skinbake.skinning.algorithms import Algorithm
-from skinbake.skinning.run import replay
 from skinbake.skinning.surface import RestSurface
 from tests.support.baked_arrays import BARBARIAN, CESIUM_MAN, MANNEQUINY, meshes_of, path_of
+from tests.support.replay import replay
 
 POSES = 6
 

@@ -12,8 +12,8 @@ from skinbake.geometry.skinned import Float64Array
 from skinbake.lighting import blending
 from skinbake.lighting.blending import BlendedSurface, blended_blocks
 from skinbake.skinning.algorithms import Algorithm
-from skinbake.skinning.run import replay
 from skinbake.skinning.surface import Options, RestSurface
+from tests.support.replay import replay
 
 ALGORITHMS = (Algorithm.LBS_APPROXIMATED, Algorithm.LBS_DIRECT, Algorithm.LBS_ACCURATE)
 JOINTS, VERTICES = 200, 23

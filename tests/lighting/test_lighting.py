@@ -27,10 +27,10 @@ from skinbake.lighting.staleness import mesh_operator
 from skinbake.report.verify import FileVerdict, Normals
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.components import Vector
-from skinbake.skinning.run import replay
 from skinbake.skinning.surface import RestSurface
 from tests.support import analytic, corpus
 from tests.support.baked_files import CESIUM_MAN, Editable, baked, source, verify
+from tests.support.replay import replay
 from tests.support.straightforward import Character, degrees
 
 UNPROCESSED = ("draco", "meshopt", "bath_day.glb")

@@ -23,11 +23,11 @@ from skinbake.lighting.measured import rest_surface
 from skinbake.lighting.poses import PoseRequest, pose_set
 from skinbake.shaders.choices import SLOTS_PER_SET, ShaderChoices
 from skinbake.skinning.algorithms import Algorithm
-from skinbake.skinning.run import replay
 from skinbake.skinning.surface import RestSurface
 from tests.shaders.combinations import ATTRIBUTES, columns
 from tests.support import analytic, corpus
 from tests.support.baking import bake_file
+from tests.support.replay import replay
 
 Single = npt.NDArray[np.float32]
 Wide = npt.NDArray[np.float64]

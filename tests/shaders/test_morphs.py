@@ -27,13 +27,13 @@ from skinbake.shaders.choices import ALGORITHMS, ShaderChoices
 from skinbake.shaders.text import shader_text
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.morphs import morphed
-from skinbake.skinning.run import replay
 from skinbake.skinning.surface import RestSurface
 from tests.support import analytic, morphing
 from tests.support.analytic_rest import rest_surface, sample
 from tests.support.baked_files import baked, source
 from tests.support.morphed_files import morphed as with_targets
 from tests.support.morphed_files import with_tangents
+from tests.support.replay import replay
 from tests.support.strictness import missing_tool
 
 KINDS = [

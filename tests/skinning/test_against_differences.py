@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from skinbake.skinning.algorithms import Algorithm
-from skinbake.skinning.run import replay
 from tests.support import analytic
 from tests.support.analytic_rest import rest_surface, sample, slots
+from tests.support.replay import replay
 
 EXACT_DEGREES = 1e-4
 

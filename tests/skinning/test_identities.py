@@ -12,10 +12,11 @@ from skinbake.geometry.dual_quaternions import RigidMotions, rigid_motions
 from skinbake.skinning import run
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.components import PosedVertex
-from skinbake.skinning.run import replay
-from skinbake.skinning.surface import RestSurface, SkinnedSurface
+from skinbake.skinning.surface import RestSurface
 from tests.support import analytic
+from tests.support import replay as replaying
 from tests.support.analytic_rest import poses, rest_surface, sample, slots
+from tests.support.replay import SkinnedSurface, replay
 
 ACCURATE = [Algorithm.LBS_ACCURATE, Algorithm.DQS_ACCURATE, Algorithm.DQS_EXACT]
 DUAL_QUATERNIONS = [Algorithm.DQS_APPROXIMATED, Algorithm.DQS_ACCURATE, Algorithm.DQS_EXACT]
@@ -183,7 +184,7 @@ def test_float32_is_never_widened_on_the_way(
         for field in ("position", "normal", "tangent", "bitangent"):
             seen.update(component.dtype for component in getattr(vertex, field))
 
-    monkeypatch.setattr(run, "_write", record)
+    monkeypatch.setattr(replaying, "_write", record)
     replay(algorithm, rest_surface(sample()), poses(), dtype=np.float32, cap=cap)
     assert seen == {np.dtype(np.float32)}
 
@@ -196,7 +197,7 @@ def test_the_size_of_a_block_changes_nothing(
     """480 vertices and 4 poses: single numbers, a part of a pose, two poses, everything at once."""
     rest = rest_surface(sample())
     expected = replay(algorithm, rest, poses())
-    monkeypatch.setattr(run, "_BLOCK_BYTES", size)
+    monkeypatch.setattr(replaying, "_BLOCK_BYTES", size)
     assert_same(replay(algorithm, rest, poses()), expected, atol=0)
 
 

@@ -12,10 +12,10 @@ from skinbake.geometry.frames import frame_from_normal
 from skinbake.geometry.morphs import Differences, MorphTarget, MorphTargets
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.morphs import morphed
-from skinbake.skinning.run import replay
 from skinbake.skinning.surface import RestSurface
 from tests.support import analytic, morphing
 from tests.support.analytic_rest import rest_surface, sample, slots
+from tests.support.replay import replay
 
 EXACT_DEGREES = 1e-4
 """Steps of the differences, seen from the mildest to the strongest bend: they are near 1e-8."""

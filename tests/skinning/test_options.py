@@ -9,10 +9,10 @@ import pytest
 
 from skinbake.choices import Baseline
 from skinbake.skinning.algorithms import Algorithm
-from skinbake.skinning.run import replay
 from skinbake.skinning.surface import DEFAULT_CAP, RestSurface
 from tests.support import analytic
 from tests.support.analytic_rest import poses, rest_surface, sample
+from tests.support.replay import replay
 
 # The algorithm that is capped, and the one whose tangents are T t.
 CAPPED = [

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from skinbake.skinning import run
 from skinbake.skinning.algorithms import Algorithm
-from skinbake.skinning.run import replay
 from tests.support import analytic_rest
+from tests.support import replay as replaying
+from tests.support.replay import replay
 
 VECTORS = ("positions", "normals", "tangents", "bitangents")
 
@@ -32,8 +32,8 @@ def test_small_blocks_change_nothing(algorithm: Algorithm, monkeypatch: pytest.M
     rest = analytic_rest.rest_surface(analytic_rest.sample())
     poses = np.concatenate([analytic_rest.poses()] * 6)
     whole = replay(algorithm, rest, poses)
-    monkeypatch.setattr(run, "_BLOCK_BYTES", 8 * 100)
-    monkeypatch.setattr(run, "_BLOCK_POSES", 7)
+    monkeypatch.setattr(replaying, "_BLOCK_BYTES", 8 * 100)
+    monkeypatch.setattr(replaying, "_BLOCK_POSES", 7)
     pieces = replay(algorithm, rest, poses)
     for name in VECTORS:
         assert np.array_equal(getattr(whole, name), getattr(pieces, name)), name

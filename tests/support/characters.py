@@ -20,10 +20,10 @@ from skinbake.geometry.poses import random_rotations
 from skinbake.gltf.animation import clip_poses, random_poses, read_clips, read_skeleton
 from skinbake.gltf.document import read_document
 from skinbake.skinning.algorithms import Algorithm
-from skinbake.skinning.run import replay
 from skinbake.skinning.surface import RestSurface
 from tests.support import gltf_reading
 from tests.support.baking import bake_file
+from tests.support.replay import replay
 
 Array = npt.NDArray[np.float64]
 JsonObject = dict[str, Any]

@@ -1,68 +1,22 @@
-"""Run an algorithm over all poses and vertices, in blocks small enough for the processor's cache."""
+"""Run algorithms over a block of poses and vertices, small enough for the processor's cache."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from skinbake.choices import Baseline
 from skinbake.errors import UnsupportedFeatureError
 from skinbake.geometry.dual_quaternions import RIGID_TOLERANCE, rigid_motions
 from skinbake.geometry.skinned import FloatArray
 from skinbake.skinning.algorithms import STEPS, Algorithm
 from skinbake.skinning.components import PosedVertex, RestVertex, Rows, Vector
-from skinbake.skinning.surface import Options, RestSurface, SkinnedSurface
-
-# Bytes of one component of a block. Some sixty components exist at a time. Measured at 10,000 vertices ×
-# 100 poses: equal from 32 to 256 KiB, half as long again at 16, because of the interpreter's overhead.
-_BLOCK_BYTES = 65536
-
-# Poses of a block, if there are as many: gathering the motion of a joint then copies a row of them.
-_BLOCK_POSES = 64
+from skinbake.skinning.surface import Options, RestSurface
 
 # From this number of poses on, components are stored pose by pose; with fewer poses rows are too short.
 _ROWS = 16
-
-
-def replay(
-    algorithm: Algorithm,
-    rest: RestSurface,
-    joint_matrices: FloatArray,
-    *,
-    dtype: npt.DTypeLike = np.float64,
-    cap: float | None = None,
-    baseline: Baseline = Baseline.BLENDED,
-    tolerance: float = RIGID_TOLERANCE,
-) -> SkinnedSurface:
-    """Skin a rest surface by joint matrices (P, J, 4, 4), with the frame of the algorithm.
-
-    Every number is converted to ``dtype`` (float32 or float64) first, and so is the result, in mesh space
-    moved by the joint matrices. Normals do not have unit length. ``cap`` limits the length of the correction
-    of t' and of b' to cap × |T t| and cap × |T b| in algorithms 3, 5 and 6 (DEFAULT_CAP is the published
-    value; None is off). ``baseline`` chooses the normal of algorithm 1. Other algorithms ignore both.
-
-    Algorithms 4–6 first apply the scale that all joints of a pose share to p, t and b. A joint in use that is
-    not rigid beyond this scale, within ``tolerance``, raises UnsupportedFeatureError (check with
-    ``rigid_motions`` beforehand). A vertex without weight collapses to the origin under linear blending. It
-    stays in place under dual quaternions.
-    """
-    skinning = Skinning.of(
-        rest,
-        joint_matrices,
-        dual_quaternions=algorithm.uses_dual_quaternions,
-        dtype=dtype,
-        options=Options(cap, baseline),
-        tolerance=tolerance,
-    )
-    poses, count = len(joint_matrices), len(rest.positions)
-    posed = [np.empty((poses, count, 3), dtype=dtype) for _ in range(4)]
-    for pose, part in _blocks(poses, count, np.dtype(dtype).itemsize):
-        (vertex,) = skinning.run((algorithm,), pose, part)
-        _write(posed, pose, part, vertex)
-    return SkinnedSurface(*posed)
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +41,12 @@ class Skinning:
         options: Options | None = None,
         tolerance: float = RIGID_TOLERANCE,
     ) -> Skinning:
-        """Prepare joint matrices (P, J, 4, 4); arguments and errors are those of ``replay``."""
+        """Prepare joint matrices (P, J, 4, 4); every number is converted to ``dtype`` first.
+
+        Algorithms 4–6 (``dual_quaternions``) apply the scale common to all joints of a pose to p, t and b
+        first; a joint in use that is not rigid beyond it, within ``tolerance``, raises
+        UnsupportedFeatureError (ask ``rigid_motions`` beforehand).
+        """
         motions = (
             _rigid_motions(rest, joint_matrices, tolerance, dtype)
             if dual_quaternions
@@ -216,21 +175,3 @@ def _scaled(scale: FloatArray, vectors: FloatArray) -> Vector:
     if len(scale) < _ROWS:
         return tuple(scale[:, None] * component for component in vectors)
     return tuple((component[:, None] * scale).T for component in vectors)
-
-
-def _blocks(poses: int, vertices: int, itemsize: int) -> Iterator[tuple[slice, slice]]:
-    """Divide poses × vertices into blocks of one size: some poses of some vertices, more for a small mesh."""
-    size = _BLOCK_BYTES // itemsize
-    pose_step = max(1, min(poses, max(_BLOCK_POSES, size // max(1, vertices))))
-    vertex_step = max(1, size // pose_step)
-    for vertex in range(0, vertices, vertex_step):
-        for pose in range(0, poses, pose_step):
-            yield slice(pose, pose + pose_step), slice(vertex, vertex + vertex_step)
-
-
-def _write(posed: Sequence[FloatArray], pose: slice, part: slice, vertex: PosedVertex) -> None:
-    """Write the components of a block into arrays (P, V, 3)."""
-    vectors = (vertex.position, vertex.normal, vertex.tangent, vertex.bitangent)
-    for array, vector in zip(posed, vectors, strict=True):
-        for axis, component in enumerate(vector):
-            array[pose, part, axis] = component

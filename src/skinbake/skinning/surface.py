@@ -1,4 +1,4 @@
-"""The input and output of a replay: a surface at rest with its weight gradients, and the skinned surface."""
+"""What the algorithms take: a surface at rest with its weight gradients, and what they may be asked for."""
 
 from __future__ import annotations
 
@@ -71,17 +71,3 @@ class RestSurface:
         used = np.zeros(joint_count, dtype=np.bool_)
         used[self.joints[active]] = True
         return used
-
-
-@dataclass(frozen=True, slots=True)
-class SkinnedSurface:
-    """The surface in P poses: positions, normals, tangents, bitangents, each (P, V, 3).
-
-    Normals do *not* have unit length. Neither do the tangents, which are images under the differential of
-    skinning.
-    """
-
-    positions: FloatArray
-    normals: FloatArray
-    tangents: FloatArray
-    bitangents: FloatArray
