@@ -213,6 +213,7 @@ def test_what_fits_is_baked_within_what_it_claims(tmp_path: Path) -> None:
     assert peak < 280 * MIB
 
 
+@pytest.mark.slow
 @LINUX
 def test_verify_keeps_to_max_memory(tmp_path: Path) -> None:
     baked(crowd(tmp_path / "crowd.glb", 100, 8), tmp_path / "baked.glb")

@@ -87,7 +87,12 @@ def gradients(model: GltfFile, mesh: int = 0) -> Floats:
 
 @pytest.mark.parametrize(
     ("dtype", "normalized"),
-    [(np.int16, True), (np.uint16, True), (np.int16, False), (np.uint16, False)],
+    [
+        (np.int16, True),
+        pytest.param(np.uint16, True, marks=pytest.mark.slow),
+        pytest.param(np.int16, False, marks=pytest.mark.slow),
+        (np.uint16, False),
+    ],
     ids=["SHORT normalised", "UNSIGNED_SHORT normalised", "SHORT", "UNSIGNED_SHORT"],
 )
 def test_alpha_has_the_unit_of_the_decoded_position(dtype: Any, normalized: bool, tmp_path: Path) -> None:

@@ -73,6 +73,7 @@ def test_texts_can_be_included_together(version: str) -> None:
     assert glslang.complaints({name: glsl(texts, version) for name, texts in pairs.items()}) == {}
 
 
+@pytest.mark.slow
 def test_the_compilers_do_complain() -> None:
     """Each of them, of a shader that is wrong, by its name."""
     good = glsl([BASE], "330")

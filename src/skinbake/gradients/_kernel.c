@@ -299,7 +299,7 @@ enum { AHEAD = 16 };
 
 enum { PROBES_A_ROW = 64 };
 
-/* Fill labels, and count them. Rows that somebody made to have like hashes would take time that grows with the
+/* Fill labels, and count them. Rows that were made to have like hashes would take time that grows with the
    square of their number; they end it. `first` keeps a row of each label. */
 static Status label_rows(const Array *rows, int32_t *labels, Py_ssize_t *labelled)
 {

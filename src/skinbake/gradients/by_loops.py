@@ -26,7 +26,7 @@ WEIGHTINGS = {
 def label_equal_rows(rows: npt.NDArray[np.generic]) -> Labels:
     """Return a label (V,) from 0 for every row (V, M), the same for equal ones.
 
-    Rows that somebody made to have like hashes are sorted instead.
+    Rows that were made to have like hashes are sorted instead.
     """
     labels = np.empty(len(rows), dtype=np.int32)
     try:

@@ -47,7 +47,7 @@ class Claim:
 
 
 def extension_of(primitive: JsonObject) -> JsonObject | None:
-    """Return the Draco extension of a primitive; None without one, or if its value is no object."""
+    """Return a primitive's Draco extension, None where it has none or something that is no object."""
     extensions = primitive.get("extensions")
     found = extensions.get(EXTENSION) if isinstance(extensions, dict) else None
     return found if isinstance(found, dict) else None
