@@ -52,7 +52,7 @@ golden: $(DEV) ## Write tests/shaders/golden anew, after a change of templates: 
 	$(BIN)/python -m tests.shaders.write_golden
 
 picture: $(DEV) ## Draw docs/bend.png and docs/shaders.png anew; the latter needs a Vulkan driver
-	$(BIN)/python benchmarks/bend_picture.py docs/bend.png
+	$(BIN)/python -m benchmarks.bend_picture docs/bend.png
 	$(BIN)/python -m benchmarks.bend_render docs/shaders.png
 
 table: $(DEV) ## Write docs/lighting.md, docs/encodings.md and docs/morphs.md anew, from the models of SKINBAKE_CORPUS or ../shared/corpus

@@ -1,6 +1,6 @@
 """Draw docs/bend.png: a bent tube lit by standard normals, by accurate ones, and the error between.
 
-Usage: python benchmarks/bend_picture.py [OUTPUT.png]
+Usage: python -m benchmarks.bend_picture [OUTPUT.png]
 
 The fixture is baked, its clip is sampled at every key, and the pose with the largest mean error of the
 standard normals is drawn. Errors are angles to the reference of ``skinbake.lighting.reference``; the means
