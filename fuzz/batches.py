@@ -22,8 +22,9 @@ from pathlib import Path
 from fuzz.cases import Case, make_case
 from fuzz.models import Model
 from fuzz.running import Find, Runner
+from fuzz.shortcuts import remember_what_never_changes
 
-BATCH = 250
+BATCH = 1000
 HANG_SECONDS = 40.0
 ADDRESS_SPACE = 8 << 30
 REPOSITORY = Path(__file__).resolve().parents[1]
@@ -81,6 +82,7 @@ def preload() -> None:
             importlib.import_module(module.name)
     for name in ("DracoPy", "meshopt", "igl", "scipy.sparse", "scipy.sparse.linalg", "jinja2", "fsspec"):
         importlib.import_module(name)
+    remember_what_never_changes()
     # Looking for a quantiser's grid of up to 24 bits takes half a second a run, in Draco's tables alone.
     draco_stream = importlib.import_module("skinbake.gltf.codecs.draco_stream")
     draco_stream.GRID_BITS = range(4, 12)  # type: ignore[attr-defined]
@@ -220,6 +222,7 @@ def _work(plan: Plan, seeds: tuple[int, int], room: Path, writer: int, end: floa
     faults = os.open(room.with_name(f"faults-{os.getpid()}"), os.O_WRONLY | os.O_CREAT, 0o600)
     faulthandler.enable(faults)
     faulthandler.register(signal.SIGUSR1, faults)
+    gc.set_threshold(20_000)  # what stays is frozen, and a run leaves little: looking often costs a tenth
     runner = Runner(room)
     lines: list[str] = []
     for seed in range(*seeds):

@@ -10,10 +10,10 @@ import os
 import re
 import sys
 import sysconfig
-import traceback
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
+from types import FrameType
 
 WRITES = {
     "os.mkdir",
@@ -125,9 +125,12 @@ def package() -> str:
 
 def _line() -> str:
     """Return the innermost line of skinbake on the stack."""
-    for frame in reversed(traceback.extract_stack()):
-        if frame.filename.startswith(package()):
-            return f"{Path(frame.filename).name}:{frame.name}:{frame.lineno}"
+    frame: FrameType | None = sys._getframe(1)
+    while frame is not None:
+        code = frame.f_code
+        if code.co_filename.startswith(package()):
+            return f"{Path(code.co_filename).name}:{code.co_name}:{frame.f_lineno}"
+        frame = frame.f_back
     return "?"
 
 
