@@ -89,4 +89,6 @@ def _influence_digests(document: Document, attributes: JsonObject, place: Place)
     for kind, arrays in sets.items():
         if not arrays or len({len(values) for values in arrays}) > 1:
             raise InputError(f"its {kind} sets have different numbers of vertices, or are missing", place)
-    return influence_digests(*(np.concatenate(arrays, axis=1) for arrays in sets.values()))
+    with np.errstate(invalid="ignore"):  # sets of different types are joined: a signalling NaN is cast
+        joints, weights = (np.concatenate(arrays, axis=1) for arrays in sets.values())
+    return influence_digests(joints, weights)

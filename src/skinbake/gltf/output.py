@@ -10,7 +10,7 @@ from pathlib import Path
 from skinbake.containment import OutsideError, RefusedError, below, relative_names, spot_of
 from skinbake.errors import InputError, Notice, OutputError, Place
 from skinbake.gltf import json_text
-from skinbake.gltf.beside import Beside, named_files
+from skinbake.gltf.beside import Beside, named_files, refuse_buffers_outside
 from skinbake.gltf.document import STDIO, Document
 from skinbake.gltf.glb import Bytes, join_glb
 from skinbake.gltf.resources import find
@@ -95,8 +95,9 @@ def plan_output(
     Other URIs are rewritten so that they still lead to the same file. A document that was not edited is
     written with the bytes that were read. The folder of the target must exist, unless ``make_folder``. Raises
     OutputError if the target cannot be written, and InputError if a buffer is outside the bounds of the
-    document.
+    document or has a name that is never opened.
     """
+    refuse_buffers_outside(document)
     if target == STDIO:
         return PlannedOutput(target, {Path(STDIO): _serialised(document)}, [])
 

@@ -152,7 +152,7 @@ def read_resource(uri: str, folder: Path, bounds: Bounds, place: Place) -> Bytes
     except OutsideError as error:
         raise outside(uri, str(error), place) from error
     except RefusedError as error:
-        raise InputError(f'the URI "{shortened(uri)}" is not read: {error}', place) from error
+        raise refused(uri, str(error), place) from error
     except OSError as error:
         if error.errno == errno.EXDEV:
             raise outside(uri, "a link on the way leads out of its folder", place) from error
@@ -164,6 +164,15 @@ def outside(uri: str, why: str, place: Place) -> InputError:
     return InputError(
         f'its buffer "{shortened(uri)}" is not read: {why}. To read the file, give its folder '
         "with --allow-outside DIR",
+        place,
+    )
+
+
+def refused(uri: str, why: str, place: Place) -> InputError:
+    """Return the error of a buffer whose URI is never opened, whatever is there."""
+    return InputError(
+        f'its buffer "{shortened(uri)}" is not read: {why}. No option changes that: name the file by a '
+        "relative path",
         place,
     )
 

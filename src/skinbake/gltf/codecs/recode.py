@@ -226,6 +226,7 @@ def _keep(recoder: _Recoder, sources: list[PrimitiveSource], compression: Compre
         if draco.extension_of(source.json) is None:
             continue
         reason = _reason_against_draco(recoder.document, source, inside_only=True)
+        reason = reason or _sparse_inside(recoder.document, source)
         if reason is not None:
             yield Notice("not-compressed", f"no longer in Draco: {reason}", source.place)
             _leave_draco(recoder, source.place, source.json, None, done)
@@ -327,10 +328,23 @@ def _reason_against_draco(
     accessors = document.objects("accessors")
     for name in chosen:
         number = index(source.attributes, name, len(accessors), source.place)
-        if number is not None and accessors[number].get("componentType") in SIGNED and name != "POSITION":
+        if number is None:
+            continue
+        if accessors[number].get("componentType") in SIGNED and name != "POSITION":
             return f"its {name} are signed integers, which the encoder cannot store"
-        if number is not None and accessors[number].get("componentType") == UNSIGNED_INT:
+        if accessors[number].get("componentType") == UNSIGNED_INT:
             return f"its {name} has 32-bit integers, for which Draco would need gigabytes of memory"
+    return None
+
+
+def _sparse_inside(document: Document, source: PrimitiveSource) -> str | None:
+    """Return why a stream cannot be written again whose elements a sparse accessor replaces, else None."""
+    accessors = document.objects("accessors")
+    for number, is_index in draco.accessors_inside(document, source.json, source.place):
+        if "sparse" in accessors[number]:
+            names = [name for name, other in source.attributes.items() if other == number and not is_index]
+            what = ", ".join(names) or "indices"
+            return f"its {what} has a sparse accessor over the stream, which programs read in different ways"
     return None
 
 

@@ -1,0 +1,160 @@
+"""Causes that the fuzzer found, each cut down to a small file and the command that went wrong."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fixtures.builder import AnyArray, JsonObject, pack_glb
+from skinbake.format.metadata import array_digest
+from skinbake.geometry.frames import tangent_deviation
+from tests.support.command_line import invoke
+from tests.support.compressed import draco_twin
+from tests.support.gltf_reading import read
+from tests.support.models import bake, edited, sheet, write_model
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+SIGNALLING = 0x7F800001
+"""The bits of a not-a-number that processors announce when they convert it."""
+
+
+def with_two_sets(path: Path, joints: AnyArray) -> Path:
+    """Write a sheet with a second set of influences, whose joints are of another type than the first's."""
+    weights = np.zeros((20, 4), np.uint8)
+    return write_model(path, [sheet(JOINTS_1=joints, WEIGHTS_1=weights)])
+
+
+class TestNotANumbers:
+    def test_influences_of_different_types_are_joined_without_a_warning(self, tmp_path: Path) -> None:
+        """Sets of different types become one array of float64: each weight is converted."""
+        path = with_two_sets(tmp_path / "sets.glb", np.zeros((20, 4), np.uint8))
+        model = read(path)
+        primitive = model.content["meshes"][0]["primitives"][0]
+        primitive["extras"] = {"skinbake": {"version": 1, "adopted": {"JOINTS_0": 2}, "digest": {}}}
+        number = primitive["attributes"]["WEIGHTS_0"]
+        view = model.content["bufferViews"][model.content["accessors"][number]["bufferView"]]
+        data = bytearray(model.binary_chunk or b"")
+        start = view.get("byteOffset", 0)
+        data[start : start + 4] = SIGNALLING.to_bytes(4, "little")
+        path.write_bytes(pack_glb(model.content, bytes(data)))
+        result = invoke("strip", path, "-o", tmp_path / "out.glb")
+        assert result.exit_code == 0, result.output
+
+    def test_tangents_that_are_none_lean_as_far_as_can_be(self) -> None:
+        normals = np.tile(np.array([0, 0, 1], np.float32), (4, 1))
+        tangents = np.tile(np.array([1, 0, 0, 1], np.float32), (4, 1))
+        tangents[1, :3] = normals[1] = 3e38
+        tangents[2].view(np.uint32)[:] = SIGNALLING
+        tangents[3, 3] = np.inf
+        assert tangent_deviation(normals, tangents).tolist() == [0, 180, 180, 180]  # a huge one overflows
+
+    def test_a_digest_is_of_the_bytes_as_they_are_converted(self) -> None:
+        """Values that the noted type cannot hold have a digest too, the same each time."""
+        values = np.array([[np.nan, -1.0], [1e300, 70_000.0]])
+        assert len({array_digest(values, "<u2"), array_digest(values.copy(), "<u2")}) == 1
+        assert array_digest(values, "<f4") != array_digest(np.zeros((2, 2)), "<f4")
+
+
+class TestDraco:
+    def test_a_stream_under_sparse_accessors_is_not_written_again(self, tmp_path: Path) -> None:
+        """Which values it would hold, programs do not agree on: a second bake took them for edited."""
+        path = write_model(tmp_path / "plain.glb", [sheet()])
+        position = read(path).attribute("POSITION")[3]
+
+        def cover(content: JsonObject) -> None:
+            number = content["meshes"][0]["primitives"][0]["attributes"]["POSITION"]
+            view = {"buffer": 0, "byteOffset": 0, "byteLength": 12}
+            content["bufferViews"] += [dict(view, byteLength=1), view]
+            views = len(content["bufferViews"])
+            where = {"bufferView": views - 2, "componentType": 5121}
+            content["accessors"][number]["sparse"] = {
+                "count": 1, "indices": where, "values": {"bufferView": views - 1}
+            }  # fmt: skip
+
+        source = draco_twin(path, tmp_path / "sparse.glb", change=cover)
+        once, twice = tmp_path / "once.glb", tmp_path / "twice.glb"
+        assert [notice.code for notice in bake(source, once).notices] == ["not-compressed"]
+        assert not read(once).content.get("extensionsUsed")
+        covered = int(read(source).binary_chunk[0])  # type: ignore[index]
+        assert covered == 3 or np.array_equal(read(once).attribute("POSITION")[3], position)
+        bake(once, twice)
+        assert once.read_bytes() == twice.read_bytes()
+
+    @pytest.mark.parametrize("name", ["_WIDE", "WEIGHTS_1"])
+    def test_integers_of_32_bits_take_no_gigabytes(self, name: str, tmp_path: Path) -> None:
+        """Draco's tables for them took 1.2 GB; the launcher's child has a high-water mark of its own."""
+
+        def declare(content: JsonObject) -> None:
+            number = content["meshes"][0]["primitives"][0]["attributes"][name]
+            content["accessors"][number]["componentType"] = 5125
+
+        numbers = np.full((20, 4), 2**32 - 1, np.uint32).view(np.float32)
+        numbers.view(np.uint32)[::2] = 0
+        path = write_model(tmp_path / "wide.glb", [sheet(**{name: numbers})], change=declare)
+        launch = [sys.executable, "-I", "-S", str(REPOSITORY / "benchmarks" / "launch.py")]
+        command = ["bake", str(path), "-o", str(tmp_path / "o.glb"), "--compress", "draco"]
+        done = subprocess.run(
+            [*launch, sys.executable, "-m", "skinbake", *command], capture_output=True, text=True, check=False
+        )
+        assert int(done.stdout.split()[-1]) < 512 << 20
+        assert f"not put into Draco: its {name} is of 32-bit integers" in done.stderr
+
+
+def test_a_missing_image_that_leads_through_the_parent_keeps_its_uri(tmp_path: Path) -> None:
+    """From the second folder it led out, and was written in other words that mean the same."""
+    uri = "%2e%2e//in/a.png?"
+
+    def name(content: JsonObject) -> None:
+        content["images"] = [{"uri": uri}]
+
+    first = edited("bent_tube.glb", tmp_path / "in", name)
+    once, twice = tmp_path / "out" / "m.glb", tmp_path / "again" / "m.glb"
+    for source, target in ((first, once), (once, twice)):
+        target.parent.mkdir()
+        bake(source, target)
+        assert read(target).content["images"] == [{"uri": uri}]
+
+
+ABSOLUTE = "it is an absolute path"
+REFUSED = {
+    "/etc/passwd": ABSOLUTE,
+    "//server/share/a.bin": ABSOLUTE,
+    "C:/a.bin": "it has a drive",
+    "file:///etc/passwd": "it has a scheme",
+    "http://host/a.bin": "it has a scheme",
+    "sub\\a.bin": "it holds a backslash",
+    "a.bin%00": "it holds a NUL character",
+    "con.bin": '"con.bin" is a device on Windows',
+}
+
+
+@pytest.mark.parametrize("command", ["bake", "strip"])
+@pytest.mark.parametrize("target", ["m2.gltf", "other/m.gltf"])
+@pytest.mark.parametrize("uri", [*REFUSED, "../a.bin", "%2e%2e/a.bin"])
+def test_a_buffer_outside_is_refused_where_nothing_reads_it(
+    command: str, target: str, uri: str, tmp_path: Path
+) -> None:
+    """Nothing in the file is skinned: it passed through, with a URI that another program may follow."""
+    source = tmp_path / "in" / "m.gltf"
+    source.parent.mkdir()
+    (tmp_path / "a.bin").write_bytes(bytes(12))
+    (tmp_path / "in" / "other").mkdir()
+    buffers = [{"byteLength": 12, "uri": uri}]
+    source.write_text(json.dumps({"asset": {"version": "2.0"}, "buffers": buffers}), encoding="utf-8")
+    goal = source.parent / target
+    result = invoke(command, source, "-o", goal)
+    assert result.exit_code == 3, result.output
+    assert not goal.exists()
+    assert f'its buffer "{uri}" is not read: ' in result.stderr
+    if uri in REFUSED:
+        assert REFUSED[uri] in result.stderr
+        assert "No option changes that: name the file by a relative path" in result.stderr
+    else:
+        assert "--allow-outside DIR" in result.stderr
+        allowed = invoke(command, source, "-o", goal, "--allow-outside", tmp_path)
+        assert allowed.exit_code == 0, allowed.output
