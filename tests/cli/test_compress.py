@@ -24,7 +24,7 @@ TUBE = FOLDER / "bent_tube.glb"
         ["--position-bits", "12"],
         ["--compress", "meshopt", "--texcoord-bits", "12"],
         ["--compress", "draco", "--normal-bits", "1"],
-        ["--compress", "draco", "--position-bits", "31"],
+        ["--compress", "draco", "--position-bits", "25"],
         ["--compress", "meshopt", "--compress-level", "4"],
         ["--compress", "none", "--compress-level", "2"],
     ],

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 
 from fixtures.builder import JsonObject
@@ -19,8 +20,10 @@ from skinbake.commands.cost import cost_of_file
 from skinbake.commands.inspect import inspect_file
 from skinbake.commands.strip import strip_file
 from skinbake.commands.verify import verify_file
-from skinbake.errors import InputError
-from skinbake.gltf.codecs.recode import Compression
+from skinbake.errors import ChoiceError, InputError
+from skinbake.gltf.codecs.recode import Compression, recoded
+from skinbake.gltf.document import read_document
+from skinbake.gltf.primitives import skinned_sources
 from skinbake.lighting.measured import VerifyOptions
 from skinbake.lighting.poses import PoseRequest
 from tests.support import corpus, khronos
@@ -339,6 +342,32 @@ class TestNotices:
 
 
 class TestQuantising:
+    @pytest.mark.parametrize(
+        ("name", "values", "why"),
+        [
+            ("TEXCOORD_0", np.zeros((20, 2), np.uint16), "it is of integers"),
+            ("NORMAL", np.full((20, 3), 3e38, np.float32), None),
+            ("TEXCOORD_0", np.full((20, 2), np.nan, np.float32), "it holds a not-a-number"),
+            ("TEXCOORD_0", np.eye(20, 2, dtype=np.float32) * np.float32(3e38), "lie too far apart"),
+        ],
+    )
+    def test_values_that_cannot_be_quantised_are_named(
+        self, name: str, values: npt.NDArray[Any], why: str | None, tmp_path: Path
+    ) -> None:
+        path = write_model(tmp_path / "odd.glb", [sheet(**{name: values})])
+        compression = Compression(Scheme.DRACO, bits={name: 10})
+        document = read_document(str(path))
+        _, notices = recoded(document, skinned_sources(document)[0], compression)
+        found = [(notice.code, notice.place.attribute) for notice in notices]
+        assert found == ([] if why is None else [("bits-ignored", name)])
+        assert why is None or why in notices[0].message
+
+    def test_more_bits_than_a_float_has_are_refused(self) -> None:
+        """At 30 Draco's tables took gigabytes and many seconds for any model."""
+        compression = Compression(Scheme.DRACO, bits={"POSITION": 12, "NORMAL": 25})
+        with pytest.raises(ChoiceError, match="25 bits for NORMAL: at most 24 are taken"):
+            recoded(read_document(str(FOLDER / "bent_tube.glb")), [], compression)
+
     def test_the_gradients_fit_the_quantised_mesh(self, tmp_path: Path) -> None:
         """Of 8 bits something is to be seen; digests and verify's own gradients are those of the output."""
         options = compress(Scheme.DRACO, POSITION=8, NORMAL=8)

@@ -117,15 +117,15 @@ if TYPE_CHECKING:
 )
 @click.option(
     "--position-bits",
-    type=click.IntRange(1, 30),
+    type=click.IntRange(1, 24),
     metavar="N",
     help="Quantise POSITION before baking, with --compress draco.",
 )
 @click.option(
-    "--normal-bits", type=click.IntRange(2, 30), metavar="N", help="Quantise NORMAL in the same way."
+    "--normal-bits", type=click.IntRange(2, 24), metavar="N", help="Quantise NORMAL in the same way."
 )
 @click.option(
-    "--texcoord-bits", type=click.IntRange(1, 30), metavar="N", help="Quantise TEXCOORD_0 in the same way."
+    "--texcoord-bits", type=click.IntRange(1, 24), metavar="N", help="Quantise TEXCOORD_0 in the same way."
 )
 @click.option(
     "--encoding",

@@ -274,9 +274,9 @@ RANGES = {
     "crease_angle": (0, 180),
     "limit_influences": (4, math.inf),
     "compress_level": (0, 10),
-    "position_bits": (1, 30),
-    "normal_bits": (2, 30),
-    "texcoord_bits": (1, 30),
+    "position_bits": (1, 24),
+    "normal_bits": (2, 24),
+    "texcoord_bits": (1, 24),
 }
 
 HIGHEST_MESHOPT_LEVEL = 3

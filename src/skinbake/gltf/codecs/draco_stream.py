@@ -307,15 +307,22 @@ def _check_arrays(arrays: Mapping[str, npt.NDArray[Any]], faces: npt.NDArray[Any
         raise InputError(f"index {faces.max()} is too large for {count} vertices", place.at("indices"))
 
 
-def _is_quantisable(name: str, arrays: Mapping[str, npt.NDArray[Any]]) -> bool:
-    values = arrays.get(name)
-    if values is None or values.dtype.kind != "f" or values.shape[1] != QUANTISABLE.get(name):
-        return False
+def reason_against_bits(name: str, values: npt.NDArray[Any]) -> str | None:
+    """Return why an attribute's values (V, components) cannot be quantised, None where they can."""
+    components = QUANTISABLE.get(name)
+    if values.dtype.kind != "f":
+        return "it is of integers"
+    if components is None or values.shape[1] != components:
+        return f"it has {values.shape[1]} components, not {components}"
     if not np.isfinite(values).all():
-        return False
+        return "it holds a not-a-number or an infinite one"
     # Draco computes with the extent in float32, and crashes if it overflows.
     extent = values.max(axis=0, initial=-np.inf).astype(np.float64) - values.min(axis=0, initial=np.inf)
-    return bool((extent < WIDEST).all())
+    return None if (extent < WIDEST).all() else "its values lie too far apart for 32-bit floats"
+
+
+def _is_quantisable(name: str, arrays: Mapping[str, npt.NDArray[Any]]) -> bool:
+    return name in arrays and reason_against_bits(name, arrays[name]) is None
 
 
 @dataclass(frozen=True, slots=True)
