@@ -19,7 +19,7 @@ import pytest
 from skinbake import containment
 from skinbake.choices import Encoding
 from skinbake.errors import OutputError
-from skinbake.gltf import writing
+from skinbake.gltf import replacing, writing
 from skinbake.gltf.document import read_document
 from skinbake.gltf.output import plan_output
 from skinbake.gltf.writing import (
@@ -32,6 +32,7 @@ from skinbake.gltf.writing import (
     write_files,
 )
 from tests.support.baking import bake_file
+from tests.support.command_line import invoke
 from tests.support.gltf_reading import read
 from tests.support.models import FOLDER, copied
 
@@ -545,6 +546,117 @@ class TestInPlace:
             f"{path}: another program has saved it since it was read, so it is not replaced: run this again"
         )
         assert contents(tmp_path) == {"seam.glb": TUBE.read_bytes()}
+
+    @LINUX
+    @pytest.mark.parametrize("way", ["renamed", "written"])
+    @pytest.mark.parametrize("saves", [1, 2])
+    def test_a_save_between_the_check_and_the_rename_is_kept(
+        self, way: str, saves: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """Before each exchange of names another program saves; its last save stays, and the code is 4."""
+        path = copied("seam.glb", tmp_path)
+        data = [TUBE.read_bytes() + bytes(number) for number in range(saves)]
+        call = replacing.exchange_call()
+        assert call is not None
+        left = list(data)
+
+        def exchange(folder: int, one: str, other: str) -> None:
+            if left:
+                if way == "renamed":
+                    (tmp_path / "new").write_bytes(left.pop(0))
+                    (tmp_path / "new").replace(path)
+                else:
+                    path.write_bytes(left.pop(0))
+            call(folder, one, other)
+
+        monkeypatch.setattr(replacing, "exchange_call", lambda: exchange)
+        result = invoke("bake", path, "--in-place")
+        assert not left
+        assert result.exit_code == 4, result.output
+        assert "it was saved anew since it was read, and is left as it is: run this again" in result.stderr
+        assert contents(tmp_path) == {"seam.glb": data[-1]}
+
+    @LINUX
+    def test_a_file_that_is_removed_meanwhile_is_not_made_again(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        path = copied("seam.glb", tmp_path)
+        call = replacing.exchange_call()
+        assert call is not None
+
+        def exchange(folder: int, one: str, other: str) -> None:
+            path.unlink()
+            call(folder, one, other)
+
+        monkeypatch.setattr(replacing, "exchange_call", lambda: exchange)
+        assert invoke("bake", path, "--in-place").exit_code == 4
+        assert contents(tmp_path) == {}
+
+    @LINUX
+    @pytest.mark.parametrize("code", [None, errno.EINVAL, errno.ENOSYS, errno.EPERM])
+    def test_systems_that_cannot_exchange_names_rename(
+        self, code: int | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        path = copied("seam.glb", tmp_path)
+
+        def exchange(folder: int, one: str, other: str) -> None:
+            assert code is not None
+            raise OSError(code, os.strerror(code))
+
+        monkeypatch.setattr(replacing, "exchange_call", lambda: None if code is None else exchange)
+        assert invoke("bake", path, "--in-place").exit_code == 0
+        assert read(path).has_attribute("_SKINBAKE_ALPHA_0")
+        assert list(contents(tmp_path)) == ["seam.glb"]
+
+    @LINUX
+    def test_a_former_file_that_cannot_be_put_back_is_named(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        path = copied("seam.glb", tmp_path)
+        call = replacing.exchange_call()
+        assert call is not None
+        exchanged: list[str] = []
+
+        def exchange(folder: int, one: str, other: str) -> None:
+            if exchanged:
+                raise OSError(errno.EIO, os.strerror(errno.EIO))
+            path.write_bytes(TUBE.read_bytes())
+            call(folder, one, other)
+            exchanged.append(one)
+
+        monkeypatch.setattr(replacing, "exchange_call", lambda: exchange)
+        result = invoke("bake", path, "--in-place")
+        assert result.exit_code == 4
+        assert f"the former file is now {exchanged[0]}" in result.stderr
+        assert (tmp_path / exchanged[0]).read_bytes() == TUBE.read_bytes()
+        assert read(path).has_attribute("_SKINBAKE_ALPHA_0")
+
+    @LINUX
+    @pytest.mark.parametrize("function", ["open", "unlink"])
+    def test_a_disk_that_fails_after_the_exchange_brings_the_former_file_back(
+        self, function: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        path = copied("seam.glb", tmp_path)
+        call, genuine = replacing.exchange_call(), getattr(os, function)
+        assert call is not None
+
+        failures = [1, 2] if function == "unlink" else [1]
+
+        def failing(*arguments: Any, **options: Any) -> Any:
+            failures.pop()
+            if not failures:
+                monkeypatch.setattr(os, function, genuine)
+            raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+        def exchange(folder: int, one: str, other: str) -> None:
+            call(folder, one, other)
+            monkeypatch.setattr(replacing, "exchange_call", lambda: call)
+            if getattr(os, function) is genuine and path.read_bytes() != SEAM.read_bytes():
+                monkeypatch.setattr(os, function, failing)
+
+        monkeypatch.setattr(replacing, "exchange_call", lambda: exchange)
+        assert invoke("bake", path, "--in-place").exit_code == 4
+        assert contents(tmp_path) == {"seam.glb": SEAM.read_bytes()}
 
     def test_a_young_file_is_compared_by_content(self, tmp_path: Path) -> None:
         """Its times may not show a change: clocks of file systems tick every few milliseconds."""

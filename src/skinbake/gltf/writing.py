@@ -20,13 +20,14 @@ import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, nullcontext, suppress
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import NamedTuple
 
 from skinbake.containment import BY_DESCRIPTOR, Folder, beneath, check_regular, flush
 from skinbake.errors import OutputError, Place, ReaderGoneError
 from skinbake.gltf.glb import Bytes
+from skinbake.gltf.replacing import StuckError, replaced
 
 if sys.platform != "win32":
     import fcntl
@@ -70,6 +71,8 @@ _NEW = (
     | getattr(os, "O_CLOEXEC", 0)
     | getattr(os, "O_BINARY", 0)
 )
+SAVED_ANEW = "it was saved anew since it was read, and is left as it is: run this again"
+
 _putting_off: list[bool] = []
 """Not empty while the main thread delays interrupts."""
 
@@ -97,6 +100,18 @@ class Version:
         if signature_of(self.path) != self.signature:
             return False
         return self.digest is None or _digest(self.path) == self.digest
+
+    def is_in(self, folder: Folder, name: str) -> bool:
+        """Tell whether the file of a name in an open folder is this one, as it was; raises OSError.
+
+        When its inode was changed is not asked: giving it another name changes that.
+        """
+        descriptor = os.open(name, os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0), dir_fd=folder.descriptor)
+        with os.fdopen(descriptor, "rb") as file:
+            found = os.fstat(file.fileno())
+            if (found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns) != self.signature[:4]:
+                return False
+            return self.digest is None or hashlib.file_digest(file, "sha256").hexdigest() == self.digest
 
 
 def version_of(path: str) -> Version:
@@ -188,9 +203,10 @@ def write_files(
             with _locked(begun.open.values()) if is_shared else nullcontext(), interrupts_put_off():
                 _check_still_so(serving or {}, replaces, place)
                 try:
-                    _rename(begun, place)
+                    _rename(begun, replaces, place)
                 except BaseException:
-                    begun.take_names_back()  # before another run can use them
+                    if not begun.is_done:
+                        begun.take_names_back()  # before another run can take them for its own
                     raise
             if sync:
                 _sync_folders(begun)
@@ -342,20 +358,30 @@ def _write_all(descriptor: int, pieces: Sequence[Bytes]) -> None:
 def _check_still_so(serving: Mapping[Path, Signature], replaces: Version | None, place: Place) -> None:
     """Raise OutputError if files have changed since the write was planned."""
     if replaces is not None and not replaces.is_current:
-        raise OutputError(
-            "another program has saved it since it was read, so it is not replaced: run this again", place
-        )
+        raise OutputError(SAVED_ANEW, place)
     for path, before in serving.items():
         if signature_of(path) != before:
             raise TakenError(f"cannot be written: {path} was changed meanwhile", place)
 
 
-def _rename(begun: _Begun, place: Place) -> None:
-    """Give all files their names, the last one last; only the last one replaces another file."""
+def _rename(begun: _Begun, replaces: Version | None, place: Place) -> None:
+    """Give all files their names, the last one last; only that one replaces another."""
     *beside, last = begun.written
     for one in beside:
         _put_new(one, begun, place)
     is_new = _there(last.folder, last.name) is None
+    if replaces is not None and not is_new:
+        expected = partial(replaces.is_in, last.folder, last.temporary)
+        try:
+            is_replaced = replaced(last.folder, last.temporary, last.name, expected)
+        except StuckError:
+            begun.is_done = True  # the files beside the new one must stay
+            raise
+        if is_replaced is False:
+            raise OutputError(SAVED_ANEW, place)
+        if is_replaced:
+            begun.is_done = True
+            return
     descriptor = last.folder.descriptor
     os.replace(
         last.folder.name(last.temporary),

@@ -1,0 +1,109 @@
+"""Replace a file by another, unless somebody has saved it meanwhile: what comes out is looked at.
+
+A check before a rename leaves a moment in which another program's work would be lost. Linux can exchange two
+names in one step (``renameat2`` with ``RENAME_EXCHANGE``); the former file is then there to be put back.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import sys
+from collections.abc import Callable
+from functools import lru_cache
+
+from skinbake.containment import Folder
+
+EXCHANGE = 2
+
+NO_EXCHANGE = frozenset({errno.EINVAL, errno.ENOSYS, errno.EOPNOTSUPP, errno.EPERM})
+"""What systems answer that cannot exchange two names there."""
+
+ATTEMPTS = 16
+"""How often others may save a file while it is put back."""
+
+
+class StuckError(OSError):
+    """The new file has its name, and the former one could not be put back."""
+
+
+State = tuple[int, int, int, int]
+"""Which file it is, its size and when it was written."""
+
+
+def replaced(folder: Folder, temporary: str, name: str, is_expected: Callable[[], bool]) -> bool | None:
+    """Give a file ``name`` by exchanging it with the one there; return whether it has the name now.
+
+    ``is_expected`` looks at the file that then has the temporary name: False puts it back. None where the
+    system cannot exchange names. Raises OSError; then all is as it was, but after a StuckError.
+    """
+    exchange = exchange_call()
+    if exchange is None or folder.descriptor is None:
+        return None
+    ours = _state(folder, temporary)
+    try:
+        exchange(folder.descriptor, temporary, name)
+    except OSError as error:
+        if error.errno in NO_EXCHANGE:
+            return None
+        if error.errno == errno.ENOENT:  # somebody has removed or renamed it
+            return False
+        raise
+    try:
+        is_as_read = is_expected()
+        if is_as_read:
+            _remove(folder, temporary)
+    except OSError:
+        _put_back(folder, temporary, name, ours, exchange)
+        raise
+    if not is_as_read:
+        _put_back(folder, temporary, name, ours, exchange)
+    return is_as_read
+
+
+def _remove(folder: Folder, name: str) -> None:
+    """Remove the former file; a disk may fail to once, and then also to give it its name back."""
+    try:
+        os.unlink(name, dir_fd=folder.descriptor)
+    except OSError:
+        os.unlink(name, dir_fd=folder.descriptor)
+
+
+def _put_back(
+    folder: Folder, temporary: str, name: str, ours: State, exchange: Callable[[int, str, str], None]
+) -> None:
+    """Exchange the names again, until what comes out is what was put in: the last save stays."""
+    assumed = ours
+    try:
+        for _ in range(ATTEMPTS):
+            put_in = _state(folder, temporary)
+            exchange(folder.descriptor or 0, temporary, name)
+            if _state(folder, temporary) == assumed:
+                return
+            assumed = put_in
+    except OSError as error:
+        raise StuckError(error.errno, f"{error.strerror}; the former file is now {temporary}") from error
+
+
+def _state(folder: Folder, name: str) -> State:
+    found = os.stat(name, dir_fd=folder.descriptor, follow_symlinks=False)
+    return found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns
+
+
+@lru_cache(maxsize=1)
+def exchange_call() -> Callable[[int, str, str], None] | None:
+    """Return Linux's call that exchanges two names in a folder; None where there is none."""
+    if not sys.platform.startswith("linux"):
+        return None
+    import ctypes
+
+    call = getattr(ctypes.CDLL(None, use_errno=True), "renameat2", None)
+    if call is None:  # a C library from before 2018
+        return None
+
+    def exchange(folder: int, one: str, other: str) -> None:
+        if call(folder, os.fsencode(one), folder, os.fsencode(other), ctypes.c_uint(EXCHANGE)) != 0:
+            code = ctypes.get_errno()
+            raise OSError(code, os.strerror(code))
+
+    return exchange
