@@ -1,51 +1,35 @@
-"""Tell which branches of skinbake's readers the fuzzer reaches: ``python -m fuzz.branches --minutes 2``.
+"""Tell which branches of skinbake's readers are reached: ``python -m fuzz.branches --minutes 2``.
 
-Coverage is measured in the children that run the cases, and put together here. It costs most of the speed.
+By damaged models and by injected faults together. Coverage is measured in the children that run the cases,
+which costs most of the speed. A branch that is missed without an explanation in ``explained.py`` is an error,
+and so is an explanation of a branch that is reached or is not there.
 """
 
 from __future__ import annotations
 
 import argparse
+import ast
 import json
-import os
+import shutil
+import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
-import coverage
-
-from fuzz.batches import FINDS, REPOSITORY, Plan, run_all
+from fuzz.batches import FINDS, Plan, run_all
+from fuzz.explained import EXPLAINED
 from fuzz.log import LOG, note
+from fuzz.measuring import PACKAGE, REPOSITORY, measured, measurement
 from fuzz.seeds import all_seeds
 
-PACKAGE = "src/skinbake/gltf"
+Branch = tuple[str, str, str]
+"""The file below the package, the function, and the two lines that a branch leads from and to."""
 
-WRITING = "only where writing fails: `make faults` reaches it"
-EXPLAINED = (
-    ("output.py", "pthread_sigmask", "only on Windows"),
-    ("output.py", "writev", "only on Windows"),
-    ("resources.py", "os.name", "only on Windows"),
-    ("output.py", "(*temporary, *created)", WRITING),
-    ("output.py", "reversed(folders)", WRITING),
-    ("output.py", "if written", "only where the system writes nothing and says so"),
-    ("output.py", "os.W_OK", "root may write to every file; tests/gltf/test_output.py"),
-    (
-        "output.py",
-        "samefile(target)",
-        "a run never names its own buffer as target; tests/gltf/test_output.py",
-    ),
-    ("draco_stream.py", "soft <= limit", "only under a tighter limit of memory than the fuzzer sets"),
-    ("draco_stream.py", "max(EXPANSION", "takes a stream that stands for 64 MiB; tests/gltf/test_draco.py"),
-    ("draco_stream.py", "depth == 0", "the stream is read, `make fuzz` reaches it by target_draco"),
-    ("draco_stream.py", "range(reader.varint())", "metadata of a stream: target_draco reaches it"),
-    ("draco_stream.py", "range(0, 35, 7)", "a number that does not end: target_draco reaches it"),
-    ("expansion.py", "max(RATIO", "takes 512 MiB of decoded bytes; tests/gltf/test_compression.py"),
-    ("glb.py", "MAX_LENGTH", "takes an output of 4 GiB; tests/gltf/test_glb.py"),
-    ("document.py", "if was_on", "the collector is on whenever a command runs"),
-)
-"""Branches that no damaged model reaches: the file, a part of the line, and why, or what else reaches it."""
+KEYS = (("executed_branches", True), ("missing_branches", False))
 
 
 def main() -> int:
@@ -55,13 +39,19 @@ def main() -> int:
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--corpus", type=Path)
+    parser.add_argument("--every", type=int, default=1, help="Inject faults only at each so-many-th call.")
+    parser.add_argument(
+        "--keep", type=Path, help="Keep the measurements here, and count those that are here."
+    )
     parser.add_argument("--log", type=Path, default=LOG)
     given = parser.parse_args()
     models = all_seeds(given.corpus)
     with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
+        folder = given.keep or Path(name)
+        folder.mkdir(parents=True, exist_ok=True)
         begun = time.monotonic()
-        whole = _measurement(folder / "imports")  # modules are imported here, before the children are made
+        faults = _faults(folder, given.every)
+        whole = measurement(folder / f"imports-{given.seed}")  # before the children are made
         whole.start()
         plan = Plan(
             models, given.seed, given.minutes * 60, given.workers, finds=FINDS, around=_around(folder, whole)
@@ -69,67 +59,116 @@ def main() -> int:
         totals = run_all(plan)
         whole.stop()
         whole.save()
-        report = _report(folder)
-    print("\n".join(lines(report)))
-    share = report["totals"]
+        report = _report(folder, Path(name, "report"))
+    reached, missed = branches(report)
+    found, wrong = judged(reached, missed, EXPLAINED)
+    print("\n".join([*found, *(f"ERROR: {line}" for line in wrong)]))
     seconds = time.monotonic() - begun
     note("branches", executions=totals.runs, seconds=seconds, seed=given.seed, finds=totals.finds,
-         log=given.log, branches=share["num_branches"], covered=share["covered_branches"])  # fmt: skip
-    return 0
+         log=given.log, branches=len(reached) + len(missed), covered=len(reached), faults=faults,
+         explained=len(missed.keys() & EXPLAINED.keys()))  # fmt: skip
+    return 1 if wrong else 0
 
 
-def _measurement(file: Path) -> coverage.Coverage:
-    return coverage.Coverage(
-        data_file=str(file), branch=True, include=[f"{REPOSITORY}/{PACKAGE}/*"], config_file=False
-    )
+def _faults(folder: Path, every: int) -> int:
+    """Inject faults with measured children; return how many."""
+    if every < 1:
+        return 0
+    with tempfile.TemporaryDirectory() as name:
+        log = Path(name, "log")
+        subprocess.run(
+            [
+                sys.executable,
+                "-m",
+                "fuzz.faults",
+                "--every",
+                str(every),
+                "--coverage",
+                str(folder),
+                "--log",
+                log,
+            ],
+            cwd=REPOSITORY,
+            stdout=subprocess.DEVNULL,
+            check=False,
+        )
+        return int(json.loads(log.read_text())["executions"]) if log.exists() else 0
 
 
-def _around(folder: Path, whole: coverage.Coverage) -> Callable[[Callable[[], None]], None]:
-    def measured(work: Callable[[], None]) -> None:
+def _around(folder: Path, whole: Any) -> Callable[[Callable[[], None]], None]:
+    def around(work: Callable[[], None]) -> None:
         whole.stop()  # this child's copy of its parent's measurement
-        own = _measurement(folder / f"child-{os.getpid()}")
-        own.start()
-        try:
-            work()
-        finally:
-            own.stop()
-            own.save()
+        measured(work, folder)
 
-    return measured
+    return around
 
 
-def _report(folder: Path) -> dict[str, dict[str, object]]:
-    together = _measurement(folder / "together")
-    together.combine([str(path) for path in folder.iterdir()])
-    target = folder / "report.json"
+def _report(folder: Path, scratch: Path) -> dict[str, Any]:
+    together = measurement(scratch / "together")
+    scratch.mkdir()
+    copies = [shutil.copy(path, scratch / f"copy-{path.name}") for path in folder.iterdir() if path.is_file()]
+    together.combine([str(path) for path in copies])
+    target = scratch / "report.json"
     together.json_report(outfile=str(target), pretty_print=False)
-    found: dict[str, dict[str, object]] = json.loads(target.read_text(encoding="utf-8"))
+    found: dict[str, Any] = json.loads(target.read_text(encoding="utf-8"))
     return found
 
 
-def lines(report: dict[str, dict[str, object]]) -> list[str]:
-    """Return the share of branches, and each missed one with the line that it leaves."""
-    found: list[str] = []
-    explained: list[str] = []
+def branches(report: Mapping[str, Any]) -> tuple[dict[Branch, str], dict[Branch, str]]:
+    """Return the branches that were reached and those that were missed, each with where it is.
+
+    A branch is told by its function and the text of its lines: numbers change with each edit. The second of
+    one function with the same text has ``#2`` behind it.
+    """
+    found: tuple[dict[Branch, str], dict[Branch, str]] = {}, {}
     for file, content in sorted(report["files"].items()):
-        missed = content["missing_branches"]  # type: ignore[index]
-        source = Path(file).read_text(encoding="utf-8").splitlines()
-        for start, end in missed:
-            to = "the end" if end < 0 else f"line {end}"
-            name, line = Path(file).name, source[start - 1].strip()
-            why = next((why for of, part, why in EXPLAINED if of == name and part in line), None)
-            where = f"  {name}:{start} to {to}: {line[:90]}"
-            (found if why is None else explained).append(where if why is None else f"{where}   # {why}")
-    totals = report["totals"]
-    covered, branches = totals["covered_branches"], totals["num_branches"]
-    share = 100 * covered / branches  # type: ignore[operator]
-    return [
-        f"{covered} of {branches} branches of {PACKAGE} reached: {share:.1f} %",
-        f"{len(found)} missed:",
-        *found,
-        f"{len(explained)} missed, and why:",
-        *explained,
+        text = Path(REPOSITORY, file).read_text(encoding="utf-8")
+        source, functions = text.splitlines(), _functions(ast.parse(text))
+        name = Path(file).as_posix().partition(f"{PACKAGE}/")[2]
+        known = [(*arc, reached) for key, reached in KEYS for arc in content[key]]
+        times: Counter[Branch] = Counter()
+        for start, end, reached in sorted(known):
+            goal = source[end - 1].strip() if end > 0 else "the end"
+            function = next((of for first, last, of in functions if first <= start <= last), "")
+            branch = name, function, f"{source[start - 1].strip()} -> {goal}"
+            times[branch] += 1
+            if times[branch] > 1:
+                branch = (*branch[:2], f"{branch[2]} #{times[branch]}")
+            found[0 if reached else 1][branch] = f"{name}:{start}"
+    return found
+
+
+def _functions(tree: ast.Module) -> list[tuple[int, int, str]]:
+    """Return the lines and names of all functions, the innermost first."""
+    found = [
+        (node.lineno, node.end_lineno or node.lineno, node.name)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.FunctionDef)
     ]
+    return sorted(found, key=lambda each: each[0] - each[1], reverse=True)
+
+
+def judged(
+    reached: Mapping[Branch, str], missed: Mapping[Branch, str], explained: Mapping[Branch, str]
+) -> tuple[list[str], list[str]]:
+    """Return what to print, and what is wrong: branches without an explanation, explanations without one."""
+    count = len(reached) + len(missed)
+    lines = [f"{len(reached)} of {count} branches of {PACKAGE} reached: {100 * len(reached) / count:.1f} %"]
+    known = [branch for branch in missed if branch in explained]
+    lines += [f"{len(known)} missed, and why:"] if known else []
+    lines += [f"  {missed[branch]}: {branch[2]}   # {explained[branch]}" for branch in known]
+    wrong = [
+        f"{where} is missed, and nothing explains it: {branch!r}"
+        for branch, where in missed.items()
+        if branch not in explained
+    ]
+    wrong += [f"explained, but reached: {branch!r}" for branch in explained if branch in reached]
+    wrong += [
+        f"explained, but not there: {branch!r}"
+        for branch in explained
+        if branch not in reached and branch not in missed
+    ]
+    return lines, wrong
 
 
 if __name__ == "__main__":

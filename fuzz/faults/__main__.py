@@ -21,10 +21,12 @@ import tempfile
 import time
 from collections import Counter
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from fuzz.log import LOG, note
+from fuzz.measuring import measured
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 LIBRARY = REPOSITORY / "build" / "faults.so"
@@ -63,6 +65,7 @@ def main() -> int:
     parser.add_argument("--kind", action="append", choices=list(KINDS), help="All by default.")
     parser.add_argument("--every", type=int, default=1, help="Only each so-many-th call.")
     parser.add_argument("--log", type=Path, default=LOG)
+    parser.add_argument("--coverage", type=Path, help="Keep here which lines each child ran.")
     given = parser.parse_args()
     if os.environ.get("LD_PRELOAD") != str(LIBRARY):
         if not _compile():
@@ -72,7 +75,7 @@ def main() -> int:
             [sys.executable, "-m", "fuzz.faults", *sys.argv[1:]], env=environment, cwd=REPOSITORY
         )
     begun = time.monotonic()
-    totals = run(given.scene, given.kind or list(KINDS), given.every)
+    totals = run(given.scene, given.kind or list(KINDS), given.every, given.coverage)
     seconds = time.monotonic() - begun
     count = sum(totals.faults.values())
     note("faults", executions=count, seconds=seconds, seed=None, finds=totals.finds, log=given.log,
@@ -132,8 +135,11 @@ class Fault:
         return self._told.value.decode(errors="replace")
 
 
-def run(names: list[str] | None, kinds: list[str], every: int) -> Totals:
-    """Inject faults of some kinds into scenes, and return what came of them."""
+def run(names: list[str] | None, kinds: list[str], every: int, coverage: Path | None = None) -> Totals:
+    """Inject faults of some kinds into scenes, and return what came of them.
+
+    With ``coverage`` each child that is not killed leaves a measurement in that folder.
+    """
     from fuzz.batches import preload  # noqa: PLC0415 - not before the library is there
     from fuzz.faults.scenes import SCENES  # noqa: PLC0415
 
@@ -143,15 +149,18 @@ def run(names: list[str] | None, kinds: list[str], every: int) -> Totals:
     with tempfile.TemporaryDirectory(prefix="skinbake-faults-", dir=where) as root:
         for scene in SCENES:
             if names is None or scene.name in names:
-                _Trial(scene, fault, Path(root, "w"), totals).all(kinds, every)
+                _Trial(scene, fault, Path(root, "w"), totals, coverage).all(kinds, every)
     return totals
 
 
 class _Trial:
     """One scene: what it begins with, what it should become, and all faults in between."""
 
-    def __init__(self, scene: Any, fault: Fault, folder: Path, totals: Totals) -> None:
+    def __init__(
+        self, scene: Any, fault: Fault, folder: Path, totals: Totals, coverage: Path | None = None
+    ) -> None:
         self.scene, self.fault, self.folder, self.totals = scene, fault, folder, totals
+        self.coverage = coverage
         self._furnish()
         if scene.name == "strip":
             self._child(("bake", "in/a.glb", "--in-place"), 0, "kill")
@@ -196,7 +205,14 @@ class _Trial:
         log = self.folder.parent / "stderr"
         process = os.fork()
         if process == 0:
-            _command(arguments, self.folder, log, lambda: self.fault.arm(self.folder, call, kind))
+            work = partial(
+                _command, arguments, self.folder, log, lambda: self.fault.arm(self.folder, call, kind)
+            )
+            code = 70
+            try:
+                code = work() if self.coverage is None else measured(work, self.coverage)
+            finally:
+                os._exit(code)
         end = time.monotonic() + SECONDS
         while time.monotonic() < end:
             done, status = os.waitpid(process, os.WNOHANG)
@@ -268,8 +284,8 @@ class _Trial:
         return [*found, "a later run leaves the temporary file of a killed one"] if left else found
 
 
-def _command(arguments: tuple[str, ...], folder: Path, log: Path, arm: Any) -> None:
-    """Run a command in this child, and end it."""
+def _command(arguments: tuple[str, ...], folder: Path, log: Path, arm: Any) -> int:
+    """Run a command in this child, and return its exit code."""
     from skinbake.cli.main import entry_point  # noqa: PLC0415
 
     code: object = 70
@@ -291,7 +307,7 @@ def _command(arguments: tuple[str, ...], folder: Path, log: Path, arm: Any) -> N
         traceback.print_exc()
     finally:
         sys.stderr.flush()
-        os._exit(code if isinstance(code, int) else 70)
+    return code if isinstance(code, int) else 70
 
 
 def _tree(folder: Path) -> dict[str, bytes]:

@@ -236,6 +236,9 @@ QUANTISABLE = {"POSITION": 3, "NORMAL": 3, "TEXCOORD_0": 2}
 GRID_BITS, GRID_SAMPLES = range(4, 25), 64
 """The numbers of bits to try, and the number of vertices that exclude most of them before all are tried."""
 
+NORMAL_BITS_SOUGHT = 20
+"""Of NORMAL, more bits are not looked for: Draco is asked for each number, and needs 0.1 s or more past it."""
+
 LARGEST_EXTENT = 1e38
 """The largest side of a bounding box for which a grid is sought: the next number would overflow."""
 
@@ -344,7 +347,8 @@ def _grid(name: str, values: npt.NDArray[Any]) -> _Grid | None:
     values = np.ascontiguousarray(values, dtype=np.float32)
     sample = values[:: max(len(values) // GRID_SAMPLES, 1)]
     if name == "NORMAL":
-        found = (number for number in GRID_BITS if np.array_equal(_octahedral(sample, number), sample))
+        numbers = (number for number in GRID_BITS if number <= NORMAL_BITS_SOUGHT)
+        found = (number for number in numbers if np.array_equal(_octahedral(sample, number), sample))
         number = next(found, None)
         return None if number is None else _Grid(number)
     origin = values.min(axis=0)
