@@ -23,6 +23,8 @@ WORDS = {
     "branches": "the same, with branches counted",
     "native kernel": "compiled loops, under AddressSanitizer and UndefinedBehaviorSanitizer",
     "native decoders": "Draco and meshopt decoders as `skinbake` calls them, under both",
+    "hostile": "every command on files that once broke a promise",
+    "hostile, sanitized": "the same, under AddressSanitizer",
     "faults": "commands with a kill, a signal or an I/O error at one call",
     "target glb": "reader of GLB, coverage-guided",
     "target gltf": "reader of accessors, views and data: URIs, coverage-guided",
@@ -50,6 +52,7 @@ def page(lines: Sequence[Line]) -> str:
         *_codes(lines),
         *_faults(lines),
         *_coverage(lines),
+        *_hostile(lines),
         *_finds(lines),
     ]
     return "\n\n".join(parts) + "\n"
@@ -103,13 +106,41 @@ def _coverage(lines: Sequence[Line]) -> list[str]:
     measured = [line for line in lines if line["kind"] == "branches" and line.get("branches")]
     if not measured:
         return []
-    best = max(measured, key=lambda line: line["covered"] / line["branches"])
-    share = 100 * best["covered"] / best["branches"]
-    return [
-        "## Branches",
-        f"{best['covered']} of {best['branches']} branches of src/skinbake/gltf ({share:.1f} %) are reached "
-        f"by {best['executions']:,} runs of commands from seed {best['seed']}.",
+    last = max(measured, key=lambda line: str(line["date"]))
+    share = 100 * last["covered"] / last["branches"]
+    by = f"{last['executions']:,} runs of commands from seed {last['seed']}"
+    by += f" and {last['faults']:,} faults" if last.get("faults") else ""
+    reached = f"{last['covered']} of {last['branches']} branches of src/skinbake/gltf ({share:.1f} %)"
+    text = f"{reached} are reached by {by}."
+    if last.get("explained"):
+        text += (
+            f" Of {last['explained']} others fuzz/explained.py says what else reaches them, or what cannot."
+        )
+    return ["## Branches", text]
+
+
+def _hostile(lines: Sequence[Line]) -> list[str]:
+    """Return how commands ended on the hostile files, as they were run last."""
+    last = {
+        line["kind"]: line["files"]
+        for line in sorted(lines, key=lambda line: str(line["date"]))
+        if "files" in line
+    }
+    if not last:
+        return []
+    plain, sanitized = last.get("hostile", {}), last.get("hostile, sanitized", {})
+    rows = [
+        "| file | exit codes | slowest, s | largest, MiB | under AddressSanitizer |",
+        "|---|---|---|---|---|",
     ]
+    for name in {**plain, **sanitized}:
+        codes, slowest, largest = plain.get(name, ("", "", ""))
+        rows.append(f"| {name} | {codes} | {slowest} | {largest} | {sanitized.get(name, ('',))[0]} |")
+    about = (
+        "The commands are the one that broke the promise, where it is noted, then `bake`, "
+        "`bake --compress draco`, `verify`, `inspect` and `strip`; times are of whole processes."
+    )
+    return ["## Hostile files", about, "\n".join(rows)]
 
 
 def _finds(lines: Sequence[Line]) -> list[str]:

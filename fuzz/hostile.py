@@ -14,10 +14,12 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from fuzz.log import LOG, note
 from fuzz.native.build import REPOSITORY, build, environment
 from tests.support.corpus import find_corpus
 
@@ -66,6 +68,7 @@ def main() -> int:
     """Print the table."""
     parser = argparse.ArgumentParser(prog="python -m fuzz.hostile", description=__doc__)
     parser.add_argument("--asan", action="store_true", help="Under AddressSanitizer.")
+    parser.add_argument("--log", type=Path, default=LOG)
     given = parser.parse_args()
     corpus = find_corpus()
     if corpus is None:
@@ -76,6 +79,7 @@ def main() -> int:
         env = environment()
     env.pop("PYTHONDONTWRITEBYTECODE", None)  # who installs the package has it compiled
     bad = 0
+    begun, count, table = time.monotonic(), 0, {}
     print("| file | exit codes | slowest, s | largest, MiB |\n|---|---|---|---|")
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder, "hostile")
@@ -87,12 +91,17 @@ def main() -> int:
             shutil.rmtree(out)
             slowest, largest = max(r.seconds for r in runs), max(r.mebibytes for r in runs)
             codes = " ".join(str(r.code) for r in runs)
+            count += len(runs)
+            table[path.relative_to(copy).as_posix()] = [codes, round(slowest, 2), round(largest)]
             print(f"| {path.relative_to(copy)} | {codes} | {slowest:.2f} | {largest:.0f} |", flush=True)
             wrong = [r for r in runs if r.code not in DOCUMENTED or "should not" in r.said]
             over = not given.asan and (slowest > SECONDS or largest > MEBIBYTES)
             bad += bool(wrong) or over
             for one in wrong:
                 print(f"  {one.said}")
+    kind = "hostile, sanitized" if given.asan else "hostile"
+    note(kind, executions=count, seconds=time.monotonic() - begun, seed=None,
+         finds={"over-bounds-or-undocumented": bad} if bad else {}, log=given.log, files=table)  # fmt: skip
     return 1 if bad else 0
 
 

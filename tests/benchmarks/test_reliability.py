@@ -14,6 +14,12 @@ LINES = [
      "finds": {"defect-A": 1, "hang-B": 1}, "codes": {"bake 0": 500}},
     {"date": "2026-01-03T00:00:00Z", "kind": "branches", "executions": 90, "seconds": 9, "seed": 3,
      "finds": {}, "branches": 200, "covered": 191},
+    {"date": "2026-01-03T00:00:01Z", "kind": "branches", "executions": 91, "seconds": 9, "seed": 4,
+     "finds": {}, "branches": 200, "covered": 194, "faults": 1200, "explained": 6},
+    {"date": "2026-01-03T00:00:00Z", "kind": "hostile", "executions": 5, "seconds": 3, "seed": None,
+     "finds": {}, "files": {"a/m.glb": ["3 3 0", 0.4, 60]}},
+    {"date": "2026-01-03T00:00:00Z", "kind": "hostile, sanitized", "executions": 5, "seconds": 30,
+     "seed": None, "finds": {}, "files": {"a/m.glb": ["3 3 1", 4.0, 600]}},
     {"date": "2026-01-04T00:00:00Z", "kind": "faults", "executions": 7, "seconds": 1, "seed": None,
      "finds": {}, "kinds": {"kill": 4, "eio+": 3}},
 ]  # fmt: skip
@@ -26,7 +32,9 @@ def test_the_page_adds_up_what_the_logs_have(tmp_path: Path) -> None:
     text = page(read_logs(logs))
     assert "by every command and `--compress` way | 2,000 | 1.00 | 2 | 2 |" in text
     assert "| bake | 1,500 | 400 |" in text
-    assert "191 of 200 branches of src/skinbake/gltf (95.5 %)" in text
+    assert "194 of 200 branches of src/skinbake/gltf (97.0 %)" in text
+    assert "91 runs of commands from seed 4 and 1,200 faults. Of 6 others" in text
+    assert "| a/m.glb | 3 3 0 | 0.4 | 60 | 3 3 1 |" in text
     assert "| kill | 4 |" in text
     assert "| defect-A | 3 | 2026-01-03 |" in text
 
