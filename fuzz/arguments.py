@@ -27,6 +27,8 @@ BAKE: Group = (
     (0.04, [["--encoding", "packed8"], ["--encoding", "snorm16"]]),
     (0.2, [["--layout", "texcoord"], ["--layout", "custom"]]),
     (0.05, [["--require-baked"]]),
+    (0.03, [["--no-sync"]]),
+    (0.03, [["--max-memory", "60K"], ["--max-memory", "200K"], ["--max-memory", "1G"]]),
     (0.05, [["--warnings-as-errors"]]),
     (0.1, [["--json"], ["--timings"], ["-v"], ["-vv"], ["-q"], ["--color", "always"]]),
 )

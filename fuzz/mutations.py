@@ -580,11 +580,27 @@ def _length(model: Model, random: Random) -> None:
         del model.binary[at : at + random.choice((1, 2, 4))]
 
 
+def _nest(model: Model, random: Random) -> None:
+    """Nest a member deeper than json's own reader and writer go, here and there with an error inside."""
+    depth = random.choice((1100, 1100, 1100, 3000, 70_000))
+    before, after = random.choice(
+        (("[", "]"), ('{"a":', "}"), ('[1,{"b":[],"c":', ',"d":2}]'), ("[ {}, ", ", null ]"))
+    )
+    text = before * depth + random.choice(("1", "{}", "[]", '"x"')) + after * depth
+    if random.random() < 0.3:
+        at = random.randrange(len(text))
+        text = text[:at] + random.choice(("", "]", "}", ",", '"', ":", "x")) + text[at + 1 :]
+    mark = f"@raw{len(model.raw)}@"
+    model.raw[mark] = text
+    holders = [model.json, *(model.json.get("nodes") or [])[:2], *(model.json.get("meshes") or [])[:1]]
+    random.choice(holders)[random.choice(("extras", "name", "extensions"))] = mark
+
+
 MUTATIONS: tuple[Callable[[Model, Random], None], ...] = (
     _value, _delete, _insert, _move, _accessor, _attribute, _view, _skin, _animation, _resource, _note, _data,
-    _bytes, _stream, _length, _morph, _packing, _many,
+    _bytes, _stream, _length, _morph, _packing, _many, _nest,
 )  # fmt: skip
-WEIGHTS = (10, 6, 4, 4, 7, 8, 4, 6, 5, 5, 4, 12, 2, 5, 2, 4, 4, 1)
+WEIGHTS = (10, 6, 4, 4, 7, 8, 4, 6, 5, 5, 4, 12, 2, 5, 2, 4, 4, 1, 1)
 
 
 # The container
