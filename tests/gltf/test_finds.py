@@ -102,7 +102,7 @@ class TestDraco:
             [*launch, sys.executable, "-m", "skinbake", *command], capture_output=True, text=True, check=False
         )
         assert int(done.stdout.split()[-1]) < 512 << 20
-        assert f"not put into Draco: its {name} is of 32-bit integers" in done.stderr
+        assert f"not put into Draco: its {name} has 32-bit integers" in done.stderr
 
 
 def test_a_missing_image_that_leads_through_the_parent_keeps_its_uri(tmp_path: Path) -> None:

@@ -71,7 +71,7 @@ _NEW = (
     | getattr(os, "O_CLOEXEC", 0)
     | getattr(os, "O_BINARY", 0)
 )
-SAVED_ANEW = "it was saved anew since it was read, and is left as it is: run this again"
+SAVED_ANEW = "another program has saved it since it was read, so it is not replaced: run this again"
 
 _putting_off: list[bool] = []
 """Not empty while the main thread delays interrupts."""
