@@ -44,6 +44,7 @@ from skinbake.gltf.primitives import (
 from skinbake.gltf.writing import version_of
 from skinbake.gradients.assumptions import assumptions, check_finite
 from skinbake.gradients.baker import BakeFindings, BakeSettings, bake_mesh
+from skinbake.gradients.normal_lean import lean_notices
 from skinbake.gradients.normals import with_smooth_normals
 from skinbake.report.bake import BakedCounts, EncodingCost, FileResult, LimitCost
 from skinbake.timing import stage
@@ -355,9 +356,10 @@ class PrimitiveBake:
 
     @property
     def notices(self) -> list[Notice]:
-        """Return what had to be assumed."""
-        source = self.source
-        return assumptions(self.primitive, self.result, self.findings, source.joint_count, source.place)
+        """Return what had to be assumed, and what looks wrong."""
+        source, given = self.source, self.primitive
+        assumed = assumptions(given, self.result, self.findings, source.joint_count, source.place)
+        return [*assumed, *lean_notices(given, source.place)]
 
     def to_store(self, settings: JsonObject) -> Baked:
         """Return what is written of it; settings is noted in the metadata."""

@@ -10,6 +10,7 @@ from skinbake.choices import FrameChoice
 from skinbake.containment import BESIDE, Bounds
 from skinbake.format.attribute_store import meshopt_of
 from skinbake.format.metadata import changed_arrays, read_metadata, slot_names
+from skinbake.geometry.skinned import SkinnedPrimitive
 from skinbake.gltf.accessors import described
 from skinbake.gltf.codecs import draco
 from skinbake.gltf.codecs.meshopt import is_fallback
@@ -24,6 +25,7 @@ from skinbake.gltf.primitives import (
 from skinbake.gltf.resources import is_data_uri
 from skinbake.gradients.baker import chosen_frame
 from skinbake.gradients.influences import weight_field
+from skinbake.gradients.normal_lean import lean_notices
 from skinbake.report.inspect import AttributeSummary, BakeSummary, InspectResult, PrimitiveSummary
 
 BYTES_A_VERTEX, BYTES_A_SLOT = 64, 40
@@ -41,7 +43,9 @@ def inspect_file(source: str, bounds: Bounds = BESIDE) -> InspectResult:
             notices.append(reason)
         if reason is None or reason.code == "no-normals":
             with document.budget.passing():
-                primitives.append(_summary(document, entry))
+                primitive = read_primitive(document, entry)
+                primitives.append(_summary(document, entry, primitive))
+                notices += lean_notices(primitive, entry.place)
     return InspectResult(
         input=source,
         byte_length=_byte_length(document),
@@ -64,8 +68,7 @@ def _byte_length(document: Document) -> int:
     return len(document.raw or b"") + outside
 
 
-def _summary(document: Document, source: PrimitiveSource) -> PrimitiveSummary:
-    primitive = read_primitive(document, source)
+def _summary(document: Document, source: PrimitiveSource, primitive: SkinnedPrimitive) -> PrimitiveSummary:
     size = BYTES_A_VERTEX + BYTES_A_SLOT * primitive.joints.shape[1]
     document.budget.claim(len(primitive.positions) * size, "summing it up", source.place)
     _, defects = weight_field(primitive)

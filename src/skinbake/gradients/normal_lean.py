@@ -1,0 +1,156 @@
+"""Normals that do not belong to their surface: how far NORMAL leans from the triangles at each vertex.
+
+α and β turn the authored normal along with the surface, whatever it was at rest. A normal that points
+elsewhere is lit wrongly in every pose, and no figure that is measured against it tells.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from skinbake.errors import Notice, Place
+from skinbake.geometry.frames import has_direction, unit_vectors
+from skinbake.geometry.skinned import Float64Array, FloatArray, IntArray, SkinnedPrimitive
+from skinbake.gradients.weld import equal_positions
+
+FAR = 45.0
+"""Degrees from which on a normal does not look like its surface's: smooth normals of a cube lean 55° from
+each side, and 0° from the mean of the three."""
+
+MOST = 0.05
+"""Share of far normals that a sound model may have. Of 114 primitives of real models, two have more, and
+both are broken; the next has 1.4 %."""
+
+TRIANGLES, VERTICES = 1 << 8, 1 << 11
+"""How many are looked at, triangles first, then vertices where those raise a doubt: of more, every second,
+third … So no model takes longer than some milliseconds."""
+
+
+@dataclass(frozen=True, slots=True)
+class NormalLean:
+    """How many of the vertices looked at have a far normal, and by how many degrees those lean (median).
+
+    vertices is how many the primitive has for each that was looked at.
+    """
+
+    far: int
+    looked_at: int
+    degrees: float
+    vertices: float
+
+    @property
+    def is_plain(self) -> bool:
+        """Tell whether few enough normals are far to be a matter of style."""
+        return self.far <= MOST * self.looked_at
+
+
+def normal_lean(primitive: SkinnedPrimitive) -> NormalLean:
+    """Return how NORMAL (V, 3) of a primitive fits its triangles.
+
+    A normal is far where it leans over FAR from the mean plane of the vertex's own triangles, weighted by
+    angle, and also from that of all triangles at the vertex's position: hard edges and seams have copies of a
+    vertex, smooth ones share a normal. Vertices without an area or a normal are not looked at.
+    """
+    if not _is_doubtful(primitive):
+        return NormalLean(0, 0, 0.0, 0.0)
+    step = _step(len(primitive.positions), VERTICES)
+    rows = np.arange(0, len(primitive.positions), step)
+    rows = rows[has_direction(primitive.normals[rows])]
+    leans = _leans(primitive, rows, None)
+    rows, leans = rows[np.isfinite(leans)], leans[np.isfinite(leans)]
+    suspects = leans > FAR
+    if np.count_nonzero(suspects) > MOST * len(rows):
+        shared = _leans(primitive, rows[suspects], equal_positions(primitive.positions))
+        leans[suspects] = np.fmin(leans[suspects], shared)
+    far = leans[leans > FAR]
+    middle = float(np.median(far)) if len(far) else 0.0
+    return NormalLean(len(far), len(rows), middle, float(step))
+
+
+def _step(count: int, most: int) -> int:
+    return max(1, -(-count // most))
+
+
+def _is_doubtful(primitive: SkinnedPrimitive) -> bool:
+    """Tell whether enough normals lean far from single triangles to look at their planes, which takes long.
+
+    A coarse smooth mesh is doubtful too.
+    """
+    triangles = primitive.triangles[:: _step(len(primitive.triangles), TRIANGLES)]
+    cross = _cross(_sides(primitive, triangles))
+    with np.errstate(invalid="ignore"):  # normals that are not finite are not far
+        normals = primitive.normals[triangles.T].astype(np.float64)
+        dots, squares = np.einsum("tj,ctj->ct", cross, normals), np.einsum("ctj,ctj->ct", normals, normals)
+        near = np.cos(np.radians(FAR)) * np.sqrt(np.einsum("tj,tj->t", cross, cross) * squares)
+    return bool(np.count_nonzero(dots < near) > MOST * dots.size)
+
+
+def lean_notices(primitive: SkinnedPrimitive, place: Place) -> list[Notice]:
+    """Return a notice where the normals of a primitive do not belong to its surface, else none."""
+    if not len(primitive.normals):
+        return []
+    lean = normal_lean(primitive)
+    if lean.is_plain:
+        return []
+    found, of = (round(number * lean.vertices) for number in (lean.far, lean.looked_at))
+    about = "about " if lean.vertices > 1 else ""
+    message = (
+        f"normals lean over {FAR:.0f}° from the surface at {about}{found:,} of {of:,} vertices, by "
+        f"{lean.degrees:.0f}° in the median: it is lit like another shape, baked or not. "
+    )
+    return [Notice("normals-off-surface", message + _advice(lean), place.at("NORMAL"), found)]
+
+
+def _advice(lean: NormalLean) -> str:
+    if lean.degrees > 180.0 - FAR and 2 * lean.far > lean.looked_at:
+        return "Normals and triangles face opposite ways: turn the one or the other"
+    return "Make normals anew in the modelling tool, or remove them and bake with --generate-normals"
+
+
+def _leans(primitive: SkinnedPrimitive, rows: IntArray, labels: IntArray | None) -> Float64Array:
+    """Return by how many degrees the normals of some vertices (N,) lean from their planes (N,).
+
+    labels (V,) names the vertices that have one plane, None where each has its own. NaN where the triangles
+    at a vertex have no area, or cancel out.
+    """
+    own = rows if labels is None else labels[rows]
+    numbers = np.zeros(len(primitive.positions), dtype=np.int32)
+    numbers[own] = 1
+    numbers = np.cumsum(numbers, dtype=np.int32) * numbers
+    corners = numbers[primitive.triangles if labels is None else labels[primitive.triangles]]
+    touching = corners.any(axis=1)
+    corners, triangles = corners[touching], primitive.triangles[touching]
+    sides = _sides(primitive, triangles)
+    cross = _cross(sides)
+    doubled = np.sqrt(np.einsum("ij,ij->i", cross, cross))
+    dots = -np.einsum("tij,tij->ti", sides, sides[[2, 0, 1]])
+    shares = np.divide(np.arctan2(doubled, dots), doubled, out=np.zeros_like(dots), where=doubled > 0)
+    planes = np.zeros((int(numbers.max(initial=0)) + 1, 3))
+    for axis in range(3):
+        planes[:, axis] = np.bincount(corners.T.ravel(), (shares * cross[:, axis]).ravel(), len(planes))
+    with np.errstate(invalid="ignore"):
+        return np.asarray(np.degrees(np.arccos(_cosines(planes[numbers[own]], primitive.normals[rows]))))
+
+
+def _sides(primitive: SkinnedPrimitive, triangles: IntArray) -> Float64Array:
+    """Return the sides of triangles (3, T, 3): from each corner to the next."""
+    corners = primitive.positions[triangles.T].astype(np.float64)
+    return corners[[1, 2, 0]] - corners
+
+
+def _cross(sides: Float64Array) -> Float64Array:
+    """Return the normals (T, 3) of triangles, as long as their doubled area; np.cross takes twice as long."""
+    x, y, z = sides[0].T
+    u, v, w = sides[1].T
+    return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], axis=1)
+
+
+def _cosines(planes: Float64Array, normals: FloatArray) -> Float64Array:
+    """Return the cosine between vectors (N, 3), NaN where one of them has no direction."""
+    units = unit_vectors(normals)
+    lengths = np.where(has_direction(normals), np.linalg.norm(planes, axis=1), 0.0)
+    dots = np.einsum("ij,ij->i", planes, units)
+    cosines = np.divide(dots, lengths, out=np.full(len(planes), np.nan), where=lengths > 0)
+    return np.asarray(np.clip(cosines, -1.0, 1.0))
