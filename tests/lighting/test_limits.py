@@ -11,7 +11,7 @@ from skinbake.gltf.accessors import StoredArray
 from skinbake.gltf.primitives import StoredInfluences
 from skinbake.gradients.limit import limited_slots
 from skinbake.lighting.influences import normalised_weights
-from skinbake.lighting.limits import limited_primitive
+from tests.lighting.limited import limited_primitive
 
 
 def random_sets(kind: str, seed: int) -> list[StoredInfluences]:

@@ -13,7 +13,7 @@ from skinbake.gltf.primitives import PrimitiveSource, reason_to_skip, skinned_so
 from skinbake.gradients.normal_lean import lean_notices
 from skinbake.lighting.baked_views import BakedView, baked_views, gathered_together, is_baked
 from skinbake.lighting.measured import Lighting, Progress, VerifyOptions
-from skinbake.lighting.staleness import mesh_operator, staleness
+from skinbake.lighting.staleness import freshness_check, mesh_operator
 from skinbake.report.verify import Check, FileVerdict
 from skinbake.timing import stage
 
@@ -48,12 +48,7 @@ def _verify_file(source: str, options: VerifyOptions, progress: Progress, bounds
     with stage("gradient operator"):
         operators = [mesh_operator(document, surface) for surface in surfaces]
     with stage("freshness"):
-        problems = [
-            p
-            for surface, operator in zip(surfaces, operators, strict=True)
-            for p in staleness(document, surface, operator)
-        ]
-    fresh = Check("freshness", "failed" if problems else "passed", tuple(problems))
+        fresh = freshness_check(document, surfaces, operators)
     lighting = Lighting(document, options, progress)
     verdict = lighting.measured(surfaces, operators)
     checks = (structure, fresh, *verdict.checks)

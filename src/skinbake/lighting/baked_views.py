@@ -4,25 +4,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from skinbake.choices import Frame, Weighting, Weld
 from skinbake.errors import Notice
-from skinbake.format.former import former_attributes
-from skinbake.format.limit import common_unit
-from skinbake.format.metadata import FORMER_ATTRIBUTES, VERSION, changed_arrays, read_metadata
+from skinbake.format.metadata import VERSION, changed_arrays, read_metadata
 from skinbake.format.stored_slots import BAKE, read_slots, shown, wrong_storage
 from skinbake.geometry import frames
 from skinbake.geometry.skinned import Float64Array, FloatArray, SkinnedPrimitive
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject
-from skinbake.gltf.primitives import PrimitiveSource, read_influences, read_primitive
+from skinbake.gltf.primitives import PrimitiveSource, read_primitive
 from skinbake.gltf.skin_groups import meshes_of_one_skin
 from skinbake.gradients.baker import TANGENT_TOLERANCE
-from skinbake.lighting.limits import limited_primitive
 from skinbake.timing import stage
 
 BYTES_A_VERTEX, BYTES_A_SLOT, BYTES_A_TRIANGLE = 800, 128, 400
@@ -33,7 +30,7 @@ BYTES_A_VERTEX, BYTES_A_SLOT, BYTES_A_TRIANGLE = 800, 128, 400
 class BakedView:
     """One baked primitive as it stands in the file.
 
-    now holds its arrays, before the arrays from before adoption where the file still has them (else now).
+    now holds its arrays.
     alpha, beta (V, K − 1); tangents, bitangents (V, 3) of the frame that the metadata names. changed are the
     digests that no longer hold. rounding (V, 2) is the most by which an encoding may have changed a value of
     α, and one of β.
@@ -42,7 +39,6 @@ class BakedView:
     source: PrimitiveSource
     metadata: JsonObject
     now: SkinnedPrimitive
-    before: SkinnedPrimitive
     alpha: FloatArray
     beta: FloatArray
     tangents: FloatArray
@@ -118,9 +114,8 @@ def _view(document: Document, source: PrimitiveSource) -> BakedView | Notice:
         return Notice("frame", message, source.place)
     with stage("digests"):
         changed = changed_arrays(metadata, now)
-    before = _before_adoption(document, source, metadata, now)
     return BakedView(
-        source, metadata, now, before, slots.alpha, slots.beta, frame[0], frame[1], changed, slots.rounding
+        source, metadata, now, slots.alpha, slots.beta, frame[0], frame[1], changed, slots.rounding
     )
 
 
@@ -159,27 +154,6 @@ def _rest_frame(primitive: SkinnedPrimitive, kind: str) -> tuple[FloatArray, Flo
     if primitive.tangents is None:
         return None
     return frames.frame_from_tangent(normals, primitive.tangents)
-
-
-def _before_adoption(
-    document: Document, source: PrimitiveSource, metadata: JsonObject, now: SkinnedPrimitive
-) -> SkinnedPrimitive:
-    """Return the primitive with the influences that its bake began with, or as it is now where they are gone.
-
-    Those are the file's from before it, or what its limit of influences leaves of them.
-
-    α and β come from those; the weights that adoption gave its slots are too small to matter much.
-    """
-    former = former_attributes(document, source.attributes, metadata, source.place)
-    if not former:
-        return now
-    attributes = {**source.attributes, **former}
-    source = replace(source, json={**source.json, "attributes": attributes})
-    before = read_primitive(document, source)
-    if FORMER_ATTRIBUTES not in metadata:
-        return before
-    unit = common_unit(read_influences(document, source, len(before.positions)))
-    return limited_primitive(before, now.joints.shape[1], unit)
 
 
 def _skewed(view: BakedView) -> Iterator[Notice]:

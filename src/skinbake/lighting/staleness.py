@@ -11,14 +11,20 @@ import numpy as np
 
 from skinbake.choices import Weighting
 from skinbake.errors import Notice
+from skinbake.format.adoption import UNIT
+from skinbake.geometry.skinned import Float64Array
 from skinbake.gltf.accessors import read_accessor
 from skinbake.gltf.document import Document
 from skinbake.lighting import freshness
 from skinbake.lighting.baked_views import BakedView
 from skinbake.lighting.operator import GradientOperator, expected_alpha_beta, gradient_operator
+from skinbake.report.verify import Check
 
 BAKE_LAST = "Bake last: run skinbake bake on the file that the last tool wrote"
 BAKE_AGAIN = "run skinbake bake again"
+
+NO_PAYMENT = 1e-7
+"""Weight below which what adopted slots took is rounding: 2⁻³⁰ each, where weights are FLOAT."""
 
 EDITED_ALONE = {
     "POSITION": "its vertices moved",
@@ -42,21 +48,51 @@ def mesh_operator(
     noted = views[0].metadata
     chosen: Any = weighting or noted["weighting"]
     return gradient_operator(
-        [view.before for view in views],
+        [view.now for view in views],
         weighting=chosen,
         crease_angle_degrees=float(noted["creaseAngle"]),
         claim=lambda size: document.budget.claim(size, "welding it", views[0].source.place),
     )
 
 
-def staleness(document: Document, views: Sequence[BakedView], operator: GradientOperator) -> list[Notice]:
-    """Return a problem for each primitive of one surface whose α/β are not those of its present arrays."""
-    surface = _Surface(document, views, _comparisons(views, operator))
-    return [
-        _staleness_notice(surface, number)
-        for number, view in enumerate(views)
-        if view.changed or not surface.compared[number].agrees
-    ]
+def freshness_check(
+    document: Document, surfaces: Sequence[Sequence[BakedView]], operators: Sequence[GradientOperator]
+) -> Check:
+    """Return whether α/β are those of the arrays that stand in the file now, and of which they were baked.
+
+    Where α/β fit and the arrays have changed in a way that keeps what belongs together, it passes with a
+    remark.
+    """
+    problems: list[Notice] = []
+    moved: list[BakedView] = []
+    for views, operator in zip(surfaces, operators, strict=True):
+        surface = _Surface(document, views, _comparisons(views, operator))
+        for number, view in enumerate(views):
+            if not surface.compared[number].agrees or not (view.changed == () or _is_rearranged(view)):
+                problems.append(_staleness_notice(surface, number))
+            elif view.changed:
+                moved.append(view)
+    remark = _rearranged(moved, sum(map(len, surfaces))) if moved and not problems else ""
+    return Check("freshness", "failed" if problems else "passed", tuple(problems), remark)
+
+
+def _is_rearranged(view: BakedView) -> bool:
+    """Tell whether what changed can be the order alone: of the triangles, or of all that vertices have.
+
+    An array that changed by itself holds other values: no tool moves positions and leaves their normals, but
+    for those that are all the same.
+    """
+    whole = {"POSITION"} | ({"indices"} if "indices" in view.source.json else set())
+    if (view.now.normals != view.now.normals[:1]).any():
+        whole.add("NORMAL")
+    return view.changed == ("indices",) or whole <= set(view.changed)
+
+
+def _rearranged(views: Sequence[BakedView], count: int) -> str:
+    triangles = all(view.changed == ("indices",) for view in views)
+    what = "triangles re-ordered" if triangles else "vertices re-ordered, merged or split"
+    where = views[0].source.place.within_file if len(views) == 1 else f"{len(views)} primitives"
+    return f"{what} since the bake{f' in {where}' if count > 1 else ''}; α/β still fit"
 
 
 @dataclass(frozen=True)
@@ -86,17 +122,43 @@ class _Surface:
 def _comparisons(views: Sequence[BakedView], operator: GradientOperator) -> list[freshness.Comparison]:
     expected = expected_alpha_beta(
         operator,
-        [view.before for view in views],
+        [view.now for view in views],
         [(view.tangents, view.bitangents) for view in views],
-        named=[view.now for view in views],
     )
     reach = np.sum([abs(part).sum(axis=1) for part in (operator.x, operator.y, operator.z)], axis=0)
     return [
         freshness.compare(
-            (view.alpha, view.beta), (alpha[:, 1:], beta[:, 1:]), reach=reach[rows], rounding=view.rounding
+            (view.alpha, view.beta), (alpha[:, 1:], beta[:, 1:]), reach=reach[rows], rounding=rounding
         )
-        for view, (alpha, beta), rows in zip(views, expected, operator.slices, strict=True)
+        for view, rounding, (alpha, beta), rows in zip(
+            views, _roundings(views, operator), expected, operator.slices, strict=True
+        )
     ]
+
+
+def _roundings(views: Sequence[BakedView], operator: GradientOperator) -> list[Float64Array]:
+    """Return by how much α and β of each view (V, 2) may differ from those of its present weights.
+
+    Those are what an encoding has rounded, and what adopted slots have been given: they take a unit of
+    integer weights each, which the vertex's largest weight pays. α/β come from the weights before.
+    """
+    paid = np.concatenate([_paid(view) for view in views])
+    if paid.max(initial=0.0) < NO_PAYMENT:
+        return [view.rounding for view in views]
+    frames = [
+        np.concatenate([view.tangents for view in views]),
+        np.concatenate([view.bitangents for view in views]),
+    ]
+    forgiven = np.column_stack([abs(operator.along(axis)) @ paid for axis in frames])
+    return [view.rounding + forgiven[rows] for view, rows in zip(views, operator.slices, strict=True)]
+
+
+def _paid(view: BakedView) -> Float64Array:
+    """Return how much weight of each vertex (V,) adopted slots may have: all that is as small as theirs."""
+    weights = np.asarray(view.now.weights, dtype=np.float64)
+    if "adopted" not in view.metadata:
+        return np.zeros(len(weights))
+    return np.asarray(np.where(weights * UNIT < 1.5, weights, 0.0).sum(axis=1))
 
 
 def _staleness_notice(surface: _Surface, number: int) -> Notice:
