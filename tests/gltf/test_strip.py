@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -203,6 +204,23 @@ class TestAfterOtherTools:
         before, after, codes = self.changed("seam.glb", tmp_path, change)
         assert codes == ["bytes-left"]
         assert (after.attribute("POSITION") == before.attribute("POSITION")).all()
+
+    def test_bytes_that_moved_behind_the_former_end_stay(self, tmp_path: Path) -> None:
+        """Another tool put bytes before all others: what stays ends where our own began."""
+        source = baked(copied("seam.glb", tmp_path), tmp_path / "baked.glb")
+        for view in source.content["bufferViews"]:
+            view["byteOffset"] = view.get("byteOffset", 0) + 40
+        assert source.binary_chunk is not None
+        moved = replace(source, binary_chunk=bytes(40) + source.binary_chunk)
+        moved.content["buffers"][0]["byteLength"] += 40
+        rewritten(moved, tmp_path / "moved.glb")
+        result = strip_file(str(tmp_path / "moved.glb"), str(tmp_path / "stripped.glb"))
+        assert [notice.code for notice in result.notices] == ["bytes-left"]
+        after = read(tmp_path / "stripped.glb")
+        assert (after.attribute("POSITION") == moved.attribute("POSITION")).all()
+        assert after.content["buffers"][0]["byteLength"] >= max(
+            view["byteOffset"] + view["byteLength"] for view in after.content["bufferViews"]
+        )
 
     def test_a_file_that_was_changed_bakes_again(self, tmp_path: Path) -> None:
         def change(content: JsonObject) -> None:

@@ -24,7 +24,6 @@ function eachPrimitive(edit) {
 const COMMANDS = {
     copy: () => [],
     center: () => [functions.center()],
-    clone: () => [],
     dedup: () => [functions.dedup()],
     dequantize: () => [functions.dequantize()],
     flatten: () => [functions.flatten()],
@@ -33,7 +32,6 @@ const COMMANDS = {
     metalrough: () => [functions.metalRough()],
     normals: () => [functions.normals()],
     palette: () => [functions.palette()],
-    partition: () => [functions.partition()],
     prune: () => [functions.prune(KEPT)],
     quantize: () => [functions.quantize()],
     reorder: () => [functions.reorder({ encoder: MeshoptEncoder })],
@@ -50,12 +48,9 @@ const COMMANDS = {
 };
 
 async function transform({ source, target, command }) {
-    let document = await io.read(source);
+    const document = await io.read(source);
     document.setLogger(new Logger(Logger.Verbosity.SILENT));
     await document.transform(...COMMANDS[command]());
-    if (command === 'clone') {
-        document = functions.cloneDocument(document);
-    }
     await io.write(target, document);
 }
 

@@ -240,7 +240,8 @@ def _at_the_end(document: Document, first: int, undo: JsonObject) -> _Tail | Non
     start = min(starts)
     if not isinstance(length, int) or not 0 < length <= start <= len(joined(document.binary or ())):
         return None
-    is_free = all(end <= start for buffer, _, end in kept if buffer == 0)
+    # Views may have moved: the buffer becomes as long as it was, and must hold what stays.
+    is_free = all(end <= length for buffer, _, end in kept if buffer == 0)
     return _Tail(first, undo, start, fallbacks) if is_free else None
 
 

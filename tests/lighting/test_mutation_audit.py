@@ -1,0 +1,155 @@
+"""No harmful change of a baked file passes verify, and harmless ones do.
+
+Harmful means that a normal somewhere is over 1° from what it was, or from what a bake of the changed file
+makes it, in poses and by a replay of the tests' own. Of kinds that are meant to be harmful, changes that
+turn out to be less are let pass or not. At most one in twenty of the harmless ones may fail.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from skinbake.commands.bake import BakeOptions, bake_file
+from skinbake.commands.verify import verify_file
+from skinbake.lighting.measured import VerifyOptions
+from skinbake.lighting.poses import PoseRequest
+from tests.lighting.mutations import HARMFUL, HARMLESS, Mutation, mutated
+from tests.lighting.replay import accurate_normals, largest_angle
+from tests.support import corpus, gltf_transform
+from tests.support.baked_files import CESIUM_MAN, baked, source
+
+pytestmark = pytest.mark.slow
+
+MUTATIONS = 200
+HARM, NONE = 1.0, 0.2
+"""Degrees above which a change is harmful, and below which it is harmless.
+
+Adopted slots take a little of integer weights.
+"""
+
+FALSE_ALARMS = 0.05
+REST = VerifyOptions(methods=("lbs",), poses=PoseRequest("rest"))
+FIXTURES = [
+    "bent_tube.glb",
+    "foreign_joints.glb",
+    "hard_edge.glb",
+    "mirrored_tangent.glb",
+    "seam.glb",
+    "two_sets.glb",
+    "weights_u16.glb",
+    "weights_u8.glb",
+]
+MODELS = [CESIUM_MAN, "hand_l-weights-u16.glb", "hand_l-weights-u8.glb"]
+SAFE_TOOLS = [
+    *("copy", "center", "dedup", "dequantize", "flatten", "instance", "join", "metalrough", "palette"),
+    *("prune", "reorder", "resample", "sparse", "tangents", "unlit", "unpartition", "unweld"),
+    *("vertexColorSpace", "weld"),
+]
+OTHER_TOOLS = ["normals", "quantize", "simplify", "sortWeights"]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of one changed file: by how much its lighting is off, and what verify said."""
+
+    what: str
+    name: str
+    harm: float
+    passed: bool
+    said: str
+
+    def __str__(self) -> str:
+        verdict = "passed" if self.passed else f"failed: {self.said[:80]}"
+        return f"{self.what:<42} {self.name:<28} {self.harm:8.3f}°  {verdict}"
+
+
+@pytest.fixture(scope="module")
+def bakes(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    names = list(FIXTURES)
+    if corpus.find_corpus() is not None:
+        names += [CESIUM_MAN]
+    return {name: baked(source(name), tmp_path_factory.mktemp("baked")) for name in names}
+
+
+def test_no_harmful_mutation_passes_and_few_harmless_fail(bakes: dict[str, Path], tmp_path: Path) -> None:
+    harmful: list[Outcome] = []
+    harmless: list[Outcome] = []
+    for seed in range(MUTATIONS):
+        rng = np.random.default_rng(seed)
+        kinds, found = (HARMFUL, harmful) if seed % 2 else (HARMLESS, harmless)
+        name = str(rng.choice(list(bakes)))
+        found.append(outcome(kinds[seed // 2 % len(kinds)], name, bakes[name], tmp_path, seed))
+    judge(harmful, harmless)
+    # As many as these are harmful, so the audit looks at something.
+    assert sum(one.harm > HARM for one in harmful) > 0.7 * len(harmful), table(harmful)
+    assert all(one.harm < NONE for one in harmless), table(harmless)
+
+
+def outcome(mutation: Mutation, name: str, original: Path, folder: Path, seed: int) -> Outcome:
+    path = mutated(mutation, original, folder / f"{seed}.glb", seed)
+    moves = mutation.name == "vertices reordered"
+    return judged(mutation.name, name, path, None if moves else original)
+
+
+def judged(what: str, name: str, path: Path, original: Path | None) -> Outcome:
+    """Return what verify says of a changed file, and how far its lighting is from a fresh bake's.
+
+    And from the original's, where that is given and has the same vertices.
+    """
+    again = path.with_name(f"again-{path.name}")
+    result = bake_file(str(path), str(again), BakeOptions())
+    assert result.status == "baked", (what, name, result.error)
+    found = accurate_normals(path)
+    harm = largest_angle(found, accurate_normals(again))
+    if original is not None:
+        harm = max(harm, largest_angle(found, accurate_normals(original)))
+    verdict = verify_file(str(path), REST)
+    said = [problem.message for check in verdict.checks for problem in check.problems]
+    return Outcome(what, name, harm, verdict.passed, str(verdict.error or "; ".join(said)))
+
+
+def judge(harmful: Sequence[Outcome], harmless: Sequence[Outcome]) -> None:
+    missed = [one for one in harmful if one.harm > HARM and one.passed]
+    assert not missed, "harmful, and passed:\n" + table(missed)
+    alarms = [one for one in harmless if not one.passed]
+    assert len(alarms) <= FALSE_ALARMS * len(harmless), (
+        f"{len(alarms)} of {len(harmless)} harmless changes failed:\n" + table(alarms)
+    )
+
+
+def table(outcomes: Sequence[Outcome]) -> str:
+    return "\n".join(str(one) for one in outcomes)
+
+
+def test_twenty_tools_leave_the_lighting_and_pass(tmp_path: Path) -> None:
+    gltf_transform.require_node()
+    names = ["bent_tube.glb", "foreign_joints.glb", "seam.glb", "weights_u16.glb", "weights_u8.glb"]
+    if corpus.find_corpus() is not None:
+        names += MODELS
+    jobs = []
+    for number, name in enumerate(names):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        path = baked(source_of(name), folder)
+        jobs += [(path, folder / f"{tool}.glb", tool) for tool in (*SAFE_TOOLS, *OTHER_TOOLS)]
+    failures = gltf_transform.transform(jobs)
+    assert not any(failures), [(job, why) for job, why in zip(jobs, failures, strict=True) if why]
+    found = {
+        tool: [judged(tool, path.name, target, None) for path, target, one in jobs if one == tool]
+        for tool in SAFE_TOOLS
+    }
+    harmless = [one for outcomes in found.values() for one in outcomes]
+    assert all(one.harm < NONE for one in harmless), table([one for one in harmless if one.harm >= NONE])
+    judge([], harmless)
+    for path, target, tool in jobs:
+        if tool in OTHER_TOOLS:
+            judge([judged(tool, path.name, target, None)], [])
+
+
+def source_of(name: str) -> Path:
+    return corpus.model(name) if "/" in name or name.startswith("hand") else source(name)
