@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import stat
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ import pytest
 from skinbake.choices import Frame, Language, Lighting
 from skinbake.shaders.choices import ALGORITHMS, ShaderChoices
 from skinbake.shaders.text import shader_text
+from tests.support.baked_files import Editable
 from tests.support.command_line import invoke, run
 from tests.support.gltf_reading import read
 from tests.support.models import FOLDER, KEY, Part, edited, rewritten, sheet, write_model
@@ -276,3 +278,68 @@ def _along(part: Part) -> Any:
     normals = np.asarray(part.attributes["NORMAL"], dtype=np.float64)
     across = np.cross([0.0, 1.0, 0.0], normals)
     return across / np.linalg.norm(across, axis=1, keepdims=True)
+
+
+def scaled(name: str, by: float) -> Callable[[Editable], None]:
+    def edit(model: Editable) -> None:
+        model.array(name)[::2] *= np.float32(by)
+
+    return edit
+
+
+@pytest.mark.parametrize(
+    ("edit", "words"),
+    [
+        (scaled("POSITION", 1.5), "POSITION changed since its bake"),
+        (scaled("NORMAL", -1.0), "NORMAL changed since its bake"),
+        (scaled("_SKINBAKE_ALPHA_0", 1.5), "α/β are wrong at"),
+    ],
+)
+def test_a_stale_or_damaged_bake_is_refused(
+    tmp_path: Path, edit: Callable[[Editable], None], words: str
+) -> None:
+    path = baked(TUBE, tmp_path)
+    assert invoke("shader", "--lang", "glsl", "--for", path).exit_code == 0
+    model = Editable(path)
+    edit(model)
+    result = invoke("shader", "--lang", "glsl", "--for", model.write(path))
+    assert result.exit_code == 3
+    assert result.stdout == ""
+    assert "its bake is stale: " in result.stderr
+    assert words in result.stderr
+    assert "run skinbake bake" in result.stderr
+
+
+def test_a_bake_in_another_order_is_served(tmp_path: Path) -> None:
+    model = Editable(baked(TUBE, tmp_path))
+    indices = model.array("indices")
+    indices[:] = np.roll(indices, 3, axis=0)
+    assert invoke("shader", "--lang", "glsl", "--for", model.write(tmp_path / "rolled.glb")).exit_code == 0
+
+
+def test_a_bake_that_has_lost_its_normals_is_refused(tmp_path: Path) -> None:
+    model = Editable(baked(TUBE, tmp_path))
+    del model.primitive()["attributes"]["NORMAL"]
+    result = invoke("shader", "--lang", "glsl", "--for", model.write(tmp_path / "without.glb"))
+    assert result.exit_code == 3
+    assert "it has lost what α/β are for (skipped: it has no NORMAL" in result.stderr
+
+
+def test_weights_of_another_sum_are_told_by_every_command(tmp_path: Path) -> None:
+    model = Editable(TUBE)
+    weights = model.array("WEIGHTS_0")
+    weights[:3] *= np.float32(0.5)
+    weights[3:5] *= np.float32(1.25)
+    source, target = model.write(tmp_path / "odd.glb"), tmp_path / "baked.glb"
+    said = [
+        invoke("inspect", source),
+        invoke("bake", source, "-o", target),
+        invoke("verify", target, "--poses", "random:1"),
+        invoke("shader", "--lang", "glsl", "--for", target),
+    ]
+    for result in said:
+        assert result.exit_code == 0
+        assert "the weights of 5 vertices miss a sum of 1 by over 0.001 (0.5 … 1.25)" in result.stderr
+        assert "corrects normals there by 0.8 … 2 times what is right" in result.stderr
+    # GLTFLoader divides weights by their sum.
+    assert "sum of 1" not in invoke("shader", "--target", "three", "--for", target).stderr

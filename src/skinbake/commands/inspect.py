@@ -26,6 +26,7 @@ from skinbake.gltf.resources import is_data_uri
 from skinbake.gradients.baker import chosen_frame
 from skinbake.gradients.influences import weight_field
 from skinbake.gradients.normal_lean import lean_notices
+from skinbake.gradients.weight_sums import weight_sum_notices
 from skinbake.report.inspect import AttributeSummary, BakeSummary, InspectResult, PrimitiveSummary
 
 BYTES_A_VERTEX, BYTES_A_SLOT = 64, 40
@@ -45,6 +46,7 @@ def inspect_file(source: str, bounds: Bounds = BESIDE) -> InspectResult:
             with document.budget.passing():
                 primitive = read_primitive(document, entry)
                 primitives.append(_summary(document, entry, primitive))
+                notices += weight_sum_notices(primitive, entry.place)
                 notices += lean_notices(primitive, entry.place)
     return InspectResult(
         input=source,

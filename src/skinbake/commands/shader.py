@@ -16,18 +16,21 @@ from skinbake.format.metadata import slot_names
 from skinbake.gltf.animation import read_clips
 from skinbake.gltf.document import STDIO, Document, read_document
 from skinbake.gltf.output import refuse_own_input
-from skinbake.gltf.primitives import skinned_sources
+from skinbake.gltf.primitives import reason_to_skip, skinned_sources
 from skinbake.gltf.writing import write_file, write_stdout
+from skinbake.gradients.weight_sums import weight_sum_notices
 from skinbake.lighting.angles import not_rigid_joints
 from skinbake.lighting.baked_views import BakedView, baked_views, is_baked
 from skinbake.lighting.measured import rest_surface, without_dqs
 from skinbake.lighting.morphing import carrier
 from skinbake.lighting.poses import PoseRequest, PoseSet, pose_set, skins_of
+from skinbake.lighting.staleness import refuse_stale
 from skinbake.report.notices import counted
 from skinbake.shaders.choices import BEST, AttributeText, ShaderChoices
 from skinbake.shaders.text import shader_made
 
 DEFAULT_INFLUENCES = 4
+THREE = "three"
 DEFAULTS = {"encoding": Encoding.FLOAT32, "layout": Layout.ATTRIBUTES}
 """What metadata mean that do not say how α and β are stored."""
 
@@ -152,6 +155,7 @@ def _choices_of_file(
     if request.morphs is None:
         choices = replace(choices, morphs=Morphs(carrier(serving)))
     choices = _with_joints(document, serving, choices)
+    others += [notice for view in serving for notice in _unlike_one(view, request)]
     return choices, [*others, *(_not_for(view) for view in views if not _serves(view, request))]
 
 
@@ -186,16 +190,26 @@ def _other_texcoords(view: BakedView) -> Notice:
 
 
 def _views(document: Document) -> list[BakedView]:
-    """Return the baked primitives; InputError where there are none, or one is damaged."""
+    """Return the baked primitives; InputError where there are none, or one is damaged or stale."""
     sources, _ = skinned_sources(document)
     baked = [source for source in sources if is_baked(document, source)]
+    for source in baked:
+        reason = reason_to_skip(document, source, generate_normals=False)
+        if reason is not None:
+            raise InputError(f"it has lost what α/β are for ({reason.message}): bake it anew", reason.place)
     if not baked:
         raise InputError("nothing in it is baked: run skinbake bake first", document.place)
     views, problems = baked_views(document, baked)
     for problem in problems:
         if problem.code != "tangents-skewed":
             raise InputError(problem.message, problem.place)
+    refuse_stale(document, views)
     return views
+
+
+def _unlike_one(view: BakedView, request: ShaderRequest) -> list[Notice]:
+    """Return a notice where weights sum to other than 1; three.js divides them when it loads a file."""
+    return [] if request.target == THREE else weight_sum_notices(view.now, view.source.place)
 
 
 def _serves(view: BakedView, request: ShaderRequest) -> bool:

@@ -11,6 +11,7 @@ from skinbake.format.metadata import read_metadata
 from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.primitives import PrimitiveSource, reason_to_skip, skinned_sources
 from skinbake.gradients.normal_lean import lean_notices
+from skinbake.gradients.weight_sums import weight_sum_notices
 from skinbake.lighting.baked_views import BakedView, baked_views, gathered_together, is_baked
 from skinbake.lighting.measured import Lighting, Progress, VerifyOptions
 from skinbake.lighting.staleness import freshness_check, mesh_operator
@@ -43,7 +44,9 @@ def _verify_file(source: str, options: VerifyOptions, progress: Progress, bounds
     if problems:
         rest = [Check(name, "skipped", (), "structure failed") for name in ("freshness", "lighting")]
         return FileVerdict(document.name, (structure, *rest), notices=tuple(notices))
-    notices += [notice for view in views for notice in lean_notices(view.now, view.source.place)]
+    for view in views:
+        notices += weight_sum_notices(view.now, view.source.place)
+        notices += lean_notices(view.now, view.source.place)
     surfaces = gathered_together(document, views)
     with stage("gradient operator"):
         operators = [mesh_operator(document, surface) for surface in surfaces]

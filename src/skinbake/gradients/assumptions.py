@@ -9,7 +9,7 @@ from skinbake.errors import InputError, Notice, Place
 from skinbake.geometry.blocks import blocks
 from skinbake.geometry.skinned import BakedPrimitive, SkinnedPrimitive
 from skinbake.gradients.baker import TANGENT_TOLERANCE, BakeFindings
-from skinbake.gradients.influences import SUM_TOLERANCE
+from skinbake.gradients.weight_sums import weight_sum_notices
 
 
 def assumptions(
@@ -35,11 +35,6 @@ def assumptions(
             "{} vertices have no weight at all: taken as bound to slot 0's joint",
         ),
         (
-            "weights-sum",
-            weights.not_normalised,
-            f"the weights of {{}} vertices miss a sum of 1 by over {SUM_TOLERANCE}: taken as divided by it",
-        ),
-        (
             "joints-repeated",
             weights.repeated_joint,
             "{} vertices name a joint twice: its weights are added up",
@@ -61,7 +56,11 @@ def assumptions(
             "{} vertices have a NORMAL without a direction: taken as (0, 0, 1)",
         ),
     ]
-    return [Notice(code, text.format(f"{count:,}"), place, count) for code, count, text in table if count]
+    sums = weight_sum_notices(primitive, place) if weights.not_normalised else []
+    return [
+        *sums,
+        *(Notice(code, text.format(f"{count:,}"), place, count) for code, count, text in table if count),
+    ]
 
 
 def check_finite(primitive: SkinnedPrimitive, baked: BakedPrimitive, place: Place) -> None:

@@ -10,14 +10,15 @@ from typing import Any
 import numpy as np
 
 from skinbake.choices import Weighting
-from skinbake.errors import Notice
+from skinbake.errors import InputError, Notice
 from skinbake.format.adoption import UNIT
 from skinbake.geometry.skinned import Float64Array
 from skinbake.gltf.accessors import read_accessor
 from skinbake.gltf.document import Document
 from skinbake.lighting import freshness
-from skinbake.lighting.baked_views import BakedView
+from skinbake.lighting.baked_views import BakedView, gathered_together
 from skinbake.lighting.operator import GradientOperator, expected_alpha_beta, gradient_operator
+from skinbake.report.notices import counted
 from skinbake.report.verify import Check
 
 BAKE_LAST = "Bake last: run skinbake bake on the file that the last tool wrote"
@@ -74,6 +75,17 @@ def freshness_check(
                 moved.append(view)
     remark = _rearranged(moved, sum(map(len, surfaces))) if moved and not problems else ""
     return Check("freshness", "failed" if problems else "passed", tuple(problems), remark)
+
+
+def refuse_stale(document: Document, views: Sequence[BakedView]) -> None:
+    """Raise InputError where α/β of a primitive are not those of its arrays: its lighting would be wrong."""
+    surfaces = gathered_together(document, views)
+    operators = [mesh_operator(document, surface) for surface in surfaces]
+    problems = freshness_check(document, surfaces, operators).problems
+    if problems:
+        first, more = problems[0], len(problems) - 1
+        others = f" ({counted(more, 'more primitive')} of it likewise)" if more else ""
+        raise InputError(f"its bake is stale: {first.message}{others}", first.place)
 
 
 def _is_rearranged(view: BakedView) -> bool:

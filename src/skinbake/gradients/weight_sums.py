@@ -1,0 +1,30 @@
+"""Weights that do not sum to 1: what α and β are made for, and what a shader makes of it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from skinbake.errors import Notice, Place
+from skinbake.geometry.skinned import SkinnedPrimitive
+from skinbake.gradients.influences import SUM_TOLERANCE
+
+
+def weight_sum_notices(primitive: SkinnedPrimitive, place: Place) -> list[Notice]:
+    """Return a notice where weights (V, K) sum to other than 1, negative ones counted as 0, else none.
+
+    A vertex without any weight is another matter. A shader adds the joints' motions with the weights that it
+    is given, Σw times as long as those that α and β are made for, and the correction of the normal counts 1 /
+    Σw times.
+    """
+    sums = np.maximum(primitive.weights, 0.0).sum(axis=1, dtype=np.float64)
+    off = sums[(np.abs(sums - 1.0) > SUM_TOLERANCE) & (sums > 0.0)]
+    if not len(off):
+        return []
+    low, high = float(off.min()), float(off.max())
+    bounds, factors = f"{low:.3g} … {high:.3g}", f"{1 / high:.3g} … {1 / low:.3g}"
+    message = (
+        f"the weights of {len(off):,} vertices miss a sum of 1 by over {SUM_TOLERANCE} ({bounds}): taken as "
+        "divided by it, by bake and verify. A shader takes weights as they are, and corrects normals there by "
+        f"{factors} times what is right: mend the weights, or divide them by their sum before the shader"
+    )
+    return [Notice("weights-sum", message, place, len(off))]
