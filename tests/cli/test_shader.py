@@ -340,6 +340,6 @@ def test_weights_of_another_sum_are_told_by_every_command(tmp_path: Path) -> Non
     for result in said:
         assert result.exit_code == 0
         assert "the weights of 5 vertices miss a sum of 1 by over 0.001 (0.5 … 1.25)" in result.stderr
-        assert "corrects normals there by 0.8 … 2 times what is right" in result.stderr
+        assert "corrects normals by 0.8 … 2 times what is right" in result.stderr
     # GLTFLoader divides weights by their sum.
     assert "sum of 1" not in invoke("shader", "--target", "three", "--for", target).stderr

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+from skinbake.commands.remedies import worse_lighting
 from skinbake.containment import BESIDE, Bounds
 from skinbake.errors import Notice
 from skinbake.format.metadata import read_metadata
@@ -54,6 +55,9 @@ def _verify_file(source: str, options: VerifyOptions, progress: Progress, bounds
         fresh = freshness_check(document, surfaces, operators)
     lighting = Lighting(document, options, progress)
     verdict = lighting.measured(surfaces, operators)
+    if fresh.outcome == "passed":
+        with stage("remedies"):
+            notices += worse_lighting(document, views, verdict, options)
     checks = (structure, fresh, *verdict.checks)
     return replace(verdict, checks=checks, notices=(*notices, *verdict.notices))
 

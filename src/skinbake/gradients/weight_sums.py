@@ -24,7 +24,7 @@ def weight_sum_notices(primitive: SkinnedPrimitive, place: Place) -> list[Notice
     bounds, factors = f"{low:.3g} … {high:.3g}", f"{1 / high:.3g} … {1 / low:.3g}"
     message = (
         f"the weights of {len(off):,} vertices miss a sum of 1 by over {SUM_TOLERANCE} ({bounds}): taken as "
-        "divided by it, by bake and verify. A shader takes weights as they are, and corrects normals there by "
+        "divided by it, by bake and verify. A shader takes weights as they are, and corrects normals by "
         f"{factors} times what is right: mend the weights, or divide them by their sum before the shader"
     )
     return [Notice("weights-sum", message, place, len(off))]

@@ -148,8 +148,7 @@ def _table(normals: Normals) -> Iterator[str]:
                 yield f"  {method.upper() + ' ' + shown:<24}{numbers}  {_where(error.worst)}"
         factor = gain(figures)
         if factor is not None:
-            hint = "" if factor >= 1 else "; below 1: a coarse mesh or hard edges, try --crease-angle"
-            yield f"  {method.upper() + ' gain':<24}{factor:7.2f}x  standard mean / accurate mean{hint}"
+            yield f"  {method.upper() + ' gain':<24}{factor:7.2f}x  standard mean / accurate mean"
 
 
 def _where(worst: Worst) -> str:

@@ -1,0 +1,119 @@
+"""What makes lighting better where a bake makes it worse: other options, tried on the file itself."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from skinbake.choices import FrameChoice, Neighbours, Weighting, Weld
+from skinbake.commands.bake import BakeOptions, bake_document
+from skinbake.errors import InputError, Notice, Place
+from skinbake.format.strip import stripped
+from skinbake.gltf.document import Document
+from skinbake.gltf.primitives import skinned_sources
+from skinbake.gradients.baker import BakeSettings
+from skinbake.lighting.baked_views import BakedView, baked_views, gathered_together, is_baked
+from skinbake.lighting.measured import Lighting, VerifyOptions
+from skinbake.lighting.staleness import mesh_operator
+from skinbake.report.verify import FileVerdict, gain
+
+WORSE = 0.995
+"""Gain below which lighting is worse: it reads 1.00 from there on."""
+
+
+@dataclass(frozen=True, slots=True)
+class Remedy:
+    """Options of bake, as a user types them, and what they set."""
+
+    words: str
+    neighbours: Neighbours | None = None
+    crease_angle: float | None = None
+
+    def applied(self, settings: BakeSettings) -> BakeSettings:
+        """Return the settings with those of the remedy."""
+        return replace(
+            settings,
+            neighbours=settings.neighbours if self.neighbours is None else self.neighbours,
+            crease_angle=settings.crease_angle if self.crease_angle is None else self.crease_angle,
+        )
+
+
+DROP, NO_CREASE = "--neighbours drop", "--crease-angle 180"
+REMEDIES = (
+    Remedy(DROP, Neighbours.DROP),
+    Remedy(NO_CREASE, crease_angle=float(np.pi)),
+    Remedy(f"{DROP} {NO_CREASE}", Neighbours.DROP, float(np.pi)),
+)
+"""Of all options, on the twelve primitives of real models that a bake lights worse, these helped any."""
+
+
+def worse_lighting(
+    document: Document, views: Sequence[BakedView], verdict: FileVerdict, options: VerifyOptions
+) -> list[Notice]:
+    """Return a notice for each primitive whose lighting α/β make worse, with an option that was tried.
+
+    A remedy is named where it brings the gain to 1 at that primitive, by all methods and truths. Trying them
+    takes as long as measuring the file three times more; a file without such primitives takes nothing.
+    """
+    gains = {place: factor for place, factor in _gains(verdict).items() if factor < WORSE}
+    if not gains:
+        return []
+    tried = list(_tried(document, views, options))
+    return [_notice(place, factor, tried) for place, factor in gains.items()]
+
+
+def _gains(verdict: FileVerdict) -> dict[Place, float]:
+    """Return the least gain of each primitive by any method and truth."""
+    found: dict[Place, float] = {}
+    for place, normals in verdict.primitives:
+        for figures in normals.values():
+            factor = gain(figures)
+            if factor is not None:
+                found[place] = min(factor, found.get(place, factor))
+    return found
+
+
+def _tried(
+    document: Document, views: Sequence[BakedView], options: VerifyOptions
+) -> Iterator[tuple[Remedy, dict[Place, float]]]:
+    """Yield each remedy that can be tried, and the gains under it."""
+    noted = views[0].metadata
+    settings = BakeSettings(
+        weighting=Weighting(noted["weighting"]),
+        crease_angle=float(np.radians(noted["creaseAngle"])),
+        neighbours=Neighbours(noted.get("neighbours", Neighbours.ADOPT)),
+        frame=FrameChoice(noted["frame"]),
+    )
+    plain, _, _ = stripped(document)
+    for remedy in REMEDIES:
+        changed = remedy.applied(settings)
+        if changed == settings:
+            continue
+        asked = BakeOptions(settings=changed, weld=Weld(noted.get("weld", Weld.MESH)))
+        try:
+            with document.budget.passing():
+                yield remedy, _gains(_measured(bake_document(plain, asked).document, options))
+        except InputError:
+            continue  # what cannot be baked so is no remedy
+
+
+def _measured(document: Document, options: VerifyOptions) -> FileVerdict:
+    sources = [source for source in skinned_sources(document)[0] if is_baked(document, source)]
+    views, _ = baked_views(document, sources)
+    surfaces = gathered_together(document, views)
+    operators = [mesh_operator(document, surface) for surface in surfaces]
+    lighting = Lighting(document, replace(options, min_gain=None), lambda what, done, total: None)
+    return lighting.measured(surfaces, operators)
+
+
+def _notice(place: Place, factor: float, tried: Sequence[tuple[Remedy, dict[Place, float]]]) -> Notice:
+    better = [(gains[place], remedy) for remedy, gains in tried if gains.get(place, 0.0) >= WORSE]
+    found = f"α/β make its lighting worse: the gain is {factor:.2f}. "
+    if better:
+        best, remedy = max(better, key=lambda one: one[0])
+        return Notice("lighting-worse", f"{found}With {remedy.words} it is {best:.2f}: bake so", place)
+    words = ", ".join(remedy.words for remedy, _ in tried)
+    helped = f"No option that was tried helps ({words}): " if tried else ""
+    return Notice("lighting-worse", f"{found}{helped}light it the standard way, without α/β", place)

@@ -1,0 +1,86 @@
+"""Where a bake makes lighting worse, verify says so, and what helps on this file; bake warns of it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.support import corpus
+from tests.support.baked_files import CESIUM_MAN, Answer, verify
+from tests.support.command_line import invoke
+from tests.support.models import FOLDER
+
+FEW = ("--poses", "animation", "--samples", "12", "--method", "lbs")
+FIGURE, QUAD, CYLINDER = (
+    "RiggedFigure/RiggedFigure.gltf",
+    "quad_skin/quad_skin.glb",
+    "RiggedSimple/RiggedSimple.gltf",
+)
+
+
+def verified(model: Path, folder: Path, *options: str) -> Answer:
+    target = folder / "baked.glb"
+    assert invoke("bake", model, "-o", target, "-q", *options).exit_code == 0
+    return verify(target, *FEW)
+
+
+def worse(answer: Answer) -> list[str]:
+    return [notice["message"] for notice in answer.file["warnings"] if notice["code"] == "lighting-worse"]
+
+
+def gain(answer: Answer) -> float:
+    (primitive,) = answer.file["primitives"]
+    return float(primitive["normals"]["lbs"]["gain"])
+
+
+@corpus.needed
+def test_what_helps_is_named_and_helps(tmp_path: Path) -> None:
+    model = corpus.model(FIGURE)
+    answer = verified(model, tmp_path)
+    assert gain(answer) < 1
+    [message] = worse(answer)
+    assert f"the gain is {gain(answer):.2f}" in message
+    options = message.split(" With ")[1].split(" it is ")[0]
+    better = verified(model, tmp_path, *options.split())
+    assert worse(better) == []
+    assert gain(better) > 1
+    assert f" it is {gain(better):.2f}: bake so" in message
+
+
+@corpus.needed
+def test_where_nothing_helps_that_is_said(tmp_path: Path) -> None:
+    [message] = worse(verified(corpus.model(QUAD), tmp_path))
+    assert "No option that was tried helps (--neighbours drop, --crease-angle 180, " in message
+    assert message.endswith("light it the standard way, without α/β")
+
+
+@corpus.needed
+def test_what_was_baked_so_already_is_not_tried_again(tmp_path: Path) -> None:
+    [message] = worse(verified(corpus.model(QUAD), tmp_path, "--neighbours", "drop"))
+    assert "(--crease-angle 180, --neighbours drop --crease-angle 180)" in message
+
+
+@pytest.mark.parametrize("name", ["bent_tube.glb", pytest.param(CESIUM_MAN, marks=corpus.needed)])
+def test_better_lighting_is_no_notice(tmp_path: Path, name: str) -> None:
+    model = corpus.model(name) if "/" in name else FOLDER / name
+    answer = verified(model, tmp_path)
+    assert gain(answer) > 1
+    assert worse(answer) == []
+
+
+@corpus.needed
+@pytest.mark.parametrize(
+    ("name", "options", "said"),
+    [
+        (CYLINDER, (), True),
+        (FIGURE, (), True),
+        (CYLINDER, ("--neighbours", "drop"), False),
+        (CESIUM_MAN, (), False),
+    ],
+)
+def test_bake_says_where_worse_lighting_is_likely(
+    tmp_path: Path, name: str, options: tuple[str, ...], said: bool
+) -> None:
+    result = invoke("bake", corpus.model(name), "-o", tmp_path / "baked.glb", *options)
+    assert ("take joints of their neighbours: the mesh is coarse" in result.stderr) is said
