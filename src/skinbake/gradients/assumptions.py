@@ -62,9 +62,9 @@ def assumptions(
         (
             "lighting-doubtful",
             coarse,
-            f"{{}} of {count:,} vertices take joints of their neighbours: the mesh is coarse for its weights, "
-            "and α/β often make the lighting of such a mesh worse. Run skinbake verify: it measures that, and "
-            "tries other options where it is so",
+            f"{{}} of {count:,} vertices take joints of their neighbours: the mesh is coarse for its "
+            "weights, and α/β often make the lighting of such a mesh worse. Run skinbake verify: it measures "
+            "that, and tries other options where it is so",
         ),
         (
             "normals-zero",
