@@ -1,5 +1,188 @@
-"""Branches of the readers that no damaged model and no fault reaches, and why, or what else reaches them."""
+"""Branches of the readers that no damaged model and no fault reaches, and why, or what else reaches them.
+
+By file, function, and the lines that a branch leads from and to, as ``python -m fuzz.branches`` prints them.
+"""
 
 from __future__ import annotations
 
-EXPLAINED: dict[tuple[str, str, str], str] = {}
+WINDOWS = "only on Windows"
+OTHER_SYSTEM = "only on systems other than this one's Linux"
+RACE = "only where another process changes a file meanwhile: tests/gltf/test_writing.py"
+ROOT = "the fuzzer's user may write anywhere: tests/gltf/test_output.py"
+LIMITS = "asked only where a file claims hundreds of MiB: tests/gltf/test_budget.py"
+LARGE = "takes more memory than the fuzzer gives a run: tests/gltf/test_budget.py"
+
+EXPLAINED: dict[tuple[str, str, str], str] = {
+    (
+        "beside.py",
+        "_found",
+        "if error.errno == errno.EACCES: -> place = Place(str(self._document.folder / uri))",
+    ): ROOT,
+    ("budget.py", "back", "if path in self._files: -> self.claim(size, what, place)"): LARGE,
+    ("budget.py", "claim", "if self.limit is None: -> self.limit = default_limit()"): LARGE,
+    ("budget.py", "claim", "if self.spent > max(FREE, RATIO * self.backed): -> raise InputError("): LARGE,
+    (
+        "budget.py",
+        "claim_unpacked",
+        "if self.unpacked > max(UNPACKED_RATIO * self.packed, UNPACKED_FREE): -> raise InputError(",
+    ): LARGE,
+    (
+        "budget.py",
+        "group_limits",
+        "for folder in dict.fromkeys((own, *own.parents)): -> for line in lines:",
+    ): LIMITS,
+    (
+        "budget.py",
+        "group_limits",
+        "for folder in dict.fromkeys((own, *own.parents)): -> if folder != base and base not in folder.parents:",
+    ): LIMITS,
+    (
+        "budget.py",
+        "group_limits",
+        'for line in lines: -> _, controllers, path = (*line.split(":", maxsplit=2), "", "")[:3]',
+    ): LIMITS,
+    ("budget.py", "group_limits", "for line in lines: -> the end"): LIMITS,
+    (
+        "budget.py",
+        "group_limits",
+        'if controllers and "memory" not in controllers.split(","): -> base, name = (root / "memory", "memory.limit_in_bytes") if controllers else (root, "memory.max")',
+    ): LIMITS,
+    (
+        "budget.py",
+        "group_limits",
+        'if controllers and "memory" not in controllers.split(","): -> continue',
+    ): LIMITS,
+    ("budget.py", "group_limits", "if folder != base and base not in folder.parents: -> break"): LIMITS,
+    ("budget.py", "group_limits", "if folder != base and base not in folder.parents: -> try:"): LIMITS,
+    (
+        "budget.py",
+        "group_limits",
+        "if text.isdecimal(): -> for folder in dict.fromkeys((own, *own.parents)):",
+    ): LIMITS,
+    ("budget.py", "group_limits", "if text.isdecimal(): -> yield int(text)"): LIMITS,
+    (
+        "codecs/draco_stream.py",
+        "_check_counts",
+        "if size > max(EXPANSION * length, SMALL): -> raise InputError(",
+    ): "takes a stream that stands for 64 MiB: tests/gltf/test_draco.py",
+    (
+        "codecs/draco_stream.py",
+        "_memory_limit",
+        "if soft != resource.RLIM_INFINITY and soft <= limit: -> yield",
+    ): "only under a tighter limit of memory than the fuzzer sets",
+    (
+        "codecs/draco_stream.py",
+        "_skip_metadata",
+        'if depth == 0: -> raise InputError("the metadata of its Draco stream is nested too deep", place)',
+    ): "`python -m fuzz.targets draco` reaches it",
+    (
+        "codecs/recode.py",
+        "_check_bits",
+        "if max(compression.bits.values(), default=0) > MOST_BITS: -> name, bits = max(compression.bits.items(), key=lambda item: item[1])",
+    ): "the command line takes no more bits: tests/gltf/test_compression.py",
+    (
+        "glb.py",
+        "join_glb",
+        'if length > MAX_LENGTH: -> raise OutputError(f"the GLB would have {length} bytes, over the format\'s limit of 4 GiB; write .gltf")',
+    ): "takes an output of 4 GiB: tests/gltf/test_glb.py",
+    ("json_text.py", "collector_off", "if was_on: -> the end"): "the collector is on whenever a command runs",
+    (
+        "output.py",
+        "write",
+        'for _ in range(ATTEMPTS): -> raise OutputError("cannot be written: the files beside it keep changing", Place(self.target))',
+    ): RACE,
+    ("replacing.py", "_put_back", "for _ in range(ATTEMPTS): -> put_in = _state(folder, temporary)"): RACE,
+    ("replacing.py", "_put_back", "for _ in range(ATTEMPTS): -> the end"): RACE,
+    ("replacing.py", "_put_back", "if _state(folder, temporary) == assumed: -> assumed = put_in"): RACE,
+    ("replacing.py", "_put_back", "if _state(folder, temporary) == assumed: -> return"): RACE,
+    (
+        "replacing.py",
+        "exchange_call",
+        "if call is None:  # a C library from before 2018 -> return None",
+    ): OTHER_SYSTEM,
+    (
+        "replacing.py",
+        "exchange_call",
+        'if not sys.platform.startswith("linux"): -> return None',
+    ): OTHER_SYSTEM,
+    (
+        "replacing.py",
+        "replaced",
+        "if error.errno == errno.ENOENT:  # somebody has removed or renamed it -> return False",
+    ): RACE,
+    (
+        "replacing.py",
+        "replaced",
+        "if exchange is None or folder.descriptor is None: -> return None",
+    ): OTHER_SYSTEM,
+    ("replacing.py", "replaced", "if is_as_read: -> if not is_as_read:"): RACE,
+    (
+        "replacing.py",
+        "replaced",
+        "if not is_as_read: -> _put_back(folder, temporary, name, ours, exchange)",
+    ): RACE,
+    (
+        "resources.py",
+        "_own_pages",
+        'if hasattr(mmap, "MADV_HUGEPAGE"): -> return memoryview(pages)',
+    ): OTHER_SYSTEM,
+    (
+        "resources.py",
+        "_own_pages",
+        'if not hasattr(mmap, "MAP_ANONYMOUS"): -> return memoryview(bytearray(size))',
+    ): OTHER_SYSTEM,
+    (
+        "resources.py",
+        "read_open_file",
+        'if not len(data) == size == os.fstat(descriptor).st_size: -> raise OSError(errno.EBUSY, "it changed while it was read; try again")',
+    ): RACE,
+    ("writing.py", "", 'if sys.platform != "win32": -> MOST_PIECES = 512'): WINDOWS,
+    (
+        "writing.py",
+        "_check_still_so",
+        "if replaces is not None and not replaces.is_current: -> raise OutputError(SAVED_ANEW, place)",
+    ): RACE,
+    (
+        "writing.py",
+        "_collect",
+        "if len(_looked_through) >= REMEMBERED: -> _looked_through.clear()",
+    ): "takes 4,096 folders in one run",
+    ("writing.py", "_lock", 'if sys.platform == "win32": -> return'): WINDOWS,
+    ("writing.py", "_lock", "if time.monotonic() > deadline: -> return"): RACE,
+    ("writing.py", "_lock", "if time.monotonic() > deadline: -> time.sleep(pause)"): RACE,
+    ("writing.py", "_locked", "if folder.descriptor is not None: -> for folder in folders:"): WINDOWS,
+    (
+        "writing.py",
+        "_name_anew",
+        "if not BY_DESCRIPTOR: -> os.rename(source, goal)  # Windows replaces nothing",
+    ): WINDOWS,
+    (
+        "writing.py",
+        "_parts",
+        'if not parts or not {"", ".", ".."}.isdisjoint(parts): -> raise OutputError(f"cannot be written: {path} is not below {roots[-1]}", place)',
+    ): "names that lead out are refused before: tests/gltf/test_writing.py",
+    (
+        "writing.py",
+        "_put_new",
+        'if not _has_content(one): -> message = f"cannot be written: another run has put its {one.name} there meanwhile"',
+    ): RACE,
+    ("writing.py", "_rename", "if is_replaced is False: -> raise OutputError(SAVED_ANEW, place)"): RACE,
+    ("writing.py", "_unlock", 'if sys.platform != "win32": -> the end'): WINDOWS,
+    (
+        "writing.py",
+        "_write_all",
+        'if hasattr(os, "writev"): -> written = os.write(descriptor, left[0])',
+    ): WINDOWS,
+    (
+        "writing.py",
+        "check_target",
+        'if path.exists() and not os.access(path, os.W_OK): -> raise OutputError("it exists and is read-only", Place(target))',
+    ): ROOT,
+    ("writing.py", "is_current", "if signature_of(self.path) != self.signature: -> return False"): RACE,
+    (
+        "writing.py",
+        "is_in",
+        "if (found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns) != self.signature[:4]: -> return False",
+    ): RACE,
+    ("writing.py", "write_files", "if not begun.is_done: -> raise"): RACE,
+}

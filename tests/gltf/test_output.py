@@ -17,6 +17,7 @@ import pytest
 from skinbake import containment
 from skinbake.commands.strip import strip_file
 from skinbake.errors import OutputError
+from skinbake.gltf import replacing
 from skinbake.gltf.document import read_document
 from skinbake.gltf.output import plan_output
 from tests.support.baking import bake_file
@@ -177,9 +178,18 @@ class TestFailures:
             strip_file(str(baked), str(target.with_suffix(".glb")))
         assert tree(tmp_path) == before
 
-    def test_in_place_the_input_survives(self, tmp_path: Path) -> None:
+    @pytest.mark.parametrize("way", ["exchange", "rename"])
+    def test_in_place_the_input_survives(
+        self, way: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
         path = copied("seam.glb", tmp_path)
         before = tree(tmp_path)
+
+        def exchange(folder: int, one: str, other: str) -> None:
+            raise NO_SPACE
+
+        call = exchange if way == "exchange" else None
+        monkeypatch.setattr(replacing, "exchange_call", lambda: call)
         with failing("replace", 1, NO_SPACE):
             write(path, path)
         assert tree(tmp_path) == before

@@ -450,15 +450,14 @@ class TestTaken:
 RACER = """
 import sys, time
 from pathlib import Path
-from skinbake.choices import Encoding
-from tests.support.baking import bake_file
-from skinbake.format.layouts import Storage
+from skinbake.commands.bake import Baker
+from skinbake.gltf.output import Writing
 source, folder, rounds, encoding = sys.argv[1:]
-options = BakeOptions(storage=Storage(Encoding(encoding)), sync=False)
+baker, how = Baker(encoding=encoding), Writing(sync=False)
 for number in range(int(rounds)):
     print(number, flush=True)
     sys.stdin.readline()  # the other one is ready too
-    bake_file(source, str(Path(folder, str(number), "hero.gltf")), options)
+    baker.bake_file(source, str(Path(folder, str(number), "hero.gltf")), how)
 """
 
 
@@ -573,7 +572,7 @@ class TestInPlace:
         result = invoke("bake", path, "--in-place")
         assert not left
         assert result.exit_code == 4, result.output
-        assert "it was saved anew since it was read, and is left as it is: run this again" in result.stderr
+        assert "another program has saved it since it was read, so it is not replaced: run this again" in result.stderr
         assert contents(tmp_path) == {"seam.glb": data[-1]}
 
     @LINUX

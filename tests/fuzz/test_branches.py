@@ -1,0 +1,49 @@
+"""A missed branch needs an explanation, and an explanation a missed branch."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from fuzz import branches
+
+TEXT = """def first(x):
+    if x:
+        return 1
+    if x:
+        return 1
+    return 2
+"""
+
+REACHED = ("a.py", "first", "if x: -> return 1")
+MISSED = ("a.py", "first", "if x: -> return 1 #2")
+
+
+def test_branches_are_told_by_function_and_text(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = tmp_path / branches.PACKAGE
+    folder.mkdir(parents=True)
+    (folder / "a.py").write_text(TEXT)
+    monkeypatch.setattr(branches, "REPOSITORY", tmp_path)
+    content = {"executed_branches": [[2, 3], [2, 4], [4, 6]], "missing_branches": [[4, 5]]}
+    reached, missed = branches.branches({"files": {f"{branches.PACKAGE}/a.py": content}})
+    assert REACHED in reached
+    assert len(reached) == 3
+    assert missed == {MISSED: "a.py:4"}
+
+
+@pytest.mark.parametrize(
+    ("explained", "wrong"),
+    [
+        ({MISSED: "why"}, None),
+        ({}, "is missed, and nothing explains it"),
+        ({MISSED: "why", REACHED: "why"}, "explained, but reached"),
+        ({MISSED: "why", ("b.py", "", "x"): "why"}, "explained, but not there"),
+    ],
+)
+def test_each_missed_branch_has_its_explanation(
+    explained: dict[tuple[str, str, str], str], wrong: str | None
+) -> None:
+    lines, found = branches.judged({REACHED: "a.py:2"}, {MISSED: "a.py:4"}, explained)
+    assert lines[0].endswith("reached: 50.0 %")
+    assert [wrong is not None and wrong in line for line in found] == ([] if wrong is None else [True])
