@@ -1,8 +1,9 @@
-"""The gradient at a mesh's vertices as a sparse matrix: libigl's triangle gradients, averaged over welds.
+"""The gradient at a mesh's vertices as a sparse matrix: triangle gradients, averaged over welds.
 
 Source: Max, *Weights for computing vertex normals from facet normals* (1999), for the average; Tarini,
 Panozzo, Sorkine-Hornung, *Accurate and efficient lighting for skinned models* (2014), for α and β. It
-shares no code with the kernel that bakes: an error in one must not hide in both.
+shares no code with the kernel that bakes, nor its formulas: an error in one must not hide in both. Tests
+hold it against libigl's gradients, whose matrices of all triangles take too much memory on large meshes.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import numpy as np
 
 from skinbake.choices import Weighting
 from skinbake.errors import InputError
-from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray, SkinnedPrimitive
+from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray, IntArray, SkinnedPrimitive
 from skinbake.lighting.influences import Int64Array, carrying_slots, weight_field
 from skinbake.lighting.welds import weld_classes
 from skinbake.skinning.components import Vector, cross, dot, minus, scaled
@@ -29,32 +30,126 @@ Frame: TypeAlias = tuple[FloatArray, FloatArray]
 _DEGENERATE = 1e-10
 
 
+ROWS = 1 << 13
+"""Rows that are made at a time."""
+
+CORNERS = 1 << 16
+"""Triangle corners that are looked at for them: a vertex may have thousands of copies."""
+
+
 @dataclass(frozen=True, slots=True)
 class GradientOperator:
     """The linear map from a field on a mesh's vertices to the field's gradient at the same vertices.
 
-    x, y, z: sparse (V, V) float64, 1 / length unit of POSITION. V runs over the vertices of all primitives,
-    concatenated in order; counts holds the number of each. The row of a vertex without triangles is zero.
+    V runs over the vertices of all primitives, concatenated in order; counts holds the number of each.
+    positions (V, 3) float64; triangles (T, 3) are those with an area; classes (V,) the weld classes. shares
+    (3 T,) say how much a corner counts at its class, corners (3 T,) lists them class by class, from ends[c]
+    to ends[c + 1]. Rows of the matrix are made where they are needed: all of them take a gigabyte for a
+    million vertices. The row of a vertex without triangles is zero.
     """
 
-    x: csr_array
-    y: csr_array
-    z: csr_array
     counts: tuple[int, ...]
-
-    def along(self, directions: FloatArray) -> csr_array:
-        """Return the sparse (V, V) float64 derivative along one direction per vertex.
-
-        directions (V, 3), mesh space; a direction's length scales its derivative.
-        """
-        scale = np.asarray(directions, dtype=np.float64)
-        return _scaled(self.x, scale[:, 0]) + _scaled(self.y, scale[:, 1]) + _scaled(self.z, scale[:, 2])
+    positions: Float64Array
+    triangles: Int64Array
+    classes: Int64Array
+    shares: Float64Array
+    corners: Int64Array
+    ends: Int64Array
 
     @property
     def slices(self) -> list[slice]:
         """Where each primitive's vertices lie among the mesh's."""
         ends = np.cumsum(self.counts).tolist()
         return [slice(end - count, end) for end, count in zip(ends, self.counts, strict=True)]
+
+    @property
+    def x(self) -> csr_array:
+        """Return the sparse (V, V) derivative along x, 1 / length unit of POSITION."""
+        return self.along(np.broadcast_to(np.array([1.0, 0.0, 0.0]), self.positions.shape))
+
+    @property
+    def y(self) -> csr_array:
+        """Return the sparse (V, V) derivative along y."""
+        return self.along(np.broadcast_to(np.array([0.0, 1.0, 0.0]), self.positions.shape))
+
+    @property
+    def z(self) -> csr_array:
+        """Return the sparse (V, V) derivative along z."""
+        return self.along(np.broadcast_to(np.array([0.0, 0.0, 1.0]), self.positions.shape))
+
+    def along(self, directions: FloatArray) -> csr_array:
+        """Return the sparse (V, V) float64 derivative along one direction per vertex.
+
+        directions (V, 3), mesh space; a direction's length scales its derivative.
+        """
+        from scipy.sparse import csr_array, vstack
+
+        blocks = [self.rows(part, [directions[part]]) for part in self.blocks()]
+        count = len(self.positions)
+        return vstack(blocks, format="csr") if blocks else csr_array((count, count), dtype=np.float64)
+
+    def reach(self) -> Float64Array:
+        """Return the sum of all magnitudes in the rows of x, y and z, (V,): what a derivative can be at most."""
+        total = np.zeros(len(self.positions))
+        for part in self.blocks():
+            axes = [np.broadcast_to(axis, (part.stop - part.start, 3)) for axis in np.eye(3)]
+            total[part] = abs(self.rows(part, axes)).sum(axis=1).reshape(3, -1).sum(axis=0)
+        return total
+
+    def blocks(self, within: slice | None = None) -> list[slice]:
+        """Cut the vertices, or some, into blocks whose rows are made at a time."""
+        start, stop = (0, len(self.positions)) if within is None else (within.start, within.stop)
+        lengths = np.diff(self.ends)[self.classes[start:stop]]
+        total = np.concatenate([[0], np.cumsum(lengths)])
+        found = []
+        first = 0
+        while first < stop - start:
+            end = int(np.searchsorted(total, total[first] + CORNERS, side="right")) - 1
+            end = min(max(end, first + 1), first + ROWS, stop - start)
+            found.append(slice(start + first, start + end))
+            first = end
+        return found
+
+    def rows(self, part: slice, directions: Sequence[FloatArray]) -> csr_array:
+        """Return the derivatives of a block's vertices, stacked: sparse (D B, V) along D directions (B, 3) each.
+
+        With e1, e2 a corner's edges, the tangential part of a direction d is u e1 + v e2, where u and v solve
+        the normal equations, and the derivative of f along it is u (f1 − f0) + v (f2 − f0).
+        """
+        from scipy.sparse import csr_array
+
+        count, size = len(self.positions), part.stop - part.start
+        owners, corners = self._corners_of(part)
+        flat, first = self.triangles.ravel(), corners - corners % 3
+        here, one, other = (flat[first + (corners + turn) % 3] for turn in range(3))
+        axes = [np.ascontiguousarray(axis) for axis in self.positions.T]
+        e1, e2 = (tuple(axis[end] - axis[here] for axis in axes) for end in (one, other))
+        normal = cross(e1, e2)
+        scale = self.shares[corners] / dot(normal, normal)
+        aa, ab, bb = dot(e1, e1) * scale, dot(e1, e2) * scale, dot(e2, e2) * scale
+        keys = np.concatenate([owners * count + column for column in (one, other, here)])
+        order = np.argsort(keys, kind="stable")
+        starts = np.flatnonzero(np.diff(keys[order], prepend=-1))
+        places = keys[order[starts]]
+        data = []
+        for direction in directions:
+            d = tuple(np.asarray(direction, dtype=np.float64)[owners].T)
+            along_e1, along_e2 = dot(d, e1), dot(d, e2)
+            u, v = along_e1 * bb - along_e2 * ab, along_e2 * aa - along_e1 * ab
+            entries = np.concatenate([u, v, -(u + v)])[order]
+            data.append(np.add.reduceat(entries, starts) if len(starts) else entries)
+        columns = np.tile((places % max(count, 1)).astype(np.int32), len(directions))
+        lengths = np.tile(np.bincount(places // max(count, 1), minlength=size), len(directions))
+        ends = np.concatenate([[0], np.cumsum(lengths)]).astype(np.int32)
+        return csr_array((np.concatenate(data), columns, ends), shape=(len(directions) * size, count))
+
+    def _corners_of(self, part: slice) -> tuple[Int64Array, Int64Array]:
+        """Return all corners of a block's vertices, their copies' included, each with its vertex in the block."""
+        classes = self.classes[part]
+        lengths = self.ends[classes + 1] - self.ends[classes]
+        owners = np.repeat(np.arange(len(classes)), lengths)
+        offsets = np.arange(len(owners)) - np.repeat(np.cumsum(lengths) - lengths, lengths)
+        return owners, self.corners[np.repeat(self.ends[classes], lengths) + offsets]
 
 
 def gradient_operator(
@@ -66,34 +161,31 @@ def gradient_operator(
 ) -> GradientOperator:
     """Build the gradient operator over the welded vertices of one mesh.
 
-    A vertex takes the weighted mean of libigl's gradients over the corners of its weld class
+    A vertex takes the weighted mean of the triangles' gradients over the corners of its weld class
     (``weld_classes``), divided by the total weight of *all* of them, so that the gradients of weights that
     sum to one sum to zero. With e1, e2 a corner's edges, θ its angle and A = |e1 × e2|, its weight is A /
     (|e1|² |e2|²) for ``max``, θ for ``angle``, A for ``area``, θ A for ``angle-area``.
 
     Triangles that are lines or points, or have a non-finite corner, are ignored. Raises InputError for an
-    index outside its primitive, which libigl would not survive, and ValueError for an unknown weighting.
+    index outside its primitive, and ValueError for an unknown weighting.
     ``claim`` is told how many bytes welding adds, before it does.
     """
     if weighting not in list(Weighting):
         raise ValueError(f"weighting {weighting!r}, expected one of {', '.join(Weighting)}")
-    import igl
-    from scipy.sparse import csr_array
-
     counts = tuple(len(primitive.positions) for primitive in primitives)
     positions = np.concatenate([primitive.positions for primitive in primitives]).astype(np.float64)
     triangles = _sound_triangles(positions, _all_triangles(primitives))
     classes = weld_classes(primitives, crease_angle_degrees=crease_angle_degrees, claim=claim)
     claim(_welding_size(triangles, classes))
-    averages = _averages(_corner_weights(positions, triangles, weighting), classes[triangles], classes)
-    if not len(triangles):
-        empty = csr_array((len(positions), len(positions)), dtype=np.float64)
-        return GradientOperator(empty, empty, empty, counts)
-
-    per_triangle = csr_array(igl.grad(positions, triangles))
-    n = len(triangles)
-    x, y, z = ((averages @ per_triangle[axis * n : (axis + 1) * n])[classes] for axis in range(3))
-    return GradientOperator(x, y, z, counts)
+    places = classes[triangles].ravel()
+    weights = _corner_weights(positions, triangles, weighting).ravel()
+    count = int(classes.max(initial=-1)) + 1
+    shares = weights / np.bincount(places, weights, minlength=count)[places]
+    ends = np.concatenate([[0], np.cumsum(np.bincount(places, minlength=count))])
+    corners = np.argsort(places, kind="stable").astype(np.int32)
+    return GradientOperator(
+        counts, positions, triangles.astype(np.int32), classes.astype(np.int32), shares, corners, ends
+    )
 
 
 def _welding_size(triangles: Int64Array, classes: Int64Array) -> int:
@@ -124,22 +216,24 @@ def expected_alpha_beta(
     after adoption.
     """
     field = weight_field(primitives)
-    alpha, beta = (
-        operator.along(np.concatenate([frame[axis] for frame in frames])) @ field for axis in range(2)
-    )
     result = []
-    for primitive, rows in zip(named or primitives, operator.slices, strict=True):
+    for primitive, rows, frame in zip(named or primitives, operator.slices, frames, strict=True):
         carries = carrying_slots(primitive)
-        result.append(
-            (_named_entries(alpha[rows], primitive, carries), _named_entries(beta[rows], primitive, carries))
-        )
+        found = np.zeros((2, *primitive.joints.shape))
+        for part in operator.blocks(rows):
+            here = slice(part.start - rows.start, part.stop - rows.start)
+            derivatives = operator.rows(part, [directions[here] for directions in frame]) @ field
+            size = part.stop - part.start
+            for number, half in enumerate((derivatives[:size], derivatives[size:])):
+                found[number, here] = _named_entries(half, primitive.joints[here], carries[here])
+        result.append((found[0], found[1]))
     return result
 
 
-def _named_entries(derivatives: csr_array, primitive: SkinnedPrimitive, carries: BoolArray) -> Float64Array:
+def _named_entries(derivatives: csr_array, named: IntArray, carries: BoolArray) -> Float64Array:
     """Look up, in a (V, J) sparse matrix, the entry of the joint that each slot names."""
-    rows = np.broadcast_to(np.arange(len(primitive.joints))[:, None], primitive.joints.shape)
-    joints = primitive.joints.astype(np.int64)
+    rows = np.broadcast_to(np.arange(len(named))[:, None], named.shape)
+    joints = named.astype(np.int64)
     carries = carries & (joints < derivatives.shape[1])
     found = np.zeros(joints.shape)
     found[carries] = np.asarray(derivatives[rows[carries], joints[carries]]).ravel()
@@ -195,22 +289,3 @@ def _corner_weights(positions: Float64Array, triangles: Int64Array, weighting: W
             angle = np.arctan2(area, dot(following, preceding))
             weights[:, corner] = angle if weighting == "angle" else angle * area
     return weights
-
-
-def _averages(weights: Float64Array, corner_classes: Int64Array, classes: Int64Array) -> csr_array:
-    """Build the sparse (classes, T) matrix averaging over each class's corners: rows sum to 1 or are 0."""
-    from scipy.sparse import csr_array
-
-    count = int(classes.max(initial=-1)) + 1
-    totals = np.bincount(corner_classes.ravel(), weights.ravel(), minlength=count)
-    columns = np.repeat(np.arange(len(weights)), 3)
-    shares = weights.ravel() / totals[corner_classes.ravel()]
-    return csr_array((shares, (corner_classes.ravel(), columns)), shape=(count, len(weights)))
-
-
-def _scaled(matrix: csr_array, rows: Float64Array) -> csr_array:
-    """Multiply each row of a sparse matrix by a number."""
-    from scipy.sparse import csr_array
-
-    data = matrix.data * np.repeat(rows, np.diff(matrix.indptr))
-    return csr_array((data, matrix.indices, matrix.indptr), shape=matrix.shape)

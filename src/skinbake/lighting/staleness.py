@@ -137,7 +137,7 @@ def _comparisons(views: Sequence[BakedView], operator: GradientOperator) -> list
         [view.now for view in views],
         [(view.tangents, view.bitangents) for view in views],
     )
-    reach = np.sum([abs(part).sum(axis=1) for part in (operator.x, operator.y, operator.z)], axis=0)
+    reach = operator.reach()
     return [
         freshness.compare(
             (view.alpha, view.beta), (alpha[:, 1:], beta[:, 1:]), reach=reach[rows], rounding=rounding
