@@ -126,6 +126,15 @@ class Baseline(StrEnum):
     """(Σ w cof M) n, as in Filament."""
 
 
+class Truth(StrEnum):
+    """By which measurement of the deformed mesh a normal is called true (docs/lighting.md)."""
+
+    TANGENTS = "tangents"
+    """The normal of the surface's own derivatives along t0 and b0."""
+    TRIANGLES = "triangles"
+    """The angle-weighted normal of the triangles (Thürmer and Wüthrich 1998)."""
+
+
 class PoseKind(StrEnum):
     """The source of the poses of a lighting measurement."""
 

@@ -572,7 +572,10 @@ class TestInPlace:
         result = invoke("bake", path, "--in-place")
         assert not left
         assert result.exit_code == 4, result.output
-        assert "another program has saved it since it was read, so it is not replaced: run this again" in result.stderr
+        assert (
+            "another program has saved it since it was read, so it is not replaced: run this again"
+            in result.stderr
+        )
         assert contents(tmp_path) == {"seam.glb": data[-1]}
 
     @LINUX

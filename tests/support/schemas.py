@@ -201,6 +201,13 @@ NORMALS = strict(
         "dqs": strict({"approximated": FIGURES, "accurate": FIGURES, "exact": FIGURES, "gain": GAIN}),
     },
 )
+NORMALS_BY_TRIANGLES = strict(
+    {},
+    optional={
+        "lbs": strict({"approximated": FIGURES, "accurate": FIGURES, "gain": GAIN}),
+        "dqs": strict({"approximated": FIGURES, "accurate": FIGURES, "exact": FIGURES, "gain": GAIN}),
+    },
+)
 VERIFY = strict(
     {
         "schema": {"const": "skinbake.verify/1"},
@@ -234,6 +241,7 @@ VERIFY = strict(
                     },
                     "poses": {"type": ["string", "null"]},
                     "normals": {"anyOf": [{"type": "null"}, NORMALS]},
+                    "normals_by_triangles": {"anyOf": [{"type": "null"}, NORMALS_BY_TRIANGLES]},
                     "primitives": {
                         "type": "array",
                         "items": strict(
@@ -241,6 +249,7 @@ VERIFY = strict(
                                 "mesh": PLACE["mesh"],
                                 "primitive": PLACE["primitive"],
                                 "normals": NORMALS,
+                                "normals_by_triangles": NORMALS_BY_TRIANGLES,
                             },
                             optional={"mesh_name": PLACE["mesh_name"]},
                         ),

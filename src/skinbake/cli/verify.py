@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from skinbake.choices import Baseline, Method
+from skinbake.choices import Baseline, Method, Truth
 from skinbake.cli import exit_codes
 from skinbake.cli.console import Console, console, finite, message_options, one_of, outside_option
 from skinbake.cli.given import Given
@@ -123,6 +123,11 @@ def _poses(ctx: click.Context, param: click.Parameter, value: str) -> tuple[str,
     metavar="X",
     help="Fail if the gain over standard lighting is smaller.",
 )
+@click.option(
+    "--truth",
+    type=one_of(Truth),
+    help="The true normals that limits are held by: those measured along tangents, or on triangles; by default both.",
+)
 @click.option("--require-baked", is_flag=True, help="Fail if a file holds no bake.")
 @click.option("--warnings-as-errors", is_flag=True, help="Fail if there are warnings.")
 @click.option("--json", "as_json", is_flag=True, help="Print the results as JSON.")
@@ -230,6 +235,7 @@ def _options(given: VerifyGiven) -> VerifyOptions:
         warnings_as_errors=given["warnings_as_errors"],
         cap=given["cap"],
         baseline=Baseline(given["baseline"]),
+        truth=given["truth"],
     )
 
 

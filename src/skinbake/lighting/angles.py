@@ -1,20 +1,39 @@
-"""Angular errors of every algorithm's normals on one mesh, against the reference of the deformed surface."""
+"""Angular errors of every algorithm's normals on one mesh, against true normals of the deformed surface."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Protocol
 
 import numpy as np
 
+from skinbake.choices import Truth
 from skinbake.geometry.dual_quaternions import rigid_motions
 from skinbake.geometry.morphs import MorphTargets
 from skinbake.geometry.skinned import BoolArray, Float32Array, Float64Array, FloatArray
 from skinbake.lighting.blending import BlendedSurface, blocks, chunks
-from skinbake.lighting.metrics import angles_between, cosine, squared_sine
+from skinbake.lighting.metrics import angles_of_units, cosine, squared_sine, unit_vectors
 from skinbake.lighting.operator import GradientOperator
-from skinbake.lighting.reference import RestFrames, block_normals, morphed_frames, rest_frames, tangent_blocks
+from skinbake.lighting.reference import (
+    RestFrames,
+    morphed_frames,
+    perpendicular,
+    posed_tangents,
+    rest_frames,
+    tangent_normals,
+)
+from skinbake.lighting.threads import Threads, thread_count
+from skinbake.lighting.triangle_normals import (
+    CarriedNormals,
+    TriangleBlock,
+    block_sums,
+    carried_normals,
+    corner_sums,
+    triangle_blocks,
+    triangle_normals,
+)
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.components import Vector, scaled
 from skinbake.skinning.morphs import morphed
@@ -62,12 +81,13 @@ class Morphing:
 
 @dataclass(frozen=True, slots=True)
 class MeasuredBlock:
-    """Errors of one lighting on a block of one primitive's vertices, in some poses.
+    """Errors of one lighting on a block of one primitive's vertices, in some poses, by one truth.
 
     surface is the primitive's number, pose and vertex where the block begins. errors (P, V) are float32
-    degrees; valid (P, V) is where the reference exists.
+    degrees; valid (P, V) is where the truth exists.
     """
 
+    truth: str
     lighting: str
     surface: int
     pose: int
@@ -93,70 +113,174 @@ def lighting_errors(
     *,
     options: Options | None = None,
     morphing: Morphing | None = None,
+    truths: Sequence[str] = tuple(Truth),
     advance: Callable[[int], None] = lambda poses: None,
 ) -> float:
     """Run every algorithm of a method over all poses, and measure its normals block by block.
 
-    surfaces are the primitives of one mesh in the operator's order, joint_matrices (P, J, 4, 4). The
-    reference is built from the positions that the method itself gives. record is called with every block,
-    advance with the number of poses done. With morphing, every pose starts from a surface of its own: one
-    pose at a time then. Returns the largest angle in degrees between the normals of algorithms 2 and 3, 0
-    where they are not compared.
+    surfaces are the primitives of one mesh in the operator's order, joint_matrices (P, J, 4, 4). The truths
+    are built from the positions that the method itself gives. record is called with every block, in an order
+    that does not depend on the number of threads, advance with the number of poses done. With morphing, every
+    pose starts from a surface of its own: one pose at a time then. Returns the largest angle in degrees
+    between the normals of algorithms 2 and 3, 0 where they are not compared.
     """
-    with stage("reference"):
-        rest = rest_frames(
-            operator,
-            *(_joined(surfaces, name) for name in ("positions", "normals", "tangents", "bitangents")),
-        )
     poses, options = len(joint_matrices), options or Options()
-    algorithms = tuple(METHODS[method].values())
-    parts = chunks(len(rest.areas), poses)
-    if morphing:
-        parts = [slice(pose, pose + 1) for pose in range(poses)]
-    pieces = _blocks(operator.slices, parts[0].stop if parts else 0)
-    along = tangent_blocks(rest, [block.part for block in pieces])
+    count = len(operator.positions)
+    parts = [slice(pose, pose + 1) for pose in range(poses)] if morphing else chunks(count, poses)
+    with stage("truths"):
+        truth = Truths.of(operator, surfaces, parts[0].stop if parts else 0, truths)
     identity = Identity() if method == "lbs" and options.cap is None else None
     skinned: Sequence[_Skinned] = []
     sides = _sides(surfaces, joint_matrices)
-    deformed = np.empty(0)
-    for pose in parts:
-        posed, frames = _morphed(surfaces, rest, morphing, pose.start)
-        with stage("replay"):
+    with Threads(thread_count()) as threads:
+        for pose in parts:
             if morphing or not skinned:
+                posed, at_rest = _morphed(surfaces, truth, morphing, pose.start)
                 # Each of its poses is a chunk of one, of a surface of its own.
                 matrices = joint_matrices[pose] if morphing else joint_matrices
                 skinned = [_skinned(surface, matrices, method, options) for surface in posed]
             at = slice(0, 1) if morphing else pose
-            if deformed.size != 3 * len(rest.areas) * (pose.stop - pose.start):
-                deformed = np.empty((len(rest.areas), 3, pose.stop - pose.start))
-            for block in pieces:
-                deformed[block.part] = skinned[block.surface].positions(at, block.rows)
-        for block, derivatives in zip(pieces, along, strict=True):
-            side = None if sides is None else sides[pose, block.part]
-            with stage("reference"):
-                expected, valid = block_normals(frames, derivatives, block.part, deformed, side)
-            with stage("replay"):
-                found = skinned[block.surface].normals(algorithms, at, block.rows)
-                normals = dict(zip(METHODS[method], found, strict=True))
-            with stage("angles"):
-                for lighting, vectors in normals.items():
-                    outside = vectors if side is None or lighting not in INSIDE_OUT else scaled(side, vectors)
-                    errors = angles_between(outside, expected).astype(np.float32)
-                    corner = pose.start, block.rows.start
-                    record(MeasuredBlock(lighting, block.surface, *corner, errors, valid))
-                if identity is not None:
-                    identity.add(normals["direct"], normals["accurate"])
-        if identity is not None:
-            with stage("angles"):
+            chunk = _Chunk(at_rest, skinned, method, pose, at, None if sides is None else sides[pose])
+            with stage("positions"):
+                deformed = chunk.positions(threads)
+            with stage("truths"):
+                sums = chunk.truths.sums(deformed, threads)
+            with stage("normals"):
+                work = partial(chunk.measured, deformed, sums)
+                for blocks_found, compared in threads.each(work, truth.pieces):
+                    for block in blocks_found:
+                        record(block)
+                    if identity is not None:
+                        identity.take(compared)
+            if identity is not None:
                 identity.close()
-        advance(pose.stop - pose.start)
+            advance(pose.stop - pose.start)
     return 0.0 if identity is None else identity.largest
 
 
 @dataclass(frozen=True, slots=True)
-class _Block:
-    """Some vertices of one primitive: its number, their rows in it, and their part of the mesh's vertices."""
+class Truths:
+    """What both truths need of one mesh: blocks of its vertices and triangles, and its rest pose."""
 
+    operator: GradientOperator
+    names: Sequence[str]
+    pieces: Sequence[_Block]
+    triangles: Sequence[TriangleBlock]
+    frames: RestFrames
+    carried: CarriedNormals | None
+
+    @classmethod
+    def of(
+        cls, operator: GradientOperator, surfaces: Sequence[RestSurface], poses: int, names: Sequence[str]
+    ) -> Truths:
+        """Measure a mesh at rest, for chunks of so many poses.
+
+        Tangents are chosen here, not by bake: the truth must not depend on its --frame.
+        """
+        pieces = _blocks(operator.slices, poses)
+        positions, normals = (_joined(surfaces, name) for name in ("positions", "normals"))
+        parts = tuple(piece.part for piece in pieces)
+        frames = rest_frames(operator, positions, normals, *perpendicular(normals), parts=parts)
+        triangles, carried = [], None
+        if Truth.TRIANGLES in names:
+            triangles = triangle_blocks(operator, poses)
+            carried = carried_normals(operator, frames, positions, normals)
+        return cls(operator, names, pieces, triangles, frames, carried)
+
+    def moved(self, surfaces: Sequence[RestSurface]) -> Truths:
+        """Measure the mesh under morph targets, before skinning."""
+        positions, normals = (_joined(surfaces, name) for name in ("positions", "normals"))
+        frames = morphed_frames(self.frames, positions, normals)
+        carried = self.carried and carried_normals(self.operator, frames, positions, normals)
+        return replace(self, frames=frames, carried=carried)
+
+    def sums(self, deformed: Float64Array, threads: Threads) -> Float64Array | None:
+        """Return what the truth by triangles makes of all deformed positions (3, V, P) at once."""
+        if self.carried is None:
+            return None
+        total = np.zeros((3, len(self.operator.ends) - 1, deformed.shape[2]))
+        found = threads.each(lambda block: corner_sums(block, deformed), self.triangles)
+        for block, part in zip(self.triangles, found, strict=True):
+            for component, values in zip(total, part, strict=True):
+                component[block.classes] += values
+        return total
+
+    def normals(
+        self,
+        number: int,
+        deformed: Float64Array,
+        sums: Float64Array | None,
+        sides: Float64Array | None,
+    ) -> Iterator[tuple[str, Vector, BoolArray]]:
+        """Yield each truth's name, its unit normals of a block, components (P, B), and where they are."""
+        part = self.pieces[number].part
+        tangents = posed_tangents(self.frames.tangents[number], deformed)
+        if Truth.TANGENTS in self.names:
+            yield (Truth.TANGENTS, *tangent_normals(self.frames, part, tangents, sides))
+        if self.carried is not None and sums is not None:
+            own = block_sums(self.operator, sums, part)
+            yield (Truth.TRIANGLES, *triangle_normals(self.carried, part, tangents[0], own, sides))
+
+
+_Compared = tuple[FloatArray, FloatArray] | None
+"""What ``Identity`` takes of a block."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Chunk:
+    """Some poses of one mesh; ``at`` are the same poses among those of the skinned surfaces."""
+
+    truths: Truths
+    skinned: Sequence[_Skinned]
+    method: str
+    pose: slice
+    at: slice
+    sides: Float64Array | None
+
+    def positions(self, threads: Threads) -> Float64Array:
+        """Return the positions of all vertices: (3, V, P)."""
+        deformed = np.empty((3, len(self.truths.operator.positions), self.at.stop - self.at.start))
+
+        def place(block: _Block) -> None:
+            with np.errstate(all="ignore"):
+                found = self.skinned[block.surface].positions(self.at, block.rows)
+                deformed[:, block.part] = np.swapaxes(found, 0, 1)
+
+        for _ in threads.each(place, self.truths.pieces):
+            pass
+        return deformed
+
+    def measured(
+        self, deformed: Float64Array, sums: Float64Array | None, block: _Block
+    ) -> tuple[list[MeasuredBlock], _Compared]:
+        """Measure all lightings of a block by every truth; the truth by triangles leaves algorithm 2 out."""
+        with np.errstate(all="ignore"):
+            side = None if self.sides is None else self.sides[:, block.part]
+            algorithms = METHODS[self.method]
+            found = self.skinned[block.surface].normals(tuple(algorithms.values()), self.at, block.rows)
+            normals = dict(zip(algorithms, found, strict=True))
+            truths = list(self.truths.normals(block.number, deformed, sums, side))
+            measured = []
+            for lighting, vectors in normals.items():
+                outside = vectors if side is None or lighting not in INSIDE_OUT else scaled(side, vectors)
+                directions = unit_vectors(outside)
+                for truth, expected, valid in truths:
+                    if truth == Truth.TRIANGLES and lighting == "direct":
+                        continue
+                    errors = angles_of_units(directions, expected)
+                    corner = self.pose.start, block.rows.start
+                    measured.append(MeasuredBlock(truth, lighting, block.surface, *corner, errors, valid))
+            compared = (
+                compared_normals(normals["direct"], normals["accurate"]) if "direct" in normals else None
+            )
+        return measured, compared
+
+
+@dataclass(frozen=True, slots=True)
+class _Block:
+    """Some vertices: the block's number, the primitive's, their rows in it, their part of the mesh's."""
+
+    number: int
     surface: int
     rows: slice
     part: slice
@@ -164,10 +288,12 @@ class _Block:
 
 def _blocks(slices: Sequence[slice], poses: int) -> list[_Block]:
     """Cut the vertices of all primitives, each at its slice of the mesh's, for chunks of so many poses."""
+    pieces = [
+        (surface, here.start, part) for surface, here in enumerate(slices) for part in blocks(here, poses)
+    ]
     return [
-        _Block(surface, slice(part.start - here.start, part.stop - here.start), part)
-        for surface, here in enumerate(slices)
-        for part in blocks(here, poses)
+        _Block(number, surface, slice(part.start - start, part.stop - start), part)
+        for number, (surface, start, part) in enumerate(pieces)
     ]
 
 
@@ -183,7 +309,7 @@ class _Skinned(Protocol):
 
 def _skinned(surface: RestSurface, joint_matrices: Float64Array, method: str, options: Options) -> _Skinned:
     if method == "lbs":
-        return BlendedSurface(surface, joint_matrices, options, direct=_for_direct(surface))
+        return BlendedSurface(surface, joint_matrices, options, direct=partial(_for_direct, surface))
     return SteppedSurface(surface, joint_matrices, options)
 
 
@@ -215,13 +341,13 @@ def _joined(surfaces: Sequence[RestSurface], name: str) -> FloatArray:
 
 
 def _morphed(
-    surfaces: Sequence[RestSurface], rest: RestFrames, morphing: Morphing | None, pose: int
-) -> tuple[Sequence[RestSurface], RestFrames]:
-    """Return the primitives before skinning, and what the reference needs of them."""
+    surfaces: Sequence[RestSurface], truth: Truths, morphing: Morphing | None, pose: int
+) -> tuple[Sequence[RestSurface], Truths]:
+    """Return the primitives before skinning, and what the truths need of them."""
     if morphing is None or not morphing.weights[pose].any():
-        return surfaces, rest
+        return surfaces, truth
     moved = morphing.surfaces(surfaces, pose)
-    return moved, morphed_frames(rest, _joined(moved, "positions"), _joined(moved, "normals"))
+    return moved, truth.moved(moved)
 
 
 def _sides(surfaces: Sequence[RestSurface], joint_matrices: Float64Array) -> Float64Array | None:
@@ -243,19 +369,32 @@ def _sides(surfaces: Sequence[RestSurface], joint_matrices: Float64Array) -> Flo
     return np.where(mirrors.T[dominant], -1.0, 1.0).T
 
 
-def _for_direct(surface: RestSurface) -> RestSurface:
+def _for_direct(surface: RestSurface, part: slice) -> RestSurface:
     """Return what algorithm 2 must start from to equal algorithm 3 where the frame is not quite orthonormal.
 
     n0 is ± t0 × b0, and the gradients are those whose products with t0 and b0 *are* α and β: in the dual
     basis. NORMAL and TANGENT of a file are orthonormal to a tenth of a degree, a frame in float32 to 1e-7,
     and a fold amplifies either.
     """
-    normals = np.cross(surface.tangents, surface.bitangents)
+    names = ("positions", "normals", "tangents", "bitangents", "joints", "weights", "alpha", "beta")
+    block = RestSurface(**{name: getattr(surface, name)[part] for name in names})
+    normals = np.cross(block.tangents, block.bitangents)
     volume = np.einsum("vi,vi->v", normals, normals)[:, None]
-    duals = np.cross(surface.bitangents, normals) / volume, np.cross(normals, surface.tangents) / volume
-    others = surface.alpha[:, :, None] * duals[0][:, None] + surface.beta[:, :, None] * duals[1][:, None]
+    duals = np.cross(block.bitangents, normals) / volume, np.cross(normals, block.tangents) / volume
+    others = block.alpha[:, :, None] * duals[0][:, None] + block.beta[:, :, None] * duals[1][:, None]
     gradients = np.concatenate([-others.sum(axis=1, keepdims=True), others], axis=1)
-    return replace(surface, normals=normals * surface.handedness()[:, None], gradients=gradients)
+    return replace(block, normals=normals * block.handedness()[:, None], gradients=gradients)
+
+
+def compared_normals(direct: Vector, accurate: Vector) -> tuple[FloatArray, FloatArray]:
+    """Return the squared tangent of the angle between two lightings of a block, and the second's length.
+
+    float32 (V, P): all blocks of a chunk are kept until its last is there.
+    """
+    with np.errstate(all="ignore"):
+        ratio = squared_sine(direct, accurate) / np.square(cosine(direct, accurate))
+        length = np.sqrt(cosine(accurate, accurate))
+        return ratio.astype(np.float32), length.astype(np.float32)
 
 
 class Identity:
@@ -269,14 +408,17 @@ class Identity:
     def __init__(self) -> None:
         self.largest = 0.0
         self._ratios: list[FloatArray] = []
-        self._squares: list[FloatArray] = []
+        self._lengths: list[FloatArray] = []
 
     def add(self, direct: Vector, accurate: Vector) -> None:
         """Take the normals of a block, components (P, V)."""
-        with np.errstate(all="ignore"):
-            ratio = squared_sine(direct, accurate) / np.square(cosine(direct, accurate))
-        self._ratios.append(ratio)
-        self._squares.append(cosine(accurate, accurate))
+        self.take(compared_normals(direct, accurate))
+
+    def take(self, compared: _Compared) -> None:
+        """Take what ``compared_normals`` makes of a block."""
+        if compared is not None:
+            self._ratios.append(compared[0])
+            self._lengths.append(compared[1])
 
     def close(self) -> None:
         """Measure the blocks taken since the last call: all vertices of a mesh, in the same poses."""
@@ -287,13 +429,12 @@ class Identity:
         for pose in np.argsort(-highest):
             if not _angle(highest[pose]) > self.largest:
                 break
-            ratios, squares = (
-                np.concatenate([block[pose] for block in values]) for values in (self._ratios, self._squares)
+            ratios, lengths = (
+                np.concatenate([block[pose] for block in values]) for values in (self._ratios, self._lengths)
             )
-            length = np.sqrt(squares)
-            sound = length > WELL_CONDITIONED * np.median(length)
+            sound = lengths > WELL_CONDITIONED * np.median(lengths)
             self.largest = max(self.largest, _angle(np.fmax.reduce(ratios[sound], initial=0.0)))
-        self._ratios, self._squares = [], []
+        self._ratios, self._lengths = [], []
 
 
 def _angle(squared_tangent: float) -> float:

@@ -14,7 +14,7 @@ vertex, times the joint matrices of all poses.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -49,6 +49,13 @@ BLOCK_SAMPLES = 1 << 14
 """Vertices × poses in flight: the temporaries of a block stay in the processor's cache."""
 
 
+DENSE = 300
+"""Forms times columns from which on small dense products beat a sparse one."""
+
+GATHERED = 1 << 17
+"""Numbers that dense products gather at a time: 1 MB, which stays in the cache."""
+
+
 def chunks(vertices: int, poses: int) -> list[slice]:
     """Cut the poses of so many vertices into chunks."""
     size = max(CHUNK_POSES, CHUNK_SAMPLES // max(vertices, 1))
@@ -75,14 +82,10 @@ class BlendedSurface:
         joint_matrices: Float64Array,
         options: Options,
         *,
-        direct: RestSurface | None = None,
+        direct: Callable[[slice], RestSurface] | None = None,
     ) -> None:
-        """Prepare a surface. Algorithm 2 starts from ``direct``, and needs it."""
-        self._rest, self._options = rest, options
-        self._direct = None if direct is None else (direct.normals, direct.weight_gradients())
-        columns = 4 * rest.joints.astype(np.int32)[:, :, None] + np.arange(4, dtype=np.int32)
-        self._columns = np.asarray(columns.reshape(len(columns), -1), dtype=np.int32)
-        self._alpha, self._beta = _with_pivot(rest.alpha), _with_pivot(rest.beta)
+        """Prepare a surface. Algorithm 2 starts from what ``direct`` returns for a block, and needs it."""
+        self._rest, self._options, self._direct = rest, options, direct
         self._handedness = rest.handedness()
         self._matrices = _Table(joint_matrices)
         self._cofactors = None
@@ -107,51 +110,84 @@ class BlendedSurface:
             Algorithm.LBS_ACCURATE: self._accurate,
         }
         block = self._block(part)
-        # One product for all of them would be one to set up, but its results leave the cache.
-        return [steps[algorithm](block, pose) for algorithm in algorithms]
+        plans = [steps[algorithm](block) for algorithm in algorithms]
+        tables = [plan.table or self._matrices for plan in plans]
+        vectors: dict[int, Iterator[Vector]] = {}
+        for table in tables:
+            if id(table) not in vectors:
+                forms = [
+                    form
+                    for plan, own in zip(plans, tables, strict=True)
+                    if own is table
+                    for form in plan.forms
+                ]
+                vectors[id(table)] = iter(_forms(forms, block, pose, table))
+        return [
+            plan.finish([next(vectors[id(table)]) for _ in plan.forms])
+            for plan, table in zip(plans, tables, strict=True)
+        ]
 
     def _block(self, part: slice) -> _Block:
         positions = self._rest.positions[part]
         points = np.concatenate([positions, np.ones((len(positions), 1))], axis=1)
-        return _Block(part, self._rest.weights[part, :, None], points[:, None], self._columns[part])
+        columns = 4 * self._rest.joints[part].astype(np.int32)[:, :, None] + np.arange(4, dtype=np.int32)
+        return _Block(
+            part, self._rest.weights[part, :, None], points[:, None], columns.reshape(len(columns), -1)
+        )
 
-    def _approximated(self, block: _Block, pose: slice) -> Vector:
+    def _approximated(self, block: _Block) -> _Plan:
         """Return T n, T⁻ᵀ n or Σ w cof(M[s]) n."""
         normal = self._rest.normals[block.part]
         if self._options.baseline is Baseline.INVERSE_TRANSPOSE:
             axes: list[Form] = [(axis, None) for axis in np.eye(3)]
-            return _inverse_transposed(self._forms(axes, block, pose), normal)
-        return self._forms([(normal, None)], block, pose, self._cofactors)[0]
+            return _Plan(axes, lambda vectors: _inverse_transposed(vectors, normal))
+        return _Plan([(normal, None)], lambda vectors: vectors[0], self._cofactors)
 
-    def _direct_normals(self, block: _Block, pose: slice) -> Vector:
+    def _direct_normals(self, block: _Block) -> _Plan:
         """Return J⁻ᵀ n."""
         if self._direct is None:
             raise ValueError("algorithm 2 was not prepared for")
-        normals, gradients = (values[block.part] for values in self._direct)
+        rest = self._direct(block.part)
+        gradients = rest.weight_gradients()
         axes: list[Form] = [(axis, gradients[:, :, i]) for i, axis in enumerate(np.eye(3))]
-        return _inverse_transposed(self._forms(axes, block, pose), normals)
+        return _Plan(axes, lambda vectors: _inverse_transposed(vectors, rest.normals))
 
-    def _accurate(self, block: _Block, pose: slice) -> Vector:
+    def _accurate(self, block: _Block) -> _Plan:
         """Return ± t' × b', the sign being that of b'."""
         sign = self._handedness[block.part, None]
         frame = self._rest.tangents[block.part], sign * self._rest.bitangents[block.part]
-        changes = self._alpha[block.part], sign * self._beta[block.part]
+        changes = (
+            _with_pivot(self._rest.alpha[block.part]),
+            sign * _with_pivot(self._rest.beta[block.part]),
+        )
         cap = self._options.cap
         if cap is None or changes[0].shape[1] == 1:
-            return cross(*self._forms(list(zip(frame, changes, strict=True)), block, pose))
-        still = self._forms([(vector, None) for vector in frame], block, pose)
-        moved = self._forms([(np.zeros(3), change) for change in changes], block, pose)
-        return cross(*(corrected(base, by, cap) for base, by in zip(still, moved, strict=True)))
+            return _Plan(list(zip(frame, changes, strict=True)), lambda vectors: cross(*vectors))
+        still: list[Form] = [(vector, None) for vector in frame]
+        moved: list[Form] = [(np.zeros(3), change) for change in changes]
+        return _Plan(
+            still + moved,
+            lambda vectors: cross(
+                corrected(vectors[0], vectors[2], cap), corrected(vectors[1], vectors[3], cap)
+            ),
+        )
 
-    def _forms(
-        self, forms: Sequence[Form], block: _Block, pose: slice, table: _Table | None = None
-    ) -> list[Vector]:
-        """Return F of a block, by form."""
-        data = [block.entries(form) for form in forms]
-        product = (table or self._matrices).product(block, data, pose)
-        # Arithmetic on components that are not contiguous takes three times as long.
-        by_component = np.ascontiguousarray(np.swapaxes(product, 1, 2))
-        return [tuple(component.T for component in vectors) for vectors in by_component]
+
+@dataclass(frozen=True, slots=True)
+class _Plan:
+    """What an algorithm computes of a block: forms, of the joint matrices or another table, and the rest."""
+
+    forms: Sequence[Form]
+    finish: Callable[[Sequence[Vector]], Vector]
+    table: _Table | None = None
+
+
+def _forms(forms: Sequence[Form], block: _Block, pose: slice, table: _Table) -> list[Vector]:
+    """Return F of a block, by form."""
+    product = table.product(block, [block.entries(form) for form in forms], pose)
+    # Arithmetic on components that are not contiguous takes three times as long.
+    by_component = np.ascontiguousarray(np.swapaxes(product, 1, 2))
+    return [tuple(component.T for component in vectors) for vectors in by_component]
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,13 +219,19 @@ class _Table:
         self._table: Float64Array = np.empty(0)
 
     def product(self, block: _Block, data: Sequence[Float64Array], pose: slice) -> Float64Array:
-        """Multiply sparse matrices with entries (V, K, 4) by those of some poses: (forms, V, 3, P)."""
-        from scipy.sparse import csr_array
-
+        """Multiply matrices with entries (V, K, 4) by those of some poses: (forms, V, 3, P)."""
         if pose != self._pose:
             rows = np.transpose(self._matrices[pose, :, :3], (1, 3, 2, 0))
+            # In this order: other threads look at the pose first.
             self._table = np.ascontiguousarray(rows, dtype=np.float64).reshape(rows.shape[0] * 4, -1)
             self._pose = pose
+        if len(data) * self._table.shape[1] < DENSE:
+            return self._sparse(block, data)
+        return self._dense(block, data)
+
+    def _sparse(self, block: _Block, data: Sequence[Float64Array]) -> Float64Array:
+        from scipy.sparse import csr_array
+
         count, width = block.columns.shape
         columns = np.tile(block.columns.ravel(), len(data))
         ends = np.arange(len(data) * count + 1, dtype=np.int32) * np.int32(width)
@@ -197,6 +239,20 @@ class _Table:
             (np.concatenate(data).ravel(), columns, ends), shape=(len(ends) - 1, len(self._table))
         )
         return np.asarray(sparse @ self._table).reshape(len(data), count, 3, -1)
+
+    def _dense(self, block: _Block, data: Sequence[Float64Array]) -> Float64Array:
+        """Multiply vertex by vertex with the rows that its joints have in the table, a few at a time."""
+        count, width = block.columns.shape
+        entries = np.stack(data, axis=1).reshape(count, len(data), width)
+        found = np.empty((count, len(data), self._table.shape[1]))
+        step = max(1, GATHERED // (width * self._table.shape[1]))
+        gathered = np.empty((step, width, self._table.shape[1]))
+        for start in range(0, count, step):
+            rows = slice(start, min(start + step, count))
+            own = gathered[: rows.stop - start]
+            np.take(self._table, block.columns[rows], axis=0, out=own, mode="clip")
+            np.matmul(entries[rows], own, out=found[rows])
+        return np.swapaxes(found.reshape(count, len(data), 3, -1), 0, 1)
 
 
 def _inverse_transposed(columns: Sequence[Vector], normal: FloatArray) -> Vector:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from skinbake.choices import Baseline
+from skinbake.choices import Baseline, Truth, Weighting
 from skinbake.errors import InputError, Notice, Place
 from skinbake.geometry import frames
 from skinbake.geometry.skinned import Float64Array
@@ -25,10 +25,17 @@ from skinbake.lighting.baked_views import BakedView
 from skinbake.lighting.influences import normalised_weights
 from skinbake.lighting.metrics import ErrorTally, total_area, vertex_areas
 from skinbake.lighting.morphing import morph_count, morphing_of
-from skinbake.lighting.operator import GradientOperator
+from skinbake.lighting.operator import GradientOperator, gradient_operator
 from skinbake.lighting.poses import SHARED_SAMPLES, PoseRequest, PoseSet, described, draws_of, pose_set
 from skinbake.report.notices import counted
-from skinbake.report.verify import Check, ErrorFigures, FileVerdict, Normals, Worst, gain
+from skinbake.report.verify import (
+    Check,
+    ErrorFigures,
+    FileVerdict,
+    Normals,
+    Worst,
+    gain,
+)
 from skinbake.skinning.surface import Options, RestSurface
 from skinbake.timing import stage
 
@@ -42,6 +49,13 @@ A mesh is measured as often as skins draw it, and in at least three poses of eac
 mesh of 3,000 vertices ask for 20 a byte, a character of a million vertices for 0.5.
 """
 
+TRUE_WEIGHTING: Weighting = "max"
+TRUE_CREASE_ANGLE = 15.0
+"""How the truths weigh triangles and where they see a hard edge, in degrees: no option of bake changes them.
+
+Max's weights are the nearest to analytic surfaces of all four (docs/lighting.md).
+"""
+
 Progress = Callable[[str, int, int], None]
 """Called with what is being done, how many poses are done, and how many there are."""
 
@@ -51,7 +65,7 @@ class VerifyOptions:
     """The options of ``skinbake verify``.
 
     methods are those asked for; empty: LBS, and DQS where the joints are rigid. Limits are degrees, or a
-    factor, of the accurate lighting; None asks nothing.
+    factor, of the accurate lighting; None asks nothing. They hold by the truth that is named, None: by each.
     """
 
     methods: tuple[str, ...] = ()
@@ -63,6 +77,7 @@ class VerifyOptions:
     warnings_as_errors: bool = False
     cap: float | None = None
     baseline: Baseline = Baseline.BLENDED
+    truth: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,8 +99,8 @@ class _Segment:
     poses: PoseSet
 
 
-_Tallies = dict[str, dict[str, ErrorTally]]
-"""By method and lighting."""
+_Tallies = dict[tuple[str, str], dict[str, ErrorTally]]
+"""By truth and method, then by lighting."""
 
 
 class Lighting:
@@ -105,9 +120,17 @@ class Lighting:
     def measured(
         self, meshes: Sequence[Sequence[BakedView]], operators: Sequence[GradientOperator]
     ) -> FileVerdict:
-        """Return a verdict that holds the lighting checks and figures."""
+        """Return a verdict that holds the lighting checks and figures.
+
+        operators are those of the bakes' own settings; the truths take them only where they have no others.
+        """
+        with stage("gradient operator"):
+            true_ones = [
+                _true_operator(self._document, views, operator)
+                for views, operator in zip(meshes, operators, strict=True)
+            ]
         with stage("poses"):
-            drawn = list(self._drawn(meshes, operators))
+            drawn = list(self._drawn(meshes, true_ones))
         not_rigid = list(dict.fromkeys(n for draw in drawn for n in _not_rigid(draw.rest, draw.poses)))
         methods = self._options.methods or (("lbs",) if not_rigid else ("lbs", "dqs"))
         reason = without_dqs(not_rigid)
@@ -162,13 +185,15 @@ class Lighting:
             for view, areas in zip(draw.views, draw.areas, strict=True):
                 weight = len(draw.poses.clips) * total_area(areas)
                 weights[view.source.place] = weights.get(view.source.place, 0.0) + weight
-        lightings = METHODS[method]
-        self._whole[method] = {one: ErrorTally(sum(weights.values())) for one in lightings}
-        for place, weight in weights.items():
-            # The figures of a single primitive are those of the whole: nothing need be counted twice.
-            alone = len(weights) == 1
-            tallies = self._whole[method] if alone else {one: ErrorTally(weight) for one in lightings}
-            self._by_place.setdefault(place, {})[method] = tallies
+        for truth in Truth:
+            # Direct lighting is accurate lighting but for its side in folds: once is enough.
+            lightings = [one for one in METHODS[method] if truth != Truth.TRIANGLES or one != "direct"]
+            self._whole[truth, method] = {one: ErrorTally(sum(weights.values())) for one in lightings}
+            for place, weight in weights.items():
+                # The figures of a single primitive are those of the whole: nothing need be counted twice.
+                own = {one: ErrorTally(weight) for one in lightings}
+                tallies = self._whole[truth, method] if len(weights) == 1 else own
+                self._by_place.setdefault(place, {})[truth, method] = tallies
 
     def _pose_sets(self, mesh: int) -> Iterator[PoseSet]:
         for skin, node in draws_of(self._document, mesh, self._clips):
@@ -180,12 +205,15 @@ class Lighting:
     def _measure(self, method: str, draw: _Draw) -> None:
         first = len(self._segments)
         self._segments += [_Segment(view.source.place, draw.poses) for view in draw.views]
-        tallies = [(self._whole[method], self._by_place[view.source.place][method]) for view in draw.views]
+        by_place = [self._by_place[view.source.place] for view in draw.views]
 
         def record(block: MeasuredBlock) -> None:
             areas = draw.areas[block.surface][block.vertex : block.vertex + block.errors.shape[1]]
             start = first + block.surface, block.pose, block.vertex
-            whole, own = (found[block.lighting] for found in tallies[block.surface])
+            whole, own = (
+                tallies[block.truth, method][block.lighting]
+                for tallies in (self._whole, by_place[block.surface])
+            )
             with stage("figures"):
                 whole.add(block.errors, areas, valid=block.valid, start=start)
                 if own is not whole:
@@ -223,8 +251,14 @@ class Lighting:
         return Check("identity", "failed", (Notice("identity", message, self._document.place),))
 
     def _verdict(self, drawn: Sequence[_Draw], without_dqs: str | None) -> FileVerdict:
-        normals = self._figures(self._whole)
-        found = [figures for lightings in normals.values() for figures in lightings.values()]
+        by_truth = {truth: self._figures(self._whole, truth) for truth in Truth}
+        normals = by_truth[Truth.TANGENTS]
+        found = [
+            figures
+            for by_method in by_truth.values()
+            for lightings in by_method.values()
+            for figures in lightings.values()
+        ]
         if not all(math.isfinite(figures.mean) and math.isfinite(figures.max) for figures in found):
             raise InputError(
                 "its positions, gradients and joint matrices are so large that their products overflow: "
@@ -239,25 +273,30 @@ class Lighting:
             checks.append(
                 Check("lighting", "skipped", (), "there is no true normal at any vertex in these poses")
             )
-        limits = _exceeded(normals, self._options, self._document.place)
         asked = (self._options.max_mean_error, self._options.max_p95_error, self._options.min_gain)
         if any(limit is not None for limit in asked):
-            checks.append(_limits_check(limits, normals, self._options))
-        by_primitive = tuple((place, self._figures(tallies)) for place, tallies in self._by_place.items())
+            held = {truth: by_truth[truth] for truth in Truth if self._options.truth in {None, truth}}
+            checks.append(_limits_check(held, self._options, self._document.place))
+        by_tangents, by_triangles = (
+            tuple((place, self._figures(tallies, truth)) for place, tallies in self._by_place.items())
+            for truth in Truth
+        )
         return FileVerdict(
             self._document.name,
             tuple(checks),
             normals,
-            by_primitive,
+            by_tangents,
             described(self._options.poses, poses, seconds),
             without_dqs,
+            by_triangles=by_truth[Truth.TRIANGLES],
+            primitives_by_triangles=by_triangles,
         )
 
-    def _figures(self, tallies: _Tallies) -> Normals:
-        """Return the figures of what was counted, by method and lighting; poses weigh equally."""
+    def _figures(self, tallies: _Tallies, truth: str) -> Normals:
+        """Return the figures of what was counted by one truth, by method and lighting; poses weigh equally."""
         result: Normals = {}
-        for method, lightings in tallies.items():
-            for lighting, tally in lightings.items():
+        for (of, method), lightings in tallies.items():
+            for lighting, tally in lightings.items() if of == truth else ():
                 summary = tally.summary()
                 if summary is not None:
                     segment, pose = self._segments[summary.worst_part], summary.worst_pose
@@ -267,6 +306,21 @@ class Lighting:
                         summary.mean, summary.p95, summary.p99, summary.max, worst
                     )
         return result
+
+
+def _true_operator(
+    document: Document, views: Sequence[BakedView], operator: GradientOperator
+) -> GradientOperator:
+    """Return the operator of one surface as the truths have it, whatever bake was told."""
+    noted = views[0].metadata
+    if noted["weighting"] == TRUE_WEIGHTING and math.isclose(noted["creaseAngle"], TRUE_CREASE_ANGLE):
+        return operator
+    return gradient_operator(
+        [view.before for view in views],
+        weighting=TRUE_WEIGHTING,
+        crease_angle_degrees=TRUE_CREASE_ANGLE,
+        claim=lambda size: document.budget.claim(size, "welding it", views[0].source.place),
+    )
 
 
 def _mirrored(drawn: Sequence[_Draw]) -> Iterator[Notice]:
@@ -306,10 +360,16 @@ def _strain(draw: _Draw) -> tuple[float, str]:
     return (math.inf if math.isnan(strain) else strain), draw.poses.joint_names[worst]
 
 
-def _limits_check(problems: Sequence[Notice], normals: Normals, options: VerifyOptions) -> Check:
+def _limits_check(by_truth: dict[str, Normals], options: VerifyOptions, place: Place) -> Check:
+    """Return whether the accurate lighting keeps the limits by each of the truths."""
+    problems = [
+        problem
+        for truth, normals in by_truth.items()
+        for problem in _exceeded(normals, truth, options, place)
+    ]
     if problems:
         return Check("limits", "failed", tuple(problems), "; ".join(problem.message for problem in problems))
-    bends = any(gain(figures) is not None for figures in normals.values())
+    bends = any(gain(figures) is not None for normals in by_truth.values() for figures in normals.values())
     remark = "no gain to hold to --min-gain: nothing bends in these poses"
     return Check("limits", "passed", (), remark if options.min_gain is not None and not bends else "")
 
@@ -340,24 +400,27 @@ def without_dqs(joints: Sequence[str]) -> str:
     return f"{shown} {verb} not rigid up to one scale common to all joints"
 
 
-def _exceeded(normals: Normals, options: VerifyOptions, place: Place) -> list[Notice]:
-    """Return a problem for each limit that the accurate lighting of a method exceeds."""
+def _exceeded(normals: Normals, truth: str, options: VerifyOptions, place: Place) -> list[Notice]:
+    """Return a problem for each limit that the accurate lighting of a method exceeds by a truth."""
     problems = []
     for method in options.methods or ("lbs",):
         figures = normals.get(method, {})
         if "accurate" not in figures:
-            problems.append(Notice("no-figures", f"no lighting could be measured for {method}", place))
+            message = f"no lighting could be measured for {method} by {truth}"
+            problems.append(Notice("no-figures", message, place))
             continue
-        accurate = figures["accurate"]
+        accurate, named = figures["accurate"], method.upper()
         for name, limit, value in (
             ("mean", options.max_mean_error, accurate.mean),
             ("95th percentile", options.max_p95_error, accurate.p95),
         ):
             if limit is not None and not value <= limit:
-                message = f"{method.upper()} accurate: the {name} of the error is {value:.3f}°, over {limit}°"
+                message = (
+                    f"{named} accurate: the {name} of the error by {truth} is {value:.3f}°, over {limit}°"
+                )
                 problems.append(Notice("limit", message, place))
         factor = gain(figures)
         if options.min_gain is not None and factor is not None and factor < options.min_gain:
-            message = f"{method.upper()}: the gain is {factor:.2f}, below {options.min_gain}"
+            message = f"{named}: the gain by {truth} is {factor:.2f}, below {options.min_gain}"
             problems.append(Notice("limit", message, place))
     return problems

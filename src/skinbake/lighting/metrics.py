@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray, IntArray
+from skinbake.geometry.skinned import BoolArray, Float32Array, Float64Array, FloatArray, IntArray
 
 _SHARES = (0.95, 0.99)
 
@@ -72,6 +72,33 @@ def angles_between(measured: Sequence[FloatArray], expected: Sequence[FloatArray
         angles: Float64Array = np.arctan(ratio)
         angles *= 180.0 / np.pi
         angles += 180.0 * np.signbit(ratio)
+    return angles
+
+
+def unit_vectors(vector: Sequence[FloatArray]) -> list[FloatArray]:
+    """Return unit vectors by components; NaN where a vector is zero, not finite, or too long to be squared."""
+    with np.errstate(all="ignore"):
+        square = cosine(vector, vector)
+        if square.max(initial=0.0) == np.inf:
+            square[square == np.inf] = np.nan
+        reciprocal = 1.0 / np.sqrt(square)
+        return [reciprocal * component for component in vector]
+
+
+def angles_of_units(measured: Sequence[FloatArray], expected: Sequence[FloatArray]) -> Float32Array:
+    """Return the angle between unit vectors given by their components, in degrees, float32.
+
+    It is twice the arctangent of half a chord over what is left of a diameter: as exact near 0° and 180° as
+    ``angles_between``, and cheaper where one vector meets several.
+    """
+    with np.errstate(all="ignore"):
+        chord: Float64Array = np.square(measured[0] - expected[0])
+        chord += np.square(measured[1] - expected[1])
+        chord += np.square(measured[2] - expected[2])
+        ratio = (chord / (4.0 - chord)).astype(np.float32)
+        # Rounding may take a chord past the diameter.
+        angles: Float32Array = np.arctan(np.sqrt(np.abs(ratio)))
+        angles *= np.float32(360.0 / np.pi)
     return angles
 
 

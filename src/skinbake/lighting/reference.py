@@ -1,14 +1,15 @@
 """The normals that skinned surfaces should have, measured on the deformed mesh and owing nothing to α and β.
 
-The discrete gradient of ``operator`` is applied to the deformed positions and to the rest positions alike:
-two tangents before, two after. F maps the one frame onto the other, and the reference normal is cof(F) n0,
-the image of the authored normal under the cofactor of F. Morph targets act before skinning: the mesh that
-they give takes the place of the rest pose, and its morphed normal that of n0.
+There are two, found independently. By *tangents*: the discrete gradient of ``operator`` is applied to the
+deformed positions and to the rest positions alike, two tangents before, two after; F maps the one frame onto
+the other, and the true normal is cof(F) n0, the image of the authored normal under the cofactor of F. By
+*triangles*: the angle-weighted mean of the triangles' normals (``triangle_normals``), before and after; the
+authored normal keeps its place in the frame of that normal and of a tangent. Morph targets act before
+skinning: the mesh that they give takes the place of the rest pose, and its morphed normal that of n0.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -16,7 +17,7 @@ import numpy as np
 
 from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray
 from skinbake.lighting.operator import GradientOperator
-from skinbake.skinning.components import Vector, cross, dot
+from skinbake.skinning.components import Vector, cross, dot, scaled
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -29,14 +30,15 @@ _BLOCK = 1 << 16
 
 @dataclass(frozen=True, slots=True)
 class RestFrames:
-    """What the reference needs of the rest pose.
+    """What the truth by tangents needs of the rest pose.
 
-    tangents: sparse (2V, V), the derivative along t0, then along b0. coefficients (3, V): n0 in the rest
-    frame (a, b, ĉ), with c = a × b, divided by |c|. areas (V,): |c|. valid (V,): the frame and n0 are
-    usable. Under morph targets all but the first change.
+    parts are blocks of vertices, tangents their derivatives: sparse (2B, V) each, along t0, then along b0.
+    coefficients (3, V): n0 in the rest frame (a, b, ĉ), with c = a × b, divided by |c|. areas (V,): |c|.
+    valid (V,): the frame and n0 are usable. Under morph targets all but the first two change.
     """
 
-    tangents: csr_array
+    parts: tuple[slice, ...]
+    tangents: tuple[csr_array, ...]
     coefficients: Float64Array
     areas: Float64Array
     valid: BoolArray
@@ -48,17 +50,18 @@ def rest_frames(
     normals: FloatArray,
     tangents: FloatArray,
     bitangents: FloatArray,
+    *,
+    parts: tuple[slice, ...] | None = None,
 ) -> RestFrames:
     """Measure the rest pose, once for any number of poses.
 
     All arrays are (V, 3) over the mesh's concatenated vertices, in mesh space: the rest positions, n0 of
     any length, t0 and b0. A vertex without triangles, with a flat frame, or with a zero or non-finite n0 is
-    not valid.
+    not valid. ``parts`` are the blocks of vertices that will be asked for.
     """
-    from scipy.sparse import vstack
-
-    along = vstack([operator.along(tangents), operator.along(bitangents)], format="csr")
-    return _measured(along, positions, normals)
+    chosen = tuple(operator.blocks()) if parts is None else parts
+    along = tuple(operator.rows(part, [tangents[part], bitangents[part]]) for part in chosen)
+    return _measured(chosen, along, positions, normals)
 
 
 def morphed_frames(rest: RestFrames, positions: FloatArray, normals: FloatArray) -> RestFrames:
@@ -68,27 +71,47 @@ def morphed_frames(rest: RestFrames, positions: FloatArray, normals: FloatArray)
     the surface, those of t0 and b0 at rest, so that it is their image under the morph's own differential;
     where skinning is the identity, the reference returns these normals exactly.
     """
-    return _measured(rest.tangents, positions, normals)
+    return _measured(rest.parts, rest.tangents, positions, normals)
 
 
-def _measured(along: csr_array, positions: FloatArray, normals: FloatArray) -> RestFrames:
-    a, b = _tangents(along, np.asarray(positions, dtype=np.float64)[:, :, None])
+def perpendicular(normals: FloatArray) -> tuple[Float64Array, Float64Array]:
+    """Return two unit tangents (V, 3) at right angles to each other and to n0 (V, 3), which none of bake's
+    options chooses; NaN where n0 is zero or not finite.
+    """
+    wide = np.asarray(normals, dtype=np.float64)
     with np.errstate(all="ignore"):
-        c = cross(a, b)
-        n0 = tuple(np.asarray(normals, dtype=np.float64).T[:, None])
-        square = dot(c, c)
-        areas = np.sqrt(square)
-        # cof([a b ĉ])⁻¹ n0 = [a b ĉ]ᵀ n0 / det, and det = |c|.
-        coefficients = np.concatenate([dot(a, n0), dot(b, n0), dot(c, n0) / areas]) / areas
-        flat = areas <= _FLAT * np.sqrt(dot(a, a) * dot(b, b))
-    valid = ~flat[0] & np.isfinite(coefficients).all(axis=0) & coefficients.any(axis=0)
-    return RestFrames(along, coefficients, areas[0], valid)
+        axis = np.eye(3)[np.abs(wide).argmin(axis=1)]
+        tangents = np.cross(axis, wide)
+        tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
+        bitangents = np.cross(wide, tangents)
+        bitangents /= np.linalg.norm(bitangents, axis=1, keepdims=True)
+    return tangents, bitangents
+
+
+def _measured(
+    parts: tuple[slice, ...], along: tuple[csr_array, ...], positions: FloatArray, normals: FloatArray
+) -> RestFrames:
+    components = np.ascontiguousarray(np.asarray(positions, dtype=np.float64).T)[:, :, None]
+    count = len(positions)
+    coefficients, areas, valid = np.zeros((3, count)), np.zeros(count), np.zeros(count, dtype=np.bool_)
+    with np.errstate(all="ignore"):
+        for part, derivatives in zip(parts, along, strict=True):
+            a, b = posed_tangents(derivatives, components)
+            c = cross(a, b)
+            n0 = tuple(np.asarray(normals[part], dtype=np.float64).T[:, None])
+            areas[part] = area = np.sqrt(dot(c, c))[0]
+            # cof([a b ĉ])⁻¹ n0 = [a b ĉ]ᵀ n0 / det, and det = |c|.
+            found = np.concatenate([dot(a, n0), dot(b, n0), dot(c, n0) / area]) / area
+            coefficients[:, part] = found
+            flat = area <= _FLAT * np.sqrt(dot(a, a) * dot(b, b))[0]
+            valid[part] = ~flat & np.isfinite(found).all(axis=0) & found.any(axis=0)
+    return RestFrames(parts, along, coefficients, areas, valid)
 
 
 def reference_normals(
     rest: RestFrames, deformed: FloatArray, sides: FloatArray | None = None
 ) -> tuple[Float64Array, BoolArray]:
-    """Return the reference normals of a deformed mesh, and where they are valid.
+    """Return the true normals of a deformed mesh by tangents, and where they are valid.
 
     deformed (P, V, 3): the skinned positions over the mesh's concatenated vertices, in any one space per
     pose. The normals are (P, V, 3) float64 unit vectors in that space, the mask is (P, V). It is false, and
@@ -101,50 +124,29 @@ def reference_normals(
     by default: its third column points to the other side of the surface, so that F is the mirror, and the
     normal is −cof(F) n0, which stays outside.
     """
-    every = slice(0, deformed.shape[1])
-    (along,) = tangent_blocks(rest, [every])
     count = max(1, _BLOCK // max(1, deformed.shape[1]))
     normals = np.empty(deformed.shape)
     for start in range(0, len(deformed), count):
         block = slice(start, start + count)
-        posed = np.ascontiguousarray(np.transpose(deformed[block], (1, 2, 0)), dtype=np.float64)
-        found, _ = block_normals(rest, along, every, posed, None if sides is None else sides[block])
-        normals[block] = np.stack(found, axis=2)
+        posed = np.ascontiguousarray(np.transpose(deformed[block], (2, 1, 0)), dtype=np.float64)
+        for part, derivatives in zip(rest.parts, rest.tangents, strict=True):
+            side = None if sides is None else sides[block, part]
+            found, _ = tangent_normals(rest, part, posed_tangents(derivatives, posed), side)
+            normals[block, part] = np.stack(found, axis=2)
     return normals, np.isfinite(normals[..., 0])
 
 
-def tangent_blocks(rest: RestFrames, parts: Sequence[slice]) -> list[csr_array]:
-    """Return the derivatives of blocks of vertices: sparse (2B, V) each, along t0, then along b0."""
-    from scipy.sparse import csr_array
-
-    along, count = rest.tangents, rest.tangents.shape[1]
-    blocks = []
-    for part in parts:
-        ends = [along.indptr[part.start + first : part.stop + first + 1] for first in (0, count)]
-        pieces = [slice(int(rows[0]), int(rows[-1])) for rows in ends]
-        rows = np.concatenate([ends[0] - ends[0][0], ends[1][1:] - ends[1][0] + (ends[0][-1] - ends[0][0])])
-        data, columns = (
-            np.concatenate([values[piece] for piece in pieces]) for values in (along.data, along.indices)
-        )
-        blocks.append(csr_array((data, columns, rows), shape=(len(rows) - 1, count)))
-    return blocks
-
-
-def block_normals(
-    rest: RestFrames,
-    along: csr_array,
-    part: slice,
-    deformed: Float64Array,
-    sides: FloatArray | None = None,
+def tangent_normals(
+    rest: RestFrames, part: slice, tangents: tuple[Vector, Vector], sides: FloatArray | None = None
 ) -> tuple[Vector, BoolArray]:
     """Return what ``reference_normals`` does for a block of vertices, by components (P, B).
 
-    along are the block's derivatives (``tangent_blocks``), deformed (V, 3, P) all vertices' positions; sides
-    (P, B) is of the block. All of it is stored vertex by vertex.
+    tangents are the block's after deformation (``posed_tangents``); sides (P, B) is of the block. All of it
+    is stored vertex by vertex.
     """
     along_a, along_b, along_c = rest.coefficients[:, part]
     with np.errstate(all="ignore"):
-        a, b = _tangents(along, deformed)
+        a, b = tangents
         c = cross(a, b)
         aa, ab, bb, square = dot(a, a), dot(a, b), dot(b, b), dot(c, c)
         # The columns of the cofactor matrix are the cross products of the other two, and the third of those
@@ -154,23 +156,26 @@ def block_normals(
         by_b = (along_b * aa - along_a * ab) * reciprocal
         # The third column's side turns the first two of them, and the normal's turns all three.
         by_c = along_c if sides is None else along_c * sides
-        x, y, z = (by_a * a[i] + by_b * b[i] + by_c * c[i] for i in range(3))
-        length = 1.0 / np.sqrt(dot((x, y, z), (x, y, z)))
+        found = tuple(by_a * a[i] + by_b * b[i] + by_c * c[i] for i in range(3))
         # Not "flat if below": a comparison with NaN is false, and a broken position leaves no normal.
         sound = (square > _FLAT**2 * aa * bb) & rest.valid[part]
-        x *= length
-        y *= length
-        z *= length
-        sound &= np.isfinite(x)
+    return unit_or_nan(found, sound)
+
+
+def unit_or_nan(vector: Vector, sound: BoolArray) -> tuple[Vector, BoolArray]:
+    """Return unit vectors, NaN where they are not sound or have no length, and where they are."""
+    with np.errstate(all="ignore"):
+        length = 1.0 / np.sqrt(dot(vector, vector))
+        found = scaled(length, vector)
+        sound = sound & np.isfinite(found[0])
     if not sound.all():
-        for component in (x, y, z):
+        for component in found:
             component[~sound] = np.nan
-    return (x, y, z), sound
+    return found, sound
 
 
-def _tangents(along: csr_array, positions: Float64Array) -> tuple[Vector, Vector]:
-    """Differentiate positions (V, 3, P): two tangents, components (P, B)."""
-    count, _, poses = positions.shape
-    both = (along @ positions.reshape(count, -1)).reshape(2, -1, 3, poses)
-    a, b = (tuple(component.T for component in np.ascontiguousarray(np.swapaxes(v, 0, 1))) for v in both)
-    return a, b
+def posed_tangents(along: csr_array, positions: Float64Array) -> tuple[Vector, Vector]:
+    """Differentiate positions (3, V, P): two tangents, components (P, B), stored vertex by vertex."""
+    both = [along @ component for component in positions]
+    half = along.shape[0] // 2
+    return tuple(one[:half].T for one in both), tuple(one[half:].T for one in both)

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
+from skinbake.choices import Truth
 from skinbake.errors import Notice, Place, SkinbakeError, printable
 from skinbake.report.notices import error_fields, notice_list, place_fields
 
@@ -90,7 +91,9 @@ class FileVerdict:
     poses describes the poses of the lighting figures. without_dqs is the reason why dual quaternions were
     left out, None if they were not. morphs is None if no baked mesh has morph targets. up_to_date: the file
     was not verified again, because it has passed and is unchanged. record is the entry for a state file.
-    timings are seconds by stage, None if they were not requested.
+    timings are seconds by stage, None if they were not requested. normals and
+    primitives have the figures by tangents, by_triangles and primitives_by_triangles those by triangles, for
+    the same places.
     """
 
     input: str
@@ -105,6 +108,14 @@ class FileVerdict:
     up_to_date: bool = False
     record: bytes | None = None
     timings: dict[str, float] | None = None
+    by_triangles: Normals | None = None
+    primitives_by_triangles: tuple[tuple[Place, Normals], ...] = ()
+
+    @property
+    def by_truth(self) -> dict[str, Normals]:
+        """Return the figures of the whole file by each truth; a truth that has none is left out."""
+        found = {Truth.TANGENTS: self.normals, Truth.TRIANGLES: self.by_triangles}
+        return {truth: normals for truth, normals in found.items() if normals}
 
     @property
     def passed(self) -> bool:
@@ -129,7 +140,7 @@ def as_text(verdict: FileVerdict) -> str:
         remark = f"  {printable(check.remark)}" if check.remark else ""
         lines.append(f"  {check.name:<{width}}  {check.outcome}{remark}")
     if verdict.normals:
-        lines += _table(verdict.normals)
+        lines += _table(verdict.normals, verdict.by_triangles or {})
         morphs = f"; {verdict.morphs.words}" if verdict.morphs else ""
         over = f"{verdict.poses}{morphs}"
         lines.append(f"  Angle in degrees between each method's normals and the true ones, over {over}.")
@@ -138,17 +149,23 @@ def as_text(verdict: FileVerdict) -> str:
     return "\n".join(lines)
 
 
-def _table(normals: Normals) -> Iterator[str]:
-    yield f"  {'':<24}{'mean':>8}{'p95':>8}{'p99':>8}{'max':>8}  worst at"
+def _table(normals: Normals, by_triangles: Normals) -> Iterator[str]:
+    """Yield the table's lines: figures by tangents, then mean and 95th percentile by triangles."""
+    yield f"  {'':<18}{'by tangents':>12}{'':24}{'by triangles':>17}"
+    yield f"  {'':<16}{'mean':>8}{'p95':>8}{'p99':>8}{'max':>8}{'mean':>10}{'p95':>8}  worst at"
     for method, figures in normals.items():
+        others = by_triangles.get(method, {})
         for lighting, shown in SHOWN_LIGHTINGS.items():
             if lighting in figures:
                 error = figures[lighting]
                 numbers = "".join(f"{value:8.2f}" for value in (error.mean, error.p95, error.p99, error.max))
-                yield f"  {method.upper() + ' ' + shown:<24}{numbers}  {_where(error.worst)}"
-        factor = gain(figures)
-        if factor is not None:
-            yield f"  {method.upper() + ' gain':<24}{factor:7.2f}x  standard mean / accurate mean"
+                other = others.get(lighting)
+                numbers += f"{'—':>10}{'—':>8}" if other is None else f"{other.mean:10.2f}{other.p95:8.2f}"
+                yield f"  {method.upper() + ' ' + shown:<16}{numbers}  {_where(error.worst)}"
+        factors = {Truth.TANGENTS: gain(figures), Truth.TRIANGLES: gain(others)}
+        told = [f"{factor:.2f}x by {truth}" for truth, factor in factors.items() if factor is not None]
+        if told:
+            yield f"  {method.upper() + ' gain':<16}  {', '.join(told)}  (standard mean / accurate mean)"
 
 
 def _where(worst: Worst) -> str:
@@ -174,6 +191,7 @@ def as_json(
 
 def file_json(verdict: FileVerdict) -> dict[str, Any]:
     """Return the result of verify for one file as a JSON object."""
+    by_triangles = dict(verdict.primitives_by_triangles)
     return {
         "input": verdict.input,
         "passed": verdict.passed,
@@ -192,8 +210,13 @@ def file_json(verdict: FileVerdict) -> dict[str, Any]:
         if verdict.morphs is None
         else {"targets": verdict.morphs.targets, "moving": verdict.morphs.moving},
         "normals": None if verdict.normals is None else _normals_json(verdict.normals),
+        "normals_by_triangles": None if verdict.by_triangles is None else _normals_json(verdict.by_triangles),
         "primitives": [
-            {**place_fields(place), "normals": _normals_json(normals)}
+            {
+                **place_fields(place),
+                "normals": _normals_json(normals),
+                "normals_by_triangles": _normals_json(by_triangles.get(place, {})),
+            }
             for place, normals in verdict.primitives
         ],
         "without_dqs": verdict.without_dqs,
