@@ -46,6 +46,7 @@ class VerifyGiven(Given):
     min_gain: float | None
     require_baked: bool
     junit: str | None
+    truth: str | None
 
 
 def _poses(ctx: click.Context, param: click.Parameter, value: str) -> tuple[str, int | None]:
@@ -126,7 +127,7 @@ def _poses(ctx: click.Context, param: click.Parameter, value: str) -> tuple[str,
 @click.option(
     "--truth",
     type=one_of(Truth),
-    help="The true normals that limits are held by: those measured along tangents, or on triangles; by default both.",
+    help="True normals that limits are held by: measured along tangents or on triangles; by default both.",
 )
 @click.option("--require-baked", is_flag=True, help="Fail if a file holds no bake.")
 @click.option("--warnings-as-errors", is_flag=True, help="Fail if there are warnings.")
@@ -235,7 +236,7 @@ def _options(given: VerifyGiven) -> VerifyOptions:
         warnings_as_errors=given["warnings_as_errors"],
         cap=given["cap"],
         baseline=Baseline(given["baseline"]),
-        truth=given["truth"],
+        truth=None if given["truth"] is None else Truth(given["truth"]),
     )
 
 

@@ -131,9 +131,8 @@ class BlendedSurface:
         positions = self._rest.positions[part]
         points = np.concatenate([positions, np.ones((len(positions), 1))], axis=1)
         columns = 4 * self._rest.joints[part].astype(np.int32)[:, :, None] + np.arange(4, dtype=np.int32)
-        return _Block(
-            part, self._rest.weights[part, :, None], points[:, None], columns.reshape(len(columns), -1)
-        )
+        flat = np.asarray(columns.reshape(len(columns), -1), dtype=np.int32)
+        return _Block(part, self._rest.weights[part, :, None], points[:, None], flat)
 
     def _approximated(self, block: _Block) -> _Plan:
         """Return T n, T⁻ᵀ n or Σ w cof(M[s]) n."""

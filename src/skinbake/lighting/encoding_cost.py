@@ -12,8 +12,8 @@ from skinbake.format.layouts import Storage
 from skinbake.gltf.animation import read_clips
 from skinbake.gltf.document import Document
 from skinbake.lighting.encoding import AddedError, EncodedSurface, added_error
-from skinbake.lighting.metrics import vertex_areas
 from skinbake.lighting.poses import PoseRequest, PoseSet, pose_set, skins_of
+from skinbake.lighting.rest_areas import RestAreas
 from skinbake.lighting.unwritten import UnwrittenBake
 
 
@@ -33,14 +33,14 @@ def _surfaces(
 ) -> Iterator[EncodedSurface]:
     clips, sets = read_clips(document), dict[int, PoseSet]()
     for bake in bakes:
-        exact, primitive = bake.rest_surface(), bake.primitive
+        exact = bake.rest_surface()
         alpha, beta = (
             rounded(slots, storage.encoding, storage.scale).astype(np.float64)
             for slots in (bake.baked.alpha, bake.baked.beta)
         )
-        areas = vertex_areas(primitive.positions, primitive.triangles)
         for skin in skins_of(document, bake.source.mesh):
             if skin not in sets:
                 sets[skin] = pose_set(document, skin, clips, PoseRequest())
             stored = replace(exact, alpha=alpha, beta=beta)
+            areas = RestAreas(document, skin).of(bake.primitive)
             yield EncodedSurface(stored, exact.alpha, exact.beta, areas, sets[skin].joint_matrices)

@@ -14,8 +14,9 @@ from skinbake.gltf.document import Document
 from skinbake.gltf.primitives import PrimitiveSource, StoredInfluences, read_influences
 from skinbake.gradients.limit import limited_slots
 from skinbake.lighting.blending import blended_blocks
-from skinbake.lighting.metrics import ErrorTally, angles_between, total_area, vertex_areas
+from skinbake.lighting.metrics import ErrorTally, angles_between, total_area
 from skinbake.lighting.poses import PoseRequest, PoseSet, described, pose_set, skins_of
+from skinbake.lighting.rest_areas import RestAreas
 from skinbake.lighting.unwritten import UnwrittenBake
 from skinbake.report.bake import LimitCost, Spread
 from skinbake.skinning.algorithms import Algorithm
@@ -72,17 +73,23 @@ def limit_costs(
     clips = read_clips(document)
     skins = skins_of(document, whole[0].source.mesh)
     sets = [pose_set(document, skin, clips, PoseRequest()) for skin in skins]
+    spaces = [RestAreas(document, skin) for skin in skins]
     told = described(PoseRequest(), sets, sum(clip.duration - clip.start for clip in clips))
     return [
-        None if part is None else _cost(part, before, after, sets, told)
+        None if part is None else _cost(part, before, after, sets, spaces, told)
         for part, before, after in zip(parts, whole, limited, strict=True)
     ]
 
 
 def _cost(
-    part: Limited, before: UnwrittenBake, after: UnwrittenBake, sets: Sequence[PoseSet], told: str
+    part: Limited,
+    before: UnwrittenBake,
+    after: UnwrittenBake,
+    sets: Sequence[PoseSet],
+    spaces: Sequence[RestAreas],
+    told: str,
 ) -> LimitCost:
-    areas = vertex_areas(before.primitive.positions, before.primitive.triangles)
+    areas = [space.of(before.primitive) for space in spaces]
     turned, moved, size = _differences((before.rest_surface(), after.rest_surface()), sets, areas)
     return LimitCost(
         influences=part.primitive.joints.shape[1],
@@ -96,17 +103,20 @@ def _cost(
 
 
 def _differences(
-    pair: tuple[RestSurface, RestSurface], sets: Sequence[PoseSet], areas: Float64Array
+    pair: tuple[RestSurface, RestSurface], sets: Sequence[PoseSet], by_set: Sequence[Float64Array]
 ) -> tuple[ErrorTally, ErrorTally, float]:
     """Return angles between normals in degrees, distances between positions, and the size.
 
-    areas (V,) weigh the vertices. The size is the diagonal of the box around the posed primitive, the largest
-    of all poses.
+    by_set are areas (V,) that weigh the vertices. The size is the diagonal of the box around the posed
+    primitive, the largest of all poses.
     """
-    weight = sum(len(poses.joint_matrices) for poses in sets) * total_area(areas)
+    weight = sum(
+        len(poses.joint_matrices) * total_area(areas) for poses, areas in zip(sets, by_set, strict=True)
+    )
     turned, moved = ErrorTally(weight), ErrorTally(weight)
     size = 0.0
-    for matrices in (poses.joint_matrices for poses in sets):
+    for poses, areas in zip(sets, by_set, strict=True):
+        matrices = poses.joint_matrices
         low, high = np.full((3, len(matrices)), np.inf), np.full((3, len(matrices)), -np.inf)
         for pose, part, blended in blended_blocks(pair, matrices):
             before, after = (one.normals((Algorithm.LBS_ACCURATE,), pose, part)[0] for one in blended)

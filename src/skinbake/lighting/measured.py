@@ -23,10 +23,11 @@ from skinbake.lighting.angles import (
 )
 from skinbake.lighting.baked_views import BakedView
 from skinbake.lighting.influences import normalised_weights
-from skinbake.lighting.metrics import ErrorTally, total_area, vertex_areas
+from skinbake.lighting.metrics import ErrorTally, total_area
 from skinbake.lighting.morphing import morph_count, morphing_of
 from skinbake.lighting.operator import GradientOperator, gradient_operator
 from skinbake.lighting.poses import SHARED_SAMPLES, PoseRequest, PoseSet, described, draws_of, pose_set
+from skinbake.lighting.rest_areas import RestAreas
 from skinbake.report.notices import counted
 from skinbake.report.verify import (
     Check,
@@ -156,9 +157,10 @@ class Lighting:
     ) -> Iterator[_Draw]:
         for views, operator in zip(meshes, operators, strict=True):
             rest = [rest_surface(view) for view in views]
-            areas = [vertex_areas(view.now.positions, view.now.triangles) for view in views]
-            for poses in self._pose_sets(views[0].source.mesh):
+            for skin, poses in self._pose_sets(views[0].source.mesh):
                 self._claim(views, poses)
+                space = RestAreas(self._document, skin)
+                areas = [space.of(view.now) for view in views]
                 yield _Draw(views, operator, rest, areas, poses)
 
     def _claim(self, views: Sequence[BakedView], poses: PoseSet) -> None:
@@ -195,12 +197,12 @@ class Lighting:
                 tallies = self._whole[truth, method] if len(weights) == 1 else own
                 self._by_place.setdefault(place, {})[truth, method] = tallies
 
-    def _pose_sets(self, mesh: int) -> Iterator[PoseSet]:
+    def _pose_sets(self, mesh: int) -> Iterator[tuple[int, PoseSet]]:
         for skin, node in draws_of(self._document, mesh, self._clips):
             if (skin, node) not in self._poses:
                 found = pose_set(self._document, skin, self._clips, self._options.poses, node)
                 self._poses[skin, node] = found
-            yield self._poses[skin, node]
+            yield skin, self._poses[skin, node]
 
     def _measure(self, method: str, draw: _Draw) -> None:
         first = len(self._segments)
@@ -293,7 +295,7 @@ class Lighting:
         )
 
     def _figures(self, tallies: _Tallies, truth: str) -> Normals:
-        """Return the figures of what was counted by one truth, by method and lighting; poses weigh equally."""
+        """Return the figures by one truth, by method and lighting; poses weigh equally."""
         result: Normals = {}
         for (of, method), lightings in tallies.items():
             for lighting, tally in lightings.items() if of == truth else ():

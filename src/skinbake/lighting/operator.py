@@ -50,11 +50,11 @@ class GradientOperator:
 
     counts: tuple[int, ...]
     positions: Float64Array
-    triangles: Int64Array
-    classes: Int64Array
+    triangles: IntArray
+    classes: IntArray
     shares: Float64Array
-    corners: Int64Array
-    ends: Int64Array
+    corners: IntArray
+    ends: IntArray
 
     @property
     def slices(self) -> list[slice]:
@@ -89,7 +89,7 @@ class GradientOperator:
         return vstack(blocks, format="csr") if blocks else csr_array((count, count), dtype=np.float64)
 
     def reach(self) -> Float64Array:
-        """Return the sum of all magnitudes in the rows of x, y and z, (V,): what a derivative can be at most."""
+        """Return the sum of all magnitudes in the rows of x, y and z, (V,): a derivative is at most that."""
         total = np.zeros(len(self.positions))
         for part in self.blocks():
             axes = [np.broadcast_to(axis, (part.stop - part.start, 3)) for axis in np.eye(3)]
@@ -111,7 +111,7 @@ class GradientOperator:
         return found
 
     def rows(self, part: slice, directions: Sequence[FloatArray]) -> csr_array:
-        """Return the derivatives of a block's vertices, stacked: sparse (D B, V) along D directions (B, 3) each.
+        """Return the derivatives of a block's vertices along D directions (B, 3): sparse (D B, V), stacked.
 
         With e1, e2 a corner's edges, the tangential part of a direction d is u e1 + v e2, where u and v solve
         the normal equations, and the derivative of f along it is u (f1 − f0) + v (f2 − f0).
@@ -143,8 +143,8 @@ class GradientOperator:
         ends = np.concatenate([[0], np.cumsum(lengths)]).astype(np.int32)
         return csr_array((np.concatenate(data), columns, ends), shape=(len(directions) * size, count))
 
-    def _corners_of(self, part: slice) -> tuple[Int64Array, Int64Array]:
-        """Return all corners of a block's vertices, their copies' included, each with its vertex in the block."""
+    def _corners_of(self, part: slice) -> tuple[IntArray, IntArray]:
+        """Return the corners of a block's vertices and their copies, each with its vertex in the block."""
         classes = self.classes[part]
         lengths = self.ends[classes + 1] - self.ends[classes]
         owners = np.repeat(np.arange(len(classes)), lengths)

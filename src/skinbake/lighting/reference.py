@@ -75,8 +75,9 @@ def morphed_frames(rest: RestFrames, positions: FloatArray, normals: FloatArray)
 
 
 def perpendicular(normals: FloatArray) -> tuple[Float64Array, Float64Array]:
-    """Return two unit tangents (V, 3) at right angles to each other and to n0 (V, 3), which none of bake's
-    options chooses; NaN where n0 is zero or not finite.
+    """Return two unit tangents (V, 3) at right angles to each other and to n0 (V, 3).
+
+    No option of bake chooses them. They are NaN where n0 is zero or not finite.
     """
     wide = np.asarray(normals, dtype=np.float64)
     with np.errstate(all="ignore"):

@@ -1,4 +1,4 @@
-"""The true normals of a skinned mesh by its triangles: angle-weighted vertex normals, as modelling tools shade.
+"""The true normals of a skinned mesh by its triangles: angle-weighted vertex normals, as tools shade.
 
 Source: Thürmer, Wüthrich, *Computing vertex normals from polygonal facets*, Journal of Graphics Tools 3(1),
 1998. The normal of a vertex is the mean of the unit normals of its triangles, each weighted by the triangle's
@@ -16,14 +16,14 @@ import numpy as np
 
 from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray, IntArray
 from skinbake.lighting.operator import GradientOperator
-from skinbake.lighting.reference import RestFrames, posed_tangents, unit_or_nan
+from skinbake.lighting.reference import RestFrames, posed_tangents
 from skinbake.skinning.components import Vector, cross, dot, minus_scaled, scaled
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-# A deformed triangle whose doubled area is at most this share of its squared edges has no normal.
-_FLAT = 1e-10
+# A deformed triangle that has a corner of a larger cotangent is a line or a point, and has no normal.
+_FLAT = 1e10
 
 BLOCK_SAMPLES = 1 << 14
 """Triangles × poses in flight: the temporaries of a block stay in the processor's cache."""
@@ -72,21 +72,21 @@ def corner_sums(block: TriangleBlock, positions: Float64Array) -> Float64Array:
         for axis in range(3):
             np.subtract(e1[axis], origin[axis], out=e1[axis])
             np.subtract(e2[axis], origin[axis], out=e2[axis])
-        aa, bb, ab = dot(e1, e1), dot(e2, e2), dot(e1, e2)
+        aa, ab = dot(e1, e1), dot(e1, e2)
         normal = cross(e1, e2)
         area = np.sqrt(dot(normal, normal))
         reciprocal = 1.0 / area
-        # The cotangents of the angles at the first two corners; the third is what is left of 180°.
-        at_first = np.arctan(ab * reciprocal)
-        at_second = np.arctan((aa - ab) * reciprocal)
+        # The angles at the first two corners by their cotangents; the third is what is left of 180°.
+        cotangents = ab * reciprocal, (aa - ab) * reciprocal
+        at_first, at_second = (np.arctan(cotangent) for cotangent in cotangents)
         at_third = at_first + at_second
         np.subtract(0.5 * np.pi, at_first, out=at_first)
         np.subtract(0.5 * np.pi, at_second, out=at_second)
-        # Not "flat if below": a comparison with NaN is false.
-        sound = area > _FLAT * (aa + bb)
         unit = scaled(reciprocal, normal)
     angles = at_first, at_second, at_third
-    if not sound.all():
+    # Not "flat if beyond": a comparison with NaN is false. A flat triangle shows at one of two corners.
+    if not all(values.min() > -_FLAT and values.max() < _FLAT for values in cotangents):
+        sound = (np.abs(cotangents[0]) < _FLAT) & (np.abs(cotangents[1]) < _FLAT)
         for values in (*angles, *unit):
             values[~sound] = 0.0
     count, poses = area.shape
@@ -111,7 +111,10 @@ def vertex_normals(
 
 @dataclass(frozen=True, slots=True)
 class CarriedNormals:
-    """n0 (3, V) in the frame t̂, n̂ × t̂, n̂ at rest: n̂ by triangles, t̂ the first tangent at right angles to it."""
+    """The coordinates (3, V) of unit n0 in the frame t̂, n̂ × t̂, n̂ at rest, NaN where there is none.
+
+    n̂ is the normal by triangles, t̂ the part of the first tangent that is at right angles to it.
+    """
 
     coefficients: Float64Array
 
@@ -127,7 +130,8 @@ def carried_normals(
         for part, derivatives in zip(rest.parts, rest.tangents, strict=True):
             frame = _frame(posed_tangents(derivatives, components)[0], block_sums(operator, sums, part))
             n0 = tuple(np.asarray(normals[part], dtype=np.float64).T[:, None])
-            coefficients[:, part] = np.concatenate([dot(axis, n0) for axis in frame])
+            found = np.concatenate([dot(axis, n0) for axis in frame])
+            coefficients[:, part] = found / np.sqrt((found * found).sum(axis=0))
     return CarriedNormals(coefficients)
 
 
@@ -150,8 +154,9 @@ def triangle_normals(
         t, s, n = _frame(tangent, sums)
         if sides is not None:
             by_n = by_n * sides
+        # Unit coordinates in an orthonormal frame: the result is unit as it is.
         found = tuple(by_t * t[i] + by_s * s[i] + by_n * n[i] for i in range(3))
-    return unit_or_nan(found, np.ones(found[0].shape, dtype=np.bool_))
+    return found, np.isfinite(found[0])
 
 
 def _frame(tangent: Vector, normal: Vector) -> tuple[Vector, Vector, Vector]:

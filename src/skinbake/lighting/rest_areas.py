@@ -1,0 +1,50 @@
+"""What weighs errors: the area around each vertex, in the rest pose of the skin that draws it.
+
+Mesh space has units of its own: quantisation gives every mesh another, which its inverse bind matrices undo.
+Skinned into the rest pose, all meshes of a file are in one space, that of its scene.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from skinbake.geometry.skinned import Float64Array, SkinnedPrimitive
+from skinbake.gltf.animation import Skeleton, read_skeleton, rest_pose
+from skinbake.gltf.document import Document
+from skinbake.lighting.influences import normalised_weights
+from skinbake.lighting.metrics import vertex_areas
+
+_COLLAPSED = 1e-12
+"""Share of its largest squared coordinate below which a surface is one that joints shrink to nothing."""
+
+
+class RestAreas:
+    """The areas around vertices in the rest pose of one skin."""
+
+    def __init__(self, document: Document, skin: int) -> None:
+        self._skeleton: Skeleton = read_skeleton(document, skin)
+        with np.errstate(over="ignore", invalid="ignore"):  # poses past all numbers are refused elsewhere
+            self._matrices: Float64Array = rest_pose(self._skeleton)[0]
+
+    def of(self, primitive: SkinnedPrimitive) -> Float64Array:
+        """Return the area around each vertex of a primitive, (V,) float64, squared unit of the scene.
+
+        A surface that the rest pose hides, by a scale of 0, has the area that its joints' inverse bind
+        matrices alone give it: the animation may show it.
+        """
+        joints = np.where(primitive.joints < len(self._matrices), primitive.joints, 0)
+        weights = normalised_weights(primitive.weights, joints)
+        positions = primitive.positions.astype(np.float64)
+        posed = np.zeros_like(positions)
+        with np.errstate(over="ignore", invalid="ignore"):
+            for joint, weight in zip(joints.T, weights.T, strict=True):
+                matrices = self._matrices[joint, :3]
+                posed += weight[:, None] * (
+                    np.einsum("vij,vj->vi", matrices[..., :3], positions) + matrices[..., 3]
+                )
+            areas = vertex_areas(posed, primitive.triangles)
+            extent = float(np.abs(posed[primitive.triangles]).max(initial=0.0))
+            if _COLLAPSED * extent * extent < areas.sum() < np.inf:
+                return areas
+            scales = np.abs(np.linalg.det(self._skeleton.inverse_bind[joints[:, 0], :3, :3])) ** (2.0 / 3.0)
+            return np.asarray(vertex_areas(positions, primitive.triangles) * np.nan_to_num(scales, nan=1.0))
