@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import astuple
 from pathlib import Path
@@ -199,10 +200,18 @@ def failing(verdict: FileVerdict) -> Iterator[tuple[str, str, str]]:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"max_mean_error": 0.05}, "LBS accurate: the mean of the error is 0.08"),
-        ({"max_p95_error": 0.2}, "LBS accurate: the 95th percentile of the error is 0.31"),
-        ({"min_gain": 100.0}, "LBS: the gain is 37.9"),
-        ({"max_mean_error": 0.5, "methods": ("dqs",)}, "DQS accurate: the mean of the error is 0.69"),
+        ({"max_mean_error": 0.05}, "LBS accurate: the mean of the error is 0.133° by triangles, over"),
+        ({"max_p95_error": 0.2}, "LBS accurate: the 95th percentile of the error is 0.43"),
+        ({"min_gain": 100.0}, "LBS: the gain is 24.38 by triangles, below 100"),
+        # Of two truths the worse counts: these keep the limit by tangents.
+        ({"max_mean_error": 0.1}, "LBS accurate: the mean of the error is 0.133° by triangles, over"),
+        ({"min_gain": 30.0}, "LBS: the gain is 24.38 by triangles, below 30"),
+        (
+            {"max_mean_error": 0.08, "truth": "tangents"},
+            "LBS accurate: the mean of the error is 0.086° by tang",
+        ),
+        ({"min_gain": 100.0, "truth": "tangents"}, "LBS: the gain is 37.90 by tangents, below 100"),
+        ({"max_mean_error": 0.5, "methods": ("dqs",)}, "DQS accurate: the mean of the error is 0.7"),
     ],
 )
 def test_a_limit_that_is_exceeded_fails(tmp_path: Path, options: dict[str, Any], message: str) -> None:
@@ -216,12 +225,44 @@ def test_a_limit_that_is_exceeded_fails(tmp_path: Path, options: dict[str, Any],
 
 def test_limits_that_are_kept_pass(tmp_path: Path) -> None:
     path = baked(source("bent_tube.glb"), tmp_path)
-    verdict = measured(path, max_mean_error=0.1, max_p95_error=0.4, min_gain=30.0)
+    verdict = measured(path, max_mean_error=0.15, max_p95_error=0.45, min_gain=24.0)
     assert verdict.passed
+    assert measured(path, max_mean_error=0.1, max_p95_error=0.4, min_gain=30.0, truth="tangents").passed
     assert [check.name for check in verdict.checks][-1] == "limits"
     # Of the methods: without --method the limits are LBS's, and DQS's mean of 0.7° does not count.
-    assert measured(path, max_mean_error=0.1, methods=("lbs",)).passed
-    assert not measured(path, max_mean_error=0.1, methods=("lbs", "dqs")).passed
+    assert measured(path, max_mean_error=0.15, methods=("lbs",)).passed
+    assert not measured(path, max_mean_error=0.15, methods=("lbs", "dqs")).passed
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        BakeSettings(weighting="angle"),
+        BakeSettings(crease_angle=math.radians(60.0)),
+        BakeSettings(neighbours="drop"),
+        BakeSettings(frame="normal"),
+    ],
+    ids=["weighting", "crease angle", "neighbours", "frame"],
+)
+@pytest.mark.parametrize("name", ["hard_edge.glb", "mirrored_tangent.glb", "foreign_joints.glb"])
+def test_standard_lighting_does_not_depend_on_how_it_was_baked(
+    tmp_path: Path, name: str, settings: BakeSettings
+) -> None:
+    """With the bake's own weighting, CesiumMan's standard error was 4.51 or 4.31 degrees."""
+    plain, other = (
+        measured(baked(source(name), folder(tmp_path / which), how), poses=PoseRequest("random", 5))
+        for which, how in (("plain", BakeSettings()), ("other", settings))
+    )
+    assert len(plain.by_truth) == 2
+    for truth, normals in plain.by_truth.items():
+        for method, figures in normals.items():
+            found = other.by_truth[truth][method]["approximated"]
+            assert astuple(found)[:4] == pytest.approx(astuple(figures["approximated"])[:4], rel=1e-4)
+
+
+def folder(path: Path) -> Path:
+    path.mkdir()
+    return path
 
 
 def test_the_command_line_passes_limits_on(tmp_path: Path) -> None:
@@ -230,9 +271,11 @@ def test_the_command_line_passes_limits_on(tmp_path: Path) -> None:
         ("--max-mean-error", "1", "0.01"),
         ("--max-p95-error", "1", "0.01"),
         ("--min-gain", "2", "1000"),
+        ("--truth=tangents --min-gain", "30", "60"),
+        ("--truth=triangles --min-gain", "20", "30"),
     ):
-        assert verify(path, option, keeps, "--samples", "6").exit_code == 0
-        answer = verify(path, option, breaks, "--samples", "6")
+        assert verify(path, *option.split(), keeps, "--samples", "6").exit_code == 0
+        answer = verify(path, *option.split(), breaks, "--samples", "6")
         assert (answer.exit_code, answer.failed) == (1, ["limits"])
 
 

@@ -4,12 +4,14 @@ import math
 from dataclasses import replace
 from typing import get_args
 
+import igl
 import numpy as np
 import pytest
 
 from skinbake.choices import Weighting
 from skinbake.errors import InputError
 from skinbake.geometry.skinned import Float64Array, SkinnedPrimitive
+from skinbake.lighting import operator as operators
 from skinbake.lighting.influences import weight_field
 from skinbake.lighting.metrics import angular_errors, vertex_areas
 from skinbake.lighting.operator import GradientOperator, expected_alpha_beta, gradient_operator
@@ -250,6 +252,36 @@ def test_primitives_of_one_mesh_weld_where_they_meet() -> None:
     first_rows, second_rows = operator.slices
     assert np.abs(found[first_rows] - expected).max() < 1e-10
     assert np.abs(found[second_rows] - expected[used]).max() < 1e-10
+
+
+@pytest.mark.parametrize("triangulation", ["random", "jittered"])
+def test_each_triangles_gradient_is_libigls(triangulation: Triangulation) -> None:
+    """Of a mesh whose triangles have no vertex in common, a row is a triangle's gradient and nothing else."""
+    surface = analytic_surface(200, triangulation).primitive
+    positions = surface.positions[surface.triangles].reshape(-1, 3).astype(np.float64)
+    triangles = np.arange(len(positions)).reshape(-1, 3)
+    apart = patch(positions, triangles, joints=np.arange(len(positions))[:, None] * [1, 0, 0, 0])
+    field = np.random.default_rng(5).normal(size=len(positions))
+    expected = (igl.grad(positions, triangles) @ field).reshape(3, -1).T
+    found = gradients(gradient_operator([apart]), field).reshape(-1, 3, 3)
+    for corner in range(3):
+        assert np.abs(found[:, corner] - expected).max() < 1e-9 * np.abs(expected).max()
+
+
+def test_the_reach_is_what_the_rows_sum_up_to() -> None:
+    operator = gradient_operator([analytic_surface(300, "irregular").primitive])
+    expected = sum(np.abs(axis.toarray()).sum(axis=1) for axis in (operator.x, operator.y, operator.z))
+    assert operator.reach() == pytest.approx(expected, rel=1e-12)
+
+
+def test_rows_do_not_depend_on_the_blocks_they_are_made_in(monkeypatch: pytest.MonkeyPatch) -> None:
+    surface = analytic_surface(300, "irregular")
+    split, _ = split_seam(surface.primitive, tilt_degrees=5.0)
+    whole = gradient_operator([split]).x.toarray()
+    monkeypatch.setattr(operators, "CORNERS", 20)
+    operator = gradient_operator([split])
+    assert len(operator.blocks()) > 50
+    assert (operator.x.toarray() == whole).all()
 
 
 # Data that real files hold

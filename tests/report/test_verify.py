@@ -42,12 +42,21 @@ def lit(standard: float = 4.0, accurate: float = 1.0) -> Normals:
     }
 
 
+def without_direct(normals: Normals) -> Normals:
+    return {
+        method: {lighting: one for lighting, one in figures.items() if lighting != "direct"}
+        for method, figures in normals.items()
+    }
+
+
 PASSED = FileVerdict(
     "hero.glb",
     (Check("structure", "passed", (), "1 baked primitive, 9 vertices"), Check("freshness", "passed")),
     lit(),
     ((PLACE, lit()),),
     "60 poses of 3 clips (12 s)",
+    by_triangles=without_direct(lit(5.0, 2.0)),
+    primitives_by_triangles=((PLACE, without_direct(lit(5.0, 2.0))),),
 )
 STALE = Notice("stale", "POSITION changed since its bake. Bake last", PLACE, 5)
 FAILED = FileVerdict(
@@ -69,10 +78,15 @@ def test_json_is_as_the_schema_has_it() -> None:
     assert [entry["passed"] for entry in document["files"]] == [True, False, False]
     assert document["files"][0]["normals"]["lbs"]["approximated"]["p99"] == 12.0
     assert document["files"][0]["primitives"][0]["normals"]["dqs"]["exact"]["mean"] == 0.5
+    for entry in (document["files"][0], document["files"][0]["primitives"][0]):
+        assert entry["normals_by_triangles"]["lbs"]["accurate"]["p95"] == 4.0
+        assert (entry["normals"]["lbs"]["gain"], entry["normals_by_triangles"]["lbs"]["gain"]) == (4.0, 2.5)
     assert document["files"][2]["error"] == {"kind": "InputError", "message": "cannot be read"}
 
 
-@pytest.mark.parametrize("member", ["normals", "checks", "primitives", "without_dqs", "input", "error"])
+@pytest.mark.parametrize(
+    "member", ["normals", "normals_by_triangles", "checks", "primitives", "without_dqs", "input", "error"]
+)
 def test_the_schema_notices_a_missing_member(member: str) -> None:
     document = as_json([PASSED], exit_code=0)
     del document["files"][0][member]
@@ -101,7 +115,7 @@ def test_gain_is_a_ratio_of_means_unless_the_error_is_rounding() -> None:
     assert gain(lit()["lbs"]) == 4.0
     assert gain(lit(accurate=1e-6)["lbs"]) is None
     assert gain({}) is None
-    assert "gain" not in as_text(replace(PASSED, normals=lit(accurate=1e-6)))
+    assert "gain" not in as_text(replace(PASSED, normals=lit(accurate=1e-6), by_triangles=lit(accurate=1e-6)))
 
 
 def test_the_table_is_aligned_and_says_what_it_means() -> None:
@@ -110,11 +124,18 @@ def test_the_table_is_aligned_and_says_what_it_means() -> None:
     assert lines[1] == "  structure  passed  1 baked primitive, 9 vertices"
     table = [line for line in lines if line.startswith(("  LBS", "  DQS")) and "gain" not in line]
     assert len(table) == 5
-    assert {line[24:58].count(".") for line in table} == {4}
+    assert {line[18:68].count(".") for line in table} == {6}
     assert len({line.index("mesh 2") for line in table}) == 1
-    assert table[0].split()[:6] == ["LBS", "standard", "4.00", "8.00", "12.00", "16.00"]
+    numbers = ["4.00", "8.00", "12.00", "16.00", "5.00", "10.00"]
+    assert table[0].split()[:8] == ["LBS", "standard", *numbers]
+    heads = [line for line in lines if "by tangents" in line or " p95 " in line][:2]
+    assert heads[1].split()[:6] == ["mean", "p95", "p99", "max", "mean", "p95"]
+    assert heads[0].index("by tangents") < table[0].index("8.00")
+    assert heads[0].endswith("by triangles")
+    assert len(heads[0]) == table[0].index("10.00") + 5
     assert table[0].endswith('mesh 2 "Body", primitive 1, vertex 7, clip "run" at 0.25 s')
-    assert any(line.startswith("  LBS gain") and "4.00x" in line for line in lines)
+    gains = "4.00x by tangents, 2.50x by triangles"
+    assert any(line.startswith("  LBS gain") and gains in line for line in lines)
     assert "over 60 poses of 3 clips (12 s)." in lines[-1]
     assert "degrees" in lines[-1]
     assert max(len(line) for line in lines) < 130

@@ -151,7 +151,7 @@ def as_text(verdict: FileVerdict) -> str:
 
 def _table(normals: Normals, by_triangles: Normals) -> Iterator[str]:
     """Yield the table's lines: figures by tangents, then mean and 95th percentile by triangles."""
-    yield f"  {'':<18}{'by tangents':>12}{'':24}{'by triangles':>17}"
+    yield f"  {'':<16}{'    by tangents':<32}{'by triangles':>18}"
     yield f"  {'':<16}{'mean':>8}{'p95':>8}{'p99':>8}{'max':>8}{'mean':>10}{'p95':>8}  worst at"
     for method, figures in normals.items():
         others = by_triangles.get(method, {})

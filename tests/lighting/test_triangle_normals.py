@@ -1,0 +1,156 @@
+"""The truth by triangles: against libigl's angle-weighted normals, and what it must return exactly."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import igl
+import numpy as np
+import pytest
+
+from skinbake.geometry.skinned import Float64Array, SkinnedPrimitive
+from skinbake.lighting.metrics import angular_errors, vertex_areas
+from skinbake.lighting.operator import gradient_operator
+from skinbake.lighting.reference import perpendicular, posed_tangents, rest_frames
+from skinbake.lighting.triangle_normals import (
+    block_sums,
+    carried_normals,
+    corner_sums,
+    triangle_blocks,
+    triangle_normals,
+    vertex_normals,
+)
+from tests.support.surfaces import MILD, STRONG, analytic_surface, bends
+
+POSES = bends([MILD, STRONG, 60.0])
+
+
+def true_normals(
+    primitive: SkinnedPrimitive, deformed: Float64Array, normals: Any = None, sides: Any = None
+) -> Float64Array:
+    """Return the truth by triangles (P, V, 3) of deformed positions (P, V, 3)."""
+    n0 = np.asarray(primitive.normals if normals is None else normals, dtype=np.float64)
+    operator = gradient_operator([primitive])
+    rest = rest_frames(operator, primitive.positions, n0, *perpendicular(n0))
+    carried = carried_normals(operator, rest, primitive.positions, n0)
+    posed = np.ascontiguousarray(deformed.transpose(2, 1, 0))
+    sums = vertex_normals(operator, triangle_blocks(operator, len(deformed)), posed)
+    found = np.empty(deformed.shape)
+    for part, derivatives in zip(rest.parts, rest.tangents, strict=True):
+        side = None if sides is None else sides[:, part]
+        tangent = posed_tangents(derivatives, posed)[0]
+        vectors, valid = triangle_normals(carried, part, tangent, block_sums(operator, sums, part), side)
+        found[:, part] = np.stack(vectors, axis=2)
+        assert (np.isfinite(found[:, part, 0]) == valid).all()
+    return found
+
+
+def by_libigl(positions: Float64Array, triangles: Any) -> Float64Array:
+    angle_weighted = igl.PER_VERTEX_NORMALS_WEIGHTING_TYPE_ANGLE
+    found: Float64Array = igl.per_vertex_normals(positions, triangles.astype(np.int64), angle_weighted)
+    return found
+
+
+def authored(normals: Any) -> Float64Array:
+    """Normals that no surface has: tilted by up to 40°, of any length."""
+    rng = np.random.default_rng(4)
+    tilted = normals + rng.uniform(-0.5, 0.5, normals.shape)
+    return np.asarray(tilted * rng.uniform(0.1, 9.0, (len(tilted), 1)))
+
+
+@pytest.mark.parametrize("triangulation", ["random", "irregular"])
+def test_normals_of_the_surface_stay_normals_of_the_surface(triangulation: Any) -> None:
+    surface = analytic_surface(500, triangulation)
+    primitive, deformed = surface.primitive, surface.deformed(POSES)
+    at_rest = by_libigl(primitive.positions.astype(np.float64), primitive.triangles)
+    found = true_normals(primitive, deformed, at_rest)
+    expected = np.stack([by_libigl(one, primitive.triangles) for one in deformed])
+    assert angular_errors(found, expected).max() < 1e-5
+    assert angular_errors(found[0], found[2]).max() > 10.0
+
+
+def test_at_rest_it_returns_the_stored_normals_authored_ones_included() -> None:
+    primitive = analytic_surface(400, "random").primitive
+    for n0 in (primitive.normals.astype(np.float64), authored(primitive.normals)):
+        found = true_normals(primitive, primitive.positions[None].astype(np.float64), n0)
+        assert angular_errors(found[0], n0).max() < 1e-6
+        assert np.abs(np.linalg.norm(found, axis=2) - 1.0).max() < 1e-12
+
+
+@pytest.mark.parametrize("scale", [1.0, 0.01, 300.0])
+def test_rigid_motion_and_uniform_scale_rotate_authored_normals(scale: float) -> None:
+    primitive = analytic_surface(400, "random").primitive
+    n0 = authored(primitive.normals)
+    turn = np.linalg.qr(np.random.default_rng(2).normal(size=(3, 3)))[0]
+    turn *= np.sign(np.linalg.det(turn))
+    moved = np.asarray(scale * (primitive.positions @ turn.T)[None] + 2.0, dtype=np.float64)
+    found = true_normals(primitive, moved, n0)
+    assert angular_errors(found[0], n0 @ turn.T).max() < 1e-6
+
+
+def test_a_mirror_keeps_normals_outside() -> None:
+    primitive = analytic_surface(400, "irregular").primitive
+    mirror = np.diag([1.0, -1.0, 1.0])
+    n0 = authored(primitive.normals)
+    mirrored = primitive.positions[None].astype(np.float64) @ mirror
+    sides = -np.ones((1, len(n0)))
+    assert angular_errors(true_normals(primitive, mirrored, n0, sides)[0], n0 @ mirror).max() < 1e-6
+
+
+def test_it_converges_to_the_normals_of_the_skinned_surface() -> None:
+    means = []
+    for count in (700, 5600):
+        surface = analytic_surface(count, "irregular")
+        poses = bends([MILD])
+        found = true_normals(surface.primitive, surface.deformed(poses))
+        areas = vertex_areas(surface.primitive.positions, surface.primitive.triangles)
+        errors = angular_errors(found, surface.exact_normals(poses))[0]
+        means.append(np.average(errors, weights=areas))
+    assert means[1] < 0.5 * means[0]
+    assert means[1] < 0.2
+
+
+def roof(angle: float) -> SkinnedPrimitive:
+    """Two squares that meet at an edge, whose vertices each has by itself, with its own flat normal."""
+    half = np.radians(angle) / 2.0
+    slope = np.array([np.cos(half), 0.0, -np.sin(half)])
+    edge = np.array([[0.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    right, left = edge + slope, edge + slope * [-1.0, 1.0, 1.0]
+    positions = np.concatenate([edge, right, edge, left])
+    up = np.array([np.sin(half), 0.0, np.cos(half)])
+    normals = np.concatenate([np.tile(up, (4, 1)), np.tile(up * [-1.0, 1.0, 1.0], (4, 1))])
+    triangles = np.array([[0, 2, 1], [1, 2, 3], [4, 5, 6], [5, 7, 6]])
+    joints, weights = np.zeros((8, 4), np.int64), np.tile([1.0, 0.0, 0.0, 0.0], (8, 1))
+    return SkinnedPrimitive(positions, normals, None, joints, weights, triangles)
+
+
+def test_hard_edges_stay_hard() -> None:
+    """Bent about its edge, each side turns for itself; where copies are one point, it is their mean."""
+    for angle, joined in ((60.0, False), (10.0, True)):
+        primitive = roof(angle)
+        bent = roof(angle + 20.0)
+        found = true_normals(primitive, bent.positions[None].astype(np.float64))[0]
+        turned = angular_errors(found, primitive.normals)
+        on_edge = [0, 1, 4, 5]
+        assert turned[on_edge] == pytest.approx([0.0 if joined else 10.0] * 4, abs=1e-6)
+        assert turned[[2, 3, 6, 7]] == pytest.approx([10.0] * 4, abs=1e-6)
+
+
+def test_flat_and_broken_triangles_add_nothing() -> None:
+    primitive = analytic_surface(200, "jittered").primitive
+    rest = primitive.positions.astype(np.float64)
+    line, broken = rest.copy(), rest.copy()
+    first = primitive.triangles[0]
+    line[first[2]] = 0.5 * (line[first[0]] + line[first[1]])
+    broken[first[0]] = np.nan
+    operator = gradient_operator([primitive])
+    (block, *_) = triangle_blocks(operator, 1)
+    alone = replace(block, triangles=block.triangles[:1])
+    size = len(block.triangles)
+    alone = replace(alone, corners=block.corners[:, [0, size, 2 * size]])
+    for positions in (line, broken, np.zeros_like(rest)):
+        posed = np.ascontiguousarray(positions.T[:, :, None])
+        assert not corner_sums(alone, posed).any()
+        assert np.isfinite(corner_sums(block, posed)).all()
+    assert corner_sums(alone, np.ascontiguousarray(rest.T[:, :, None])).any()
