@@ -1,6 +1,6 @@
 """Bake real models, verify them, and write what α and β are worth on each into docs/lighting.md.
 
-``python benchmarks/corpus_table.py [FOLDER] [--output FILE]``: every .glb, .gltf and .vrm file below the
+``python -m benchmarks.corpus_table [FOLDER] [--output FILE]``: every .glb, .gltf and .vrm file below the
 folder; without one, the models of the corpus that the tests use (SKINBAKE_CORPUS, or ../shared/corpus). Files
 that cannot be baked, or that no true normal can be measured on, are listed with the reason. Exits with 1
 where a model does not verify.
@@ -18,6 +18,7 @@ from importlib.metadata import version
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from benchmarks.analytic_truth import END, START
 from skinbake import __version__
 from skinbake.choices import Baseline
 from skinbake.commands.bake import Baker
@@ -33,7 +34,7 @@ REPOSITORY = Path(__file__).resolve().parents[1]
 DEFAULT_OUTPUT = REPOSITORY / "docs" / "lighting.md"
 SUFFIXES = {".glb", ".gltf", ".vrm"}
 CORPUS_FOLDERS = ("public", "derived")
-PACKAGES = ("numpy", "scipy", "libigl")
+PACKAGES = ("numpy", "scipy")
 
 HEAD = """# What accurate lighting is worth
 
@@ -41,17 +42,48 @@ Angle in degrees between the normals that a shader computes and the true normals
 Every model is baked, checked by `skinbake verify` (structure, freshness, algorithm 3 = algorithm 2), and
 measured over its own animations; one without any, over joints turned at random by up to 30°.
 
-**Reading it.** Each figure is over all vertices and poses, weighted by the rest area around a vertex, so
-that a finely divided hand counts no more than a coarse back of the same size. *Mean* is the average, 95 %
-of the area stays below *p95*, and *gain* is the standard mean divided by the accurate one (blank where the
-error is rounding). *Standard* is what engines do today (algorithm 1; 4 for dual quaternions), *accurate*
-uses α and β (algorithm 3; 5), *exact* is algorithm 6. The gain is large where joints bend a smooth, finely
-divided surface. It is small where little bends; where every vertex has one joint, so that standard lighting
-is right but for the border triangles; and where the mesh is coarse or full of hard edges: the true normals
-are themselves measured on its triangles, and on a dozen of those they are known to some ten degrees only. A
-gain below 1 says that by this measure accurate lighting is no better on that model. Standard lighting is
-the blended matrix here, as in three.js; *over i. t.* is the gain over the inverse transpose, as in Bevy:
-where joints are scaled unevenly, that alone may be all the gain.
+## What a true normal is
+A smooth surface has one normal at each point. A mesh does not: it has flat triangles, and the normal at a
+vertex is an agreement about them. The authored normals of the rest pose are such an agreement, and
+animation files store none for the other poses. So verify finds true normals itself, in two ways that have
+little in common. Both look only at where the vertices are before and after skinning, never at α and β. Both
+give the authored normal itself at rest.
+
+- **By tangents.** Two tangents are measured at each vertex, at rest and in the pose: how the position
+  changes along the triangles around it, averaged with Max's weights (1999). The map from the tangents at
+  rest to those in the pose moves the authored normal.
+- **By triangles.** The normal at a vertex is the mean of its triangles' normals, each weighted by the
+  triangle's angle there (Thürmer and Wüthrich 1998). Modelling tools shade with it. It is taken at rest and
+  in the pose, and the authored normal keeps its place beside it.
+
+Neither depends on an option of bake: the weighting of triangles, the crease angle (15°) and the tangents
+are verify's own. Only what changes the surface itself changes them: `--limit-influences`, which moves
+vertices, and `--weld skin`, which joins meshes. Errors are weighted by the area around each vertex in the
+rest pose, in the scene's unit: a quantised mesh counts as much as its float twin.
+
+Each truth has an error of its own, which no one sees on a real model. On a surface that has a formula it
+shows. Here is a tube of three joints, bent in eight steps, by the mean angle in degrees: standard and
+accurate lighting (algorithms 1 and 3) against the formula; accurate lighting as verify measures it, by each
+truth; and each truth against the formula. Where weights are smooth, accurate lighting is nearer to the
+formula than either truth: verify reports about twice its real error. Where weights change within an edge
+(steep), or have kinks, the mesh is too coarse to show what the formula does, all three share that error,
+and verify reports less than the real one. A difference that is smaller than the truths' own distance from
+each other says nothing.
+
+{analytic}
+
+## Reading the tables
+Each figure is over all vertices and poses, weighted by the area around a vertex at rest, so that a finely
+divided hand counts no more than a coarse back of the same size. *Mean* is the average, 95 % of the area
+stays below *p95*, and *gain* is the standard mean divided by the accurate one (blank where the error is
+rounding). *Standard* is what engines do today (algorithm 1; 4 for dual quaternions), *accurate* uses α and
+β (algorithm 3; 5), *exact* is algorithm 6. Figures are by tangents where nothing else is said. The gain is
+large where joints bend a smooth, finely divided surface. It is small where little bends; where every vertex
+has one joint, so that standard lighting is right but for the border triangles; and where the mesh is coarse
+or full of hard edges: the true normals are themselves measured on its triangles, and on a dozen of those
+they are known to some ten degrees only. A gain below 1 says that by this measure accurate lighting is no
+better on that model. Standard lighting is the blended matrix here, as in three.js; *over i. t.* is the gain
+over the inverse transpose, as in Bevy: where joints are scaled unevenly, that alone may be all the gain.
 """
 
 
@@ -80,7 +112,8 @@ def main() -> int:
         {path for folder in folders for path in folder.rglob("*") if path.suffix.lower() in SUFFIXES}
     )
     models, left_out = measure(found, options.samples)
-    options.output.write_text(page(models, left_out, options.samples), encoding="utf-8")
+    text = page(models, left_out, options.samples, analytic_part(options.output))
+    options.output.write_text(text, encoding="utf-8")
     failed = [model.name for model in models if not model.verdict.passed]
     print(f"{len(models)} models, {len(left_out)} left out -> {options.output}")
     for name in failed:
@@ -133,12 +166,19 @@ def told_apart(paths: list[Path]) -> list[str]:
     return [f"{path.parent.name}/{path.name}" if names.count(path.name) > 1 else path.name for path in paths]
 
 
-def page(models: list[Model], left_out: list[tuple[str, str]], samples: int | None) -> str:
+def analytic_part(path: Path) -> str:
+    """Return the part of a page that ``analytic_truth`` writes, empty where the page has none."""
+    text = path.read_text(encoding="utf-8") if path.is_file() else ""
+    inside = text.split(START)[1].split(END)[0] if START in text and END in text else "\n"
+    return f"{START}{inside}{END}"
+
+
+def page(models: list[Model], left_out: list[tuple[str, str]], samples: int | None, analytic: str) -> str:
     """Return the page as Markdown."""
     animated = [model for model in models if " clip" in model.verdict.poses]
     others = [model for model in models if model not in animated]
     notes: dict[str, int] = {}
-    parts = [HEAD]
+    parts = [HEAD.replace("{analytic}", analytic)]
     for title, chosen in (
         ("Models in their own animations", animated),
         ("Models without animation: random poses", others),
@@ -161,9 +201,9 @@ def table(models: Iterable[Model], notes: dict[str, int]) -> Iterator[str]:
     yield ""
     yield (
         "| model | vertices | poses | LBS standard mean / p95 | accurate mean / p95 | gain | over i. t. "
-        "| DQS standard mean | accurate | exact |"
+        "| by triangles: standard mean | accurate mean / p95 | gain | DQS standard mean | accurate | exact |"
     )
-    yield "|---|--:|---|--:|--:|--:|--:|--:|--:|--:|"
+    yield "|---|--:|---|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|"
     for model in models:
         yield f"| {' | '.join(row(model, notes))} |"
 
@@ -173,17 +213,26 @@ def row(model: Model, notes: dict[str, int]) -> Iterator[str]:
     verdict = model.verdict
     normals = verdict.normals or {}
     lbs, dqs = normals.get("lbs", {}), normals.get("dqs", {})
+    by_triangles = (verdict.by_triangles or {}).get("lbs", {})
     yield model.name + ("" if verdict.passed else " (**does not verify**)")
     yield f"{model.vertices:,}"
     yield verdict.poses.split(" (")[0].split(", ")[0]
     yield pair(lbs.get("approximated"))
     yield pair(lbs.get("accurate"))
-    yield from ("" if factor is None else f"{factor:.1f} ×" for factor in (gain(lbs), model.other_gain))
+    yield from map(times, (gain(lbs), model.other_gain))
+    yield f"{by_triangles['approximated'].mean:.2f}°" if by_triangles else ""
+    yield pair(by_triangles.get("accurate"))
+    yield times(gain(by_triangles))
     if dqs:
         yield from (f"{dqs[name].mean:.2f}°" for name in ("approximated", "accurate", "exact"))
     else:
         number = notes.setdefault(verdict.without_dqs or "not measured", len(notes) + 1)
         yield from (f"— ({number})", "—", "—")
+
+
+def times(factor: float | None) -> str:
+    """Return a gain."""
+    return "" if factor is None else f"{factor:.1f} ×"
 
 
 def pair(figures: ErrorFigures | None) -> str:
@@ -199,7 +248,8 @@ def made(samples: int | None) -> str:
         "60 poses shared by a file's clips, at least 3 each" if samples is None else f"{samples} poses a clip"
     )
     return (
-        f"---\nMade by `python benchmarks/corpus_table.py{option}` with skinbake {__version__}, Python "
+        f"---\nMade by `python -m benchmarks.corpus_table{option}`, and its table of the tube by `python -m "
+        f"benchmarks.analytic_truth`, with skinbake {__version__}, Python "
         f"{platform.python_version()}, {versions}: default bake with `--generate-normals`, {each}, 24 random "
         "poses of a file without animation.\n"
     )
