@@ -29,7 +29,8 @@ from fixtures.make_fixtures import (
     tube_surface,
     tube_weights,
 )
-from skinbake.commands.bake import BakeOptions, bake_file
+from skinbake.choices import Truth
+from skinbake.commands.bake import Baker
 from skinbake.geometry.poses import composed, normalised
 from skinbake.geometry.skinned import Float64Array, FloatArray, IntArray, SkinnedPrimitive
 from skinbake.gltf.animation import read_clips
@@ -44,10 +45,9 @@ from skinbake.lighting.metrics import angular_errors, vertex_areas
 from skinbake.lighting.operator import gradient_operator
 from skinbake.lighting.poses import PoseRequest, pose_set
 from skinbake.lighting.threads import Threads
-from skinbake.report.verify import BY_TANGENTS, BY_TRIANGLES, TRUTHS
 from skinbake.skinning.algorithms import Algorithm
-from skinbake.skinning.run import replay
 from skinbake.skinning.surface import RestSurface
+from tests.support.replay import replay
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 DEFAULT_OUTPUT = REPOSITORY / "docs" / "lighting.md"
@@ -139,14 +139,14 @@ def measured(
     operator = gradient_operator([primitive])
     posed = {one: replay(one, rest, matrices) for one in (Algorithm.LBS_APPROXIMATED, Algorithm.LBS_ACCURATE)}
     accurate = posed[Algorithm.LBS_ACCURATE]
-    truths = Truths.of(operator, [rest], len(matrices), TRUTHS)
+    truths = Truths.of(operator, [rest], len(matrices), tuple(Truth))
     deformed = np.ascontiguousarray(np.transpose(accurate.positions, (2, 1, 0)), dtype=np.float64)
     with Threads(1) as threads:
         sums = truths.sums(deformed, threads)
-    found = {truth: np.empty(exact.shape) for truth in TRUTHS}
+    found = {truth: np.empty(exact.shape) for truth in Truth}
     for piece in truths.pieces:
         for truth, vectors, _ in truths.normals(piece.number, deformed, sums, None):
-            found[truth][:, piece.part] = np.stack(vectors, axis=2)
+            found[Truth(truth)][:, piece.part] = np.stack(vectors, axis=2)
     areas = vertex_areas(primitive.positions, primitive.triangles)
 
     def mean(one: FloatArray, other: FloatArray) -> float:
@@ -195,7 +195,7 @@ def bent_tube() -> Errors:
     """Bake the fixture and measure it in the poses that verify takes."""
     with TemporaryDirectory() as folder:
         path = Path(folder) / BENT_TUBE.name
-        bake_file(str(BENT_TUBE), str(path), BakeOptions())
+        Baker().bake_file(str(BENT_TUBE), str(path))
         document = read_document(str(path))
     ((view,), _) = baked_views(document, skinned_sources(document)[0])
     matrices = pose_set(document, 0, read_clips(document), PoseRequest()).joint_matrices
@@ -222,8 +222,8 @@ def row(name: str, errors: Errors) -> str:
     angles = (
         errors.standard,
         errors.accurate,
-        *(errors.accurate_by[truth] for truth in (BY_TANGENTS, BY_TRIANGLES)),
-        *(errors.truths[truth] for truth in (BY_TANGENTS, BY_TRIANGLES)),
+        *(errors.accurate_by[truth] for truth in Truth),
+        *(errors.truths[truth] for truth in Truth),
     )
     cells = " | ".join(f"{angle:.3g}°" if angle >= 10 else f"{angle:.3f}°" for angle in angles)
     return f"| {name} | {errors.vertices:,} | {cells} |"

@@ -23,6 +23,7 @@ from skinbake.choices import (
     Neighbours,
     PoseKind,
     Scheme,
+    Truth,
     Weighting,
     Weld,
     member_of,
@@ -156,6 +157,7 @@ def verify(
     max_mean_error: float | None = None,
     max_p95_error: float | None = None,
     min_gain: float | None = None,
+    truth: Truth | str | None = None,
     require_baked: bool = False,
     warnings_as_errors: bool = False,
     allow_outside: Sequence[FilePath] = (),
@@ -175,6 +177,8 @@ def verify(
         As ``--baseline`` and ``--cap``.
     max_mean_error, max_p95_error, min_gain
         Limits of the accurate lighting, in degrees and as a factor. None sets no limit.
+    truth
+        ``tangents`` or ``triangles``: the true normals that limits hold by. None: by both (docs/lighting.md).
     require_baked, warnings_as_errors
         Fail where the file holds no bake, or where there are warnings.
     allow_outside
@@ -212,6 +216,7 @@ def verify(
         max_mean_error=max_mean_error,
         max_p95_error=max_p95_error,
         min_gain=min_gain,
+        truth=None if truth is None else member_of(Truth, truth, "truth"),
         require_baked=require_baked,
         warnings_as_errors=warnings_as_errors,
         cap=cap,

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from fuzz import branches
+from fuzz.measuring import PACKAGE
 
 TEXT = """def first(x):
     if x:
@@ -21,12 +22,12 @@ MISSED = ("a.py", "first", "if x: -> return 1 #2")
 
 
 def test_branches_are_told_by_function_and_text(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    folder = tmp_path / branches.PACKAGE
+    folder = tmp_path / PACKAGE
     folder.mkdir(parents=True)
     (folder / "a.py").write_text(TEXT)
     monkeypatch.setattr(branches, "REPOSITORY", tmp_path)
     content = {"executed_branches": [[2, 3], [2, 4], [4, 6]], "missing_branches": [[4, 5]]}
-    reached, missed = branches.branches({"files": {f"{branches.PACKAGE}/a.py": content}})
+    reached, missed = branches.branches({"files": {f"{PACKAGE}/a.py": content}})
     assert REACHED in reached
     assert len(reached) == 3
     assert missed == {MISSED: "a.py:4"}

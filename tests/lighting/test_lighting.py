@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from skinbake.choices import FrameChoice, Neighbours, Weighting
 from skinbake.commands.verify import verify_file
 from skinbake.geometry.skinned import SkinnedPrimitive
 from skinbake.gltf.document import read_document
@@ -237,10 +238,10 @@ def test_limits_that_are_kept_pass(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "settings",
     [
-        BakeSettings(weighting="angle"),
+        BakeSettings(weighting=Weighting.ANGLE),
         BakeSettings(crease_angle=math.radians(60.0)),
-        BakeSettings(neighbours="drop"),
-        BakeSettings(frame="normal"),
+        BakeSettings(neighbours=Neighbours.DROP),
+        BakeSettings(frame=FrameChoice.NORMAL),
     ],
     ids=["weighting", "crease angle", "neighbours", "frame"],
 )

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from skinbake.commands.bake import BakeOptions, bake_file
+from skinbake.commands.bake import Baker
 from skinbake.commands.verify import verify_file
 from skinbake.lighting.measured import VerifyOptions
 from skinbake.lighting.poses import PoseRequest
@@ -102,7 +102,7 @@ def judged(what: str, name: str, path: Path, original: Path | None) -> Outcome:
     And from the original's, where that is given and has the same vertices.
     """
     again = path.with_name(f"again-{path.name}")
-    result = bake_file(str(path), str(again), BakeOptions())
+    result = Baker().bake_file(str(path), str(again))
     assert result.status == "baked", (what, name, result.error)
     found = accurate_normals(path)
     harm = largest_angle(found, accurate_normals(again))

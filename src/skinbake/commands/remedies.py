@@ -5,15 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-
-from skinbake.choices import FrameChoice, Neighbours, Weighting, Weld
-from skinbake.commands.bake import BakeOptions, bake_document
+from skinbake.choices import FrameChoice, Neighbours, Weld
+from skinbake.commands.bake import Baker
 from skinbake.errors import InputError, Notice, Place
 from skinbake.format.strip import stripped
 from skinbake.gltf.document import Document
 from skinbake.gltf.primitives import skinned_sources
-from skinbake.gradients.baker import BakeSettings
 from skinbake.lighting.baked_views import BakedView, baked_views, gathered_together, is_baked
 from skinbake.lighting.measured import Lighting, VerifyOptions
 from skinbake.lighting.staleness import mesh_operator
@@ -31,20 +28,20 @@ class Remedy:
     neighbours: Neighbours | None = None
     crease_angle: float | None = None
 
-    def applied(self, settings: BakeSettings) -> BakeSettings:
-        """Return the settings with those of the remedy."""
+    def applied(self, baker: Baker) -> Baker:
+        """Return what bakes with the options of the remedy."""
         return replace(
-            settings,
-            neighbours=settings.neighbours if self.neighbours is None else self.neighbours,
-            crease_angle=settings.crease_angle if self.crease_angle is None else self.crease_angle,
+            baker,
+            neighbours=baker.neighbours if self.neighbours is None else self.neighbours,
+            crease_angle=baker.crease_angle if self.crease_angle is None else self.crease_angle,
         )
 
 
 DROP, NO_CREASE = "--neighbours drop", "--crease-angle 180"
 REMEDIES = (
     Remedy(DROP, Neighbours.DROP),
-    Remedy(NO_CREASE, crease_angle=float(np.pi)),
-    Remedy(f"{DROP} {NO_CREASE}", Neighbours.DROP, float(np.pi)),
+    Remedy(NO_CREASE, crease_angle=180.0),
+    Remedy(f"{DROP} {NO_CREASE}", Neighbours.DROP, 180.0),
 )
 """Of all options, on the twelve primitives of real models that a bake lights worse, these helped any."""
 
@@ -67,7 +64,7 @@ def worse_lighting(
 def _gains(verdict: FileVerdict) -> dict[Place, float]:
     """Return the least gain of each primitive by any method and truth."""
     found: dict[Place, float] = {}
-    for place, normals in verdict.primitives:
+    for place, normals in (*verdict.primitives, *verdict.primitives_by_triangles):
         for figures in normals.values():
             factor = gain(figures)
             if factor is not None:
@@ -80,21 +77,21 @@ def _tried(
 ) -> Iterator[tuple[Remedy, dict[Place, float]]]:
     """Yield each remedy that can be tried, and the gains under it."""
     noted = views[0].metadata
-    settings = BakeSettings(
-        weighting=Weighting(noted["weighting"]),
-        crease_angle=float(np.radians(noted["creaseAngle"])),
-        neighbours=Neighbours(noted.get("neighbours", Neighbours.ADOPT)),
+    baker = Baker(
+        weighting=noted["weighting"],
+        crease_angle=noted["creaseAngle"],
+        neighbours=noted.get("neighbours", Neighbours.ADOPT),
         frame=FrameChoice(noted["frame"]),
+        weld=noted.get("weld", Weld.MESH),
     )
     plain, _, _ = stripped(document)
     for remedy in REMEDIES:
-        changed = remedy.applied(settings)
-        if changed == settings:
+        changed = remedy.applied(baker)
+        if changed == baker:
             continue
-        asked = BakeOptions(settings=changed, weld=Weld(noted.get("weld", Weld.MESH)))
         try:
             with document.budget.passing():
-                yield remedy, _gains(_measured(bake_document(plain, asked).document, options))
+                yield remedy, _gains(_measured(changed.bake_document(plain).document, options))
         except InputError:
             continue  # what cannot be baked so is no remedy
 

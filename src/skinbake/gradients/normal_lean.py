@@ -13,7 +13,7 @@ import numpy as np
 from skinbake.errors import Notice, Place
 from skinbake.geometry.frames import has_direction, unit_vectors
 from skinbake.geometry.skinned import Float64Array, FloatArray, IntArray, SkinnedPrimitive
-from skinbake.gradients.weld import equal_positions
+from skinbake.gradients import kernel
 
 FAR = 45.0
 """Degrees from which on a normal does not look like its surface's: smooth normals of a cube lean 55° from
@@ -62,7 +62,7 @@ def normal_lean(primitive: SkinnedPrimitive) -> NormalLean:
     rows, leans = rows[np.isfinite(leans)], leans[np.isfinite(leans)]
     suspects = leans > FAR
     if np.count_nonzero(suspects) > MOST * len(rows):
-        shared = _leans(primitive, rows[suspects], equal_positions(primitive.positions))
+        shared = _leans(primitive, rows[suspects], kernel.label_equal_rows(primitive.positions))
         leans[suspects] = np.fmin(leans[suspects], shared)
     far = leans[leans > FAR]
     middle = float(np.median(far)) if len(far) else 0.0

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -50,7 +50,7 @@ A mesh is measured as often as skins draw it, and in at least three poses of eac
 mesh of 3,000 vertices ask for 20 a byte, a character of a million vertices for 0.5.
 """
 
-TRUE_WEIGHTING: Weighting = "max"
+TRUE_WEIGHTING = Weighting.MAX
 TRUE_CREASE_ANGLE = 15.0
 """How the truths weigh triangles and where they see a hard edge, in degrees: no option of bake changes them.
 
@@ -78,7 +78,7 @@ class VerifyOptions:
     warnings_as_errors: bool = False
     cap: float | None = None
     baseline: Baseline = Baseline.BLENDED
-    truth: str | None = None
+    truth: Truth | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -318,7 +318,7 @@ def _true_operator(
     if noted["weighting"] == TRUE_WEIGHTING and math.isclose(noted["creaseAngle"], TRUE_CREASE_ANGLE):
         return operator
     return gradient_operator(
-        [view.before for view in views],
+        [view.now for view in views],
         weighting=TRUE_WEIGHTING,
         crease_angle_degrees=TRUE_CREASE_ANGLE,
         claim=lambda size: document.budget.claim(size, "welding it", views[0].source.place),
@@ -362,7 +362,7 @@ def _strain(draw: _Draw) -> tuple[float, str]:
     return (math.inf if math.isnan(strain) else strain), draw.poses.joint_names[worst]
 
 
-def _limits_check(by_truth: dict[str, Normals], options: VerifyOptions, place: Place) -> Check:
+def _limits_check(by_truth: Mapping[Truth, Normals], options: VerifyOptions, place: Place) -> Check:
     """Return whether the accurate lighting keeps the limits by all of the truths."""
     problems = _exceeded(by_truth, options, place)
     if problems:
@@ -398,7 +398,7 @@ def without_dqs(joints: Sequence[str]) -> str:
     return f"{shown} {verb} not rigid up to one scale common to all joints"
 
 
-def _exceeded(by_truth: dict[str, Normals], options: VerifyOptions, place: Place) -> list[Notice]:
+def _exceeded(by_truth: Mapping[Truth, Normals], options: VerifyOptions, place: Place) -> list[Notice]:
     """Return a problem for each limit that the accurate lighting of a method exceeds, by the worst truth."""
     problems = []
     for method in options.methods or ("lbs",):
@@ -423,8 +423,8 @@ def _exceeded(by_truth: dict[str, Normals], options: VerifyOptions, place: Place
                 )
                 problems.append(Notice("limit", message, place))
         gains = {truth: factor for truth, one in found.items() if (factor := gain(one)) is not None}
-        least = min(gains, key=lambda truth: gains[truth], default="")
-        if options.min_gain is not None and gains and gains[least] < options.min_gain:
+        least = min(gains, key=lambda truth: gains[truth], default=None)
+        if options.min_gain is not None and least is not None and gains[least] < options.min_gain:
             message = f"{method.upper()}: the gain is {gains[least]:.2f} by {least}, below {options.min_gain}"
             problems.append(Notice("limit", message, place))
     return problems

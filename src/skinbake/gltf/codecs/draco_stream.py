@@ -237,7 +237,7 @@ GRID_BITS, GRID_SAMPLES = range(4, 25), 64
 """The numbers of bits to try, and the number of vertices that exclude most of them before all are tried."""
 
 NORMAL_BITS_SOUGHT = 20
-"""Of NORMAL, more bits are not looked for: Draco is asked for each number, and needs 0.1 s or more past it."""
+"""The most bits of NORMAL that are looked for: Draco is asked for each number, and takes 0.1 s past it."""
 
 LARGEST_EXTENT = 1e38
 """The largest side of a bounding box for which a grid is sought: the next number would overflow."""
