@@ -64,10 +64,21 @@ def main() -> int:
     found, wrong = judged(reached, missed, EXPLAINED)
     print("\n".join([*found, *(f"ERROR: {line}" for line in wrong)]))
     seconds = time.monotonic() - begun
-    note("branches", executions=totals.runs, seconds=seconds, seed=given.seed, finds=totals.finds,
+    runs, faults = _tallied(given.keep, totals.runs, faults)
+    note("branches", executions=runs, seconds=seconds, seed=given.seed, finds=totals.finds,
          log=given.log, branches=len(reached) + len(missed), covered=len(reached), faults=faults,
          explained=len(missed.keys() & EXPLAINED.keys()))  # fmt: skip
     return 1 if wrong else 0
+
+
+def _tallied(kept: Path | None, runs: int, faults: int) -> tuple[int, int]:
+    """Return how many runs and faults are behind the measurements, those kept from before among them."""
+    if kept is None:
+        return runs, faults
+    file = kept.with_name(f"{kept.name}.tally.json")
+    before = json.loads(file.read_text(encoding="utf-8")) if file.exists() else [0, 0]
+    file.write_text(json.dumps([before[0] + runs, before[1] + faults]), encoding="utf-8")
+    return before[0] + runs, before[1] + faults
 
 
 def _faults(folder: Path, every: int) -> int:
