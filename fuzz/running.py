@@ -339,12 +339,12 @@ def _files(folder: str) -> list[str]:
 
 
 def _without_targets(arguments: Sequence[str]) -> list[str]:
-    """Return the options of a bake but for those that say where to, or print."""
+    """Return the options of a bake but for those that say where to, print, or bound its memory."""
     options, skip = [], False
     for word in arguments[2:]:
         if skip:
             skip = False
-        elif word in {"-o", "--out-dir", "--summary", "--state", "--color"}:
+        elif word in {"-o", "--out-dir", "--summary", "--state", "--color", "--max-memory"}:
             skip = True
         elif word not in {"--in-place", "--json", "--timings", "--skip-unchanged", "-v", "-vv", "-q"}:
             options.append(word)
