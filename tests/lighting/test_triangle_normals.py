@@ -12,7 +12,7 @@ import pytest
 from skinbake.geometry.skinned import Float64Array, SkinnedPrimitive
 from skinbake.lighting.metrics import angular_errors, vertex_areas
 from skinbake.lighting.operator import gradient_operator
-from skinbake.lighting.reference import perpendicular, posed_tangents, rest_frames
+from skinbake.lighting.reference import posed_tangents, rest_frames
 from skinbake.lighting.triangle_normals import (
     block_sums,
     carried_normals,
@@ -32,7 +32,7 @@ def true_normals(
     """Return the truth by triangles (P, V, 3) of deformed positions (P, V, 3)."""
     n0 = np.asarray(primitive.normals if normals is None else normals, dtype=np.float64)
     operator = gradient_operator([primitive])
-    rest = rest_frames(operator, primitive.positions, n0, *perpendicular(n0))
+    rest = rest_frames(operator, primitive.positions, n0)
     carried = carried_normals(operator, rest, primitive.positions, n0)
     posed = np.ascontiguousarray(deformed.transpose(2, 1, 0))
     sums = vertex_normals(operator, triangle_blocks(operator, len(deformed)), posed)

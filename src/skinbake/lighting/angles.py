@@ -19,7 +19,6 @@ from skinbake.lighting.operator import GradientOperator
 from skinbake.lighting.reference import (
     RestFrames,
     morphed_frames,
-    perpendicular,
     posed_tangents,
     rest_frames,
     tangent_normals,
@@ -160,6 +159,8 @@ def lighting_errors(  # noqa: PLR0913
                         record(block)
                     if identity is not None:
                         identity.take(compared)
+            # The next chunk's positions need the memory.
+            del deformed, sums, work
             if identity is not None:
                 identity.close()
             advance(pose.stop - pose.start)
@@ -181,14 +182,11 @@ class Truths:
     def of(
         cls, operator: GradientOperator, surfaces: Sequence[RestSurface], poses: int, names: Sequence[str]
     ) -> Truths:
-        """Measure a mesh at rest, for chunks of so many poses.
-
-        Tangents are chosen here, not by bake: the truth must not depend on its --frame.
-        """
+        """Measure a mesh at rest, for chunks of so many poses."""
         pieces = _blocks(operator.slices, poses)
         positions, normals = (_joined(surfaces, name) for name in ("positions", "normals"))
         parts = tuple(piece.part for piece in pieces)
-        frames = rest_frames(operator, positions, normals, *perpendicular(normals), parts=parts)
+        frames = rest_frames(operator, positions, normals, parts=parts)
         triangles, carried = [], None
         if Truth.TRIANGLES in names:
             triangles = triangle_blocks(operator, poses)
@@ -202,11 +200,12 @@ class Truths:
         carried = self.carried and carried_normals(self.operator, frames, positions, normals)
         return replace(self, frames=frames, carried=carried)
 
-    def sums(self, deformed: Float64Array, threads: Threads) -> Float64Array | None:
+    def sums(self, deformed: Float64Array, threads: Threads) -> Float32Array | None:
         """Return what the truth by triangles makes of all deformed positions (3, V, P) at once."""
         if self.carried is None:
             return None
-        total = np.zeros((3, len(self.operator.ends) - 1, deformed.shape[2]))
+        # In float32 as much memory as that takes is saved: sums of unit vectors lose a millionth of a degree.
+        total = np.zeros((3, len(self.operator.ends) - 1, deformed.shape[2]), dtype=np.float32)
         found = threads.each(lambda block: corner_sums(block, deformed), self.triangles)
         for block, part in zip(self.triangles, found, strict=True):
             for component, values in zip(total, part, strict=True):
@@ -217,7 +216,7 @@ class Truths:
         self,
         number: int,
         deformed: Float64Array,
-        sums: Float64Array | None,
+        sums: Float32Array | None,
         sides: Float64Array | None,
     ) -> Iterator[tuple[str, Vector, BoolArray]]:
         """Yield each truth's name, its unit normals of a block, components (P, B), and where they are."""
@@ -259,7 +258,7 @@ class _Chunk:
         return deformed
 
     def measured(
-        self, deformed: Float64Array, sums: Float64Array | None, block: _Block
+        self, deformed: Float64Array, sums: Float32Array | None, block: _Block
     ) -> tuple[list[MeasuredBlock], _Compared]:
         """Measure all lightings of a block by every truth; the truth by triangles leaves algorithm 2 out."""
         with np.errstate(all="ignore"):
@@ -344,7 +343,10 @@ class SteppedSurface:
 
 
 def _joined(surfaces: Sequence[RestSurface], name: str) -> FloatArray:
-    """Return one array of the primitives, their vertices concatenated."""
+    """Return one array of the primitives, their vertices concatenated; of one alone no copy is made."""
+    if len(surfaces) == 1:
+        only: FloatArray = getattr(surfaces[0], name)
+        return only
     return np.concatenate([getattr(surface, name) for surface in surfaces])
 
 
@@ -386,7 +388,7 @@ def _for_direct(surface: RestSurface, part: slice) -> RestSurface:
     """
     names = ("positions", "normals", "tangents", "bitangents", "joints", "weights", "alpha", "beta")
     block = RestSurface(**{name: getattr(surface, name)[part] for name in names})
-    t, b = tuple(block.tangents.T), tuple(block.bitangents.T)
+    t, b = (tuple(vectors.T.astype(np.float64)) for vectors in (block.tangents, block.bitangents))
     normal = cross(t, b)
     volume = dot(normal, normal)
     # Of the smallest arrays numpy's own cross product takes most of the time.

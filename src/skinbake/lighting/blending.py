@@ -42,7 +42,7 @@ Form: TypeAlias = tuple[FloatArray, FloatArray | None]
 CHUNK_SAMPLES = 1 << 21
 """Vertices × poses that are deformed before they are measured: 50 MB of positions."""
 
-CHUNK_POSES = 8
+CHUNK_POSES = 4
 """Poses of a chunk, however many vertices there are: below, the sparse products have too little to do."""
 
 BLOCK_SAMPLES = 1 << 14
@@ -264,7 +264,8 @@ def _inverse_transposed(columns: Sequence[Vector], normal: FloatArray) -> Vector
 
 def _with_pivot(derivatives: FloatArray) -> FloatArray:
     """Return derivatives (V, K) of all slots from those of all but the first, which has minus their sum."""
-    return np.concatenate([-derivatives.sum(axis=1, keepdims=True), derivatives], axis=1)
+    wide = np.asarray(derivatives, dtype=np.float64)
+    return np.concatenate([-wide.sum(axis=1, keepdims=True), wide], axis=1)
 
 
 def blended_blocks(

@@ -377,17 +377,20 @@ def _not_rigid(rest: Sequence[RestSurface], poses: PoseSet) -> list[str]:
 
 
 def rest_surface(view: BakedView) -> RestSurface:
-    """Return what a replay reads of a baked primitive, float64; joints past the skin's become 0."""
+    """Return what a replay reads of a baked primitive; joints past the skin's become 0.
+
+    What the file has in float32 stays so: a replay computes in float64, and a million vertices fit.
+    """
     joints = np.where(view.now.joints < view.source.joint_count, view.now.joints, 0)
     return RestSurface(
         positions=view.now.positions.astype(np.float64),
-        normals=frames.unit_normals(view.now.normals).astype(np.float64),
-        tangents=view.tangents.astype(np.float64),
-        bitangents=view.bitangents.astype(np.float64),
+        normals=frames.unit_normals(view.now.normals),
+        tangents=view.tangents,
+        bitangents=view.bitangents,
         joints=joints,
         weights=normalised_weights(view.now.weights, joints),
-        alpha=view.alpha.astype(np.float64),
-        beta=view.beta.astype(np.float64),
+        alpha=view.alpha,
+        beta=view.beta,
     )
 
 

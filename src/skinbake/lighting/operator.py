@@ -42,9 +42,9 @@ class GradientOperator:
     """The linear map from a field on a mesh's vertices to the field's gradient at the same vertices.
 
     V runs over the vertices of all primitives, concatenated in order; counts holds the number of each.
-    positions (V, 3) float64; triangles (T, 3) are those with an area; classes (V,) the weld classes. shares
-    (3 T,) say how much a corner counts at its class, corners (3 T,) lists them class by class, from ends[c]
-    to ends[c + 1]. Rows of the matrix are made where they are needed: all of them take a gigabyte for a
+    positions (V, 3) float64; triangles (T, 3) are those with an area; classes (V,) the weld classes. totals
+    (C,) are the weights of all corners of a class; corners (3 T,) lists them class by class, from ends[c] to
+    ends[c + 1]. Rows of the matrix are made where they are needed: all of them take a gigabyte for a
     million vertices. The row of a vertex without triangles is zero.
     """
 
@@ -52,7 +52,8 @@ class GradientOperator:
     positions: Float64Array
     triangles: IntArray
     classes: IntArray
-    shares: Float64Array
+    weighting: Weighting
+    totals: Float64Array
     corners: IntArray
     ends: IntArray
 
@@ -122,10 +123,11 @@ class GradientOperator:
         owners, corners = self._corners_of(part)
         flat, first = self.triangles.ravel(), corners - corners % 3
         here, one, other = (flat[first + (corners + turn) % 3] for turn in range(3))
-        axes = [np.ascontiguousarray(axis) for axis in self.positions.T]
-        e1, e2 = (tuple(axis[end] - axis[here] for axis in axes) for end in (one, other))
+        origin = self.positions[here]
+        e1, e2 = (tuple(np.ascontiguousarray((self.positions[end] - origin).T)) for end in (one, other))
         normal = cross(e1, e2)
-        scale = self.shares[corners] / dot(normal, normal)
+        share = _weights(e1, e2, self.weighting) / self.totals[self.classes[part]][owners]
+        scale = share / dot(normal, normal)
         aa, ab, bb = dot(e1, e1) * scale, dot(e1, e2) * scale, dot(e2, e2) * scale
         keys = np.concatenate([owners * count + column for column in (one, other, here)])
         order = np.argsort(keys, kind="stable")
@@ -178,13 +180,21 @@ def gradient_operator(
     classes = weld_classes(primitives, crease_angle_degrees=crease_angle_degrees, claim=claim)
     claim(_welding_size(triangles, classes))
     places = classes[triangles].ravel()
-    weights = _corner_weights(positions, triangles, weighting).ravel()
     count = int(classes.max(initial=-1)) + 1
-    shares = weights / np.bincount(places, weights, minlength=count)[places]
+    totals = np.bincount(
+        places, _corner_weights(positions, triangles, weighting).ravel(), minlength=count
+    ).astype(np.float64)
     ends = np.concatenate([[0], np.cumsum(np.bincount(places, minlength=count))])
     corners = np.argsort(places, kind="stable").astype(np.int32)
     return GradientOperator(
-        counts, positions, triangles.astype(np.int32), classes.astype(np.int32), shares, corners, ends
+        counts=counts,
+        positions=positions,
+        triangles=triangles.astype(np.int32),
+        classes=classes.astype(np.int32),
+        weighting=weighting,
+        totals=totals,
+        corners=corners,
+        ends=ends,
     )
 
 
@@ -279,13 +289,17 @@ def _corner_weights(positions: Float64Array, triangles: Int64Array, weighting: W
     weights = np.empty(triangles.shape)
     for corner in range(3):
         following, preceding = edges[corner], scaled(-1.0, edges[corner - 1])
-        normal = cross(following, preceding)
-        area = np.sqrt(dot(normal, normal))
-        if weighting == "max":
-            weights[:, corner] = area / (dot(following, following) * dot(preceding, preceding))
-        elif weighting == "area":
-            weights[:, corner] = area
-        else:
-            angle = np.arctan2(area, dot(following, preceding))
-            weights[:, corner] = angle if weighting == "angle" else angle * area
+        weights[:, corner] = _weights(following, preceding, weighting)
     return weights
+
+
+def _weights(first: Vector, second: Vector, weighting: Weighting) -> Float64Array:
+    """Weigh corners by their two edges, by components."""
+    normal = cross(first, second)
+    area: Float64Array = np.sqrt(dot(normal, normal))
+    if weighting == "max":
+        return np.asarray(area / (dot(first, first) * dot(second, second)))
+    if weighting == "area":
+        return area
+    angle = np.arctan2(area, dot(first, second))
+    return np.asarray(angle if weighting == "angle" else angle * area)

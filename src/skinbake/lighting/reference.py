@@ -48,19 +48,28 @@ def rest_frames(
     operator: GradientOperator,
     positions: FloatArray,
     normals: FloatArray,
-    tangents: FloatArray,
-    bitangents: FloatArray,
+    tangents: FloatArray | None = None,
+    bitangents: FloatArray | None = None,
     *,
     parts: tuple[slice, ...] | None = None,
 ) -> RestFrames:
     """Measure the rest pose, once for any number of poses.
 
     All arrays are (V, 3) over the mesh's concatenated vertices, in mesh space: the rest positions, n0 of
-    any length, t0 and b0. A vertex without triangles, with a flat frame, or with a zero or non-finite n0 is
+    any length, t0 and b0. Without these two, tangents are chosen that no option of bake chooses
+    (``perpendicular``). A vertex without triangles, with a flat frame, or with a zero or non-finite n0 is
     not valid. ``parts`` are the blocks of vertices that will be asked for.
     """
     chosen = tuple(operator.blocks()) if parts is None else parts
-    along = tuple(operator.rows(part, [tangents[part], bitangents[part]]) for part in chosen)
+    along = tuple(
+        operator.rows(
+            part,
+            perpendicular(normals[part])
+            if tangents is None or bitangents is None
+            else (tangents[part], bitangents[part]),
+        )
+        for part in chosen
+    )
     return _measured(chosen, along, positions, normals)
 
 
@@ -77,7 +86,7 @@ def morphed_frames(rest: RestFrames, positions: FloatArray, normals: FloatArray)
 def perpendicular(normals: FloatArray) -> tuple[Float64Array, Float64Array]:
     """Return two unit tangents (V, 3) at right angles to each other and to n0 (V, 3).
 
-    No option of bake chooses them. They are NaN where n0 is zero or not finite.
+    They are NaN where n0 is zero or not finite.
     """
     wide = np.asarray(normals, dtype=np.float64)
     with np.errstate(all="ignore"):

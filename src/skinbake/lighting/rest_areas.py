@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from skinbake.geometry.blocks import blocks
 from skinbake.geometry.skinned import Float64Array, SkinnedPrimitive
 from skinbake.gltf.animation import Skeleton, read_skeleton, rest_pose
 from skinbake.gltf.document import Document
@@ -37,11 +38,11 @@ class RestAreas:
         positions = primitive.positions.astype(np.float64)
         posed = np.zeros_like(positions)
         with np.errstate(over="ignore", invalid="ignore"):
-            for joint, weight in zip(joints.T, weights.T, strict=True):
-                matrices = self._matrices[joint, :3]
-                posed += weight[:, None] * (
-                    np.einsum("vij,vj->vi", matrices[..., :3], positions) + matrices[..., 3]
-                )
+            for rows in blocks(len(posed)):
+                for joint, weight in zip(joints[rows].T, weights[rows].T, strict=True):
+                    matrices = self._matrices[joint, :3]
+                    moved = np.einsum("vij,vj->vi", matrices[..., :3], positions[rows]) + matrices[..., 3]
+                    posed[rows] += weight[:, None] * moved
             areas = vertex_areas(posed, primitive.triangles)
             extent = float(np.abs(posed[primitive.triangles]).max(initial=0.0))
             if _COLLAPSED * extent * extent < areas.sum() < np.inf:

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 # A deformed triangle that has a corner of a larger cotangent is a line or a point, and has no normal.
 _FLAT = 1e10
 
-BLOCK_SAMPLES = 1 << 14
+BLOCK_SAMPLES = 1 << 13
 """Triangles × poses in flight: the temporaries of a block stay in the processor's cache."""
 
 
@@ -46,6 +46,8 @@ def triangle_blocks(operator: GradientOperator, poses: int) -> list[TriangleBloc
     from scipy.sparse import csr_array
 
     size = max(1, BLOCK_SAMPLES // max(poses, 1))
+    # One array for all blocks: a million vertices have six million corners.
+    ones = np.ones(3 * min(size, len(operator.triangles)))
     blocks = []
     for start in range(0, len(operator.triangles), size):
         triangles = operator.triangles[start : start + size]
@@ -54,7 +56,7 @@ def triangle_blocks(operator: GradientOperator, poses: int) -> list[TriangleBloc
         order = np.argsort(rows, kind="stable").astype(np.int32)
         ends = np.concatenate([[0], np.cumsum(np.bincount(rows, minlength=len(classes)))]).astype(np.int32)
         shape = (len(classes), len(places))
-        corners = csr_array((np.ones(len(places)), order, ends), shape=shape)
+        corners = csr_array((ones[: len(places)], order, ends), shape=shape)
         blocks.append(TriangleBlock(triangles, classes, corners))
     return blocks
 
@@ -135,10 +137,10 @@ def carried_normals(
     return CarriedNormals(coefficients)
 
 
-def block_sums(operator: GradientOperator, sums: Float64Array, part: slice) -> Vector:
+def block_sums(operator: GradientOperator, sums: FloatArray, part: slice) -> Vector:
     """Return the sums of a block of vertices, components (P, B), of those of all classes (3, C, P)."""
     classes = operator.classes[part]
-    return tuple(component[classes].T for component in sums)
+    return tuple(component[classes].astype(np.float64).T for component in sums)
 
 
 def triangle_normals(
