@@ -386,7 +386,7 @@ class TestProgress:
         assert result.stdout.count("dry run" if command == "bake" else "passed\n") == len(models)
 
     def test_a_log_gets_nothing(self, tmp_path: Path) -> None:
-        models = [FOLDER / name for name in FIXTURES]
+        models = [FOLDER / name for name in FIXTURES if name != "foreign_joints.glb"]
         assert invoke("bake", *models, "--dry-run").stderr == ""
 
     def test_a_talkative_log_gets_a_line_now_and_then(self, tmp_path: Path) -> None:

@@ -21,10 +21,16 @@ def weight_sum_notices(primitive: SkinnedPrimitive, place: Place) -> list[Notice
     if not len(off):
         return []
     low, high = float(off.min()), float(off.max())
-    bounds, factors = f"{low:.3g} … {high:.3g}", f"{1 / high:.3g} … {1 / low:.3g}"
+    bounds, factors = _span(low, high), _span(1.0 / high, 1.0 / low)
     message = (
         f"the weights of {len(off):,} vertices miss a sum of 1 by over {SUM_TOLERANCE} ({bounds}): taken as "
         "divided by it, by bake and verify. A shader takes weights as they are, and corrects normals by "
         f"{factors} times what is right: mend the weights, or divide them by their sum before the shader"
     )
     return [Notice("weights-sum", message, place, len(off))]
+
+
+def _span(low: float, high: float) -> str:
+    """Return two bounds in words, or the one number that they are."""
+    first, last = f"{low:.3g}", f"{high:.3g}"
+    return first if first == last else f"{first} … {last}"
