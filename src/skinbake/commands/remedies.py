@@ -80,7 +80,7 @@ def _tried(
     baker = Baker(
         weighting=noted["weighting"],
         crease_angle=noted["creaseAngle"],
-        neighbours=noted.get("neighbours", Neighbours.ADOPT),
+        neighbours=Neighbours.DROP if noted.get("neighbours") == Neighbours.DROP else Neighbours.ADOPT,
         frame=FrameChoice(noted["frame"]),
         weld=noted.get("weld", Weld.MESH),
     )

@@ -277,9 +277,7 @@ class Lighting:
             )
         asked = (self._options.max_mean_error, self._options.max_p95_error, self._options.min_gain)
         if any(limit is not None for limit in asked):
-            held: dict[str, Normals] = {
-                truth: by_truth[truth] for truth in Truth if self._options.truth in {None, truth}
-            }
+            held = {truth: by_truth[truth] for truth in Truth if self._options.truth in {None, truth}}
             checks.append(_limits_check(held, self._options, self._document.place))
         by_tangents, by_triangles = (
             tuple((place, self._figures(tallies, truth)) for place, tallies in self._by_place.items())
