@@ -110,7 +110,7 @@ def test_options_reach_the_bake(tmp_path: Path) -> None:
         ({"layout": "custom", "beta_name": "_B{set}"}, "--beta-name needs --layout attributes"),
         ({"layout": "texcoord", "encoding": "packed8"}, "--layout texcoord needs --encoding float32"),
         ({"position_bits": 12}, "need --compress draco"),
-        ({"compress": "draco", "normal_bits": 1}, "--normal-bits 1: expected a number from 2 to 30"),
+        ({"compress": "draco", "normal_bits": 1}, "--normal-bits 1: expected a number from 2 to 24"),
         ({"compress": "meshopt", "compress_level": 4}, "--compress-level of meshopt is at most 3"),
     ],
 )

