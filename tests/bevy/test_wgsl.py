@@ -14,7 +14,7 @@ from fixtures.make_fixtures import FOLDER
 from skinbake.choices import Encoding, Language, Layout, Lighting, Method, Morphs
 from skinbake.commands.shader import ShaderRequest, shader
 from skinbake.errors import ChoiceError
-from skinbake.format.layouts import Storage
+from skinbake.format.layouts import GradientFormat
 from skinbake.geometry.frames import NORMAL_FRAME, TANGENT_FRAME
 from skinbake.shaders.choices import AttributeText, ShaderChoices
 from skinbake.shaders.text import shader_text
@@ -60,7 +60,7 @@ OTHERWISE = [
     chosen(TANGENT_FRAME, Lighting.DIRECT, morphs=Morphs.TANGENT),
 ]
 """α and β as integers, and targets that morph TANGENT."""
-STORAGES = [Storage(Encoding.PACKED8), Storage(Encoding.SNORM16, Layout.CUSTOM)]
+STORAGES = [GradientFormat(Encoding.PACKED8), GradientFormat(Encoding.SNORM16, Layout.CUSTOM)]
 TUBE, BENT = FOLDER / "bent_tube.glb", Pose(clip=0, time=0.45)
 FRAMES = (NORMAL_FRAME, TANGENT_FRAME)
 SKINS = ("", "SKINNED", "SKINNED SKINBAKE")

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from skinbake.choices import Encoding, Layout
-from skinbake.format.layouts import Storage
+from skinbake.format.layouts import GradientFormat
 from tests.support.command_line import call, document, invoke, run
 from tests.support.gltf_reading import read
 from tests.support.models import FOLDER, SHARED, Part, bake, edited, rewritten, sheet, write_model
@@ -250,12 +250,12 @@ class TestBakedFile:
         self, encoding: Encoding, size: int, tmp_path: Path
     ) -> None:
         """Algorithm 2's ∇w would have three numbers and a scale for each of eight joints."""
-        bake(FOLDER / "two_sets.glb", tmp_path / "baked.glb", storage=Storage(encoding))
+        bake(FOLDER / "two_sets.glb", tmp_path / "baked.glb", storage=GradientFormat(encoding))
         (primitive,) = cost(tmp_path / "baked.glb")["primitives"]
         assert primitive["added_bytes"] == by_number(0, 8 * 4 * size, 2 * 8 * size)
 
     def test_texture_coordinates_count_once_although_one_holds_both(self, tmp_path: Path) -> None:
-        bake(FOLDER / "two_sets.glb", tmp_path / "baked.glb", storage=Storage(layout=Layout.TEXCOORD))
+        bake(FOLDER / "two_sets.glb", tmp_path / "baked.glb", storage=GradientFormat(layout=Layout.TEXCOORD))
         (primitive,) = cost(tmp_path / "baked.glb")["primitives"]
         assert primitive["baked"] is True
         stored = {name: size for name, size in primitive["stored"].items() if name.startswith("TEXCOORD")}

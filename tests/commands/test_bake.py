@@ -11,11 +11,11 @@ import pytest
 from fixtures.make_fixtures import FOLDER
 from skinbake.choices import Encoding
 from skinbake.commands import bake
-from skinbake.format.layouts import Storage
+from skinbake.format.layouts import GradientFormat
 from skinbake.gradients import baker
 from tests.support.baking import bake_file
 
-PACKED8 = Storage(Encoding.PACKED8)
+PACKED8 = GradientFormat(Encoding.PACKED8)
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ import pytest
 
 from skinbake.choices import Encoding
 from skinbake.format.encodings import CANDIDATES, LARGEST, common_scale, decoded, encoded, vertex_bytes
-from skinbake.format.layouts import Storage
+from skinbake.format.layouts import GradientFormat
 from tests.support import khronos
 from tests.support.gltf_reading import GltfFile, read
 from tests.support.models import FIXTURES, FOLDER, bake, baked, note, primitives, sheet, write_model
@@ -67,7 +67,7 @@ def slots_as_float(model: GltfFile, mesh: int, primitive: int, key: str) -> Any:
 def test_every_value_is_within_half_a_step(name: str, encoding: Encoding, tmp_path: Path) -> None:
     (tmp_path / "plain").mkdir()
     plain = baked(FOLDER / name, tmp_path / "plain" / name)
-    small = baked(FOLDER / name, tmp_path / name, storage=Storage(encoding))
+    small = baked(FOLDER / name, tmp_path / name, storage=GradientFormat(encoding))
     limit = FORMATS[encoding][2]
     largest, scales = 0.0, set()
     for mesh, number, _ in primitives(plain.content):
@@ -87,7 +87,7 @@ def test_every_value_is_within_half_a_step(name: str, encoding: Encoding, tmp_pa
 @pytest.mark.parametrize("encoding", SCALED)
 def test_a_vertex_takes_the_bytes_that_are_promised(encoding: Encoding, tmp_path: Path) -> None:
     for name, influences in (("bent_tube.glb", 4), ("two_sets.glb", 8)):
-        model = baked(FOLDER / name, tmp_path / name, storage=Storage(encoding))
+        model = baked(FOLDER / name, tmp_path / name, storage=GradientFormat(encoding))
         size = {Encoding.PACKED8: 2, Encoding.SNORM16: 4}[encoding] * influences
         assert vertex_bytes(encoding, influences) == size
         found = note(model.content)
@@ -184,8 +184,8 @@ def test_float32_is_stored_as_it_is() -> None:
 def test_baking_twice_is_baking_once(encoding: Encoding, tmp_path: Path) -> None:
     for name in ("two_sets.glb", TWO_MATERIALS, "foreign_joints.glb"):
         first, second = tmp_path / f"1{name}", tmp_path / f"2{name}"
-        bake(FOLDER / name, first, storage=Storage(encoding))
-        bake(first, second, storage=Storage(encoding))
+        bake(FOLDER / name, first, storage=GradientFormat(encoding))
+        bake(first, second, storage=GradientFormat(encoding))
         assert second.read_bytes() == first.read_bytes()
         bake(FOLDER / name, second)
         bake(first, first)
@@ -197,7 +197,7 @@ def test_primitives_share_one_scale_although_their_own_differ(tmp_path: Path) ->
     positions = sheet().attributes["POSITION"]
     path = write_model(tmp_path / "model.glb", [sheet(), sheet(POSITION=positions / np.float32(2))])
     plain = baked(path, tmp_path / "plain.glb")
-    small = baked(path, tmp_path / "small.glb", storage=Storage(Encoding.PACKED8))
+    small = baked(path, tmp_path / "small.glb", storage=GradientFormat(Encoding.PACKED8))
     own = [
         max(float(np.abs(slots_as_float(plain, 0, number, key)).max()) for key in ("alpha", "beta"))
         for number in range(2)
@@ -214,7 +214,7 @@ def test_the_validator_finds_nothing(tmp_path: Path) -> None:
         for name in FIXTURES:
             target = tmp_path / encoding / name
             target.parent.mkdir(exist_ok=True)
-            bake(FOLDER / name, target, storage=Storage(encoding))
+            bake(FOLDER / name, target, storage=GradientFormat(encoding))
             written.append(target)
     reports = khronos.validate_many([*(FOLDER / name for name in FIXTURES), *written])
     for path in written:

@@ -14,7 +14,7 @@ from fixtures.builder import JsonObject
 from skinbake.choices import Encoding, Layout
 from skinbake.commands.strip import strip_file
 from skinbake.errors import InputError
-from skinbake.format.layouts import Storage, free_texcoords, noted_storage
+from skinbake.format.layouts import GradientFormat, free_texcoords, noted_format
 from tests.support import khronos
 from tests.support.baking import bake_file
 from tests.support.gltf_reading import GltfFile, read
@@ -32,7 +32,7 @@ from tests.support.models import (
     write_model,
 )
 
-TEXCOORD, CUSTOM = Storage(layout=Layout.TEXCOORD), Storage(layout=Layout.CUSTOM)
+TEXCOORD, CUSTOM = GradientFormat(layout=Layout.TEXCOORD), GradientFormat(layout=Layout.CUSTOM)
 
 
 def pairs(model: GltfFile, name: str) -> list[tuple[float, float]]:
@@ -164,9 +164,9 @@ class TestCustom:
         assert "choose other names with --layout" in str(raised.value)
 
 
-@pytest.mark.parametrize("storage", [TEXCOORD, CUSTOM, Storage(Encoding.PACKED8, Layout.CUSTOM)])
+@pytest.mark.parametrize("storage", [TEXCOORD, CUSTOM, GradientFormat(Encoding.PACKED8, Layout.CUSTOM)])
 @pytest.mark.parametrize("name", FIXTURES)
-def test_only_additions_and_the_same_again(name: str, storage: Storage, tmp_path: Path) -> None:
+def test_only_additions_and_the_same_again(name: str, storage: GradientFormat, tmp_path: Path) -> None:
     (tmp_path / "again").mkdir()
     first, second = tmp_path / name, tmp_path / "again" / name
     assert_only_added(read(FOLDER / name), baked(FOLDER / name, first, storage=storage))
@@ -180,7 +180,7 @@ def test_the_validator_finds_nothing(tmp_path: Path) -> None:
         for name in FIXTURES:
             target = tmp_path / layout / name
             target.parent.mkdir(exist_ok=True)
-            bake(FOLDER / name, target, storage=Storage(layout=layout))
+            bake(FOLDER / name, target, storage=GradientFormat(layout=layout))
             written.append(target)
     reports = khronos.validate_many([*(FOLDER / name for name in FIXTURES), *written])
     for path in written:
@@ -188,9 +188,9 @@ def test_the_validator_finds_nothing(tmp_path: Path) -> None:
 
 
 def test_what_is_noted_is_read_back() -> None:
-    for storage in (Storage(), TEXCOORD, Storage(Encoding.SNORM16, Layout.CUSTOM, 2.5)):
+    for storage in (GradientFormat(), TEXCOORD, GradientFormat(Encoding.SNORM16, Layout.CUSTOM, 2.5)):
         found: JsonObject = json.loads(json.dumps(storage.noted))
-        assert noted_storage(found) == storage
+        assert noted_format(found) == storage
 
 
 def test_two_bakes_of_one_file_differ_in_additions_only(tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ from skinbake.commands.inspect import inspect_file
 from skinbake.commands.strip import strip_file
 from skinbake.errors import InputError
 from skinbake.format.baked import AttributeNames
-from skinbake.format.layouts import Storage
+from skinbake.format.layouts import GradientFormat
 from skinbake.gradients.baker import BakeSettings
 from tests.support.baking import bake_file
 from tests.support.gltf_reading import GltfFile, read
@@ -48,9 +48,9 @@ OPTIONS: list[dict[str, Any]] = [
             weighting=Weighting.ANGLE, neighbours=Neighbours.DROP, frame=FrameChoice.NORMAL
         )
     },
-    {"storage": Storage(Encoding.PACKED8, Layout.CUSTOM)},
-    {"storage": Storage(Encoding.SNORM16)},
-    {"storage": Storage(layout=Layout.TEXCOORD)},
+    {"storage": GradientFormat(Encoding.PACKED8, Layout.CUSTOM)},
+    {"storage": GradientFormat(Encoding.SNORM16)},
+    {"storage": GradientFormat(layout=Layout.TEXCOORD)},
 ]
 
 

@@ -469,11 +469,11 @@ def test_two_runs_into_one_folder_cannot_exchange_their_bins(tmp_path: Path) -> 
         (tmp_path / str(number)).mkdir()
     wanted = {}
     for name, (source, encoding) in {"a": (SEAM, "float32"), "b": (TUBE, "packed8")}.items():
-        from skinbake.format.layouts import Storage
+        from skinbake.format.layouts import GradientFormat
 
         alone = tmp_path / name / "hero.gltf"
         alone.parent.mkdir()
-        bake_file(str(source), str(alone), storage=Storage(Encoding(encoding)))
+        bake_file(str(source), str(alone), storage=GradientFormat(Encoding(encoding)))
         document = json.loads(alone.read_bytes())
         wanted[len(document["accessors"]), document["buffers"][0]["byteLength"]] = [
             (alone.parent / buffer["uri"]).read_bytes() for buffer in document["buffers"]

@@ -10,21 +10,21 @@ import numpy as np
 import pytest
 
 from skinbake.choices import Encoding, Layout
-from skinbake.format.layouts import Storage
+from skinbake.format.layouts import GradientFormat
 from tests.support import corpus
 from tests.support.baked_files import CESIUM_MAN, Editable, JsonObject, source, verify
 from tests.support.models import FIXTURES, FOLDER, bake
 
 ALPHA, BETA = "_SKINBAKE_ALPHA_0", "_SKINBAKE_BETA_0"
 FEW = ("--poses", "random:2", "--method", "lbs")
-PACKED8, SNORM16 = Storage(Encoding.PACKED8), Storage(Encoding.SNORM16)
-TEXCOORD = Storage(layout=Layout.TEXCOORD)
+PACKED8, SNORM16 = GradientFormat(Encoding.PACKED8), GradientFormat(Encoding.SNORM16)
+TEXCOORD = GradientFormat(layout=Layout.TEXCOORD)
 STORAGES = [
     PACKED8,
     SNORM16,
     TEXCOORD,
-    Storage(Encoding.PACKED8, Layout.CUSTOM),
-    Storage(layout=Layout.CUSTOM),
+    GradientFormat(Encoding.PACKED8, Layout.CUSTOM),
+    GradientFormat(layout=Layout.CUSTOM),
 ]
 NAMES = ["packed8", "snorm16", "texcoord", "custom-packed8", "custom"]
 MODELS = [
@@ -35,7 +35,7 @@ MODELS = [
 Edit = Callable[[Editable], object]
 
 
-def written(name: str, folder: Path, storage: Storage) -> Path:
+def written(name: str, folder: Path, storage: GradientFormat) -> Path:
     target = folder / source(name).name
     assert bake(source(name), target, storage=storage).status == "baked"
     return target
@@ -49,7 +49,7 @@ def after(edit: Edit, path: Path, *options: str) -> Any:
 
 @pytest.mark.parametrize("storage", STORAGES, ids=NAMES)
 @pytest.mark.parametrize("name", MODELS)
-def test_a_fresh_bake_verifies(name: str, storage: Storage, tmp_path: Path) -> None:
+def test_a_fresh_bake_verifies(name: str, storage: GradientFormat, tmp_path: Path) -> None:
     answer = verify(written(name, tmp_path, storage), *FEW)
     assert answer.exit_code == 0, answer.messages
 
@@ -196,7 +196,7 @@ def test_numbers_in_texture_coordinates_are_held_as_closely_as_others(tmp_path: 
 def test_what_all_of_it_is_for(tmp_path: Path) -> None:
     """The error against the true normals grows by no more than the angle that the encoding adds."""
     figures = {}
-    for storage in (Storage(), PACKED8):
+    for storage in (GradientFormat(), PACKED8):
         path = tmp_path / f"{storage.encoding}.glb"
         result = bake(FOLDER / "bent_tube.glb", path, storage=storage)
         answer = verify(path, "--method", "lbs")

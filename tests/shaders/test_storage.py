@@ -17,7 +17,7 @@ import pytest
 from skinbake.choices import Encoding, Language, Layout, Lighting, Method
 from skinbake.commands.shader import ShaderRequest, shader
 from skinbake.errors import ChoiceError, InputError
-from skinbake.format.layouts import Storage
+from skinbake.format.layouts import GradientFormat
 from skinbake.shaders import text as shader_texts
 from skinbake.shaders.choices import AttributeText, ShaderChoices
 from skinbake.shaders.text import shader_text
@@ -27,8 +27,8 @@ from tests.support.gltf_reading import GltfFile, read
 from tests.support.models import FOLDER, bake, baked, note, sheet, write_model
 from tests.support.strictness import missing_tool
 
-PACKED8, SNORM16 = Storage(Encoding.PACKED8), Storage(Encoding.SNORM16)
-TEXCOORD = Storage(layout=Layout.TEXCOORD)
+PACKED8, SNORM16 = GradientFormat(Encoding.PACKED8), GradientFormat(Encoding.SNORM16)
+TEXCOORD = GradientFormat(layout=Layout.TEXCOORD)
 WGSL, GLSL = Language.WGSL, Language.GLSL
 
 DECODING = 9 * 2.0**-24
@@ -119,10 +119,12 @@ def entry(text: str, prepared: list[str], names: list[str], words: int) -> str:
         ("bent_tube.glb", SNORM16, 4),
         ("two_sets.glb", PACKED8, 8),
         ("two_sets.glb", SNORM16, 8),
-        ("seam.glb", Storage(Encoding.PACKED8, Layout.CUSTOM), 4),
+        ("seam.glb", GradientFormat(Encoding.PACKED8, Layout.CUSTOM), 4),
     ],
 )
-def test_it_decodes_what_the_file_holds(name: str, storage: Storage, influences: int, tmp_path: Path) -> None:
+def test_it_decodes_what_the_file_holds(
+    name: str, storage: GradientFormat, influences: int, tmp_path: Path
+) -> None:
     model = baked(FOLDER / name, tmp_path / name, storage=storage)
     found = note(model.content)
     assert found is not None
@@ -316,14 +318,14 @@ class TestRefusals:
             ),
             (TEXCOORD, {"layout": "custom"}, "this file does not fit --layout custom: .*, layout texcoord"),
             (
-                Storage(),
+                GradientFormat(),
                 {"encoding": "packed8"},
                 "this file does not fit --encoding packed8: .*, encoding float32",
             ),
         ],
     )
     def test_a_file_that_is_stored_otherwise(
-        self, storage: Storage, asked: dict[str, Any], words: str, tmp_path: Path
+        self, storage: GradientFormat, asked: dict[str, Any], words: str, tmp_path: Path
     ) -> None:
         bake(FOLDER / "seam.glb", tmp_path / "seam.glb", storage=storage)
         with pytest.raises(InputError, match=words):

@@ -10,7 +10,7 @@ from typing import Any
 from skinbake.commands.bake import Baker
 from skinbake.containment import OWN_FOLDERS, Within
 from skinbake.format.baked import AttributeNames
-from skinbake.format.layouts import Storage
+from skinbake.format.layouts import GradientFormat
 from skinbake.gltf.codecs.recode import Compression
 from skinbake.gltf.output import Writing
 from skinbake.gradients.baker import BakeSettings
@@ -23,7 +23,7 @@ WRITING = {entry.name for entry in fields(Writing)}
 def baker_of(
     *,
     settings: BakeSettings | None = None,
-    storage: Storage | None = None,
+    storage: GradientFormat | None = None,
     names: AttributeNames | None = None,
     compression: Compression | None = None,
     **options: Any,

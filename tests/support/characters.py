@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from skinbake.choices import Frame
-from skinbake.format.layouts import Storage
+from skinbake.format.layouts import GradientFormat
 from skinbake.geometry import frames
 from skinbake.geometry.poses import random_rotations
 from skinbake.gltf.animation import clip_poses, random_poses, read_clips, read_skeleton
@@ -29,7 +29,7 @@ Array = npt.NDArray[np.float64]
 JsonObject = dict[str, Any]
 
 IDENTITY: Array = np.eye(4)
-AS_USUAL = Storage()
+AS_USUAL = GradientFormat()
 
 
 @dataclass(frozen=True)
@@ -181,7 +181,7 @@ def _posed(path: Path, pose: Pose) -> tuple[Array, JsonObject]:
     return joints, {"turned": turned.tolist()}
 
 
-def baked(source: Path, folder: Path, frame: str = "auto", storage: Storage = AS_USUAL) -> Path:
+def baked(source: Path, folder: Path, frame: str = "auto", storage: GradientFormat = AS_USUAL) -> Path:
     """Bake a file into a folder, frame and storage in its name, and return what was written."""
     target = folder / f"{source.stem}-{frame}-{storage.encoding}-{storage.layout}.glb"
     if not target.exists():

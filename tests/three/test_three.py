@@ -23,7 +23,7 @@ from fixtures.make_fixtures import FOLDER
 from skinbake.choices import Encoding, Frame, Language, Layout, Lighting, Method, Morphs
 from skinbake.commands.shader import ShaderRequest, shader
 from skinbake.errors import ChoiceError
-from skinbake.format.layouts import Storage
+from skinbake.format.layouts import GradientFormat
 from skinbake.shaders.choices import AttributeText, ShaderChoices
 from skinbake.shaders.text import shader_text
 from skinbake.skinning.algorithms import Algorithm
@@ -83,7 +83,7 @@ class Stage:
         pose: Pose,
         frame: str = "auto",
         morphs: tuple[float, ...] = (),
-        storage: Storage = AS_USUAL,
+        storage: GradientFormat = AS_USUAL,
     ) -> Character:
         return Character(baked(source, self.folder / "models", frame, storage), pose, morphs)
 
@@ -378,12 +378,12 @@ class TestMorphTargets:
         assert "skinbake_morphed_frame(frame, " in texts.pop()
 
 
-PACKED8, TEXCOORD = Storage(Encoding.PACKED8), Storage(layout=Layout.TEXCOORD)
+PACKED8, TEXCOORD = GradientFormat(Encoding.PACKED8), GradientFormat(layout=Layout.TEXCOORD)
 STORAGES = [
     pytest.param(PACKED8, id="packed8"),
-    pytest.param(Storage(Encoding.SNORM16), id="snorm16"),
-    pytest.param(Storage(Encoding.PACKED8, Layout.CUSTOM), id="packed8 custom"),
-    pytest.param(Storage(layout=Layout.CUSTOM), id="custom"),
+    pytest.param(GradientFormat(Encoding.SNORM16), id="snorm16"),
+    pytest.param(GradientFormat(Encoding.PACKED8, Layout.CUSTOM), id="packed8 custom"),
+    pytest.param(GradientFormat(layout=Layout.CUSTOM), id="custom"),
     pytest.param(TEXCOORD, id="texcoord"),
 ]
 
@@ -410,7 +410,7 @@ class TestStorage:
     @pytest.mark.parametrize("storage", STORAGES)
     @pytest.mark.parametrize("lighting", [Lighting.ACCURATE, Lighting.DIRECT])
     def test_every_vertex_has_what_the_file_means(
-        self, stage: Stage, storage: Storage, lighting: Lighting
+        self, stage: Stage, storage: GradientFormat, lighting: Lighting
     ) -> None:
         character = stage.character(TUBE, BENT, storage=storage)
         choices = for_file(character, lighting)

@@ -26,7 +26,7 @@ from skinbake.errors import ChoiceError, InputError, Notice, Place, noticed
 from skinbake.format.attribute_store import stored_otherwise
 from skinbake.format.baked import AttributeNames, Baked, with_baked, with_scale
 from skinbake.format.encodings import vertex_bytes
-from skinbake.format.layouts import Storage
+from skinbake.format.layouts import GradientFormat
 from skinbake.format.strip import stripped
 from skinbake.geometry.skinned import BakedPrimitive, SkinnedPrimitive
 from skinbake.gltf.codecs.recode import Compression, recoded
@@ -163,7 +163,7 @@ class Baker:
         sources = [source.in_document(document) for source in sources]
         surfaces, apart = _surfaces(document, sources, self.weld)
         bakes = [bake for surface in surfaces for bake in self._baked_surface(document, surface)]
-        storage = with_scale(Storage(self.encoding, self.layout), [bake.result for bake in bakes])
+        storage = with_scale(GradientFormat(self.encoding, self.layout), [bake.result for bake in bakes])
         with stage("store"):
             to_store = [bake.to_store(self._noted_settings) for bake in bakes]
             names, level = self.attribute_names, self.compress_level
@@ -425,7 +425,7 @@ def _unwritten(bakes: Sequence[PrimitiveBake]) -> list[UnwrittenBake]:
 
 
 def _encoding_cost(
-    document: Document, bakes: Sequence[PrimitiveBake], storage: Storage
+    document: Document, bakes: Sequence[PrimitiveBake], storage: GradientFormat
 ) -> tuple[EncodingCost, list[Notice]]:
     """Return what the encoding costs, and a notice where the file cannot be posed to measure it."""
     encoding = storage.encoding

@@ -15,7 +15,7 @@ from skinbake.format import metadata
 from skinbake.format.adoption import with_adopted
 from skinbake.format.attribute_store import AttributeStore, store_for
 from skinbake.format.encodings import common_scale, encoded
-from skinbake.format.layouts import CUSTOM_NAMES, Storage, free_texcoords, of_alpha_and_beta, paired
+from skinbake.format.layouts import CUSTOM_NAMES, GradientFormat, free_texcoords, of_alpha_and_beta, paired
 from skinbake.geometry.skinned import BakedPrimitive, SkinnedPrimitive
 from skinbake.gltf.additions import KEY, Additions
 from skinbake.gltf.document import Document
@@ -57,7 +57,7 @@ def with_baked(
     document: Document,
     baked: Sequence[Baked],
     names: AttributeNames,
-    storage: Storage,
+    storage: GradientFormat,
     *,
     level: int | None = None,
 ) -> tuple[Document, list[int]]:
@@ -82,7 +82,7 @@ def with_baked(
     return additions.applied({"meshes": meshes}), lengths
 
 
-def with_scale(storage: Storage, results: Iterable[BakedPrimitive]) -> Storage:
+def with_scale(storage: GradientFormat, results: Iterable[BakedPrimitive]) -> GradientFormat:
     """Return the storage with the scale of the whole file, so that its shader can hold it as a constant.
 
     A separate scale for α and for β would gain at most 0.0015° of mean error, measured on sixty models.
@@ -94,7 +94,7 @@ def with_scale(storage: Storage, results: Iterable[BakedPrimitive]) -> Storage:
 
 
 def _written(
-    document: Document, store: AttributeStore, item: Baked, names: AttributeNames, storage: Storage
+    document: Document, store: AttributeStore, item: Baked, names: AttributeNames, storage: GradientFormat
 ) -> JsonObject:
     """Return the JSON of the primitive with all additions of bake."""
     attributes = dict(item.source.attributes)
@@ -139,7 +139,7 @@ def _written(
 
 
 def _stored(
-    item: Baked, names: AttributeNames, storage: Storage
+    item: Baked, names: AttributeNames, storage: GradientFormat
 ) -> tuple[list[str], list[str], list[tuple[str, npt.NDArray[Any]]]]:
     """Return the names of α's and of β's attributes, and every array with its name, in file order."""
     result = item.result
@@ -165,7 +165,7 @@ def _stored(
     return [name for name, _ in pairs], [name for _, name in pairs], arrays
 
 
-def _choice_of_names(storage: Storage) -> str:
+def _choice_of_names(storage: GradientFormat) -> str:
     return "--layout" if storage.layout is Layout.CUSTOM else "--alpha-name and --beta-name"
 
 

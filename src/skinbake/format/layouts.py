@@ -20,7 +20,7 @@ CUSTOM_NAMES = (("_CUSTOM0", "_CUSTOM1"), ("_CUSTOM2", "_CUSTOM3"))
 
 
 @dataclass(frozen=True, slots=True)
-class Storage:
+class GradientFormat:
     """The storage of α and β in one file; scale is the encoding's, in 1 / length unit of POSITION."""
 
     encoding: Encoding = Encoding.FLOAT32
@@ -36,9 +36,9 @@ class Storage:
         )
 
 
-def noted_storage(note: JsonObject) -> Storage:
+def noted_format(note: JsonObject) -> GradientFormat:
     """Return the storage in the metadata; ValueError if a name is unknown."""
-    return Storage(
+    return GradientFormat(
         Encoding(note.get("encoding", Encoding.FLOAT32)),
         Layout(note.get("layout", Layout.ATTRIBUTES)),
         note.get("scale", 0.0),

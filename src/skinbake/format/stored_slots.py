@@ -12,7 +12,7 @@ import numpy.typing as npt
 from skinbake.choices import Encoding, Layout
 from skinbake.errors import Notice, Place
 from skinbake.format.encodings import DTYPES, decoded
-from skinbake.format.layouts import Storage, noted_storage, unpaired
+from skinbake.format.layouts import GradientFormat, noted_format, unpaired
 from skinbake.format.metadata import slot_names
 from skinbake.geometry.skinned import Float64Array, FloatArray
 from skinbake.gltf import json_access
@@ -77,7 +77,7 @@ def read_slots(
 
     ``wrong_storage`` must have found no defect in the metadata.
     """
-    storage = noted_storage(metadata)
+    storage = noted_format(metadata)
     arrays: dict[str, npt.NDArray[Any]] = {}
     for name in slot_names(metadata):
         first = name in (metadata["alpha"][0], metadata["beta"][0])
@@ -96,7 +96,7 @@ def read_slots(
     return StoredSlots(of_alpha.values, of_beta.values, rounding)
 
 
-def _shape(storage: Storage, count: int, *, first: bool) -> tuple[int, int]:
+def _shape(storage: GradientFormat, count: int, *, first: bool) -> tuple[int, int]:
     """Return the shape of an attribute that holds slots; ``first`` tells whether it belongs to set 0."""
     if storage.layout is Layout.TEXCOORD:
         return count, 2

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from skinbake.format.encodings import rounded
-from skinbake.format.layouts import Storage
+from skinbake.format.layouts import GradientFormat
 from skinbake.gltf.animation import read_clips
 from skinbake.gltf.document import Document
 from skinbake.lighting.encoding import AddedError, EncodedSurface, added_error
@@ -18,7 +18,7 @@ from skinbake.lighting.unwritten import UnwrittenBake
 
 
 def added_by_encoding(
-    document: Document, bakes: Sequence[UnwrittenBake], storage: Storage
+    document: Document, bakes: Sequence[UnwrittenBake], storage: GradientFormat
 ) -> AddedError | None:
     """Return how far accurate normals lie apart with α and β as ``storage`` rounds them, and as float32.
 
@@ -29,7 +29,7 @@ def added_by_encoding(
 
 
 def _surfaces(
-    document: Document, bakes: Sequence[UnwrittenBake], storage: Storage
+    document: Document, bakes: Sequence[UnwrittenBake], storage: GradientFormat
 ) -> Iterator[EncodedSurface]:
     clips, sets = read_clips(document), dict[int, PoseSet]()
     for bake in bakes:
