@@ -36,18 +36,19 @@ from skinbake.geometry.skinned import Float64Array, FloatArray, IntArray, Skinne
 from skinbake.gltf.animation import read_clips
 from skinbake.gltf.document import read_document
 from skinbake.gltf.primitives import skinned_sources
-from skinbake.gradients.baker import BakeSettings, bake_mesh, rest_frame
+from skinbake.gradients.baker import BakeSettings, bake_mesh
 from skinbake.lighting.angles import Truths
 from skinbake.lighting.baked_views import baked_views
 from skinbake.lighting.influences import normalised_weights
 from skinbake.lighting.measured import rest_surface
-from skinbake.lighting.metrics import angular_errors, vertex_areas
+from skinbake.lighting.metrics import vertex_areas
 from skinbake.lighting.operator import gradient_operator
 from skinbake.lighting.poses import PoseRequest, pose_set
 from skinbake.lighting.threads import Threads
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.surface import RestSurface
 from tests.support.replay import replay
+from tests.support.whole_fields import angular_errors, rest_frame
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 DEFAULT_OUTPUT = REPOSITORY / "docs" / "lighting.md"

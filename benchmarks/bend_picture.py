@@ -23,14 +23,14 @@ from skinbake.gltf.accessors import read_accessor
 from skinbake.gltf.animation import clip_poses, read_clips, read_skeleton
 from skinbake.gltf.document import read_document
 from skinbake.gltf.primitives import read_primitive, skinned_sources
-from skinbake.gradients.baker import rest_frame
 from skinbake.lighting.influences import normalised_weights
-from skinbake.lighting.metrics import ErrorSummary, angular_errors, summarise, vertex_areas
+from skinbake.lighting.metrics import ErrorSummary, vertex_areas
 from skinbake.lighting.operator import gradient_operator
-from skinbake.lighting.reference import reference_normals, rest_frames
+from skinbake.lighting.reference import rest_frames
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.surface import RestSurface
 from tests.support.replay import replay
+from tests.support.whole_fields import angular_errors, reference_normals, rest_frame, summarise
 
 Array = npt.NDArray[np.float64]
 

@@ -28,13 +28,13 @@ from skinbake.gltf.document import read_document
 from skinbake.gltf.primitives import skinned_sources
 from skinbake.lighting.baked_views import baked_views
 from skinbake.lighting.measured import rest_surface
-from skinbake.lighting.metrics import ErrorSummary, angular_errors, summarise, vertex_areas
+from skinbake.lighting.metrics import ErrorSummary, vertex_areas
 from skinbake.lighting.operator import gradient_operator
-from skinbake.lighting.reference import reference_normals, rest_frames
+from skinbake.lighting.reference import rest_frames
 from skinbake.shaders.choices import ShaderChoices
-from skinbake.shaders.text import shader_text
 from skinbake.skinning.algorithms import Algorithm
 from tests.support.replay import replay
+from tests.support.whole_fields import angular_errors, reference_normals, shader_text, summarise
 
 Array = npt.NDArray[np.float64]
 Single = npt.NDArray[np.float32]

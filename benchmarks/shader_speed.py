@@ -28,7 +28,7 @@ from wgpu.backends.wgpu_native import lib
 from skinbake.choices import Language, Lighting, Method
 from skinbake.geometry.dual_quaternions import dual_quaternions_from_matrices
 from skinbake.shaders.choices import ShaderChoices
-from skinbake.shaders.text import shader_text
+from tests.support.whole_fields import shader_text
 
 JOINTS, INFLUENCES = 64, 4
 WORKGROUP = 64

@@ -28,7 +28,6 @@ from skinbake.geometry.triangles import mark_proper, smooth_normals
 from skinbake.gltf.animation import read_clips
 from skinbake.gltf.document import read_document
 from skinbake.gltf.primitives import PrimitiveSource, read_primitive, reason_to_skip, skinned_sources
-from skinbake.gradients.baker import rest_frame
 from skinbake.gradients.field import concatenate_fields
 from skinbake.gradients.influences import weight_field
 from skinbake.gradients.normals import with_smooth_normals
@@ -36,13 +35,14 @@ from skinbake.gradients.slots import assign, shared_capacity
 from skinbake.gradients.weight_gradients import VertexGradients
 from skinbake.gradients.weld import weld
 from skinbake.lighting.influences import normalised_weights
-from skinbake.lighting.metrics import angular_errors, summarise, vertex_areas
+from skinbake.lighting.metrics import vertex_areas
 from skinbake.lighting.operator import gradient_operator
 from skinbake.lighting.poses import PoseRequest, pose_set, skins_of
-from skinbake.lighting.reference import reference_normals, rest_frames
+from skinbake.lighting.reference import rest_frames
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.surface import RestSurface
 from tests.support.replay import replay
+from tests.support.whole_fields import angular_errors, reference_normals, rest_frame, summarise
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 DEFAULT_OUTPUT = REPOSITORY / "docs" / "weight_quantisation.md"

@@ -15,12 +15,12 @@ from skinbake.choices import Language, Lighting
 from skinbake.geometry.frames import TANGENT_FRAME, frame_from_normal, frame_from_tangent
 from skinbake.geometry.morphs import Differences, MorphTarget, MorphTargets
 from skinbake.shaders.choices import ShaderChoices
-from skinbake.shaders.text import shader_text
 from skinbake.skinning.surface import RestSurface
 from tests.bevy.compose import compose
 from tests.support import gltf_reading
 from tests.support.characters import Character, Pose
 from tests.support.webgpu import NAGA, Job, answers
+from tests.support.whole_fields import shader_text
 
 Single = npt.NDArray[np.float32]
 Wide = npt.NDArray[np.float64]

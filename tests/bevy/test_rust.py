@@ -11,9 +11,9 @@ import pytest
 
 from skinbake.geometry.frames import NORMAL_FRAME, TANGENT_FRAME
 from skinbake.shaders.choices import ShaderChoices
-from skinbake.shaders.text import shader_text
 from tests.bevy.running import chosen
 from tests.support.strictness import missing_tool
+from tests.support.whole_fields import shader_text
 
 STUB = Path(__file__).parent / "stub"
 TIMEOUT_SECONDS = 120

@@ -17,7 +17,6 @@ from skinbake.errors import ChoiceError
 from skinbake.format.layouts import GradientFormat
 from skinbake.geometry.frames import NORMAL_FRAME, TANGENT_FRAME
 from skinbake.shaders.choices import AttributeText, ShaderChoices
-from skinbake.shaders.text import shader_text
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.morphs import morphed
 from tests.bevy.compose import compose, without_comments
@@ -39,6 +38,7 @@ from tests.support.analytic import degrees_between
 from tests.support.characters import Pose, baked
 from tests.support.replay import replay
 from tests.support.webgpu import NAGA, TINT, Implementation, Job, answers
+from tests.support.whole_fields import shader_text
 
 # Float32 on both sides of a subtraction of numbers near 1; t' and b' may be nearly parallel.
 DEGREES = 0.02

@@ -13,11 +13,11 @@ import pytest
 
 from skinbake.choices import Frame, Language, Lighting
 from skinbake.shaders.choices import ALGORITHMS, ShaderChoices
-from skinbake.shaders.text import shader_text
 from tests.support.baked_files import Editable
 from tests.support.command_line import invoke, run
 from tests.support.gltf_reading import read
 from tests.support.models import FOLDER, KEY, Part, edited, rewritten, sheet, write_model
+from tests.support.whole_fields import shader_text
 
 TUBE, SEAM, TWO_SETS, MIRRORED = (
     FOLDER / name for name in ("bent_tube.glb", "seam.glb", "two_sets.glb", "mirrored_tangent.glb")

@@ -9,8 +9,9 @@ import pytest
 
 from skinbake.choices import FrameChoice
 from skinbake.geometry.skinned import SkinnedPrimitive
-from skinbake.gradients.baker import BakeSettings, bake_mesh, rest_frame
+from skinbake.gradients.baker import BakeSettings, bake_mesh
 from tests.support.baked_arrays import bake_one, meshes_of, path_of
+from tests.support.whole_fields import rest_frame
 
 
 def square(*, lean: float = 0.0, unused: int = 0) -> SkinnedPrimitive:

@@ -9,13 +9,14 @@ import pytest
 
 from skinbake.choices import Weighting
 from skinbake.geometry.skinned import Float64Array
-from skinbake.gradients.baker import BakeSettings, rest_frame
-from skinbake.lighting.metrics import angular_errors, vertex_areas
+from skinbake.gradients.baker import BakeSettings
+from skinbake.lighting.metrics import vertex_areas
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.surface import RestSurface
 from tests.support.baked_arrays import bake_one
 from tests.support.replay import replay
 from tests.support.surfaces import MILD, STRONG, AnalyticSurface, Triangulation, analytic_surface, bends
+from tests.support.whole_fields import angular_errors, rest_frame
 
 SEEDS = range(3)
 

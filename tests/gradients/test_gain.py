@@ -12,15 +12,16 @@ from skinbake.geometry.frames import unit_normals
 from skinbake.geometry.skinned import Float64Array, SkinnedPrimitive
 from skinbake.gltf.animation import clip_poses, random_poses, read_clips, read_skeleton
 from skinbake.gltf.document import read_document
-from skinbake.gradients.baker import BakeSettings, bake_mesh, rest_frame
+from skinbake.gradients.baker import BakeSettings, bake_mesh
 from skinbake.lighting.influences import normalised_weights
-from skinbake.lighting.metrics import angular_errors, vertex_areas
+from skinbake.lighting.metrics import vertex_areas
 from skinbake.lighting.operator import gradient_operator
-from skinbake.lighting.reference import reference_normals, rest_frames
+from skinbake.lighting.reference import rest_frames
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.surface import RestSurface
 from tests.support.baked_arrays import BARBARIAN, CESIUM_MAN, MANNEQUINY, meshes_of, path_of
 from tests.support.replay import replay
+from tests.support.whole_fields import angular_errors, reference_normals, rest_frame
 
 POSES = 6
 

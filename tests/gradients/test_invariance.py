@@ -12,7 +12,7 @@ import numpy.typing as npt
 import pytest
 
 from skinbake.geometry.skinned import BakedPrimitive, Float64Array, SkinnedPrimitive
-from skinbake.gradients.baker import BakeFindings, BakeSettings, bake_mesh, rest_frame
+from skinbake.gradients.baker import BakeFindings, BakeSettings, bake_mesh
 from tests.support.baked_arrays import (
     AFRAME_HAND,
     BARBARIAN,
@@ -30,6 +30,7 @@ from tests.support.baked_arrays import (
     shuffled,
 )
 from tests.support.surfaces import analytic_surface
+from tests.support.whole_fields import rest_frame
 
 SURFACES = ["random", "irregular"]
 FILES = [

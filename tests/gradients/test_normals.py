@@ -9,8 +9,8 @@ import numpy as np
 from skinbake.geometry.skinned import SkinnedPrimitive
 from skinbake.gradients.baker import BakeSettings, bake_mesh
 from skinbake.gradients.normals import with_smooth_normals
-from skinbake.lighting.metrics import angular_errors
 from tests.support.baked_arrays import meshes_of, path_of
+from tests.support.whole_fields import angular_errors
 
 
 def without_normals(primitive: SkinnedPrimitive) -> SkinnedPrimitive:

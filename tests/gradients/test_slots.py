@@ -13,7 +13,7 @@ import pytest
 from skinbake.choices import Neighbours
 from skinbake.geometry.skinned import BakedPrimitive, Float64Array, SkinnedPrimitive
 from skinbake.gradients import slots
-from skinbake.gradients.baker import BakeFindings, BakeSettings, bake_mesh, rest_frame
+from skinbake.gradients.baker import BakeFindings, BakeSettings, bake_mesh
 from skinbake.lighting.influences import weight_field
 from skinbake.lighting.operator import gradient_operator
 from skinbake.lighting.welds import weld_classes
@@ -32,6 +32,7 @@ from tests.support.baked_arrays import (
     path_of,
 )
 from tests.support.surfaces import analytic_surface
+from tests.support.whole_fields import rest_frame
 
 FILES = [
     "foreign_joints.glb",

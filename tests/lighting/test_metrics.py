@@ -5,7 +5,8 @@ import numpy.typing as npt
 import pytest
 
 from skinbake.lighting import metrics
-from skinbake.lighting.metrics import ErrorSummary, ErrorTally, angular_errors, summarise, vertex_areas
+from skinbake.lighting.metrics import ErrorSummary, ErrorTally, vertex_areas
+from tests.support.whole_fields import angular_errors, summarise
 
 
 def test_vertex_areas_are_a_third_of_each_triangle() -> None:

@@ -11,7 +11,7 @@ from skinbake.errors import InputError
 from skinbake.geometry.skinned import Float64Array, SkinnedPrimitive
 from skinbake.lighting import operator as operators
 from skinbake.lighting.influences import weight_field
-from skinbake.lighting.metrics import angular_errors, vertex_areas
+from skinbake.lighting.metrics import vertex_areas
 from skinbake.lighting.operator import GradientOperator, expected_alpha_beta, gradient_operator
 from tests.support.surfaces import (
     MILD,
@@ -21,6 +21,7 @@ from tests.support.surfaces import (
     bends,
     flat_triangulation,
 )
+from tests.support.whole_fields import angular_errors
 
 WEIGHTINGS = tuple(Weighting)
 

@@ -8,10 +8,11 @@ import pytest
 
 from skinbake.geometry.skinned import Float64Array
 from skinbake.lighting import reference
-from skinbake.lighting.metrics import angular_errors, vertex_areas
+from skinbake.lighting.metrics import vertex_areas
 from skinbake.lighting.operator import gradient_operator
-from skinbake.lighting.reference import RestFrames, reference_normals, rest_frames
+from skinbake.lighting.reference import RestFrames, rest_frames
 from tests.support.surfaces import MILD, STRONG, AnalyticSurface, Triangulation, analytic_surface, bends
+from tests.support.whole_fields import angular_errors, reference_normals
 
 NEARLY_A_LINE = np.array([[1.0, 0.5, 0.2], [0.0, 1e-9, 0.0], [0.0, 0.0, 1e-9]])
 

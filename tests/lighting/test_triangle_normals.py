@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from skinbake.geometry.skinned import Float64Array, SkinnedPrimitive
-from skinbake.lighting.metrics import angular_errors, vertex_areas
+from skinbake.lighting.metrics import vertex_areas
 from skinbake.lighting.operator import gradient_operator
 from skinbake.lighting.reference import posed_tangents, rest_frames
 from skinbake.lighting.triangle_normals import (
@@ -22,6 +22,7 @@ from skinbake.lighting.triangle_normals import (
     vertex_normals,
 )
 from tests.support.surfaces import MILD, STRONG, analytic_surface, bends
+from tests.support.whole_fields import angular_errors
 
 POSES = bends([MILD, STRONG, 60.0])
 

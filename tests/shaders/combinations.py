@@ -11,8 +11,8 @@ from typing import Any
 from skinbake.choices import Language, Method, Morphs
 from skinbake.geometry.frames import NORMAL_FRAME, TANGENT_FRAME
 from skinbake.shaders.choices import ALGORITHMS, BEST, ShaderChoices
-from skinbake.shaders.text import shader_text
 from skinbake.skinning.surface import DEFAULT_CAP
+from tests.support.whole_fields import shader_text
 
 FRAMES = (NORMAL_FRAME, TANGENT_FRAME)
 INFLUENCES = range(1, 9)

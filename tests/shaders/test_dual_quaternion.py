@@ -8,12 +8,12 @@ import pytest
 from skinbake.choices import Language, Method
 from skinbake.geometry.dual_quaternions import dual_quaternions_from_matrices
 from skinbake.shaders.choices import BEST, ShaderChoices
-from skinbake.shaders.text import shader_text
 from tests.shaders.running import WORKGROUP, Single, done
 from tests.shaders.scenes import shader_order
 from tests.support import opengl, webgpu
 from tests.support.analytic import rotation_matrix
 from tests.support.rigid_motions import matrices_from_dual_quaternions
+from tests.support.whole_fields import shader_text
 
 REACH = 3.0
 """The longest translation."""

@@ -9,9 +9,9 @@ import pytest
 from skinbake.choices import Language
 from skinbake.geometry import frames
 from skinbake.shaders.choices import ShaderChoices
-from skinbake.shaders.text import shader_text
 from tests.shaders.running import WORKGROUP, Single, done
 from tests.support import opengl, webgpu
+from tests.support.whole_fields import shader_text
 
 OUTPUTS = ("normal", "tangent", "bitangent")
 

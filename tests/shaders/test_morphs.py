@@ -24,7 +24,6 @@ from skinbake.geometry.morphs import carried_by_normal, carried_by_tangent, morp
 from skinbake.geometry.skinned import Float32Array
 from skinbake.gradients.baker import BakeSettings
 from skinbake.shaders.choices import ALGORITHMS, ShaderChoices
-from skinbake.shaders.text import shader_text
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.morphs import morphed
 from skinbake.skinning.surface import RestSurface
@@ -35,6 +34,7 @@ from tests.support.morphed_files import morphed as with_targets
 from tests.support.morphed_files import with_tangents
 from tests.support.replay import replay
 from tests.support.strictness import missing_tool
+from tests.support.whole_fields import shader_text
 
 KINDS = [
     (Frame.NORMAL, Morphs.NORMAL),

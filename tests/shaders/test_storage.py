@@ -20,12 +20,12 @@ from skinbake.errors import ChoiceError, InputError
 from skinbake.format.layouts import GradientFormat
 from skinbake.shaders import text as shader_texts
 from skinbake.shaders.choices import AttributeText, ShaderChoices
-from skinbake.shaders.text import shader_text
 from tests.support.baked_files import Editable
 from tests.support.command_line import invoke
 from tests.support.gltf_reading import GltfFile, read
 from tests.support.models import FOLDER, bake, baked, note, sheet, write_model
 from tests.support.strictness import missing_tool
+from tests.support.whole_fields import shader_text
 
 PACKED8, SNORM16 = GradientFormat(Encoding.PACKED8), GradientFormat(Encoding.SNORM16)
 TEXCOORD = GradientFormat(layout=Layout.TEXCOORD)

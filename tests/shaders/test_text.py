@@ -10,8 +10,8 @@ import pytest
 
 from skinbake.choices import Language
 from skinbake.shaders.choices import ShaderChoices
-from skinbake.shaders.text import shader_text
 from tests.shaders.combinations import every_stored_and_morphed, every_text, usage
+from tests.support.whole_fields import shader_text
 
 FUNCTION = re.compile(r"^(?:fn |[\w\[\]]+ )(\w+)\(", re.MULTILINE)
 STRUCT = re.compile(r"^struct (\w+)", re.MULTILINE)

@@ -10,8 +10,8 @@ from pathlib import Path
 from skinbake.choices import Language
 from skinbake.geometry.frames import NORMAL_FRAME, TANGENT_FRAME
 from skinbake.shaders.choices import ALGORITHMS, ShaderChoices
-from skinbake.shaders.text import shader_text
 from tests.shaders.combinations import label
+from tests.support.whole_fields import shader_text
 
 FOLDER = Path(__file__).parent / "golden"
 FRAMES = [NORMAL_FRAME, TANGENT_FRAME] * 3

@@ -25,7 +25,6 @@ from skinbake.commands.shader import ShaderRequest, shader
 from skinbake.errors import ChoiceError
 from skinbake.format.layouts import GradientFormat
 from skinbake.shaders.choices import AttributeText, ShaderChoices
-from skinbake.shaders.text import shader_text
 from skinbake.skinning.algorithms import Algorithm
 from tests.support import browser, corpus
 from tests.support.baked_files import Editable
@@ -42,6 +41,7 @@ from tests.support.characters import (
     unit,
 )
 from tests.support.node import package_folder, require_node
+from tests.support.whole_fields import shader_text
 
 PAGE = """<!doctype html>
 <meta charset="utf-8">

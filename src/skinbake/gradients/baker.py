@@ -152,21 +152,6 @@ def chosen_frame(primitive: SkinnedPrimitive, choice: str) -> ChosenFrame:
     return ChosenFrame(frames.TANGENT_FRAME if fits else frames.NORMAL_FRAME, deviation, deviating)
 
 
-@dataclass(frozen=True, slots=True)
-class RestFrame:
-    """The frame at rest of one primitive: kind is ``tangent`` or ``normal``; t0 and b0, each (V, 3)."""
-
-    kind: str
-    tangents: FloatArray
-    bitangents: FloatArray
-
-
-def rest_frame(primitive: SkinnedPrimitive, choice: str) -> RestFrame:
-    """Return the frame at rest of a primitive with normals; choice as for ``chosen_frame``."""
-    chosen = chosen_frame(primitive, choice)
-    return RestFrame(chosen.kind, *frame_vectors(primitive, chosen))
-
-
 def frame_vectors(primitive: SkinnedPrimitive, choice: ChosenFrame) -> tuple[FloatArray, FloatArray]:
     """Return the tangents t0 and bitangents b0, each (V, 3), of the chosen frame."""
     given = primitive.tangents if choice.kind == frames.TANGENT_FRAME else None

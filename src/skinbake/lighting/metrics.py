@@ -52,18 +52,6 @@ def vertex_areas(positions: FloatArray, triangles: IntArray) -> Float64Array:
     return np.bincount(triangles.ravel(), corner_shares, minlength=len(positions)).astype(np.float64)
 
 
-def angular_errors(measured: FloatArray, expected: FloatArray) -> Float64Array:
-    """Return the angle between two fields of vectors of any length, in degrees: (P, V) float64, or any (...).
-
-    measured and expected (..., 3), one space. The angle is that of the sine |m × e| and the cosine m · e,
-    which keeps its digits near 0° where an arccos has none left. It is NaN where either vector is zero or not
-    finite: a zero vector has no angle.
-    """
-    m = np.moveaxis(np.asarray(measured, dtype=np.float64), -1, 0)
-    e = np.moveaxis(np.asarray(expected, dtype=np.float64), -1, 0)
-    return angles_between((m[0], m[1], m[2]), (e[0], e[1], e[2]))
-
-
 def angles_between(measured: Sequence[FloatArray], expected: Sequence[FloatArray]) -> Float64Array:
     """Return what ``angular_errors`` does, for vectors given by their three components (...)."""
     with np.errstate(all="ignore"):
@@ -119,34 +107,18 @@ def cosine(a: Sequence[FloatArray], b: Sequence[FloatArray]) -> Float64Array:
     return total
 
 
-def summarise(
-    errors: FloatArray, areas: FloatArray, *, valid: BoolArray | None = None
-) -> ErrorSummary | None:
-    """Summarise angular errors over poses and vertices, weighted by area; None where nothing counts.
-
-    errors (P, V), degrees; areas (V,), rest areas in any unit. valid (P, V), all true by default, is where
-    the *expected* normal exists: samples outside it, and vertices without area, are left out. A NaN inside
-    it means that the measured normal does not exist, and it counts as 180°: a method that yields no normal
-    must not look better for it.
-
-    The weighted percentile q is the smallest counted error such that the samples up to it carry at least
-    the share q of the counted weight: always an error that occurs, with no interpolation.
-    """
-    tally = ErrorTally(len(errors) * total_area(areas))
-    tally.add(errors, areas, valid=valid)
-    return tally.summary()
-
-
 def total_area(areas: FloatArray) -> float:
     """Return the sum of the areas that count: those above 0."""
     return float(np.sum(areas, where=np.asarray(areas) > 0.0))
 
 
 class ErrorTally:
-    """Angular errors that come block by block, and their summary, as ``summarise`` has it of all at once.
+    """Angular errors that come block by block, and their summary, weighted by area.
 
-    Percentiles are exact although few samples are kept: none that has more than a twentieth of all weight
-    above it can be one of them.
+    The weighted percentile q is the smallest counted error such that the samples up to it carry at least the
+    share q of the counted weight. It is always an error that occurs, without interpolation. Percentiles are
+    exact although few samples are kept: a sample with more than a twentieth of all weight above it cannot be
+    one of them.
     """
 
     def __init__(self, weight: float) -> None:
@@ -166,8 +138,11 @@ class ErrorTally:
         valid: BoolArray | None = None,
         start: tuple[int, int, int] = (0, 0, 0),
     ) -> None:
-        """Count a block of errors (P, V), as ``summarise`` describes them.
+        """Count a block of errors (P, V) in degrees, with the areas (V,) of the vertices.
 
+        valid (P, V), all true by default, tells where the *expected* normal exists. Samples outside it, and
+        vertices without area, are left out. A NaN inside it means that the measured normal does not exist. It
+        counts as 180°: a method that yields no normal must not look better for it.
         start is the part that the block belongs to, and its first pose and vertex there: where the largest
         error is found more than once, the first in this order is the worst.
         """

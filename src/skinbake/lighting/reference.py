@@ -24,8 +24,6 @@ if TYPE_CHECKING:
 
 # Below this sine between its two tangents a frame has no normal: float32 positions leave no digit of it.
 _FLAT = 1e-6
-# Vertices × poses that ``reference_normals`` has in flight: memory stays bounded.
-_BLOCK = 1 << 16
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,38 +116,10 @@ def _measured(
     return RestFrames(parts, along, coefficients, areas, valid)
 
 
-def reference_normals(
-    rest: RestFrames, deformed: FloatArray, sides: FloatArray | None = None
-) -> tuple[Float64Array, BoolArray]:
-    """Return the true normals of a deformed mesh by tangents, and where they are valid.
-
-    deformed (P, V, 3): the skinned positions over the mesh's concatenated vertices, in any one space per
-    pose. The normals are (P, V, 3) float64 unit vectors in that space, the mask is (P, V). It is false, and
-    the normal NaN, where the rest frame is not valid or the deformed one is flat.
-
-    With c = a × b of the tangents a, b and ĉ its direction, F takes a0, b0, ĉ0 to a1, b1,
-    ĉ1 sqrt(|c1| / |c0|). The factor keeps a uniform scale uniform: joint matrices with an overall 0.01 are
-    common. So at rest, and under any rotation and uniform scale, cof(F) n0 is n0 or its image up to
-    rounding, authored normals included. sides (P, V) is −1 where the joints mirror a vertex, 1 elsewhere and
-    by default: its third column points to the other side of the surface, so that F is the mirror, and the
-    normal is −cof(F) n0, which stays outside.
-    """
-    count = max(1, _BLOCK // max(1, deformed.shape[1]))
-    normals = np.empty(deformed.shape)
-    for start in range(0, len(deformed), count):
-        block = slice(start, start + count)
-        posed = np.ascontiguousarray(np.transpose(deformed[block], (2, 1, 0)), dtype=np.float64)
-        for part, derivatives in zip(rest.parts, rest.tangents, strict=True):
-            side = None if sides is None else sides[block, part]
-            found, _ = tangent_normals(rest, part, posed_tangents(derivatives, posed), side)
-            normals[block, part] = np.stack(found, axis=2)
-    return normals, np.isfinite(normals[..., 0])
-
-
 def tangent_normals(
     rest: RestFrames, part: slice, tangents: tuple[Vector, Vector], sides: FloatArray | None = None
 ) -> tuple[Vector, BoolArray]:
-    """Return what ``reference_normals`` does for a block of vertices, by components (P, B).
+    """Return what the true normals of a block of vertices, by components (P, B).
 
     tangents are the block's after deformation (``posed_tangents``); sides (P, B) is of the block. All of it
     is stored vertex by vertex.

@@ -63,14 +63,6 @@ def targets() -> dict[str, tuple[Language, ...]]:
     return {name: tuple(languages) for name, languages in found.items()}
 
 
-def shader_text(choices: ShaderChoices) -> str:
-    """Return the file that ``skinbake shader`` writes: ASCII, with a newline at its end.
-
-    Raises ChoiceError if the target does not have the language, or cannot serve the choices.
-    """
-    return shader_made(choices)[0]
-
-
 def shader_made(choices: ShaderChoices) -> tuple[str, ShaderChoices]:
     """Return the text and its choices; the target decides which direction the frame follows."""
     made = choices
