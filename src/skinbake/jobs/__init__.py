@@ -1,1 +1,1 @@
-"""The same work on many files: who does it, and what is remembered of it."""
+"""The work on many files: the processes that do it, and the state file that remembers it."""

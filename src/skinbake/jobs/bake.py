@@ -15,22 +15,22 @@ from skinbake.jobs.work import Job
 from skinbake.report.bake import FileResult
 
 MODULES = ("skinbake.cli.main", "skinbake.jobs.bake", "skinbake.jobs.file_work")
-"""What a worker needs, to be imported before it starts."""
+"""The modules that a worker imports before it starts."""
 
 SECONDS_A_FILE, SECONDS_A_BYTE = 5e-3, 1.3e-8
-"""What baking a file takes, about: enough to know whether workers are worth starting."""
+"""The approximate time to bake a file. It decides whether workers are worth starting."""
 
 
 @dataclass(frozen=True, slots=True)
 class Bake:
-    """Bakes a job's source into its target."""
+    """Bake the source of a job into its target."""
 
     undone: ClassVar[str] = "not baked"
     baker: Baker
     writing: Writing = AS_USUAL
 
     def result_of(self, job: Job, *, traced: bool) -> FileResult:
-        """Bake the file; raises SkinbakeError, and then nothing has been written."""
+        """Bake the file. Raises SkinbakeError; then nothing has been written."""
         writing = replace(self.writing, traced=traced)
         there = elsewhere_of(job)
         if there is not None:
@@ -42,7 +42,7 @@ class Bake:
         return FileResult(job.source, job.target, "failed", notices=error.notices, error=error)
 
     def up_to_date(self, job: Job) -> FileResult:
-        """Return that the target is what a bake would make."""
+        """Return that the target is already the result of this bake."""
         return FileResult(job.source, job.target, "up-to-date")
 
     def is_noted(self, job: Job) -> bool:
@@ -52,14 +52,14 @@ class Bake:
     def evidence(
         self, job: Job, result: FileResult, before: state.Seen
     ) -> tuple[state.Digests, state.Digests] | None:
-        """Return the digests of what was read and of what was made, None where anything is in doubt."""
+        """Return the digests of the files read and of the files made, or None if anything is in doubt."""
         if self.writing.dry_run:
             return None
         written = result.written or {}
         if job.source != job.target:
             made = self._made(job, written, before)
             return None if made is None or not before.still_there else (before.digests, made)
-        # Baking what was baked changes nothing: it is its own input.
+        # A bake of a baked file changes nothing: the file is its own input.
         after = self._made(job, written, before) if written else before.digests
         is_unharmed = bool(written) or before.still_there
         return (after, after) if after and is_unharmed else None

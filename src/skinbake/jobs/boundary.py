@@ -1,4 +1,4 @@
-"""The boundary at which an exception becomes a failed result: no file fails another one's work."""
+"""The boundary at which an exception becomes a failed result. A failing file does not stop other files."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ T = TypeVar("T")
 
 
 def survived(work: Callable[[], T], failed: Callable[[SkinbakeError], T], file: str) -> T:
-    """Return what ``work`` returns, or what ``failed`` makes of the exception that ended it.
+    """Return the result of ``work``. If an exception ends it, return the result of ``failed``.
 
-    file is what a message names where the exception has no place.
+    A message names ``file`` if the exception has no place.
     """
     try:
         return work()
@@ -24,7 +24,7 @@ def survived(work: Callable[[], T], failed: Callable[[SkinbakeError], T], file: 
         failure = error
     except MemoryError:
         failure = InputError("it needs more memory than there is or --max-memory allows", Place(file))
-    except Exception as error:  # a defect of ours: the other files must not suffer from it
+    except Exception as error:  # a defect of skinbake must not harm the other files
         logger.debug("where it failed", exc_info=True)
         failure = defect(error, file)
     return failed(failure)

@@ -1,6 +1,6 @@
-"""The one door to ``jobs.remote``: URLs and clusters, which a build without them does not need.
+"""The only entrance to ``jobs.remote``: URLs and clusters. A build can leave that package out.
 
-Only what is reached by a URL or by ``--dask`` goes through here, and nothing else imports that package.
+Only URLs and ``--dask`` use this module. No other module imports that package.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ if TYPE_CHECKING:
 
 
 def elsewhere_of(job: Job) -> Elsewhere | None:
-    """Return who fetches and stores a job's files, None where all of them are on this machine's disk.
+    """Return the object that fetches and stores a job's files, or None if all files are on the local disk.
 
-    Raises InputError or OutputError for a URL where that part of skinbake is left out.
+    Raises InputError or OutputError for a URL if ``jobs.remote`` is not installed.
     """
     if job.elsewhere is not None:
         return job.elsewhere
@@ -38,14 +38,14 @@ def elsewhere_of(job: Job) -> Elsewhere | None:
 
 
 def files_behind(url: str) -> list[tuple[str, str]]:
-    """Return (URL, relative path) of the files that a URL stands for; raises InputError."""
+    """Return (URL, relative path) of each file that a URL stands for. Raises InputError."""
     with _installed("URLs need", url):
         from skinbake.jobs.remote.storages import expand_url
     return expand_url(url)
 
 
 def dask_runner(address: str, writing: Writing) -> DaskRunner:
-    """Return the runner for a scheduler's address; raises InputError."""
+    """Return the runner for a scheduler's address. Raises InputError."""
     with _installed("--dask needs", address):
         from skinbake.jobs.remote.dask_runner import DaskRunner
     return DaskRunner(address, writing)
@@ -55,7 +55,7 @@ def dask_runner(address: str, writing: Writing) -> DaskRunner:
 def _installed(
     what_needs: str, file: str, error: type[InputError | OutputError] = InputError
 ) -> Iterator[None]:
-    """Raise the error, which says what to install, where the block cannot import that part."""
+    """Raise an error that says how to install the package if the block cannot import it."""
     try:
         yield
     except ImportError as missing:

@@ -1,4 +1,4 @@
-"""The work on one file of many, whichever command does it: state, timings, memory, and failures."""
+"""The work on one file of many, the same for every command: state, timings, memory and failures."""
 
 from __future__ import annotations
 
@@ -15,38 +15,38 @@ from skinbake.timing import stage, timed
 
 
 class FileCommand(Protocol[ResultT]):
-    """What a command does with one file, and what its results are."""
+    """The work of a command on one file, and the results that it can return."""
 
     @property
     def undone(self) -> str:
-        """What is said before the reason why a file was lost, like ``not baked``."""
+        """The words before the reason why a file was lost, like ``not baked``."""
 
     def result_of(self, job: Job, *, traced: bool) -> ResultT:
-        """Do it, with digests of what is written where the result is traced; raises SkinbakeError."""
+        """Do the work. If ``traced``, the result has digests of the written files. Raises SkinbakeError."""
 
     def failed(self, job: Job, error: SkinbakeError) -> ResultT:
         """Return the result of a file that failed."""
 
     def up_to_date(self, job: Job) -> ResultT:
-        """Return the result of a file that need not be done again."""
+        """Return the result of a file that is up to date."""
 
     def is_noted(self, job: Job) -> bool:
-        """Tell whether the file's outcome is something that a state file can hold."""
+        """Tell whether a state file can hold the outcome of this file."""
 
     def evidence(
         self, job: Job, result: ResultT, before: state.Seen
     ) -> tuple[state.Digests, state.Digests] | None:
-        """Return the digests of what was read and of what was made; None where anything is in doubt.
+        """Return the digests of the files read and of the files made, or None if anything is in doubt.
 
-        May raise OSError or ValueError, for doubt too.
+        May raise OSError or ValueError. Both mean doubt too.
         """
 
 
 @dataclass(frozen=True, slots=True)
 class FileWork(Generic[ResultT]):
-    """Has a command do a file, unless ``recipe`` is given and the file is known to be up to date.
+    """Have a command work on a file, unless ``recipe`` is given and the file is known to be up to date.
 
-    max_memory is what a file may take, in bytes. Raises nothing for a file's sake.
+    max_memory is the memory that a file may take, in bytes. An error in a file raises nothing.
     """
 
     command: FileCommand[ResultT]
@@ -55,7 +55,7 @@ class FileWork(Generic[ResultT]):
     max_memory: int | None = None
 
     def __call__(self, job: Job) -> ResultT:
-        """Return what became of the file."""
+        """Return the result of the file."""
         with memory_limited(self.max_memory):
             if not self.is_timed:
                 return self._survived(job)
@@ -67,7 +67,7 @@ class FileWork(Generic[ResultT]):
         return self.command.failed(job, error)
 
     def lost(self, job: Job, reason: str) -> ResultT:
-        """Return the result of a file that no process lived to report on."""
+        """Return the result of a file whose process died before it reported."""
         return self.failed(job, InputError(f"{self.command.undone}: {reason}", Place(job.source)))
 
     def _survived(self, job: Job) -> ResultT:
@@ -90,7 +90,7 @@ class FileWork(Generic[ResultT]):
             return changed(result, record=self._record(recipe, job, result, before))
 
     def _record(self, recipe: state.Recipe, job: Job, result: ResultT, before: state.Seen) -> bytes | None:
-        """Return what to note of a file that was just done, None where anything casts doubt on it."""
+        """Return the record of a file that was just done, or None if anything is in doubt."""
         try:
             found = self.command.evidence(job, result, before)
             return None if found is None else recipe.record(job.source, job.target, *found)

@@ -1,7 +1,7 @@
-"""Work on many files in several processes, of which any may die without harm to the others' files.
+"""Work on many files in several processes. A process that dies does not harm the files of the others.
 
-``concurrent.futures`` would not do: when a worker of its pool dies, it cannot tell on which job, and ends
-all the others in the middle of theirs. Here each worker has a pipe of its own.
+``concurrent.futures`` does not suffice. When a worker of its pool dies, the pool cannot tell which job the
+worker had, and it ends all other workers in the middle of their jobs. Here each worker has its own pipe.
 """
 
 from __future__ import annotations
@@ -33,22 +33,22 @@ if TYPE_CHECKING:
     from multiprocessing.context import ForkServerContext, SpawnContext
 
 WINDOW = 4096
-"""Jobs that may be done ahead of one that takes long: their results wait in memory."""
+"""The number of jobs that may be done ahead of a slow one. Their results wait in memory."""
 
 QUICK = 0.05
-"""Seconds: a worker that takes less for a job is sent the next one before it asks."""
+"""Seconds: a worker that needs less time for a job is sent the next job before it asks."""
 
 PATIENCE = 10.0
-"""Seconds that a worker is given to tidy up after it was told to stop."""
+"""The seconds that a worker has for tidying up after it was told to stop."""
 
 GRACE = 3.0
-"""Seconds that one is given whose file has taken too long: loops in C do not hear that they are to stop."""
+"""The seconds that a worker has to stop if its file took too long. C loops do not notice the signal."""
 
 BASE = 1 << 30
-"""Bytes of addresses that a worker has besides its limit: for code, stacks and the files that it maps."""
+"""Bytes of addresses that a worker has besides its limit: for code, stacks and mapped files."""
 
 ATTEMPTS = 2
-"""How often a job is tried whose worker dies."""
+"""The number of times that a job is tried if its worker dies."""
 
 ENVIRONMENT = {
     **dict.fromkeys(
@@ -57,15 +57,15 @@ ENVIRONMENT = {
     "MALLOC_MMAP_THRESHOLD_": str(16 << 20),
     "MALLOC_TRIM_THRESHOLD_": str(64 << 20),
 }
-"""What a worker finds in its environment where the user has not said otherwise.
+"""The environment of a worker, for each variable that the user has not set.
 
-One thread for linear algebra: the processes are the parallelism. And memory that is kept from one file to
-the next (by glibc): faulting in fresh pages for each file's arrays is a quarter of the work on small files.
+Linear algebra uses one thread, because the processes are the parallelism. glibc keeps memory from one file to
+the next: fresh pages for the arrays of each file take a quarter of the work on small files.
 """
 
 
 def usable_cores() -> int:
-    """Return how many cores this process may use."""
+    """Return the number of cores that this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
@@ -73,9 +73,10 @@ def usable_cores() -> int:
 
 @dataclass(eq=False, slots=True)
 class _Worker:
-    """A process, this end of its pipe, and the jobs that it was sent, the one at work first.
+    """A process, this end of its pipe, and the jobs that it was sent. The job in work is the first.
 
-    begun is when it began that one, late when it was told to stop because that one takes too long.
+    begun is the time when that job began. late is the time when the worker was told to stop because that job
+    takes too long.
     """
 
     process: BaseProcess
@@ -89,7 +90,7 @@ class _Worker:
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What a job may take: seconds, and bytes of memory in a process that does nothing else (None: any)."""
+    """The limits of a job: seconds, and bytes of memory in a process that does nothing else (None: any)."""
 
     seconds: float | None = None
     memory: int | None = None
@@ -99,9 +100,9 @@ class Limits:
 class Processes:
     """A runner with ``workers`` processes of its own.
 
-    ``modules`` are imported before workers are, where they are forks of one process: once for all.
-    A worker that dies costs nobody else's work. Its job is tried again while no other runs, in case
-    it was memory that they lacked together. A job that takes longer than ``limits`` allow is lost.
+    If workers are forks of one server process, the server imports ``modules`` once, before it forks them. If
+    a worker dies, the work of the others is not lost. Its job is tried again while no other job runs, because
+    the jobs together may have used up the memory. A job that takes longer than ``limits`` allow is lost.
     """
 
     workers: int
@@ -111,9 +112,9 @@ class Processes:
     def run(
         self, work: Work[JobT, ReturnT], jobs: Sequence[JobT]
     ) -> Generator[tuple[int, ReturnT], None, None]:
-        """Yield (number, ``work(job)``) as jobs are done; raises SkinbakeError where no worker starts.
+        """Yield (number, ``work(job)``) as jobs are done. Raises SkinbakeError if no worker starts.
 
-        Closing the generator, or an interrupt, ends the workers at once: what they had begun is undone.
+        Closing the generator, or an interrupt, ends the workers at once. The jobs in work are undone.
         """
         pool = _Pool(self, work, jobs)
         try:
@@ -123,7 +124,7 @@ class Processes:
 
 
 class _Pool(Generic[JobT, ReturnT]):
-    """The workers of one run, and which job is where."""
+    """The workers of one run, and the jobs that each worker has."""
 
     def __init__(self, runner: Processes, work: Work[JobT, ReturnT], jobs: Sequence[JobT]) -> None:
         self._work, self._jobs, self._limits = work, jobs, runner.limits
@@ -157,11 +158,11 @@ class _Pool(Generic[JobT, ReturnT]):
                 worker.is_warm, self._stillborn = True, 0
                 if message is not None:
                     finished = self._finished(worker, *message)
-                    self._hand_out()  # nobody is to wait for who takes the result
+                    self._hand_out()  # the workers go on while the caller uses the result
                     yield finished
 
     def _until_late(self) -> float | None:
-        """Return the seconds until the next worker has to be told to stop, or has to be killed."""
+        """Return the seconds until the next worker must be told to stop, or must be killed."""
         seconds = self._limits.seconds
         if seconds is None:
             return None
@@ -173,7 +174,7 @@ class _Pool(Generic[JobT, ReturnT]):
         return max(0.0, min(ends) - time.monotonic()) if ends else None
 
     def _stop_late(self) -> None:
-        """Tell workers to stop whose job takes too long, and kill those that do not."""
+        """Tell a worker to stop if its job takes too long, and kill it if it does not stop."""
         seconds, now = self._limits.seconds, time.monotonic()
         if seconds is None:
             return
@@ -188,7 +189,7 @@ class _Pool(Generic[JobT, ReturnT]):
                 worker.process.terminate()
 
     def stop(self) -> None:
-        """End all workers: the idle ones see their pipe close, the busy ones are told to."""
+        """End all workers. Idle workers see their pipe close, and busy workers get a signal."""
         with _no_interrupts():
             for worker in self._workers:
                 if worker.sent:
@@ -203,7 +204,7 @@ class _Pool(Generic[JobT, ReturnT]):
             self._retired.clear()
 
     def _hand_out(self) -> None:
-        """Start the workers that are missing, and send jobs to those that have too few."""
+        """Start the missing workers, and send jobs to workers that have too few."""
         while len(self._workers) < min(self._size, self._unfinished):
             self._workers.append(_started(self._context, self._work, self._limits))
         if self._suspects:  # tried again alone
@@ -232,7 +233,7 @@ class _Pool(Generic[JobT, ReturnT]):
         if not worker.sent:
             worker.begun = time.monotonic()
         worker.sent.append(number)
-        with suppress(OSError):  # it has died: its pipe says so next
+        with suppress(OSError):  # the worker has died: its pipe reports that next
             worker.connection.send((number, self._jobs[number]))
 
     def _finished(self, worker: _Worker, number: int, result: ReturnT, seconds: float) -> tuple[int, ReturnT]:
@@ -246,11 +247,11 @@ class _Pool(Generic[JobT, ReturnT]):
 
     @property
     def _is_isolated(self) -> bool:
-        """Tell whether each job has a process of its own: what one leaves in its memory reaches no other."""
+        """Tell whether each job has its own process, so that no job finds memory that another job left."""
         return self._limits.memory is not None
 
     def _retire(self, worker: _Worker) -> None:
-        """Let a worker go that has done its job: it sees its pipe close."""
+        """Release a worker that has done its job. It sees its pipe close."""
         self._workers.remove(worker)
         worker.connection.close()
         self._retired = [process for process in self._retired if process.is_alive()]
@@ -264,7 +265,7 @@ class _Pool(Generic[JobT, ReturnT]):
             self._oldest += 1
 
     def _bury(self, worker: _Worker) -> Iterator[tuple[int, ReturnT]]:
-        """Take a dead worker out; its job is suspected, or yielded as lost, and the others go back."""
+        """Remove a dead worker. Its first job is tried again alone, or yielded as lost. Others go back."""
         self._workers.remove(worker)
         worker.connection.close()
         worker.process.join(PATIENCE)
@@ -302,9 +303,9 @@ def _cause_of_death(process: BaseProcess) -> str:
 
 
 def _context(modules: Sequence[str]) -> SpawnContext | ForkServerContext:
-    """Return how processes are started: as forks of a server that has done the imports, or afresh.
+    """Return how processes start: as forks of a server that has done the imports, or from scratch.
 
-    Never as forks of this process, which may have threads by then.
+    They are never forks of this process, because this process may have threads by then.
     """
     if sys.platform != "linux":
         return multiprocessing.get_context("spawn")
@@ -332,9 +333,9 @@ def _handles_logs() -> bool:
 
 @contextmanager
 def _quiet_start() -> Iterator[None]:
-    """Have processes that start here find their environment, and be deaf to Ctrl-C until they are ready."""
+    """Give the processes that start here their environment, and block Ctrl-C until they are ready."""
     if sys.platform != "win32":
-        resource_tracker.ensure_running()  # it lifts the block when it starts
+        resource_tracker.ensure_running()  # the tracker lifts the block when it starts
     missing = {name: value for name, value in ENVIRONMENT.items() if name not in os.environ}
     os.environ.update(missing)
     try:
@@ -347,7 +348,7 @@ def _quiet_start() -> Iterator[None]:
 
 @contextmanager
 def _no_interrupts() -> Iterator[None]:
-    """Put Ctrl-C and SIGTERM off until the block is done."""
+    """Delay Ctrl-C and SIGTERM until the block is done."""
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
@@ -359,7 +360,7 @@ def _no_interrupts() -> Iterator[None]:
 
 
 def _serve(connection: Connection, work: Work[JobT, ReturnT], limits: Limits, level: int, logs: bool) -> None:
-    """Do jobs as they come, until the pipe is closed or a signal says stop; the main of a worker."""
+    """Do jobs as they arrive, until the pipe closes or a signal says stop. It is the main of a worker."""
     stopped = threading.Event()
     try:
         _hear_signals(stopped)
@@ -371,14 +372,14 @@ def _serve(connection: Connection, work: Work[JobT, ReturnT], limits: Limits, le
         while not stopped.is_set():
             number, job = connection.recv()
             message = _message(work, number, job)
-            if not stopped.is_set():  # an interrupt may have come out as another exception
+            if not stopped.is_set():  # an interrupt may have become another exception
                 connection.send_bytes(message)
     except (EOFError, OSError, KeyboardInterrupt):
-        pass  # the other end is gone, or we are to go
+        pass  # the other end has closed, or this worker must stop
 
 
 def _limit_memory(size: int) -> None:
-    """Let this process have ``size`` bytes more and leave no core behind, where the system can do that."""
+    """Limit this process to ``size`` more bytes and forbid core dumps, if the system can do that."""
     try:
         import resource
 
@@ -387,7 +388,7 @@ def _limit_memory(size: int) -> None:
     except ImportError:
         return
     except (OSError, ValueError):
-        used = 0  # not Linux: what it has is part of BASE
+        used = 0  # not Linux: BASE includes the memory in use
     wanted = {resource.RLIMIT_AS: used + size + BASE, resource.RLIMIT_CORE: 0}
     for kind, limit in wanted.items():
         _, hard = resource.getrlimit(kind)
@@ -396,9 +397,9 @@ def _limit_memory(size: int) -> None:
 
 
 def _message(work: Work[JobT, ReturnT], number: int, job: JobT) -> bytes:
-    """Do a job, and return what is sent of it: its number, its result and the seconds that it took.
+    """Do a job, and return its message: the number, the result and the seconds that it took.
 
-    A work that raises, and a result that cannot be pickled, are defects of ours: that job alone is lost.
+    A work that raises, or a result that cannot be pickled, is a defect of skinbake. Only that job is lost.
     """
     start = time.perf_counter()
 
@@ -411,10 +412,10 @@ def _message(work: Work[JobT, ReturnT], number: int, job: JobT) -> bytes:
 
 
 def _hear_signals(stopped: threading.Event) -> None:
-    """Let SIGINT and SIGTERM end the work like Ctrl-C: whatever was begun is undone on the way out."""
+    """Let SIGINT and SIGTERM end the work like Ctrl-C. The job in work is undone on the way out."""
 
     def stop(signum: int, frame: object) -> None:
-        if not stopped.is_set():  # a second one must not disturb the tidying up
+        if not stopped.is_set():  # a second signal must not disturb the tidying up
             stopped.set()
             raise KeyboardInterrupt
 

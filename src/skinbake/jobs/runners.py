@@ -1,4 +1,4 @@
-"""Who does the work on many files: this process, several, or a Dask cluster is a runner's affair."""
+"""The runners of the work on many files: this process, several processes, or a Dask cluster."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ T = TypeVar("T")
 
 
 class InThisProcess:
-    """The runner for a single file, and for work that other processes are not worth starting for."""
+    """The runner for a single file, and for work that is too small for other processes."""
 
     def run(
         self, work: Work[JobT, ReturnT], jobs: Sequence[JobT]
@@ -25,9 +25,9 @@ class InThisProcess:
 
 @dataclass(frozen=True, slots=True)
 class FirstThese(Generic[JobT, ReturnT]):
-    """A runner for jobs some of which must take their turns, in order, because they may meet on the disk.
+    """A runner for jobs of which some must run in order, because they may use the same file on the disk.
 
-    Those numbered in ``turns`` are done first, one at a time; then the others, side by side.
+    The jobs numbered in ``turns`` are done first, one at a time. Then the other jobs run side by side.
     """
 
     turns: Sequence[int]
@@ -37,7 +37,7 @@ class FirstThese(Generic[JobT, ReturnT]):
     def run(
         self, work: Work[JobT, ReturnT], jobs: Sequence[JobT]
     ) -> Generator[tuple[int, ReturnT], None, None]:
-        """Yield (number, ``work(job)``), those in turns first."""
+        """Yield (number, ``work(job)``). The jobs in ``turns`` come first."""
         first = set(self.turns)
         rest = [number for number in range(len(jobs)) if number not in first]
         for runner, numbers in ((self.one_by_one, sorted(first)), (self.side_by_side, rest)):
@@ -48,9 +48,9 @@ class FirstThese(Generic[JobT, ReturnT]):
 
 
 def in_order(results: Generator[tuple[int, T], None, None]) -> Generator[T, None, None]:
-    """Yield results in the order of their numbers, each as soon as those before it are there.
+    """Yield results in the order of their numbers, each as soon as all earlier results are there.
 
-    Closing it closes ``results``.
+    Closing this generator closes ``results``.
     """
     waiting: dict[int, T] = {}
     following = 0

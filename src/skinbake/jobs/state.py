@@ -1,9 +1,10 @@
-"""What was made of which bytes, and how: so that what is still true need not be done again.
+"""Records of the files made, their input bytes and the options, so that finished work is not repeated.
 
 A record says: this code with these options made files of these digests from files of these digests. That
-stays true whoever wrote it, and whatever became of the files since; whether it is about the files as they
-are is found out by digesting them, every time. Sizes and times are not trusted: copies, archives and
-checkouts set them. So two runs may write to one state file at once, and a lost record costs a bake, no more.
+stays true, no matter who wrote the record and how the files changed later. Every run digests the files to
+find out whether a record fits them as they are now. Sizes and times are not trusted, because copies, archives
+and checkouts set them. So two runs may write to one state file at once, and a lost record costs one bake and
+no more.
 """
 
 from __future__ import annotations
@@ -36,31 +37,32 @@ if TYPE_CHECKING:
 HEADER = b'{"skinbake": "state/1"}\n'
 
 NAME = ".skinbake-state.jsonl"
-"""What a state file is called that the user has not named: whatever is in it, it is ours."""
+"""The name of a state file that the user has not named. A file of this name belongs to skinbake."""
 
 LONGEST = 1 << 22
-"""Bytes of a record: those of a document that names ten thousand files. Longer lines are passed over."""
+"""The largest record in bytes: that of a document that names ten thousand files. Longer lines are skipped."""
 
 SPARE = 1000
-"""Superseded records that a state file may hold, besides as many as it has live ones, before it is tidied."""
+"""A state file is rewritten if it holds more superseded records than live ones, plus this number."""
 
 YOUNG = 1_000_000_000
-"""Nanoseconds: a file changed this recently may change again without a later time to show for it."""
+"""Nanoseconds: a file changed this recently may change again and keep the same time."""
 
 ABSENT = (errno.ENOENT, errno.ENOTDIR, errno.ENAMETOOLONG)
-"""What the system says of a file that is not there; the last, of one that cannot be."""
+"""The system's error codes for a file that is not there. The last one means that no such file can exist."""
 
 DIGEST = re.compile(f"[0-9a-f]{{{DIGITS}}}")
 
 Digests = dict[str, str | None]
-"""By absolute path: a file's digest, None where there is no file."""
+"""The digest of each file by absolute path, or None if there is no file."""
 
 
 @dataclass(frozen=True, slots=True)
 class Seen:
-    """The files that a document consists of, as they were: digests, and what would show a change.
+    """The files of a document at one moment: their digests, and the signatures that would show a change.
 
-    By path; ``named`` are those that the document names, which are opened below their folder only.
+    Both are by path. ``named`` are the files that the document names. They are opened below their folder
+    only.
     """
 
     digests: Digests
@@ -70,7 +72,7 @@ class Seen:
 
     @property
     def still_there(self) -> bool:
-        """Tell whether nobody has changed any of them since."""
+        """Tell whether no file has changed since."""
         return all(self._signature(path) == found for path, found in self.signatures.items()) and all(
             self._digest(path) == self.digests[path] for path in self.young
         )
@@ -84,9 +86,9 @@ class Seen:
 
 @dataclass(frozen=True, slots=True)
 class Recipe:
-    """A command with its options and code, and the folder that paths in records start at.
+    """A command with its options and code, and the folder from which paths in records start.
 
-    ``roots`` are the folders that inputs were searched in: a record may be about files below these, and below
+    ``roots`` are the folders in which inputs were searched. A record may name files below these, and below
     the folders of its source and target, but no others.
     """
 
@@ -96,14 +98,14 @@ class Recipe:
     roots: tuple[str, ...] = ()
 
     def key(self, path: str) -> str:
-        """Return what records are found by: the command, and the file that it makes (verify: reads)."""
+        """Return the key of a file's records: the command, and the file that it makes (verify: reads)."""
         return f"{self.command} {self._relative(_absolute(path))}"
 
     def still_holds(self, record: bytes, source: str, target: str | None) -> bool:
-        """Tell whether a record is about the files as they are now; False where in doubt.
+        """Tell whether a record describes the files as they are now; False if in doubt.
 
-        It may be forged: only files that this run has to do with are opened, and a record that says nothing
-        of the source, or of the target, is none.
+        A record may be forged. Only files of this run are opened. A record that does not mention the source,
+        or the target, is not valid.
         """
         try:
             note = json.loads(record)
@@ -122,13 +124,13 @@ class Recipe:
             return False
 
     def _is_so(self, path: str, digest: str | None, roots: Iterable[str]) -> bool:
-        """Tell whether a file below one of the folders has the digest, or None and is not there."""
+        """Tell whether a file below one of the folders has this digest (None: the file is absent)."""
         whole = os.path.normpath(os.path.join(self.folder, path))
         below = any(whole.startswith(root.rstrip(os.sep) + os.sep) for root in roots)
         return below and _digest(whole) == digest
 
     def record(self, source: str, target: str | None, read: Digests, made: Digests) -> bytes:
-        """Return the record that ``made`` is what came of ``read``, a line."""
+        """Return the record, one line, that the files ``made`` came from the files ``read``."""
         key, how, origin = self._heading(source, target)
         note = {
             "key": key,
@@ -145,14 +147,14 @@ class Recipe:
     def _relative(self, path: str) -> str:
         try:
             return os.path.relpath(path, self.folder).replace(os.sep, "/")
-        except ValueError:  # another drive
+        except ValueError:  # it is on another drive
             return path
 
 
 def recipe(command: str, options: DataclassInstance, state: str, roots: Iterable[str] = ()) -> Recipe:
     """Return the recipe of a command with its options, a dataclass, for the state file of that name.
 
-    ``roots`` are the folders that inputs were searched in.
+    ``roots`` are the folders in which inputs were searched.
     """
     text = json.dumps(
         [command, __version__, _code(), kernel.IS_COMPILED, asdict(options)],
@@ -164,7 +166,7 @@ def recipe(command: str, options: DataclassInstance, state: str, roots: Iterable
 
 
 def seen(source: str, bounds: Bounds = BESIDE) -> Seen | None:
-    """Look at a file and those that it names in ``bounds``; None where it cannot be read, or has gone."""
+    """Look at a file and the files that it names in ``bounds``; None if it cannot be read or is gone."""
     start = time.time_ns()
     path = _absolute(source)
     try:
@@ -183,8 +185,8 @@ def seen(source: str, bounds: Bounds = BESIDE) -> Seen | None:
 def made(target: str, written: Mapping[str, str], read: Digests, bounds: Bounds = BESIDE) -> Digests | None:
     """Return the digests of a target that was just written and of the files that it names.
 
-    None where they are not all known to be ours: ``written``, by path, or the same bytes as one of ``read``.
-    Somebody else may have written there since.
+    None if skinbake is not known to have made all of them. Each file must be in ``written``, by path, or have
+    the same bytes as one of ``read``. Another program may have written there since.
     """
     found = seen(target, bounds)
     if found is None:
@@ -199,15 +201,15 @@ def made(target: str, written: Mapping[str, str], read: Digests, bounds: Bounds 
 
 
 class State:
-    """A state file: a record a line, of which the last one of each key counts; added to as files are done.
+    """A state file with one record a line. The last record of each key counts. New records are appended.
 
-    Its lines may hold anything: what is no record is passed over.
+    Its lines may hold anything. A line that is not a record is skipped.
     """
 
     def __init__(self, path: str, *, sync: bool = True) -> None:
-        """Read it; one that is not there is empty. Raises InputError where it is none of skinbake's.
+        """Read the file; a missing file is empty. Raises InputError if it is not a state file of skinbake.
 
-        ``sync`` waits until all is on the disk when it is closed.
+        With ``sync``, closing it waits until all is on the disk.
         """
         self._path, self._sync = Path(path), sync
         self._records: dict[str, bytes] = {}
@@ -217,15 +219,15 @@ class State:
         self._read()
 
     def known(self, key: str) -> bytes | None:
-        """Return the record of a key, None where there is none."""
+        """Return the record of a key, or None if there is none."""
         return self._records.get(key)
 
     def add(self, record: bytes) -> None:
-        """Add a record, on the disk too; OutputError where that fails."""
+        """Add a record, on the disk too. Raises OutputError if the write fails."""
         try:
             if self._descriptor is None:
                 self._descriptor = self._opened()
-            # In one write, lest records of two runs mingle.
+            # The record goes out in one write, so that records of two runs do not mix.
             if os.write(self._descriptor, record) < len(record):
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         except OSError as error:
@@ -233,18 +235,18 @@ class State:
         self._remember(record)
 
     def close(self) -> None:
-        """Let go of the file; where most of it is superseded, write it anew."""
+        """Close the file. If most of it is superseded, write it anew."""
         if self._descriptor is None:
             return
         descriptor, self._descriptor = self._descriptor, None
         try:
             if self._sync:
-                with suppress(OSError):  # what is lost costs a bake
+                with suppress(OSError):  # a lost record costs one bake
                     flush(descriptor)
         finally:
             os.close(descriptor)
         if self._lines > 2 * len(self._records) + SPARE:
-            with suppress(SkinbakeError):  # it stays as it is
+            with suppress(SkinbakeError):  # the file stays as it is
                 write_file([HEADER, *self._records.values()], str(self._path), sync=self._sync)
 
     def _read(self) -> None:
@@ -268,7 +270,7 @@ class State:
                     return
         except OSError as error:
             raise InputError(f"cannot be read: {error.strerror}", place) from error
-        # A power cut leaves what it likes; of a file with another name we cannot know whose it is.
+        # A power cut can leave any bytes. A file with another name may belong to another program.
         if not HEADER.startswith(head) and self._path.name != NAME:
             raise InputError("it exists and is no state file of skinbake", place)
         self._is_damaged = bool(head)
@@ -296,7 +298,7 @@ class State:
 
 
 def _named_files(document: Document) -> Iterable[Spot]:
-    """Return where the document's URIs may lead in its bounds, each once."""
+    """Return the places to which the document's URIs may lead in its bounds, each once."""
     found: dict[str, Spot] = {}
     for named in named_files(document):
         with suppress(RefusedError):
@@ -306,7 +308,7 @@ def _named_files(document: Document) -> Iterable[Spot]:
 
 
 def _signature_at(spot: Spot) -> tuple[int, ...]:
-    """Return what changes with a file that a document names: empty where none can be read."""
+    """Return the signature of a file that a document names: empty if it cannot be read."""
     try:
         descriptor = open_beneath(spot)
     except (OSError, ValueError):
@@ -318,7 +320,7 @@ def _signature_at(spot: Spot) -> tuple[int, ...]:
 
 
 def _digest_at(spot: Spot) -> str | None:
-    """Return the digest of a file that a document names, None where none can be read."""
+    """Return the digest of a file that a document names, or None if it cannot be read."""
     try:
         return digest_of(FileContent(spot))
     except (OSError, ValueError):
@@ -326,7 +328,7 @@ def _digest_at(spot: Spot) -> str | None:
 
 
 def _lines(file: BinaryIO) -> Iterator[bytes]:
-    """Yield whole lines; one without an end was cut by an interrupt, one that is too long is no record."""
+    """Yield whole lines. An interrupt leaves a line without an end; a line that is too long is no record."""
     is_within = False
     while line := file.readline(LONGEST):
         if line.endswith(b"\n"):
@@ -338,13 +340,13 @@ def _lines(file: BinaryIO) -> Iterator[bytes]:
 
 
 def _absolute(path: str) -> str:
-    """Return a path without links in its folder, so that ``..`` in a relative one means what it says."""
+    """Return a path whose folder has no links, so that ``..`` in a relative path leads where it says."""
     folder, name = os.path.split(path)
     return os.path.join(os.path.realpath(folder), name)
 
 
 def _signature(path: str) -> tuple[int, ...]:
-    """Return what changes with a file: empty where there is none; its times are last."""
+    """Return the values that change with a file, its times last: empty if there is no file."""
     try:
         found = os.stat(path)
     except OSError as error:
@@ -359,7 +361,7 @@ def _signature_of(found: os.stat_result) -> tuple[int, ...]:
 
 
 def _digest(path: str) -> str | None:
-    """Return a file's digest, None where there is none; OSError or ValueError where it cannot be read."""
+    """Return a file's digest, None if there is no file. Raises OSError or ValueError if it cannot be read."""
     try:
         with os.fdopen(open_regular(path), "rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()[:DIGITS]
@@ -370,7 +372,7 @@ def _digest(path: str) -> str | None:
 
 
 def _code() -> str:
-    """Return a digest of skinbake itself: in a checkout, code changes and its version does not."""
+    """Return a digest of skinbake's own code. In a checkout, the code changes but the version does not."""
     folder = Path(__file__).parents[1]
     files = sorted(path for path in folder.rglob("*") if path.is_file() and "__pycache__" not in path.parts)
     return digest_of(

@@ -14,22 +14,22 @@ from skinbake.lighting.measured import Progress, VerifyOptions
 from skinbake.report.verify import FileVerdict
 
 MODULES = ("skinbake.cli.main", "skinbake.jobs.verify", "skinbake.jobs.file_work")
-"""What a worker needs, to be imported before it starts."""
+"""The modules that a worker imports before it starts."""
 
 SECONDS_A_FILE, SECONDS_A_BYTE = 0.05, 2e-6
-"""What verifying a file takes, about: enough to know whether workers are worth starting."""
+"""The approximate time to verify a file. It decides whether workers are worth starting."""
 
 
 @dataclass(frozen=True, slots=True)
 class Verify:
-    """Verifies a job's source. ``progress`` cannot go to another process."""
+    """Verify the source of a job. ``progress`` cannot be sent to another process."""
 
     undone: ClassVar[str] = "not verified"
     options: VerifyOptions
     progress: Progress | None = None
 
     def result_of(self, job: Job, *, traced: bool) -> FileVerdict:
-        """Verify the file; raises SkinbakeError where it cannot be read. It writes nothing to trace."""
+        """Verify the file. Raises SkinbakeError if it cannot be read. Nothing is written or traced."""
         there = elsewhere_of(job)
         if there is not None:
             return there.verify_file(job.source, self.options, self.progress, job.within)
@@ -40,15 +40,15 @@ class Verify:
         return FileVerdict(job.source, notices=error.notices, error=error)
 
     def up_to_date(self, job: Job) -> FileVerdict:
-        """Return that the file has passed as it is."""
+        """Return that the file passed before and has not changed since."""
         return FileVerdict(job.source, up_to_date=True)
 
     def is_noted(self, job: Job) -> bool:
-        """Tell that every file's verdict can be noted."""
+        """Tell that a state file can hold every verdict."""
         return True
 
     def evidence(
         self, job: Job, result: FileVerdict, before: state.Seen
     ) -> tuple[state.Digests, state.Digests] | None:
-        """Return the digests of what was read, of a file that passed and that has not changed meanwhile."""
+        """Return the digests of the files read, if the file passed and no file changed meanwhile."""
         return (before.digests, {}) if result.passed and before.still_there else None

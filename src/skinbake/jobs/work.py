@@ -18,9 +18,9 @@ if TYPE_CHECKING:
 
 
 class Elsewhere(Protocol):
-    """Fetches files that are not on this machine's disk, and stores what is written.
+    """Fetch files that are not on the local disk, and store the written files.
 
-    Its methods do what the commands' functions of the same names do, and raise what these raise.
+    Its methods do the same as the commands' functions of the same names, and raise the same errors.
     """
 
     def bake_file(
@@ -36,11 +36,11 @@ class Elsewhere(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """One file to work on, and the file that is made of it, None where none is.
+    """One file to work on, and the file that is made from it (None: no file is made).
 
-    known is what a state file has on it, missing why there is no such file after all. ``within`` are the
-    folders that reading and writing stay in. elsewhere is given where even plain paths are another
-    machine's.
+    known is the record of a state file. missing is the reason if the file does not exist after all.
+    ``within`` are the folders in which files are read and written. elsewhere is given if even plain paths
+    belong to another machine.
     """
 
     source: str
@@ -52,23 +52,23 @@ class Job:
 
 
 class Result(Protocol):
-    """What every command's result of a file has; results are frozen dataclasses."""
+    """The members of every command's result of a file. Results are frozen dataclasses."""
 
     @property
     def error(self) -> SkinbakeError | None:
-        """Why the file failed, None where it did not."""
+        """The reason why the file failed, or None if it did not fail."""
 
     @property
     def notices(self) -> tuple[Notice, ...]:
-        """What had to be assumed."""
+        """The assumptions that were made."""
 
     @property
     def record(self) -> bytes | None:
-        """What a state file is to hold of the file."""
+        """The record for the state file."""
 
     @property
     def timings(self) -> Mapping[str, float] | None:
-        """Seconds by stage, None where they were not asked for."""
+        """The seconds of each stage, or None if they were not asked for."""
 
 
 JobT = TypeVar("JobT")
@@ -84,27 +84,27 @@ def changed(result: ResultT, **fields: object) -> ResultT:
 
 
 class Work(Protocol[JobT_contra, ReturnT_co]):
-    """What is done with each job; a value that can be pickled, as its jobs and results can."""
+    """The work on each job. The work, its jobs and its results can be pickled."""
 
     def __call__(self, job: JobT_contra, /) -> ReturnT_co:
-        """Return what became of one job; raises nothing for a file's sake."""
+        """Return the result of one job. An error in a file raises nothing."""
 
     def failed(self, job: JobT_contra, error: SkinbakeError, /) -> ReturnT_co:
         """Return the result of a job that an error ended."""
 
     def lost(self, job: JobT_contra, reason: str, /) -> ReturnT_co:
-        """Return the result of a job that no process lived to report on."""
+        """Return the result of a job whose process died before it reported."""
 
 
 class Runner(Protocol[JobT, ReturnT]):
-    """Does one work on many jobs, somewhere."""
+    """Do one work on many jobs, in this process or in others."""
 
     def run(
         self, work: Work[JobT, ReturnT], jobs: Sequence[JobT]
     ) -> Generator[tuple[int, ReturnT], None, None]:
         """Yield (number of the job, ``work(job)``) as jobs are done, in any order, each exactly once.
 
-        ``work`` and the jobs can be pickled. A runner that loses a worker (killed, out of memory) tries its
-        job again, and at last yields ``work.lost(job, reason)``. Closing the generator stops what has not
-        begun.
+        ``work`` and the jobs can be pickled. If a runner loses a worker (killed, out of memory), it tries the
+        job again, and at last yields ``work.lost(job, reason)``. Closing the generator stops the jobs that
+        have not begun.
         """
