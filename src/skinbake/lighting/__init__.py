@@ -1,1 +1,1 @@
-"""Whether a baked file still carries the right α and β, and what they are worth on it."""
+"""Measurements of a baked file: whether α and β are still right, and how good its lighting is."""

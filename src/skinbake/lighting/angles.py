@@ -54,21 +54,21 @@ METHODS: dict[str, dict[str, Algorithm]] = {
 }
 
 INSIDE_OUT = {"accurate", "exact"}
-"""Lightings whose normal is t' × b', which a mirroring joint turns to the inside."""
+"""The lightings whose normal is t' × b'. A mirroring joint turns that normal to the inside."""
 
 IDENTITY_TOLERANCE = 1e-4
-"""Degrees by which algorithms 2 and 3 may differ: both are exact given the same gradients."""
+"""Degrees by which algorithms 2 and 3 may differ. Given the same gradients, both are exact."""
 
 IDENTITY_SAMPLES = 1 << 21
-"""Vertices × poses in which algorithm 2 is computed, about: evenly spread, where there are more."""
+"""The approximate number of vertices × poses for algorithm 2: evenly spread, if there are more."""
 
 WELL_CONDITIONED = 1e-3
-"""Sine between t' and b', relative to their lengths, below which a fold has no normal to compare."""
+"""The sine between t' and b', relative to their lengths, below which a fold has no normal to compare."""
 
 
 @dataclass(frozen=True, slots=True)
 class Morphing:
-    """Morph targets of one mesh, by primitive (None: it has none), and their weights (P, N) in P poses."""
+    """The morph targets of one mesh by primitive (None: no targets), and their weights (P, N) in P poses."""
 
     targets: tuple[MorphTargets | None, ...]
     weights: Float64Array
@@ -85,8 +85,8 @@ class Morphing:
 class MeasuredBlock:
     """Errors of one lighting on a block of one primitive's vertices, in some poses, by one truth.
 
-    surface is the primitive's number, pose and vertex where the block begins. errors (P, V) are float32
-    degrees; valid (P, V) is where the truth exists.
+    surface is the number of the primitive. pose and vertex are the first ones of the block. errors (P, V) are
+    float32 degrees. valid (P, V) is true if the truth exists.
     """
 
     truth: str
@@ -99,7 +99,7 @@ class MeasuredBlock:
 
 
 def not_rigid_joints(surfaces: Sequence[RestSurface], joint_matrices: Float64Array) -> list[int]:
-    """Return the joints in use that dual quaternions cannot stand for, in joint matrices (P, J, 4, 4)."""
+    """Return the joints in use that dual quaternions cannot represent, in joint matrices (P, J, 4, 4)."""
     in_use = np.zeros(joint_matrices.shape[1], dtype=np.bool_)
     for surface in surfaces:
         in_use |= surface.joints_in_use(len(in_use))
@@ -120,11 +120,11 @@ def lighting_errors(  # noqa: PLR0913
 ) -> float:
     """Run every algorithm of a method over all poses, and measure its normals block by block.
 
-    surfaces are the primitives of one mesh in the operator's order, joint_matrices (P, J, 4, 4). The truths
-    are built from the positions that the method itself gives. record is called with every block, in an order
-    that does not depend on the number of threads, advance with the number of poses done. With morphing, every
-    pose starts from a surface of its own: one pose at a time then. Returns the largest angle in degrees
-    between the normals of algorithms 2 and 3, 0 where they are not compared.
+    surfaces are the primitives of one mesh in the operator's order. joint_matrices are (P, J, 4, 4). The
+    truths are built from the positions that the method itself gives. record is called with every block, in an
+    order that does not depend on the number of threads. advance is called with the number of poses done. With
+    morphing, every pose starts from its own surface, so poses are measured one at a time. Returns the largest
+    angle in degrees between the normals of algorithms 2 and 3, or 0 if they are not compared.
     """
     poses, options = len(joint_matrices), options or Options()
     count = len(operator.positions)
@@ -134,13 +134,13 @@ def lighting_errors(  # noqa: PLR0913
     identity = Identity() if method == "lbs" and options.cap is None else None
     skinned: Sequence[_Skinned] = []
     sides = _sides(surfaces, joint_matrices)
-    # Algorithm 2 is there to be compared: in millions of vertices × poses some of them do.
+    # Algorithm 2 is only compared with algorithm 3. In millions of vertices × poses, a sample is enough.
     stride = -(-count * poses // IDENTITY_SAMPLES) if method == "lbs" and not morphing else 1
     with Threads(thread_count()) as threads:
         for number, pose in enumerate(parts):
             if morphing or not skinned:
                 posed, at_rest = _morphed(surfaces, truth, morphing, pose.start)
-                # Each of its poses is a chunk of one, of a surface of its own.
+                # Each pose is a chunk of its own, because each has its own surface.
                 matrices = joint_matrices[pose] if morphing else joint_matrices
                 skinned = [_skinned(surface, matrices, method, options) for surface in posed]
             at = slice(0, 1) if morphing else pose
@@ -159,7 +159,7 @@ def lighting_errors(  # noqa: PLR0913
                         record(block)
                     if identity is not None:
                         identity.take(compared)
-            # The next chunk's positions need the memory.
+            # The positions of the next chunk need the memory.
             del deformed, sums, work
             if identity is not None:
                 identity.close()
@@ -169,7 +169,7 @@ def lighting_errors(  # noqa: PLR0913
 
 @dataclass(frozen=True, slots=True)
 class Truths:
-    """What both truths need of one mesh: blocks of its vertices and triangles, and its rest pose."""
+    """The data of one mesh that both truths need: blocks of vertices and triangles, and the rest pose."""
 
     operator: GradientOperator
     names: Sequence[str]
@@ -201,10 +201,10 @@ class Truths:
         return replace(self, frames=frames, carried=carried)
 
     def sums(self, deformed: Float64Array, threads: Threads) -> Float32Array | None:
-        """Return what the truth by triangles makes of all deformed positions (3, V, P) at once."""
+        """Return the sums of the truth by triangles for all deformed positions (3, V, P) at once."""
         if self.carried is None:
             return None
-        # In float32 as much memory as that takes is saved: sums of unit vectors lose a millionth of a degree.
+        # float32 halves the memory. Sums of unit vectors lose a millionth of a degree.
         total = np.zeros((3, len(self.operator.ends) - 1, deformed.shape[2]), dtype=np.float32)
         found = threads.each(lambda block: corner_sums(block, deformed), self.triangles)
         for block, part in zip(self.triangles, found, strict=True):
@@ -219,7 +219,7 @@ class Truths:
         sums: Float32Array | None,
         sides: Float64Array | None,
     ) -> Iterator[tuple[str, Vector, BoolArray]]:
-        """Yield each truth's name, its unit normals of a block, components (P, B), and where they are."""
+        """Yield each truth's name, its unit normals of a block as components (P, B), and where they exist."""
         part = self.pieces[number].part
         tangents = posed_tangents(self.frames.tangents[number], deformed)
         if Truth.TANGENTS in self.names:
@@ -230,12 +230,12 @@ class Truths:
 
 
 _Compared = tuple[FloatArray, FloatArray] | None
-"""What ``Identity`` takes of a block."""
+"""The values of a block that ``Identity`` takes."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Chunk:
-    """Some poses of one mesh; ``at`` are the same poses among those of the skinned surfaces."""
+    """Some poses of one mesh. ``at`` are the same poses among the poses of the skinned surfaces."""
 
     truths: Truths
     skinned: Sequence[_Skinned]
@@ -260,7 +260,7 @@ class _Chunk:
     def measured(
         self, deformed: Float64Array, sums: Float32Array | None, block: _Block
     ) -> tuple[list[MeasuredBlock], _Compared]:
-        """Measure all lightings of a block by every truth; the truth by triangles leaves algorithm 2 out."""
+        """Measure all lightings of a block by every truth. The truth by triangles skips algorithm 2."""
         with np.errstate(all="ignore"):
             side = None if self.sides is None else self.sides[:, block.part]
             steps = tuple(self.algorithms.values())
@@ -285,7 +285,7 @@ class _Chunk:
 
 @dataclass(frozen=True, slots=True)
 class _Block:
-    """Some vertices: the block's number, the primitive's, their rows in it, their part of the mesh's."""
+    """Some vertices: the numbers of block and primitive, the rows in the primitive, the part of the mesh."""
 
     number: int
     surface: int
@@ -294,7 +294,7 @@ class _Block:
 
 
 def _blocks(slices: Sequence[slice], poses: int) -> list[_Block]:
-    """Cut the vertices of all primitives, each at its slice of the mesh's, for chunks of so many poses."""
+    """Cut the vertices of all primitives, each at its slice of the mesh, for chunks of so many poses."""
     pieces = [
         (surface, here.start, part) for surface, here in enumerate(slices) for part in blocks(here, poses)
     ]
@@ -311,7 +311,7 @@ class _Skinned(Protocol):
         """Return the positions of a block: (V, 3, P)."""
 
     def normals(self, algorithms: Sequence[Algorithm], pose: slice, part: slice) -> list[Vector]:
-        """Return the normals that algorithms give a block whose positions were asked for before."""
+        """Return the normals that algorithms give a block. Its positions must be computed first."""
 
 
 def _skinned(surface: RestSurface, joint_matrices: Float64Array, method: str, options: Options) -> _Skinned:
@@ -321,7 +321,7 @@ def _skinned(surface: RestSurface, joint_matrices: Float64Array, method: str, op
 
 
 class SteppedSurface:
-    """A rest surface under dual quaternions, line by line: what ``BlendedSurface`` is for blending."""
+    """A rest surface under dual quaternions, as in algorithms 4–6: the counterpart of ``BlendedSurface``."""
 
     def __init__(self, rest: RestSurface, joint_matrices: Float64Array, options: Options) -> None:
         self._skinning = Skinning.of(rest, joint_matrices, dual_quaternions=True, options=options)
@@ -334,7 +334,7 @@ class SteppedSurface:
         return np.stack([component.T for component in posed.position], axis=1)
 
     def normals(self, algorithms: Sequence[Algorithm], pose: slice, part: slice) -> list[Vector]:
-        """Return the normals that algorithms 4–6 give a block whose positions were asked for before."""
+        """Return the normals that algorithms 4–6 give a block. Its positions must be computed first."""
         others = [one for one in algorithms if one is not Algorithm.DQS_APPROXIMATED]
         found = dict(zip(others, self._skinning.run(others, pose, part), strict=True))
         return [
@@ -343,7 +343,7 @@ class SteppedSurface:
 
 
 def _joined(surfaces: Sequence[RestSurface], name: str) -> FloatArray:
-    """Return one array of the primitives, their vertices concatenated; of one alone no copy is made."""
+    """Return one array of all primitives, their vertices concatenated. A single one is not copied."""
     if len(surfaces) == 1:
         only: FloatArray = getattr(surfaces[0], name)
         return only
@@ -353,7 +353,7 @@ def _joined(surfaces: Sequence[RestSurface], name: str) -> FloatArray:
 def _morphed(
     surfaces: Sequence[RestSurface], truth: Truths, morphing: Morphing | None, pose: int
 ) -> tuple[Sequence[RestSurface], Truths]:
-    """Return the primitives before skinning, and what the truths need of them."""
+    """Return the primitives before skinning, and the data of them that the truths need."""
     if morphing is None or not morphing.weights[pose].any():
         return surfaces, truth
     moved = morphing.surfaces(surfaces, pose)
@@ -361,11 +361,11 @@ def _morphed(
 
 
 def _sides(surfaces: Sequence[RestSurface], joint_matrices: Float64Array) -> Float64Array | None:
-    """Return −1 (P, V) where the joint of the largest weight mirrors, else 1; None where no joint mirrors.
+    """Return −1 (P, V) if the joint of the largest weight mirrors, else 1; None if no joint mirrors.
 
-    A joint that mirrors turns t' × b' to the inside: some left hands are right hands under a negative scale.
-    A fold, where the surface turns over although its joints do not mirror, is left as it is: there the exact
-    normal does turn inside out.
+    A joint that mirrors turns t' × b' to the inside. For example, some left hands are right hands under a
+    negative scale. In a fold, the surface turns over although its joints do not mirror. A fold is left as it
+    is, because the exact normal does turn inside out there.
     """
     mirrors = np.linalg.det(joint_matrices[..., :3, :3]) < 0
     if not mirrors.any():
@@ -380,18 +380,18 @@ def _sides(surfaces: Sequence[RestSurface], joint_matrices: Float64Array) -> Flo
 
 
 def _for_direct(surface: RestSurface, part: slice) -> RestSurface:
-    """Return what algorithm 2 must start from to equal algorithm 3 where the frame is not quite orthonormal.
+    """Return the surface from which algorithm 2 equals algorithm 3, even in a slightly skewed frame.
 
-    n0 is ± t0 × b0, and the gradients are those whose products with t0 and b0 *are* α and β: in the dual
-    basis. NORMAL and TANGENT of a file are orthonormal to a tenth of a degree, a frame in float32 to 1e-7,
-    and a fold amplifies either.
+    n0 is ± t0 × b0. The gradients are in the dual basis: their products with t0 and b0 *are* α and β. NORMAL
+    and TANGENT of a file are orthonormal to a tenth of a degree, and a frame in float32 to 1e-7. A fold
+    amplifies either error.
     """
     names = ("positions", "normals", "tangents", "bitangents", "joints", "weights", "alpha", "beta")
     block = RestSurface(**{name: getattr(surface, name)[part] for name in names})
     t, b = (tuple(vectors.T.astype(np.float64)) for vectors in (block.tangents, block.bitangents))
     normal = cross(t, b)
     volume = dot(normal, normal)
-    # Of the smallest arrays numpy's own cross product takes most of the time.
+    # For very small arrays, numpy's own cross product would take most of the time.
     by_alpha, by_beta = cross(b, normal), cross(normal, t)
     gradients = np.empty((*block.joints.shape, 3))
     for axis in range(3):
@@ -406,7 +406,7 @@ def _for_direct(surface: RestSurface, part: slice) -> RestSurface:
 def compared_normals(direct: Vector, accurate: Vector) -> tuple[FloatArray, FloatArray]:
     """Return the squared tangent of the angle between two lightings of a block, and the second's length.
 
-    float32 (V, P): all blocks of a chunk are kept until its last is there.
+    Both are float32 (V, P). All blocks of a chunk are kept until its last block is there.
     """
     with np.errstate(all="ignore"):
         ratio = squared_sine(direct, accurate) / np.square(cosine(direct, accurate))
@@ -415,10 +415,10 @@ def compared_normals(direct: Vector, accurate: Vector) -> tuple[FloatArray, Floa
 
 
 class Identity:
-    """The largest angle between the normals of algorithms 2 and 3, block by block, their sign left out.
+    """The largest angle between the normals of algorithms 2 and 3, block by block, without their signs.
 
-    Where a fold turns the surface inside out (det J < 0), J⁻ᵀ n keeps to the side of J n and t' × b' does
-    not. A fold so sharp that its normal nearly vanishes, beside the pose's median, amplifies rounding, and is
+    In a fold that turns the surface inside out (det J < 0), J⁻ᵀ n keeps to the side of J n, and t' × b' does
+    not. A very sharp fold amplifies rounding. Its normal nearly vanishes beside the pose's median, and it is
     left out.
     """
 
@@ -432,7 +432,7 @@ class Identity:
         self.take(compared_normals(direct, accurate))
 
     def take(self, compared: _Compared) -> None:
-        """Take what ``compared_normals`` makes of a block."""
+        """Take the result of ``compared_normals`` for a block."""
         if compared is not None:
             self._ratios.append(compared[0])
             self._lengths.append(compared[1])
@@ -442,7 +442,7 @@ class Identity:
         if not self._ratios:
             return
         highest = np.max([np.fmax.reduce(block, axis=1, initial=0.0) for block in self._ratios], axis=0)
-        # Medians take time: only poses that may have a larger angle need theirs.
+        # Medians take time. Only poses that may have a larger angle need a median.
         for pose in np.argsort(-highest):
             if not _angle(highest[pose]) > self.largest:
                 break

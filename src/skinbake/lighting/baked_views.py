@@ -1,4 +1,4 @@
-"""The baked primitives of a file, read back with their metadata and checked for their structure."""
+"""The baked primitives of a file, read back with their metadata and with their structure checked."""
 
 from __future__ import annotations
 
@@ -23,17 +23,16 @@ from skinbake.gradients.baker import TANGENT_TOLERANCE
 from skinbake.timing import stage
 
 BYTES_A_VERTEX, BYTES_A_SLOT, BYTES_A_TRIANGLE = 800, 128, 400
-"""What looking at a baked primitive sets aside at most, about: its gradient operator above all."""
+"""The approximate memory for a baked primitive, at most. Its gradient operator takes the largest part."""
 
 
 @dataclass(frozen=True, slots=True)
 class BakedView:
-    """One baked primitive as it stands in the file.
+    """One baked primitive as the file stores it.
 
-    now holds its arrays.
-    alpha, beta (V, K − 1); tangents, bitangents (V, 3) of the frame that the metadata names. changed are the
-    digests that no longer hold. rounding (V, 2) is the most by which an encoding may have changed a value of
-    α, and one of β.
+    now holds its arrays. alpha, beta are (V, K − 1). tangents, bitangents (V, 3) are the frame that the
+    metadata names. changed are the digests that no longer hold. rounding (V, 2) is the largest change that an
+    encoding may have made to a value of α, and to a value of β.
     """
 
     source: PrimitiveSource
@@ -48,7 +47,7 @@ class BakedView:
 
 
 def is_baked(document: Document, source: PrimitiveSource) -> bool:
-    """Tell whether a primitive carries metadata of a bake, or attributes of the usual names."""
+    """Tell whether a primitive has the metadata of a bake, or attributes of the usual names."""
     return read_metadata(document, source.json) is not None or any(
         name.startswith("_SKINBAKE_") for name in source.attributes
     )
@@ -57,7 +56,7 @@ def is_baked(document: Document, source: PrimitiveSource) -> bool:
 def baked_views(
     document: Document, sources: Sequence[PrimitiveSource]
 ) -> tuple[list[BakedView], list[Notice]]:
-    """Return every baked primitive that holds together, and a problem for each that does not."""
+    """Return every baked primitive whose structure is sound, and a problem for each other one."""
     views: list[BakedView] = []
     problems: list[Notice] = []
     for source in sources:
@@ -71,10 +70,10 @@ def baked_views(
 
 
 def gathered_together(document: Document, views: Sequence[BakedView]) -> list[list[BakedView]]:
-    """Return the views in the groups that one bake gathered as one surface, by what their metadata says.
+    """Return the views in the groups that one bake gathered as one surface, according to their metadata.
 
-    Groups and views keep their order. Where one is welded over its skin, all that the same skins draw are:
-    that all of them say so is for ``baked_views`` to check.
+    Groups and views keep their order. If one view is welded over its skin, its group has all views that the
+    same skins draw. ``baked_views`` checks that all of them name the same gathering.
     """
     meshes = list(dict.fromkeys(view.source.mesh for view in views))
     groups = [[mesh] for mesh in meshes]
@@ -147,7 +146,7 @@ def _wrong_members(metadata: JsonObject, source: PrimitiveSource) -> Iterator[st
 
 
 def _rest_frame(primitive: SkinnedPrimitive, kind: str) -> tuple[FloatArray, FloatArray] | None:
-    """Return (t0, b0) of the frame that the metadata names, None where its TANGENT is gone."""
+    """Return (t0, b0) of the frame that the metadata names, or None if its TANGENT is gone."""
     normals = frames.unit_normals(primitive.normals)
     if kind == frames.NORMAL_FRAME:
         return frames.frame_from_normal(normals)
@@ -157,7 +156,7 @@ def _rest_frame(primitive: SkinnedPrimitive, kind: str) -> tuple[FloatArray, Flo
 
 
 def _skewed(view: BakedView) -> Iterator[Notice]:
-    """Yield a problem where the rest frame's normal is not the one stored."""
+    """Yield a problem if the normal of the rest frame is not the stored one."""
     if (
         view.metadata["frame"] != frames.TANGENT_FRAME
         or view.now.tangents is None
@@ -177,9 +176,9 @@ def _skewed(view: BakedView) -> Iterator[Notice]:
 
 
 def _contradictions(document: Document, views: Sequence[BakedView]) -> Iterator[Notice]:
-    """Yield a problem for each primitive whose settings are not those of the first it was gathered with.
+    """Yield a problem for each primitive whose settings differ from the first primitive of its group.
 
-    The primitives of a mesh, or of a skin, are gathered together: one bake made them all.
+    The primitives of a mesh, or of a skin, are gathered together, because one bake made all of them.
     """
     for group in gathered_together(document, views):
         other = group[0]

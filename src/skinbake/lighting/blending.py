@@ -1,14 +1,14 @@
-"""Linear blend skinning in matrix form: what is linear in the joint matrices, for many poses at once.
+"""Linear blend skinning in matrix form, for many poses at once, as far as it is linear in joint matrices.
 
-Algorithms 1–3 (Tarini et al. 2014, supplement, §1–3; ``replay.lbs`` has them line by line) are linear in the
-joint matrices until a product of two posed vectors is taken. With p̃ = (p, 1), all they make before it are of
-one form:
+Algorithms 1–3 (Tarini et al. 2014, supplement, §1–3) are linear in the joint matrices until they take a
+product of two posed vectors. ``replay.lbs`` has them line by line. With p̃ = (p, 1), each intermediate vector
+before that product has one form:
 
     F(u, c) = Σ w[s] M[s] u + Σ c[s] M[s] p̃
 
     p' = F(p̃, 0)        T v = F((v, 0), 0)        t' = F((t, 0), α)        column i of J = F((eᵢ, 0), aᵢ)
 
-where α[0] is minus the sum of the others, as Σ α (M[s] p − M[0] p) has it. F is a sparse matrix, a row a
+α[0] is minus the sum of the others, as in Σ α (M[s] p − M[0] p). F is a sparse matrix with one row for each
 vertex, times the joint matrices of all poses.
 """
 
@@ -37,23 +37,23 @@ from skinbake.skinning.components import (
 from skinbake.skinning.surface import Options, RestSurface
 
 Form: TypeAlias = tuple[FloatArray, FloatArray | None]
-"""What F is of: u (V, 3) or (3,), a direction, and c (V, K), or None for zeros."""
+"""The arguments of F: u (V, 3) or (3,), a direction, and c (V, K), or None for zeros."""
 
 CHUNK_SAMPLES = 1 << 21
 """Vertices × poses that are deformed before they are measured: 50 MB of positions."""
 
 CHUNK_POSES = 4
-"""Poses of a chunk, however many vertices there are: below, the sparse products have too little to do."""
+"""The least number of poses in a chunk, for any number of vertices. Sparse products need that many."""
 
 BLOCK_SAMPLES = 1 << 14
-"""Vertices × poses in flight: the temporaries of a block stay in the processor's cache."""
+"""Vertices × poses in work at a time. The temporaries of a block stay in the processor's cache."""
 
 
 DENSE = 300
-"""Forms times columns from which on small dense products beat a sparse one."""
+"""The number of forms times columns from which small dense products are faster than a sparse one."""
 
 GATHERED = 1 << 17
-"""Numbers that dense products gather at a time: 1 MB, which stays in the cache."""
+"""The numbers that dense products gather at a time: 1 MB, which stays in the cache."""
 
 
 def chunks(vertices: int, poses: int) -> list[slice]:
@@ -84,7 +84,7 @@ class BlendedSurface:
         *,
         direct: Callable[[slice], RestSurface] | None = None,
     ) -> None:
-        """Prepare a surface. Algorithm 2 starts from what ``direct`` returns for a block, and needs it."""
+        """Prepare a surface. Algorithm 2 needs ``direct``, and starts from its result for a block."""
         self._rest, self._options, self._direct = rest, options, direct
         self._handedness = rest.handedness()
         self._matrices = _Table(joint_matrices)
@@ -103,7 +103,7 @@ class BlendedSurface:
         return posed
 
     def normals(self, algorithms: Sequence[Algorithm], pose: slice, part: slice) -> list[Vector]:
-        """Return the normals that algorithms 1–3 give a block, not unit."""
+        """Return the normals that algorithms 1–3 give a block. They are not of unit length."""
         steps = {
             Algorithm.LBS_APPROXIMATED: self._approximated,
             Algorithm.LBS_DIRECT: self._direct_normals,
@@ -152,7 +152,7 @@ class BlendedSurface:
         return _Plan(axes, lambda vectors: _inverse_transposed(vectors, rest.normals))
 
     def _accurate(self, block: _Block) -> _Plan:
-        """Return ± t' × b', the sign being that of b'."""
+        """Return ± t' × b' with the sign of b'."""
         sign = self._handedness[block.part, None]
         frame = self._rest.tangents[block.part], sign * self._rest.bitangents[block.part]
         changes = (
@@ -174,7 +174,7 @@ class BlendedSurface:
 
 @dataclass(frozen=True, slots=True)
 class _Plan:
-    """What an algorithm computes of a block: forms, of the joint matrices or another table, and the rest."""
+    """The computation of an algorithm on a block: forms of joint matrices or another table, and the rest."""
 
     forms: Sequence[Form]
     finish: Callable[[Sequence[Vector]], Vector]
@@ -182,7 +182,7 @@ class _Plan:
 
 
 def _forms(forms: Sequence[Form], block: _Block, pose: slice, table: _Table) -> list[Vector]:
-    """Return F of a block, by form."""
+    """Return F of a block for each form."""
     product = table.product(block, [block.entries(form) for form in forms], pose)
     # Arithmetic on components that are not contiguous takes three times as long.
     by_component = np.ascontiguousarray(np.swapaxes(product, 1, 2))
@@ -221,7 +221,7 @@ class _Table:
         """Multiply matrices with entries (V, K, 4) by those of some poses: (forms, V, 3, P)."""
         if pose != self._pose:
             rows = np.transpose(self._matrices[pose, :, :3], (1, 3, 2, 0))
-            # In this order: other threads look at the pose first.
+            # This order matters: other threads look at the pose first.
             self._table = np.ascontiguousarray(rows, dtype=np.float64).reshape(rows.shape[0] * 4, -1)
             self._pose = pose
         if len(data) * self._table.shape[1] < DENSE:
@@ -240,7 +240,7 @@ class _Table:
         return np.asarray(sparse @ self._table).reshape(len(data), count, 3, -1)
 
     def _dense(self, block: _Block, data: Sequence[Float64Array]) -> Float64Array:
-        """Multiply vertex by vertex with the rows that its joints have in the table, a few at a time."""
+        """Multiply vertex by vertex with the rows of its joints in the table, a few vertices at a time."""
         count, width = block.columns.shape
         entries = np.stack(data, axis=1).reshape(count, len(data), width)
         found = np.empty((count, len(data), self._table.shape[1]))
@@ -255,7 +255,7 @@ class _Table:
 
 
 def _inverse_transposed(columns: Sequence[Vector], normal: FloatArray) -> Vector:
-    """Return M⁻ᵀ n for a matrix given by its columns and n (V, 3); cof(M) n where det M is 0."""
+    """Return M⁻ᵀ n for a matrix given by its columns and n (V, 3), or cof(M) n if det M is 0."""
     rows: Rows = tuple(zip(*columns, strict=True))
     turned = cofactors(rows)
     reciprocal = quotient(1.0, dot(rows[0], turned[0]))
@@ -263,7 +263,7 @@ def _inverse_transposed(columns: Sequence[Vector], normal: FloatArray) -> Vector
 
 
 def _with_pivot(derivatives: FloatArray) -> FloatArray:
-    """Return derivatives (V, K) of all slots from those of all but the first, which has minus their sum."""
+    """Return derivatives (V, K) of all slots. The first slot has minus the sum of the given others."""
     wide = np.asarray(derivatives, dtype=np.float64)
     return np.concatenate([-wide.sum(axis=1, keepdims=True), wide], axis=1)
 

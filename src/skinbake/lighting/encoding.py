@@ -1,4 +1,4 @@
-"""What an encoding of α and β costs: the angle between the accurate normals with and without it."""
+"""The cost of an encoding of α and β: the angle between the accurate normals with and without it."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from skinbake.skinning.surface import RestSurface
 
 @dataclass(frozen=True, slots=True)
 class EncodedSurface:
-    """One primitive in P poses: as stored, with alpha and beta (V, K − 1) from before they were stored.
+    """One primitive in P poses with stored α and β, and with alpha and beta (V, K − 1) before storage.
 
-    surface has the stored α and β; areas (V,) are rest areas, joint_matrices (P, J, 4, 4).
+    surface has the stored α and β. areas (V,) are rest areas. joint_matrices are (P, J, 4, 4).
     """
 
     surface: RestSurface
@@ -39,8 +39,9 @@ class AddedError:
 def added_error(surfaces: Iterable[EncodedSurface]) -> AddedError | None:
     """Measure the angle between algorithm 3's normals with stored and with unrounded α and β.
 
-    All samples count together, each pose alike. A sample whose unrounded normal vanishes is left out, and one
-    whose stored normal alone does counts as 180°; None where no sample is left.
+    All samples count together, and all poses count alike. If the unrounded normal of a sample vanishes, the
+    sample is left out. If only its stored normal vanishes, the sample counts as 180°. None if no sample is
+    left.
     """
     items = list(surfaces)
     tally = ErrorTally(sum(len(item.joint_matrices) * total_area(item.areas) for item in items))

@@ -1,4 +1,4 @@
-"""What an encoding of α and β costs on a file: the normals it moves, over the poses that verify looks at."""
+"""The cost of an encoding of α and β on a file: how it moves normals over the poses of verify."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from skinbake.lighting.unwritten import UnwrittenBake
 def added_by_encoding(
     document: Document, bakes: Sequence[UnwrittenBake], storage: GradientFormat
 ) -> AddedError | None:
-    """Return how far accurate normals lie apart with α and β as ``storage`` rounds them, and as float32.
+    """Return the angle between accurate normals with α and β as ``storage`` rounds them, and as float32.
 
-    The poses are those of the document. None where there is no normal in any of them. Raises InputError where
-    its animations or skins cannot be read.
+    The poses are those of the document. None if no pose has a normal. Raises InputError if the animations or
+    skins of the document cannot be read.
     """
     return added_error(_surfaces(document, bakes, storage))
 

@@ -1,4 +1,4 @@
-"""Whether stored α and β are those of the mesh that they stand beside, and if not, what happened to it."""
+"""Whether stored α and β fit the mesh of the file. If they do not, the likely change of the mesh."""
 
 from __future__ import annotations
 
@@ -9,35 +9,35 @@ import numpy as np
 from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray
 
 RELATIVE_TOLERANCE = 1e-3
-"""Largest difference between stored and recomputed, relative to the vertex's largest entry.
+"""The largest allowed difference between stored and recomputed, relative to the vertex's largest entry.
 
-float32 storage and two routes to the same mean differ by 1e-6; an α scaled by 1.01 differs by 1e-2.
+float32 storage and two routes to the same mean differ by 1e-6. An α scaled by 1.01 differs by 1e-2.
 """
 
 FLOOR = 1e-5
-"""Share below which entries are rounding: of the primitive's largest, or of the vertex's reach."""
+"""Entries below this share of the primitive's largest entry, or of the vertex's reach, are rounding."""
 
 EXPLAINED = 0.2
-"""Share of a vertex's difference that a cause may leave: quantised positions leave noise of their own."""
+"""The share of a vertex's difference that a cause may leave. Quantised positions leave noise of their own."""
 
 MOST = 0.9
-"""Share of the vertices that a cause must explain. The rest are rounding's, or were welded."""
+"""The share of the vertices that a cause must explain. The others have rounding, or were welded."""
 
 ROUGH = 0.1
-"""Relative difference that quantised positions and normals leave in many gradients' lengths."""
+"""The relative difference that quantised positions and normals leave in the lengths of many gradients."""
 
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """How stored α and β (V, K − 1) differ from recomputed ones.
+    """The differences between stored α and β (V, K − 1) and recomputed ones.
 
-    differing counts the vertices that exceed the tolerance, of count; largest is the largest difference
-    relative to the vertex's largest entry, worst its vertex.
+    differing is the number of vertices, out of count, that exceed the tolerance. largest is the largest
+    difference relative to the vertex's largest entry. worst is the vertex of that difference.
 
-    What explains the difference exactly: factors are the two numbers that α and β have been multiplied by,
-    None where there are none; reordered tells whether the vertices have the right entries in other slots.
-    What explains it roughly, whatever else noise and other normals did: the positions were multiplied by
-    rescaled (None: they were not), and resorted tells whether the slots are in another order.
+    Two fields explain the difference exactly. factors are the two numbers by which α and β were multiplied,
+    or None. reordered tells whether the vertices have the right entries in other slots. Two fields explain it
+    roughly, despite noise and other normals. rescaled is the number by which the positions were multiplied
+    (None: they were not). resorted tells whether the slots are in another order.
     """
 
     differing: int
@@ -56,7 +56,7 @@ class Comparison:
 
     @property
     def mostly_agrees(self) -> bool:
-        """Tell whether few enough vertices differ to say that the mesh is still the same."""
+        """Tell whether so few vertices differ that the mesh is still the same."""
         return self.differing <= (1.0 - MOST) * self.count
 
 
@@ -70,9 +70,10 @@ def compare(
 ) -> Comparison:
     """Compare stored with recomputed α and β, each a pair of (V, K − 1), in 1 / length unit of POSITION.
 
-    reach (V,), in the same unit, is the most that the derivative of a weight could be at each vertex: where
-    a weight is constant, both sides are rounding, and only this tells. rounding (V, 2), in the same unit, is
-    the most by which an encoding may have changed a stored α, and a stored β: that much is forgiven.
+    reach (V,), in the same unit, is the largest possible derivative of a weight at each vertex. If a weight
+    is constant, both sides are rounding, and only reach shows it. rounding (V, 2), in the same unit, is the
+    largest change that an encoding may have made to a stored α, and to a stored β. Differences up to it are
+    allowed.
     """
     found, wanted = (_with_pivot(np.stack(pair, axis=2).astype(np.float64)) for pair in (stored, expected))
     scale = _scales(wanted, reach)
@@ -83,7 +84,7 @@ def compare(
     if differing.any():
         cause = _Cause(scale, difference, differing, tolerance, allowed)
         factors = _factors(found, wanted, cause)
-        # Slot 0's entry has the rounding of all others.
+        # The entry of slot 0 has the rounding of all others.
         pivot = allowed * (found.shape[1] - 1)
         reordered = factors is None and cause.explains(_distance(_by_size(found), _by_size(wanted), pivot))
         lengths = np.linalg.norm(found, axis=2), np.linalg.norm(wanted, axis=2)
@@ -103,10 +104,7 @@ def compare(
 
 @dataclass(frozen=True, slots=True)
 class _Cause:
-    """What a cause has to explain: by vertex (V,), the scale, the relative difference, whether it counts.
-
-    rounding (V, 1, 2) is what no cause need explain.
-    """
+    """The difference to explain: by vertex (V,), scale, relative difference, and whether it counts."""
 
     scale: Float64Array
     difference: Float64Array
@@ -115,14 +113,14 @@ class _Cause:
     rounding: FloatArray
 
     def explains(self, left: Float64Array) -> bool:
-        """Tell whether little enough is left (V,) at most vertices, and at most of those that differ."""
+        """Tell whether the rest (V,) is small at most vertices, and at most of the differing vertices."""
         allowed = np.maximum(self.tolerance, EXPLAINED * self.difference)
         explained = left <= allowed * self.scale
         return bool(explained[self.differing].mean() >= MOST and explained.mean() >= MOST)
 
 
 def _with_pivot(slots: Float64Array) -> Float64Array:
-    """Return the entries of all slots (V, K, 2): slot 0's is minus the sum of the others'."""
+    """Return the entries of all slots (V, K, 2). The entry of slot 0 is minus the sum of the others."""
     return np.concatenate([-slots.sum(axis=1, keepdims=True), slots], axis=1)
 
 
@@ -133,7 +131,7 @@ def _distance(found: Float64Array, wanted: Float64Array, rounding: FloatArray) -
 
 
 def _scales(wanted: Float64Array, reach: FloatArray | None) -> Float64Array:
-    """Return what a difference at each vertex is measured against (V,)."""
+    """Return the scale (V,) to which the difference at each vertex is compared."""
     own = np.abs(wanted).max(axis=(1, 2), initial=0.0)
     scale = np.maximum(own, FLOOR * own.max(initial=0.0))
     if reach is not None:
@@ -142,7 +140,7 @@ def _scales(wanted: Float64Array, reach: FloatArray | None) -> Float64Array:
 
 
 def _factors(found: Float64Array, wanted: Float64Array, cause: _Cause) -> tuple[float, float] | None:
-    """Return what turns the wanted α and β into those found, None where nothing does."""
+    """Return the factors that turn the wanted α and β into the found ones, or None if there are none."""
     norms = (wanted * wanted).sum(axis=(0, 1))
     factors = np.divide((found * wanted).sum(axis=(0, 1)), norms, out=np.ones(2), where=norms > 0.0)
     if not cause.explains(_distance(found[:, 1:], factors * wanted[:, 1:], cause.rounding)):
@@ -151,20 +149,20 @@ def _factors(found: Float64Array, wanted: Float64Array, cause: _Cause) -> tuple[
 
 
 def _by_size(slots: Float64Array) -> Float64Array:
-    """Return each vertex's slots (V, K, 2) in an order that depends on their entries alone.
+    """Return each vertex's slots (V, K, 2) in an order that depends only on their entries.
 
-    An entry's α and β stay together: sorted each by itself, an α negated between two joints would look like
-    two slots exchanged.
+    The α and β of an entry stay together. If each were sorted by itself, an α negated between two joints
+    would look like two exchanged slots.
     """
     key = slots @ np.array([1.0, 0.618])
     return np.take_along_axis(slots, np.argsort(key, axis=1)[:, :, None], axis=1)
 
 
 def _length_ratio(found: Float64Array, wanted: Float64Array) -> float | None:
-    """Return the common ratio of gradient lengths (V, K), None where there is none but 1.
+    """Return the common ratio of gradient lengths (V, K), or None if there is none but 1.
 
-    A vertex's length over all slots depends neither on their order nor on the frame, which other normals
-    turn: quantised to 8 bits they leave half of the vertices within a tenth of the true ratio.
+    The length of a vertex over all slots depends neither on their order nor on the frame. Other normals turn
+    the frame. Normals quantised to 8 bits leave half of the vertices within a tenth of the true ratio.
     """
     lengths, others = np.linalg.norm(found, axis=1), np.linalg.norm(wanted, axis=1)
     usable = others > FLOOR * others.max(initial=0.0)

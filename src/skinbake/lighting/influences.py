@@ -1,7 +1,7 @@
-"""What stored joints and weights mean: weights that sum to one, as a field over a mesh.
+"""The meaning of stored joints and weights: weights that sum to one, as a field over a mesh.
 
-Source: what real files hold that glTF does not allow: sums that are not one, vertices without any weight, a
-joint twice at one vertex, negative weights.
+Source: real files hold weights that glTF does not allow. Their sums are not one, some vertices have no
+weight, a joint is twice at one vertex, or weights are negative.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ Int64Array: TypeAlias = npt.NDArray[np.int64]
 
 
 def normalised_weights(weights: FloatArray, joints: IntArray) -> Float64Array:
-    """Return the weights that gradients and skinning mean: w / Σw, (V, K) float64.
+    """Return the weights as gradients and skinning use them: w / Σw, (V, K) float64.
 
-    weights (V, K) as stored, joints (V, K). Negative and NaN weights count as 0. Where none is positive,
-    slot 0 gets 1, so the vertex follows that slot's joint. Joints are only checked for their shape:
+    weights (V, K) as stored, joints (V, K). Negative and NaN weights count as 0. If no weight is positive,
+    slot 0 gets 1, so the vertex follows the joint of that slot. Only the shape of joints is checked:
     ValueError.
     """
     if weights.shape != joints.shape:
@@ -46,8 +46,8 @@ def normalised_weights(weights: FloatArray, joints: IntArray) -> Float64Array:
 def weight_field(primitives: Sequence[SkinnedPrimitive]) -> csr_array:
     """Return the weight of every joint at every vertex of a mesh: sparse (V, J) float64, rows summing to 1.
 
-    A joint that stands in several slots of a vertex gets their sum. J is one more than the largest joint
-    index in any slot, used or not.
+    If a joint is in several slots of a vertex, it gets their sum. J is one more than the largest joint index
+    in any slot, used or not.
     """
     from scipy.sparse import csr_array
 
@@ -65,8 +65,8 @@ def weight_field(primitives: Sequence[SkinnedPrimitive]) -> csr_array:
 def influence_keys(primitives: Sequence[SkinnedPrimitive]) -> tuple[Int64Array, Float32Array]:
     """Write each vertex's influences in one canonical way.
 
-    Returns joints (V, N) int64, ascending, −1 where a vertex has fewer than N, and their weights (V, N)
-    float32, 0 there.
+    Returns joints (V, N) int64, ascending, and −1 if a vertex has fewer than N. Returns their weights (V, N)
+    float32, with 0 there.
     """
     field = weight_field(primitives).astype(np.float32)
     field.eliminate_zeros()

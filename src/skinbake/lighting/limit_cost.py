@@ -1,4 +1,4 @@
-"""``bake --limit-influences``: fewer influences a vertex, and what that costs."""
+"""``bake --limit-influences``: fewer influences a vertex, and the cost of that."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ from skinbake.skinning.surface import RestSurface
 
 @dataclass(frozen=True, slots=True)
 class Limited:
-    """A primitive with its largest influences alone.
+    """A primitive with only its largest influences.
 
-    stored are its new influence sets; vertices is how many lost influences, left_out the share of their
-    weight that went, on average.
+    stored are its new influence sets. vertices is the number of vertices that lost influences. left_out is
+    the average share of weight that these vertices lost.
     """
 
     primitive: SkinnedPrimitive
@@ -40,7 +40,7 @@ class Limited:
 def limited(
     document: Document, source: PrimitiveSource, primitive: SkinnedPrimitive, count: int | None
 ) -> Limited | None:
-    """Return the primitive with ``count`` influences a vertex, None where it stores no more than that."""
+    """Return the primitive with ``count`` influences a vertex, or None if it stores no more than that."""
     if count is None or primitive.joints.shape[1] <= count:
         return None
     kept = limited_slots(primitive, count)
@@ -64,11 +64,11 @@ def limit_costs(
     limited: Sequence[UnwrittenBake],
     parts: Sequence[Limited | None],
 ) -> list[LimitCost | None]:
-    """Return what the limit costs each primitive of one surface, None for those that it leaves alone.
+    """Return the cost of the limit for each primitive of one surface, None for unchanged ones.
 
-    ``whole`` are their bakes with all influences, ``limited`` those with the influences of ``parts``.
-    Accurate normals (algorithm 3) and positions before and after are compared over the poses that verify
-    takes by default. Raises InputError where animations or skins cannot be read.
+    ``whole`` are their bakes with all influences. ``limited`` are their bakes with the influences of
+    ``parts``. Accurate normals (algorithm 3) and positions before and after are compared over the poses that
+    verify takes by default. Raises InputError if animations or skins cannot be read.
     """
     clips = read_clips(document)
     skins = skins_of(document, whole[0].source.mesh)
@@ -107,7 +107,7 @@ def _differences(
 ) -> tuple[ErrorTally, ErrorTally, float]:
     """Return angles between normals in degrees, distances between positions, and the size.
 
-    by_set are areas (V,) that weigh the vertices. The size is the diagonal of the box around the posed
+    by_set are areas (V,) that weight the vertices. The size is the diagonal of the box around the posed
     primitive, the largest of all poses.
     """
     weight = sum(
@@ -130,7 +130,7 @@ def _differences(
 
 
 def _count(tally: ErrorTally, values: FloatArray, areas: FloatArray) -> None:
-    """Count values (P, V); one that does not exist, like the angle to a normal that does not, is left out."""
+    """Count values (P, V). A value that does not exist, like an angle without a normal, is left out."""
     tally.add(values, areas, valid=np.isfinite(values))
 
 

@@ -1,4 +1,4 @@
-"""The lighting of a baked document, measured mesh by mesh and skin by skin, and held against limits."""
+"""The lighting of a baked document, measured mesh by mesh and skin by skin, and compared with limits."""
 
 from __future__ import annotations
 
@@ -41,32 +41,33 @@ from skinbake.skinning.surface import Options, RestSurface
 from skinbake.timing import stage
 
 BYTES_A_SAMPLE = 32
-"""What is kept at most of a vertex in a pose: its errors, while they may count among the largest."""
+"""The memory of one vertex in one pose, at most: its errors, while they may be among the largest."""
 
 SAMPLES_A_BYTE, SAMPLES_FREE = 24, 1_000_000
-"""Vertices times poses that a file may ask for, by its own bytes and besides: each takes 3 µs.
+"""The vertices × poses that a file may need, for each of its bytes and in addition. Each takes 3 µs.
 
-A mesh is measured as often as skins draw it, and in at least three poses of each clip. Fifty soldiers of one
-mesh of 3,000 vertices ask for 20 a byte, a character of a million vertices for 0.5.
+A mesh is measured once for each skin that draws it, and in at least three poses of each clip. Fifty soldiers
+of one mesh of 3,000 vertices need 20 a byte, a character of a million vertices needs 0.5.
 """
 
 TRUE_WEIGHTING = Weighting.MAX
 TRUE_CREASE_ANGLE = 15.0
-"""How the truths weigh triangles and where they see a hard edge, in degrees: no option of bake changes them.
+"""The truths' weighting of triangles, and their hard edges in degrees. No option of bake changes them.
 
-Max's weights are the nearest to analytic surfaces of all four (docs/lighting.md).
+Of all four weightings, Max's weights are the nearest to analytic surfaces (docs/lighting.md).
 """
 
 Progress = Callable[[str, int, int], None]
-"""Called with what is being done, how many poses are done, and how many there are."""
+"""A function called with the name of the work, the number of poses done, and the number of all poses."""
 
 
 @dataclass(frozen=True, slots=True)
 class VerifyOptions:
     """The options of ``skinbake verify``.
 
-    methods are those asked for; empty: LBS, and DQS where the joints are rigid. Limits are degrees, or a
-    factor, of the accurate lighting; None asks nothing. They hold by the truth that is named, None: by each.
+    methods are the requested ones. If empty: LBS, and DQS if the joints are rigid. Limits are degrees, or a
+    factor, of the accurate lighting. None sets no limit. They are checked by the named truth, or, if it is
+    None, by each truth.
     """
 
     methods: tuple[str, ...] = ()
@@ -83,7 +84,7 @@ class VerifyOptions:
 
 @dataclass(frozen=True, slots=True)
 class _Draw:
-    """One mesh as one skin draws it: its baked primitives, what is replayed of them, and their areas (V,)."""
+    """One mesh as one skin draws it: baked primitives, their surfaces for the replay, their areas (V,)."""
 
     views: Sequence[BakedView]
     operator: GradientOperator
@@ -94,18 +95,18 @@ class _Draw:
 
 @dataclass(frozen=True, slots=True)
 class _Segment:
-    """One primitive under one skin: where it is, and in which poses."""
+    """One primitive under one skin: its place and its poses."""
 
     place: Place
     poses: PoseSet
 
 
 _Tallies = dict[tuple[str, str], dict[str, ErrorTally]]
-"""By truth and method, then by lighting."""
+"""Tallies by truth and method, then by lighting."""
 
 
 class Lighting:
-    """Measures a document's lighting, mesh by mesh and skin by skin."""
+    """Measure the lighting of a document, mesh by mesh and skin by skin."""
 
     def __init__(self, document: Document, options: VerifyOptions, progress: Progress) -> None:
         self._document, self._options, self._progress = document, options, progress
@@ -121,9 +122,10 @@ class Lighting:
     def measured(
         self, meshes: Sequence[Sequence[BakedView]], operators: Sequence[GradientOperator]
     ) -> FileVerdict:
-        """Return a verdict that holds the lighting checks and figures.
+        """Return a verdict with the lighting checks and figures.
 
-        operators are those of the bakes' own settings; the truths take them only where they have no others.
+        operators have the settings of the bakes. The truths use them only if they have no operators of their
+        own.
         """
         with stage("gradient operator"):
             true_ones = [
@@ -164,7 +166,7 @@ class Lighting:
                 yield _Draw(views, operator, rest, areas, poses)
 
     def _claim(self, views: Sequence[BakedView], poses: PoseSet) -> None:
-        """Count what measuring a draw takes, and refuse what takes out of all proportion to the file."""
+        """Count the work of measuring a draw, and refuse it if it is far out of proportion to the file."""
         vertices, count = sum(len(view.now.positions) for view in views), len(poses.clips)
         place = replace(views[0].source.place, primitive=None)
         self._document.budget.claim(
@@ -181,18 +183,19 @@ class Lighting:
             )
 
     def _expect(self, method: str, drawn: Sequence[_Draw]) -> None:
-        """Prepare to count what a method yields: a tally must know how much weight may come."""
+        """Prepare to count the results of a method. A tally must know how much weight may come."""
         weights: dict[Place, float] = {}
         for draw in drawn:
             for view, areas in zip(draw.views, draw.areas, strict=True):
                 weight = len(draw.poses.clips) * total_area(areas)
                 weights[view.source.place] = weights.get(view.source.place, 0.0) + weight
         for truth in Truth:
-            # Direct lighting is accurate lighting but for its side in folds: once is enough.
+            # Direct lighting equals accurate lighting except for its side in folds. One truth is enough for
+            # it.
             lightings = [one for one in METHODS[method] if truth != Truth.TRIANGLES or one != "direct"]
             self._whole[truth, method] = {one: ErrorTally(sum(weights.values())) for one in lightings}
             for place, weight in weights.items():
-                # The figures of a single primitive are those of the whole: nothing need be counted twice.
+                # The figures of a single primitive are those of the whole, so nothing is counted twice.
                 own = {one: ErrorTally(weight) for one in lightings}
                 tallies = self._whole[truth, method] if len(weights) == 1 else own
                 self._by_place.setdefault(place, {})[truth, method] = tallies
@@ -295,7 +298,7 @@ class Lighting:
         )
 
     def _figures(self, tallies: _Tallies, truth: str) -> Normals:
-        """Return the figures by one truth, by method and lighting; poses weigh equally."""
+        """Return the figures by one truth, by method and lighting. All poses weigh the same."""
         result: Normals = {}
         for (of, method), lightings in tallies.items():
             for lighting, tally in lightings.items() if of == truth else ():
@@ -313,7 +316,7 @@ class Lighting:
 def _true_operator(
     document: Document, views: Sequence[BakedView], operator: GradientOperator
 ) -> GradientOperator:
-    """Return the operator of one surface as the truths have it, whatever bake was told."""
+    """Return the operator of one surface with the settings of the truths, not with those of the bake."""
     noted = views[0].metadata
     if noted["weighting"] == TRUE_WEIGHTING and math.isclose(noted["creaseAngle"], TRUE_CREASE_ANGLE):
         return operator
@@ -343,11 +346,11 @@ def _mirrored(drawn: Sequence[_Draw]) -> Iterator[Notice]:
 
 
 STRAINED = 1e6
-"""How unlike in size joint matrices may be before rounding alone can part algorithms 2 and 3."""
+"""The ratio of joint matrix sizes above which rounding alone can separate algorithms 2 and 3."""
 
 
 def _strain(draw: _Draw) -> tuple[float, str]:
-    """Return how far the largest that joints do to a frame is from the least, and the joint most to blame."""
+    """Return the ratio of the largest to the least scaling of a frame by joints, and the joint to blame."""
     matrices = draw.poses.joint_matrices
     stretches = np.linalg.svd(matrices[..., :3, :3], compute_uv=False)
     extent = max(float(np.abs(rest.positions).max(initial=0.0)) for rest in draw.rest)
@@ -377,9 +380,10 @@ def _not_rigid(rest: Sequence[RestSurface], poses: PoseSet) -> list[str]:
 
 
 def rest_surface(view: BakedView) -> RestSurface:
-    """Return what a replay reads of a baked primitive; joints past the skin's become 0.
+    """Return the data of a baked primitive that a replay reads. Joints past the skin's become 0.
 
-    What the file has in float32 stays so: a replay computes in float64, and a million vertices fit.
+    float32 data of the file stays float32. A replay computes in float64, and a million vertices fit in
+    memory.
     """
     joints = np.where(view.now.joints < view.source.joint_count, view.now.joints, 0)
     return RestSurface(
@@ -395,7 +399,7 @@ def rest_surface(view: BakedView) -> RestSurface:
 
 
 def without_dqs(joints: Sequence[str]) -> str:
-    """Return why dual quaternions cannot stand for these joints, by name."""
+    """Return why dual quaternions cannot represent these joints, by name."""
     shown = ", ".join(joints[:4]) + (", …" if len(joints) > 4 else "")
     verb = "is" if len(joints) == 1 else "are"
     return f"{shown} {verb} not rigid up to one scale common to all joints"

@@ -1,4 +1,4 @@
-"""How far two fields of normals lie apart: angles in degrees, weighted by area, and where the largest is."""
+"""The distance between two fields of normals: angles in degrees, weighted by area, and the largest one."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from skinbake.geometry.skinned import BoolArray, Float32Array, Float64Array, Flo
 
 _SHARES = (0.95, 0.99)
 
-# Samples that a tail gathers before it is shortened for the first time.
+# The number of samples that a tail gathers before it is shortened for the first time.
 _TAIL = 1 << 16
 
 
@@ -19,9 +19,10 @@ _TAIL = 1 << 16
 class ErrorSummary:
     """Angular errors over poses and vertices, in degrees.
 
-    mean, p95 and p99 are weighted by rest area; worst_pose and worst_vertex index the first sample that has
-    the maximum, worst_part the part that it is of, in a tally of several. samples were counted, excluded were
-    not, and undefined of the counted ones had no measured normal.
+    mean, p95 and p99 are weighted by rest area. worst_pose and worst_vertex index the first sample that has
+    the maximum. worst_part is the part of that sample, in a tally of several. samples is the number of
+    counted samples, excluded the number of others. undefined is the number of counted samples without a
+    measured normal.
     """
 
     mean: float
@@ -37,11 +38,7 @@ class ErrorSummary:
 
 
 def vertex_areas(positions: FloatArray, triangles: IntArray) -> Float64Array:
-    """Return the area around each vertex, a third of every triangle's: (V,) float64, squared length unit.
-
-    positions (V, 3), triangles (T, 3), every index < V. A triangle with a non-finite corner has no area.
-    Copies of a vertex each have the share of their own triangles, so a split seam changes no total.
-    """
+    """Return the area around each vertex, a third of each of its triangles: (V,) float64, squared unit."""
     corners = np.asarray(positions, dtype=np.float64)[triangles]
     with np.errstate(invalid="ignore", over="ignore"):
         doubled = np.linalg.norm(
@@ -53,9 +50,9 @@ def vertex_areas(positions: FloatArray, triangles: IntArray) -> Float64Array:
 
 
 def angles_between(measured: Sequence[FloatArray], expected: Sequence[FloatArray]) -> Float64Array:
-    """Return what ``angular_errors`` does, for vectors given by their three components (...)."""
+    """Return the result of ``angular_errors`` for vectors given by their three components (...)."""
     with np.errstate(all="ignore"):
-        # atan2 takes twice as long as atan. Of two zeros the ratio is NaN, which is what is wanted.
+        # atan2 takes twice as long as atan. The ratio of two zeros is NaN, as wanted.
         ratio: Float64Array = np.sqrt(squared_sine(measured, expected)) / cosine(measured, expected)
         angles: Float64Array = np.arctan(ratio)
         angles *= 180.0 / np.pi
@@ -64,7 +61,7 @@ def angles_between(measured: Sequence[FloatArray], expected: Sequence[FloatArray
 
 
 def unit_vectors(vector: Sequence[FloatArray]) -> list[FloatArray]:
-    """Return unit vectors by components; NaN where one is zero, not finite or too long to be squared."""
+    """Return unit vectors by components; NaN for a vector that is zero, not finite or too long to square."""
     with np.errstate(all="ignore"):
         square = cosine(vector, vector)
         if square.max(initial=0.0) == np.inf:
@@ -76,15 +73,15 @@ def unit_vectors(vector: Sequence[FloatArray]) -> list[FloatArray]:
 def angles_of_units(measured: Sequence[FloatArray], expected: Sequence[FloatArray]) -> Float32Array:
     """Return the angle between unit vectors given by their components, in degrees, float32.
 
-    It is twice the arctangent of half a chord over what is left of a diameter: as exact near 0° and 180° as
-    ``angles_between``, and cheaper where one vector meets several.
+    It is twice the arctangent of half a chord over the rest of the diameter. It is as exact near 0° and 180°
+    as ``angles_between``, and cheaper if one vector is compared with several.
     """
     with np.errstate(all="ignore"):
         chord: Float64Array = np.square(measured[0] - expected[0])
         chord += np.square(measured[1] - expected[1])
         chord += np.square(measured[2] - expected[2])
         ratio = (chord / (4.0 - chord)).astype(np.float32)
-        # Rounding may take a chord past the diameter.
+        # Rounding may make a chord longer than the diameter.
         angles: Float32Array = np.arctan(np.sqrt(np.abs(ratio)))
         angles *= np.float32(360.0 / np.pi)
     return angles
@@ -108,7 +105,7 @@ def cosine(a: Sequence[FloatArray], b: Sequence[FloatArray]) -> Float64Array:
 
 
 def total_area(areas: FloatArray) -> float:
-    """Return the sum of the areas that count: those above 0."""
+    """Return the sum of the areas that count. These are the areas above 0."""
     return float(np.sum(areas, where=np.asarray(areas) > 0.0))
 
 
@@ -122,7 +119,7 @@ class ErrorTally:
     """
 
     def __init__(self, weight: float) -> None:
-        """Expect samples that weigh at most ``weight`` in all; less than that is kept where it is less."""
+        """Expect samples that weigh at most ``weight`` in all. The less they weigh, the fewer are kept."""
         # Rounding must not make the tail too short.
         self._needed = weight * (1.0 - _SHARES[0]) * (1.0 + 1e-6)
         self._weight, self._sum = 0.0, 0.0
@@ -147,7 +144,8 @@ class ErrorTally:
         error is found more than once, the first in this order is the worst.
         """
         weights = np.asarray(areas, dtype=np.float64)
-        # In the errors' own type: pairwise sums of float32 are exact to seven digits, and five times as fast.
+        # The sum uses the errors' own type: pairwise sums of float32 are exact to seven digits, and five
+        # times as fast.
         sums = errors.sum(axis=0).astype(np.float64)
         if (weights > 0.0).all() and (valid is None or valid.all()) and not np.isnan(sums).any():
             self._samples += errors.size
@@ -170,7 +168,7 @@ class ErrorTally:
     def _count(
         self, errors: FloatArray, sums: Float64Array, weights: Float64Array, start: tuple[int, int, int]
     ) -> None:
-        """Count errors (P, V), −1 where none is counted, whose sums over poses are (V,)."""
+        """Count errors (P, V), −1 if an error is not counted. Their sums over poses are (V,)."""
         self._sum += float(sums @ weights)
         largest = float(errors.max(initial=-1.0))
         if largest >= 0.0 and (self._worst is None or largest >= self._worst[0]):
@@ -181,7 +179,7 @@ class ErrorTally:
         self._tail.add(errors, weights)
 
     def summary(self) -> ErrorSummary | None:
-        """Summarise what was counted; None where nothing was."""
+        """Summarise the counted errors; None if there are none."""
         if self._worst is None or not self._samples:
             return None
         p95, p99 = self._tail.percentiles(self._weight)
@@ -200,7 +198,7 @@ class ErrorTally:
 
 
 class _Tail:
-    """The largest of weighted values: at least those that together have the weight that is needed."""
+    """The largest of weighted values. Together they have at least the needed weight."""
 
     def __init__(self, needed: float) -> None:
         self._needed = needed
@@ -210,7 +208,7 @@ class _Tail:
         self._count, self._limit = 0, _TAIL
 
     def add(self, errors: FloatArray, weights: Float64Array) -> None:
-        """Keep those of errors (P, V), with weights (V,), that may be in the tail; negative ones are none."""
+        """Keep the errors (P, V), with weights (V,), that may be in the tail. Negative errors are dropped."""
         by_vertex = np.ascontiguousarray(errors.T)
         places = np.flatnonzero(by_vertex.ravel() >= self._least)
         self._values.append(by_vertex.ravel()[places])
@@ -220,11 +218,11 @@ class _Tail:
             self._shorten()
 
     def _shorten(self) -> None:
-        """Let the smallest values go, as far as the others have the weight that is needed."""
+        """Drop the smallest values as long as the others have the needed weight."""
         values, weights = np.concatenate(self._values), np.concatenate(self._weights)
         share, total = 0.0, float(weights.sum())
         if total > 0.0:
-            # As if weights and values had nothing to do with one another; if they have, it may not be enough.
+            # This assumes that weights and values are independent. If they are not, it may not be enough.
             share = 1.1 * self._needed / total
         if len(values) and share < 0.9:
             least = np.partition(values, -1 - int(share * len(values)))[-1 - int(share * len(values))]
@@ -242,7 +240,7 @@ class _Tail:
         (values,), (weights,) = self._values, self._weights
         order = np.argsort(values)
         cumulative = np.cumsum(weights[order]) + max(0.0, weight - float(weights.sum()))
-        # Rounding may leave a sum below its own share by a few units: they must not push a percentile up.
+        # Rounding may leave a sum a few units below its own share. That must not push a percentile up.
         wanted = np.array(_SHARES) * weight * (1.0 - 1e-9)
         places = np.minimum(np.searchsorted(cumulative, wanted), len(order) - 1)
         return [float(value) for value in values[order][places]]

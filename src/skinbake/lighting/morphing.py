@@ -1,4 +1,4 @@
-"""Morph targets of baked meshes: those that move in the poses that a file is measured over."""
+"""The morph targets of baked meshes that move in the measured poses of a file."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from skinbake.report.verify import MorphCount
 
 
 def morphing_of(document: Document, views: Sequence[BakedView], poses: PoseSet) -> Morphing | None:
-    """Return what moves the primitives of one mesh in these poses; None where no target does.
+    """Return the moving targets of the primitives of one mesh in these poses; None if no target moves.
 
-    Targets whose weight is 0 in every pose are not read. Raises InputError where one of the others is broken.
+    Targets whose weight is 0 in every pose are not read. Raises InputError if one of the others is broken.
     """
     moving = poses.moving_targets
     if poses.morph_weights is None or not moving:
@@ -36,9 +36,10 @@ def morphing_of(document: Document, views: Sequence[BakedView], poses: PoseSet) 
 
 
 def carrier(views: Iterable[BakedView]) -> str:
-    """Return what the frame of primitives follows under their morph targets.
+    """Return the attribute that the frame of primitives follows under their morph targets.
 
-    ``tangent`` where it is that of TANGENT and any target has TANGENT, else ``normal``; ``none`` without any.
+    It is ``tangent`` if the frame comes from TANGENT and any target has TANGENT, else ``normal``. It is
+    ``none`` without targets.
     """
     found = "none"
     for view in views:
@@ -50,9 +51,9 @@ def carrier(views: Iterable[BakedView]) -> str:
 
 
 def morph_count(document: Document, drawn: Iterable[tuple[int, PoseSet]]) -> MorphCount | None:
-    """Count the morph targets of meshes, and those that move in the poses of any node that draws them.
+    """Count the morph targets of meshes, and the targets that move in the poses of any node that draws them.
 
-    drawn are meshes with their poses. None where there are no targets.
+    drawn are meshes with their poses. None if there are no targets.
     """
     moving: dict[int, set[int]] = {}
     for mesh, poses in drawn:

@@ -1,9 +1,10 @@
 """The gradient at a mesh's vertices as a sparse matrix: triangle gradients, averaged over welds.
 
 Source: Max, *Weights for computing vertex normals from facet normals* (1999), for the average; Tarini,
-Panozzo, Sorkine-Hornung, *Accurate and efficient lighting for skinned models* (2014), for α and β. It
-shares no code with the kernel that bakes, nor its formulas: an error in one must not hide in both. The
-gradients in the triangles are libigl's, block by block: the matrices of all triangles would take gigabytes.
+Panozzo, Sorkine-Hornung, *Accurate and efficient lighting for skinned models* (2014), for α and β. It shares
+neither code nor formulas with the kernel that bakes, because an error in one must not hide in both. The
+gradients in the triangles are libigl's, computed block by block. The matrices of all triangles would take
+gigabytes.
 """
 
 from __future__ import annotations
@@ -26,25 +27,25 @@ if TYPE_CHECKING:
 
 Frame: TypeAlias = tuple[FloatArray, FloatArray]
 
-# A triangle is a line or a point when its doubled area is at most this share of its longest squared edge.
+# A triangle is a line or a point if its doubled area is at most this share of its longest squared edge.
 _DEGENERATE = 1e-10
 
 
 ROWS = 1 << 13
-"""Rows that are made at a time."""
+"""The number of rows that are made at a time."""
 
 CORNERS = 1 << 16
-"""Triangle corners that are looked at for them: a vertex may have thousands of copies."""
+"""The number of triangle corners that are looked at for these rows. A vertex may have thousands of copies."""
 
 
 @dataclass(frozen=True, slots=True)
 class GradientOperator:
     """The linear map from a field on a mesh's vertices to the field's gradient at the same vertices.
 
-    V runs over the vertices of all primitives, concatenated in order; counts holds the number of each.
-    positions (V, 3) float64; triangles (T, 3) are those with an area; classes (V,) the weld classes. totals
-    (C,) are the weights of all corners of a class; corners (3 T,) lists them class by class, from ends[c] to
-    ends[c + 1]. Rows of the matrix are made where they are needed: all of them take a gigabyte for a
+    V runs over the vertices of all primitives, concatenated in order. counts holds the number of each.
+    positions (V, 3) are float64. triangles (T, 3) have an area. classes (V,) are the weld classes. totals
+    (C,) are the weights of all corners of a class. corners (3 T,) lists them class by class, from ends[c] to
+    ends[c + 1]. Rows of the matrix are made when they are needed, because all of them take a gigabyte for a
     million vertices. The row of a vertex without triangles is zero.
     """
 
@@ -59,7 +60,7 @@ class GradientOperator:
 
     @property
     def slices(self) -> list[slice]:
-        """Where each primitive's vertices lie among the mesh's."""
+        """The slice of each primitive's vertices among the mesh's vertices."""
         ends = np.cumsum(self.counts).tolist()
         return [slice(end - count, end) for end, count in zip(ends, self.counts, strict=True)]
 
@@ -90,7 +91,7 @@ class GradientOperator:
         return vstack(blocks, format="csr") if blocks else csr_array((count, count), dtype=np.float64)
 
     def reach(self) -> Float64Array:
-        """Return the sum of all magnitudes in the rows of x, y and z, (V,): a derivative is at most that."""
+        """Return the sum of all magnitudes in the rows of x, y and z, (V,). No derivative is larger."""
         total = np.zeros(len(self.positions))
         for part in self.blocks():
             axes = [np.broadcast_to(axis, (part.stop - part.start, 3)) for axis in np.eye(3)]
@@ -98,7 +99,7 @@ class GradientOperator:
         return total
 
     def blocks(self, within: slice | None = None) -> list[slice]:
-        """Cut the vertices, or some, into blocks whose rows are made at a time."""
+        """Cut the vertices, or some of them, into blocks whose rows are made together."""
         start, stop = (0, len(self.positions)) if within is None else (within.start, within.stop)
         lengths = np.diff(self.ends)[self.classes[start:stop]]
         total = np.concatenate([[0], np.cumsum(lengths)])
@@ -114,7 +115,8 @@ class GradientOperator:
     def rows(self, part: slice, directions: Sequence[FloatArray]) -> csr_array:
         """Return the derivatives of a block's vertices along D directions (B, 3): sparse (D B, V), stacked.
 
-        libigl gives the gradients of the hats in the triangle of each corner. A vertex takes their mean.
+        libigl gives the gradients of the hat functions in the triangle of each corner. A vertex takes their
+        mean.
         """
         import igl
         from scipy.sparse import csr_array, vstack
@@ -143,7 +145,7 @@ class GradientOperator:
         return csr_array((stacked.data, columns, stacked.indptr), shape=(len(directions) * size, count))
 
     def _corners_of(self, part: slice) -> tuple[IntArray, IntArray]:
-        """Return the corners of a block's vertices and their copies, each with its vertex in the block."""
+        """Return the corners of a block's vertices and of their copies, each with its vertex in the block."""
         classes = self.classes[part]
         lengths = self.ends[classes + 1] - self.ends[classes]
         owners = np.repeat(np.arange(len(classes)), lengths)
@@ -161,13 +163,13 @@ def gradient_operator(
     """Build the gradient operator over the welded vertices of one mesh.
 
     A vertex takes the weighted mean of the triangles' gradients over the corners of its weld class
-    (``weld_classes``), divided by the total weight of *all* of them, so that the gradients of weights that
-    sum to one sum to zero. With e1, e2 a corner's edges, θ its angle and A = |e1 × e2|, its weight is A /
-    (|e1|² |e2|²) for ``max``, θ for ``angle``, A for ``area``, θ A for ``angle-area``.
+    (``weld_classes``). The mean divides by the total weight of *all* corners, so that the gradients of
+    weights that sum to one sum to zero. With e1, e2 a corner's edges, θ its angle and A = |e1 × e2|, its
+    weight is A / (|e1|² |e2|²) for ``max``, θ for ``angle``, A for ``area``, θ A for ``angle-area``.
 
     Triangles that are lines or points, or have a non-finite corner, are ignored. Raises InputError for an
-    index outside its primitive, and ValueError for an unknown weighting.
-    ``claim`` is told how many bytes welding adds, before it does.
+    index outside its primitive, and ValueError for an unknown weighting. ``claim`` is called with the number
+    of bytes that welding adds, before it adds them.
     """
     if weighting not in list(Weighting):
         raise ValueError(f"weighting {weighting!r}, expected one of {', '.join(Weighting)}")
@@ -196,10 +198,10 @@ def gradient_operator(
 
 
 def _welding_size(triangles: Int64Array, classes: Int64Array) -> int:
-    """Return the bytes by which welding makes the operator larger: every copy gets the row of its class.
+    """Return the bytes by which welding makes the operator larger. Every copy gets the row of its class.
 
-    A row has an entry for each neighbour, and is kept, or on its way, eight times. A fan whose triangles have
-    each their own copy of its centre has as many long rows as triangles.
+    A row has an entry for each neighbour. Up to eight copies of it are in memory. If each triangle of a fan
+    has its own copy of the centre, there are as many long rows as triangles.
     """
     corners = np.bincount(classes[triangles].ravel(), minlength=int(classes.max(initial=-1)) + 1)
     entries = int((1 + 2 * corners[classes]).sum()) - len(classes) - 2 * triangles.size
@@ -215,12 +217,12 @@ def expected_alpha_beta(
 ) -> list[tuple[Float64Array, Float64Array]]:
     """Return α = ∇w · t0 and β = ∇w · b0 of the joint in every slot: per primitive two (V, K) float64.
 
-    frames: per primitive t0 and b0, each (V, 3), mesh space. Where a joint stands in several slots of a
-    vertex, the first slot with a positive weight, or else the first, carries its gradient and the others
-    hold 0. Slot 0 holds its own joint's gradient; a file stores minus the sum of the other slots there, and
-    the two differ at vertices with neighbours' joints outside their own set. ``named`` are the same
-    primitives with the joints that the slots name now, where that is no longer what the weights come from:
-    after adoption.
+    frames are per primitive t0 and b0, each (V, 3), mesh space. If a joint is in several slots of a vertex,
+    the first slot with a positive weight, or else the first slot, has its gradient, and the others hold 0.
+    Slot 0 holds the gradient of its own joint. A file stores minus the sum of the other slots there. The two
+    differ at vertices whose neighbours have joints outside the vertex's own set. After adoption, the weights
+    come from other slots than the stored ones. ``named`` are then the same primitives with the joints that
+    the slots name now.
     """
     field = weight_field(primitives)
     result = []
@@ -271,7 +273,7 @@ def _edges(positions: Float64Array, triangles: Int64Array) -> list[Vector]:
 
 
 def _sound_triangles(positions: Float64Array, triangles: Int64Array) -> Int64Array:
-    """Keep the triangles that have an area; a comparison with NaN is false and drops the triangle."""
+    """Keep the triangles that have an area. A comparison with NaN is false and drops the triangle."""
     with np.errstate(invalid="ignore", over="ignore"):
         edges = _edges(positions, triangles)
         normal = cross(edges[0], edges[1])
@@ -281,7 +283,7 @@ def _sound_triangles(positions: Float64Array, triangles: Int64Array) -> Int64Arr
 
 
 def _corner_weights(positions: Float64Array, triangles: Int64Array, weighting: Weighting) -> Float64Array:
-    """Weigh each corner (T, 3) of sound triangles."""
+    """Return the weight of each corner (T, 3) of sound triangles."""
     edges = _edges(positions, triangles)
     weights = np.empty(triangles.shape)
     for corner in range(3):
@@ -291,7 +293,7 @@ def _corner_weights(positions: Float64Array, triangles: Int64Array, weighting: W
 
 
 def _weights(first: Vector, second: Vector, weighting: Weighting) -> Float64Array:
-    """Weigh corners by their two edges, by components."""
+    """Return the weights of corners from their two edges, by components."""
     normal = cross(first, second)
     area: Float64Array = np.sqrt(dot(normal, normal))
     if weighting == "max":

@@ -1,6 +1,6 @@
-"""Which poses a file's lighting is measured over: its own animations, random ones, or the rest pose.
+"""The poses over which a file's lighting is measured: its own animations, random poses, or the rest pose.
 
-A pose is joint matrices, and morph weights where the mesh has targets.
+A pose consists of joint matrices, and of morph weights if the mesh has targets.
 """
 
 from __future__ import annotations
@@ -28,24 +28,24 @@ from skinbake.gltf.json_access import MOST
 from skinbake.gltf.morphs import resting_weights, target_count
 
 SHARED_SAMPLES = 60
-"""Poses that a file's clips share where no number is given, at least 3 each."""
+"""The poses that the clips of a file share if no number is given. Each clip gets at least 3."""
 
 FALLBACK_POSES = 24
-"""Random poses of a file that has no animation."""
+"""The number of random poses for a file that has no animation."""
 
 BYTES_A_NODE_AND_POSE, BYTES_A_JOINT_AND_POSE = 640, 512
-"""What a pose takes of a node while its matrices are made, and of a joint whose matrix is kept."""
+"""The bytes that a pose takes for a node while its matrices are made, and for a joint to keep its matrix."""
 
 MORPHS_AT_ONCE = 2
-"""Morph targets that a random pose moves: all of a face's at once would be no face any more."""
+"""The number of morph targets that a random pose moves. All targets at once would destroy a face."""
 
 
 @dataclass(frozen=True, slots=True)
 class PoseRequest:
-    """What was asked for: kind is ``animation``, ``random`` or ``rest``.
+    """The requested poses. kind is ``animation``, ``random`` or ``rest``.
 
-    samples is how many times each clip is sampled (None: SHARED_SAMPLES for all) or how many random poses
-    there are; angle the largest random rotation of a joint, in radians.
+    samples is the number of samples of each clip (None: SHARED_SAMPLES for all), or the number of random
+    poses. angle is the largest random rotation of a joint, in radians.
     """
 
     kind: str = "animation"
@@ -58,8 +58,8 @@ class PoseRequest:
 class PoseSet:
     """Joint matrices (P, J, 4, 4) of one skin, with each pose's clip and time in seconds (None: no clip).
 
-    joint_names (J,) are for messages. morph_weights (P, N) are those of the node that the poses are for, None
-    where they are for no node, or its mesh has no targets.
+    joint_names (J,) are for messages. morph_weights (P, N) belong to the node of the poses. They are None if
+    the poses are for no node, or if its mesh has no targets.
     """
 
     joint_names: tuple[str, ...]
@@ -76,8 +76,8 @@ class PoseSet:
 
 
 def skins_of(document: Document, mesh: int) -> list[int]:
-    """Return the skins that nodes draw a mesh with, in the nodes' order."""
-    # Some exporters write 3.0; that they are indices was seen when the primitives were read.
+    """Return the skins with which nodes draw a mesh, in the nodes' order."""
+    # Some exporters write 3.0. The reader of the primitives has checked that these are indices.
     skins = {
         int(node["skin"]): None
         for node in document.objects("nodes")
@@ -87,9 +87,9 @@ def skins_of(document: Document, mesh: int) -> list[int]:
 
 
 def draws_of(document: Document, mesh: int, clips: Sequence[Clip]) -> list[tuple[int, int | None]]:
-    """Return how nodes draw a mesh: each skin once, with a node where the mesh has morph targets.
+    """Return how nodes draw a mesh: each skin once, with a node if the mesh has morph targets.
 
-    Nodes of one skin are one draw where their targets rest at the same weights and no clip moves them.
+    Nodes of one skin are one draw if their targets rest at the same weights and no clip moves them.
     """
     if not target_count(document, mesh):
         return [(skin, None) for skin in skins_of(document, mesh)]
@@ -107,8 +107,8 @@ def pose_set(
 ) -> PoseSet:
     """Return the poses of one skin, with the morph weights of the node that draws a mesh with it, if any.
 
-    Of the file's clips those count that move the skin's joints, their ancestors, or the node's weights. Where
-    none moves joints there are random poses instead. Raises InputError where joints go to infinity.
+    A clip of the file counts if it moves the skin's joints, their ancestors, or the node's weights. If no
+    clip moves joints, random poses replace them. Raises InputError if joints go to infinity.
     """
     skeleton = read_skeleton(document, skin)
     names = _joint_names(document, skeleton)
@@ -116,7 +116,7 @@ def pose_set(
     morphs = None if node is None or resting is None or not resting.size else _Morphs(node, resting)
     moving = [clip for clip in (_only(set(skeleton.nodes), morphs, clip) for clip in clips) if clip.channels]
     _claim(document, skeleton, moving, request, 0 if resting is None else len(resting))
-    with np.errstate(over="ignore", invalid="ignore"):  # what comes of it is looked at below
+    with np.errstate(over="ignore", invalid="ignore"):  # the result is checked below
         if request.kind == "rest":
             weights = None if morphs is None else morphs.resting[None]
             poses = PoseSet(names, rest_pose(skeleton), ("rest pose",), (None,), weights)
@@ -129,7 +129,7 @@ def pose_set(
 
 
 def _check_range(poses: PoseSet, skin: int, place: Place) -> None:
-    """Raise InputError for a joint matrix that float32 cannot hold, in which every renderer has it."""
+    """Raise InputError for a joint matrix that float32 cannot hold, because every renderer stores float32."""
     fits = (np.abs(poses.joint_matrices) <= MOST).all(axis=(2, 3))
     if fits.all():
         return
@@ -144,7 +144,7 @@ def _check_range(poses: PoseSet, skin: int, place: Place) -> None:
 def _claim(
     document: Document, skeleton: Skeleton, moving: Sequence[Clip], request: PoseRequest, targets: int
 ) -> None:
-    """Count what the poses will take: matrices of all nodes for a while, of the joints to stay."""
+    """Count the memory of the poses: matrices of all nodes for a while, of the joints permanently."""
     clips = [clip for clip in moving if request.kind == "animation"]
     each = _samples_of_each(request.samples, clips) if clips else 0
     fallback = 1 if request.kind == "rest" else request.samples or FALLBACK_POSES
@@ -164,14 +164,14 @@ def _samples_of_each(samples: int | None, clips: Sequence[Clip]) -> int:
 
 @dataclass(frozen=True, slots=True)
 class _Morphs:
-    """The node whose mesh has morph targets, and the weights (N,) at which they rest."""
+    """The node whose mesh has morph targets, and the rest weights (N,) of these targets."""
 
     node: int
     resting: Float64Array
 
 
 def _only(nodes: set[int], morphs: _Morphs | None, clip: Clip) -> Clip:
-    """Return a clip without the channels of other nodes: a file of 84 skins has 84 times those of one."""
+    """Return a clip without the channels of other nodes. 84 skins have 84 times the channels of one."""
     morphed = None if morphs is None else morphs.node
     channels = tuple(
         channel
@@ -225,7 +225,7 @@ def _random(
 
 
 def described(request: PoseRequest, sets: Sequence[PoseSet], seconds: float) -> str:
-    """Return what the poses are, like ``60 poses of 3 clips``; seconds is the clips' total length."""
+    """Return a description of the poses, like ``60 poses of 3 clips``. seconds is the clips' total length."""
     poses = max((len(poses.clips) for poses in sets), default=0)
     clips = {
         clip

@@ -1,11 +1,11 @@
-"""The normals that skinned surfaces should have, measured on the deformed mesh and owing nothing to α and β.
+"""The true normals of skinned surfaces, measured on the deformed mesh without any use of α and β.
 
-There are two, found independently. By *tangents*: the discrete gradient of ``operator`` is applied to the
-deformed positions and to the rest positions alike, two tangents before, two after; F maps the one frame onto
-the other, and the true normal is cof(F) n0, the image of the authored normal under the cofactor of F. By
-*triangles*: the angle-weighted mean of the triangles' normals (``triangle_normals``), before and after; the
-authored normal keeps its place in the frame of that normal and of a tangent. Morph targets act before
-skinning: the mesh that they give takes the place of the rest pose, and its morphed normal that of n0.
+There are two truths, found independently. *Tangents*: the discrete gradient of ``operator`` is applied to the
+deformed positions and to the rest positions. It gives two tangents before and two tangents after. F maps the
+first frame onto the second. The true normal is cof(F) n0, the image of the authored normal under the cofactor
+of F. *Triangles*: the angle-weighted mean of the triangles' normals (``triangle_normals``), before and after.
+The authored normal keeps its place in the frame of that normal and of a tangent. Morph targets act before
+skinning. The morphed mesh takes the place of the rest pose, and its morphed normal takes the place of n0.
 """
 
 from __future__ import annotations
@@ -22,17 +22,18 @@ from skinbake.skinning.components import Vector, cross, dot, scaled
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-# Below this sine between its two tangents a frame has no normal: float32 positions leave no digit of it.
+# A frame has no normal below this sine between its two tangents. float32 positions leave no exact digit
+# there.
 _FLAT = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
 class RestFrames:
-    """What the truth by tangents needs of the rest pose.
+    """The data of the rest pose that the truth by tangents needs.
 
-    parts are blocks of vertices, tangents their derivatives: sparse (2B, V) each, along t0, then along b0.
-    coefficients (3, V): n0 in the rest frame (a, b, ĉ), with c = a × b, divided by |c|. areas (V,): |c|.
-    valid (V,): the frame and n0 are usable. Under morph targets all but the first two change.
+    parts are blocks of vertices. tangents are their derivatives: sparse (2B, V) each, along t0, then along
+    b0. coefficients (3, V): n0 in the rest frame (a, b, ĉ), with c = a × b, divided by |c|. areas (V,): |c|.
+    valid (V,): the frame and n0 are usable. Under morph targets all fields but the first two change.
     """
 
     parts: tuple[slice, ...]
@@ -53,10 +54,10 @@ def rest_frames(
 ) -> RestFrames:
     """Measure the rest pose, once for any number of poses.
 
-    All arrays are (V, 3) over the mesh's concatenated vertices, in mesh space: the rest positions, n0 of
-    any length, t0 and b0. Without these two, tangents are chosen that no option of bake chooses
-    (``perpendicular``). A vertex without triangles, with a flat frame, or with a zero or non-finite n0 is
-    not valid. ``parts`` are the blocks of vertices that will be asked for.
+    All arrays are (V, 3) over the mesh's concatenated vertices, in mesh space: the rest positions, n0 of any
+    length, t0 and b0. If t0 and b0 are not given, the tangents are ones that no option of bake chooses
+    (``perpendicular``). A vertex is not valid if it has no triangles, a flat frame, or a zero or non-finite
+    n0. ``parts`` are the blocks of vertices that will be requested.
     """
     chosen = tuple(operator.blocks()) if parts is None else parts
     along = tuple(
@@ -72,11 +73,11 @@ def rest_frames(
 
 
 def morphed_frames(rest: RestFrames, positions: FloatArray, normals: FloatArray) -> RestFrames:
-    """Measure the mesh under morph targets, before skinning, as ``rest_frames`` does the one without.
+    """Measure the mesh under morph targets, before skinning, like ``rest_frames`` without targets.
 
-    positions, normals (V, 3): those that the targets give. The frame is measured along the same curves on
-    the surface, those of t0 and b0 at rest, so that it is their image under the morph's own differential;
-    where skinning is the identity, the reference returns these normals exactly.
+    positions, normals (V, 3) are the results of the targets. The frame is measured along the same curves on
+    the surface as t0 and b0 at rest. So it is their image under the differential of the morph. If skinning is
+    the identity, the reference returns these normals exactly.
     """
     return _measured(rest.parts, rest.tangents, positions, normals)
 
@@ -84,7 +85,7 @@ def morphed_frames(rest: RestFrames, positions: FloatArray, normals: FloatArray)
 def perpendicular(normals: FloatArray) -> tuple[Float64Array, Float64Array]:
     """Return two unit tangents (V, 3) at right angles to each other and to n0 (V, 3).
 
-    They are NaN where n0 is zero or not finite.
+    They are NaN if n0 is zero or not finite.
     """
     wide = np.asarray(normals, dtype=np.float64)
     with np.errstate(all="ignore"):
@@ -121,29 +122,31 @@ def tangent_normals(
 ) -> tuple[Vector, BoolArray]:
     """Return what the true normals of a block of vertices, by components (P, B).
 
-    tangents are the block's after deformation (``posed_tangents``); sides (P, B) is of the block. All of it
-    is stored vertex by vertex.
+    tangents are the block's tangents after deformation (``posed_tangents``). sides (P, B) belongs to the
+    block. All arrays are stored vertex by vertex.
     """
     along_a, along_b, along_c = rest.coefficients[:, part]
     with np.errstate(all="ignore"):
         a, b = tangents
         c = cross(a, b)
         aa, ab, bb, square = dot(a, a), dot(a, b), dot(b, b), dot(c, c)
-        # The columns of the cofactor matrix are the cross products of the other two, and the third of those
-        # is m = c / sqrt(|c| |c0|): b × m and m × a by the triple product.
+        # Each column of the cofactor matrix is the cross product of the other two columns. The products with
+        # the third column, m = c / sqrt(|c| |c0|), are b × m and m × a by the triple product.
         reciprocal = 1.0 / np.sqrt(np.sqrt(square) * rest.areas[part])
         by_a = (along_a * bb - along_b * ab) * reciprocal
         by_b = (along_b * aa - along_a * ab) * reciprocal
-        # The third column's side turns the first two of them, and the normal's turns all three.
+        # The side of the third column changes the sign of the first two, and the normal's side changes all
+        # three.
         by_c = along_c if sides is None else along_c * sides
         found = tuple(by_a * a[i] + by_b * b[i] + by_c * c[i] for i in range(3))
-        # Not "flat if below": a comparison with NaN is false, and a broken position leaves no normal.
+        # The test is not "flat if below": a comparison with NaN is false, and a broken position leaves no
+        # normal.
         sound = (square > _FLAT**2 * aa * bb) & rest.valid[part]
     return unit_or_nan(found, sound)
 
 
 def unit_or_nan(vector: Vector, sound: BoolArray) -> tuple[Vector, BoolArray]:
-    """Return unit vectors, NaN where they are not sound or have no length, and where they are."""
+    """Return unit vectors, NaN if they are not sound or have no length, and a mask of the others."""
     with np.errstate(all="ignore"):
         length = 1.0 / np.sqrt(dot(vector, vector))
         found = scaled(length, vector)

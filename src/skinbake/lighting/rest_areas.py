@@ -1,7 +1,7 @@
-"""What weighs errors: the area around each vertex, in the rest pose of the skin that draws it.
+"""The weights of errors: the area around each vertex, in the rest pose of the skin that draws it.
 
-Mesh space has units of its own: quantisation gives every mesh another, which its inverse bind matrices undo.
-Skinned into the rest pose, all meshes of a file are in one space, that of its scene.
+Mesh space has its own units. Quantisation gives every mesh another unit, and its inverse bind matrices undo
+that. After skinning into the rest pose, all meshes of a file are in one space, the space of its scene.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from skinbake.lighting.influences import normalised_weights
 from skinbake.lighting.metrics import vertex_areas
 
 _COLLAPSED = 1e-12
-"""Share of its largest squared coordinate below which a surface is one that joints shrink to nothing."""
+"""A surface is collapsed by its joints below this share of its largest squared coordinate."""
 
 
 class RestAreas:
@@ -24,14 +24,14 @@ class RestAreas:
 
     def __init__(self, document: Document, skin: int) -> None:
         self._skeleton: Skeleton = read_skeleton(document, skin)
-        with np.errstate(over="ignore", invalid="ignore"):  # poses past all numbers are refused elsewhere
+        with np.errstate(over="ignore", invalid="ignore"):  # such poses are refused elsewhere
             self._matrices: Float64Array = rest_pose(self._skeleton)[0]
 
     def of(self, primitive: SkinnedPrimitive) -> Float64Array:
         """Return the area around each vertex of a primitive, (V,) float64, squared unit of the scene.
 
-        A surface that the rest pose hides, by a scale of 0, has the area that its joints' inverse bind
-        matrices alone give it: the animation may show it.
+        The rest pose may hide a surface with a scale of 0. Then the area comes from the inverse bind matrices
+        of its joints alone, because the animation may show the surface.
         """
         joints = np.where(primitive.joints < len(self._matrices), primitive.joints, 0)
         weights = normalised_weights(primitive.weights, joints)

@@ -1,4 +1,4 @@
-"""Whether baked primitives are fresh, and if they are not, what was done to them since."""
+"""Whether baked primitives are fresh. If they are not, the likely change since the bake."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ BAKE_LAST = "Bake last: run skinbake bake on the file that the last tool wrote"
 BAKE_AGAIN = "run skinbake bake again"
 
 NO_PAYMENT = 1e-7
-"""Weight below which what adopted slots took is rounding: 2⁻³⁰ each, where weights are FLOAT."""
+"""Below this weight, the share that adopted slots took is rounding: 2⁻³⁰ each, if weights are FLOAT."""
 
 EDITED_ALONE = {
     "POSITION": "its vertices moved",
@@ -35,17 +35,17 @@ EDITED_ALONE = {
     "JOINTS": "its joints edited",
     "indices": "its triangles edited",
 }
-"""What it looks like where one array changed, or one and those that follow from it."""
+"""The likely cause if one array changed, or one array and the arrays that depend on it."""
 
 
 NAMED = 16
-"""Primitives that a message names: each of a thousand that are stale would name all others."""
+"""The number of primitives that a message names. Each of a thousand stale ones would name all others."""
 
 
 def mesh_operator(
     document: Document, views: Sequence[BakedView], weighting: str | None = None
 ) -> GradientOperator:
-    """Return the gradient operator of one surface, weighted as its metadata says or as ``weighting`` does."""
+    """Return the gradient operator of one surface, weighted as its metadata says or by ``weighting``."""
     noted = views[0].metadata
     chosen: Any = weighting or noted["weighting"]
     return gradient_operator(
@@ -59,10 +59,10 @@ def mesh_operator(
 def freshness_check(
     document: Document, surfaces: Sequence[Sequence[BakedView]], operators: Sequence[GradientOperator]
 ) -> Check:
-    """Return whether α/β are those of the arrays that stand in the file now, and of which they were baked.
+    """Return whether α/β fit the arrays that are in the file now, and the arrays from which they were baked.
 
-    Where α/β fit and the arrays have changed in a way that keeps what belongs together, it passes with a
-    remark.
+    If α/β fit, and the arrays have changed only in a way that keeps related values together, the check passes
+    with a remark.
     """
     problems: list[Notice] = []
     moved: list[BakedView] = []
@@ -78,7 +78,7 @@ def freshness_check(
 
 
 def refuse_stale(document: Document, views: Sequence[BakedView]) -> None:
-    """Raise InputError where α/β of a primitive are not those of its arrays: its lighting would be wrong."""
+    """Raise InputError if α/β of a primitive do not fit its arrays, because its lighting would be wrong."""
     surfaces = gathered_together(document, views)
     operators = [mesh_operator(document, surface) for surface in surfaces]
     problems = freshness_check(document, surfaces, operators).problems
@@ -89,10 +89,10 @@ def refuse_stale(document: Document, views: Sequence[BakedView]) -> None:
 
 
 def _is_rearranged(view: BakedView) -> bool:
-    """Tell whether what changed can be the order alone: of the triangles, or of all that vertices have.
+    """Tell whether the change can be only the order of the triangles, or of all data of the vertices.
 
-    An array that changed by itself holds other values: no tool moves positions and leaves their normals, but
-    for those that are all the same.
+    An array that changed alone holds other values. No tool moves positions and leaves their normals, unless
+    all normals are the same.
     """
     whole = {"POSITION"} | ({"indices"} if "indices" in view.source.json else set())
     if (view.now.normals != view.now.normals[:1]).any():
@@ -109,9 +109,10 @@ def _rearranged(views: Sequence[BakedView], count: int) -> str:
 
 @dataclass(frozen=True)
 class _Surface:
-    """The views of one surface, how α/β of each compare, and as they would under other weightings.
+    """The views of one surface, the comparison of each one's α/β, and the same under other weightings.
 
-    The latter are for all views at once: each primitive of a mesh may be stale.
+    The comparisons under other weightings are for all views at once, because each primitive of a mesh may be
+    stale.
     """
 
     document: Document
@@ -149,10 +150,10 @@ def _comparisons(views: Sequence[BakedView], operator: GradientOperator) -> list
 
 
 def _roundings(views: Sequence[BakedView], operator: GradientOperator) -> list[Float64Array]:
-    """Return by how much α and β of each view (V, 2) may differ from those of its present weights.
+    """Return the allowed difference of α and β of each view (V, 2) from those of its present weights.
 
-    Those are what an encoding has rounded, and what adopted slots have been given: they take a unit of
-    integer weights each, which the vertex's largest weight pays. α/β come from the weights before.
+    It is the rounding of an encoding, and the weight that adopted slots were given. They take a unit of
+    integer weights each from the vertex's largest weight. α/β come from the weights before adoption.
     """
     paid = np.concatenate([_paid(view) for view in views])
     if paid.max(initial=0.0) < NO_PAYMENT:
@@ -166,7 +167,7 @@ def _roundings(views: Sequence[BakedView], operator: GradientOperator) -> list[F
 
 
 def _paid(view: BakedView) -> Float64Array:
-    """Return how much weight of each vertex (V,) adopted slots may have: all that is as small as theirs."""
+    """Return the weight of each vertex (V,) that adopted slots may have: all weights as small as theirs."""
     weights = np.asarray(view.now.weights, dtype=np.float64)
     if "adopted" not in view.metadata:
         return np.zeros(len(weights))
@@ -187,7 +188,7 @@ def _staleness_notice(surface: _Surface, number: int) -> Notice:
 
 
 def _likely_cause(surface: _Surface, number: int) -> str:
-    """Say what the difference looks like, and what to do."""
+    """Return the likely cause of the difference, and the remedy."""
     view, comparison = surface.views[number], surface.compared[number]
     if view.changed:
         doings = _doings(surface.document, view, comparison)
@@ -204,7 +205,7 @@ def _likely_cause(surface: _Surface, number: int) -> str:
 
 
 def _cause_beyond(surface: _Surface, view: BakedView) -> str:
-    """Say what the difference looks like where the primitive's own arrays do not tell."""
+    """Return the likely cause of the difference if the primitive's own arrays do not show it."""
     neighbours, more = surface.changed[:NAMED], len(surface.changed) - NAMED
     if neighbours:
         named = [*neighbours, f"{more} more"] if more > 0 else neighbours
@@ -233,7 +234,7 @@ def _common(factors: tuple[float, float] | None) -> float | None:
 
 
 def _doings(document: Document, view: BakedView, comparison: freshness.Comparison) -> str:
-    """Return what the usual tools do that explains the arrays that changed."""
+    """Return the action of the usual tools that explains the changed arrays."""
     doings = []
     if _is_quantised(document, view):
         doings.append("its vertices quantised")
@@ -243,7 +244,7 @@ def _doings(document: Document, view: BakedView, comparison: freshness.Compariso
     if {"JOINTS", "WEIGHTS"} & set(view.changed) and comparison.resorted:
         doings.append("its influences re-sorted")
     if not doings and comparison.mostly_agrees:
-        # α and β moved along with the vertices that they belong to.
+        # α and β moved along with their vertices.
         if view.changed == ("indices",):
             doings.append("its triangles re-ordered")
         elif {"POSITION", "NORMAL"} <= set(view.changed):
@@ -257,7 +258,7 @@ def _is_quantised(document: Document, view: BakedView) -> bool:
 
 
 def _edit(changed: Sequence[str]) -> str:
-    """Return what changed digests say where nothing else tells more."""
+    """Return the meaning of the changed digests if no other evidence tells more."""
     if len(changed) == 1:
         return EDITED_ALONE[changed[0]]
     if set(changed) <= {"NORMAL", "TANGENT"}:

@@ -1,4 +1,4 @@
-"""Work on blocks in several threads, with results in the blocks' order: the same at any number of threads."""
+"""Work on blocks in several threads. Results are in the blocks' order, the same at any number of threads."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 MOST = 8
-"""Threads past which the one that gathers results has more to do than the others."""
+"""The largest number of threads. With more, the thread that gathers results is the bottleneck."""
 
 AHEAD = 4
-"""Blocks a thread that may be done before their turn has come: results take memory."""
+"""The number of blocks a thread may do before their results are taken. Results take memory."""
 
 
 def thread_count() -> int:
-    """Return how many threads may work: as many as there are cores, or as OMP_NUM_THREADS says.
+    """Return the number of threads: the number of cores, or the value of OMP_NUM_THREADS.
 
-    A worker process finds 1 there: the processes are the parallelism.
+    A worker process finds 1 there, because the processes are the parallelism.
     """
     told = os.environ.get("OMP_NUM_THREADS", "")
     if told.isdecimal() and int(told) > 0:
@@ -31,7 +31,7 @@ def thread_count() -> int:
 
 
 class Threads:
-    """Threads that are there while a block of code runs; with a count of 1 there are none."""
+    """Threads that exist while a block of code runs. With a count of 1 there are none."""
 
     def __init__(self, count: int) -> None:
         self._count = count
@@ -45,7 +45,7 @@ class Threads:
             self._pool.shutdown(cancel_futures=True)
 
     def each(self, work: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
-        """Yield what ``work`` returns for each item, in the items' order."""
+        """Yield the result of ``work`` for each item, in the items' order."""
         if self._pool is None:
             yield from map(work, items)
             return

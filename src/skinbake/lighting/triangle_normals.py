@@ -1,9 +1,10 @@
 """The true normals of a skinned mesh by its triangles: angle-weighted vertex normals, as tools shade.
 
 Source: Thürmer, Wüthrich, *Computing vertex normals from polygonal facets*, Journal of Graphics Tools 3(1),
-1998. The normal of a vertex is the mean of the unit normals of its triangles, each weighted by the triangle's
-angle there, over the corners of its weld class: not across hard edges. The authored normal keeps its
-coordinates in the frame of that normal and of a tangent, from the rest pose to the deformed mesh.
+1998. The normal of a vertex is the mean of the unit normals of its triangles. Each is weighted by the
+triangle's angle at the vertex. The mean runs over the corners of its weld class, so not across hard edges.
+The authored normal keeps its coordinates in the frame of that normal and of a tangent, from the rest pose to
+the deformed mesh.
 """
 
 from __future__ import annotations
@@ -22,18 +23,19 @@ from skinbake.skinning.components import Vector, cross, dot, minus_scaled, scale
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-# A deformed triangle that has a corner of a larger cotangent is a line or a point, and has no normal.
+# A deformed triangle with a corner of a larger cotangent is a line or a point, and has no normal.
 _FLAT = 1e10
 
 BLOCK_SAMPLES = 1 << 13
-"""Triangles × poses in flight: the temporaries of a block stay in the processor's cache."""
+"""The triangles × poses in work at a time. The temporaries of a block stay in the processor's cache."""
 
 
 @dataclass(frozen=True, slots=True)
 class TriangleBlock:
     """Some triangles (B, 3), the weld classes (C,) that they touch, and the sum of their corners there.
 
-    corners (C, 3B) is sparse: a one for each corner, first all first corners, then all second ones.
+    corners (C, 3B) is sparse. It has a one for each corner: all first corners, then all second ones, and so
+    on.
     """
 
     triangles: IntArray
@@ -46,7 +48,7 @@ def triangle_blocks(operator: GradientOperator, poses: int) -> list[TriangleBloc
     from scipy.sparse import csr_array
 
     size = max(1, BLOCK_SAMPLES // max(poses, 1))
-    # One array for all blocks: a million vertices have six million corners.
+    # One array serves all blocks: a million vertices have six million corners.
     ones = np.ones(3 * min(size, len(operator.triangles)))
     blocks = []
     for start in range(0, len(operator.triangles), size):
@@ -64,7 +66,8 @@ def triangle_blocks(operator: GradientOperator, poses: int) -> list[TriangleBloc
 def corner_sums(block: TriangleBlock, positions: Float64Array) -> Float64Array:
     """Return Σ angle × unit normal over the corners of a block at each of its classes: (3, C, P).
 
-    positions (3, V, P) are all vertices'. Triangles without an area, or with a broken position, add nothing.
+    positions (3, V, P) are those of all vertices. Triangles without an area, or with a broken position, add
+    nothing.
     """
     first, second, third = (np.ascontiguousarray(column) for column in block.triangles.T)
     with np.errstate(all="ignore"):
@@ -78,7 +81,7 @@ def corner_sums(block: TriangleBlock, positions: Float64Array) -> Float64Array:
         normal = cross(e1, e2)
         area = np.sqrt(dot(normal, normal))
         reciprocal = 1.0 / area
-        # The angles at the first two corners by their cotangents; the third is what is left of 180°.
+        # The angles at the first two corners come from their cotangents. The third is the rest of 180°.
         cotangents = ab * reciprocal, (aa - ab) * reciprocal
         at_first, at_second = (np.arctan(cotangent) for cotangent in cotangents)
         at_third = at_first + at_second
@@ -86,7 +89,8 @@ def corner_sums(block: TriangleBlock, positions: Float64Array) -> Float64Array:
         np.subtract(0.5 * np.pi, at_second, out=at_second)
         unit = scaled(reciprocal, normal)
     angles = at_first, at_second, at_third
-    # Not "flat if beyond": a comparison with NaN is false. A flat triangle shows at one of two corners.
+    # The test is not "flat if beyond": a comparison with NaN is false. A flat triangle shows at one of two
+    # corners.
     if not all(values.min() > -_FLAT and values.max() < _FLAT for values in cotangents):
         sound = (np.abs(cotangents[0]) < _FLAT) & (np.abs(cotangents[1]) < _FLAT)
         for values in (*angles, *unit):
@@ -104,7 +108,7 @@ def corner_sums(block: TriangleBlock, positions: Float64Array) -> Float64Array:
 def vertex_normals(
     operator: GradientOperator, blocks: Sequence[TriangleBlock], positions: Float64Array
 ) -> Float64Array:
-    """Return the angle-weighted sums of the weld classes: (3, C, P), of positions (3, V, P)."""
+    """Return the angle-weighted sums of the weld classes: (3, C, P), from positions (3, V, P)."""
     total = np.zeros((3, len(operator.ends) - 1, positions.shape[2]))
     for block in blocks:
         total[:, block.classes] += corner_sums(block, positions)
@@ -113,9 +117,9 @@ def vertex_normals(
 
 @dataclass(frozen=True, slots=True)
 class CarriedNormals:
-    """The coordinates (3, V) of unit n0 in the frame t̂, n̂ × t̂, n̂ at rest, NaN where there is none.
+    """The coordinates (3, V) of unit n0 in the frame t̂, n̂ × t̂, n̂ at rest, NaN if there is no frame.
 
-    n̂ is the normal by triangles, t̂ the part of the first tangent that is at right angles to it.
+    n̂ is the normal by triangles. t̂ is the part of the first tangent at right angles to n̂.
     """
 
     coefficients: Float64Array
@@ -124,7 +128,7 @@ class CarriedNormals:
 def carried_normals(
     operator: GradientOperator, rest: RestFrames, positions: FloatArray, normals: FloatArray
 ) -> CarriedNormals:
-    """Return where the normals n0 (V, 3) stand on the mesh before skinning, of positions (V, 3)."""
+    """Return the coordinates of the normals n0 (V, 3) on the mesh before skinning, with positions (V, 3)."""
     components = np.ascontiguousarray(np.asarray(positions, dtype=np.float64).T)[:, :, None]
     sums = vertex_normals(operator, triangle_blocks(operator, 1), components)
     coefficients = np.full((3, len(positions)), np.nan)
@@ -138,7 +142,7 @@ def carried_normals(
 
 
 def block_sums(operator: GradientOperator, sums: FloatArray, part: slice) -> Vector:
-    """Return the sums of a block of vertices, components (P, B), of those of all classes (3, C, P)."""
+    """Return the sums of a block of vertices, components (P, B), from the sums of all classes (3, C, P)."""
     classes = operator.classes[part]
     return tuple(component[classes].astype(np.float64).T for component in sums)
 
@@ -146,23 +150,23 @@ def block_sums(operator: GradientOperator, sums: FloatArray, part: slice) -> Vec
 def triangle_normals(
     carried: CarriedNormals, part: slice, tangent: Vector, sums: Vector, sides: FloatArray | None = None
 ) -> tuple[Vector, BoolArray]:
-    """Return the true normals of a block of vertices by triangles, components (P, B), and where they are.
+    """Return the true normals of a block of vertices by triangles, components (P, B), and a mask of them.
 
-    tangent is the block's first after deformation (``posed_tangents``), sums its ``block_sums``. sides (P, B)
-    is −1 where the joints mirror a vertex: the triangles' normals point inside there.
+    tangent is the block's first tangent after deformation (``posed_tangents``). sums are its ``block_sums``.
+    sides (P, B) is −1 if the joints mirror a vertex, because the triangles' normals point inside there.
     """
     by_t, by_s, by_n = carried.coefficients[:, part]
     with np.errstate(all="ignore"):
         t, s, n = _frame(tangent, sums)
         if sides is not None:
             by_n = by_n * sides
-        # Unit coordinates in an orthonormal frame: the result is unit as it is.
+        # The coordinates are unit in an orthonormal frame, so the result is already unit.
         found = tuple(by_t * t[i] + by_s * s[i] + by_n * n[i] for i in range(3))
     return found, np.isfinite(found[0])
 
 
 def _frame(tangent: Vector, normal: Vector) -> tuple[Vector, Vector, Vector]:
-    """Return the orthonormal frame t̂, n̂ × t̂, n̂; NaN where there is none."""
+    """Return the orthonormal frame t̂, n̂ × t̂, n̂; NaN if there is none."""
     n = scaled(1.0 / np.sqrt(dot(normal, normal)), normal)
     t = minus_scaled(tangent, dot(tangent, n), n)
     t = scaled(1.0 / np.sqrt(dot(t, t)), t)

@@ -1,4 +1,4 @@
-"""A bake that no file holds yet, as a replay reads it: costs of encodings and limits are measured on it."""
+"""A bake that is in no file yet, as a replay reads it. It serves to measure costs of encodings and limits."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from skinbake.skinning.surface import RestSurface
 
 @dataclass(frozen=True, slots=True)
 class UnwrittenBake:
-    """One primitive, its arrays as baked from, and what was baked."""
+    """One primitive, the arrays that were baked, and the result of the bake."""
 
     source: PrimitiveSource
     primitive: SkinnedPrimitive
     baked: BakedPrimitive
 
     def rest_surface(self) -> RestSurface:
-        """Return it as float64; adopted joints stand at weight 0, and joints past the skin become 0."""
+        """Return it as float64. Adopted joints have weight 0, and joints past the skin become 0."""
         primitive, baked = self.primitive, self.baked
         tangents, bitangents = frame_vectors(primitive, ChosenFrame(baked.frame))
         named = np.where(baked.adopted_joints >= 0, baked.adopted_joints, primitive.joints)

@@ -1,6 +1,6 @@
-"""Which vertices of a mesh are one point of its surface: glTF splits a vertex wherever any attribute differs.
+"""The vertices of a mesh that are one point of its surface. glTF splits a vertex if any attribute differs.
 
-Rows are numbered by sorting, and chains of similar normals are the connected components of a graph.
+Rows are numbered by sorting. Chains of similar normals are the connected components of a graph.
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ from skinbake.geometry.skinned import Float64Array, SkinnedPrimitive
 from skinbake.lighting.influences import Int64Array, influence_keys
 
 BYTES_A_PAIR = 64
-"""What a pair of vertices that may be one takes: two indices, four times over."""
+"""The bytes of a pair of vertices that may be one: two indices, four times over."""
 
 CROWDED = 32
-"""Vertices at one place from which on all their pairs are too many to look at, and SciPy has better ways.
+"""The number of vertices at one place from which SciPy looks for pairs, because all pairs are too many.
 
-Real meshes have a handful; importing those ways takes longer than most meshes need.
+Real meshes have only a few. Importing SciPy takes longer than the welding of most meshes.
 """
 
 
@@ -30,20 +30,20 @@ def weld_classes(
 ) -> Int64Array:
     """Return the number of each vertex's weld class: (V,) int64 over all primitives, from 0 without gaps.
 
-    One class are vertices whose positions are equal (−0 is +0), whose influences are equal (joint → w / Σw,
-    in any slot order, compared in float32), and which a chain of normals joins where neighbours differ by
-    at most ``crease_angle_degrees``, in any primitive of the mesh. Normals may have any length; a zero or
-    non-finite one welds only with one of identical bits. ``claim`` is told how many bytes the pairs at
-    crowded places take, before they are listed.
+    Vertices of one class have equal positions (−0 is +0) and equal influences (joint → w / Σw, in any slot
+    order, compared in float32). A chain of normals joins them in which neighbours differ by at most
+    ``crease_angle_degrees``, in any primitive of the mesh. Normals may have any length. A zero or non-finite
+    normal welds only with one of identical bits. ``claim`` is called with the number of bytes that the pairs
+    at crowded places take, before they are listed.
     """
     positions = np.concatenate([primitive.positions for primitive in primitives]).astype(np.float64)
-    with np.errstate(invalid="ignore"):  # a signalling NaN
+    with np.errstate(invalid="ignore"):  # a NaN may be signalling
         normals = np.concatenate([primitive.normals for primitive in primitives]).astype(np.float64)
     joints, shares = influence_keys(primitives)
-    # Adding zero turns −0 into +0; the rows are then compared bit by bit, so that NaN is a value as any
+    # Adding zero turns −0 into +0. Then the rows are compared bit by bit, so that NaN is a value like any
     # other.
     places = _row_numbers(np.hstack([(positions + 0.0).view(np.int64), joints, shares.view(np.int32)]))
-    # Copies that differ in nothing collapse here, which leaves few pairs to compare by angle.
+    # Identical copies collapse here. Few pairs are left to compare by angle.
     nodes = _row_numbers(np.column_stack([places, normals.view(np.int64)]))
     firsts = np.unique(nodes, return_index=True)[1]
     pairs = _close_pairs(places[firsts], normals[firsts], np.radians(crease_angle_degrees), claim)
@@ -66,12 +66,12 @@ def _close_pairs(
 ) -> Int64Array:
     """List the pairs (N, 2) at one place whose normals differ by at most ``angle`` radians."""
     with np.errstate(invalid="ignore", divide="ignore"):
-        # Scaled before squaring: a normal of any length that the type can hold has a direction.
+        # The scaling comes before the squaring, so that a normal of any finite length has a direction.
         scaled = normals / np.abs(normals).max(axis=1, initial=0.0, keepdims=True)
         units = scaled / np.linalg.norm(scaled, axis=1, keepdims=True)
     counts = np.bincount(places, minlength=len(places))
     candidates = np.flatnonzero((counts[places] > 1) & np.isfinite(units).all(axis=1))
-    # A chord of the unit sphere stands for the angle; normalising leaves errors far below the slack.
+    # A chord of the unit sphere stands for the angle. The errors of normalising are far below the slack.
     chord = 2.0 * np.sin(min(angle, np.pi) / 2.0) + 1e-12
     if counts.max(initial=0) > CROWDED:
         return _pairs_in_crowds(candidates, places, units, chord, claim)
@@ -93,10 +93,10 @@ def _pairs_in_crowds(
     chord: float,
     claim: Callable[[int], None],
 ) -> Int64Array:
-    """List pairs of candidates without looking at all of them."""
+    """List pairs of candidates without a look at all of them."""
     from scipy.spatial import cKDTree
 
-    # Places lie 4 apart on the first axis and normals within 2 of one another: only pairs at one place are
+    # Places lie 4 apart on the first axis, and normals within 2 of each other. So only pairs at one place are
     # near.
     tree = cKDTree(np.column_stack([4.0 * places[candidates], units[candidates]]))
     claim(BYTES_A_PAIR * int(tree.count_neighbors(tree, chord)) // 2)
