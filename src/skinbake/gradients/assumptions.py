@@ -1,4 +1,4 @@
-"""What a bake had to assume of a primitive, as notices, and where its result is of no use."""
+"""The assumptions of a bake about a primitive, as notices, and the check that its result is usable."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from skinbake.gradients.baker import TANGENT_TOLERANCE, BakeFindings
 from skinbake.gradients.weight_sums import weight_sum_notices
 
 COARSE = 0.5
-"""Share of adopting vertices over which lighting may well be worse with α and β than without.
+"""The share of adopting vertices above which α and β may well make lighting worse.
 
-Of 16 primitives of real models over it 11 are lit worse; 4 of the other 5 are single triangles. Of 69 under
-it 1 is.
+Of 16 primitives of real models above it, 11 are lit worse. 4 of the other 5 are single triangles. Of 69 below
+it, 1 is lit worse.
 """
 
 
@@ -26,7 +26,7 @@ def assumptions(
     joint_count: int,
     place: Place,
 ) -> list[Notice]:
-    """Return one notice for each kind of thing that had to be assumed; joint_count is the skin's."""
+    """Return one notice for each kind of assumption. joint_count is the number of joints of the skin."""
     weights = findings.weights
     outside = 0
     if primitive.joints.max() >= joint_count:
@@ -80,7 +80,7 @@ def assumptions(
 
 
 def check_finite(primitive: SkinnedPrimitive, baked: BakedPrimitive, place: Place) -> None:
-    """Raise InputError where α or β of a vertex are not finite: no shader can make a normal of those."""
+    """Raise InputError if α or β of a vertex are not finite, because no shader can make a normal of them."""
     count, of_tangents = 0, False
     for rows in blocks(len(baked.alpha)):
         slots = np.isfinite(baked.alpha[rows]) & np.isfinite(baked.beta[rows])

@@ -19,12 +19,12 @@ from skinbake.gradients.weld import weld
 from skinbake.timing import stage
 
 TANGENT_TOLERANCE = 0.1
-"""Degrees by which t0 × b0 may lean from n0 before a TANGENT is not used."""
+"""The degrees by which t0 × b0 may lean from n0. With a larger lean, a TANGENT is not used."""
 
 
 @dataclass(frozen=True, slots=True)
 class BakeSettings:
-    """How to bake. crease_angle in radians; weighting, neighbours and frame as on the command line."""
+    """The settings of a bake. crease_angle is in radians; others are as on the command line."""
 
     weighting: Weighting = Weighting.MAX
     crease_angle: float = float(np.radians(15.0))
@@ -34,11 +34,11 @@ class BakeSettings:
 
 @dataclass(frozen=True, slots=True)
 class BakeFindings:
-    """What baking one primitive met, in numbers.
+    """The findings of baking one primitive, in numbers.
 
-    tangent_deviation is the largest angle in degrees between t0 × b0 and n0, 0 without TANGENT;
-    bad_tangents how many vertices exceed TANGENT_TOLERANCE. magnitude is the summed length of the gradients,
-    in 1 / length unit, lost the share of it that no slot holds.
+    tangent_deviation is the largest angle in degrees between t0 × b0 and n0, 0 without TANGENT. bad_tangents
+    is the number of vertices that exceed TANGENT_TOLERANCE. magnitude is the summed length of the gradients,
+    in 1 / length unit. lost is the share of it that no slot holds.
     """
 
     weights: WeightDefects
@@ -57,7 +57,7 @@ def bake_mesh(
 ) -> list[tuple[BakedPrimitive, BakeFindings]]:
     """Return α and β of every primitive of one mesh, gathered across their borders.
 
-    The primitives are those that are baked, in mesh space, all skinned by the same joints. With
+    The primitives are all those to bake, in mesh space, all skinned by the same joints. With
     ``frame="tangent"`` every primitive must have tangents.
     """
     with stage("weights"):
@@ -112,7 +112,7 @@ def bake_mesh(
 def _concatenate_triangles(
     primitives: Sequence[SkinnedPrimitive], masks: Sequence[BoolArray], starts: Sequence[int]
 ) -> IntArray:
-    """Return the triangles that have an area as indices into all primitives' vertices together."""
+    """Return the triangles that have an area, as indices into the vertices of all primitives together."""
     parts = [
         primitive.triangles if mask.all() else primitive.triangles[mask]
         for primitive, mask in zip(primitives, masks, strict=True)
@@ -123,16 +123,16 @@ def _concatenate_triangles(
 
 
 def _concatenate(arrays: Sequence[FloatArray]) -> FloatArray:
-    """Return the rows of several arrays in one, without a copy where there is only one."""
+    """Return the rows of several arrays in one array. A single array is not copied."""
     return arrays[0] if len(arrays) == 1 else np.concatenate(arrays)
 
 
 @dataclass(frozen=True, slots=True)
 class ChosenFrame:
-    """Which frame one primitive is baked for, and how its TANGENT fares.
+    """The frame of one primitive's bake, and the quality of its TANGENT.
 
-    kind is ``tangent`` or ``normal``; deviation the largest angle in degrees by which t0 × b0 leans from n0
-    at a vertex of a triangle, deviating how many vertices lean more than TANGENT_TOLERANCE.
+    kind is ``tangent`` or ``normal``. deviation is the largest angle in degrees by which t0 × b0 leans from
+    n0 at a vertex of a triangle. deviating is the number of vertices that lean more than TANGENT_TOLERANCE.
     """
 
     kind: str
@@ -141,9 +141,9 @@ class ChosenFrame:
 
 
 def chosen_frame(primitive: SkinnedPrimitive, choice: str) -> ChosenFrame:
-    """Return the frame of a primitive with normals; choice is ``auto``, ``tangent`` or ``normal``.
+    """Return the frame of a primitive with normals. choice is ``auto``, ``tangent`` or ``normal``.
 
-    ``auto`` takes TANGENT where it is orthonormal enough at every vertex, else the frame from NORMAL.
+    ``auto`` uses TANGENT if it is orthonormal enough at every vertex, else the frame from NORMAL.
     """
     if primitive.tangents is None or choice == frames.NORMAL_FRAME:
         return ChosenFrame(frames.NORMAL_FRAME)
@@ -168,7 +168,7 @@ def frame_vectors(primitive: SkinnedPrimitive, choice: ChosenFrame) -> tuple[Flo
 
 
 def _deviation(primitive: SkinnedPrimitive, tangents: FloatArray) -> tuple[float, int]:
-    """Return how far TANGENT leans at most, in degrees, and at how many vertices of triangles it does."""
+    """Return the largest lean of TANGENT in degrees, and the number of vertices of triangles that lean."""
     used = np.zeros(len(tangents), dtype=np.bool_)
     used[primitive.triangles.ravel()] = True
     largest, count = 0.0, 0

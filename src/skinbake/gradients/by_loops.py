@@ -1,6 +1,6 @@
-"""The operations of the kernel by the compiled loops: give them arrays of the types and layout they read.
+"""The operations of the kernel by the compiled loops, with arrays of the types and layout that they read.
 
-The same operations in numpy, ``by_numpy``, say what each returns.
+The same operations in numpy, ``by_numpy``, describe the results.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ WEIGHTINGS = {
 
 
 def label_equal_rows(rows: npt.NDArray[np.generic]) -> Labels:
-    """Return a label (V,) from 0 for every row (V, M), the same for equal ones.
+    """Return a label (V,) from 0 for every row (V, M). Equal rows have the same label.
 
-    Rows that were made to have like hashes are sorted instead.
+    Rows with hashes that were made alike on purpose are sorted instead.
     """
     labels = np.empty(len(rows), dtype=np.int32)
     try:
@@ -39,14 +39,14 @@ def label_equal_rows(rows: npt.NDArray[np.generic]) -> Labels:
 def normalise_influences(
     joints: npt.NDArray[np.int32], weights: Float64Array, *, adopting_sum: float, tolerance: float
 ) -> tuple[WeightField, WeightDefects]:
-    """Make stored influences (V, K) a weight field in place; return it with what had to be assumed."""
+    """Turn stored influences (V, K) into a weight field in place. Return it with the assumptions made."""
     free = np.empty(joints.shape, dtype=np.bool_)
     defects = _kernel.normalise_influences(joints, weights, free, adopting_sum, tolerance)
     return WeightField(joints, weights, free), WeightDefects(**defects)
 
 
 def mark_proper(positions: FloatArray, triangles: IntArray) -> BoolArray:
-    """Tell for each triangle (T, 3) whether it has an area: a mask (T,)."""
+    """Tell for each triangle (T, 3) whether it has an area, as a mask (T,)."""
     mask = np.empty(len(triangles), dtype=np.bool_)
     corners = np.ascontiguousarray(triangles, dtype=np.uint32)
     _kernel.mark_proper(np.ascontiguousarray(positions), corners, mask, DEGENERATE_AREA)
@@ -57,7 +57,7 @@ def bake_surface(surface: Surface, *, weighting: str, adopt: bool) -> SurfaceSlo
     """Return α and β of a surface."""
     vertices, slots = surface.field.joints.shape
     alpha, beta = (np.empty((vertices, slots - 1), dtype=np.float32) for _ in range(2))
-    adopted = np.zeros((vertices, slots), dtype=np.int32)  # memory stays untouched where nothing is adopted
+    adopted = np.zeros((vertices, slots), dtype=np.int32)  # memory stays untouched if no slot adopts
     tangents, bitangents = surface.frame or (np.zeros((0, 3)), np.zeros((0, 3)))
     counts = np.zeros((len(surface.ends), 4))
     _kernel.bake_surface(

@@ -1,4 +1,4 @@
-"""The operations of the kernel by whole arrays of numpy: the definition of what the compiled loops do."""
+"""The operations of the kernel by whole arrays of numpy. They define the results of the compiled loops."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ __all__ = ["bake_surface", "label_equal_rows", "mark_proper", "normalise_influen
 
 
 def label_equal_rows(rows: npt.NDArray[np.generic]) -> Labels:
-    """Return a label (V,) from 0 for every row (V, M), the same for equal ones, numbered as rows meet them.
+    """Return a label (V,) from 0 for every row (V, M), numbered as rows meet them. Equal rows have one label.
 
-    rows holds float32, float64 (both with −0 = +0), or integers of 4 or 8 bytes. Equal rows are brought
-    together by a 64-bit hash and then compared in full, so a collision costs time, not correctness.
+    rows holds float32, float64 (both with −0 = +0), or integers of 4 or 8 bytes. A 64-bit hash brings equal
+    rows together, and then they are compared in full. So a collision costs time, not correctness.
     """
     bits = bit_patterns(rows) if rows.dtype.kind == "f" else rows
     keys = bits.astype(np.uint64, copy=False)
@@ -49,10 +49,10 @@ def _hash_rows(keys: npt.NDArray[np.uint64]) -> npt.NDArray[np.uint64]:
 def normalise_influences(
     joints: npt.NDArray[np.int32], weights: Float64Array, *, adopting_sum: float, tolerance: float
 ) -> tuple[WeightField, WeightDefects]:
-    """Make stored influences (V, K) a weight field in place; return it with what had to be assumed.
+    """Turn stored influences (V, K) into a weight field in place. Return it with the assumptions made.
 
-    A vertex may adopt where its weights sum to more than ``adopting_sum``; it counts as not normalised where
-    the sum is further than ``tolerance`` from 1. ``influences.weight_field`` has the policy.
+    A vertex may adopt if its weights sum to more than ``adopting_sum``. It counts as not normalised if the
+    sum is further than ``tolerance`` from 1. ``influences.weight_field`` has the policy.
     """
     free = weights == 0
     negative = weights < 0
@@ -74,7 +74,7 @@ def normalise_influences(
 
 
 def _merge_repeats(joints: npt.NDArray[np.int32], weights: Float64Array) -> int:
-    """Merge repeated joints in place; return at how many vertices two positive weights were merged."""
+    """Merge repeated joints in place. Return the number of vertices with two positive weights merged."""
     influences = joints.shape[1]
     merged = np.zeros(len(joints), dtype=np.bool_)
     for later in range(1, influences):
@@ -93,11 +93,11 @@ def _merge_repeats(joints: npt.NDArray[np.int32], weights: Float64Array) -> int:
 
 
 def bake_surface(surface: Surface, *, weighting: str, adopt: bool) -> SurfaceSlots:
-    """Return α and β of a surface; weighting is a key of ``corner.WEIGHTINGS``.
+    """Return α and β of a surface. weighting is a key of ``corner.WEIGHTINGS``.
 
-    With ``adopt``, joints that vary around a vertex without being its own move into free slots.
+    With ``adopt``, joints of neighbours that vary around a vertex move into its free slots.
     """
-    with np.errstate(over="ignore", invalid="ignore"):  # the compiled loops overflow without a word too
+    with np.errstate(over="ignore", invalid="ignore"):  # the compiled loops overflow without a warning too
         return _bake_parts(surface, weighting=weighting, adopt=adopt)
 
 

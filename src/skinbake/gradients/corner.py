@@ -1,13 +1,13 @@
-"""The one definition of what a triangle's corner adds to the gradient at its vertex.
+"""The only definition of the contribution of a triangle's corner to the gradient at its vertex.
 
-At a corner with edges e1, e2 to the two other corners, A2 = |e1 × e2| and n = e1 × e2, the gradient of a
-function that is linear on the triangle is
+A corner has edges e1, e2 to the two other corners, A2 = |e1 × e2| and n = e1 × e2. The gradient of a function
+that is linear on the triangle is
 
     ∇w = (w1 − w0) (e2 × n) / A2² + (w2 − w0) (n × e1) / A2²
 
-and the vertex takes the mean of its corners' ∇w under one of four weightings. Max's, 1 / (|e1|² |e2|²)
-times A2, is the default: N. Max, *Weights for Computing Vertex Normals from Facet Normals*, Journal of
-Graphics Tools 4(2), 1999.
+The vertex takes the mean of its corners' ∇w under one of four weightings. The default is Max's, 1 / (|e1|²
+|e2|²) times A2: N. Max, *Weights for Computing Vertex Normals from Facet Normals*, Journal of Graphics Tools
+4(2), 1999.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ WEIGHTINGS = {"max": MAX, "angle": ANGLE, "area": AREA, "angle-area": ANGLE_AREA
 def corner_coefficients(e1: Any, e2: Any, weighting: int) -> Any:
     """Return (weight, c1, c2) of a corner: its weight, and the weight times the gradients of both hats.
 
-    e1, e2 are triples of components (numbers or equal arrays) of the edges at the corner; c1 and c2 are
-    such triples: the corner adds c1 (w1 − w0) + c2 (w2 − w0) to the vertex's sum. The triangle must have an
-    area. The arithmetic holds for numbers and arrays alike: weight_gradients.py calls it with arrays. The
-    compiled loops have the same mathematics in other words.
+    e1, e2 are triples of components (numbers or equal arrays) of the edges at the corner. c1 and c2 are such
+    triples too. The corner adds c1 (w1 − w0) + c2 (w2 − w0) to the vertex's sum. The triangle must have an
+    area. The arithmetic holds for numbers and for arrays: weight_gradients.py calls it with arrays. The
+    compiled loops compute the same in another form.
     """
     e1x, e1y, e1z = e1
     e2x, e2y, e2z = e2

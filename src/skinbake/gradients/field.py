@@ -1,4 +1,4 @@
-"""The weight field of a surface: which joint moves a vertex by how much."""
+"""The weight field of a surface: the joints that move each vertex, and by how much."""
 
 from __future__ import annotations
 
@@ -17,10 +17,11 @@ NO_JOINT = -1
 class WeightField:
     """The normalised weights of V vertices: joints (V, K) int32, weights (V, K) float64, Σ over K is 1.
 
-    Every joint stands in one slot of a vertex only: repeats have joint −1 and weight 0, their weight
-    added to the slot that keeps the joint. Slots keep the places they have in the file. free (V, K) tells
-    which slots may adopt a joint: those stored with weight 0, unless the vertex has next to no weight (a sum
-    of at most ``influences.ADOPTING_SUM``), where the smallest weight would be a share of it, or the whole.
+    Every joint has only one slot of a vertex. A repeat gets joint −1 and weight 0, and the slot that keeps
+    the joint gets its weight. Slots keep the places that they have in the file. free (V, K) tells which slots
+    may adopt a joint. These are slots stored with weight 0, unless the vertex has almost no weight (a sum of
+    at most ``influences.ADOPTING_SUM``). There the smallest weight would be a share of that sum, or all of
+    it.
     """
 
     joints: npt.NDArray[np.int32]
@@ -34,7 +35,7 @@ class WeightField:
 
 @dataclass(frozen=True, slots=True)
 class WeightDefects:
-    """How many vertices of a primitive needed which assumption."""
+    """The number of vertices of a primitive that needed each assumption."""
 
     negative: int
     all_zero: int
@@ -43,7 +44,7 @@ class WeightDefects:
 
 
 def concatenate_fields(fields: Sequence[WeightField]) -> WeightField:
-    """Return the weight fields of several primitives as one, filled up to the largest number of slots."""
+    """Return the weight fields of several primitives as one, filled to the largest number of slots."""
     if len(fields) == 1:
         return fields[0]
     influences = max(field.joints.shape[1] for field in fields)

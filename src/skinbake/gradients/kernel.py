@@ -1,9 +1,9 @@
 """The operations that visit every vertex, triangle or corner: compiled loops, or whole arrays of numpy.
 
-This is the one place that chooses. Callers write ``kernel.bake_surface(…)`` and need not know which it is.
-``by_loops`` calls the loops of ``_kernel.c``. ``by_numpy`` has the definitions. They are the tests' oracle,
-and do the work where the package was installed without a compiler: more slowly, with the same result within
-rounding. ``SKINBAKE_KERNEL=numpy`` in the environment asks for them.
+Only this module chooses between them. Callers write ``kernel.bake_surface(…)`` and need not know the choice.
+``by_loops`` calls the loops of ``_kernel.c``. ``by_numpy`` has the definitions. They are the oracle of the
+tests. They also do the work if the package was installed without a compiler: more slowly, with the same
+result within rounding. ``SKINBAKE_KERNEL=numpy`` in the environment selects them.
 """
 
 from __future__ import annotations
@@ -34,4 +34,4 @@ except ImportError as error:
     )
 
 IS_COMPILED = bake_surface.__module__.endswith("by_loops")
-"""Whether the compiled loops were chosen: the last bits of results depend on it."""
+"""Whether the compiled loops were chosen. The last bits of results depend on it."""

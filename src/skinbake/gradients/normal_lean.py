@@ -1,7 +1,7 @@
-"""Normals that do not belong to their surface: how far NORMAL leans from the triangles at each vertex.
+"""Normals that do not belong to their surface: the lean of NORMAL from the triangles at each vertex.
 
-α and β turn the authored normal along with the surface, whatever it was at rest. A normal that points
-elsewhere is lit wrongly in every pose, and no figure that is measured against it tells.
+α and β turn the authored normal along with the surface, whatever its rest direction. A wrong normal is lit
+wrongly in every pose. A figure that is measured against that normal does not show it.
 """
 
 from __future__ import annotations
@@ -16,23 +16,30 @@ from skinbake.geometry.skinned import Float64Array, FloatArray, IntArray, Skinne
 from skinbake.gradients import kernel
 
 FAR = 45.0
-"""Degrees from which on a normal does not look like its surface's: smooth normals of a cube lean 55° from
-each side, and 0° from the mean of the three."""
+"""The degrees from which a normal does not look like its surface's.
+
+Smooth normals of a cube lean 55° from each side, and 0° from the mean of the three.
+"""
 
 MOST = 0.05
-"""Share of far normals that a sound model may have. Of 114 primitives of real models, two have more, and
-both are broken; the next has 1.4 %."""
+"""The share of far normals that a sound model may have.
+
+Of 114 primitives of real models, two have more, and both are broken. The next has 1.4 %.
+"""
 
 TRIANGLES, VERTICES = 1 << 8, 1 << 11
-"""How many are looked at, triangles first, then vertices where those raise a doubt: of more, every second,
-third … So no model takes longer than some milliseconds."""
+"""The number of triangles and of vertices that are sampled.
+
+Triangles come first. Vertices follow if the triangles raise a doubt. In larger models every second, third …
+is taken, so that the check takes only some milliseconds.
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class NormalLean:
-    """How many of the vertices looked at have a far normal, and by how many degrees those lean (median).
+    """The number of sampled vertices with a far normal, and their median lean in degrees.
 
-    vertices is how many the primitive has for each that was looked at.
+    vertices is the number of the primitive's vertices for each sampled one.
     """
 
     far: int
@@ -42,16 +49,17 @@ class NormalLean:
 
     @property
     def is_plain(self) -> bool:
-        """Tell whether few enough normals are far to be a matter of style."""
+        """Tell whether so few normals are far that they can be a matter of style."""
         return self.far <= MOST * self.looked_at
 
 
 def normal_lean(primitive: SkinnedPrimitive) -> NormalLean:
     """Return how NORMAL (V, 3) of a primitive fits its triangles.
 
-    A normal is far where it leans over FAR from the mean plane of the vertex's own triangles, weighted by
-    angle, and also from that of all triangles at the vertex's position: hard edges and seams have copies of a
-    vertex, smooth ones share a normal. Vertices without an area or a normal are not looked at.
+    A normal is far if it leans over FAR from two planes. One is the mean plane of the vertex's own triangles,
+    weighted by angle. The other is the mean plane of all triangles at the vertex's position: hard edges and
+    seams have copies of a vertex, smooth ones share a normal. Vertices without an area or a normal are not
+    sampled.
     """
     if not _is_doubtful(primitive):
         return NormalLean(0, 0, 0.0, 0.0)
@@ -74,7 +82,7 @@ def _step(count: int, most: int) -> int:
 
 
 def _is_doubtful(primitive: SkinnedPrimitive) -> bool:
-    """Tell whether enough normals lean far from single triangles to look at their planes, which takes long.
+    """Tell whether enough normals lean far from single triangles to check their planes, which takes long.
 
     A coarse smooth mesh is doubtful too.
     """
@@ -88,7 +96,7 @@ def _is_doubtful(primitive: SkinnedPrimitive) -> bool:
 
 
 def lean_notices(primitive: SkinnedPrimitive, place: Place) -> list[Notice]:
-    """Return a notice where the normals of a primitive do not belong to its surface, else none."""
+    """Return a notice if the normals of a primitive do not belong to its surface, else none."""
     if not len(primitive.normals):
         return []
     lean = normal_lean(primitive)
@@ -110,10 +118,10 @@ def _advice(lean: NormalLean) -> str:
 
 
 def _leans(primitive: SkinnedPrimitive, rows: IntArray, labels: IntArray | None) -> Float64Array:
-    """Return by how many degrees the normals of some vertices (N,) lean from their planes (N,).
+    """Return the degrees by which the normals of some vertices (N,) lean from their planes (N,).
 
-    labels (V,) names the vertices that have one plane, None where each has its own. NaN where the triangles
-    at a vertex have no area, or cancel out.
+    labels (V,) names the vertices that share one plane. None means that each has its own plane. The result is
+    NaN if the triangles at a vertex have no area, or cancel out.
     """
     own = rows if labels is None else labels[rows]
     numbers = np.zeros(len(primitive.positions), dtype=np.int32)
@@ -141,14 +149,14 @@ def _sides(primitive: SkinnedPrimitive, triangles: IntArray) -> Float64Array:
 
 
 def _cross(sides: Float64Array) -> Float64Array:
-    """Return the normals (T, 3) of triangles, as long as their doubled area; np.cross takes twice as long."""
+    """Return the normals (T, 3) of triangles, as long as their doubled area. np.cross takes twice as long."""
     x, y, z = sides[0].T
     u, v, w = sides[1].T
     return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], axis=1)
 
 
 def _cosines(planes: Float64Array, normals: FloatArray) -> Float64Array:
-    """Return the cosine between vectors (N, 3), NaN where one of them has no direction."""
+    """Return the cosine between vectors (N, 3), NaN if one of them has no direction."""
     units = unit_vectors(normals)
     lengths = np.where(has_direction(normals), np.linalg.norm(planes, axis=1), 0.0)
     dots = np.einsum("ij,ij->i", planes, units)

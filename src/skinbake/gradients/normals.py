@@ -1,4 +1,4 @@
-"""Smooth normals for primitives that come without any."""
+"""Smooth normals for primitives without normals."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from skinbake.gradients import kernel
 
 
 def with_smooth_normals(primitives: Sequence[SkinnedPrimitive]) -> list[SkinnedPrimitive]:
-    """Return the primitives of one mesh, those without normals given smooth ones, float32.
+    """Return the primitives of one mesh. A primitive without normals gets smooth ones, float32.
 
-    Vertices at one position share a normal, across the primitives that lack them. Tangents, which mean
-    nothing without normals, are dropped. A vertex of no proper triangle gets (0, 0, 1).
+    Vertices at one position share a normal, across the primitives that lack them. Tangents are dropped,
+    because they mean nothing without normals. A vertex of no proper triangle gets (0, 0, 1).
     """
     lacking = [primitive for primitive in primitives if len(primitive.normals) == 0]
     if not lacking:

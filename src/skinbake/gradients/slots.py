@@ -1,4 +1,4 @@
-"""From gradients of joints to α and β of influence slots, joints of neighbours adopted into free ones."""
+"""α and β of influence slots from gradients of joints. Free slots adopt joints of neighbours."""
 
 from __future__ import annotations
 
@@ -12,17 +12,18 @@ from skinbake.gradients.surface import NEGLIGIBLE
 from skinbake.gradients.weight_gradients import VertexGradients
 
 BLOCK = 1 << 15
-"""Vertices worked on at a time: the arrays of a block stay in the processor's cache."""
+"""The vertices in work at a time. The arrays of a block stay in the processor's cache."""
 
 
 @dataclass(frozen=True, slots=True)
 class SlotGradients:
-    """α and β of every slot, and what the slots could not hold.
+    """α and β of every slot, and the gradients that the slots could not hold.
 
-    alpha, beta (V, K) float64, slot 0 included. adopted (V, K) int64: the joint that a slot adopts, −1
-    elsewhere. overflowing: vertices with more foreign joints than free slots (all that have any, where
-    none are adopted). magnitude: the lengths of all joints' gradients summed over the vertices, in 1 / length
-    unit; lost: the share of it that no slot holds, and that falls to s0.
+    alpha, beta (V, K) float64 include slot 0. adopted (V, K) int64 is the joint that a slot adopts, −1
+    elsewhere. overflowing is the number of vertices with more foreign joints than free slots. Without
+    adoption, it is the number of vertices with any foreign joints. magnitude is the length of all joints'
+    gradients summed over the vertices, in 1 / length unit. lost is the share of it that no slot holds, and
+    that goes to s0.
     """
 
     alpha: Float64Array
@@ -42,10 +43,10 @@ def assign(
 ) -> SlotGradients:
     """Return α and β per slot of V vertices.
 
-    classes (V,) names each vertex's row of ``gradients``; field holds its normalised influences (V, K);
-    frame its t0 and b0, each (V, 3). A slot carries the gradient of the joint that it names. capacity (V,)
-    is how many joints each vertex may adopt (see ``shared_capacity``), None for none at all: joints that
-    vary around the vertex and are not among its influences of positive weight move into free slots, the
+    classes (V,) names each vertex's row of ``gradients``. field holds its normalised influences (V, K). frame
+    holds its t0 and b0, each (V, 3). A slot has the gradient of the joint that it names. capacity (V,) is the
+    number of joints that each vertex may adopt (see ``shared_capacity``), None for no adoption. Joints that
+    vary around the vertex, but are not among its influences of positive weight, move into free slots, the
     largest gradients first.
     """
     alpha, beta = np.empty(field.joints.shape), np.empty(field.joints.shape)
@@ -69,7 +70,7 @@ def assign(
 
 
 def shared_capacity(field: WeightField, classes: IntArray) -> IntArray:
-    """Return how many joints each vertex (V,) may adopt: as many as every copy of its surface point can.
+    """Return the number of joints that each vertex (V,) may adopt: the least of all copies of its point.
 
     Copies that adopted differently would no longer be one vertex to a reader of the baked file.
     """
@@ -81,7 +82,7 @@ def shared_capacity(field: WeightField, classes: IntArray) -> IntArray:
 
 @dataclass(frozen=True, slots=True)
 class _Rank:
-    """The entries of one rank: whose they are, which they are, and how long their gradients are."""
+    """The entries of one rank: their vertices, their indices, and the lengths of their gradients."""
 
     vertices: IntArray
     numbers: IntArray
@@ -89,11 +90,7 @@ class _Rank:
 
 
 class _Entries:
-    """The gradients' entries seen from V vertices, one rank at a time: all first ones, all second ones.
-
-    Vertices are many and ranks are few, so whole arrays of vertices are worked on at once. sums (V,) adds
-    up the magnitudes at each vertex.
-    """
+    """The entries of the gradients as V vertices see them, by rank: all first ones, then all second ones."""
 
     def __init__(self, gradients: VertexGradients, classes: IntArray) -> None:
         start = gradients.offsets[classes]
@@ -111,7 +108,7 @@ class _Entries:
 
 @dataclass(frozen=True, slots=True)
 class _Foreign:
-    """Joints that vary at a vertex without being its own: vertex, joint, gradient magnitude, all (F,)."""
+    """Joints of neighbours that vary at a vertex: vertex, joint, gradient magnitude, all (F,)."""
 
     vertices: IntArray
     joints: IntArray
@@ -132,7 +129,7 @@ def _foreign(entries: _Entries, field: WeightField) -> _Foreign:
 
 
 def _adopt(foreign: _Foreign, field: WeightField, capacity: IntArray) -> IntArray:
-    """Return the joint that each free slot adopts (V, K): the largest gradients into the first free slots."""
+    """Return the joint that each free slot adopts (V, K). The largest gradients take the first free slots."""
     order = np.lexsort((foreign.joints, -foreign.magnitudes, foreign.vertices))
     vertices, joints = foreign.vertices[order], foreign.joints[order]
     rank = np.arange(len(vertices)) - np.searchsorted(vertices, vertices)
@@ -145,9 +142,9 @@ def _adopt(foreign: _Foreign, field: WeightField, capacity: IntArray) -> IntArra
 
 
 def _named_slots(adopted: IntArray, field: WeightField) -> IntArray:
-    """Return the joint whose gradient each slot carries (V, K), −1 for none.
+    """Return the joint whose gradient each slot holds (V, K), −1 for none.
 
-    A slot that adopts nothing keeps the joint that it names in the file, also at weight zero, unless that
+    A slot that adopts no joint keeps the joint that it names in the file, even at weight zero, unless that
     joint has moved into another slot.
     """
     named = np.where(adopted != NO_JOINT, adopted, field.joints)

@@ -1,6 +1,6 @@
 """Weight gradients at welded vertices (Tarini et al. 2014, §4; the mean over triangles after Max 1999).
 
-``_kernel.c`` has the same in one pass over the corners of each vertex; this is its definition.
+This module is the definition. ``_kernel.c`` does the same in one pass over the corners of each vertex.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from skinbake.gradients.field import WeightField
 class VertexGradients:
     """Sparse weight gradients of C weld classes, in rows like CSR.
 
-    Class c has the entries offsets[c] … offsets[c + 1]; an entry is a joint (int64) whose weight varies
+    Class c has the entries offsets[c] … offsets[c + 1]. An entry is a joint (int64) whose weight varies
     around the class, and its gradient (E, 3) float64 in mesh space, in 1 / length unit. Joints ascend within
     a class.
     """
@@ -39,10 +39,10 @@ def weight_gradients(
 ) -> VertexGradients:
     """Return the gradient of every joint's weight at every weld class.
 
-    positions (V, 3), triangles (T, 3) into them, all with an area; field the normalised weights (V, K);
-    classes (V,) the weld class of each vertex. A class's gradient is the mean of its corners' triangle
-    gradients, normalised by the weight of *all* its corners, so that the gradients of all joints sum to
-    zero. A class without triangles has no entries. weighting is a key of WEIGHTINGS.
+    positions are (V, 3). triangles (T, 3) index them, and all have an area. field has the normalised weights
+    (V, K). classes (V,) is the weld class of each vertex. A class's gradient is the mean of its corners'
+    triangle gradients, normalised by the weight of *all* its corners, so that the gradients of all joints sum
+    to zero. A class without triangles has no entries. weighting is a key of WEIGHTINGS.
     """
     method, classes = WEIGHTINGS[weighting], classes.astype(np.int64)
     count, points = int(classes.max(initial=-1)) + 1, positions.astype(np.float64)
@@ -65,7 +65,7 @@ def weight_gradients(
 def _differences(
     field: WeightField, origin: IntArray, neighbour: IntArray
 ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64], Float64Array]:
-    """Return where a joint's weight differs between two ends: (pair, joint, w_neighbour − w_origin)."""
+    """Return each difference of a joint's weight between two ends: (pair, joint, w_neighbour − w_origin)."""
     joints0, weights0 = field.joints[origin], field.weights[origin]
     joints1, weights1 = field.joints[neighbour], field.weights[neighbour]
     same = joints1[:, :, None] == joints0[:, None, :]

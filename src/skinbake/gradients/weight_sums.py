@@ -1,4 +1,4 @@
-"""Weights that do not sum to 1: what α and β are made for, and what a shader makes of it."""
+"""Weights that do not sum to 1, and the normals that a shader makes from them."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from skinbake.gradients.influences import SUM_TOLERANCE
 
 
 def weight_sum_notices(primitive: SkinnedPrimitive, place: Place) -> list[Notice]:
-    """Return a notice where weights (V, K) sum to other than 1, negative ones counted as 0, else none.
+    """Return a notice if weights (V, K) do not sum to 1, with negative ones counted as 0, else none.
 
-    A vertex without any weight is another matter. A shader adds the joints' motions with the weights that it
-    is given, Σw times as long as those that α and β are made for, and the correction of the normal counts 1 /
-    Σw times.
+    A vertex without any weight is another case. A shader adds the joints' motions with the given weights,
+    which are Σw times as large as the ones for which α and β are made. So the correction of the normal counts
+    1 / Σw times.
     """
     sums = np.maximum(primitive.weights, 0.0).sum(axis=1, dtype=np.float64)
     off = sums[(np.abs(sums - 1.0) > SUM_TOLERANCE) & (sums > 0.0)]
@@ -31,6 +31,6 @@ def weight_sum_notices(primitive: SkinnedPrimitive, place: Place) -> list[Notice
 
 
 def _span(low: float, high: float) -> str:
-    """Return two bounds in words, or the one number that they are."""
+    """Return two bounds in words, or one number if they are equal."""
     first, last = f"{low:.3g}", f"{high:.3g}"
     return first if first == last else f"{first} … {last}"

@@ -13,27 +13,27 @@ from skinbake.gradients.field import WeightField
 from skinbake.gradients.labels import Labels, bit_patterns, first_rows, number_as_met
 
 PAIRED_GROUP = 32
-"""Groups of at most this many distinct normals are compared pair by pair; larger ones grow step by step."""
+"""Groups of at most this many distinct normals are compared pair by pair. Larger groups grow step by step."""
 
 PAIRS = 1 << 16
-"""Pairs that are compared at a time: their vectors and what comes of them take 10 MB."""
+"""The pairs that are compared at a time. Their vectors and the results take 10 MB."""
 
 LINKED_GROUP = 4096
-"""Points with more distinct normals than this weld equal normals only: comparing all would take minutes."""
+"""Points with more distinct normals than this weld equal normals only. Comparing all would take minutes."""
 
 ROUNDING = 1e-12
-"""Slack in the length of a chord: the sides of a prism of 24 meet at 15°, the crease angle itself."""
+"""The slack in the length of a chord. The sides of a prism of 24 meet at 15°, the crease angle itself."""
 
 
 def weld(positions: FloatArray, normals: FloatArray, field: WeightField, *, crease_angle: float) -> Labels:
     """Return the weld class (V,) of every vertex, numbered from 0.
 
-    positions (V, 3) in mesh space, normals (V, 3) of any length, field the normalised weights of the same
-    vertices, crease_angle in radians. Two vertices are copies of one surface point where position (−0 = +0)
-    and influences are equal, whatever the order of the slots; copies are one class where their normals differ
-    by at most the crease angle, or where a chain of such copies joins them. A normal without a direction
-    welds only with a bit-identical one. The result depends on neither vertex nor slot order, except for the
-    numbers of the classes.
+    positions (V, 3) are in mesh space, normals (V, 3) of any length. field has the normalised weights of the
+    same vertices. crease_angle is in radians. Two vertices are copies of one surface point if position (−0 =
+    +0) and influences are equal, in any order of the slots. Copies are one class if their normals differ by
+    at most the crease angle, or if a chain of such copies joins them. A normal without a direction welds only
+    with a bit-identical one. The result depends on neither vertex nor slot order, except for the numbers of
+    the classes.
     """
     labels = kernel.label_equal_rows(positions)
     if int(labels.max(initial=-1)) + 1 == len(labels):
@@ -50,7 +50,7 @@ def weld(positions: FloatArray, normals: FloatArray, field: WeightField, *, crea
 
 
 def _point_keys(labels: Labels, field: WeightField, copies: IntArray) -> npt.NDArray[np.uint64]:
-    """Return what makes vertices copies of one surface point: position and influences, (C, 1 + K)."""
+    """Return the keys (C, 1 + K), position and influences, that are equal for copies of one surface point."""
     keys = np.empty((len(copies), 1 + field.joints.shape[1]), dtype=np.uint64)
     for rows in blocks(len(copies)):
         keys[rows, 0] = labels[copies[rows]]
@@ -59,7 +59,7 @@ def _point_keys(labels: Labels, field: WeightField, copies: IntArray) -> npt.NDA
 
 
 def _oriented_keys(points: Labels, normals: FloatArray, copies: IntArray) -> npt.NDArray[np.unsignedinteger]:
-    """Return what makes copies of a surface point equal in their normals too, (C, 4)."""
+    """Return the keys (C, 4) that are equal for copies of a surface point with equal normals."""
     wide = normals.dtype != np.float32
     keys: npt.NDArray[np.unsignedinteger] = np.empty((len(copies), 4), np.uint64 if wide else np.uint32)
     for rows in blocks(len(copies)):
@@ -93,7 +93,7 @@ def _link_by_angle(points: Labels, normals: npt.NDArray[np.float64], crease_angl
 
 
 def _link_groups(members: Labels, normals: npt.NDArray[np.float64], angle: float, labels: Labels) -> None:
-    """Link within groups (G, S) of equal size at once: every row takes the least label it can reach."""
+    """Link within groups (G, S) of equal size at once. Every row takes the least label that it can reach."""
     near = _within(normals[members][:, :, None], normals[members][:, None, :], angle)
     near |= np.eye(members.shape[1], dtype=np.bool_)
     local = np.tile(np.arange(members.shape[1]), (len(members), 1))
@@ -106,7 +106,7 @@ def _link_groups(members: Labels, normals: npt.NDArray[np.float64], angle: float
 
 
 def _grow_group(members: Labels, normals: npt.NDArray[np.float64], angle: float, labels: Labels) -> None:
-    """Link within one large group: grow a class from a seed until no remaining row is near it."""
+    """Link within one large group. A class grows from a seed until no remaining row is near it."""
     remaining = members
     while len(remaining):
         seed, frontier, remaining = remaining[0], [remaining[0]], remaining[1:]
@@ -118,6 +118,6 @@ def _grow_group(members: Labels, normals: npt.NDArray[np.float64], angle: float,
 
 
 def _within(first: npt.NDArray[np.float64], second: npt.NDArray[np.float64], angle: float) -> BoolArray:
-    """Tell where two unit vectors differ by at most an angle, exactly also for small ones; NaN never does."""
+    """Tell whether two unit vectors differ by at most an angle. Small angles are exact; NaN never fits."""
     chord = np.linalg.norm(first - second, axis=-1)
     return np.asarray(chord <= 2.0 * np.sin(angle / 2.0) + ROUNDING, dtype=np.bool_)
