@@ -1,1 +1,1 @@
-"""What each command does: options in, result out. Joins the parts below; prints nothing."""
+"""The work of each command: options in, result out. It joins the parts below and prints nothing."""

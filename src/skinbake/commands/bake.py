@@ -56,15 +56,15 @@ if TYPE_CHECKING:
 SLOTS_PER_SET = 4
 
 BYTES_A_VERTEX, BYTES_A_SLOT, BYTES_A_TRIANGLE = 128, 48, 24
-"""What a bake sets aside at most, about."""
+"""The approximate memory of a bake, at most."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Baker:
-    """Bakes files and documents; its fields are the options of ``skinbake bake``, under their names there.
+    """Bake files and documents. The fields are the options of ``skinbake bake``, under the same names.
 
-    crease_angle is in degrees. Enumerations may be given by their values. Raises ChoiceError for a value
-    that does not exist, and for options that contradict each other.
+    crease_angle is in degrees. Enumerations may be given by their values. Raises ChoiceError for a value that
+    does not exist, and for options that contradict each other.
     """
 
     weighting: Weighting = Weighting.MAX
@@ -96,9 +96,10 @@ class Baker:
     def bake_file(
         self, source: str, target: str | None, writing: Writing = AS_USUAL, within: Within = OWN_FOLDERS
     ) -> FileResult:
-        """Bake one file and write it to ``target`` (nowhere for None, or on a dry run).
+        """Bake one file and write it to ``target``. With None, or on a dry run, nothing is written.
 
-        Raises SkinbakeError, and then nothing has been written; its notices are those found before.
+        Raises SkinbakeError, and then nothing has been written. Its notices are the ones found before the
+        error.
         """
         replaced = version_of(source) if target == source != STDIO else None
         with stage("read"):
@@ -134,8 +135,8 @@ class Baker:
     ) -> tuple[BakedDocument, Document, list[Notice]]:
         """Bake a document that may hold an earlier bake, for the container of the target.
 
-        Returns what was baked, the document to write, and notices. A document in which nothing can be baked
-        is written as it came, an earlier bake included.
+        Returns the bake, the document to write, and notices. If no primitive can be baked, the document is
+        written as it came, with any earlier bake.
         """
         with stage("strip"):
             original, _, undone = stripped(document)
@@ -179,7 +180,7 @@ class Baker:
         return BakedDocument(written, primitives, skipped, tuple(notices), cost)
 
     def _bakeable(self, document: Document) -> tuple[list[PrimitiveSource], int, list[Notice]]:
-        """Return the primitives to bake, how many skinned ones are left out, and notices on those."""
+        """Return the primitives to bake, the number of skinned ones left out, and notices on the latter."""
         sources, notices = skinned_sources(document)
         wanted: list[PrimitiveSource] = []
         for source in sources:
@@ -193,7 +194,7 @@ class Baker:
         return wanted, len(sources) - len(wanted), notices
 
     def _baked_surface(self, document: Document, sources: Sequence[PrimitiveSource]) -> list[PrimitiveBake]:
-        """Bake primitives as one surface; InputError where α or β are not finite."""
+        """Bake primitives as one surface. Raises InputError if α or β are not finite."""
         with stage("arrays"):
             whole = with_smooth_normals(_read(document, sources))
         if self.limit_influences is not None:
@@ -208,7 +209,7 @@ class Baker:
         count: int,
     ) -> list[PrimitiveBake]:
         """Bake primitives as one surface with at most ``count`` influences a vertex, and measure the cost."""
-        from skinbake.lighting.limit_cost import limit_costs, limited  # replays: half a second of imports
+        from skinbake.lighting.limit_cost import limit_costs, limited  # it replays: half a second of imports
 
         with stage("limit"):
             parts = [limited(document, *pair, count) for pair in zip(sources, whole, strict=True)]
@@ -313,7 +314,7 @@ def _check_names(baker: Baker) -> None:
 
 
 def _check_compression(baker: Baker) -> None:
-    """Raise ChoiceError for bits or a level that the compression has no use for, and for such a layout."""
+    """Raise ChoiceError for bits, a level or a layout that the compression cannot use."""
     if baker.compression.bits and baker.compress is not Scheme.DRACO:
         raise ChoiceError("--position-bits, --normal-bits and --texcoord-bits need --compress draco")
     level = baker.compress_level
@@ -330,10 +331,10 @@ def _check_compression(baker: Baker) -> None:
 
 @dataclass(frozen=True, slots=True)
 class BakedDocument:
-    """A document with α and β, what was baked into each primitive, and what had to be assumed.
+    """A document with α and β, the bake of each primitive, and the assumptions made.
 
-    skipped counts the skinned primitives that were left out. Where nothing can be baked, the document is
-    the one that was given, primitives is empty and encoding None.
+    skipped is the number of skinned primitives that were left out. If no primitive can be baked, the document
+    is the given one, primitives is empty and encoding is None.
     """
 
     document: Document
@@ -345,7 +346,7 @@ class BakedDocument:
 
 @dataclass(frozen=True, slots=True)
 class PrimitiveBake:
-    """One primitive: its arrays as baked from, the result, what was found, and what a limit took from it."""
+    """One primitive: the arrays that were baked, the result, the findings, and the loss by a limit."""
 
     source: PrimitiveSource
     primitive: SkinnedPrimitive
@@ -356,13 +357,13 @@ class PrimitiveBake:
 
     @property
     def notices(self) -> list[Notice]:
-        """Return what had to be assumed, and what looks wrong."""
+        """Return the assumptions made, and signs of errors in the model."""
         source, given = self.source, self.primitive
         assumed = assumptions(given, self.result, self.findings, source.joint_count, source.place)
         return [*assumed, *lean_notices(given, source.place)]
 
     def to_store(self, settings: JsonObject) -> Baked:
-        """Return what is written of it; settings is noted in the metadata."""
+        """Return the data to write. settings is noted in the metadata."""
         influences = self.limited.stored if self.limited else None
         return Baked(self.source, self.primitive, self.result, settings, influences)
 
@@ -387,14 +388,14 @@ class PrimitiveBake:
 
 
 def _finite(bakes: list[PrimitiveBake]) -> list[PrimitiveBake]:
-    """Return the bakes; InputError where α or β of one are not finite."""
+    """Return the bakes. Raises InputError if α or β of one are not finite."""
     for bake in bakes:
         check_finite(bake.primitive, bake.result, bake.source.place)
     return bakes
 
 
 def _reason_of_frame(source: PrimitiveSource) -> Notice | None:
-    """Return why a primitive cannot be baked for the frame from TANGENT, None where it can."""
+    """Return why a primitive cannot be baked for the frame from TANGENT, or None if it can."""
     lacking = next((name for name in ("NORMAL", "TANGENT") if name not in source.attributes), None)
     if lacking is None:
         return None
@@ -406,7 +407,7 @@ def _reason_of_frame(source: PrimitiveSource) -> Notice | None:
 def _surfaces(
     document: Document, sources: Sequence[PrimitiveSource], weld: Weld
 ) -> tuple[list[list[PrimitiveSource]], list[Notice]]:
-    """Return the primitives in the groups that are baked as one surface, and what is kept apart."""
+    """Return the groups of primitives that are baked as one surface, and notices on the separate ones."""
     by_mesh: dict[int, list[PrimitiveSource]] = defaultdict(list)
     for source in sources:
         by_mesh[source.mesh].append(source)
@@ -427,11 +428,11 @@ def _unwritten(bakes: Sequence[PrimitiveBake]) -> list[UnwrittenBake]:
 def _encoding_cost(
     document: Document, bakes: Sequence[PrimitiveBake], storage: GradientFormat
 ) -> tuple[EncodingCost, list[Notice]]:
-    """Return what the encoding costs, and a notice where the file cannot be posed to measure it."""
+    """Return the cost of the encoding, and a notice if the file cannot be posed to measure it."""
     encoding = storage.encoding
     if not encoding.is_scaled:
         return EncodingCost(str(encoding)), []
-    from skinbake.lighting.encoding_cost import added_by_encoding  # replays, as limits do
+    from skinbake.lighting.encoding_cost import added_by_encoding  # it replays, as limits do
 
     try:
         added = added_by_encoding(document, _unwritten(bakes), storage)
@@ -443,13 +444,13 @@ def _encoding_cost(
 
 
 def _read(document: Document, sources: Sequence[PrimitiveSource]) -> list[SkinnedPrimitive]:
-    """Return the arrays of primitives, once it is clear of each that baking it does not take too much."""
+    """Return the arrays of primitives. First check for each that its bake does not take too much memory."""
     found: list[SkinnedPrimitive] = []
     vertices, widest = 0, 0
     for source in sources:
         primitive = read_primitive(document, source)
         found.append(primitive)
-        # One surface has as many slots everywhere as the widest of its primitives.
+        # All parts of one surface have as many slots as its widest primitive.
         count, width = primitive.joints.shape
         slots = max(width, widest) * (vertices + count) - widest * vertices
         vertices, widest = vertices + count, max(width, widest)

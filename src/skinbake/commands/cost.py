@@ -36,27 +36,27 @@ from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.counting import Cost, StoredTypes, VertexBytes, cost_table, multiply_adds, vertex_bytes
 
 TABLE = range(1, 9)
-"""The numbers of influences of the table: one or two influence sets of glTF."""
+"""The numbers of influences in the table: one or two influence sets of glTF."""
 
 ALIGNMENT = 4
-"""Bytes of which a vertex attribute's element takes a multiple (glTF 2.0, §3.6.2.4)."""
+"""The size of a vertex attribute's element is a multiple of this number of bytes (glTF 2.0, §3.6.2.4)."""
 
 
 def cost_of_influences(influences: int) -> InfluenceCosts:
-    """Return what a vertex with N ≥ 1 influences costs, its data in glTF's commonest types."""
+    """Return the cost of a vertex with N ≥ 1 influences and data in glTF's commonest types."""
     return InfluenceCosts(influences, _reported(cost_table(influences)))
 
 
 def cost_by_influences() -> CostTable:
-    """Return what vertices with 1 … 8 influences cost."""
+    """Return the costs of vertices with 1 … 8 influences."""
     return CostTable(tuple(cost_of_influences(influences) for influences in TABLE))
 
 
 def cost_of_file(source: str, bounds: Bounds = BESIDE) -> FileCosts:
-    """Return what the skinned primitives of one file cost; raises SkinbakeError where it cannot be read.
+    """Return the cost of the skinned primitives of one file. Raises SkinbakeError if it cannot be read.
 
-    Those without a surface are left out, and those without a NORMAL count as if bake had added one, each
-    with a notice. A file without skinned primitives costs nothing.
+    Primitives without a surface are left out. Primitives without a NORMAL count as if bake had added one.
+    Each gives a notice. A file without skinned primitives costs nothing.
     """
     document = read_document(source, bounds)
     sources, notices = skinned_sources(document)
@@ -80,7 +80,7 @@ def cost_of_file(source: str, bounds: Bounds = BESIDE) -> FileCosts:
 
 
 def _draws(document: Document) -> Counter[int]:
-    """Return how many nodes draw each mesh with a skin; ``skinned_sources`` has checked the indices."""
+    """Return how many nodes draw each mesh with a skin. ``skinned_sources`` has checked the indices."""
     return Counter(
         int(node["mesh"]) for node in document.objects("nodes") if "mesh" in node and "skin" in node
     )
@@ -111,7 +111,7 @@ def _costs(document: Document, source: PrimitiveSource, draws: int) -> Primitive
 
 
 def _vertices_in_use(primitive: SkinnedPrimitive) -> int:
-    """Return how many vertices the triangles refer to: primitives often share accessors larger than that."""
+    """Return the number of vertices in the triangles. Primitives often share larger accessors."""
     used = np.zeros(len(primitive.positions), dtype=np.bool_)
     used[primitive.triangles] = True
     return int(np.count_nonzero(used))
@@ -121,8 +121,8 @@ def _vertices_in_use(primitive: SkinnedPrimitive) -> int:
 class _Layout:
     """Bytes a vertex by attribute: of plain skinning, and of α and β (none: not baked).
 
-    gradient is the bytes of one number of α and β, as stored or as bake would store it; scale those of a
-    vertex's scale.
+    gradient is the number of bytes of one number of α and β, as stored or as bake would store it. scale is
+    the number of bytes of a vertex's scale.
     """
 
     plain: dict[str, int]
@@ -144,7 +144,7 @@ def _layout(document: Document, source: PrimitiveSource) -> _Layout:
 
 
 def _baked_names(note: JsonObject, source: PrimitiveSource) -> list[str]:
-    """Return the attributes of α and β that the metadata names, none where one of them is missing."""
+    """Return the attributes of α and β that the metadata names, or none if one of them is missing."""
     names = slot_names(note)
     sets = source.influence_sets
     expected = 4 * sets - 1 if note.get("layout") == Layout.TEXCOORD else 2 * sets
@@ -155,7 +155,7 @@ def _baked_names(note: JsonObject, source: PrimitiveSource) -> list[str]:
 def _sizes(
     document: Document, source: PrimitiveSource, names: Sequence[str]
 ) -> tuple[dict[str, int], list[int]]:
-    """Return the bytes of one element of each attribute, aligned, and of one of its components."""
+    """Return the bytes of one element of each attribute, aligned, and of one component of each."""
     elements, components = {}, []
     for name in names:
         place = source.place.at(name)
@@ -167,9 +167,9 @@ def _sizes(
 
 
 def _file_costs(influences: int, layout: _Layout) -> dict[Algorithm, Cost]:
-    """Return the cost of all algorithms at a vertex stored like this.
+    """Return the cost of all algorithms at a vertex with this layout.
 
-    No file stores algorithm 2's ∇w: it is counted in the type of α and β.
+    No file stores algorithm 2's ∇w. It is counted in the type of α and β.
     """
     plain, stored = (
         sum(layout.plain.values()),

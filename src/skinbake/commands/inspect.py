@@ -1,4 +1,4 @@
-"""``skinbake inspect``: what is skinned in a file, and what is baked into it and how."""
+"""``skinbake inspect``: the skinned primitives of a file, and the bakes in it."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ from skinbake.gradients.weight_sums import weight_sum_notices
 from skinbake.report.inspect import AttributeSummary, BakeSummary, InspectResult, PrimitiveSummary
 
 BYTES_A_VERTEX, BYTES_A_SLOT = 64, 40
-"""What summing up a primitive sets aside at most, about."""
+"""The approximate memory for summing up a primitive, at most."""
 
 
 def inspect_file(source: str, bounds: Bounds = BESIDE) -> InspectResult:
-    """Return a summary of one file; raises SkinbakeError where it cannot be read."""
+    """Return a summary of one file. Raises SkinbakeError if it cannot be read."""
     document = read_document(source, bounds)
     sources, notices = skinned_sources(document)
     primitives = []
@@ -103,7 +103,7 @@ def _summary(document: Document, source: PrimitiveSource, primitive: SkinnedPrim
 
 
 def _compression(document: Document, source: PrimitiveSource) -> str | None:
-    """Return the extension that any of a primitive's data is compressed by, None where none is."""
+    """Return the extension that compresses any of a primitive's data, or None if there is none."""
     return draco.EXTENSION if draco.extension_of(source.json) is not None else meshopt_of(document, source)
 
 

@@ -1,4 +1,4 @@
-"""What makes lighting better where a bake makes it worse: other options, tried on the file itself."""
+"""Options that improve the lighting if a bake makes it worse. They are tried on the file itself."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ from skinbake.lighting.staleness import mesh_operator
 from skinbake.report.verify import FileVerdict, gain
 
 WORSE = 0.995
-"""Gain below which lighting is worse: it reads 1.00 from there on."""
+"""The gain below which lighting is worse. From here on, it prints as 1.00."""
 
 
 @dataclass(frozen=True, slots=True)
 class Remedy:
-    """Options of bake, as a user types them, and what they set."""
+    """Options of bake, as a user types them, and the settings that they stand for."""
 
     words: str
     neighbours: Neighbours | None = None
     crease_angle: float | None = None
 
     def applied(self, baker: Baker) -> Baker:
-        """Return what bakes with the options of the remedy."""
+        """Return a baker with the options of the remedy."""
         return replace(
             baker,
             neighbours=baker.neighbours if self.neighbours is None else self.neighbours,
@@ -43,7 +43,7 @@ REMEDIES = (
     Remedy(NO_CREASE, crease_angle=180.0),
     Remedy(f"{DROP} {NO_CREASE}", Neighbours.DROP, 180.0),
 )
-"""Of all options, on the twelve primitives of real models that a bake lights worse, these helped any."""
+"""Only these options helped on the twelve primitives of real models that a bake lights worse."""
 
 
 def worse_lighting(
@@ -51,8 +51,9 @@ def worse_lighting(
 ) -> list[Notice]:
     """Return a notice for each primitive whose lighting α/β make worse, with an option that was tried.
 
-    A remedy is named where it brings the gain to 1 at that primitive, by all methods and truths. Trying them
-    takes as long as measuring the file three times more; a file without such primitives takes nothing.
+    A remedy is named if it brings the gain to 1 at that primitive, by all methods and truths. Trying the
+    remedies takes as long as measuring the file three more times. A file without such primitives takes no
+    extra time.
     """
     gains = {place: factor for place, factor in _gains(verdict).items() if factor < WORSE}
     if not gains:
@@ -93,7 +94,7 @@ def _tried(
             with document.budget.passing():
                 yield remedy, _gains(_measured(changed.bake_document(plain).document, options))
         except InputError:
-            continue  # what cannot be baked so is no remedy
+            continue  # an option that cannot be baked is no remedy
 
 
 def _measured(document: Document, options: VerifyOptions) -> FileVerdict:

@@ -1,4 +1,4 @@
-"""``skinbake shader``: the text that matches a baked file, or what was asked for without one."""
+"""``skinbake shader``: the text for a baked file, or for the requested choices without a file."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ from skinbake.shaders.text import shader_made
 DEFAULT_INFLUENCES = 4
 THREE = "three"
 DEFAULTS = {"encoding": Encoding.FLOAT32, "layout": Layout.ATTRIBUTES}
-"""What metadata mean that do not say how α and β are stored."""
+"""The meaning of metadata that do not say how α and β are stored."""
 
 
 @dataclass(frozen=True, slots=True)
 class ShaderRequest:
-    """The options of ``skinbake shader``; None leaves the choice to the baked file, or to the default."""
+    """The options of ``skinbake shader``. None leaves the choice to the baked file, or to the default."""
 
     language: Language
     method: Method = Method.LBS
@@ -54,7 +54,7 @@ class ShaderRequest:
 
 @dataclass(frozen=True, slots=True)
 class ShaderResult:
-    """The text, the choices that made it, and what had to be assumed."""
+    """The text, the choices that made it, and the assumptions made."""
 
     text: str
     choices: ShaderChoices
@@ -64,10 +64,10 @@ class ShaderResult:
 def shader(
     request: ShaderRequest, source: str | None = None, target: str | None = None, bounds: Bounds = BESIDE
 ) -> ShaderResult:
-    """Return the shader for a baked file, or for the usual attributes where there is none.
+    """Return the shader for a baked file, or for the usual attributes if there is no file.
 
-    Raises ChoiceError where choices exclude each other, InputError where the file cannot be read, is not
-    baked, or cannot serve what was asked for, OutputError where ``target`` is a file that it consists of.
+    Raises ChoiceError if choices exclude each other. Raises InputError if the file cannot be read, is not
+    baked, or does not fit the request. Raises OutputError if ``target`` is a file of the source document.
     """
     if source is None:
         choices, notices = _choices(request)
@@ -95,7 +95,7 @@ def _contradicts_itself(request: ShaderRequest) -> bool:
 
 
 def write_shader(result: ShaderResult, target: str, *, sync: bool = True) -> None:
-    """Write the text to a file, whole or not at all, or to stdout; raise OutputError."""
+    """Write the text to a file, whole or not at all, or to stdout. Raises OutputError."""
     pieces = [result.text.encode("utf-8")]
     if target == STDIO:
         write_stdout(pieces)
@@ -134,7 +134,7 @@ def _made(request: ShaderRequest, frame: Frame, influences: int) -> ShaderChoice
 def _choices_of_file(
     request: ShaderRequest, source: str, target: str | None, bounds: Bounds
 ) -> tuple[ShaderChoices, list[Notice]]:
-    """Return the choices that a file's metadata make, and a notice for each primitive they do not serve."""
+    """Return the choices from a file's metadata, and a notice for each primitive that they do not serve."""
     document = read_document(source, bounds)
     if target is not None:
         refuse_own_input(document, source, target)
@@ -164,8 +164,8 @@ def _with_names(
 ) -> tuple[ShaderChoices, list[Notice]]:
     """Return the choices with the file's names and scale, and a notice for each primitive with other names.
 
-    Texture coordinates follow those that a primitive has, so that each may have numbers of its own; other
-    names are the same for all of a bake. InputError where they are not, or where scales differ.
+    Texture coordinates follow the existing ones of a primitive, so each primitive may have its own numbers.
+    Other names are the same for all of a bake. Raises InputError if they are not, or if scales differ.
     """
     names = {(tuple(view.metadata["alpha"]), tuple(view.metadata["beta"])): view for view in reversed(views)}
     if len(names) > 1 and choices.layout != "texcoord":
@@ -190,7 +190,7 @@ def _other_texcoords(view: BakedView) -> Notice:
 
 
 def _views(document: Document) -> list[BakedView]:
-    """Return the baked primitives; InputError where there are none, or one is damaged or stale."""
+    """Return the baked primitives. Raises InputError if there are none, or one is damaged or stale."""
     sources, _ = skinned_sources(document)
     baked = [source for source in sources if is_baked(document, source)]
     for source in baked:
@@ -208,7 +208,7 @@ def _views(document: Document) -> list[BakedView]:
 
 
 def _unlike_one(view: BakedView, request: ShaderRequest) -> list[Notice]:
-    """Return a notice where weights sum to other than 1; three.js divides them when it loads a file."""
+    """Return a notice if weights do not sum to 1. three.js divides them when it loads a file."""
     return [] if request.target == THREE else weight_sum_notices(view.now, view.source.place)
 
 
@@ -241,7 +241,7 @@ def _why_none(views: Sequence[BakedView], request: ShaderRequest) -> str:
 
 
 def _agreed(document: Document, views: Sequence[BakedView], member: str) -> Any:
-    """Return what all metadata say; InputError, with the way out, where they differ."""
+    """Return the common value of all metadata. Raises InputError, with a remedy, if they differ."""
     found = {_noted(view, member): view.source.place.within_file for view in reversed(views)}
     if len(found) > 1:
         listed = ", ".join(f"{value} in {place}" for value, place in found.items())
@@ -254,7 +254,7 @@ def _agreed(document: Document, views: Sequence[BakedView], member: str) -> Any:
 
 
 def _refuse_fewer(view: BakedView, influences: int) -> None:
-    """Raise InputError where the shader would leave out slots that hold something."""
+    """Raise InputError if the shader would leave out slots that are in use."""
     weights = view.now.weights[:, influences:] != 0
     gradients = (view.alpha[:, influences - 1 :] != 0) | (view.beta[:, influences - 1 :] != 0)
     count = int(np.count_nonzero((weights | gradients).any(axis=1)))
@@ -268,7 +268,7 @@ def _refuse_fewer(view: BakedView, influences: int) -> None:
 
 
 def _with_joints(document: Document, views: Sequence[BakedView], choices: ShaderChoices) -> ShaderChoices:
-    """Return the choices with mirroring joints seen to; InputError for DQS where joints are not rigid."""
+    """Return the choices adapted to mirroring joints. Raises InputError for DQS if joints are not rigid."""
     mirrors = choices.mirrored_joints
     for view, poses in _posed(document, views):
         surface = rest_surface(view)
@@ -286,7 +286,7 @@ def _with_joints(document: Document, views: Sequence[BakedView], choices: Shader
 
 
 def _posed(document: Document, views: Sequence[BakedView]) -> Iterator[tuple[BakedView, PoseSet]]:
-    """Yield each view with the poses of each skin that draws it: those that verify looks at."""
+    """Yield each view with the poses of each skin that draws it, the same poses as in verify."""
     clips, sets = read_clips(document), dict[int, PoseSet]()
     for view in views:
         for skin in skins_of(document, view.source.mesh):

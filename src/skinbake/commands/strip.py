@@ -19,9 +19,9 @@ def strip_file(
     sync: bool = True,
     bounds: Bounds = BESIDE,
 ) -> StripResult:
-    """Write a document without what bake added to it; raises SkinbakeError, and then nothing is written.
+    """Write a document without the additions of bake. Raises SkinbakeError; then nothing is written.
 
-    ``sync`` waits until it is on the disk.
+    With ``sync``, it waits until the file is on the disk.
     """
     document = read_document(source, bounds)
     refuse_own_input(document, source, target)

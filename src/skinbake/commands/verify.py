@@ -1,4 +1,4 @@
-"""``skinbake verify``: whether a file still carries the right α/β, and what they are worth on it."""
+"""``skinbake verify``: whether a file still has the right α/β, and how much they improve its lighting."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from skinbake.timing import stage
 def verify_file(
     source: str, options: VerifyOptions, progress: Progress | None = None, bounds: Bounds = BESIDE
 ) -> FileVerdict:
-    """Verify one file; raises SkinbakeError where it cannot be read."""
+    """Verify one file. Raises SkinbakeError if it cannot be read."""
     verdict = _verify_file(source, options, progress or (lambda what, done, total: None), bounds)
     verdict = replace(verdict, input=source)
     if options.warnings_as_errors and verdict.notices:
@@ -63,9 +63,9 @@ def _verify_file(source: str, options: VerifyOptions, progress: Progress, bounds
 
 
 def _sorted_out(document: Document) -> tuple[list[PrimitiveSource], list[Notice], list[Notice]]:
-    """Return the skinned primitives that can be baked, problems, and notices on what was left out.
+    """Return the skinned primitives that can be baked, problems, and notices on the primitives left out.
 
-    A primitive that is baked and no longer can be is a problem.
+    A primitive that is baked, but can no longer be baked, is a problem.
     """
     sources, notices = skinned_sources(document)
     wanted: list[PrimitiveSource] = []
