@@ -201,7 +201,7 @@ def command(inputs: tuple[str, ...], **given: Unpack[Given]) -> None:
 
 
 def _reporting(given: Given, say: Console) -> Reporting[FileResult]:
-    """Return how results of bake are told, counted and written."""
+    """Return how results of bake are reported, counted and written."""
     from skinbake.report.bake import SCHEMA, as_json, closing_line, detail_lines, file_json
     from skinbake.report.totals import BAKE_OUTCOMES, Totals
 
@@ -229,7 +229,7 @@ def _reporting(given: Given, say: Console) -> Reporting[FileResult]:
 
 
 def _baker(given: Mapping[str, Any]) -> Baker:
-    """Return what bakes as the command line asks for; click.UsageError for what contradicts itself."""
+    """Return a baker with the options of the command line. Raises click.UsageError if they contradict."""
     from skinbake.commands.bake import Baker
 
     try:
@@ -239,7 +239,7 @@ def _baker(given: Mapping[str, Any]) -> Baker:
 
 
 def _targets(inputs: list[Input], given: Mapping[str, Any]) -> list[tuple[Input, str | None]]:
-    """Return (input, output) pairs, or raise click.UsageError for a combination that makes no sense."""
+    """Return (input, output) pairs. Raises click.UsageError for a combination without a meaning."""
     chosen = [name for name in ("output", "out_dir", "in_place") if given[name]]
     if len(chosen) > 1 or (not chosen and not given["dry_run"]):
         raise click.UsageError("give one of -o/--output, --out-dir and --in-place")

@@ -1,4 +1,4 @@
-"""What a person reads: results on stdout, messages on stderr, colour where it is wanted."""
+"""The output for a person: results on stdout, messages on stderr, colour if it is wanted."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ Command = TypeVar("Command", bound=Callable[..., Any])
 
 @dataclass(frozen=True, slots=True)
 class Console:
-    """How to talk: verbosity −1 says errors only, 0 warnings and results too, 1 and more details."""
+    """The amount of output. Verbosity −1 prints only errors, 0 warnings and results too, 1 also details."""
 
     verbosity: int
     color: bool | None
@@ -45,7 +45,7 @@ class Console:
             _echo(printable_lines(line), err=self.results_on_stderr, color=self.color)
 
     def document(self, content: Any) -> None:
-        """Print a JSON document: the result that scripts asked for, whatever the verbosity."""
+        """Print a JSON document at any verbosity, because it is the result that scripts asked for."""
         text = json_text(content, indent=2)
         if not _encodable(text):
             text = json.dumps(content, indent=2)
@@ -58,7 +58,7 @@ class Console:
                 self._message("warning", "yellow", str(notice))
 
     def details(self, lines: Iterable[str]) -> None:
-        """Print what only -v wants to know."""
+        """Print the details that only -v shows."""
         if self.verbosity > 0:
             for line in lines:
                 _echo(printable_lines(line), err=True, color=self.color)
@@ -69,17 +69,17 @@ class Console:
             _echo(printable_lines(line), err=True, color=self.color)
 
     def listing(self, lines: Iterable[str]) -> None:
-        """Print lines on stderr, whatever the verbosity."""
+        """Print lines on stderr at any verbosity."""
         for line in lines:
             _echo(printable_lines(line), err=True, color=self.color)
 
     def problems(self, problems: Iterable[Notice]) -> None:
-        """Print what a check found wrong: errors, whatever the verbosity."""
+        """Print the errors that a check found, at any verbosity."""
         for problem in problems:
             self._message("error", "red", str(problem))
 
     def error(self, error: SkinbakeError) -> None:
-        """Print an error; where it is that nobody reads what we write, end."""
+        """Print an error. If the error is that the reader of stdout has left, end the program."""
         if isinstance(error, ReaderGoneError):
             raise SystemExit(exit_codes.READER_GONE)
         self._message("error", "red", str(error))
@@ -90,7 +90,7 @@ class Console:
 
 
 def json_text(content: Any, *, indent: int | None = None) -> str:
-    """Return JSON with letters as they are, and escapes for what a terminal would obey."""
+    """Return JSON with letters as they are, and with escapes for characters that control a terminal."""
     text = json.dumps(content, indent=indent, ensure_ascii=False)
     return NOT_ASCII.sub(
         lambda found: found[0] if found[0].isprintable() else json.dumps(found[0])[1:-1], text
@@ -98,7 +98,7 @@ def json_text(content: Any, *, indent: int | None = None) -> str:
 
 
 def _encodable(text: str) -> bool:
-    """Tell whether stdout's encoding holds the text."""
+    """Tell whether stdout's encoding can represent the text."""
     try:
         text.encode(sys.stdout.encoding or "utf-8")
     except (UnicodeEncodeError, AttributeError):
@@ -107,7 +107,7 @@ def _encodable(text: str) -> bool:
 
 
 def _echo(text: str, *, err: bool, color: bool | None) -> None:
-    """Print a line; OutputError where the stream cannot take it, unless its reader has merely left."""
+    """Print a line. Raises OutputError if the stream cannot take it, unless its reader has left."""
     try:
         click.echo(text, err=err, color=color)
     except OSError as error:
@@ -117,19 +117,19 @@ def _echo(text: str, *, err: bool, color: bool | None) -> None:
 
 
 def finite(ctx: click.Context, param: click.Parameter, value: float | None) -> float | None:
-    """Refuse NaN, which every range of click lets through."""
+    """Refuse NaN, which all ranges of click accept."""
     if value is not None and not math.isfinite(value):
         raise click.BadParameter("must be a finite number")
     return value
 
 
 def one_of(choices: type[StrEnum]) -> click.Choice[str]:
-    """Return the type of an option whose values are those of an enumeration."""
+    """Return the type of an option whose values are the members of an enumeration."""
     return click.Choice([choice.value for choice in choices])
 
 
 def message_options(command: Command) -> Command:
-    """Add the options that say how much is said: -v, -q, --color."""
+    """Add the options for the amount of output: -v, -q, --color."""
     for option in (
         click.option(
             "--color",
@@ -145,7 +145,7 @@ def message_options(command: Command) -> Command:
 
 
 def outside_option(command: Command) -> Command:
-    """Add the option that names further folders that a document may have files in."""
+    """Add the option for further folders that may hold files of a document."""
     return click.option(
         "--allow-outside",
         metavar="DIR",
@@ -157,7 +157,7 @@ def outside_option(command: Command) -> Command:
 
 
 def console(*, verbose: int, quiet: bool, color: str, results_on_stderr: bool = False) -> Console:
-    """Return the console that the message options ask for, and set up logging to match."""
+    """Return the console for the message options, and set up logging to match."""
     import os
 
     chosen = {"always": True, "never": False, "auto": False if os.environ.get("NO_COLOR") else None}[color]

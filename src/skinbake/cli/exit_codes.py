@@ -1,4 +1,4 @@
-"""Exit codes: the worst of several files is the one returned."""
+"""Exit codes. For several files, the worst code is returned."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ USAGE = 2
 INPUT = 3
 OUTPUT = 4
 INTERRUPTED = 130
-"""By Ctrl-C, as shells have it."""
+"""The code after Ctrl-C, as in shells."""
 
 TERMINATED = 143
-"""By SIGTERM, as shells have it."""
+"""The code after SIGTERM, as in shells."""
 
 READER_GONE = 141
-"""What a command returns that SIGPIPE ends, as shells have it."""
+"""The code of a command that SIGPIPE ends, as in shells."""
 
 
 def of_error(error: SkinbakeError) -> int:
-    """Return the exit code that an error stands for."""
+    """Return the exit code for an error."""
     if isinstance(error, ChoiceError):
         return USAGE
     if isinstance(error, ReaderGoneError):
@@ -32,5 +32,5 @@ def of_error(error: SkinbakeError) -> int:
 
 
 def of_signal(received: Sequence[int]) -> int:
-    """Return the exit code of a command that these signals have ended, the first of which counts."""
+    """Return the exit code of a command that these signals have ended. The first signal counts."""
     return TERMINATED if received and received[0] == signal.SIGTERM else INTERRUPTED

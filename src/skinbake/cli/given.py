@@ -6,9 +6,9 @@ from typing import NotRequired, TypedDict
 
 
 class Given(TypedDict):
-    """What both commands are given; each has options of its own besides.
+    """The options that both commands share. Each command has options of its own in addition.
 
-    ``output``, ``out_dir`` and ``dry_run`` are those of commands that write.
+    ``output``, ``out_dir`` and ``dry_run`` belong to commands that write.
     """
 
     as_json: bool

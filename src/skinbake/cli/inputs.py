@@ -1,4 +1,4 @@
-"""Which files the arguments mean: files themselves, folders, and patterns that the shell has left alone."""
+"""The files that the arguments stand for: files, folders, and patterns that the shell did not expand."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ ANY_FOLDERS = "**"
 class Input:
     """A file to read, and the part of its name that is kept in a folder of outputs.
 
-    That is relative to the folder that it was found in; its own name, for a file that was named itself. An
-    argument that stands for no file is an input too, and says in ``missing`` what is wrong with it.
-    ``searched`` is the folder that a search found it in: its documents may name files there.
+    That part is relative to the folder in which the file was found. For a file that was named itself, it is
+    the file's own name. An argument that stands for no file is an input too, and ``missing`` says what is
+    wrong with it. ``searched`` is the folder in which a search found it. Its documents may name files there.
     """
 
     source: str
@@ -35,17 +35,17 @@ class Input:
 
     @property
     def root(self) -> str:
-        """The folder that ``kept`` starts at."""
+        """The folder at which ``kept`` starts."""
         return self.source[: len(self.source) - len(self.kept)] if self.source.endswith(self.kept) else ""
 
 
 def expanded(arguments: Sequence[str], *, but: str | None = None) -> list[Input]:
-    """Return the files that the arguments mean, in order; those of a folder sorted by path.
+    """Return the files that the arguments stand for, in order. Files of a folder are sorted by path.
 
-    One that several searches find is there once. ``but`` is a folder not to look into, unless it is where a
-    search begins: that of the outputs. Hidden files and folders, and linked folders, are passed over. An
-    argument that names something that exists is no pattern, whatever its characters. Raises click.UsageError
-    for a file whose name says nothing, and where stdin is to be read twice.
+    A file that several searches find is there once. ``but`` is the folder of the outputs. It is not searched,
+    unless a search begins there. Hidden files and folders, and linked folders, are skipped. An argument that
+    names something that exists is no pattern, even if it has pattern characters. Raises click.UsageError for
+    a file whose name does not show its kind, and if stdin is to be read twice.
     """
     if list(arguments).count(STDIO) > 1:
         raise click.UsageError("stdin can be read only once")
@@ -61,7 +61,7 @@ def expanded(arguments: Sequence[str], *, but: str | None = None) -> list[Input]
 
 
 class _Search:
-    """A search that leaves one folder out, and remembers which it could not open."""
+    """A search that leaves one folder out, and remembers the folders that it could not open."""
 
     def __init__(self, but: str | None) -> None:
         self._but = but
@@ -69,7 +69,7 @@ class _Search:
         self._closed: list[Input] = []
 
     def meant(self, argument: str) -> list[Input]:
-        """Return what an argument means."""
+        """Return the files that an argument stands for."""
         if argument == STDIO:
             return [Input(argument, argument)]
         if is_url(argument):
@@ -83,7 +83,7 @@ class _Search:
         return self._found(argument, fixed, pattern, "no file that matches this pattern")
 
     def _behind(self, url: str) -> list[Input]:
-        """Return what a URL means: that of a folder or a pattern on this disk by the rules for paths."""
+        """Return the files that a URL stands for. For a URL to a local path, the rules of paths hold."""
         path = on_disk(url)
         if path is None or url.lower().endswith(SUFFIXES):
             try:
@@ -114,7 +114,7 @@ class _Search:
         return entries or [Input(argument, argument, f"{nothing} ends in {', '.join(SUFFIXES)}")]
 
     def _files(self, folder: str, pattern: Sequence[str]) -> Iterator[str]:
-        """Yield the glTF files below a folder that match, relative to it, in any order, maybe repeatedly."""
+        """Yield the matching glTF files below a folder, relative to it, in any order, perhaps repeatedly."""
         head, *rest = pattern
         if head == ANY_FOLDERS:
             yield from self._files(folder, rest or ("*",))
@@ -159,24 +159,24 @@ class _Search:
 
 
 def _is_file(entry: os.DirEntry[str]) -> bool:
-    """Tell whether an entry is a file, or a link that leads nowhere: somebody misses a file there."""
+    """Tell whether an entry is a file, or a broken link, because a user misses the file of a broken link."""
     return entry.is_file() or (entry.is_symlink() and not os.path.exists(entry.path))
 
 
 def _split(argument: str) -> tuple[str, tuple[str, ...]]:
-    """Return a pattern's folder without wildcards, empty for the current one, and its parts from there on."""
+    """Return a pattern's folder without wildcards, empty for the current one, and the parts after it."""
     parts = Path(argument).parts
     first = next(n for n, part in enumerate(parts) if not MAGIC.isdisjoint(part))
     return str(Path(*parts[:first])) if first else "", parts[first:]
 
 
 def _matches(name: str, pattern: str) -> bool:
-    """Tell whether a name matches; a hidden one does where the pattern begins with the dot too."""
+    """Tell whether a name matches. A hidden name matches only if the pattern begins with a dot too."""
     return fnmatch.fnmatch(name, pattern) and (not name.startswith(".") or pattern.startswith("."))
 
 
 def _identity(folder: str) -> tuple[int, int] | None:
-    """Return what tells a folder from all others, None where there is none."""
+    """Return the identity that separates a folder from all others, or None if there is no folder."""
     try:
         found = os.stat(folder)
     except (OSError, ValueError):

@@ -1,4 +1,4 @@
-"""The options that bound what a file may take: memory, time, and a process of its own."""
+"""The options that limit the resources of a file: memory, time, and a process of its own."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def _size(ctx: click.Context, param: click.Parameter, value: str | None) -> int 
 
 
 def memory_option(command: Command) -> Command:
-    """Add the option that bounds what a file may make the program set aside."""
+    """Add the option that limits the memory that a file may make the program allocate."""
     return click.option(
         "--max-memory",
         metavar="SIZE",
@@ -39,7 +39,7 @@ def memory_option(command: Command) -> Command:
 
 
 def limit_options(command: Command) -> Command:
-    """Add all options that bound what a file may take."""
+    """Add all options that limit the resources of a file."""
     for option in (
         click.option(
             "--isolate",
@@ -60,9 +60,9 @@ def limit_options(command: Command) -> Command:
 
 
 def worker_limits(given: Given, sources: Sequence[str]) -> Limits | None:
-    """Return the limits that workers keep, None where files need none of their own.
+    """Return the limits that workers keep, or None if files need no limits of their own.
 
-    Raises click.UsageError where the work cannot be another process's.
+    Raises click.UsageError if another process cannot do the work.
     """
     named = [
         f"--{name}" for name, value in (("timeout", given["timeout"]), ("isolate", given["isolate"])) if value
@@ -81,7 +81,7 @@ def worker_limits(given: Given, sources: Sequence[str]) -> Limits | None:
 
 
 def memory_of_each(given: Given) -> int | None:
-    """Return what a file may take of this machine's memory, None for the default of one file at a time."""
+    """Return the memory that a file may take, or None for the default of one file at a time."""
     if given["max_memory"] or given["dask"] or (given["jobs"] == 1 and not given["isolate"]):
         return given["max_memory"]
     from skinbake.gltf.budget import default_limit

@@ -30,26 +30,26 @@ COMMANDS = {
 
 
 class LazyGroup(click.Group):
-    """A group that knows its commands by name and imports a command's module when it is used."""
+    """A group that knows its commands by name. It imports a command's module when the command is used."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        """Return the commands in the order in which people meet them."""
+        """Return the commands in the order in which a new user meets them."""
         return list(COMMANDS)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """Import the command's module, None for an unknown name."""
+        """Import the command's module, or return None for an unknown name."""
         if cmd_name not in COMMANDS:
             return None
         command: click.Command = importlib.import_module(f"skinbake.cli.{cmd_name}").command
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """List the commands from the table, so that help imports none of them."""
+        """List the commands from the table, so that help imports no command."""
         with formatter.section("Commands"):
             formatter.write_dl(list(COMMANDS.items()))
 
     def make_context(self, *arguments: Any, **options: Any) -> click.Context:
-        """Make the context; --help and --version print, and end, in here."""
+        """Make the context. --help and --version print and end in this method."""
         with _readers_may_leave():
             return super().make_context(*arguments, **options)
 
@@ -61,7 +61,7 @@ class LazyGroup(click.Group):
 
 @contextmanager
 def _readers_may_leave() -> Iterator[None]:
-    """End with the code for it where whoever read stdout has left; click would make it 1."""
+    """End with the right code if the reader of stdout has left. click would return 1."""
     try:
         yield
     except OSError as error:
@@ -83,12 +83,13 @@ def main() -> None:
 
 
 def entry_point() -> None:
-    """Run the command line; nothing that a file, a disk or a terminal can do ends in a traceback."""
-    # Nothing here is worth a thread of numpy's linear algebra, and those it starts cost a tenth of a second.
+    """Run the command line. No fault of a file, a disk or a terminal ends in a traceback."""
+    # No work here needs a thread of numpy's linear algebra, and its threads take a tenth of a second to
+    # start.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="backslashreplace")  # α on a terminal that knows no Greek
+            stream.reconfigure(errors="backslashreplace")  # α on a terminal without Greek letters
     received = _watch_for_signals()
     code = _code(received)
     for stream in (sys.stdout, sys.stderr):
@@ -98,7 +99,7 @@ def entry_point() -> None:
 
 
 def _code(received: list[int]) -> int:
-    """Return the exit code of the command line; ``received`` are the signals that came."""
+    """Return the exit code of the command line. ``received`` lists the signals that came."""
     try:
         return int(main(prog_name="skinbake", standalone_mode=False) or exit_codes.OK)
     except SystemExit as end:
@@ -112,13 +113,13 @@ def _code(received: list[int]) -> int:
     except SkinbakeError as error:
         return _said(f"error: {error}", exit_codes.of_error(error))
     except Exception as error:
-        # In an import Ctrl-C comes out as an ImportError.
+        # During an import, Ctrl-C becomes an ImportError.
         return exit_codes.of_signal(received) if received else _defect(error)
 
 
 def _defect(error: Exception) -> int:
-    """Say that it is our fault, and return the code for it."""
-    import logging  # a sixth of the time of --help
+    """Report a defect of skinbake, and return its exit code."""
+    import logging  # it takes a sixth of the time of --help
 
     logging.getLogger(__name__).debug("where it failed", exc_info=True)
     return _said(
@@ -129,7 +130,7 @@ def _defect(error: Exception) -> int:
 
 
 def _said(text: str, code: int) -> int:
-    """Print why the command ends, and return its code; another where nobody is there to read it."""
+    """Print why the command ends, and return its code, or another code if the reader has left."""
     try:
         click.echo(printable_lines(text), err=True)
     except OSError as error:
@@ -138,11 +139,11 @@ def _said(text: str, code: int) -> int:
 
 
 class _Stopped(KeyboardInterrupt):
-    """Ctrl-C or SIGTERM. KeyboardInterrupt itself, once it left an exec, kills Python though it is caught."""
+    """Ctrl-C or SIGTERM. KeyboardInterrupt itself kills Python once it has left an exec, even if caught."""
 
 
 def _watch_for_signals() -> list[int]:
-    """Return a list to which Ctrl-C and SIGTERM are added before they are raised as exceptions."""
+    """Return a list that receives Ctrl-C and SIGTERM before they are raised as exceptions."""
     received: list[int] = []
 
     def note(signum: int, frame: object) -> None:
@@ -154,13 +155,13 @@ def _watch_for_signals() -> list[int]:
             (signal.SIGINT, signal.default_int_handler),
             (signal.SIGTERM, signal.SIG_DFL),
         ):
-            if signal.getsignal(number) == usual:  # else it is to be ignored
+            if signal.getsignal(number) == usual:  # otherwise the signal is to be ignored
                 signal.signal(number, note)
     return received
 
 
 def _settled(stream: object) -> bool:
-    """Let go of what a stream could not write, lest the interpreter trips over it; False: its reader left."""
+    """Drop text that a stream could not write, so that exit does not fail. False: its reader has left."""
     if not isinstance(stream, io.TextIOWrapper):
         return True
     try:

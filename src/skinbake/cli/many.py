@@ -1,4 +1,4 @@
-"""What ``bake`` and ``verify`` have in common: many files, in several processes, told of as they are done."""
+"""The common part of ``bake`` and ``verify``: many files, in several processes, reported as they are done."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 STATE_NAME = ".skinbake-state.jsonl"
 
 MANY = 20
-"""Files whose lines one still takes in at a glance; of more a line tells the sum."""
+"""The number of files up to which each file gets a line. For more files, one line gives the sum."""
 
 ResultT = TypeVar("ResultT", bound="Result")
 
@@ -81,7 +81,7 @@ def many_options(command: Command) -> Command:
 
 
 def state_path(given: Given) -> str | None:
-    """Return where the state file is, None where none is wanted; click.UsageError where it has no place."""
+    """Return the path of the state file, None if unwanted. Raises click.UsageError if it has no place."""
     if not given["skip_unchanged"]:
         if given["state"]:
             raise click.UsageError("--state is for --skip-unchanged")
@@ -97,18 +97,18 @@ def state_path(given: Given) -> str | None:
 
 
 class Clock:
-    """How long the process has run, and what it spent before its work began."""
+    """The time that the process has run, and the time before its work began."""
 
     def __init__(self) -> None:
         self._begun = self._imported = time.perf_counter()
 
     def imports_done(self) -> None:
-        """Note that all that is imported late has been."""
+        """Note that all late imports are done."""
         self._imported = time.perf_counter()
 
     @property
     def working(self) -> float:
-        """Seconds since the imports."""
+        """Return the seconds since the imports."""
         return time.perf_counter() - self._imported
 
     def process(self) -> dict[str, float | None]:
@@ -122,7 +122,7 @@ class Clock:
 
 
 def _age() -> float | None:
-    """Return the process's age in seconds, to 0.01 s; None where the system does not tell it cheaply."""
+    """Return the process's age in seconds, to 0.01 s, or None if the system does not tell it quickly."""
     try:
         fields = (
             Path("/proc/self/stat").read_text(encoding="ascii", errors="replace").rpartition(")")[2].split()
@@ -133,10 +133,10 @@ def _age() -> float | None:
 
 
 class Summary:
-    """Writes JSON lines, one a file, and totals at last; says once where it cannot."""
+    """Write JSON lines, one a file, and the totals at the end. Report once if writing fails."""
 
     def __init__(self, path: str | None, schema: str, say: Console, *, sync: bool = True) -> None:
-        """Begin the file; raises OutputError. ``sync`` waits until it is on the disk when it is closed."""
+        """Begin the file. Raises OutputError. With ``sync``, closing it waits until it is on the disk."""
         self._path, self._schema, self._say, self._sync = path, schema, say, sync
         self.failed = False
         self._file = None
@@ -169,7 +169,7 @@ class Summary:
         self._say.error(OutputError(f"cannot be written: {error.strerror}", Place(str(self._path))))
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file."""
         if self._file is None:
             return
         try:
@@ -181,14 +181,14 @@ class Summary:
 
 
 class Notes:
-    """What --skip-unchanged keeps, where it was asked for; says once where it cannot."""
+    """The records of --skip-unchanged, if it was given. A failure to write is reported once."""
 
     def __init__(self, say: Console, state: State | None = None, recipe: Recipe | None = None) -> None:
         self._say, self._state, self.recipe = say, state, recipe
         self.failed = False
 
     def known(self, path: str | None) -> bytes | None:
-        """Return what is noted of the file that is made at a path, or read; None where nothing is."""
+        """Return the record of the file that is made, or read, at a path, or None if there is none."""
         if path is None or self._state is None or self.recipe is None:
             return None
         return self._state.known(self.recipe.key(path))
@@ -204,7 +204,7 @@ class Notes:
             self._say.error(error)
 
     def close(self) -> None:
-        """Let go of the state file."""
+        """Close the state file."""
         if self._state is not None:
             self._state.close()
 
@@ -218,7 +218,7 @@ def notes_of(
     *,
     sync: bool,
 ) -> Notes:
-    """Return the notes in the state file at ``path``; empty ones, of which none are kept, for None.
+    """Return the notes in the state file at ``path``. For None, the notes are empty and no record is kept.
 
     Raises InputError for a file that is no state file.
     """
@@ -226,13 +226,13 @@ def notes_of(
         return Notes(say)
     from skinbake.jobs.state import State, recipe
 
-    roots = {entry.root for entry in inputs if os.sep in entry.kept}  # that arguments were searched in
+    roots = {entry.root for entry in inputs if os.sep in entry.kept}  # the folders that were searched
     return Notes(say, State(path, sync=sync), recipe(command, options, path, sorted(roots)))
 
 
 @dataclass(frozen=True, slots=True)
 class Run(Generic[ResultT]):
-    """The jobs of a command, who does them, and what is done, which may tell of its progress."""
+    """The jobs of a command, their runner, and the work, which may report its progress."""
 
     jobs: Sequence[Job]
     runner: Runner[Job, ResultT]
@@ -241,11 +241,11 @@ class Run(Generic[ResultT]):
 
 @dataclass(frozen=True, slots=True)
 class Reporting(Generic[ResultT]):
-    """How a command's results are told, counted and written, and which exit code each of them means.
+    """How a command's results are reported, counted and written, and the exit code of each.
 
-    outcomes are those that files are counted by. document makes the JSON of all results, of the exit code
-    and of the seconds of the process. write, where there is one, writes another report of all results, and
-    returns the exit code of that.
+    outcomes are the kinds by which files are counted. document makes the JSON of all results, of the exit
+    code and of the seconds of the process. If write is given, it writes another report of all results and
+    returns its exit code.
     """
 
     schema: str
@@ -261,7 +261,7 @@ class Reporting(Generic[ResultT]):
 def work_through(
     run: Run[ResultT], reporting: Reporting[ResultT], given: Given, say: Console, clock: Clock, notes: Notes
 ) -> int:
-    """Do all jobs, tell of each result as it comes and of all at the end, and return the exit code."""
+    """Do all jobs, report each result as it comes and all at the end, and return the exit code."""
     from skinbake.report.totals import Totals, timing_lines, totals_json
 
     totals, results, code = Totals(len(run.jobs), reporting.outcomes), list[ResultT](), exit_codes.OK
@@ -279,7 +279,7 @@ def work_through(
         code = max(code, exit_codes.OUTPUT if notes.failed else code)
         summary.line(totals_json(totals, clock.working, schema=reporting.schema, exit_code=code))
     code = max(code, exit_codes.OUTPUT if summary.failed else code)
-    if given["timings"]:  # whatever the verbosity: it was asked for
+    if given["timings"]:  # at any verbosity, because it was asked for
         say.listing(timing_lines(totals, clock.process()))
     if given["as_json"]:
         spent = clock.process() if given["timings"] else None
@@ -296,9 +296,9 @@ def _outcomes(
     clock: Clock,
     kept: Sequence[Summary | Notes],
 ) -> Iterator[Iterator[ResultT]]:
-    """Yield the results, and when they are done with, or an interrupt came, end it all.
+    """Yield the results. After the last one, or after an interrupt, close everything.
 
-    That ends the work, takes the bar away, says what became of all files, and lets go of what is kept.
+    Closing ends the work, removes the bar, reports the outcome of all files, and closes the kept files.
     """
     from skinbake.report.totals import closing_line, failure_lines
 
@@ -320,7 +320,7 @@ def _outcomes(
 def _told(
     run: Run[ResultT], tell: Callable[[ResultT], None], progress: Progress
 ) -> Generator[ResultT, None, None]:
-    """Yield the results in order as they come, each told of above the bar; close it to end the work."""
+    """Yield the results in order as they come, each reported above the bar. Closing it ends the work."""
     from skinbake.jobs.runners import in_order
 
     with closing(in_order(run.runner.run(run.work(progress), run.jobs))) as results:

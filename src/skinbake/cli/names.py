@@ -1,4 +1,4 @@
-"""What the name of an input says."""
+"""The kind of file that the name of an input shows."""
 
 from __future__ import annotations
 
@@ -12,6 +12,6 @@ STDIO = "-"
 
 
 def check_readable_suffix(source: str) -> None:
-    """Raise click.UsageError where an input's name does not say which kind of file it is."""
+    """Raise click.UsageError if an input's name does not show its kind of file."""
     if source != STDIO and Path(source).suffix.lower() not in SUFFIXES:
         raise click.UsageError(f"{source}: expected a name that ends in {', '.join(SUFFIXES)}, or -")

@@ -1,4 +1,4 @@
-"""How far slow work is: a bar on stderr where that is a terminal, a line now and then in a log with -v."""
+"""The progress of slow work: a bar on stderr if it is a terminal, with -v a line at times in a log."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ LINES_EVERY = 10.0
 """Seconds between two lines in a log."""
 
 REFRESH_EVERY = 0.1
-"""Seconds between two pictures of the bar, and between what is printed above it."""
+"""Seconds between two pictures of the bar, and between two prints above it."""
 
 
 class Progress:
-    """A bar that comes when work takes long, and goes when it is done; what is said stands above it."""
+    """A bar that appears when work takes long, and disappears when it is done. Messages stand above it."""
 
     def __init__(self, say: Console) -> None:
         self._say = say
@@ -38,18 +38,18 @@ class Progress:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Take the bar away, and say what was held back."""
+        """Remove the bar, and print the messages that were held back."""
         self._pause()
 
     def print(self, action: Callable[[], None]) -> None:
-        """Let something be said without disturbing the bar: now, or together with what follows soon."""
+        """Print a message without disturbing the bar: now, or together with messages that follow soon."""
         if self._bar is None:
             action()
         else:
             self._held.append(action)
 
     def step(self, what: str, done: int, total: int) -> None:
-        """Note how far one thing is."""
+        """Note the progress of one piece of work."""
         now = time.monotonic()
         if self._say.verbosity < 0 or now - self._started < SHOWN_AFTER:
             return
@@ -111,7 +111,7 @@ def _bar(say: Console) -> Any:
         TimeRemainingColumn(),
         console=stderr,
         transient=True,
-        auto_refresh=False,  # no thread: workers may be started, and interrupts come, at any time
+        auto_refresh=False,  # no thread: workers may start, and interrupts come, at any time
         redirect_stdout=False,
         redirect_stderr=False,
         disable=not stderr.is_terminal,

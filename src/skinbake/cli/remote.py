@@ -1,4 +1,4 @@
-"""URLs among the arguments, and ``--dask``: work that is not all done on this machine's disk."""
+"""URLs among the arguments, and ``--dask``: work that is not all on this machine's disk."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ def cluster_option(command: Command) -> Command:
 
 
 def behind(url: str, but: str | None) -> list[tuple[str, str]]:
-    """Return (URL, relative path) of the files that a URL means; raises InputError where there are none.
+    """Return (URL, relative path) of the files that a URL stands for. Raises InputError if there are none.
 
-    ``but`` is the folder of the outputs, which is left out unless the search begins in it.
+    ``but`` is the folder of the outputs. It is left out unless the search begins in it.
     """
     from skinbake.jobs.elsewhere import files_behind
 
@@ -49,10 +49,10 @@ def behind(url: str, but: str | None) -> list[tuple[str, str]]:
 def cluster_runner(
     given: Given, sources: Sequence[str], turns: Sequence[int], say: Console
 ) -> Runner[Job, ResultT] | None:
-    """Return the runner of the cluster, connected until the command ends; None where none is asked for.
+    """Return the runner of the cluster, connected until the command ends, or None if none is asked for.
 
-    ``turns`` are the numbers of those sources that must be done in order. Raises click.UsageError for options
-    that do not go with a cluster, or with URLs, and InputError where the cluster cannot be used.
+    ``turns`` are the numbers of the sources that must be done in order. Raises click.UsageError for options
+    that do not fit a cluster, or URLs, and InputError if the cluster cannot be used.
     """
     address = given["dask"]
     if address is not None and not ADDRESS.fullmatch(address):

@@ -1,4 +1,4 @@
-"""Who does the work that a command line asks for: this process, others of this machine, or a cluster."""
+"""The runner of a command line's work: this process, other processes of this machine, or a cluster."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ if TYPE_CHECKING:
 ResultT = TypeVar("ResultT", bound="Result")
 
 SECONDS_A_URL = 0.1
-"""What it takes to fetch and store a file, about."""
+"""The approximate time to fetch and store a file."""
 
 WORTHWHILE = 0.5
-"""Seconds of work from which on other processes are started for it."""
+"""The seconds of work from which other processes are started."""
 
 
 def runner_of(
@@ -34,9 +34,9 @@ def runner_of(
     guess: tuple[float, float],
     say: Console,
 ) -> Runner[Job, ResultT]:
-    """Return the runner for some sources; parameters as for ``chosen_runner`` and ``cluster_runner``.
+    """Return the runner for some sources. Parameters are as for ``chosen_runner`` and ``cluster_runner``.
 
-    Raises click.UsageError for options that do not go together, InputError where a cluster cannot be used.
+    Raises click.UsageError for options that do not go together, and InputError if a cluster cannot be used.
     """
     limits = worker_limits(given, sources)
     cluster: Runner[Job, ResultT] | None = cluster_runner(given, sources, turns, say)
@@ -51,10 +51,11 @@ def chosen_runner(
     guess: tuple[float, float],
     limits: Limits | None = None,
 ) -> Runner[Job, ResultT]:
-    """Return who does the work on the sources.
+    """Return the runner for the sources.
 
-    ``turns`` are the numbers of those that must be done in order, ``modules`` what workers need, ``guess``
-    how long a file takes and each byte of it. With ``limits`` a file too has a process that keeps them.
+    ``turns`` are the numbers of the sources that must be done in order. ``modules`` are the modules that
+    workers need. ``guess`` is the time that a file takes, and each byte of it. With ``limits``, even a single
+    file gets a process that keeps them.
     """
     from skinbake.jobs.runners import FirstThese, InThisProcess
 
@@ -70,7 +71,7 @@ def chosen_runner(
 
 
 def _is_worthwhile(sources: Sequence[str], guess: tuple[float, float]) -> bool:
-    """Tell whether the work is enough to start processes for."""
+    """Tell whether the work is long enough to start processes for it."""
     seconds = 0.0
     for source in sources:
         try:
@@ -83,5 +84,5 @@ def _is_worthwhile(sources: Sequence[str], guess: tuple[float, float]) -> bool:
 
 
 def is_elsewhere(given: Given) -> bool:
-    """Tell whether even a single file is worked on in another process."""
+    """Tell whether even a single file gets another process."""
     return bool(given["dask"] or given["timeout"] or given["isolate"])

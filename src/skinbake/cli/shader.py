@@ -115,7 +115,7 @@ def command(source: str | None, output: str, **given: Any) -> None:
         check_readable_suffix(source)
         if STDIO not in {output, source} and _is(source, output):
             raise click.UsageError(f"{output} is the baked file itself")
-    # The text may be the result on stdout, so that everything else goes to stderr.
+    # The text may be the result on stdout, so everything else goes to stderr.
     say = console(
         verbose=given["verbose"], quiet=given["quiet"], color=given["color"], results_on_stderr=True
     )

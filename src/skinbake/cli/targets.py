@@ -1,4 +1,4 @@
-"""Which file goes where, checked before anything is read."""
+"""The target of each file, checked before any file is read."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from skinbake.cli.names import STDIO
 from skinbake.urls import SUFFIXES, canonical, is_url, join_url, on_disk
 
 GLB_HEADERS = struct.Struct("<4sIIII")
-"""A GLB's header, and that of its first chunk, which is its JSON."""
+"""The header of a GLB, and the header of its first chunk, which is its JSON."""
 
 
 def check_target(source: str, target: str, *, instead: str = "use --in-place to replace it") -> None:
-    """Raise click.UsageError where the target has no known suffix, or is the input itself.
+    """Raise click.UsageError if the target has no known suffix, or is the input itself.
 
-    ``instead`` is what to do in the latter case.
+    ``instead`` is the advice for the latter case.
     """
     if target == STDIO:
         return
@@ -33,7 +33,7 @@ def check_target(source: str, target: str, *, instead: str = "use --in-place to 
 
 
 def _same_file(first: str, second: str) -> bool:
-    """Tell whether two names are one file; names that no disk takes are none."""
+    """Tell whether two names are one file. A name that no disk accepts is no file."""
     one, other = on_disk(first), on_disk(second)
     if one is None or other is None:
         return canonical(first) == canonical(second)
@@ -46,7 +46,7 @@ def _same_file(first: str, second: str) -> bool:
 def pair_up(inputs: Sequence[Input], folder: str) -> list[tuple[Input, str]]:
     """Return each input, once, with its place in ``folder``.
 
-    Raises click.UsageError where two would be the same, or one would be where another input is.
+    Raises click.UsageError if two places would be the same, or if a place would be that of another input.
     """
     pairs: list[tuple[Input, str]] = []
     taken: dict[str, str] = {}
@@ -72,14 +72,15 @@ REPORTS: Mapping[str, Callable[[bytes], bool]] = {
     "--summary": lambda head: head.startswith(b"{"),
     "--junit": lambda head: b"<testsuite" in head,
 }
-"""How a file begins that an earlier run has written for an option."""
+"""The beginning of a file that an earlier run has written, by option."""
 
 
 def check_reports(reports: Mapping[str, str | None], output: str | None, sources: Iterable[str]) -> None:
-    """Raise click.UsageError where an option's file is an input, an output, or another option's.
+    """Raise click.UsageError if an option's file is an input, an output, or another option's.
 
-    By identity, through links of both kinds. ``reports`` are the files by option. An existing one is replaced
-    where an earlier run may have written it, and in no other case: models name files too.
+    Files are compared by identity, through links of both kinds. ``reports`` are the files by option. An
+    existing file is replaced only if an earlier run may have written it, because it might otherwise be a file
+    of a model.
     """
     taken = dict.fromkeys(_keys(output), f"the output, {output}")
     identities: dict[tuple[int, int], str] = {}
@@ -105,22 +106,22 @@ def check_reports(reports: Mapping[str, str | None], output: str | None, sources
 
 
 def _keys(path: str | None) -> list[str | tuple[int, int]]:
-    """Return what two names of a file share: its path without links, and its identity where it is there."""
+    """Return the keys that two names of a file share: the path without links, and the file's identity."""
     if path in {None, STDIO} or on_disk(str(path)) is None:
         return []
     identity = _identity(str(path))
     try:
         real = os.path.realpath(str(on_disk(str(path))))
-        is_odd = identity is None and Path(real).exists()  # /dev/null may be named often
+        is_odd = identity is None and Path(real).exists()  # /dev/null may be named several times
     except (OSError, ValueError):
-        return []  # writing it will say why not
+        return []  # the write will report the reason
     if is_odd:
         return []
     return [real] if identity is None else [real, identity]
 
 
 def _identity(path: str) -> tuple[int, int] | None:
-    """Return what tells a regular file from all others; None where there is none."""
+    """Return the identity that separates a regular file from all others, or None if there is none."""
     place = on_disk(path)
     if place is None or path == STDIO:
         return None
@@ -132,17 +133,17 @@ def _identity(path: str) -> tuple[int, int] | None:
 
 
 def _is_report(path: str, option: str) -> bool:
-    """Tell whether a file is empty, or begins as an earlier run's."""
+    """Tell whether a file is empty, or begins like one of an earlier run."""
     try:
         with Path(path).open("rb") as file:
             head = file.read(4096)
     except OSError:
-        return True  # writing it will say why not
+        return True  # the write will report the reason
     return not head or REPORTS[option](head)
 
 
 def sync_option(command: Command) -> Command:
-    """Add the option not to wait for the disk."""
+    """Add the option that does not wait for the disk."""
     return click.option(
         "--no-sync",
         is_flag=True,
@@ -151,12 +152,12 @@ def sync_option(command: Command) -> Command:
 
 
 def once(inputs: Sequence[Input]) -> list[Input]:
-    """Return the inputs without those that are another one's file by another name."""
+    """Return the inputs without those that are the same file as another one under another name."""
     return list({canonical(entry.source): entry for entry in reversed(inputs)}.values())[::-1]
 
 
 class _Found:
-    """Real paths, each folder's looked up once."""
+    """Real paths. Each folder is looked up once."""
 
     def __init__(self) -> None:
         self._folders: dict[str, str] = {}
@@ -172,10 +173,10 @@ class _Found:
 
 
 def in_turns(inputs: Sequence[Input]) -> list[int]:
-    """Return the numbers of the inputs whose files may meet in a folder of outputs, where order tells.
+    """Return the numbers of the inputs whose files may meet in a folder of outputs, so that order matters.
 
-    Files that documents name are copied beside them; what comes second to a name that is taken gets another.
-    Those of one tree keep their paths, and cannot meet others.
+    Files that documents name are copied beside them. If a name is taken, the second file gets another name.
+    Files of one tree keep their paths, and cannot meet others.
     """
     if len({os.path.realpath(entry.root) for entry in inputs}) < 2:
         return []
@@ -183,7 +184,7 @@ def in_turns(inputs: Sequence[Input]) -> list[int]:
 
 
 def _names_files(source: str) -> bool:
-    """Tell whether a document may name other files; True where it cannot be told at a glance."""
+    """Tell whether a document may name other files. True if a glance cannot tell."""
     if Path(source).suffix.lower() == ".gltf" or is_url(source):
         return True
     try:
@@ -191,5 +192,5 @@ def _names_files(source: str) -> bool:
             head = file.read(GLB_HEADERS.size)
             text = file.read(GLB_HEADERS.unpack(head)[3])
     except (OSError, ValueError, struct.error):
-        return False  # nor can it be baked
+        return False  # it cannot be baked either
     return b'"uri"' in text or b"\\u" in text

@@ -182,7 +182,7 @@ def command(inputs: tuple[str, ...], **given: Unpack[VerifyGiven]) -> None:
 
 
 def _reporting(given: VerifyGiven, say: Console) -> Reporting[FileVerdict]:
-    """Return how verdicts are told, counted and written."""
+    """Return how verdicts are reported, counted and written."""
     from skinbake.report.totals import VERIFY_OUTCOMES, Totals
     from skinbake.report.verify import SCHEMA, as_json, as_junit, as_text, file_json
 
@@ -212,14 +212,14 @@ def _reporting(given: VerifyGiven, say: Console) -> Reporting[FileVerdict]:
 
 
 def _code(verdict: FileVerdict) -> int:
-    """Return the exit code that a verdict means."""
+    """Return the exit code for a verdict."""
     if verdict.error is not None:
         return exit_codes.of_error(verdict.error)
     return exit_codes.OK if verdict.passed else exit_codes.VERIFICATION
 
 
 def _options(given: VerifyGiven) -> VerifyOptions:
-    """Return the VerifyOptions that the command line asks for."""
+    """Return the VerifyOptions of the command line."""
     import math
 
     from skinbake.lighting.measured import VerifyOptions
@@ -241,13 +241,13 @@ def _options(given: VerifyGiven) -> VerifyOptions:
 
 
 def _write(path: str, text: str, say: Console, *, sync: bool) -> int:
-    """Write the JUnit file, whole or not at all; return the exit code."""
+    """Write the JUnit file, whole or not at all. Return the exit code."""
     from skinbake.gltf.writing import write_file
 
     data, file = text.encode("utf-8"), Path(path)
     try:
         if file.exists() and not (file.is_file() or file.is_dir()):
-            file.write_bytes(data)  # a pipe, say
+            file.write_bytes(data)  # for example a pipe
         else:
             write_file([data], path, sync=sync)
     except OSError as error:

@@ -1,4 +1,4 @@
-"""How outputs are written, as the options of a command say."""
+"""The way of writing outputs, from the options of a command."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ if TYPE_CHECKING:
 
 
 def writing_of(given: Given) -> Writing:
-    """Return how the command line asks that outputs are written."""
+    """Return how outputs are written, from the options of the command line."""
     from skinbake.gltf.output import Writing
 
     return Writing(
