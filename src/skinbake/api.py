@@ -1,6 +1,6 @@
 """The functions of the Python API: the commands for files, and the gradients for arrays.
 
-``import skinbake`` imports this module when one of its functions is asked for, and not before.
+``import skinbake`` imports this module only when one of its functions is first used.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ FilePath: TypeAlias = "str | os.PathLike[str]"
 
 
 class BakeOptions(TypedDict, total=False):
-    """The options of ``bake``: those of the command line, under their names there.
+    """The options of ``bake``, under the same names as on the command line.
 
     Enumerations may be given as members or by their values. ``crease_angle`` is in degrees.
     """
@@ -95,7 +95,7 @@ def bake(
     source
         A ``.glb``, ``.gltf`` or ``.vrm`` file, or a ``GLTF2`` of pygltflib.
     target
-        The file to write. It may be the source, which is then replaced. A ``GLTF2`` has no target.
+        The file to write. It may be the source; then the source is replaced. A ``GLTF2`` has no target.
     allow_outside
         Folders in which a document may name files, besides its own folder.
     dry_run
@@ -109,7 +109,7 @@ def bake(
     -------
     dict or GLTF2
         For a file: its entry in ``files`` of ``skinbake bake --json`` (docs/reference/json.md).
-        For a ``GLTF2``: a new one with α and β. The one that was given stays as it is.
+        For a ``GLTF2``: a new one with α and β. The given one is not changed.
 
     Raises
     ------
@@ -169,7 +169,7 @@ def verify(
     source
         A ``.glb``, ``.gltf`` or ``.vrm`` file.
     methods
-        ``lbs``, ``dqs`` or both. Without any: LBS, and DQS where all joints are rigid.
+        ``lbs``, ``dqs`` or both. If empty: LBS, and DQS if all joints are rigid.
     poses, samples, angle, seed
         ``animation`` samples each clip of the file ``samples`` times. ``random`` takes ``samples`` poses and
         turns each joint by at most ``angle`` degrees. ``rest`` takes the rest pose.
@@ -178,9 +178,9 @@ def verify(
     max_mean_error, max_p95_error, min_gain
         Limits of the accurate lighting, in degrees and as a factor. None sets no limit.
     truth
-        ``tangents`` or ``triangles``: the true normals that limits hold by. None: by both (docs/lighting.md).
+        ``tangents`` or ``triangles``: the true normals for the limits. None: both (docs/lighting.md).
     require_baked, warnings_as_errors
-        Fail where the file holds no bake, or where there are warnings.
+        Fail if the file holds no bake, or if there are warnings.
     allow_outside
         Folders in which the document may name files, besides its own folder.
 
@@ -226,7 +226,7 @@ def verify(
 
 
 def inspect(source: FilePath, *, allow_outside: Sequence[FilePath] = ()) -> dict[str, Any]:
-    """Return what is skinned in a file, and what is baked into it.
+    """Return the skinned primitives of a file, and the bakes in it.
 
     Parameters
     ----------
@@ -265,14 +265,14 @@ def strip(
     sync: bool = True,
     allow_outside: Sequence[FilePath] = (),
 ) -> dict[str, Any]:
-    """Write a file as it was before its bake, byte for byte where no tool has changed it since.
+    """Write a file as it was before its bake. It is byte-identical if no tool has changed it since.
 
     Parameters
     ----------
     source, target
         The baked file, and the file to write. They may be the same.
     warnings_as_errors
-        Raise InputError, and write nothing, where there are warnings.
+        Raise InputError, and write nothing, if there are warnings.
     sync
         Wait until the output is on the disk.
     allow_outside
@@ -314,7 +314,7 @@ def _bounds(allow_outside: Sequence[FilePath]) -> Bounds:
 class WeightGradients:
     """The gradients of a surface's skin weights, along its tangents and bitangents.
 
-    Two names take it apart: ``alpha, beta = weight_gradients(…)``.
+    It unpacks into two names: ``alpha, beta = weight_gradients(…)``.
 
     Attributes
     ----------
@@ -322,11 +322,11 @@ class WeightGradients:
         ∇w · t0 and ∇w · b0 of slots 1 … K − 1, in 1 / length unit of the positions. The entry of slot 0 is
         minus their sum.
     joints : ndarray (V, K) integer
-        The joints that α and β belong to. They are the given ones, except where a vertex adopted joints.
+        The joints of α and β. They are the given joints, unless a vertex adopted others.
     tangents, bitangents : ndarray (V, 3) float
         The frame: t0 and b0.
     frame : str
-        ``tangent`` where the frame was taken from the given tangents, else ``normal``.
+        ``tangent`` if the frame comes from the given tangents, else ``normal``.
     lost : float
         The share of the gradients that no slot holds, from 0 to 1.
 
@@ -379,7 +379,7 @@ def weight_gradients(
     weighting
         ``max``, ``angle``, ``area`` or ``angle-area``.
     crease_angle
-        Degrees. Copies of a vertex whose normals differ by more are a hard edge.
+        Degrees. Copies of a vertex are a hard edge if their normals differ by more.
     neighbours
         ``drop`` leaves out joints that only the neighbours of a vertex have. ``adopt`` takes them into slots
         of weight 0; a shader must then read the result's ``joints``.
@@ -389,7 +389,7 @@ def weight_gradients(
     Returns
     -------
     WeightGradients
-        α, β and the frame that they belong to.
+        α, β and their frame.
 
     Raises
     ------
@@ -453,7 +453,7 @@ def _surface(
     weights: npt.ArrayLike,
     tangents: npt.ArrayLike | None,
 ) -> SkinnedPrimitive:
-    """Return the arrays as a primitive; ValueError where they do not belong together."""
+    """Return the arrays as a primitive. Raises ValueError if they do not fit together."""
     points = _floats("positions", positions, (None, 3))
     count = len(points)
     weighed = _floats("weights", weights, (count, None))

@@ -1,9 +1,9 @@
-"""Files that a document names: below a folder by construction, whatever the name says and links do.
+"""Files that a document names. They are below a folder by construction, despite any name or link.
 
-A document may come from a stranger. Every name in it passes ``relative_names`` once, and the result is the
-only text that is compared, opened or written. The open walks down from a folder and never leaves it:
-``openat2`` with ``RESOLVE_BENEATH`` where the system has it (Linux 5.6), elsewhere one part of the path at a
-time; on Windows the real path is compared.
+A document may come from a stranger. Every name in it passes ``relative_names`` once. Only the result is
+compared, opened or written. The open walks down from a folder and never leaves it. If the system has
+``openat2`` (Linux 5.6), the open uses it with ``RESOLVE_BENEATH``. Elsewhere it opens one part of the path at
+a time. On Windows the real path is compared.
 """
 
 from __future__ import annotations
@@ -31,20 +31,20 @@ DEVICES = frozenset(
 """Names that mean a device in any folder of Windows, with any suffix."""
 
 MOST_LINKS = 40
-"""Symbolic links on the way to one file, as on Linux."""
+"""The largest number of symbolic links on the way to one file, as on Linux."""
 
 NO_SYNC = frozenset({errno.EINVAL, errno.EOPNOTSUPP, errno.ENOSYS, errno.EBADF, errno.EACCES, errno.EPERM})
-"""What systems answer that cannot wait for the disk, for this kind of file or at all."""
+"""The error codes of systems that cannot wait for the disk, for this kind of file or at all."""
 
 BY_DESCRIPTOR = os.open in os.supports_dir_fd
-"""Whether this system opens names relative to an open folder: all but Windows."""
+"""Whether this system opens names relative to an open folder. All but Windows do."""
 
 _SCHEME = re.compile(r"^[A-Za-z][A-Za-z0-9+.\-]*:")
 _SYS_OPENAT2 = 437
 _NO_MAGIC_LINKS, _BENEATH = 0x02, 0x08
 _READ_FLAGS = (
     os.O_RDONLY
-    | getattr(os, "O_NONBLOCK", 0)  # lest a FIFO waits for a writer
+    | getattr(os, "O_NONBLOCK", 0)  # a FIFO must not wait for a writer
     | getattr(os, "O_NOCTTY", 0)
     | getattr(os, "O_CLOEXEC", 0)
     | getattr(os, "O_BINARY", 0)
@@ -53,7 +53,7 @@ _FOLDER_FLAGS = os.O_RDONLY | getattr(os, "O_DIRECTORY", 0) | getattr(os, "O_CLO
 
 
 class RefusedError(ValueError):
-    """A name that is not opened, whatever is there; the text says why."""
+    """A name that is never opened, even if a file is there. The text says why."""
 
 
 class OutsideError(RefusedError):
@@ -61,14 +61,14 @@ class OutsideError(RefusedError):
 
 
 NOWHERE = ""
-"""The root of a document that came without a folder: it may name no file but the allowed ones."""
+"""The root of a document that came without a folder. It may name no file but the allowed ones."""
 
 
 @dataclass(frozen=True, slots=True)
 class Bounds:
-    """Where a document's names may lead: below ``root``, or below one of ``allowed``.
+    """The places to which a document's names may lead: below ``root``, or below one of ``allowed``.
 
-    Paths, or URLs where the document has one. None stands for the document's own folder.
+    They are paths, or URLs if the document has a URL. None stands for the document's own folder.
     """
 
     root: str | None = None
@@ -81,9 +81,9 @@ BESIDE = Bounds()
 
 @dataclass(frozen=True, slots=True)
 class Within:
-    """The folders that a job stays in: ``bounds`` of its reading, and ``output`` that it writes below.
+    """The folders in which a job stays: it reads within ``bounds`` and writes below ``output``.
 
-    None for the latter stands for the target's own folder.
+    If ``output`` is None, it is the target's own folder.
     """
 
     bounds: Bounds = BESIDE
@@ -91,12 +91,15 @@ class Within:
 
 
 OWN_FOLDERS = Within()
-"""Those of a file that the user named, and of a target that the user named."""
+"""The folders of a file that the user named, and of a target that the user named."""
 
 
 @dataclass(frozen=True, slots=True)
 class Spot:
-    """Where a name leads: a path below a folder, in forward slashes; ``is_own``: its own root."""
+    """The place to which a name leads: a path below a folder, in forward slashes.
+
+    ``is_own`` tells that the folder is the document's own root.
+    """
 
     root: str
     name: str
@@ -104,17 +107,17 @@ class Spot:
 
     @property
     def path(self) -> str:
-        """The whole path, for messages and comparison; it is not what is opened."""
+        """The whole path, for messages and comparison. It is not opened."""
         return os.path.join(self.root, *self.name.split("/"))
 
 
 def relative_names(uri: str) -> tuple[str, ...]:
     """Return the relative paths that a URI of a document may mean, the likelier first.
 
-    Percent-encoding is undone once; ``#`` and ``?`` belong to the name. The second path is that of a file
-    that carries the URI's characters literally, as some exporters write it. Raises RefusedError where the
-    first is no relative path that means the same on every system: NUL, a backslash, a colon (drives, schemes
-    and streams of Windows), an absolute path, a device of Windows, or the name of no file.
+    Percent-encoding is decoded once. ``#`` and ``?`` belong to the name. The second path is for a file whose
+    name has the URI's characters literally, as some exporters write it. Raises RefusedError if the first path
+    is not a relative path that means the same on every system: NUL, a backslash, a colon (drives, schemes and
+    streams of Windows), an absolute path, a device of Windows, or the name of no file.
     """
     names = [_checked(unquote(uri, errors="surrogateescape"))]
     if "%" in uri:
@@ -124,7 +127,7 @@ def relative_names(uri: str) -> tuple[str, ...]:
 
 
 def _checked(name: str) -> str:
-    """Return a relative path without dots to resolve, but for leading ones; RefusedError for any other."""
+    """Return a relative path without inner dots to resolve. Raises RefusedError for any other."""
     if "\0" in name:
         raise RefusedError("it holds a NUL character")
     if "\\" in name:
@@ -165,10 +168,10 @@ def path_uri(path: str) -> str:
 
 
 def spots(uri: str, folder: str, bounds: Bounds) -> list[Spot]:
-    """Return where a document's URI may lead, the likelier first; ``folder`` is the document's.
+    """Return the places to which a document's URI may lead, the likelier first. ``folder`` is the document's.
 
-    Nothing on the disk is looked at but the folders, to know what they are called. Raises RefusedError, and
-    OutsideError where the first name leads out of all bounds.
+    On the disk only the folders are looked at, to find their names. Raises RefusedError, and OutsideError if
+    the first name leads out of all bounds.
     """
     home = os.path.realpath(folder)
     own = folder if bounds.root is None else bounds.root
@@ -189,7 +192,7 @@ def spots(uri: str, folder: str, bounds: Bounds) -> list[Spot]:
 
 
 def below(path: str, root: str) -> str | None:
-    """Return the path relative to a folder, in forward slashes; None where it is not below the folder."""
+    """Return the path relative to a folder, in forward slashes, or None if it is not below the folder."""
     prefix = root if root.endswith(os.sep) else root + os.sep
     if not os.path.normcase(path).startswith(os.path.normcase(prefix)):
         return None
@@ -197,7 +200,10 @@ def below(path: str, root: str) -> str | None:
 
 
 def spot_of(path: str, root: str) -> Spot:
-    """Return where a path lies below a folder, no link but the folder's own followed; OutsideError if not."""
+    """Return the place of a path below a folder. Links below the folder are not followed.
+
+    Raises OutsideError if the path is outside.
+    """
     folder = os.path.realpath(root)
     given = os.path.abspath(root)
     name = below(os.path.normpath(os.path.abspath(path)), given)
@@ -207,9 +213,9 @@ def spot_of(path: str, root: str) -> Spot:
 
 
 def moved_uri(uri: str, folder: str, target: str) -> str:
-    """Return a relative URI, made for a document in ``folder``, as it reads from the folder ``target``.
+    """Return a relative URI, made for a document in ``folder``, as seen from the folder ``target``.
 
-    Text alone: nothing is looked at on the way. Raises RefusedError.
+    Only text is used; the disk is not read. Raises RefusedError.
     """
     path = os.path.normpath(os.path.join(os.path.realpath(folder), *relative_names(uri)[0].split("/")))
     try:
@@ -221,8 +227,8 @@ def moved_uri(uri: str, folder: str, target: str) -> str:
 def open_beneath(spot: Spot) -> int:
     """Return a descriptor of a regular file, opened for reading without leaving the spot's root.
 
-    Raises OSError: EXDEV where a link leads out, EINVAL for devices, FIFOs, sockets and what the system
-    makes up (/proc, /sys).
+    Raises OSError: EXDEV if a link leads out, EINVAL for devices, FIFOs, sockets and files that the system
+    generates (/proc, /sys).
     """
     descriptor = _open(spot.root, spot.name, _READ_FLAGS)
     try:
@@ -234,7 +240,7 @@ def open_beneath(spot: Spot) -> int:
 
 
 def open_regular(path: str) -> int:
-    """Return a descriptor of a regular file that the user named, opened for reading; raises OSError."""
+    """Return a descriptor of a regular file that the user named, opened for reading. Raises OSError."""
     descriptor = os.open(path, _READ_FLAGS)
     try:
         check_regular(descriptor)
@@ -245,7 +251,7 @@ def open_regular(path: str) -> int:
 
 
 def check_regular(descriptor: int) -> None:
-    """Raise OSError for anything but a regular file on a disk."""
+    """Raise OSError unless the descriptor is a regular file on a disk."""
     found = os.fstat(descriptor)
     if stat.S_ISDIR(found.st_mode):
         raise OSError(errno.EISDIR, os.strerror(errno.EISDIR))
@@ -255,7 +261,7 @@ def check_regular(descriptor: int) -> None:
 
 @lru_cache(maxsize=1)
 def _made_up() -> frozenset[int]:
-    """Return the devices of file systems whose files the kernel makes up as they are read."""
+    """Return the devices of file systems whose files the kernel generates when they are read."""
     devices = set()
     for folder in ("/proc", "/sys") if sys.platform.startswith("linux") else ():
         with suppress(OSError):
@@ -266,38 +272,38 @@ def _made_up() -> frozenset[int]:
 
 
 class Folder:
-    """An open folder below a root: names in it are used without following links.
+    """An open folder below a root. Names in it are used without following links.
 
-    ``path`` is what messages call it. Where the system opens names relative to descriptors, a folder that is
-    renamed or replaced by a link meanwhile stays the one that was opened.
+    ``path`` is its name in messages. If the system opens names relative to descriptors, the folder stays the
+    opened one, even if it is renamed or replaced by a link meanwhile.
     """
 
     def __init__(self, path: str, descriptor: int | None) -> None:
-        """Hold an open folder; ``beneath`` makes one."""
+        """Hold an open folder. ``beneath`` makes one."""
         self.path, self._descriptor = path, descriptor
 
     @property
     def descriptor(self) -> int | None:
-        """What ``dir_fd`` takes; None on systems without it."""
+        """The value for ``dir_fd``, or None on systems without it."""
         return self._descriptor
 
     def name(self, name: str) -> str:
-        """Return how a file of the folder is called in calls that have ``dir_fd=folder.descriptor``."""
+        """Return the name of a file of the folder in calls that have ``dir_fd=folder.descriptor``."""
         return name if self._descriptor is not None else os.path.join(self.path, name)
 
     def sync(self) -> None:
-        """Wait until the names in the folder are on the disk; systems that cannot do it are let be."""
+        """Wait until the names in the folder are on the disk. Systems that cannot do it are ignored."""
         if self._descriptor is not None:
             flush(self._descriptor)
 
 
 def flush(descriptor: int) -> None:
-    """Wait until a file or folder is on the disk, its cache included; raises OSError where it fails there."""
+    """Wait until a file or folder is on the disk, its cache included. Raises OSError if that fails."""
     try:
         full = getattr(fcntl, "F_FULLFSYNC", None) if sys.platform != "win32" else None
         if full is None:
             os.fsync(descriptor)
-        else:  # macOS: fsync leaves it in the disk's cache
+        else:  # macOS: fsync leaves the data in the cache of the disk
             fcntl.fcntl(descriptor, full)
     except OSError as error:
         if error.errno not in NO_SYNC:
@@ -306,10 +312,10 @@ def flush(descriptor: int) -> None:
 
 @contextmanager
 def beneath(root: str, parts: Sequence[str], made: Callable[[str], None] | None = None) -> Iterator[Folder]:
-    """Yield the folder that ``parts`` lead to from the folder ``root``, never leaving it.
+    """Yield the folder to which ``parts`` lead from the folder ``root``, without leaving ``root``.
 
-    Folders that are missing are made where ``made`` is given; it is told the path of each. Raises OSError:
-    EXDEV where a link leads out of the root.
+    Missing folders are made if ``made`` is given. It is called with the path of each. Raises OSError: EXDEV
+    if a link leads out of the root.
     """
     path = os.path.join(root, *parts)
     if not BY_DESCRIPTOR:
@@ -335,7 +341,7 @@ def beneath(root: str, parts: Sequence[str], made: Callable[[str], None] | None 
 
 
 def _stepped(root: str, current: int, parts: Sequence[str], made: Callable[[str], None] | None) -> int:
-    """Return a descriptor of the folder at ``parts``, the last of which is in the folder ``current``."""
+    """Return a descriptor of the folder at ``parts``. Its last part is in the folder ``current``."""
     name = "/".join(parts)
     try:
         return _open(root, name, _FOLDER_FLAGS)
@@ -363,7 +369,7 @@ def _open(root: str, name: str, flags: int) -> int:
 
 
 def _check_real(root: str, path: str) -> None:
-    """Raise OSError where a path, all links followed, is outside the folder."""
+    """Raise OSError if a path, all links followed, is outside the folder."""
     real, base = os.path.realpath(path), os.path.realpath(root)
     if real != base and below(real, base) is None:
         raise OSError(errno.EXDEV, "a link leads out of the folder")
@@ -371,7 +377,7 @@ def _check_real(root: str, path: str) -> None:
 
 @lru_cache(maxsize=1)
 def _openat2() -> Callable[[int, bytes, int], int] | None:
-    """Return Linux's call that opens a path without leaving a folder; None where there is none."""
+    """Return Linux's call that opens a path without leaving a folder, or None if it is missing."""
     if not sys.platform.startswith("linux"):
         return None
     import ctypes  # numpy has imported it by then
@@ -388,7 +394,7 @@ def _openat2() -> Callable[[int, bytes, int], int] | None:
             code = ctypes.get_errno()
             if code == errno.EXDEV:
                 raise OSError(code, "a link leads out of the folder")
-            if code not in {errno.EAGAIN, errno.EINTR}:  # EAGAIN: something was renamed on the way
+            if code not in {errno.EAGAIN, errno.EINTR}:  # EAGAIN: a name on the way was changed
                 raise OSError(code, os.strerror(code))
 
     try:
@@ -403,7 +409,7 @@ def _openat2() -> Callable[[int, bytes, int], int] | None:
 
 
 def _walked(folder: int, name: str, flags: int) -> int:
-    """Open a path below an open folder, one part at a time, links resolved here and never out of it."""
+    """Open a path below an open folder, one part at a time. Links are resolved here and never lead out."""
     stack, links = [os.dup(folder)], 0
     parts = name.split("/")[::-1]
     try:
@@ -434,7 +440,7 @@ def _walked(folder: int, name: str, flags: int) -> int:
 
 
 def _link(name: str, folder: int) -> str | None:
-    """Return where a symbolic link leads, None where the name is none."""
+    """Return the target of a symbolic link, or None if the name is no link."""
     try:
         return os.readlink(name, dir_fd=folder)
     except OSError as error:

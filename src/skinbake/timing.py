@@ -1,4 +1,4 @@
-"""Where the time goes: seconds by stage, recorded where somebody asked for them."""
+"""Time by stage, in seconds. Stages are recorded only if a caller asks for them."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from typing import TypeVar
 T = TypeVar("T")
 
 OTHER = "other"
-"""The stage that stands for what no stage was recorded for."""
+"""The stage for time outside any recorded stage."""
 
 
 class Timings:
     """Seconds by stage, in the order in which stages first ended.
 
-    A stage inside another counts for itself only: the outer one's clock stands still meanwhile. So the
+    A stage inside another counts only for itself. The clock of the outer stage stands still meanwhile. So the
     seconds add up to the time that was spent in any stage.
     """
 
@@ -55,7 +55,7 @@ def recorded() -> Iterator[Timings]:
 
 @contextmanager
 def stage(name: str) -> Iterator[None]:
-    """Count the block's time as that of a stage; next to nothing is done where nobody records."""
+    """Count the block's time as that of a stage. It costs almost nothing if no caller records."""
     timings = _recording.get()
     if timings is None:
         yield
@@ -65,7 +65,7 @@ def stage(name: str) -> Iterator[None]:
 
 
 def timed(call: Callable[[], T]) -> tuple[T, dict[str, float]]:
-    """Return what the call returned, and its seconds by stage; ``other`` is what is outside of any."""
+    """Return the result of the call, and its seconds by stage. ``other`` is the time outside any stage."""
     start = time.perf_counter()
     with recorded() as timings:
         result = call()
