@@ -27,12 +27,12 @@ if TYPE_CHECKING:
 CONNECT_SECONDS = 10.0
 PATIENCE_SECONDS = 300.0
 LOOK_SECONDS = 2.0
-"""How often a waiting client looks how many workers there are."""
+"""The seconds after which a waiting client counts the workers again."""
 
 WINDOW_PER_THREAD = 4
 LEAST_WINDOW = 16
 WINDOW_BYTES = 512 * 2**20
-"""How many bytes the scheduler holds of inputs that were sent along with their jobs, about."""
+"""The approximate bytes of inputs that the scheduler holds, sent along with their jobs."""
 
 TASK_SECONDS = 0.5
 TASK_JOBS = 64
@@ -46,7 +46,7 @@ GONE = "the connection to the scheduler was lost"
 
 
 _Outcome = str | tuple[list[ResultWithFiles[ResultT]], float]
-"""What ``perform`` returns of a task."""
+"""The value that ``perform`` returns for a task."""
 
 
 class DaskRunner:
@@ -79,10 +79,10 @@ class DaskRunner:
         return OneByOne(self)
 
     def connect(self) -> list[Notice]:
-        """Connect to the scheduler, and return what has to be known of its workers.
+        """Connect to the scheduler, and return notices about its workers.
 
-        Raises InputError where nothing answers, Dask is not installed, or a worker has another version of
-        skinbake, whose bytes may be others.
+        Raises InputError if nothing answers, Dask is not installed, or a worker has another version of
+        skinbake, because its output bytes may differ.
         """
         if self._client is not None:
             return []
@@ -94,7 +94,7 @@ class DaskRunner:
             raise
 
     def close(self) -> None:
-        """Leave the cluster. What has not begun there is forgotten."""
+        """Leave the cluster. Jobs that have not begun there are forgotten."""
         if self._client is not None:
             with suppress(Exception), warnings.catch_warnings():
                 warnings.simplefilter("ignore")
@@ -211,10 +211,10 @@ class _Flight(Generic[ResultT]):
 
     def cancel(self) -> None:
         """Forget what has not begun; what runs on a worker comes to its end there."""
-        self._under_way.clear()  # Dask drops tasks of which nobody holds the future
+        self._under_way.clear()  # Dask drops tasks without a held future
 
     def _look(self) -> None:
-        """Count the workers' threads, now and then; give up where there have been none for long."""
+        """Count the workers' threads at times. Give up if there have been none for long."""
         now = time.monotonic()
         if now - self._looked < LOOK_SECONDS:
             return
@@ -321,7 +321,7 @@ class _Flight(Generic[ResultT]):
         futures = [self._under_way[key].future for key in keys]
         try:
             return list(self._client.gather(futures))
-        except Exception:  # of one of them, and gather does not say of which
+        except Exception:  # one task failed, and gather does not say which
             return [self._one(future) for future in futures]
 
     def _one(self, future: Future) -> _Outcome[ResultT] | BaseException:
@@ -383,7 +383,7 @@ def _client(address: str) -> Client:
 
 
 def _silence() -> None:
-    """Keep what Dask logs off the terminal: what concerns a user is said by our messages."""
+    """Keep Dask's log off the terminal. skinbake's own messages tell the user what matters."""
     if logging.getLogger().isEnabledFor(logging.DEBUG):
         return
     for name in [*logging.root.manager.loggerDict]:

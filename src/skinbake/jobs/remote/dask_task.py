@@ -1,4 +1,4 @@
-"""What a Dask worker does for skinbake; imported there, and by the client for its types."""
+"""The work of a Dask worker for skinbake. The worker imports it, and the client for its types."""
 
 from __future__ import annotations
 

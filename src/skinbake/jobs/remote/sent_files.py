@@ -45,7 +45,7 @@ class SentFiles:
         return self.paths[path]
 
     def fetch_file(self, name: str, to: Path) -> None:
-        """Copy a file here; FileNotFoundError where there is none."""
+        """Copy a file here. Raises FileNotFoundError if there is none."""
         if name not in self.files:
             raise FileNotFoundError(name)
         to.write_bytes(self.files[name])
@@ -59,7 +59,7 @@ class SentFiles:
         return self.files[name] == content.read_bytes()
 
     def store_file(self, name: str, content: Path) -> None:
-        """Note what is to be written where this came from."""
+        """Note a file to be written on the machine that sent this."""
         self.made[name] = content.read_bytes()
 
     def public_name(self, name: str) -> str:
@@ -69,7 +69,7 @@ class SentFiles:
 
 @dataclass(frozen=True, slots=True)
 class JobWithFiles:
-    """A job with the files that it needs; None where all of them have URLs."""
+    """A job with the files that it needs, or None if all of them have URLs."""
 
     job: Job
     files: SentFiles | None
@@ -141,11 +141,11 @@ class WorkWithFiles(Generic[ResultT]):
         )
 
     def lost(self, job: Job, reason: str) -> ResultT:
-        """Return the result of a job that no process lived to report on."""
+        """Return the result of a job whose process died before it reported."""
         return self.work.lost(job, reason)
 
     def _written(self, job: Job, target: str, returned: ResultWithFiles[ResultT]) -> ResultT:
-        """Write the files that were made; work here after all where other files have their names."""
+        """Write the files that were made. If other files have their names, do the work here instead."""
         result, writing = returned.result, self.writing
         if not (returned.made or writing.dry_run):
             return result
@@ -176,7 +176,7 @@ def _last(made: dict[str, bytes]) -> bytes:
 def _files_to_write(
     returned: ResultWithFiles[ResultT], target: str, root: Path
 ) -> dict[Path, Sequence[bytes]] | None:
-    """Return the files beside the target that are not there yet; None where another file has a name."""
+    """Return the files beside the target that are not there yet, or None if another file has a name."""
     files: dict[Path, Sequence[bytes]] = {}
     *beside, _ = returned.made.items()
     for name, data in beside:
@@ -200,7 +200,7 @@ def _has_content(path: Path, root: Path, data: bytes) -> bool:
 def _sent_files(source: str, target: str | None, within: Within) -> SentFiles | None:
     """Return the files that a bake of the source to the target needs, as far as they have plain paths.
 
-    Raises InputError where they cannot be read, ChoiceError for standard input and output.
+    Raises InputError if they cannot be read, ChoiceError for standard input and output.
     """
     if STDIO in {source, target}:
         raise ChoiceError("standard input and output cannot be sent to a cluster", Place(source))

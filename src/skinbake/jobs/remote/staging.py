@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 ATTEMPTS = 8
-"""How often a bake is tried that finds other files beside its target than it did before."""
+"""The number of times that a bake is tried if the files beside its target have changed."""
 
 
 class RemoteDisk(Storage, Protocol):
@@ -103,15 +103,15 @@ class Staging:
     def verify_file(
         self, source: str, options: VerifyOptions, progress: Progress | None, within: Within
     ) -> FileVerdict:
-        """Verify one file, which may be a URL; raises SkinbakeError where it cannot be read."""
+        """Verify one file, which may be a URL. Raises SkinbakeError if it cannot be read."""
         return _verify_at(
             self.end_of(source, within.bounds), options, progress, within.bounds, self.workspace
         )
 
     def end_of(self, given: str, bounds: Bounds = BESIDE) -> End:
-        """Return the end that a path or URL names; InputError where a URL's driver is missing.
+        """Return the end that a path or URL names. Raises InputError if a URL's driver is missing.
 
-        Of the folders in ``bounds`` those count that are in the same storage.
+        Only the folders of ``bounds`` in the same storage count.
         """
         storage, name = self._place_of(given)
         if storage is None:
@@ -249,7 +249,7 @@ def resources_of(path: str, bounds: Bounds) -> list[NamedFile]:
 def names_of(resource: NamedFile, end: End) -> list[str]:
     """Return the names that a file may have in the storage of the document, the likelier first.
 
-    Those outside the folders that the document may name are none.
+    Names outside the folders that the document may name are left out.
     """
     try:
         relative = relative_names(resource.uri)
@@ -330,7 +330,7 @@ class _PrivateFolder:
         return self._root / str(self._storages.index(storage))
 
     def path_of(self, storage: Storage, name: str) -> Path:
-        """Return where a name of the storage stands here; InputError for one that would stand elsewhere."""
+        """Return the local path for a name of the storage. Raises InputError if it would be elsewhere."""
         mirror = self._mirror(storage)
         path = Path(os.path.normpath(mirror / name))
         if path == mirror or not path.is_relative_to(mirror):
@@ -365,14 +365,14 @@ class _PrivateFolder:
         return str(path)
 
     def fetch_input(self, end: End) -> str:
-        """Return the path at which an input can be read; InputError where there is none."""
+        """Return the path at which an input can be read. Raises InputError if there is none."""
         if end.storage is None:
             return end.name
         with reading(end.given), stage("fetch"):
             return str(self.fetch_file(end.storage, end.name))
 
     def fetch_file(self, storage: Storage | None, name: str) -> Path:
-        """Copy a file of the storage to its place here; raises what the storage raises."""
+        """Copy a file of the storage to its place here. Raises the errors of the storage."""
         assert storage is not None
         path = self.path_of(storage, name)
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -28,7 +28,7 @@ class Storage(Protocol):
     """
 
     def fetch_file(self, name: str, to: Path) -> None:
-        """Copy a file here; FileNotFoundError where there is none."""
+        """Copy a file here. Raises FileNotFoundError if there is none."""
 
     def has_file(self, name: str) -> bool:
         """Tell whether there is such a file."""
@@ -59,7 +59,7 @@ class UrlStorage:
         return hash(self._root)
 
     def fetch_file(self, name: str, to: Path) -> None:
-        """Copy a file here; FileNotFoundError where there is none."""
+        """Copy a file here. Raises FileNotFoundError if there is none."""
         self._filesystem.get_file(self._root + name, str(to))
         if not to.is_file():  # of a folder, drivers make one
             raise FileNotFoundError(name)
@@ -113,9 +113,9 @@ class UrlStorage:
 
 
 def located(url: str) -> tuple[UrlStorage | None, str]:
-    """Return where a URL points: the storage and the name in it, or None and a path of this machine's.
+    """Return the place of a URL: the storage and the name in it, or None and a path of this machine.
 
-    Raises InputError where fsspec or the driver of the URL's protocol is missing.
+    Raises InputError if fsspec or the driver of the URL's protocol is missing.
     """
     filesystem, path = _filesystem(url)
     if _is_local(filesystem):
