@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from skinbake.geometry.skinned import Float64Array
-from skinbake.lighting import reference
 from skinbake.lighting.metrics import vertex_areas
 from skinbake.lighting.operator import gradient_operator
 from skinbake.lighting.reference import RestFrames, rest_frames
+from tests.support import whole_fields
 from tests.support.surfaces import MILD, STRONG, AnalyticSurface, Triangulation, analytic_surface, bends
 from tests.support.whole_fields import angular_errors, reference_normals
 
@@ -96,7 +96,7 @@ def test_poses_are_independent_of_the_blocks_they_are_computed_in(monkeypatch: p
     surface = analytic_surface(200, "irregular")
     deformed = surface.deformed(bends(np.linspace(-20.0, 40.0, 7).tolist())).astype(np.float32)
     together, _ = reference_normals(at_rest(surface), deformed)
-    monkeypatch.setattr(reference, "_BLOCK", 3 * deformed.shape[1])
+    monkeypatch.setattr(whole_fields, "BLOCK", 3 * deformed.shape[1])
     apart, _ = reference_normals(at_rest(surface), deformed)
     assert together.shape == deformed.shape
     assert np.abs(together - apart).max() < 1e-12
