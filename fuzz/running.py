@@ -369,7 +369,7 @@ def _difference(one: Path, other: Path) -> str:
             (first, before), (second, after) = parts(one.read_bytes()), parts(other.read_bytes())
             binary = before != after
         keys = [key for key in {**first, **second} if first.get(key) != second.get(key)]
-    except ValueError:
+    except (ValueError, RecursionError):  # too deep for Python's own reader
         return "?"
     return f"in {keys}{' and binary' if binary else ''}"
 

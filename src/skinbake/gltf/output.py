@@ -167,12 +167,19 @@ def _serialised(document: Document) -> Sequence[Bytes]:
 
 def _json_bytes(document: Document) -> bytes:
     """Return the JSON as UTF-8 with its former indentation; lone surrogates are escaped."""
-    end = "" if document.indent is None else "\n"
     root, indent = document.json, document.indent
     try:
         try:
-            return (json_text.written(root, indent=indent, ascii_only=False) + end).encode("utf-8")
+            return _ended(json_text.written(root, indent=indent, ascii_only=False)).encode("utf-8")
         except UnicodeEncodeError:
-            return (json_text.written(root, indent=indent, ascii_only=True) + end).encode("ascii")
+            return _ended(json_text.written(root, indent=indent, ascii_only=True)).encode("ascii")
     except ValueError as error:  # numbers past a double's range
         raise InputError(f"its JSON cannot be written back: {error}", document.place) from error
+
+
+def _ended(text: str) -> str:
+    """Return a text of several lines with the end of its last line; a text on one line has none.
+
+    A text that is too deep to be indented is on one line, and must be the same when it is written again.
+    """
+    return f"{text}\n" if "\n" in text else text
