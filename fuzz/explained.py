@@ -76,11 +76,6 @@ EXPLAINED: dict[tuple[str, str, str], str] = {
         'if depth == 0: -> raise InputError("the metadata of its Draco stream is nested too deep", place)',
     ): "`python -m fuzz.targets draco` reaches it",
     (
-        "codecs/recode.py",
-        "_check_bits",
-        "if max(compression.bits.values(), default=0) > MOST_BITS: -> name, bits = max(compression.bits.items(), key=lambda item: item[1])",
-    ): "the command line takes no more bits: tests/gltf/test_compression.py",
-    (
         "glb.py",
         "join_glb",
         'if length > MAX_LENGTH: -> raise OutputError(f"the GLB would have {length} bytes, over the format\'s limit of 4 GiB; write .gltf")',

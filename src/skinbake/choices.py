@@ -12,6 +12,23 @@ from skinbake.errors import ChoiceError
 
 MemberT = TypeVar("MemberT", bound=StrEnum)
 
+SLOTS_PER_SET = 4
+"""The influences in one set of glTF: JOINTS_n and WEIGHTS_n."""
+
+RANGES: dict[str, tuple[int, int | None]] = {
+    "crease_angle": (0, 180),
+    "limit_influences": (SLOTS_PER_SET, None),
+    "compress_level": (0, 10),
+    "position_bits": (1, 24),
+    "normal_bits": (2, 24),
+    "texcoord_bits": (1, 24),
+}
+"""The least and the largest value of the options of bake that are numbers.
+
+A float has no more than 24 bits, and Draco keeps tables of 4 · 2^bits bytes. At 24 bits the whole program
+takes 110 MiB, at 28 0.5 GiB, at 30 1.8 GiB for POSITION and 4.3 GiB for NORMAL.
+"""
+
 
 def member_of(kind: type[MemberT], value: str, name: str) -> MemberT:
     """Return a member by its value; ``name`` is the name of the option. Raises ChoiceError without one."""

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from skinbake.choices import Language, Lighting
-from skinbake.geometry.frames import TANGENT_FRAME, frame_from_normal, frame_from_tangent
+from skinbake.choices import Frame, Language, Lighting
+from skinbake.geometry.frames import frame_from_normal, frame_from_tangent
 from skinbake.geometry.morphs import Differences, MorphTarget, MorphTargets
 from skinbake.shaders.choices import ShaderChoices
 from skinbake.skinning.surface import RestSurface
@@ -53,7 +53,7 @@ class Scene:
         """The same as a replay takes it, in the frame of TANGENT or of NORMAL."""
         tangents, bitangents = (
             frame_from_tangent(self.normals, self.tangents)
-            if frame == TANGENT_FRAME
+            if frame == Frame.TANGENT
             else frame_from_normal(self.normals)
         )
         return RestSurface(

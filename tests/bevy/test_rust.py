@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from skinbake.geometry.frames import NORMAL_FRAME, TANGENT_FRAME
+from skinbake.choices import Frame
 from skinbake.shaders.choices import ShaderChoices
 from tests.bevy.running import chosen
 from tests.support.strictness import missing_tool
@@ -34,11 +34,11 @@ def crates(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize(
     ("choices", "names", "vertex_format"),
     [
-        (chosen(NORMAL_FRAME), "SKINBAKE_ALPHA_0 SKINBAKE_BETA_0", "Float32x3"),
-        (chosen(TANGENT_FRAME, layout="custom"), "CUSTOM0 CUSTOM1", "Float32x3"),
-        (chosen(NORMAL_FRAME, encoding="packed8", scale=1.5), "SKINBAKE_ALPHA_0 SKINBAKE_BETA_0", "Snorm8x4"),
+        (chosen(Frame.NORMAL), "SKINBAKE_ALPHA_0 SKINBAKE_BETA_0", "Float32x3"),
+        (chosen(Frame.TANGENT, layout="custom"), "CUSTOM0 CUSTOM1", "Float32x3"),
+        (chosen(Frame.NORMAL, encoding="packed8", scale=1.5), "SKINBAKE_ALPHA_0 SKINBAKE_BETA_0", "Snorm8x4"),
         (
-            chosen(TANGENT_FRAME, encoding="snorm16", scale=2.0),
+            chosen(Frame.TANGENT, encoding="snorm16", scale=2.0),
             "SKINBAKE_ALPHA_0 SKINBAKE_BETA_0",
             "Snorm16x4",
         ),

@@ -11,11 +11,10 @@ import numpy as np
 import pytest
 
 from fixtures.make_fixtures import FOLDER
-from skinbake.choices import Encoding, Language, Layout, Lighting, Method, Morphs
+from skinbake.choices import Encoding, Frame, Language, Layout, Lighting, Method, Morphs
 from skinbake.commands.shader import ShaderRequest, shader
 from skinbake.errors import ChoiceError
 from skinbake.format.layouts import GradientFormat
-from skinbake.geometry.frames import NORMAL_FRAME, TANGENT_FRAME
 from skinbake.shaders.choices import AttributeText, ShaderChoices
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.morphs import morphed
@@ -44,25 +43,25 @@ from tests.support.whole_fields import shader_text
 DEGREES = 0.02
 
 CHOICES = [
-    chosen(NORMAL_FRAME),
-    chosen(TANGENT_FRAME),
-    chosen(NORMAL_FRAME, mirrored_joints=True),
-    chosen(TANGENT_FRAME, mirrored_joints=True, cap=0.9),
-    chosen(NORMAL_FRAME, influences=2),
-    chosen(TANGENT_FRAME, influences=3),
-    chosen(NORMAL_FRAME, Lighting.DIRECT),
-    chosen(TANGENT_FRAME, Lighting.DIRECT),
+    chosen(Frame.NORMAL),
+    chosen(Frame.TANGENT),
+    chosen(Frame.NORMAL, mirrored_joints=True),
+    chosen(Frame.TANGENT, mirrored_joints=True, cap=0.9),
+    chosen(Frame.NORMAL, influences=2),
+    chosen(Frame.TANGENT, influences=3),
+    chosen(Frame.NORMAL, Lighting.DIRECT),
+    chosen(Frame.TANGENT, Lighting.DIRECT),
 ]
 OTHERWISE = [
-    chosen(NORMAL_FRAME, encoding="packed8", scale=2.5),
-    chosen(TANGENT_FRAME, Lighting.DIRECT, encoding="snorm16", scale=0.125, layout="custom"),
-    chosen(TANGENT_FRAME, morphs=Morphs.TANGENT),
-    chosen(TANGENT_FRAME, Lighting.DIRECT, morphs=Morphs.TANGENT),
+    chosen(Frame.NORMAL, encoding="packed8", scale=2.5),
+    chosen(Frame.TANGENT, Lighting.DIRECT, encoding="snorm16", scale=0.125, layout="custom"),
+    chosen(Frame.TANGENT, morphs=Morphs.TANGENT),
+    chosen(Frame.TANGENT, Lighting.DIRECT, morphs=Morphs.TANGENT),
 ]
 """α and β as integers, and targets that morph TANGENT."""
 STORAGES = [GradientFormat(Encoding.PACKED8), GradientFormat(Encoding.SNORM16, Layout.CUSTOM)]
 TUBE, BENT = FOLDER / "bent_tube.glb", Pose(clip=0, time=0.45)
-FRAMES = (NORMAL_FRAME, TANGENT_FRAME)
+FRAMES = (Frame.NORMAL, Frame.TANGENT)
 SKINS = ("", "SKINNED", "SKINNED SKINBAKE")
 SWITCHES = ("VERTEX_TANGENTS", "MORPH_TARGETS", "SKINS_USE_UNIFORM_BUFFERS")
 OUTPUTS = "VERTEX_UVS_A VERTEX_UVS_B VERTEX_COLORS VERTEX_OUTPUT_INSTANCE_INDEX VISIBILITY_RANGE_DITHER"
@@ -70,10 +69,10 @@ MAIN = "\n@compute @workgroup_size(1) fn main() {}\n"
 
 
 _MORPHED = {
-    "morph normal": chosen(NORMAL_FRAME),
-    "morph tangent by normal": chosen(TANGENT_FRAME),
-    "morph tangent": chosen(TANGENT_FRAME, morphs=Morphs.TANGENT),
-    "morph tangent, direct": chosen(TANGENT_FRAME, Lighting.DIRECT, morphs=Morphs.TANGENT),
+    "morph normal": chosen(Frame.NORMAL),
+    "morph tangent by normal": chosen(Frame.TANGENT),
+    "morph tangent": chosen(Frame.TANGENT, morphs=Morphs.TANGENT),
+    "morph tangent, direct": chosen(Frame.TANGENT, Lighting.DIRECT, morphs=Morphs.TANGENT),
 }
 
 
@@ -95,7 +94,7 @@ def test_every_set_of_definitions_compiles(implementation: Implementation) -> No
         for choices in [*CHOICES, *OTHERWISE]
         for defines in _definitions()
         # In the tangent frame the Rust lines ask for TANGENT before they define SKINBAKE.
-        if not (choices.frame == TANGENT_FRAME and "SKINBAKE" in defines and "VERTEX_TANGENTS" not in defines)
+        if not (choices.frame == Frame.TANGENT and "SKINBAKE" in defines and "VERTEX_TANGENTS" not in defines)
     }
     assert len(jobs) == 12 * 48 - 7 * 8
     complaints = {name: answer.complaint for name, answer in answers(implementation, jobs).items()}
@@ -127,7 +126,7 @@ def _cases() -> dict[str, Case]:
         cases[f"mirror {frame}"] = Case(chosen(frame, mirrored_joints=True), _one_joint_each())
     for name, choices in _MORPHED.items():
         cases[name] = Case(choices, scene(), deltas=morph())
-    cases["not baked"] = Case(chosen(NORMAL_FRAME), scene(), PLAIN)
+    cases["not baked"] = Case(chosen(Frame.NORMAL), scene(), PLAIN)
     return cases
 
 
@@ -181,14 +180,14 @@ def test_morph_targets_carry_the_frame_along(name: str, seen: dict[str, Seen]) -
     expected = replay(Algorithm(choices.algorithm), carried, given.matrices[None])
     assert degrees_between(found.normals, expected.normals[0]).max() < DEGREES
     assert found.positions[:, :3] == pytest.approx(expected.positions[0], abs=1e-5)
-    if choices.frame == TANGENT_FRAME and choices.morphs is Morphs.TANGENT:
+    if choices.frame == Frame.TANGENT and choices.morphs is Morphs.TANGENT:
         assert degrees_between(found.tangents[:, :3], expected.tangents[0]).max() < DEGREES
 
 
 def test_frames_that_follow_otherwise_are_far_off() -> None:
     """Else the test above would not tell the three apart."""
     given = scene()
-    rest, weights = given.rest(TANGENT_FRAME), morph().weights.astype(np.float64)
+    rest, weights = given.rest(Frame.TANGENT), morph().weights.astype(np.float64)
     surfaces = [morphed(rest, morph().targets(with_tangents=flag), weights) for flag in (False, True)]
     surfaces.append(replace(surfaces[0], tangents=rest.tangents, bitangents=rest.bitangents))
     posed = [replay(Algorithm.LBS_ACCURATE, one, given.matrices[None]).normals[0] for one in surfaces]
@@ -203,7 +202,7 @@ def test_integers_are_what_the_file_means(
     encoding: str, lighting: Lighting, seen: dict[str, Seen], characters: dict[str, Case]
 ) -> None:
     case, found = characters[f"{encoding} {lighting}"], seen[f"{encoding} {lighting}"]
-    rest = case.given.rest(NORMAL_FRAME)
+    rest = case.given.rest(Frame.NORMAL)
     expected = replay(Algorithm(case.choices.algorithm), rest, case.given.matrices[None])
     assert degrees_between(found.normals, expected.normals[0]).max() < DEGREES
     standard = replay(Algorithm.LBS_APPROXIMATED, rest, case.given.matrices[None])
@@ -233,16 +232,16 @@ def test_a_mesh_that_is_not_baked_is_lit_as_bevy_does(seen: dict[str, Seen]) -> 
 )
 def test_what_bevy_cannot_use_is_refused(choices: dict[str, Any], reason: str) -> None:
     with pytest.raises(ChoiceError, match="bevy.*" + reason):
-        shader_text(chosen(NORMAL_FRAME, **choices))
+        shader_text(chosen(Frame.NORMAL, **choices))
 
 
 def test_attributes_are_registered_by_the_names_of_the_file_without_underscore() -> None:
     names = AttributeText("arm.glb", alpha=("_SLOPE_A",), beta=("_SLOPE_B",))
-    text = shader_text(chosen(NORMAL_FRAME, attributes=names))
+    text = shader_text(chosen(Frame.NORMAL, attributes=names))
     assert 'add_custom_vertex_attribute("SLOPE_A", ALPHA)' in text
     assert 'add_custom_vertex_attribute("SLOPE_B", BETA)' in text
     assert text.isascii()
-    text = shader_text(chosen(NORMAL_FRAME, layout="custom"))
+    text = shader_text(chosen(Frame.NORMAL, layout="custom"))
     assert 'add_custom_vertex_attribute("CUSTOM0", ALPHA)' in text
     assert 'add_custom_vertex_attribute("CUSTOM1", BETA)' in text
 
@@ -259,7 +258,7 @@ def test_no_name_is_one_that_bevys_composer_refuses(choices: ShaderChoices) -> N
 
 
 def test_names_that_bevy_does_not_have_are_noticed() -> None:
-    text = shader_text(chosen(NORMAL_FRAME))
+    text = shader_text(chosen(Frame.NORMAL))
     for known, unknown in (("skinning::skin_model", "skinning::skin"), ("mesh_functions", "functions")):
         with pytest.raises(ValueError, match=r"has no|no module"):
             compose(text.replace(known, unknown), BAKED)

@@ -8,13 +8,12 @@ from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any
 
-from skinbake.choices import Language, Method, Morphs
-from skinbake.geometry.frames import NORMAL_FRAME, TANGENT_FRAME
+from skinbake.choices import Frame, Language, Method, Morphs
 from skinbake.shaders.choices import ALGORITHMS, BEST, ShaderChoices
 from skinbake.skinning.surface import DEFAULT_CAP
 from tests.support.whole_fields import shader_text
 
-FRAMES = (NORMAL_FRAME, TANGENT_FRAME)
+FRAMES = (Frame.NORMAL, Frame.TANGENT)
 INFLUENCES = range(1, 9)
 MANY_INFLUENCES = (9, 12)
 """The first of a third set, and all of three sets."""
@@ -57,7 +56,7 @@ def stored_and_morphed(language: Language) -> list[ShaderChoices]:
     found = []
     for choices, influences, frame in product(methods, (4, 8), FRAMES):
         base = replace(choices, influences=influences, frame=frame)
-        morphs = [Morphs.NORMAL, *([Morphs.TANGENT] if frame == TANGENT_FRAME else [])]
+        morphs = [Morphs.NORMAL, *([Morphs.TANGENT] if frame == Frame.TANGENT else [])]
         found += [replace(base, **storage) for storage in STORED]
         found += [replace(base, morphs=kind) for kind in morphs]
         found += [replace(base, **storage, morphs=morphs[-1]) for storage in STORED[1:4:2]]
@@ -136,7 +135,7 @@ def columns(choices: ShaderChoices) -> list[Column]:
     Those of morph targets are what the caller has added up.
     """
     found = [Column("point", 4), Column("normal", 3)]
-    if choices.frame == TANGENT_FRAME:
+    if choices.frame == Frame.TANGENT:
         found.append(Column("tangent", 4))
     sets = range(choices.influence_sets)
     found += [Column(f"joints_{number}", 4, is_integer=True) for number in sets]

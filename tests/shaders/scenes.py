@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from skinbake.choices import Frame, Method
+from skinbake.choices import SLOTS_PER_SET, Frame, Method
 from skinbake.geometry import frames
 from skinbake.geometry.dual_quaternions import RigidMotions, rigid_motions
 from skinbake.gltf.animation import read_clips
@@ -21,7 +21,7 @@ from skinbake.gltf.primitives import skinned_sources
 from skinbake.lighting.baked_views import baked_views
 from skinbake.lighting.measured import rest_surface
 from skinbake.lighting.poses import PoseRequest, pose_set
-from skinbake.shaders.choices import SLOTS_PER_SET, ShaderChoices
+from skinbake.shaders.choices import ShaderChoices
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.surface import RestSurface
 from tests.shaders.combinations import ATTRIBUTES, columns
@@ -57,7 +57,7 @@ class Scene:
     def rest(self, choices: ShaderChoices) -> RestSurface:
         """Return the surface as the replay takes it, in the frame of the choices."""
         count = choices.influences
-        if choices.frame == frames.NORMAL_FRAME:
+        if choices.frame == Frame.NORMAL:
             tangents, bitangents = frames.frame_from_normal(self.normals)
         else:
             tangents, bitangents = (
@@ -247,8 +247,8 @@ class Character:
 
 
 CHARACTERS = (
-    Character("CesiumMan/CesiumMan.glb", frames.NORMAL_FRAME, 4),
-    Character("Butterfly/animated_butterfly.glb", frames.TANGENT_FRAME, 4),
-    Character("pbrTest/pbrTest.gltf", frames.TANGENT_FRAME, 8),
+    Character("CesiumMan/CesiumMan.glb", Frame.NORMAL, 4),
+    Character("Butterfly/animated_butterfly.glb", Frame.TANGENT, 4),
+    Character("pbrTest/pbrTest.gltf", Frame.TANGENT, 8),
 )
 """Rigid all three, so that every algorithm applies; the butterfly's joints share a scale of 0.01."""

@@ -9,15 +9,14 @@ from dataclasses import replace
 
 import pytest
 
-from skinbake.choices import Language, Layout, Lighting, Method, Morphs
-from skinbake.geometry.frames import NORMAL_FRAME, TANGENT_FRAME
+from skinbake.choices import Frame, Language, Layout, Lighting, Method, Morphs
 from skinbake.shaders.choices import ShaderChoices
 from tests.shaders.combinations import STORED, every_stored_and_morphed, every_text, glsl, together, wgsl
 from tests.support import glslang, webgpu
 
 VERSIONS = ("300 es", "330", "450")
-BASE = ShaderChoices(Language.GLSL, Method.LBS, Lighting.ACCURATE, 4, TANGENT_FRAME)
-EXACT = replace(BASE, method=Method.DQS, lighting=Lighting.EXACT, frame=NORMAL_FRAME)
+BASE = ShaderChoices(Language.GLSL, Method.LBS, Lighting.ACCURATE, 4, Frame.TANGENT)
+EXACT = replace(BASE, method=Method.DQS, lighting=Lighting.EXACT, frame=Frame.NORMAL)
 CAPPED = replace(EXACT, cap=0.9, influences=5)
 
 
@@ -57,7 +56,7 @@ def test_texts_can_be_included_together(version: str) -> None:
     storages = [replace(BASE, influences=5 + count, **storage) for count, storage in enumerate(custom_first)]
     morphs = [
         replace(EXACT, morphs=Morphs.NORMAL),
-        replace(CAPPED, frame=TANGENT_FRAME, morphs=Morphs.TANGENT),
+        replace(CAPPED, frame=Frame.TANGENT, morphs=Morphs.TANGENT),
     ]
     pairs = {
         "twice": [BASE, BASE],

@@ -16,8 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from skinbake.choices import Language, Lighting, Method
-from skinbake.geometry.frames import NORMAL_FRAME
+from skinbake.choices import Frame, Language, Lighting, Method
 from skinbake.shaders.choices import ALGORITHMS, ShaderChoices
 from tests.shaders.combinations import ATTRIBUTES, every_text, label
 from tests.shaders.running import Single, Wide, Work, run_glsl, run_wgsl
@@ -184,7 +183,7 @@ class TestMirroredJoints:
         scene = replace(
             given, alpha=0.05 * given.alpha, beta=0.05 * given.beta, matrices=given.matrices[[0, -1]]
         )
-        choices = ShaderChoices(Language.WGSL, mirrored_joints=mirrored_joints, frame=NORMAL_FRAME)
+        choices = ShaderChoices(Language.WGSL, mirrored_joints=mirrored_joints, frame=Frame.NORMAL)
         first = run_wgsl(webgpu.NAGA, {"": (choices, scene)})[""]
         with opengl.context("es") as context:
             second = run_glsl(context, "300 es", replace(choices, language=Language.GLSL), scene)
@@ -193,7 +192,7 @@ class TestMirroredJoints:
     @pytest.mark.parametrize("mirrored_joints", [False, True])
     def test_normals_point_outside(self, mirrored_joints: bool) -> None:
         *both, scene = self.normals(mirrored_joints)
-        direct = ShaderChoices(Language.WGSL, lighting=Lighting.DIRECT, frame=NORMAL_FRAME)
+        direct = ShaderChoices(Language.WGSL, lighting=Lighting.DIRECT, frame=Frame.NORMAL)
         outside = scene.posed(direct, np.float64)[:, 1]
         half = len(outside) // 2
         for normals in both:

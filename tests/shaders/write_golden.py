@@ -7,14 +7,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from skinbake.choices import Language
-from skinbake.geometry.frames import NORMAL_FRAME, TANGENT_FRAME
+from skinbake.choices import Frame, Language
 from skinbake.shaders.choices import ALGORITHMS, ShaderChoices
 from tests.shaders.combinations import label
 from tests.support.whole_fields import shader_text
 
 FOLDER = Path(__file__).parent / "golden"
-FRAMES = [NORMAL_FRAME, TANGENT_FRAME] * 3
+FRAMES = [Frame.NORMAL, Frame.TANGENT] * 3
 
 
 def golden_choices() -> list[ShaderChoices]:

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fixtures.make_fixtures import FOLDER
+from skinbake.choices import Frame
 from skinbake.geometry import frames
 from skinbake.geometry.skinned import BakedPrimitive, Float64Array, FloatArray, SkinnedPrimitive
 from skinbake.gradients.baker import BakeFindings, BakeSettings, bake_mesh
@@ -45,7 +46,7 @@ class StoredPrimitive:
     def rest_frame(self) -> tuple[FloatArray, FloatArray]:
         """t0 and b0, (V, 3) each."""
         normals = frames.unit_normals(self.arrays.normals)
-        if self.frame == frames.NORMAL_FRAME:
+        if self.frame == Frame.NORMAL:
             return frames.frame_from_normal(normals)
         assert self.arrays.tangents is not None
         return frames.frame_from_tangent(normals, self.arrays.tangents)

@@ -69,7 +69,7 @@ class Character:
         metadata = file.primitive(0)["extras"]["skinbake"]
         self.tangents = file.attribute("TANGENT") if file.has_attribute("TANGENT") else None
         self.frame = Frame(metadata["frame"])
-        if self.frame == frames.NORMAL_FRAME:
+        if self.frame == Frame.NORMAL:
             tangents, bitangents = frames.frame_from_normal(normals)
         else:
             assert self.tangents is not None

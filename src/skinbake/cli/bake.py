@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from skinbake.choices import Encoding, FrameChoice, Layout, Neighbours, Scheme, Weighting, Weld
+from skinbake.choices import RANGES, Encoding, FrameChoice, Layout, Neighbours, Scheme, Weighting, Weld
 from skinbake.cli import exit_codes
 from skinbake.cli.console import console, finite, message_options, one_of, outside_option
 from skinbake.cli.inputs import Input, expanded
@@ -53,7 +53,7 @@ if TYPE_CHECKING:
 )
 @click.option(
     "--crease-angle",
-    type=click.FloatRange(0, 180),
+    type=click.FloatRange(*RANGES["crease_angle"]),
     default=15.0,
     show_default=True,
     callback=finite,
@@ -84,7 +84,7 @@ if TYPE_CHECKING:
 )
 @click.option(
     "--limit-influences",
-    type=click.IntRange(min=4),
+    type=click.IntRange(*RANGES["limit_influences"]),
     metavar="N",
     help="Keep the N largest influences of each vertex, N a multiple of 4, and print the cost.",
 )
@@ -110,22 +110,28 @@ if TYPE_CHECKING:
 )
 @click.option(
     "--compress-level",
-    type=click.IntRange(0, 10),
+    type=click.IntRange(*RANGES["compress_level"]),
     metavar="N",
     help="Effort: 0 (fast) to 10 (small), for meshopt 0 to 3. It changes little in Draco. Each codec "
     "has its own default.",
 )
 @click.option(
     "--position-bits",
-    type=click.IntRange(1, 24),
+    type=click.IntRange(*RANGES["position_bits"]),
     metavar="N",
     help="Quantise POSITION before baking, with --compress draco.",
 )
 @click.option(
-    "--normal-bits", type=click.IntRange(2, 24), metavar="N", help="Quantise NORMAL in the same way."
+    "--normal-bits",
+    type=click.IntRange(*RANGES["normal_bits"]),
+    metavar="N",
+    help="Quantise NORMAL in the same way.",
 )
 @click.option(
-    "--texcoord-bits", type=click.IntRange(1, 24), metavar="N", help="Quantise TEXCOORD_0 in the same way."
+    "--texcoord-bits",
+    type=click.IntRange(*RANGES["texcoord_bits"]),
+    metavar="N",
+    help="Quantise TEXCOORD_0 in the same way.",
 )
 @click.option(
     "--encoding",

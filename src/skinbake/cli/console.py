@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import errno
 import json
-import logging
 import math
 import re
 import sys
@@ -162,6 +161,8 @@ def console(*, verbose: int, quiet: bool, color: str, results_on_stderr: bool = 
 
     chosen = {"always": True, "never": False, "auto": False if os.environ.get("NO_COLOR") else None}[color]
     if verbose:
+        import logging  # it takes some milliseconds
+
         from skinbake.jobs.logs import log_to_stderr
 
         log_to_stderr(logging.DEBUG if verbose > 1 else logging.INFO)

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from skinbake.choices import (
+    RANGES,
+    SLOTS_PER_SET,
     Encoding,
     FrameChoice,
     Layout,
@@ -29,7 +31,7 @@ from skinbake.format.encodings import vertex_bytes
 from skinbake.format.layouts import GradientFormat
 from skinbake.format.strip import stripped
 from skinbake.geometry.skinned import BakedPrimitive, SkinnedPrimitive
-from skinbake.gltf.codecs.recode import Compression, recoded
+from skinbake.gltf.codecs import draco
 from skinbake.gltf.container import for_target
 from skinbake.gltf.digests import digests_of
 from skinbake.gltf.document import STDIO, Document, read_document
@@ -52,8 +54,6 @@ from skinbake.timing import stage
 if TYPE_CHECKING:
     from skinbake.lighting.limit_cost import Limited
     from skinbake.lighting.unwritten import UnwrittenBake
-
-SLOTS_PER_SET = 4
 
 BYTES_A_VERTEX, BYTES_A_SLOT, BYTES_A_TRIANGLE = 128, 48, 24
 """The approximate memory of a bake, at most."""
@@ -160,7 +160,7 @@ class Baker:
         if not sources:
             return BakedDocument(document, (), skipped, tuple(reasons))
         with stage("compress"):
-            document, kept = recoded(document, sources, self.compression)
+            document, kept = self._recoded(document, sources)
         sources = [source.in_document(document) for source in sources]
         surfaces, apart = _surfaces(document, sources, self.weld)
         bakes = [bake for surface in surfaces for bake in self._baked_surface(document, surface)]
@@ -178,6 +178,15 @@ class Baker:
             for bake, length in zip(bakes, lengths, strict=True)
         )
         return BakedDocument(written, primitives, skipped, tuple(notices), cost)
+
+    def _recoded(self, document: Document, sources: list[PrimitiveSource]) -> tuple[Document, list[Notice]]:
+        """Return the document with its geometry compressed as chosen, and notices on the exceptions."""
+        in_draco = any(draco.extension_of(source.json) is not None for source in sources)
+        if self.compress is Scheme.KEEP and not in_draco:
+            return document, []
+        from skinbake.gltf.codecs.recode import Compression, recoded
+
+        return recoded(document, sources, Compression(self.compress, self.compress_level, self._bits))
 
     def _bakeable(self, document: Document) -> tuple[list[PrimitiveSource], int, list[Notice]]:
         """Return the primitives to bake, the number of skinned ones left out, and notices on the latter."""
@@ -246,11 +255,10 @@ class Baker:
         return AttributeNames(self.alpha_name or usual.alpha, self.beta_name or usual.beta)
 
     @property
-    def compression(self) -> Compression:
-        """Return the options of the compression."""
+    def _bits(self) -> dict[str, int]:
+        """Return the numbers of bits to which Draco quantises, by attribute."""
         bits = {"POSITION": self.position_bits, "NORMAL": self.normal_bits, "TEXCOORD_0": self.texcoord_bits}
-        chosen = {name: count for name, count in bits.items() if count is not None}
-        return Compression(self.compress, self.compress_level, chosen)
+        return {name: count for name, count in bits.items() if count is not None}
 
     @property
     def _noted_settings(self) -> JsonObject:
@@ -272,23 +280,14 @@ ENUMERATIONS = {
     "layout": Layout,
 }
 
-RANGES = {
-    "crease_angle": (0, 180),
-    "limit_influences": (4, math.inf),
-    "compress_level": (0, 10),
-    "position_bits": (1, 24),
-    "normal_bits": (2, 24),
-    "texcoord_bits": (1, 24),
-}
-
 HIGHEST_MESHOPT_LEVEL = 3
 
 
 def _check_ranges(baker: Baker) -> None:
     for name, (least, most) in RANGES.items():
         value = getattr(baker, name)
-        if value is not None and not least <= value <= most:
-            bound = f"at least {least}" if most == math.inf else f"from {least} to {most}"
+        if value is not None and not least <= value <= (math.inf if most is None else most):
+            bound = f"at least {least}" if most is None else f"from {least} to {most}"
             raise ChoiceError(f"{option_of(name)} {value}: expected a number {bound}")
     if (baker.limit_influences or 0) % SLOTS_PER_SET:
         raise ChoiceError(
@@ -315,7 +314,8 @@ def _check_names(baker: Baker) -> None:
 
 def _check_compression(baker: Baker) -> None:
     """Raise ChoiceError for bits, a level or a layout that the compression cannot use."""
-    if baker.compression.bits and baker.compress is not Scheme.DRACO:
+    bits = (baker.position_bits, baker.normal_bits, baker.texcoord_bits)
+    if any(count is not None for count in bits) and baker.compress is not Scheme.DRACO:
         raise ChoiceError("--position-bits, --normal-bits and --texcoord-bits need --compress draco")
     level = baker.compress_level
     if level is not None and baker.compress is Scheme.NONE:

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from skinbake.choices import Frame
 from skinbake.geometry.blocks import blocks
-from skinbake.geometry.frames import TANGENT_FRAME
 from skinbake.geometry.skinned import SkinnedPrimitive
 from skinbake.gltf.additions import KEY
 from skinbake.gltf.document import Document
@@ -36,7 +36,7 @@ def digests(primitive: SkinnedPrimitive, frame: str) -> dict[str, str]:
         "NORMAL": (primitive.normals, "<f4"),
         "indices": (primitive.triangles, "<u4"),
     }
-    if frame == TANGENT_FRAME and primitive.tangents is not None:
+    if frame == Frame.TANGENT and primitive.tangents is not None:
         arrays["TANGENT"] = (primitive.tangents, "<f4")
     influences = influence_digests(primitive.joints, primitive.weights)
     return {**{name: array_digest(values, dtype) for name, (values, dtype) in arrays.items()}, **influences}

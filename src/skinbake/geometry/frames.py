@@ -4,12 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from skinbake.choices import Frame
 from skinbake.geometry.blocks import blocks
 from skinbake.geometry.skinned import BoolArray, Float32Array, Float64Array, FloatArray
-
-TANGENT_FRAME = Frame.TANGENT
-NORMAL_FRAME = Frame.NORMAL
 
 
 def unit_vectors(vectors: FloatArray) -> Float64Array:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skinbake.choices import FrameChoice, Neighbours, Weighting
+from skinbake.choices import Frame, FrameChoice, Neighbours, Weighting
 from skinbake.geometry import frames
 from skinbake.geometry.blocks import blocks
 from skinbake.geometry.skinned import BakedPrimitive, BoolArray, FloatArray, IntArray, SkinnedPrimitive
@@ -74,7 +74,7 @@ def bake_mesh(
     with stage("frames"):
         chosen = [chosen_frame(primitive, settings.frame) for primitive in primitives]
         frame = None
-        if any(choice.kind == frames.TANGENT_FRAME for choice in chosen):
+        if any(choice.kind == Frame.TANGENT for choice in chosen):
             pairs = [frame_vectors(*one) for one in zip(primitives, chosen, strict=True)]
             frame = _concatenate([pair[0] for pair in pairs]), _concatenate([pair[1] for pair in pairs])
     with stage("gradients"):
@@ -145,16 +145,16 @@ def chosen_frame(primitive: SkinnedPrimitive, choice: str) -> ChosenFrame:
 
     ``auto`` uses TANGENT if it is orthonormal enough at every vertex, else the frame from NORMAL.
     """
-    if primitive.tangents is None or choice == frames.NORMAL_FRAME:
-        return ChosenFrame(frames.NORMAL_FRAME)
+    if primitive.tangents is None or choice == Frame.NORMAL:
+        return ChosenFrame(Frame.NORMAL)
     deviation, deviating = _deviation(primitive, primitive.tangents)
-    fits = choice == frames.TANGENT_FRAME or deviating == 0
-    return ChosenFrame(frames.TANGENT_FRAME if fits else frames.NORMAL_FRAME, deviation, deviating)
+    fits = choice == Frame.TANGENT or deviating == 0
+    return ChosenFrame(Frame.TANGENT if fits else Frame.NORMAL, deviation, deviating)
 
 
 def frame_vectors(primitive: SkinnedPrimitive, choice: ChosenFrame) -> tuple[FloatArray, FloatArray]:
     """Return the tangents t0 and bitangents b0, each (V, 3), of the chosen frame."""
-    given = primitive.tangents if choice.kind == frames.TANGENT_FRAME else None
+    given = primitive.tangents if choice.kind == Frame.TANGENT else None
     dtype = np.result_type(np.float32, np.float32 if given is None else given.dtype)
     tangents, bitangents = (np.empty(primitive.normals.shape, dtype=dtype) for _ in range(2))
     for rows in blocks(len(tangents)):

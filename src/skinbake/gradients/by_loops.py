@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray, IntArray
 from skinbake.geometry.triangles import DEGENERATE_AREA
-from skinbake.gradients import _kernel, by_numpy
+from skinbake.gradients import _kernel
 from skinbake.gradients.field import WeightDefects, WeightField
 from skinbake.gradients.labels import Labels
 from skinbake.gradients.surface import NEGLIGIBLE, Surface, SurfaceSlots
@@ -32,6 +32,8 @@ def label_equal_rows(rows: npt.NDArray[np.generic]) -> Labels:
     try:
         _kernel.label_equal_rows(np.ascontiguousarray(rows), labels)
     except _kernel.CollisionError:
+        from skinbake.gradients import by_numpy
+
         return by_numpy.label_equal_rows(rows)
     return labels
 

@@ -8,12 +8,9 @@ result within rounding. ``SKINBAKE_KERNEL=numpy`` in the environment selects the
 
 from __future__ import annotations
 
-import logging
 import os
 
 __all__ = ["bake_surface", "label_equal_rows", "mark_proper", "normalise_influences"]
-
-logger = logging.getLogger(__name__)
 
 try:
     if os.environ.get("SKINBAKE_KERNEL") == "numpy":
@@ -25,6 +22,9 @@ try:
         normalise_influences,
     )
 except ImportError as error:
+    from logging import getLogger  # it takes some milliseconds
+
+    logger = getLogger(__name__)
     logger.info("without its compiled loops (%s): large meshes take many times as long", error)
     from skinbake.gradients.by_numpy import (
         bake_surface,

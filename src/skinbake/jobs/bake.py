@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 from skinbake.commands.bake import Baker
 from skinbake.containment import Bounds
 from skinbake.errors import SkinbakeError
 from skinbake.gltf.output import AS_USUAL, Writing
-from skinbake.jobs import state
 from skinbake.jobs.elsewhere import elsewhere_of
 from skinbake.jobs.work import Job
 from skinbake.report.bake import FileResult
+
+if TYPE_CHECKING:
+    from skinbake.jobs import state
 
 MODULES = ("skinbake.cli.main", "skinbake.jobs.bake", "skinbake.jobs.file_work")
 """The modules that a worker imports before it starts."""
@@ -65,5 +67,7 @@ class Bake:
         return (after, after) if after and is_unharmed else None
 
     def _made(self, job: Job, written: dict[str, str], before: state.Seen) -> state.Digests | None:
+        from skinbake.jobs import state  # only --skip-unchanged needs it
+
         bounds = Bounds(job.within.output, job.within.bounds.allowed)
         return state.made(str(job.target), written, before.digests, bounds)

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable
 from typing import TypeVar
 
 from skinbake.errors import InputError, Place, SkinbakeError, defect
-
-logger = logging.getLogger(__name__)
 
 T = TypeVar("T")
 
@@ -25,6 +22,8 @@ def survived(work: Callable[[], T], failed: Callable[[SkinbakeError], T], file: 
     except MemoryError:
         failure = InputError("it needs more memory than there is or --max-memory allows", Place(file))
     except Exception as error:  # a defect of skinbake must not harm the other files
-        logger.debug("where it failed", exc_info=True)
+        import logging  # it takes some milliseconds
+
+        logging.getLogger(__name__).debug("where it failed", exc_info=True)
         failure = defect(error, file)
     return failed(failure)

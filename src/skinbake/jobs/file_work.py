@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Generic, Protocol
+from typing import TYPE_CHECKING, Generic, Protocol
 
 from skinbake.errors import InputError, Place, SkinbakeError
 from skinbake.gltf.budget import memory_limited
 from skinbake.gltf.document import STDIO
-from skinbake.jobs import state
 from skinbake.jobs.boundary import survived
 from skinbake.jobs.work import Job, ResultT, changed
 from skinbake.timing import stage, timed
+
+if TYPE_CHECKING:
+    from skinbake.jobs import state
 
 
 class FileCommand(Protocol[ResultT]):
@@ -79,6 +81,8 @@ class FileWork(Generic[ResultT]):
         recipe = self.recipe
         if recipe is None or STDIO in {job.source, job.target} or not self.command.is_noted(job):
             return self.command.result_of(job, traced=False)
+        from skinbake.jobs import state  # only --skip-unchanged needs it
+
         with stage("state"):
             if job.known is not None and recipe.still_holds(job.known, job.source, job.target):
                 return self.command.up_to_date(job)

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 from skinbake.commands.verify import verify_file
 from skinbake.errors import SkinbakeError
-from skinbake.jobs import state
 from skinbake.jobs.elsewhere import elsewhere_of
 from skinbake.jobs.work import Job
 from skinbake.lighting.measured import Progress, VerifyOptions
 from skinbake.report.verify import FileVerdict
+
+if TYPE_CHECKING:
+    from skinbake.jobs import state
 
 MODULES = ("skinbake.cli.main", "skinbake.jobs.verify", "skinbake.jobs.file_work")
 """The modules that a worker imports before it starts."""

@@ -138,7 +138,7 @@ def _wrong_members(metadata: JsonObject, source: PrimitiveSource) -> Iterator[st
         yield f'"digest" is {shown(digest)}'
         return
     wanted = ["POSITION", "NORMAL", "JOINTS", "WEIGHTS", "indices"]
-    if metadata.get("frame") == frames.TANGENT_FRAME:
+    if metadata.get("frame") == Frame.TANGENT:
         wanted.append("TANGENT")
     for name in wanted:
         if not isinstance(digest.get(name), str):
@@ -148,7 +148,7 @@ def _wrong_members(metadata: JsonObject, source: PrimitiveSource) -> Iterator[st
 def _rest_frame(primitive: SkinnedPrimitive, kind: str) -> tuple[FloatArray, FloatArray] | None:
     """Return (t0, b0) of the frame that the metadata names, or None if its TANGENT is gone."""
     normals = frames.unit_normals(primitive.normals)
-    if kind == frames.NORMAL_FRAME:
+    if kind == Frame.NORMAL:
         return frames.frame_from_normal(normals)
     if primitive.tangents is None:
         return None
@@ -157,11 +157,7 @@ def _rest_frame(primitive: SkinnedPrimitive, kind: str) -> tuple[FloatArray, Flo
 
 def _skewed(view: BakedView) -> Iterator[Notice]:
     """Yield a problem if the normal of the rest frame is not the stored one."""
-    if (
-        view.metadata["frame"] != frames.TANGENT_FRAME
-        or view.now.tangents is None
-        or "TANGENT" in view.changed
-    ):
+    if view.metadata["frame"] != Frame.TANGENT or view.now.tangents is None or "TANGENT" in view.changed:
         return
     used = np.unique(view.now.triangles)
     normals = frames.unit_normals(view.now.normals[used])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from skinbake.geometry.frames import TANGENT_FRAME
+from skinbake.choices import Frame
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import objects
 from skinbake.gltf.morphs import read_targets, target_count
@@ -28,7 +28,7 @@ def morphing_of(document: Document, views: Sequence[BakedView], poses: PoseSet) 
             view.source,
             moving,
             count=len(view.now.positions),
-            tangents=view.metadata["frame"] == TANGENT_FRAME,
+            tangents=view.metadata["frame"] == Frame.TANGENT,
         )
         for view in views
     )
@@ -44,7 +44,7 @@ def carrier(views: Iterable[BakedView]) -> str:
     found = "none"
     for view in views:
         for target in objects(view.source.json, "targets", view.source.place):
-            if "TANGENT" in target and view.metadata["frame"] == TANGENT_FRAME:
+            if "TANGENT" in target and view.metadata["frame"] == Frame.TANGENT:
                 return "tangent"
             found = "normal"
     return found

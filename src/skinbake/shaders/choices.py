@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from skinbake.choices import Encoding, Frame, Language, Layout, Lighting, Method, Morphs
+from skinbake.choices import SLOTS_PER_SET, Encoding, Frame, Language, Layout, Lighting, Method, Morphs
 from skinbake.errors import ChoiceError
 
-SLOTS_PER_SET = 4
 CUSTOM_SETS = 2
 """The number of influence sets of the custom layout: Godot reads `_CUSTOM0` to `_CUSTOM3`."""
-
 
 ALGORITHMS = {
     (Method.LBS, Lighting.APPROXIMATED): 1,

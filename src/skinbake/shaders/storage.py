@@ -8,8 +8,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+from skinbake.choices import SLOTS_PER_SET
 from skinbake.errors import printable
-from skinbake.shaders.choices import SLOTS_PER_SET, ShaderChoices
+from skinbake.shaders.choices import ShaderChoices
 
 FORMATS = {"snorm16": "snorm16x4", "packed8": "snorm8x4"}
 """The WebGPU names of normalised SHORT and BYTE."""

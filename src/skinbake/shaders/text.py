@@ -15,9 +15,9 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from skinbake.choices import Language, Method, Morphs
+from skinbake.choices import SLOTS_PER_SET, Language, Method, Morphs
 from skinbake.errors import ChoiceError, printable
-from skinbake.shaders.choices import SLOTS_PER_SET, ShaderChoices
+from skinbake.shaders.choices import ShaderChoices
 from skinbake.shaders.storage import storage_context, storage_parts
 from skinbake.version import __version__
 
