@@ -17,8 +17,8 @@ import struct
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 from urllib.parse import quote, unquote
 
 if sys.platform != "win32":
@@ -64,8 +64,7 @@ NOWHERE = ""
 """The root of a document that came without a folder. It may name no file but the allowed ones."""
 
 
-@dataclass(frozen=True, slots=True)
-class Bounds:
+class Bounds(NamedTuple):
     """The places to which a document's names may lead: below ``root``, or below one of ``allowed``.
 
     They are paths, or URLs if the document has a URL. None stands for the document's own folder.
@@ -79,8 +78,7 @@ BESIDE = Bounds()
 """A document may name the files in its own folder and below."""
 
 
-@dataclass(frozen=True, slots=True)
-class Within:
+class Within(NamedTuple):
     """The folders in which a job stays: it reads within ``bounds`` and writes below ``output``.
 
     If ``output`` is None, it is the target's own folder.
@@ -94,8 +92,7 @@ OWN_FOLDERS = Within()
 """The folders of a file that the user named, and of a target that the user named."""
 
 
-@dataclass(frozen=True, slots=True)
-class Spot:
+class Spot(NamedTuple):
     """The place to which a name leads: a path below a folder, in forward slashes.
 
     ``is_own`` tells that the folder is the document's own root.

@@ -78,7 +78,14 @@ def test_a_time_that_is_none_is_refused(seconds: str) -> None:
 
 
 @POSIX
-@pytest.mark.parametrize("option", [["--timeout", "60"], ["--isolate"], ["--isolate", "--timeout", "60"]])
+@pytest.mark.parametrize(
+    "option",
+    [
+        ["--timeout", "60"],
+        pytest.param(["--isolate"], marks=pytest.mark.slow),
+        pytest.param(["--isolate", "--timeout", "60"], marks=pytest.mark.slow),
+    ],
+)
 def test_another_process_bakes_the_same(option: list[str], tmp_path: Path) -> None:
     plain, other = tmp_path / "plain.glb", tmp_path / "other.glb"
     assert call("bake", TUBE, "-o", plain).returncode == 0

@@ -72,7 +72,10 @@ def test_the_loop_refuses_what_the_library_refuses(text: str, monkeypatch: pytes
 
 
 @pytest.mark.parametrize("objects", [False, True])
-@pytest.mark.parametrize("depth", [900, 1100, 20_000, json_text.DEEPEST - 1])
+@pytest.mark.parametrize(
+    "depth",
+    [900, 1100, *(pytest.param(depth, marks=pytest.mark.slow) for depth in (20_000, json_text.DEEPEST - 1))],
+)
 def test_deep_texts_come_back_as_they_were(depth: int, objects: bool) -> None:
     text = nested(depth, objects=objects)
     assert json_text.written(json_text.parsed(text), indent=None, ascii_only=True) == text

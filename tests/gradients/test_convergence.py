@@ -60,7 +60,9 @@ def mean_error(
 
 # Order 2 is what a mean over symmetric neighbourhoods has. Of the grids 1.8 is asked: their border rows,
 # which have neighbours on one side only, are of order 1. Three seeds, as one has a tenth of scatter.
-@pytest.mark.parametrize(("triangulation", "order"), [("irregular", 1.5), ("jittered", 1.8)])
+@pytest.mark.parametrize(
+    ("triangulation", "order"), [pytest.param("irregular", 1.5, marks=pytest.mark.slow), ("jittered", 1.8)]
+)
 def test_max_weighted_normals_converge(triangulation: Triangulation, order: float) -> None:
     coarse, fine = ([mean_error(count, triangulation, seed) for seed in SEEDS] for count in (700, 5600))
     spacing = math.sqrt(np.mean([count for _, count in fine]) / np.mean([count for _, count in coarse]))

@@ -204,14 +204,21 @@ def failing(verdict: FileVerdict) -> Iterator[tuple[str, str, str]]:
     ("options", "message"),
     [
         ({"max_mean_error": 0.05}, "LBS accurate: the mean of the error is 0.133° by triangles, over"),
-        ({"max_p95_error": 0.2}, "LBS accurate: the 95th percentile of the error is 0.43"),
+        pytest.param(
+            {"max_p95_error": 0.2},
+            "LBS accurate: the 95th percentile of the error is 0.43",
+            marks=pytest.mark.slow,
+        ),
         ({"min_gain": 100.0}, "LBS: the gain is 24.38 by triangles, below 100"),
         # Of two truths the worse counts: these keep the limit by tangents.
         ({"max_mean_error": 0.1}, "LBS accurate: the mean of the error is 0.133° by triangles, over"),
-        ({"min_gain": 30.0}, "LBS: the gain is 24.38 by triangles, below 30"),
-        (
+        pytest.param(
+            {"min_gain": 30.0}, "LBS: the gain is 24.38 by triangles, below 30", marks=pytest.mark.slow
+        ),
+        pytest.param(
             {"max_mean_error": 0.08, "truth": "tangents"},
             "LBS accurate: the mean of the error is 0.086° by tang",
+            marks=pytest.mark.slow,
         ),
         ({"min_gain": 100.0, "truth": "tangents"}, "LBS: the gain is 37.90 by tangents, below 100"),
         ({"max_mean_error": 0.5, "methods": ("dqs",)}, "DQS accurate: the mean of the error is 0.7"),

@@ -67,6 +67,7 @@ def test_the_figures_are_those_of_a_straightforward_computation(tmp_path: Path) 
     assert abs(found["approximated"]["mean"] / unmorphed["approximated"]["mean"] - 1) > 0.01
 
 
+@pytest.mark.slow
 def test_morphs_are_counted_and_told(tmp_path: Path) -> None:
     assert verify(baked(source("bent_tube.glb"), tmp_path)).file["morphs"] is None
     path = tube(tmp_path, targets=3)
@@ -126,6 +127,7 @@ def test_targets_that_change_after_a_bake_make_it_no_staler(tmp_path: Path) -> N
 # The tangent frame
 
 
+@pytest.mark.slow
 def test_the_morphed_fixture_is_better_lit_in_either_frame(tmp_path: Path) -> None:
     for frame in (FrameChoice.TANGENT, FrameChoice.NORMAL):
         path = baked(source("morphed_sheet.glb"), tmp_path, BakeSettings(frame=frame))

@@ -366,7 +366,15 @@ NEEDED = {"version", "frame", "influences", "weighting", "creaseAngle", "digest"
 
 
 @pytest.mark.parametrize(
-    "key", sorted(NEEDED | {"generator", "neighbours", "generated", "adopted", "keepExtras"})
+    "key",
+    [
+        *sorted(NEEDED),
+        # A file whose metadata is sound is measured, which takes longer than to see what is wrong.
+        *(
+            pytest.param(key, marks=pytest.mark.slow)
+            for key in ("adopted", "generated", "generator", "keepExtras", "neighbours")
+        ),
+    ],
 )
 def test_metadata_of_odd_types_is_told_in_a_sentence(
     bakes: Callable[[str], Path], tmp_path: Path, key: str

@@ -139,7 +139,9 @@ def test_gradients_of_normalised_weights_sum_to_zero(weighting: Weighting) -> No
 # Convergence and the choice of weights
 
 
-@pytest.mark.parametrize(("triangulation", "order"), [("irregular", 1.5), ("jittered", 1.8)])
+@pytest.mark.parametrize(
+    ("triangulation", "order"), [pytest.param("irregular", 1.5, marks=pytest.mark.slow), ("jittered", 1.8)]
+)
 def test_max_weights_converge(triangulation: Triangulation, order: float) -> None:
     # In the range of real characters. Ever finer, every average of triangle gradients falls back to order 1
     # where the stencils stay irregular: its error in a quadratic field is proportional to the edge length.
@@ -151,7 +153,9 @@ def test_max_weights_converge(triangulation: Triangulation, order: float) -> Non
     assert math.log(drop) / math.log(spacing) >= order
 
 
-@pytest.mark.parametrize("count", [700, 1500, 3000])
+@pytest.mark.parametrize(
+    "count", [700, *(pytest.param(count, marks=pytest.mark.slow) for count in (1500, 3000))]
+)
 def test_max_weights_beat_angle_times_area_on_random_triangulations(count: int) -> None:
     best, published = (
         np.mean([mean_error(count, "random", weighting, seed)[0] for seed in range(3)])

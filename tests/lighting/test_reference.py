@@ -80,7 +80,9 @@ def test_an_affine_map_acts_by_its_cofactors() -> None:
     assert angular_errors(normals[0], n0 @ np.linalg.inv(matrix)).max() < 1e-6
 
 
-@pytest.mark.parametrize(("triangulation", "order"), [("irregular", 1.4), ("jittered", 1.8)])
+@pytest.mark.parametrize(
+    ("triangulation", "order"), [pytest.param("irregular", 1.4, marks=pytest.mark.slow), ("jittered", 1.8)]
+)
 def test_it_converges_to_the_normals_of_the_skinned_surface(
     triangulation: Triangulation, order: float
 ) -> None:

@@ -20,6 +20,7 @@ EXACT = replace(BASE, method=Method.DQS, lighting=Lighting.EXACT, frame=Frame.NO
 CAPPED = replace(EXACT, cap=0.9, influences=5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("version", VERSIONS)
 def test_every_glsl_text_compiles(version: str) -> None:
     texts = every_text(Language.GLSL) | every_stored_and_morphed(Language.GLSL)

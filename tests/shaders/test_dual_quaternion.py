@@ -59,7 +59,9 @@ def assert_like_the_library(found: Single, given: Single) -> None:
     )
 
 
-@pytest.mark.parametrize("implementation", [webgpu.NAGA, webgpu.TINT], ids=["naga", "tint"])
+@pytest.mark.parametrize(
+    "implementation", [pytest.param(webgpu.NAGA, marks=pytest.mark.slow), webgpu.TINT], ids=["naga", "tint"]
+)
 def test_wgsl(implementation: webgpu.Implementation) -> None:
     given = joint_matrices()
     code = "\n".join(

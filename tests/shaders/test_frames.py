@@ -51,7 +51,9 @@ def test_the_normals_are_awkward() -> None:
     assert ((z == 0) & ~np.signbit(z)).any()
 
 
-@pytest.mark.parametrize("implementation", [webgpu.NAGA, webgpu.TINT], ids=["naga", "tint"])
+@pytest.mark.parametrize(
+    "implementation", [pytest.param(webgpu.NAGA, marks=pytest.mark.slow), webgpu.TINT], ids=["naga", "tint"]
+)
 def test_wgsl_has_the_bits_of_bake(implementation: webgpu.Implementation) -> None:
     normals = awkward_normals()
     code = "\n".join(

@@ -136,7 +136,7 @@ WRITE_FRAME = {
 }
 
 
-@pytest.mark.parametrize("language", Language)
+@pytest.mark.parametrize("language", [Language.WGSL, pytest.param(Language.GLSL, marks=pytest.mark.slow)])
 def test_the_frame_that_follows_the_normal_is_the_replay_s(language: Language, tmp_path: Path) -> None:
     """Any two normals; then none of a length; then opposite ones, on both sides of the threshold."""
     n0, turned = directions(3000, 1), directions(3000, 2)
@@ -284,7 +284,9 @@ def call_of(language: Language, text: str) -> str:
 # Compiled for every choice
 
 
-@pytest.mark.parametrize("version", ["300 es", "330", "450"])
+@pytest.mark.parametrize(
+    "version", [*(pytest.param(old, marks=pytest.mark.slow) for old in ("300 es", "330")), "450"]
+)
 def test_every_algorithm_compiles_as_glsl(version: str, tmp_path: Path) -> None:
     validator = shutil.which("glslangValidator")
     if validator is None:

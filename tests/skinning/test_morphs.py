@@ -140,7 +140,7 @@ def test_vertices_that_no_target_moves_stay_bit_for_bit(with_tangents: bool, dty
     assert moved.bitangents[half:] == pytest.approx(rest.bitangents[half:], abs=1e-6)
 
 
-@pytest.mark.parametrize("with_tangents", [False, True])
+@pytest.mark.parametrize("with_tangents", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_float32_is_float64_rounded(with_tangents: bool) -> None:
     surface = sample()
     target = morphing.target(surface, morphing.mixture, tangents=with_tangents)

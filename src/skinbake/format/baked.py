@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -25,8 +25,7 @@ from skinbake.timing import stage
 from skinbake.version import __version__
 
 
-@dataclass(frozen=True, slots=True)
-class AttributeNames:
+class AttributeNames(NamedTuple):
     """Patterns of the attribute names; ``{set}`` is the number of the influence set."""
 
     alpha: str = "_SKINBAKE_ALPHA_{set}"
@@ -90,7 +89,7 @@ def with_scale(storage: GradientFormat, results: Iterable[BakedPrimitive]) -> Gr
     if not storage.encoding.is_scaled:
         return storage
     scale = common_scale([slots for result in results for slots in (result.alpha, result.beta)])
-    return replace(storage, scale=scale)
+    return storage._replace(scale=scale)
 
 
 def _written(

@@ -10,8 +10,7 @@ scale.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -42,8 +41,7 @@ def vertex_bytes(encoding: Encoding, influences: int) -> int:
     return DTYPES[encoding].itemsize * 2 * (influences - (0 if encoding.is_scaled else 1))
 
 
-@dataclass(frozen=True, slots=True)
-class DecodedSlots:
+class DecodedSlots(NamedTuple):
     """α or β as a shader decodes it: values (V, K − 1) float32, 1 / length unit of POSITION.
 
     rounding (V,) is the largest change of a value by its storage: half a step of the vertex's integers, 0 for

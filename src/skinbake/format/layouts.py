@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -19,8 +18,7 @@ CUSTOM_NAMES = (("_CUSTOM0", "_CUSTOM1"), ("_CUSTOM2", "_CUSTOM3"))
 """α and β by influence set: Godot's importer reads them into CUSTOM0 … CUSTOM3 (godotengine/godot#120040)."""
 
 
-@dataclass(frozen=True, slots=True)
-class GradientFormat:
+class GradientFormat(NamedTuple):
     """The storage of α and β in one file; scale is the encoding's, in 1 / length unit of POSITION."""
 
     encoding: Encoding = Encoding.FLOAT32

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from skinbake.choices import Layout
 from skinbake.errors import Notice, Place
@@ -185,8 +185,7 @@ def _without(
     return _shrunk(document, root, tail)
 
 
-@dataclass(frozen=True, slots=True)
-class _Tail:
+class _Tail(NamedTuple):
     """The start of a bake's buffer views, and its note on the former buffer.
 
     start is their first byte in the buffer that holds their data. fallbacks is the number of buffers at the

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -29,8 +28,7 @@ BUFFER_ADDED = "bufferAdded"
 FALLBACK_ADDED = "fallbackAdded"
 
 
-@dataclass(frozen=True, slots=True)
-class Packed:
+class Packed(NamedTuple):
     """The compression of views by the meshopt extension ``name``, at a level of 0 … 3.
 
     beside: the plain data is stored too, for loaders without the extension. Otherwise the view is in a

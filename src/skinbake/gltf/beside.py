@@ -5,8 +5,8 @@ from __future__ import annotations
 import errno
 import os
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
+from typing import NamedTuple
 
 from skinbake.containment import (
     OutsideError,
@@ -28,8 +28,7 @@ from skinbake.gltf.resources import FileContent, find, is_data_uri, outside, ref
 from skinbake.gltf.writing import Signature, signature_of
 
 
-@dataclass(frozen=True, slots=True)
-class NamedFile:
+class NamedFile(NamedTuple):
     """A reference of a document to a file: its array, index and URI."""
 
     array: str

@@ -5,9 +5,8 @@ from __future__ import annotations
 from bisect import bisect_left
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from itertools import accumulate
-from typing import Any
+from typing import Any, NamedTuple
 
 from skinbake.errors import InputError, Place
 from skinbake.gltf import resources
@@ -129,8 +128,7 @@ def _difference(ranges: list[Range], needed: list[Range]) -> list[Range]:
     return [(start, end) for start, end in aligned if start < end]
 
 
-@dataclass(frozen=True, slots=True)
-class _Shifts:
+class _Shifts(NamedTuple):
     """The distances by which bytes move back: ``lengths[n]`` for bytes behind the starts of ``n`` holes."""
 
     starts: list[int]

@@ -131,7 +131,7 @@ def read_document(path: str, bounds: Bounds = BESIDE) -> Document:
     are first needed. Raises InputError if the file cannot be read or is not glTF 2.
     """
     if path == STDIO:
-        return parse_glb(_read_stdin(), "<stdin>", Path(), replace(bounds, root=NOWHERE))
+        return parse_glb(_read_stdin(), "<stdin>", Path(), bounds._replace(root=NOWHERE))
     file = Path(path)
     suffix = file.suffix.lower()
     if suffix != GLTF_SUFFIX and suffix not in GLB_SUFFIXES:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 from skinbake.errors import InputError, OutputError, Place, UnsupportedFeatureError
 
@@ -19,8 +18,7 @@ CHUNK_HEADER = struct.Struct("<II")
 MAX_LENGTH = 2**32 - 1
 
 
-@dataclass(frozen=True, slots=True)
-class GlbChunks:
+class GlbChunks(NamedTuple):
     """The chunks of one GLB, in file order; ``binary`` is None without a BIN chunk.
 
     ``others`` are further chunks of unknown type. ``trailing`` are bytes past the length in the header. Both

@@ -86,8 +86,7 @@ class TakenError(OutputError):
     """Another program has put or changed a file beside the output since it was planned."""
 
 
-@dataclass(frozen=True, slots=True)
-class Version:
+class Version(NamedTuple):
     """A file as it was when it was read; ``digest`` if its times alone may not show a change."""
 
     path: str

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -13,8 +14,7 @@ from skinbake.geometry.skinned import BoolArray, Float64Array, IntArray
 NO_JOINT = -1
 
 
-@dataclass(frozen=True, slots=True)
-class WeightField:
+class WeightField(NamedTuple):
     """The normalised weights of V vertices: joints (V, K) int32, weights (V, K) float64, Σ over K is 1.
 
     Every joint has only one slot of a vertex. A repeat gets joint −1 and weight 0, and the slot that keeps

@@ -6,7 +6,7 @@ wrongly in every pose. A figure that is measured against that normal does not sh
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -35,8 +35,7 @@ is taken, so that the check takes only some milliseconds.
 """
 
 
-@dataclass(frozen=True, slots=True)
-class NormalLean:
+class NormalLean(NamedTuple):
     """The number of sampled vertices with a far normal, and their median lean in degrees.
 
     vertices is the number of the primitive's vertices for each sampled one.

@@ -9,8 +9,7 @@ from the stream, because the vertices have the same order there for all attribut
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -35,8 +34,7 @@ MOST_ATTRIBUTES = 127
 Shape = tuple[np.dtype[np.generic], int, int]
 
 
-@dataclass(frozen=True, slots=True)
-class Claim:
+class Claim(NamedTuple):
     """The data of an accessor: one attribute of a primitive's stream, or its triangles (None).
 
     primitive is the JSON of the primitive at the time when it had that stream.
