@@ -37,10 +37,10 @@ WINDOW_BYTES = 512 * 2**20
 TASK_SECONDS = 0.5
 TASK_JOBS = 64
 TASK_BYTES = 16 * 2**20
-"""Small jobs are sent several as one task: until they take this long, are this many or this large."""
+"""Limits of one task of several small jobs: their time, their number and their size."""
 
 BATCH = 64
-"""How many tasks' results are fetched at a time."""
+"""The number of tasks whose results are fetched at a time."""
 
 GONE = "the connection to the scheduler was lost"
 
@@ -50,14 +50,15 @@ _Outcome = str | tuple[list[ResultWithFiles[ResultT]], float]
 
 
 class DaskRunner:
-    """Runs jobs on the workers of a scheduler, given by its address, like ``tcp://host:8786``.
+    """Run jobs on the workers of a scheduler, given by its address, like ``tcp://host:8786``.
 
-    Some jobs for each worker's thread are under way at a time, however many there are. A job whose worker
-    dies is tried on others, as often as the scheduler's ``allowed-failures`` says. It may have died of
-    another job's doing: those that are given up are tried once more at the end, each alone in the cluster.
+    Each thread of a worker has some jobs under way at a time, no matter how many jobs there are. If a worker
+    dies, its jobs are tried on other workers, as often as the scheduler's ``allowed-failures`` says. Another
+    job may have killed the worker. So a job that was given up is tried once more at the end, alone in the
+    cluster.
 
-    Files with plain paths are read and written here, and travel with their jobs (``WorkWithFiles``);
-    ``writing`` says how.
+    Files with plain paths are read and written here. They travel with their jobs (``WorkWithFiles``).
+    ``writing`` says how they are written.
     """
 
     def __init__(
@@ -130,8 +131,8 @@ class DaskRunner:
     ) -> Generator[tuple[int, ResultT], None, None]:
         """Yield (number of the job, result) as jobs are done, in any order, each exactly once.
 
-        Where the scheduler goes away, no worker comes for a while, or one comes with another version of
-        skinbake, all that is left is lost for that reason. Raises InputError as ``connect`` does.
+        All remaining jobs are lost if the scheduler goes away, if no worker comes for a while, or if a worker
+        comes with another version of skinbake. Raises InputError as ``connect`` does.
         """
         import dask
 
@@ -139,7 +140,7 @@ class DaskRunner:
         assert self._client is not None
         sent = WorkWithFiles(work, self._writing)
         flight = _Flight(self._client, sent, jobs, self._patience, one_by_one=one_by_one)
-        # The bytes of inputs are meant to be in the tasks: there they outlive workers.
+        # The bytes of inputs are in the tasks on purpose: there they outlive workers.
         with dask.config.set({"distributed.admin.large-graph-warning-threshold": "1 TiB"}):
             try:
                 yield from flight.results()
@@ -162,7 +163,7 @@ class OneByOne:
 
 @dataclass(frozen=True, slots=True)
 class _Task:
-    """Jobs that went to the cluster as one: their numbers, the bytes that were sent, and its future."""
+    """Jobs that went to the cluster as one task: their numbers, the bytes sent, and the task's future."""
 
     numbers: tuple[int, ...]
     size: int
@@ -171,7 +172,7 @@ class _Task:
 
 
 class _Flight(Generic[ResultT]):
-    """One run: what is still to be sent, what is under way, and what is suspected of killing workers."""
+    """One run: the jobs that are still to be sent, under way, or suspected of killing workers."""
 
     def __init__(
         self,
@@ -210,11 +211,11 @@ class _Flight(Generic[ResultT]):
             yield number, self._work.lost(self._jobs[number], str(self._over))
 
     def cancel(self) -> None:
-        """Forget what has not begun; what runs on a worker comes to its end there."""
+        """Forget the jobs that have not begun. A job that runs on a worker comes to its end there."""
         self._under_way.clear()  # Dask drops tasks without a held future
 
     def _look(self) -> None:
-        """Count the workers' threads at times. Give up if there have been none for long."""
+        """Count the workers' threads from time to time. Give up if there have been none for long."""
         now = time.monotonic()
         if now - self._looked < LOOK_SECONDS:
             return
@@ -230,7 +231,7 @@ class _Flight(Generic[ResultT]):
             self._over = f"the scheduler has had no worker for {self._patience:.0f} s"
 
     def _launch(self) -> Iterator[tuple[int, ResultT]]:
-        """Send jobs while there is room for them; yield results of those that need not be sent."""
+        """Send jobs while there is room. Yield the results of the jobs that need not be sent."""
         window = 1 if self._one_by_one else max(LEAST_WINDOW, WINDOW_PER_THREAD * self._threads)
         while self._next < len(self._jobs) and len(self._under_way) < window and self._sent < WINDOW_BYTES:
             first, last = self._next, min(self._next + self._jobs_of_a_task(), len(self._jobs))
@@ -248,7 +249,7 @@ class _Flight(Generic[ResultT]):
             yield from self._submitted({number: self._work.with_files(self._jobs[number])}, alone=True)
 
     def _jobs_of_a_task(self) -> int:
-        """Return how many jobs to send as one task: each task costs the scheduler about a millisecond."""
+        """Return the number of jobs for one task. Each task costs the scheduler about a millisecond."""
         if self._one_by_one or not self._seconds:
             return 1
         share = (len(self._jobs) - self._next) // (2 * WINDOW_PER_THREAD * max(self._threads, 1))
@@ -257,7 +258,7 @@ class _Flight(Generic[ResultT]):
     def _submitted(
         self, packed: dict[int, JobWithFiles | DoneHere[ResultT]], *, alone: bool
     ) -> Iterator[tuple[int, ResultT]]:
-        """Send jobs as one task; yield results of those that need not be sent."""
+        """Send jobs as one task. Yield the results of the jobs that need not be sent."""
         sent = {}
         for number, job in packed.items():
             if isinstance(job, DoneHere):
@@ -278,7 +279,7 @@ class _Flight(Generic[ResultT]):
         self._ended.put(future.key)
 
     def _some_ended(self) -> list[str]:
-        """Wait a little for tasks to end, and return those that have."""
+        """Wait a little for tasks to end, and return the keys of the ended ones."""
         keys: list[str] = []
         if not self._under_way:
             return keys
@@ -289,7 +290,7 @@ class _Flight(Generic[ResultT]):
         return keys
 
     def _landed(self, keys: Sequence[str]) -> Iterator[tuple[int, ResultT]]:
-        """Yield the results of tasks that have ended, and take up those that ended otherwise."""
+        """Yield the results of tasks that succeeded, and handle the tasks that ended otherwise."""
         finished = []
         for key in keys:
             future = self._under_way[key].future
@@ -299,7 +300,7 @@ class _Flight(Generic[ResultT]):
                 yield from self._broken(self._taken(key), future.exception())
             elif future.status == "cancelled":
                 self._over = GONE
-            else:  # its worker died with the result: it is done anew
+            else:  # its worker died with the result, so the task is done again
                 future.add_done_callback(self._note)
         for key, outcome in zip(finished, self._gathered(finished), strict=True):
             task = self._taken(key)
@@ -317,7 +318,7 @@ class _Flight(Generic[ResultT]):
         return task
 
     def _gathered(self, keys: Sequence[str]) -> list[_Outcome[ResultT] | BaseException]:
-        """Return what finished tasks returned, an exception for one that is broken after all."""
+        """Return the outcomes of finished tasks. A task that is broken after all has an exception."""
         futures = [self._under_way[key].future for key in keys]
         try:
             return list(self._client.gather(futures))
@@ -340,7 +341,7 @@ class _Flight(Generic[ResultT]):
             yield number, self._work.result_here(self._jobs[number], result)
 
     def _broken(self, task: _Task, error: BaseException) -> Iterator[tuple[int, ResultT]]:
-        """Yield what is lost by a task that raised something or killed its workers."""
+        """Yield the lost jobs of a task that raised an exception or killed its workers."""
         from distributed import CancelledError
 
         if isinstance(error, CancelledError):
@@ -375,7 +376,7 @@ def _client(address: str) -> Client:
     _silence()
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # on versions; ours is about those that matter here
+            warnings.simplefilter("ignore")  # about versions; ``connect`` reports the ones that matter
             return Client(address, timeout=CONNECT_SECONDS, set_as_default=False, name="skinbake")
     except Exception as error:
         text = str(error).partition("\n")[0] or type(error).__name__

@@ -15,11 +15,11 @@ if TYPE_CHECKING:
     from skinbake.jobs.work import ResultT
 
 Versions = tuple[str, str, str]
-"""Of skinbake, Python and NumPy."""
+"""The versions of skinbake, Python and NumPy."""
 
 
 class _Call:
-    """Unpickling it calls the function with the arguments, and returns what that returns."""
+    """Unpickling it calls the function with the arguments, and returns the result."""
 
     def __init__(self, function: Callable[..., object], *arguments: object) -> None:
         self._call = function, arguments
@@ -29,10 +29,10 @@ class _Call:
 
 
 def call(function: Callable[..., object], *arguments: object) -> bytes:
-    """Return a call in such a form that ``pickle.loads`` makes it.
+    """Return a call as bytes. ``pickle.loads`` of them makes the call.
 
-    Schedulers of Dask unpickle the tasks that they pass on. A task that is ``pickle.loads`` and some bytes
-    asks nothing of them: only workers need skinbake.
+    Dask's schedulers unpickle the tasks that they pass on. A task made of ``pickle.loads`` and some bytes
+    needs nothing there, so only workers need skinbake.
     """
     return pickle.dumps(_Call(function, *arguments))
 
@@ -52,10 +52,10 @@ def versions() -> Versions:
 
 
 def perform(version: str, pickled: bytes) -> str | tuple[list[ResultWithFiles[ResultT]], float]:
-    """Do a pickled (work, jobs): return the results and the seconds that they took.
+    """Do a pickled (work, jobs). Return the results and the seconds that they took.
 
-    Or, as a text, which other version is here: nothing else is read of a client with another one, since its
-    classes may have other members.
+    If the client has another version, return a text that names the version here. Then nothing is unpickled,
+    because the client's classes may have other members.
     """
     if version != build():
         return f"{_address()} has skinbake {build()}"
@@ -75,7 +75,7 @@ def _address() -> str:
 
 
 def _local_folder() -> str | None:
-    """Return the worker's own folder, which Dask removes, also after a worker that was killed."""
+    """Return the worker's own folder. Dask removes it, even if the worker was killed."""
     from distributed import get_worker
 
     return str(get_worker().local_directory)

@@ -1,8 +1,8 @@
-"""Work for machines that do not see this one's disk: the files that a plain path means travel with its job.
+"""Work for machines that do not see this machine's disk: files with plain paths travel with their job.
 
-The file and those that it names are read here and sent along; the worker unpacks them into a private folder
-and goes on as it does with URLs; the files that it made are sent back and written here. URLs are read and
-written by the worker itself.
+The file and the files that it names are read here and sent along. The worker unpacks them into a private
+folder and goes on as it does with URLs. Then it sends back the files that it made, and they are written here.
+The worker itself reads and writes URLs.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ from skinbake.urls import is_url
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SentFiles:
-    """Files of one machine's disk, for another: a storage.
+    """The files of one machine's disk, as a storage for another machine.
 
-    Names are relative to ``base``, a folder. ``paths`` has the names of what the user calls otherwise,
-    ``made`` the files that were stored on the other machine, in that order.
+    Names are relative to the folder ``base``. ``paths`` maps the user's paths to names. ``made`` holds the
+    files that the other machine stored, in that order.
     """
 
     base: str
@@ -41,7 +41,7 @@ class SentFiles:
     made: dict[str, bytes] = field(default_factory=dict)
 
     def name_of(self, path: str) -> str:
-        """Return the name of what a path means on the machine that sent this."""
+        """Return the name of the file that a path means on the machine that sent this."""
         return self.paths[path]
 
     def fetch_file(self, name: str, to: Path) -> None:
@@ -99,9 +99,9 @@ class DoneHere(Generic[ResultT]):
 
 @dataclass(frozen=True, slots=True)
 class WorkWithFiles(Generic[ResultT]):
-    """A work for other machines; its jobs may have plain paths, and ``writing`` says how targets are written.
+    """A work for other machines. Its jobs may have plain paths.
 
-    The work must find its files by its job's ``elsewhere``.
+    ``writing`` says how targets are written. The work must find its files by its job's ``elsewhere``.
     """
 
     work: Work[Job, ResultT]
@@ -162,9 +162,9 @@ class WorkWithFiles(Generic[ResultT]):
                         sync=writing.sync
                     )
                     return result
-            except TakenError:  # by now
+            except TakenError:  # another file got the name meanwhile
                 pass
-        # Another file has the name: here the names that are taken can be seen.
+        # Another file has the name. On this machine, the work sees which names are taken.
         return self.work(job)
 
 
@@ -198,7 +198,7 @@ def _has_content(path: Path, root: Path, data: bytes) -> bool:
 
 
 def _sent_files(source: str, target: str | None, within: Within) -> SentFiles | None:
-    """Return the files that a bake of the source to the target needs, as far as they have plain paths.
+    """Return the files with plain paths that a bake of the source to the target needs.
 
     Raises InputError if they cannot be read, ChoiceError for standard input and output.
     """
@@ -241,13 +241,13 @@ def _end(given: str, path: str, disk: SentFiles, top: str | None) -> End:
 
 
 def _absolute(path: str) -> str:
-    """Return a path without links in its folder, so that ``..`` in a relative one means what it says."""
+    """Return a path without links in its folder, so that ``..`` in a relative path is the parent folder."""
     folder, name = os.path.split(path)
     return Path(os.path.realpath(folder), name).as_posix()
 
 
 def _read(source: End, target: End | None, bounds: Bounds) -> dict[str, bytes]:
-    """Return a file and those that it names, as far as a bake needs them, by absolute path."""
+    """Return a file and the files that it names, as far as a bake needs them, by absolute path."""
     files = {source.name: bytes(read_named(source.given, bounds.root))}
     folder = Path(source.given).parent
     for resource, with_content in needed(resources_of(source.given, bounds), source, target):

@@ -1,9 +1,9 @@
 """bake and verify for files that are not on this machine's disk.
 
-They are fetched into a private folder, worked on there by the functions that local files go through, and
-what was written is stored again. In the private folder stands a mirror of the storage's names, as far as
-one file's work needs it: relative URIs, ``../`` among them, mean there what they mean in the storage, and
-every rule about files beside a document holds as it does on a disk.
+The files are fetched into a private folder. The functions for local files work on them there. Then the
+written files are stored again. The private folder mirrors the names of the storage, as far as one file's work
+needs them. So relative URIs, ``../`` among them, mean the same file there as in the storage. Every rule about
+files beside a document holds as it does on a disk.
 """
 
 from __future__ import annotations
@@ -51,15 +51,15 @@ class RemoteDisk(Storage, Protocol):
     """A storage that stands for the disk of another machine."""
 
     def name_of(self, path: str) -> str:
-        """Return the name of what a path means on that machine."""
+        """Return the storage's name of the file that a path means on that machine."""
 
 
 @dataclass(frozen=True, slots=True)
 class End:
-    """One end of a job: what the user calls the file, and where it is.
+    """One end of a job: the user's name for the file, and the place of the file.
 
-    ``name`` is that in the storage, or a path of this machine's where there is no storage. ``tops`` are
-    the folders in the storage that a document's names may lead to, its own first.
+    ``name`` is the name in the storage. Without a storage it is a path of this machine. ``tops`` are the
+    folders in the storage that a document's names may lead to. The document's own folder is the first.
     """
 
     given: str
@@ -76,10 +76,10 @@ class End:
 
 @dataclass(frozen=True, slots=True)
 class Staging:
-    """Works on files that are not on this machine's disk, in private folders in ``workspace``.
+    """Work on files that are not on this machine's disk, in private folders in ``workspace``.
 
-    ``disk`` is where plain paths lead, None for this machine's disk. The workspace is the system's folder of
-    temporary files where it is None.
+    ``disk`` is the disk that plain paths lead to. None means this machine's disk. If the workspace is None,
+    it is the system's folder of temporary files.
     """
 
     disk: RemoteDisk | None = None
@@ -90,9 +90,8 @@ class Staging:
     ) -> FileResult:
         """Bake one file, where source and target may be URLs.
 
-        What is written is byte for byte what the command writes on a disk; the result calls files as the
-        user does. A URL's folder is made where it is missing. Raises SkinbakeError, and then the target has
-        not been touched.
+        The command writes the same bytes on a disk. The result names files as the user does. If a URL's
+        folder is missing, it is made. Raises SkinbakeError, and then the target has not been touched.
         """
         goal = None if target is None else self._target_end(target, within.output)
         made = how.make_folder or (target is not None and is_url(target))
@@ -167,7 +166,7 @@ def _verify_at(
 def _bake_between(
     source: End, target: End | None, baker: Baker, how: Writing, within: Within, workspace: str | None
 ) -> FileResult:
-    """Bake from one end to another, through a private folder; may raise SkinbakeError, nothing stored."""
+    """Bake from one end to another, through a private folder. On a SkinbakeError nothing is stored."""
     if target is not None and source.given != target.given and _one_file(source, target):
         raise OutputError("it is the input; use --in-place to replace it", Place(target.given))
     taken: frozenset[str] = frozenset()
@@ -194,9 +193,10 @@ def _attempt(
     within: Within,
     taken: frozenset[str],
 ) -> tuple[FileResult, frozenset[str]]:
-    """Return the result, and names in the target's storage that other files have, for which all waits.
+    """Return the result, and the names that other files in the target's storage have.
 
-    Of files in ``taken`` it is known; the bake sees them, and gives its own other names.
+    If there are such names, nothing is stored. ``taken`` are the names known from earlier attempts. The bake
+    sees their files, and gives its own files other names.
     """
     path = folder.fetch_input(source)
     bounds = folder.bounds_of(source, within.bounds)
@@ -220,14 +220,14 @@ def _attempt(
 
 
 def _stored(folder: _PrivateFolder, storage: Storage, target: End, written: list[str]) -> frozenset[str]:
-    """Store what was written, the target last; or nothing, and return the names that other files have."""
+    """Store the written files, the target last. If other files have their names, store none; return these."""
     beside = [name for name in written if name != target.name]
     with writing(target.given), stage("store"):
         there = {name for name in beside if storage.has_file(name)}
         clashing = {name for name in there if not storage.has_content(name, folder.path_of(storage, name))}
         if clashing:
             return frozenset(clashing)
-        # What is stored of these when the target fails stays: another file's bake may have found it already.
+        # If the target fails, these stay: the bake of another file may have found them already.
         for name in beside:
             if name not in there:
                 storage.store_file(name, folder.path_of(storage, name))
@@ -237,7 +237,7 @@ def _stored(folder: _PrivateFolder, storage: Storage, target: End, written: list
 
 
 def resources_of(path: str, bounds: Bounds) -> list[NamedFile]:
-    """Return the files that a document names; none where it cannot be read, which its own work will say."""
+    """Return the files that a document names, none if it cannot be read. Its own work reports that."""
     if path == STDIO:
         return []
     try:
@@ -247,7 +247,7 @@ def resources_of(path: str, bounds: Bounds) -> list[NamedFile]:
 
 
 def names_of(resource: NamedFile, end: End) -> list[str]:
-    """Return the names that a file may have in the storage of the document, the likelier first.
+    """Return the names that a file may have in the storage of the document. The likelier one is first.
 
     Names outside the folders that the document may name are left out.
     """
@@ -264,7 +264,7 @@ def _is_below(name: str, folder: str) -> bool:
 
 
 def needed(found: Sequence[NamedFile], source: End, target: End | None) -> Iterator[tuple[NamedFile, bool]]:
-    """Yield the files that a bake reads, copies, or asks after, and for each whether its content counts."""
+    """Yield the files that a bake reads, copies or looks for, and for each whether its content is needed."""
     for resource in found:
         if resource.array == "buffers" or _is_copied(resource, source, target):
             yield resource, True
@@ -289,7 +289,7 @@ def _is_copied(resource: NamedFile, source: End, target: End | None) -> bool:
 
 
 def _fetch_needed(folder: _PrivateFolder, source: End, path: str, target: End | None, bounds: Bounds) -> None:
-    """Fetch what a bake needs; OutputError for a file that no relative URI can reach from the target."""
+    """Fetch the files for a bake. Raises OutputError if no relative URI of the target can reach one."""
     for resource, with_content in needed(resources_of(path, bounds), source, target):
         there = folder.fetch_named(source, resource, bounds, with_content=with_content)
         if target is None or target.storage == source.storage or _is_copied(resource, source, target):
@@ -338,11 +338,11 @@ class _PrivateFolder:
         return path
 
     def folder_of(self, storage: Storage, name: str) -> str:
-        """Return where a folder of the storage stands here."""
+        """Return the path of the mirror of a folder of the storage."""
         return os.path.normpath(self._mirror(storage) / name)
 
     def bounds_of(self, end: End, given: Bounds) -> Bounds:
-        """Return where the names of a document may lead that is at this end."""
+        """Return the folders to which the names of a document at this end may lead."""
         if end.storage is None:
             root = None if given.root is None else on_disk(given.root)
             return Bounds(root, tuple(filter(None, map(on_disk, given.allowed))))
@@ -356,7 +356,7 @@ class _PrivateFolder:
         return self.folder_of(end.storage, end.tops[0])
 
     def path_of_target(self, end: End) -> str:
-        """Return the path at which a target is to be written; its folder is there if it is in a storage."""
+        """Return the path for writing a target. If the target is in a storage, the folder is made."""
         if end.storage is None:
             return end.name
         path = self.path_of(end.storage, end.name)
@@ -380,7 +380,7 @@ class _PrivateFolder:
         return path
 
     def fetch_named(self, source: End, resource: NamedFile, bounds: Bounds, *, with_content: bool) -> bool:
-        """Fetch a file that the source names, or an empty one in its place; tell whether there is one."""
+        """Fetch a file that the source names, or make an empty one in its place. Tell whether it exists."""
         if source.storage is None:
             return is_there(resource.uri, Path(source.name).parent, bounds)
         with reading(source.given), stage("fetch"):
@@ -403,7 +403,7 @@ class _PrivateFolder:
                 return True
             path.parent.mkdir(parents=True, exist_ok=True)
         except (InputError, ValueError, FileExistsError, NotADirectoryError):
-            return False  # a name that no file of this machine can have, as on a disk
+            return False  # no file of this machine can have this name, as on a disk
         except OSError as error:
             if error.errno == errno.ENAMETOOLONG:
                 return False
@@ -415,7 +415,7 @@ class _PrivateFolder:
         return path.is_file()
 
     def files_of(self, end: End | None) -> dict[str, tuple[int, int, int]]:
-        """Return the names in an end's mirror, each with what changes when the file is written."""
+        """Return the names in an end's mirror, each with values that change when the file is written."""
         if end is None or end.storage is None:
             return {}
         mirror = self._mirror(end.storage)
@@ -429,7 +429,7 @@ class _PrivateFolder:
         return found
 
     def naming(self, *ends: tuple[End | None, str | None]) -> Callable[[str], str]:
-        """Return what puts the user's names in place of paths in a text."""
+        """Return a function that replaces the paths in a text by the user's names."""
         names = {path: end.given for end, path in ends if end is not None and path is not None}
         for number, storage in enumerate(self._storages):
             mirror = str(self._root / str(number))
@@ -445,7 +445,7 @@ class _PrivateFolder:
 
 
 def _named(call: Callable[[], T], naming: Callable[[str], str]) -> T:
-    """Return what the call returns, or raise its error, with the naming applied to every text in it."""
+    """Return the result of the call, or raise its error, with the naming applied to every text in it."""
     try:
         return _renamed(call(), naming)
     except SkinbakeError as error:

@@ -1,4 +1,4 @@
-"""Files behind URLs: what fsspec and its drivers reach, object stores among them."""
+"""Files behind URLs: fsspec and its drivers reach them, object stores among them."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from fsspec import AbstractFileSystem  # fsspec is untyped: this is Any
 
 OBJECT_STORES = frozenset({"s3", "s3a", "gs", "gcs", "abfs", "abfss", "az"})
-"""Protocols that know buckets, but no folders, and by which a file appears when its last byte is there."""
+"""Protocols with buckets and without folders. A file appears there when its last byte has arrived."""
 
 WILDCARDS = re.compile(r"[*?\[]")
 
@@ -23,8 +23,8 @@ WILDCARDS = re.compile(r"[*?\[]")
 class Storage(Protocol):
     """Files that are not on this machine's disk, by names relative to the storage's root.
 
-    Names have forward slashes and no dots to resolve. Methods raise whatever a driver raises; ``reading``
-    and ``writing`` make sentences of that.
+    Names have forward slashes and no dots to resolve. Methods raise the exceptions of the driver. ``reading``
+    and ``writing`` turn these into messages.
     """
 
     def fetch_file(self, name: str, to: Path) -> None:
@@ -40,11 +40,11 @@ class Storage(Protocol):
         """Store a file whole or not at all, in place of one of that name; folders are made."""
 
     def public_name(self, name: str) -> str:
-        """Return what a person calls the file."""
+        """Return the name that a user knows."""
 
 
 class UrlStorage:
-    """The files that one fsspec filesystem reaches; their paths begin with ``root``."""
+    """The files that one fsspec filesystem reaches. Their paths begin with ``root``."""
 
     def __init__(self, filesystem: AbstractFileSystem, root: str) -> None:
         self._filesystem = filesystem
@@ -61,7 +61,7 @@ class UrlStorage:
     def fetch_file(self, name: str, to: Path) -> None:
         """Copy a file here. Raises FileNotFoundError if there is none."""
         self._filesystem.get_file(self._root + name, str(to))
-        if not to.is_file():  # of a folder, drivers make one
+        if not to.is_file():  # drivers copy a folder as a folder
             raise FileNotFoundError(name)
 
     def has_file(self, name: str) -> bool:
@@ -103,7 +103,7 @@ class UrlStorage:
 
         if type(self._filesystem).mv is not fsspec.AbstractFileSystem.mv:
             self._filesystem.mv(old, new)
-        else:  # it would copy too, and take brackets in names for patterns
+        else:  # fsspec's own ``mv`` copies too, and reads brackets in names as patterns
             self._filesystem.cp_file(old, new)
             self._filesystem.rm_file(old)
 
@@ -113,7 +113,7 @@ class UrlStorage:
 
 
 def located(url: str) -> tuple[UrlStorage | None, str]:
-    """Return the place of a URL: the storage and the name in it, or None and a path of this machine.
+    """Return the storage of a URL and the name in it, or None and a path of this machine.
 
     Raises InputError if fsspec or the driver of the URL's protocol is missing.
     """
@@ -143,7 +143,7 @@ def _filesystem(url: str) -> tuple[AbstractFileSystem, str]:
         if "Protocol not known" in str(error):
             raise InputError(f"fsspec knows no protocol {scheme}://", Place(url)) from error
         raise InputError(f"not a URL that can be read: {error}", Place(url)) from error
-    except Exception as error:  # whatever a driver makes of a host or a key that it does not like
+    except Exception as error:  # drivers refuse a host or a key by exceptions of any type
         raise InputError(f"cannot be reached: {reason(error)}", Place(url)) from error
     return filesystem, str(path)
 
@@ -161,7 +161,7 @@ def _is_object_store(filesystem: AbstractFileSystem) -> bool:
 
 @contextmanager
 def reading(file: str) -> Iterator[None]:
-    """Raise InputError, with one sentence, for whatever a storage raises in the block."""
+    """Raise InputError, with one sentence, for any exception of a storage in the block."""
     try:
         yield
     except (SkinbakeError, MemoryError):
@@ -172,7 +172,7 @@ def reading(file: str) -> Iterator[None]:
 
 @contextmanager
 def writing(file: str) -> Iterator[None]:
-    """Raise OutputError, with one sentence, for whatever a storage raises in the block."""
+    """Raise OutputError, with one sentence, for any exception of a storage in the block."""
     try:
         yield
     except (SkinbakeError, MemoryError):
@@ -182,7 +182,7 @@ def writing(file: str) -> Iterator[None]:
 
 
 def reason(error: Exception) -> str:
-    """Return why a driver failed, on one line: object stores seldom fill in errno."""
+    """Return the reason why a driver failed, on one line. Object stores seldom set errno."""
     if isinstance(error, OSError) and error.strerror:
         return error.strerror
     if isinstance(error, FileNotFoundError):
@@ -194,13 +194,12 @@ def reason(error: Exception) -> str:
 
 
 def expand_url(url: str) -> list[tuple[str, str]]:
-    """Return (URL, relative path) of each file that a URL stands for, in order of their paths.
+    """Return (URL, relative path) of each file that a URL means, in order of their paths.
 
-    A file stands for itself, under its name. A folder, which ends in no suffix of glTF, stands for the
-    ``.glb``, ``.gltf`` and ``.vrm`` files in it at any depth, relative to it, but no hidden ones. A pattern
-    with ``*``, ``**``, ``?`` or ``[…]`` stands for those that match, relative to the folder before its first
-    wildcard.
-    Raises InputError where the storage cannot be read, or there are none.
+    The URL of a file means the file, under its name. A URL that ends in no suffix of glTF is a folder. It
+    means the ``.glb``, ``.gltf`` and ``.vrm`` files in it at any depth, without hidden ones, relative to the
+    folder. A pattern with ``*``, ``**``, ``?`` or ``[…]`` means the files that match, relative to the folder
+    before its first wildcard. Raises InputError if the storage cannot be read, or if there are no files.
     """
     wildcard = WILDCARDS.search(url)
     if wildcard is None and PurePosixPath(url).suffix.lower() in SUFFIXES:
@@ -225,6 +224,6 @@ def expand_url(url: str) -> list[tuple[str, str]]:
 
 
 def _is_wanted(parts: Sequence[str], *, dots: bool) -> bool:
-    """Tell whether a file is one of glTF's, and not hidden or in a hidden folder, unless those are wanted."""
+    """Tell whether a file is a glTF file. Hidden files, and files in hidden folders, count only with dots."""
     hidden = any(part.startswith(".") for part in parts)
     return (dots or not hidden) and PurePosixPath(parts[-1]).suffix.lower() in SUFFIXES
