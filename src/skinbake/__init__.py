@@ -3,7 +3,7 @@
 After Tarini, Panozzo, Sorkine-Hornung, *Accurate and Efficient Lighting for Skinned Models*,
 Computer Graphics Forum 33(2), 2014, doi:10.1111/cgf.12330.
 
-``bake``, ``verify``, ``inspect`` and ``strip`` do for files what the commands of these names do.
+``bake``, ``verify``, ``inspect`` and ``strip`` do the work of the commands of these names.
 ``weight_gradients`` computes α and β of arrays. ``joint_dual_quaternions`` prepares joint matrices on the
 host for the shaders of ``--method dqs``. docs/python.md shows how they are used.
 """

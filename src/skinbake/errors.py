@@ -1,4 +1,4 @@
-"""What can go wrong, where it did, and what had to be assumed.
+"""Errors and notices, each with the place where it was found.
 
 The tree::
 
@@ -85,7 +85,7 @@ class Notice:
 class SkinbakeError(Exception):
     """Base of every error that skinbake raises on purpose.
 
-    ``notices`` are what had been assumed of the file before it failed.
+    ``notices`` are the assumptions about the file that were made before it failed.
     """
 
     def __init__(self, message: str, place: Place | None = None) -> None:
@@ -97,7 +97,7 @@ class SkinbakeError(Exception):
 
 @contextmanager
 def noticed(notices: Sequence[Notice]) -> Iterator[None]:
-    """Have an error that leaves the block carry what was noticed before it was raised."""
+    """Add the notices that came before an error to an error that leaves the block."""
     try:
         yield
     except SkinbakeError as error:
@@ -110,7 +110,7 @@ class InputError(SkinbakeError):
 
 
 def defect(error: Exception, file: str) -> InputError:
-    """Return what to say of an exception that should not have come up, while other files are tried."""
+    """Return the error for an unexpected exception. Other files are still tried."""
     return InputError(
         f"skinbake failed where it should not: {type(error).__name__}: {error}. "
         "Please report it with the file; -vv shows where",
@@ -131,4 +131,4 @@ class ReaderGoneError(OutputError):
 
 
 class ChoiceError(SkinbakeError):
-    """What was asked for does not exist, or contradicts itself."""
+    """The chosen options do not exist, or contradict each other."""

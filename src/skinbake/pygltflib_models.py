@@ -21,11 +21,11 @@ AS_GLB = "model.glb"
 
 
 def baked_model(model: GLTF2, baker: Baker) -> GLTF2:
-    """Return a new model with α and β; the one that was given stays as it is.
+    """Return a new model with α and β. The given model stays as it is.
 
     Buffer 0 of the new model is its binary blob. URIs of other buffers and of images stay as they are, and
-    lead from the folder that the model was loaded from. Raises InputError, and TypeError for what is no model
-    of pygltflib's.
+    lead from the folder that the model was loaded from. Raises InputError, and TypeError for an object
+    that is no model of pygltflib.
     """
     original, _, _ = stripped(document_of(model))
     prepared, _ = for_target(original, AS_GLB)

@@ -1,4 +1,4 @@
-"""What names say: URLs and paths. No more, since the command line asks it of every argument."""
+"""Names of files: URLs and paths. The command line imports this for every argument, so it is small."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ import posixpath
 import re
 
 URL = re.compile(r"^[A-Za-z][A-Za-z0-9+.\-]+(::.+)?://")
-"""A scheme of two letters or more: one is a drive of Windows. ``zip://a.glb::s3://…`` is one of fsspec's."""
+"""A scheme of two letters or more. One letter is a drive of Windows. ``zip://a.glb::s3://…`` is of fsspec."""
 
 SUFFIXES = (".glb", ".gltf", ".vrm")
-"""Of the files that are read and written."""
+"""The suffixes of the files that are read and written."""
 
 
 def is_url(path: str) -> bool:
@@ -24,7 +24,7 @@ def join_url(folder: str, relative: str) -> str:
 
 
 def on_disk(name: str) -> str | None:
-    """Return the path that a path, or a ``file:`` or ``local:`` URL, names; None for other URLs."""
+    """Return the path that a path, or a ``file:`` or ``local:`` URL, names. For other URLs return None."""
     if not is_url(name):
         return name
     scheme, _, rest = name.partition("://")
@@ -32,7 +32,7 @@ def on_disk(name: str) -> str | None:
 
 
 def canonical(name: str) -> str:
-    """Return what all names of a file share, as far as names tell: its real path, or the URL without dots."""
+    """Return the canonical name of a file: its real path, or the URL without dots."""
     path = on_disk(name)
     if path is not None:
         return os.path.realpath(path)

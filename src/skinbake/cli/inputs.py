@@ -24,8 +24,8 @@ class Input:
     """A file to read, and the part of its name that is kept in a folder of outputs.
 
     That part is relative to the folder in which the file was found. For a file that was named itself, it is
-    the file's own name. An argument that stands for no file is an input too, and ``missing`` says what is
-    wrong with it. ``searched`` is the folder in which a search found it. Its documents may name files there.
+    the file's own name. An argument that stands for no file is an input too. ``missing`` is the
+    reason. ``searched`` is the folder in which a search found it. Its documents may name files there.
     """
 
     source: str

@@ -22,7 +22,7 @@ from skinbake.errors import SkinbakeError
 @memory_option
 @message_options
 def command(source: str, **given: Any) -> None:
-    """Show what is skinned, how influences and frames are stored, what is baked and how large it is."""
+    """Show the skinned primitives: how influences and frames are stored, and the bakes with their sizes."""
     check_readable_suffix(source)
     say = console(verbose=given["verbose"], quiet=given["quiet"], color=given["color"])
     from skinbake.commands.inspect import inspect_file

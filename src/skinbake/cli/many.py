@@ -64,7 +64,7 @@ def many_options(command: Command) -> Command:
         click.option(
             "--skip-unchanged",
             is_flag=True,
-            help="Pass over files whose input, options and output are what they were, by digest.",
+            help="Pass over files whose input, options and output have not changed, by digest.",
         ),
         click.option(
             "-j",

@@ -104,10 +104,10 @@ PUBLISHED_CAP = 0.9
 @sync_option
 @message_options
 def command(source: str | None, output: str, **given: Any) -> None:
-    """Write the shader code that reads what bake stored: GLSL or WGSL, plain or for an engine.
+    """Write the shader code that reads α and β: GLSL or WGSL, plain or for an engine.
 
-    One self-contained text: pure functions on values, the algorithms 1 to 6, and a header that says what it
-    is, which attributes it reads, and how to call it.
+    The text is self-contained. It has pure functions on values, for the algorithms 1 to 6. Its header says
+    which attributes it reads, and how to call it.
     """
     if not output:
         raise click.UsageError("-o needs the name of a file, or - for stdout")

@@ -152,7 +152,7 @@ def sync_option(command: Command) -> Command:
 
 
 def once(inputs: Sequence[Input]) -> list[Input]:
-    """Return the inputs without those that are the same file as another one under another name."""
+    """Return the inputs, each file once, even if it has several names."""
     return list({canonical(entry.source): entry for entry in reversed(inputs)}.values())[::-1]
 
 

@@ -139,7 +139,7 @@ def _poses(ctx: click.Context, param: click.Parameter, value: str) -> tuple[str,
 @outside_option
 @message_options
 def command(inputs: tuple[str, ...], **given: Unpack[VerifyGiven]) -> None:
-    """Check that files still carry the right α/β, and measure what they are worth.
+    """Check that files still carry the right α/β, and measure how much they improve the lighting.
 
     Structure: α/β and metadata are there and whole. Freshness: nothing that α/β depend on was changed since
     the bake, and an independent computation gives the same α/β. Lighting: how far the normals of each

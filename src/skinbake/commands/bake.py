@@ -437,7 +437,7 @@ def _encoding_cost(
     try:
         added = added_by_encoding(document, _unwritten(bakes), storage)
     except InputError as error:
-        message = f"what --encoding {encoding} adds to the error could not be measured: {error.message}"
+        message = f"the error that --encoding {encoding} adds could not be measured: {error.message}"
         notice = Notice("encoding-unmeasured", message, error.place or document.place)
         return EncodingCost(str(encoding)), [notice]
     return EncodingCost(str(encoding), added.mean if added else None, added.p99 if added else None), []

@@ -22,9 +22,9 @@ BEFORE, ACCESSORS = "before", "accessors"
 
 
 def note_former_stream(former: JsonObject, accessors: JsonObject) -> JsonObject:
-    """Return the ``extras`` of a new Draco extension: those of the former one, and that one noted in them.
+    """Return the ``extras`` of a new Draco extension: the former ``extras``, with the former extension noted.
 
-    accessors are those of the attributes that the new stream replaces or leaves out, by name.
+    accessors has, by name, the accessors of the attributes that the new stream replaces or leaves out.
     """
     extras = former.get("extras")
     note = {BEFORE: former, **({ACCESSORS: accessors} if accessors else {})}
@@ -32,9 +32,9 @@ def note_former_stream(former: JsonObject, accessors: JsonObject) -> JsonObject:
 
 
 def with_former_stream(primitive: JsonObject) -> JsonObject | None:
-    """Return the primitive with the stream that it had before a bake, None where bake noted none.
+    """Return the primitive with the stream that it had before a bake. None: bake noted no stream.
 
-    Its attributes are the present ones but for those that adoption replaced.
+    Its attributes are the present ones, except the ones that adoption replaced.
     """
     extension = draco.extension_of(primitive) or {}
     extras = extension.get("extras")

@@ -166,7 +166,7 @@ def _without(
 ) -> Document:
     """Return the document without the accessors, and without buffer views and bytes that only they used.
 
-    streams are the buffer views of Draco streams that no primitive uses any more.
+    streams are the buffer views of Draco streams that no primitive uses now.
     """
     tail = _tail_of_bake(document, removed, streams)
     if tail is None:
@@ -239,7 +239,7 @@ def _at_the_end(document: Document, first: int, undo: JsonObject) -> _Tail | Non
     start = min(starts)
     if not isinstance(length, int) or not 0 < length <= start <= len(joined(document.binary or ())):
         return None
-    # Views may have moved: the buffer becomes as long as it was, and must hold what stays.
+    # Views may have moved. The buffer gets its former length, and must hold all views that stay.
     is_free = all(end <= length for buffer, _, end in kept if buffer == 0)
     return _Tail(first, undo, start, fallbacks) if is_free else None
 

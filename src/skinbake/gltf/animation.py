@@ -58,7 +58,7 @@ class Skeleton:
     """The joints of a skin and all their ancestors, parents before children.
 
     nodes (N,) are indices in the document. parents (N,) are positions in this list, or −1. translations,
-    rotations (w first) and scales are those of the nodes at rest, each (N, 3 or 4). matrices holds, by
+    rotations (w first) and scales belong to the nodes at rest, each (N, 3 or 4). matrices holds, by
     position, the nodes that have a matrix instead. joints (J,) are positions of the joints of the skin,
     inverse_bind (J, 4, 4) their matrices.
     """

@@ -121,7 +121,7 @@ class Budget:
     _files: set[str] = field(default_factory=set)
 
     def back(self, size: int, path: str, what: str, place: Place) -> None:
-        """Count the bytes of a file that was read for ``what``; if it is named again, they are claimed."""
+        """Count the bytes of a file that was read for ``what``. If it is named again, they are claimed."""
         if path in self._files:
             self.claim(size, what, place)
             return
@@ -129,7 +129,7 @@ class Budget:
         self.backed += size
 
     def claim(self, size: int, what: str, place: Place) -> None:
-        """Count ``size`` bytes that are about to be allocated for ``what``; InputError if it is too much.
+        """Count ``size`` bytes before they are allocated for ``what``. Raises InputError if it is too much.
 
         The message begins with ``what`` and goes on with ``would take``.
         """

@@ -1,7 +1,7 @@
-"""Replace a file by another, unless somebody has saved it meanwhile: what comes out is looked at.
+"""Replace a file by another, unless a program has saved it meanwhile.
 
 A check before a rename leaves a moment in which another program's work would be lost. Linux can exchange two
-names in one step (``renameat2`` with ``RENAME_EXCHANGE``); the former file is then there to be put back.
+names in one step (``renameat2`` with ``RENAME_EXCHANGE``). Then the former file can be checked and put back.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from skinbake.containment import Folder
 EXCHANGE = 2
 
 NO_EXCHANGE = frozenset({errno.EINVAL, errno.ENOSYS, errno.EOPNOTSUPP, errno.EPERM})
-"""What systems answer that cannot exchange two names there."""
+"""The error codes of systems that cannot exchange two names."""
 
 ATTEMPTS = 16
-"""How often others may save a file while it is put back."""
+"""The number of times that other programs may save a file while it is put back."""
 
 
 class StuckError(OSError):
@@ -28,14 +28,15 @@ class StuckError(OSError):
 
 
 State = tuple[int, int, int, int]
-"""Which file it is, its size and when it was written."""
+"""The device and the number of a file, its size, and the time when it was written."""
 
 
 def replaced(folder: Folder, temporary: str, name: str, is_expected: Callable[[], bool]) -> bool | None:
-    """Give a file ``name`` by exchanging it with the one there; return whether it has the name now.
+    """Give a file ``name`` by exchanging it with the file there. Return whether it has the name now.
 
-    ``is_expected`` looks at the file that then has the temporary name: False puts it back. None where the
-    system cannot exchange names. Raises OSError; then all is as it was, but after a StuckError.
+    ``is_expected`` checks the file that then has the temporary name. If it returns False, that file is put
+    back. Returns None if the system cannot exchange names. Raises OSError. Then nothing has changed, except
+    after a StuckError.
     """
     exchange = exchange_call()
     if exchange is None or folder.descriptor is None:
@@ -46,7 +47,7 @@ def replaced(folder: Folder, temporary: str, name: str, is_expected: Callable[[]
     except OSError as error:
         if error.errno in NO_EXCHANGE:
             return None
-        if error.errno == errno.ENOENT:  # somebody has removed or renamed it
+        if error.errno == errno.ENOENT:  # another program has removed or renamed it
             return False
         raise
     try:
@@ -62,7 +63,7 @@ def replaced(folder: Folder, temporary: str, name: str, is_expected: Callable[[]
 
 
 def _remove(folder: Folder, name: str) -> None:
-    """Remove the former file; a disk may fail to once, and then also to give it its name back."""
+    """Remove the former file. Try twice: a disk that fails once may also fail to put it back."""
     try:
         os.unlink(name, dir_fd=folder.descriptor)
     except OSError:
@@ -72,7 +73,7 @@ def _remove(folder: Folder, name: str) -> None:
 def _put_back(
     folder: Folder, temporary: str, name: str, ours: State, exchange: Callable[[int, str, str], None]
 ) -> None:
-    """Exchange the names again, until what comes out is what was put in: the last save stays."""
+    """Exchange the names again, until no other program has saved meanwhile: the last save stays."""
     assumed = ours
     try:
         for _ in range(ATTEMPTS):
@@ -92,7 +93,7 @@ def _state(folder: Folder, name: str) -> State:
 
 @lru_cache(maxsize=1)
 def exchange_call() -> Callable[[int, str, str], None] | None:
-    """Return Linux's call that exchanges two names in a folder; None where there is none."""
+    """Return Linux's call that exchanges two names in a folder, None if there is none."""
     if not sys.platform.startswith("linux"):
         return None
     import ctypes

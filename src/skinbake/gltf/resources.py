@@ -169,7 +169,7 @@ def outside(uri: str, why: str, place: Place) -> InputError:
 
 
 def refused(uri: str, why: str, place: Place) -> InputError:
-    """Return the error of a buffer whose URI is never opened, whatever is there."""
+    """Return the error of a buffer whose URI is never opened, even if a file is there."""
     return InputError(
         f'its buffer "{shortened(uri)}" is not read: {why}. No option changes that: name the file by a '
         "relative path",

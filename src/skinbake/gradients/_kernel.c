@@ -1,8 +1,8 @@
-/* The loops of `skinbake bake` that visit every vertex, triangle or corner, for arrays that numpy owns.
+/* The loops of `skinbake bake` that visit every vertex, triangle or corner, on the memory of numpy's arrays.
 
    Each function has a twin in numpy (named beside it), which is the definition, the test's oracle, and the
-   code that runs where this module could not be compiled. Here the same mathematics is written for one pass over
-   memory: nothing is kept of a corner or a gradient once its vertex is done.
+   code that runs if this module could not be compiled. Here the same mathematics makes one pass over memory. When
+   a vertex is done, its corners and gradients are forgotten.
 
    Arrays come in through the buffer protocol: contiguous, aligned, and of the types that
    _kernel.pyi says. The GIL is released while a function works. Only the limited API of Python
@@ -26,7 +26,7 @@
 #define PREFETCH(address) __builtin_prefetch(address)
 #endif
 
-/* Compiled twice, for processors with 256-bit vectors and for the others; the results are the same bits. */
+/* Compiled twice, for processors with 256-bit vectors and for the others. The results are the same bits. */
 #if defined(__x86_64__) && defined(__GLIBC__) && defined(__has_attribute)
 #if __has_attribute(target_clones)
 #define FOR_PROCESSORS __attribute__((target_clones("avx2", "default")))
@@ -38,12 +38,12 @@
 
 #define NO_JOINT (-1)
 
-/* How corners are weighted in the mean (see corner.py); the module has constants of these names. */
+/* The weights of corners in the mean (see corner.py). The module has constants of these names. */
 typedef enum { BY_MAX, BY_ANGLE, BY_AREA, BY_ANGLE_AREA, WEIGHTINGS } Weighting;
 
 /* ---- Status -------------------------------------------------------------------------------------------- */
 
-/* How a loop ended. Loops run without the GIL and cannot raise: raise_status does it once they have ended. */
+/* How a loop ended. Loops run without the GIL and cannot raise. raise_status raises after they have ended. */
 typedef enum { DONE, NO_MEMORY, STRAY_INDEX, TOO_MANY_COLLISIONS } Status;
 
 static PyObject *collision_error; /* _kernel.CollisionError */
@@ -85,7 +85,7 @@ typedef enum {
 
 typedef enum { READ, WRITTEN } Access;
 
-/* What an argument must be. */
+/* The requirements of an argument. */
 typedef struct {
     const char *name, *kinds; /* kinds: the types it may have, see Array */
     Axis rows, columns;       /* an array of one axis has one column */
@@ -128,7 +128,7 @@ static char kind_of(const Py_buffer *buffer)
     return 0;
 }
 
-/* Hold the size of an axis against the sizes known so far; the first array that has the axis sets it. */
+/* Compare the size of an axis with the size known so far. The first array that has the axis sets it. */
 static int check_size(const char *name, const char *along, Py_ssize_t found, Axis axis, Py_ssize_t *sizes)
 {
     if (axis == AXIS_ANY)
@@ -144,7 +144,7 @@ static int check_size(const char *name, const char *along, Py_ssize_t found, Axi
     return -1;
 }
 
-/* Hold one argument as an array of one or two axes. */
+/* Take one argument as an array of one or two axes. */
 static int read_array(PyObject *object, const Requirement *required, Array *array, Py_ssize_t *sizes)
 {
     int flags = PyBUF_C_CONTIGUOUS | PyBUF_FORMAT | (required->access == WRITTEN ? PyBUF_WRITABLE : 0);
@@ -168,7 +168,7 @@ static int read_array(PyObject *object, const Requirement *required, Array *arra
     return check_size(required->name, "rows", array->rows, required->rows, sizes);
 }
 
-/* Hold the arguments of a call; a vertex must have `least_slots` slots or more. */
+/* Take the arguments of a call. A vertex must have `least_slots` slots or more. */
 static int read_arrays(PyObject *const *objects, const Requirement *required, int count, Py_ssize_t least_slots,
                        Array *arrays)
 {
@@ -294,13 +294,13 @@ typedef struct {
     int32_t label;
 } Slot;
 
-/* Rows whose hashes are known ahead of their turn, while memory fetches their slots of the table. */
+/* Rows hashed ahead of their turn, while memory fetches their slots of the table. */
 enum { AHEAD = 16 };
 
 enum { PROBES_A_ROW = 64 };
 
-/* Fill labels, and count them. Rows that were made to have like hashes would take time that grows with the
-   square of their number; they end it. `first` keeps a row of each label. */
+/* Fill labels, and count them. If rows were made to have equal hashes, the time would grow with the square of
+   their number. Then the loop ends. `first` keeps a row of each label. */
 static Status label_rows(const Array *rows, int32_t *labels, Py_ssize_t *labelled)
 {
     size_t size = 16;
@@ -394,7 +394,7 @@ typedef struct {
     double adopting_sum, tolerance;
 } Influences;
 
-/* At how many vertices something was assumed. */
+/* The numbers of vertices at which something was assumed. */
 typedef struct {
     Py_ssize_t negative, all_zero, not_normalised, repeated_joint;
 } Defects;
@@ -529,7 +529,7 @@ done:
 
 /* ---- Gradients and slots (twin: by_numpy.bake_surface) ------------------------------------------------- */
 
-/* What is baked: V vertices with K slots each, T triangles, C weld classes. Rows as in the twins. */
+/* The surface to bake: V vertices with K slots each, T triangles, C weld classes. Rows as in the twins. */
 typedef struct {
     const void *positions, *normals, *tangents, *bitangents; /* (V, 3) of floats or doubles */
     int wide_positions, wide_normals, wide_frame;            /* tangents NULL: the frame comes from normals */
@@ -544,29 +544,29 @@ typedef struct {
     double negligible;
 } Surface;
 
-/* What is counted of one primitive: a row of float64. */
+/* The counts of one primitive: a row of float64. */
 typedef struct {
     double adopting, overflowing; /* vertices */
-    double magnitude, unheld;     /* of all gradients; of those that no slot holds */
+    double magnitude, unheld;     /* of all gradients; of the gradients that no slot holds */
 } Sums;
 
 typedef struct {
     float *alpha, *beta; /* (V, K - 1) */
-    int32_t *adopted;    /* (V, K) of zeros; 1 + joint is written where a slot adopts one */
-    const uint64_t *ends; /* (P,): where the rows of each primitive end */
+    int32_t *adopted;    /* (V, K) of zeros; 1 + joint if a slot adopts one */
+    const uint64_t *ends; /* (P,): the end of the rows of each primitive */
     size_t primitives;
     Sums *sums; /* (P,) */
 } Baked;
 
-/* Members of every group, in ascending order: those of group g stand at start[g] ... start[g + 1]. */
+/* Members of every group, in ascending order. Group g has start[g] ... start[g + 1]. */
 typedef struct {
     uint32_t *start, *members;
 } Groups;
 
-/* While the GIL is released another thread may write to the arrays. So every index is checked where it is used, on
-   the value that is used, whatever an earlier loop saw; STRAY_INDEX tells of one that is out of range. */
+/* While the GIL is released, another thread may write to the arrays. So every index is checked at its use, on the
+   value that is used. The checks of earlier loops do not count. STRAY_INDEX means an index out of range. */
 
-/* The class of a vertex; class_count where the vertex or its class is not there. */
+/* The class of a vertex; class_count if there is no such vertex or class. */
 static ALWAYS_INLINE size_t class_of(const Surface *s, size_t vertex)
 {
     size_t found = vertex < (size_t)s->vertices ? (size_t)(uint32_t)s->classes[vertex] : (size_t)s->class_count;
@@ -600,7 +600,7 @@ static Status group_corners(const Surface *s, Groups *groups)
     return DONE;
 }
 
-/* Group the vertices by weld class; members stay NULL where every class has one vertex, its own number. */
+/* Group the vertices by weld class. If every class is one vertex of the same number, members stay NULL. */
 static Status group_vertices(const Surface *s, Groups *groups)
 {
     size_t vertices = (size_t)s->vertices, classes = (size_t)s->class_count;
@@ -637,15 +637,15 @@ typedef struct {
     size_t count;
 } Members;
 
-/* What each copy of the loop knows beforehand: whether positions are doubles, and how many slots there are. */
+/* Facts that each copy of the loop knows beforehand: whether positions are doubles, and the number of slots. */
 typedef struct {
     int wide;
     size_t slots;
 } Shape;
 
 /* Some corners of a class at once, component by component. Edges lead to the two other corners of the triangle,
-   the vertices `ends`; coefficients are what the differences of weights along the edges count for in the sum,
-   and share is the corner's weight in the mean (see corner.py). */
+   the vertices `ends`. The sum multiplies the differences of weights along the edges by coefficients. share is the
+   corner's weight in the mean (see corner.py). */
 enum { AT_ONCE = 4, X1 = 0, Y1, Z1, X2, Y2, Z2, COMPONENTS };
 
 typedef struct {
@@ -673,7 +673,7 @@ typedef struct {
     Entry *entries;
     Entry **foreign;
     int32_t *named; /* by slot: the joint whose gradient it carries */
-    int stray;      /* an index was out of range where it was to be used */
+    int stray;      /* an index was out of range at its use */
 } Scratch;
 
 static void free_scratch(Scratch *w)
@@ -702,7 +702,7 @@ static Status allocate_scratch(Scratch *w, const Surface *s)
     return DONE;
 }
 
-/* Write ends and edges of at most AT_ONCE corners, whose class is at `origin`; the first fills places left. */
+/* Write ends and edges of at most AT_ONCE corners, whose class is at `origin`. The first one fills the rest. */
 static ALWAYS_INLINE void find_edges(const Surface *s, Shape shape, Vector origin, Members some, Corners *c,
                                      Scratch *w)
 {
@@ -772,8 +772,8 @@ static inline void add_scaled(Scratch *w, int32_t number, Vector v, double by)
     w->z[number] += v.z * by;
 }
 
-/* Add coefficient x (weight there - weight here) for every joint that either vertex has; return how many local
-   numbers are used. All sums run over differences of weights: where a weight is constant, its is 0 exactly. */
+/* Add coefficient x (weight there - weight here) for every joint that either vertex has. Return the number of
+   local numbers in use. All sums run over differences of weights, so the sum of a constant weight is 0 exactly. */
 static int32_t add_differences(const Surface *s, size_t neighbour, Vector c, int32_t used, Scratch *w)
 {
     const int32_t slots = (int32_t)s->slots;
@@ -803,13 +803,13 @@ static int32_t add_differences(const Surface *s, size_t neighbour, Vector c, int
     return used;
 }
 
-/* Whether a vertex has the same joints as another, slot by slot: then its differences need no look-up. */
+/* Whether a vertex has the same joints as another, slot by slot. Then its differences need no look-up. */
 static ALWAYS_INLINE int same_joints(const Surface *s, size_t slots, size_t here, size_t there)
 {
     return memcmp(s->joints + here * slots, s->joints + there * slots, slots * sizeof *s->joints) == 0;
 }
 
-/* Sum over all corners, for every joint met; return how many local numbers are used, and the weight of all
+/* Sum over all corners, for every joint met. Return the number of local numbers in use, and the weight of all
    corners as `total`. */
 static ALWAYS_INLINE int32_t sum_corners(const Surface *s, Shape shape, size_t vertex, Members corners, Scratch *w,
                                          double *total)
@@ -868,17 +868,17 @@ static int by_joint(const void *a, const void *b)
     return (first->joint > second->joint) - (first->joint < second->joint);
 }
 
-/* Entries up to which moving them into place one by one is the fastest way to sort. */
+/* Up to this number of entries, insertion is the fastest way to sort. */
 enum { FEW = 32 };
 
-/* How many entries and foreign entries of a class stand in the scratch; the sum of the entries' magnitudes. */
+/* The numbers of entries and foreign entries of a class in the scratch, and the sum of the entries' magnitudes. */
 typedef struct {
     size_t entries, foreign;
     size_t capacity; /* joints that each of the class's vertices may adopt */
     double magnitude;
 } ClassGradients;
 
-/* Turn sums into entries, joints ascending; return how many, and the sum of their magnitudes. */
+/* Turn sums into entries, joints ascending. Return their number, and the sum of their magnitudes. */
 static ALWAYS_INLINE size_t make_entries(Scratch *w, int32_t used, double total, double *magnitudes)
 {
     size_t count = 0;
@@ -908,7 +908,7 @@ static int by_magnitude(const void *a, const void *b)
     return (first->joint > second->joint) - (first->joint < second->joint);
 }
 
-/* Collect the entries worth a slot whose joints the class does not have; the largest stand first. */
+/* Collect the entries that are worth a slot, and whose joints the class does not have. The largest is first. */
 static ALWAYS_INLINE size_t find_foreign(const Surface *s, size_t entries, double magnitudes, Scratch *w)
 {
     size_t count = 0;
@@ -923,7 +923,7 @@ static ALWAYS_INLINE size_t find_foreign(const Surface *s, size_t entries, doubl
     return count;
 }
 
-/* Fill `named`, and the adopted joints of one vertex where it adopts any; return whether it does. */
+/* Fill `named`, and the adopted joints of one vertex. Return whether it adopts any. */
 static inline int name_slots(const Surface *s, size_t vertex, const ClassGradients *found, Scratch *w,
                              int32_t *adopted)
 {
@@ -962,11 +962,11 @@ static ALWAYS_INLINE void frame_from_normal(Vector normal, Vector *tangent, Vect
     *bitangent = (Vector){b, across, -y};
 }
 
-/* Whose slots a vertex's gradients go to: those that `named` says, or those that the local numbers say. The latter
-   hold for a class's first vertex where it adopts nothing. */
+/* The slots that a vertex's gradients go to: by `named`, or by the local numbers. The local numbers hold for a
+   class's first vertex if it adopts nothing. */
 typedef enum { AS_NAMED, AS_NUMBERED } Placing;
 
-/* Write alpha and beta of one vertex; return the magnitude that its slots do not hold. */
+/* Write alpha and beta of one vertex. Return the magnitude that its slots do not hold. */
 static ALWAYS_INLINE double project(const Surface *s, size_t slots, size_t vertex, size_t entries, Placing placing,
                                     const Baked *out, Scratch *w)
 {
@@ -1010,7 +1010,7 @@ static size_t shared_capacity(const Surface *s, Members vertices)
     return least;
 }
 
-/* All that a surface is baked with: its corners and vertices by weld class, and room to work in. */
+/* The state of a bake: the surface, its corners and vertices by weld class, and room to work in. */
 typedef struct {
     const Surface *surface;
     Groups corners, vertices;
@@ -1033,7 +1033,7 @@ static ALWAYS_INLINE ClassGradients find_gradients(Work *work, Shape shape, Memb
     return found;
 }
 
-/* Write all that is known of one vertex of a class. */
+/* Write all results of one vertex of a class. */
 static ALWAYS_INLINE void write_vertex(Work *work, Shape shape, size_t vertex, Placing placing,
                                        const ClassGradients *found)
 {
@@ -1078,7 +1078,7 @@ static ALWAYS_INLINE Status bake_classes(Work *work, Shape shape)
     return work->scratch.stray ? STRAY_INDEX : DONE;
 }
 
-/* Copies of the loop for the usual cases, so that it need not ask for types and counts again and again. */
+/* Copies of the loop for the usual cases. They need not check types and counts for each vertex. */
 FOR_PROCESSORS
 static Status bake_all_classes(Work *work)
 {
@@ -1108,7 +1108,7 @@ static Status bake_checked_surface(const Surface *s, const Baked *out)
     return status;
 }
 
-/* Check what indices refer to, and find the number of joints; -1 with an exception where it is wrong. */
+/* Check the range of indices, and find the number of joints. Return -1 with an exception if one is wrong. */
 static int check_surface(Surface *s)
 {
     if (s->class_count < 0 || s->class_count > s->vertices) {
@@ -1160,7 +1160,7 @@ static const Requirement surface_arrays[ARRAYS] = {
     [SUMS] = {"sums", "d", AXIS_P, AXIS_4, WRITTEN},
 };
 
-/* Hold and check the arguments of bake_surface; -1 with an exception where one is wrong. */
+/* Take and check the arguments of bake_surface. Return -1 with an exception if one is wrong. */
 static int read_surface(PyObject *args, PyObject *keywords, Array *a, Surface *s, Baked *out)
 {
     static char *names[] = {"positions", "triangles", "joints", "weights", "free", "classes", "normals", "tangents",

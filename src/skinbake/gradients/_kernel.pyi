@@ -1,4 +1,4 @@
-"""Types of the compiled loops: arrays are contiguous, of the element types named, filled where so said.
+"""Types of the compiled loops. Arrays are contiguous and have the named element types.
 
 V vertices, K slots, T triangles, P primitives. Raises TypeError for another element type, ValueError for
 another shape or number, IndexError for an index that is out of range.
@@ -17,17 +17,17 @@ BY_AREA: Final[int]
 BY_ANGLE_AREA: Final[int]
 
 class CollisionError(RuntimeError):
-    """The hashes of rows collide beyond all chance: comparing the rows would take too long."""
+    """The hashes of rows collide more often than by chance. Comparing the rows would take too long."""
 
 def label_equal_rows(
     rows: npt.NDArray[np.generic],
     labels: npt.NDArray[np.int32],
     /,
 ) -> int:
-    """Fill labels (V,): rows (V, M) that are equal have the same, numbered as they are met; return how many.
+    """Fill labels (V,), and return their number. Equal rows (V, M) have the same label, in order from 0.
 
-    rows holds float32, float64 (both with −0 = +0), int32, uint32 or uint64. Raises CollisionError, and
-    leaves labels without meaning, where hashes collide.
+    rows holds float32, float64 (both with −0 = +0), int32, uint32 or uint64. Raises CollisionError if
+    hashes collide. Then labels mean nothing.
     """
 
 def normalise_influences(
@@ -50,7 +50,7 @@ def mark_proper(
     least: float,
     /,
 ) -> None:
-    """Fill mask (T,): which triangles (T, 3) have an area over ``least``."""
+    """Fill mask (T,): whether each of the triangles (T, 3) has an area over ``least``."""
 
 def bake_surface(
     *,
@@ -75,8 +75,8 @@ def bake_surface(
 ) -> None:
     """Fill alpha, beta (V, K − 1) of a surface of P primitives, whose rows end at ``ends`` (P,).
 
-    adopted (V, K) comes as zeros; 1 + joint is written where a slot adopts one. tangents and bitangents are
-    (V, 3), or (0, 3) where the frame comes from normals. Fill sums (P, 4): vertices that adopt, vertices that
+    adopted (V, K) comes as zeros. If a slot adopts a joint, 1 + joint is written. tangents and bitangents are
+    (V, 3), or (0, 3) if the frame comes from normals. Fill sums (P, 4): vertices that adopt, vertices that
     overflow, summed gradient magnitude, its part that no slot holds. weighting is one of BY_MAX, BY_ANGLE,
     BY_AREA and BY_ANGLE_AREA.
     """

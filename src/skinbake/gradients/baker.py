@@ -57,7 +57,7 @@ def bake_mesh(
 ) -> list[tuple[BakedPrimitive, BakeFindings]]:
     """Return α and β of every primitive of one mesh, gathered across their borders.
 
-    The primitives are all those to bake, in mesh space, all skinned by the same joints. With
+    All primitives to bake are given, in mesh space, all skinned by the same joints. With
     ``frame="tangent"`` every primitive must have tangents.
     """
     with stage("weights"):

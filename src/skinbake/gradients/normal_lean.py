@@ -1,6 +1,6 @@
 """Normals that do not belong to their surface: the lean of NORMAL from the triangles at each vertex.
 
-α and β turn the authored normal along with the surface, whatever its rest direction. A wrong normal is lit
+α and β turn the authored normal along with the surface, in any rest direction. A wrong normal is lit
 wrongly in every pose. A figure that is measured against that normal does not show it.
 """
 

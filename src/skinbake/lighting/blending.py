@@ -218,7 +218,7 @@ class _Table:
         self._table: Float64Array = np.empty(0)
 
     def product(self, block: _Block, data: Sequence[Float64Array], pose: slice) -> Float64Array:
-        """Multiply matrices with entries (V, K, 4) by those of some poses: (forms, V, 3, P)."""
+        """Multiply matrices with entries (V, K, 4) by the matrices of some poses: (forms, V, 3, P)."""
         if pose != self._pose:
             rows = np.transpose(self._matrices[pose, :, :3], (1, 3, 2, 0))
             # This order matters: other threads look at the pose first.

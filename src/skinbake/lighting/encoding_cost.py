@@ -22,7 +22,7 @@ def added_by_encoding(
 ) -> AddedError | None:
     """Return the angle between accurate normals with α and β as ``storage`` rounds them, and as float32.
 
-    The poses are those of the document. None if no pose has a normal. Raises InputError if the animations or
+    The document has the poses. None if no pose has a normal. Raises InputError if the animations or
     skins of the document cannot be read.
     """
     return added_error(_surfaces(document, bakes, storage))

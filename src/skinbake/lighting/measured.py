@@ -195,7 +195,7 @@ class Lighting:
             lightings = [one for one in METHODS[method] if truth != Truth.TRIANGLES or one != "direct"]
             self._whole[truth, method] = {one: ErrorTally(sum(weights.values())) for one in lightings}
             for place, weight in weights.items():
-                # The figures of a single primitive are those of the whole, so nothing is counted twice.
+                # A single primitive has the figures of the whole, so nothing is counted twice.
                 own = {one: ErrorTally(weight) for one in lightings}
                 tallies = self._whole[truth, method] if len(weights) == 1 else own
                 self._by_place.setdefault(place, {})[truth, method] = tallies
@@ -316,7 +316,7 @@ class Lighting:
 def _true_operator(
     document: Document, views: Sequence[BakedView], operator: GradientOperator
 ) -> GradientOperator:
-    """Return the operator of one surface with the settings of the truths, not with those of the bake."""
+    """Return the operator of one surface with the settings of the truths, not of the bake."""
     noted = views[0].metadata
     if noted["weighting"] == TRUE_WEIGHTING and math.isclose(noted["creaseAngle"], TRUE_CREASE_ANGLE):
         return operator

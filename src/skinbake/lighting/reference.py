@@ -120,7 +120,7 @@ def _measured(
 def tangent_normals(
     rest: RestFrames, part: slice, tangents: tuple[Vector, Vector], sides: FloatArray | None = None
 ) -> tuple[Vector, BoolArray]:
-    """Return what the true normals of a block of vertices, by components (P, B).
+    """Return the true normals of a block of vertices, by components (P, B).
 
     tangents are the block's tangents after deformation (``posed_tangents``). sides (P, B) belongs to the
     block. All arrays are stored vertex by vertex.

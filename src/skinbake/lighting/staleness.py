@@ -150,7 +150,7 @@ def _comparisons(views: Sequence[BakedView], operator: GradientOperator) -> list
 
 
 def _roundings(views: Sequence[BakedView], operator: GradientOperator) -> list[Float64Array]:
-    """Return the allowed difference of α and β of each view (V, 2) from those of its present weights.
+    """Return the allowed difference of α and β of each view (V, 2) from α and β of its present weights.
 
     It is the rounding of an encoding, and the weight that adopted slots were given. They take a unit of
     integer weights each from the vertex's largest weight. α/β come from the weights before adoption.

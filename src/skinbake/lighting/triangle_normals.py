@@ -66,7 +66,7 @@ def triangle_blocks(operator: GradientOperator, poses: int) -> list[TriangleBloc
 def corner_sums(block: TriangleBlock, positions: Float64Array) -> Float64Array:
     """Return Σ angle × unit normal over the corners of a block at each of its classes: (3, C, P).
 
-    positions (3, V, P) are those of all vertices. Triangles without an area, or with a broken position, add
+    positions (3, V, P) belong to all vertices. Triangles without an area, or with a broken position, add
     nothing.
     """
     first, second, third = (np.ascontiguousarray(column) for column in block.triangles.T)

@@ -182,7 +182,7 @@ def _degrees(angle: float) -> str:
 
 
 def _limited(costs: Sequence[LimitCost]) -> str:
-    """Return the cost of a limit of influences; p99 and size are those of the worst primitive."""
+    """Return the cost of a limit of influences. p99 and size belong to the worst primitive."""
     vertices = sum(cost.vertices for cost in costs)
     left_out = sum(cost.left_out * cost.vertices for cost in costs) / max(vertices, 1)
     lost = "no weight lost"

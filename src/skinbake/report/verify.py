@@ -71,7 +71,7 @@ Normals = dict[str, dict[str, ErrorFigures]]
 
 @dataclass(frozen=True, slots=True)
 class MorphCount:
-    """The number of morph targets of the baked meshes, and of those that move in the poses."""
+    """The number of morph targets of the baked meshes, and the number that move in the poses."""
 
     targets: int
     moving: int

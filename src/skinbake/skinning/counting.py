@@ -1,6 +1,6 @@
 """The cost of each algorithm, counted by running it on a counting scalar (Tarini et al. 2014, supplement).
 
-The rules are those of the paper. If it states none, they are the only rules that give its figures:
+The rules come from the paper. If it states none, they are the only rules that give its figures:
 
 - A multiplication costs one multiply-add. An addition costs one, unless it meets a product of the same line:
   then the two fuse, and the addition is free. A product fuses once.
@@ -176,7 +176,7 @@ class StoredTypes:
 
 @dataclass(frozen=True, slots=True)
 class VertexBytes:
-    """Bytes of a vertex: those of plain skinning with a tangent frame, and those that an algorithm adds."""
+    """Bytes of a vertex: for plain skinning with a tangent frame, and the bytes that an algorithm adds."""
 
     plain: int
     added: int

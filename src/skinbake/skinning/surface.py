@@ -1,4 +1,4 @@
-"""What the algorithms take: a surface at rest with its weight gradients, and what they may be asked for."""
+"""The input of the algorithms: a surface at rest with its weight gradients, and their options."""
 
 from __future__ import annotations
 

@@ -5,20 +5,20 @@
 //     skinbake shader --lang glsl --method dqs --lighting accurate --influences 4 --frame normal
 //
 // Algorithm 5 of M. Tarini, D. Panozzo, O. Sorkine-Hornung, "Accurate and Efficient Lighting for Skinned
-// Models", Computer Graphics Forum 33(2), 2014, doi:10.1111/cgf.12330: the numbers beside the lines are
-// those of its supplement.
+// Models", Computer Graphics Forum 33(2), 2014, doi:10.1111/cgf.12330. The numbers beside the lines
+// come from its supplement.
 // Dual quaternions: L. Kavan, S. Collins, J. Zara, C. O'Sullivan, "Skinning with Dual Quaternions", I3D 2007.
 // Frame: T. Duff et al., "Building an Orthonormal Basis, Revisited", JCGT 6(1), 2017.
 // Compiles as GLSL ES 3.00, 3.30 and 4.50. Pure functions: no attributes, uniforms or globals.
 //
-// It reads of each vertex (mesh space: as the attributes come, before any joint matrix):
+// Inputs of each vertex, in mesh space: the attributes as they are stored, before any joint matrix:
 //     POSITION             vec3   p, in the file's unit of length
-//     NORMAL               vec3   n0, of length 1: normalize() it where it is stored as integers
+//     NORMAL               vec3   n0, of length 1: normalize() it if it is stored as integers
 //     JOINTS_0             uvec4  joints of slots 0 to 3
 //     WEIGHTS_0            vec4   w of slots 0 to 3; over all slots they sum to 1
 //     _SKINBAKE_ALPHA_0    vec3   alpha = grad w . t0 of slots 1 to 3, in 1 / unit of POSITION
 //     _SKINBAKE_BETA_0     vec3   beta = grad w . b0 of the same slots
-// Slot 0's alpha and beta are minus the sums of the others': they are not stored.
+// alpha and beta of slot 0 are not stored: they are minus the sums over the other slots.
 //
 // Q[s] is the dual quaternion of the joint in slot s, made of its joint matrix by skinbake_dual_quaternion().
 // Use:
@@ -31,7 +31,7 @@
 
 #ifndef SKINBAKE_VERTEX
 #define SKINBAKE_VERTEX
-// A skinned vertex. None of its vectors is of unit length; tangent and bitangent are the images of t0 and b0.
+// A skinned vertex. Its vectors have any length. tangent and bitangent are the images of t0 and b0.
 struct skinbake_Vertex {
     vec3 position;
     vec3 normal;
@@ -50,9 +50,9 @@ struct skinbake_Frame {
 
 #ifndef SKINBAKE_FRAME_FROM_NORMAL
 #define SKINBAKE_FRAME_FROM_NORMAL
-// The frame that bake took from NORMAL alone; n must have length 1. Written so that a compiler which fuses
-// multiply-adds gets the same bits: every product that meets a sum is exact. side stands last there: Mesa turns
-// side * ((x * x) * a) into side * (x * (x * a)).
+// The frame that bake took from NORMAL alone. n must have length 1. Every product in a sum is exact, so a compiler
+// that fuses multiply-adds gets the same bits. side is the last factor, because Mesa turns side * ((x * x) * a)
+// into side * (x * (x * a)).
 skinbake_Frame skinbake_frame(vec3 n)
 {
     float side = n.z >= 0.0 ? 1.0 : -1.0; // 1 also at -0.0
@@ -66,10 +66,10 @@ skinbake_Frame skinbake_frame(vec3 n)
 
 #ifndef SKINBAKE_DUAL_QUATERNION
 #define SKINBAKE_DUAL_QUATERNION
-// The unit dual quaternion of a rigid joint matrix: [0] is its real part (x, y, z, w), w the scalar, [1] its
-// dual part. For the host, or for a pass over the joints: once a joint and frame, not once a vertex.
-// Dual quaternions carry no scale: where all joint matrices share a uniform scale s, divide their upper 3x3
-// parts by s before, and skin s * p, s * t0, s * b0 in place of p, t0, b0.
+// The unit dual quaternion of a rigid joint matrix. [0] is its real part (x, y, z, w), w the scalar; [1] is its
+// dual part. Compute it on the host or in a pass over the joints: once per joint and frame, not per vertex.
+// Dual quaternions have no scale. If all joint matrices share a uniform scale s, divide their upper 3x3 parts by
+// s first, and skin s * p, s * t0, s * b0 in place of p, t0, b0.
 mat2x4 skinbake_dual_quaternion(mat4 M)
 {
     vec3 d = vec3(M[0].x, M[1].y, M[2].z);
@@ -98,7 +98,7 @@ mat2x4 skinbake_dual_quaternion(mat4 M)
 
 #ifndef SKINBAKE_HEMISPHERE
 #define SKINBAKE_HEMISPHERE
-// -1 where the joint's real part points away from the pivot's: q and -q are the same rotation.
+// -1 if the real part of the joint points away from that of the pivot: q and -q are the same rotation.
 float skinbake_hemisphere(mat2x4 joint, mat2x4 pivot)
 {
     return dot(joint[0], pivot[0]) < 0.0 ? -1.0 : 1.0;
@@ -121,7 +121,7 @@ vec3 skinbake_rotated(vec4 q, vec3 v)
 }
 #endif
 
-// The frame moves by the normalised mix b, corrected as if the mix blended positions (it does not: algorithm 6).
+// The frame moves by the normalised mix b, corrected as if the mix blended positions. Algorithm 6 is exact.
 // Q: the dual quaternions of slots 0 to 3.
 skinbake_Vertex skinbake_dqs_accurate(vec3 p, skinbake_Frame frame, mat2x4 Q[4], vec4 weights_0,
         vec3 alpha_0, vec3 beta_0)

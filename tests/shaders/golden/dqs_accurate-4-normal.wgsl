@@ -5,20 +5,20 @@
 //     skinbake shader --lang wgsl --method dqs --lighting accurate --influences 4 --frame normal
 //
 // Algorithm 5 of M. Tarini, D. Panozzo, O. Sorkine-Hornung, "Accurate and Efficient Lighting for Skinned
-// Models", Computer Graphics Forum 33(2), 2014, doi:10.1111/cgf.12330: the numbers beside the lines are
-// those of its supplement.
+// Models", Computer Graphics Forum 33(2), 2014, doi:10.1111/cgf.12330. The numbers beside the lines
+// come from its supplement.
 // Dual quaternions: L. Kavan, S. Collins, J. Zara, C. O'Sullivan, "Skinning with Dual Quaternions", I3D 2007.
 // Frame: T. Duff et al., "Building an Orthonormal Basis, Revisited", JCGT 6(1), 2017.
 // WGSL for WebGPU. Pure functions: no bindings and no module variables.
 //
-// It reads of each vertex (mesh space: as the attributes come, before any joint matrix):
+// Inputs of each vertex, in mesh space: the attributes as they are stored, before any joint matrix:
 //     POSITION             vec3<f32>  p, in the file's unit of length
-//     NORMAL               vec3<f32>  n0, of length 1: normalize() it where it is stored as integers
+//     NORMAL               vec3<f32>  n0, of length 1: normalize() it if it is stored as integers
 //     JOINTS_0             vec4<u32>  joints of slots 0 to 3
 //     WEIGHTS_0            vec4<f32>  w of slots 0 to 3; over all slots they sum to 1
 //     _SKINBAKE_ALPHA_0    vec3<f32>  alpha = grad w . t0 of slots 1 to 3, in 1 / unit of POSITION
 //     _SKINBAKE_BETA_0     vec3<f32>  beta = grad w . b0 of the same slots
-// Slot 0's alpha and beta are minus the sums of the others': they are not stored.
+// alpha and beta of slot 0 are not stored: they are minus the sums over the other slots.
 //
 // Q[s] is the dual quaternion of the joint in slot s, made of its joint matrix by skinbake_dual_quaternion().
 // Use:
@@ -26,7 +26,7 @@
 //     let v = skinbake_dqs_accurate(position, frame, Q, weights_0, alpha_0, beta_0);
 //     // v.position; normalize(v.normal); normalize(v.tangent)
 
-// A skinned vertex. None of its vectors is of unit length; tangent and bitangent are the images of t0 and b0.
+// A skinned vertex. Its vectors have any length. tangent and bitangent are the images of t0 and b0.
 struct skinbake_Vertex {
     position: vec3<f32>,
     normal: vec3<f32>,
@@ -42,9 +42,9 @@ struct skinbake_Frame {
     handedness: f32, // n0 = handedness * cross(t0, b0) / |t0|^2
 }
 
-// The frame that bake took from NORMAL alone; n must have length 1. Written so that a compiler which fuses
-// multiply-adds gets the same bits: every product that meets a sum is exact. side stands last there: Mesa turns
-// side * ((x * x) * a) into side * (x * (x * a)).
+// The frame that bake took from NORMAL alone. n must have length 1. Every product in a sum is exact, so a compiler
+// that fuses multiply-adds gets the same bits. side is the last factor, because Mesa turns side * ((x * x) * a)
+// into side * (x * (x * a)).
 fn skinbake_frame(n: vec3<f32>) -> skinbake_Frame {
     let side = select(-1.0, 1.0, n.z >= 0.0); // 1 also at -0.0
     let a = -1.0 / (side + n.z);
@@ -54,10 +54,10 @@ fn skinbake_frame(n: vec3<f32>) -> skinbake_Frame {
     return skinbake_Frame(n, t0, b0, 1.0);
 }
 
-// The unit dual quaternion of a rigid joint matrix: [0] is its real part (x, y, z, w), w the scalar, [1] its
-// dual part. For the host, or for a pass over the joints: once a joint and frame, not once a vertex.
-// Dual quaternions carry no scale: where all joint matrices share a uniform scale s, divide their upper 3x3
-// parts by s before, and skin s * p, s * t0, s * b0 in place of p, t0, b0.
+// The unit dual quaternion of a rigid joint matrix. [0] is its real part (x, y, z, w), w the scalar; [1] is its
+// dual part. Compute it on the host or in a pass over the joints: once per joint and frame, not per vertex.
+// Dual quaternions have no scale. If all joint matrices share a uniform scale s, divide their upper 3x3 parts by
+// s first, and skin s * p, s * t0, s * b0 in place of p, t0, b0.
 fn skinbake_dual_quaternion(M: mat4x4<f32>) -> mat2x4<f32> {
     let d = vec3<f32>(M[0].x, M[1].y, M[2].z);
     let squares = 1.0 + vec4<f32>( // 4 * (x, y, z, w)^2
@@ -82,7 +82,7 @@ fn skinbake_dual_quaternion(M: mat4x4<f32>) -> mat2x4<f32> {
     return mat2x4<f32>(real, 0.5 * vec4<f32>(cross(t, real.xyz) + real.w * t, -dot(t, real.xyz)));
 }
 
-// -1 where the joint's real part points away from the pivot's: q and -q are the same rotation.
+// -1 if the real part of the joint points away from that of the pivot: q and -q are the same rotation.
 fn skinbake_hemisphere(joint: mat2x4<f32>, pivot: mat2x4<f32>) -> f32 {
     return select(1.0, -1.0, dot(joint[0], pivot[0]) < 0.0);
 }
@@ -98,7 +98,7 @@ fn skinbake_rotated(q: vec4<f32>, v: vec3<f32>) -> vec3<f32> {
     return v + 2.0 * cross(q.xyz, q.w * v + cross(q.xyz, v));
 }
 
-// The frame moves by the normalised mix b, corrected as if the mix blended positions (it does not: algorithm 6).
+// The frame moves by the normalised mix b, corrected as if the mix blended positions. Algorithm 6 is exact.
 // Q: the dual quaternions of slots 0 to 3.
 fn skinbake_dqs_accurate(p: vec3<f32>, frame: skinbake_Frame, Q: array<mat2x4<f32>, 4>, weights_0: vec4<f32>,
         alpha_0: vec3<f32>, beta_0: vec3<f32>) -> skinbake_Vertex {

@@ -5,14 +5,14 @@
 //     skinbake shader --lang glsl --method dqs --lighting approximated --influences 4 --frame tangent
 //
 // Algorithm 4 of M. Tarini, D. Panozzo, O. Sorkine-Hornung, "Accurate and Efficient Lighting for Skinned
-// Models", Computer Graphics Forum 33(2), 2014, doi:10.1111/cgf.12330: the numbers beside the lines are
-// those of its supplement.
+// Models", Computer Graphics Forum 33(2), 2014, doi:10.1111/cgf.12330. The numbers beside the lines
+// come from its supplement.
 // Dual quaternions: L. Kavan, S. Collins, J. Zara, C. O'Sullivan, "Skinning with Dual Quaternions", I3D 2007.
 // Compiles as GLSL ES 3.00, 3.30 and 4.50. Pure functions: no attributes, uniforms or globals.
 //
-// It reads of each vertex (mesh space: as the attributes come, before any joint matrix):
+// Inputs of each vertex, in mesh space: the attributes as they are stored, before any joint matrix:
 //     POSITION             vec3   p, in the file's unit of length
-//     NORMAL               vec3   n0, of length 1: normalize() it where it is stored as integers
+//     NORMAL               vec3   n0, of length 1: normalize() it if it is stored as integers
 //     TANGENT              vec4   t0, and in w the handedness of the frame, 1 or -1
 //     JOINTS_0             uvec4  joints of slots 0 to 3
 //     WEIGHTS_0            vec4   w of slots 0 to 3; over all slots they sum to 1
@@ -28,7 +28,7 @@
 
 #ifndef SKINBAKE_VERTEX
 #define SKINBAKE_VERTEX
-// A skinned vertex. None of its vectors is of unit length; tangent and bitangent are the images of t0 and b0.
+// A skinned vertex. Its vectors have any length. tangent and bitangent are the images of t0 and b0.
 struct skinbake_Vertex {
     vec3 position;
     vec3 normal;
@@ -56,10 +56,10 @@ skinbake_Frame skinbake_frame(vec3 n, vec4 tangent)
 
 #ifndef SKINBAKE_DUAL_QUATERNION
 #define SKINBAKE_DUAL_QUATERNION
-// The unit dual quaternion of a rigid joint matrix: [0] is its real part (x, y, z, w), w the scalar, [1] its
-// dual part. For the host, or for a pass over the joints: once a joint and frame, not once a vertex.
-// Dual quaternions carry no scale: where all joint matrices share a uniform scale s, divide their upper 3x3
-// parts by s before, and skin s * p, s * t0, s * b0 in place of p, t0, b0.
+// The unit dual quaternion of a rigid joint matrix. [0] is its real part (x, y, z, w), w the scalar; [1] is its
+// dual part. Compute it on the host or in a pass over the joints: once per joint and frame, not per vertex.
+// Dual quaternions have no scale. If all joint matrices share a uniform scale s, divide their upper 3x3 parts by
+// s first, and skin s * p, s * t0, s * b0 in place of p, t0, b0.
 mat2x4 skinbake_dual_quaternion(mat4 M)
 {
     vec3 d = vec3(M[0].x, M[1].y, M[2].z);
@@ -88,7 +88,7 @@ mat2x4 skinbake_dual_quaternion(mat4 M)
 
 #ifndef SKINBAKE_HEMISPHERE
 #define SKINBAKE_HEMISPHERE
-// -1 where the joint's real part points away from the pivot's: q and -q are the same rotation.
+// -1 if the real part of the joint points away from that of the pivot: q and -q are the same rotation.
 float skinbake_hemisphere(mat2x4 joint, mat2x4 pivot)
 {
     return dot(joint[0], pivot[0]) < 0.0 ? -1.0 : 1.0;

@@ -5,14 +5,14 @@
 //     skinbake shader --lang wgsl --method dqs --lighting approximated --influences 4 --frame tangent
 //
 // Algorithm 4 of M. Tarini, D. Panozzo, O. Sorkine-Hornung, "Accurate and Efficient Lighting for Skinned
-// Models", Computer Graphics Forum 33(2), 2014, doi:10.1111/cgf.12330: the numbers beside the lines are
-// those of its supplement.
+// Models", Computer Graphics Forum 33(2), 2014, doi:10.1111/cgf.12330. The numbers beside the lines
+// come from its supplement.
 // Dual quaternions: L. Kavan, S. Collins, J. Zara, C. O'Sullivan, "Skinning with Dual Quaternions", I3D 2007.
 // WGSL for WebGPU. Pure functions: no bindings and no module variables.
 //
-// It reads of each vertex (mesh space: as the attributes come, before any joint matrix):
+// Inputs of each vertex, in mesh space: the attributes as they are stored, before any joint matrix:
 //     POSITION             vec3<f32>  p, in the file's unit of length
-//     NORMAL               vec3<f32>  n0, of length 1: normalize() it where it is stored as integers
+//     NORMAL               vec3<f32>  n0, of length 1: normalize() it if it is stored as integers
 //     TANGENT              vec4<f32>  t0, and in w the handedness of the frame, 1 or -1
 //     JOINTS_0             vec4<u32>  joints of slots 0 to 3
 //     WEIGHTS_0            vec4<f32>  w of slots 0 to 3; over all slots they sum to 1
@@ -23,7 +23,7 @@
 //     let v = skinbake_dqs_approximated(position, frame, Q, weights_0);
 //     // v.position; normalize(v.normal); normalize(v.tangent)
 
-// A skinned vertex. None of its vectors is of unit length; tangent and bitangent are the images of t0 and b0.
+// A skinned vertex. Its vectors have any length. tangent and bitangent are the images of t0 and b0.
 struct skinbake_Vertex {
     position: vec3<f32>,
     normal: vec3<f32>,
@@ -44,10 +44,10 @@ fn skinbake_frame(n: vec3<f32>, tangent: vec4<f32>) -> skinbake_Frame {
     return skinbake_Frame(n, tangent.xyz, cross(n, tangent.xyz) * tangent.w, tangent.w);
 }
 
-// The unit dual quaternion of a rigid joint matrix: [0] is its real part (x, y, z, w), w the scalar, [1] its
-// dual part. For the host, or for a pass over the joints: once a joint and frame, not once a vertex.
-// Dual quaternions carry no scale: where all joint matrices share a uniform scale s, divide their upper 3x3
-// parts by s before, and skin s * p, s * t0, s * b0 in place of p, t0, b0.
+// The unit dual quaternion of a rigid joint matrix. [0] is its real part (x, y, z, w), w the scalar; [1] is its
+// dual part. Compute it on the host or in a pass over the joints: once per joint and frame, not per vertex.
+// Dual quaternions have no scale. If all joint matrices share a uniform scale s, divide their upper 3x3 parts by
+// s first, and skin s * p, s * t0, s * b0 in place of p, t0, b0.
 fn skinbake_dual_quaternion(M: mat4x4<f32>) -> mat2x4<f32> {
     let d = vec3<f32>(M[0].x, M[1].y, M[2].z);
     let squares = 1.0 + vec4<f32>( // 4 * (x, y, z, w)^2
@@ -72,7 +72,7 @@ fn skinbake_dual_quaternion(M: mat4x4<f32>) -> mat2x4<f32> {
     return mat2x4<f32>(real, 0.5 * vec4<f32>(cross(t, real.xyz) + real.w * t, -dot(t, real.xyz)));
 }
 
-// -1 where the joint's real part points away from the pivot's: q and -q are the same rotation.
+// -1 if the real part of the joint points away from that of the pivot: q and -q are the same rotation.
 fn skinbake_hemisphere(joint: mat2x4<f32>, pivot: mat2x4<f32>) -> f32 {
     return select(1.0, -1.0, dot(joint[0], pivot[0]) < 0.0);
 }

@@ -5,19 +5,19 @@
 //     skinbake shader --lang wgsl --method lbs --lighting accurate --influences 4 --frame normal
 //
 // Algorithm 3 of M. Tarini, D. Panozzo, O. Sorkine-Hornung, "Accurate and Efficient Lighting for Skinned
-// Models", Computer Graphics Forum 33(2), 2014, doi:10.1111/cgf.12330: the numbers beside the lines are
-// those of its supplement.
+// Models", Computer Graphics Forum 33(2), 2014, doi:10.1111/cgf.12330. The numbers beside the lines
+// come from its supplement.
 // Frame: T. Duff et al., "Building an Orthonormal Basis, Revisited", JCGT 6(1), 2017.
 // WGSL for WebGPU. Pure functions: no bindings and no module variables.
 //
-// It reads of each vertex (mesh space: as the attributes come, before any joint matrix):
+// Inputs of each vertex, in mesh space: the attributes as they are stored, before any joint matrix:
 //     POSITION             vec3<f32>  p, in the file's unit of length
-//     NORMAL               vec3<f32>  n0, of length 1: normalize() it where it is stored as integers
+//     NORMAL               vec3<f32>  n0, of length 1: normalize() it if it is stored as integers
 //     JOINTS_0             vec4<u32>  joints of slots 0 to 3
 //     WEIGHTS_0            vec4<f32>  w of slots 0 to 3; over all slots they sum to 1
 //     _SKINBAKE_ALPHA_0    vec3<f32>  alpha = grad w . t0 of slots 1 to 3, in 1 / unit of POSITION
 //     _SKINBAKE_BETA_0     vec3<f32>  beta = grad w . b0 of the same slots
-// Slot 0's alpha and beta are minus the sums of the others': they are not stored.
+// alpha and beta of slot 0 are not stored: they are minus the sums over the other slots.
 //
 // M[s] is the joint matrix of the joint in slot s: its global transform * its inverse bind matrix.
 // Use:
@@ -25,7 +25,7 @@
 //     let v = skinbake_lbs_accurate(position, frame, M, weights_0, alpha_0, beta_0);
 //     // v.position; normalize(v.normal); normalize(v.tangent)
 
-// A skinned vertex. None of its vectors is of unit length; tangent and bitangent are the images of t0 and b0.
+// A skinned vertex. Its vectors have any length. tangent and bitangent are the images of t0 and b0.
 struct skinbake_Vertex {
     position: vec3<f32>,
     normal: vec3<f32>,
@@ -41,9 +41,9 @@ struct skinbake_Frame {
     handedness: f32, // n0 = handedness * cross(t0, b0) / |t0|^2
 }
 
-// The frame that bake took from NORMAL alone; n must have length 1. Written so that a compiler which fuses
-// multiply-adds gets the same bits: every product that meets a sum is exact. side stands last there: Mesa turns
-// side * ((x * x) * a) into side * (x * (x * a)).
+// The frame that bake took from NORMAL alone. n must have length 1. Every product in a sum is exact, so a compiler
+// that fuses multiply-adds gets the same bits. side is the last factor, because Mesa turns side * ((x * x) * a)
+// into side * (x * (x * a)).
 fn skinbake_frame(n: vec3<f32>) -> skinbake_Frame {
     let side = select(-1.0, 1.0, n.z >= 0.0); // 1 also at -0.0
     let a = -1.0 / (side + n.z);
@@ -58,7 +58,7 @@ fn skinbake_upper(M: mat4x4<f32>) -> mat3x3<f32> {
     return mat3x3<f32>(M[0].xyz, M[1].xyz, M[2].xyz);
 }
 
-// M p: where the joint matrix M alone takes the position p.
+// M p: the position p moved by the joint matrix M alone.
 fn skinbake_moved(M: mat4x4<f32>, p: vec3<f32>) -> vec3<f32> {
     return M[0].xyz * p.x + (M[1].xyz * p.y + (M[2].xyz * p.z + M[3].xyz));
 }

@@ -5,14 +5,14 @@
 //     skinbake shader --lang glsl --method lbs --lighting approximated --influences 4 --frame normal
 //
 // Algorithm 1 of M. Tarini, D. Panozzo, O. Sorkine-Hornung, "Accurate and Efficient Lighting for Skinned
-// Models", Computer Graphics Forum 33(2), 2014, doi:10.1111/cgf.12330: the numbers beside the lines are
-// those of its supplement.
+// Models", Computer Graphics Forum 33(2), 2014, doi:10.1111/cgf.12330. The numbers beside the lines
+// come from its supplement.
 // Frame: T. Duff et al., "Building an Orthonormal Basis, Revisited", JCGT 6(1), 2017.
 // Compiles as GLSL ES 3.00, 3.30 and 4.50. Pure functions: no attributes, uniforms or globals.
 //
-// It reads of each vertex (mesh space: as the attributes come, before any joint matrix):
+// Inputs of each vertex, in mesh space: the attributes as they are stored, before any joint matrix:
 //     POSITION             vec3   p, in the file's unit of length
-//     NORMAL               vec3   n0, of length 1: normalize() it where it is stored as integers
+//     NORMAL               vec3   n0, of length 1: normalize() it if it is stored as integers
 //     JOINTS_0             uvec4  joints of slots 0 to 3
 //     WEIGHTS_0            vec4   w of slots 0 to 3; over all slots they sum to 1
 //
@@ -27,7 +27,7 @@
 
 #ifndef SKINBAKE_VERTEX
 #define SKINBAKE_VERTEX
-// A skinned vertex. None of its vectors is of unit length; tangent and bitangent are the images of t0 and b0.
+// A skinned vertex. Its vectors have any length. tangent and bitangent are the images of t0 and b0.
 struct skinbake_Vertex {
     vec3 position;
     vec3 normal;
@@ -46,9 +46,9 @@ struct skinbake_Frame {
 
 #ifndef SKINBAKE_FRAME_FROM_NORMAL
 #define SKINBAKE_FRAME_FROM_NORMAL
-// The frame that bake took from NORMAL alone; n must have length 1. Written so that a compiler which fuses
-// multiply-adds gets the same bits: every product that meets a sum is exact. side stands last there: Mesa turns
-// side * ((x * x) * a) into side * (x * (x * a)).
+// The frame that bake took from NORMAL alone. n must have length 1. Every product in a sum is exact, so a compiler
+// that fuses multiply-adds gets the same bits. side is the last factor, because Mesa turns side * ((x * x) * a)
+// into side * (x * (x * a)).
 skinbake_Frame skinbake_frame(vec3 n)
 {
     float side = n.z >= 0.0 ? 1.0 : -1.0; // 1 also at -0.0

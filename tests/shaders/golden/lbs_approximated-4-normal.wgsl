@@ -5,14 +5,14 @@
 //     skinbake shader --lang wgsl --method lbs --lighting approximated --influences 4 --frame normal
 //
 // Algorithm 1 of M. Tarini, D. Panozzo, O. Sorkine-Hornung, "Accurate and Efficient Lighting for Skinned
-// Models", Computer Graphics Forum 33(2), 2014, doi:10.1111/cgf.12330: the numbers beside the lines are
-// those of its supplement.
+// Models", Computer Graphics Forum 33(2), 2014, doi:10.1111/cgf.12330. The numbers beside the lines
+// come from its supplement.
 // Frame: T. Duff et al., "Building an Orthonormal Basis, Revisited", JCGT 6(1), 2017.
 // WGSL for WebGPU. Pure functions: no bindings and no module variables.
 //
-// It reads of each vertex (mesh space: as the attributes come, before any joint matrix):
+// Inputs of each vertex, in mesh space: the attributes as they are stored, before any joint matrix:
 //     POSITION             vec3<f32>  p, in the file's unit of length
-//     NORMAL               vec3<f32>  n0, of length 1: normalize() it where it is stored as integers
+//     NORMAL               vec3<f32>  n0, of length 1: normalize() it if it is stored as integers
 //     JOINTS_0             vec4<u32>  joints of slots 0 to 3
 //     WEIGHTS_0            vec4<f32>  w of slots 0 to 3; over all slots they sum to 1
 //
@@ -22,7 +22,7 @@
 //     let v = skinbake_lbs_approximated(position, frame, M, weights_0);
 //     // v.position; normalize(v.normal); normalize(v.tangent)
 
-// A skinned vertex. None of its vectors is of unit length; tangent and bitangent are the images of t0 and b0.
+// A skinned vertex. Its vectors have any length. tangent and bitangent are the images of t0 and b0.
 struct skinbake_Vertex {
     position: vec3<f32>,
     normal: vec3<f32>,
@@ -38,9 +38,9 @@ struct skinbake_Frame {
     handedness: f32, // n0 = handedness * cross(t0, b0) / |t0|^2
 }
 
-// The frame that bake took from NORMAL alone; n must have length 1. Written so that a compiler which fuses
-// multiply-adds gets the same bits: every product that meets a sum is exact. side stands last there: Mesa turns
-// side * ((x * x) * a) into side * (x * (x * a)).
+// The frame that bake took from NORMAL alone. n must have length 1. Every product in a sum is exact, so a compiler
+// that fuses multiply-adds gets the same bits. side is the last factor, because Mesa turns side * ((x * x) * a)
+// into side * (x * (x * a)).
 fn skinbake_frame(n: vec3<f32>) -> skinbake_Frame {
     let side = select(-1.0, 1.0, n.z >= 0.0); // 1 also at -0.0
     let a = -1.0 / (side + n.z);

@@ -5,19 +5,19 @@
 //     skinbake shader --lang glsl --method lbs --lighting direct --influences 4 --frame tangent
 //
 // Algorithm 2 of M. Tarini, D. Panozzo, O. Sorkine-Hornung, "Accurate and Efficient Lighting for Skinned
-// Models", Computer Graphics Forum 33(2), 2014, doi:10.1111/cgf.12330: the numbers beside the lines are
-// those of its supplement.
+// Models", Computer Graphics Forum 33(2), 2014, doi:10.1111/cgf.12330. The numbers beside the lines
+// come from its supplement.
 // Compiles as GLSL ES 3.00, 3.30 and 4.50. Pure functions: no attributes, uniforms or globals.
 //
-// It reads of each vertex (mesh space: as the attributes come, before any joint matrix):
+// Inputs of each vertex, in mesh space: the attributes as they are stored, before any joint matrix:
 //     POSITION             vec3   p, in the file's unit of length
-//     NORMAL               vec3   n0, of length 1: normalize() it where it is stored as integers
+//     NORMAL               vec3   n0, of length 1: normalize() it if it is stored as integers
 //     TANGENT              vec4   t0, and in w the handedness of the frame, 1 or -1
 //     JOINTS_0             uvec4  joints of slots 0 to 3
 //     WEIGHTS_0            vec4   w of slots 0 to 3; over all slots they sum to 1
 //     _SKINBAKE_ALPHA_0    vec3   alpha = grad w . t0 of slots 1 to 3, in 1 / unit of POSITION
 //     _SKINBAKE_BETA_0     vec3   beta = grad w . b0 of the same slots
-// Slot 0's alpha and beta are minus the sums of the others': they are not stored.
+// alpha and beta of slot 0 are not stored: they are minus the sums over the other slots.
 //
 // M[s] is the joint matrix of the joint in slot s: its global transform * its inverse bind matrix.
 // Use:
@@ -30,7 +30,7 @@
 
 #ifndef SKINBAKE_VERTEX
 #define SKINBAKE_VERTEX
-// A skinned vertex. None of its vectors is of unit length; tangent and bitangent are the images of t0 and b0.
+// A skinned vertex. Its vectors have any length. tangent and bitangent are the images of t0 and b0.
 struct skinbake_Vertex {
     vec3 position;
     vec3 normal;
@@ -58,7 +58,7 @@ skinbake_Frame skinbake_frame(vec3 n, vec4 tangent)
 
 #ifndef SKINBAKE_MOVED
 #define SKINBAKE_MOVED
-// M p: where the joint matrix M alone takes the position p.
+// M p: the position p moved by the joint matrix M alone.
 vec3 skinbake_moved(mat4 M, vec3 p)
 {
     return M[0].xyz * p.x + (M[1].xyz * p.y + (M[2].xyz * p.z + M[3].xyz));

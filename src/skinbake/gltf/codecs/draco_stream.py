@@ -340,7 +340,7 @@ class _Grid:
 def _grid(name: str, values: npt.NDArray[Any]) -> _Grid | None:
     """Return the grid of values that an earlier quantisation rounded, None if none is found.
 
-    Quantised values are origin + n · extent / (2^bits − 1). Origin and extent are those of their bounding
+    Quantised values are origin + n · extent / (2^bits − 1). Origin and extent belong to their bounding
     box, in float32 (Draco, ``AttributeQuantizationTransform``). The extent is computed from the values with
     an error of a few units in the last place. For NORMAL only the number of bits is sought.
     """

@@ -1,6 +1,6 @@
 #ifndef SKINBAKE_CAPPED
 #define SKINBAKE_CAPPED
-// base + correction, the correction shortened to at most cap * |base|.
+// base + correction. The correction is shortened to at most cap * |base|.
 vec3 skinbake_capped(vec3 base, vec3 correction, float cap)
 {
     float allowed = cap * cap * dot(base, base);

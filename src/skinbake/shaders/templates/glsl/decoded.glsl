@@ -1,7 +1,7 @@
 #ifndef SKINBAKE_DECODED
 #define SKINBAKE_DECODED
-// alpha or beta of slots 1 to 3 from its set 0: xyz relative to the vertex's scale, w the root of that scale
-// relative to the file's.
+// alpha or beta of slots 1 to 3, from set 0. xyz are relative to the scale of the vertex. w is the square root of
+// that scale, relative to the scale of the file.
 vec3 skinbake_decoded(vec4 stored, float scale)
 {
     return (scale * stored.w * stored.w) * stored.xyz;

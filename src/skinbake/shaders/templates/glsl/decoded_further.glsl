@@ -1,6 +1,6 @@
 #ifndef SKINBAKE_DECODED_FURTHER
 #define SKINBAKE_DECODED_FURTHER
-// alpha or beta of the four slots of a further set; first is set 0 of the same, whose w counts for all sets.
+// alpha or beta of the four slots of a further set. first is set 0, whose w counts for all sets.
 vec4 skinbake_decoded_further(vec4 stored, vec4 first, float scale)
 {
     return (scale * first.w * first.w) * stored;

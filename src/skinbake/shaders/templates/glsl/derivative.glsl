@@ -1,6 +1,6 @@
 #ifndef SKINBAKE_DERIVATIVE@{ "_CAPPED" if cap is not none }
 #define SKINBAKE_DERIVATIVE@{ "_CAPPED" if cap is not none }
-// The derivative of p + delta along t, where the mix b changes at the rate db; delta = k h, i as in the caller.
+// The derivative of p + delta along t, if the mix b changes at the rate db. delta = k h, and i is as in the caller.
 //% if cap is none
 vec3 skinbake_derivative(mat2x4 b, float k, vec3 p, vec3 i, vec3 delta, vec3 t, mat2x4 db)
 //% else

@@ -1,4 +1,4 @@
-// The frame moves by the normalised mix b, corrected as if the mix blended positions (it does not: algorithm 6).
+// The frame moves by the normalised mix b, corrected as if the mix blended positions. Algorithm 6 is exact.
 // Q: the dual quaternions of @{ slot_words }.
 skinbake_Vertex skinbake_dqs_accurate(vec3 p, skinbake_Frame frame, mat2x4 Q[@{ influences }]@{ params(weight_params + gradient_params) })
 {

@@ -1,4 +1,4 @@
-// The frame moves by the derivative of the mix's motion itself: p' = p + delta, delta = k h,
+// The frame moves by the derivative of the motion p' = p + delta of the mix, delta = k h,
 //     i = r x p + r0 p + d, h = r x i + r0 d - d0 r, k = 2 / (r0^2 + |r|^2), the mix b = (r0, r, d0, d).
 // Q: the dual quaternions of @{ slot_words }.
 skinbake_Vertex skinbake_dqs_exact(vec3 p, skinbake_Frame frame, mat2x4 Q[@{ influences }]@{ params(weight_params + gradient_params) })

@@ -1,8 +1,8 @@
 #ifndef SKINBAKE_FRAME_FROM_NORMAL
 #define SKINBAKE_FRAME_FROM_NORMAL
-// The frame that bake took from NORMAL alone; n must have length 1. Written so that a compiler which fuses
-// multiply-adds gets the same bits: every product that meets a sum is exact. side stands last there: Mesa turns
-// side * ((x * x) * a) into side * (x * (x * a)).
+// The frame that bake took from NORMAL alone. n must have length 1. Every product in a sum is exact, so a compiler
+// that fuses multiply-adds gets the same bits. side is the last factor, because Mesa turns side * ((x * x) * a)
+// into side * (x * (x * a)).
 skinbake_Frame skinbake_frame(vec3 n)
 {
     float side = n.z >= 0.0 ? 1.0 : -1.0; // 1 also at -0.0

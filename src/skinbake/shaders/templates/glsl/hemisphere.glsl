@@ -1,6 +1,6 @@
 #ifndef SKINBAKE_HEMISPHERE
 #define SKINBAKE_HEMISPHERE
-// -1 where the joint's real part points away from the pivot's: q and -q are the same rotation.
+// -1 if the real part of the joint points away from that of the pivot: q and -q are the same rotation.
 float skinbake_hemisphere(mat2x4 joint, mat2x4 pivot)
 {
     return dot(joint[0], pivot[0]) < 0.0 ? -1.0 : 1.0;

@@ -1,8 +1,8 @@
 #ifndef SKINBAKE_MORPHED_TANGENT
 #define SKINBAKE_MORPHED_TANGENT
-// The frame under morph targets that move TANGENT too: tangent is TANGENT.xyz plus the weighted sum of its targets,
-// and must not be normalised. Where they cancel it, the frame follows the normal; so should that of a primitive
-// whose targets have no TANGENT, by skinbake_morphed_frame().
+// The frame under morph targets that move TANGENT too. tangent is TANGENT.xyz plus the weighted sum of its targets.
+// Do not normalise it. If the sum is 0, the frame follows the normal. If the targets of a primitive have no
+// TANGENT, use skinbake_morphed_frame().
 skinbake_Frame skinbake_morphed_tangent_frame(skinbake_Frame rest, vec3 n, vec3 tangent)
 {
     skinbake_Frame frame = skinbake_morphed_frame(rest, n);

@@ -1,6 +1,6 @@
 #ifndef SKINBAKE_VERTEX
 #define SKINBAKE_VERTEX
-// A skinned vertex. None of its vectors is of unit length; tangent and bitangent are the images of t0 and b0.
+// A skinned vertex. Its vectors have any length. tangent and bitangent are the images of t0 and b0.
 struct skinbake_Vertex {
     vec3 position;
     vec3 normal;

@@ -16,8 +16,8 @@
 //% set stored = types.vec4 if decodes else types.vec3
 //% set joints = ["x", "y", "z", "w"][:influences]
 @{ text.header }
-// For Bevy 0.19: the vertex stage of a material extension. Bevy's own modules give everything but the normals
-// and tangents of baked meshes. A mesh that is not baked may have the same material: it is lit as Bevy does.
+// For Bevy 0.19: the vertex stage of a material extension. Bevy's own modules compute everything except the
+// normals and tangents of baked meshes. A mesh without a bake may have the same material. Bevy then lights it.
 // Deferred rendering and the normal prepass (for screen-space effects) run Bevy's prepass shader, and see its
 // normals.
 //% if decodes
@@ -50,7 +50,7 @@
 //rs     shader::ShaderRef,
 //rs };
 //rs
-//rs /// Where the WGSL file lies in the folder of assets.
+//rs /// The path of the WGSL file in the folder of assets.
 //rs const SHADER: &str = "shaders/skinbake.wgsl";
 //rs
 //rs // The numbers are arbitrary: no other attribute may have them.
@@ -59,8 +59,8 @@
 //rs pub const BETA: MeshVertexAttribute =
 //rs     MeshVertexAttribute::new("SkinbakeBeta", 0x736b_696e_0002, VertexFormat::@{ vertex_format });
 //rs
-//rs /// The glTF loader with the baked attributes. It knows them without their leading underscore, and passes over
-//rs /// those that are stored in another format.
+//rs /// The glTF loader with the baked attributes. It knows them without their leading underscore. It ignores
+//rs /// attributes that are stored in another format.
 //% if frame == "normal"
 //rs /// Leave its conversion of coordinates off: alpha and beta do not follow when it turns NORMAL.
 //% endif
@@ -214,7 +214,7 @@ fn skinbake_joint(joint: u32, instance_index: u32) -> mat4x4<f32> {
 #endif
 }
 
-// A normal of length 1; bake takes (0, 0, 1) where NORMAL has no direction.
+// A normal of length 1. If NORMAL has no direction, bake takes (0, 0, 1).
 fn skinbake_unit(normal: vec3<f32>) -> vec3<f32> {
     return select(vec3<f32>(0.0, 0.0, 1.0), normalize(normal), dot(normal, normal) > 0.0);
 }
@@ -253,7 +253,7 @@ fn skinbake_lit(vertex: Vertex, frame: skinbake_Frame, instance_index: u32) -> s
 }
 
 #ifdef VERTEX_TANGENTS
-// The mesh's tangent in the world: moved as t0 and b0 are, which span it.
+// The mesh's tangent in the world. It moves with t0 and b0, which span it.
 fn skinbake_world_tangent(tangent: vec4<f32>, frame: skinbake_Frame, lit: skinbake_Vertex) -> vec4<f32> {
     let along = dot(tangent.xyz, frame.tangent) * lit.tangent + dot(tangent.xyz, frame.bitangent) * lit.bitangent;
 //% if mirrored_joints or lighting == "direct"
@@ -288,7 +288,7 @@ fn vertex(rest: Vertex) -> VertexOutput {
 #endif
 
 #ifdef VERTEX_POSITIONS
-    // By Bevy's own functions: prepasses and shadows must agree with it.
+    // Bevy's own functions compute it, so that it agrees with prepasses and shadows.
     out.world_position = mesh_functions::mesh_position_local_to_world(world_from_local, vec4<f32>(vertex.position, 1.0));
     out.position = position_world_to_clip(out.world_position.xyz);
 #endif

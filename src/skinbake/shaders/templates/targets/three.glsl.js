@@ -43,9 +43,9 @@
 //     const { scene } = await new GLTFLoader().loadAsync('baked.glb');
 //     patchSkinnedMeshes(scene);
 //
-// Under morph targets the frame follows the normal: three.js morphs no tangents. alpha and beta stay those of the
-// mesh at rest. The materials that three.js draws shadows with are its own: where a displacementMap moves
-// vertices along the normal, their shadows move along the standard one.
+// Under morph targets the frame follows the normal, because three.js morphs no tangents. alpha and beta stay as in
+// the mesh at rest. three.js draws shadows with its own materials. If a displacementMap moves vertices along the
+// normal, their shadows move along the standard normal.
 @{ """// Normals point outside also where joints mirror, as those of three.js do. Its DoubleSide materials turn them
 // where the winding is turned, and are lit right without --mirrored-joints.
 """ if mirrored_joints }
@@ -83,7 +83,7 @@ attribute vec@{ size } @{ name };
 #endif
 `;
 
-// After its own chunk, of which a compiler keeps nothing, since what it computes is overwritten. three.js has
+// After three.js's own chunk. Its results are overwritten, so a compiler keeps nothing of it. three.js has
 // M[s] = bindMatrixInverse * bone * bindMatrix; the outer two act on vectors here, which is cheaper.
 const SKINNORMAL = /* glsl */ `
 #ifdef USE_SKINNING
@@ -122,7 +122,7 @@ vec3 skinbakeMorphedNormal = objectNormal;
     skinbake_Vertex v = skinbake_@{ stem }(p, frame, M, skinWeight,
         @{ read.alpha }, @{ read.beta });
 //% endif
-    // The cofactors take t' x b' to what their images under bindMatrixInverse have for a cross product.
+    // The cofactors turn t' x b' into the cross product of their images under bindMatrixInverse.
     mat3 back = mat3(bindMatrixInverse);
     mat3 cofactors = mat3(cross(back[1], back[2]), cross(back[2], back[0]), cross(back[0], back[1]));
     objectNormal = cofactors * v.normal;
@@ -257,7 +257,7 @@ function problemOf(geometry) {
     return '';
 }
 
-// three.js does not clone what onBeforeCompile and customProgramCacheKey were set to.
+// three.js does not clone onBeforeCompile and customProgramCacheKey.
 function cloneOf(material) {
     const clone = material.clone();
     clone.onBeforeCompile = material.onBeforeCompile;

@@ -1,4 +1,4 @@
-// base + correction, the correction shortened to at most cap * |base|.
+// base + correction. The correction is shortened to at most cap * |base|.
 fn skinbake_capped(base: vec3<f32>, correction: vec3<f32>, cap: f32) -> vec3<f32> {
     let allowed = cap * cap * dot(base, base);
     let square = dot(correction, correction);

@@ -1,4 +1,4 @@
-// The derivative of p + delta along t, where the mix b changes at the rate db; delta = k h, i as in the caller.
+// The derivative of p + delta along t, if the mix b changes at the rate db. delta = k h, and i is as in the caller.
 //% if cap is none
 fn skinbake_derivative(b: mat2x4<f32>, k: f32, p: vec3<f32>, i: vec3<f32>, delta: vec3<f32>, t: vec3<f32>, db: mat2x4<f32>) -> vec3<f32> {
 //% else

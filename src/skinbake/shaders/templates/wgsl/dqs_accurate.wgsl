@@ -1,4 +1,4 @@
-// The frame moves by the normalised mix b, corrected as if the mix blended positions (it does not: algorithm 6).
+// The frame moves by the normalised mix b, corrected as if the mix blended positions. Algorithm 6 is exact.
 // Q: the dual quaternions of @{ slot_words }.
 fn skinbake_dqs_accurate(p: vec3<f32>, frame: skinbake_Frame, Q: array<mat2x4<f32>, @{ influences }>@{ params(weight_params + gradient_params) }) -> skinbake_Vertex {
 //% set mixed = "mixed"

@@ -1,7 +1,7 @@
-// The unit dual quaternion of a rigid joint matrix: [0] is its real part (x, y, z, w), w the scalar, [1] its
-// dual part. For the host, or for a pass over the joints: once a joint and frame, not once a vertex.
-// Dual quaternions carry no scale: where all joint matrices share a uniform scale s, divide their upper 3x3
-// parts by s before, and skin s * p, s * t0, s * b0 in place of p, t0, b0.
+// The unit dual quaternion of a rigid joint matrix. [0] is its real part (x, y, z, w), w the scalar; [1] is its
+// dual part. Compute it on the host or in a pass over the joints: once per joint and frame, not per vertex.
+// Dual quaternions have no scale. If all joint matrices share a uniform scale s, divide their upper 3x3 parts by
+// s first, and skin s * p, s * t0, s * b0 in place of p, t0, b0.
 fn skinbake_dual_quaternion(M: mat4x4<f32>) -> mat2x4<f32> {
     let d = vec3<f32>(M[0].x, M[1].y, M[2].z);
     let squares = 1.0 + vec4<f32>( // 4 * (x, y, z, w)^2

@@ -1,6 +1,6 @@
-// The frame that bake took from NORMAL alone; n must have length 1. Written so that a compiler which fuses
-// multiply-adds gets the same bits: every product that meets a sum is exact. side stands last there: Mesa turns
-// side * ((x * x) * a) into side * (x * (x * a)).
+// The frame that bake took from NORMAL alone. n must have length 1. Every product in a sum is exact, so a compiler
+// that fuses multiply-adds gets the same bits. side is the last factor, because Mesa turns side * ((x * x) * a)
+// into side * (x * (x * a)).
 fn skinbake_frame(n: vec3<f32>) -> skinbake_Frame {
     let side = select(-1.0, 1.0, n.z >= 0.0); // 1 also at -0.0
     let a = -1.0 / (side + n.z);
