@@ -17,6 +17,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 from fuzz.cases import Case, make_case
@@ -72,10 +73,10 @@ class Plan:
 def preload() -> None:
     """Import all that commands import, once for all children."""
     os.environ["OPENBLAS_NUM_THREADS"] = "1"
-    import importlib  # noqa: PLC0415
-    import pkgutil  # noqa: PLC0415
+    import importlib
+    import pkgutil
 
-    import skinbake  # noqa: PLC0415
+    import skinbake
 
     for module in pkgutil.walk_packages(skinbake.__path__, "skinbake."):
         if "dask" not in module.name and not module.name.endswith("__main__"):
@@ -85,7 +86,7 @@ def preload() -> None:
     remember_what_never_changes()
     # Looking for a quantiser's grid of up to 24 bits takes half a second a run, in Draco's tables alone.
     draco_stream = importlib.import_module("skinbake.gltf.codecs.draco_stream")
-    draco_stream.GRID_BITS = range(4, 12)  # type: ignore[attr-defined]
+    draco_stream.GRID_BITS = range(4, 12)  # type: ignore[attr-defined]  # import_module is untyped
 
 
 def run_all(plan: Plan) -> Totals:
@@ -202,11 +203,12 @@ def _started(plan: Plan, seeds: tuple[int, int], folder: Path, end: float) -> _B
         code = 70
         try:
             os.close(reader)
-            work = lambda: _work(plan, seeds, folder / f"room-{os.getpid()}", writer, end)  # noqa: E731
+            room = folder / f"room-{os.getpid()}"
+            work = partial(_work, plan, seeds, room, writer, end)
             (plan.around or (lambda inner: inner()))(work)
             code = 0
         except BaseException:
-            import traceback  # noqa: PLC0415
+            import traceback
 
             (folder / f"faults-{os.getpid()}").write_text(traceback.format_exc())
         finally:

@@ -18,7 +18,7 @@ Result = TypeVar("Result")
 
 def measurement(file: Path) -> coverage.Coverage:
     """Return a measurement of the readers' branches, to be saved in a file."""
-    import coverage  # noqa: PLC0415 - only some runs are measured
+    import coverage
 
     return coverage.Coverage(
         data_file=str(file), branch=True, include=[f"{REPOSITORY}/{PACKAGE}/*"], config_file=False

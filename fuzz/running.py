@@ -88,7 +88,7 @@ class Runner:
 
     def __init__(self, root: Path) -> None:
         """Make the folder, watch the interpreter, and catch what skinbake logs."""
-        from skinbake.cli.main import entry_point  # noqa: PLC0415 - importing this module must stay cheap
+        from skinbake.cli.main import entry_point
 
         self._entry_point: Callable[[], None] = entry_point
         self.room = root / "a" / "b"
@@ -106,7 +106,7 @@ class Runner:
         logger.addHandler(self._tracebacks)
         warnings.simplefilter("error")
         for category in (DeprecationWarning, PendingDeprecationWarning, ImportWarning, ResourceWarning):
-            warnings.simplefilter("ignore", category)
+            warnings.simplefilter("ignore", category)  # of other packages; Python hides these too
 
     def command(self, arguments: Sequence[str], stdin: bytes = b"", watch: Watch | None = None) -> Outcome:
         """Run ``skinbake`` with arguments and return what it did."""
@@ -376,12 +376,12 @@ def _difference(one: Path, other: Path) -> str:
 
 def _values(path: str) -> list[Find]:
     """Read an output back: its α and β must be finite."""
-    import numpy as np  # noqa: PLC0415 - as above
+    import numpy as np
 
-    from skinbake.errors import SkinbakeError  # noqa: PLC0415
-    from skinbake.format.metadata import read_metadata, slot_names  # noqa: PLC0415
-    from skinbake.gltf.accessors import read_accessor  # noqa: PLC0415
-    from skinbake.gltf.document import read_document  # noqa: PLC0415
+    from skinbake.errors import SkinbakeError
+    from skinbake.format.metadata import read_metadata, slot_names
+    from skinbake.gltf.accessors import read_accessor
+    from skinbake.gltf.document import read_document
 
     try:
         document = read_document(path)

@@ -226,7 +226,7 @@ def made_seeds(models: list[Model]) -> list[Model]:
 
 def _filtered(model: Model, prefix: str) -> Model:
     """Return the model with views under each of meshopt's filters: any bytes decode to something."""
-    import meshopt  # noqa: PLC0415 - the makers of seeds alone need the codecs
+    import meshopt
 
     made = model.copied()
     made.name = f"{prefix}-filters"
@@ -270,7 +270,7 @@ def _filtered(model: Model, prefix: str) -> Model:
 
 def _edgebreaker(model: Model) -> Model:
     """Return the model with its first primitive in a stream of Draco's other method."""
-    import DracoPy  # noqa: PLC0415 - as above
+    import DracoPy
 
     made = model.copied()
     made.name = "edgebreaker"

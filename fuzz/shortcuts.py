@@ -18,7 +18,7 @@ def remember_what_never_changes() -> None:
     """Keep what click makes anew for each command line, and compile all templates of shaders once."""
     _keep_parsers()
     _keep_defaults()
-    from skinbake.shaders import text  # noqa: PLC0415 - importing this module must stay cheap
+    from skinbake.shaders import text
 
     environment = text._environment()
     for name in environment.list_templates():
@@ -71,4 +71,4 @@ def _keep_defaults() -> None:
             kept[self] = value
         return value, rest
 
-    click.Parameter.handle_parse_result = method  # type: ignore[method-assign]
+    click.Parameter.handle_parse_result = method  # type: ignore[method-assign]  # only for the fuzzer's speed

@@ -9,8 +9,8 @@ from fuzz.atheris_target import fuzz
 
 def load() -> Callable[[bytes], object]:
     """Return the target."""
-    from skinbake.errors import Place  # noqa: PLC0415
-    from skinbake.gltf.codecs.draco_stream import read_counts  # noqa: PLC0415
+    from skinbake.errors import Place
+    from skinbake.gltf.codecs.draco_stream import read_counts
 
     return lambda data: read_counts(memoryview(data), Place("fuzz"))
 

@@ -9,9 +9,9 @@ from fuzz.atheris_target import fuzz
 
 def load() -> Callable[[bytes], object]:
     """Return the target."""
-    from pathlib import Path  # noqa: PLC0415
+    from pathlib import Path
 
-    from skinbake.gltf.document import parse_glb  # noqa: PLC0415
+    from skinbake.gltf.document import parse_glb
 
     return lambda data: parse_glb(data, "fuzz.glb", Path("nowhere"))
 

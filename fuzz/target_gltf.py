@@ -10,11 +10,11 @@ from fuzz.atheris_target import fuzz
 
 def load() -> Callable[[bytes], object]:
     """Return the target."""
-    from pathlib import Path  # noqa: PLC0415
+    from pathlib import Path
 
-    from skinbake.errors import SkinbakeError  # noqa: PLC0415
-    from skinbake.gltf.accessors import described, read_accessor  # noqa: PLC0415
-    from skinbake.gltf.document import parse_gltf  # noqa: PLC0415
+    from skinbake.errors import SkinbakeError
+    from skinbake.gltf.accessors import described, read_accessor
+    from skinbake.gltf.document import parse_gltf
 
     def target(data: bytes) -> None:
         document = parse_gltf(data, "fuzz.gltf", Path("nowhere"))

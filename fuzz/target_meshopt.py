@@ -9,10 +9,10 @@ from fuzz.atheris_target import fuzz
 
 def load() -> Callable[[bytes], object]:
     """Return the target."""
-    import json  # noqa: PLC0415
+    import json
 
-    from skinbake.errors import InputError, Place  # noqa: PLC0415
-    from skinbake.gltf.codecs import meshopt  # noqa: PLC0415
+    from skinbake.errors import InputError, Place
+    from skinbake.gltf.codecs import meshopt
 
     def target(data: bytes) -> None:
         try:

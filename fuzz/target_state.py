@@ -9,10 +9,10 @@ from fuzz.atheris_target import fuzz
 
 def load() -> Callable[[bytes], object]:
     """Return the target."""
-    import tempfile  # noqa: PLC0415
-    from pathlib import Path  # noqa: PLC0415
+    import tempfile
+    from pathlib import Path
 
-    from skinbake.jobs.state import State  # noqa: PLC0415
+    from skinbake.jobs.state import State
 
     path = Path(tempfile.mkdtemp()) / "state.jsonl"
 

@@ -10,9 +10,9 @@ from fuzz.atheris_target import fuzz
 
 def load() -> Callable[[bytes], object]:
     """Return the target."""
-    from skinbake.containment import Bounds, RefusedError, spots  # noqa: PLC0415
-    from skinbake.errors import Place  # noqa: PLC0415
-    from skinbake.gltf import resources  # noqa: PLC0415
+    from skinbake.containment import Bounds, RefusedError, spots
+    from skinbake.errors import Place
+    from skinbake.gltf import resources
 
     def target(data: bytes) -> None:
         uri = data.decode("utf-8", "surrogateescape")

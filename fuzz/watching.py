@@ -118,7 +118,7 @@ class Watch:
 @lru_cache(maxsize=1)
 def package() -> str:
     """Return the folder of the package that is watched."""
-    import skinbake  # noqa: PLC0415 - importing this module must stay cheap
+    import skinbake
 
     return f"{Path(skinbake.__file__).parent}{os.sep}"
 

@@ -133,7 +133,7 @@ def test_options_that_make_no_sense_are_refused(
 
 def test_an_unknown_keyword_is_a_type_error(tmp_path: Path) -> None:
     with pytest.raises(TypeError, match="wieghting"):
-        skinbake.bake(TUBE, tmp_path / "out.glb", **{"wieghting": "max"})  # type: ignore[call-overload]
+        skinbake.bake(TUBE, tmp_path / "out.glb", **{"wieghting": "max"})  # type: ignore[call-overload]  # on purpose
     with pytest.raises(TypeError, match="needs a target"):
         skinbake.bake(TUBE)
 

@@ -140,8 +140,8 @@ def run(names: list[str] | None, kinds: list[str], every: int, coverage: Path | 
 
     With ``coverage`` each child that is not killed leaves a measurement in that folder.
     """
-    from fuzz.batches import preload  # noqa: PLC0415 - not before the library is there
-    from fuzz.faults.scenes import SCENES  # noqa: PLC0415
+    from fuzz.batches import preload
+    from fuzz.faults.scenes import SCENES
 
     preload()
     totals, fault = Totals(), Fault()
@@ -286,7 +286,7 @@ class _Trial:
 
 def _command(arguments: tuple[str, ...], folder: Path, log: Path, arm: Any) -> int:
     """Run a command in this child, and return its exit code."""
-    from skinbake.cli.main import entry_point  # noqa: PLC0415
+    from skinbake.cli.main import entry_point
 
     code: object = 70
     try:
@@ -302,7 +302,7 @@ def _command(arguments: tuple[str, ...], folder: Path, log: Path, arm: Any) -> i
     except KeyboardInterrupt:
         code = INTERRUPTED
     except BaseException:
-        import traceback  # noqa: PLC0415
+        import traceback
 
         traceback.print_exc()
     finally:

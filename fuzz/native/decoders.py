@@ -28,8 +28,8 @@ def streams() -> list[Stream]:
 
 
 def _draco_streams() -> list[Stream]:
-    import DracoPy  # noqa: PLC0415 - only the process that decodes needs it
-    import numpy as np  # noqa: PLC0415
+    import DracoPy
+    import numpy as np
 
     found = []
     random = np.random.default_rng(3)
@@ -64,10 +64,10 @@ def _draco_streams() -> list[Stream]:
 
 
 def _meshopt_streams() -> list[Stream]:
-    import meshopt  # noqa: PLC0415
-    import numpy as np  # noqa: PLC0415
+    import meshopt
+    import numpy as np
 
-    from skinbake.gltf.codecs.meshopt import STRIDES_OF_FILTERS, Packing  # noqa: PLC0415
+    from skinbake.gltf.codecs.meshopt import STRIDES_OF_FILTERS, Packing
 
     found = []
     random = np.random.default_rng(4)
@@ -95,8 +95,8 @@ def _meshopt_streams() -> list[Stream]:
 
 def executions(seed: int) -> int:
     """Decode one damaged stream; what comes must be an array or an error of ours."""
-    from skinbake.errors import Place, SkinbakeError  # noqa: PLC0415
-    from skinbake.gltf.codecs import draco_stream, meshopt  # noqa: PLC0415
+    from skinbake.errors import Place, SkinbakeError
+    from skinbake.gltf.codecs import draco_stream, meshopt
 
     random = Random(seed)
     stream = random.choice(streams())

@@ -24,7 +24,7 @@ VARIATIONS = 40
 
 def executions(seed: int) -> int:
     """Call each loop with the arrays of a seed and variations of them; return how many calls that were."""
-    from skinbake.gradients import _kernel  # noqa: PLC0415 - the one that was built with sanitizers
+    from skinbake.gradients import _kernel
 
     random = np.random.default_rng(seed)
     with np.errstate(all="ignore"):

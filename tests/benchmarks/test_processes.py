@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from pathlib import Path
 
@@ -44,7 +45,9 @@ def test_a_command_that_fails_ends_the_run() -> None:
         run(python("import sys; print('no good', file=sys.stderr); sys.exit(3)"))
 
 
-@pytest.mark.skipif(not hasattr(__import__("os"), "sched_getaffinity"), reason="no affinity here")
+@pytest.mark.skipif(
+    not hasattr(os, "sched_getaffinity"), reason="this system cannot bind a process to a core"
+)
 def test_one_core_is_one_core() -> None:
     asked = "import os; print(len(os.sched_getaffinity(0)))"
     assert run(python(asked), one_core=True).printed.strip() == "1"

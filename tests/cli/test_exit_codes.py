@@ -15,6 +15,7 @@ from skinbake.errors import (
     SkinbakeError,
     UnsupportedFeatureError,
 )
+from skinbake.gltf.document import Document
 from tests.support.command_line import invoke, run
 from tests.support.gltf_reading import read
 from tests.support.models import FOLDER, copied, edited, sheet, write_model
@@ -80,10 +81,10 @@ class TestBake:
     ) -> None:
         original = Baker.bake_document
 
-        def breaking(baker: Baker, document: object) -> object:
-            if "two_sets" in document.name:  # type: ignore[attr-defined]
+        def breaking(baker: Baker, document: Document) -> object:
+            if "two_sets" in document.name:
                 raise RuntimeError("a defect of skinbake")
-            return original(baker, document)  # type: ignore[arg-type]
+            return original(baker, document)
 
         monkeypatch.setattr(Baker, "bake_document", breaking)
         result = invoke("bake", FOLDER / "two_sets.glb", SEAM, "--out-dir", tmp_path)

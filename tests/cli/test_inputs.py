@@ -91,7 +91,7 @@ def test_a_relative_pattern_begins_here(tree: Path) -> None:
 @pytest.mark.parametrize("name", ["a[1].glb", "odd*.glb", "what?.glb"])
 def test_a_name_that_exists_is_no_pattern(name: str, tmp_path: Path) -> None:
     if sys.platform == "win32":
-        pytest.skip("no such names there")
+        pytest.skip("Windows has no such names")
     put(tmp_path / "in", name, "a1.glb", "odd-one.glb", "whatX.glb")
     invoke("bake", tmp_path / "in" / name, "--out-dir", tmp_path / "out")
     assert files(tmp_path / "out") == [name]

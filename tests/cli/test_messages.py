@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from fixtures.builder import JsonObject
 from tests.support.command_line import invoke, run
 from tests.support.models import FIXTURES, FOLDER, bake, edited, sheet, write_model
 
@@ -39,8 +40,8 @@ def test_warnings_name_file_mesh_and_primitive_and_are_aggregated(warned: Path) 
 
 
 def test_errors_name_file_mesh_primitive_and_attribute(tmp_path: Path) -> None:
-    def cut(content: dict[str, object]) -> None:
-        content["accessors"][3]["count"] = 3  # type: ignore[index]
+    def cut(content: JsonObject) -> None:
+        content["accessors"][3]["count"] = 3
 
     path = edited("seam.glb", tmp_path, cut)
     result = invoke("bake", path, "--dry-run")
@@ -205,11 +206,11 @@ class TestInspect:
         assert "skipped: it has no NORMAL" in result.stderr
 
     def test_it_shows_attributes_of_any_type_that_gltf_knows(self, tmp_path: Path) -> None:
-        def add(content: dict[str, list[dict[str, object]]]) -> None:
+        def add(content: JsonObject) -> None:
             for kind in ("MAT2", "MAT3", "MAT4"):
                 content["accessors"].append({"componentType": 5126, "count": 198, "type": kind})
                 number = len(content["accessors"]) - 1
-                content["meshes"][0]["primitives"][0]["attributes"][f"_{kind}"] = number  # type: ignore[index]
+                content["meshes"][0]["primitives"][0]["attributes"][f"_{kind}"] = number
 
         path = edited("seam.glb", tmp_path, add)
         assert "_MAT3 MAT3 FLOAT" in invoke("inspect", path).stdout

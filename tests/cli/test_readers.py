@@ -13,7 +13,7 @@ from tests.support.command_line import run
 from tests.support.models import FOLDER
 
 if sys.platform == "win32":
-    pytest.skip("pipes of POSIX", allow_module_level=True)
+    pytest.skip("needs the pipes of POSIX", allow_module_level=True)
 
 SEAM = str(FOLDER / "seam.glb")
 COMMANDS = [

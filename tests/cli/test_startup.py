@@ -129,7 +129,7 @@ def test_any_encoding_of_the_terminal_will_do(encoding: str, arguments: list[str
 
 def test_a_name_that_is_no_text_is_a_name(tmp_path: Path) -> None:
     if sys.platform != "linux":
-        pytest.skip("names are bytes on Linux")
+        pytest.skip("only on Linux are names bytes")
     name = os.fsdecode(b"\xff\xfe.glb")
     shutil.copyfile(SEAM, tmp_path / name)
     for arguments in (["--in-place"], ["--dry-run", "--json"], ["-o", os.fsdecode(b"\xfd.gltf")]):
@@ -146,7 +146,7 @@ def test_lone_surrogates_in_a_mesh_s_name_can_be_shown(tmp_path: Path) -> None:
 def shell(line: str) -> subprocess.CompletedProcess[bytes]:
     bash = shutil.which("bash")
     if bash is None:
-        pytest.skip("bash is not here")
+        pytest.skip("bash is not installed")
     line = f'set -o pipefail; skinbake() {{ "{sys.executable}" -m skinbake "$@"; }}; {line}'
     return subprocess.run([bash, "-c", line], capture_output=True, check=False, timeout=60)
 

@@ -146,7 +146,7 @@ def test_results_come_in_the_order_of_the_jobs() -> None:
     pairs = iter([(2, "c"), (0, "a"), (1, "b"), (3, "d")])
     results = in_order(pair for pair in pairs)
     assert next(results) == "a"
-    pairs_left = pairs.__length_hint__()  # type: ignore[attr-defined]
+    pairs_left = pairs.__length_hint__()  # type: ignore[attr-defined]  # iterators of lists have it
     assert pairs_left == 2  # none is waited for that need not be
     assert list(results) == ["b", "c", "d"]
 

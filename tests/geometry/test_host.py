@@ -101,4 +101,4 @@ def test_importing_skinbake_imports_no_numpy() -> None:
 
 def test_other_names_are_no_attributes() -> None:
     with pytest.raises(AttributeError, match="no attribute 'bake_it'"):
-        skinbake.bake_it  # noqa: B018
+        skinbake.bake_it  # noqa: B018  # reading it is the test

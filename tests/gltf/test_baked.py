@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -267,15 +268,14 @@ class TestUnbaked:
 
 class TestNames:
     def test_an_attribute_of_that_name_is_not_overwritten(self, tmp_path: Path) -> None:
+        def take(name: str, content: JsonObject) -> None:
+            content["meshes"][0]["primitives"][0]["attributes"][name] = 0
+
         for taken in (ALPHA, BETA):
             path = write_model(
                 tmp_path / "sheet.glb",
                 [sheet()],
-                change=lambda content, taken=taken: content["meshes"][0]["primitives"][0][
-                    "attributes"
-                ].update(  # type: ignore[misc]
-                    {taken: 0}
-                ),
+                change=partial(take, taken),
             )
             with pytest.raises(InputError, match="--alpha-name") as raised:
                 bake_file(str(path), str(tmp_path / "baked.glb"))

@@ -15,7 +15,7 @@ import numpy.typing as npt
 import pytest
 
 from fixtures.builder import JsonObject
-from skinbake.choices import Neighbours, Scheme
+from skinbake.choices import FrameChoice, Neighbours, Scheme
 from skinbake.commands.bake import Baker
 from skinbake.commands.cost import cost_of_file
 from skinbake.commands.inspect import inspect_file
@@ -519,11 +519,10 @@ def test_real_twins_have_the_same_gradients_within_their_quantisation(
     Nine of ten vertices agree within the tolerance, relative to the mesh's steep gradients; at the others
     rounding has moved one of several copies, or a sliver of a triangle, past what edges allow.
     """
-    options = {"neighbours": "drop", "frame": "normal"}
     from skinbake.gradients.baker import BakeSettings
 
     for target, path in (("ours", name), ("theirs", original)):
-        settings = BakeSettings(**options)  # type: ignore[arg-type]
+        settings = BakeSettings(neighbours=Neighbours.DROP, frame=FrameChoice.NORMAL)
         bake(corpus.model(path), tmp_path / f"{target}.glb", settings=settings)
     models = read_plain_many([tmp_path / "ours.glb", tmp_path / "theirs.glb"])
     found, expected = models.values()

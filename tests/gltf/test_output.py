@@ -25,7 +25,7 @@ from tests.support.gltf_reading import read
 from tests.support.models import FOLDER, SHARED, SHARED_BIN, bake, copied, edited
 
 if sys.platform == "win32":
-    pytest.skip("modes, links and limits of POSIX", allow_module_level=True)
+    pytest.skip("needs the modes, links and limits of POSIX", allow_module_level=True)
 
 Tree = dict[str, bytes | str | None]
 
@@ -236,7 +236,7 @@ class TestTargets:
 
     def test_a_file_system_that_takes_no_files_is_an_output_error(self) -> None:
         if not Path("/proc/self").is_dir():
-            pytest.skip("no /proc here")
+            pytest.skip("needs /proc")
         write(FOLDER / "seam.glb", Path("/proc/self/model.glb"))
 
     def test_an_image_that_cannot_be_read_is_an_output_error(

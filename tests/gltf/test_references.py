@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
+from fixtures.builder import JsonObject
 from skinbake.errors import InputError
 from tests.support.baking import bake_file
 from tests.support.models import SHARED, edited
@@ -26,9 +28,11 @@ from tests.support.models import SHARED, edited
         ("buffers", lambda root, past: root["bufferViews"].append({"buffer": past, "byteLength": 4})),
     ],
 )
-def test_a_reference_past_the_end_is_refused(array: str, broken: object, tmp_path: Path) -> None:
-    def damage(root: dict[str, object]) -> None:
-        broken(root, len(root[array]))  # type: ignore[operator, arg-type]
+def test_a_reference_past_the_end_is_refused(
+    array: str, broken: Callable[[JsonObject, int], None], tmp_path: Path
+) -> None:
+    def damage(root: JsonObject) -> None:
+        broken(root, len(root[array]))
 
     source = edited(SHARED, tmp_path / "in", damage)
     target = tmp_path / "out.gltf"

@@ -37,7 +37,7 @@ from tests.support.gltf_reading import read
 from tests.support.models import FOLDER, copied
 
 if sys.platform == "win32":
-    pytest.skip("links, locks and signals of POSIX", allow_module_level=True)
+    pytest.skip("needs the links, locks and signals of POSIX", allow_module_level=True)
 
 SEAM, TUBE = FOLDER / "seam.glb", FOLDER / "bent_tube.glb"
 LINUX = pytest.mark.skipif(sys.platform != "linux", reason="processes are told apart by /proc")
@@ -176,7 +176,7 @@ class TestDurable:
             return wrapped
 
         if not Path("/proc/self/fd").is_dir():
-            pytest.skip("no /proc here")
+            pytest.skip("needs /proc")
         monkeypatch.setattr(os, "fsync", synced)
         monkeypatch.setattr(os, "link", named("link"))
         monkeypatch.setattr(os, "replace", named("replace"))

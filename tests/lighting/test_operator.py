@@ -321,7 +321,7 @@ def test_indices_outside_their_primitive_are_refused_before_libigl_sees_them(ind
 
 def test_an_unknown_weighting_is_refused() -> None:
     with pytest.raises(ValueError, match="nelson"):
-        gradient_operator([patch(np.eye(3), [[0, 1, 2]])], weighting="nelson")  # type: ignore[arg-type]
+        gradient_operator([patch(np.eye(3), [[0, 1, 2]])], weighting="nelson")  # type: ignore[arg-type]  # on purpose
 
 
 def test_a_joint_in_two_slots_is_carried_by_the_first_that_has_weight() -> None:

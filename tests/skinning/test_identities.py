@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -114,8 +115,8 @@ def test_a_dual_quaternion_and_its_negative_are_the_same_motion(
     expected = replay(algorithm, rest, poses())
     for joint in range(3):
 
-        def negated(*args: object, joint: int = joint, **options: object) -> RigidMotions:
-            motions = rigid_motions(*args, **options)  # type: ignore[arg-type]
+        def negated(*args: Any, joint: int = joint, **options: Any) -> RigidMotions:
+            motions = rigid_motions(*args, **options)
             motions.dual_quaternions[:, joint] *= -1
             return motions
 

@@ -110,7 +110,7 @@ def crowd(path: Path, side: int, primitives: int) -> Path:
     """Write primitives that share the accessors of one sheet of side × side vertices, all backed by bytes."""
     u, v = (axis.ravel() for axis in np.meshgrid(np.arange(side), np.arange(side)))
     count = side * side
-    arrays = {
+    arrays: dict[str, AnyArray] = {
         "POSITION": np.stack([u, 0 * u, v], axis=1).astype(np.float32),
         "NORMAL": np.tile(np.array([0, 1, 0], np.float32), (count, 1)),
         "JOINTS_0": np.zeros((count, 4), np.uint8),
@@ -120,7 +120,7 @@ def crowd(path: Path, side: int, primitives: int) -> Path:
     def share(content: JsonObject) -> None:
         content["meshes"][0]["primitives"] *= primitives
 
-    return write_model(path, [sheet(**arrays)], change=share)  # type: ignore[arg-type]
+    return write_model(path, [sheet(**arrays)], change=share)
 
 
 def bake(source: Path | str, target: Path | str, **options: Any) -> FileResult:

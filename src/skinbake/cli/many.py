@@ -142,7 +142,7 @@ class Summary:
         self._file = None
         if path is not None:
             try:
-                self._file = Path(path).open("w", encoding="utf-8", newline="\n")  # noqa: SIM115
+                self._file = Path(path).open("w", encoding="utf-8", newline="\n")  # noqa: SIM115  # close() closes it
             except (OSError, ValueError) as error:
                 reason = getattr(error, "strerror", None) or error
                 raise OutputError(f"cannot be written: {reason}", Place(path)) from error

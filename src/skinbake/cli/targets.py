@@ -126,7 +126,7 @@ def _identity(path: str) -> tuple[int, int] | None:
     if place is None or path == STDIO:
         return None
     try:
-        found = os.stat(place)  # noqa: PTH116  # of a million inputs
+        found = os.stat(place)  # noqa: PTH116  # pathlib is slow for a million inputs
     except (OSError, ValueError):
         return None
     return (found.st_dev, found.st_ino) if stat.S_ISREG(found.st_mode) else None
@@ -169,7 +169,7 @@ class _Found:
         folder, name = os.path.split(path)
         if folder not in self._folders:
             self._folders[folder] = os.path.realpath(folder)
-        return os.path.join(self._folders[folder], name)  # noqa: PTH118
+        return os.path.join(self._folders[folder], name)  # noqa: PTH118  # likewise
 
 
 def in_turns(inputs: Sequence[Input]) -> list[int]:

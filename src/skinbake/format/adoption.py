@@ -71,7 +71,7 @@ def _rows_of(stored: StoredArray, rows: IntArray) -> StoredArray:
 def _new_joints(stored: StoredArray, rows: IntArray, slot: IntArray) -> StoredArray:
     if not (slot >= 0).any():
         return stored
-    wide = slot.max() > np.iinfo(stored.values.dtype).max  # type: ignore[type-var]
+    wide = slot.max() > np.iinfo(stored.values.dtype).max  # type: ignore[type-var]  # joints are integers
     values: npt.NDArray[Any] = stored.values.astype(np.uint16 if wide else stored.values.dtype)
     values[rows] = np.where(slot >= 0, slot, values[rows])
     return replace(stored, values=values)

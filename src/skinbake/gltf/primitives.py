@@ -244,7 +244,7 @@ def read_indices(document: Document, source: PrimitiveSource) -> IntArray:
     stored = read_accessor(document, number, place).values
     if stored.dtype.kind != "u" or stored.shape[1] != 1:
         raise InputError("indices must be scalars of an unsigned integer type", place)
-    indices: IntArray = stored[:, 0]  # type: ignore[assignment]
+    indices: IntArray = stored[:, 0]  # type: ignore[assignment]  # unsigned: checked above
     if indices.max() >= count:
         raise InputError(f"index {indices.max()} is too large for {count} vertices", place)
     return indices

@@ -80,7 +80,7 @@ ReturnT_co = TypeVar("ReturnT_co", covariant=True)
 
 def changed(result: ResultT, **fields: object) -> ResultT:
     """Return a result with other values in some of its fields."""
-    return replace(result, **fields)  # type: ignore[type-var]  # no protocol says: a dataclass
+    return replace(result, **fields)  # type: ignore[type-var]  # a protocol cannot ask for a dataclass
 
 
 class Work(Protocol[JobT_contra, ReturnT_co]):

@@ -106,7 +106,7 @@ def not_rigid_joints(surfaces: Sequence[RestSurface], joint_matrices: Float64Arr
     return [int(joint) for joint in rigid_motions(joint_matrices, in_use=in_use).not_rigid]
 
 
-def lighting_errors(  # noqa: PLR0913
+def lighting_errors(  # noqa: PLR0913  # four arguments are optional, and by keyword
     operator: GradientOperator,
     surfaces: Sequence[RestSurface],
     joint_matrices: Float64Array,

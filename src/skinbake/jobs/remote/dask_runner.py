@@ -98,7 +98,7 @@ class DaskRunner:
         """Leave the cluster. Jobs that have not begun there are forgotten."""
         if self._client is not None:
             with suppress(Exception), warnings.catch_warnings():
-                warnings.simplefilter("ignore")
+                warnings.simplefilter("ignore")  # about a scheduler that has gone away
                 self._client.close(timeout=CONNECT_SECONDS)
             self._client = None
 
