@@ -20,7 +20,7 @@ from tempfile import TemporaryDirectory
 
 from benchmarks.analytic_truth import END, START
 from skinbake import __version__
-from skinbake.choices import Baseline
+from skinbake.choices import Baseline, PoseKind
 from skinbake.commands.bake import Baker
 from skinbake.errors import SkinbakeError
 from skinbake.jobs.file_work import FileWork
@@ -136,7 +136,7 @@ def verified(target: str, options: VerifyOptions) -> FileVerdict:
 def measure(paths: list[Path], samples: int | None) -> tuple[list[Model], list[tuple[str, str]]]:
     """Bake and verify every file; return the models, and (name, reason) of what was left out."""
     models, left_out = [], []
-    request = PoseRequest("animation", samples)
+    request = PoseRequest(PoseKind.ANIMATION, samples)
     names = dict(zip(paths, told_apart(paths), strict=True))
     for path in paths:
         print(f"{names[path]} ...", file=sys.stderr)

@@ -18,6 +18,7 @@ import jsonschema
 import pytest
 
 from benchmarks.skinned_grid import grid_of, write_grid
+from skinbake.choices import PoseKind
 from skinbake.commands.bake import Baker
 from skinbake.errors import InputError, OutputError, Place, SkinbakeError
 from skinbake.jobs import processes
@@ -128,7 +129,7 @@ def test_errors_survive_the_way_between_processes(error: SkinbakeError) -> None:
 
 def test_results_and_verdicts_survive_it(mixed: Path, tmp_path: Path) -> None:
     bake = FileWork(bake_work(make_folder=True), is_timed=True)
-    verify = FileWork(Verify(VerifyOptions(poses=PoseRequest("random", 1))), is_timed=True)
+    verify = FileWork(Verify(VerifyOptions(poses=PoseRequest(PoseKind.RANDOM, 1))), is_timed=True)
     for path in sorted(mixed.glob("*.gl*")):
         result = bake(Job(str(path), str(tmp_path / "out" / path.name)))
         verdict = verify(Job(str(tmp_path / "out" / path.name)))

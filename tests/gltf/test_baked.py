@@ -214,7 +214,7 @@ class TestSharedAccessors:
 
 
 def test_equal_bytes_of_different_formats_are_not_shared() -> None:
-    additions = Additions(read_document(str(FOLDER / "seam.glb")))
+    additions = Additions(read_document(str(FOLDER / "seam.glb")), note_key="skinbake")
     shorts = np.arange(8, dtype=np.uint16).reshape(2, 4)
     formats: list[tuple[AnyArray, bool]] = [
         (shorts, False),

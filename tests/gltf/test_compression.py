@@ -15,7 +15,7 @@ import numpy.typing as npt
 import pytest
 
 from fixtures.builder import JsonObject
-from skinbake.choices import FrameChoice, Neighbours, Scheme
+from skinbake.choices import FrameChoice, Neighbours, PoseKind, Scheme
 from skinbake.commands.bake import Baker
 from skinbake.commands.cost import cost_of_file
 from skinbake.commands.inspect import inspect_file
@@ -56,7 +56,7 @@ COMPRESSED = [
     "barbarian-EXT_meshopt-medium.glb",
 ]
 SCHEMES = tuple(Scheme)
-REST = VerifyOptions(poses=PoseRequest("rest"))
+REST = VerifyOptions(poses=PoseRequest(PoseKind.REST))
 
 
 def twin(kind: str, name: str, folder: Path) -> Path:

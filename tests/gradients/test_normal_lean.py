@@ -11,6 +11,7 @@ import numpy.typing as npt
 import pytest
 from scipy.spatial.transform import Rotation
 
+from skinbake.choices import PoseKind
 from skinbake.commands.bake import Baker
 from skinbake.commands.inspect import inspect_file
 from skinbake.commands.verify import verify_file
@@ -27,7 +28,7 @@ from tests.support.baked_arrays import CESIUM_MAN, FIXTURES, meshes_of, path_of
 from tests.support.baked_files import Editable, baked
 
 HERE = Place("here.glb", 0, None, 0)
-FEW = VerifyOptions(methods=("lbs",), poses=PoseRequest("random", 2))
+FEW = VerifyOptions(methods=("lbs",), poses=PoseRequest(PoseKind.RANDOM, 2))
 BROKEN = {"unassigned-skeleton/unassigned-skeleton.gltf": 10, "VRM/modifier_shapekey_vrm1.vrm": 1}
 """Vertices whose normals are wrong in the two models that have any: a flat sheet whose normals lie in it, and
 a triangle with a corner that is lit from behind."""

@@ -104,6 +104,7 @@ def test_a_dropped_tangent_is_recognised(transform: Transform, command: str) -> 
     assert BAKE_LAST in problem["message"]
 
 
+@pytest.mark.slow
 def test_quantised_attributes_are_recognised(transform: Transform) -> None:
     answer = transform("bent_tube.glb", "quantize")
     (problem,) = answer.problems("structure")
@@ -131,7 +132,7 @@ def test_quantised_positions_alone_are_recognised(transform: Transform) -> None:
 @pytest.mark.parametrize(
     ("command", "doing"),
     [
-        ("meshopt", "its vertices quantised, its vertices rescaled"),
+        pytest.param("meshopt", "its vertices quantised, its vertices rescaled", marks=pytest.mark.slow),
         pytest.param("draco", "the mesh simplified or edited", marks=pytest.mark.slow),
     ],
 )

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from skinbake.choices import FrameChoice, Neighbours, Truth, Weighting
+from skinbake.choices import FrameChoice, Neighbours, PoseKind, Truth, Weighting
 from skinbake.commands.verify import verify_file
 from skinbake.geometry.skinned import SkinnedPrimitive
 from skinbake.gltf.document import read_document
@@ -177,7 +177,7 @@ def animated_models() -> list[Path]:
 @pytest.mark.parametrize("path", corpus.parameters(animated_models))
 def test_every_animated_model_of_the_corpus_passes(path: Path, tmp_path: Path) -> None:
     target = baked(path, tmp_path, generate_normals=True)
-    verdict = verify_file(str(target), VerifyOptions(poses=PoseRequest("animation", 2)))
+    verdict = verify_file(str(target), VerifyOptions(poses=PoseRequest(PoseKind.ANIMATION, 2)))
     assert verdict.passed, [problem.message for check in verdict.checks for problem in check.problems]
     outcomes = {check.name: check.outcome for check in verdict.checks}
     # One file's inverse bind matrices are noise, which leaves no surface to measure.
@@ -260,7 +260,7 @@ def test_standard_lighting_does_not_depend_on_how_it_was_baked(
 ) -> None:
     """With the bake's own weighting, CesiumMan's standard error was 4.51 or 4.31 degrees."""
     plain, other = (
-        measured(baked(source(name), folder(tmp_path / which), how), poses=PoseRequest("random", 5))
+        measured(baked(source(name), folder(tmp_path / which), how), poses=PoseRequest(PoseKind.RANDOM, 5))
         for which, how in (("plain", BakeSettings()), ("other", settings))
     )
     assert len(plain.by_truth) == 2
@@ -412,7 +412,7 @@ def test_the_identity_check_fails_when_an_algorithm_is_wrong(
             return found
 
     monkeypatch.setattr(lighting, "BlendedSurface", Tilted)
-    verdict = measured(path, methods=("lbs",), poses=PoseRequest("animation", 3))
+    verdict = measured(path, methods=("lbs",), poses=PoseRequest(PoseKind.ANIMATION, 3))
     ((name, code, message),) = failing(verdict)
     assert (name, code) == ("identity", "identity")
     assert "algorithms 2 and 3" in message
@@ -424,7 +424,7 @@ def test_the_figures_do_not_depend_on_blocks(
     tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = baked(source(name), tmp_path)
-    request = PoseRequest("random", 25)
+    request = PoseRequest(PoseKind.RANDOM, 25)
     whole = measured(path, poses=request)
     monkeypatch.setattr(blending, "CHUNK_SAMPLES", 1000)
     monkeypatch.setattr(blending, "CHUNK_POSES", 7)

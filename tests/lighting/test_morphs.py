@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from skinbake.choices import FrameChoice
+from skinbake.choices import FrameChoice, PoseKind
 from skinbake.gltf.animation import read_clips
 from skinbake.gltf.document import read_document
 from skinbake.gradients.baker import BakeSettings
@@ -211,7 +211,7 @@ def test_a_file_whose_clips_only_morph_gets_random_poses(tmp_path: Path) -> None
 
 def test_random_poses_move_two_targets_at_a_time_and_turn_joints_as_without(tmp_path: Path) -> None:
     path = tube(tmp_path, targets=5, weights=[0, 0, 0, 0, 3.0])
-    poses = sampled(path, kind="random", samples=200, seed=4)
+    poses = sampled(path, kind=PoseKind.RANDOM, samples=200, seed=4)
     weights = poses.morph_weights
     at_rest = weights == [0, 0, 0, 0, 3.0]
     assert ((~at_rest).sum(axis=1) == 2).all()
@@ -219,10 +219,10 @@ def test_random_poses_move_two_targets_at_a_time_and_turn_joints_as_without(tmp_
     assert weights[~at_rest].max() <= 1.0
     # 80 of 200 for each: four standard deviations are 28.
     assert np.abs((~at_rest).sum(axis=0) - 80).max() < 28
-    assert np.array_equal(weights, sampled(path, kind="random", samples=200, seed=4).morph_weights)
-    assert not np.array_equal(weights, sampled(path, kind="random", samples=200, seed=5).morph_weights)
+    assert np.array_equal(weights, sampled(path, kind=PoseKind.RANDOM, samples=200, seed=4).morph_weights)
+    assert not np.array_equal(weights, sampled(path, kind=PoseKind.RANDOM, samples=200, seed=5).morph_weights)
     document = read_document(str(path))
-    unmorphed = pose_set(document, 0, [], PoseRequest(kind="random", samples=200, seed=4))
+    unmorphed = pose_set(document, 0, [], PoseRequest(kind=PoseKind.RANDOM, samples=200, seed=4))
     assert np.array_equal(poses.joint_matrices, unmorphed.joint_matrices)
     assert unmorphed.morph_weights is None
 

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from skinbake.choices import PoseKind
 from skinbake.commands.bake import Baker
 from skinbake.commands.verify import verify_file
 from skinbake.lighting.measured import VerifyOptions
@@ -33,7 +34,7 @@ Adopted slots take a little of integer weights.
 """
 
 FALSE_ALARMS = 0.05
-REST = VerifyOptions(methods=("lbs",), poses=PoseRequest("rest"))
+REST = VerifyOptions(methods=("lbs",), poses=PoseRequest(PoseKind.REST))
 FIXTURES = [
     "bent_tube.glb",
     "foreign_joints.glb",

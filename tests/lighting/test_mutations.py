@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
-from skinbake.choices import FrameChoice, Weighting
+from skinbake.choices import FrameChoice, PoseKind, Weighting
 from skinbake.format.metadata import array_digest
 from skinbake.gradients.baker import BakeSettings
 from skinbake.jobs.file_work import FileWork
@@ -379,7 +379,7 @@ NEEDED = {"version", "frame", "influences", "weighting", "creaseAngle", "digest"
 def test_metadata_of_odd_types_is_told_in_a_sentence(
     bakes: Callable[[str], Path], tmp_path: Path, key: str
 ) -> None:
-    options = VerifyOptions(methods=("lbs",), poses=PoseRequest("random", 1))
+    options = VerifyOptions(methods=("lbs",), poses=PoseRequest(PoseKind.RANDOM, 1))
     for number, value in enumerate(ODD):
         model = Editable(bakes("foreign_joints.glb"))
         model.metadata()[key] = value

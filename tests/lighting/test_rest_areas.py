@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from skinbake.choices import PoseKind
 from skinbake.commands.verify import verify_file
 from skinbake.gltf.document import read_document
 from skinbake.gltf.primitives import read_primitive, skinned_sources
@@ -18,7 +19,7 @@ from skinbake.report.verify import FileVerdict
 from tests.support import corpus
 from tests.support.baked_files import Editable, baked, source
 
-REQUEST = PoseRequest("random", 8)
+REQUEST = PoseRequest(PoseKind.RANDOM, 8)
 
 
 def measured(path: Path) -> FileVerdict:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from skinbake.choices import PoseKind
 from skinbake.commands.verify import verify_file
 from skinbake.lighting import angles, blending
 from skinbake.lighting.measured import VerifyOptions
@@ -57,7 +58,7 @@ def test_figures_are_the_same_to_the_last_bit_at_any_number_of_threads(
 ) -> None:
     path = baked(source("two_primitives.glb"), tmp_path)
     monkeypatch.setattr(blending, "BLOCK_SAMPLES", 100)
-    options = VerifyOptions(poses=PoseRequest("random", 9))
+    options = VerifyOptions(poses=PoseRequest(PoseKind.RANDOM, 9))
     found = []
     for count in ("1", "2", "7"):
         monkeypatch.setenv("OMP_NUM_THREADS", count)
@@ -72,7 +73,7 @@ def test_algorithm_2_is_compared_in_some_poses_where_there_are_many(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = baked(source("bent_tube.glb"), tmp_path)
-    options = VerifyOptions(("lbs",), PoseRequest("random", 24))
+    options = VerifyOptions(("lbs",), PoseRequest(PoseKind.RANDOM, 24))
     whole = verify_file(str(path), options)
     monkeypatch.setattr(blending, "CHUNK_SAMPLES", 1518 * 8)
     monkeypatch.setattr(angles, "IDENTITY_SAMPLES", 1518 * 8)

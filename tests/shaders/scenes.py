@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from skinbake.choices import SLOTS_PER_SET, Frame, Method
+from skinbake.choices import SLOTS_PER_SET, Frame, Method, PoseKind
 from skinbake.geometry import frames
 from skinbake.geometry.dual_quaternions import RigidMotions, rigid_motions
 from skinbake.gltf.animation import read_clips
@@ -229,7 +229,7 @@ class Character:
         rest = rest_surface(view)
         assert rest.joints.shape[1] == self.influences
         skin = next(node["skin"] for node in document.objects("nodes") if "skin" in node)
-        poses = pose_set(document, skin, read_clips(document), PoseRequest("animation", samples))
+        poses = pose_set(document, skin, read_clips(document), PoseRequest(PoseKind.ANIMATION, samples))
         assert poses.times[0] is not None
         tangents = view.now.tangents
         return Scene(

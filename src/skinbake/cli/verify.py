@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from skinbake.choices import Baseline, Method, Truth
+from skinbake.choices import Baseline, Method, PoseKind, Truth
 from skinbake.cli import exit_codes
 from skinbake.cli.console import Console, console, finite, message_options, one_of, outside_option
 from skinbake.cli.given import Given
@@ -35,7 +35,7 @@ class VerifyGiven(Given):
     """The options of verify, as click gives them."""
 
     methods: tuple[str, ...]
-    poses: tuple[str, int | None]
+    poses: tuple[PoseKind, int | None]
     samples: int | None
     angle: float
     seed: int
@@ -49,13 +49,13 @@ class VerifyGiven(Given):
     truth: str | None
 
 
-def _poses(ctx: click.Context, param: click.Parameter, value: str) -> tuple[str, int | None]:
+def _poses(ctx: click.Context, param: click.Parameter, value: str) -> tuple[PoseKind, int | None]:
     kind, _, number = value.partition(":")
-    if kind not in {"animation", "random", "rest"} or (number and kind != "random"):
+    if kind not in [*PoseKind] or (number and kind != PoseKind.RANDOM):
         raise click.BadParameter("must be animation, rest, random or random:N")
     if number and not (number.isdecimal() and int(number) > 0):
         raise click.BadParameter("N of random:N must be a positive number")
-    return kind, int(number) if number else None
+    return PoseKind(kind), int(number) if number else None
 
 
 @click.command("verify")
@@ -69,7 +69,7 @@ def _poses(ctx: click.Context, param: click.Parameter, value: str) -> tuple[str,
 )
 @click.option(
     "--poses",
-    default="animation",
+    default=str(PoseKind.ANIMATION),
     show_default=True,
     callback=_poses,
     metavar="WHICH",

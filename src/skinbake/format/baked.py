@@ -16,8 +16,9 @@ from skinbake.format.adoption import with_adopted
 from skinbake.format.attribute_store import AttributeStore, store_for
 from skinbake.format.encodings import common_scale, encoded
 from skinbake.format.layouts import CUSTOM_NAMES, GradientFormat, free_texcoords, of_alpha_and_beta, paired
+from skinbake.format.metadata import KEY
 from skinbake.geometry.skinned import BakedPrimitive, SkinnedPrimitive
-from skinbake.gltf.additions import KEY, Additions
+from skinbake.gltf.additions import Additions
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject
 from skinbake.gltf.primitives import PrimitiveSource, StoredInfluences, read_influences, side_by_side
@@ -67,7 +68,7 @@ def with_baked(
     of the file (``with_scale``). α and β must be finite. Raises InputError if an attribute of the chosen name
     exists, or if α and β do not fit the storage.
     """
-    additions = Additions(document)
+    additions = Additions(document, note_key=KEY)
     meshes = list(document.objects("meshes"))
     lengths = []
     for item in baked:

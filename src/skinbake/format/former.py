@@ -11,9 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from skinbake.errors import InputError, Place
-from skinbake.format.metadata import influence_digests
+from skinbake.format.metadata import KEY, influence_digests
 from skinbake.gltf.accessors import read_accessor
-from skinbake.gltf.additions import KEY
 from skinbake.gltf.codecs import draco
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject, index

@@ -11,11 +11,13 @@ import numpy.typing as npt
 from skinbake.choices import Frame
 from skinbake.geometry.blocks import blocks
 from skinbake.geometry.skinned import SkinnedPrimitive
-from skinbake.gltf.additions import KEY
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject, is_deeper, reference
 
 VERSION = 1
+
+KEY = "skinbake"
+"""The key in ``extras`` of all notes that skinbake makes in a file."""
 
 DEEPEST_NOTE = 32
 """The most levels of a note of skinbake; bake writes two."""

@@ -8,9 +8,9 @@ from typing import NamedTuple
 from skinbake.choices import Layout
 from skinbake.errors import Notice, Place
 from skinbake.format.former import former_attributes, with_former_stream
-from skinbake.format.metadata import FORMER_ATTRIBUTES, noted_names, read_metadata, slot_names
+from skinbake.format.metadata import FORMER_ATTRIBUTES, KEY, noted_names, read_metadata, slot_names
 from skinbake.gltf import json_access
-from skinbake.gltf.additions import BUFFER_ADDED, BUFFER_LENGTH, FALLBACK_ADDED, KEY
+from skinbake.gltf.additions import BUFFER_ADDED, BUFFER_LENGTH, FALLBACK_ADDED
 from skinbake.gltf.codecs import draco, meshopt
 from skinbake.gltf.document import Document, joined
 from skinbake.gltf.json_access import JsonObject, integer, objects, text

@@ -20,9 +20,6 @@ from skinbake.gltf.references import check_views, refuse_dangling
 
 ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963
 
-KEY = "skinbake"
-"""The key in ``extras`` of all notes that skinbake makes in a file."""
-
 BUFFER_LENGTH = "bufferByteLength"
 BUFFER_ADDED = "bufferAdded"
 FALLBACK_ADDED = "fallbackAdded"
@@ -46,11 +43,12 @@ class Additions:
     Every attribute has its own accessor and buffer view, 4-byte aligned. Equal arrays share one. The bytes go
     to the end of the BIN chunk of a GLB, or into a new buffer. The new buffer is a file beside a ``.gltf``,
     named after its content. In a GLB whose buffers are elsewhere, it is a data: URI. Fallback buffers of
-    compressed views come after it. With ``undoable``, the first view has the note that ``strip`` needs.
+    compressed views come after it. If ``note_key`` is given, the first view gets a note of the
+    former buffer in its ``extras``, under that key. With it the additions can be removed again.
     """
 
-    def __init__(self, document: Document, *, undoable: bool = True) -> None:
-        self._document, self._undoable = document, undoable
+    def __init__(self, document: Document, *, note_key: str | None = None) -> None:
+        self._document, self._note_key = document, note_key
         self._accessors: list[JsonObject] = []
         self._views: list[JsonObject] = []
         self._pieces: list[Bytes] = []
@@ -184,13 +182,13 @@ class Additions:
         return {"byteOffset": offset, "byteLength": len(data)}
 
     def _add_view(self, view: JsonObject) -> int:
-        if not self._views and self._undoable:
-            view["extras"] = {KEY: self._undo_note()}
+        if not self._views and self._note_key is not None:
+            view["extras"] = {self._note_key: self._note()}
         self._views.append(view)
         return len(self._document.objects("bufferViews")) + len(self._views) - 1
 
-    def _undo_note(self) -> JsonObject:
-        """Return the note that ``strip`` needs about the former buffer."""
+    def _note(self) -> JsonObject:
+        """Return the note of the former buffer."""
         if not self._into_binary:
             return {BUFFER_ADDED: True}
         buffer = self._document.objects("buffers")[0]
@@ -223,8 +221,8 @@ class Additions:
     def _fallback_buffers(self) -> list[JsonObject]:
         if not self._fallback_length:
             return []
-        if self._undoable:
-            self._views[0]["extras"][KEY][FALLBACK_ADDED] = True
+        if self._note_key is not None:
+            self._views[0]["extras"][self._note_key][FALLBACK_ADDED] = True
         extensions = {self._fallback_name: {"fallback": True}}
         return [{"byteLength": self._fallback_length, "extensions": extensions}]
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from skinbake.choices import PoseKind
 from skinbake.errors import InputError, Place
 from skinbake.geometry.poses import random_weights
 from skinbake.geometry.skinned import Float64Array
@@ -42,13 +43,13 @@ MORPHS_AT_ONCE = 2
 
 @dataclass(frozen=True, slots=True)
 class PoseRequest:
-    """The requested poses. kind is ``animation``, ``random`` or ``rest``.
+    """The requested poses.
 
     samples is the number of samples of each clip (None: SHARED_SAMPLES for all), or the number of random
     poses. angle is the largest random rotation of a joint, in radians.
     """
 
-    kind: str = "animation"
+    kind: PoseKind = PoseKind.ANIMATION
     samples: int | None = None
     angle: float = float(np.radians(30.0))
     seed: int = 0
@@ -117,10 +118,10 @@ def pose_set(
     moving = [clip for clip in (_only(set(skeleton.nodes), morphs, clip) for clip in clips) if clip.channels]
     _claim(document, skeleton, moving, request, 0 if resting is None else len(resting))
     with np.errstate(over="ignore", invalid="ignore"):  # the result is checked below
-        if request.kind == "rest":
+        if request.kind is PoseKind.REST:
             weights = None if morphs is None else morphs.resting[None]
             poses = PoseSet(names, rest_pose(skeleton), ("rest pose",), (None,), weights)
-        elif request.kind == "animation" and any(_moves_joints(clip) for clip in moving):
+        elif request.kind is PoseKind.ANIMATION and any(_moves_joints(clip) for clip in moving):
             poses = _sampled(skeleton, morphs, moving, request.samples, names)
         else:
             poses = _random(skeleton, morphs, request, names)
@@ -145,9 +146,9 @@ def _claim(
     document: Document, skeleton: Skeleton, moving: Sequence[Clip], request: PoseRequest, targets: int
 ) -> None:
     """Count the memory of the poses: matrices of all nodes for a while, of the joints permanently."""
-    clips = [clip for clip in moving if request.kind == "animation"]
+    clips = [clip for clip in moving if request.kind is PoseKind.ANIMATION]
     each = _samples_of_each(request.samples, clips) if clips else 0
-    fallback = 1 if request.kind == "rest" else request.samples or FALLBACK_POSES
+    fallback = 1 if request.kind is PoseKind.REST else request.samples or FALLBACK_POSES
     poses = each * len(clips) or fallback
     channels = max((len(clip.channels) for clip in clips), default=0)
     budget, place = document.budget, document.place
@@ -217,7 +218,7 @@ def _sampled(
 def _random(
     skeleton: Skeleton, morphs: _Morphs | None, request: PoseRequest, joint_names: tuple[str, ...]
 ) -> PoseSet:
-    count = (request.samples if request.kind == "random" else None) or FALLBACK_POSES
+    count = (request.samples if request.kind is PoseKind.RANDOM else None) or FALLBACK_POSES
     matrices = random_poses(skeleton, count, angle=request.angle, seed=request.seed)
     weights = None if morphs is None else random_weights(morphs.resting, count, MORPHS_AT_ONCE, request.seed)
     names = tuple(f"random pose {number}" for number in range(count))
@@ -233,9 +234,9 @@ def described(request: PoseRequest, sets: Sequence[PoseSet], seconds: float) -> 
         for clip, time in zip(poses.clips, poses.times, strict=True)
         if time is not None
     }
-    if request.kind == "rest":
+    if request.kind is PoseKind.REST:
         return "the rest pose"
     if clips:
         return f"{poses} poses of {len(clips)} clip{'s' if len(clips) > 1 else ''} ({seconds:.3g} s)"
-    reason = "" if request.kind == "random" else " (no animation moves its joints)"
+    reason = "" if request.kind is PoseKind.RANDOM else " (no animation moves its joints)"
     return f"{poses} random poses, joints turned by up to {np.degrees(request.angle):.3g}°{reason}"

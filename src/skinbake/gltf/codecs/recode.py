@@ -82,7 +82,7 @@ class _Recoder:
 
     def __init__(self, document: Document) -> None:
         self.document = document
-        self.additions = Additions(document, undoable=False)
+        self.additions = Additions(document)
         self.accessors = list(document.objects("accessors"))
         self.views = list(document.objects("bufferViews"))
         self.meshes = [
