@@ -1,6 +1,6 @@
 """The compiled loops, which pyproject.toml cannot describe: their flags differ by compiler.
 
-Without a compiler the package installs all the same, and `bake` runs on numpy alone.
+Without a compiler the package installs all the same, and `bake` and `verify` run on numpy alone.
 """
 
 import sys
@@ -12,15 +12,22 @@ from setuptools import Extension, setup
 MICROSOFT = ["/O2", "/fp:precise"]
 OTHERS = ["-O3", "-std=c11", "-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math", "-Wno-psabi"]
 
+
+def loops(name: str, source: str) -> Extension:
+    """Return one module of compiled loops."""
+    return Extension(
+        name,
+        [source],
+        extra_compile_args=MICROSOFT if sys.platform == "win32" else OTHERS,
+        py_limited_api=True,
+        optional=True,
+    )
+
+
 setup(
     ext_modules=[
-        Extension(
-            "skinbake.gradients._kernel",
-            ["src/skinbake/gradients/_kernel.c"],
-            extra_compile_args=MICROSOFT if sys.platform == "win32" else OTHERS,
-            py_limited_api=True,
-            optional=True,
-        )
+        loops("skinbake.gradients._kernel", "src/skinbake/gradients/_kernel.c"),
+        loops("skinbake.lighting._loops", "src/skinbake/lighting/_loops.c"),
     ],
     options={"bdist_wheel": {"py_limited_api": "cp311"}},
 )

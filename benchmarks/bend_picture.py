@@ -24,9 +24,10 @@ from skinbake.gltf.animation import clip_poses, read_clips, read_skeleton
 from skinbake.gltf.document import read_document
 from skinbake.gltf.primitives import read_primitive, skinned_sources
 from skinbake.lighting.influences import normalised_weights
-from skinbake.lighting.metrics import ErrorSummary, vertex_areas
+from skinbake.lighting.metrics import vertex_areas
 from skinbake.lighting.operator import gradient_operator
 from skinbake.lighting.reference import rest_frames
+from skinbake.lighting.tally import ErrorSummary
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.surface import RestSurface
 from tests.support.replay import replay

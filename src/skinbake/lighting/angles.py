@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Protocol
@@ -13,25 +13,17 @@ from skinbake.choices import Truth
 from skinbake.geometry.dual_quaternions import rigid_motions
 from skinbake.geometry.morphs import MorphTargets
 from skinbake.geometry.skinned import BoolArray, Float32Array, Float64Array, FloatArray
+from skinbake.lighting import kernel
 from skinbake.lighting.blending import BlendedSurface, blocks, chunks
-from skinbake.lighting.metrics import angles_of_units, cosine, squared_sine, unit_vectors
+from skinbake.lighting.metrics import cosine, squared_sine
 from skinbake.lighting.operator import GradientOperator
-from skinbake.lighting.reference import (
-    RestFrames,
-    morphed_frames,
-    posed_tangents,
-    rest_frames,
-    tangent_normals,
-)
+from skinbake.lighting.reference import RestFrames, morphed_frames, rest_frames
 from skinbake.lighting.threads import Threads, thread_count
 from skinbake.lighting.triangle_normals import (
     CarriedNormals,
-    TriangleBlock,
-    block_sums,
+    ClassSums,
     carried_normals,
-    corner_sums,
-    triangle_blocks,
-    triangle_normals,
+    class_blocks,
 )
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.components import Vector, cross, dot, scaled
@@ -55,6 +47,9 @@ METHODS: dict[str, dict[str, Algorithm]] = {
 
 INSIDE_OUT = {"accurate", "exact"}
 """The lightings whose normal is t' × b'. A mirroring joint turns that normal to the inside."""
+
+NOT_MEASURED = {(Truth.TRIANGLES, "direct")}
+"""Direct lighting equals accurate lighting except for its side in folds. One truth is enough for it."""
 
 IDENTITY_TOLERANCE = 1e-4
 """Degrees by which algorithms 2 and 3 may differ. Given the same gradients, both are exact."""
@@ -169,12 +164,12 @@ def lighting_errors(  # noqa: PLR0913  # four arguments are optional, and by key
 
 @dataclass(frozen=True, slots=True)
 class Truths:
-    """The data of one mesh that both truths need: blocks of vertices and triangles, and the rest pose."""
+    """The data of one mesh that both truths need: blocks of vertices and of weld classes, the rest pose."""
 
     operator: GradientOperator
     names: Sequence[str]
     pieces: Sequence[_Block]
-    triangles: Sequence[TriangleBlock]
+    classes: Sequence[slice]
     frames: RestFrames
     carried: CarriedNormals | None
 
@@ -187,11 +182,11 @@ class Truths:
         positions, normals = (_joined(surfaces, name) for name in ("positions", "normals"))
         parts = tuple(piece.part for piece in pieces)
         frames = rest_frames(operator, positions, normals, parts=parts)
-        triangles, carried = [], None
+        classes, carried = [], None
         if Truth.TRIANGLES in names:
-            triangles = triangle_blocks(operator, poses)
+            classes = class_blocks(operator, poses)
             carried = carried_normals(operator, frames, positions, normals)
-        return cls(operator, names, pieces, triangles, frames, carried)
+        return cls(operator, names, pieces, classes, frames, carried)
 
     def moved(self, surfaces: Sequence[RestSurface]) -> Truths:
         """Measure the mesh under morph targets, before skinning."""
@@ -200,33 +195,23 @@ class Truths:
         carried = self.carried and carried_normals(self.operator, frames, positions, normals)
         return replace(self, frames=frames, carried=carried)
 
-    def sums(self, deformed: Float64Array, threads: Threads) -> Float32Array | None:
+    def sums(self, deformed: Float64Array, threads: Threads) -> ClassSums | None:
         """Return the sums of the truth by triangles for all deformed positions (3, V, P) at once."""
         if self.carried is None:
             return None
-        # float32 halves the memory. Sums of unit vectors lose a millionth of a degree.
-        total = np.zeros((3, len(self.operator.ends) - 1, deformed.shape[2]), dtype=np.float32)
-        found = threads.each(lambda block: corner_sums(block, deformed), self.triangles)
-        for block, part in zip(self.triangles, found, strict=True):
-            for component, values in zip(total, part, strict=True):
-                component[block.classes] += values
-        return total
+        total = np.empty((3, len(self.operator.ends) - 1, deformed.shape[2]), dtype=np.float32)
+        found = threads.each(partial(kernel.class_sums, self.operator, deformed), self.classes)
+        for part, values in zip(self.classes, found, strict=True):
+            total[:, part] = values
+        return ClassSums(self.carried, self.operator.classes, total)
 
     def normals(
-        self,
-        number: int,
-        deformed: Float64Array,
-        sums: Float32Array | None,
-        sides: Float64Array | None,
-    ) -> Iterator[tuple[str, Vector, BoolArray]]:
-        """Yield each truth's name, its unit normals of a block as components (P, B), and where they exist."""
-        part = self.pieces[number].part
-        tangents = posed_tangents(self.frames.tangents[number], deformed)
-        if Truth.TANGENTS in self.names:
-            yield (Truth.TANGENTS, *tangent_normals(self.frames, part, tangents, sides))
-        if self.carried is not None and sums is not None:
-            own = block_sums(self.operator, sums, part)
-            yield (Truth.TRIANGLES, *triangle_normals(self.carried, part, tangents[0], own, sides))
+        self, number: int, deformed: Float64Array, sums: ClassSums | None, sides: Float64Array | None
+    ) -> tuple[Float64Array, BoolArray]:
+        """Return the unit normals (U, 3, B, P) of a block by each truth of ``names``, and where they exist."""
+        normals, exist = kernel.true_normals(self.frames, number, deformed, sides, sums)
+        chosen = [number for number, truth in enumerate(Truth) if truth in self.names]
+        return normals[chosen[0] : chosen[-1] + 1], exist[chosen[0] : chosen[-1] + 1]
 
 
 _Compared = tuple[FloatArray, FloatArray] | None
@@ -250,15 +235,14 @@ class _Chunk:
 
         def place(block: _Block) -> None:
             with np.errstate(all="ignore"):
-                found = self.skinned[block.surface].positions(self.at, block.rows)
-                deformed[:, block.part] = np.swapaxes(found, 0, 1)
+                deformed[:, block.part] = self.skinned[block.surface].positions(self.at, block.rows)
 
         for _ in threads.each(place, self.truths.pieces):
             pass
         return deformed
 
     def measured(
-        self, deformed: Float64Array, sums: Float32Array | None, block: _Block
+        self, deformed: Float64Array, sums: ClassSums | None, block: _Block
     ) -> tuple[list[MeasuredBlock], _Compared]:
         """Measure all lightings of a block by every truth. The truth by triangles skips algorithm 2."""
         with np.errstate(all="ignore"):
@@ -266,17 +250,17 @@ class _Chunk:
             steps = tuple(self.algorithms.values())
             found = self.skinned[block.surface].normals(steps, self.at, block.rows)
             normals = dict(zip(self.algorithms, found, strict=True))
-            truths = list(self.truths.normals(block.number, deformed, sums, side))
+            expected, exist = self.truths.normals(block.number, deformed, sums, side)
             measured = []
             for lighting, vectors in normals.items():
                 outside = vectors if side is None or lighting not in INSIDE_OUT else scaled(side, vectors)
-                directions = unit_vectors(outside)
-                for truth, expected, valid in truths:
-                    if truth == Truth.TRIANGLES and lighting == "direct":
-                        continue
-                    errors = angles_of_units(directions, expected)
-                    corner = self.pose.start, block.rows.start
-                    measured.append(MeasuredBlock(truth, lighting, block.surface, *corner, errors, valid))
+                truths = [truth for truth in self.truths.names if (truth, lighting) not in NOT_MEASURED]
+                errors = kernel.angles(outside, expected[: len(truths)])
+                corner = block.surface, self.pose.start, block.rows.start
+                measured += [
+                    MeasuredBlock(truth, lighting, *corner, errors[number].T, exist[number].T)
+                    for number, truth in enumerate(truths)
+                ]
             compared = (
                 compared_normals(normals["direct"], normals["accurate"]) if "direct" in normals else None
             )
@@ -308,7 +292,7 @@ class _Skinned(Protocol):
     """A surface that is skinned block by block, by poses and vertices."""
 
     def positions(self, pose: slice, part: slice) -> Float64Array:
-        """Return the positions of a block: (V, 3, P)."""
+        """Return the positions of a block: (3, V, P)."""
 
     def normals(self, algorithms: Sequence[Algorithm], pose: slice, part: slice) -> list[Vector]:
         """Return the normals that algorithms give a block. Its positions must be computed first."""
@@ -328,10 +312,10 @@ class SteppedSurface:
         self._approximated: dict[int, Vector] = {}
 
     def positions(self, pose: slice, part: slice) -> Float64Array:
-        """Return the positions of a block: (V, 3, P)."""
+        """Return the positions of a block: (3, V, P)."""
         (posed,) = self._skinning.run((Algorithm.DQS_APPROXIMATED,), pose, part)
         self._approximated[part.start] = posed.normal
-        return np.stack([component.T for component in posed.position], axis=1)
+        return np.stack([component.T for component in posed.position])
 
     def normals(self, algorithms: Sequence[Algorithm], pose: slice, part: slice) -> list[Vector]:
         """Return the normals that algorithms 4–6 give a block. Its positions must be computed first."""

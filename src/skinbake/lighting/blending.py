@@ -22,6 +22,7 @@ import numpy as np
 
 from skinbake.choices import Baseline
 from skinbake.geometry.skinned import Float64Array, FloatArray, IntArray
+from skinbake.lighting import kernel
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.components import (
     Rows,
@@ -47,13 +48,6 @@ CHUNK_POSES = 4
 
 BLOCK_SAMPLES = 1 << 14
 """Vertices × poses in work at a time. The temporaries of a block stay in the processor's cache."""
-
-
-DENSE = 300
-"""The number of forms times columns from which small dense products are faster than a sparse one."""
-
-GATHERED = 1 << 17
-"""The numbers that dense products gather at a time: 1 MB, which stays in the cache."""
 
 
 def chunks(vertices: int, poses: int) -> list[slice]:
@@ -97,7 +91,7 @@ class BlendedSurface:
             self._cofactors = _Table(turned)
 
     def positions(self, pose: slice, part: slice) -> Float64Array:
-        """Return p' of a block: (V, 3, P)."""
+        """Return p' of a block: (3, V, P)."""
         block = self._block(part)
         posed: Float64Array = self._matrices.product(block, [block.weights * block.points], pose)[0]
         return posed
@@ -184,9 +178,7 @@ class _Plan:
 def _forms(forms: Sequence[Form], block: _Block, pose: slice, table: _Table) -> list[Vector]:
     """Return F of a block for each form."""
     product = table.product(block, [block.entries(form) for form in forms], pose)
-    # Arithmetic on components that are not contiguous takes three times as long.
-    by_component = np.ascontiguousarray(np.swapaxes(product, 1, 2))
-    return [tuple(component.T for component in vectors) for vectors in by_component]
+    return [tuple(component.T for component in vectors) for vectors in product]
 
 
 @dataclass(frozen=True, slots=True)
@@ -218,40 +210,14 @@ class _Table:
         self._table: Float64Array = np.empty(0)
 
     def product(self, block: _Block, data: Sequence[Float64Array], pose: slice) -> Float64Array:
-        """Multiply matrices with entries (V, K, 4) by the matrices of some poses: (forms, V, 3, P)."""
+        """Multiply matrices with entries (V, K, 4) by the matrices of some poses: (forms, 3, V, P)."""
         if pose != self._pose:
             rows = np.transpose(self._matrices[pose, :, :3], (1, 3, 2, 0))
             # This order matters: other threads look at the pose first.
-            self._table = np.ascontiguousarray(rows, dtype=np.float64).reshape(rows.shape[0] * 4, -1)
+            self._table = np.ascontiguousarray(rows, dtype=np.float64).reshape(rows.shape[0] * 4, 3, -1)
             self._pose = pose
-        if len(data) * self._table.shape[1] < DENSE:
-            return self._sparse(block, data)
-        return self._dense(block, data)
-
-    def _sparse(self, block: _Block, data: Sequence[Float64Array]) -> Float64Array:
-        from scipy.sparse import csr_array
-
-        count, width = block.columns.shape
-        columns = np.tile(block.columns.ravel(), len(data))
-        ends = np.arange(len(data) * count + 1, dtype=np.int32) * np.int32(width)
-        sparse = csr_array(
-            (np.concatenate(data).ravel(), columns, ends), shape=(len(ends) - 1, len(self._table))
-        )
-        return np.asarray(sparse @ self._table).reshape(len(data), count, 3, -1)
-
-    def _dense(self, block: _Block, data: Sequence[Float64Array]) -> Float64Array:
-        """Multiply vertex by vertex with the rows of its joints in the table, a few vertices at a time."""
-        count, width = block.columns.shape
-        entries = np.stack(data, axis=1).reshape(count, len(data), width)
-        found = np.empty((count, len(data), self._table.shape[1]))
-        step = max(1, GATHERED // (width * self._table.shape[1]))
-        gathered = np.empty((step, width, self._table.shape[1]))
-        for start in range(0, count, step):
-            rows = slice(start, min(start + step, count))
-            own = gathered[: rows.stop - start]
-            np.take(self._table, block.columns[rows], axis=0, out=own, mode="clip")
-            np.matmul(entries[rows], own, out=found[rows])
-        return np.swapaxes(found.reshape(count, len(data), 3, -1), 0, 1)
+        entries = np.stack(data).reshape(len(data), *block.columns.shape)
+        return kernel.blend(entries, block.columns, self._table)
 
 
 def _inverse_transposed(columns: Sequence[Vector], normal: FloatArray) -> Vector:

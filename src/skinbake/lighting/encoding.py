@@ -9,7 +9,8 @@ import numpy as np
 
 from skinbake.geometry.skinned import Float64Array, FloatArray
 from skinbake.lighting.blending import blended_blocks
-from skinbake.lighting.metrics import ErrorTally, angles_between, cosine, total_area
+from skinbake.lighting.metrics import angles_between, cosine, total_area
+from skinbake.lighting.tally import ErrorTally
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.surface import RestSurface
 

@@ -14,9 +14,10 @@ from skinbake.gltf.document import Document
 from skinbake.gltf.primitives import PrimitiveSource, StoredInfluences, read_influences
 from skinbake.gradients.limit import limited_slots
 from skinbake.lighting.blending import blended_blocks
-from skinbake.lighting.metrics import ErrorTally, angles_between, total_area
+from skinbake.lighting.metrics import angles_between, total_area
 from skinbake.lighting.poses import PoseRequest, PoseSet, described, pose_set, skins_of
 from skinbake.lighting.rest_areas import RestAreas
+from skinbake.lighting.tally import ErrorTally
 from skinbake.lighting.unwritten import UnwrittenBake
 from skinbake.report.bake import LimitCost, Spread
 from skinbake.skinning.algorithms import Algorithm
@@ -122,9 +123,9 @@ def _differences(
             before, after = (one.normals((Algorithm.LBS_ACCURATE,), pose, part)[0] for one in blended)
             _count(turned, angles_between(after, before), areas[part])
             first, second = (one.positions(pose, part) for one in blended)
-            _count(moved, np.linalg.norm(second - first, axis=1).T, areas[part])
-            low[:, pose] = np.minimum(low[:, pose], first.min(axis=0))
-            high[:, pose] = np.maximum(high[:, pose], first.max(axis=0))
+            _count(moved, np.linalg.norm(second - first, axis=0).T, areas[part])
+            low[:, pose] = np.minimum(low[:, pose], first.min(axis=1))
+            high[:, pose] = np.maximum(high[:, pose], first.max(axis=1))
         size = max(size, float(np.linalg.norm(high - low, axis=0).max(initial=0.0)))
     return turned, moved, size
 

@@ -17,17 +17,19 @@ from skinbake.gltf.document import Document
 from skinbake.lighting.angles import (
     IDENTITY_TOLERANCE,
     METHODS,
+    NOT_MEASURED,
     MeasuredBlock,
     lighting_errors,
     not_rigid_joints,
 )
 from skinbake.lighting.baked_views import BakedView
 from skinbake.lighting.influences import normalised_weights
-from skinbake.lighting.metrics import ErrorTally, total_area
+from skinbake.lighting.metrics import total_area
 from skinbake.lighting.morphing import morph_count, morphing_of
 from skinbake.lighting.operator import GradientOperator, gradient_operator
 from skinbake.lighting.poses import SHARED_SAMPLES, PoseRequest, PoseSet, described, draws_of, pose_set
 from skinbake.lighting.rest_areas import RestAreas
+from skinbake.lighting.tally import ErrorTally
 from skinbake.report.notices import counted
 from skinbake.report.verify import (
     Check,
@@ -190,9 +192,7 @@ class Lighting:
                 weight = len(draw.poses.clips) * total_area(areas)
                 weights[view.source.place] = weights.get(view.source.place, 0.0) + weight
         for truth in Truth:
-            # Direct lighting equals accurate lighting except for its side in folds. One truth is enough for
-            # it.
-            lightings = [one for one in METHODS[method] if truth != Truth.TRIANGLES or one != "direct"]
+            lightings = [one for one in METHODS[method] if (truth, one) not in NOT_MEASURED]
             self._whole[truth, method] = {one: ErrorTally(sum(weights.values())) for one in lightings}
             for place, weight in weights.items():
                 # A single primitive has the figures of the whole, so nothing is counted twice.

@@ -101,8 +101,7 @@ class GradientOperator:
     def blocks(self, within: slice | None = None) -> list[slice]:
         """Cut the vertices, or some of them, into blocks whose rows are made together."""
         start, stop = (0, len(self.positions)) if within is None else (within.start, within.stop)
-        lengths = np.diff(self.ends)[self.classes[start:stop]]
-        total = np.concatenate([[0], np.cumsum(lengths)])
+        total = self._corners_before(start, stop)
         found = []
         first = 0
         while first < stop - start:
@@ -111,6 +110,27 @@ class GradientOperator:
             found.append(slice(start + first, start + end))
             first = end
         return found
+
+    def together(self, parts: Sequence[slice]) -> list[list[slice]]:
+        """Group consecutive blocks whose rows are made together."""
+        if not parts:
+            return []
+        first = parts[0].start
+        before = self._corners_before(first, parts[-1].stop)
+        groups = [[parts[0]]]
+        for part in parts[1:]:
+            start = groups[-1][0].start
+            corners = before[part.stop - first] - before[start - first]
+            if part.stop - start <= ROWS and corners <= CORNERS:
+                groups[-1].append(part)
+            else:
+                groups.append([part])
+        return groups
+
+    def _corners_before(self, start: int, stop: int) -> Int64Array:
+        """Return the number of corners of the vertices from ``start`` up to each of the next ones."""
+        lengths = np.diff(self.ends)[self.classes[start:stop]]
+        return np.concatenate([[0], np.cumsum(lengths)])
 
     def rows(self, part: slice, directions: Sequence[FloatArray]) -> csr_array:
         """Return the derivatives of a block's vertices along D directions (B, 3): sparse (D B, V), stacked.

@@ -10,34 +10,53 @@ skinning. The morphed mesh takes the place of the rest pose, and its morphed nor
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray
+from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray, IntArray
 from skinbake.lighting.operator import GradientOperator
 from skinbake.skinning.components import Vector, cross, dot, scaled
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-# A frame has no normal below this sine between its two tangents. float32 positions leave no exact digit
-# there.
-_FLAT = 1e-6
+FLAT_FRAME = 1e-6
+"""The sine between two tangents below which they have no normal. float32 positions leave no exact digit."""
+
+
+@dataclass(frozen=True, slots=True)
+class SparseRows:
+    """Some rows of a sparse matrix with V columns. Row r has its entries from starts[r] to starts[r + 1].
+
+    starts (B + 1,) and columns are int32, values are float64. Several blocks share their entries.
+    """
+
+    starts: IntArray
+    columns: IntArray
+    values: Float64Array
+
+    def matrix(self, columns: int) -> csr_array:
+        """Return the rows as a matrix of so many columns."""
+        from scipy.sparse import csr_array
+
+        first, last = self.starts[0], self.starts[-1]
+        entries = self.values[first:last], self.columns[first:last], self.starts - first
+        return csr_array(entries, shape=(len(self.starts) - 1, columns))
 
 
 @dataclass(frozen=True, slots=True)
 class RestFrames:
     """The data of the rest pose that the truth by tangents needs.
 
-    parts are blocks of vertices. tangents are their derivatives: sparse (2B, V) each, along t0, then along
-    b0. coefficients (3, V): n0 in the rest frame (a, b, ĉ), with c = a × b, divided by |c|. areas (V,): |c|.
+    parts are blocks of vertices. tangents are their derivatives along t0 and b0. coefficients (3, V): n0 in the rest frame (a, b, ĉ), with c = a × b, divided by |c|. areas (V,): |c|.
     valid (V,): the frame and n0 are usable. Under morph targets all fields but the first two change.
     """
 
     parts: tuple[slice, ...]
-    tangents: tuple[csr_array, ...]
+    tangents: tuple[tuple[SparseRows, SparseRows], ...]
     coefficients: Float64Array
     areas: Float64Array
     valid: BoolArray
@@ -60,16 +79,30 @@ def rest_frames(
     n0. ``parts`` are the blocks of vertices that will be requested.
     """
     chosen = tuple(operator.blocks()) if parts is None else parts
-    along = tuple(
-        operator.rows(
-            part,
-            perpendicular(normals[part])
+    along = []
+    for group in operator.together(chosen):
+        whole = slice(group[0].start, group[-1].stop)
+        axes = (
+            perpendicular(normals[whole])
             if tangents is None or bitangents is None
-            else (tangents[part], bitangents[part]),
+            else (tangents[whole], bitangents[whole])
         )
-        for part in chosen
-    )
-    return _measured(chosen, along, positions, normals)
+        along += _split(operator.rows(whole, axes), group)
+    return _measured(chosen, tuple(along), positions, normals)
+
+
+def _split(stacked: csr_array, group: Sequence[slice]) -> list[tuple[SparseRows, SparseRows]]:
+    """Cut rows along t0, and then along b0, into those of the parts of one group."""
+    starts, columns = (array.astype(np.int32, copy=False) for array in (stacked.indptr, stacked.indices))
+    first, half = group[0].start, stacked.shape[0] // 2
+    along_t, along_b = starts[: half + 1], starts[half:]
+    return [
+        (
+            SparseRows(along_t[part.start - first : part.stop - first + 1], columns, stacked.data),
+            SparseRows(along_b[part.start - first : part.stop - first + 1], columns, stacked.data),
+        )
+        for part in group
+    ]
 
 
 def morphed_frames(rest: RestFrames, positions: FloatArray, normals: FloatArray) -> RestFrames:
@@ -98,7 +131,10 @@ def perpendicular(normals: FloatArray) -> tuple[Float64Array, Float64Array]:
 
 
 def _measured(
-    parts: tuple[slice, ...], along: tuple[csr_array, ...], positions: FloatArray, normals: FloatArray
+    parts: tuple[slice, ...],
+    along: tuple[tuple[SparseRows, SparseRows], ...],
+    positions: FloatArray,
+    normals: FloatArray,
 ) -> RestFrames:
     components = np.ascontiguousarray(np.asarray(positions, dtype=np.float64).T)[:, :, None]
     count = len(positions)
@@ -112,7 +148,7 @@ def _measured(
             # cof([a b ĉ])⁻¹ n0 = [a b ĉ]ᵀ n0 / det, and det = |c|.
             found = np.concatenate([dot(a, n0), dot(b, n0), dot(c, n0) / area]) / area
             coefficients[:, part] = found
-            flat = area <= _FLAT * np.sqrt(dot(a, a) * dot(b, b))[0]
+            flat = area <= FLAT_FRAME * np.sqrt(dot(a, a) * dot(b, b))[0]
             valid[part] = ~flat & np.isfinite(found).all(axis=0) & found.any(axis=0)
     return RestFrames(parts, along, coefficients, areas, valid)
 
@@ -141,7 +177,7 @@ def tangent_normals(
         found = tuple(by_a * a[i] + by_b * b[i] + by_c * c[i] for i in range(3))
         # The test is not "flat if below": a comparison with NaN is false, and a broken position leaves no
         # normal.
-        sound = (square > _FLAT**2 * aa * bb) & rest.valid[part]
+        sound = (square > FLAT_FRAME**2 * aa * bb) & rest.valid[part]
     return unit_or_nan(found, sound)
 
 
@@ -157,8 +193,10 @@ def unit_or_nan(vector: Vector, sound: BoolArray) -> tuple[Vector, BoolArray]:
     return found, sound
 
 
-def posed_tangents(along: csr_array, positions: Float64Array) -> tuple[Vector, Vector]:
+def posed_tangents(along: tuple[SparseRows, SparseRows], positions: Float64Array) -> tuple[Vector, Vector]:
     """Differentiate positions (3, V, P): two tangents, components (P, B), stored vertex by vertex."""
-    both = [along @ component for component in positions]
-    half = along.shape[0] // 2
-    return tuple(one[:half].T for one in both), tuple(one[half:].T for one in both)
+    along_t, along_b = (rows.matrix(positions.shape[1]) for rows in along)
+    tangent, bitangent = (
+        tuple((matrix @ component).T for component in positions) for matrix in (along_t, along_b)
+    )
+    return tangent, bitangent

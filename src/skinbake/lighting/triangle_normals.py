@@ -9,110 +9,78 @@ the deformed mesh.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray, IntArray
+from skinbake.geometry.skinned import BoolArray, Float32Array, Float64Array, FloatArray, IntArray
 from skinbake.lighting.operator import GradientOperator
 from skinbake.lighting.reference import RestFrames, posed_tangents
 from skinbake.skinning.components import Vector, cross, dot, minus_scaled, scaled
 
-if TYPE_CHECKING:
-    from scipy.sparse import csr_array
+FLAT_TRIANGLE = 1e10
+"""A deformed triangle with a corner of a larger cotangent is a line or a point, and has no normal."""
 
-# A deformed triangle with a corner of a larger cotangent is a line or a point, and has no normal.
-_FLAT = 1e10
-
-BLOCK_SAMPLES = 1 << 13
-"""The triangles × poses in work at a time. The temporaries of a block stay in the processor's cache."""
+CORNER_SAMPLES = 1 << 15
+"""The corners × poses in work at a time. The temporaries of a block stay in the processor's cache."""
 
 
-@dataclass(frozen=True, slots=True)
-class TriangleBlock:
-    """Some triangles (B, 3), the weld classes (C,) that they touch, and the sum of their corners there.
-
-    corners (C, 3B) is sparse. It has a one for each corner: all first corners, then all second ones, and so
-    on.
-    """
-
-    triangles: IntArray
-    classes: IntArray
-    corners: csr_array
-
-
-def triangle_blocks(operator: GradientOperator, poses: int) -> list[TriangleBlock]:
-    """Cut a mesh's triangles into blocks, for chunks of so many poses."""
-    from scipy.sparse import csr_array
-
-    size = max(1, BLOCK_SAMPLES // max(poses, 1))
-    # One array serves all blocks: a million vertices have six million corners.
-    ones = np.ones(3 * min(size, len(operator.triangles)))
-    blocks = []
-    for start in range(0, len(operator.triangles), size):
-        triangles = operator.triangles[start : start + size]
-        places = operator.classes[triangles].T.ravel()
-        classes, rows = np.unique(places, return_inverse=True)
-        order = np.argsort(rows, kind="stable").astype(np.int32)
-        ends = np.concatenate([[0], np.cumsum(np.bincount(rows, minlength=len(classes)))]).astype(np.int32)
-        shape = (len(classes), len(places))
-        corners = csr_array((ones[: len(places)], order, ends), shape=shape)
-        blocks.append(TriangleBlock(triangles, classes, corners))
-    return blocks
+def class_blocks(operator: GradientOperator, poses: int) -> list[slice]:
+    """Cut a mesh's weld classes into blocks, for chunks of so many poses."""
+    size = max(1, CORNER_SAMPLES // max(poses, 1))
+    ends, count = operator.ends, len(operator.ends) - 1
+    found, start = [], 0
+    while start < count:
+        stop = int(np.searchsorted(ends, ends[start] + size, side="right")) - 1
+        stop = min(max(stop, start + 1), start + size, count)
+        found.append(slice(start, stop))
+        start = stop
+    return found
 
 
-def corner_sums(block: TriangleBlock, positions: Float64Array) -> Float64Array:
-    """Return Σ angle × unit normal over the corners of a block at each of its classes: (3, C, P).
+def sums_of_classes(operator: GradientOperator, positions: Float64Array, part: slice) -> Float64Array:
+    """Return Σ angle × unit normal over the corners of some weld classes: (3, C, P).
 
     positions (3, V, P) belong to all vertices. Triangles without an area, or with a broken position, add
     nothing.
     """
-    first, second, third = (np.ascontiguousarray(column) for column in block.triangles.T)
+    starts = operator.ends[part.start : part.stop + 1]
+    total = np.zeros((3, part.stop - part.start, positions.shape[2]))
+    step = max(1, CORNER_SAMPLES // max(positions.shape[2], 1))
+    for first in range(int(starts[0]), int(starts[-1]), step):
+        corners = operator.corners[first : min(first + step, int(starts[-1]))]
+        owners = np.searchsorted(starts, np.arange(first, first + len(corners)), side="right") - 1
+        rows, begins = np.unique(owners, return_index=True)
+        for axis, weighted in enumerate(_corner_normals(operator, positions, corners)):
+            total[axis, rows] += np.add.reduceat(weighted, begins, axis=0)
+    return total
+
+
+def _corner_normals(operator: GradientOperator, positions: Float64Array, corners: IntArray) -> Vector:
+    """Return angle × unit normal of the triangles at some of their corners: components (N, P)."""
+    first, second, third = operator.triangles[corners // 3].T
     with np.errstate(all="ignore"):
-        origin = [component[first] for component in positions]
-        e1 = tuple(component[second] for component in positions)
-        e2 = tuple(component[third] for component in positions)
-        for axis in range(3):
-            np.subtract(e1[axis], origin[axis], out=e1[axis])
-            np.subtract(e2[axis], origin[axis], out=e2[axis])
+        e1 = tuple(component[second] - component[first] for component in positions)
+        e2 = tuple(component[third] - component[first] for component in positions)
         aa, ab = dot(e1, e1), dot(e1, e2)
         normal = cross(e1, e2)
         area = np.sqrt(dot(normal, normal))
-        reciprocal = 1.0 / area
-        # The angles at the first two corners come from their cotangents. The third is the rest of 180°.
-        cotangents = ab * reciprocal, (aa - ab) * reciprocal
-        at_first, at_second = (np.arctan(cotangent) for cotangent in cotangents)
-        at_third = at_first + at_second
-        np.subtract(0.5 * np.pi, at_first, out=at_first)
-        np.subtract(0.5 * np.pi, at_second, out=at_second)
-        unit = scaled(reciprocal, normal)
-    angles = at_first, at_second, at_third
-    # The test is not "flat if beyond": a comparison with NaN is false. A flat triangle shows at one of two
-    # corners.
-    if not all(values.min() > -_FLAT and values.max() < _FLAT for values in cotangents):
-        sound = (np.abs(cotangents[0]) < _FLAT) & (np.abs(cotangents[1]) < _FLAT)
-        for values in (*angles, *unit):
-            values[~sound] = 0.0
-    count, poses = area.shape
-    weighted = np.empty((3, count, poses))
-    sums = np.empty((3, len(block.classes), poses))
-    for axis, component in enumerate(unit):
-        for corner, angle in enumerate(angles):
-            np.multiply(angle, component, out=weighted[corner])
-        sums[axis] = block.corners @ weighted.reshape(3 * count, poses)
-    return sums
+        # The product of the two edges at the corner itself, which may be the second or the third.
+        along = np.select(
+            [corners[:, None] % 3 == 0, corners[:, None] % 3 == 1], [ab, aa - ab], dot(e2, e2) - ab
+        )
+        angle = np.arctan2(area, along)
+        # The test is not "flat if beyond": a comparison with NaN is false. A flat triangle shows at one of
+        # two corners.
+        sound = (np.abs(ab / area) < FLAT_TRIANGLE) & (np.abs((aa - ab) / area) < FLAT_TRIANGLE)
+        return tuple(np.where(sound, angle / area * component, 0.0) for component in normal)
 
 
-def vertex_normals(
-    operator: GradientOperator, blocks: Sequence[TriangleBlock], positions: Float64Array
-) -> Float64Array:
+def vertex_normals(operator: GradientOperator, positions: Float64Array) -> Float64Array:
     """Return the angle-weighted sums of the weld classes: (3, C, P), from positions (3, V, P)."""
-    total = np.zeros((3, len(operator.ends) - 1, positions.shape[2]))
-    for block in blocks:
-        total[:, block.classes] += corner_sums(block, positions)
-    return total
+    blocks = class_blocks(operator, positions.shape[2])
+    found = [sums_of_classes(operator, positions, part) for part in blocks]
+    return np.concatenate([np.zeros((3, 0, positions.shape[2])), *found], axis=1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,21 +98,34 @@ def carried_normals(
 ) -> CarriedNormals:
     """Return the coordinates of the normals n0 (V, 3) on the mesh before skinning, with positions (V, 3)."""
     components = np.ascontiguousarray(np.asarray(positions, dtype=np.float64).T)[:, :, None]
-    sums = vertex_normals(operator, triangle_blocks(operator, 1), components)
+    sums = vertex_normals(operator, components)
     coefficients = np.full((3, len(positions)), np.nan)
     with np.errstate(all="ignore"):
         for part, derivatives in zip(rest.parts, rest.tangents, strict=True):
-            frame = _frame(posed_tangents(derivatives, components)[0], block_sums(operator, sums, part))
+            frame = _frame(
+                posed_tangents(derivatives, components)[0], block_sums(operator.classes, sums, part)
+            )
             n0 = tuple(np.asarray(normals[part], dtype=np.float64).T[:, None])
             found = np.concatenate([dot(axis, n0) for axis in frame])
             coefficients[:, part] = found / np.sqrt((found * found).sum(axis=0))
     return CarriedNormals(coefficients)
 
 
-def block_sums(operator: GradientOperator, sums: FloatArray, part: slice) -> Vector:
+@dataclass(frozen=True, slots=True)
+class ClassSums:
+    """The sums (3, C, P) of the weld classes of a deformed mesh, float32, and what carries normals there.
+
+    classes (V,) are int32.
+    """
+
+    carried: CarriedNormals
+    classes: IntArray
+    sums: Float32Array
+
+
+def block_sums(classes: IntArray, sums: FloatArray, part: slice) -> Vector:
     """Return the sums of a block of vertices, components (P, B), from the sums of all classes (3, C, P)."""
-    classes = operator.classes[part]
-    return tuple(component[classes].astype(np.float64).T for component in sums)
+    return tuple(component[classes[part]].astype(np.float64).T for component in sums)
 
 
 def triangle_normals(

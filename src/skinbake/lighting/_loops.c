@@ -1,0 +1,847 @@
+/* The loops of `skinbake verify` that visit every vertex in every pose, for arrays that numpy owns.
+
+   Each function has a twin in by_numpy.py. The twin is the definition, the oracle of the tests, and the code
+   that runs if this module could not be compiled. This file shares neither code nor formulas with
+   gradients/_kernel.c, because an error in one must not hide in both.
+
+   Arrays come in through the buffer protocol: contiguous, aligned, of the types that _loops.pyi says. V are
+   vertices, P are poses. All values of a vertex lie together, pose by pose, so that the innermost loops run
+   over poses, and compilers turn them into vectors. A function works on a range of vertices or classes, and
+   writes to that range alone. The GIL is released meanwhile, so several threads can share a mesh. Every index
+   is checked just before it is used.
+
+   Only the limited API of Python 3.11 is used. Compile without fast-math and without contraction to fused
+   multiply-adds: the same input gives the same bytes on every machine. */
+
+#define PY_SSIZE_T_CLEAN
+#define Py_LIMITED_API 0x030B0000
+#include <Python.h>
+
+#include <float.h>
+#include <math.h>
+#include <stdint.h>
+#include <string.h>
+
+#if defined(_MSC_VER)
+#define ALWAYS_INLINE __forceinline
+#else
+#define ALWAYS_INLINE inline __attribute__((always_inline))
+#endif
+
+/* Compiled twice, for processors with 256-bit vectors and for the others. The results are the same bits. */
+#if defined(__x86_64__) && defined(__GLIBC__) && defined(__has_attribute)
+#if __has_attribute(target_clones)
+#define FOR_PROCESSORS __attribute__((target_clones("avx2", "default")))
+#endif
+#endif
+#ifndef FOR_PROCESSORS
+#define FOR_PROCESSORS
+#endif
+
+/* ---- Arguments ----------------------------------------------------------------------------------------- */
+
+/* What an argument must be. kinds: f d floats, i int32, q int64, ? bytes. shape: a digit is a size, a letter
+   is an axis, which has one size in all arrays of a call. */
+typedef struct {
+    const char *name, *kinds, *shape;
+    int flags;
+} Requirement;
+
+enum { READ = 0, WRITTEN = 1, OR_NONE = 2 };
+
+typedef struct {
+    Py_buffer buffer;
+    int held;
+} Array;
+
+static void release_arrays(Array *arrays, int count)
+{
+    for (int n = 0; n < count; n++)
+        if (arrays[n].held)
+            PyBuffer_Release(&arrays[n].buffer);
+}
+
+static char kind_of(const Py_buffer *buffer)
+{
+    const char *format = buffer->format ? buffer->format : "B";
+    while (*format == '<' || *format == '=' || *format == '@')
+        format++;
+    if (format[0] == '\0' || format[1] != '\0')
+        return 0;
+    switch (format[0]) {
+    case 'f': case 'd': case '?':
+        return format[0];
+    case 'i': case 'l': case 'q':
+        return buffer->itemsize == 4 ? 'i' : 'q';
+    }
+    return 0;
+}
+
+/* Hold the shape of an array against the sizes of axes that are known so far. */
+static int check_shape(const Requirement *required, const Py_buffer *buffer, Py_ssize_t *sizes)
+{
+    if ((size_t)buffer->ndim != strlen(required->shape)) {
+        PyErr_Format(PyExc_ValueError, "%s has %d axes, not %s", required->name, buffer->ndim, required->shape);
+        return -1;
+    }
+    for (int n = 0; n < buffer->ndim; n++) {
+        char axis = required->shape[n];
+        Py_ssize_t *known = &sizes[axis >= 'A' ? axis - 'A' : 0];
+        Py_ssize_t wanted = axis >= 'A' ? *known : axis - '0';
+        if (wanted < 0)
+            *known = wanted = buffer->shape[n];
+        if (buffer->shape[n] != wanted) {
+            PyErr_Format(PyExc_ValueError, "axis %d of %s has the size %zd, not %zd", n, required->name,
+                         buffer->shape[n], wanted);
+            return -1;
+        }
+    }
+    return 0;
+}
+
+static int read_array(PyObject *object, const Requirement *required, Array *array, Py_ssize_t *sizes)
+{
+    if (object == Py_None && required->flags & OR_NONE)
+        return 0;
+    int flags = PyBUF_C_CONTIGUOUS | PyBUF_FORMAT | (required->flags & WRITTEN ? PyBUF_WRITABLE : 0);
+    if (PyObject_GetBuffer(object, &array->buffer, flags) < 0)
+        return -1;
+    array->held = 1;
+    char kind = kind_of(&array->buffer);
+    if (kind == 0 || strchr(required->kinds, kind) == NULL) {
+        PyErr_Format(PyExc_TypeError, "%s has elements of type %s", required->name, array->buffer.format);
+        return -1;
+    }
+    if ((uintptr_t)array->buffer.buf % (uintptr_t)array->buffer.itemsize) {
+        PyErr_Format(PyExc_ValueError, "%s is not aligned", required->name);
+        return -1;
+    }
+    return check_shape(required, &array->buffer, sizes);
+}
+
+/* Hold the arguments of a call, and fill in the sizes of the axes by letter. */
+static int read_arrays(PyObject *const *objects, const Requirement *required, int count, Array *arrays,
+                       Py_ssize_t sizes[26])
+{
+    for (int n = 0; n < 26; n++)
+        sizes[n] = -1;
+    for (int n = 0; n < count; n++)
+        if (read_array(objects[n], &required[n], &arrays[n], sizes) < 0)
+            return -1;
+    return 0;
+}
+
+#define SIZE(letter) sizes[(letter) - 'A']
+#define DATA(n) (a[n].held ? a[n].buffer.buf : NULL)
+
+/* Return None, or raise IndexError if a loop met an index of nothing. Loops run without the GIL and cannot. */
+static PyObject *none_unless(int stray)
+{
+    if (!stray)
+        return Py_NewRef(Py_None);
+    PyErr_SetString(PyExc_IndexError, "an index names what is not there");
+    return NULL;
+}
+
+/* ---- Vectors ------------------------------------------------------------------------------------------- */
+
+/* The poses in work at a time. Their temporaries stay in the processor's first cache. */
+enum { STRIP = 64 };
+
+typedef double Strip[STRIP];
+
+typedef struct {
+    double x, y, z;
+} Vector;
+
+static ALWAYS_INLINE double dot(Vector a, Vector b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
+static ALWAYS_INLINE Vector minus(Vector a, Vector b) { return (Vector){a.x - b.x, a.y - b.y, a.z - b.z}; }
+static ALWAYS_INLINE Vector scaled(double s, Vector a) { return (Vector){s * a.x, s * a.y, s * a.z}; }
+static ALWAYS_INLINE Vector cross(Vector a, Vector b)
+{
+    return (Vector){a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
+}
+
+/* An array of vectors by components: x, y and z each with the values of all poses of a vertex. */
+typedef struct {
+    const double *x, *y, *z;
+} Components;
+
+static ALWAYS_INLINE Components components(const double *base, Py_ssize_t stride, Py_ssize_t at)
+{
+    return (Components){base + at, base + stride + at, base + 2 * stride + at};
+}
+
+static ALWAYS_INLINE Vector vector_at(Components from, Py_ssize_t p)
+{
+    return (Vector){from.x[p], from.y[p], from.z[p]};
+}
+
+static ALWAYS_INLINE Py_ssize_t least(Py_ssize_t a, Py_ssize_t b) { return a < b ? a : b; }
+
+/* ---- Linear blend skinning (twin: by_numpy.blend) ------------------------------------------------------ */
+
+enum { ENTRIES, COLUMNS, TABLE, BLENDED, BLEND_ARRAYS };
+
+static const Requirement blend_arrays[BLEND_ARRAYS] = {
+    [ENTRIES] = {"entries", "d", "FBW", READ},
+    [COLUMNS] = {"columns", "i", "BW", READ},
+    [TABLE] = {"table", "d", "R3P", READ},
+    [BLENDED] = {"out", "d", "F3BP", WRITTEN},
+};
+
+typedef struct {
+    const double *entries, *table;
+    const int32_t *columns;
+    double *out;
+    Py_ssize_t forms, rows, width, table_rows, poses;
+} Blend;
+
+/* Write one form of one vertex in up to STRIP poses. */
+static ALWAYS_INLINE void blend_strip(const Blend *b, const double *entries, const int32_t *columns, double *out,
+                                      Py_ssize_t first, Py_ssize_t count)
+{
+    const Py_ssize_t poses = b->poses, stride = b->rows * poses;
+    Strip x = {0}, y = {0}, z = {0};
+    for (Py_ssize_t k = 0; k < b->width; k++) {
+        const double entry = entries[k];
+        if (entry == 0.0)
+            continue;
+        const Components row = components(b->table, poses, 3 * poses * (Py_ssize_t)columns[k] + first);
+        for (Py_ssize_t p = 0; p < count; p++) {
+            x[p] += entry * row.x[p];
+            y[p] += entry * row.y[p];
+            z[p] += entry * row.z[p];
+        }
+    }
+    memcpy(out + first, x, (size_t)count * sizeof *x);
+    memcpy(out + stride + first, y, (size_t)count * sizeof *y);
+    memcpy(out + 2 * stride + first, z, (size_t)count * sizeof *z);
+}
+
+enum { WIDEST = 256 };
+
+FOR_PROCESSORS
+static int blend_rows(const Blend *b)
+{
+    int32_t columns[WIDEST];
+    for (Py_ssize_t row = 0; row < b->rows; row++) {
+        for (Py_ssize_t k = 0; k < b->width; k++) {
+            columns[k] = b->columns[row * b->width + k];
+            if (columns[k] < 0 || columns[k] >= b->table_rows)
+                return 1;
+        }
+        for (Py_ssize_t form = 0; form < b->forms; form++) {
+            const double *entries = b->entries + (form * b->rows + row) * b->width;
+            double *out = b->out + (3 * form * b->rows + row) * b->poses;
+            for (Py_ssize_t first = 0; first < b->poses; first += STRIP)
+                blend_strip(b, entries, columns, out, first, least(STRIP, b->poses - first));
+        }
+    }
+    return 0;
+}
+
+static PyObject *blend(PyObject *Py_UNUSED(module), PyObject *args)
+{
+    PyObject *o[BLEND_ARRAYS], *result = NULL;
+    Array a[BLEND_ARRAYS];
+    Py_ssize_t sizes[26];
+    memset(a, 0, sizeof a);
+    if (!PyArg_ParseTuple(args, "OOOO", &o[ENTRIES], &o[COLUMNS], &o[TABLE], &o[BLENDED]))
+        return NULL;
+    if (read_arrays(o, blend_arrays, BLEND_ARRAYS, a, sizes) < 0)
+        goto done;
+    if (SIZE('W') > WIDEST) {
+        PyErr_Format(PyExc_ValueError, "columns has %zd columns; at most %d are possible", SIZE('W'), WIDEST);
+        goto done;
+    }
+    const Blend work = {DATA(ENTRIES), DATA(TABLE), DATA(COLUMNS), DATA(BLENDED), SIZE('F'),
+                        SIZE('B'),     SIZE('W'),   SIZE('R'),     SIZE('P')};
+    int stray;
+    Py_BEGIN_ALLOW_THREADS
+    stray = blend_rows(&work);
+    Py_END_ALLOW_THREADS
+    result = none_unless(stray);
+done:
+    release_arrays(a, BLEND_ARRAYS);
+    return result;
+}
+
+/* ---- The sums of angle-weighted normals (twin: by_numpy.class_sums) -------------------------------------- */
+
+/* tan(π/8), π/4 and π/2. */
+#define TAN_EIGHTH 0.41421356237309503
+#define QUARTER 0.78539816339744828
+#define HALF 1.5707963267948966
+
+/* Return the arctangent of y / x, both at least 0 and y at most x: no term of the series is left out that
+   changes a bit. Beyond tan(π/8), arctan t = π/4 + arctan((t − 1) / (t + 1)). */
+static ALWAYS_INLINE double arctangent(double y, double x)
+{
+    const int beyond = y > TAN_EIGHTH * x;
+    const double t = (beyond ? y - x : y) / (beyond ? y + x : x), s = t * t;
+    double sum = 0.02113551294639468;
+    sum = sum * s - 0.043480657562470874;
+    sum = sum * s + 0.05688354825090266;
+    sum = sum * s - 0.0664023521979754;
+    sum = sum * s + 0.07689953677164002;
+    sum = sum * s - 0.09090773090639556;
+    sum = sum * s + 0.1111110618130427;
+    sum = sum * s - 0.14285714181002448;
+    sum = sum * s + 0.199999999988555;
+    sum = sum * s - 0.3333333333332844;
+    sum = sum * s + 1.0;
+    return (beyond ? QUARTER : 0.0) + t * sum;
+}
+
+enum { POSITIONS, TRIANGLES, CORNERS, ENDS, SUMS, SUM_ARRAYS };
+
+static const Requirement sum_arrays[SUM_ARRAYS] = {
+    [POSITIONS] = {"positions", "d", "3VP", READ},
+    [TRIANGLES] = {"triangles", "i", "T3", READ},
+    [CORNERS] = {"corners", "i", "N", READ},
+    [ENDS] = {"ends", "q", "E", READ},
+    [SUMS] = {"sums", "f", "3CP", WRITTEN},
+};
+
+typedef struct {
+    const double *positions;
+    const int32_t *triangles, *corners;
+    const int64_t *ends;
+    float *sums;
+    Py_ssize_t vertices, poses, triangle_count, corner_count, classes;
+    double flat; /* a triangle with a larger cotangent is a line or a point */
+} Sums;
+
+/* Add angle × unit normal of one triangle, in up to STRIP poses, at one of its corners. */
+static ALWAYS_INLINE void add_corner(Components origin, Components second, Components third, int corner, double flat,
+                                     Py_ssize_t count, double *restrict x, double *restrict y, double *restrict z)
+{
+    for (Py_ssize_t p = 0; p < count; p++) {
+        const Vector here = vector_at(origin, p);
+        const Vector e1 = minus(vector_at(second, p), here), e2 = minus(vector_at(third, p), here);
+        const Vector normal = cross(e1, e2);
+        const double aa = dot(e1, e1), ab = dot(e1, e2), area = sqrt(dot(normal, normal)), reciprocal = 1.0 / area;
+        const int sound = (fabs(ab * reciprocal) < flat) & (fabs((aa - ab) * reciprocal) < flat);
+        const double along = corner == 0 ? ab : corner == 1 ? aa - ab : dot(e2, e2) - ab;
+        const double beside = fabs(along);
+        const int steep = area > beside;
+        const double acute = arctangent(steep ? beside : area, steep ? area : beside);
+        const double upright = steep ? HALF - acute : acute;
+        const double angle = along < 0.0 ? 2.0 * HALF - upright : upright;
+        const double factor = angle * reciprocal;
+        x[p] += sound ? factor * normal.x : 0.0;
+        y[p] += sound ? factor * normal.y : 0.0;
+        z[p] += sound ? factor * normal.z : 0.0;
+    }
+}
+
+/* Write the sums of one class, whose corners are given, in up to STRIP poses. */
+static ALWAYS_INLINE int sum_class(const Sums *s, Py_ssize_t row, int64_t from, int64_t to, Py_ssize_t first,
+                                   Py_ssize_t count)
+{
+    const Py_ssize_t stride = s->vertices * s->poses;
+    Strip x = {0}, y = {0}, z = {0};
+    for (int64_t n = from; n < to; n++) {
+        const int32_t corner = s->corners[n];
+        if (corner < 0 || corner / 3 >= s->triangle_count)
+            return 1;
+        Components at[3];
+        for (int turn = 0; turn < 3; turn++) {
+            const int32_t vertex = s->triangles[3 * (Py_ssize_t)(corner / 3) + turn];
+            if (vertex < 0 || vertex >= s->vertices)
+                return 1;
+            at[turn] = components(s->positions, stride, vertex * s->poses + first);
+        }
+        if (corner % 3 == 0)
+            add_corner(at[0], at[1], at[2], 0, s->flat, count, x, y, z);
+        else if (corner % 3 == 1)
+            add_corner(at[0], at[1], at[2], 1, s->flat, count, x, y, z);
+        else
+            add_corner(at[0], at[1], at[2], 2, s->flat, count, x, y, z);
+    }
+    float *out = s->sums + row * s->poses + first;
+    const Py_ssize_t apart = s->classes * s->poses;
+    for (Py_ssize_t p = 0; p < count; p++) {
+        out[p] = (float)x[p];
+        out[apart + p] = (float)y[p];
+        out[2 * apart + p] = (float)z[p];
+    }
+    return 0;
+}
+
+FOR_PROCESSORS
+static int sum_classes(const Sums *s)
+{
+    for (Py_ssize_t row = 0; row < s->classes; row++) {
+        const int64_t from = s->ends[row], to = s->ends[row + 1];
+        if (from < 0 || to < from || to > s->corner_count)
+            return 1;
+        for (Py_ssize_t first = 0; first < s->poses; first += STRIP)
+            if (sum_class(s, row, from, to, first, least(STRIP, s->poses - first)))
+                return 1;
+    }
+    return 0;
+}
+
+static PyObject *class_sums(PyObject *Py_UNUSED(module), PyObject *args)
+{
+    PyObject *o[SUM_ARRAYS], *result = NULL;
+    Array a[SUM_ARRAYS];
+    Py_ssize_t sizes[26];
+    double flat;
+    memset(a, 0, sizeof a);
+    if (!PyArg_ParseTuple(args, "OOOOOd", &o[POSITIONS], &o[TRIANGLES], &o[CORNERS], &o[ENDS], &o[SUMS], &flat))
+        return NULL;
+    if (read_arrays(o, sum_arrays, SUM_ARRAYS, a, sizes) < 0)
+        goto done;
+    if (SIZE('E') != SIZE('C') + 1) {
+        PyErr_Format(PyExc_ValueError, "ends has %zd rows for %zd classes", SIZE('E'), SIZE('C'));
+        goto done;
+    }
+    const Sums work = {DATA(POSITIONS), DATA(TRIANGLES), DATA(CORNERS), DATA(ENDS), DATA(SUMS), SIZE('V'),
+                       SIZE('P'),       SIZE('T'),       SIZE('N'),     SIZE('C'),  flat};
+    int stray;
+    Py_BEGIN_ALLOW_THREADS
+    stray = sum_classes(&work);
+    Py_END_ALLOW_THREADS
+    result = none_unless(stray);
+done:
+    release_arrays(a, SUM_ARRAYS);
+    return result;
+}
+
+/* ---- True normals (twin: by_numpy.true_normals) -------------------------------------------------------- */
+
+enum { T_STARTS, T_COLUMNS, T_VALUES, B_STARTS, B_COLUMNS, B_VALUES, DEFORMED, COEFFICIENTS, AREAS, VALID, CARRIED,
+       CLASSES, CLASS_SUMS, SIDES, NORMALS, EXIST, TRUE_ARRAYS };
+
+static const Requirement true_arrays[TRUE_ARRAYS] = {
+    [T_STARTS] = {"t_starts", "i", "E", READ},
+    [T_COLUMNS] = {"t_columns", "i", "M", READ},
+    [T_VALUES] = {"t_values", "d", "M", READ},
+    [B_STARTS] = {"b_starts", "i", "E", READ},
+    [B_COLUMNS] = {"b_columns", "i", "N", READ},
+    [B_VALUES] = {"b_values", "d", "N", READ},
+    [DEFORMED] = {"positions", "d", "3VP", READ},
+    [COEFFICIENTS] = {"coefficients", "d", "3B", READ},
+    [AREAS] = {"areas", "d", "B", READ},
+    [VALID] = {"valid", "?", "B", READ},
+    [CARRIED] = {"carried", "d", "3B", OR_NONE},
+    [CLASSES] = {"classes", "i", "B", OR_NONE},
+    [CLASS_SUMS] = {"sums", "f", "3CP", OR_NONE},
+    [SIDES] = {"sides", "d", "BP", OR_NONE},
+    [NORMALS] = {"normals", "d", "U3BP", WRITTEN},
+    [EXIST] = {"exist", "?", "UBP", WRITTEN},
+};
+
+/* Rows of a sparse matrix. */
+typedef struct {
+    const int32_t *starts, *columns;
+    const double *values;
+    Py_ssize_t entries;
+} Rows;
+
+typedef struct {
+    Rows along_t, along_b;
+    const double *positions, *coefficients, *areas, *carried, *sides;
+    const float *sums;
+    const int32_t *classes;
+    const char *valid;
+    double *normals;
+    char *exist;
+    Py_ssize_t vertices, poses, block, class_count;
+    double flat; /* a frame with a smaller sine is flat */
+} TrueNormals;
+
+typedef struct {
+    Strip x, y, z;
+} Strips;
+
+/* Differentiate positions along one row, in up to STRIP poses. */
+static ALWAYS_INLINE int differentiate(const TrueNormals *w, const Rows *rows, Py_ssize_t row, Py_ssize_t first,
+                                       Py_ssize_t count, Strips *out)
+{
+    const int32_t from = rows->starts[row], to = rows->starts[row + 1];
+    if (from < 0 || to < from || to > rows->entries)
+        return 1;
+    memset(out, 0, sizeof *out);
+    for (int32_t n = from; n < to; n++) {
+        const int32_t column = rows->columns[n];
+        if (column < 0 || column >= w->vertices)
+            return 1;
+        const double value = rows->values[n];
+        const Components at = components(w->positions, w->vertices * w->poses, column * w->poses + first);
+        for (Py_ssize_t p = 0; p < count; p++) {
+            out->x[p] += value * at.x[p];
+            out->y[p] += value * at.y[p];
+            out->z[p] += value * at.z[p];
+        }
+    }
+    return 0;
+}
+
+/* Return cof(F) n0 of unit length, NaN if there is none (reference.tangent_normals). rest: the coordinates of
+   n0 in the rest frame; area: of that frame, NaN if it is not usable. */
+static ALWAYS_INLINE Vector by_tangents(Vector a, Vector b, Vector rest, double area, double side, double flat)
+{
+    const Vector c = cross(a, b);
+    const double aa = dot(a, a), ab = dot(a, b), bb = dot(b, b), square = dot(c, c);
+    const double reciprocal = 1.0 / sqrt(sqrt(square) * area);
+    const double along_a = (rest.x * bb - rest.y * ab) * reciprocal;
+    const double along_b = (rest.y * aa - rest.x * ab) * reciprocal;
+    const double along_c = rest.z * side;
+    const Vector found = {along_a * a.x + along_b * b.x + along_c * c.x, along_a * a.y + along_b * b.y + along_c * c.y,
+                          along_a * a.z + along_b * b.z + along_c * c.z};
+    const Vector unit = scaled(1.0 / sqrt(dot(found, found)), found);
+    const int sound = (square > flat * flat * aa * bb) & (fabs(unit.x) <= DBL_MAX);
+    return scaled(sound ? 1.0 : NAN, unit);
+}
+
+/* Return the carried normal in the frame t̂, n̂ × t̂, n̂ (triangle_normals.triangle_normals). */
+static ALWAYS_INLINE Vector by_triangles(Vector tangent, Vector sum, Vector carried, double side)
+{
+    const Vector n = scaled(1.0 / sqrt(dot(sum, sum)), sum);
+    const double lean = dot(tangent, n);
+    const Vector level = {tangent.x - lean * n.x, tangent.y - lean * n.y, tangent.z - lean * n.z};
+    const Vector t = scaled(1.0 / sqrt(dot(level, level)), level), s = cross(n, t);
+    const double up = carried.z * side;
+    return (Vector){carried.x * t.x + carried.y * s.x + up * n.x, carried.x * t.y + carried.y * s.y + up * n.y,
+                    carried.x * t.z + carried.y * s.z + up * n.z};
+}
+
+/* Store the normals of a vertex by one truth in up to STRIP poses, and tell which of them exist. */
+static ALWAYS_INLINE void store_normals(const TrueNormals *w, Py_ssize_t truth, Py_ssize_t at, Py_ssize_t count,
+                                        const Strips *found)
+{
+    const Py_ssize_t stride = w->block * w->poses;
+    double *normals = w->normals + 3 * truth * stride + at;
+    memcpy(normals, found->x, (size_t)count * sizeof(double));
+    memcpy(normals + stride, found->y, (size_t)count * sizeof(double));
+    memcpy(normals + 2 * stride, found->z, (size_t)count * sizeof(double));
+    char *exist = w->exist + truth * stride + at;
+    for (Py_ssize_t p = 0; p < count; p++)
+        exist[p] = fabs(found->x[p]) <= DBL_MAX;
+}
+
+static ALWAYS_INLINE int normals_of_strip(const TrueNormals *w, Py_ssize_t row, Py_ssize_t first, Py_ssize_t count)
+{
+    const Py_ssize_t block = w->block, at = row * w->poses + first;
+    Strips a, b, found;
+    Strip sides;
+    if (differentiate(w, &w->along_t, row, first, count, &a) || differentiate(w, &w->along_b, row, first, count, &b))
+        return 1;
+    for (Py_ssize_t p = 0; p < count; p++)
+        sides[p] = w->sides ? w->sides[at + p] : 1.0;
+    const Vector rest = {w->coefficients[row], w->coefficients[block + row], w->coefficients[2 * block + row]};
+    const double area = w->valid[row] ? w->areas[row] : NAN;
+    for (Py_ssize_t p = 0; p < count; p++) {
+        const Vector normal = by_tangents((Vector){a.x[p], a.y[p], a.z[p]}, (Vector){b.x[p], b.y[p], b.z[p]}, rest,
+                                          area, sides[p], w->flat);
+        found.x[p] = normal.x, found.y[p] = normal.y, found.z[p] = normal.z;
+    }
+    store_normals(w, 0, at, count, &found);
+    if (w->carried == NULL)
+        return 0;
+    const int32_t class = w->classes[row];
+    if (class < 0 || class >= w->class_count)
+        return 1;
+    const Vector carried = {w->carried[row], w->carried[block + row], w->carried[2 * block + row]};
+    const Py_ssize_t apart = w->class_count * w->poses;
+    const float *sums = w->sums + class * w->poses + first;
+    for (Py_ssize_t p = 0; p < count; p++) {
+        const Vector sum = {sums[p], sums[apart + p], sums[2 * apart + p]};
+        const Vector normal = by_triangles((Vector){a.x[p], a.y[p], a.z[p]}, sum, carried, sides[p]);
+        found.x[p] = normal.x, found.y[p] = normal.y, found.z[p] = normal.z;
+    }
+    store_normals(w, 1, at, count, &found);
+    return 0;
+}
+
+FOR_PROCESSORS
+static int normals_of_block(const TrueNormals *w)
+{
+    for (Py_ssize_t row = 0; row < w->block; row++)
+        for (Py_ssize_t first = 0; first < w->poses; first += STRIP)
+            if (normals_of_strip(w, row, first, least(STRIP, w->poses - first)))
+                return 1;
+    return 0;
+}
+
+/* Check what the requirements of true_normals cannot say. */
+static int check_truths(const Array *a, const Py_ssize_t *sizes)
+{
+    const int carried = a[CARRIED].held;
+    if (SIZE('E') == SIZE('B') + 1 && carried == a[CLASSES].held && carried == a[CLASS_SUMS].held &&
+        SIZE('U') == 1 + carried)
+        return 0;
+    PyErr_SetString(PyExc_ValueError, "the arrays of the true normals do not belong together");
+    return -1;
+}
+
+static PyObject *true_normals(PyObject *Py_UNUSED(module), PyObject *args)
+{
+    PyObject *o[TRUE_ARRAYS], *result = NULL;
+    Array a[TRUE_ARRAYS];
+    Py_ssize_t sizes[26];
+    double flat;
+    memset(a, 0, sizeof a);
+    if (!PyArg_ParseTuple(args, "OOOOOOOOOOOOOOOOd", &o[T_STARTS], &o[T_COLUMNS], &o[T_VALUES], &o[B_STARTS],
+                          &o[B_COLUMNS], &o[B_VALUES], &o[DEFORMED], &o[COEFFICIENTS], &o[AREAS], &o[VALID],
+                          &o[CARRIED], &o[CLASSES], &o[CLASS_SUMS], &o[SIDES], &o[NORMALS], &o[EXIST], &flat))
+        return NULL;
+    if (read_arrays(o, true_arrays, TRUE_ARRAYS, a, sizes) < 0 || check_truths(a, sizes) < 0)
+        goto done;
+    const TrueNormals work = {
+        .along_t = {DATA(T_STARTS), DATA(T_COLUMNS), DATA(T_VALUES), SIZE('M')},
+        .along_b = {DATA(B_STARTS), DATA(B_COLUMNS), DATA(B_VALUES), SIZE('N')},
+        .positions = DATA(DEFORMED),
+        .coefficients = DATA(COEFFICIENTS),
+        .areas = DATA(AREAS),
+        .carried = DATA(CARRIED),
+        .sides = DATA(SIDES),
+        .sums = DATA(CLASS_SUMS),
+        .classes = DATA(CLASSES),
+        .valid = DATA(VALID),
+        .normals = DATA(NORMALS),
+        .exist = DATA(EXIST),
+        .vertices = SIZE('V'),
+        .poses = SIZE('P'),
+        .block = SIZE('B'),
+        .class_count = SIZE('C'),
+        .flat = flat,
+    };
+    int stray;
+    Py_BEGIN_ALLOW_THREADS
+    stray = normals_of_block(&work);
+    Py_END_ALLOW_THREADS
+    result = none_unless(stray);
+done:
+    release_arrays(a, TRUE_ARRAYS);
+    return result;
+}
+
+/* ---- Angles (twin: by_numpy.angles) -------------------------------------------------------------------- */
+
+enum { MEASURED_X, MEASURED_Y, MEASURED_Z, EXPECTED, ANGLES, ANGLE_ARRAYS };
+
+static const Requirement angle_arrays[ANGLE_ARRAYS] = {
+    [MEASURED_X] = {"x", "d", "BP", READ},
+    [MEASURED_Y] = {"y", "d", "BP", READ},
+    [MEASURED_Z] = {"z", "d", "BP", READ},
+    [EXPECTED] = {"expected", "d", "U3BP", READ},
+    [ANGLES] = {"angles", "f", "UBP", WRITTEN},
+};
+
+/* Return twice the arctangent of the root of a ratio, in degrees. */
+static ALWAYS_INLINE float degrees_of(float ratio)
+{
+    const float tangent = sqrtf(fabsf(ratio));
+    const float y = tangent < 1.0f ? tangent : 1.0f, x = tangent < 1.0f ? 1.0f : tangent;
+    const int beyond = y > (float)TAN_EIGHTH * x;
+    const float t = (beyond ? y - x : y) / (beyond ? y + x : x), s = t * t;
+    float sum = -0.0602630523f;
+    sum = sum * s + 0.105698288f;
+    sum = sum * s - 0.142395327f;
+    sum = sum * s + 0.19998183f;
+    sum = sum * s - 0.333333069f;
+    sum = sum * s + 0.999999999f;
+    const float acute = (beyond ? (float)QUARTER : 0.0f) + t * sum;
+    const float angle = tangent > 1.0f ? (float)HALF - acute : acute;
+    return angle * (float)(180.0 / HALF);
+}
+
+FOR_PROCESSORS
+static void find_angles(Components measured, const double *expected, float *angles, Py_ssize_t truths, Py_ssize_t size)
+{
+    Strip x, y, z;
+    float ratios[STRIP];
+    for (Py_ssize_t first = 0; first < size; first += STRIP) {
+        const Py_ssize_t count = least(STRIP, size - first);
+        for (Py_ssize_t p = 0; p < count; p++) {
+            const Vector vector = vector_at(measured, first + p);
+            const double square = dot(vector, vector);
+            const Vector unit = scaled(1.0 / sqrt(square <= DBL_MAX ? square : NAN), vector);
+            x[p] = unit.x, y[p] = unit.y, z[p] = unit.z;
+        }
+        for (Py_ssize_t truth = 0; truth < truths; truth++) {
+            const Components wanted = components(expected + 3 * truth * size, size, first);
+            for (Py_ssize_t p = 0; p < count; p++) {
+                const Vector apart = minus((Vector){x[p], y[p], z[p]}, vector_at(wanted, p));
+                const double chord = dot(apart, apart);
+                ratios[p] = (float)(chord / (4.0 - chord));
+            }
+            for (Py_ssize_t p = 0; p < count; p++)
+                angles[truth * size + first + p] = degrees_of(ratios[p]);
+        }
+    }
+}
+
+static PyObject *angles(PyObject *Py_UNUSED(module), PyObject *args)
+{
+    PyObject *o[ANGLE_ARRAYS], *result = NULL;
+    Array a[ANGLE_ARRAYS];
+    Py_ssize_t sizes[26];
+    memset(a, 0, sizeof a);
+    if (!PyArg_ParseTuple(args, "OOOOO", &o[MEASURED_X], &o[MEASURED_Y], &o[MEASURED_Z], &o[EXPECTED], &o[ANGLES]))
+        return NULL;
+    if (read_arrays(o, angle_arrays, ANGLE_ARRAYS, a, sizes) < 0)
+        goto done;
+    const Components measured = {DATA(MEASURED_X), DATA(MEASURED_Y), DATA(MEASURED_Z)};
+    const double *expected = DATA(EXPECTED);
+    float *found = DATA(ANGLES);
+    Py_BEGIN_ALLOW_THREADS
+    find_angles(measured, expected, found, SIZE('U'), SIZE('B') * SIZE('P'));
+    Py_END_ALLOW_THREADS
+    result = Py_NewRef(Py_None);
+done:
+    release_arrays(a, ANGLE_ARRAYS);
+    return result;
+}
+
+/* ---- Counting errors (twin: by_numpy.count_errors) ----------------------------------------------------- */
+
+enum { ERRORS, WEIGHTS, COUNTED, TAIL, TAIL_ROWS, COUNT_ARRAYS };
+
+static const Requirement count_arrays[COUNT_ARRAYS] = {
+    [ERRORS] = {"errors", "f", "BP", READ},
+    [WEIGHTS] = {"weights", "d", "B", READ},
+    [COUNTED] = {"valid", "?", "BP", OR_NONE},
+    [TAIL] = {"tail", "f", "N", WRITTEN},
+    [TAIL_ROWS] = {"tail_rows", "i", "N", WRITTEN},
+};
+
+typedef struct {
+    const float *errors;
+    const double *weights;
+    const char *valid;
+    float *tail;
+    int32_t *tail_rows;
+    Py_ssize_t block, poses;
+    float least; /* smaller errors cannot be in the tail */
+} Counting;
+
+typedef struct {
+    Py_ssize_t samples, undefined, kept, pose, vertex;
+    double weight, sum;
+    float largest;
+} Counted;
+
+/* Count one error of a vertex. NaN: the measured normal does not exist, which is as bad as can be. */
+static ALWAYS_INLINE void count_one(const Counting *c, Counted *n, float error, Py_ssize_t row, Py_ssize_t pose,
+                                    double *sum)
+{
+    const int undefined = error != error;
+    const float value = undefined ? 180.0f : error;
+    n->undefined += undefined;
+    *sum += value;
+    if (value > n->largest || (value == n->largest && pose < n->pose))
+        n->largest = value, n->pose = pose, n->vertex = row;
+    if (value >= c->least) {
+        c->tail[n->kept] = value;
+        c->tail_rows[n->kept++] = (int32_t)row;
+    }
+}
+
+enum { LANES = 8 };
+
+/* Return the sum of a row, NaN if any error is NaN, and find the largest error: in lanes, as vectors do. */
+static ALWAYS_INLINE double sum_row(const float *errors, Py_ssize_t poses, float *largest)
+{
+    double sums[LANES] = {0};
+    float most[LANES];
+    Py_ssize_t p = 0;
+    for (int lane = 0; lane < LANES; lane++)
+        most[lane] = -1.0f;
+    for (; p + LANES <= poses; p += LANES)
+        for (int lane = 0; lane < LANES; lane++) {
+            sums[lane] += errors[p + lane];
+            most[lane] = errors[p + lane] > most[lane] ? errors[p + lane] : most[lane];
+        }
+    for (; p < poses; p++) {
+        sums[0] += errors[p];
+        most[0] = errors[p] > most[0] ? errors[p] : most[0];
+    }
+    double total = 0.0;
+    for (int lane = 0; lane < LANES; lane++) {
+        total += sums[lane];
+        *largest = most[lane] > *largest ? most[lane] : *largest;
+    }
+    return total;
+}
+
+FOR_PROCESSORS
+static Counted count_rows(const Counting *c)
+{
+    Counted n = {.largest = -1.0f};
+    for (Py_ssize_t row = 0; row < c->block; row++) {
+        const double weight = c->weights[row];
+        if (!(weight > 0.0))
+            continue;
+        const float *errors = c->errors + row * c->poses;
+        const char *valid = c->valid ? c->valid + row * c->poses : NULL;
+        float largest = -1.0f;
+        double sum = sum_row(errors, c->poses, &largest);
+        Py_ssize_t samples = c->poses;
+        if (valid && memchr(valid, 0, (size_t)c->poses)) {
+            samples = 0, sum = 0.0;
+            for (Py_ssize_t p = 0; p < c->poses; p++)
+                if (valid[p])
+                    samples++, count_one(c, &n, errors[p], row, p, &sum);
+        } else if (sum != sum || largest >= c->least || largest >= n.largest) {
+            sum = 0.0;
+            for (Py_ssize_t p = 0; p < c->poses; p++)
+                count_one(c, &n, errors[p], row, p, &sum);
+        }
+        n.samples += samples;
+        n.weight += weight * (double)samples;
+        n.sum += weight * sum;
+    }
+    return n;
+}
+
+static PyObject *count_errors(PyObject *Py_UNUSED(module), PyObject *args)
+{
+    PyObject *o[COUNT_ARRAYS], *result = NULL;
+    Array a[COUNT_ARRAYS];
+    Py_ssize_t sizes[26];
+    float least_kept;
+    memset(a, 0, sizeof a);
+    if (!PyArg_ParseTuple(args, "OOOOOf", &o[ERRORS], &o[WEIGHTS], &o[COUNTED], &o[TAIL], &o[TAIL_ROWS], &least_kept))
+        return NULL;
+    if (read_arrays(o, count_arrays, COUNT_ARRAYS, a, sizes) < 0)
+        goto done;
+    if (SIZE('N') < SIZE('B') * SIZE('P') || SIZE('B') > INT32_MAX) {
+        PyErr_SetString(PyExc_ValueError, "the tail has no room for all errors");
+        goto done;
+    }
+    const Counting work = {DATA(ERRORS), DATA(WEIGHTS), DATA(COUNTED), DATA(TAIL), DATA(TAIL_ROWS), SIZE('B'),
+                           SIZE('P'),    least_kept};
+    Counted n;
+    Py_BEGIN_ALLOW_THREADS
+    n = count_rows(&work);
+    Py_END_ALLOW_THREADS
+    result = Py_BuildValue("nnnddfnn", n.samples, n.undefined, n.kept, n.weight, n.sum, n.largest, n.pose, n.vertex);
+done:
+    release_arrays(a, COUNT_ARRAYS);
+    return result;
+}
+
+/* ---- The module ---------------------------------------------------------------------------------------- */
+
+static PyMethodDef functions[] = {
+    {"blend", blend, METH_VARARGS, "blend(entries, columns, table, out): fill out."},
+    {"class_sums", class_sums, METH_VARARGS,
+     "class_sums(positions, triangles, corners, ends, sums, flat): fill sums."},
+    {"true_normals", true_normals, METH_VARARGS, "true_normals(...): fill normals and exist; see _loops.pyi."},
+    {"angles", angles, METH_VARARGS, "angles(x, y, z, expected, angles): fill angles, in degrees."},
+    {"count_errors", count_errors, METH_VARARGS,
+     "count_errors(errors, weights, valid, tail, tail_rows, least): fill the tail; return counts and sums."},
+    {NULL, NULL, 0, NULL},
+};
+
+static struct PyModuleDef definition = {
+    PyModuleDef_HEAD_INIT, "_loops", "Compiled loops; see _loops.pyi.", -1, functions, NULL, NULL, NULL, NULL,
+};
+
+PyMODINIT_FUNC PyInit__loops(void) { return PyModule_Create(&definition); }

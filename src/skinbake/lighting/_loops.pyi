@@ -1,0 +1,77 @@
+"""Types of verify's compiled loops: arrays are contiguous and aligned, of the named element types.
+
+B vertices of a block, V all vertices, P poses, C weld classes of a range, T triangles, U truths. Raises
+TypeError for another element type, ValueError for another shape, IndexError for an index out of range.
+"""
+
+import numpy as np
+import numpy.typing as npt
+
+from skinbake.geometry.skinned import BoolArray, Float32Array, Float64Array
+
+def blend(
+    entries: Float64Array, columns: npt.NDArray[np.int32], table: Float64Array, out: Float64Array, /
+) -> None:
+    """Fill out (F, 3, B, P) with Σ entries (F, B, W) × the rows of table (R, 3, P) in columns (B, W)."""
+
+def class_sums(
+    positions: Float64Array,
+    triangles: npt.NDArray[np.int32],
+    corners: npt.NDArray[np.int32],
+    ends: npt.NDArray[np.int64],
+    sums: Float32Array,
+    flat: float,
+    /,
+) -> None:
+    """Fill sums (3, C, P) with Σ angle × unit normal over corners[ends[c]:ends[c + 1]] of each class.
+
+    positions (3, V, P). triangles (T, 3). corners (N,) count the entries of triangles. ends (C + 1,). A
+    triangle with a larger cotangent than ``flat`` adds nothing.
+    """
+
+def true_normals(
+    t_starts: npt.NDArray[np.int32],
+    t_columns: npt.NDArray[np.int32],
+    t_values: Float64Array,
+    b_starts: npt.NDArray[np.int32],
+    b_columns: npt.NDArray[np.int32],
+    b_values: Float64Array,
+    positions: Float64Array,
+    coefficients: Float64Array,
+    areas: Float64Array,
+    valid: BoolArray,
+    carried: Float64Array | None,
+    classes: npt.NDArray[np.int32] | None,
+    sums: Float32Array | None,
+    sides: Float64Array | None,
+    normals: Float64Array,
+    exist: BoolArray,
+    flat: float,
+    /,
+) -> None:
+    """Fill normals (U, 3, B, P) and exist (U, B, P): by tangents, and by triangles if ``carried`` is given.
+
+    starts (B + 1,), columns and values are the sparse rows of the derivatives along t0 and b0. positions
+    (3, V, P). coefficients (3, B), areas and valid (B,) are those of ``RestFrames``. carried (3, B) are the
+    coordinates of ``CarriedNormals``, classes (B,) the rows of the vertices in sums (3, C, P). sides (B, P).
+    """
+
+def angles(
+    x: Float64Array, y: Float64Array, z: Float64Array, expected: Float64Array, angles: Float32Array, /
+) -> None:
+    """Fill angles (U, B, P), degrees, between vectors of components (B, P) and unit ones (U, 3, B, P)."""
+
+def count_errors(
+    errors: Float32Array,
+    weights: Float64Array,
+    valid: BoolArray | None,
+    tail: Float32Array,
+    tail_rows: npt.NDArray[np.int32],
+    least: float,
+    /,
+) -> tuple[int, int, int, float, float, float, int, int]:
+    """Count errors (B, P) with weights (B,), and fill tail and tail_rows with those of at least ``least``.
+
+    Return samples, undefined ones, the length of the tail, the counted weight, the weighted sum, the largest
+    error (−1: none), its pose and its row.
+    """

@@ -1,0 +1,104 @@
+"""The operations of verify's kernel by its compiled loops, with arrays of the types and layout that they read.
+
+The same operations in numpy, ``by_numpy``, describe the results.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from skinbake.geometry.skinned import BoolArray, Float32Array, Float64Array, FloatArray, IntArray
+from skinbake.lighting import _loops, by_numpy
+from skinbake.lighting.counted import CountedErrors
+from skinbake.lighting.operator import GradientOperator
+from skinbake.lighting.reference import FLAT_FRAME, RestFrames
+from skinbake.lighting.triangle_normals import FLAT_TRIANGLE, ClassSums
+from skinbake.skinning.components import Vector
+
+
+def blend(entries: Float64Array, columns: IntArray, table: Float64Array) -> Float64Array:
+    """Return F of a block: (forms, 3, B, P)."""
+    out = np.empty((entries.shape[0], 3, entries.shape[1], table.shape[2]))
+    _loops.blend(np.ascontiguousarray(entries), np.ascontiguousarray(columns, dtype=np.int32), table, out)
+    return out
+
+
+def class_sums(operator: GradientOperator, positions: Float64Array, part: slice) -> Float32Array:
+    """Return Σ angle × unit normal over the corners of some weld classes: (3, C, P)."""
+    sums = np.empty((3, part.stop - part.start, positions.shape[2]), dtype=np.float32)
+    _loops.class_sums(
+        np.ascontiguousarray(positions, dtype=np.float64),
+        np.ascontiguousarray(operator.triangles, dtype=np.int32),
+        np.ascontiguousarray(operator.corners, dtype=np.int32),
+        np.ascontiguousarray(operator.ends[part.start : part.stop + 1], dtype=np.int64),
+        sums,
+        FLAT_TRIANGLE,
+    )
+    return sums
+
+
+def true_normals(
+    rest: RestFrames,
+    number: int,
+    positions: Float64Array,
+    sides: Float64Array | None = None,
+    by_triangles: ClassSums | None = None,
+) -> tuple[Float64Array, BoolArray]:
+    """Return the true normals (U, 3, B, P) of a block of vertices, and where they exist (U, B, P)."""
+    part = rest.parts[number]
+    shape = (1 if by_triangles is None else 2, 3, part.stop - part.start, positions.shape[2])
+    normals, exist = np.empty(shape), np.empty((shape[0], *shape[2:]), dtype=np.bool_)
+    along_t, along_b = rest.tangents[number]
+    _loops.true_normals(
+        along_t.starts,
+        along_t.columns,
+        along_t.values,
+        along_b.starts,
+        along_b.columns,
+        along_b.values,
+        np.ascontiguousarray(positions, dtype=np.float64),
+        np.ascontiguousarray(rest.coefficients[:, part]),
+        rest.areas[part],
+        rest.valid[part],
+        None if by_triangles is None else np.ascontiguousarray(by_triangles.carried.coefficients[:, part]),
+        None if by_triangles is None else by_triangles.classes[part],
+        None if by_triangles is None else by_triangles.sums,
+        None if sides is None else np.ascontiguousarray(sides.T, dtype=np.float64),
+        normals,
+        exist,
+        FLAT_FRAME,
+    )
+    return normals, exist
+
+
+def angles(measured: Vector, expected: Float64Array) -> Float32Array:
+    """Return the angles (U, B, P), in degrees, between vectors of any length and unit vectors."""
+    found = np.empty((expected.shape[0], *expected.shape[2:]), dtype=np.float32)
+    x, y, z = (np.ascontiguousarray(component.T, dtype=np.float64) for component in measured)
+    _loops.angles(x, y, z, expected, found)
+    return found
+
+
+def count_errors(
+    errors: FloatArray, weights: Float64Array, valid: BoolArray | None, least: float
+) -> CountedErrors:
+    """Count errors (P, B) with weights (B,), and return those of at least ``least``."""
+    if errors.dtype != np.float32:
+        return by_numpy.count_errors(errors, weights, valid, least)
+    rows = np.ascontiguousarray(errors.T)
+    tail, tail_rows = np.empty(rows.size, dtype=np.float32), np.empty(rows.size, dtype=np.int32)
+    exist = None if valid is None else np.ascontiguousarray(valid.T)
+    samples, undefined, kept, weight, total, largest, pose, row = _loops.count_errors(
+        rows, weights, exist, tail, tail_rows, least
+    )
+    return CountedErrors(
+        samples=samples,
+        undefined=undefined,
+        weight=weight,
+        total=total,
+        largest=largest,
+        pose=pose,
+        vertex=row,
+        tail=tail[:kept].copy(),
+        tail_weights=weights[tail_rows[:kept]],
+    )

@@ -1,0 +1,128 @@
+"""The operations of verify's kernel by whole arrays of numpy. They define the results of the compiled loops."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from skinbake.geometry.skinned import BoolArray, Float32Array, Float64Array, FloatArray, IntArray
+from skinbake.lighting.counted import CountedErrors
+from skinbake.lighting.metrics import angles_of_units, unit_vectors
+from skinbake.lighting.operator import GradientOperator
+from skinbake.lighting.reference import RestFrames, posed_tangents, tangent_normals
+from skinbake.lighting.triangle_normals import ClassSums, block_sums, sums_of_classes, triangle_normals
+from skinbake.skinning.components import Vector
+
+__all__ = ["angles", "blend", "class_sums", "count_errors", "true_normals"]
+
+DENSE = 300
+"""The number of forms times columns from which small dense products are faster than a sparse one."""
+
+GATHERED = 1 << 17
+"""The numbers that dense products gather at a time: 1 MB, which stays in the cache."""
+
+
+def blend(entries: Float64Array, columns: IntArray, table: Float64Array) -> Float64Array:
+    """Return F of a block (``blending``): (forms, 3, B, P).
+
+    entries (forms, B, W) multiply the rows of table (R, 3, P) that columns (B, W) name.
+    """
+    flat = table.reshape(len(table), -1)
+    product = _sparse if len(entries) * flat.shape[1] < DENSE else _dense
+    found = product(entries, columns, flat).reshape(*entries.shape[:2], 3, -1)
+    # Arithmetic on components that are not contiguous takes three times as long.
+    return np.ascontiguousarray(np.swapaxes(found, 1, 2))
+
+
+def _sparse(entries: Float64Array, columns: IntArray, table: Float64Array) -> Float64Array:
+    from scipy.sparse import csr_array
+
+    count, width = columns.shape
+    ends = np.arange(len(entries) * count + 1, dtype=np.int32) * np.int32(width)
+    names = np.tile(columns.ravel(), len(entries))
+    sparse = csr_array((entries.ravel(), names, ends), shape=(len(ends) - 1, len(table)))
+    return np.asarray(sparse @ table)
+
+
+def _dense(entries: Float64Array, columns: IntArray, table: Float64Array) -> Float64Array:
+    """Multiply vertex by vertex with the rows of its joints in the table, a few vertices at a time."""
+    count, width = columns.shape
+    found = np.empty((count, len(entries), table.shape[1]))
+    step = max(1, GATHERED // (width * table.shape[1]))
+    gathered = np.empty((step, width, table.shape[1]))
+    by_vertex = np.ascontiguousarray(np.swapaxes(entries, 0, 1))
+    for start in range(0, count, step):
+        rows = slice(start, min(start + step, count))
+        own = gathered[: rows.stop - start]
+        np.take(table, columns[rows], axis=0, out=own, mode="clip")
+        np.matmul(by_vertex[rows], own, out=found[rows])
+    return np.swapaxes(found, 0, 1)
+
+
+def class_sums(operator: GradientOperator, positions: Float64Array, part: slice) -> Float32Array:
+    """Return Σ angle × unit normal over the corners of some weld classes: (3, C, P), from positions (3, V, P).
+
+    float32 halves the memory. Sums of unit vectors lose a millionth of a degree.
+    """
+    return sums_of_classes(operator, positions, part).astype(np.float32)
+
+
+def true_normals(
+    rest: RestFrames,
+    number: int,
+    positions: Float64Array,
+    sides: Float64Array | None = None,
+    by_triangles: ClassSums | None = None,
+) -> tuple[Float64Array, BoolArray]:
+    """Return the true normals (U, 3, B, P) of a block of vertices, and where they exist (U, B, P).
+
+    The first are by tangents, the second, if there are sums of classes, by triangles. positions (3, V, P) are
+    those of all vertices after deformation. sides (P, B) is −1 if the joints mirror a vertex.
+    """
+    part = rest.parts[number]
+    tangents = posed_tangents(rest.tangents[number], positions)
+    found = [tangent_normals(rest, part, tangents, sides)]
+    if by_triangles is not None:
+        sums = block_sums(by_triangles.classes, by_triangles.sums, part)
+        found.append(triangle_normals(by_triangles.carried, part, tangents[0], sums, sides))
+    normals = np.stack([np.stack([component.T for component in vector]) for vector, _ in found])
+    return normals, np.stack([exist.T for _, exist in found])
+
+
+def angles(measured: Vector, expected: Float64Array) -> Float32Array:
+    """Return the angles (U, B, P), in degrees, between vectors of any length and unit vectors.
+
+    The vectors are components (P, B), and expected is (U, 3, B, P).
+    """
+    units = [component.T for component in unit_vectors(measured)]
+    return np.stack([angles_of_units(units, list(one)) for one in expected])
+
+
+def count_errors(
+    errors: FloatArray, weights: Float64Array, valid: BoolArray | None, least: float
+) -> CountedErrors:
+    """Count errors (P, B) with weights (B,), and return those of at least ``least``.
+
+    Vertices without weight are left out, and samples that are not valid. A NaN among the others is 180°.
+    """
+    counted = np.broadcast_to(weights > 0.0, errors.shape)
+    if valid is not None:
+        counted = counted & valid
+    undefined = counted & np.isnan(errors)
+    values = np.where(undefined, 180.0, np.where(counted, errors, -1.0)).astype(errors.dtype, copy=False)
+    sums = np.sum(values, axis=0, dtype=np.float64, where=counted)
+    positive = np.where(weights > 0.0, weights, 0.0)
+    largest = float(values.max(initial=-1.0))
+    pose, vertex = np.unravel_index(int(values.argmax()) if values.size else 0, values.shape or (1, 1))
+    by_vertex = np.ascontiguousarray(values.T)
+    kept = np.flatnonzero(by_vertex.ravel() >= max(least, 0.0))
+    return CountedErrors(
+        samples=int(np.count_nonzero(counted)),
+        undefined=int(np.count_nonzero(undefined)),
+        weight=float(counted.sum(axis=0) @ positive),
+        total=float(sums @ positive),
+        largest=largest,
+        pose=int(pose),
+        vertex=int(vertex),
+        tail=by_vertex.ravel()[kept],
+        tail_weights=positive[kept // max(1, len(errors))],
+    )

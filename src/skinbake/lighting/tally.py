@@ -1,0 +1,153 @@
+"""Angular errors that come block by block, and their summary: mean, percentiles and the largest one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray
+from skinbake.lighting import kernel
+
+_SHARES = (0.95, 0.99)
+
+# The number of samples that a tail gathers before it is shortened for the first time.
+_TAIL = 1 << 16
+
+
+@dataclass(frozen=True, slots=True)
+class ErrorSummary:
+    """Angular errors over poses and vertices, in degrees.
+
+    mean, p95 and p99 are weighted by rest area. worst_pose and worst_vertex index the first sample that has
+    the maximum. worst_part is the part of that sample, in a tally of several. samples is the number of
+    counted samples, excluded the number of others. undefined is the number of counted samples without a
+    measured normal.
+    """
+
+    mean: float
+    p95: float
+    p99: float
+    max: float
+    worst_pose: int
+    worst_vertex: int
+    samples: int
+    excluded: int
+    undefined: int
+    worst_part: int = 0
+
+
+class ErrorTally:
+    """Angular errors that come block by block, and their summary, weighted by area.
+
+    The weighted percentile q is the smallest counted error such that the samples up to it carry at least the
+    share q of the counted weight. It is always an error that occurs, without interpolation. Percentiles are
+    exact although few samples are kept: a sample with more than a twentieth of all weight above it cannot be
+    one of them.
+    """
+
+    def __init__(self, weight: float) -> None:
+        """Expect samples that weigh at most ``weight`` in all. The less they weigh, the fewer are kept."""
+        # Rounding must not make the tail too short.
+        self._needed = weight * (1.0 - _SHARES[0]) * (1.0 + 1e-6)
+        self._weight, self._sum = 0.0, 0.0
+        self._samples, self._excluded, self._undefined = 0, 0, 0
+        self._worst: tuple[float, int, int, int] | None = None
+        self._tail = _Tail(self._needed)
+
+    def add(
+        self,
+        errors: FloatArray,
+        areas: FloatArray,
+        *,
+        valid: BoolArray | None = None,
+        start: tuple[int, int, int] = (0, 0, 0),
+    ) -> None:
+        """Count a block of errors (P, V) in degrees, with the areas (V,) of the vertices.
+
+        valid (P, V), all true by default, tells where the *expected* normal exists. Samples outside it, and
+        vertices without area, are left out. A NaN inside it means that the measured normal does not exist. It
+        counts as 180°: a method that yields no normal must not look better for it.
+        start is the part that the block belongs to, and its first pose and vertex there: where the largest
+        error is found more than once, the first in this order is the worst.
+        """
+        weights = np.asarray(areas, dtype=np.float64)
+        found = kernel.count_errors(errors, weights, valid, self._tail.least)
+        self._samples += found.samples
+        self._excluded += errors.size - found.samples
+        self._undefined += found.undefined
+        self._weight += found.weight
+        self._sum += found.total
+        if found.samples and (self._worst is None or found.largest >= self._worst[0]):
+            worst = (found.largest, start[0], start[1] + found.pose, start[2] + found.vertex)
+            if self._worst is None or found.largest > self._worst[0] or worst[1:] < self._worst[1:]:
+                self._worst = worst
+        self._tail.add(found.tail, found.tail_weights)
+
+    def summary(self) -> ErrorSummary | None:
+        """Summarise the counted errors; None if there are none."""
+        if self._worst is None or not self._samples:
+            return None
+        p95, p99 = self._tail.percentiles(self._weight)
+        return ErrorSummary(
+            mean=self._sum / self._weight,
+            p95=p95,
+            p99=p99,
+            max=self._worst[0],
+            worst_pose=self._worst[2],
+            worst_vertex=self._worst[3],
+            samples=self._samples,
+            excluded=self._excluded,
+            undefined=self._undefined,
+            worst_part=self._worst[1],
+        )
+
+
+class _Tail:
+    """The largest of weighted values. Together they have at least the needed weight.
+
+    Values below ``least`` cannot be among them.
+    """
+
+    def __init__(self, needed: float) -> None:
+        self._needed = needed
+        self.least = 0.0
+        self._values: list[FloatArray] = []
+        self._weights: list[Float64Array] = []
+        self._count, self._limit = 0, _TAIL
+
+    def add(self, errors: FloatArray, weights: Float64Array) -> None:
+        """Take the errors (N,), all of at least ``least``, that may be in the tail, and their weights."""
+        self._values.append(errors)
+        self._weights.append(weights)
+        self._count += len(errors)
+        if self._count > self._limit:
+            self._shorten()
+
+    def _shorten(self) -> None:
+        """Drop the smallest values as long as the others have the needed weight."""
+        values, weights = np.concatenate(self._values), np.concatenate(self._weights)
+        share, total = 0.0, float(weights.sum())
+        if total > 0.0:
+            # This assumes that weights and values are independent. If they are not, it may not be enough.
+            share = 1.1 * self._needed / total
+        if len(values) and share < 0.9:
+            least = np.partition(values, -1 - int(share * len(values)))[-1 - int(share * len(values))]
+            chosen = values >= least
+            if float(np.sum(weights, where=chosen)) >= self._needed:
+                values, weights = values[chosen], weights[chosen]
+                self.least = float(least)
+        self._values, self._weights = [values], [weights]
+        self._count = len(values)
+        self._limit = max(_TAIL, 2 * self._count)
+
+    def percentiles(self, weight: float) -> list[float]:
+        """Invert the cumulative weight of all values that were added, ``weight`` in total."""
+        self._shorten()
+        (values,), (weights,) = self._values, self._weights
+        order = np.argsort(values)
+        cumulative = np.cumsum(weights[order]) + max(0.0, weight - float(weights.sum()))
+        # Rounding may leave a sum a few units below its own share. That must not push a percentile up.
+        wanted = np.array(_SHARES) * weight * (1.0 - 1e-9)
+        places = np.minimum(np.searchsorted(cumulative, wanted), len(order) - 1)
+        return [float(value) for value in values[order][places]]
