@@ -9,7 +9,7 @@ BIN := .venv/bin
 PACKAGE := .venv/package.stamp
 DEV := .venv/dev.stamp
 NODE_MODULES := tests/support/node_modules/.stamp
-BUILT_FROM := pyproject.toml setup.py src/skinbake/gradients/_kernel.c
+BUILT_FROM := pyproject.toml setup.py src/skinbake/gradients/_kernel.c src/skinbake/lighting/_loops.c
 EXAMPLE := fixtures/bent_tube.glb
 
 # What the caller's shell has set up for other projects must not leak into .venv.

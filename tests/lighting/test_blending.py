@@ -71,7 +71,7 @@ def test_it_is_what_the_lines_compute(poses: int, slots: int, baseline: Baseline
             assert np.stack(normals, axis=2) == pytest.approx(
                 expected.normals[pose, part], rel=1e-9, abs=1e-12
             )
-            positions = found.positions(pose, part).transpose(2, 0, 1)
+            positions = found.positions(pose, part).transpose(2, 1, 0)
             assert positions == pytest.approx(expected.positions[pose, part], rel=1e-12, abs=1e-12)
 
 

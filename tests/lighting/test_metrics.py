@@ -4,6 +4,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from skinbake.lighting import tally as tallies
 from skinbake.lighting.metrics import vertex_areas
 from skinbake.lighting.tally import ErrorSummary, ErrorTally
 from tests.support.whole_fields import angular_errors, summarise
@@ -132,7 +133,7 @@ def percentile(errors: npt.NDArray[np.float64], weights: npt.NDArray[np.float64]
 @pytest.mark.parametrize("seed", range(12))
 def test_a_tally_of_blocks_is_exact(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Few values, so that there are ties; areas that go with the errors or against them; gaps."""
-    monkeypatch.setattr(tally_module, "_TAIL", 50)
+    monkeypatch.setattr(tallies, "_TAIL", 50)
     rng = np.random.default_rng(seed)
     poses, count = 40, 30
     errors = np.round(rng.gamma(1.0, 3.0, (poses, count)), seed % 3)

@@ -179,6 +179,131 @@ static ALWAYS_INLINE Vector vector_at(Components from, Py_ssize_t p)
 
 static ALWAYS_INLINE Py_ssize_t least(Py_ssize_t a, Py_ssize_t b) { return a < b ? a : b; }
 
+/* ---- Linear combinations of rows ----------------------------------------------------------------------- */
+
+/* Four doubles at once. Every operation rounds as it does on one of them. */
+#if defined(__GNUC__)
+typedef double Four __attribute__((vector_size(32)));
+static ALWAYS_INLINE Four plus_scaled(Four sum, double factor, Four values)
+{
+    return sum + (Four){factor, factor, factor, factor} * values;
+}
+#else
+typedef struct {
+    double of[4];
+} Four;
+static ALWAYS_INLINE Four plus_scaled(Four sum, double factor, Four values)
+{
+    for (int n = 0; n < 4; n++)
+        sum.of[n] += factor * values.of[n];
+    return sum;
+}
+#endif
+
+static ALWAYS_INLINE Four load(const double *from)
+{
+    Four values;
+    memcpy(&values, from, sizeof values);
+    return values;
+}
+
+/* Rows of vectors by components: vector `row` of pose `p` has its component at row × stride + p, and the
+   next component `apart` further on. */
+typedef struct {
+    const double *base;
+    Py_ssize_t count, stride, apart;
+} Table;
+
+typedef struct {
+    Strip x, y, z;
+} Strips;
+
+/* Write Σ factor × row in some poses, by so many fours, to strips at `p`. The sums stay in registers. */
+static ALWAYS_INLINE void combine_fours(const Table *table, const double *factors, const int32_t *rows,
+                                        Py_ssize_t count, Py_ssize_t first, Py_ssize_t p, int fours, Strips *out)
+{
+    Four x[2], y[2], z[2];
+    memset(x, 0, sizeof x), memset(y, 0, sizeof y), memset(z, 0, sizeof z);
+    for (Py_ssize_t k = 0; k < count; k++) {
+        const double *from = table->base + rows[k] * table->stride + first + p;
+        for (int n = 0; n < fours; n++) {
+            x[n] = plus_scaled(x[n], factors[k], load(from + 4 * n));
+            y[n] = plus_scaled(y[n], factors[k], load(from + table->apart + 4 * n));
+            z[n] = plus_scaled(z[n], factors[k], load(from + 2 * table->apart + 4 * n));
+        }
+    }
+    const size_t size = (size_t)fours * sizeof(Four);
+    memcpy(out->x + p, x, size), memcpy(out->y + p, y, size), memcpy(out->z + p, z, size);
+}
+
+/* Write Σ factor × row of a table in up to STRIP poses. All rows are in the table. */
+static ALWAYS_INLINE void combine(const Table *table, const double *factors, const int32_t *rows, Py_ssize_t count,
+                                  Py_ssize_t first, Py_ssize_t poses, Strips *out)
+{
+    Py_ssize_t p = 0;
+    for (; p + 8 <= poses; p += 8)
+        combine_fours(table, factors, rows, count, first, p, 2, out);
+    for (; p + 4 <= poses; p += 4)
+        combine_fours(table, factors, rows, count, first, p, 1, out);
+    for (; p < poses; p++) {
+        double x = 0.0, y = 0.0, z = 0.0;
+        for (Py_ssize_t k = 0; k < count; k++) {
+            const double *from = table->base + rows[k] * table->stride + first + p;
+            x += factors[k] * from[0], y += factors[k] * from[table->apart], z += factors[k] * from[2 * table->apart];
+        }
+        out->x[p] = x, out->y[p] = y, out->z[p] = z;
+    }
+}
+
+/* The entries of a row that are copied and checked at a time. */
+enum { WIDEST = 64 };
+
+/* Take up to WIDEST entries that are not 0, and check them. Return how many were looked at, −1 if a row is not in
+   the table. */
+static ALWAYS_INLINE Py_ssize_t take_entries(const Table *table, const double *values, const int32_t *columns,
+                                             Py_ssize_t count, double *factors, int32_t *rows, Py_ssize_t *taken)
+{
+    Py_ssize_t looked = 0;
+    for (*taken = 0; looked < count && *taken < WIDEST; looked++) {
+        const double factor = values[looked];
+        const int32_t row = columns[looked];
+        if (row < 0 || row >= table->count)
+            return -1;
+        if (factor != 0.0)
+            factors[*taken] = factor, rows[(*taken)++] = row;
+    }
+    return looked;
+}
+
+/* Write Σ value × row of a table in up to STRIP poses, for any number of entries. Return 1 for a stray row. */
+static ALWAYS_INLINE int combine_entries(const Table *table, const double *values, const int32_t *columns,
+                                         Py_ssize_t count, Py_ssize_t first, Py_ssize_t poses, Strips *out)
+{
+    double factors[WIDEST];
+    int32_t rows[WIDEST];
+    Py_ssize_t taken, looked = take_entries(table, values, columns, count, factors, rows, &taken);
+    if (looked < 0)
+        return 1;
+    combine(table, factors, rows, taken, first, poses, out);
+    for (Py_ssize_t done = looked; done < count; done += looked) {
+        Strips more;
+        looked = take_entries(table, values + done, columns + done, count - done, factors, rows, &taken);
+        if (looked < 0)
+            return 1;
+        combine(table, factors, rows, taken, first, poses, &more);
+        for (Py_ssize_t p = 0; p < poses; p++)
+            out->x[p] += more.x[p], out->y[p] += more.y[p], out->z[p] += more.z[p];
+    }
+    return 0;
+}
+
+static ALWAYS_INLINE void store_strips(const Strips *from, Py_ssize_t count, double *to, Py_ssize_t apart)
+{
+    memcpy(to, from->x, (size_t)count * sizeof(double));
+    memcpy(to + apart, from->y, (size_t)count * sizeof(double));
+    memcpy(to + 2 * apart, from->z, (size_t)count * sizeof(double));
+}
+
 /* ---- Linear blend skinning (twin: by_numpy.blend) ------------------------------------------------------ */
 
 enum { ENTRIES, COLUMNS, TABLE, BLENDED, BLEND_ARRAYS };
@@ -191,53 +316,29 @@ static const Requirement blend_arrays[BLEND_ARRAYS] = {
 };
 
 typedef struct {
-    const double *entries, *table;
+    Table table;
+    const double *entries;
     const int32_t *columns;
     double *out;
-    Py_ssize_t forms, rows, width, table_rows, poses;
+    Py_ssize_t forms, rows, width, poses;
 } Blend;
-
-/* Write one form of one vertex in up to STRIP poses. */
-static ALWAYS_INLINE void blend_strip(const Blend *b, const double *entries, const int32_t *columns, double *out,
-                                      Py_ssize_t first, Py_ssize_t count)
-{
-    const Py_ssize_t poses = b->poses, stride = b->rows * poses;
-    Strip x = {0}, y = {0}, z = {0};
-    for (Py_ssize_t k = 0; k < b->width; k++) {
-        const double entry = entries[k];
-        if (entry == 0.0)
-            continue;
-        const Components row = components(b->table, poses, 3 * poses * (Py_ssize_t)columns[k] + first);
-        for (Py_ssize_t p = 0; p < count; p++) {
-            x[p] += entry * row.x[p];
-            y[p] += entry * row.y[p];
-            z[p] += entry * row.z[p];
-        }
-    }
-    memcpy(out + first, x, (size_t)count * sizeof *x);
-    memcpy(out + stride + first, y, (size_t)count * sizeof *y);
-    memcpy(out + 2 * stride + first, z, (size_t)count * sizeof *z);
-}
-
-enum { WIDEST = 256 };
 
 FOR_PROCESSORS
 static int blend_rows(const Blend *b)
 {
-    int32_t columns[WIDEST];
-    for (Py_ssize_t row = 0; row < b->rows; row++) {
-        for (Py_ssize_t k = 0; k < b->width; k++) {
-            columns[k] = b->columns[row * b->width + k];
-            if (columns[k] < 0 || columns[k] >= b->table_rows)
-                return 1;
-        }
-        for (Py_ssize_t form = 0; form < b->forms; form++) {
+    Strips found;
+    for (Py_ssize_t form = 0; form < b->forms; form++)
+        for (Py_ssize_t row = 0; row < b->rows; row++) {
             const double *entries = b->entries + (form * b->rows + row) * b->width;
             double *out = b->out + (3 * form * b->rows + row) * b->poses;
-            for (Py_ssize_t first = 0; first < b->poses; first += STRIP)
-                blend_strip(b, entries, columns, out, first, least(STRIP, b->poses - first));
+            for (Py_ssize_t first = 0; first < b->poses; first += STRIP) {
+                const Py_ssize_t poses = least(STRIP, b->poses - first);
+                const int32_t *columns = b->columns + row * b->width;
+                if (combine_entries(&b->table, entries, columns, b->width, first, poses, &found))
+                    return 1;
+                store_strips(&found, poses, out + first, b->rows * b->poses);
+            }
         }
-    }
     return 0;
 }
 
@@ -251,12 +352,16 @@ static PyObject *blend(PyObject *Py_UNUSED(module), PyObject *args)
         return NULL;
     if (read_arrays(o, blend_arrays, BLEND_ARRAYS, a, sizes) < 0)
         goto done;
-    if (SIZE('W') > WIDEST) {
-        PyErr_Format(PyExc_ValueError, "columns has %zd columns; at most %d are possible", SIZE('W'), WIDEST);
-        goto done;
-    }
-    const Blend work = {DATA(ENTRIES), DATA(TABLE), DATA(COLUMNS), DATA(BLENDED), SIZE('F'),
-                        SIZE('B'),     SIZE('W'),   SIZE('R'),     SIZE('P')};
+    const Blend work = {
+        .table = {DATA(TABLE), SIZE('R'), 3 * SIZE('P'), SIZE('P')},
+        .entries = DATA(ENTRIES),
+        .columns = DATA(COLUMNS),
+        .out = DATA(BLENDED),
+        .forms = SIZE('F'),
+        .rows = SIZE('B'),
+        .width = SIZE('W'),
+        .poses = SIZE('P'),
+    };
     int stray;
     Py_BEGIN_ALLOW_THREADS
     stray = blend_rows(&work);
@@ -443,20 +548,17 @@ typedef struct {
 } Rows;
 
 typedef struct {
+    Table positions;
     Rows along_t, along_b;
-    const double *positions, *coefficients, *areas, *carried, *sides;
+    const double *coefficients, *areas, *carried, *sides;
     const float *sums;
     const int32_t *classes;
     const char *valid;
     double *normals;
     char *exist;
-    Py_ssize_t vertices, poses, block, class_count;
+    Py_ssize_t poses, block, class_count;
     double flat; /* a frame with a smaller sine is flat */
 } TrueNormals;
-
-typedef struct {
-    Strip x, y, z;
-} Strips;
 
 /* Differentiate positions along one row, in up to STRIP poses. */
 static ALWAYS_INLINE int differentiate(const TrueNormals *w, const Rows *rows, Py_ssize_t row, Py_ssize_t first,
@@ -465,20 +567,7 @@ static ALWAYS_INLINE int differentiate(const TrueNormals *w, const Rows *rows, P
     const int32_t from = rows->starts[row], to = rows->starts[row + 1];
     if (from < 0 || to < from || to > rows->entries)
         return 1;
-    memset(out, 0, sizeof *out);
-    for (int32_t n = from; n < to; n++) {
-        const int32_t column = rows->columns[n];
-        if (column < 0 || column >= w->vertices)
-            return 1;
-        const double value = rows->values[n];
-        const Components at = components(w->positions, w->vertices * w->poses, column * w->poses + first);
-        for (Py_ssize_t p = 0; p < count; p++) {
-            out->x[p] += value * at.x[p];
-            out->y[p] += value * at.y[p];
-            out->z[p] += value * at.z[p];
-        }
-    }
-    return 0;
+    return combine_entries(&w->positions, rows->values + from, rows->columns + from, to - from, first, count, out);
 }
 
 /* Return cof(F) n0 of unit length, NaN if there is none (reference.tangent_normals). rest: the coordinates of
@@ -515,10 +604,7 @@ static ALWAYS_INLINE void store_normals(const TrueNormals *w, Py_ssize_t truth, 
                                         const Strips *found)
 {
     const Py_ssize_t stride = w->block * w->poses;
-    double *normals = w->normals + 3 * truth * stride + at;
-    memcpy(normals, found->x, (size_t)count * sizeof(double));
-    memcpy(normals + stride, found->y, (size_t)count * sizeof(double));
-    memcpy(normals + 2 * stride, found->z, (size_t)count * sizeof(double));
+    store_strips(found, count, w->normals + 3 * truth * stride + at, stride);
     char *exist = w->exist + truth * stride + at;
     for (Py_ssize_t p = 0; p < count; p++)
         exist[p] = fabs(found->x[p]) <= DBL_MAX;
@@ -595,7 +681,7 @@ static PyObject *true_normals(PyObject *Py_UNUSED(module), PyObject *args)
     const TrueNormals work = {
         .along_t = {DATA(T_STARTS), DATA(T_COLUMNS), DATA(T_VALUES), SIZE('M')},
         .along_b = {DATA(B_STARTS), DATA(B_COLUMNS), DATA(B_VALUES), SIZE('N')},
-        .positions = DATA(DEFORMED),
+        .positions = {DATA(DEFORMED), SIZE('V'), SIZE('P'), SIZE('V') * SIZE('P')},
         .coefficients = DATA(COEFFICIENTS),
         .areas = DATA(AREAS),
         .carried = DATA(CARRIED),
@@ -605,7 +691,6 @@ static PyObject *true_normals(PyObject *Py_UNUSED(module), PyObject *args)
         .valid = DATA(VALID),
         .normals = DATA(NORMALS),
         .exist = DATA(EXIST),
-        .vertices = SIZE('V'),
         .poses = SIZE('P'),
         .block = SIZE('B'),
         .class_count = SIZE('C'),

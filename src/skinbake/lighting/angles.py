@@ -208,7 +208,7 @@ class Truths:
     def normals(
         self, number: int, deformed: Float64Array, sums: ClassSums | None, sides: Float64Array | None
     ) -> tuple[Float64Array, BoolArray]:
-        """Return the unit normals (U, 3, B, P) of a block by each truth of ``names``, and where they exist."""
+        """Return a block's unit normals (U, 3, B, P) by each truth of ``names``, and where they exist."""
         normals, exist = kernel.true_normals(self.frames, number, deformed, sides, sums)
         chosen = [number for number, truth in enumerate(Truth) if truth in self.names]
         return normals[chosen[0] : chosen[-1] + 1], exist[chosen[0] : chosen[-1] + 1]

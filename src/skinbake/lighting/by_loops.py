@@ -1,4 +1,4 @@
-"""The operations of verify's kernel by its compiled loops, with arrays of the types and layout that they read.
+"""The operations of verify's kernel by its compiled loops, with arrays of the layout that they read.
 
 The same operations in numpy, ``by_numpy``, describe the results.
 """
@@ -28,9 +28,9 @@ def class_sums(operator: GradientOperator, positions: Float64Array, part: slice)
     sums = np.empty((3, part.stop - part.start, positions.shape[2]), dtype=np.float32)
     _loops.class_sums(
         np.ascontiguousarray(positions, dtype=np.float64),
-        np.ascontiguousarray(operator.triangles, dtype=np.int32),
-        np.ascontiguousarray(operator.corners, dtype=np.int32),
-        np.ascontiguousarray(operator.ends[part.start : part.stop + 1], dtype=np.int64),
+        operator.triangles,
+        operator.corners,
+        operator.ends[part.start : part.stop + 1],
         sums,
         FLAT_TRIANGLE,
     )

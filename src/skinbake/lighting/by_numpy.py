@@ -1,4 +1,4 @@
-"""The operations of verify's kernel by whole arrays of numpy. They define the results of the compiled loops."""
+"""The operations of verify's kernel by whole arrays of numpy. They define the compiled loops' results."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def _dense(entries: Float64Array, columns: IntArray, table: Float64Array) -> Flo
 
 
 def class_sums(operator: GradientOperator, positions: Float64Array, part: slice) -> Float32Array:
-    """Return Σ angle × unit normal over the corners of some weld classes: (3, C, P), from positions (3, V, P).
+    """Return Σ angle × unit normal over the corners of some weld classes: (3, C, P).
 
     float32 halves the memory. Sums of unit vectors lose a millionth of a degree.
     """
@@ -112,7 +112,7 @@ def count_errors(
     sums = np.sum(values, axis=0, dtype=np.float64, where=counted)
     positive = np.where(weights > 0.0, weights, 0.0)
     largest = float(values.max(initial=-1.0))
-    pose, vertex = np.unravel_index(int(values.argmax()) if values.size else 0, values.shape or (1, 1))
+    pose, vertex = divmod(int(values.argmax()) if values.size else 0, max(1, errors.shape[1]))
     by_vertex = np.ascontiguousarray(values.T)
     kept = np.flatnonzero(by_vertex.ravel() >= max(least, 0.0))
     return CountedErrors(
@@ -121,8 +121,8 @@ def count_errors(
         weight=float(counted.sum(axis=0) @ positive),
         total=float(sums @ positive),
         largest=largest,
-        pose=int(pose),
-        vertex=int(vertex),
+        pose=pose,
+        vertex=vertex,
         tail=by_vertex.ravel()[kept],
         tail_weights=positive[kept // max(1, len(errors))],
     )

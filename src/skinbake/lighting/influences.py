@@ -24,6 +24,7 @@ from skinbake.geometry.skinned import (
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
+Int32Array: TypeAlias = npt.NDArray[np.int32]
 Int64Array: TypeAlias = npt.NDArray[np.int64]
 
 

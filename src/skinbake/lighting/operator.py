@@ -18,7 +18,7 @@ import numpy as np
 from skinbake.choices import Weighting
 from skinbake.errors import InputError
 from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray, IntArray, SkinnedPrimitive
-from skinbake.lighting.influences import Int64Array, carrying_slots, weight_field
+from skinbake.lighting.influences import Int32Array, Int64Array, carrying_slots, weight_field
 from skinbake.lighting.welds import weld_classes
 from skinbake.skinning.components import Vector, cross, dot, minus, scaled
 
@@ -51,12 +51,12 @@ class GradientOperator:
 
     counts: tuple[int, ...]
     positions: Float64Array
-    triangles: IntArray
-    classes: IntArray
+    triangles: Int32Array
+    classes: Int32Array
     weighting: Weighting
     totals: Float64Array
-    corners: IntArray
-    ends: IntArray
+    corners: Int32Array
+    ends: Int64Array
 
     @property
     def slices(self) -> list[slice]:

@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray, IntArray
+from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray
+from skinbake.lighting.influences import Int32Array
 from skinbake.lighting.operator import GradientOperator
 from skinbake.skinning.components import Vector, cross, dot, scaled
 
@@ -34,8 +35,8 @@ class SparseRows:
     starts (B + 1,) and columns are int32, values are float64. Several blocks share their entries.
     """
 
-    starts: IntArray
-    columns: IntArray
+    starts: Int32Array
+    columns: Int32Array
     values: Float64Array
 
     def matrix(self, columns: int) -> csr_array:
@@ -51,7 +52,8 @@ class SparseRows:
 class RestFrames:
     """The data of the rest pose that the truth by tangents needs.
 
-    parts are blocks of vertices. tangents are their derivatives along t0 and b0. coefficients (3, V): n0 in the rest frame (a, b, ĉ), with c = a × b, divided by |c|. areas (V,): |c|.
+    parts are blocks of vertices. tangents are their derivatives along t0 and b0. coefficients (3, V): n0 in
+    the rest frame (a, b, ĉ), with c = a × b, divided by |c|. areas (V,): |c|.
     valid (V,): the frame and n0 are usable. Under morph targets all fields but the first two change.
     """
 

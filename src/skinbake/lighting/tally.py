@@ -88,6 +88,7 @@ class ErrorTally:
         """Summarise the counted errors; None if there are none."""
         if self._worst is None or not self._samples:
             return None
+        # The figures of one primitive are those of its file, and need no second sorting.
         p95, p99 = self._tail.percentiles(self._weight)
         return ErrorSummary(
             mean=self._sum / self._weight,

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from skinbake.geometry.skinned import BoolArray, Float32Array, Float64Array, FloatArray, IntArray
+from skinbake.lighting.influences import Int32Array
 from skinbake.lighting.operator import GradientOperator
 from skinbake.lighting.reference import RestFrames, posed_tangents
 from skinbake.skinning.components import Vector, cross, dot, minus_scaled, scaled
@@ -119,7 +120,7 @@ class ClassSums:
     """
 
     carried: CarriedNormals
-    classes: IntArray
+    classes: Int32Array
     sums: Float32Array
 
 

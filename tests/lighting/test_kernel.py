@@ -1,0 +1,403 @@
+"""The two ways to measure lighting, compiled loops and whole arrays: one result, on good and on bad input."""
+
+from __future__ import annotations
+
+import runpy
+import shutil
+import subprocess
+import sys
+import sysconfig
+from collections.abc import Callable
+from importlib.machinery import ExtensionFileLoader
+from importlib.util import module_from_spec, spec_from_loader
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from skinbake.geometry.skinned import Float64Array
+from skinbake.lighting import by_numpy, kernel
+from skinbake.lighting.influences import Int32Array
+from skinbake.lighting.operator import GradientOperator, gradient_operator
+from skinbake.lighting.reference import RestFrames, rest_frames
+from skinbake.lighting.triangle_normals import ClassSums, carried_normals, class_blocks
+from tests.support.strictness import missing_tool
+from tests.support.surfaces import analytic_surface
+
+if not kernel.IS_COMPILED:
+    missing_tool("skinbake was installed without its compiled loops")
+
+from skinbake.lighting import _loops, by_loops
+
+SOURCE = Path(__file__).parents[2] / "src/skinbake/lighting/_loops.c"
+POSES = [1, 3, 4, 8, 13, 64, 65, 131]
+"""The loops take eight, four and one pose at a time, and at most 64 of them before they start again."""
+
+
+def deformed(positions: Float64Array, poses: int, seed: int = 0) -> Float64Array:
+    """Return positions (3, V, P) that linear maps and some noise move; in the last pose some are broken."""
+    rng = np.random.default_rng(seed)
+    maps = np.eye(3) + rng.uniform(-0.7, 0.7, (poses, 3, 3))
+    moved = np.einsum("pij,vj->ivp", maps, positions) + rng.uniform(-0.05, 0.05, (3, len(positions), poses))
+    moved[:, ::17, -1] = 0.25
+    moved[0, ::29, -1] = np.nan
+    moved[1, 5, -1] = np.inf
+    return np.ascontiguousarray(moved)
+
+
+class Mesh:
+    """A mesh with hard edges and normals that do not exist, at rest and in some poses."""
+
+    def __init__(self, poses: int) -> None:
+        primitive = analytic_surface(300, "jittered").primitive
+        self.positions = primitive.positions.astype(np.float64)
+        self.normals = primitive.normals.astype(np.float64)
+        self.normals[3] = 0.0
+        self.operator: GradientOperator = gradient_operator([primitive])
+        count = len(self.positions)
+        parts = tuple(slice(start, min(start + 57, count)) for start in range(0, count, 57))
+        self.rest: RestFrames = rest_frames(self.operator, self.positions, self.normals, parts=parts)
+        self.deformed = deformed(self.positions, poses)
+        carried = carried_normals(self.operator, self.rest, self.positions, self.normals)
+        blocks = class_blocks(self.operator, poses)
+        sums = [by_numpy.class_sums(self.operator, self.deformed, part) for part in blocks]
+        self.sums = ClassSums(carried, self.operator.classes, np.concatenate(sums, axis=1))
+
+
+@pytest.mark.parametrize("poses", POSES)
+@pytest.mark.parametrize(("forms", "slots"), [(1, 1), (2, 4), (5, 8), (2, 40)])
+def test_linear_blending_is_that_of_numpy(poses: int, forms: int, slots: int) -> None:
+    rng = np.random.default_rng(poses + slots)
+    table = rng.normal(size=(60, 3, poses))
+    columns = rng.integers(0, 60, (19, 4 * slots)).astype(np.int32)
+    entries = rng.normal(size=(forms, 19, 4 * slots)) * (rng.random((forms, 19, 4 * slots)) < 0.7)
+    entries[:, 4] = 0.0
+    found = by_loops.blend(entries, columns, table)
+    assert found == pytest.approx(by_numpy.blend(entries, columns, table), rel=1e-12, abs=1e-12)
+    directly = np.einsum("fvw,vwip->fivp", entries, table[columns])
+    assert found == pytest.approx(directly, rel=1e-12, abs=1e-12)
+
+
+@pytest.mark.parametrize("poses", POSES)
+def test_sums_at_weld_classes_are_those_of_numpy(poses: int) -> None:
+    mesh = Mesh(poses)
+    count = len(mesh.operator.ends) - 1
+    for part in (slice(0, count), slice(7, 8), slice(count // 2, count), slice(3, 3)):
+        found = by_loops.class_sums(mesh.operator, mesh.deformed, part)
+        expected = by_numpy.class_sums(mesh.operator, mesh.deformed, part)
+        assert found.shape == expected.shape == (3, part.stop - part.start, poses)
+        # Both are rounded to float32 at the end.
+        assert np.allclose(found, expected, rtol=2e-7, atol=1e-7, equal_nan=True)
+
+
+@pytest.mark.parametrize("sided", [False, True])
+@pytest.mark.parametrize("poses", POSES)
+def test_true_normals_are_those_of_numpy(poses: int, sided: bool) -> None:
+    mesh = Mesh(poses)
+    rng = np.random.default_rng(3)
+    missing = 0
+    for sums in (None, mesh.sums):
+        for number, part in enumerate(mesh.rest.parts):
+            shape = poses, part.stop - part.start
+            sides = np.where(rng.random(shape) < 0.5, -1.0, 1.0) if sided else None
+            found, exist = by_loops.true_normals(mesh.rest, number, mesh.deformed, sides, sums)
+            expected, there = by_numpy.true_normals(mesh.rest, number, mesh.deformed, sides, sums)
+            assert np.array_equal(exist, there)
+            assert found.shape == expected.shape == (1 if sums is None else 2, 3, *shape[::-1])
+            assert np.allclose(found, expected, rtol=0, atol=1e-10, equal_nan=True)
+            missing += int(np.count_nonzero(~exist))
+    assert missing, "some vertices are broken or have no n0"
+
+
+@pytest.mark.parametrize("truths", [1, 2])
+def test_angles_are_those_of_numpy(truths: int) -> None:
+    rng = np.random.default_rng(2)
+    measured = rng.normal(size=(3, 7, 83)) * 10.0 ** rng.uniform(-9, 9, (7, 83))
+    expected = rng.normal(size=(truths, 3, 7, 83))
+    # Nearly the same, nearly opposite, the same, opposite.
+    nearly = 10.0 ** rng.uniform(-12, 0, (3, 7, 20))
+    expected[0, :, :, :20] = measured[:, :, :20] / np.linalg.norm(measured[:, :, :20], axis=0) + nearly
+    expected[0, :, :, 20:30] = -expected[0, :, :, :10]
+    measured[:, 0, 30], measured[:, 1, 30], measured[:, 2, 30] = np.nan, 0.0, np.inf
+    measured[:, 3, 30] = 1e200
+    expected /= np.linalg.norm(expected, axis=1, keepdims=True)
+    expected[:, :, 4, 30] = np.nan
+    measured[:, 5, 30], expected[:, :, 5, 30] = [1, 0, 0], [1, 0, 0]
+    measured[:, 6, 30], expected[:, :, 6, 30] = [1, 0, 0], [-1, 0, 0]
+    components = tuple(component.T for component in measured)
+    found, plain = by_loops.angles(components, expected), by_numpy.angles(components, expected)
+    # float32 has seven digits. Its arctangent is another one than numpy's.
+    assert np.allclose(found, plain, rtol=6e-7, atol=0, equal_nan=True)
+    assert np.isnan(found[0, :5, 30]).all()
+    assert found[0, 5:, 30].tolist() == [0.0, 180.0]
+    across = np.linalg.norm(np.cross(measured, expected[0], axis=0), axis=0)
+    sane = np.isfinite(across) & (across > 0)
+    by_arctangent = np.degrees(np.arctan2(across, (measured * expected[0]).sum(axis=0)))
+    assert found[0][sane] == pytest.approx(by_arctangent[sane], rel=1e-5, abs=2e-6)
+
+
+def errors_to_count(seed: int) -> tuple[Any, Any, Any]:
+    """Few values, so that there are ties; some missing, some not valid, some without weight."""
+    rng = np.random.default_rng(seed)
+    rows, poses = 11, int(rng.integers(1, 40))
+    errors = np.round(rng.gamma(1.0, 3.0, (rows, poses)), 1).astype(np.float32)
+    errors[rng.random(errors.shape) < (0.02 if seed % 3 else 0.0)] = np.nan
+    weights = rng.random(rows) * (rng.random(rows) < 0.8)
+    valid = rng.random(errors.shape) < 0.9 if seed % 2 else None
+    return errors, weights, valid
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_counts_of_errors_are_those_of_numpy(seed: int) -> None:
+    errors, weights, valid = errors_to_count(seed)
+    mask = None if valid is None else valid.T
+    for least in (0.0, 2.0, 400.0):
+        found = by_loops.count_errors(errors.T, weights, mask, least)
+        expected = by_numpy.count_errors(errors.T, weights, mask, least)
+        for name in ("samples", "undefined", "largest", "pose", "vertex"):
+            assert getattr(found, name) == getattr(expected, name), name
+        assert found.weight == pytest.approx(expected.weight, rel=1e-12)
+        assert found.total == pytest.approx(expected.total, rel=1e-12)
+        assert np.array_equal(found.tail, expected.tail)
+        assert np.array_equal(found.tail_weights, expected.tail_weights)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_first_of_the_largest_errors_is_found(seed: int) -> None:
+    errors, weights, _ = errors_to_count(3 * seed)
+    counted = np.where(weights[:, None] > 0, errors, -1.0)
+    first = np.flatnonzero(counted.max() == counted.T)[0]
+    for count in (by_loops.count_errors, by_numpy.count_errors):
+        found = count(errors.T, weights, None, 0.0)
+        assert (found.pose, found.vertex) == divmod(int(first), len(errors))
+
+
+def test_errors_of_float64_are_counted_too() -> None:
+    errors, weights, _ = errors_to_count(0)
+    wide = by_loops.count_errors(errors.T.astype(np.float64), weights, None, 1.0)
+    assert wide.tail.dtype == np.float64
+    assert wide.total == pytest.approx(by_loops.count_errors(errors.T, weights, None, 1.0).total)
+
+
+def test_no_vertices_and_no_poses_are_no_errors() -> None:
+    for shape in ((0, 5), (5, 0)):
+        found = by_loops.count_errors(np.zeros(shape, dtype=np.float32).T, np.ones(shape[0]), None, 0.0)
+        assert (found.samples, found.largest, len(found.tail)) == (0, -1.0, 0)
+    assert (
+        by_loops.blend(np.zeros((2, 0, 4)), np.zeros((0, 4), dtype=np.int32), np.zeros((4, 3, 5))).size == 0
+    )
+
+
+def test_the_environment_can_ask_for_numpy(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert runpy.run_path(kernel.__file__)["IS_COMPILED"]
+    monkeypatch.setenv("SKINBAKE_KERNEL", "numpy")
+    chosen = runpy.run_path(kernel.__file__)
+    assert not chosen["IS_COMPILED"]
+    assert all(chosen[name] is getattr(by_numpy, name) for name in kernel.__all__)
+
+
+@pytest.mark.slow
+def test_without_any_optimisation_the_bits_are_the_same(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    compiler = shutil.which("cc")
+    if compiler is None:
+        missing_tool("there is no C compiler")
+    library = tmp_path / "_loops.so"
+    headers = f"-I{sysconfig.get_path('include')}"
+    plain = [compiler, "-std=c11", "-O0", "-ffp-contract=off", "-w", "-shared", "-fPIC", headers]
+    subprocess.run([*plain, str(SOURCE), "-o", str(library), "-lm"], check=True)
+    loader = ExtensionFileLoader("_loops", str(library))
+    specification = spec_from_loader("_loops", loader)
+    assert specification is not None
+    other = module_from_spec(specification)
+    mesh = Mesh(67)
+
+    def results() -> list[Any]:
+        normals, exist = by_loops.true_normals(mesh.rest, 1, mesh.deformed, None, mesh.sums)
+        part = mesh.rest.parts[1]
+        vectors = tuple(component[part].T for component in mesh.deformed)
+        errors = by_loops.angles(vectors, normals)
+        counted = by_loops.count_errors(errors[0].T, np.ones(part.stop - part.start), exist[0].T, 20.0)
+        sums = by_loops.class_sums(mesh.operator, mesh.deformed, part)
+        return [normals, exist, errors, sums, counted.tail, counted.total, counted.largest]
+
+    expected = results()
+    monkeypatch.setattr(by_loops, "_loops", other)
+    for found, wanted in zip(results(), expected, strict=True):
+        assert np.array_equal(found, wanted, equal_nan=np.asarray(wanted).dtype != np.bool_)
+
+
+def int32(*values: int) -> Int32Array:
+    return np.array(values, dtype=np.int32)
+
+
+class TestArguments:
+    """What the compiled loops are given by mistake is an exception, never memory read past its end."""
+
+    BLEND: tuple[Any, ...] = (
+        np.zeros((2, 5, 4)),
+        np.zeros((5, 4), np.int32),
+        np.zeros((6, 3, 7)),
+        np.zeros((2, 3, 5, 7)),
+    )
+    SUMS: tuple[Any, ...] = (
+        np.zeros((3, 4, 7)),
+        np.array([[0, 1, 2], [1, 2, 3]], np.int32),
+        int32(0, 1, 2, 3, 4, 5),
+        np.array([0, 2, 6]),
+        np.zeros((3, 2, 7), np.float32),
+        1e10,
+    )
+    TRUE: tuple[Any, ...] = (
+        *(int32(0, 1, 2), int32(0, 3), np.zeros(2)) * 2,
+        np.zeros((3, 4, 7)),
+        np.zeros((3, 2)),
+        np.zeros(2),
+        np.ones(2, np.bool_),
+        np.zeros((3, 2)),
+        int32(0, 1),
+        np.zeros((3, 2, 7), np.float32),
+        np.zeros((2, 7)),
+        np.zeros((2, 3, 2, 7)),
+        np.zeros((2, 2, 7), np.bool_),
+        1e-6,
+    )
+    ANGLES: tuple[Any, ...] = (
+        *[np.zeros((2, 7))] * 3,
+        np.zeros((2, 3, 2, 7)),
+        np.zeros((2, 2, 7), np.float32),
+    )
+    COUNT: tuple[Any, ...] = (
+        np.zeros((2, 7), np.float32),
+        np.ones(2),
+        np.ones((2, 7), np.bool_),
+        np.zeros(14, np.float32),
+        np.zeros(14, np.int32),
+        0.0,
+    )
+
+    CASES: tuple[tuple[Callable[..., Any], tuple[Any, ...], int, Any, type[Exception]], ...] = (
+        (_loops.blend, BLEND, 1, np.full((5, 4), 6, np.int32), IndexError),
+        (_loops.blend, BLEND, 1, np.full((5, 4), -1, np.int32), IndexError),
+        (_loops.blend, BLEND, 1, np.zeros((5, 4), np.int64), TypeError),
+        (_loops.blend, BLEND, 1, np.zeros((5, 3), np.int32), ValueError),
+        (_loops.blend, BLEND, 0, np.zeros((2, 5, 4), np.float32), TypeError),
+        (_loops.blend, BLEND, 0, np.zeros((2, 10, 4))[:, ::2], ValueError),
+        (_loops.blend, BLEND, 2, np.zeros((6, 4, 7)), ValueError),
+        (_loops.blend, BLEND, 3, np.zeros((2, 3, 5, 8)), ValueError),
+        (_loops.blend, BLEND, 3, np.zeros((3, 3, 5, 7)), ValueError),
+        (_loops.blend, BLEND, 3, None, TypeError),
+        (_loops.class_sums, SUMS, 1, np.array([[0, 1, 2], [1, 2, 4]], np.int32), IndexError),
+        (_loops.class_sums, SUMS, 1, np.array([[0, 1, 2], [1, -1, 3]], np.int32), IndexError),
+        (_loops.class_sums, SUMS, 1, np.zeros((2, 4), np.int32), ValueError),
+        (_loops.class_sums, SUMS, 2, int32(0, 1, 2, 3, 4, 6), IndexError),
+        (_loops.class_sums, SUMS, 2, int32(0, 1, 2, 3, 4, -3), IndexError),
+        (_loops.class_sums, SUMS, 3, np.array([0, 2, 7]), IndexError),
+        (_loops.class_sums, SUMS, 3, np.array([0, 2, 1]), IndexError),
+        (_loops.class_sums, SUMS, 3, np.array([-1, 2, 6]), IndexError),
+        (_loops.class_sums, SUMS, 3, np.array([0, 6]), ValueError),
+        (_loops.class_sums, SUMS, 3, np.zeros(0, np.int64), ValueError),
+        (_loops.class_sums, SUMS, 4, np.zeros((3, 2, 6), np.float32), ValueError),
+        (_loops.true_normals, TRUE, 0, int32(0, 1, 3), IndexError),
+        (_loops.true_normals, TRUE, 0, int32(0, 2, 1), IndexError),
+        (_loops.true_normals, TRUE, 0, int32(-1, 1, 2), IndexError),
+        (_loops.true_normals, TRUE, 0, int32(0, 2), ValueError),
+        (_loops.true_normals, TRUE, 1, int32(0, 4), IndexError),
+        (_loops.true_normals, TRUE, 1, int32(-1, 0), IndexError),
+        (_loops.true_normals, TRUE, 4, int32(9, 0), IndexError),
+        (_loops.true_normals, TRUE, 2, np.zeros(3), ValueError),
+        (_loops.true_normals, TRUE, 6, np.zeros((3, 4, 6)), ValueError),
+        (_loops.true_normals, TRUE, 10, None, ValueError),
+        (_loops.true_normals, TRUE, 11, int32(0, 2), IndexError),
+        (_loops.true_normals, TRUE, 11, int32(0, -1), IndexError),
+        (_loops.true_normals, TRUE, 12, None, ValueError),
+        (_loops.true_normals, TRUE, 13, np.zeros((7, 2)), ValueError),
+        (_loops.true_normals, TRUE, 14, np.zeros((1, 3, 2, 7)), ValueError),
+        (_loops.true_normals, TRUE, 15, np.zeros((2, 2, 7), np.int8), TypeError),
+        (_loops.angles, ANGLES, 0, np.zeros((2, 6)), ValueError),
+        (_loops.angles, ANGLES, 3, np.zeros((1, 3, 2, 7)), ValueError),
+        (_loops.angles, ANGLES, 4, np.zeros((2, 2, 7)), TypeError),
+        (_loops.count_errors, COUNT, 1, np.ones(3), ValueError),
+        (_loops.count_errors, COUNT, 2, np.ones((7, 2), np.bool_), ValueError),
+        (_loops.count_errors, COUNT, 3, np.zeros(13, np.float32), ValueError),
+        (_loops.count_errors, COUNT, 4, np.zeros(15, np.int32), ValueError),
+        (_loops.count_errors, COUNT, 0, np.zeros((2, 7)), TypeError),
+    )
+
+    def test_these_are_right(self) -> None:
+        for function, right in {case[0]: case[1] for case in self.CASES}.items():
+            function(*right)
+        counting: tuple[Any, ...] = (*self.COUNT[:2], None, *self.COUNT[3:])
+        _loops.count_errors(*counting)
+        by_tangents = (
+            *self.TRUE[:10],
+            None,
+            None,
+            None,
+            None,
+            np.zeros((1, 3, 2, 7)),
+            np.zeros((1, 2, 7), np.bool_),
+            1e-6,
+        )
+        _loops.true_normals(*by_tangents)
+
+    @pytest.mark.parametrize(("function", "right", "number", "value", "error"), CASES)
+    def test_wrong_ones_are_refused(
+        self,
+        function: Callable[..., Any],
+        right: tuple[Any, ...],
+        number: int,
+        value: Any,
+        error: type[Exception],
+    ) -> None:
+        with pytest.raises((error, BufferError) if error is ValueError else error):
+            function(*right[:number], value, *right[number + 1 :])
+
+
+RACE = """
+import threading
+import numpy as np
+from skinbake.lighting import _loops
+chance, V, P = np.random.default_rng(3), 4_000, 20
+positions = chance.normal(size=(3, V, P))
+triangles = chance.integers(0, V, (2 * V, 3)).astype(np.int32)
+corners, ends = np.arange(6 * V, dtype=np.int32), np.arange(0, 6 * V + 1, 6)
+columns, starts = chance.integers(0, V, 7 * V).astype(np.int32), np.arange(0, 7 * V + 1, 7, dtype=np.int32)
+classes = np.arange(V, dtype=np.int32)
+changing = [triangles, corners, ends, columns, starts, classes]
+kept = [array.copy() for array in changing]
+going = True
+
+def spoil():
+    chance = np.random.default_rng(7)
+    while going:
+        for array in changing:
+            array.ravel()[chance.integers(array.size, size=50)] = chance.choice([2**31 - 1, -1, V, -(2**31)])
+
+for turn in range(12):
+    for array, before in zip(changing, kept):
+        array[...] = before
+    sums = np.zeros((3, V, P), np.float32)
+    going, other = True, threading.Timer(0.0005 * turn, spoil)
+    other.start()
+    try:
+        _loops.class_sums(positions, triangles, corners, ends, sums, 1e10)
+        _loops.true_normals(
+            *(starts, columns, np.ones(7 * V)) * 2, positions, np.ones((3, V)), np.ones(V),
+            np.ones(V, np.bool_), np.ones((3, V)), classes, sums, None,
+            np.zeros((2, 3, V, P)), np.zeros((2, V, P), np.bool_), 1e-6)
+        _loops.blend(
+            np.ones((2, V, 7)), columns.reshape(V, 7), positions.reshape(V, 3, P), np.zeros((2, 3, V, P)))
+    except (IndexError, ValueError):
+        pass
+    going = False
+    other.join()
+"""
+
+
+def test_arrays_that_change_meanwhile_never_lead_the_loops_astray() -> None:
+    """Another thread writes to the arrays while the compiled loops, without the GIL, read them."""
+    process = subprocess.run([sys.executable, "-c", RACE], capture_output=True, timeout=120, check=False)
+    assert process.returncode == 0, process.stderr.decode()
