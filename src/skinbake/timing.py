@@ -1,4 +1,4 @@
-"""Time by stage, in seconds. Stages are recorded only if a caller asks for them."""
+"""Time by stage, in seconds, and word of each stage. Both only if a caller asks for them."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
+from dataclasses import dataclass
 from typing import TypeVar
 
 T = TypeVar("T")
@@ -42,6 +43,66 @@ class Timings:
 _recording: ContextVar[Timings | None] = ContextVar("_recording", default=None)
 
 
+@dataclass(frozen=True, slots=True)
+class Told:
+    """Word of work on a file: its stage, and how many steps of how many are done (0 of 0: it has none)."""
+
+    source: str
+    stage: str = ""
+    done: int = 0
+    total: int = 0
+
+
+Listener = Callable[[Told], None]
+"""A function that hears of the work. It is called often, and must return at once."""
+
+
+@dataclass(slots=True)
+class _Hearing:
+    """A listener, and the file and the stage that it heard of last."""
+
+    listener: Listener
+    told: Told
+
+
+_hearing: ContextVar[_Hearing | None] = ContextVar("_hearing", default=None)
+
+
+@contextmanager
+def heard(listener: Listener) -> Iterator[None]:
+    """Tell a listener of the work in the block, on this thread."""
+    token = _hearing.set(_Hearing(listener, Told("")))
+    try:
+        yield
+    finally:
+        _hearing.reset(token)
+
+
+def is_heard() -> bool:
+    """Tell whether anyone listens."""
+    return _hearing.get() is not None
+
+
+def tell(told: Told) -> None:
+    """Pass on word of work, for example from another process."""
+    hearing = _hearing.get()
+    if hearing is not None:
+        hearing.told = told
+        hearing.listener(told)
+
+
+def tell_file(source: str) -> None:
+    """Tell that work on a file begins. Stages and steps belong to it from now on."""
+    tell(Told(source))
+
+
+def tell_steps(done: int, total: int) -> None:
+    """Tell how many steps of the present stage are done."""
+    hearing = _hearing.get()
+    if hearing is not None:
+        tell(Told(hearing.told.source, hearing.told.stage, done, total))
+
+
 @contextmanager
 def recorded() -> Iterator[Timings]:
     """Record the stages that run in the block, on this thread."""
@@ -55,7 +116,11 @@ def recorded() -> Iterator[Timings]:
 
 @contextmanager
 def stage(name: str) -> Iterator[None]:
-    """Count the block's time as that of a stage. It costs almost nothing if no caller records."""
+    """Count the block's time as that of a stage, and tell of it. Both cost almost nothing unasked."""
+    hearing = _hearing.get()
+    # Between the first and the last step, the stage alternates with others many times a second.
+    if hearing is not None and not 0 < hearing.told.done < hearing.told.total:
+        tell(Told(hearing.told.source, name))
     timings = _recording.get()
     if timings is None:
         yield

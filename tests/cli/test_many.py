@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import pickle
@@ -388,14 +389,69 @@ class TestProgress:
 
     def test_a_log_gets_nothing(self, tmp_path: Path) -> None:
         models = [FOLDER / name for name in FIXTURES if name != "foreign_joints.glb"]
-        assert invoke("bake", *models, "--dry-run").stderr == ""
+        assert without_rate(invoke("bake", *models, "--dry-run").stderr) == ""
 
     def test_a_talkative_log_gets_a_line_now_and_then(self, tmp_path: Path) -> None:
         for number in range(30):
             shutil.copyfile(FOLDER / "seam.glb", tmp_path / f"{number:02}.glb")
         result = invoke("bake", tmp_path, "--dry-run", "-v")
         lines = [line for line in result.stderr.splitlines() if line.startswith("files: ")]
-        assert lines == ["files: 10 of 30, 1/s, 20 s left", "files: 20 of 30, 1/s, 10 s left"]
+        last = "files: 29 of 30, 0.967/s, 1 s left"
+        assert lines == ["files: 9 of 30, 0.9/s, 23 s left", "files: 19 of 30, 0.95/s, 12 s left", last]
+
+
+@pytest.fixture(scope="module")
+def large(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Bake a grid whose verification is long, so that its progress is shown at once."""
+    folder = tmp_path_factory.mktemp("large")
+    write_grid(folder / "grid.glb", grid_of(10_000))
+    assert invoke("bake", folder / "grid.glb", "-o", folder / "large.glb").exit_code == 0
+    return folder / "large.glb"
+
+
+@LINUX
+class TestTerminal:
+    """What a terminal shows of a process of its own, from the first second on."""
+
+    def shown(self, *arguments: str | Path) -> list[tuple[float, str]]:
+        """Return what a terminal gets on stderr, with the seconds since the start of the process."""
+        leader, follower = os.openpty()
+        environment = {**os.environ, "TERM": "xterm", "COLUMNS": "120"}
+        start, found = time.monotonic(), []
+        command = [sys.executable, "-m", "skinbake", *map(str, arguments)]
+        process = subprocess.Popen(command, stderr=follower, stdout=subprocess.DEVNULL, env=environment)
+        os.close(follower)
+        with contextlib.suppress(OSError):  # Linux says EIO where the process has closed its end
+            while text := os.read(leader, 100_000):
+                found.append((time.monotonic() - start, text.decode()))
+        os.close(leader)
+        assert process.wait() == 0, found
+        return found
+
+    def test_a_long_verify_tells_each_stage_and_its_poses(self, large: Path) -> None:
+        found = self.shown("verify", large, "--method", "lbs", "--poses", "random:40")
+        text = "".join(part for _, part in found)
+        for stage_name in ("gradient operator", "freshness"):
+            assert f"large.glb: {stage_name}" in text
+        assert "40/40" in text
+        # The first picture comes before any long stage is over.
+        assert text.index("large.glb") < text.index("large.glb: gradient operator")
+
+    @pytest.mark.parametrize("jobs", ["1", "2"])
+    def test_each_of_many_files_has_its_own_line(self, jobs: str, large: Path, tmp_path: Path) -> None:
+        names = [f"{letter}.glb" for letter in "abcdefgh"]
+        for name in names[:2]:
+            shutil.copyfile(large, tmp_path / name)
+        for name in names[2:]:
+            shutil.copyfile(FOLDER / "seam.glb", tmp_path / name)
+        baked = [tmp_path / name for name in names[2:]]
+        assert invoke("bake", *baked, "--in-place").exit_code == 0
+        found = self.shown("verify", tmp_path, "--method", "lbs", "--poses", "random:40", "--jobs", jobs)
+        text = "".join(part for _, part in found)
+        assert "0/8" in text
+        assert "8/8" in text
+        assert "a.glb" in text
+        assert "8 files: 8 passed" in text, "eight files have totals"
 
 
 FILES = 99

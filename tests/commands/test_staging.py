@@ -20,9 +20,10 @@ from skinbake.jobs.file_work import FileWork
 from skinbake.jobs.remote.staging import Staging
 from skinbake.jobs.remote.storages import expand_url
 from skinbake.jobs.work import Job
-from skinbake.lighting.measured import Progress, VerifyOptions
+from skinbake.lighting.measured import VerifyOptions
 from skinbake.report.bake import FileResult
 from skinbake.report.verify import FileVerdict
+from skinbake.timing import Told, heard
 from skinbake.urls import is_url, join_url
 from tests.support.baking import bake_file, bake_work
 from tests.support.libraries import (
@@ -67,9 +68,9 @@ def bake_one(
     return FileWork(bake_work(**options))(Job(source, target, within=within, elsewhere=there))
 
 
-def verify_one(source: str, options: VerifyOptions, progress: Progress | None = None) -> FileVerdict:
+def verify_one(source: str, options: VerifyOptions) -> FileVerdict:
     """Verify a file as one of many."""
-    return FileWork(verify.Verify(options, progress))(Job(source))
+    return FileWork(verify.Verify(options))(Job(source))
 
 
 def bake_all(names: list[str], source: str, target: str, **options: Any) -> list[FileResult]:
@@ -199,11 +200,12 @@ def test_verify_says_of_a_url_what_it_says_of_a_file(tmp_path: Path) -> None:
     options = VerifyOptions()
     for name in ("characters/bent_tube.glb", "shared/shared_accessors.gltf"):
         url, path = f"s3://b/out/{name}", str(tmp_path / "out" / name)
-        seen: set[str] = set()
-        verdict = verify_one(url, options, lambda what, *_, seen=seen: seen.add(what))
+        told: list[Told] = []
+        with heard(told.append):
+            verdict = verify_one(url, options)
         assert verdict.passed
         assert in_words(verdict, (url, "*")) == in_words(verify_file(path, options), (path, "*"))
-        assert seen == {url}
+        assert {one.source for one in told} == {url}
     stale = verify_one("s3://b/out/characters/gone.glb", options)
     assert str(stale.error) == "s3://b/out/characters/gone.glb: cannot be read: No such file or directory"
 

@@ -17,7 +17,7 @@ from skinbake.cli.limits import limit_options, memory_of_each
 from skinbake.cli.many import Clock, Reporting, Run, many_options, notes_of, state_path, work_through
 from skinbake.cli.names import STDIO
 from skinbake.cli.remote import cluster_option
-from skinbake.cli.runners import runner_of
+from skinbake.cli.runners import runner_of, seconds_of
 from skinbake.cli.targets import check_reports, check_target, in_turns, once, pair_up
 from skinbake.cli.writing import writing_of
 from skinbake.containment import Bounds, Within
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from skinbake.cli.console import Console
     from skinbake.cli.given import Given
     from skinbake.commands.bake import Baker
+    from skinbake.jobs.work import Runner
     from skinbake.report.bake import FileResult
 
 
@@ -193,16 +194,14 @@ def command(inputs: tuple[str, ...], **given: Unpack[Given]) -> None:
         else Job(entry.source, missing=entry.missing)
         for entry, target in targets
     ]
-    work = Bake(baker, writing_of(given))
     reporting = _reporting(given, say)
     clock.imports_done()
     turns = in_turns([entry for entry, _ in targets]) if out_dir else []
     guess = (SECONDS_A_FILE, SECONDS_A_BYTE)
-    run = Run(
-        jobs,
-        runner_of(given, [job.source for job in jobs], turns, MODULES, guess, say),
-        lambda progress: FileWork(work, notes.recipe, given["timings"], memory_of_each(given)),
-    )
+    sources = [job.source for job in jobs]
+    runner: Runner[Job, FileResult] = runner_of(given, sources, turns, MODULES, guess, say)
+    work = FileWork(Bake(baker, writing_of(given)), notes.recipe, given["timings"], memory_of_each(given))
+    run = Run(jobs, runner, work, seconds_of(sources, guess))
     sys.exit(work_through(run, reporting, given, say, clock, notes))
 
 

@@ -16,9 +16,11 @@ import click
 from skinbake.cli import exit_codes
 from skinbake.cli.console import Command, Console, json_text
 from skinbake.cli.progress import Progress
+from skinbake.cli.runners import LONG
 from skinbake.cli.targets import sync_option
 from skinbake.containment import flush
 from skinbake.errors import OutputError, Place
+from skinbake.timing import heard
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -31,8 +33,8 @@ if TYPE_CHECKING:
 
 STATE_NAME = ".skinbake-state.jsonl"
 
-MANY = 20
-"""The number of files up to which each file gets a line. For more files, one line gives the sum."""
+FEW = 5
+"""The number of files whose lines tell enough. If there are more, a last line has the totals."""
 
 ResultT = TypeVar("ResultT", bound="Result")
 
@@ -232,11 +234,12 @@ def notes_of(
 
 @dataclass(frozen=True, slots=True)
 class Run(Generic[ResultT]):
-    """The jobs of a command, their runner, and the work, which may report its progress."""
+    """The jobs of a command, their runner, the work, and the seconds that it takes, approximately."""
 
     jobs: Sequence[Job]
     runner: Runner[Job, ResultT]
-    work: Callable[[Progress], Work[Job, ResultT]]
+    work: Work[Job, ResultT]
+    seconds: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -306,14 +309,15 @@ def _outcomes(
         for one in kept:
             stack.enter_context(closing(one))
         try:
-            with Progress(say) as progress, closing(_told(run, tell, progress)) as results:
+            progress = Progress(say, len(run.jobs), at_once=run.seconds > LONG)
+            with progress, heard(progress.hear), closing(_told(run, tell, progress)) as results:
                 yield results
         except KeyboardInterrupt:
             if totals.files > 1:
                 say.note(closing_line(totals, clock.working, interrupted=True))
             raise
     say.listing(failure_lines(totals))
-    if totals.files > MANY or len(totals.failures) > 1 or (totals.files > 1 and say.verbosity > 0):
+    if totals.files > FEW or len(totals.failures) > 1 or (totals.files > 1 and say.verbosity > 0):
         say.note(closing_line(totals, clock.working))
 
 
@@ -323,9 +327,8 @@ def _told(
     """Yield the results in order as they come, each reported above the bar. Closing it ends the work."""
     from skinbake.jobs.runners import in_order
 
-    with closing(in_order(run.runner.run(run.work(progress), run.jobs))) as results:
-        for number, result in enumerate(results, 1):
+    with closing(in_order(run.runner.run(run.work, run.jobs))) as results:
+        for job, result in zip(run.jobs, results, strict=True):
             progress.print(partial(tell, result))
             yield result
-            if len(run.jobs) > 1:
-                progress.step("files", number, len(run.jobs))
+            progress.finish(job.source)

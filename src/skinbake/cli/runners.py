@@ -25,6 +25,9 @@ SECONDS_A_URL = 0.1
 WORTHWHILE = 0.5
 """The seconds of work from which other processes are started."""
 
+LONG = 1.0
+"""The seconds of work from which its progress is shown at once."""
+
 
 def runner_of(
     given: Given,
@@ -61,7 +64,7 @@ def chosen_runner(
 
     count = given["jobs"]
     alone = count == 1 or len(sources) == 1 or STDIO in sources
-    if limits is None and (alone or not _is_worthwhile(sources, guess)):
+    if limits is None and (alone or seconds_of(sources, guess) <= WORTHWHILE):
         return InThisProcess()
     from skinbake.jobs.processes import Limits, Processes, usable_cores
 
@@ -70,19 +73,14 @@ def chosen_runner(
     return FirstThese(turns, Processes(1, modules, limits), whole) if turns else whole
 
 
-def _is_worthwhile(sources: Sequence[str], guess: tuple[float, float]) -> bool:
-    """Tell whether the work is long enough to start processes for it."""
+def seconds_of(sources: Sequence[str], guess: tuple[float, float]) -> float:
+    """Return the approximate time that the work takes, or, if it is longer, LONG or more."""
     seconds = 0.0
     for source in sources:
         try:
             seconds += guess[0] + guess[1] * Path(source).stat().st_size
         except (OSError, ValueError):
             seconds += SECONDS_A_URL if is_url(source) else 0.0
-        if seconds > WORTHWHILE:
-            return True
-    return False
-
-
-def is_elsewhere(given: Given) -> bool:
-    """Tell whether even a single file gets another process."""
-    return bool(given["dask"] or given["timeout"] or given["isolate"])
+        if seconds > LONG:
+            break
+    return seconds

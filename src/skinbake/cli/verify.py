@@ -17,7 +17,7 @@ from skinbake.cli.inputs import expanded
 from skinbake.cli.limits import limit_options, memory_of_each
 from skinbake.cli.many import Clock, Reporting, Run, many_options, notes_of, state_path, work_through
 from skinbake.cli.remote import cluster_option
-from skinbake.cli.runners import is_elsewhere, runner_of
+from skinbake.cli.runners import runner_of, seconds_of
 from skinbake.cli.targets import check_reports
 from skinbake.containment import Bounds, Within
 from skinbake.errors import OutputError, Place
@@ -25,8 +25,7 @@ from skinbake.errors import OutputError, Place
 if TYPE_CHECKING:
     from typing import Unpack
 
-    from skinbake.cli.progress import Progress
-    from skinbake.jobs.file_work import FileWork
+    from skinbake.jobs.work import Runner
     from skinbake.lighting.measured import VerifyOptions
     from skinbake.report.verify import FileVerdict
 
@@ -170,14 +169,11 @@ def command(inputs: tuple[str, ...], **given: Unpack[VerifyGiven]) -> None:
     ]
     reporting = _reporting(given, say)
     clock.imports_done()
-    is_alone = len(jobs) == 1 and not is_elsewhere(given)
-
-    def work(progress: Progress) -> FileWork[FileVerdict]:
-        command = Verify(options, progress.step if is_alone else None)
-        return FileWork(command, notes.recipe, given["timings"], memory_of_each(given))
-
+    work = FileWork(Verify(options), notes.recipe, given["timings"], memory_of_each(given))
     guess = (SECONDS_A_FILE, SECONDS_A_BYTE)
-    run = Run(jobs, runner_of(given, [job.source for job in jobs], [], MODULES, guess, say), work)
+    sources = [job.source for job in jobs]
+    runner: Runner[Job, FileVerdict] = runner_of(given, sources, [], MODULES, guess, say)
+    run = Run(jobs, runner, work, seconds_of(sources, guess))
     sys.exit(work_through(run, reporting, given, say, clock, notes))
 
 

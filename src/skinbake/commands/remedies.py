@@ -102,7 +102,7 @@ def _measured(document: Document, options: VerifyOptions) -> FileVerdict:
     views, _ = baked_views(document, sources)
     surfaces = gathered_together(document, views)
     operators = [mesh_operator(document, surface) for surface in surfaces]
-    lighting = Lighting(document, replace(options, min_gain=None), lambda what, done, total: None)
+    lighting = Lighting(document, replace(options, min_gain=None))
     return lighting.measured(surfaces, operators)
 
 

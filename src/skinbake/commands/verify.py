@@ -14,17 +14,15 @@ from skinbake.gltf.primitives import PrimitiveSource, reason_to_skip, skinned_so
 from skinbake.gradients.normal_lean import lean_notices
 from skinbake.gradients.weight_sums import weight_sum_notices
 from skinbake.lighting.baked_views import BakedView, baked_views, gathered_together, is_baked
-from skinbake.lighting.measured import Lighting, Progress, VerifyOptions
+from skinbake.lighting.measured import Lighting, VerifyOptions
 from skinbake.lighting.staleness import freshness_check, mesh_operator
 from skinbake.report.verify import Check, FileVerdict
 from skinbake.timing import stage
 
 
-def verify_file(
-    source: str, options: VerifyOptions, progress: Progress | None = None, bounds: Bounds = BESIDE
-) -> FileVerdict:
+def verify_file(source: str, options: VerifyOptions, bounds: Bounds = BESIDE) -> FileVerdict:
     """Verify one file. Raises SkinbakeError if it cannot be read."""
-    verdict = _verify_file(source, options, progress or (lambda what, done, total: None), bounds)
+    verdict = _verify_file(source, options, bounds)
     verdict = replace(verdict, input=source)
     if options.warnings_as_errors and verdict.notices:
         problem = Check("warnings", "failed", verdict.notices)
@@ -32,7 +30,7 @@ def verify_file(
     return verdict
 
 
-def _verify_file(source: str, options: VerifyOptions, progress: Progress, bounds: Bounds) -> FileVerdict:
+def _verify_file(source: str, options: VerifyOptions, bounds: Bounds) -> FileVerdict:
     with stage("read"):
         document = read_document(source, bounds)
         wanted, lost, notices = _sorted_out(document)
@@ -53,7 +51,7 @@ def _verify_file(source: str, options: VerifyOptions, progress: Progress, bounds
         operators = [mesh_operator(document, surface) for surface in surfaces]
     with stage("freshness"):
         fresh = freshness_check(document, surfaces, operators)
-    lighting = Lighting(document, options, progress)
+    lighting = Lighting(document, options)
     verdict = lighting.measured(surfaces, operators)
     if fresh.outcome == "passed":
         with stage("remedies"):

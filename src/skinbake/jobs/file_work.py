@@ -10,7 +10,7 @@ from skinbake.gltf.budget import memory_limited
 from skinbake.gltf.document import STDIO
 from skinbake.jobs.boundary import survived
 from skinbake.jobs.work import Job, ResultT, changed
-from skinbake.timing import stage, timed
+from skinbake.timing import stage, tell_file, timed
 
 if TYPE_CHECKING:
     from skinbake.jobs import state
@@ -58,6 +58,7 @@ class FileWork(Generic[ResultT]):
 
     def __call__(self, job: Job) -> ResultT:
         """Return the result of the file."""
+        tell_file(job.source)
         with memory_limited(self.max_memory):
             if not self.is_timed:
                 return self._survived(job)

@@ -15,7 +15,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Generator, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass, field
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
@@ -28,6 +28,7 @@ from skinbake.errors import SkinbakeError
 from skinbake.jobs.boundary import survived
 from skinbake.jobs.logs import log_to_stderr
 from skinbake.jobs.work import JobT, ReturnT, Work
+from skinbake.timing import Told, heard, is_heard, tell
 
 if TYPE_CHECKING:
     from multiprocessing.context import ForkServerContext, SpawnContext
@@ -37,6 +38,9 @@ WINDOW = 4096
 
 QUICK = 0.05
 """Seconds: a worker that needs less time for a job is sent the next job before it asks."""
+
+TOLD_AFTER, TOLD_EVERY = 0.5, 0.25
+"""The seconds after which a worker first tells of a file, and between two words of it."""
 
 PATIENCE = 10.0
 """The seconds that a worker has for tidying up after it was told to stop."""
@@ -149,9 +153,12 @@ class _Pool(Generic[JobT, ReturnT]):
             for connection in ready:
                 worker = next(w for w in self._workers if w.connection is connection)
                 try:
-                    message: tuple[int, ReturnT, float] | None = worker.connection.recv()
+                    message: tuple[int, ReturnT, float] | Told | None = worker.connection.recv()
                 except (EOFError, OSError):
                     yield from self._bury(worker)
+                    continue
+                if isinstance(message, Told):
+                    tell(message)
                     continue
                 if not worker.is_warm:
                     worker.begun = time.monotonic()
@@ -319,7 +326,7 @@ def _started(context: SpawnContext | ForkServerContext, work: Work[JobT, ReturnT
     with _quiet_start():
         process = context.Process(
             target=_serve,
-            args=(there, work, limits, logging.getLogger().level, _handles_logs()),
+            args=(there, work, limits, logging.getLogger().level, _handles_logs(), is_heard()),
             daemon=True,
         )
         process.start()
@@ -359,7 +366,31 @@ def _no_interrupts() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _serve(connection: Connection, work: Work[JobT, ReturnT], limits: Limits, level: int, logs: bool) -> None:
+class _Relay:
+    """What a worker tells of files that take long: its newest word, a few times a second."""
+
+    def __init__(self, connection: Connection) -> None:
+        self._connection, self._source, self._due = connection, "", 0.0
+
+    def __call__(self, told: Told) -> None:
+        """Send the word to the process that shows it."""
+        now = time.monotonic()
+        if told.source != self._source:
+            self._source, self._due = told.source, now + TOLD_AFTER
+        elif now >= self._due:
+            self._due = now + TOLD_EVERY
+            with suppress(OSError):  # the other end has closed: the worker sees that next
+                self._connection.send(told)
+
+
+def _serve(
+    connection: Connection,
+    work: Work[JobT, ReturnT],
+    limits: Limits,
+    level: int,
+    logs: bool,
+    listens: bool,
+) -> None:
     """Do jobs as they arrive, until the pipe closes or a signal says stop. It is the main of a worker."""
     stopped = threading.Event()
     try:
@@ -369,11 +400,12 @@ def _serve(connection: Connection, work: Work[JobT, ReturnT], limits: Limits, le
         if limits.memory is not None:
             _limit_memory(limits.memory)
         connection.send(None)
-        while not stopped.is_set():
-            number, job = connection.recv()
-            message = _message(work, number, job)
-            if not stopped.is_set():  # an interrupt may have become another exception
-                connection.send_bytes(message)
+        with heard(_Relay(connection)) if listens else nullcontext():
+            while not stopped.is_set():
+                number, job = connection.recv()
+                message = _message(work, number, job)
+                if not stopped.is_set():  # an interrupt may have become another exception
+                    connection.send_bytes(message)
     except (EOFError, OSError, KeyboardInterrupt):
         pass  # the other end has closed, or this worker must stop
 

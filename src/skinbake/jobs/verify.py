@@ -9,7 +9,7 @@ from skinbake.commands.verify import verify_file
 from skinbake.errors import SkinbakeError
 from skinbake.jobs.elsewhere import elsewhere_of
 from skinbake.jobs.work import Job
-from skinbake.lighting.measured import Progress, VerifyOptions
+from skinbake.lighting.measured import VerifyOptions
 from skinbake.report.verify import FileVerdict
 
 if TYPE_CHECKING:
@@ -24,18 +24,17 @@ SECONDS_A_FILE, SECONDS_A_BYTE = 0.05, 2e-6
 
 @dataclass(frozen=True, slots=True)
 class Verify:
-    """Verify the source of a job. ``progress`` cannot be sent to another process."""
+    """Verify the source of a job."""
 
     undone: ClassVar[str] = "not verified"
     options: VerifyOptions
-    progress: Progress | None = None
 
     def result_of(self, job: Job, *, traced: bool) -> FileVerdict:
         """Verify the file. Raises SkinbakeError if it cannot be read. Nothing is written or traced."""
         there = elsewhere_of(job)
         if there is not None:
-            return there.verify_file(job.source, self.options, self.progress, job.within)
-        return verify_file(job.source, self.options, self.progress, job.within.bounds)
+            return there.verify_file(job.source, self.options, job.within)
+        return verify_file(job.source, self.options, job.within.bounds)
 
     def failed(self, job: Job, error: SkinbakeError) -> FileVerdict:
         """Return that the file could not be verified."""

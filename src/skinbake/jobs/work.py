@@ -12,7 +12,7 @@ from skinbake.errors import Notice, SkinbakeError
 if TYPE_CHECKING:
     from skinbake.commands.bake import Baker
     from skinbake.gltf.output import Writing
-    from skinbake.lighting.measured import Progress, VerifyOptions
+    from skinbake.lighting.measured import VerifyOptions
     from skinbake.report.bake import FileResult
     from skinbake.report.verify import FileVerdict
 
@@ -28,9 +28,7 @@ class Elsewhere(Protocol):
     ) -> FileResult:
         """Bake a file."""
 
-    def verify_file(
-        self, source: str, options: VerifyOptions, progress: Progress | None, within: Within
-    ) -> FileVerdict:
+    def verify_file(self, source: str, options: VerifyOptions, within: Within) -> FileVerdict:
         """Verify a file."""
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -40,7 +40,7 @@ from skinbake.report.verify import (
     gain,
 )
 from skinbake.skinning.surface import Options, RestSurface
-from skinbake.timing import stage
+from skinbake.timing import stage, tell_steps
 
 BYTES_A_SAMPLE = 32
 """The memory of one vertex in one pose, at most: its errors, while they may be among the largest."""
@@ -58,9 +58,6 @@ TRUE_CREASE_ANGLE = 15.0
 
 Of all four weightings, Max's weights are the nearest to analytic surfaces (docs/lighting.md).
 """
-
-Progress = Callable[[str, int, int], None]
-"""A function called with the name of the work, the number of poses done, and the number of all poses."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,8 +107,8 @@ _Tallies = dict[tuple[str, str], dict[str, ErrorTally]]
 class Lighting:
     """Measure the lighting of a document, mesh by mesh and skin by skin."""
 
-    def __init__(self, document: Document, options: VerifyOptions, progress: Progress) -> None:
-        self._document, self._options, self._progress = document, options, progress
+    def __init__(self, document: Document, options: VerifyOptions) -> None:
+        self._document, self._options = document, options
         with stage("poses"):
             self._clips = read_clips(document)
         self._done, self._total, self._identity = 0, 0, 0.0
@@ -238,7 +235,7 @@ class Lighting:
 
     def _advance(self, poses: int) -> None:
         self._done += poses
-        self._progress(self._document.name, self._done, self._total)
+        tell_steps(self._done, self._total)
 
     def _identity_check(self, drawn: Sequence[_Draw]) -> Check:
         remark = f"direct and accurate (algorithms 2 and 3) agree within {self._identity:.1g}°"

@@ -36,8 +36,7 @@ def unit_vectors(vector: Sequence[FloatArray]) -> list[FloatArray]:
     """Return unit vectors by components; NaN for a vector that is zero, not finite or too long to square."""
     with np.errstate(all="ignore"):
         square = cosine(vector, vector)
-        if square.max(initial=0.0) == np.inf:
-            square[square == np.inf] = np.nan
+        square[square == np.inf] = np.nan
         reciprocal = 1.0 / np.sqrt(square)
         return [reciprocal * component for component in vector]
 

@@ -37,7 +37,7 @@ from skinbake.urls import is_url, on_disk
 if TYPE_CHECKING:
     from skinbake.commands.bake import Baker
     from skinbake.gltf.output import Writing
-    from skinbake.lighting.measured import Progress, VerifyOptions
+    from skinbake.lighting.measured import VerifyOptions
     from skinbake.report.bake import FileResult
     from skinbake.report.verify import FileVerdict
 
@@ -99,13 +99,9 @@ class Staging:
         how = replace(how, make_folder=made)
         return _bake_between(start, goal, baker, how, within, self.workspace)
 
-    def verify_file(
-        self, source: str, options: VerifyOptions, progress: Progress | None, within: Within
-    ) -> FileVerdict:
+    def verify_file(self, source: str, options: VerifyOptions, within: Within) -> FileVerdict:
         """Verify one file, which may be a URL. Raises SkinbakeError if it cannot be read."""
-        return _verify_at(
-            self.end_of(source, within.bounds), options, progress, within.bounds, self.workspace
-        )
+        return _verify_at(self.end_of(source, within.bounds), options, within.bounds, self.workspace)
 
     def end_of(self, given: str, bounds: Bounds = BESIDE) -> End:
         """Return the end that a path or URL names. Raises InputError if a URL's driver is missing.
@@ -143,15 +139,9 @@ def _top(name: str) -> str:
     return "" if normal == "." else normal
 
 
-def _verify_at(
-    source: End, options: VerifyOptions, progress: Progress | None, given: Bounds, workspace: str | None
-) -> FileVerdict:
+def _verify_at(source: End, options: VerifyOptions, given: Bounds, workspace: str | None) -> FileVerdict:
     """Verify the file at an end, through a private folder if it is in a storage; may raise SkinbakeError."""
     from skinbake.commands.verify import verify_file
-
-    def advance(what: str, done: int, total: int) -> None:
-        if progress is not None:
-            progress(source.given, done, total)
 
     with _PrivateFolder(workspace) as folder:
         path = folder.fetch_input(source)
@@ -160,7 +150,7 @@ def _verify_at(
             if resource.array == "buffers":
                 folder.fetch_named(source, resource, bounds, with_content=True)
         naming = folder.naming((source, path))
-        return _named(lambda: verify_file(path, options, advance, bounds), naming)
+        return _named(lambda: verify_file(path, options, bounds), naming)
 
 
 def _bake_between(
