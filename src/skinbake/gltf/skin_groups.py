@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterable, Sequence
+from collections.abc import Container, Hashable, Iterable, Sequence
 
 from skinbake.errors import Notice, Place
 from skinbake.gltf.animation import read_skeleton
@@ -23,20 +23,21 @@ def meshes_of_one_skin(document: Document, meshes: Iterable[int]) -> tuple[list[
 
     Raises InputError if a skin cannot be read.
     """
-    drawn_by = _skins_by_mesh(document)
+    wanted = dict.fromkeys(meshes)
+    drawn_by = _skins_by_mesh(document, wanted.keys())
     groups: dict[Skins, list[int]] = {}
-    for mesh in dict.fromkeys(meshes):
+    for mesh in wanted:
         groups.setdefault(drawn_by[mesh], []).append(mesh)
     return list(groups.values()), _kept_apart(document, groups)
 
 
-def _skins_by_mesh(document: Document) -> dict[int, Skins]:
-    """Return the skins of each mesh; the first of equal skins stands for all of them."""
+def _skins_by_mesh(document: Document, meshes: Container[int]) -> dict[int, Skins]:
+    """Return the skins of each of the meshes; the first of equal skins stands for all of them."""
     # Some exporters write 3.0. Reading the primitives has checked that they are indices.
     pairs = [
         (int(node["mesh"]), int(node["skin"]))
         for node in document.objects("nodes")
-        if "mesh" in node and "skin" in node
+        if "skin" in node and node.get("mesh") in meshes
     ]
     first: dict[Hashable, int] = {}
     number = {

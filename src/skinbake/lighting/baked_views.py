@@ -17,6 +17,7 @@ from skinbake.geometry import frames
 from skinbake.geometry.skinned import Float64Array, FloatArray, SkinnedPrimitive
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject
+from skinbake.gltf.morphs import target_count
 from skinbake.gltf.primitives import PrimitiveSource, read_primitive
 from skinbake.gltf.skin_groups import meshes_of_one_skin
 from skinbake.gradients.baker import TANGENT_TOLERANCE
@@ -79,6 +80,19 @@ def gathered_together(document: Document, views: Sequence[BakedView]) -> list[li
     groups = [[mesh] for mesh in meshes]
     if any(_weld(view) == "skin" for view in views):
         groups, _ = meshes_of_one_skin(document, meshes)
+    return [[view for view in views if view.source.mesh in group] for group in groups]
+
+
+def whole_surfaces(document: Document, views: Sequence[BakedView]) -> list[list[BakedView]]:
+    """Return the views in the groups that the truths take as one surface, whatever the bake was told.
+
+    Meshes that the same skins draw are one surface. A mesh with morph targets is by itself, because each node
+    that draws it has its own weights for them. Groups and views keep their order.
+    """
+    meshes = list(dict.fromkeys(view.source.mesh for view in views))
+    plain = [mesh for mesh in meshes if not target_count(document, mesh)]
+    groups = meshes_of_one_skin(document, plain)[0] + [[mesh] for mesh in meshes if mesh not in plain]
+    groups.sort(key=lambda group: meshes.index(group[0]))
     return [[view for view in views if view.source.mesh in group] for group in groups]
 
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from skinbake.format.adoption import TINY_WEIGHT
 from skinbake.geometry.skinned import (
     BoolArray,
     Float32Array,
@@ -67,9 +68,11 @@ def influence_keys(primitives: Sequence[SkinnedPrimitive]) -> tuple[Int64Array, 
     """Write each vertex's influences in one canonical way.
 
     Returns joints (V, N) int64, ascending, and −1 if a vertex has fewer than N. Returns their weights (V, N)
-    float32, with 0 there.
+    float32, with 0 there. Influences of the weight that FLOAT slots adopt are left out: copies of a vertex in
+    two meshes may have adopted other joints, and are one point all the same.
     """
     field = weight_field(primitives).astype(np.float32)
+    field.data[field.data < 1.5 * TINY_WEIGHT] = 0.0
     field.eliminate_zeros()
     lengths = np.diff(field.indptr)
     rows = np.repeat(np.arange(field.shape[0]), lengths)

@@ -22,7 +22,7 @@ from skinbake.lighting.angles import (
     lighting_errors,
     not_rigid_joints,
 )
-from skinbake.lighting.baked_views import BakedView
+from skinbake.lighting.baked_views import BakedView, whole_surfaces
 from skinbake.lighting.influences import normalised_weights
 from skinbake.lighting.metrics import total_area
 from skinbake.lighting.morphing import morph_count, morphing_of
@@ -127,12 +127,13 @@ class Lighting:
         own.
         """
         with stage("gradient operator"):
+            whole = whole_surfaces(self._document, [view for views in meshes for view in views])
+            of_bake = {_views_key(views): one for views, one in zip(meshes, operators, strict=True)}
             true_ones = [
-                _true_operator(self._document, views, operator)
-                for views, operator in zip(meshes, operators, strict=True)
+                _true_operator(self._document, views, of_bake.get(_views_key(views))) for views in whole
             ]
         with stage("poses"):
-            drawn = list(self._drawn(meshes, true_ones))
+            drawn = list(self._drawn(whole, true_ones))
         not_rigid = list(dict.fromkeys(n for draw in drawn for n in _not_rigid(draw.rest, draw.poses)))
         methods = self._options.methods or (("lbs",) if not_rigid else ("lbs", "dqs"))
         reason = without_dqs(not_rigid)
@@ -310,12 +311,20 @@ class Lighting:
         return result
 
 
+def _views_key(views: Sequence[BakedView]) -> tuple[int, ...]:
+    return tuple(map(id, views))
+
+
 def _true_operator(
-    document: Document, views: Sequence[BakedView], operator: GradientOperator
+    document: Document, views: Sequence[BakedView], operator: GradientOperator | None
 ) -> GradientOperator:
-    """Return the operator of one surface with the settings of the truths, not of the bake."""
+    """Return the operator of one surface with the settings of the truths, not with those of the bake.
+
+    ``operator`` is the bake's own one, or None if the bake had other surfaces.
+    """
     noted = views[0].metadata
-    if noted["weighting"] == TRUE_WEIGHTING and math.isclose(noted["creaseAngle"], TRUE_CREASE_ANGLE):
+    usual = noted["weighting"] == TRUE_WEIGHTING and math.isclose(noted["creaseAngle"], TRUE_CREASE_ANGLE)
+    if operator is not None and usual:
         return operator
     return gradient_operator(
         [view.now for view in views],
