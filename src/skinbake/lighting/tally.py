@@ -8,11 +8,16 @@ import numpy as np
 
 from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray
 from skinbake.lighting import kernel
+from skinbake.lighting.influences import Int32Array
 
 _SHARES = (0.95, 0.99)
 
 # The number of samples that a tail gathers before it is shortened for the first time.
 _TAIL = 1 << 16
+
+# The bits of a positive float32 that its bin ignores, and the number of bins: 64 to each power of two.
+_SHIFT = 17
+_BINS = 1 << (31 - _SHIFT)
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +93,6 @@ class ErrorTally:
         """Summarise the counted errors; None if there are none."""
         if self._worst is None or not self._samples:
             return None
-        # The figures of one primitive are those of its file, and need no second sorting.
         p95, p99 = self._tail.percentiles(self._weight)
         return ErrorSummary(
             mean=self._sum / self._weight,
@@ -107,7 +111,8 @@ class ErrorTally:
 class _Tail:
     """The largest of weighted values. Together they have at least the needed weight.
 
-    Values below ``least`` cannot be among them.
+    Values below ``least`` cannot be among them. Once there are many values, the weight in each bin of values
+    tells which ones are needed.
     """
 
     def __init__(self, needed: float) -> None:
@@ -116,39 +121,59 @@ class _Tail:
         self._values: list[FloatArray] = []
         self._weights: list[Float64Array] = []
         self._count, self._limit = 0, _TAIL
+        self._bins: Float64Array | None = None
 
     def add(self, errors: FloatArray, weights: Float64Array) -> None:
         """Take the errors (N,), all of at least ``least``, that may be in the tail, and their weights."""
         self._values.append(errors)
         self._weights.append(weights)
         self._count += len(errors)
+        if self._bins is not None:
+            self._note(errors, weights)
         if self._count > self._limit:
             self._shorten()
 
+    def _note(self, values: FloatArray, weights: Float64Array) -> None:
+        """Add values to their bins, and raise ``least`` as far as the needed weight stays above it."""
+        if self._bins is None:
+            self._bins = np.zeros(_BINS)
+        self._bins += np.bincount(_bin_of(values), weights, minlength=_BINS)
+        above = np.cumsum(self._bins[::-1])
+        place = int(np.searchsorted(above, self._needed))
+        if place < _BINS:
+            # float64 values may be a little below the float32 that named their bin.
+            edge = np.array([(_BINS - 1 - place) << _SHIFT], dtype=np.int32).view(np.float32)[0]
+            self.least = float(edge) * (1.0 - 1e-6)
+
     def _shorten(self) -> None:
-        """Drop the smallest values as long as the others have the needed weight."""
+        """Drop the values below ``least``."""
         values, weights = np.concatenate(self._values), np.concatenate(self._weights)
-        share, total = 0.0, float(weights.sum())
-        if total > 0.0:
-            # This assumes that weights and values are independent. If they are not, it may not be enough.
-            share = 1.1 * self._needed / total
-        if len(values) and share < 0.9:
-            least = np.partition(values, -1 - int(share * len(values)))[-1 - int(share * len(values))]
-            chosen = values >= least
-            if float(np.sum(weights, where=chosen)) >= self._needed:
-                values, weights = values[chosen], weights[chosen]
-                self.least = float(least)
-        self._values, self._weights = [values], [weights]
-        self._count = len(values)
+        if self._bins is None:
+            self._note(values, weights)
+        chosen = values >= self.least
+        self._values, self._weights = [values[chosen]], [weights[chosen]]
+        self._count = len(self._values[0])
         self._limit = max(_TAIL, 2 * self._count)
 
     def percentiles(self, weight: float) -> list[float]:
         """Invert the cumulative weight of all values that were added, ``weight`` in total."""
-        self._shorten()
-        (values,), (weights,) = self._values, self._weights
-        order = np.argsort(values)
-        cumulative = np.cumsum(weights[order]) + max(0.0, weight - float(weights.sum()))
-        # Rounding may leave a sum a few units below its own share. That must not push a percentile up.
-        wanted = np.array(_SHARES) * weight * (1.0 - 1e-9)
-        places = np.minimum(np.searchsorted(cumulative, wanted), len(order) - 1)
-        return [float(value) for value in values[order][places]]
+        values, weights = np.concatenate(self._values), np.concatenate(self._weights)
+        places = _bin_of(values)
+        in_bins = np.bincount(places, weights, minlength=_BINS) if self._bins is None else self._bins
+        below = max(0.0, weight - float(in_bins.sum()))
+        cumulative = below + np.cumsum(in_bins)
+        found = []
+        for share in _SHARES:
+            # Rounding may leave a sum a few units below its own share. That must not push a percentile up.
+            wanted = share * weight * (1.0 - 1e-9)
+            own = min(int(np.searchsorted(cumulative, wanted)), int(places.max()))
+            inside = np.flatnonzero(places == own)
+            order = inside[np.argsort(values[inside])]
+            sums = (cumulative[own - 1] if own else below) + np.cumsum(weights[order])
+            found.append(float(values[order[min(int(np.searchsorted(sums, wanted)), len(order) - 1)]]))
+        return found
+
+
+def _bin_of(values: FloatArray) -> Int32Array:
+    """Return the bin of each value: the exponent and the first bits of its float32."""
+    return np.abs(values).astype(np.float32).view(np.int32) >> _SHIFT
