@@ -158,3 +158,21 @@ def test_a_buffer_outside_is_refused_where_nothing_reads_it(
         assert "--allow-outside DIR" in result.stderr
         allowed = invoke(command, source, "-o", goal, "--allow-outside", tmp_path)
         assert allowed.exit_code == 0, allowed.output
+
+
+def test_a_view_that_ends_in_the_padding_of_the_chunk_is_refused(tmp_path: Path) -> None:
+    """The bytes of a bake stood behind it, and no strip could cut them off again."""
+    source, goal = write_model(tmp_path / "m.glb", [sheet()]), tmp_path / "out.glb"
+    model = read(source)
+    data = model.binary_chunk or b""
+    model.content["bufferViews"].append({"buffer": 0, "byteOffset": len(data), "byteLength": 4})
+    model.content["buffers"] = [{"byteLength": len(data) + 3}]
+    source.write_bytes(pack_glb(model.content, data + bytes(3)))
+    result = invoke("bake", source, "-o", goal)
+    assert result.exit_code == 3, result.output
+    assert f"it ends at byte {len(data) + 4} of buffer 0, which has {len(data) + 3}" in result.stderr
+    model.content["bufferViews"][-1]["byteLength"] = 3
+    source.write_bytes(pack_glb(model.content, data + bytes(3)))
+    assert invoke("bake", source, "-o", goal).exit_code == 0
+    assert invoke("strip", goal, "-o", tmp_path / "again.glb").exit_code == 0
+    assert (tmp_path / "again.glb").read_bytes() == source.read_bytes()

@@ -191,8 +191,12 @@ class Additions:
         """Return the note of the former buffer."""
         if not self._into_binary:
             return {BUFFER_ADDED: True}
+        return {BUFFER_LENGTH: self._former_length()}
+
+    def _former_length(self) -> int:
+        """Return what the document says of the length of buffer 0: the chunk may have padding behind it."""
         buffer = self._document.objects("buffers")[0]
-        return {BUFFER_LENGTH: integer(buffer, "byteLength", self._document.place)}
+        return integer(buffer, "byteLength", self._document.place)
 
     def applied(self, changes: Mapping[str, Any]) -> Document:
         """Return the document with the additions, and with top-level ``changes`` in its JSON.
@@ -200,8 +204,8 @@ class Additions:
         Raises InputError if an addition would become the target of a broken reference, or if a buffer view is
         not valid: ``strip`` could not remove the additions again.
         """
-        grows_from = self._base if self._into_binary else None
-        check_views(self._document.objects("bufferViews"), grows_from, self._document.place)
+        former = min(self._base, self._former_length()) if self._into_binary else None
+        check_views(self._document.objects("bufferViews"), former, self._document.place)
         root = {**self._document.json, **changes}
         for key, added in (("accessors", self._accessors), ("bufferViews", self._views)):
             if added:

@@ -51,10 +51,10 @@ def buffers_in_use(root: object) -> set[int]:
     return {number for number in found if number is not None}
 
 
-def check_views(views: Sequence[JsonObject], grows_from: int | None, place: Place) -> None:
+def check_views(views: Sequence[JsonObject], length: int | None, place: Place) -> None:
     """Raise InputError if a buffer view does not name its bytes, or would reach into added ones.
 
-    ``grows_from`` is the length of buffer 0 if bytes are added at its end.
+    ``length`` is that of buffer 0, without padding behind it, if bytes are added at its end.
     """
     for number, view in enumerate(views):
         where = place.at(f"buffer view {number}")
@@ -64,8 +64,8 @@ def check_views(views: Sequence[JsonObject], grows_from: int | None, place: Plac
             buffer = integer(holder, "buffer", where)
             start = integer(holder, "byteOffset", where, default=0)
             end = start + integer(holder, "byteLength", where, minimum=1)
-            if buffer == 0 and grows_from is not None and end > grows_from:
-                raise InputError(f"it ends at byte {end} of buffer 0, which has {grows_from}", where)
+            if buffer == 0 and length is not None and end > length:
+                raise InputError(f"it ends at byte {end} of buffer 0, which has {length}", where)
 
 
 def refuse_dangling(root: JsonObject, key: str, added: int, place: Place) -> None:
