@@ -7,6 +7,7 @@ import sys
 import time
 from pathlib import Path
 
+from fuzz.aimed import aimed_cases
 from fuzz.batches import FINDS, Plan, Totals, run_all
 from fuzz.log import LOG, note
 from fuzz.seeds import all_seeds
@@ -28,7 +29,8 @@ def main() -> int:
     models = all_seeds(given.corpus)
     first = given.seed if given.seed is not None else int(time.time()) * 10_000
     begun = time.monotonic()
-    totals = run_all(Plan(models, first, given.minutes * 60, given.workers, given.runs, given.finds))
+    seconds, aimed = given.minutes * 60, aimed_cases(models)
+    totals = run_all(Plan(models, first, seconds, given.workers, given.runs, given.finds, aimed=aimed))
     seconds = time.monotonic() - begun
     note("commands", executions=totals.runs, seconds=seconds, seed=first, finds=totals.finds, log=given.log,
          models=len(models), codes=dict(totals.codes))  # fmt: skip

@@ -22,11 +22,11 @@ from pathlib import Path
 
 from fuzz.cases import Case, make_case
 from fuzz.models import Model
-from fuzz.running import Find, Runner
+from fuzz.running import CPU_SECONDS, Find, Runner
 from fuzz.shortcuts import remember_what_never_changes
 
 BATCH = 1000
-HANG_SECONDS = 40.0
+HANG_SECONDS, PATIENCE = 40.0, 15
 ADDRESS_SPACE = 8 << 30
 REPOSITORY = Path(__file__).resolve().parents[1]
 FINDS = REPOSITORY / "fuzz" / "finds"
@@ -43,7 +43,10 @@ class Totals:
 
 @dataclass
 class _Batch:
-    """A child at work: its process, the seed it is at, the first that it leaves, and where its faults go."""
+    """A child at work: its process, the seed it is at, the first that it leaves, and where its faults go.
+
+    ``heard`` is when it last said something, ``spent`` the processor's time that it had taken by then.
+    """
 
     process: int
     reader: int
@@ -51,6 +54,7 @@ class _Batch:
     end: int
     heard: float
     faults: Path
+    spent: float = 0.0
     rest: bytes = b""
 
 
@@ -58,7 +62,7 @@ class _Batch:
 class Plan:
     """What to run: seeds from ``first`` until ``seconds`` are over, or ``most`` done, ``workers`` at once.
 
-    around wraps the work of each child: coverage is measured so.
+    around wraps the work of each child: coverage is measured so. ``aimed`` cases run before all others.
     """
 
     models: Sequence[Model]
@@ -68,6 +72,11 @@ class Plan:
     most: int | None = None
     finds: Path = FINDS
     around: Callable[[Callable[[], None]], None] | None = None
+    aimed: Sequence[Case] = ()
+
+    def case(self, seed: int) -> Case:
+        """Return the case of a seed; those below 0 are the aimed ones."""
+        return self.aimed[-1 - seed] if seed < 0 else make_case(seed, self.models)
 
 
 def preload() -> None:
@@ -100,12 +109,12 @@ def run_all(plan: Plan) -> Totals:
     end = time.monotonic() + plan.seconds
     last = plan.first + plan.most if plan.most is not None else None
     following = plan.first
-    waiting: list[tuple[int, int]] = []
+    waiting = [(-len(plan.aimed), 0)] if plan.aimed else []
     at_work: dict[int, _Batch] = {}
     selector = selectors.DefaultSelector()
     try:
         while True:
-            while len(at_work) < plan.workers and time.monotonic() < end:
+            while len(at_work) < plan.workers and (waiting or time.monotonic() < end):
                 if not waiting:
                     stop = following + BATCH if last is None else min(following + BATCH, last)
                     if stop <= following:
@@ -136,18 +145,35 @@ def _listen(
     for key, _ in selector.select(timeout=1.0):
         batch = at_work[key.fd]
         data = os.read(key.fd, 1 << 16)
-        batch.heard = time.monotonic()
+        batch.heard, batch.spent = time.monotonic(), _spent(batch.process)
         *lines, batch.rest = (batch.rest + data).split(b"\n")
         for line in lines:
             _take(totals, batch, line.decode())
         if not data:
             _ended(plan, totals, batch, selector, at_work, waiting, hung=False)
     for batch in list(at_work.values()):
-        if time.monotonic() - batch.heard > HANG_SECONDS:
+        if _hangs(batch):
             os.kill(batch.process, signal.SIGUSR1)  # faulthandler says where it is
             time.sleep(0.3)
             os.kill(batch.process, signal.SIGKILL)
             _ended(plan, totals, batch, selector, at_work, waiting, hung=True)
+
+
+def _hangs(batch: _Batch) -> bool:
+    """Tell whether a child is silent though it had the processor, or for very long: machines may be busy."""
+    silent = time.monotonic() - batch.heard
+    if silent < HANG_SECONDS:
+        return False
+    return silent > PATIENCE * HANG_SECONDS or _spent(batch.process) - batch.spent > CPU_SECONDS
+
+
+def _spent(process: int) -> float:
+    """Return the processor's time that a child has taken, 0 where the system does not say."""
+    try:
+        fields = Path(f"/proc/{process}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
+    except OSError:
+        return 0.0
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def _take(totals: Totals, batch: _Batch, line: str) -> None:
@@ -188,7 +214,7 @@ def _ended(
     code = (
         "" if hung else f" signal {os.WTERMSIG(status)}" if os.WIFSIGNALED(status) else f" exit {status >> 8}"
     )
-    case = make_case(batch.at, plan.models)
+    case = plan.case(batch.at)
     totals.runs += 1
     totals.codes[f"{case.arguments[0]} {kind}"] += 1
     totals.finds[keep(plan.finds, case, Find(kind, f"{case.arguments[0]}{code} {line}", told))] += 1
@@ -229,12 +255,12 @@ def _work(plan: Plan, seeds: tuple[int, int], room: Path, writer: int, end: floa
     lines: list[str] = []
     for seed in range(*seeds):
         os.write(writer, "".join([*lines, f"s {seed}\n"]).encode())
-        case = make_case(seed, plan.models)
+        case = plan.case(seed)
         outcome, finds = runner.run(case)
         lines = [f"d {case.arguments[0]} {outcome.code}\n"]
         lines += [f"f {keep(plan.finds, case, find)}\n" for find in finds]
         heavy = any(find.kind == "memory" for find in finds)
-        if heavy or time.monotonic() > end:
+        if heavy or (seed >= 0 and time.monotonic() > end):
             lines.append(f"e {seed + 1}\n")
             break
     os.write(writer, "".join(lines).encode())

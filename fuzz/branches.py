@@ -20,6 +20,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+from fuzz.aimed import aimed_cases
 from fuzz.batches import FINDS, Plan, run_all
 from fuzz.explained import EXPLAINED
 from fuzz.log import LOG, note
@@ -54,8 +55,9 @@ def main() -> int:
         whole = measurement(folder / f"imports-{given.seed}")  # before the children are made
         whole.start()
         plan = Plan(
-            models, given.seed, given.minutes * 60, given.workers, finds=FINDS, around=_around(folder, whole)
-        )
+            models, given.seed, given.minutes * 60, given.workers, finds=FINDS, around=_around(folder, whole),
+            aimed=aimed_cases(models),
+        )  # fmt: skip
         totals = run_all(plan)
         whole.stop()
         whole.save()

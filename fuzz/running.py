@@ -206,7 +206,8 @@ class Runner:
         finds = []
         written = _files("out")
         for path in [*written, *_files("in")]:
-            if Path(path).name.startswith(".skinbake-") and path.endswith(".tmp"):
+            is_given = f"../{path}" in case.files
+            if Path(path).name.startswith(".skinbake-") and path.endswith(".tmp") and not is_given:
                 finds.append(Find("leftover", case.arguments[0], path))
         for path in written:
             if SECRET in Path(path).read_bytes():

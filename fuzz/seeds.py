@@ -219,12 +219,18 @@ def made_seeds(models: list[Model]) -> list[Model]:
     """Return models with filters of meshopt, an edgebreaker stream, strips, fans, splines and steps."""
     named = {model.name: model for model in models}
     plain, morphed = named["small-bent_tube.glb"], named["small-morphed_sheet.glb"]
-    edgebreaker = _edgebreaker(plain)
-    made = [_filtered(plain, "EXT"), _filtered(plain, "KHR"), edgebreaker, _strips(plain), _cubic(plain)]
+    edgebreaker = edgebreaker_twin(plain)
+    made = [
+        filtered_twin(plain, "EXT"),
+        filtered_twin(plain, "KHR"),
+        edgebreaker,
+        _strips(plain),
+        _cubic(plain),
+    ]
     return [*made, *directed_seeds(plain, morphed, edgebreaker)]
 
 
-def _filtered(model: Model, prefix: str) -> Model:
+def filtered_twin(model: Model, prefix: str) -> Model:
     """Return the model with views under each of meshopt's filters: any bytes decode to something."""
     import meshopt
 
@@ -268,7 +274,7 @@ def _filtered(model: Model, prefix: str) -> Model:
     return made
 
 
-def _edgebreaker(model: Model) -> Model:
+def edgebreaker_twin(model: Model) -> Model:
     """Return the model with its first primitive in a stream of Draco's other method."""
     import DracoPy
 

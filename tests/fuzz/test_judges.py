@@ -6,15 +6,19 @@ import json
 import os
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
 
+from fuzz import batches
+from fuzz.aimed import aimed_cases
 from fuzz.batches import keep
 from fuzz.cases import Case, load, make_case
 from fuzz.models import GLB, read_model
 from fuzz.replay import smaller
 from fuzz.running import Find
+from fuzz.seeds import plain_seeds
 from fuzz.watching import Watch
 
 FIXTURES = Path(__file__).resolve().parents[2] / "fixtures"
@@ -99,6 +103,38 @@ def test_a_case_is_kept_whole_and_once(tmp_path: Path) -> None:
     names = {keep(tmp_path, case, Find("defect", "KeyError a.py:f:1", "text")) for _ in range(2)}
     assert len(names) == 1
     assert load(tmp_path / names.pop()) == case
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the processor's time is read from /proc")
+@pytest.mark.parametrize(
+    ("program", "hangs"), [("while True: pass", True), ("import time; time.sleep(60)", False)]
+)
+def test_only_what_has_the_processor_hangs(
+    program: str, hangs: bool, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """A silent child that waits is given more time: the machine may have no processor for it."""
+    monkeypatch.setattr(batches, "HANG_SECONDS", 1.0)
+    monkeypatch.setattr(batches, "CPU_SECONDS", 0.3)
+    with subprocess.Popen([sys.executable, "-c", program]) as child:
+        try:
+            at_work = batches._Batch(child.pid, 0, 0, 1, time.monotonic(), tmp_path / "faults")
+            assert not batches._hangs(at_work)
+            time.sleep(4)
+            assert batches._hangs(at_work) == hangs
+            at_work.heard -= batches.PATIENCE
+            assert batches._hangs(at_work)
+        finally:
+            child.kill()
+
+
+def test_aimed_cases_end_in_documented_ways(tmp_path: Path) -> None:
+    """Each aimed case is a seed below 0, and runs before all others."""
+    models = [model for model in plain_seeds() if "directed" in model.name][:2]
+    aimed = aimed_cases(models)
+    plan = batches.Plan(models, 5, 60.0, 1, most=1, finds=tmp_path, aimed=aimed)
+    assert [plan.case(seed) for seed in range(-1, -4, -1)] == aimed[:3]
+    assert plan.case(5) == make_case(5, models)
+    assert len({(case.about, case.arguments) for case in aimed}) == len(aimed)
 
 
 def test_a_case_is_cut_down_to_what_its_find_needs() -> None:

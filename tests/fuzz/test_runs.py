@@ -45,7 +45,10 @@ def test_damaged_models_end_in_documented_ways(tmp_path: Path) -> None:
         tmp_path, "fuzz", "--seed", "1", "--runs", "300", "--workers", "2", "--finds", str(tmp_path / "finds")
     )
     assert process.returncode == 0, process.stdout + process.stderr
-    assert [(line["kind"], line["executions"], line["finds"]) for line in lines] == [("commands", 300, {})]
+    (line,) = lines
+    assert (line["kind"], line["finds"]) == ("commands", {})
+    assert isinstance(line["executions"], int)
+    assert line["executions"] > 300  # the aimed cases too
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="calls are caught by LD_PRELOAD")

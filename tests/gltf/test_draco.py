@@ -332,6 +332,23 @@ class TestEncoder:
         found = self.decoded(draco_stream.encode(arrays, self.faces, PLACE, level=7, bits={"NORMAL": 10}))
         assert found["NORMAL"].tobytes() == arrays["NORMAL"].tobytes()
 
+    @pytest.mark.parametrize(
+        ("change", "message"),
+        [
+            ({"POSITION": np.zeros((8, 2), np.float32)}, "POSITION: it has 2 components, 3 are needed"),
+            ({"POSITION": np.zeros((3, 3), np.float32)}, "JOINTS_0: it has 8 elements, POSITION has 3"),
+            ({"TEXCOORD_0": np.zeros((7, 2), np.float32)}, "TEXCOORD_0: it has 7 elements, POSITION has 8"),
+            (None, "indices: index 8 is too large for 8 vertices"),
+        ],
+    )
+    def test_gives_the_encoder_no_array_that_it_would_read_past(
+        self, change: dict[str, Any] | None, message: str
+    ) -> None:
+        faces = self.faces if change else np.array([[0, 1, 8]])
+        with pytest.raises(InputError) as refusal:
+            draco_stream.encode({**self.arrays(8), **(change or {})}, faces, PLACE, level=7)
+        assert message in str(refusal.value)
+
     @pytest.mark.parametrize("bits", [8, 11, 14, 16])
     def test_puts_quantised_floats_back_on_their_grid(self, bits: int) -> None:
         """The values come from Draco's own quantisation; the stream is smaller than one of plain floats."""

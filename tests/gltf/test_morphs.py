@@ -160,7 +160,6 @@ def test_weights_at_rest_are_the_node_s_else_the_mesh_s_else_zero() -> None:
     assert weights_of(mesh=[0.5, -1]) == [0.5, -1.0]
     assert weights_of(mesh=[0.5, -1], node=[2, 0.25]) == [2.0, 0.25]
     assert weights_of(node=[2, 0.25]) == [2.0, 0.25]
-    assert resting_weights(face([{"POSITION": MOVED}]).document(), 0).tolist() == []
 
 
 @pytest.mark.parametrize(

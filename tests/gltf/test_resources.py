@@ -32,7 +32,6 @@ BASE64 = base64.b64encode(EVERY_BYTE).decode()
 )
 def test_data_uris_hold_bytes_in_base64_or_percent_encoded(uri: str) -> None:
     assert decode_data_uri(uri, HERE) == EVERY_BYTE
-    assert read_resource(uri, Path("nowhere"), BESIDE, HERE) == EVERY_BYTE
 
 
 def test_plain_text_and_commas_in_a_data_uri_stand_for_themselves() -> None:
@@ -61,7 +60,7 @@ def test_bytes_become_a_data_uri_that_any_reader_decodes() -> None:
 )
 def test_a_broken_data_uri_is_an_input_error(uri: str) -> None:
     with pytest.raises(InputError, match="data: URI"):
-        read_resource(uri, Path(), BESIDE, HERE)
+        decode_data_uri(uri, HERE)
 
 
 @pytest.mark.parametrize(

@@ -127,7 +127,7 @@ class Beside:
         path = Path(self._path(free))
         if not os.path.lexists(path):
             self._files[path] = pieces
-        elif path not in self._files:
+        else:
             self._serving[path] = before if free == name else signature_of(path)
         meant = relative_names(uri)[0]  # the literal name is tried if this one does not exist
         stays = free == name and (name == meant or not os.path.lexists(self._path(meant)))

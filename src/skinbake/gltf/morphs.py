@@ -52,16 +52,14 @@ def skinned_target_count(document: Document, node: int) -> int:
 
 
 def resting_weights(document: Document, node: int) -> Float64Array:
-    """Return the weights (N,) of targets without an animation.
+    """Return the weights (N,) of targets without an animation; the node draws a mesh with N targets.
 
     They are the weights of the node, otherwise of the mesh, otherwise 0. Raises InputError if they are not N
     numbers.
     """
-    count = skinned_target_count(document, node)
     content = document.objects("nodes")[node]
-    mesh = index(content, "mesh", len(document.objects("meshes")), document.place)
-    if not count or mesh is None:
-        return np.zeros(0)
+    mesh = int(content["mesh"])
+    count = target_count(document, mesh)
     if content.get("weights") is not None:
         return _numbers(content, count, f"node {node}", document.place)
     owner = document.objects("meshes")[mesh]

@@ -141,8 +141,6 @@ def read_resource(uri: str, folder: Path, bounds: Bounds, place: Place) -> Bytes
     Raises InputError if the file is missing or unreadable, if the data URI is malformed, or if the document
     may not read the URI: a model must not read arbitrary files or the network.
     """
-    if is_data_uri(uri):
-        return decode_data_uri(uri, place)
     try:
         descriptor = find(uri, folder, bounds)[1]
         try:

@@ -239,9 +239,6 @@ GRID_BITS, GRID_SAMPLES = range(4, 25), 64
 NORMAL_BITS_SOUGHT = 20
 """The most bits of NORMAL that are looked for: Draco is asked for each number, and takes 0.1 s past it."""
 
-LARGEST_EXTENT = 1e38
-"""The largest side of a bounding box for which a grid is sought: the next number would overflow."""
-
 WIDEST = float(np.finfo(np.float32).max) / 16
 """The largest range of values that Draco quantises."""
 
@@ -352,10 +349,7 @@ def _grid(name: str, values: npt.NDArray[Any]) -> _Grid | None:
         number = next(found, None)
         return None if number is None else _Grid(number)
     origin = values.min(axis=0)
-    with np.errstate(over="ignore"):
-        extent = np.float32((values.max(axis=0) - origin).max())
-    if extent > LARGEST_EXTENT:
-        return None
+    extent = np.float32((values.max(axis=0) - origin).max())
     for steps in (0, -1, 1, -2, 2, -3, 3):
         span = np.float32(extent + steps * np.spacing(extent))
         for number in GRID_BITS:
