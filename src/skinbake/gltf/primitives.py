@@ -56,8 +56,7 @@ class PrimitiveSource:
 
     def in_document(self, document: Document) -> PrimitiveSource:
         """Return the same primitive of a document in which other accessors replace its own."""
-        mesh = document.objects("meshes")[self.mesh]
-        return replace(self, json=objects(mesh, "primitives", self.place)[self.primitive])
+        return replace(self, json=document.objects("meshes")[self.mesh]["primitives"][self.primitive])
 
     @property
     def attributes(self) -> JsonObject:
