@@ -141,11 +141,17 @@ def _edits() -> Iterator[Case]:
     kinds = {"type": "VEC9"}, {"componentType": 1}
     for kind in kinds:
         yield _of(f"{kind}", _changed(lambda m, k=kind: m.json["accessors"][0].update(k)))  # type: ignore[misc]
-    claim = {"componentType": 5126, "count": 90_000_000, "type": "VEC3"}
-    yield _of("a gigabyte of zeros", _changed(lambda m: m.json["accessors"].__setitem__(1, claim)))
+    yield _of("many vertices of zeros", _changed(_hollow))
     yield from _bounds()
     yield from _skins()
     yield from _morphs()
+
+
+def _hollow(model: Model) -> None:
+    """Let all attributes claim so many zeros that the memory of the machine is looked up."""
+    for accessor in model.json["accessors"][:4]:
+        del accessor["bufferView"]
+        accessor["count"] = 300_000
 
 
 def _bounds() -> Iterator[Case]:
@@ -202,8 +208,21 @@ def _morphs() -> Iterator[Case]:
     shorts = _bake()
     number = _added(shorts, np.ones((VERTICES, 3), "<u2"), "VEC3", 5123)
     yield _of("targets of shorts", _changed(targets({"POSITION": number}), lambda: shorts), *verify)
+    yield _of("targets of one primitive of two", _changed(_half_morphed, _bake), *verify)
+    yield _of("a circle of joints", _changed(_circle, _bake), *verify)
     yield _of("channels of nothing", _changed(_pointing, _bake), *verify)
     yield _of("a sampler of two channels", _changed(_moved_twice, _bake), "verify", "in/m.glb")
+
+
+def _half_morphed(model: Model) -> None:
+    first = _primitive(model)
+    model.json["meshes"][0]["primitives"].append(dict(first))
+    first["targets"] = [{"POSITION": 0}]
+
+
+def _circle(model: Model) -> None:
+    model.json["nodes"][1]["children"] = [2]
+    model.json["nodes"][2]["children"] = [1]
 
 
 def _pointing(model: Model) -> None:
@@ -244,6 +263,7 @@ def _extension(model: Model) -> JsonObject:
 def _streams() -> Iterator[Case]:
     """Yield cases of Draco streams and views of meshopt."""
     plain = ("--compress", "none")
+    yield _of("no such array", _changed(lambda m: _extension(m)["attributes"].update(NORMAL=77), _in_draco))
     yield _of("no view", _changed(lambda m: _extension(m).pop("bufferView"), _in_draco))
     bytes_of_three = _with_attribute("_X", np.ones((VERTICES, 3), "|u1"), "VEC3", 5121)
     for way in ("none", "meshopt"):
@@ -373,6 +393,9 @@ def _beside() -> Iterator[Case]:
     above = files(_with_images("../tex.png"), "sub/")
     allowed = ("bake", "in/sub/m.gltf", "-o", "out/m.gltf", "--allow-outside", "in")
     yield _case("allowed, and not below", {**above, **picture}, allowed)
+    data = _changed(lambda m: m.json["buffers"][0].update(uri="data:nothing"))
+    yield _case("a data: URI without data", data.packed(GLTF)[1], TO_GLTF)
+    yield _case("one buffer by two names", _changed(_by_two_names).packed(GLTF)[1], TO_GLTF)
     for about, change in (("read", _first_buffer), ("not read", _second_buffer)):
         model = _changed(change)
         yield _case(f"a buffer through a link, {about}", model.packed(GLTF)[1], TO_GLTF, {"link": "../other"})
@@ -385,6 +408,11 @@ def _beside() -> Iterator[Case]:
 
 def _first_buffer(model: Model) -> None:
     model.json["buffers"][0]["uri"] = "link/secret.bin"
+
+
+def _by_two_names(model: Model) -> None:
+    model.json["buffers"].append({**model.json["buffers"][0], "uri": "%6d.bin"})
+    model.json["bufferViews"][0]["buffer"] = 1
 
 
 def _second_buffer(model: Model) -> None:
@@ -400,6 +428,7 @@ def _containers() -> Iterator[Case]:
     yield _case("half a chunk header", {"m.glb": bytes(data)})
     deep = b'{"asset":{"version":"2.0"},"extras":' + b"[" * 1100 + b"]" * 1100 + b"}"
     yield _case("more after a deep text", {"m.gltf": deep + b" x"}, TO_GLTF)
+    yield _case("no name in a deep text", {"m.gltf": b'{"a":' * 1100 + b"{x}"}, TO_GLTF)
     yield _case("another suffix", {"m.txt": deep}, ("inspect", "in/m.txt"))
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from fuzz import branches
+from fuzz.explained import WINDOWS
 from fuzz.measuring import PACKAGE
 
 TEXT = """def first(x):
@@ -39,6 +40,7 @@ def test_branches_are_told_by_function_and_text(tmp_path: Path, monkeypatch: pyt
         ({MISSED: "why"}, None),
         ({}, "is missed, and nothing explains it"),
         ({MISSED: "why", REACHED: "why"}, "explained, but reached"),
+        ({MISSED: "why", REACHED: WINDOWS}, None),
         ({MISSED: "why", ("b.py", "", "x"): "why"}, "explained, but not there"),
     ],
 )

@@ -23,6 +23,7 @@ from skinbake.commands.strip import strip_file
 from skinbake.commands.verify import verify_file
 from skinbake.errors import ChoiceError, InputError
 from skinbake.gltf.codecs.recode import Compression, recoded
+from skinbake.gltf.compaction import compacted
 from skinbake.gltf.document import read_document
 from skinbake.gltf.primitives import skinned_sources
 from skinbake.lighting.measured import VerifyOptions
@@ -625,3 +626,11 @@ def test_a_broken_primitive_that_none_would_decode_is_an_input_error(tmp_path: P
     assert str(raised.value).startswith(f"{path}: mesh 1, primitive 0")
     assert not (tmp_path / "out.glb").exists()
     bake(path, tmp_path / "out.glb")
+
+
+def test_no_bytes_are_cut_off_by_a_view_without_a_buffer() -> None:
+    document = read_document(str(FOLDER / "seam.glb"))
+    views = [{"byteLength": 4}, *document.objects("bufferViews")[1:]]
+    after = document.edited(json={**document.json, "bufferViews": views})
+    with pytest.raises(InputError, match="a buffer view names no buffer"):
+        compacted(document, after)
