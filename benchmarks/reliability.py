@@ -14,6 +14,8 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
+from fuzz.mended import mended
+
 LOG = Path(__file__).resolve().parents[1] / "build" / "fuzz-log.jsonl"
 
 Line = dict[str, Any]
@@ -47,7 +49,8 @@ def page(lines: Sequence[Line]) -> str:
         "# Reliability",
         "What was tried to break skinbake, and what came of it. "
         "`python -m benchmarks.reliability` writes this page from the logs of "
-        "`make fuzz`, `make fuzz-native`, `make fuzz-coverage` and `make faults`.",
+        "`make fuzz`, `make fuzz-native`, `make fuzz-coverage` and `make faults`. "
+        "[growth.md](growth.md) shows how time and memory grow with hostile files.",
         *_executions(lines),
         *_codes(lines),
         *_faults(lines),
@@ -113,9 +116,8 @@ def _coverage(lines: Sequence[Line]) -> list[str]:
     reached = f"{last['covered']} of {last['branches']} branches of src/skinbake/gltf ({share:.1f} %)"
     text = f"{reached} are reached by {by}."
     if last.get("explained"):
-        text += (
-            f" Of {last['explained']} others fuzz/explained.py says what else reaches them, or what cannot."
-        )
+        why = "[fuzz/explained.py](../fuzz/explained.py) says what else reaches them, or why nothing can."
+        text += f" Of {last['explained']} others {why}"
     return ["## Branches", text]
 
 
@@ -138,7 +140,8 @@ def _hostile(lines: Sequence[Line]) -> list[str]:
         rows.append(f"| {name} | {codes} | {slowest} | {largest} | {sanitized.get(name, ('',))[0]} |")
     about = (
         "The commands are the one that broke the promise, where it is noted, then `bake`, "
-        "`bake --compress draco`, `verify`, `inspect` and `strip`; times are of whole processes."
+        "`bake --compress draco`, `verify`, `inspect` and `strip`; times are of whole processes, at best of "
+        "some tries."
     )
     return ["## Hostile files", about, "\n".join(rows)]
 
@@ -152,8 +155,11 @@ def _finds(lines: Sequence[Line]) -> list[str]:
         last.update(dict.fromkeys(line["finds"], line["date"][:10]))
     if not last:
         return ["## Found", "Nothing."]
-    rows = ["| cause | times | last seen |", "|---|---|---|"]
-    rows += [f"| {name.replace('|', '/')} | {times[name]:,} | {day} |" for name, day in sorted(last.items())]
+    rows = ["| find | times | last seen | what it was, and the test |", "|---|---|---|---|"]
+    rows += [
+        f"| {name.replace('|', '/')} | {times[name]:,} | {day} | {mended(name) or 'open'} |"
+        for name, day in sorted(last.items())
+    ]
     return ["## Found", "\n".join(rows)]
 
 

@@ -1,0 +1,29 @@
+"""What each find of the fuzzer was, and the test that would see it again.
+
+By the beginning of the names under which finds are kept: ``python -m benchmarks.reliability`` prints both.
+"""
+
+from __future__ import annotations
+
+FINDS, HOSTILE = "tests/gltf/test_finds.py", "tests/gltf/test_hostile.py"
+BUSY = "no fault: the machine was busy, and the child had no processor. tests/fuzz/test_judges.py"
+
+MENDED = {
+    "crash-bake-exit-70": f"a line feed too many in deep texts: {HOSTILE}",
+    "crash-bake-signal-11-gltf-draco-stream": "a range that Draco cannot quantise: tests/gltf/test_compression.py",
+    "defect-RuntimeWarning-former": f"a signalling not-a-number: {FINDS}",
+    "defect-RuntimeWarning-frames": f"a signalling not-a-number: {FINDS}",
+    "hang-bake-gltf-json-text": BUSY,
+    "hang-strip-gltf-json-text": BUSY,
+    "hang-verify-gltf-json-text": BUSY,
+    "hang-verify-lighting-threads": BUSY,
+    "twice-code-3-over-the-N-KiB": "no fault: the second bake was held to the first one's --max-memory",
+    "twice-other-bytes-in-accessors": f"a sparse accessor over Draco; a view into padding: {FINDS}",
+    "twice-other-bytes-in-images": f"the URI of a missing image was reworded: {FINDS}",
+    "twice-other-bytes-in-meshes": f"a sparse accessor over a Draco stream: {FINDS}",
+}
+
+
+def mended(name: str) -> str:
+    """Return what a find was, empty where that is not known yet."""
+    return next((words for start, words in MENDED.items() if name.startswith(start)), "")
