@@ -43,6 +43,15 @@ def option_of(name: str) -> str:
     return "--" + name.replace("_", "-")
 
 
+class Gradients(StrEnum):
+    """The α and β of a bake: the slopes of the weights, or numbers that light a coarse mesh better."""
+
+    SURFACE = "surface"
+    """The gradients of the weights on the surface, as in the paper."""
+    RIG = "rig"
+    """Gradients fitted to small turns of all joints (docs/fitted.md)."""
+
+
 class Weighting(StrEnum):
     """The weights of the triangles at a vertex in the mean of their gradients."""
 

@@ -9,7 +9,17 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from skinbake.choices import RANGES, Encoding, FrameChoice, Layout, Neighbours, Scheme, Weighting, Weld
+from skinbake.choices import (
+    RANGES,
+    Encoding,
+    FrameChoice,
+    Gradients,
+    Layout,
+    Neighbours,
+    Scheme,
+    Weighting,
+    Weld,
+)
 from skinbake.cli import exit_codes
 from skinbake.cli.console import console, finite, message_options, one_of, outside_option
 from skinbake.cli.inputs import Input, expanded
@@ -45,6 +55,14 @@ if TYPE_CHECKING:
 @click.option("--in-place", is_flag=True, help="Replace each input by its baked version.")
 @click.option("--dry-run", is_flag=True, help="Do everything except writing.")
 @click.option("--json", "as_json", is_flag=True, help="Print the results as JSON.")
+@click.option(
+    "--gradients",
+    type=one_of(Gradients),
+    default="rig",
+    show_default=True,
+    help="α and β: the paper's gradients of the weights on the surface, or fitted to the turns of the rig, "
+    "which lights coarse meshes better.",
+)
 @click.option(
     "--weighting",
     type=one_of(Weighting),

@@ -15,6 +15,7 @@ from skinbake.choices import (
     SLOTS_PER_SET,
     Encoding,
     FrameChoice,
+    Gradients,
     Layout,
     Neighbours,
     Scheme,
@@ -30,6 +31,7 @@ from skinbake.format.baked import AttributeNames, Baked, with_baked, with_scale
 from skinbake.format.encodings import vertex_bytes
 from skinbake.format.layouts import GradientFormat
 from skinbake.format.strip import stripped
+from skinbake.geometry.rig import Rig
 from skinbake.geometry.skinned import BakedPrimitive, SkinnedPrimitive
 from skinbake.gltf.codecs import draco
 from skinbake.gltf.container import for_target
@@ -43,6 +45,7 @@ from skinbake.gltf.primitives import (
     reason_to_skip,
     skinned_sources,
 )
+from skinbake.gltf.rigs import fitting_rig, rig_digest
 from skinbake.gltf.writing import version_of
 from skinbake.gradients.assumptions import assumptions, check_finite
 from skinbake.gradients.baker import BakeFindings, BakeSettings, bake_mesh
@@ -67,6 +70,7 @@ class Baker:
     does not exist, and for options that contradict each other.
     """
 
+    gradients: Gradients = Gradients.RIG
     weighting: Weighting = Weighting.MAX
     crease_angle: float = 15.0
     weld: Weld = Weld.MESH
@@ -163,7 +167,12 @@ class Baker:
             document, kept = self._recoded(document, sources)
         sources = [source.in_document(document) for source in sources]
         surfaces, apart = _surfaces(document, sources, self.weld)
-        bakes = [bake for surface in surfaces for bake in self._baked_surface(document, surface)]
+        rigs = [self._rig(document, surface) for surface in surfaces]
+        bakes = [
+            bake
+            for surface, (rig, _) in zip(surfaces, rigs, strict=True)
+            for bake in self._baked_surface(document, surface, rig)
+        ]
         storage = with_scale(GradientFormat(self.encoding, self.layout), [bake.result for bake in bakes])
         with stage("store"):
             to_store = [bake.to_store(self._noted_settings) for bake in bakes]
@@ -171,7 +180,8 @@ class Baker:
             written, lengths = with_baked(document, to_store, names, storage, level=level)
         with stage("encoding"):
             cost, unmeasured = _encoding_cost(document, bakes, storage)
-        notices = [*kept, *reasons, *apart, *(notice for bake in bakes for notice in bake.notices)]
+        unfitted = [notice for _, found in rigs for notice in found]
+        notices = [*kept, *reasons, *apart, *unfitted, *(notice for bake in bakes for notice in bake.notices)]
         notices += [*stored_otherwise(document, sources), *unmeasured]
         primitives = tuple(
             (bake.source.place, bake.counts(self.encoding, length))
@@ -202,13 +212,22 @@ class Baker:
                 notices.append(reason)
         return wanted, len(sources) - len(wanted), notices
 
-    def _baked_surface(self, document: Document, sources: Sequence[PrimitiveSource]) -> list[PrimitiveBake]:
+    def _rig(self, document: Document, sources: Sequence[PrimitiveSource]) -> tuple[Rig | None, list[Notice]]:
+        """Return the rig to which a surface is fitted, None for none, and notices about it."""
+        if self.gradients is Gradients.SURFACE:
+            return None, []
+        with stage("rig"):
+            return fitting_rig(document, sources[0])
+
+    def _baked_surface(
+        self, document: Document, sources: Sequence[PrimitiveSource], rig: Rig | None
+    ) -> list[PrimitiveBake]:
         """Bake primitives as one surface. Raises InputError if α or β are not finite."""
         with stage("arrays"):
             whole = with_smooth_normals(_read(document, sources))
         if self.limit_influences is not None:
-            return self._limited_surface(document, sources, whole, self.limit_influences)
-        return _finite(self._bakes(sources, whole))
+            return self._limited_surface(document, sources, whole, self.limit_influences, rig)
+        return _finite(self._bakes(sources, whole, rig))
 
     def _limited_surface(
         self,
@@ -216,6 +235,7 @@ class Baker:
         sources: Sequence[PrimitiveSource],
         whole: Sequence[SkinnedPrimitive],
         count: int,
+        rig: Rig | None,
     ) -> list[PrimitiveBake]:
         """Bake primitives as one surface with at most ``count`` influences a vertex, and measure the cost."""
         from skinbake.lighting.limit_cost import limit_costs, limited  # it replays: half a second of imports
@@ -223,11 +243,11 @@ class Baker:
         with stage("limit"):
             parts = [limited(document, *pair, count) for pair in zip(sources, whole, strict=True)]
         primitives = [part.primitive if part else one for part, one in zip(parts, whole, strict=True)]
-        bakes = _finite(self._bakes(sources, primitives))
+        bakes = _finite(self._bakes(sources, primitives, rig))
         if not any(parts):
             return bakes
         with stage("limit"):
-            before = self._bakes(sources, whole)
+            before = self._bakes(sources, whole, rig)
             costs = limit_costs(document, _unwritten(before), _unwritten(bakes), parts)
         return [
             replace(bake, limited=part, limit_cost=cost)
@@ -235,11 +255,12 @@ class Baker:
         ]
 
     def _bakes(
-        self, sources: Sequence[PrimitiveSource], primitives: Sequence[SkinnedPrimitive]
+        self, sources: Sequence[PrimitiveSource], primitives: Sequence[SkinnedPrimitive], rig: Rig | None
     ) -> list[PrimitiveBake]:
-        outcomes = bake_mesh(primitives, self.settings)
+        outcomes = bake_mesh(primitives, self.settings, rig)
+        fitted_to = None if rig is None else rig_digest(rig)
         return [
-            PrimitiveBake(source, primitive, *outcome)
+            PrimitiveBake(source, primitive, *outcome, fitted_to=fitted_to)
             for source, primitive, outcome in zip(sources, primitives, outcomes, strict=True)
         ]
 
@@ -271,6 +292,7 @@ class Baker:
 
 
 ENUMERATIONS = {
+    "gradients": Gradients,
     "weighting": Weighting,
     "weld": Weld,
     "neighbours": Neighbours,
@@ -346,7 +368,10 @@ class BakedDocument:
 
 @dataclass(frozen=True, slots=True)
 class PrimitiveBake:
-    """One primitive: the arrays that were baked, the result, the findings, and the loss by a limit."""
+    """One primitive: the arrays that were baked, the result, the findings, and the loss by a limit.
+
+    fitted_to is the digest of the rig to which α and β are fitted, None for the gradients of the surface.
+    """
 
     source: PrimitiveSource
     primitive: SkinnedPrimitive
@@ -354,6 +379,7 @@ class PrimitiveBake:
     findings: BakeFindings
     limited: Limited | None = None
     limit_cost: LimitCost | None = None
+    fitted_to: str | None = None
 
     @property
     def notices(self) -> list[Notice]:
@@ -365,7 +391,8 @@ class PrimitiveBake:
     def to_store(self, settings: JsonObject) -> Baked:
         """Return the data to write. settings is noted in the metadata."""
         influences = self.limited.stored if self.limited else None
-        return Baked(self.source, self.primitive, self.result, settings, influences)
+        fitted = {} if self.fitted_to is None else {"gradients": "rig", "rig": self.fitted_to}
+        return Baked(self.source, self.primitive, self.result, {**settings, **fitted}, influences)
 
     def counts(self, encoding: Encoding, added_bytes: int) -> BakedCounts:
         """Return the numbers of the report."""
@@ -375,6 +402,7 @@ class PrimitiveBake:
             triangles=len(self.primitive.triangles),
             degenerate_triangles=self.findings.degenerate_triangles,
             influences=influences,
+            gradients=str(Gradients.SURFACE if self.fitted_to is None else Gradients.RIG),
             frame=str(self.result.frame),
             generated_normals="NORMAL" not in self.source.attributes,
             adopting_vertices=self.findings.adopting_vertices,

@@ -68,7 +68,8 @@ static void raise_status(Status status)
 /* ---- Arrays -------------------------------------------------------------------------------------------- */
 
 /* The axes of arrays by their letters: V vertices, T triangles, P primitives, K slots. Arrays of one call that
-   share an axis have one size there. LATER_K is K without the first slot; FRAMES is V, or 0 for none. */
+   share an axis have one size there. LATER_K is K without the first slot; FRAMES is V, or 0 for none; J counts
+   the joints of a rig, 0 for none. */
 typedef enum {
     AXIS_ANY,
     AXIS_1,
@@ -80,6 +81,7 @@ typedef enum {
     AXIS_K,
     AXIS_LATER_K,
     AXIS_FRAMES,
+    AXIS_J,
     AXES
 } Axis;
 
@@ -529,6 +531,11 @@ done:
 
 /* ---- Gradients and slots (twin: by_numpy.bake_surface) ------------------------------------------------- */
 
+/* How gradients are fitted to a rig (rig_fit.py has the same names). */
+typedef struct {
+    double stiffness, flat, unfelt;
+} FitSettings;
+
 /* The surface to bake: V vertices with K slots each, T triangles, C weld classes. Rows as in the twins. */
 typedef struct {
     const void *positions, *normals, *tangents, *bitangents; /* (V, 3) of floats or doubles */
@@ -542,6 +549,10 @@ typedef struct {
     Weighting weighting;
     int adopts;
     double negligible;
+    const int32_t *parents, *ranks; /* (J,) of the rig to fit to, NULL for none; see rig.py */
+    const double *pivots;           /* (J, 3), NaN where a joint does not turn */
+    Py_ssize_t rig_joints;
+    FitSettings fit;
 } Surface;
 
 /* The counts of one primitive: a row of float64. */
@@ -637,9 +648,10 @@ typedef struct {
     size_t count;
 } Members;
 
-/* Facts that each copy of the loop knows beforehand: whether positions are doubles, and the number of slots. */
+/* What each copy of the loop knows beforehand: whether positions are doubles, whether gradients are fitted to a
+   rig, and how many slots there are. */
 typedef struct {
-    int wide;
+    int wide, fits;
     size_t slots;
 } Shape;
 
@@ -653,6 +665,37 @@ typedef struct {
     Four edges[COMPONENTS];
     double coefficients[COMPONENTS][AT_ONCE], share[AT_ONCE];
 } Corners;
+
+/* Some corners, the unit normals of their triangles, and their coefficients along the class's tangents: by end, then
+   by tangent. Places that are left over have coefficients and angles of zero. */
+typedef struct {
+    Corners corners;
+    Four normal[3], angle, along[2][2];
+} Block;
+
+/* What a weight adds to the turn of the two tangents of a class, as in rig_fit.RingTurns: arms along the first
+   and the second tangent, then spins. */
+enum { ARMS = 0, SPINS = 6, TURN = 12 };
+
+/* Corners of which a class is fitted at most, and joints that turn around one vertex or are fitted there. */
+enum { MOST_CORNERS = 4096, MOST_TURNS = 128, MOST_FITTED = 64 };
+
+/* The frame of a class, in which its turns are measured, and the weight of its corners. */
+typedef struct {
+    Vector normal, tangents[2];
+    Vector leverage[2][2]; /* see rig_fit._leverage: by tangent, then by derivative */
+    double total, facing;
+    int sound;
+} RingFrame;
+
+/* A joint that may turn: what it carries of the turns, and which of the fitted slots. */
+typedef struct {
+    int32_t joint; /* NO_JOINT: above all roots */
+    int32_t rank;
+    uint64_t members;
+    int done;
+    double turn[TURN];
+} Node;
 
 /* A joint whose weight varies around the class, and its local number. */
 typedef struct {
@@ -674,12 +717,43 @@ typedef struct {
     Entry **foreign;
     int32_t *named; /* by slot: the joint whose gradient it carries */
     int stray;      /* an index was out of range at its use */
+    /* Only with a rig: */
+    void *block_room;  /* what blocks was cut out of, aligned as vectors must be */
+    Block *blocks;     /* all corners of a class */
+    double *turns;     /* by local number, TURN each */
+    RingFrame frame;
+    Vector *gradients; /* by slot */
+    Node *nodes;
+    int32_t *node_of;  /* by joint: its node, -1 elsewhere */
+    size_t node_count;
+    double *matrix, *right, *stiffness; /* MOST_FITTED squared, twice, once */
 } Scratch;
 
 static void free_scratch(Scratch *w)
 {
     free(w->local), free(w->met), free(w->seen), free(w->own), free(w->x), free(w->y), free(w->z);
     free(w->entries), free(w->foreign), free(w->named);
+    free(w->block_room), free(w->turns), free(w->gradients), free(w->nodes), free(w->node_of);
+    free(w->matrix), free(w->right), free(w->stiffness);
+}
+
+static Status allocate_fit(Scratch *w, const Surface *s)
+{
+    size_t joints = (size_t)s->joint_count, room = joints + (size_t)s->slots;
+    w->block_room = malloc((MOST_CORNERS / AT_ONCE + 1) * sizeof *w->blocks);
+    w->blocks = (Block *)(((uintptr_t)w->block_room + sizeof(Four) - 1) / sizeof(Four) * sizeof(Four));
+    w->turns = malloc(room * TURN * sizeof *w->turns);
+    w->gradients = malloc((size_t)s->slots * sizeof *w->gradients);
+    w->nodes = malloc((joints + 1) * sizeof *w->nodes);
+    w->node_of = malloc((joints + 1) * sizeof *w->node_of);
+    w->matrix = malloc(MOST_FITTED * MOST_FITTED * sizeof *w->matrix);
+    w->right = malloc(2 * MOST_FITTED * sizeof *w->right);
+    w->stiffness = malloc(MOST_FITTED * sizeof *w->stiffness);
+    if (!w->block_room || !w->turns || !w->gradients || !w->nodes || !w->node_of || !w->matrix || !w->right ||
+        !w->stiffness)
+        return NO_MEMORY;
+    memset(w->node_of, 0xFF, (joints + 1) * sizeof *w->node_of);
+    return DONE;
 }
 
 static Status allocate_scratch(Scratch *w, const Surface *s)
@@ -699,7 +773,7 @@ static Status allocate_scratch(Scratch *w, const Surface *s)
         !w->foreign || !w->named)
         return NO_MEMORY;
     memset(w->local, 0xFF, (joints + 1) * sizeof *w->local);
-    return DONE;
+    return s->parents ? allocate_fit(w, s) : DONE;
 }
 
 /* Write ends and edges of at most AT_ONCE corners, whose class is at `origin`. The first one fills the rest. */
@@ -809,6 +883,214 @@ static ALWAYS_INLINE int same_joints(const Surface *s, size_t slots, size_t here
     return memcmp(s->joints + here * slots, s->joints + there * slots, slots * sizeof *s->joints) == 0;
 }
 
+/* ---- Fitting to a rig (twin: rig_fit.py) --------------------------------------------------------------- */
+
+static ALWAYS_INLINE Vector plus(Vector a, Vector b) { return (Vector){a.x + b.x, a.y + b.y, a.z + b.z}; }
+static ALWAYS_INLINE Vector times(Vector a, double by) { return (Vector){a.x * by, a.y * by, a.z * by}; }
+static ALWAYS_INLINE Four all(double a) { return four(a, a, a, a); }
+
+static ALWAYS_INLINE double sum_of(Four values)
+{
+    double each[AT_ONCE];
+    store(each, values);
+    return (each[0] + each[1]) + (each[2] + each[3]);
+}
+
+static ALWAYS_INLINE Vector sums_of(const Four *values)
+{
+    return (Vector){sum_of(values[0]), sum_of(values[1]), sum_of(values[2])};
+}
+
+/* The angle from its sine and cosine, both times the same length: Abramowitz and Stegun 4.4.49 for the arc tangent
+   of half of it, right to 4e-8. */
+static ALWAYS_INLINE Four angle_of(Four sine, Four cosine, Four length)
+{
+    Four magnitude = root(multiply(cosine, cosine));
+    Four half = divide(sine, add(length, magnitude)), square = multiply(half, half);
+    static const double terms[] = {0.0028662257, -0.0161657367, 0.0429096138, -0.0752896400,
+                                   0.1065626393, -0.1420889944, 0.1999355085, -0.3333314528};
+    Four sum = all(terms[0]);
+    for (int n = 1; n < 8; n++)
+        sum = add(multiply(sum, square), all(terms[n]));
+    double acute[AT_ONCE], cosines[AT_ONCE];
+    store(acute, multiply(all(2.0), multiply(half, add(multiply(sum, square), all(1.0)))));
+    store(cosines, cosine);
+    for (int n = 0; n < AT_ONCE; n++)
+        acute[n] = cosines[n] < 0.0 ? 3.14159265358979323846 - acute[n] : acute[n];
+    return load(acute);
+}
+
+/* Work out the rest of a block of `some` corners. */
+static ALWAYS_INLINE void finish_block(Block *block, size_t some, const Vector tangents[2])
+{
+    const Corners *c = &block->corners;
+    const Four *e1 = c->edges + X1, *e2 = c->edges + X2;
+    Four normal[3] = {
+        subtract(multiply(e1[1], e2[2]), multiply(e1[2], e2[1])),
+        subtract(multiply(e1[2], e2[0]), multiply(e1[0], e2[2])),
+        subtract(multiply(e1[0], e2[1]), multiply(e1[1], e2[0])),
+    };
+    Four area = root(four_dot(normal, normal)), shrink = divide(all(1.0), area);
+    Four length = root(multiply(four_dot(e1, e1), four_dot(e2, e2)));
+    Four there = four(1.0, some > 1 ? 1.0 : 0.0, some > 2 ? 1.0 : 0.0, some > 3 ? 1.0 : 0.0);
+    for (int axis = 0; axis < 3; axis++)
+        block->normal[axis] = multiply(normal[axis], shrink);
+    block->angle = multiply(there, angle_of(area, four_dot(e1, e2), length));
+    for (int end = 0; end < 2; end++)
+        for (int n = 0; n < 2; n++) {
+            const double(*component)[AT_ONCE] = c->coefficients + 3 * end;
+            Four along = add(add(multiply(load(component[X1]), all(tangents[n].x)),
+                                 multiply(load(component[Y1]), all(tangents[n].y))),
+                             multiply(load(component[Z1]), all(tangents[n].z)));
+            block->along[end][n] = multiply(there, along);
+        }
+}
+
+static ALWAYS_INLINE void frame_from_normal(Vector normal, Vector *tangent, Vector *bitangent);
+
+/* A normal as the shader normalises it, in float32. Returns whether it has a direction. */
+static ALWAYS_INLINE int unit_normal(Vector normal, Vector *unit)
+{
+    double length = sqrt(dot(normal, normal));
+    int sound = isfinite(normal.x) && isfinite(normal.y) && isfinite(normal.z) &&
+                (normal.x != 0.0 || normal.y != 0.0 || normal.z != 0.0);
+    *unit = sound ? (Vector){(float)(normal.x / length), (float)(normal.y / length), (float)(normal.z / length)}
+                  : (Vector){0.0, 0.0, 1.0};
+    return sound;
+}
+
+/* Work out the leverage of both tangents from the derivatives of the positions along them. */
+static void find_leverage(RingFrame *f, const Vector derivatives[2], double flat)
+{
+    Vector a = derivatives[0], b = derivatives[1], c = cross(a, b);
+    double area = sqrt(dot(c, c));
+    f->sound &= area > flat * sqrt(dot(a, a)) * sqrt(dot(b, b)) && f->facing > flat;
+    if (!f->sound)
+        return;
+    Vector unit = times(c, 1.0 / area), lean = minus(f->normal, times(unit, 0.5 * dot(unit, f->normal)));
+    for (int n = 0; n < 2; n++) {
+        Vector t = f->tangents[n], q = times(lean, dot(t, unit) / area);
+        double by_a = dot(cross(t, b), c) / (area * area), by_b = dot(cross(a, t), c) / (area * area);
+        f->leverage[n][0] = plus(times(f->normal, by_a), cross(b, q));
+        f->leverage[n][1] = plus(times(f->normal, by_b), cross(q, a));
+    }
+}
+
+/* Measure the frame of a class from its corners, which stand in the blocks. */
+static ALWAYS_INLINE void measure_ring(const Surface *s, size_t vertex, size_t corners, double total, Scratch *w)
+{
+    RingFrame *f = &w->frame;
+    Vector given = row3(s->normals, s->wide_normals, vertex);
+    f->sound = unit_normal(given, &f->normal);
+    frame_from_normal(given, &f->tangents[0], &f->tangents[1]);
+    f->total = total;
+    Four none = all(0.0), faces[3] = {none, none, none}, sums[2][3] = {{none, none, none}, {none, none, none}};
+    for (size_t from = 0; from < corners; from += AT_ONCE) {
+        Block *block = w->blocks + from / AT_ONCE;
+        finish_block(block, corners - from, f->tangents);
+        for (int axis = 0; axis < 3; axis++) {
+            faces[axis] = add(faces[axis], multiply(block->normal[axis], block->angle));
+            for (int n = 0; n < 2; n++)
+                for (int end = 0; end < 2; end++)
+                    sums[n][axis] = add(sums[n][axis], multiply(block->along[end][n],
+                                                                block->corners.edges[3 * end + axis]));
+        }
+    }
+    Vector facing = sums_of(faces);
+    f->facing = sqrt(dot(facing, facing));
+    const Vector derivatives[2] = {times(sums_of(sums[0]), 1.0 / total), times(sums_of(sums[1]), 1.0 / total)};
+    find_leverage(f, derivatives, s->fit.flat);
+}
+
+/* Write, for one end of four corners, what a weight of 1 there adds to the turn of the class. */
+static ALWAYS_INLINE void find_turns(const Block *block, Four share, int end, const RingFrame *f,
+                                     double turns[TURN][AT_ONCE])
+{
+    const Four *edge = block->corners.edges + 3 * end, *by = block->along[end], *normal = block->normal;
+    Four mean = all(0.5 / f->total);
+    for (int n = 0; n < 2; n++) {
+        const Vector *u = f->leverage[n];
+        Four by_a = multiply(by[0], mean), by_b = multiply(by[1], mean);
+        Four by_faces = multiply(by[n], share);
+        Four arm[3] = {
+            add(add(multiply(by_a, all(u[0].x)), multiply(by_b, all(u[1].x))), multiply(by_faces, normal[0])),
+            add(add(multiply(by_a, all(u[0].y)), multiply(by_b, all(u[1].y))), multiply(by_faces, normal[1])),
+            add(add(multiply(by_a, all(u[0].z)), multiply(by_b, all(u[1].z))), multiply(by_faces, normal[2])),
+        };
+        for (int axis = 0; axis < 3; axis++) {
+            int next = (axis + 1) % 3, last = (axis + 2) % 3;
+            store(turns[ARMS + 3 * n + axis], arm[axis]);
+            store(turns[SPINS + 3 * n + axis],
+                  subtract(multiply(edge[next], arm[last]), multiply(edge[last], arm[next])));
+        }
+    }
+}
+
+/* Add turns x (weight there - weight here) for every joint that either vertex has; as add_differences does. */
+static inline void add_turns(const Surface *s, size_t neighbour, const double by[TURN], Scratch *w)
+{
+    const int32_t slots = (int32_t)s->slots;
+    const int32_t *there = s->joints + neighbour * (size_t)slots;
+    const double *weight = s->weights + neighbour * (size_t)slots;
+    w->visit++;
+    for (int32_t k = 0; k < slots; k++) {
+        const int32_t joint = there[k];
+        if (weight[k] == 0.0 || (size_t)(uint32_t)joint >= (size_t)s->joint_count || w->local[joint] < 0)
+            continue; /* add_differences has noted a stray joint, and numbered all others */
+        int32_t number = w->local[joint];
+        w->seen[number] = w->visit;
+        double difference = number < slots ? weight[k] - w->own[number] : weight[k];
+        for (int n = 0; n < TURN; n++)
+            w->turns[number * TURN + n] += by[n] * difference;
+    }
+    for (int32_t k = 0; k < slots; k++)
+        if (w->seen[k] != w->visit && w->own[k] != 0.0)
+            for (int n = 0; n < TURN; n++)
+                w->turns[k * TURN + n] -= by[n] * w->own[k];
+}
+
+/* Measure the frame of a class, and sum up its turns for every joint met. The corners stand in the blocks. */
+static ALWAYS_INLINE void sum_turns(const Surface *s, Shape shape, size_t vertex, size_t corners, int32_t used,
+                                    double total, Scratch *w)
+{
+    measure_ring(s, vertex, corners, total, w);
+    if (!w->frame.sound)
+        return;
+    const size_t slots = shape.slots;
+    memset(w->turns, 0, (size_t)used * TURN * sizeof *w->turns);
+    Four sums[TURN], own = slots == 4 ? load(s->weights + vertex * slots) : all(0.0);
+    for (int n = 0; n < TURN; n++)
+        sums[n] = all(0.0);
+    for (size_t from = 0; from < corners; from += AT_ONCE) {
+        size_t some = corners - from < AT_ONCE ? corners - from : AT_ONCE;
+        const Block *block = w->blocks + from / AT_ONCE;
+        Four share = divide(multiply(block->angle, all(0.5 / w->frame.facing)), load(block->corners.share));
+        for (int end = 0; end < 2; end++) {
+            double turns[TURN][AT_ONCE];
+            find_turns(block, share, end, &w->frame, turns);
+            for (size_t n = 0; n < some; n++) {
+                size_t there = block->corners.ends[n][end];
+                if (slots == 4 && same_joints(s, slots, vertex, there)) {
+                    Four difference = subtract(load(s->weights + there * slots), own);
+                    for (int m = 0; m < TURN; m++)
+                        sums[m] = add(sums[m], multiply(all(turns[m][n]), difference));
+                } else {
+                    double by[TURN];
+                    for (int m = 0; m < TURN; m++)
+                        by[m] = turns[m][n];
+                    add_turns(s, there, by, w);
+                }
+            }
+        }
+    }
+    for (int m = 0; slots == 4 && m < TURN; m++) {
+        double each[AT_ONCE];
+        store(each, sums[m]);
+        for (int k = 0; k < AT_ONCE; k++)
+            w->turns[k * TURN + m] += each[k];
+    }
+}
+
 /* Sum over all corners, for every joint met. Return the number of local numbers in use, and the weight of all
    corners as `total`. */
 static ALWAYS_INLINE int32_t sum_corners(const Surface *s, Shape shape, size_t vertex, Members corners, Scratch *w,
@@ -830,17 +1112,21 @@ static ALWAYS_INLINE int32_t sum_corners(const Surface *s, Shape shape, size_t v
     Four none = four(0.0, 0.0, 0.0, 0.0), x = none, y = none, z = none; /* sums of the usual four slots */
     Four own = slots == 4 ? load(here) : none;
     *total = 0.0;
+    int varies = 0;
     for (size_t from = 0; from < corners.count; from += AT_ONCE) {
         size_t some = corners.count - from < AT_ONCE ? corners.count - from : AT_ONCE;
-        Corners c;
-        find_edges(s, shape, origin, (Members){corners.first + from, some}, &c, w);
-        weigh_corners(&c, s->weighting);
+        Corners passing, *c = shape.fits && from < MOST_CORNERS ? &w->blocks[from / AT_ONCE].corners : &passing;
+        find_edges(s, shape, origin, (Members){corners.first + from, some}, c, w);
+        weigh_corners(c, s->weighting);
         for (size_t n = 0; n < some; n++)
             for (int end = 0; end < 2; end++) {
-                size_t there = c.ends[n][end];
-                const double(*component)[AT_ONCE] = c.coefficients + 3 * end;
+                size_t there = c->ends[n][end];
+                const double(*component)[AT_ONCE] = c->coefficients + 3 * end;
                 Vector by = {component[X1][n], component[Y1][n], component[Z1][n]};
-                if (slots == 4 && same_joints(s, slots, vertex, there)) {
+                int alike = slots == 4 && same_joints(s, slots, vertex, there);
+                if (shape.fits)
+                    varies |= !alike || memcmp(s->weights + there * slots, here, slots * sizeof *here) != 0;
+                if (alike) {
                     Four difference = subtract(load(s->weights + there * slots), own);
                     x = add(x, multiply(four(by.x, by.x, by.x, by.x), difference));
                     y = add(y, multiply(four(by.y, by.y, by.y, by.y), difference));
@@ -849,12 +1135,17 @@ static ALWAYS_INLINE int32_t sum_corners(const Surface *s, Shape shape, size_t v
                     used = add_differences(s, there, by, used, w);
             }
         for (size_t n = 0; n < some; n++)
-            *total += c.share[n];
+            *total += c->share[n];
     }
     if (slots == 4) {
         store(w->x, add(load(w->x), x));
         store(w->y, add(load(w->y), y));
         store(w->z, add(load(w->z), z));
+    }
+    if (shape.fits) {
+        w->frame.sound = 0;
+        if (varies && corners.count <= MOST_CORNERS)
+            sum_turns(s, shape, vertex, corners.count, used, *total, w);
     }
     for (int32_t n = 0; n < used; n++)
         if (w->met[n] >= 0)
@@ -876,6 +1167,7 @@ typedef struct {
     size_t entries, foreign;
     size_t capacity; /* joints that each of the class's vertices may adopt */
     double magnitude;
+    int32_t used; /* local numbers */
 } ClassGradients;
 
 /* Turn sums into entries, joints ascending. Return their number, and the sum of their magnitudes. */
@@ -962,6 +1254,17 @@ static ALWAYS_INLINE void frame_from_normal(Vector normal, Vector *tangent, Vect
     *bitangent = (Vector){b, across, -y};
 }
 
+/* The tangent and the bitangent of a vertex. */
+static ALWAYS_INLINE void find_frame(const Surface *s, size_t vertex, Vector *tangent, Vector *bitangent)
+{
+    if (s->tangents) {
+        *tangent = row3(s->tangents, s->wide_frame, vertex);
+        *bitangent = row3(s->bitangents, s->wide_frame, vertex);
+    } else {
+        frame_from_normal(row3(s->normals, s->wide_normals, vertex), tangent, bitangent);
+    }
+}
+
 /* The slots that a vertex's gradients go to: by `named`, or by the local numbers. The local numbers hold for a
    class's first vertex if it adopts nothing. */
 typedef enum { AS_NAMED, AS_NUMBERED } Placing;
@@ -971,12 +1274,7 @@ static ALWAYS_INLINE double project(const Surface *s, size_t slots, size_t verte
                                     const Baked *out, Scratch *w)
 {
     Vector t, b;
-    if (s->tangents) {
-        t = row3(s->tangents, s->wide_frame, vertex);
-        b = row3(s->bitangents, s->wide_frame, vertex);
-    } else {
-        frame_from_normal(row3(s->normals, s->wide_normals, vertex), &t, &b);
-    }
+    find_frame(s, vertex, &t, &b);
     float *alpha = out->alpha + vertex * (slots - 1), *beta = out->beta + vertex * (slots - 1);
     double unheld = 0.0;
     memset(alpha, 0, (slots - 1) * sizeof *alpha);
@@ -994,6 +1292,253 @@ static ALWAYS_INLINE double project(const Surface *s, size_t slots, size_t verte
             alpha[slot - 1] = (float)dot(entry->gradient, t);
             beta[slot - 1] = (float)dot(entry->gradient, b);
         }
+    }
+    return unheld;
+}
+
+/* ---- Fitting one vertex (twin: rig_fit.fitted) --------------------------------------------------------- */
+
+/* The node of a joint, made where there is none; NO_JOINT stands above all roots. */
+static Node *node_of(const Surface *s, int32_t joint, Scratch *w)
+{
+    int32_t *place = &w->node_of[joint == NO_JOINT ? s->joint_count : joint];
+    if (*place < 0) {
+        *place = (int32_t)w->node_count++;
+        Node *made = &w->nodes[*place];
+        memset(made, 0, sizeof *made);
+        made->joint = joint;
+        made->rank = joint == NO_JOINT ? -1 : s->ranks[joint];
+    }
+    return &w->nodes[*place];
+}
+
+/* Make nodes of the joints around a class, with their turns. */
+static void open_nodes(const Surface *s, int32_t used, Scratch *w)
+{
+    w->node_count = 0;
+    for (int32_t n = 0; n < used; n++) {
+        const double *turn = w->turns + n * TURN;
+        int turns = 0;
+        for (int m = 0; m < TURN; m++)
+            turns |= turn[m] != 0.0;
+        if (w->met[n] < 0 || !turns)
+            continue;
+        Node *node = node_of(s, w->met[n], w);
+        for (int m = 0; m < TURN; m++)
+            node->turn[m] += turn[m];
+    }
+}
+
+static void close_nodes(const Surface *s, Scratch *w)
+{
+    for (size_t n = 0; n < w->node_count; n++)
+        w->node_of[w->nodes[n].joint == NO_JOINT ? s->joint_count : w->nodes[n].joint] = -1;
+    w->node_count = 0;
+}
+
+/* The slots of a vertex that are fitted, in ascending order, and which of them takes what the others leave. */
+typedef struct {
+    size_t count, reference;
+    uint8_t slots[MOST_FITTED];
+} Fitted;
+
+/* Choose the slots to fit: those that weigh something or whose gradient is worth a slot. Returns 0 where there are
+   too few or too many. */
+static int choose_slots(const Surface *s, size_t vertex, size_t entries, double magnitudes, Scratch *w, Fitted *fitted)
+{
+    const size_t slots = (size_t)s->slots;
+    const double *weights = s->weights + vertex * slots;
+    const int32_t *joints = s->joints + vertex * slots;
+    int32_t highest = INT32_MAX;
+    fitted->count = 0;
+    for (size_t k = 0; k < slots; k++) {
+        const int32_t joint = w->named[k];
+        if ((size_t)(uint32_t)joint >= (size_t)s->joint_count)
+            continue;
+        int chosen = weights[k] > s->fit.unfelt && joints[k] == joint;
+        for (size_t n = 0; !chosen && n < entries; n++)
+            chosen = w->entries[n].joint == joint && w->entries[n].magnitude > s->negligible * magnitudes;
+        if (!chosen)
+            continue;
+        if (fitted->count == MOST_FITTED || k > UINT8_MAX)
+            return 0;
+        Node *node = node_of(s, joint, w);
+        node->members |= UINT64_C(1) << fitted->count;
+        if (node->rank < highest) {
+            highest = node->rank;
+            fitted->reference = fitted->count;
+        }
+        fitted->slots[fitted->count++] = (uint8_t)k;
+    }
+    return fitted->count > 1;
+}
+
+/* Add what the turn of one joint says to the normal equations of the slots. */
+static void add_turn(const Surface *s, Vector position, const Node *node, const Fitted *fitted, Scratch *w)
+{
+    const double *pivot = s->pivots + 3 * (size_t)node->joint, *turn = node->turn;
+    if (!isfinite(pivot[0]) || !isfinite(pivot[1]) || !isfinite(pivot[2]))
+        return;
+    Vector lever = minus(position, (Vector){pivot[0], pivot[1], pivot[2]}), tilt = cross(lever, w->frame.normal);
+    double square = dot(tilt, tilt), reach = dot(lever, lever), wanted[2];
+    for (int n = 0; n < 2; n++) {
+        const double *arm = turn + ARMS + 3 * n, *spin = turn + SPINS + 3 * n;
+        Vector r = plus(cross(lever, (Vector){arm[0], arm[1], arm[2]}), (Vector){spin[0], spin[1], spin[2]});
+        wanted[n] = dot(tilt, r);
+    }
+    /* Where it carries the reference it moves the others the other way. */
+    uint64_t every = fitted->count == 64 ? ~UINT64_C(0) : (UINT64_C(1) << fitted->count) - 1;
+    int carries = node->members >> fitted->reference & 1;
+    uint64_t moved = carries ? every & ~node->members : node->members;
+    double sign = carries ? -1.0 : 1.0;
+    for (size_t i = 0; i < fitted->count; i++) {
+        if (!(moved >> i & 1))
+            continue;
+        w->right[2 * i] += sign * wanted[0];
+        w->right[2 * i + 1] += sign * wanted[1];
+        w->stiffness[i] += reach;
+        for (size_t k = 0; k <= i; k++)
+            if (moved >> k & 1)
+                w->matrix[i * MOST_FITTED + k] += square;
+    }
+}
+
+/* Go through all joints whose turns part the joints around a vertex, from the lowest up. Returns 0 where there are
+   too many. */
+static int gather_turns(const Surface *s, Vector position, const Fitted *fitted, Scratch *w)
+{
+    for (size_t i = 0; i < fitted->count; i++) {
+        w->stiffness[i] = w->right[2 * i] = w->right[2 * i + 1] = 0.0;
+        memset(w->matrix + i * MOST_FITTED, 0, (i + 1) * sizeof *w->matrix);
+    }
+    size_t left = w->node_count;
+    for (int turning = 0; left > 1; turning++) {
+        Node *lowest = NULL;
+        for (size_t n = 0; n < w->node_count; n++)
+            if (!w->nodes[n].done && (lowest == NULL || w->nodes[n].rank > lowest->rank))
+                lowest = &w->nodes[n];
+        if (turning == MOST_TURNS)
+            return 0;
+        add_turn(s, position, lowest, fitted, w);
+        int32_t parent = s->parents[lowest->joint], rank = lowest->rank;
+        if (parent < 0 || parent >= s->joint_count || s->ranks[parent] >= rank)
+            parent = NO_JOINT;
+        lowest->done = 1;
+        size_t before = w->node_count;
+        Node *above = node_of(s, parent, w);
+        left -= w->node_count == before;
+        above->members |= lowest->members;
+        for (int m = 0; m < TURN; m++)
+            above->turn[m] += lowest->turn[m];
+    }
+    return 1;
+}
+
+/* Solve the normal equations of the slots but the reference, by the factors L D Lt in place of the matrix; `right`
+   becomes the solution. Returns 0 where it is not finite. */
+static int solve(size_t count, size_t reference, Scratch *w)
+{
+    double *matrix = w->matrix, (*right)[2] = (double(*)[2])w->right;
+    double finite = 0.0;
+    for (size_t i = 0; i < count; i++) {
+        if (i == reference)
+            continue;
+        double *row = matrix + i * MOST_FITTED, diagonal = row[i];
+        for (size_t k = 0; k < i; k++) { /* row[k] is L[i][k] D[k] until the row is done */
+            if (k == reference)
+                continue;
+            const double *other = matrix + k * MOST_FITTED;
+            for (size_t n = 0; n < k; n++)
+                if (n != reference)
+                    row[k] -= row[n] * other[n];
+        }
+        for (size_t k = 0; k < i; k++) {
+            if (k == reference)
+                continue;
+            double factor = row[k] * matrix[k * MOST_FITTED + k]; /* the diagonal holds 1 / D */
+            diagonal -= factor * row[k];
+            row[k] = factor;
+            right[i][0] -= factor * right[k][0];
+            right[i][1] -= factor * right[k][1];
+        }
+        row[i] = 1.0 / diagonal;
+    }
+    for (size_t i = count; i-- > 0;) {
+        if (i == reference)
+            continue;
+        for (int side = 0; side < 2; side++) {
+            right[i][side] *= matrix[i * MOST_FITTED + i];
+            for (size_t n = i + 1; n < count; n++)
+                if (n != reference)
+                    right[i][side] -= matrix[n * MOST_FITTED + i] * right[n][side];
+            finite += right[i][side] * 0.0;
+        }
+    }
+    return finite == 0.0;
+}
+
+/* Move the gradients of the fitted slots, in the plane of the class's tangents, to what the least squares say. */
+static void move_gradients(const Surface *s, const Fitted *fitted, Scratch *w)
+{
+    const Vector *tangents = w->frame.tangents;
+    const size_t reference = fitted->reference;
+    double(*right)[2] = (double(*)[2])w->right;
+    for (size_t i = 0; i < fitted->count; i++) {
+        double pull = w->stiffness[i] > 0.0 ? s->fit.stiffness * w->stiffness[i] : 1.0;
+        w->matrix[i * MOST_FITTED + i] += pull;
+        for (int side = 0; side < 2; side++)
+            right[i][side] += pull * dot(w->gradients[fitted->slots[i]], tangents[side]);
+    }
+    if (!solve(fitted->count, reference, w))
+        return;
+    right[reference][0] = right[reference][1] = 0.0;
+    double rest[2] = {0.0, 0.0};
+    for (size_t i = 0; i < fitted->count; i++)
+        rest[0] -= right[i][0], rest[1] -= right[i][1];
+    right[reference][0] = rest[0], right[reference][1] = rest[1];
+    for (size_t i = 0; i < fitted->count; i++) {
+        Vector *gradient = &w->gradients[fitted->slots[i]];
+        double first = right[i][0] - dot(*gradient, tangents[0]), second = right[i][1] - dot(*gradient, tangents[1]);
+        *gradient = plus(*gradient, plus(times(tangents[0], first), times(tangents[1], second)));
+    }
+}
+
+/* Fit the gradients by slot of one vertex to the rig. */
+static void fit_vertex(const Surface *s, size_t vertex, const ClassGradients *found, Vector position, Scratch *w)
+{
+    Fitted fitted;
+    open_nodes(s, found->used, w);
+    if (choose_slots(s, vertex, found->entries, found->magnitude, w, &fitted) &&
+        gather_turns(s, position, &fitted, w))
+        move_gradients(s, &fitted, w);
+    close_nodes(s, w);
+}
+
+/* Write alpha and beta of one vertex as project does, with gradients fitted to the rig. */
+static ALWAYS_INLINE double project_fitted(const Surface *s, Shape shape, size_t vertex, const ClassGradients *found,
+                                           const Baked *out, Scratch *w)
+{
+    const size_t slots = shape.slots;
+    Vector t, b;
+    find_frame(s, vertex, &t, &b);
+    double unheld = 0.0;
+    memset(w->gradients, 0, slots * sizeof *w->gradients);
+    for (size_t n = 0; n < found->entries; n++) {
+        Entry *entry = &w->entries[n];
+        size_t slot = 0;
+        while (slot < slots && w->named[slot] != entry->joint)
+            slot++;
+        entry->held = slot < slots;
+        if (entry->held)
+            w->gradients[slot] = entry->gradient;
+        else
+            unheld += entry->magnitude;
+    }
+    if (w->frame.sound)
+        fit_vertex(s, vertex, found, row3(s->positions, shape.wide, vertex), w);
+    for (size_t k = 1; k < slots; k++) {
+        out->alpha[vertex * (slots - 1) + k - 1] = (float)dot(w->gradients[k], t);
+        out->beta[vertex * (slots - 1) + k - 1] = (float)dot(w->gradients[k], b);
     }
     return unheld;
 }
@@ -1022,11 +1567,13 @@ typedef struct {
 static ALWAYS_INLINE ClassGradients find_gradients(Work *work, Shape shape, Members corners, Members vertices)
 {
     const Surface *s = work->surface;
-    ClassGradients found = {0, 0, 0, 0.0};
+    ClassGradients found = {0, 0, 0, 0.0, 0};
+    work->scratch.frame.sound = 0;
     if (corners.count == 0)
         return found;
     double total;
     int32_t used = sum_corners(s, shape, vertices.first[0], corners, &work->scratch, &total);
+    found.used = used;
     found.entries = make_entries(&work->scratch, used, total, &found.magnitude);
     found.foreign = find_foreign(s, found.entries, found.magnitude, &work->scratch);
     found.capacity = found.foreign && s->adopts ? shared_capacity(s, vertices) : 0;
@@ -1047,7 +1594,8 @@ static ALWAYS_INLINE void write_vertex(Work *work, Shape shape, size_t vertex, P
     if (placing == AS_NAMED)
         sums->adopting += name_slots(s, vertex, found, w, out->adopted + vertex * shape.slots);
     sums->magnitude += found->magnitude;
-    sums->unheld += project(s, shape.slots, vertex, found->entries, placing, out, w);
+    sums->unheld += shape.fits ? project_fitted(s, shape, vertex, found, out, w)
+                               : project(s, shape.slots, vertex, found->entries, placing, out, w);
     int overflows = 0;
     for (size_t f = 0; f < found->foreign; f++)
         overflows |= !w->foreign[f]->held;
@@ -1071,7 +1619,7 @@ static ALWAYS_INLINE Status bake_classes(Work *work, Shape shape)
         ClassGradients found = find_gradients(work, shape, around, own);
         for (size_t n = 0; n < own.count; n++) {
             int adopts_nothing = found.foreign == 0 || found.capacity == 0;
-            Placing placing = n == 0 && adopts_nothing ? AS_NUMBERED : AS_NAMED;
+            Placing placing = n == 0 && adopts_nothing && !shape.fits ? AS_NUMBERED : AS_NAMED;
             write_vertex(work, shape, own.first[n], placing, &found);
         }
     }
@@ -1083,11 +1631,10 @@ FOR_PROCESSORS
 static Status bake_all_classes(Work *work)
 {
     const size_t slots = (size_t)work->surface->slots;
-    if (work->surface->wide_positions)
-        return bake_classes(work, (Shape){1, slots});
-    if (slots == 4)
-        return bake_classes(work, (Shape){0, 4});
-    return bake_classes(work, (Shape){0, slots});
+    const int wide = work->surface->wide_positions, fits = work->surface->parents != NULL;
+    if (!wide && slots == 4)
+        return fits ? bake_classes(work, (Shape){0, 1, 4}) : bake_classes(work, (Shape){0, 0, 4});
+    return fits ? bake_classes(work, (Shape){wide, 1, slots}) : bake_classes(work, (Shape){wide, 0, slots});
 }
 
 static Status bake_checked_surface(const Surface *s, const Baked *out)
@@ -1124,6 +1671,11 @@ static int check_surface(Surface *s)
         }
     }
     s->joint_count = (Py_ssize_t)largest + 1;
+    if (s->parents && s->rig_joints < s->joint_count) {
+        PyErr_SetString(PyExc_ValueError, "the rig has too few joints");
+        return -1;
+    }
+    s->joint_count = s->parents ? s->rig_joints : s->joint_count;
     if (s->joint_count > INT32_MAX - s->slots) { /* local numbers count both */
         PyErr_SetString(PyExc_ValueError, "too many joints for one surface");
         return -1;
@@ -1141,7 +1693,7 @@ static int check_surface(Surface *s)
 }
 
 enum { POSITIONS, TRIANGLES, JOINTS, WEIGHTS, UNUSED, CLASSES, NORMALS, TANGENTS, BITANGENTS, ALPHA, BETA, ADOPTED,
-       ENDS, SUMS, ARRAYS };
+       ENDS, SUMS, PARENTS, RANKS, PIVOTS, ARRAYS };
 
 static const Requirement surface_arrays[ARRAYS] = {
     [POSITIONS] = {"positions", "fd", AXIS_V, AXIS_3, READ},
@@ -1158,22 +1710,27 @@ static const Requirement surface_arrays[ARRAYS] = {
     [ADOPTED] = {"adopted", "i", AXIS_V, AXIS_K, WRITTEN},
     [ENDS] = {"ends", "Q", AXIS_P, AXIS_1, READ},
     [SUMS] = {"sums", "d", AXIS_P, AXIS_4, WRITTEN},
+    [PARENTS] = {"parents", "i", AXIS_J, AXIS_1, READ},
+    [RANKS] = {"ranks", "i", AXIS_J, AXIS_1, READ},
+    [PIVOTS] = {"pivots", "d", AXIS_J, AXIS_3, READ},
 };
 
 /* Take and check the arguments of bake_surface. Return -1 with an exception if one is wrong. */
 static int read_surface(PyObject *args, PyObject *keywords, Array *a, Surface *s, Baked *out)
 {
     static char *names[] = {"positions", "triangles", "joints", "weights", "free", "classes", "normals", "tangents",
-                            "bitangents", "alpha", "beta", "adopted", "ends", "sums", "class_count", "weighting",
-                            "adopts", "negligible", NULL};
+                            "bitangents", "alpha", "beta", "adopted", "ends", "sums", "parents", "ranks", "pivots",
+                            "class_count", "weighting", "adopts", "negligible", "stiffness", "flat", "unfelt", NULL};
     PyObject *o[ARRAYS];
     Py_ssize_t class_count;
     int weighting, adopts;
     double negligible;
-    if (!PyArg_ParseTupleAndKeywords(args, keywords, "$OOOOOOOOOOOOOOnipd", names, &o[POSITIONS], &o[TRIANGLES],
+    FitSettings fit;
+    if (!PyArg_ParseTupleAndKeywords(args, keywords, "$OOOOOOOOOOOOOOOOOnipdddd", names, &o[POSITIONS], &o[TRIANGLES],
                                      &o[JOINTS], &o[WEIGHTS], &o[UNUSED], &o[CLASSES], &o[NORMALS], &o[TANGENTS],
                                      &o[BITANGENTS], &o[ALPHA], &o[BETA], &o[ADOPTED], &o[ENDS], &o[SUMS],
-                                     &class_count, &weighting, &adopts, &negligible))
+                                     &o[PARENTS], &o[RANKS], &o[PIVOTS], &class_count, &weighting, &adopts,
+                                     &negligible, &fit.stiffness, &fit.flat, &fit.unfelt))
         return -1;
     if (read_arrays(o, surface_arrays, ARRAYS, 2, a) < 0)
         return -1;
@@ -1207,6 +1764,11 @@ static int read_surface(PyObject *args, PyObject *keywords, Array *a, Surface *s
         .weighting = (Weighting)weighting,
         .adopts = adopts,
         .negligible = negligible,
+        .parents = a[PARENTS].rows ? a[PARENTS].buffer.buf : NULL,
+        .ranks = a[RANKS].buffer.buf,
+        .pivots = a[PIVOTS].buffer.buf,
+        .rig_joints = a[PARENTS].rows,
+        .fit = fit,
     };
     *out = (Baked){
         .alpha = a[ALPHA].buffer.buf,

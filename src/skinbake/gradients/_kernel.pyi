@@ -68,10 +68,16 @@ def bake_surface(
     adopted: npt.NDArray[np.int32],
     ends: npt.NDArray[np.uint64],
     sums: npt.NDArray[np.float64],
+    parents: npt.NDArray[np.int32],
+    ranks: npt.NDArray[np.int32],
+    pivots: npt.NDArray[np.float64],
     class_count: int,
     weighting: int,
     adopts: bool,
     negligible: float,
+    stiffness: float,
+    flat: float,
+    unfelt: float,
 ) -> None:
     """Fill alpha, beta (V, K − 1) of a surface of P primitives, whose rows end at ``ends`` (P,).
 

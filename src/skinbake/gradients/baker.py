@@ -10,11 +10,12 @@ import numpy as np
 from skinbake.choices import Frame, FrameChoice, Neighbours, Weighting
 from skinbake.geometry import frames
 from skinbake.geometry.blocks import blocks
+from skinbake.geometry.rig import Rig
 from skinbake.geometry.skinned import BakedPrimitive, BoolArray, FloatArray, IntArray, SkinnedPrimitive
 from skinbake.gradients import kernel
-from skinbake.gradients.field import WeightDefects, concatenate_fields
+from skinbake.gradients.field import WeightDefects, WeightField, concatenate_fields
 from skinbake.gradients.influences import weight_field
-from skinbake.gradients.surface import Surface
+from skinbake.gradients.surface import Surface, SurfaceSlots
 from skinbake.gradients.weld import weld
 from skinbake.timing import stage
 
@@ -53,24 +54,14 @@ class BakeFindings:
 
 
 def bake_mesh(
-    primitives: Sequence[SkinnedPrimitive], settings: BakeSettings
+    primitives: Sequence[SkinnedPrimitive], settings: BakeSettings, rig: Rig | None = None
 ) -> list[tuple[BakedPrimitive, BakeFindings]]:
     """Return α and β of every primitive of one mesh, gathered across their borders.
 
     All primitives to bake are given, in mesh space, all skinned by the same joints. With
-    ``frame="tangent"`` every primitive must have tangents.
+    ``frame="tangent"`` every primitive must have tangents. With a rig, α and β are fitted to its turns.
     """
-    with stage("weights"):
-        fields, defects = zip(*(weight_field(primitive) for primitive in primitives), strict=True)
-        field = concatenate_fields(fields)
-    ends = np.cumsum([len(primitive.positions) for primitive in primitives]).tolist()
-    positions = _concatenate([primitive.positions for primitive in primitives])
-    with stage("triangles"):
-        masks = [kernel.mark_proper(part.positions, part.triangles) for part in primitives]
-        triangles = _concatenate_triangles(primitives, masks, [0, *ends])
-    with stage("weld"):
-        normals = _concatenate([primitive.normals for primitive in primitives])
-        classes = weld(positions, normals, field, crease_angle=settings.crease_angle)
+    gathered = _gathered(primitives, settings.crease_angle)
     with stage("frames"):
         chosen = [chosen_frame(primitive, settings.frame) for primitive in primitives]
         frame = None
@@ -78,16 +69,16 @@ def bake_mesh(
             pairs = [frame_vectors(*one) for one in zip(primitives, chosen, strict=True)]
             frame = _concatenate([pair[0] for pair in pairs]), _concatenate([pair[1] for pair in pairs])
     with stage("gradients"):
-        surface = Surface(positions, triangles, field, classes, normals, frame, ends)
+        surface = gathered.surface(frame, rig)
         adopt = settings.neighbours == Neighbours.ADOPT
         slots = kernel.bake_surface(surface, weighting=settings.weighting, adopt=adopt)
-    results = []
+    ends, results = gathered.ends, []
     for number, (primitive, choice) in enumerate(zip(primitives, chosen, strict=True)):
         rows = slice(ends[number] - len(primitive.positions), ends[number])
         adopting, overflowing, magnitude, unheld = slots.counts[number].tolist()
         findings = BakeFindings(
-            weights=defects[number],
-            degenerate_triangles=len(masks[number]) - int(np.count_nonzero(masks[number])),
+            weights=gathered.defects[number],
+            degenerate_triangles=gathered.degenerate[number],
             zero_normals=frames.without_direction(primitive.normals),
             tangent_deviation=choice.deviation,
             bad_tangents=choice.deviating,
@@ -107,6 +98,67 @@ def bake_mesh(
         )
         results.append((result, findings))
     return results
+
+
+def slots_of_surface(
+    primitives: Sequence[SkinnedPrimitive],
+    frame: tuple[FloatArray, FloatArray],
+    *,
+    weighting: Weighting,
+    crease_angle: float,
+    rig: Rig | None,
+) -> SurfaceSlots:
+    """Return α and β of all primitives of one surface, for given t0 and b0, each (V, 3). No slot adopts.
+
+    The arguments are as for ``bake_mesh``; crease_angle is in radians.
+    """
+    gathered = _gathered(primitives, crease_angle)
+    return kernel.bake_surface(gathered.surface(frame, rig), weighting=weighting, adopt=False)
+
+
+@dataclass(frozen=True, slots=True)
+class _Gathered:
+    """The arrays of all primitives of one surface, one after the other; see ``Surface``."""
+
+    positions: FloatArray
+    triangles: IntArray
+    field: WeightField
+    classes: IntArray
+    normals: FloatArray
+    ends: list[int]
+    defects: Sequence[WeightDefects]
+    degenerate: Sequence[int]
+
+    def surface(self, frame: tuple[FloatArray, FloatArray] | None, rig: Rig | None) -> Surface:
+        """Return the surface with a frame, and with a rig that has all joints."""
+        joints = int(self.field.joints.max(initial=-1)) + 1
+        return Surface(
+            self.positions,
+            self.triangles,
+            self.field,
+            self.classes,
+            self.normals,
+            frame,
+            self.ends,
+            None if rig is None else rig.with_joints(joints),
+        )
+
+
+def _gathered(primitives: Sequence[SkinnedPrimitive], crease_angle: float) -> _Gathered:
+    """Gather and weld the arrays of one surface. crease_angle is in radians."""
+    with stage("weights"):
+        fields, defects = zip(*(weight_field(primitive) for primitive in primitives), strict=True)
+        field = concatenate_fields(fields)
+    ends = np.cumsum([len(primitive.positions) for primitive in primitives]).tolist()
+    positions = _concatenate([primitive.positions for primitive in primitives])
+    with stage("triangles"):
+        masks = [kernel.mark_proper(part.positions, part.triangles) for part in primitives]
+        triangles = _concatenate_triangles(primitives, masks, [0, *ends])
+    with stage("weld"):
+        normals = _concatenate([primitive.normals for primitive in primitives])
+        classes = weld(positions, normals, field, crease_angle=crease_angle)
+    degenerate = [len(mask) - int(np.count_nonzero(mask)) for mask in masks]
+    return _Gathered(positions, triangles, field, classes, normals, ends, defects, degenerate)
 
 
 def _concatenate_triangles(

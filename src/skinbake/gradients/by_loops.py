@@ -8,12 +8,15 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from skinbake.geometry.rig import Rig
 from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray, IntArray
 from skinbake.geometry.triangles import DEGENERATE_AREA
 from skinbake.gradients import _kernel
 from skinbake.gradients.field import WeightDefects, WeightField
 from skinbake.gradients.labels import Labels
-from skinbake.gradients.surface import NEGLIGIBLE, Surface, SurfaceSlots
+from skinbake.gradients.surface import FLAT, NEGLIGIBLE, STIFFNESS, UNFELT, Surface, SurfaceSlots
+
+NO_RIG = Rig(np.empty(0, dtype=np.int32), np.empty((0, 3)))
 
 WEIGHTINGS = {
     "max": _kernel.BY_MAX,
@@ -62,6 +65,7 @@ def bake_surface(surface: Surface, *, weighting: str, adopt: bool) -> SurfaceSlo
     adopted = np.zeros((vertices, slots), dtype=np.int32)  # memory stays untouched if no slot adopts
     tangents, bitangents = surface.frame or (np.zeros((0, 3)), np.zeros((0, 3)))
     counts = np.zeros((len(surface.ends), 4))
+    rig = surface.rig or NO_RIG
     _kernel.bake_surface(
         positions=np.ascontiguousarray(surface.positions),
         triangles=np.ascontiguousarray(surface.triangles, dtype=np.uint32),
@@ -77,10 +81,16 @@ def bake_surface(surface: Surface, *, weighting: str, adopt: bool) -> SurfaceSlo
         adopted=adopted,
         ends=np.array(surface.ends, dtype=np.uint64),
         sums=counts,
+        parents=np.ascontiguousarray(rig.parents, dtype=np.int32),
+        ranks=np.ascontiguousarray(rig.ranks, dtype=np.int32),
+        pivots=np.ascontiguousarray(rig.pivots, dtype=np.float64),
         class_count=int(surface.classes.max(initial=-1)) + 1,
         weighting=WEIGHTINGS[weighting],
         adopts=adopt,
         negligible=NEGLIGIBLE,
+        stiffness=STIFFNESS,
+        flat=FLAT,
+        unfelt=UNFELT,
     )
     adopts = np.zeros(vertices, dtype=np.bool_)
     adopts[np.flatnonzero(adopted) // slots] = True

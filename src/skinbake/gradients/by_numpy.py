@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import numpy.typing as npt
 
@@ -10,6 +12,7 @@ from skinbake.geometry.skinned import Float64Array
 from skinbake.geometry.triangles import mark_proper
 from skinbake.gradients.field import NO_JOINT, WeightDefects, WeightField
 from skinbake.gradients.labels import Labels, bit_patterns, number_as_met
+from skinbake.gradients.rig_fit import FittedVertices, fitted, ring_turns
 from skinbake.gradients.slots import assign, shared_capacity
 from skinbake.gradients.surface import Surface, SurfaceSlots
 from skinbake.gradients.weight_gradients import weight_gradients
@@ -106,12 +109,25 @@ def _bake_parts(surface: Surface, *, weighting: str, adopt: bool) -> SurfaceSlot
     gradients = weight_gradients(surface.positions, surface.triangles, field, classes, weighting=weighting)
     capacity = shared_capacity(field, classes) if adopt else None
     tangents, bitangents = surface.frame or frame_from_normal(unit_normals(surface.normals))
+    turns = None if surface.rig is None else ring_turns(surface, weighting=weighting)
     parts, counts, start = [], [], 0
     for end in surface.ends:
         rows = slice(start, end)
         frame = (tangents[rows], bitangents[rows])
         room = None if capacity is None else capacity[rows]
         part = assign(gradients, classes[rows], field.rows(rows), frame, room)
+        if surface.rig is not None and turns is not None:
+            vertices = FittedVertices(
+                classes[rows],
+                field.rows(rows),
+                part.named,
+                surface.positions[rows],
+                frame,
+                part.alpha,
+                part.beta,
+            )
+            alpha, beta = fitted(vertices, gradients, turns, surface.rig)
+            part = replace(part, alpha=alpha, beta=beta)
         takers = np.count_nonzero((part.adopted != NO_JOINT).any(axis=1))
         counts.append([takers, part.overflowing, part.magnitude, part.lost * part.magnitude])
         parts.append(part)

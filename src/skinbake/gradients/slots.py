@@ -20,8 +20,9 @@ class SlotGradients:
     """α and β of every slot, and the gradients that the slots could not hold.
 
     alpha, beta (V, K) float64 include slot 0. adopted (V, K) int64 is the joint that a slot adopts, −1
-    elsewhere. overflowing is the number of vertices with more foreign joints than free slots. Without
-    adoption, it is the number of vertices with any foreign joints. magnitude is the length of all joints'
+    elsewhere. named (V, K) int64 is the joint whose gradient a slot holds, −1 for none. overflowing is the
+    number of vertices with more foreign joints than free slots. Without adoption, it is the number of
+    vertices with any foreign joints. magnitude is the length of all joints'
     gradients summed over the vertices, in 1 / length unit. lost is the share of it that no slot holds, and
     that goes to s0.
     """
@@ -29,6 +30,7 @@ class SlotGradients:
     alpha: Float64Array
     beta: Float64Array
     adopted: IntArray
+    named: IntArray
     overflowing: int
     magnitude: float
     lost: float
@@ -51,22 +53,23 @@ def assign(
     """
     alpha, beta = np.empty(field.joints.shape), np.empty(field.joints.shape)
     adopted = np.full(field.joints.shape, NO_JOINT, dtype=np.int64)
+    named = np.full(field.joints.shape, NO_JOINT, dtype=np.int64)
     overflowing, homeless, total = 0, 0.0, 0.0
     for start in range(0, len(classes), BLOCK):
         rows = slice(start, start + BLOCK)
         entries = _Entries(gradients, classes[rows])
         part = field.rows(rows)
         foreign = _foreign(entries, part)
-        named: IntArray = part.joints
+        named[rows] = part.joints
         if capacity is not None and len(foreign.vertices):
             adopted[rows] = _adopt(foreign, part, capacity[rows])
-            named = _named_slots(adopted[rows], part)
-        alpha[rows], beta[rows], unheld = _project(entries, named, (frame[0][rows], frame[1][rows]))
-        placed = (named[foreign.vertices] == foreign.joints[:, None]).any(axis=1)
+            named[rows] = _named_slots(adopted[rows], part)
+        alpha[rows], beta[rows], unheld = _project(entries, named[rows], (frame[0][rows], frame[1][rows]))
+        placed = (named[rows][foreign.vertices] == foreign.joints[:, None]).any(axis=1)
         overflowing += len(np.unique(foreign.vertices[~placed]))
         homeless, total = homeless + unheld, total + float(entries.sums.sum())
     lost = homeless / total if total > 0 else 0.0
-    return SlotGradients(alpha, beta, adopted, overflowing, total, lost)
+    return SlotGradients(alpha, beta, adopted, named, overflowing, total, lost)
 
 
 def shared_capacity(field: WeightField, classes: IntArray) -> IntArray:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from skinbake.geometry.rig import Rig
 from skinbake.geometry.skinned import Float32Array, Float64Array, FloatArray, IntArray
 from skinbake.gradients.field import WeightField
 
@@ -15,6 +16,18 @@ It changes the correction of a tangent by a ten-thousandth. At a correction as l
 that is less than 0.01°.
 """
 
+STIFFNESS = 0.12
+"""The share of a joint's squared lever that pulls its fitted gradient to the surface's gradient."""
+
+FLAT = 1e-6
+"""The sine between the two derivatives of the positions below which a class has no normal of its own."""
+
+UNFELT = 1e-6
+"""A joint with at most this weight at a vertex, and no gradient there, is not fitted.
+
+Its α would make up for errors of others, at the end of a long lever.
+"""
+
 
 @dataclass(frozen=True, slots=True)
 class Surface:
@@ -23,7 +36,8 @@ class Surface:
     positions (V, 3) are in mesh space. triangles (T, 3) index them, and all have an area. field has the
     normalised weights (V, K). classes (V,) is each vertex's weld class. normals (V, 3) are of any length.
     frame has the tangents and bitangents at rest, each (V, 3) and of one type. None means that they follow
-    from the normals. ends (P,) is the index after each primitive's last vertex.
+    from the normals. ends (P,) is the index after each primitive's last vertex. If there is a rig, the
+    gradients are fitted to its turns. It has all joints of the field.
     """
 
     positions: FloatArray
@@ -33,6 +47,7 @@ class Surface:
     normals: FloatArray
     frame: tuple[FloatArray, FloatArray] | None
     ends: Sequence[int]
+    rig: Rig | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,6 +5,7 @@ This module is the definition. ``_kernel.c`` does the same in one pass over the 
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -44,25 +45,61 @@ def weight_gradients(
     triangle gradients, normalised by the weight of *all* its corners, so that the gradients of all joints sum
     to zero. A class without triangles has no entries. weighting is a key of WEIGHTINGS.
     """
-    method, classes = WEIGHTINGS[weighting], classes.astype(np.int64)
-    count, points = int(classes.max(initial=-1)) + 1, positions.astype(np.float64)
+    classes = classes.astype(np.int64)
+    count = int(classes.max(initial=-1)) + 1
     total = np.zeros(count)
     keys, vectors = [], []
     joint_count = int(field.joints.max(initial=0)) + 1
+    for corners in corners_of(positions, triangles, weighting):
+        total += np.bincount(classes[corners.origin], corners.weight, count)
+        for neighbour, _, coefficients in corners.ends():
+            corner, joints, difference = corner_differences(field, corners.origin, neighbour)
+            keys.append(classes[corners.origin[corner]] * joint_count + joints)
+            vectors.append(coefficients[corner] * difference[:, None])
+    offsets, joints, sums = summed_by_key(keys, vectors, joint_count, count)
+    owner = np.repeat(np.arange(count), np.diff(offsets))
+    return VertexGradients(offsets, joints, sums / total[owner, None])
+
+
+@dataclass(frozen=True, slots=True)
+class Corners:
+    """One corner of each of T triangles.
+
+    origin, first and second (T,) are its vertex and the two others. edges (2, T, 3) lead to these. weight
+    (T,) is the corner's weight in the mean, coefficients (2, T, 3) the weight times the gradients of both
+    hats. normals (T, 3) are the unit normals of the triangles, angles (T,) their angles at the corner, in
+    radians.
+    """
+
+    origin: IntArray
+    first: IntArray
+    second: IntArray
+    edges: Float64Array
+    weight: Float64Array
+    coefficients: Float64Array
+    normals: Float64Array
+    angles: Float64Array
+
+    def ends(self) -> Iterator[tuple[IntArray, Float64Array, Float64Array]]:
+        """Return both ends: the other vertex, the edge to it, and the coefficients."""
+        yield from zip((self.first, self.second), self.edges, self.coefficients, strict=True)
+
+
+def corners_of(positions: FloatArray, triangles: IntArray, weighting: str) -> Iterator[Corners]:
+    """Return all first corners of the triangles, then all second ones, then all third ones."""
+    points = positions.astype(np.float64)
     for turn in range(3):
         origin, first, second = np.roll(triangles, -turn, axis=1).T
-        e1 = tuple((points[first] - points[origin]).T)
-        e2 = tuple((points[second] - points[origin]).T)
-        weight, c1, c2 = corner_coefficients(e1, e2, method)
-        total += np.bincount(classes[origin], weight, count)
-        for neighbour, coefficients in ((first, c1), (second, c2)):
-            corner, joints, difference = _differences(field, origin, neighbour)
-            keys.append(classes[origin[corner]] * joint_count + joints)
-            vectors.append(np.stack([c[corner] * difference for c in coefficients]))
-    return _reduced(np.concatenate(keys), np.concatenate(vectors, axis=1), total, joint_count)
+        edges = np.stack([points[first] - points[origin], points[second] - points[origin]])
+        weight, c1, c2 = corner_coefficients(tuple(edges[0].T), tuple(edges[1].T), WEIGHTINGS[weighting])
+        normals = np.cross(edges[0], edges[1])
+        areas = np.linalg.norm(normals, axis=1)
+        angles = np.arctan2(areas, np.einsum("ti,ti->t", *edges))
+        coefficients = np.stack([np.stack(c1, axis=1), np.stack(c2, axis=1)])
+        yield Corners(origin, first, second, edges, weight, coefficients, normals / areas[:, None], angles)
 
 
-def _differences(
+def corner_differences(
     field: WeightField, origin: IntArray, neighbour: IntArray
 ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64], Float64Array]:
     """Return each difference of a joint's weight between two ends: (pair, joint, w_neighbour − w_origin)."""
@@ -77,13 +114,24 @@ def _differences(
     return pair, joints[pair, slot], difference[pair, slot]
 
 
-def _reduced(
-    keys: npt.NDArray[np.int64], vectors: Float64Array, total: Float64Array, joint_count: int
-) -> VertexGradients:
-    """Sum the vectors (3, N) of equal keys and divide by the class's total weight."""
-    unique, inverse = np.unique(keys, return_inverse=True)
-    sums = np.stack([np.bincount(inverse, row, len(unique)) for row in vectors], axis=1)
+def summed_by_key(
+    keys: Sequence[npt.NDArray[np.int64]], values: Sequence[Float64Array], joint_count: int, count: int
+) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64], Float64Array]:
+    """Sum the rows of values that belong to one class and joint: key = class × joint_count + joint.
+
+    Returns offsets (C + 1,), joints (E,) and sums (E, M), in rows like CSR.
+    """
+    unique, inverse = np.unique(np.concatenate(keys), return_inverse=True)
+    rows = np.concatenate(values)
+    sums = summed_rows(inverse, rows, len(unique))
     owner, joints = np.divmod(unique, joint_count)
-    gradients = sums / total[owner, None]
-    offsets = np.concatenate([[0], np.cumsum(np.bincount(owner, minlength=len(total)))])
-    return VertexGradients(offsets, joints, gradients)
+    offsets = np.concatenate([[0], np.cumsum(np.bincount(owner, minlength=count))])
+    return offsets, joints, sums
+
+
+def summed_rows(groups: IntArray, rows: Float64Array, count: int) -> Float64Array:
+    """Sum the rows (N, M) of each of ``count`` groups, (count, M). groups (N,) names the group of each."""
+    sums = np.empty((count, rows.shape[1]))
+    for number, column in enumerate(rows.T):
+        sums[:, number] = np.bincount(groups, column, count)
+    return sums

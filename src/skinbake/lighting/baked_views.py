@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from skinbake.choices import Frame, Weighting, Weld
+from skinbake.choices import Frame, Gradients, Weighting, Weld
 from skinbake.errors import Notice
 from skinbake.format.metadata import VERSION, changed_arrays, read_metadata
 from skinbake.format.stored_slots import BAKE, read_slots, shown, wrong_storage
@@ -138,6 +138,8 @@ def _wrong_members(metadata: JsonObject, source: PrimitiveSource) -> Iterator[st
         yield f'"frame" is {shown(metadata.get("frame"))}'
     if metadata.get("weld", Weld.MESH) not in list(Weld):
         yield f'"weld" is {shown(metadata.get("weld"))}'
+    if metadata.get("gradients", Gradients.SURFACE) not in list(Gradients):
+        yield f'"gradients" is {shown(metadata.get("gradients"))}'
     if metadata.get("weighting") not in list(Weighting):
         yield f'"weighting" is {shown(metadata.get("weighting"))}'
     angle = metadata.get("creaseAngle")
@@ -205,4 +207,9 @@ def _contradictions(document: Document, views: Sequence[BakedView]) -> Iterator[
 
 def _gathering(view: BakedView) -> dict[str, Any]:
     """Return the settings that all primitives of one surface share."""
-    return {"weld": _weld(view), **{key: view.metadata[key] for key in ("weighting", "creaseAngle")}}
+    kind = view.metadata.get("gradients", Gradients.SURFACE)
+    return {
+        "weld": _weld(view),
+        "gradients": kind,
+        **{key: view.metadata[key] for key in ("weighting", "creaseAngle")},
+    }

@@ -53,16 +53,18 @@ class LimitCost:
 class BakedCounts:
     """The bake of one primitive, in numbers.
 
-    adopting_vertices took joints of their neighbours into free slots. overflowing_vertices had more such
-    joints than free slots. gradient is the summed length of the weight gradients, in 1 / length unit, and
-    lost_gradient the share of it that no slot holds. added_bytes is the growth of the file by the primitive,
-    bytes_per_vertex the size of α and β for a vertex. limited is the effect of --limit-influences.
+    gradients is the kind of α and β. adopting_vertices took joints of their neighbours into free slots.
+    overflowing_vertices had more such joints than free slots. gradient is the summed length of the weight
+    gradients, in 1 / length unit, and lost_gradient the share of it that no slot holds. added_bytes is the
+    growth of the file by the primitive, bytes_per_vertex the size of α and β for a vertex. limited is the
+    effect of --limit-influences.
     """
 
     vertices: int
     triangles: int
     degenerate_triangles: int
     influences: int
+    gradients: str
     frame: str
     generated_normals: bool
     adopting_vertices: int

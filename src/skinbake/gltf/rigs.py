@@ -1,0 +1,96 @@
+"""The rig of a skin: the hierarchy of its joints, and the points about which they turn."""
+
+from __future__ import annotations
+
+import hashlib
+
+import numpy as np
+import numpy.typing as npt
+
+from skinbake.errors import InputError, Notice
+from skinbake.geometry.rig import NO_PARENT, Rig
+from skinbake.geometry.skinned import Float64Array
+from skinbake.gltf.animation import Skeleton, read_skeleton
+from skinbake.gltf.document import Document
+from skinbake.gltf.primitives import PrimitiveSource
+
+
+def fitting_rig(document: Document, source: PrimitiveSource) -> tuple[Rig | None, list[Notice]]:
+    """Return the rig of the skin that draws a primitive, None if no joint of it can turn, and notices.
+
+    Nothing is fitted, and nothing is said, for a skin of one joint.
+    """
+    try:
+        rig, others = rig_of_mesh(document, source.mesh)
+    except InputError as error:
+        return None, [_no_rig(f"the skeleton cannot be read ({error.message})", source)]
+    if len(rig.parents) == 1:
+        return None, []
+    if not np.isfinite(rig.pivots).all(axis=1).any():
+        return None, [_no_rig("no inverse bind matrix of the skin can be inverted", source)]
+    if not others:
+        return rig, []
+    count = "another skin" if others == 1 else f"{others} other skins"
+    message = f"{count} with other joints or bind poses draw the mesh too: α/β are fitted to the first skin"
+    return rig, [Notice("rig-of-first-skin", message, source.place)]
+
+
+def _no_rig(reason: str, source: PrimitiveSource) -> Notice:
+    message = f"{reason}: α/β are the gradients of the surface, as with --gradients surface"
+    return Notice("no-rig", message, source.place)
+
+
+def rig_of_mesh(document: Document, mesh: int) -> tuple[Rig, int]:
+    """Return the rig of the first skin that draws a mesh, in mesh space, and the number of other rigs.
+
+    A node that is listed twice carries itself. Joints whose inverse bind matrix is singular have no pivot.
+    Raises InputError if the nodes form a circle, or if a matrix cannot be read.
+    """
+    skins = {
+        int(node["skin"]): None
+        for node in document.objects("nodes")
+        if node.get("mesh") == mesh and "skin" in node
+    }
+    first, *others = (_rig_of_skin(document, skin) for skin in skins)
+    return first, len({rig_digest(rig) for rig in others} - {rig_digest(first)})
+
+
+def rig_digest(rig: Rig) -> str:
+    """Return a short digest of a rig. float32 decides, so that a tool may write its matrices again."""
+    state = hashlib.sha256(rig.parents.astype("<i4").tobytes())
+    state.update((rig.pivots.astype("<f4") + np.float32(0.0)).tobytes())
+    return state.hexdigest()[:16]
+
+
+def _rig_of_skin(document: Document, skin: int) -> Rig:
+    skeleton = read_skeleton(document, skin)
+    return Rig(_joint_parents(skeleton), _pivots(skeleton.inverse_bind))
+
+
+def _joint_parents(skeleton: Skeleton) -> npt.NDArray[np.int32]:
+    """Return for each joint the next joint above it. Nodes that are no joints are passed over."""
+    positions = skeleton.joints.tolist()
+    joint_at: dict[int, int] = {}
+    for joint, position in enumerate(positions):
+        joint_at.setdefault(position, joint)
+    above = [NO_PARENT] * len(skeleton.parents)
+    for position, parent in enumerate(skeleton.parents):  # parents come before their children
+        if parent >= 0:
+            above[position] = joint_at.get(parent, above[parent])
+    parents = [
+        above[position] if joint_at[position] == joint else joint_at[position]
+        for joint, position in enumerate(positions)
+    ]
+    return np.array(parents, dtype=np.int32)
+
+
+def _pivots(inverse_bind: Float64Array) -> Float64Array:
+    """Return the origins of the joints in mesh space (J, 3), NaN for a matrix that cannot be inverted."""
+    pivots = np.full((len(inverse_bind), 3), np.nan)
+    with np.errstate(all="ignore"):
+        usable = np.flatnonzero(np.isfinite(inverse_bind).all(axis=(1, 2)))
+        usable = usable[np.linalg.det(inverse_bind[usable, :3, :3]) != 0.0]
+        linear, moved = inverse_bind[usable, :3, :3], inverse_bind[usable, :3, 3:]
+        pivots[usable] = -np.linalg.solve(linear, moved)[..., 0]
+    pivots[~np.isfinite(pivots).all(axis=1)] = np.nan
+    return pivots

@@ -1,0 +1,310 @@
+"""Weight gradients fitted to the turns of a rig: the closed form of docs/fitted.md, in numpy.
+
+The gradient of a weight moves the tangents of algorithm 3 exactly if the surface and the weights are smooth.
+On a coarse mesh a better number exists: the one with which the tangents follow the deformed triangles. This
+module finds it for small turns of all joints, each about its own pivot. ``_kernel.c`` does the same in its
+pass over the vertices; this module is the definition.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from skinbake.geometry.frames import frame_from_normal, has_direction, unit_normals
+from skinbake.geometry.rig import Rig
+from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray, IntArray
+from skinbake.gradients.field import NO_JOINT, WeightField
+from skinbake.gradients.labels import first_rows
+from skinbake.gradients.surface import FLAT, NEGLIGIBLE, STIFFNESS, UNFELT, Surface
+from skinbake.gradients.weight_gradients import (
+    VertexGradients,
+    corner_differences,
+    corners_of,
+    summed_by_key,
+    summed_rows,
+)
+
+MOST_TURNS = 128
+"""The joints that part those around a vertex. With more of them, the vertex keeps its gradients."""
+
+MOST_FITTED = 64
+"""The joints of a vertex. With more of them, the vertex keeps its gradients."""
+
+
+@dataclass(frozen=True, slots=True)
+class RingTurns:
+    """How the neighbourhoods of C weld classes turn with their joints, in rows like CSR.
+
+    Class c has the entries offsets[c] … offsets[c + 1]. An entry is a joint, and what its weight adds to the
+    turn of the class's two tangents: arms (E, 2, 3) act through the lever from the pivot, 1 / length unit;
+    spins (E, 2, 3) act by themselves. normals, and tangents (C, 2, 3), are the orthonormal frames in which
+    this holds. sound (C,) tells which classes can be fitted.
+    """
+
+    offsets: IntArray
+    joints: IntArray
+    arms: Float64Array
+    spins: Float64Array
+    normals: Float64Array
+    tangents: Float64Array
+    sound: BoolArray
+
+
+def ring_turns(surface: Surface, *, weighting: str) -> RingTurns:
+    """Return the turns of all classes of a surface. weighting is a key of ``corner.WEIGHTINGS``.
+
+    The turn is the mean of those of two normals of the deformed mesh: the normal across the two derivatives
+    of the positions, and the angle-weighted mean of the triangles' normals.
+    """
+    classes = surface.classes.astype(np.int64)
+    first = first_rows(classes)
+    unit = unit_normals(surface.normals[first])
+    normals = unit.astype(np.float64)
+    tangents = np.stack(frame_from_normal(unit), axis=1).astype(np.float64)
+    count = len(first)
+    total, derivatives, faces = np.zeros(count), np.zeros((count, 2, 3)), np.zeros((count, 3))
+    for corners in corners_of(surface.positions, surface.triangles, weighting):
+        at = classes[corners.origin]
+        total += np.bincount(at, corners.weight, count)
+        faces += _summed(at, corners.angles[:, None] * corners.normals, count)
+        for _, edges, coefficients in corners.ends():
+            along = np.einsum("cti,ci->ct", tangents[at], coefficients)
+            derivatives += _summed(at, along[:, :, None] * edges[:, None, :], count)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        derivatives /= total[:, None, None]
+        leverage, area = _leverage(derivatives, tangents, normals)
+        facing = np.linalg.norm(faces, axis=1)
+        lengths = np.linalg.norm(derivatives, axis=2)
+        sound = area > FLAT * lengths[:, 0] * lengths[:, 1]
+        sound &= (facing > FLAT) & has_direction(surface.normals[first])
+    keys, values = [], []
+    joint_count = int(surface.field.joints.max(initial=0)) + 1
+    for corners in corners_of(surface.positions, surface.triangles, weighting):
+        at = classes[corners.origin]
+        for neighbour, edges, coefficients in corners.ends():
+            with np.errstate(divide="ignore", invalid="ignore"):
+                along = np.einsum("cti,ci->ct", tangents[at], coefficients)
+                by_tangents = np.einsum("cd,ctdi->cti", along / total[at, None], leverage[at])
+                share = corners.angles / corners.weight / facing[at]
+                by_faces = (along * share[:, None])[:, :, None] * corners.normals[:, None, :]
+                arms = np.where(sound[at, None, None], 0.5 * (by_tangents + by_faces), 0.0)
+            corner, joints, difference = corner_differences(surface.field, corners.origin, neighbour)
+            arms = arms[corner] * difference[:, None, None]
+            spins = np.cross(edges[corner, None, :], arms)
+            keys.append(at[corner] * joint_count + joints)
+            values.append(np.concatenate([arms, spins], axis=1).reshape(-1, 12))
+    offsets, joints, sums = summed_by_key(keys, values, joint_count, count)
+    both = sums.reshape(-1, 4, 3)
+    return RingTurns(offsets, joints, both[:, :2], both[:, 2:], normals, tangents, sound)
+
+
+def _summed(at: IntArray, values: Float64Array, count: int) -> Float64Array:
+    """Sum rows of values (N, …) by their class."""
+    flat = values.reshape(len(values), -1)
+    sums = summed_rows(at, flat, count)
+    return sums.reshape(count, *values.shape[1:])
+
+
+def _leverage(
+    derivatives: Float64Array, tangents: Float64Array, normals: Float64Array
+) -> tuple[Float64Array, Float64Array]:
+    """Return u of F along the tangents (C, 2, 2, 3), and the area between the derivatives (C,).
+
+    F maps the derivatives a, b and ĉ of the rest positions to those of the deformed ones (§7). If a turns by
+    ω × A and b by ω × B, then n0 · dF(ω) t0 = ω · (A × u[0] + B × u[1]) for the first tangent.
+    """
+    a, b = derivatives[:, 0], derivatives[:, 1]
+    c = np.cross(a, b)
+    area = np.linalg.norm(c, axis=1)
+    unit = c / area[:, None]
+    lean = normals - 0.5 * unit * np.einsum("ci,ci->c", unit, normals)[:, None]
+    found = np.empty((len(a), 2, 2, 3))
+    for number in range(2):
+        t = tangents[:, number]
+        by_a = np.einsum("ci,ci->c", np.cross(t, b), c) / area**2
+        by_b = np.einsum("ci,ci->c", np.cross(a, t), c) / area**2
+        q = (np.einsum("ci,ci->c", t, unit) / area)[:, None] * lean
+        found[:, number, 0] = by_a[:, None] * normals + np.cross(b, q)
+        found[:, number, 1] = by_b[:, None] * normals + np.cross(q, a)
+    return found, area
+
+
+@dataclass(frozen=True, slots=True)
+class FittedVertices:
+    """V vertices to fit.
+
+    classes (V,) are their weld classes. field has their influences (V, K), named (V, K) the joint whose
+    gradient each slot holds, −1 for none. positions and the tangents and bitangents t0, b0 of the shader are
+    (V, 3). alpha, beta (V, K) are the surface's gradients along them.
+    """
+
+    classes: IntArray
+    field: WeightField
+    named: IntArray
+    positions: FloatArray
+    frame: tuple[FloatArray, FloatArray]
+    alpha: Float64Array
+    beta: Float64Array
+
+
+def fitted(
+    vertices: FittedVertices, gradients: VertexGradients, turns: RingTurns, rig: Rig
+) -> tuple[Float64Array, Float64Array]:
+    """Return α and β (V, K) for which the tangents follow small turns of the joints of a rig best.
+
+    Of the joints that a vertex names, the highest in the hierarchy takes minus the sum of the others. A
+    vertex that cannot be fitted keeps its α and β.
+    """
+    pairs = _turning_pairs(vertices, gradients, turns, rig)
+    named, system = pairs.named, _normal_equations(vertices, turns, pairs)
+    targets = _gradients_of_slots(vertices, gradients, turns)
+    change = np.zeros((*named.shape, 2))
+    for count in np.unique(system.unknowns.sum(axis=1)):
+        rows = np.flatnonzero((system.unknowns.sum(axis=1) == count) & system.solvable)
+        if count == 0 or len(rows) == 0:
+            continue
+        slots = np.nonzero(system.unknowns[rows])[1].reshape(len(rows), count)
+        here = rows[:, None]
+        matrix = system.matrix[here[:, :, None], slots[:, :, None], slots[:, None, :]]
+        stiffness = system.stiffness[here, slots]
+        matrix[:, np.arange(count), np.arange(count)] += stiffness
+        target = targets[here, slots]
+        values = np.linalg.solve(matrix, system.right[here, slots] + stiffness[:, :, None] * target)
+        fits = np.isfinite(values).all(axis=(1, 2))
+        change[here[fits], slots[fits]] = (values - target)[fits]
+        # The reference takes minus the sum of all fitted values, whatever its own gradient is.
+        own = targets[rows[fits], pairs.reference[rows[fits]]]
+        change[rows[fits], pairs.reference[rows[fits]]] = -values[fits].sum(axis=1) - own
+    moved = np.einsum("vkt,vti->vki", change, turns.tangents[vertices.classes])
+    along = [np.einsum("vki,vi->vk", moved, axis) for axis in vertices.frame]
+    return vertices.alpha + along[0], vertices.beta + along[1]
+
+
+@dataclass(frozen=True, slots=True)
+class _Pairs:
+    """The pairs (N,) of a vertex and a joint whose turn parts the joints around the vertex.
+
+    arms, spins (N, 2, 3) are the sums over all joints that the turning joint carries. carries (N, K) tells
+    which slots it carries. named (V, K) are the fitted joints of the slots, −1 for the others, and reference
+    (V,) the slot of the highest of them.
+    """
+
+    vertices: IntArray
+    levers: Float64Array
+    arms: Float64Array
+    spins: Float64Array
+    carries: BoolArray
+    named: IntArray
+    reference: IntArray
+
+
+def _turning_pairs(
+    vertices: FittedVertices, gradients: VertexGradients, turns: RingTurns, rig: Rig
+) -> _Pairs:
+    """Return the pairs of V vertices. Joints that the rig does not have stand apart and never turn."""
+    owner, entry = _entries(turns.offsets, vertices.classes)
+    named = _fitted_joints(vertices, gradients)
+    row, slot = np.nonzero(named >= 0)
+    vertex = np.concatenate([owner, row])
+    joint = np.concatenate([turns.joints[entry], named[row, slot]])
+    values = np.concatenate([turns.arms[entry], turns.spins[entry]], axis=1).reshape(-1, 12)
+    values = np.concatenate([values, np.zeros((len(row), 12))])
+    carriers, starts = rig.carriers()
+    repeated, above = _entries(starts, joint)
+    size = len(rig.parents)
+    involved = np.unique(vertex * size + joint)
+    amount = np.bincount(involved // size, minlength=len(named))
+    keys, place = np.unique(vertex[repeated] * size + carriers[above], return_inverse=True)
+    sums = summed_rows(place, values[repeated], len(keys))
+    at, turning = np.divmod(keys, size)
+    again, over = _entries(starts, involved % size)
+    carried = np.bincount(
+        np.searchsorted(keys, (involved // size)[again] * size + carriers[over]), minlength=len(keys)
+    )
+    parting = carried < amount[at]
+    parting &= np.bincount(at[parting], minlength=len(named))[at] <= MOST_TURNS
+    parting &= np.isfinite(rig.pivots[turning]).all(axis=1)
+    at, turning, both = at[parting], turning[parting], sums[parting].reshape(-1, 4, 3)
+    lines = rig.lines_of_descent()
+    ranks = np.where(named >= 0, rig.ranks[named], size)
+    return _Pairs(
+        vertices=at,
+        levers=vertices.positions[at].astype(np.float64) - rig.pivots[turning],
+        arms=both[:, :2],
+        spins=both[:, 2:],
+        carries=lines[turning[:, None], named[at]] & (named[at] >= 0),
+        named=named,
+        reference=ranks.argmin(axis=1),
+    )
+
+
+def _entries(offsets: IntArray, rows: IntArray) -> tuple[IntArray, IntArray]:
+    """Return the places of all entries of some rows like CSR, each with the index of its row."""
+    count = offsets[rows + 1] - offsets[rows]
+    owner = np.repeat(np.arange(len(rows)), count)
+    return owner, np.arange(len(owner)) + np.repeat(offsets[rows] - np.cumsum(count) + count, count)
+
+
+def _fitted_joints(vertices: FittedVertices, gradients: VertexGradients) -> IntArray:
+    """Return the joints of the slots (V, K) that are fitted, −1 for the others."""
+    owner, entry = _entries(gradients.offsets, vertices.classes)
+    lengths = np.linalg.norm(gradients.gradients[entry], axis=1)
+    total = np.bincount(owner, lengths, len(vertices.classes))
+    worth = lengths > NEGLIGIBLE * total[owner]
+    varies = np.zeros(vertices.named.shape, dtype=np.bool_)
+    same = vertices.named[owner[worth]] == gradients.joints[entry[worth], None]
+    np.logical_or.at(varies, owner[worth], same)
+    chosen = ((vertices.field.weights > UNFELT) & (vertices.named == vertices.field.joints)) | varies
+    chosen &= np.count_nonzero(chosen, axis=1)[:, None] <= MOST_FITTED
+    return np.where(chosen, vertices.named, NO_JOINT)
+
+
+def _gradients_of_slots(
+    vertices: FittedVertices, gradients: VertexGradients, turns: RingTurns
+) -> Float64Array:
+    """Return the surface's gradient of each slot's joint along the class's two tangents, (V, K, 2)."""
+    owner, entry = _entries(gradients.offsets, vertices.classes)
+    along = np.einsum("eti,ei->et", turns.tangents[vertices.classes[owner]], gradients.gradients[entry])
+    row, slot = np.nonzero(vertices.named[owner] == gradients.joints[entry, None])
+    found = np.zeros((*vertices.named.shape, 2))
+    found[owner[row], slot] = along[row]
+    return found
+
+
+@dataclass(frozen=True, slots=True)
+class _NormalEquations:
+    """The least squares of V vertices over all their slots.
+
+    matrix (V, K, K), right (V, K, 2) for both tangents, stiffness (V, K). unknowns (V, K) tells which slots
+    have an equation, solvable (V,) which vertices.
+    """
+
+    matrix: Float64Array
+    right: Float64Array
+    stiffness: Float64Array
+    unknowns: BoolArray
+    solvable: BoolArray
+
+
+def _normal_equations(vertices: FittedVertices, turns: RingTurns, pairs: _Pairs) -> _NormalEquations:
+    """Sum up, over all turning joints, what tilts a tangent along the normal, by slot and as it should be."""
+    at, classes = pairs.vertices, vertices.classes[pairs.vertices]
+    count, slots = pairs.named.shape
+    reference = pairs.carries[np.arange(len(at)), pairs.reference[at]]
+    unknowns = pairs.named >= 0
+    unknowns[np.arange(count), pairs.reference] = False
+    sides = np.where(unknowns[at], pairs.carries.astype(np.float64) - reference[:, None], 0.0)
+    tilt = np.cross(pairs.levers, turns.normals[classes])
+    wanted = np.cross(pairs.levers[:, None], pairs.arms) + pairs.spins
+    squares = np.einsum("ni,ni->n", tilt, tilt)
+    levers = np.einsum("ni,ni->n", pairs.levers, pairs.levers)
+    matrix, right = np.zeros((count, slots, slots)), np.zeros((count, slots, 2))
+    stiffness = np.zeros((count, slots))
+    np.add.at(matrix, at, sides[:, :, None] * sides[:, None, :] * squares[:, None, None])
+    np.add.at(right, at, sides[:, :, None] * np.einsum("ni,nti->nt", tilt, wanted)[:, None, :])
+    np.add.at(stiffness, at, np.abs(sides) * levers[:, None])
+    unknowns &= stiffness > 0.0
+    solvable = turns.sound[vertices.classes]
+    return _NormalEquations(matrix, right, STIFFNESS * stiffness, unknowns, solvable)

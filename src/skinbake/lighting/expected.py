@@ -1,0 +1,84 @@
+"""The α and β that a bake of the present arrays would give, by the kind that the metadata notes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from skinbake.choices import Gradients
+from skinbake.format.adoption import TINY_WEIGHT, UNIT
+from skinbake.geometry.rig import Rig
+from skinbake.geometry.skinned import Float64Array, SkinnedPrimitive
+from skinbake.gltf.document import Document
+from skinbake.gltf.rigs import fitting_rig
+from skinbake.gradients.baker import slots_of_surface
+from skinbake.lighting.baked_views import BakedView
+from skinbake.lighting.operator import GradientOperator, expected_alpha_beta
+
+ROUNDING = 1e-6
+"""The rounding of a weight that was decoded in float32, relative to it."""
+
+Expected = list[tuple[Float64Array, Float64Array]]
+
+
+def expected_slots(document: Document, views: Sequence[BakedView], operator: GradientOperator) -> Expected:
+    """Return α and β (V, K − 1) of each view of one surface.
+
+    The gradients of a surface come from the operator, which shares no code with bake. Fitted gradients come
+    from bake's own loops: how good they are is measured against the true normals, not here.
+    """
+    if noted_kind(views[0]) is Gradients.SURFACE:
+        return surface_slots(views, operator)
+    rig, _ = fitting_rig(document, views[0].source)
+    return surface_slots(views, operator) if rig is None else fitted_slots(views, operator, rig)
+
+
+def given_weights(view: BakedView) -> Float64Array:
+    """Return the weights (V, K) that adopted slots were given: all that are exactly the smallest ones."""
+    weights = np.asarray(view.now.weights, dtype=np.float64)
+    if "adopted" not in view.metadata:
+        return np.zeros(weights.shape)
+    given = (weights == TINY_WEIGHT) | (np.abs(weights * UNIT - 1.0) < ROUNDING)
+    return np.where(given, weights, 0.0)
+
+
+def _before_adoption(view: BakedView) -> SkinnedPrimitive:
+    """Return a primitive without those weights, which belong to no surface that was fitted."""
+    weights = np.asarray(view.now.weights, dtype=np.float64) - given_weights(view)
+    return view.now.with_influences(view.now.joints, weights)
+
+
+def noted_kind(view: BakedView) -> Gradients:
+    """Return the kind of α and β. Files of older versions do not name it."""
+    return Gradients(view.metadata.get("gradients", Gradients.SURFACE))
+
+
+def surface_slots(views: Sequence[BakedView], operator: GradientOperator) -> Expected:
+    """Return the gradients of the surface of each view, (V, K − 1)."""
+    expected = expected_alpha_beta(
+        operator,
+        [view.now for view in views],
+        [(view.tangents, view.bitangents) for view in views],
+    )
+    return [(alpha[:, 1:], beta[:, 1:]) for alpha, beta in expected]
+
+
+def fitted_slots(views: Sequence[BakedView], operator: GradientOperator, rig: Rig) -> Expected:
+    """Return the gradients of each view fitted to a rig, (V, K − 1), with the joints that the slots name."""
+    noted = views[0].metadata
+    tangents = np.concatenate([np.asarray(view.tangents, dtype=np.float64) for view in views])
+    bitangents = np.concatenate([np.asarray(view.bitangents, dtype=np.float64) for view in views])
+    slots = slots_of_surface(
+        [_before_adoption(view) for view in views],
+        (tangents, bitangents),
+        weighting=operator.weighting,
+        crease_angle=float(np.radians(noted["creaseAngle"])),
+        rig=rig,
+    )
+    found = []
+    for view, rows in zip(views, operator.slices, strict=True):
+        count = view.now.joints.shape[1] - 1
+        alpha, beta = slots.alpha[rows, :count], slots.beta[rows, :count]
+        found.append((alpha.astype(np.float64), beta.astype(np.float64)))
+    return found

@@ -1,0 +1,245 @@
+"""Gradients fitted to a rig: held to a plain least-squares fit over small turns, and to what they promise."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from skinbake.choices import FrameChoice, Neighbours
+from skinbake.geometry.frames import frame_from_normal, unit_normals
+from skinbake.geometry.rig import NO_PARENT, Rig
+from skinbake.geometry.skinned import BakedPrimitive, Float64Array, IntArray, SkinnedPrimitive
+from skinbake.gradients.baker import BakeSettings, bake_mesh
+from skinbake.gradients.surface import STIFFNESS
+from skinbake.lighting.operator import GradientOperator, gradient_operator
+from tests.support.baked_arrays import reslotted
+from tests.support.kernels import use_numpy
+
+SETTINGS = BakeSettings(frame=FrameChoice.NORMAL)
+TURN = 1e-5
+"""The angle of a sampled turn, in radians."""
+
+Normals = Callable[[Float64Array], Float64Array]
+
+
+def tube(rings: int = 9, around: int = 8, joints: int = 4, seed: int = 3) -> tuple[SkinnedPrimitive, Rig]:
+    """Return a coarse tube along z with uneven radii and random smooth weights, and a rig that branches."""
+    random = np.random.default_rng(seed)
+    angle = np.tile(np.arange(around) / around * 2.0 * np.pi, rings)
+    height = np.repeat(np.linspace(-2.0, 2.0, rings), around)
+    radius = 1.0 + 0.2 * np.cos(3.0 * angle + height) + 0.05 * random.normal(size=len(angle))
+    positions = np.stack([radius * np.cos(angle), radius * np.sin(angle), height], axis=1)
+    ring, place = np.divmod(np.arange((rings - 1) * around), around)
+    here, beside = ring * around + place, ring * around + (place + 1) % around
+    triangles = np.concatenate(
+        [
+            np.stack([here, beside, here + around], axis=1),
+            np.stack([beside, beside + around, here + around], axis=1),
+        ]
+    )
+    logits = 2.5 * np.cos(
+        np.arange(joints) + 0.9 * height[:, None] + 0.4 * random.normal(size=(len(angle), joints))
+    )
+    weights = np.exp(logits) / np.exp(logits).sum(axis=1, keepdims=True)
+    order = np.argsort(-weights, axis=1)[:, :4]
+    primitive = SkinnedPrimitive(
+        positions=positions.astype(np.float32),
+        normals=weighted_normals(positions, triangles, corner_angles(positions, triangles)).astype(
+            np.float32
+        ),
+        tangents=None,
+        joints=order.astype(np.uint16),
+        weights=np.take_along_axis(weights, order, axis=1),
+        triangles=triangles.astype(np.uint32),
+    )
+    parents = np.array([NO_PARENT, 0, 1, 1, 0, 4][:joints], dtype=np.int32)
+    return primitive, Rig(parents, random.normal(scale=1.5, size=(joints, 3)))
+
+
+def fitted(primitive: SkinnedPrimitive, rig: Rig | None, settings: BakeSettings = SETTINGS) -> BakedPrimitive:
+    ((baked, _),) = bake_mesh([primitive], settings, rig)
+    return baked
+
+
+@pytest.fixture(params=["loops", "numpy"])
+def _kernel(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    if request.param == "numpy":
+        use_numpy(monkeypatch)
+
+
+@pytest.mark.usefixtures("_kernel")
+class TestOracle:
+    """A generic solver, over turns of each joint about each axis, measured on the deformed mesh."""
+
+    @pytest.mark.parametrize("seed", [3, 4])
+    def test_closed_form_is_the_least_squares_over_small_turns(self, seed: int) -> None:
+        primitive, rig = tube(seed=seed)
+        baked = fitted(primitive, rig)
+        expected = sampled_fit(primitive, rig)
+        for found, wanted in zip((baked.alpha, baked.beta), expected, strict=True):
+            assert np.abs(found - wanted).max() < 1e-6 * np.abs(wanted).max()
+
+    def test_it_is_not_the_gradient(self) -> None:
+        primitive, rig = tube()
+        assert np.abs(fitted(primitive, rig).alpha - fitted(primitive, None).alpha).max() > 0.05
+
+
+def sampled_fit(primitive: SkinnedPrimitive, rig: Rig) -> tuple[Float64Array, Float64Array]:
+    """Return the α and β that a dense solver finds, vertex by vertex."""
+    positions = primitive.positions.astype(np.float64)
+    surface = fitted(primitive, None)
+    n0 = unit_normals(primitive.normals)
+    t0, b0 = (axis.astype(np.float64) for axis in frame_from_normal(n0))
+    operator = gradient_operator([primitive], crease_angle_degrees=15.0)
+    truths = (
+        tangent_truth(operator, positions, n0.astype(np.float64), t0, b0),
+        triangle_truth(operator, positions, n0.astype(np.float64)),
+    )
+    carried = carries(rig)
+    reference = highest(primitive.joints, rig)
+    samples = [(joint, axis) for joint in range(len(rig.parents)) for axis in np.eye(3)]
+    rows = {"alpha": [], "beta": []}  # type: dict[str, list[tuple[Float64Array, Float64Array]]]
+    for joint, axis in samples:
+        ahead, back = (pose(primitive, rig, carried[joint], joint, axis, turn) for turn in (TURN, -TURN))
+        for name, rest in (("alpha", t0), ("beta", b0)):
+            # The tilt of the tangent without α, and of each α, along the mean of both true normals.
+            slope, column = [], []
+            for matrices, sign in ((ahead, 1.0), (back, -1.0)):
+                deformed = np.einsum("vk,vkij,vj->vi", primitive.weights, matrices, homogeneous(positions))
+                normal = np.mean([truth(deformed) for truth in truths], axis=0)
+                turned = np.einsum("vk,vkij,vj->vi", primitive.weights, matrices[..., :3], rest)
+                moved = np.einsum("vkij,vj->vki", matrices, homogeneous(positions))
+                levers = moved - moved[np.arange(len(moved)), reference][:, None]
+                slope.append(sign * np.einsum("vi,vi->v", turned, normal))
+                column.append(sign * np.einsum("vki,vi->vk", levers, normal))
+            rows[name].append((sum(slope) / (2 * TURN), sum(column) / (2 * TURN)))
+    found = []
+    for name, base in (("alpha", surface.alpha), ("beta", surface.beta)):
+        whole = np.concatenate([-base.sum(axis=1, keepdims=True), base], axis=1).astype(np.float64)
+        slopes = np.stack([row[0] for row in rows[name]], axis=1)
+        columns = np.stack([row[1] for row in rows[name]], axis=1)
+        found.append(solved(primitive, rig, carried, reference, whole, slopes, columns))
+    return found[0], found[1]
+
+
+def solved(
+    primitive: SkinnedPrimitive,
+    rig: Rig,
+    carried: Float64Array,
+    reference: IntArray,
+    base: Float64Array,
+    slopes: Float64Array,
+    columns: Float64Array,
+) -> Float64Array:
+    """Solve each vertex with rows for the pull to the gradient, by numpy's lstsq."""
+    result = np.zeros((len(base), base.shape[1] - 1))
+    for vertex, joints in enumerate(primitive.joints):
+        own = int(reference[vertex])
+        unknown = [slot for slot in range(len(joints)) if slot != own]
+        levers = primitive.positions[vertex].astype(np.float64) - rig.pivots
+        matrix, right = [columns[vertex][:, unknown]], [-slopes[vertex]]
+        for number, slot in enumerate(unknown):
+            apart = carried[:, joints[slot]] != carried[:, joints[own]]
+            pull = np.sqrt(STIFFNESS * (levers[apart] ** 2).sum())
+            matrix.append(pull * np.eye(len(unknown))[number : number + 1])
+            right.append(np.array([pull * base[vertex, slot]]))
+        values = np.linalg.lstsq(np.concatenate(matrix), np.concatenate(right), rcond=None)[0]
+        every = np.zeros(len(joints))
+        every[unknown] = values
+        every[own] = -values.sum()
+        result[vertex] = every[1:]
+    return result
+
+
+def carries(rig: Rig) -> Float64Array:
+    """Return 1 at [j, i] where joint i is j or below it, found by walking up."""
+    found = np.zeros((len(rig.parents),) * 2)
+    for joint in range(len(rig.parents)):
+        above = joint
+        while above != NO_PARENT:
+            found[above, joint] = 1.0
+            above = int(rig.parents[above])
+    return found
+
+
+def highest(joints: IntArray, rig: Rig) -> IntArray:
+    """Return each vertex's slot of the joint with the fewest joints above it, the lowest joint of equal ones."""
+    depths = carries(rig).sum(axis=0)
+    return np.argmin(depths[joints] * 1000 + joints, axis=1)
+
+
+def homogeneous(points: Float64Array) -> Float64Array:
+    return np.concatenate([points, np.ones((len(points), 1))], axis=1)
+
+
+def pose(
+    primitive: SkinnedPrimitive, rig: Rig, carried: Float64Array, joint: int, axis: Float64Array, turn: float
+) -> Float64Array:
+    """Return the matrices (V, K, 3, 4) of all slots if one joint turns, with all that it carries."""
+    x, y, z = axis
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    turned = np.eye(3) + np.sin(turn) * cross + (1.0 - np.cos(turn)) * cross @ cross
+    pivot = rig.pivots[joint]
+    moved = np.concatenate([turned, (pivot - turned @ pivot)[:, None]], axis=1)
+    still = np.eye(3, 4)
+    return np.where(carried[primitive.joints][..., None, None] > 0.0, moved, still)
+
+
+def tangent_truth(
+    operator: GradientOperator, rest: Float64Array, n0: Float64Array, t0: Float64Array, b0: Float64Array
+) -> Normals:
+    """Return the normal that the derivatives of the positions carry along, not normalised to first order."""
+    along, across = operator.along(t0), operator.along(b0)
+
+    def columns(points: Float64Array, area: Float64Array | None) -> Float64Array:
+        a, b = along @ points, across @ points
+        c = np.cross(a, b)
+        length = np.linalg.norm(c, axis=1)
+        third = c / np.sqrt(length * (length if area is None else area))[:, None]
+        return np.stack([a, b, third], axis=2)
+
+    first = columns(rest, None)
+    area = np.linalg.norm(np.cross(first[..., 0], first[..., 1]), axis=1)
+
+    def normals(points: Float64Array) -> Float64Array:
+        carried = np.linalg.inv(columns(points, area) @ np.linalg.inv(first))
+        return np.einsum("vji,vj->vi", carried, n0)
+
+    return normals
+
+
+def triangle_truth(operator: GradientOperator, rest: Float64Array, n0: Float64Array) -> Normals:
+    """Return the authored normal with the change of the angle-weighted one, for the angles of the rest pose."""
+    triangles = operator.triangles.astype(np.int64)
+    angles = corner_angles(rest, triangles)
+    first = weighted_normals(rest, triangles, angles)
+    length = np.linalg.norm(first, axis=1, keepdims=True)
+
+    def normals(points: Float64Array) -> Float64Array:
+        return n0 + (weighted_normals(points, triangles, angles) - first) / length
+
+    return normals
+
+
+def corner_angles(points: Float64Array, triangles: IntArray) -> Float64Array:
+    angles = np.empty(triangles.shape)
+    for corner in range(3):
+        origin, one, other = np.roll(triangles, -corner, axis=1).T
+        e1, e2 = points[one] - points[origin], points[other] - points[origin]
+        cosine = (e1 * e2).sum(axis=1) / np.linalg.norm(e1, axis=1) / np.linalg.norm(e2, axis=1)
+        angles[:, corner] = np.arccos(cosine)
+    return angles
+
+
+def weighted_normals(points: Float64Array, triangles: IntArray, angles: Float64Array) -> Float64Array:
+    """Return the sums of the unit normals of the triangles at each vertex, with given weights (T, 3)."""
+    sums = np.zeros_like(points)
+    p, q, r = points[triangles].transpose(1, 0, 2)
+    normal = np.cross(q - p, r - p)
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    for corner in range(3):
+        np.add.at(sums, triangles[:, corner], normal * angles[:, corner : corner + 1])
+    return sums
