@@ -22,6 +22,8 @@ from skinbake.lighting.influences import Int32Array
 from skinbake.lighting.operator import GradientOperator, gradient_operator
 from skinbake.lighting.reference import RestFrames, rest_frames
 from skinbake.lighting.triangle_normals import ClassSums, carried_normals, class_blocks
+from tests.support.baked_files import verify
+from tests.support.models import FOLDER, baked
 from tests.support.strictness import missing_tool
 from tests.support.surfaces import analytic_surface
 
@@ -188,6 +190,33 @@ def test_no_vertices_and_no_poses_are_no_errors() -> None:
     assert (
         by_loops.blend(np.zeros((2, 0, 4)), np.zeros((0, 4), dtype=np.int32), np.zeros((4, 3, 5))).size == 0
     )
+
+
+def figures_of(path: Path) -> list[float]:
+    """Return all figures that verify reports of a file."""
+    found = verify(path, "--poses", "random:5").file
+    return [
+        figures[name]
+        for truth in ("normals", "normals_by_triangles")
+        for lightings in found[truth].values()
+        for lighting, figures in lightings.items()
+        if lighting != "gain"
+        for name in ("mean", "p95", "p99", "max")
+    ]
+
+
+@pytest.mark.parametrize("name", ["bent_tube.glb", "two_primitives.glb", "morphed_sheet.glb"])
+def test_figures_of_verify_are_those_of_numpy(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    baked(FOLDER / name, tmp_path / "baked.glb")
+    compiled = figures_of(tmp_path / "baked.glb")
+    for operation in kernel.__all__:
+        monkeypatch.setattr(kernel, operation, getattr(by_numpy, operation))
+    assert len(compiled) == 4 * 11, (
+        "three lightings of LBS by one truth, two by the other; three of DQS by both"
+    )
+    assert compiled == pytest.approx(figures_of(tmp_path / "baked.glb"), rel=1e-6, abs=1e-7)
 
 
 def test_the_environment_can_ask_for_numpy(monkeypatch: pytest.MonkeyPatch) -> None:
