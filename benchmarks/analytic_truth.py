@@ -146,8 +146,9 @@ def measured(
         sums = truths.sums(deformed, threads)
     found = {truth: np.empty(exact.shape) for truth in Truth}
     for piece in truths.pieces:
-        for truth, vectors, _ in truths.normals(piece.number, deformed, sums, None):
-            found[Truth(truth)][:, piece.part] = np.stack(vectors, axis=2)
+        normals, _ = truths.normals(piece.number, deformed, sums, None)
+        for truth, vectors in zip(Truth, normals, strict=True):
+            found[truth][:, piece.part] = vectors.T
     areas = vertex_areas(primitive.positions, primitive.triangles)
 
     def mean(one: FloatArray, other: FloatArray) -> float:
