@@ -57,9 +57,10 @@ give the authored normal itself at rest.
   in the pose, and the authored normal keeps its place beside it.
 
 Neither depends on an option of bake: the weighting of triangles, the crease angle (15°) and the tangents
-are verify's own. Only what changes the surface itself changes them: `--limit-influences`, which moves
-vertices, and `--weld skin`, which joins meshes. Errors are weighted by the area around each vertex in the
-rest pose, in the scene's unit: a quantised mesh counts as much as its float twin.
+are verify's own. All meshes that the same skins draw are one surface, unless they have morph targets,
+whatever `--weld` was told. Only `--limit-influences` changes the truths, because it moves vertices. Errors
+are weighted by the area around each vertex in the rest pose, in the scene's unit: a quantised mesh counts as
+much as its float twin.
 
 Each truth has an error of its own, which no one sees on a real model. On a surface that has a formula it
 shows. Here is a tube of three joints, bent in eight steps, by the mean angle in degrees: standard and
