@@ -134,7 +134,14 @@ class Budget:
         The message begins with ``what`` and goes on with ``would take``.
         """
         self.held += size
-        self.spend(size, what, place)
+        self.spent += size
+        if self.spent > max(FREE, RATIO * self.backed):
+            raise InputError(
+                f"{what} would take {shown(size)}, so the file would take {shown(self.spent)} in "
+                f"all. The limit is {RATIO:,} times its {shown(self.backed)}, whatever --max-memory "
+                "says",
+                place,
+            )
         if self.held <= UNCOUNTED and self.limit is None:
             return
         if self.limit is None:
@@ -143,17 +150,6 @@ class Budget:
             raise InputError(
                 f"{what} would take {shown(size)}, so the file would take {shown(self.held)} in "
                 f"all. The limit is {shown(self.limit)} (--max-memory)",
-                place,
-            )
-
-    def spend(self, size: int, what: str, place: Place) -> None:
-        """Count ``size`` bytes that work will pass through without holding them; InputError if too many."""
-        self.spent += size
-        if self.spent > max(FREE, RATIO * self.backed):
-            raise InputError(
-                f"{what} would take {shown(size)}, so the file would take {shown(self.spent)} in "
-                f"all. The limit is {RATIO:,} times its {shown(self.backed)}, whatever --max-memory "
-                "says",
                 place,
             )
 

@@ -27,15 +27,7 @@ from skinbake.lighting.influences import normalised_weights
 from skinbake.lighting.metrics import total_area
 from skinbake.lighting.morphing import morph_count, morphing_of
 from skinbake.lighting.operator import GradientOperator, gradient_operator
-from skinbake.lighting.poses import (
-    LEAST_SAMPLES,
-    SHARED_SAMPLES,
-    PoseRequest,
-    PoseSet,
-    described,
-    draws_of,
-    pose_set,
-)
+from skinbake.lighting.poses import SHARED_SAMPLES, PoseRequest, PoseSet, described, draws_of, pose_set
 from skinbake.lighting.rest_areas import RestAreas
 from skinbake.lighting.tally import ErrorTally
 from skinbake.report.notices import counted
@@ -59,9 +51,6 @@ SAMPLES_A_BYTE, SAMPLES_FREE = 24, 1_000_000
 A mesh is measured once for each skin that draws it, and in at least three poses of each clip. Fifty soldiers
 of one mesh of 3,000 vertices need 20 a byte, a character of a million vertices needs 0.5.
 """
-
-BYTES_A_VERTEX_AND_POSE = 256
-"""The bytes that a pose passes through for a vertex: n bytes of a file must not be n clips of n vertices."""
 
 TRUE_WEIGHTING = Weighting.MAX
 TRUE_CREASE_ANGLE = 15.0
@@ -145,7 +134,6 @@ class Lighting:
             ]
         with stage("poses"):
             drawn = list(self._drawn(whole, true_ones))
-        self._spend(drawn)
         not_rigid = list(dict.fromkeys(n for draw in drawn for n in _not_rigid(draw.rest, draw.poses)))
         methods = self._options.methods or (("lbs",) if not_rigid else ("lbs", "dqs"))
         reason = without_dqs(not_rigid)
@@ -165,14 +153,6 @@ class Lighting:
                 verdict = self._verdict(drawn, reason if not_rigid else None)
         morphs = morph_count(self._document, [(draw.views[0].source.mesh, draw.poses) for draw in drawn])
         return replace(verdict, notices=tuple(dict.fromkeys(_mirrored(drawn))), morphs=morphs)
-
-    def _spend(self, drawn: Sequence[_Draw]) -> None:
-        """Count the work of all poses; those that an option adds to the least of each clip are free."""
-        poses, vertices = LEAST_SAMPLES * len(self._clips), 0
-        for draw in drawn:
-            vertices += min(len(draw.poses.clips), poses) * sum(map(len, draw.areas))
-        size = BYTES_A_VERTEX_AND_POSE * vertices
-        self._document.budget.spend(size, "measuring it in all clips", self._document.place)
 
     def _drawn(
         self, meshes: Sequence[Sequence[BakedView]], operators: Sequence[GradientOperator]

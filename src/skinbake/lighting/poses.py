@@ -29,9 +29,7 @@ from skinbake.gltf.json_access import MOST
 from skinbake.gltf.morphs import resting_weights, target_count
 
 SHARED_SAMPLES = 60
-"""The poses that the clips of a file share if no number is given. Each clip gets at least LEAST_SAMPLES."""
-
-LEAST_SAMPLES = 3
+"""The poses that the clips of a file share if no number is given. Each clip gets at least 3."""
 
 FALLBACK_POSES = 24
 """The number of random poses for a file that has no animation."""
@@ -162,7 +160,7 @@ def _claim(
 
 
 def _samples_of_each(samples: int | None, clips: Sequence[Clip]) -> int:
-    return samples or max(LEAST_SAMPLES, round(SHARED_SAMPLES / len(clips)))
+    return samples or max(3, round(SHARED_SAMPLES / len(clips)))
 
 
 @dataclass(frozen=True, slots=True)
