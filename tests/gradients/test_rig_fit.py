@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from skinbake.choices import FrameChoice, Neighbours
+from skinbake.choices import FrameChoice
 from skinbake.geometry.frames import frame_from_normal, unit_normals
 from skinbake.geometry.rig import NO_PARENT, Rig
 from skinbake.geometry.skinned import BakedPrimitive, Float64Array, IntArray, SkinnedPrimitive
 from skinbake.gradients.baker import BakeSettings, bake_mesh
 from skinbake.gradients.surface import STIFFNESS
 from skinbake.lighting.operator import GradientOperator, gradient_operator
-from tests.support.baked_arrays import reslotted
 from tests.support.kernels import use_numpy
 
 SETTINGS = BakeSettings(frame=FrameChoice.NORMAL)
@@ -166,9 +164,10 @@ def carries(rig: Rig) -> Float64Array:
 
 
 def highest(joints: IntArray, rig: Rig) -> IntArray:
-    """Return each vertex's slot of the joint with the fewest joints above it, the lowest joint of equal ones."""
+    """Return each vertex's slot of the joint with the fewest joints above it; the lowest of equal ones."""
     depths = carries(rig).sum(axis=0)
-    return np.argmin(depths[joints] * 1000 + joints, axis=1)
+    found: IntArray = np.argmin(depths[joints] * 1000 + joints, axis=1)
+    return found
 
 
 def homogeneous(points: Float64Array) -> Float64Array:
@@ -206,20 +205,22 @@ def tangent_truth(
 
     def normals(points: Float64Array) -> Float64Array:
         carried = np.linalg.inv(columns(points, area) @ np.linalg.inv(first))
-        return np.einsum("vji,vj->vi", carried, n0)
+        found: Float64Array = np.einsum("vji,vj->vi", carried, n0)
+        return found
 
     return normals
 
 
 def triangle_truth(operator: GradientOperator, rest: Float64Array, n0: Float64Array) -> Normals:
-    """Return the authored normal with the change of the angle-weighted one, for the angles of the rest pose."""
+    """Return the authored normal with the change of the one weighted by the angles of the rest pose."""
     triangles = operator.triangles.astype(np.int64)
     angles = corner_angles(rest, triangles)
     first = weighted_normals(rest, triangles, angles)
     length = np.linalg.norm(first, axis=1, keepdims=True)
 
     def normals(points: Float64Array) -> Float64Array:
-        return n0 + (weighted_normals(points, triangles, angles) - first) / length
+        tilt: Float64Array = (weighted_normals(points, triangles, angles) - first) / length
+        return n0 + tilt
 
     return normals
 
