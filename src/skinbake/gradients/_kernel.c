@@ -666,12 +666,27 @@ typedef struct {
     double coefficients[COMPONENTS][AT_ONCE], share[AT_ONCE];
 } Corners;
 
-/* Some corners, the unit normals of their triangles, and their coefficients along the class's tangents: by end, then
-   by tangent. Places that are left over have coefficients and angles of zero. */
+/* The triangles of some corners: e1 x e2, its length, e1 . e2, and |e1|^2 |e2|^2. */
+typedef struct {
+    Four normal[3], area, dots, lengths;
+} Facets;
+
+/* Some corners, their triangles with unit normals, their angles by their weights, and their coefficients along the
+   class's tangents: by end, then by tangent. Places that are left over have coefficients of zero. */
 typedef struct {
     Corners corners;
-    Four normal[3], angle, along[2][2];
+    Facets facets;
+    Four share, along[2][2];
 } Block;
+
+/* A neighbour of a class: the edge to it, and the arms that a weight of 1 there adds, along both tangents. */
+typedef struct {
+    size_t vertex;
+    double edge[3], arms[2][3];
+} Neighbour;
+
+/* Neighbours among which the next one is looked for; one that is met again later stands twice. */
+enum { LOOKED_BACK = 16 };
 
 /* What a weight adds to the turn of the two tangents of a class, as in rig_fit.RingTurns: arms along the first
    and the second tangent, then spins. */
@@ -720,6 +735,8 @@ typedef struct {
     /* Only with a rig: */
     void *block_room;  /* what blocks was cut out of, aligned as vectors must be */
     Block *blocks;     /* all corners of a class */
+    Neighbour *ring;   /* the ends of these corners */
+    size_t neighbours;
     double *turns;     /* by local number, TURN each */
     RingFrame frame;
     Vector *gradients; /* by slot */
@@ -733,7 +750,7 @@ static void free_scratch(Scratch *w)
 {
     free(w->local), free(w->met), free(w->seen), free(w->own), free(w->x), free(w->y), free(w->z);
     free(w->entries), free(w->foreign), free(w->named);
-    free(w->block_room), free(w->turns), free(w->gradients), free(w->nodes), free(w->node_of);
+    free(w->block_room), free(w->ring), free(w->turns), free(w->gradients), free(w->nodes), free(w->node_of);
     free(w->matrix), free(w->right), free(w->stiffness);
 }
 
@@ -742,6 +759,7 @@ static Status allocate_fit(Scratch *w, const Surface *s)
     size_t joints = (size_t)s->joint_count, room = joints + (size_t)s->slots;
     w->block_room = malloc((MOST_CORNERS / AT_ONCE + 1) * sizeof *w->blocks);
     w->blocks = (Block *)(((uintptr_t)w->block_room + sizeof(Four) - 1) / sizeof(Four) * sizeof(Four));
+    w->ring = malloc(2 * MOST_CORNERS * sizeof *w->ring);
     w->turns = malloc(room * TURN * sizeof *w->turns);
     w->gradients = malloc((size_t)s->slots * sizeof *w->gradients);
     w->nodes = malloc((joints + 1) * sizeof *w->nodes);
@@ -749,7 +767,7 @@ static Status allocate_fit(Scratch *w, const Surface *s)
     w->matrix = malloc(MOST_FITTED * MOST_FITTED * sizeof *w->matrix);
     w->right = malloc(2 * MOST_FITTED * sizeof *w->right);
     w->stiffness = malloc(MOST_FITTED * sizeof *w->stiffness);
-    if (!w->block_room || !w->turns || !w->gradients || !w->nodes || !w->node_of || !w->matrix || !w->right ||
+    if (!w->block_room || !w->ring || !w->turns || !w->gradients || !w->nodes || !w->node_of || !w->matrix || !w->right ||
         !w->stiffness)
         return NO_MEMORY;
     memset(w->node_of, 0xFF, (joints + 1) * sizeof *w->node_of);
@@ -809,7 +827,7 @@ static ALWAYS_INLINE Four four_dot(const Four *a, const Four *b)
 
 /* Work out share and coefficients from the edges. With n = e1 x e2, corner.py's e2 x n is
    e1 |e2|^2 - e2 (e1 . e2), and n x e1 likewise. */
-static ALWAYS_INLINE void weigh_corners(Corners *c, Weighting weighting)
+static ALWAYS_INLINE void weigh_corners(Corners *c, Weighting weighting, Facets *facets)
 {
     const Four *e1 = c->edges + X1, *e2 = c->edges + X2;
     Four normal[3] = {
@@ -819,6 +837,8 @@ static ALWAYS_INLINE void weigh_corners(Corners *c, Weighting weighting)
     };
     Four squared_area2 = four_dot(normal, normal), dots = four_dot(e1, e2);
     Four squared1 = four_dot(e1, e1), squared2 = four_dot(e2, e2), area2 = root(squared_area2), scale;
+    if (facets != NULL)
+        *facets = (Facets){{normal[0], normal[1], normal[2]}, area2, dots, multiply(squared1, squared2)};
     if (weighting == BY_MAX) { /* 1 / (|e1|^2 |e2|^2) times |e1 x e2| */
         scale = divide(four(1.0, 1.0, 1.0, 1.0), multiply(multiply(area2, squared1), squared2));
         store(c->share, multiply(squared_area2, scale));
@@ -920,22 +940,18 @@ static ALWAYS_INLINE Four angle_of(Four sine, Four cosine, Four length)
     return load(acute);
 }
 
-/* Work out the rest of a block of `some` corners. */
-static ALWAYS_INLINE void finish_block(Block *block, size_t some, const Vector tangents[2])
+/* Work out the rest of a block of `some` corners. Returns their angles, zero in places that are left over. */
+static ALWAYS_INLINE Four finish_block(Block *block, size_t some, Weighting weighting, const Vector tangents[2])
 {
     const Corners *c = &block->corners;
-    const Four *e1 = c->edges + X1, *e2 = c->edges + X2;
-    Four normal[3] = {
-        subtract(multiply(e1[1], e2[2]), multiply(e1[2], e2[1])),
-        subtract(multiply(e1[2], e2[0]), multiply(e1[0], e2[2])),
-        subtract(multiply(e1[0], e2[1]), multiply(e1[1], e2[0])),
-    };
-    Four area = root(four_dot(normal, normal)), shrink = divide(all(1.0), area);
-    Four length = root(multiply(four_dot(e1, e1), four_dot(e2, e2)));
-    Four there = four(1.0, some > 1 ? 1.0 : 0.0, some > 2 ? 1.0 : 0.0, some > 3 ? 1.0 : 0.0);
+    Facets *facets = &block->facets;
+    Four shrink = divide(all(1.0), facets->area), there = four(1.0, some > 1, some > 2, some > 3);
+    Four angle = multiply(there, angle_of(facets->area, facets->dots, root(facets->lengths)));
+    /* With Max's weights, 1 / share is |e1|^2 |e2|^2 / |e1 x e2|. */
+    block->share = weighting == BY_MAX ? multiply(angle, multiply(facets->lengths, shrink))
+                                       : divide(angle, load(c->share));
     for (int axis = 0; axis < 3; axis++)
-        block->normal[axis] = multiply(normal[axis], shrink);
-    block->angle = multiply(there, angle_of(area, four_dot(e1, e2), length));
+        facets->normal[axis] = multiply(facets->normal[axis], shrink);
     for (int end = 0; end < 2; end++)
         for (int n = 0; n < 2; n++) {
             const double(*component)[AT_ONCE] = c->coefficients + 3 * end;
@@ -944,6 +960,7 @@ static ALWAYS_INLINE void finish_block(Block *block, size_t some, const Vector t
                              multiply(load(component[Z1]), all(tangents[n].z)));
             block->along[end][n] = multiply(there, along);
         }
+    return angle;
 }
 
 static ALWAYS_INLINE void frame_from_normal(Vector normal, Vector *tangent, Vector *bitangent);
@@ -987,9 +1004,9 @@ static ALWAYS_INLINE void measure_ring(const Surface *s, size_t vertex, size_t c
     Four none = all(0.0), faces[3] = {none, none, none}, sums[2][3] = {{none, none, none}, {none, none, none}};
     for (size_t from = 0; from < corners; from += AT_ONCE) {
         Block *block = w->blocks + from / AT_ONCE;
-        finish_block(block, corners - from, f->tangents);
+        Four angle = finish_block(block, corners - from, s->weighting, f->tangents);
         for (int axis = 0; axis < 3; axis++) {
-            faces[axis] = add(faces[axis], multiply(block->normal[axis], block->angle));
+            faces[axis] = add(faces[axis], multiply(block->facets.normal[axis], angle));
             for (int n = 0; n < 2; n++)
                 for (int end = 0; end < 2; end++)
                     sums[n][axis] = add(sums[n][axis], multiply(block->along[end][n],
@@ -1002,26 +1019,71 @@ static ALWAYS_INLINE void measure_ring(const Surface *s, size_t vertex, size_t c
     find_leverage(f, derivatives, s->fit.flat);
 }
 
-/* Write, for one end of four corners, what a weight of 1 there adds to the turn of the class. */
-static ALWAYS_INLINE void find_turns(const Block *block, Four share, int end, const RingFrame *f,
-                                     double turns[TURN][AT_ONCE])
+/* Write the arms that a weight of 1 at one end of four corners adds. */
+static ALWAYS_INLINE void find_arms(const Block *block, int end, const RingFrame *f, double arms[2][3][AT_ONCE])
 {
-    const Four *edge = block->corners.edges + 3 * end, *by = block->along[end], *normal = block->normal;
-    Four mean = all(0.5 / f->total);
+    const Four *by = block->along[end], *normal = block->facets.normal;
+    Four mean = all(0.5 / f->total), share = multiply(block->share, all(0.5 / f->facing));
+    Four by_a = multiply(by[0], mean), by_b = multiply(by[1], mean);
     for (int n = 0; n < 2; n++) {
         const Vector *u = f->leverage[n];
-        Four by_a = multiply(by[0], mean), by_b = multiply(by[1], mean);
         Four by_faces = multiply(by[n], share);
-        Four arm[3] = {
-            add(add(multiply(by_a, all(u[0].x)), multiply(by_b, all(u[1].x))), multiply(by_faces, normal[0])),
-            add(add(multiply(by_a, all(u[0].y)), multiply(by_b, all(u[1].y))), multiply(by_faces, normal[1])),
-            add(add(multiply(by_a, all(u[0].z)), multiply(by_b, all(u[1].z))), multiply(by_faces, normal[2])),
-        };
+        store(arms[n][0], add(add(multiply(by_a, all(u[0].x)), multiply(by_b, all(u[1].x))),
+                              multiply(by_faces, normal[0])));
+        store(arms[n][1], add(add(multiply(by_a, all(u[0].y)), multiply(by_b, all(u[1].y))),
+                              multiply(by_faces, normal[1])));
+        store(arms[n][2], add(add(multiply(by_a, all(u[0].z)), multiply(by_b, all(u[1].z))),
+                              multiply(by_faces, normal[2])));
+    }
+}
+
+/* The neighbour of a vertex, put at the end of the ring where it does not stand among the last ones. */
+static ALWAYS_INLINE Neighbour *neighbour_of(size_t vertex, const Block *block, int end, size_t corner, Scratch *w)
+{
+    size_t oldest = w->neighbours > LOOKED_BACK ? w->neighbours - LOOKED_BACK : 0;
+    for (size_t n = w->neighbours; n-- > oldest;)
+        if (w->ring[n].vertex == vertex)
+            return &w->ring[n];
+    Neighbour *found = &w->ring[w->neighbours++];
+    *found = (Neighbour){.vertex = vertex};
+    for (int axis = 0; axis < 3; axis++) {
+        const char *edges = (const char *)&block->corners.edges[3 * end + axis];
+        memcpy(&found->edge[axis], edges + corner * sizeof(double), sizeof(double));
+    }
+    return found;
+}
+
+/* Collect the neighbours of a class with their arms. */
+static ALWAYS_INLINE void find_ring(size_t corners, Scratch *w)
+{
+    w->neighbours = 0;
+    for (size_t from = 0; from < corners; from += AT_ONCE) {
+        size_t some = corners - from < AT_ONCE ? corners - from : AT_ONCE;
+        const Block *block = w->blocks + from / AT_ONCE;
+        for (int end = 0; end < 2; end++) {
+            double arms[2][3][AT_ONCE];
+            find_arms(block, end, &w->frame, arms);
+            for (size_t n = 0; n < some; n++) {
+                Neighbour *found = neighbour_of(block->corners.ends[n][end], block, end, n, w);
+                for (int axis = 0; axis < 3; axis++) {
+                    found->arms[0][axis] += arms[0][axis][n];
+                    found->arms[1][axis] += arms[1][axis][n];
+                }
+            }
+        }
+    }
+}
+
+/* The turn that a weight of 1 at a neighbour adds: its arms, and their spins around the edge. */
+static ALWAYS_INLINE void find_turn(const Neighbour *neighbour, double turn[TURN])
+{
+    const double *edge = neighbour->edge;
+    for (int n = 0; n < 2; n++) {
+        const double *arm = neighbour->arms[n];
         for (int axis = 0; axis < 3; axis++) {
             int next = (axis + 1) % 3, last = (axis + 2) % 3;
-            store(turns[ARMS + 3 * n + axis], arm[axis]);
-            store(turns[SPINS + 3 * n + axis],
-                  subtract(multiply(edge[next], arm[last]), multiply(edge[last], arm[next])));
+            turn[ARMS + 3 * n + axis] = arm[axis];
+            turn[SPINS + 3 * n + axis] = edge[next] * arm[last] - edge[last] * arm[next];
         }
     }
 }
@@ -1056,31 +1118,22 @@ static ALWAYS_INLINE void sum_turns(const Surface *s, Shape shape, size_t vertex
     measure_ring(s, vertex, corners, total, w);
     if (!w->frame.sound)
         return;
+    find_ring(corners, w);
     const size_t slots = shape.slots;
     memset(w->turns, 0, (size_t)used * TURN * sizeof *w->turns);
     Four sums[TURN], own = slots == 4 ? load(s->weights + vertex * slots) : all(0.0);
-    for (int n = 0; n < TURN; n++)
-        sums[n] = all(0.0);
-    for (size_t from = 0; from < corners; from += AT_ONCE) {
-        size_t some = corners - from < AT_ONCE ? corners - from : AT_ONCE;
-        const Block *block = w->blocks + from / AT_ONCE;
-        Four share = divide(multiply(block->angle, all(0.5 / w->frame.facing)), load(block->corners.share));
-        for (int end = 0; end < 2; end++) {
-            double turns[TURN][AT_ONCE];
-            find_turns(block, share, end, &w->frame, turns);
-            for (size_t n = 0; n < some; n++) {
-                size_t there = block->corners.ends[n][end];
-                if (slots == 4 && same_joints(s, slots, vertex, there)) {
-                    Four difference = subtract(load(s->weights + there * slots), own);
-                    for (int m = 0; m < TURN; m++)
-                        sums[m] = add(sums[m], multiply(all(turns[m][n]), difference));
-                } else {
-                    double by[TURN];
-                    for (int m = 0; m < TURN; m++)
-                        by[m] = turns[m][n];
-                    add_turns(s, there, by, w);
-                }
-            }
+    for (int m = 0; m < TURN; m++)
+        sums[m] = all(0.0);
+    for (size_t n = 0; n < w->neighbours; n++) {
+        size_t there = w->ring[n].vertex;
+        double turn[TURN];
+        find_turn(&w->ring[n], turn);
+        if (slots == 4 && same_joints(s, slots, vertex, there)) {
+            Four difference = subtract(load(s->weights + there * slots), own);
+            for (int m = 0; m < TURN; m++)
+                sums[m] = add(sums[m], multiply(all(turn[m]), difference));
+        } else {
+            add_turns(s, there, turn, w);
         }
     }
     for (int m = 0; slots == 4 && m < TURN; m++) {
@@ -1115,9 +1168,12 @@ static ALWAYS_INLINE int32_t sum_corners(const Surface *s, Shape shape, size_t v
     int varies = 0;
     for (size_t from = 0; from < corners.count; from += AT_ONCE) {
         size_t some = corners.count - from < AT_ONCE ? corners.count - from : AT_ONCE;
-        Corners passing, *c = shape.fits && from < MOST_CORNERS ? &w->blocks[from / AT_ONCE].corners : &passing;
+        Corners passing, *c = &passing;
+        Facets *facets = NULL;
+        if (shape.fits && from < MOST_CORNERS)
+            c = &w->blocks[from / AT_ONCE].corners, facets = &w->blocks[from / AT_ONCE].facets;
         find_edges(s, shape, origin, (Members){corners.first + from, some}, c, w);
-        weigh_corners(c, s->weighting);
+        weigh_corners(c, s->weighting, facets);
         for (size_t n = 0; n < some; n++)
             for (int end = 0; end < 2; end++) {
                 size_t there = c->ends[n][end];
@@ -1305,9 +1361,12 @@ static Node *node_of(const Surface *s, int32_t joint, Scratch *w)
     if (*place < 0) {
         *place = (int32_t)w->node_count++;
         Node *made = &w->nodes[*place];
-        memset(made, 0, sizeof *made);
         made->joint = joint;
         made->rank = joint == NO_JOINT ? -1 : s->ranks[joint];
+        made->members = 0;
+        made->done = 0;
+        for (int m = 0; m < TURN; m++)
+            made->turn[m] = 0.0;
     }
     return &w->nodes[*place];
 }
@@ -1336,9 +1395,9 @@ static void close_nodes(const Surface *s, Scratch *w)
     w->node_count = 0;
 }
 
-/* The slots of a vertex that are fitted, in ascending order, and which of them takes what the others leave. */
+/* The slots of a vertex that are fitted: `unknowns` of them, and behind them the one that takes what they leave. */
 typedef struct {
-    size_t count, reference;
+    size_t unknowns;
     uint8_t slots[MOST_FITTED];
 } Fitted;
 
@@ -1350,7 +1409,7 @@ static int choose_slots(const Surface *s, size_t vertex, size_t entries, double 
     const double *weights = s->weights + vertex * slots;
     const int32_t *joints = s->joints + vertex * slots;
     int32_t highest = INT32_MAX;
-    fitted->count = 0;
+    size_t count = 0, reference = 0;
     for (size_t k = 0; k < slots; k++) {
         const int32_t joint = w->named[k];
         if ((size_t)(uint32_t)joint >= (size_t)s->joint_count)
@@ -1360,17 +1419,23 @@ static int choose_slots(const Surface *s, size_t vertex, size_t entries, double 
             chosen = w->entries[n].joint == joint && w->entries[n].magnitude > s->negligible * magnitudes;
         if (!chosen)
             continue;
-        if (fitted->count == MOST_FITTED || k > UINT8_MAX)
+        if (count == MOST_FITTED || k > UINT8_MAX)
             return 0;
-        Node *node = node_of(s, joint, w);
-        node->members |= UINT64_C(1) << fitted->count;
-        if (node->rank < highest) {
-            highest = node->rank;
-            fitted->reference = fitted->count;
+        if (s->ranks[joint] < highest) {
+            highest = s->ranks[joint];
+            reference = count;
         }
-        fitted->slots[fitted->count++] = (uint8_t)k;
+        fitted->slots[count++] = (uint8_t)k;
     }
-    return fitted->count > 1;
+    if (count < 2)
+        return 0;
+    fitted->unknowns = count - 1;
+    uint8_t last = fitted->slots[fitted->unknowns];
+    fitted->slots[fitted->unknowns] = fitted->slots[reference];
+    fitted->slots[reference] = last;
+    for (size_t i = 0; i < count; i++)
+        node_of(s, w->named[fitted->slots[i]], w)->members |= UINT64_C(1) << i;
+    return 1;
 }
 
 /* Add what the turn of one joint says to the normal equations of the slots. */
@@ -1387,11 +1452,11 @@ static void add_turn(const Surface *s, Vector position, const Node *node, const 
         wanted[n] = dot(tilt, r);
     }
     /* Where it carries the reference it moves the others the other way. */
-    uint64_t every = fitted->count == 64 ? ~UINT64_C(0) : (UINT64_C(1) << fitted->count) - 1;
-    int carries = node->members >> fitted->reference & 1;
-    uint64_t moved = carries ? every & ~node->members : node->members;
+    const size_t unknowns = fitted->unknowns;
+    int carries = node->members >> unknowns & 1;
+    uint64_t moved = carries ? ~node->members : node->members;
     double sign = carries ? -1.0 : 1.0;
-    for (size_t i = 0; i < fitted->count; i++) {
+    for (size_t i = 0; i < unknowns; i++) {
         if (!(moved >> i & 1))
             continue;
         w->right[2 * i] += sign * wanted[0];
@@ -1407,7 +1472,7 @@ static void add_turn(const Surface *s, Vector position, const Node *node, const 
    too many. */
 static int gather_turns(const Surface *s, Vector position, const Fitted *fitted, Scratch *w)
 {
-    for (size_t i = 0; i < fitted->count; i++) {
+    for (size_t i = 0; i < fitted->unknowns; i++) {
         w->stiffness[i] = w->right[2 * i] = w->right[2 * i + 1] = 0.0;
         memset(w->matrix + i * MOST_FITTED, 0, (i + 1) * sizeof *w->matrix);
     }
@@ -1434,27 +1499,17 @@ static int gather_turns(const Surface *s, Vector position, const Fitted *fitted,
     return 1;
 }
 
-/* Solve the normal equations of the slots but the reference, by the factors L D Lt in place of the matrix; `right`
-   becomes the solution. Returns 0 where it is not finite. */
-static int solve(size_t count, size_t reference, Scratch *w)
+/* Solve the normal equations of `count` slots, by the factors L D Lt in place of the matrix; `right` becomes the
+   solution. Returns 0 where it is not finite. */
+static ALWAYS_INLINE int solve_some(size_t count, double *matrix, double (*right)[2])
 {
-    double *matrix = w->matrix, (*right)[2] = (double(*)[2])w->right;
     double finite = 0.0;
     for (size_t i = 0; i < count; i++) {
-        if (i == reference)
-            continue;
         double *row = matrix + i * MOST_FITTED, diagonal = row[i];
-        for (size_t k = 0; k < i; k++) { /* row[k] is L[i][k] D[k] until the row is done */
-            if (k == reference)
-                continue;
-            const double *other = matrix + k * MOST_FITTED;
+        for (size_t k = 1; k < i; k++) /* row[k] is L[i][k] D[k] until the row is done */
             for (size_t n = 0; n < k; n++)
-                if (n != reference)
-                    row[k] -= row[n] * other[n];
-        }
+                row[k] -= row[n] * matrix[k * MOST_FITTED + n];
         for (size_t k = 0; k < i; k++) {
-            if (k == reference)
-                continue;
             double factor = row[k] * matrix[k * MOST_FITTED + k]; /* the diagonal holds 1 / D */
             diagonal -= factor * row[k];
             row[k] = factor;
@@ -1463,43 +1518,58 @@ static int solve(size_t count, size_t reference, Scratch *w)
         }
         row[i] = 1.0 / diagonal;
     }
-    for (size_t i = count; i-- > 0;) {
-        if (i == reference)
-            continue;
+    for (size_t i = count; i-- > 0;)
         for (int side = 0; side < 2; side++) {
             right[i][side] *= matrix[i * MOST_FITTED + i];
             for (size_t n = i + 1; n < count; n++)
-                if (n != reference)
-                    right[i][side] -= matrix[n * MOST_FITTED + i] * right[n][side];
+                right[i][side] -= matrix[n * MOST_FITTED + i] * right[n][side];
             finite += right[i][side] * 0.0;
         }
-    }
     return finite == 0.0;
 }
 
-/* Move the gradients of the fitted slots, in the plane of the class's tangents, to what the least squares say. */
+/* Copies for the usual counts, without loops. */
+static int solve(size_t count, double *matrix, double (*right)[2])
+{
+    switch (count) {
+    case 1:
+        return solve_some(1, matrix, right);
+    case 2:
+        return solve_some(2, matrix, right);
+    case 3:
+        return solve_some(3, matrix, right);
+    default:
+        return solve_some(count, matrix, right);
+    }
+}
+
+/* Move the gradients of the fitted slots, in the plane of the class's tangents, to the solution of the least
+   squares. */
 static void move_gradients(const Surface *s, const Fitted *fitted, Scratch *w)
 {
     const Vector *tangents = w->frame.tangents;
-    const size_t reference = fitted->reference;
-    double(*right)[2] = (double(*)[2])w->right;
-    for (size_t i = 0; i < fitted->count; i++) {
+    const size_t unknowns = fitted->unknowns;
+    double(*right)[2] = (double(*)[2])w->right, given[MOST_FITTED][2];
+    for (size_t i = 0; i <= unknowns; i++)
+        for (int side = 0; side < 2; side++)
+            given[i][side] = dot(w->gradients[fitted->slots[i]], tangents[side]);
+    for (size_t i = 0; i < unknowns; i++) {
         double pull = w->stiffness[i] > 0.0 ? s->fit.stiffness * w->stiffness[i] : 1.0;
         w->matrix[i * MOST_FITTED + i] += pull;
-        for (int side = 0; side < 2; side++)
-            right[i][side] += pull * dot(w->gradients[fitted->slots[i]], tangents[side]);
+        right[i][0] += pull * given[i][0];
+        right[i][1] += pull * given[i][1];
     }
-    if (!solve(fitted->count, reference, w))
+    if (!solve(unknowns, w->matrix, right))
         return;
-    right[reference][0] = right[reference][1] = 0.0;
-    double rest[2] = {0.0, 0.0};
-    for (size_t i = 0; i < fitted->count; i++)
-        rest[0] -= right[i][0], rest[1] -= right[i][1];
-    right[reference][0] = rest[0], right[reference][1] = rest[1];
-    for (size_t i = 0; i < fitted->count; i++) {
+    right[unknowns][0] = right[unknowns][1] = 0.0;
+    for (size_t i = 0; i < unknowns; i++) {
+        right[unknowns][0] -= right[i][0];
+        right[unknowns][1] -= right[i][1];
+    }
+    for (size_t i = 0; i <= unknowns; i++) {
         Vector *gradient = &w->gradients[fitted->slots[i]];
-        double first = right[i][0] - dot(*gradient, tangents[0]), second = right[i][1] - dot(*gradient, tangents[1]);
-        *gradient = plus(*gradient, plus(times(tangents[0], first), times(tangents[1], second)));
+        *gradient = plus(*gradient, plus(times(tangents[0], right[i][0] - given[i][0]),
+                                         times(tangents[1], right[i][1] - given[i][1])));
     }
 }
 
