@@ -91,6 +91,7 @@ def test_limits_hold_by_the_truth_that_is_named(truth: str | None, passes: bool,
 def test_options_reach_the_bake(tmp_path: Path) -> None:
     """Each option of the command line is a keyword, and gives the same bytes."""
     flags: dict[str, Any] = {
+        "gradients": "surface",
         "weighting": "angle",
         "crease_angle": 60.0,
         "neighbours": "drop",
@@ -220,7 +221,7 @@ class TestArrays:
     @pytest.mark.parametrize("neighbours", ["drop", "adopt"])
     @pytest.mark.parametrize("name", ["seam.glb", "foreign_joints.glb", "mirrored_tangent.glb"])
     def test_arrays_give_what_a_file_gives(self, name: str, neighbours: str, tmp_path: Path) -> None:
-        skinbake.bake(FOLDER / name, tmp_path / "out.glb", neighbours=neighbours)
+        skinbake.bake(FOLDER / name, tmp_path / "out.glb", neighbours=neighbours, gradients="surface")
         before, after = read(FOLDER / name), read(tmp_path / "out.glb")
         attributes = before.primitive(0, 0)["attributes"]
         found = skinbake.weight_gradients(

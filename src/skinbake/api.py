@@ -18,6 +18,7 @@ from skinbake.choices import (
     Baseline,
     Encoding,
     FrameChoice,
+    Gradients,
     Layout,
     Method,
     Neighbours,
@@ -40,9 +41,11 @@ FilePath: TypeAlias = "str | os.PathLike[str]"
 class BakeOptions(TypedDict, total=False):
     """The options of ``bake``, under the same names as on the command line.
 
-    Enumerations may be given as members or by their values. ``crease_angle`` is in degrees.
+    Enumerations may be given as members or by their values. ``gradients`` is ``rig`` or ``surface``.
+    ``crease_angle`` is in degrees.
     """
 
+    gradients: Gradients | str
     weighting: Weighting | str
     crease_angle: float
     weld: Weld | str
@@ -360,7 +363,8 @@ def weight_gradients(
 ) -> WeightGradients:
     """Return α and β of one skinned surface: arrays in, arrays out, no file.
 
-    Copies of a vertex (equal position, weights, and normals within ``crease_angle``) count as one.
+    They are the gradients of the weights on the surface, as ``skinbake.bake`` gives with
+    ``gradients="surface"``: arrays without a rig have no turns to which α and β could be fitted. Copies of a vertex (equal position, weights, and normals within ``crease_angle``) count as one.
 
     Parameters
     ----------

@@ -34,9 +34,9 @@ def test_a_surface_is_baked_once_and_once_more_for_the_cost_of_a_limit(
     calls: list[int] = []
     original = baker.bake_mesh
 
-    def counted(primitives: Sequence[Any], settings: Any) -> Any:
+    def counted(primitives: Sequence[Any], *how: Any) -> Any:
         calls.append(len(primitives))
-        return original(primitives, settings)
+        return original(primitives, *how)
 
     monkeypatch.setattr(bake, "bake_mesh", counted)
     result = bake_file(str(FOLDER / "two_sets.glb"), str(tmp_path / "out.glb"), **options)

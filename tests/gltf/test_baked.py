@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -103,12 +104,15 @@ class TestEveryFixture:
                 "weighting": "max",
                 "creaseAngle": 15.0,
                 "neighbours": "adopt",
+                "gradients": "rig",
                 "alpha": [f"_SKINBAKE_ALPHA_{n}" for n in range(sets)],
                 "beta": [f"_SKINBAKE_BETA_{n}" for n in range(sets)],
             }
             assert {key: found[key] for key in expected} == expected
             assert found["generator"].startswith("skinbake ")
-            known = {*expected, "generator", "digest", "adopted", "formerDigest", "generated", "keepExtras"}
+            assert re.fullmatch("[0-9a-f]{16}", found["rig"])
+            known = {*expected, "rig", "generator", "digest", "adopted", "formerDigest", "generated"}
+            known.add("keepExtras")
             assert set(found) <= known
 
     def test_baking_twice_is_baking_once(self, name: str, tmp_path: Path) -> None:

@@ -524,7 +524,8 @@ def test_real_twins_have_the_same_gradients_within_their_quantisation(
 
     for target, path in (("ours", name), ("theirs", original)):
         settings = BakeSettings(neighbours=Neighbours.DROP, frame=FrameChoice.NORMAL)
-        bake(corpus.model(path), tmp_path / f"{target}.glb", settings=settings)
+        # α and β of the surface: a fit follows the triangles, which positions that were rounded turn.
+        bake(corpus.model(path), tmp_path / f"{target}.glb", settings=settings, gradients="surface")
     models = read_plain_many([tmp_path / "ours.glb", tmp_path / "theirs.glb"])
     found, expected = models.values()
     compared = 0

@@ -1,4 +1,4 @@
-"""α and β against libigl's gradient, averaged by an operator that shares no code with the baker."""
+"""α and β of the surface against libigl's gradient, averaged by an operator that shares no code with the baker."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from skinbake.choices import Weighting
+from skinbake.choices import Gradients, Weighting
 from skinbake.geometry.skinned import FloatArray, SkinnedPrimitive
 from skinbake.gradients.baker import BakeSettings
 from skinbake.lighting.operator import expected_alpha_beta, gradient_operator
@@ -75,7 +75,7 @@ def relative_deviation(
 
 def assert_agrees(name: str, folder: Path, weighting: Weighting = Weighting.MAX) -> None:
     """Bake to a file, read it back, and compare every primitive with the operator."""
-    target = bake_to(name, folder, BakeSettings(weighting=weighting))
+    target = bake_to(name, folder, BakeSettings(weighting=weighting), Gradients.SURFACE)
     originals = meshes_of(path_of(name))
     varies = False
     for number, stored in baked_meshes_of(target).items():
@@ -111,7 +111,7 @@ def test_a_model_with_eight_influences_agrees_under_every_weighting(
 
 
 def test_another_crease_angle_changes_the_gradients_as_it_changes_the_operator(tmp_path: Path) -> None:
-    target = bake_to("hard_edge.glb", tmp_path, BakeSettings(crease_angle=np.pi / 2))
+    target = bake_to("hard_edge.glb", tmp_path, BakeSettings(crease_angle=np.pi / 2), Gradients.SURFACE)
     [stored] = baked_meshes_of(target)[0]
     across = gradient_operator([stored.arrays], crease_angle_degrees=90.0)
     [(alpha, _)] = expected_alpha_beta(across, [stored.arrays], [stored.rest_frame])

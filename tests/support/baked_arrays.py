@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fixtures.make_fixtures import FOLDER
-from skinbake.choices import Frame
+from skinbake.choices import Frame, Gradients
 from skinbake.geometry import frames
 from skinbake.geometry.skinned import BakedPrimitive, Float64Array, FloatArray, SkinnedPrimitive
 from skinbake.gradients.baker import BakeFindings, BakeSettings, bake_mesh
@@ -57,11 +57,17 @@ def path_of(name: str) -> Path:
     return FOLDER / name if name in FIXTURES else corpus.model(name)
 
 
-def bake_to(name: str, folder: Path, settings: BakeSettings | None = None) -> Path:
+def bake_to(
+    name: str,
+    folder: Path,
+    settings: BakeSettings | None = None,
+    gradients: Gradients = Gradients.RIG,
+) -> Path:
     """Bake a fixture or a corpus model into a folder and return the written file."""
     source = path_of(name)
     target = folder / source.name
-    result = bake_file(str(source), str(target), settings=settings or BakeSettings())
+    how = settings or BakeSettings()
+    result = bake_file(str(source), str(target), settings=how, gradients=gradients)
     assert result.status == "baked", result.notices
     return target
 

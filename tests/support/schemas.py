@@ -74,6 +74,7 @@ BAKED = strict(
         "triangles": COUNT,
         "degenerate_triangles": COUNT,
         "influences": {"type": "integer", "multipleOf": 4, "minimum": 4},
+        "gradients": {"enum": ["surface", "rig"]},
         "frame": {"enum": ["tangent", "normal"]},
         "generated_normals": {"type": "boolean"},
         "adopting_vertices": COUNT,
