@@ -222,10 +222,16 @@ class TestArguments:
             "adopted": np.zeros((3, 4), dtype=np.int32),
             "ends": np.array([3], dtype=np.uint64),
             "sums": np.zeros((1, 4)),
+            "parents": np.array([-1, 0, 1, 0], dtype=np.int32),
+            "ranks": np.arange(4, dtype=np.int32),
+            "pivots": np.zeros((4, 3)),
             "class_count": 3,
             "weighting": _kernel.BY_MAX,
             "adopts": True,
             "negligible": 1e-4,
+            "stiffness": 0.1,
+            "flat": 1e-6,
+            "unfelt": 1e-6,
         }
 
     def test_these_are_right(self) -> None:
@@ -258,15 +264,65 @@ class TestArguments:
             ("joints", np.full((3, 4), 2**31 - 1, dtype=np.int32), ValueError),
             ("weighting", -1, ValueError),
             ("weighting", 4, ValueError),
+            ("parents", np.zeros(4, dtype=np.int64), TypeError),
+            ("parents", np.array([-1, 0, 1], dtype=np.int32), ValueError),
+            ("ranks", np.zeros(4), TypeError),
+            ("ranks", np.arange(3, dtype=np.int32), ValueError),
+            ("pivots", np.zeros((4, 3), dtype=np.float32), TypeError),
+            ("pivots", np.zeros((4, 2)), ValueError),
+            ("pivots", np.zeros((5, 3)), ValueError),
+            ("joints", np.full((3, 4), 4, dtype=np.int32), ValueError),  # the rig has four joints
         ],
     )
     def test_wrong_ones_are_refused(self, name: str, value: Any, error: type[Exception]) -> None:
         with pytest.raises((error, ValueError) if error is BufferError else error):
             _kernel.bake_surface(**{**self.arguments(), name: value})
 
+    @pytest.mark.parametrize(
+        ("parents", "ranks"),
+        [
+            ([1, 0], [0, 1]),  # a circle
+            ([0, 1], [0, 1]),  # joints that carry themselves
+            ([-1, 2], [0, 1]),
+            ([2**31 - 1, -(2**31)], [0, 1]),
+            ([-1, 0], [0, 0]),
+            ([-1, 0], [2**31 - 1, -(2**31)]),
+        ],
+    )
+    def test_parents_that_are_none_carry_nothing(self, parents: list[int], ranks: list[int]) -> None:
+        """Joints are found by walking up: each step must come nearer to the end, and stay in the array."""
+        given = self.varying()
+        given |= {"parents": np.array(parents, np.int32), "ranks": np.array(ranks, np.int32)}
+        _kernel.bake_surface(**given)
+        assert np.isfinite(given["alpha"]).all()
+        assert given["alpha"].any()
+
+    def varying(self) -> dict[str, Any]:
+        """Return the arguments of a triangle over which the weights of two joints change."""
+        weights = np.array([[1.0, 0.0], [0.5, 0.5], [0.0, 1.0]])
+        positions = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], dtype=np.float32)
+        normals = np.tile(np.array([0, 0, 1], dtype=np.float32), (3, 1))
+        field, _ = weight_field(
+            SkinnedPrimitive(
+                positions, normals, None, np.tile([0, 1], (3, 1)), weights, np.array([[0, 1, 2]])
+            )
+        )
+        return {
+            **self.arguments(),
+            "positions": positions,
+            "normals": normals,
+            "joints": field.joints,
+            "weights": field.weights,
+            "free": field.free,
+            "alpha": np.zeros((3, 1), dtype=np.float32),
+            "beta": np.zeros((3, 1), dtype=np.float32),
+            "adopted": np.zeros((3, 2), dtype=np.int32),
+            "pivots": np.array([[0.3, 0.2, -1.0], [0.1, 0.4, -2.0]]),
+        }
+
     def test_a_surface_without_vertices_has_no_classes(self) -> None:
         empty: dict[str, Any] = {
-            name: value[:0] if isinstance(value, np.ndarray) and name not in ("ends", "sums") else value
+            name: value[:0] if isinstance(value, np.ndarray) and name not in KEPT else value
             for name, value in self.arguments().items()
         }
         empty["ends"] = np.zeros(1, dtype=np.uint64)
@@ -280,6 +336,9 @@ class TestArguments:
             _kernel.normalise_influences(joints, weights, free, 0.99, 1e-3)
 
 
+KEPT = ("ends", "sums", "parents", "ranks", "pivots")
+"""Arguments that have other lengths than vertices and triangles."""
+
 RACE = """
 import threading
 import numpy as np
@@ -288,9 +347,11 @@ chance, V, S = np.random.default_rng(3), 20_000, 4
 positions = chance.normal(size=(V, 3)).astype(np.float32)
 triangles = chance.integers(0, V, (2 * V, 3)).astype(np.uint32)
 joints = chance.integers(0, 30, (V, S)).astype(np.int32)
+parents, ranks = np.arange(-1, 29, dtype=np.int32), np.arange(30, dtype=np.int32)
+pivots = chance.normal(size=(30, 3))
 weights, free = chance.random((V, S)), np.zeros((V, S), np.bool_)
 classes, ends = (np.arange(V) // 2).astype(np.int32), np.array([V // 2, V], np.uint64)
-kept = [array.copy() for array in (triangles, joints, classes, ends)]
+kept = [array.copy() for array in (triangles, joints, classes, ends, parents, ranks)]
 going = True
 
 def spoil():
@@ -300,9 +361,11 @@ def spoil():
         joints[chance.integers(V, size=200)] = chance.choice([29, 2**31 - 1, 10**5])
         classes[chance.integers(V, size=200)] = chance.choice([2**31 - 1, 0, 5, V // 2])
         ends[:] = 2**60
+        parents[chance.integers(30)] = chance.choice([2**31 - 1, -7, 0, 29])
+        ranks[chance.integers(30)] = chance.choice([2**31 - 1, -7, 0, 29])
 
 for turn in range(8):
-    for array, before in zip((triangles, joints, classes, ends), kept):
+    for array, before in zip((triangles, joints, classes, ends, parents, ranks), kept):
         array[...] = before
     alpha = np.empty((V, S - 1), np.float32)
     frames = np.zeros((0, 3), np.float32)
@@ -313,7 +376,8 @@ for turn in range(8):
             positions=positions, triangles=triangles, joints=joints, weights=weights, free=free,
             classes=classes, normals=positions, tangents=frames, bitangents=frames, alpha=alpha,
             beta=alpha.copy(), adopted=np.zeros((V, S), np.int32), ends=ends, sums=np.zeros((2, 4)),
-            class_count=V // 2, weighting=_kernel.BY_ANGLE, adopts=True, negligible=1e-4)
+            parents=parents, ranks=ranks, pivots=pivots, class_count=V // 2,
+            weighting=_kernel.BY_ANGLE, adopts=True, negligible=1e-4, stiffness=0.1, flat=1e-6, unfelt=1e-6)
     except (IndexError, ValueError):
         pass
     going = False
