@@ -6,12 +6,17 @@ from pathlib import Path
 
 import pytest
 
+from skinbake.choices import Gradients
+from skinbake.commands import remedies
+from skinbake.commands.bake import BakedDocument, Baker
+from skinbake.gltf.document import Document
 from tests.support import corpus
 from tests.support.baked_files import CESIUM_MAN, Answer, verify
 from tests.support.command_line import invoke
 from tests.support.models import FOLDER
 
 FEW = ("--poses", "animation", "--samples", "12", "--method", "lbs")
+SURFACE = ("--gradients", "surface")
 FIGURE, QUAD, CYLINDER = (
     "RiggedFigure/RiggedFigure.gltf",
     "quad_skin/quad_skin.glb",
@@ -25,6 +30,13 @@ def verified(model: Path, folder: Path, *options: str) -> Answer:
     return verify(target, *FEW)
 
 
+@pytest.fixture
+def _without_rig(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With fitted gradients, no model of the corpus is lit worse."""
+    others = [remedy for remedy in remedies.REMEDIES if remedy.gradients is not Gradients.RIG]
+    monkeypatch.setattr(remedies, "REMEDIES", others)
+
+
 def worse(answer: Answer) -> list[str]:
     return [notice["message"] for notice in answer.file["warnings"] if notice["code"] == "lighting-worse"]
 
@@ -35,30 +47,58 @@ def gain(answer: Answer) -> float:
 
 
 @corpus.needed
-def test_what_helps_is_named_and_helps(tmp_path: Path) -> None:
-    model = corpus.model(FIGURE)
-    answer = verified(model, tmp_path)
+@pytest.mark.parametrize("name", [FIGURE, QUAD, CYLINDER])
+def test_what_helps_is_named_and_helps(tmp_path: Path, name: str) -> None:
+    model = corpus.model(name)
+    answer = verified(model, tmp_path, *SURFACE)
     assert gain(answer) < 1
     [message] = worse(answer)
     assert "α/β make its lighting worse: the gain is 0." in message
     options = message.split(" With ")[1].split(" it is ")[0]
-    better = verified(model, tmp_path, *options.split())
+    better = verified(model, tmp_path, *SURFACE, *options.split())
     assert worse(better) == []
     assert gain(better) > 1
     assert message.endswith(": bake so")
 
 
 @corpus.needed
+@pytest.mark.usefixtures("_without_rig")
 def test_where_nothing_helps_that_is_said(tmp_path: Path) -> None:
-    [message] = worse(verified(corpus.model(QUAD), tmp_path))
+    """It was baked with --gradients surface, so that is not tried again."""
+    [message] = worse(verified(corpus.model(QUAD), tmp_path, *SURFACE))
     assert "No option that was tried helps (--neighbours drop, --crease-angle 180, " in message
     assert message.endswith("light it the standard way, without α/β")
 
 
 @corpus.needed
+@pytest.mark.usefixtures("_without_rig")
 def test_what_was_baked_so_already_is_not_tried_again(tmp_path: Path) -> None:
-    [message] = worse(verified(corpus.model(QUAD), tmp_path, "--neighbours", "drop"))
+    [message] = worse(verified(corpus.model(QUAD), tmp_path, *SURFACE, "--neighbours", "drop"))
     assert "(--crease-angle 180, --neighbours drop --crease-angle 180)" in message
+
+
+@pytest.mark.parametrize(
+    ("gradients", "expected"), [("rig", "--gradients surface"), ("surface", "--gradients rig")]
+)
+def test_the_other_kind_is_tried(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, gradients: str, expected: str
+) -> None:
+    """The others are baked with the noted kind."""
+    tried = []
+    original = Baker.bake_document
+
+    def watched(baker: Baker, document: Document) -> BakedDocument:
+        tried.append(baker)
+        return original(baker, document)
+
+    target = tmp_path / "baked.glb"
+    source = FOLDER / "foreign_joints.glb"
+    assert invoke("bake", source, "-o", target, "-q", "--gradients", gradients).exit_code == 0
+    monkeypatch.setattr(remedies, "WORSE", 1e9)
+    monkeypatch.setattr(Baker, "bake_document", watched)
+    [message] = worse(verify(target, *FEW))
+    assert f"({expected}, --neighbours drop, --crease-angle 180, " in message
+    assert [baker.gradients == gradients for baker in tried] == [False, True, True, True]
 
 
 @pytest.mark.parametrize("name", ["bent_tube.glb", pytest.param(CESIUM_MAN, marks=corpus.needed)])

@@ -6,10 +6,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from skinbake.choices import Gradients
+from skinbake.choices import SLOTS_PER_SET, Gradients
 from skinbake.format.adoption import TINY_WEIGHT, UNIT
+from skinbake.format.former import former_attributes
+from skinbake.format.metadata import FORMER_ATTRIBUTES
 from skinbake.geometry.rig import Rig
-from skinbake.geometry.skinned import Float64Array, SkinnedPrimitive
+from skinbake.geometry.skinned import Float64Array, FloatArray, SkinnedPrimitive
+from skinbake.gltf.accessors import read_accessor
 from skinbake.gltf.document import Document
 from skinbake.gltf.rigs import fitting_rig
 from skinbake.gradients.baker import slots_of_surface
@@ -31,21 +34,40 @@ def expected_slots(document: Document, views: Sequence[BakedView], operator: Gra
     if noted_kind(views[0]) is Gradients.SURFACE:
         return surface_slots(views, operator)
     rig, _ = fitting_rig(document, views[0].source)
-    return surface_slots(views, operator) if rig is None else fitted_slots(views, operator, rig)
+    return surface_slots(views, operator) if rig is None else fitted_slots(document, views, operator, rig)
 
 
-def given_weights(view: BakedView) -> Float64Array:
-    """Return the weights (V, K) that adopted slots were given: all that are exactly the smallest ones."""
+def given_weights(document: Document, view: BakedView) -> Float64Array:
+    """Return the weights (V, K) that adopted slots were given: all that are exactly the smallest ones.
+
+    If the file still holds the weights from before the bake, only slots that were free then count.
+    """
     weights = np.asarray(view.now.weights, dtype=np.float64)
     if "adopted" not in view.metadata:
         return np.zeros(weights.shape)
     given = (weights == TINY_WEIGHT) | (np.abs(weights * UNIT - 1.0) < ROUNDING)
+    before = _former_weights(document, view)
+    if before is not None and before.shape == given.shape:
+        given &= before == 0.0
     return np.where(given, weights, 0.0)
 
 
-def _before_adoption(view: BakedView) -> SkinnedPrimitive:
+def _former_weights(document: Document, view: BakedView) -> FloatArray | None:
+    """Return the weights (V, K) before the bake. None if they are gone, or if a limit changed their slots."""
+    attributes, place = view.source.attributes, view.source.place
+    former = former_attributes(document, attributes, view.metadata, place)
+    if former is None or FORMER_ATTRIBUTES in view.metadata:
+        return None
+    named = {**attributes, **former}
+    sets = range(view.now.weights.shape[1] // SLOTS_PER_SET)
+    return np.concatenate(
+        [read_accessor(document, named[f"WEIGHTS_{number}"], place).decoded() for number in sets], axis=1
+    )
+
+
+def _before_adoption(document: Document, view: BakedView) -> SkinnedPrimitive:
     """Return a primitive without those weights, which belong to no surface that was fitted."""
-    weights = np.asarray(view.now.weights, dtype=np.float64) - given_weights(view)
+    weights = np.asarray(view.now.weights, dtype=np.float64) - given_weights(document, view)
     return view.now.with_influences(view.now.joints, weights)
 
 
@@ -64,13 +86,15 @@ def surface_slots(views: Sequence[BakedView], operator: GradientOperator) -> Exp
     return [(alpha[:, 1:], beta[:, 1:]) for alpha, beta in expected]
 
 
-def fitted_slots(views: Sequence[BakedView], operator: GradientOperator, rig: Rig) -> Expected:
+def fitted_slots(
+    document: Document, views: Sequence[BakedView], operator: GradientOperator, rig: Rig
+) -> Expected:
     """Return the gradients of each view fitted to a rig, (V, K − 1), with the joints that the slots name."""
     noted = views[0].metadata
     tangents = np.concatenate([np.asarray(view.tangents, dtype=np.float64) for view in views])
     bitangents = np.concatenate([np.asarray(view.bitangents, dtype=np.float64) for view in views])
     slots = slots_of_surface(
-        [_before_adoption(view) for view in views],
+        [_before_adoption(document, view) for view in views],
         (tangents, bitangents),
         weighting=operator.weighting,
         crease_angle=float(np.radians(noted["creaseAngle"])),

@@ -138,28 +138,30 @@ class _Surface:
 def _comparisons(
     document: Document, views: Sequence[BakedView], operator: GradientOperator
 ) -> list[freshness.Comparison]:
-    return _compared(views, operator, expected_slots(document, views, operator))
+    return _compared(document, views, operator, expected_slots(document, views, operator))
 
 
 def _compared(
-    views: Sequence[BakedView], operator: GradientOperator, expected: Expected
+    document: Document, views: Sequence[BakedView], operator: GradientOperator, expected: Expected
 ) -> list[freshness.Comparison]:
     reach = operator.reach()
     return [
         freshness.compare((view.alpha, view.beta), slots, reach=reach[rows], rounding=rounding)
         for view, rounding, slots, rows in zip(
-            views, _roundings(views, operator), expected, operator.slices, strict=True
+            views, _roundings(document, views, operator), expected, operator.slices, strict=True
         )
     ]
 
 
-def _roundings(views: Sequence[BakedView], operator: GradientOperator) -> list[Float64Array]:
+def _roundings(
+    document: Document, views: Sequence[BakedView], operator: GradientOperator
+) -> list[Float64Array]:
     """Return the allowed difference of α and β of each view (V, 2) from α and β of its present weights.
 
     It is the rounding of an encoding, and the weight that adopted slots were given. They take a unit of
     integer weights each from the vertex's largest weight. α/β come from the weights before adoption.
     """
-    paid = np.concatenate([given_weights(view).sum(axis=1) for view in views])
+    paid = np.concatenate([given_weights(document, view).sum(axis=1) for view in views])
     if paid.max(initial=0.0) < NO_PAYMENT:
         return [view.rounding for view in views]
     frames = [

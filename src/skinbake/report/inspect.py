@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
+from skinbake.choices import Gradients
 from skinbake.errors import Notice, Place, printable
 from skinbake.report.notices import counted, notice_list, place_fields
 
@@ -110,7 +111,8 @@ def _bake_text(bake: BakeSummary | None) -> str:
     state = f"but {', '.join(bake.changed)} changed since: bake again" if bake.changed else "up to date"
     generator = printable(str(noted.get("generator", "skinbake")))
     return (
-        f"by {generator}, frame from {noted.get('frame')}, weighting {noted.get('weighting')}, "
+        f"by {generator}, gradients {printable(str(noted.get('gradients', Gradients.SURFACE)))}, "
+        f"frame from {noted.get('frame')}, weighting {noted.get('weighting')}, "
         f"neighbours {noted.get('neighbours')}, {_storage(noted)}{bake.byte_length:,} bytes, {state}"
     )
 
