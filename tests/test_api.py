@@ -83,7 +83,7 @@ def test_results_are_the_entries_of_json(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("truth", "passes"), [("tangents", True), ("triangles", False), (None, False)])
 def test_limits_hold_by_the_truth_that_is_named(truth: str | None, passes: bool, tmp_path: Path) -> None:
     """The tube gains 38 times by tangents and 24 times by triangles; without a name the worse counts."""
-    skinbake.bake(TUBE, tmp_path / "tube.glb")
+    skinbake.bake(TUBE, tmp_path / "tube.glb", gradients="surface")
     verdict = skinbake.verify(tmp_path / "tube.glb", samples=4, methods=["lbs"], min_gain=30.0, truth=truth)
     assert verdict["passed"] is passes
 

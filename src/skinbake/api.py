@@ -364,7 +364,8 @@ def weight_gradients(
     """Return α and β of one skinned surface: arrays in, arrays out, no file.
 
     They are the gradients of the weights on the surface, as ``skinbake.bake`` gives with
-    ``gradients="surface"``: arrays without a rig have no turns to which α and β could be fitted. Copies of a vertex (equal position, weights, and normals within ``crease_angle``) count as one.
+    ``gradients="surface"``: arrays without a rig have no turns to which α and β could be fitted. Copies of a
+    vertex (equal position, weights, and normals within ``crease_angle``) count as one.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""α and β of the surface against libigl's gradient, averaged by an operator that shares no code with the baker."""
+"""The surface's α and β against libigl's gradient, averaged by an operator without code of the baker."""
 
 from __future__ import annotations
 

@@ -90,7 +90,8 @@ def test_the_worst_sample_names_the_primitive_and_its_own_vertex(tmp_path: Path)
     worst = max(by_primitive, key=lambda figure: figure["max"])
     assert whole["worst"] == worst["worst"]
     assert worst["worst"]["vertex"] < 99
-    assert min(f["mean"] for f in by_primitive) <= whole["mean"] <= max(f["mean"] for f in by_primitive)
+    means = [figure["mean"] for figure in by_primitive]
+    assert min(means) * (1.0 - 1e-9) <= whole["mean"] <= max(means) * (1.0 + 1e-9)
 
 
 @pytest.mark.parametrize("name", FIXTURES)
@@ -225,7 +226,7 @@ def failing(verdict: FileVerdict) -> Iterator[tuple[str, str, str]]:
     ],
 )
 def test_a_limit_that_is_exceeded_fails(tmp_path: Path, options: dict[str, Any], message: str) -> None:
-    path = baked(source("bent_tube.glb"), tmp_path)
+    path = baked(source("bent_tube.glb"), tmp_path, gradients="surface")
     verdict = measured(path, **options)
     ((name, code, told),) = failing(verdict)
     assert (name, code) == ("limits", "limit")
@@ -234,7 +235,7 @@ def test_a_limit_that_is_exceeded_fails(tmp_path: Path, options: dict[str, Any],
 
 
 def test_limits_that_are_kept_pass(tmp_path: Path) -> None:
-    path = baked(source("bent_tube.glb"), tmp_path)
+    path = baked(source("bent_tube.glb"), tmp_path, gradients="surface")
     verdict = measured(path, max_mean_error=0.15, max_p95_error=0.45, min_gain=24.0)
     assert verdict.passed
     assert measured(path, max_mean_error=0.1, max_p95_error=0.4, min_gain=30.0, truth="tangents").passed

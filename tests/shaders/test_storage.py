@@ -230,7 +230,7 @@ class TestText:
         assert "_SKINBAKE_ALPHA_1    vec4<f32>  alpha = grad w . t0 of slots 4 to 7, as snorm16x4" in text
         text = shader_text(ShaderChoices(GLSL, layout=Layout.TEXCOORD))
         assert "TEXCOORD_2           vec2   alpha of slot 3, beta of slot 1" in text
-        assert "The sets follow those that a primitive had before: here one, TEXCOORD_0." in text
+        assert "The sets follow the sets that a primitive had before: here one, TEXCOORD_0." in text
         text = shader_text(ShaderChoices(GLSL, layout=Layout.CUSTOM))
         assert "_CUSTOM1             vec3   beta" in text
 

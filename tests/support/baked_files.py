@@ -29,12 +29,10 @@ def source(name: str) -> Path:
     return corpus.model(name) if "/" in name else REPOSITORY / "fixtures" / name
 
 
-def baked(
-    original: Path, folder: Path, settings: BakeSettings | None = None, *, generate_normals: bool = False
-) -> Path:
-    """Bake a file into a folder and return what was written."""
+def baked(original: Path, folder: Path, settings: BakeSettings | None = None, **options: Any) -> Path:
+    """Bake a file into a folder and return what was written; options are those of ``bake_file``."""
     target = folder / original.name
-    result = bake_file(original, target, settings=settings, generate_normals=generate_normals)
+    result = bake_file(original, target, settings=settings, **options)
     assert result.status == "baked", result.notices
     return target
 
