@@ -29,9 +29,10 @@ from fixtures.make_fixtures import (
     tube_surface,
     tube_weights,
 )
-from skinbake.choices import Truth
+from skinbake.choices import Gradients, Truth
 from skinbake.commands.bake import Baker
 from skinbake.geometry.poses import composed, normalised
+from skinbake.geometry.rig import NO_PARENT, Rig
 from skinbake.geometry.skinned import Float64Array, FloatArray, IntArray, SkinnedPrimitive
 from skinbake.gltf.animation import read_clips
 from skinbake.gltf.document import read_document
@@ -61,6 +62,8 @@ SIZES = ((17, 24), (24, 32), (33, 46), (65, 62), (97, 124))
 STEP = 1e-4
 RAMP = 0.35
 STEEP = 0.04
+
+RIG = Rig(np.array([NO_PARENT, 0, 1], dtype=np.int32), TUBE_JOINTS.astype(np.float64))
 
 Weights = Callable[[Float64Array, Float64Array], Float64Array]
 
@@ -174,11 +177,11 @@ def tube(weights: Weights, columns: int, rows: int) -> tuple[SkinnedPrimitive, F
     return SkinnedPrimitive(positions, normals, None, joints, padded, triangles), theta, height
 
 
-def grown(weights: Weights, columns: int, rows: int) -> Errors:
+def grown(weights: Weights, columns: int, rows: int, *, gradients: Gradients = Gradients.RIG) -> Errors:
     """Bake a tube and measure it."""
     primitive, theta, height = tube(weights, columns, rows)
     settings = BakeSettings()
-    ((baked, _),) = bake_mesh([primitive], settings)
+    ((baked, _),) = bake_mesh([primitive], settings, RIG if gradients is Gradients.RIG else None)
     frame, matrices = rest_frame(primitive, settings.frame), bends()
     rest = RestSurface(
         positions=primitive.positions,
