@@ -18,6 +18,9 @@ from skinbake.lighting.operator import gradient_operator
 from skinbake.lighting.poses import PoseRequest, PoseSet, draws_of, pose_set
 from skinbake.lighting.rest_areas import RestAreas
 
+Field = tuple[Float64Array, BoolArray]
+"""Errors in degrees (P, V), and whether the true normal exists there (P, V)."""
+
 WITHOUT_NORMAL = 180.0
 """The error in degrees of a lighting that yields no normal, as verify counts it."""
 
@@ -29,6 +32,7 @@ class Sums:
     error: float = 0.0
     area: float = 0.0
     squares: float = 0.0
+    changes: float = 0.0
     edges: int = 0
 
     @property
@@ -41,6 +45,11 @@ class Sums:
         """Return the root of the mean squared change over an edge in degrees, NaN without edges."""
         return float(np.sqrt(self.squares / self.edges)) if self.edges else np.nan
 
+    @property
+    def mean_change(self) -> float:
+        """Return the mean change over an edge in degrees, NaN without edges."""
+        return self.changes / self.edges if self.edges else np.nan
+
     def add(self, errors: Float64Array, valid: BoolArray, areas: Float64Array, edges: IntArray) -> None:
         """Count errors and valid (P, V) of a primitive with areas (V,) and edges (E, 2)."""
         errors = np.where(np.isfinite(errors), errors, WITHOUT_NORMAL)
@@ -48,8 +57,9 @@ class Sums:
         self.error += float((errors * weights).sum())
         self.area += float(weights.sum())
         both = valid[:, edges[:, 0]] & valid[:, edges[:, 1]]
-        changes = errors[:, edges[:, 0]] - errors[:, edges[:, 1]]
-        self.squares += float((changes[both] ** 2).sum())
+        changes = (errors[:, edges[:, 0]] - errors[:, edges[:, 1]])[both]
+        self.squares += float((changes**2).sum())
+        self.changes += float(np.abs(changes).sum())
         self.edges += int(both.sum())
 
 
@@ -64,9 +74,10 @@ class Lit:
         """Return the mean error in degrees, NaN where it was not measured."""
         return self.sums.get((truth, method, lighting), Sums()).mean
 
-    def change(self, truth: str, lighting: str = "accurate") -> float:
-        """Return the change of the error over an edge under LBS, in degrees."""
-        return self.sums.get((truth, "lbs", lighting), Sums()).change
+    def change(self, truth: str, lighting: str = "accurate", *, squared: bool = True) -> float:
+        """Return the change of the error over an edge under LBS in degrees: root mean square, or mean."""
+        sums = self.sums.get((truth, "lbs", lighting), Sums())
+        return sums.change if squared else sums.mean_change
 
 
 def measured(document: Document, request: PoseRequest, *, with_dqs: bool) -> Lit:
@@ -92,30 +103,39 @@ def _measure(
     *,
     with_dqs: bool,
 ) -> None:
-    """Add what one skin makes of one surface."""
-    rest = [rest_surface(view) for view in views]
-    operator = gradient_operator(
-        [view.now for view in views], weighting=TRUE_WEIGHTING, crease_angle_degrees=TRUE_CREASE_ANGLE
-    )
-    rigid = with_dqs and not not_rigid_joints(rest, poses.joint_matrices)
+    """Add the errors of one skin on one surface."""
+    rigid = with_dqs and not not_rigid_joints([rest_surface(view) for view in views], poses.joint_matrices)
     for method in ("lbs", "dqs") if rigid else ("lbs",):
-        fields: dict[tuple[str, str, int], tuple[Float64Array, BoolArray]] = {}
-
-        def record(block: MeasuredBlock, fields: dict = fields) -> None:  # type: ignore[type-arg]
-            shape = len(poses.clips), len(views[block.surface].now.positions)
-            key = block.truth, block.lighting, block.surface
-            errors, valid = fields.setdefault(key, (np.zeros(shape), np.zeros(shape, dtype=np.bool_)))
-            rows, columns = block.errors.shape
-            at = slice(block.pose, block.pose + rows), slice(block.vertex, block.vertex + columns)
-            errors[at], valid[at] = block.errors, block.valid
-
-        with np.errstate(all="ignore"):
-            morphing = morphing_of(document, views, poses)
-            lighting_errors(operator, rest, poses.joint_matrices, method, record, morphing=morphing)
-        for (truth, lighting, surface), (errors, valid) in fields.items():
+        for (truth, lighting, surface), (errors, valid) in error_fields(
+            document, views, poses, method
+        ).items():
             if lighting != "direct":
                 sums = found.sums.setdefault((truth, method, lighting), Sums())
                 sums.add(errors, valid, areas[surface], edges_of(views[surface].now.triangles))
+
+
+def error_fields(
+    document: Document, views: list[BakedView], poses: PoseSet, method: str
+) -> dict[tuple[str, str, int], Field]:
+    """Return the errors on one surface under one skin, by truth, lighting, and number of the view."""
+    fields: dict[tuple[str, str, int], Field] = {}
+    operator = gradient_operator(
+        [view.now for view in views], weighting=TRUE_WEIGHTING, crease_angle_degrees=TRUE_CREASE_ANGLE
+    )
+
+    def record(block: MeasuredBlock) -> None:
+        shape = len(poses.clips), len(views[block.surface].now.positions)
+        key = block.truth, block.lighting, block.surface
+        errors, valid = fields.setdefault(key, (np.zeros(shape), np.zeros(shape, dtype=np.bool_)))
+        rows, columns = block.errors.shape
+        at = slice(block.pose, block.pose + rows), slice(block.vertex, block.vertex + columns)
+        errors[at], valid[at] = block.errors, block.valid
+
+    rest = [rest_surface(view) for view in views]
+    with np.errstate(all="ignore"):
+        morphing = morphing_of(document, views, poses)
+        lighting_errors(operator, rest, poses.joint_matrices, method, record, morphing=morphing)
+    return fields
 
 
 def edges_of(triangles: IntArray) -> IntArray:

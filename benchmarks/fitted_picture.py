@@ -1,0 +1,155 @@
+"""Draw docs/fitted.png: the error of one coarse model's normals, standard, with the gradients, and fitted.
+
+Usage: python -m benchmarks.fitted_picture [MODEL] [--clip NAME] [--output FILE]
+
+The model is baked with ``--gradients surface`` and with ``rig``, and posed where the standard normals of its
+clip are worst. Errors are angles to the true normals by triangles; the means are by rest area. Without a
+model, it is the fox of the corpus (SKINBAKE_CORPUS, or ../shared/corpus).
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from PIL import Image, ImageDraw
+
+from benchmarks.bend_picture import BACKGROUND, GREY, INK, INSIDE, Array, font, heat, rasterise, unit
+from benchmarks.corpus_table import REPOSITORY, corpus_folders
+from benchmarks.edge_noise import error_fields
+from skinbake.choices import Gradients, Truth
+from skinbake.commands.bake import Baker
+from skinbake.geometry.skinned import IntArray
+from skinbake.gltf.animation import read_clips
+from skinbake.gltf.document import read_document
+from skinbake.gltf.primitives import skinned_sources
+from skinbake.lighting.baked_views import baked_views
+from skinbake.lighting.measured import rest_surface
+from skinbake.lighting.metrics import vertex_areas
+from skinbake.lighting.poses import PoseRequest, pose_set
+from skinbake.skinning.algorithms import Algorithm
+from tests.support.replay import replay
+
+PANEL = (500, 380)
+MARGIN, HEADER, FOOTER = 14, 76, 60
+SUPERSAMPLING = 3
+TURN, TILT = np.radians(-62.0), np.radians(14.0)
+FILLED = 0.9
+SCALE_TOP = 30.0
+
+
+@dataclass(frozen=True)
+class Posed:
+    """A model in one pose: positions (V, 3), triangles (T, 3), areas (V,), errors (V,) by kind of bake."""
+
+    positions: Array
+    triangles: IntArray
+    areas: Array
+    errors: dict[str, Array]
+
+
+def worst_pose(path: Path, clip: str | None) -> Posed:
+    """Bake a model both ways, and pose its first primitive where standard lighting is worst."""
+    found: dict[str, Array] = {}
+    pose = -1
+    for gradients in Gradients:
+        document = (
+            Baker(gradients=gradients, generate_normals=True).bake_document(read_document(str(path))).document
+        )
+        view = baked_views(document, skinned_sources(document)[0])[0][0]
+        clips = [one for one in read_clips(document) if clip in {None, one.name}]
+        poses = pose_set(document, 0, clips, PoseRequest())
+        fields = error_fields(document, [view], poses, "lbs")
+        areas = vertex_areas(view.now.positions, view.now.triangles)
+        standard, accurate = (
+            np.nan_to_num(fields[Truth.TRIANGLES, lighting, 0][0])
+            for lighting in ("approximated", "accurate")
+        )
+        if pose < 0:
+            pose = int(np.argmax(np.average(standard, axis=1, weights=areas)))
+            found["standard"] = standard[pose]
+        found[gradients] = accurate[pose]
+        positions = replay(Algorithm.LBS_APPROXIMATED, rest_surface(view), poses.joint_matrices).positions
+    return Posed(positions[pose], view.now.triangles, areas, found)
+
+
+def camera() -> Array:
+    """Return the rotation (3, 3) from the model to the view: x right, y up, z towards the eye."""
+    c, s = np.cos(TURN), np.sin(TURN)
+    turn = np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
+    c, s = np.cos(TILT), np.sin(TILT)
+    return np.asarray(np.array([[1, 0, 0], [0, c, -s], [0, s, c]]) @ turn)
+
+
+def panels(posed: Posed) -> dict[str, Image.Image]:
+    """Render the errors, one panel a kind of bake."""
+    width, height = (SUPERSAMPLING * side for side in PANEL)
+    seen = posed.positions @ camera().T
+    low, high = seen.min(axis=0), seen.max(axis=0)
+    zoom = FILLED * min(width / (high - low)[0], height / (high - low)[1])
+    points = (seen - (low + high) / 2) * zoom * [1, -1, 1] + [width / 2, height / 2, 0]
+    owner, where = rasterise(points, posed.triangles, width, height)
+    covered = owner >= 0
+    corners, bary = posed.triangles[owner[covered]], where[covered]
+    faces = unit(
+        np.cross(seen[corners[:, 1]] - seen[corners[:, 0]], seen[corners[:, 2]] - seen[corners[:, 0]])
+    )
+    found = {}
+    for kind, errors in posed.errors.items():
+        colours = heat(np.einsum("pc,pc->p", bary, errors[corners]))
+        shaded = colours * (0.72 + 0.28 * np.clip(faces[:, 2:], 0, 1))
+        canvas = np.tile(BACKGROUND, (height, width, 1))
+        canvas[covered] = np.where(faces[:, 2:] < 0, INSIDE, shaded)
+        blocks = canvas.reshape(PANEL[1], SUPERSAMPLING, PANEL[0], SUPERSAMPLING, 3).mean(axis=(1, 3))
+        found[kind] = Image.fromarray(np.round(255 * blocks).astype(np.uint8))
+    return found
+
+
+TITLES = {
+    "standard": "Standard lighting",
+    Gradients.SURFACE: "--gradients surface",
+    Gradients.RIG: "--gradients rig",
+}
+
+
+def compose(posed: Posed) -> Image.Image:
+    """Put the panels side by side, with titles, figures and the scale."""
+    width, height = PANEL
+    sheet = Image.new("RGB", (3 * width + 4 * MARGIN, HEADER + height + FOOTER), "white")
+    draw = ImageDraw.Draw(sheet)
+    for number, (kind, panel) in enumerate(panels(posed).items()):
+        left = MARGIN + number * (width + MARGIN)
+        sheet.paste(panel, (left, HEADER))
+        mean = np.average(posed.errors[kind], weights=posed.areas)
+        draw.text((left + width / 2, 30), TITLES[kind], INK, font(26), "mm")
+        draw.text((left + width / 2, 58), f"normals off by {mean:.1f}° on average", GREY, font(17), "mm")
+    left, top, length = width + 2 * MARGIN + 60, HEADER + height + 8, width - 120
+    for column in range(length):
+        colour = heat(np.array(SCALE_TOP * column / (length - 1)))
+        draw.line([(left + column, top), (left + column, top + 14)], tuple(round(255 * c) for c in colour))
+    for degrees in range(0, int(SCALE_TOP) + 1, 5):
+        x = left + (length - 1) * degrees / SCALE_TOP
+        draw.line([(x, top + 14), (x, top + 19)], GREY)
+        label = f"{degrees}°+" if degrees == SCALE_TOP else f"{degrees}°"
+        draw.text((x, top + 31), label, GREY, font(16), "mm")
+    return sheet
+
+
+def main() -> None:
+    """Draw the picture and print its figures."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("model", type=Path, nargs="?", help="the model (default: the corpus's fox)")
+    parser.add_argument("--clip", help="its clip (default: all)")
+    parser.add_argument("--output", type=Path, default=REPOSITORY / "docs" / "fitted.png")
+    options = parser.parse_args()
+    model = options.model or corpus_folders()[0] / "Fox" / "fox.glb"
+    posed = worst_pose(model, options.clip)
+    compose(posed).save(options.output, optimize=True)
+    for kind, errors in posed.errors.items():
+        print(f"{kind}: mean {np.average(errors, weights=posed.areas):.2f}°, max {errors.max():.1f}°")
+
+
+if __name__ == "__main__":
+    main()
