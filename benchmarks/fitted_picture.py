@@ -1,9 +1,9 @@
 """Draw docs/fitted.png: the error of one coarse model's normals, standard, with the gradients, and fitted.
 
-Usage: python -m benchmarks.fitted_picture [MODEL] [--clip NAME] [--output FILE]
+Usage: python -m benchmarks.fitted_picture [MODEL] [--output FILE]
 
-The model is baked with ``--gradients surface`` and with ``rig``, and posed where the standard normals of its
-clip are worst. Errors are angles to the true normals by triangles; the means are by rest area. Without a
+The model is baked with ``--gradients surface`` and ``rig``, and lit over its clips. Each vertex, at rest,
+has the colour of its mean error over all poses and both truths; the means printed are by area. Without a
 model, it is the fox of the corpus (SKINBAKE_CORPUS, or ../shared/corpus).
 """
 
@@ -17,9 +17,10 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from benchmarks.bend_picture import BACKGROUND, GREY, INK, INSIDE, Array, font, heat, rasterise, unit
+from benchmarks.bend_picture import SCALE_TOP as FULL_HEAT
 from benchmarks.corpus_table import REPOSITORY, corpus_folders
 from benchmarks.edge_noise import error_fields
-from skinbake.choices import Gradients, Truth
+from skinbake.choices import Gradients, PoseKind, Truth
 from skinbake.commands.bake import Baker
 from skinbake.geometry.skinned import IntArray
 from skinbake.gltf.animation import read_clips
@@ -37,12 +38,13 @@ MARGIN, HEADER, FOOTER = 14, 76, 60
 SUPERSAMPLING = 3
 TURN, TILT = np.radians(-62.0), np.radians(14.0)
 FILLED = 0.9
-SCALE_TOP = 30.0
+SCALE_TOP = 15.0
+SCALE = FULL_HEAT / SCALE_TOP
 
 
 @dataclass(frozen=True)
-class Posed:
-    """A model in one pose: positions (V, 3), triangles (T, 3), areas (V,), errors (V,) by kind of bake."""
+class Lit:
+    """A model at rest: positions (V, 3), triangles (T, 3), areas (V,), errors (V,) by kind of bake."""
 
     positions: Array
     triangles: IntArray
@@ -50,29 +52,21 @@ class Posed:
     errors: dict[str, Array]
 
 
-def worst_pose(path: Path, clip: str | None) -> Posed:
-    """Bake a model both ways, and pose its first primitive where standard lighting is worst."""
+def lit_both_ways(path: Path) -> Lit:
+    """Bake a model both ways, and measure its first primitive over its clips."""
     found: dict[str, Array] = {}
-    pose = -1
     for gradients in Gradients:
-        document = (
-            Baker(gradients=gradients, generate_normals=True).bake_document(read_document(str(path))).document
-        )
+        baker = Baker(gradients=gradients, generate_normals=True)
+        document = baker.bake_document(read_document(str(path))).document
         view = baked_views(document, skinned_sources(document)[0])[0][0]
-        clips = [one for one in read_clips(document) if clip in {None, one.name}]
-        poses = pose_set(document, 0, clips, PoseRequest())
+        poses = pose_set(document, 0, read_clips(document), PoseRequest())
         fields = error_fields(document, [view], poses, "lbs")
-        areas = vertex_areas(view.now.positions, view.now.triangles)
-        standard, accurate = (
-            np.nan_to_num(fields[Truth.TRIANGLES, lighting, 0][0])
-            for lighting in ("approximated", "accurate")
-        )
-        if pose < 0:
-            pose = int(np.argmax(np.average(standard, axis=1, weights=areas)))
-            found["standard"] = standard[pose]
-        found[gradients] = accurate[pose]
-        positions = replay(Algorithm.LBS_APPROXIMATED, rest_surface(view), poses.joint_matrices).positions
-    return Posed(positions[pose], view.now.triangles, areas, found)
+        for kind, lighting in (("standard", "approximated"), (str(gradients), "accurate")):
+            by_truth = [np.nan_to_num(fields[truth, lighting, 0][0]).mean(axis=0) for truth in Truth]
+            found.setdefault(kind, np.mean(by_truth, axis=0))
+    rest = pose_set(document, 0, [], PoseRequest(PoseKind.REST)).joint_matrices
+    positions = replay(Algorithm.LBS_APPROXIMATED, rest_surface(view), rest).positions[0]
+    return Lit(positions, view.now.triangles, vertex_areas(view.now.positions, view.now.triangles), found)
 
 
 def camera() -> Array:
@@ -83,22 +77,22 @@ def camera() -> Array:
     return np.asarray(np.array([[1, 0, 0], [0, c, -s], [0, s, c]]) @ turn)
 
 
-def panels(posed: Posed) -> dict[str, Image.Image]:
+def panels(lit: Lit) -> dict[str, Image.Image]:
     """Render the errors, one panel a kind of bake."""
     width, height = (SUPERSAMPLING * side for side in PANEL)
-    seen = posed.positions @ camera().T
+    seen = lit.positions @ camera().T
     low, high = seen.min(axis=0), seen.max(axis=0)
     zoom = FILLED * min(width / (high - low)[0], height / (high - low)[1])
     points = (seen - (low + high) / 2) * zoom * [1, -1, 1] + [width / 2, height / 2, 0]
-    owner, where = rasterise(points, posed.triangles, width, height)
+    owner, where = rasterise(points, lit.triangles, width, height)
     covered = owner >= 0
-    corners, bary = posed.triangles[owner[covered]], where[covered]
+    corners, bary = lit.triangles[owner[covered]], where[covered]
     faces = unit(
         np.cross(seen[corners[:, 1]] - seen[corners[:, 0]], seen[corners[:, 2]] - seen[corners[:, 0]])
     )
     found = {}
-    for kind, errors in posed.errors.items():
-        colours = heat(np.einsum("pc,pc->p", bary, errors[corners]))
+    for kind, errors in lit.errors.items():
+        colours = heat(SCALE * np.einsum("pc,pc->p", bary, errors[corners]))
         shaded = colours * (0.72 + 0.28 * np.clip(faces[:, 2:], 0, 1))
         canvas = np.tile(BACKGROUND, (height, width, 1))
         canvas[covered] = np.where(faces[:, 2:] < 0, INSIDE, shaded)
@@ -114,20 +108,20 @@ TITLES = {
 }
 
 
-def compose(posed: Posed) -> Image.Image:
+def compose(lit: Lit) -> Image.Image:
     """Put the panels side by side, with titles, figures and the scale."""
     width, height = PANEL
     sheet = Image.new("RGB", (3 * width + 4 * MARGIN, HEADER + height + FOOTER), "white")
     draw = ImageDraw.Draw(sheet)
-    for number, (kind, panel) in enumerate(panels(posed).items()):
+    for number, (kind, panel) in enumerate(panels(lit).items()):
         left = MARGIN + number * (width + MARGIN)
         sheet.paste(panel, (left, HEADER))
-        mean = np.average(posed.errors[kind], weights=posed.areas)
+        mean = np.average(lit.errors[kind], weights=lit.areas)
         draw.text((left + width / 2, 30), TITLES[kind], INK, font(26), "mm")
-        draw.text((left + width / 2, 58), f"normals off by {mean:.1f}° on average", GREY, font(17), "mm")
+        draw.text((left + width / 2, 58), f"normals off by {mean:.2f}° on average", GREY, font(17), "mm")
     left, top, length = width + 2 * MARGIN + 60, HEADER + height + 8, width - 120
     for column in range(length):
-        colour = heat(np.array(SCALE_TOP * column / (length - 1)))
+        colour = heat(np.array(FULL_HEAT * column / (length - 1)))
         draw.line([(left + column, top), (left + column, top + 14)], tuple(round(255 * c) for c in colour))
     for degrees in range(0, int(SCALE_TOP) + 1, 5):
         x = left + (length - 1) * degrees / SCALE_TOP
@@ -141,14 +135,13 @@ def main() -> None:
     """Draw the picture and print its figures."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("model", type=Path, nargs="?", help="the model (default: the corpus's fox)")
-    parser.add_argument("--clip", help="its clip (default: all)")
     parser.add_argument("--output", type=Path, default=REPOSITORY / "docs" / "fitted.png")
     options = parser.parse_args()
     model = options.model or corpus_folders()[0] / "Fox" / "fox.glb"
-    posed = worst_pose(model, options.clip)
-    compose(posed).save(options.output, optimize=True)
-    for kind, errors in posed.errors.items():
-        print(f"{kind}: mean {np.average(errors, weights=posed.areas):.2f}°, max {errors.max():.1f}°")
+    lit = lit_both_ways(model)
+    compose(lit).save(options.output, optimize=True)
+    for kind, errors in lit.errors.items():
+        print(f"{kind}: mean {np.average(errors, weights=lit.areas):.2f}°, max {errors.max():.1f}°")
 
 
 if __name__ == "__main__":
