@@ -40,14 +40,17 @@ HEAD = """# What accurate lighting is worth
 
 Angle in degrees between the normals that a shader computes and the true normals of the deformed surface.
 Every model is baked, checked by `skinbake verify` (structure, freshness, algorithm 3 = algorithm 2), and
-measured over its own animations; one without any, over joints turned at random by up to 30°.
+measured over its own animations; one without any, over joints turned at random by up to 30°. α and β are
+fitted to the rig (`--gradients rig`, the default). [fitted.md](fitted.md) has the figures of the paper's
+gradients beside them, also in poses of other kinds.
 
 ## What a true normal is
 A smooth surface has one normal at each point. A mesh does not: it has flat triangles, and the normal at a
 vertex is an agreement about them. The authored normals of the rest pose are such an agreement, and
 animation files store none for the other poses. So verify finds true normals itself, in two ways that have
-little in common. Both look only at where the vertices are before and after skinning, never at α and β. Both
-give the authored normal itself at rest.
+little in common. Both look only at where the vertices are before and after skinning, never at α and β. (The
+fit of α and β looks at both truths, for small turns, and at no pose of the tables.) Both give the authored
+normal itself at rest.
 
 - **By tangents.** Two tangents are measured at each vertex, at rest and in the pose: how the position
   changes along the triangles around it, averaged with Max's weights (1999). The map from the tangents at
@@ -66,10 +69,10 @@ Each truth has an error of its own, which no one sees on a real model. On a surf
 shows. Here is a tube of three joints, bent in eight steps, by the mean angle in degrees: standard and
 accurate lighting (algorithms 1 and 3) against the formula; accurate lighting as verify measures it, by each
 truth; and each truth against the formula. Where weights are smooth, accurate lighting is nearer to the
-formula than either truth: verify reports about twice its real error. Where weights change within an edge
-(steep), or have kinks, the mesh is too coarse to show what the formula does, all three share that error,
-and verify reports less than the real one. A difference that is smaller than the truths' own distance from
-each other says nothing.
+formula than either truth: verify reports its real error by tangents, and twice as much by triangles. Where
+weights change within an edge (steep), or have kinks, the mesh is too coarse to show what the formula does,
+all three share that error, and verify may report less than the real one. A difference that is smaller than
+the truths' own distance from each other says nothing.
 
 {analytic}
 
