@@ -213,7 +213,7 @@ class TestForFile:
         assert result.exit_code == 3
         assert f"{file}: this file does not fit target {target}" in result.stderr
         assert "four influences per vertex, not 8; bake with --limit-influences 4" in result.stderr
-        asked = invoke("shader", "--target", target, "--for", file, "--method", "dqs")
+        asked = invoke("shader", "--target", target, "--for", file, "--lighting", "approximated")
         assert asked.exit_code == 2
 
     def test_damaged_metadata_is_refused(self, tmp_path: Path) -> None:

@@ -36,6 +36,10 @@ async function load({ url, pose = {}, root, bind, morphs }) {
     return scene;
 }
 
+async function imported(address) {
+    return { address, ...(await import(address)) };
+}
+
 function skinnedMeshes(root) {
     const found = [];
     root.traverse((object) => {
@@ -46,7 +50,7 @@ function skinnedMeshes(root) {
 
 // A material like another one whose vertex shader writes an expression of its last scope, a vec3, for each
 // vertex into a pixel of its own.
-function probeOf(material, expression, width, height) {
+function probeOf(material, expression, module, width, height) {
     const probe = material.clone();
     probe.depthTest = false;
     probe.onBeforeCompile = function (shader, used) {
@@ -61,7 +65,7 @@ function probeOf(material, expression, width, height) {
         shader.fragmentShader = declaration + beforeLastBrace(shader.fragmentShader, `
             gl_FragColor = vec4(probed, 1.0);`);
     };
-    probe.customProgramCacheKey = () => `${material.customProgramCacheKey()} ${expression}`;
+    probe.customProgramCacheKey = () => `${material.customProgramCacheKey()} ${expression} ${module}`;
     return probe;
 }
 
@@ -71,12 +75,12 @@ function beforeLastBrace(text, added) {
 }
 
 // Draw a skinned mesh as points, one a vertex, and return the expression at each: three numbers a vertex.
-function probed(mesh, expression, instance) {
+function probed(mesh, expression, module, instance, method) {
     const count = mesh.geometry.attributes.position.count;
     const width = Math.ceil(Math.sqrt(count));
     const height = Math.ceil(count / width);
     const geometry = mesh.geometry.clone().setIndex(null);
-    const points = new THREE.Points(geometry, probeOf(mesh.material, expression, width, height));
+    const points = new THREE.Points(geometry, probeOf(mesh.material, expression, module?.address, width, height));
     for (const name of ['skeleton', 'bindMatrix', 'bindMatrixInverse', 'morphTargetInfluences']) {
         points[name] = mesh[name];
     }
@@ -89,7 +93,11 @@ function probed(mesh, expression, instance) {
         points.instanceMatrix = new THREE.InstancedBufferAttribute(new Float32Array(instance), 16);
         points.instanceColor = points.morphTexture = null;
     }
+    module?.applySkinbake(points, { method });
     const pixels = drawn(points, new THREE.PerspectiveCamera(), width, height);
+    module?.dispose(points);
+    points.material.dispose();
+    geometry.dispose();
     const values = new Float32Array(3 * count);
     for (let vertex = 0; vertex < count; vertex++) {
         values.set(pixels.subarray(4 * vertex, 4 * vertex + 3), 3 * vertex);
@@ -195,23 +203,26 @@ const api = {
     // The values of GLSL expressions at every vertex of each skinned mesh. Options: those of load; module, the
     // address of a generated module, or none; material, one of MATERIALS instead of the model's; instance, a
     // matrix to draw one instance by; expressions.
-    async vertices({ module, material, instance, expressions, ...options }) {
+    async vertices({ module, material, instance, method, expressions, ...options }) {
         const scene = await load(options);
         const meshes = skinnedMeshes(scene);
         if (material) meshes.forEach((mesh) => (mesh.material = MATERIALS[material]()));
-        const patched = module ? (await import(module)).patchSkinnedMeshes(scene) : 0;
-        return meshes.map((mesh) => ({
-            patched,
+        const skinbake = module && (await imported(module));
+        const reports = skinbake ? skinbake.applySkinbake(scene, { method }).meshes : [];
+        const result = meshes.map((mesh) => ({
+            patched: reports.filter((report) => report.lighting !== 'standard').length,
             world: mesh.matrixWorld.toArray(),
-            values: expressions.map((expression) => base64(probed(mesh, expression, instance))),
+            values: expressions.map((expression) => base64(probed(mesh, expression, skinbake, instance, method))),
         }));
+        skinbake?.dispose(scene);
+        return result;
     },
 
     // The model's first mesh from a camera, by MeshNormalMaterial as it is, patched, and in the colours given.
     // Options: those of load; module; camera: { projection, view }, matrices; size; colours, three a vertex.
     async pictures({ module, camera, size, colours, ...options }) {
         const scene = await load(options);
-        const { patchMaterial } = await import(module);
+        const { applySkinbake, dispose } = await import(module);
         const [mesh] = skinnedMeshes(scene);
         mesh.geometry.setAttribute('color', new THREE.BufferAttribute(floatsOf(colours), 3));
         mesh.frustumCulled = mesh.matrixWorldAutoUpdate = false;
@@ -222,18 +233,23 @@ const api = {
         seen.matrixWorld.copy(seen.matrixWorldInverse).invert();
         const materials = [
             new THREE.MeshNormalMaterial(),
-            patchMaterial(new THREE.MeshNormalMaterial()),
+            new THREE.MeshNormalMaterial(),
             new THREE.MeshBasicMaterial({ vertexColors: true }),
         ];
-        return materials.map((material) => {
+        const images = materials.map((material, index) => {
             mesh.material = material;
-            return base64(drawn(mesh, seen, size, size));
+            if (index === 1) applySkinbake(mesh);
+            const image = base64(drawn(mesh, seen, size, size));
+            material.dispose();
+            return image;
         });
+        dispose(mesh);
+        return images;
     },
 
     // Draw the model once in each material, lit, fogged and with shadows; the console has what goes wrong.
     async compile({ module, materials, ...options }) {
-        const { patchSkinnedMeshes } = await import(module);
+        const { applySkinbake, dispose } = await import(module);
         const scene = new THREE.Scene();
         const model = await load(options);
         scene.fog = new THREE.Fog(0xffffff, 1, 100);
@@ -241,125 +257,25 @@ const api = {
         light.castShadow = true;
         scene.add(model, light, new THREE.HemisphereLight());
         renderer.shadowMap.enabled = true;
-        const counts = materials.map((name) => {
+        const found = materials.map((name) => {
             for (const mesh of skinnedMeshes(model)) {
                 mesh.material = MATERIALS[name]();
                 mesh.castShadow = mesh.receiveShadow = true;
                 mesh.frustumCulled = false;
             }
-            const count = patchSkinnedMeshes(model);
+            const report = applySkinbake(model);
             renderer.render(scene, new THREE.PerspectiveCamera());
-            return count;
+            return report.meshes.map(({ lighting }) => lighting).join();
         });
         renderer.shadowMap.enabled = false;
-        return { counts, error: renderer.getContext().getError() };
+        dispose(model);
+        return { found, error: renderer.getContext().getError() };
     },
 
-    // Which meshes a module patches, and what becomes of materials that they share.
-    async sharing({ module, url }) {
-        const { patchMaterial, patchSkinnedMeshes } = await import(module);
-        const scene = await load({ url });
-        const [first] = skinnedMeshes(scene);
-        const material = (first.material = new THREE.MeshStandardMaterial({ name: 'shared' }));
-        const own = (shader) => (shader.ran = true);
-        material.onBeforeCompile = own;
-        material.customProgramCacheKey = () => 'own key';
-        const second = first.clone();
-        const plain = first.clone();
-        plain.name = 'plain';
-        plain.geometry = first.geometry.clone();
-        for (const name of Object.keys(plain.geometry.attributes)) {
-            if (name.startsWith('_')) plain.geometry.deleteAttribute(name);
-        }
-        const rigid = new THREE.Mesh(first.geometry, material);
-        const several = first.clone();
-        several.material = [material, new THREE.MeshBasicMaterial()];
-        scene.add(second, plain, rigid, several);
-        const counts = [patchSkinnedMeshes(scene)];
-        const before = [first.material, several.material[1].onBeforeCompile];
-        counts.push(patchSkinnedMeshes(scene));
-        const shader = { vertexShader: '#include <skinning_pars_vertex>\n#include <skinnormal_vertex>' };
-        first.material.onBeforeCompile(shader);
-        return {
-            counts,
-            clone_has_callbacks: shader.ran === true && first.material.customProgramCacheKey().includes('own key'),
-            unchanged_by_twice: before[0] === first.material && before[1] === several.material[1].onBeforeCompile,
-            cloned: first.material !== material && first.material.name === 'shared',
-            one_clone: first.material === second.material && first.material === several.material[0],
-            others_keep: plain.material === material && rigid.material === material,
-            others_unpatched: material.onBeforeCompile === own,
-            same_material: patchMaterial(first.material) === first.material,
-        };
-    },
-
-    // Whether patching changes the picture of a material that has been drawn already.
-    async late({ module, ...options }) {
-        const { patchMaterial } = await import(module);
-        const [mesh] = skinnedMeshes(await load(options));
-        mesh.frustumCulled = mesh.matrixWorldAutoUpdate = false;
-        mesh.material = new THREE.MeshNormalMaterial({ side: THREE.DoubleSide });
-        const camera = new THREE.OrthographicCamera(-3, 3, 3, -3, -9, 9);
-        const before = drawn(mesh, camera, 64, 64);
-        patchMaterial(mesh.material);
-        const after = drawn(mesh, camera, 64, 64);
-        return before.some((value, index) => value !== after[index]);
-    },
-
-    // Two materials whose own onBeforeCompile differ: both run, and neither gets the other's program.
-    async chained({ module, url }) {
-        const { patchMaterial } = await import(module);
-        const ran = [];
-        const keys = [];
-        for (const colour of ['red', 'blue']) {
-            const scene = await load({ url });
-            const [mesh] = skinnedMeshes(scene);
-            mesh.material = new THREE.MeshBasicMaterial();
-            const onBeforeCompile =
-                colour === 'red'
-                    ? (shader) => (ran.push('red'), (shader.fragmentShader = painted(shader.fragmentShader, 1, 0)))
-                    : (shader) => (ran.push('blue'), (shader.fragmentShader = painted(shader.fragmentShader, 0, 1)));
-            mesh.material.onBeforeCompile = onBeforeCompile;
-            patchMaterial(mesh.material);
-            keys.push(mesh.material.customProgramCacheKey());
-            const camera = new THREE.OrthographicCamera(-9, 9, 9, -9, -9, 9);
-            mesh.frustumCulled = mesh.matrixWorldAutoUpdate = false;
-            mesh.material.side = THREE.DoubleSide;
-            const pixels = drawn(mesh, camera, 64, 64);
-            const at = pixels.findIndex((value, index) => index % 4 === 3 && value === 1);
-            ran.push(...pixels.subarray(at - 3, at));
-        }
-        return { ran, different: keys[0] !== keys[1] };
-    },
-
-    // Two modules, each for one of two meshes that share a material; then the first for the other's material.
-    async mixed({ modules, urls }) {
-        const [first, second] = await Promise.all(modules.map((module) => import(module)));
-        const scene = new THREE.Scene();
-        const material = new THREE.MeshStandardMaterial({ name: 'both' });
-        const models = await Promise.all(urls.map((url) => load({ url })));
-        const meshes = models.map((model) => skinnedMeshes(model)[0]);
-        for (const [index, mesh] of meshes.entries()) {
-            mesh.name = ['normal', 'tangent'][index];
-            mesh.material = material;
-            mesh.frustumCulled = false;
-        }
-        scene.add(...models);
-        const counts = [first.patchSkinnedMeshes(scene), second.patchSkinnedMeshes(scene)];
-        const patch = material.onBeforeCompile;
-        first.patchMaterial(material);
-        renderer.render(scene, new THREE.PerspectiveCamera());
-        return {
-            counts,
-            shared: meshes[0].material === meshes[1].material,
-            refused: material.onBeforeCompile === patch,
-            error: renderer.getContext().getError(),
-        };
-    },
-
-    // How many meshes are patched where something of them is not as baked, by the names of the changes; the
-    // console has the reasons.
+    // What is reported of meshes of which something is not as baked, by the names of the changes; the console
+    // has the reasons.
     async misfits({ module, url, names }) {
-        const { patchSkinnedMeshes } = await import(module);
+        const { applySkinbake, dispose } = await import(module);
         const changes = {
             size: ({ attributes: a }) => {
                 const size = 7 - a._skinbake_alpha_0.itemSize;
@@ -368,38 +284,28 @@ const api = {
             integers: ({ attributes: a }) => (a._skinbake_alpha_0.normalized = false),
             floats: ({ attributes: a }) => (a._skinbake_alpha_0 = new THREE.BufferAttribute(new Float32Array(9), 3)),
             lacking: (geometry) => geometry.deleteAttribute('_skinbake_beta_0'),
-            scale: ({ userData }) => (userData.skinbake.scale *= 2),
-            frame: ({ userData }) => (userData.skinbake = { frame: 'other' }),
+            scale: ({ userData }) => delete userData.skinbake.scale,
+            frame: ({ userData }) => (userData.skinbake.frame = 'other'),
+            encoding: ({ userData }) => (userData.skinbake.encoding = 'other'),
+            version: ({ userData }) => (userData.skinbake.version = 2),
+            damaged: ({ userData }) => delete userData.skinbake.alpha,
+            metadata: ({ userData }) => delete userData.skinbake,
             normal: (geometry) => geometry.deleteAttribute('normal'),
             influences: ({ attributes: a }) => (a.joints_1 = a.skinIndex),
-            coordinates: ({ userData: { skinbake: s } }) => {
-                s.alpha = ['TEXCOORD_0', 'TEXCOORD_1'];
-                s.beta = ['TEXCOORD_1', 'TEXCOORD_2'];
-            },
             pair: (geometry) => geometry.deleteAttribute('uv2'),
             bare: ({ userData }) => delete userData.skinbake,
         };
-        const counts = [];
+        const found = [];
         for (const name of names) {
             const scene = await load({ url });
             const [mesh] = skinnedMeshes(scene);
             mesh.name = name;
             changes[name](mesh.geometry);
-            counts.push(patchSkinnedMeshes(scene));
+            found.push(applySkinbake(scene).meshes[0].lighting);
+            dispose(scene);
         }
-        return counts;
-    },
-
-    // Compile a patched material whose vertex shader has none of three.js's chunks.
-    async without_chunks({ module }) {
-        const { patchMaterial } = await import(module);
-        const sprite = patchMaterial(new THREE.ShaderMaterial({ name: 'bare' }));
-        sprite.onBeforeCompile({ vertexShader: 'void main() {}', fragmentShader: '' });
+        return found;
     },
 };
-
-function painted(shader, red, blue) {
-    return beforeLastBrace(shader, `gl_FragColor = vec4(${red}.0, 0.0, ${blue}.0, 1.0);`);
-}
 
 Object.assign(window, api);

@@ -9,7 +9,6 @@ from __future__ import annotations
 import base64
 import dataclasses
 import hashlib
-import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,11 +19,11 @@ import numpy.typing as npt
 import pytest
 
 from fixtures.make_fixtures import FOLDER
-from skinbake.choices import Encoding, Frame, Language, Layout, Lighting, Method, Morphs
+from skinbake.choices import Encoding, Frame, Language, Layout, Lighting, Method
 from skinbake.commands.shader import ShaderRequest, shader
 from skinbake.errors import ChoiceError
 from skinbake.format.layouts import GradientFormat
-from skinbake.shaders.choices import AttributeText, ShaderChoices
+from skinbake.shaders.choices import ShaderChoices
 from skinbake.skinning.algorithms import Algorithm
 from tests.support import browser, corpus
 from tests.support.baked_files import Editable
@@ -117,8 +116,8 @@ class Stage:
     def misfits(self, character: Character, names: list[str]) -> list[str]:
         """Change a character's mesh in these ways, and return what its module says of each, patching none."""
         url, module = character.told(Placement())["url"], self.module(for_file(character))
-        counts = self.page.call("misfits", {"module": module, "url": url, "names": names})
-        assert counts == [0] * len(names)
+        found = self.page.call("misfits", {"module": module, "url": url, "names": names})
+        assert found == ["standard"] * len(names)
         return self.page.messages()
 
     def call(self, function: str, options: dict[str, Any]) -> Any:
@@ -371,12 +370,6 @@ class TestMorphTargets:
         found = stage.vertices(morphed, CHOICES)
         assert deviation(found.values[0], morphed.expected_anew(found.placement)) > 100 * TOLERANCE
 
-    def test_targets_of_tangents_change_nothing(self) -> None:
-        """three.js does not morph tangents, so that the frame must not follow theirs."""
-        texts = {shader_text(dataclasses.replace(for_frame("tangent"), morphs=morphs)) for morphs in Morphs}
-        assert len(texts) == 1
-        assert "skinbake_morphed_frame(frame, " in texts.pop()
-
 
 PACKED8, TEXCOORD = GradientFormat(Encoding.PACKED8), GradientFormat(layout=Layout.TEXCOORD)
 STORAGES = [
@@ -427,58 +420,41 @@ class TestStorage:
         both = [each.expected(Algorithm.LBS_ACCURATE, placement).normals for each in (of_floats, packed)]
         assert deviation(*both) > 10 * TOLERANCE
 
-    @pytest.mark.parametrize(
-        ("sets", "first"), [(0, "'uv', 'uv1'"), (1, "'uv1', 'uv2'"), (3, "'uv3', 'texcoord_4'")]
-    )
+    @pytest.mark.parametrize("sets", [0, 1, 3])
     @pytest.mark.parametrize("material", ["standard", "second coordinates"])
-    def test_texture_coordinates_of_any_number(
-        self, stage: Stage, sets: int, first: str, material: str
-    ) -> None:
+    def test_texture_coordinates_of_any_number(self, stage: Stage, sets: int, material: str) -> None:
         """Also where three.js declares uv1 itself, for a texture."""
         source = with_coordinates(stage.folder, TUBE, sets)
         character = stage.character(source, BENT, storage=TEXCOORD)
-        choices = for_file(character)
-        assert f"const ATTRIBUTES = [{first}" in shader_text(choices)
-        found = stage.vertices(character, choices, material=material)
+        found = stage.vertices(character, for_file(character), material=material)
         expected = character.expected(Algorithm.LBS_ACCURATE, found.placement)
         assert deviation(found.values[0], expected.normals) < TOLERANCE
 
     def test_integers_that_do_not_fit_are_told_of(self, stage: Stage) -> None:
         character = stage.character(TUBE, BENT, storage=PACKED8)
-        told = stage.misfits(character, ["size", "lacking", "integers", "scale", "floats"])
-        other = "stays as it was: its scale is"
-        unlike = "stays as it was: _skinbake_alpha_0 is not a normalised VEC4 attribute"
-        scale = for_file(character).scale
-        assert scale is not None
+        told = stage.misfits(character, ["size", "lacking", "integers", "floats", "scale", "encoding"])
+        remedy = "bake last, or keep attributes as they are"
         assert told == [
-            f'skinbake: "size" {unlike}',
-            f'skinbake: "lacking" {unlike.replace("alpha", "beta")}',
-            f'skinbake: "integers" {unlike}',
-            f'skinbake: "scale" {other} {2 * scale}, and this module is for {scale:.9g}',
-            f'skinbake: "floats" {unlike}',
+            standard("size", f"its attribute _skinbake_alpha_0 is VEC3, not VEC4: {remedy}"),
+            standard("lacking", f"its attribute _skinbake_beta_0 is missing: {remedy}"),
+            standard("integers", f"its attribute _skinbake_alpha_0 is not encoded as packed8: {remedy}"),
+            standard("floats", f"its attribute _skinbake_alpha_0 is VEC3, not VEC4: {remedy}"),
+            standard("scale", "the metadata of its bake lacks the scale: bake it again"),
+            standard(
+                "encoding", "its encoding is other, and this module knows packed8 and snorm16: update it"
+            ),
         ]
 
     def test_texture_coordinates_that_do_not_fit_are_told_of(self, stage: Stage) -> None:
         """A mesh that has as many of them and is not baked is nothing to tell of."""
         character = stage.character(TUBE, BENT, storage=TEXCOORD)
-        assert stage.misfits(character, ["coordinates", "pair", "bare"]) == [
-            'skinbake: "coordinates" stays as it was: it is stored in TEXCOORD_0 TEXCOORD_1 TEXCOORD_2, '
-            "not in TEXCOORD_1 TEXCOORD_2 TEXCOORD_3",
-            'skinbake: "pair" stays as it was: uv2 is not a VEC2 attribute',
+        assert stage.misfits(character, ["pair", "metadata"]) == [
+            standard("pair", "its attribute uv2 is missing: bake last, or keep attributes as they are")
         ]
 
-    def test_modules_of_two_scales_are_two_programs(self) -> None:
-        """three.js shares the programs of materials whose keys are the same."""
-        texts = [
-            shader_text(dataclasses.replace(CHOICES, encoding=Encoding.PACKED8, scale=x)) for x in (1.5, 2.5)
-        ]
-        keys = [re.search(r"const SCALE = (.*);\nconst KEY = `.* \$\{SCALE\}`;", text) for text in texts]
-        assert [key and key[1] for key in keys] == ["1.5", "2.5"]
 
-    @pytest.mark.parametrize("encoding", [Encoding.PACKED8, Encoding.SNORM16])
-    def test_an_unknown_scale_is_refused(self, encoding: Encoding) -> None:
-        with pytest.raises(ChoiceError, match=f"three: {encoding} needs .*; give --for BAKED_FILE"):
-            shader_text(dataclasses.replace(CHOICES, encoding=encoding))
+def standard(mesh: str, reason: str) -> str:
+    return f'skinbake: "{mesh}" has three.js\'s standard lighting: {reason}'
 
 
 class TestMaterials:
@@ -494,7 +470,10 @@ class TestMaterials:
             result = stage.call(
                 "compile", {**character.told(Placement()), "module": module, "materials": names}
             )
-            assert result == {"counts": [1] * len(names), "error": 0}
+            assert result["error"] == 0
+            assert dict(zip(names, result["found"], strict=True)) == {
+                name: "unlit" if name in UNLIT else "accurate" for name in names
+            }
 
     @pytest.mark.parametrize(
         "material",
@@ -510,9 +489,8 @@ class TestMaterials:
         "choices",
         [
             dataclasses.replace(CHOICES, cap=0.9),
-            dataclasses.replace(CHOICES, influences=3),
         ],
-        ids=["cap", "three influences"],
+        ids=["cap"],
     )
     def test_choices_of_the_snippet_reach_it(self, stage: Stage, choices: ShaderChoices) -> None:
         character = stage.character(TUBE, BENT)
@@ -521,49 +499,27 @@ class TestMaterials:
         assert deviation(found.values[0], expected.normals) < TOLERANCE
 
 
-class TestPatching:
-    def test_materials_shared_with_meshes_that_are_not_baked_are_cloned(self, stage: Stage) -> None:
-        url = stage.character(TUBE, BENT).told(Placement())["url"]
-        found = stage.call("sharing", {"module": stage.module(CHOICES), "url": url})
-        assert found.pop("counts") == [3, 3]
-        assert all(found.values()), found
+UNLIT = {"depth"}
+"""Materials whose programs read no normals."""
 
-    def test_a_material_that_was_drawn_already_is_compiled_anew(self, stage: Stage) -> None:
-        told = stage.character(TUBE, BENT).told(Placement())
-        assert stage.call("late", {**told, "module": stage.module(CHOICES)})
 
-    def test_an_onbeforecompile_of_before_runs_and_has_its_own_program(self, stage: Stage) -> None:
-        url = stage.character(TUBE, BENT).told(Placement())["url"]
-        found = stage.call("chained", {"module": stage.module(CHOICES), "url": url})
-        assert found == {"ran": ["red", 1, 0, 0, "blue", 0, 0, 1], "different": True}
-
+class TestMisfits:
     def test_a_mesh_that_does_not_fit_is_left_alone_and_told_of(self, stage: Stage) -> None:
         character = stage.character(TUBE, BENT)
-        assert stage.misfits(character, ["size", "lacking", "frame", "normal", "influences"]) == [
-            'skinbake: "size" stays as it was: _skinbake_alpha_0 is not a VEC3 attribute',
-            'skinbake: "lacking" stays as it was: _skinbake_beta_0 is not a VEC3 attribute',
-            'skinbake: "frame" stays as it was: its frame is other, and this module is for --frame normal',
-            'skinbake: "normal" stays as it was: it has no normal attribute',
-            'skinbake: "influences" stays as it was: three.js skins by four influences, it has more',
-        ]
-
-    def test_a_material_without_the_chunks_is_left_alone_and_told_of(self, stage: Stage) -> None:
-        stage.page.call("without_chunks", {"module": stage.module(CHOICES)})
-        assert stage.page.messages() == [
-            'skinbake: ShaderMaterial "bare" lacks #include <skinnormal_vertex>, and stays as it was'
-        ]
-
-    def test_the_modules_of_two_frames_serve_one_scene(self, stage: Stage) -> None:
-        """Each takes its own meshes, and a material that both have is cloned for the first."""
-        paths = [baked(MIRRORED, stage.folder / "models", frame) for frame in ("normal", "tangent")]
-        modules = [stage.module(for_frame(frame)) for frame in ("normal", "tangent")]
-        options = {"urls": [f"/models/{path.name}" for path in paths], "modules": modules}
-        found = stage.page.call("mixed", options)
-        assert found == {"counts": [1, 1], "shared": False, "refused": True, "error": 0}
-        assert stage.page.messages() == [
-            'skinbake: "tangent" stays as it was: '
-            "its frame is tangent, and this module is for --frame normal",
-            'skinbake: material "both" is patched already, for other choices',
+        changes = ["size", "lacking", "frame", "normal", "influences", "version", "damaged", "metadata"]
+        remedy = "bake last, or keep attributes as they are"
+        assert stage.misfits(character, changes) == [
+            standard("size", f"its attribute _skinbake_alpha_0 is VEC4, not VEC3: {remedy}"),
+            standard("lacking", f"its attribute _skinbake_beta_0 is missing: {remedy}"),
+            standard("frame", "its frame is other, and this module knows normal and tangent: update it"),
+            standard("normal", "it has lost the attribute normal, which its bake needs: bake last"),
+            standard("influences", EIGHT),
+            standard("version", "its bake has version 2, and this module reads version 1: update it"),
+            standard("damaged", "the metadata of its bake is damaged: bake it again"),
+            standard(
+                "metadata",
+                "it has lost the metadata of its bake: keep the extras of primitives, or bake last",
+            ),
         ]
 
     def test_a_file_of_two_influence_sets_is_left_alone(self, stage: Stage) -> None:
@@ -572,9 +528,9 @@ class TestPatching:
         (mesh,) = stage.page.call("vertices", options)
         assert mesh["patched"] == 0
         (message,) = stage.page.messages()
-        assert message.endswith("three.js skins by four influences, it has more")
+        assert message.endswith(EIGHT)
 
-    def test_both_primitives_of_a_mesh_are_patched(self, stage: Stage) -> None:
+    def test_both_primitives_of_a_mesh_are_lit(self, stage: Stage) -> None:
         path = baked(FOLDER / "two_primitives.glb", stage.folder / "models")
         options = {"url": f"/models/{path.name}", "module": stage.module(CHOICES), "expressions": []}
         meshes = stage.call("vertices", options)
@@ -583,13 +539,11 @@ class TestPatching:
     @pytest.mark.parametrize(
         ("changes", "words"),
         [
-            ({"method": Method.DQS}, "use --method lbs"),
+            ({"method": Method.DQS, "lighting": Lighting.APPROXIMATED}, "three.js's own"),
+            ({"method": Method.DQS}, "--lighting exact"),
             ({"lighting": Lighting.APPROXIMATED}, "three.js's own"),
             ({"influences": 5}, "four influences"),
             ({"influences": 1}, "use --influences 4"),
-            ({"attributes": AttributeText("x.glb", ("_A-0",), ("_B",))}, "_a-0"),
-            ({"attributes": AttributeText("x.glb", ("_A",), ("_B__0",))}, "_b__0"),
-            ({"attributes": AttributeText("x.glb", ("POSITION",), ("_B",))}, "position"),
             ({"language": Language.WGSL}, "--lang glsl"),
         ],
     )
@@ -597,11 +551,10 @@ class TestPatching:
         with pytest.raises(ChoiceError, match=words):
             shader_text(dataclasses.replace(CHOICES, **changes))
 
-    def test_other_attribute_names_arrive_in_lower_case(self) -> None:
-        names = AttributeText("x.glb", ("_Along_T",), ("_Along_B",))
-        text = shader_text(dataclasses.replace(CHOICES, attributes=names))
-        assert "const ATTRIBUTES = ['_along_t', '_along_b'];" in text
-        assert "attribute vec3 _along_b;" in text
+
+EIGHT = (
+    "it has 8 influences for each vertex, and three.js reads four: bake it again with --limit-influences 4"
+)
 
 
 SIZE = 256

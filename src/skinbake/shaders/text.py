@@ -15,7 +15,7 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from skinbake.choices import SLOTS_PER_SET, Language, Method, Morphs
+from skinbake.choices import SLOTS_PER_SET, Encoding, Frame, Language, Layout, Lighting, Method, Morphs
 from skinbake.errors import ChoiceError, printable
 from skinbake.shaders.choices import ShaderChoices
 from skinbake.shaders.storage import storage_context, storage_parts
@@ -30,6 +30,14 @@ TYPES = {
     Language.GLSL: {"vec2": "vec2", "vec3": "vec3", "vec4": "vec4", "uvec4": "uvec4"},
     Language.WGSL: {"vec2": "vec2<f32>", "vec3": "vec3<f32>", "vec4": "vec4<f32>", "uvec4": "vec4<u32>"},
 }
+ENUMERATIONS = {
+    "method": Method,
+    "lighting": Lighting,
+    "frame": Frame,
+    "encoding": Encoding,
+    "layout": Layout,
+}
+"""The types of the choices that a template may change by their words."""
 METHOD_NAMES = {Method.LBS: "linear blend skinning", Method.DQS: "dual quaternion skinning"}
 
 
@@ -63,24 +71,38 @@ def targets() -> dict[str, tuple[Language, ...]]:
     return {name: tuple(languages) for name, languages in found.items()}
 
 
-def shader_made(choices: ShaderChoices) -> tuple[str, ShaderChoices]:
-    """Return the text and its choices; the target decides which direction the frame follows."""
+def shader_made(choices: ShaderChoices, *, package: bool = False) -> tuple[str, ShaderChoices]:
+    """Return the text and its choices; the target decides which direction the frame follows.
+
+    With ``package``, the text imports what it shares with other modules of the engine's package.
+    """
     made = choices
 
-    def text_for(reads: Sequence[str] = (), morphs: str | None = None) -> dict[str, Any]:
+    def text_for(
+        reads: Sequence[str] = (), morphs: str | None = None, also: Sequence[str] = (), **changes: Any
+    ) -> dict[str, Any]:
         nonlocal made
         made = choices if morphs is None else replace(choices, morphs=Morphs(morphs))
-        return _text_for(made, reads)
+        kinds = {name: ENUMERATIONS[name](word) for name, word in changes.items() if name in ENUMERATIONS}
+        return _text_for(replace(made, **{**changes, **kinds}), reads, also)
 
-    context = {**_context(choices), "text_for": text_for}
+    context = {**_context(choices), "text_for": text_for, "package": package}
     return _tidy(_rendered(_target_file(choices), context)), made
 
 
-def _text_for(choices: ShaderChoices, reads: Sequence[str]) -> dict[str, Any]:
+def three_package() -> dict[str, str]:
+    """Return the modules of the npm package that come from the templates: core.js, and the entry index.js."""
+    choices = ShaderChoices(Language.GLSL, target="three")
+    core = _rendered("three/core.js", {**_context(choices), "package": True})
+    return {"core.js": _tidy(core), "index.js": shader_made(choices, package=True)[0]}
+
+
+def _text_for(choices: ShaderChoices, reads: Sequence[str], also: Sequence[str] = ()) -> dict[str, Any]:
     """Return the parts of a target's file: header, inputs, usage, snippet, and the pure functions.
 
     reads are the encodings and layouts that the code of the target can read, by the functions in the snippet.
-    All targets read attributes of floats, of any names. Raises ChoiceError for other storage.
+    All targets read attributes of floats, of any names. Raises ChoiceError for other storage. ``also`` are
+    further templates of the snippet.
     """
     needed = [str(choices.encoding)] if choices.decodes else []
     needed += [str(choices.layout)] if choices.assembles else []
@@ -92,7 +114,7 @@ def _text_for(choices: ShaderChoices, reads: Sequence[str]) -> dict[str, Any]:
         )
     context = _context(choices)
     language = choices.language
-    names = ["vertex", f"frame_{choices.frame}", *_parts(choices), choices.stem]
+    names = ["vertex", f"frame_{choices.frame}", *also, *_parts(choices), choices.stem]
     return {
         **context,
         "header": _rendered("header.txt", context),

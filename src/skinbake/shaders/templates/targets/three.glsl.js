@@ -1,97 +1,104 @@
-//% if method != "lbs"
-//%   set _ = refuse("--target three: three.js blends joint matrices; use --method lbs")
-//% elif lighting == "approximated"
+//% if lighting == "approximated"
 //%   set _ = refuse("--target three: approximated lighting is three.js's own; use --lighting accurate or direct")
+//% elif method == "dqs" and lighting != "exact"
+//%   set _ = refuse("--target three: use --lighting exact with --method dqs")
 //% elif influences > 4
 //%   set _ = refuse("--target three: three.js reads four influences per vertex, not " ~ influences ~ "; bake with --limit-influences 4")
-//% elif influences < 2
-//%   set _ = refuse("--target three: one influence needs no shader; use --influences 4")
-//% elif decodes and not scale
-//%   set _ = refuse("--target three: " ~ encoding ~ " needs the scale of the baked file; give --for BAKED_FILE")
+//% elif influences < 4
+//%   set _ = refuse("--target three: three.js always reads four influences per vertex; use --influences 4")
 //% endif
-//% set text = text_for(reads=["snorm16", "packed8", "texcoord"], morphs="normal")
-//% set names, read = [], {}
-//% if assembles
-//%   set renamed = {"texcoord_0": "uv", "texcoord_1": "uv1", "texcoord_2": "uv2", "texcoord_3": "uv3"}
-//%   for part in assembled
-//%     set own = []
-//%     for name in part.names | map("lower")
-//%       set _ = own.append(renamed.get(name, name))
-//%     endfor
-//%     set _ = names.extend(own), read.update({part.kind: "skinbake_" ~ part.name ~ "(" ~ own | join(", ") ~ ")"})
-//%   endfor
-//%   set names = names | unique | list
+//% set blended = lighting if method == "lbs" else "accurate"
+//% set lbs = text_for(reads=["packed8"], morphs="normal", frame="tangent", encoding="packed8", layout="attributes", attributes=None, method="lbs", lighting=blended, also=["frame_normal"])
+//% set dqs = text_for(reads=["packed8"], morphs="normal", frame="tangent", encoding="packed8", layout="attributes", attributes=None, method="dqs", lighting="exact", mirrored_joints=False)
+//% set escaped = (lbs.snippet ~ "\n\n" ~ dqs.snippet) | replace("\\", "\\\\") | replace("`", "\\`") | replace("${", "\\${")
+// Accurate lighting in three.js for skinned meshes that skinbake has baked. For its WebGLRenderer.
+//
+// Written by skinbake @{ version }:
+//     @{ command }
+//
+// One module serves all characters: frame, encoding, scale, layout and names come from the file, in
+// geometry.userData.skinbake. Use:
+//
+//     import { SkinbakePlugin } from '@{ "skinbake-three" if package else "./skinbake.js" }';
+//
+//     loader.register((parser) => new SkinbakePlugin(parser)); // GLTFLoader; or applySkinbake(scene)
+//
+// Linear blending: algorithm @{ lbs.algorithm } of M. Tarini, D. Panozzo, O. Sorkine-Hornung, "Accurate and Efficient
+// Lighting for Skinned Models", Computer Graphics Forum 33(2), 2014, doi:10.1111/cgf.12330. Dual quaternions:
+// algorithm 6 of skinbake, the exact derivative of their blend. Frame: T. Duff et al., "Building an Orthonormal
+// Basis, Revisited", JCGT 6(1), 2017.
+
+import { BufferAttribute, InstancedBufferAttribute, ShaderChunk, SkinnedMesh } from 'three';
+//% if package
+import { apply, applyToAll, serve } from './core.js';
+
+export { dispose, lighting } from './core.js';
+
 //% else
-//%   for kind, name in [["alpha", sets[0].alpha_name.lower()], ["beta", sets[0].beta_name.lower()]]
-//%     if not (name.startswith("_") and name.isascii() and name.isidentifier() and "__" not in name)
-//%       set _ = refuse("--target three: GLSL cannot have a vertex attribute " ~ name ~ "; bake with other names")
-//%     endif
-//%     set _ = names.append(name), read.update({kind: "skinbake_decoded(" ~ name ~ ", " ~ scale ~ ")" if decodes else name})
-//%   endfor
+
+//%   include "three/core.js"
+
 //% endif
-//% set size = 2 if assembles else 4 if decodes else 3
-//% set bones = ["boneMatX", "boneMatY", "boneMatZ", "boneMatW"][:influences]
-@{ text.header }
-//
-@{ text.inputs }
-// Here they have the names that GLTFLoader gives them: normal, skinWeight, @{ names[0] }, ...
-//
-// A module for three.js @{ "r152" if assembles else "r137" } or newer, its WebGLRenderer on WebGL 2. WebGPURenderer takes no GLSL. Use:
-//
-//     import { patchSkinnedMeshes } from './skinbake.js';
-//
-//     const { scene } = await new GLTFLoader().loadAsync('baked.glb');
-//     patchSkinnedMeshes(scene);
-//
-// Under morph targets the frame follows the normal, because three.js morphs no tangents. alpha and beta stay as in
-// the mesh at rest. three.js draws shadows with its own materials. If a displacementMap moves vertices along the
-// normal, their shadows move along the standard normal.
-@{ """// Normals point outside also where joints mirror, as those of three.js do. Its DoubleSide materials turn them
-// where the winding is turned, and are lit right without --mirrored-joints.
-""" if mirrored_joints }
-const ATTRIBUTES = ['@{ names | join("', '") }'];
-const FRAME = '@{ frame }';
-//% if decodes
-const SCALE = @{ scale };
-//% endif
-//% if assembles
-const COORDINATES = '@{ pairs | map(attribute="name") | join(" ") }'; // of the file: those that are not read, too
-//% endif
-const KEY = `@{ text.command } ${ATTRIBUTES}@{ " ${SCALE}" if decodes }@{ " ${COORDINATES}" if assembles }`;
-const PATCHED = Symbol.for('skinbake');
+
+//% include "three/entry.js"
+@{ "" }
 
 const DECLARATIONS = /* glsl */ `
 #ifdef USE_SKINNING
 
-//% if frame == "tangent"
-#ifndef USE_TANGENT
-attribute vec4 tangent;
-#endif
-//% endif
-//% for name in names
-//%   if name in ["uv1", "uv2", "uv3"]
-#ifndef USE_@{ name | upper }
-attribute vec2 @{ name };
-#endif
-//%   elif name != "uv"
-attribute vec@{ size } @{ name };
-//%   endif
-//% endfor
+attribute vec4 morphSkinbakeAlpha;
+attribute vec4 morphSkinbakeBeta;
+attribute vec4 morphSkinbakeTangent;
+attribute vec4 morphSkinbakeStorage; // scale; frame: 2 normal, 3 tangent; 1 for dual quaternions
 
-@{ text.snippet | replace("\\", "\\\\") | replace("`", "\\`") | replace("${", "\\${") }
+bool skinbake_isBaked()
+{
+    return morphSkinbakeStorage.y > 1.5;
+}
+
+bool skinbake_hasTangentFrame()
+{
+    return morphSkinbakeStorage.y > 2.5;
+}
+
+bool skinbake_hasDualQuaternions()
+{
+    return morphSkinbakeStorage.z > 0.5;
+}
+
+@{ escaped }
+
+mat2x4 skinbake_motion(mat4 M, float scale)
+{
+    return skinbake_dual_quaternion(mat4(M[0] / scale, M[1] / scale, M[2] / scale, M[3]));
+}
+
+// Joints with a common scale: it is divided out of them.
+skinbake_Vertex skinbake_turned(vec3 p, skinbake_Frame frame, mat4 M[4], vec3 alpha, vec3 beta)
+{
+    float scale = length(M[0][0].xyz);
+    frame.tangent *= scale;
+    frame.bitangent *= scale;
+    mat2x4 Q[4] = mat2x4[4](
+        skinbake_motion(M[0], scale), skinbake_motion(M[1], scale),
+        skinbake_motion(M[2], scale), skinbake_motion(M[3], scale));
+    return skinbake_dqs_exact(scale * p, frame, Q, skinWeight, alpha, beta);
+}
 
 #endif
 `;
 
-// After three.js's own chunk. Its results are overwritten, so a compiler keeps nothing of it. three.js has
-// M[s] = bindMatrixInverse * bone * bindMatrix; the outer two act on vectors here, which is cheaper.
-const SKINNORMAL = /* glsl */ `
+const BEFORE_NORMAL = /* glsl */ `
 #ifdef USE_SKINNING
 vec3 skinbakeMorphedNormal = objectNormal;
 #endif
-#include <skinnormal_vertex>
+`;
+
+// After three.js's own chunk, whose results are overwritten. three.js has M[s] = bindMatrixInverse * bone *
+// bindMatrix; the outer two act on vectors here, which is cheaper.
+const AFTER_NORMAL = /* glsl */ `
 #ifdef USE_SKINNING
-{
+if (skinbake_isBaked()) {
     vec3 p;
     {
         #include <begin_vertex>
@@ -99,168 +106,108 @@ vec3 skinbakeMorphedNormal = objectNormal;
         p = transformed;
     }
     vec3 n0 = dot(normal, normal) > 0.0 ? normalize(normal) : vec3(0.0, 0.0, 1.0);
-    skinbake_Frame frame = skinbake_frame(n0@{ ", tangent" if frame == "tangent" });
-//% if frame == "normal"
+    skinbake_Frame frame = skinbake_frame(n0);
+    if (skinbake_hasTangentFrame()) frame = skinbake_frame(n0, morphSkinbakeTangent);
 #ifdef USE_TANGENT
     vec2 along = vec2(dot(tangent.xyz, frame.tangent), dot(tangent.xyz, frame.bitangent));
+    if (skinbake_hasTangentFrame()) along = vec2(1.0, 0.0);
 #endif
-//% endif
 #ifdef USE_MORPHNORMALS
     frame = skinbake_morphed_frame(frame, skinbakeMorphedNormal);
 #endif
-//% if lighting == "direct"
-    mat4 M[@{ influences }] = mat4[@{ influences }](
-        @{ bones | join(" * bindMatrix, ") } * bindMatrix);
-    skinbake_Vertex v = skinbake_@{ stem }(p, frame, M, skinWeight,
-        skinbake_gradients(frame, @{ read.alpha }, @{ read.beta }));
-//% else
+    skinbake_Frame moved = frame;
     mat3 bind = mat3(bindMatrix);
-    frame.tangent = bind * frame.tangent;
-    frame.bitangent = bind * frame.bitangent;
-    p = (bindMatrix * vec4(p, 1.0)).xyz;
-    mat4 M[@{ influences }] = mat4[@{ influences }](@{ bones | join(", ") });
-    skinbake_Vertex v = skinbake_@{ stem }(p, frame, M, skinWeight,
-        @{ read.alpha }, @{ read.beta });
-//% endif
+    moved.tangent = bind * frame.tangent;
+    moved.bitangent = bind * frame.bitangent;
+    mat4 M[4] = mat4[4](boneMatX, boneMatY, boneMatZ, boneMatW);
+    vec3 q = (bindMatrix * vec4(p, 1.0)).xyz;
+    vec3 alpha = skinbake_decoded(morphSkinbakeAlpha, morphSkinbakeStorage.x);
+    vec3 beta = skinbake_decoded(morphSkinbakeBeta, morphSkinbakeStorage.x);
+    skinbake_Vertex v;
     // The cofactors turn t' x b' into the cross product of their images under bindMatrixInverse.
     mat3 back = mat3(bindMatrixInverse);
     mat3 cofactors = mat3(cross(back[1], back[2]), cross(back[2], back[0]), cross(back[0], back[1]));
-    objectNormal = cofactors * v.normal;
-//% if lighting == "direct"
-    objectNormal *= determinant(back) < 0.0 ? -1.0 : 1.0;
-//% elif mirrored_joints
-    objectNormal *= determinant(back) * determinant(bind) < 0.0 ? -1.0 : 1.0; // v.normal heeds the joint's alone
-//% endif
-#ifdef USE_TANGENT
-//% if frame == "tangent"
-    objectTangent = back * v.tangent;
+    if (skinbake_hasDualQuaternions()) {
+        v = skinbake_turned(q, moved, M, alpha, beta);
+        objectNormal = cofactors * v.normal;
+    } else {
+//% if blended == "direct"
+        for (int i = 0; i < 4; i++) M[i] = M[i] * bindMatrix;
+        v = skinbake_lbs_direct(p, frame, M, skinWeight, skinbake_gradients(frame, alpha, beta));
+        objectNormal = cofactors * v.normal * (determinant(back) < 0.0 ? -1.0 : 1.0);
 //% else
-    objectTangent = back * (along.x * v.tangent + along.y * v.bitangent);
+        v = skinbake_lbs_accurate(q, moved, M, skinWeight, alpha, beta);
+        objectNormal = cofactors * v.normal;
+//%   if mirrored_joints
+        objectNormal *= determinant(back) * determinant(bind) < 0.0 ? -1.0 : 1.0; // v.normal heeds the joint's alone
+//%   endif
 //% endif
+    }
+#ifdef USE_TANGENT
+    objectTangent = back * (along.x * v.tangent + along.y * v.bitangent);
 #endif
 }
 #endif
 `;
 
-/**
- * Patch the materials of all skinned meshes below an object that were baked for this module; meshes without
- * the attributes keep their materials. A material that a baked mesh shares with a skinned mesh that is not
- * baked is cloned first. Doing it twice changes nothing.
- *
- * @param {Object3D} root - A scene, a model, or a mesh.
- * @returns {number} How many meshes are lit accurately now.
- */
-export function patchSkinnedMeshes(root) {
-    const baked = [];
-    const others = new Set();
-    root.traverse((mesh) => {
-        if (!mesh.isSkinnedMesh) return;
-        const materials = [mesh.material].flat();
-        if (isBaked(mesh.geometry) && fits(mesh, materials)) baked.push(mesh);
-        else materials.forEach((material) => others.add(material));
-    });
-    const clones = new Map();
-    const accurate = (material) => {
-        if (material[PATCHED] === KEY || !others.has(material)) return patchMaterial(material);
-        if (!clones.has(material)) clones.set(material, patchMaterial(cloneOf(material)));
-        return clones.get(material);
-    };
-    for (const mesh of baked) {
-        mesh.material = Array.isArray(mesh.material) ? mesh.material.map(accurate) : accurate(mesh.material);
+const BEFORE_POSITION = /* glsl */ `
+#ifdef USE_SKINNING
+vec3 skinbakeUnskinned = transformed;
+#endif
+`;
+
+const AFTER_POSITION = /* glsl */ `
+#ifdef USE_SKINNING
+if (skinbake_isBaked() && skinbake_hasDualQuaternions()) {
+    skinbake_Frame frame = skinbake_frame(vec3(0.0, 0.0, 1.0));
+    mat4 M[4] = mat4[4](boneMatX, boneMatY, boneMatZ, boneMatW);
+    vec3 q = (bindMatrix * vec4(skinbakeUnskinned, 1.0)).xyz;
+    transformed = (bindMatrixInverse * vec4(skinbake_turned(q, frame, M, vec3(0.0), vec3(0.0)).position, 1.0)).xyz;
+}
+#endif
+`;
+
+const CHUNKS = {
+    skinning_pars_vertex: ['', DECLARATIONS],
+    skinnormal_vertex: [BEFORE_NORMAL, AFTER_NORMAL],
+    skinning_vertex: [BEFORE_POSITION, AFTER_POSITION],
+};
+const CHUNKED = Object.values(CHUNKS).join();
+const usual = {};
+
+// three.js puts its chunks together when it compiles a program, after all hooks of the material. So the hooks
+// may come and go. Meshes without the constants of a bake run three.js's own lines alone.
+function changeChunks() {
+    if (ShaderChunk.skinnormal_vertex.includes('skinbake')) return;
+    for (const [name, [before, after]] of Object.entries(CHUNKS)) {
+        usual[name] = ShaderChunk[name];
+        ShaderChunk[name] = `${before}${ShaderChunk[name]}${after}`;
     }
-    return baked.length;
 }
 
-/**
- * Patch one material: where it draws a skinned mesh, that mesh must have the baked attributes. Other meshes
- * it draws as before. An onBeforeCompile that is there already runs first.
- *
- * @param {Material} material - Any material of three.js whose vertex shader has its chunks.
- * @returns {Material} The same material.
- */
-export function patchMaterial(material) {
-    if (material[PATCHED] === KEY) return material;
-    if (material[PATCHED] !== undefined) {
-        console.warn(`skinbake: material "${material.name}" is patched already, for other choices`);
-        return material;
+function restoreChunks() {
+    Object.assign(ShaderChunk, usual);
+}
+
+// Look at the program that drew a mesh: the compiler drops attributes that nothing reads.
+function verifyProgram(renderer, mesh, material, before) {
+    const program = renderer.properties.get(material).currentProgram;
+    if (before?.program === program) return before;
+    const attributes = program?.getAttributes() ?? {};
+    const found = { program, lighting: 'accurate', reason: '', repaired: before?.repaired };
+    if (attributes.morphSkinbakeAlpha) return found;
+    if (!attributes.normal) return { ...found, lighting: 'unlit' };
+    if (!before?.repaired && !material.isRawShaderMaterial) {
+        // It may be from before the chunks were changed. Then this define gives it a program of its own.
+        material.defines = { ...material.defines, SKINBAKE: '' };
+        material.needsUpdate = true;
+        return { ...found, lighting: 'unlit', repaired: true };
     }
-    const compile = material.onBeforeCompile;
-    const cacheKey = material.customProgramCacheKey;
-    material.onBeforeCompile = function (shader, renderer) {
-        compile.call(this, shader, renderer);
-        shader.vertexShader = withAccurateNormals(shader.vertexShader, this);
-    };
-    // The usual key is the text of onBeforeCompile, which is the same now for all patched materials.
-    material.customProgramCacheKey = function () {
-        return `${KEY} ${compile} ${cacheKey.call(this)}`;
-    };
-    Object.defineProperty(material, PATCHED, { value: KEY });
-    material.needsUpdate = true;
-    return material;
+    const reason = `its ${material.type} "${material.name}" does not skin by three.js's chunks`;
+    return { ...found, lighting: 'standard', reason };
 }
 
-function withAccurateNormals(shader, material) {
-    const declarations = '#include <skinning_pars_vertex>';
-    const normals = '#include <skinnormal_vertex>';
-    if (!shader.includes(declarations) || !shader.includes(normals)) {
-        console.warn(`skinbake: ${material.type} "${material.name}" lacks ${normals}, and stays as it was`);
-        return shader;
-    }
-    return shader
-        .replace(declarations, () => `${declarations}\n${DECLARATIONS}`)
-        .replace(normals, () => SKINNORMAL);
-}
-
-//% if assembles
-// Texture coordinates alone tell nothing; GLTFLoader leaves the bake's metadata in userData.
-function isBaked(geometry) {
-    return geometry.userData.skinbake?.layout === 'texcoord';
-}
-//% else
-function isBaked(geometry) {
-    return ATTRIBUTES.some((name) => geometry.hasAttribute(name));
-}
-//% endif
-
-
-function fits(mesh, materials) {
-    const problem = problemOf(mesh.geometry);
-    const served = materials.every((one) => one[PATCHED] !== undefined && one[PATCHED] !== KEY);
-    if (problem && !served) console.warn(`skinbake: "${mesh.name}" stays as it was: ${problem}`);
-    return !problem;
-}
-
-function problemOf(geometry) {
-    const metadata = geometry.userData.skinbake ?? {}; // GLTFLoader leaves the bake's there
-//% if assembles
-    const coordinates = [...new Set([...metadata.alpha, ...metadata.beta])].join(' ');
-    if (coordinates !== COORDINATES) return `it is stored in ${coordinates}, not in ${COORDINATES}`;
-//% endif
-    for (const name of ATTRIBUTES) {
-        const attribute = geometry.getAttribute(name);
-//% if decodes
-        if (attribute?.itemSize !== 4 || !attribute.normalized) return `${name} is not a normalised VEC4 attribute`;
-//% else
-        if (attribute?.itemSize !== @{ size }) return `${name} is not a VEC@{ size } attribute`;
-//% endif
-    }
-//% if decodes
-    const scale = Math.fround(metadata.scale ?? SCALE);
-    if (scale !== Math.fround(SCALE)) return `its scale is ${scale}, and this module is for ${SCALE}`;
-//% endif
-    const frame = metadata.frame ?? FRAME;
-    if (frame !== FRAME) return `its frame is ${frame}, and this module is for --frame ${FRAME}`;
-    for (const name of @{ "['normal', 'tangent']" if frame == "tangent" else "['normal']" }) {
-        if (!geometry.hasAttribute(name)) return `it has no ${name} attribute`;
-    }
-    if (geometry.hasAttribute('joints_1')) return 'three.js skins by four influences, it has more';
-    return '';
-}
-
-// three.js does not clone onBeforeCompile and customProgramCacheKey.
-function cloneOf(material) {
-    const clone = material.clone();
-    clone.onBeforeCompile = material.onBeforeCompile;
-    clone.customProgramCacheKey = material.customProgramCacheKey;
-    return clone;
+function serveWebGL() {
+    const backend = { text: CHUNKED, install: changeChunks, uninstall: restoreChunks, verify: verifyProgram };
+    serve('webgl', backend, { BufferAttribute, InstancedBufferAttribute, SkinnedMesh });
 }

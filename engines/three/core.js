@@ -1,0 +1,363 @@
+// Which meshes are lit accurately, whatever draws them.
+//
+// Everything that a shader needs lies on the geometry, because a geometry survives what materials do not:
+// clone(), copy(), another material, a hook that is set later, a mesh that is written anew around it.
+
+const ATTRIBUTES = ['morphSkinbakeAlpha', 'morphSkinbakeBeta', 'morphSkinbakeTangent',
+        'morphSkinbakeStorage'];
+// GLTFExporter leaves out attributes whose names begin with "morph".
+const [ALPHA, BETA, TANGENT, STORAGE] = ATTRIBUTES;
+const FRAMES = { normal: 2, tangent: 3 }; // An attribute that is missing reads as 0 or 1.
+const METHODS = { lbs: 0, dqs: 1 };
+const ENCODINGS = { packed8: Int8Array, snorm16: Int16Array };
+
+// Copies of this module on one page share what they know.
+const state = (globalThis[Symbol.for('skinbake.three')] ??= {
+    geometries: new WeakMap(), // geometry -> { problem, constants }
+    methods: new WeakMap(),
+            // metadata -> method, of geometries that were asked for: their clones have them too
+    meshes: new WeakMap(), // mesh -> Map of material -> { program, lighting, reason, repaired }
+    standard: new WeakSet(), // meshes that lighting() has switched
+    told: new WeakMap(), // mesh -> messages
+    backends: new Map(), // name -> { install, uninstall, verify }
+    count: 0,
+    undo: [],
+});
+
+function apply(root, method) {
+    if (METHODS[method] === undefined) throw new Error(`skinbake: method ${method} is neither lbs nor dqs`);
+    install();
+    const meshes = skinnedMeshes(root);
+    for (const mesh of meshes) {
+        takeOwnHooks(mesh);
+        const { skinbake } = mesh.geometry.userData;
+        if (isObject(skinbake)) state.methods.set(skinbake, method);
+        const { problem } = adopt(mesh.geometry, method);
+        if (problem && problem !== NOT_BAKED) tell(mesh, problem);
+    }
+    return { meshes: meshes.map((mesh) => new MeshReport(mesh)) };
+}
+
+/**
+ * Switch the skinned meshes below an object to three.js's own lighting, or back.
+ *
+ * @param {Object3D} root - A scene, a model, or a mesh.
+ * @param {'standard' | 'accurate'} which - The lighting.
+ */
+function lighting(root, which) {
+    if (which !== 'standard' && which !== 'accurate') {
+        throw new Error(`skinbake: lighting ${which} is neither standard nor accurate`);
+    }
+    for (const mesh of skinnedMeshes(root)) {
+        if (which === 'standard') state.standard.add(mesh);
+        else state.standard.delete(mesh);
+    }
+}
+
+/**
+ * Undo applySkinbake for the skinned meshes below an object, and for all meshes with the same geometries.
+ *
+ * @param {Object3D} root - A scene, a model, or a mesh.
+ */
+function dispose(root) {
+    for (const mesh of skinnedMeshes(root)) {
+        state.standard.delete(mesh);
+        state.meshes.delete(mesh);
+        const { userData } = mesh.geometry;
+        if (isObject(userData.skinbake)) state.methods.delete(userData.skinbake);
+        forget(mesh.geometry);
+    }
+    if (state.count > 0) return;
+    while (state.undo.length) state.undo.pop()();
+    state.backends.clear();
+}
+
+// What GLTFLoader has loaded.
+function applyToAll(gltf, parser, method) {
+    const reports = gltf.scenes.map((scene) => {
+        skinnedMeshes(scene).forEach((mesh) => takeMetadata(mesh, parser));
+        return apply(scene, method);
+    });
+    return { meshes: reports.flatMap((report) => report.meshes) };
+}
+
+// Add a renderer that this page may use. classes are those of three.js.
+function serve(name, backend, classes) {
+    state.three ??= classes;
+    const other = state.backends.get(name);
+    if (!other) state.backends.set(name, backend);
+    else if (other.text !== backend.text) {
+        console.warn('skinbake: a module with other choices is in use on this page, and this one is not');
+    }
+}
+
+// What a mesh was last drawn with. It is read from the program that drew it.
+class MeshReport {
+    constructor(mesh) {
+        this.mesh = mesh;
+    }
+
+    get lighting() {
+        return this.#found()[0];
+    }
+
+    get reason() {
+        return this.#found()[1];
+    }
+
+    #found() {
+        const adopted = state.geometries.get(this.mesh.geometry);
+        if (!adopted) return ['standard', NOT_BAKED];
+        if (adopted.problem) return ['standard', adopted.problem];
+        if (state.standard.has(this.mesh)) return ['standard', 'lighting() has switched it'];
+        const drawn = state.meshes.get(this.mesh) ?? new Map();
+        const found = [this.mesh.material].flat().map((material) => drawn.get(material));
+        const standard = found.find((one) => one?.lighting === 'standard');
+        if (standard) return ['standard', standard.reason];
+        if (!found.every(Boolean)) return ['not drawn', 'it has not been drawn yet'];
+        if (found.every((one) => one.lighting === 'unlit')) return ['unlit', 'its materials read no normals'];
+        return ['accurate', ''];
+    }
+}
+
+const NOT_BAKED = 'it is not baked';
+
+function skinnedMeshes(root) {
+    const found = [];
+    root.traverse((object) => {
+        if (object.isSkinnedMesh) found.push(object);
+    });
+    return found;
+}
+
+const isObject = (value) => typeof value === 'object' && value !== null;
+
+// Where extras of the primitive were not an object, bake has put the metadata into those of alpha's accessor.
+function takeMetadata(mesh, { json, associations }) {
+    const { userData } = mesh.geometry;
+    if (isObject(userData.skinbake) && Number.isInteger(userData.skinbake.version)) return;
+    const { meshes, primitives = 0 } = associations.get(mesh) ?? {};
+    const { attributes = {} } = json.meshes?.[meshes]?.primitives[primitives] ?? {};
+    for (const accessor of Object.values(attributes)) {
+        const metadata = json.accessors[accessor].extras?.skinbake;
+        if (metadata) userData.skinbake = metadata;
+    }
+}
+
+// Give a geometry the attributes that the shader reads.
+function adopt(geometry, method) {
+    const adopted = state.geometries.get(geometry);
+    if (adopted && !adopted.problem) {
+        // What has been changed since is put right.
+        const { attributes } = geometry;
+        const same = adopted.sources.every(([name, source]) => attributes[name] === source);
+        if (same && attributes[STORAGE] && adopted.method === method) return adopted;
+        forget(geometry);
+    }
+    const made = madeOf(geometry, method);
+    state.geometries.set(geometry, made);
+    if (!made.problem) state.count++;
+    return made;
+}
+
+function madeOf(geometry, method) {
+    const metadata = geometry.userData.skinbake;
+    const { attributes } = geometry;
+    const problem = problemOf(geometry, metadata);
+    if (problem) return { problem };
+    const names = coordinatesOf(metadata);
+    const sources = names.map((name) => [name, attributes[name]]);
+    const isOwn = metadata.layout === 'texcoord';
+    const [alpha, beta] = isOwn ? assembled(sources) : sources.map(([, source]) => source);
+    define(attributes, ALPHA, alpha, isOwn);
+    define(attributes, BETA, beta, isOwn);
+    if (metadata.frame === 'tangent') define(attributes, TANGENT, attributes.tangent, false);
+    const scale = metadata.encoding ? metadata.scale : 1;
+    const constants = [scale, FRAMES[metadata.frame], METHODS[method], 1];
+    // One element for all vertices and instances: constants of the geometry.
+    const { InstancedBufferAttribute } = state.three;
+    const storage = new InstancedBufferAttribute(new Float32Array(constants), 4, false, 1 << 30);
+    define(attributes, STORAGE, storage, true);
+    return { problem: '', sources, method, constants };
+}
+
+// Only enumerable attributes are uploaded and cloned. Another name for the same attribute needs neither.
+function define(attributes, name, value, enumerable) {
+    Object.defineProperty(attributes, name, { value, enumerable, configurable: true, writable: true });
+}
+
+function forget(geometry) {
+    const adopted = state.geometries.get(geometry);
+    if (!adopted) return;
+    state.geometries.delete(geometry);
+    if (adopted.problem) return;
+    state.count--;
+    for (const name of ATTRIBUTES) delete geometry.attributes[name];
+}
+
+// Return the names of the attributes that hold alpha and beta, as GLTFLoader has them.
+function coordinatesOf({ alpha, beta }) {
+    const renamed = { texcoord_0: 'uv', texcoord_1: 'uv1', texcoord_2: 'uv2', texcoord_3: 'uv3' };
+    return [...new Set([...alpha, ...beta])].map((name) => renamed[name.toLowerCase()] ?? name.toLowerCase());
+}
+
+function problemOf(geometry, metadata) {
+    const { attributes } = geometry;
+    if (!isObject(metadata) || !Number.isInteger(metadata.version)) {
+        if (!attributes._skinbake_alpha_0) return NOT_BAKED;
+        return 'it has lost the metadata of its bake: keep the extras of primitives, or bake last';
+    }
+    const { version, frame, encoding, layout, influences, scale, alpha, beta } = metadata;
+    if (version !== 1) return `its bake has version ${version}, and this module reads version 1: update it`;
+    if (influences > 4 || attributes.joints_1) {
+        const count = influences > 4 ? influences : 8;
+        const remedy = 'bake it again with --limit-influences 4';
+        return `it has ${count} influences for each vertex, and three.js reads four: ${remedy}`;
+    }
+    if (!Array.isArray(alpha) || !Array.isArray(beta)) return 'the metadata of its bake is damaged: bake it again';
+    if (!FRAMES[frame]) return `its frame is ${frame}, and this module knows normal and tangent: update it`;
+    if (encoding !== undefined && !ENCODINGS[encoding]) {
+        return `its encoding is ${encoding}, and this module knows packed8 and snorm16: update it`;
+    }
+    if (encoding && !Number.isFinite(scale)) return 'the metadata of its bake lacks the scale: bake it again';
+    for (const name of frame === 'tangent' ? ['normal', 'tangent'] : ['normal']) {
+        if (!attributes[name]) return `it has lost the attribute ${name}, which its bake needs: bake last`;
+    }
+    for (const name of coordinatesOf(metadata)) {
+        const problem = misfit(attributes[name], encoding, layout);
+        if (problem) return `its attribute ${name} ${problem}: bake last, or keep attributes as they are`;
+    }
+    return '';
+}
+
+function misfit(attribute, encoding, layout) {
+    if (!attribute) return 'is missing';
+    const size = layout === 'texcoord' ? 2 : encoding ? 4 : 3;
+    if (attribute.itemSize !== size) return `is VEC${attribute.itemSize}, not VEC${size}`;
+    const { array } = attribute.isInterleavedBufferAttribute ? attribute.data : attribute;
+    if (!encoding) return array instanceof Float32Array ? '' : 'is not of floats';
+    return array instanceof ENCODINGS[encoding] && attribute.normalized ? '' : `is not encoded as ${encoding}`;
+}
+
+// The layout texcoord has alpha 1, alpha 2 | alpha 3, beta 1 | beta 2, beta 3.
+function assembled(sources) {
+    const { count } = sources[0][1];
+    const both = [new Float32Array(3 * count), new Float32Array(3 * count)];
+    for (let vertex = 0; vertex < count; vertex++) {
+        const row = sources.flatMap(([, source]) => [source.getX(vertex), source.getY(vertex)]);
+        both[0].set(row.slice(0, 3), 3 * vertex);
+        both[1].set(row.slice(3, 6), 3 * vertex);
+    }
+    return both.map((array) => new state.three.BufferAttribute(array, 3));
+}
+
+function tell(mesh, reason) {
+    const messages = state.told.get(mesh) ?? state.told.set(mesh, new Set()).get(mesh);
+    if (messages.has(reason)) return;
+    messages.add(reason);
+    console.warn(`skinbake: "${mesh.name}" has three.js's standard lighting: ${reason}`);
+}
+
+// Watch each draw of skinned meshes, of whatever origin: gltfjsx and clone() make new ones.
+function install() {
+    for (const backend of state.backends.values()) backend.install();
+    if (state.undo.length) return;
+    const { prototype } = state.three.SkinnedMesh;
+    for (const [name, act] of Object.entries(HOOKS)) {
+        Object.defineProperty(prototype, name, hook(prototype[name], act));
+        state.undo.push(() => delete prototype[name]);
+    }
+    for (const backend of state.backends.values()) state.undo.push(() => backend.uninstall());
+}
+
+const HOOKS = {
+    onBeforeRender: beforeDraw,
+    onAfterRender: afterDraw,
+    onBeforeShadow: beforeShadow,
+    onAfterShadow: afterShadow,
+};
+
+// A method that acts, and calls what is assigned to it.
+function hook(inherited, act) {
+    const calling = (assigned) =>
+        function (...parameters) {
+            assigned.apply(this, parameters);
+            act.apply(this, parameters);
+        };
+    const usual = calling(inherited);
+    const assigned = new WeakMap();
+    return {
+        configurable: true,
+        get() {
+            return assigned.get(this) ?? usual;
+        },
+        set(value) {
+            assigned.set(this, calling(value));
+        },
+    };
+}
+
+function takeOwnHooks(mesh) {
+    for (const name of Object.keys(HOOKS)) {
+        if (!Object.hasOwn(mesh, name)) continue;
+        const own = mesh[name];
+        delete mesh[name];
+        mesh[name] = own;
+    }
+}
+
+function beforeDraw(renderer, scene, camera, geometry) {
+    const metadata = geometry.userData.skinbake;
+    const adopted = state.geometries.get(geometry);
+    if (!adopted && isObject(metadata) && state.methods.has(metadata)) {
+        // Attributes that come during a frame are not uploaded in it.
+        queueMicrotask(() => {
+            const { problem } = adopt(geometry, state.methods.get(metadata));
+            if (problem) tell(this, problem);
+        });
+    }
+    hide(this, geometry, adopted);
+}
+
+function afterDraw(renderer, scene, camera, geometry, material) {
+    const adopted = state.geometries.get(geometry);
+    if (!adopted || adopted.problem) return;
+    show(this, geometry, adopted);
+    if (state.standard.has(this)) return;
+    const drawn = state.meshes.get(this) ?? state.meshes.set(this, new Map()).get(this);
+    const backend = state.backends.get(renderer.isWebGLRenderer ? 'webgl' : 'webgpu');
+    const before = drawn.get(material);
+    const found = backend?.verify(renderer, this, material, before) ?? UNSERVED;
+    if (found === before) return;
+    drawn.set(material, found);
+    if (found.lighting === 'standard') tell(this, found.reason);
+}
+
+const UNSERVED = {
+    lighting: 'standard',
+    reason:
+        'no module serves this renderer. WebGLRenderer needs skinbake-three, ' +
+        'WebGPURenderer needs skinbake-three/webgpu',
+};
+
+function beforeShadow(renderer, object, camera, shadowCamera, geometry) {
+    hide(this, geometry, state.geometries.get(geometry));
+}
+
+function afterShadow(renderer, object, camera, shadowCamera, geometry) {
+    show(this, geometry, state.geometries.get(geometry));
+}
+
+// A mesh without these constants is drawn as three.js does.
+function hide(mesh, geometry, adopted) {
+    if (!adopted || adopted.problem || !state.standard.has(mesh)) return;
+    adopted.hidden = geometry.attributes[STORAGE];
+    delete geometry.attributes[STORAGE];
+}
+
+function show(mesh, geometry, adopted) {
+    if (!adopted?.hidden) return;
+    define(geometry.attributes, STORAGE, adopted.hidden, true);
+    adopted.hidden = undefined;
+}
+export { apply, applyToAll, dispose, lighting, serve, state };

@@ -1,0 +1,41 @@
+import type { Object3D, SkinnedMesh } from 'three';
+import type { GLTF, GLTFLoaderPlugin, GLTFParser } from 'three/addons/loaders/GLTFLoader.js';
+
+/** The lighting that a mesh was last drawn with. `unlit`: its materials read no normals. */
+export type DrawnLighting = 'accurate' | 'standard' | 'unlit' | 'not drawn';
+
+export interface SkinbakeOptions {
+    /** Linear blending, which is three.js's own, or dual quaternions. */
+    method?: 'lbs' | 'dqs';
+}
+
+/** What one skinned mesh is drawn with. It is read from the program that drew it, and stays up to date. */
+export interface MeshReport {
+    readonly mesh: SkinnedMesh;
+    readonly lighting: DrawnLighting;
+    /** Why the lighting is not accurate. Empty if it is. */
+    readonly reason: string;
+}
+
+export interface SkinbakeReport {
+    /** One entry for each skinned mesh, baked or not. */
+    readonly meshes: readonly MeshReport[];
+}
+
+/** Light the baked skinned meshes below an object accurately. Doing it again repairs what was changed since. */
+export function applySkinbake(root: Object3D, options?: SkinbakeOptions): SkinbakeReport;
+
+/** Switch the skinned meshes below an object to three.js's own lighting, or back. */
+export function lighting(root: Object3D, which: 'standard' | 'accurate'): void;
+
+/** Undo applySkinbake for the skinned meshes below an object, and for all meshes with the same geometries. */
+export function dispose(root: Object3D): void;
+
+/** A plugin of GLTFLoader. The loaded object has the report in `userData.skinbake`. */
+export class SkinbakePlugin implements GLTFLoaderPlugin {
+    constructor(parser: GLTFParser, options?: SkinbakeOptions);
+    readonly name: string;
+    readonly parser: GLTFParser;
+    readonly method: 'lbs' | 'dqs';
+    afterRoot(gltf: GLTF): null;
+}
