@@ -1,4 +1,4 @@
-"""Write the generated modules of engines/three anew after a change of the templates: then read the difference.
+"""Write the generated modules of engines/three anew, after a change of the templates.
 
 Usage: python -m tests.three.write_package
 """

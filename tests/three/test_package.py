@@ -1,0 +1,219 @@
+"""The npm package in three.js, in a browser: normals of real draws against the replay, whatever a page does.
+
+The normals are the varying that three.js's own programs hand to fragment shaders, by transform feedback.
+"""
+
+from __future__ import annotations
+
+import base64
+import dataclasses
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fixtures.make_fixtures import FOLDER
+from skinbake.choices import Encoding, Layout
+from skinbake.format.layouts import GradientFormat
+from skinbake.skinning.algorithms import Algorithm
+from tests.support import browser, corpus
+from tests.support.characters import AS_USUAL, Array, Character, Placement, Pose, angles, baked
+from tests.support.node import package_folder, require_node
+from tests.three.write_package import FOLDER as PACKAGE
+
+PAGE = """<!doctype html>
+<meta charset="utf-8">
+<link rel="icon" href="data:,">
+<script type="importmap">
+{"imports": {
+    "three": "/three/build/three.module.js",
+    "three/addons/": "/three/examples/jsm/",
+    "skinbake-three": "/package/index.js"
+}}
+</script>
+<script src="/tests/capture.js"></script>
+<body><script type="module">window.ready = import('/tests/drawing.mjs');</script>
+"""
+DEGREES = 0.01
+"""Between the browser and the replay: three.js has bone matrices, and we all else, in float32."""
+TUBE = FOLDER / "bent_tube.glb"
+MIRRORED = FOLDER / "mirrored_tangent.glb"
+BENT = Pose(clip=0, time=0.45)
+RANDOM = Pose(clip=None)
+
+
+class Stage:
+    """The page, and the models that it can load."""
+
+    def __init__(self, page: browser.Page, models: Path) -> None:
+        self.page, self.models = page, models
+
+    def character(
+        self, source: Path, pose: Pose, frame: str = "auto", storage: GradientFormat = AS_USUAL
+    ) -> Character:
+        return Character(baked(source, self.models, frame, storage), pose)
+
+    def call(self, function: str, options: dict[str, Any]) -> Any:
+        """Call a function of the page; whatever the console says of it fails the test."""
+        value = self.page.call(function, options)
+        assert self.page.messages() == []
+        return value
+
+    def normals(self, character: Character, **options: object) -> dict[str, Any]:
+        return dict(self.call("normals", {**character.told(Placement()), **options}))
+
+
+@pytest.fixture
+def stage(opened: Stage) -> Stage:
+    """The page, of which no earlier test has left a message."""
+    opened.page.messages()
+    return opened
+
+
+@pytest.fixture(scope="module")
+def opened(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stage]:
+    require_node("three")
+    folder = tmp_path_factory.mktemp("package")
+    for name in ("models", "profile"):
+        (folder / name).mkdir()
+    folders = {"models": folder / "models", "three": package_folder("three"), "package": PACKAGE}
+    folders |= {"tests": Path(__file__).resolve().parent}
+    with browser.opened(PAGE, folders, folder / "profile") as page:
+        yield Stage(page, folder / "models")
+
+
+def vectors(text: str) -> Array:
+    return np.frombuffer(base64.b64decode(text), "<f4").reshape(-1, 3).astype(np.float64)
+
+
+def expected(
+    character: Character, world: list[float], algorithm: Algorithm = Algorithm.LBS_ACCURATE
+) -> Array:
+    placement = dataclasses.replace(Placement(), world=np.array(world).reshape(4, 4).T)
+    return character.expected(algorithm, placement).normals
+
+
+def largest(found: str, wanted: Array) -> float:
+    normals = vectors(found)
+    return float(angles(normals, wanted[: len(normals)]).max())
+
+
+CHARACTERS = [
+    pytest.param(None, TUBE, BENT, id="bent_tube"),
+    pytest.param(None, FOLDER / "weights_u8.glb", RANDOM, id="weights_u8"),
+    pytest.param("CesiumMan/CesiumMan.glb", None, Pose(0, 0.6), id="CesiumMan"),
+    pytest.param("RiggedFigure/RiggedFigure.gltf", None, Pose(0, 0.7), id="RiggedFigure"),
+    pytest.param("VRM/cryptovoxels.vrm", None, RANDOM, id="cryptovoxels"),
+]
+STORAGES = [
+    AS_USUAL,
+    GradientFormat(Encoding.PACKED8),
+    GradientFormat(Encoding.SNORM16),
+    GradientFormat(layout=Layout.TEXCOORD),
+    GradientFormat(Encoding.PACKED8, Layout.CUSTOM),
+]
+
+
+@pytest.mark.parametrize("storage", STORAGES, ids=lambda storage: f"{storage.encoding} {storage.layout}")
+@pytest.mark.parametrize(("model", "fixture", "pose"), CHARACTERS)
+def test_every_normal_is_that_of_the_replay(
+    stage: Stage, model: str | None, fixture: Path | None, pose: Pose, storage: GradientFormat
+) -> None:
+    character = stage.character(fixture or corpus.model(model or ""), pose, storage=storage)
+    found = stage.normals(character)
+    (drawn,) = found["draws"]
+    wanted = expected(character, found["world"])
+    assert largest(drawn, wanted) < DEGREES
+    assert found["report"] == found["loaded"] == [["accurate", ""]]
+    standard = expected(character, found["world"], Algorithm.LBS_APPROXIMATED)
+    assert np.percentile(angles(vectors(drawn), standard[: len(vectors(drawn))]), 99) > 2
+
+
+@pytest.mark.parametrize("frame", ["normal", "tangent"])
+def test_both_frames_have_the_same_module(stage: Stage, frame: str) -> None:
+    character = stage.character(MIRRORED, RANDOM, frame)
+    found = stage.normals(character)
+    assert largest(found["draws"][0], expected(character, found["world"])) < DEGREES
+
+
+@pytest.mark.parametrize(("model", "fixture", "pose"), [CHARACTERS[0], CHARACTERS[3], CHARACTERS[4]])
+def test_dual_quaternions_have_algorithm_6(
+    stage: Stage, model: str | None, fixture: Path | None, pose: Pose
+) -> None:
+    character = stage.character(fixture or corpus.model(model or ""), pose)
+    found = stage.normals(character, method="dqs")
+    assert largest(found["draws"][0], expected(character, found["world"], Algorithm.DQS_EXACT)) < DEGREES
+
+
+@pytest.mark.parametrize("when", ["before", "after"])
+def test_whatever_a_page_does_the_normals_stay_right(stage: Stage, when: str) -> None:
+    character = stage.character(TUBE, BENT)
+    wrong = {}
+    for change in stage.call("changes", {}):
+        found = stage.normals(character, change=change, when=when)
+        wanted = expected(character, found["world"])
+        error = largest(found["draws"][-1], wanted) if found["draws"] else np.inf
+        if error > DEGREES or found["report"] not in ([["accurate", ""]], [["not drawn", NOT_DRAWN]]):
+            wrong[change] = (error, found["report"])
+    assert wrong == {}
+
+
+NOT_DRAWN = "it has not been drawn yet"
+
+
+def test_without_the_module_three_has_its_own_normals(stage: Stage) -> None:
+    """Else the tests above would not see it. The page has used the module before, and disposed of it."""
+    character = stage.character(TUBE, BENT)
+    found = stage.normals(character, plugin=False)
+    wanted = expected(character, found["world"], Algorithm.LBS_APPROXIMATED)
+    assert largest(found["draws"][0], wanted) < DEGREES
+
+
+def test_standard_lighting_is_three_s_own(stage: Stage) -> None:
+    character = stage.character(TUBE, BENT)
+    found = stage.normals(character, lighting="standard")
+    wanted = expected(character, found["world"], Algorithm.LBS_APPROXIMATED)
+    assert largest(found["draws"][0], wanted) < DEGREES
+    assert found["report"] == [["standard", "lighting() has switched it"]]
+
+
+def test_clones_share_all_and_are_switched_apart(stage: Stage) -> None:
+    character = stage.character(TUBE, BENT)
+    found = stage.call("clones", character.told(Placement()))
+    accurate = expected(character, found["world"])
+    standard = expected(character, found["world"], Algorithm.LBS_APPROXIMATED)
+    pairs = [(found["draws"], (accurate, standard)), (found["again"], (accurate, accurate))]
+    for draws, wanted in [*pairs, (found["disposed"], (standard, standard))]:
+        assert len(draws) == 2
+        both = [
+            max(largest(draw, one) for draw, one in zip(draws, order, strict=True))
+            for order in (wanted, wanted[::-1])
+        ]
+        assert min(both) < DEGREES
+    assert not any("kinbake" in name and not name.startswith("_") for name in found["attributes"])
+
+
+def test_a_hundred_characters_of_all_kinds_share_one_program(stage: Stage) -> None:
+    sources = [
+        (TUBE, "auto", AS_USUAL),
+        (TUBE, "auto", GradientFormat(Encoding.PACKED8)),
+        (MIRRORED, "tangent", AS_USUAL),
+    ]
+    paths = [baked(source, stage.models, frame, storage) for source, frame, storage in sources]
+    found = stage.call("programs", {"urls": [f"/models/{path.name}" for path in paths], "count": 34})
+    assert found == {"draws": 102, "programs": 1, "lightings": ["accurate"]}
+
+
+def test_a_material_with_a_shader_of_its_own_is_told_of_once(stage: Stage) -> None:
+    told = stage.character(TUBE, BENT).told(Placement())
+    reason = 'its ShaderMaterial "own" does not skin by three.js\'s chunks'
+    assert stage.page.call("foreign", told) == [["standard", reason]]
+    assert stage.page.messages() == [f'skinbake: "hero" has three.js\'s standard lighting: {reason}']
+
+
+def test_an_exporter_writes_the_file_s_own_attributes(stage: Stage) -> None:
+    told = stage.character(TUBE, BENT).told(Placement())
+    names = stage.call("exported", told)
+    assert [name for name in names if "SKINBAKE" in name] == ["_SKINBAKE_ALPHA_0", "_SKINBAKE_BETA_0"]
