@@ -1,0 +1,21 @@
+// Every name of the package as an application uses it, for tsc --strict.
+
+import { Scene, SkinnedMesh } from 'three';
+import { GLTFLoader } from 'three/addons/loaders/GLTFLoader.js';
+import { applySkinbake, dispose, lighting, SkinbakePlugin, type SkinbakeReport } from 'skinbake-three';
+
+export async function show(scene: Scene): Promise<string[]> {
+    const loader = new GLTFLoader();
+    loader.register((parser) => new SkinbakePlugin(parser, { method: 'dqs' }));
+    const gltf = await loader.loadAsync('hero.glb');
+    scene.add(gltf.scene);
+    const report: SkinbakeReport = applySkinbake(scene, { method: 'lbs' });
+    lighting(scene, 'standard');
+    dispose(scene);
+    const meshes: SkinnedMesh[] = report.meshes.map((one) => one.mesh);
+    // @ts-expect-error: the methods are lbs and dqs
+    applySkinbake(scene, { method: 'other' });
+    // @ts-expect-error: there are two lightings
+    lighting(scene, 'approximated');
+    return [...meshes.map((mesh) => mesh.name), ...report.meshes.map((one) => `${one.lighting}: ${one.reason}`)];
+}
