@@ -30,7 +30,7 @@ from skinbake.report.verify import FileVerdict, Normals
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.components import Vector
 from skinbake.skinning.surface import RestSurface
-from tests.support import analytic, corpus
+from tests.support import analytic, corpus, gltf_reading
 from tests.support.baked_files import CESIUM_MAN, Editable, baked, source, verify
 from tests.support.replay import replay
 from tests.support.straightforward import Character, degrees
