@@ -161,6 +161,32 @@ def note(key: str, value: Any) -> Callable[[Editable], None]:
     return edit
 
 
+def bind_moved(model: Editable) -> None:
+    """Move the joints' pivots, as a tool does that binds the skin in another pose."""
+    matrices = model.stored(model.content["skins"][0]["inverseBindMatrices"])
+    matrices[1:, 13] += np.float32(0.2 * np.abs(model.array("POSITION")).max())
+
+
+def hierarchy_flattened(model: Editable) -> None:
+    """Let all joints hang from the scene, so that none carries another."""
+    joints = set(model.content["skins"][0]["joints"])
+    for number in joints:
+        model.content["nodes"][number].pop("children", None)
+    scene = model.content["scenes"][0]["nodes"]
+    model.content["scenes"][0]["nodes"] = [*dict.fromkeys([*scene, *joints])]
+
+
+def mesh_scaled(by: float) -> Callable[[Editable], None]:
+    """Scale the mesh and the bind pose together, as tools do."""
+
+    def edit(model: Editable) -> None:
+        scaled("POSITION", by=by)(model)
+        matrices = model.stored(model.content["skins"][0]["inverseBindMatrices"])
+        matrices[:, :12] /= np.float32(by)
+
+    return edit
+
+
 STALE = {
     "alpha scaled by 1.01": Case(baked_scaled("alpha"), "stale", [". α are 1.01 times"]),
     "both scaled by 1.01": Case(
@@ -170,10 +196,11 @@ STALE = {
     "influences swapped": Case(influences_swapped, "stale", ["JOINTS and WEIGHTS changed", "re-sorted"]),
     "influences sorted": Case(influences_sorted, "stale", ["JOINTS and WEIGHTS changed", "re-sorted"]),
     "one vertex's alpha negated": Case(one_negated, "stale", ["wrong at 1 of", "edited or damaged"]),
-    "POSITION doubled": Case(scaled("POSITION", by=2), "stale", ["POSITION changed", "rescaled (by 2)"]),
-    "POSITION by 1.01": Case(
-        scaled("POSITION", by=1.01), "stale", ["POSITION changed", "rescaled (by 1.01)"]
-    ),
+    "POSITION doubled": Case(scaled("POSITION", by=2), "stale", ["POSITION changed", "rescaled (by "]),
+    "mesh doubled": Case(mesh_scaled(2), "stale", ["POSITION changed", "rescaled (by 2)"]),
+    "mesh by 1.01": Case(mesh_scaled(1.01), "stale", ["POSITION changed", "rescaled (by 1.01)"]),
+    "bind pose moved": Case(bind_moved, "stale", ["skeleton changed", "bind pose", "run skinbake bake"]),
+    "hierarchy flattened": Case(hierarchy_flattened, "stale", ["skeleton changed", "run skinbake bake"]),
     "POSITION moved": Case(vertices_moved, "stale", ["POSITION changed", "vertices moved", "Bake last"]),
     "triangles lost": Case(triangles_lost, "stale", ["indices changed", "triangles edited"]),
     "normals flipped": Case(scaled("NORMAL", by=-1), "stale", ["NORMAL changed", "normals flipped"]),
@@ -282,6 +309,43 @@ def test_another_weighting_declared_as_max_is_stale(tmp_path: Path, name: str, w
     model.metadata()["weighting"] = "max"
     case = Case(note("weighting", "max"), "stale", [f'made with the weighting "{weighting}"', 'not "max"'])
     check_failure(model.write(tmp_path / HERE), case, "freshness")
+
+
+@pytest.mark.parametrize("noted", ["rig", "surface"])
+@pytest.mark.parametrize("name", MODELS)
+def test_another_kind_than_the_noted_one_is_stale(
+    bakes: Callable[[str], Path], tmp_path: Path, name: str, noted: str
+) -> None:
+    made = "surface" if noted == "rig" else "rig"
+    path = baked(source(name), tmp_path, gradients=made)
+    assert verify(path, *FEW).exit_code == 0
+    model = Editable(path)
+    if noted == "rig":
+        model.metadata().update(gradients="rig", rig=Editable(bakes(name)).metadata()["rig"])
+    else:
+        del model.metadata()["gradients"], model.metadata()["rig"]
+    words = [f'made with the gradients "{made}", not "{noted}" as noted', "run skinbake bake"]
+    check_failure(model.write(tmp_path / HERE), Case(note("", None), "stale", words), "freshness")
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_one_percent_of_any_fitted_alpha_is_stale(
+    bakes: Callable[[str], Path], tmp_path: Path, name: str
+) -> None:
+    """One vertex's largest α of a slot, at vertices from the flattest to the steepest.
+
+    Where β is over 4 times as large, a hundredth of α is near what rounding may change.
+    """
+    whole = Editable(bakes(name))
+    alpha, beta = (np.abs(whole.array(f"_SKINBAKE_{kind}_0")) for kind in ("ALPHA", "BETA"))
+    steep = np.flatnonzero(alpha.max(axis=1) > np.maximum(0.01 * alpha.max(), 0.25 * beta.max(axis=1)))
+    order = steep[alpha[steep].max(axis=1).argsort()]
+    for vertex in order[:: max(1, len(order) // 6)]:
+        model = Editable(bakes(name))
+        model.array("_SKINBAKE_ALPHA_0")[vertex, alpha[vertex].argmax()] *= np.float32(1.01)
+        answer = verify(model.write(tmp_path / HERE), "--poses", "rest", "--method", "lbs")
+        assert answer.failed == ["freshness"], vertex
+        assert f"most at vertex {vertex}" in answer.problems("freshness")[0]["message"]
 
 
 @pytest.mark.parametrize("name", MODELS)

@@ -25,13 +25,18 @@ ROUNDING = 1e-6
 Expected = list[tuple[Float64Array, Float64Array]]
 
 
-def expected_slots(document: Document, views: Sequence[BakedView], operator: GradientOperator) -> Expected:
-    """Return α and β (V, K − 1) of each view of one surface.
+def expected_slots(
+    document: Document,
+    views: Sequence[BakedView],
+    operator: GradientOperator,
+    kind: Gradients | None = None,
+) -> Expected:
+    """Return α and β (V, K − 1) of each view of one surface, of the kind that is noted if none is given.
 
     The gradients of a surface come from the operator, which shares no code with bake. Fitted gradients come
     from bake's own loops: how good they are is measured against the true normals, not here.
     """
-    if noted_kind(views[0]) is Gradients.SURFACE:
+    if (kind or noted_kind(views[0])) is Gradients.SURFACE:
         return surface_slots(views, operator)
     rig, _ = fitting_rig(document, views[0].source)
     return surface_slots(views, operator) if rig is None else fitted_slots(document, views, operator, rig)

@@ -14,6 +14,7 @@ from skinbake.errors import InputError, Notice
 from skinbake.geometry.skinned import Float64Array
 from skinbake.gltf.accessors import read_accessor
 from skinbake.gltf.document import Document
+from skinbake.gltf.rigs import fitting_rig, rig_digest
 from skinbake.lighting import freshness
 from skinbake.lighting.baked_views import BakedView, gathered_together
 from skinbake.lighting.expected import Expected, expected_slots, given_weights, noted_kind
@@ -122,6 +123,23 @@ class _Surface:
     views: Sequence[BakedView]
     compared: Sequence[freshness.Comparison]
     _otherwise: dict[str, list[freshness.Comparison]] = field(default_factory=dict)
+    _by_kind: dict[Gradients, list[freshness.Comparison]] = field(default_factory=dict)
+
+    def fits_as(self, kind: Gradients) -> list[freshness.Comparison]:
+        """Return the comparison with gradients of another kind than the noted one."""
+        if kind not in self._by_kind:
+            with self.document.budget.passing():
+                operator = mesh_operator(self.document, self.views)
+                expected = expected_slots(self.document, self.views, operator, kind)
+                self._by_kind[kind] = _compared(self.document, self.views, operator, expected)
+        return self._by_kind[kind]
+
+    def rig_changed(self, view: BakedView) -> bool:
+        """Tell whether the rig is another one than the noted one, or is gone."""
+        if noted_kind(view) is not Gradients.RIG:
+            return False
+        rig, _ = fitting_rig(self.document, self.views[0].source)
+        return rig is None or rig_digest(rig) != view.metadata.get("rig")
 
     def weighted(self, weighting: str) -> list[freshness.Comparison]:
         if weighting not in self._otherwise:
@@ -196,11 +214,23 @@ def _likely_cause(surface: _Surface, number: int) -> str:
         return f"They stand in the wrong slots: {BAKE_AGAIN}"
     if comparison.factors is not None:
         return f"{_factors(comparison.factors)} what they should be: {BAKE_AGAIN}"
+    return _other_settings(surface, number) or _cause_beyond(surface, view)
+
+
+def _other_settings(surface: _Surface, number: int) -> str | None:
+    """Return the settings or the skeleton for which α/β were made, if these are not the noted ones."""
+    view = surface.views[number]
+    kind = noted_kind(view)
+    other = Gradients.SURFACE if kind is Gradients.RIG else Gradients.RIG
+    if surface.fits_as(other)[number].agrees:
+        return f'They were made with the gradients "{other}", not "{kind}" as noted: {BAKE_AGAIN}'
+    if surface.rig_changed(view):
+        return f"The skeleton changed since the bake (its hierarchy or its bind pose): {BAKE_AGAIN}"
     weighting = _weighting_that_fits(surface, number)
-    if weighting is not None:
-        noted = view.metadata["weighting"]
-        return f'They were made with the weighting "{weighting}", not "{noted}" as noted: {BAKE_AGAIN}'
-    return _cause_beyond(surface, view)
+    if weighting is None:
+        return None
+    noted = view.metadata["weighting"]
+    return f'They were made with the weighting "{weighting}", not "{noted}" as noted: {BAKE_AGAIN}'
 
 
 def _cause_beyond(surface: _Surface, view: BakedView) -> str:
