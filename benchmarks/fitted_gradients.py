@@ -160,7 +160,8 @@ def figures(models: Sequence[Model]) -> Iterator[str]:
 
 
 def means(models: Sequence[Model]) -> Iterator[str]:
-    """Yield the table of mean ratios."""
+    """Yield the table of ratios of all models."""
+    yield "`rig` / `surface`: mean / median over the models, LBS where nothing else is said.\n"
     yield "| poses | models | by tangents | by triangles | DQS exact, by tangents | by triangles |"
     yield "|---|--:|--:|--:|--:|--:|"
     for poses in POSES:
@@ -171,9 +172,9 @@ def means(models: Sequence[Model]) -> Iterator[str]:
 
 
 def mean_of(ratios: Iterator[float]) -> str:
-    """Return the mean of the ratios that are known."""
+    """Return mean and median of the ratios that are known."""
     known = [ratio for ratio in ratios if np.isfinite(ratio)]
-    return f"{np.mean(known):.3f}" if known else "—"
+    return f"{np.mean(known):.3f} / {np.median(known):.3f}" if known else "—"
 
 
 def table(models: Sequence[Model]) -> Iterator[str]:
@@ -219,7 +220,7 @@ def remarks(models: Sequence[Model]) -> Iterator[str]:
         listed = f": {'; '.join(lost)}" if which and len(lost) <= MOST_LISTED else ""
         yield (
             f"- Worse than standard lighting with `{kind}`, in one or more of these {len(cases)} cases: "
-            f"{len(lost)} cases, {names} models{listed}."
+            f"{len(lost)}, in {names} of the models{listed}."
         )
 
 
@@ -236,7 +237,7 @@ def noise(models: Sequence[Model]) -> Iterator[str]:
             for poses in POSES
             for truth in Truth
         ]
-        yield f"| `rig` / `surface`, {name} | {' | '.join(cells)} |"
+        yield f"| `rig` / `surface` of the {name}: mean / median | {' | '.join(cells)} |"
     yield ""
     for squared, name in ((True, "root mean square"), (False, "mean")):
         more = [
