@@ -91,10 +91,11 @@ def shader_made(choices: ShaderChoices, *, package: bool = False) -> tuple[str, 
 
 
 def three_package() -> dict[str, str]:
-    """Return the modules of the npm package that come from the templates: core.js, and the entry index.js."""
+    """Return the modules of the npm package: core.js, and an entry for each renderer."""
     choices = ShaderChoices(Language.GLSL, target="three")
-    core = _rendered("three/core.js", {**_context(choices), "package": True})
-    return {"core.js": _tidy(core), "index.js": shader_made(choices, package=True)[0]}
+    context = {**_context(choices), "package": True}
+    found = {name: _tidy(_rendered(f"three/{name}", context)) for name in ("core.js", "webgpu.js")}
+    return {**found, "index.js": shader_made(choices, package=True)[0]}
 
 
 def _text_for(choices: ShaderChoices, reads: Sequence[str], also: Sequence[str] = ()) -> dict[str, Any]:

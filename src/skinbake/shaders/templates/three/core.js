@@ -142,6 +142,11 @@ function takeMetadata(mesh, { json, associations }) {
     }
 }
 
+function isBaked(geometry) {
+    const adopted = state.geometries.get(geometry);
+    return adopted !== undefined && !adopted.problem;
+}
+
 // Give a geometry the attributes that the shader reads.
 function adopt(geometry, method) {
     const adopted = state.geometries.get(geometry);
@@ -314,7 +319,7 @@ function beforeDraw(renderer, scene, camera, geometry) {
             if (problem) tell(this, problem);
         });
     }
-    hide(this, geometry, adopted);
+    hide(renderer, this, geometry, adopted);
 }
 
 function afterDraw(renderer, scene, camera, geometry, material) {
@@ -339,16 +344,16 @@ const UNSERVED = {
 };
 
 function beforeShadow(renderer, object, camera, shadowCamera, geometry) {
-    hide(this, geometry, state.geometries.get(geometry));
+    hide(renderer, this, geometry, state.geometries.get(geometry));
 }
 
 function afterShadow(renderer, object, camera, shadowCamera, geometry) {
     show(this, geometry, state.geometries.get(geometry));
 }
 
-// A mesh without these constants is drawn as three.js does.
-function hide(mesh, geometry, adopted) {
-    if (!adopted || adopted.problem || !state.standard.has(mesh)) return;
+// WebGLRenderer draws a mesh without these constants as three.js does.
+function hide(renderer, mesh, geometry, adopted) {
+    if (!adopted || adopted.problem || !state.standard.has(mesh) || !renderer.isWebGLRenderer) return;
     adopted.hidden = geometry.attributes[STORAGE];
     delete geometry.attributes[STORAGE];
 }
@@ -360,7 +365,7 @@ function show(mesh, geometry, adopted) {
 }
 //% if package
 
-export { apply, applyToAll, dispose, lighting, serve, state };
+export { apply, applyToAll, dispose, isBaked, lighting, serve, state };
 //% else
 
 export { dispose, lighting };

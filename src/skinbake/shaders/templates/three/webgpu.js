@@ -1,0 +1,299 @@
+// Accurate lighting in three.js for skinned meshes that skinbake has baked. For its WebGPURenderer, with both its
+// backends, and for node materials.
+//
+// Written by skinbake @{ version }. Use:
+//
+//     import { SkinbakePlugin } from 'skinbake-three/webgpu';
+//
+//     loader.register((parser) => new SkinbakePlugin(parser)); // GLTFLoader; or applySkinbake(scene)
+//
+// Algorithm 3 of M. Tarini, D. Panozzo, O. Sorkine-Hornung, "Accurate and Efficient Lighting for Skinned Models",
+// Computer Graphics Forum 33(2), 2014, doi:10.1111/cgf.12330. Dual quaternions: algorithm 6 of skinbake, the exact
+// derivative of their blend. Frame: T. Duff et al., "Building an Orthonormal Basis, Revisited", JCGT 6(1), 2017.
+
+import { BufferAttribute, InstancedBufferAttribute, NodeMaterial, SkinnedMesh, Vector4 } from 'three/webgpu';
+import {
+    attribute,
+    cross,
+    dot,
+    float,
+    If,
+    int,
+    inverseSqrt,
+    ivec2,
+    mat4,
+    morphReference,
+    normalGeometry,
+    normalize,
+    normalLocal,
+    OnObjectUpdate,
+    positionLocal,
+    reference,
+    referenceBuffer,
+    select,
+    skinning,
+    tangentLocal,
+    texture,
+    textureSize,
+    uniform,
+    vec3,
+    vec4,
+} from 'three/tsl';
+import { apply, applyToAll, isBaked, serve, state } from './core.js';
+
+export { dispose, lighting } from './core.js';
+
+//% set served = "serveWebGPU"
+//% include "three/entry.js"
+@{ "" }
+const OFF = new Vector4();
+let usual;
+
+// Scale; frame: 2 normal, 3 tangent; 1 for dual quaternions.
+function constantsOf(object) {
+    const { constants, problem = true } = state.geometries.get(object.geometry) ?? {};
+    return problem || state.standard.has(object) ? OFF : new Vector4().fromArray(constants);
+}
+
+// three.js morphs and skins in this method, for every material. Here it is told that both are done, so that
+// displacement maps, instances and nodes of the application follow.
+function setupPosition(builder) {
+    const { object, geometry } = builder;
+    if (!object.isSkinnedMesh || !isBaked(geometry)) return usual.call(this, builder);
+    const { morphAttributes } = geometry;
+    if (morphAttributes.position || morphAttributes.normal || morphAttributes.color) morphReference(object);
+    const position = positionLocal.toVar();
+    const normal = normalLocal.toVar();
+    skinning(object);
+    light(builder, position, normal);
+    object.isSkinnedMesh = false;
+    geometry.morphAttributes = {};
+    try {
+        return usual.call(this, builder);
+    } finally {
+        object.isSkinnedMesh = true;
+        geometry.morphAttributes = morphAttributes;
+    }
+}
+
+function light(builder, position, normal) {
+    const { geometry } = builder;
+    const constants = uniform(new Vector4()).onObjectUpdate(({ object }) => constantsOf(object));
+    If(constants.y.greaterThan(1.5), () => {
+        const tangent = geometry.hasAttribute('tangent') ? attribute('tangent', 'vec4') : null;
+        const isTangentFrame = constants.y.greaterThan(2.5);
+        const rest = restFrame(tangent, isTangentFrame);
+        const frame = geometry.morphAttributes.normal ? morphed(rest, normal) : rest;
+        const bind = reference('bindMatrix', 'mat4');
+        const back = reference('bindMatrixInverse', 'mat4');
+        const turned = (matrix, vector) => matrix.mul(vec4(vector, 0)).xyz;
+        const moved = {
+            position: bind.mul(vec4(position, 1)).xyz.toVar(),
+            tangent: turned(bind, frame.tangent).toVar(),
+            bitangent: turned(bind, frame.bitangent).toVar(),
+        };
+        const bones = boneMatrices(builder);
+        const joints = attribute('skinIndex', 'uvec4');
+        const slots = {
+            M: [joints.x, joints.y, joints.z, joints.w].map((joint) => bones.element(joint).toVar()),
+            weights: attribute('skinWeight', 'vec4'),
+            alpha: decoded('morphSkinbakeAlpha', constants.x),
+            beta: decoded('morphSkinbakeBeta', constants.x),
+        };
+        const t = vec3(0).toVar();
+        const b = vec3(0).toVar();
+        If(constants.z.greaterThan(0.5), () => {
+            const found = dualQuaternions(moved, slots);
+            t.assign(found.tangent);
+            b.assign(found.bitangent);
+            positionLocal.assign(back.mul(vec4(found.position, 1)).xyz);
+        }).Else(() => {
+            const found = blended(moved, slots);
+            t.assign(found.tangent);
+            b.assign(found.bitangent);
+        });
+        const image = turned(back, t).toVar();
+        const other = turned(back, b).toVar();
+        normalLocal.assign(cross(image, other).mul(frame.handedness));
+        if (tangent) {
+            const along = (axis) => dot(tangent.xyz, axis);
+            const mixed = image.mul(along(rest.tangent)).add(other.mul(along(rest.bitangent)));
+            tangentLocal.assign(select(isTangentFrame, image, mixed));
+        }
+    });
+}
+
+function decoded(name, scale) {
+    const stored = attribute(name, 'vec4');
+    return stored.xyz.mul(scale.mul(stored.w).mul(stored.w)).toVar();
+}
+
+function restFrame(tangent, isTangentFrame) {
+    const given = normalGeometry;
+    const n = select(dot(given, given).greaterThan(0), normalize(given), vec3(0, 0, 1)).toVar();
+    const side = select(n.z.greaterThanEqual(0), float(1), float(-1)).toVar();
+    const a = float(-1).div(side.add(n.z)).toVar();
+    const b = n.x.mul(n.y).mul(a).toVar();
+    const t0 = vec3(n.x.mul(n.x).mul(a).mul(side).add(1), side.mul(b), side.mul(n.x).negate());
+    const b0 = vec3(b, side.mul(n.y.mul(n.y).mul(a).mul(side).add(1)), n.y.negate());
+    if (!tangent) return { normal: n, tangent: t0.toVar(), bitangent: b0.toVar(), handedness: float(1) };
+    return {
+        normal: n,
+        tangent: select(isTangentFrame, tangent.xyz, t0).toVar(),
+        bitangent: select(isTangentFrame, cross(n, tangent.xyz).mul(tangent.w), b0).toVar(),
+        handedness: select(isTangentFrame, tangent.w, float(1)).toVar(),
+    };
+}
+
+// The smallest rotation that takes the normal at rest to the morphed one turns the frame.
+function morphed(rest, morphedNormal) {
+    const square = dot(morphedNormal, morphedNormal);
+    const n = select(square.greaterThan(0), morphedNormal.mul(inverseSqrt(square)), rest.normal).toVar();
+    const s = rest.normal.add(n).toVar();
+    const d = n.sub(rest.normal).toVar();
+    const opposite = dot(s, s).lessThan(1e-4).toVar();
+    const k = select(opposite, float(0), float(2).div(dot(s, s))).toVar();
+    const turned = (vector) => vector.sub(s.mul(k.mul(dot(d, vector)))).toVar();
+    const bitangent = turned(rest.bitangent);
+    return {
+        normal: n,
+        tangent: turned(rest.tangent),
+        bitangent: select(opposite, bitangent.negate(), bitangent).toVar(),
+        handedness: rest.handedness,
+    };
+}
+
+function boneMatrices(builder) {
+    const { skeleton } = builder.object;
+    const count = skeleton.bones.length;
+    if (count * 64 <= builder.getUniformBufferLimit()) return referenceBuffer('skeleton.boneMatrices', 'mat4', count);
+    if (skeleton.boneTexture === null) skeleton.computeBoneTexture();
+    const matrices = texture(skeleton.boneTexture);
+    OnObjectUpdate(({ object }) => {
+        if (object.skeleton.boneTexture === null) object.skeleton.computeBoneTexture();
+        matrices.value = object.skeleton.boneTexture;
+    });
+    const element = (index) => {
+        const size = int(textureSize(matrices).x).toVar();
+        const first = int(index).mul(4).toVar();
+        const y = first.div(size).toVar();
+        const x = first.sub(y.mul(size)).toVar();
+        return mat4(...[0, 1, 2, 3].map((column) => matrices.load(ivec2(x.add(column), y))));
+    };
+    return { element };
+}
+
+const sum = (terms) => terms.reduce((total, term) => total.add(term));
+const parts = (vector) => [vector.x, vector.y, vector.z, vector.w];
+
+// The frame moves by the derivative of the skinned position along t0 and b0: algorithm 3.
+function blended({ position, tangent, bitangent }, { M, weights, alpha, beta }) {
+    const w = parts(weights);
+    const q = M.map((matrix) => matrix.mul(vec4(position, 1)).xyz.toVar());
+    const d = q.slice(1).map((one) => one.sub(q[0]).toVar());
+    const along = (vector, slopes) =>
+        sum([
+            ...M.map((matrix, slot) => matrix.mul(vec4(vector, 0)).xyz.mul(w[slot])),
+            ...d.map((one, slot) => one.mul(parts(slopes)[slot])),
+        ]).toVar();
+    return { tangent: along(tangent, alpha), bitangent: along(bitangent, beta) };
+}
+
+// The frame moves by the derivative of the blended motion: algorithm 6 of skinbake. Joints have a common scale.
+function dualQuaternions({ position, tangent, bitangent }, { M, weights, alpha, beta }) {
+    const scale = M[0].element(0).xyz.length().toVar();
+    const p = position.mul(scale).toVar();
+    const Q = M.map((matrix) => dualQuaternion(matrix, scale));
+    const w = parts(weights);
+    const near = Q.map(({ real, dual }, slot) => {
+        const sign = select(dot(real, Q[0].real).lessThan(0), float(-1), float(1)).toVar();
+        return slot === 0 ? Q[0] : { real: real.mul(sign).toVar(), dual: dual.mul(sign).toVar() };
+    });
+    const mix = {
+        real: sum(near.map(({ real }, slot) => real.mul(w[slot]))).toVar(),
+        dual: sum(near.map(({ dual }, slot) => dual.mul(w[slot]))).toVar(),
+    };
+    const square = dot(mix.real, mix.real).toVar();
+    const k = select(square.equal(0), float(2), float(2).div(square)).toVar();
+    const i = p.mul(mix.real.w).add(mix.dual.xyz).add(cross(mix.real.xyz, p)).toVar();
+    const shift = mix.dual.xyz.mul(mix.real.w).sub(mix.real.xyz.mul(mix.dual.w));
+    const delta = shift.add(cross(mix.real.xyz, i)).mul(k).toVar();
+    const along = (vector, slopes) => {
+        const others = near.slice(1).map((one) => ({
+            real: one.real.sub(near[0].real),
+            dual: one.dual.sub(near[0].dual),
+        }));
+        const real = sum(others.map((one, slot) => one.real.mul(parts(slopes)[slot]))).toVar();
+        const dual = sum(others.map((one, slot) => one.dual.mul(parts(slopes)[slot]))).toVar();
+        const t = vector.mul(scale).toVar();
+        const di = sum([
+            t.mul(mix.real.w),
+            dual.xyz,
+            cross(mix.real.xyz, t),
+            p.mul(real.w),
+            cross(real.xyz, p),
+        ]).toVar();
+        const dh = sum([dual.xyz.mul(mix.real.w), cross(mix.real.xyz, di), cross(real.xyz, i)])
+            .add(mix.dual.xyz.mul(real.w))
+            .sub(mix.real.xyz.mul(dual.w))
+            .sub(real.xyz.mul(mix.dual.w))
+            .sub(delta.mul(dot(mix.real, real)));
+        return t.add(dh.mul(k)).toVar();
+    };
+    return { position: p.add(delta), tangent: along(tangent, alpha), bitangent: along(bitangent, beta) };
+}
+
+function dualQuaternion(matrix, scale) {
+    const [a, b, c] = [0, 1, 2].map((column) => matrix.element(column).xyz.div(scale).toVar());
+    const d = vec3(a.x, b.y, c.z).toVar();
+    const squares = vec4(
+        d.x.sub(d.y).sub(d.z),
+        d.y.sub(d.z).sub(d.x),
+        d.z.sub(d.x).sub(d.y),
+        d.x.add(d.y).add(d.z),
+    ).add(1).toVar();
+    const differences = vec3(b.z.sub(c.y), c.x.sub(a.z), a.y.sub(b.x)).toVar();
+    const sums = vec3(b.z.add(c.y), c.x.add(a.z), a.y.add(b.x)).toVar();
+    const largest = squares.w.toVar();
+    const real = vec4(differences, squares.w).toVar();
+    const choices = [
+        [squares.x, vec4(squares.x, sums.z, sums.y, differences.x)],
+        [squares.y, vec4(sums.z, squares.y, sums.x, differences.y)],
+        [squares.z, vec4(sums.y, sums.x, squares.z, differences.z)],
+    ];
+    for (const [value, quaternion] of choices) {
+        If(value.greaterThan(largest), () => {
+            largest.assign(value);
+            real.assign(quaternion);
+        });
+    }
+    real.assign(normalize(real));
+    const t = matrix.element(3).xyz.toVar();
+    const dual = vec4(cross(t, real.xyz).add(t.mul(real.w)), dot(t, real.xyz).negate()).mul(0.5).toVar();
+    return { real, dual };
+}
+
+function changeMaterials() {
+    if (NodeMaterial.prototype.setupPosition === setupPosition) return;
+    usual = NodeMaterial.prototype.setupPosition;
+    NodeMaterial.prototype.setupPosition = setupPosition;
+}
+
+function restoreMaterials() {
+    NodeMaterial.prototype.setupPosition = usual;
+}
+
+// The vertex stage is three.js's own, unless the application has replaced it.
+function verifyMaterial(renderer, mesh, material, before) {
+    const found = { material, lighting: 'accurate', reason: '' };
+    let reason = '';
+    if (material.vertexNode) reason = `its ${material.type} "${material.name}" has a vertexNode, which skins as it likes`;
+    if (material.isShaderMaterial) reason = `WebGPURenderer cannot draw its ${material.type} "${material.name}"`;
+    if (before?.reason === reason) return before;
+    return reason ? { ...found, lighting: 'standard', reason } : found;
+}
+
+function serveWebGPU() {
+    const backend = { text: 'tsl', install: changeMaterials, uninstall: restoreMaterials, verify: verifyMaterial };
+    serve('webgpu', backend, { BufferAttribute, InstancedBufferAttribute, SkinnedMesh });
+}

@@ -1,0 +1,124 @@
+// What the tests of WebGPURenderer call in the browser: characters drawn as a page draws them, by either backend.
+
+import * as THREE from 'three/webgpu';
+import { GLTFLoader } from 'three/addons/loaders/GLTFLoader.js';
+import * as skinbake from 'skinbake-three/webgpu';
+
+const SIZE = 96;
+const renderers = {};
+
+async function rendererOf(backend) {
+    if (!renderers[backend]) {
+        const renderer = new THREE.WebGPURenderer({ antialias: false, forceWebGL: backend === 'webgl' });
+        renderer.setSize(SIZE, SIZE);
+        await renderer.init();
+        renderers[backend] = renderer;
+    }
+    return renderers[backend];
+}
+
+async function load({ url, pose = {}, plugin = true, method, morphs }) {
+    const loader = new GLTFLoader();
+    if (plugin) loader.register((parser) => new skinbake.SkinbakePlugin(parser, { method }));
+    const gltf = await loader.loadAsync(url);
+    const { scene, animations } = gltf;
+    if (pose.clip !== undefined) {
+        const mixer = new THREE.AnimationMixer(scene);
+        mixer.clipAction(animations[pose.clip]).play();
+        mixer.setTime(pose.time);
+    }
+    const meshes = skinnedMeshes(scene);
+    for (const [joint, [w, x, y, z]] of (pose.turned ?? []).entries()) {
+        meshes[0].skeleton.bones[joint].quaternion.multiply(new THREE.Quaternion(x, y, z, w));
+    }
+    for (const mesh of meshes) {
+        mesh.frustumCulled = false;
+        if (morphs) mesh.morphTargetInfluences = morphs;
+    }
+    return gltf;
+}
+
+function skinnedMeshes(root) {
+    const found = [];
+    root.traverse((object) => {
+        if (object.isSkinnedMesh) found.push(object);
+    });
+    return found;
+}
+
+function base64(floats) {
+    const bytes = new Uint8Array(floats.buffer, floats.byteOffset, floats.byteLength);
+    let text = '';
+    for (let at = 0; at < bytes.length; at += 8192) {
+        text += String.fromCharCode(...bytes.subarray(at, at + 8192));
+    }
+    return btoa(text);
+}
+
+const MATERIALS = {
+    own: null,
+    normal: () => new THREE.MeshNormalMaterial(),
+    standard: () => new THREE.MeshStandardMaterial(),
+    node: () => new THREE.MeshPhysicalNodeMaterial(),
+    clone: (material) => material.clone(),
+};
+
+const api = {
+    // The backend that a renderer really has.
+    async backend(name) {
+        const renderer = await rendererOf(name);
+        return renderer.backend.isWebGPUBackend ? 'webgpu' : 'webgl';
+    },
+
+    // The normals of a character as its vertex stage hands them on; by the WebGL 2 backend.
+    async normals({ material = 'own', lighting, ...options }) {
+        const renderer = await rendererOf('webgl');
+        const { scene: model } = await load(options);
+        const scene = new THREE.Scene();
+        scene.add(model, new THREE.DirectionalLight());
+        const [mesh] = skinnedMeshes(model);
+        if (MATERIALS[material]) mesh.material = MATERIALS[material](mesh.material);
+        if (lighting) skinbake.lighting(model, lighting);
+        const camera = new THREE.PerspectiveCamera();
+        for (let frame = 0; frame < 2; frame++) renderer.render(scene, camera);
+        CAPTURE.draws = [];
+        CAPTURE.on = true;
+        renderer.render(scene, camera);
+        CAPTURE.on = false;
+        const draws = CAPTURE.draws.map(({ values }) => base64(values));
+        const world = mesh.matrixWorld.toArray();
+        const report = skinbake.applySkinbake(mesh).meshes.map((one) => [one.lighting, one.reason]);
+        skinbake.dispose(scene);
+        return { draws, world, report, text: CAPTURE.last };
+    },
+
+    // The same view of a character by either backend: normals as colours, in floats.
+    async picture({ backend, ...options }) {
+        const renderer = await rendererOf(backend);
+        const { scene: model } = await load(options);
+        const scene = new THREE.Scene();
+        scene.add(model);
+        skinnedMeshes(model).forEach((mesh) => (mesh.material = new THREE.MeshNormalMaterial()));
+        model.updateMatrixWorld(true);
+        const box = new THREE.Box3();
+        skinnedMeshes(model).forEach((mesh) => {
+            mesh.skeleton.update();
+            mesh.computeBoundingBox();
+            box.union(mesh.boundingBox.clone().applyMatrix4(mesh.matrixWorld));
+        });
+        const { center, radius } = box.getBoundingSphere(new THREE.Sphere());
+        const camera = new THREE.OrthographicCamera(-radius, radius, radius, -radius, 0, 4 * radius);
+        camera.position.copy(center).add(new THREE.Vector3(0, 0, 2 * radius));
+        const target = new THREE.RenderTarget(SIZE, SIZE, { type: THREE.FloatType });
+        renderer.setClearColor(0x000000, 0);
+        renderer.setRenderTarget(target);
+        for (let frame = 0; frame < 2; frame++) renderer.render(scene, camera);
+        const pixels = await renderer.readRenderTargetPixelsAsync(target, 0, 0, SIZE, SIZE);
+        renderer.setRenderTarget(null);
+        target.dispose();
+        skinbake.dispose(scene);
+        return base64(pixels);
+    },
+};
+
+Object.assign(window, api);
