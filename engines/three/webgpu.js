@@ -317,8 +317,7 @@ function restoreMaterials() {
 function verifyMaterial(renderer, mesh, material, before) {
     const found = { material, lighting: 'accurate', reason: '' };
     let reason = '';
-    if (material.vertexNode) reason = `its ${material.type} "${material.name}" has a vertexNode,
-            which skins as it likes`;
+    if (material.vertexNode) reason = `its ${material.type} "${material.name}" skins by its own vertexNode`;
     if (material.isShaderMaterial) reason = `WebGPURenderer cannot draw its ${material.type} "${material.name}"`;
     if (before?.reason === reason) return before;
     return reason ? { ...found, lighting: 'standard', reason } : found;

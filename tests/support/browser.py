@@ -36,6 +36,8 @@ ARGUMENTS = (
     "--disable-dev-shm-usage",
     "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader",
+    "--enable-unsafe-webgpu",
+    "--use-webgpu-adapter=swiftshader",
     "--remote-debugging-pipe",
 )
 SECONDS = 120

@@ -1,8 +1,11 @@
 // What the tests of WebGPURenderer call in the browser: characters drawn as a page draws them, by either backend.
 
 import * as THREE from 'three/webgpu';
+import { positionLocal, vec3, vec4 } from 'three/tsl';
 import { GLTFLoader } from 'three/addons/loaders/GLTFLoader.js';
 import * as skinbake from 'skinbake-three/webgpu';
+
+CAPTURE.names = ['v_normalViewGeometry'];
 
 const SIZE = 96;
 const renderers = {};
@@ -61,6 +64,9 @@ const MATERIALS = {
     standard: () => new THREE.MeshStandardMaterial(),
     node: () => new THREE.MeshPhysicalNodeMaterial(),
     clone: (material) => material.clone(),
+    copy: (material) => new material.constructor().copy(material),
+    hook: (material) => Object.assign(material, { onBeforeCompile: () => {} }),
+    positioned: () => new THREE.MeshStandardNodeMaterial({ positionNode: positionLocal.add(vec3(1, 0, 0)) }),
 };
 
 const api = {
@@ -89,7 +95,20 @@ const api = {
         const world = mesh.matrixWorld.toArray();
         const report = skinbake.applySkinbake(mesh).meshes.map((one) => [one.lighting, one.reason]);
         skinbake.dispose(scene);
-        return { draws, world, report, text: CAPTURE.last };
+        return { draws, world, report };
+    },
+
+    // What is reported of a material that skins by itself.
+    async foreign(options) {
+        const renderer = await rendererOf('webgl');
+        const { scene } = await load(options);
+        const [mesh] = skinnedMeshes(scene);
+        mesh.name = 'hero';
+        mesh.material = new THREE.MeshBasicNodeMaterial({ name: 'own', vertexNode: vec4(0, 0, 0, 1) });
+        for (let frame = 0; frame < 3; frame++) renderer.render(scene, new THREE.PerspectiveCamera());
+        const report = skinbake.applySkinbake(mesh).meshes.map((one) => [one.lighting, one.reason]);
+        skinbake.dispose(scene);
+        return report;
     },
 
     // The same view of a character by either backend: normals as colours, in floats.

@@ -3,6 +3,7 @@
 import { Scene, SkinnedMesh } from 'three';
 import { GLTFLoader } from 'three/addons/loaders/GLTFLoader.js';
 import { applySkinbake, dispose, lighting, SkinbakePlugin, type SkinbakeReport } from 'skinbake-three';
+import { applySkinbake as applyToNodes } from 'skinbake-three/webgpu';
 
 export async function show(scene: Scene): Promise<string[]> {
     const loader = new GLTFLoader();
@@ -10,6 +11,7 @@ export async function show(scene: Scene): Promise<string[]> {
     const gltf = await loader.loadAsync('hero.glb');
     scene.add(gltf.scene);
     const report: SkinbakeReport = applySkinbake(scene, { method: 'lbs' });
+    applyToNodes(scene);
     lighting(scene, 'standard');
     dispose(scene);
     const meshes: SkinnedMesh[] = report.meshes.map((one) => one.mesh);

@@ -1,0 +1,138 @@
+"""The npm package under WebGPURenderer: its WebGL 2 backend against the replay, WebGPU against that.
+
+The WebGPU of the browser runs on SwiftShader.
+"""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from skinbake.format.layouts import GradientFormat
+from skinbake.skinning.algorithms import Algorithm
+from tests.support import browser, corpus
+from tests.support.characters import Placement, Pose, angles
+from tests.support.node import package_folder, require_node
+from tests.three.test_package import (
+    BENT,
+    CHARACTERS,
+    DEGREES,
+    MIRRORED,
+    RANDOM,
+    STORAGES,
+    TUBE,
+    Stage,
+    expected,
+    largest,
+)
+from tests.three.write_package import FOLDER as PACKAGE
+
+PAGE = """<!doctype html>
+<meta charset="utf-8">
+<link rel="icon" href="data:,">
+<script type="importmap">
+{"imports": {
+    "three": "/three/build/three.module.js",
+    "three/webgpu": "/three/build/three.webgpu.js",
+    "three/tsl": "/three/build/three.tsl.js",
+    "three/addons/": "/three/examples/jsm/",
+    "skinbake-three/webgpu": "/package/webgpu.js"
+}}
+</script>
+<script src="/tests/capture.js"></script>
+<body><script type="module">window.ready = import('/tests/drawing_webgpu.mjs');</script>
+"""
+SIZE = 96
+SOURCES = [(TUBE, BENT, "auto"), (MIRRORED, RANDOM, "normal"), (MIRRORED, RANDOM, "tangent")]
+
+
+@pytest.fixture
+def stage(opened: Stage) -> Stage:
+    """The page, of which no earlier test has left a message."""
+    opened.page.messages()
+    return opened
+
+
+@pytest.fixture(scope="module")
+def opened(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stage]:
+    require_node("three")
+    folder = tmp_path_factory.mktemp("webgpu")
+    for name in ("models", "profile"):
+        (folder / name).mkdir()
+    folders = {"models": folder / "models", "three": package_folder("three"), "package": PACKAGE}
+    folders |= {"tests": Path(__file__).resolve().parent}
+    with browser.opened(PAGE, folders, folder / "profile") as page:
+        yield Stage(page, folder / "models")
+
+
+@pytest.mark.parametrize("storage", STORAGES, ids=lambda storage: f"{storage.encoding} {storage.layout}")
+@pytest.mark.parametrize(("source", "pose", "frame"), SOURCES)
+@pytest.mark.parametrize("method", ["lbs", "dqs"])
+def test_every_normal_is_that_of_the_replay(
+    stage: Stage, source: Path, pose: Pose, frame: str, method: str, storage: GradientFormat
+) -> None:
+    character = stage.character(source, pose, frame, storage)
+    found = stage.normals(character, method=method)
+    (drawn,) = found["draws"]
+    algorithm = Algorithm.LBS_ACCURATE if method == "lbs" else Algorithm.DQS_EXACT
+    assert largest(drawn, expected(character, found["world"], algorithm)) < DEGREES
+    assert found["report"] == [["accurate", ""]]
+
+
+@pytest.mark.parametrize(("model", "fixture", "pose"), CHARACTERS[2:])
+def test_real_characters_too(stage: Stage, model: str, fixture: None, pose: Pose) -> None:
+    character = stage.character(corpus.model(model), pose)
+    found = stage.normals(character)
+    (drawn,) = found["draws"]
+    assert largest(drawn, expected(character, found["world"])) < DEGREES
+
+
+@pytest.mark.parametrize(
+    "material", ["own", "normal", "standard", "node", "clone", "copy", "hook", "positioned"]
+)
+def test_materials_of_all_kinds_have_the_same_normals(stage: Stage, material: str) -> None:
+    character = stage.character(TUBE, BENT)
+    found = stage.normals(character, material=material)
+    assert largest(found["draws"][-1], expected(character, found["world"])) < DEGREES
+    assert found["report"] == [["accurate", ""]]
+
+
+def test_standard_lighting_is_three_s_own(stage: Stage) -> None:
+    character = stage.character(TUBE, BENT)
+    for options in ({"lighting": "standard"}, {"plugin": False}):
+        found = stage.normals(character, **options)
+        wanted = expected(character, found["world"], Algorithm.LBS_APPROXIMATED)
+        assert largest(found["draws"][0], wanted) < DEGREES
+
+
+def test_a_material_that_skins_by_itself_is_told_of_once(stage: Stage) -> None:
+    told = stage.character(TUBE, BENT).told(Placement())
+    reason = 'its MeshBasicNodeMaterial "own" skins by its own vertexNode'
+    assert stage.page.call("foreign", told) == [["standard", reason]]
+    assert stage.page.messages() == [f'skinbake: "hero" has three.js\'s standard lighting: {reason}']
+
+
+@pytest.mark.parametrize("method", ["lbs", "dqs"])
+def test_webgpu_draws_the_same_picture(stage: Stage, method: str) -> None:
+    """WebGPU has no transform feedback; its pixels hold the normals as floats."""
+    if stage.page.call("backend", "webgpu") != "webgpu":
+        pytest.skip("this browser has no WebGPU adapter")
+    character = stage.character(TUBE, BENT, storage=STORAGES[1])
+    told = {**character.told(Placement()), "method": method}
+    accurate, other = (picture(stage.call("picture", {**told, "backend": b})) for b in ("webgl", "webgpu"))
+    standard = picture(stage.call("picture", {**told, "backend": "webgpu", "plugin": False}))
+    other, standard = other[::-1], standard[::-1]
+    seen = (accurate[..., 3] == 1) & (other[..., 3] == 1)
+    assert seen.mean() > 0.05
+    assert np.abs(accurate - other)[seen].max() < 1e-3
+    both = seen & (standard[..., 3] == 1)
+    assert np.percentile(angles(2 * other[both][:, :3] - 1, 2 * standard[both][:, :3] - 1), 99) > 2
+
+
+def picture(text: str) -> npt.NDArray[np.float32]:
+    return np.frombuffer(base64.b64decode(text), "<f4").reshape(SIZE, SIZE, 4)
