@@ -6,6 +6,7 @@ import { CSM } from 'three/addons/csm/CSM.js';
 import { GLTFExporter } from 'three/addons/exporters/GLTFExporter.js';
 import { GLTFLoader } from 'three/addons/loaders/GLTFLoader.js';
 import * as SkeletonUtils from 'three/addons/utils/SkeletonUtils.js';
+import { MToonMaterial, VRMLoaderPlugin } from '@pixiv/three-vrm';
 import * as skinbake from 'skinbake-three';
 
 const renderer = new THREE.WebGLRenderer({ antialias: false });
@@ -13,8 +14,9 @@ renderer.setSize(64, 64);
 document.body.append(renderer.domElement);
 const camera = new THREE.PerspectiveCamera(); // At the origin: view space is the world.
 
-async function load({ url, pose = {}, plugin = true, method, morphs }) {
+async function load({ url, pose = {}, plugin = true, vrm = false, method, morphs }) {
     const loader = new GLTFLoader();
+    if (vrm) loader.register((parser) => new VRMLoaderPlugin(parser));
     if (plugin) loader.register((parser) => new skinbake.SkinbakePlugin(parser, { method }));
     const gltf = await loader.loadAsync(url);
     const { scene, animations } = gltf;
@@ -74,6 +76,7 @@ const MATERIALS = {
     matcap: THREE.MeshMatcapMaterial,
     standard: THREE.MeshStandardMaterial,
     physical: THREE.MeshPhysicalMaterial,
+    mtoon: MToonMaterial,
 };
 
 // What applications do, before the first frame or after it.

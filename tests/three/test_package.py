@@ -30,6 +30,7 @@ PAGE = """<!doctype html>
 {"imports": {
     "three": "/three/build/three.module.js",
     "three/addons/": "/three/examples/jsm/",
+    "@pixiv/three-vrm": "/vrm/lib/three-vrm.module.js",
     "skinbake-three": "/package/index.js"
 }}
 </script>
@@ -82,12 +83,12 @@ def stage(opened: Stage) -> Stage:
 
 @pytest.fixture(scope="module")
 def opened(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stage]:
-    require_node("three")
+    require_node("three", "@pixiv/three-vrm")
     folder = tmp_path_factory.mktemp("package")
     for name in ("models", "profile"):
         (folder / name).mkdir()
     folders = {"models": folder / "models", "three": package_folder("three"), "package": PACKAGE}
-    folders |= {"tests": Path(__file__).resolve().parent}
+    folders |= {"tests": Path(__file__).resolve().parent, "vrm": package_folder("@pixiv/three-vrm")}
     with browser.opened(PAGE, folders, folder / "profile") as page:
         yield Stage(page, folder / "models")
 
@@ -142,6 +143,17 @@ def test_every_normal_is_that_of_the_replay(
     assert found["report"] == found["loaded"] == [["accurate", ""]]
     standard = expected(character, found["world"], Algorithm.LBS_APPROXIMATED)
     assert np.percentile(angles(vectors(drawn), standard[: len(vectors(drawn))]), 99) > 100 * DEGREES
+
+
+def test_three_vrm_loads_a_character_beside_the_plugin(stage: Stage) -> None:
+    character = stage.character(corpus.model("VRM/cryptovoxels.vrm"), RANDOM)
+    found = stage.page.call("normals", {**character.told(Placement()), "vrm": True})
+    # three-vrm warns of what this old file has.
+    assert [line for line in stage.page.messages() if "skinbake" in line] == []
+    wanted = expected(character, found["world"])
+    assert found["draws"]
+    assert max(largest(drawn, wanted) for drawn in found["draws"]) < DEGREES
+    assert found["report"] == [["accurate", ""]]
 
 
 @pytest.mark.parametrize("frame", ["normal", "tangent"])
