@@ -385,7 +385,14 @@ class PrimitiveBake:
     def notices(self) -> list[Notice]:
         """Return the assumptions made, and signs of errors in the model."""
         source, given = self.source, self.primitive
-        assumed = assumptions(given, self.result, self.findings, source.joint_count, source.place)
+        assumed = assumptions(
+            given,
+            self.result,
+            self.findings,
+            source.joint_count,
+            source.place,
+            fitted=self.fitted_to is not None,
+        )
         return [*assumed, *lean_notices(given, source.place)]
 
     def to_store(self, settings: JsonObject) -> Baked:

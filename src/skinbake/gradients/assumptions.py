@@ -25,8 +25,13 @@ def assumptions(
     findings: BakeFindings,
     joint_count: int,
     place: Place,
+    *,
+    fitted: bool,
 ) -> list[Notice]:
-    """Return one notice for each kind of assumption. joint_count is the number of joints of the skin."""
+    """Return one notice for each kind of assumption.
+
+    joint_count is the number of joints of the skin. fitted tells that the gradients are fitted to a rig.
+    """
     weights = findings.weights
     outside = 0
     if primitive.joints.max() >= joint_count:
@@ -34,7 +39,7 @@ def assumptions(
         outside = int(np.count_nonzero(unused.any(axis=1)))
     forced = baked.frame == Frame.TANGENT
     count = len(primitive.positions)
-    coarse = findings.adopting_vertices if findings.adopting_vertices > COARSE * count else 0
+    coarse = 0 if fitted or findings.adopting_vertices <= COARSE * count else findings.adopting_vertices
     consequence = "used all the same, as asked" if forced else "the frame is taken from NORMAL instead"
     table = [
         ("weights-negative", weights.negative, "{} vertices have negative weights: taken as 0"),
@@ -63,8 +68,8 @@ def assumptions(
             "lighting-doubtful",
             coarse,
             f"{{}} of {count:,} vertices take joints of their neighbours: the mesh is coarse for its "
-            "weights, and α/β often make the lighting of such a mesh worse. Run skinbake verify: it measures "
-            "that, and tries other options where it is so",
+            "weights, and the gradients of the surface often make the lighting of such a mesh worse. Run "
+            "skinbake verify, which measures that, or take --gradients rig",
         ),
         (
             "normals-zero",
