@@ -19,7 +19,10 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from skinbake.geometry.rig import Rig
 from skinbake.geometry.skinned import BakedPrimitive, Float64Array, FloatArray, SkinnedPrimitive
+from skinbake.gltf.document import read_document
+from skinbake.gltf.rigs import rig_of_mesh
 from skinbake.gradients import by_numpy, kernel
 from skinbake.gradients.baker import (
     BakeFindings,
@@ -132,6 +135,54 @@ def test_both_paths_agree_on_fixtures(name: str, weighting: str, monkeypatch: py
 def test_both_paths_agree_on_real_models(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     for primitives in meshes_of(path_of(name)).values():
         assert_paths_agree(primitives, "max", monkeypatch)
+
+
+def rigged_meshes_of(path: Path) -> list[tuple[list[SkinnedPrimitive], Rig]]:
+    """Return the primitives of every mesh that a skin draws, with its rig."""
+    document = read_document(str(path))
+    drawn = {node.get("mesh") for node in document.objects("nodes") if "skin" in node}
+    return [
+        (primitives, rig_of_mesh(document, mesh)[0])
+        for mesh, primitives in meshes_of(path).items()
+        if mesh in drawn
+    ]
+
+
+def assert_fits_agree(
+    primitives: Sequence[SkinnedPrimitive], rig: Rig, weighting: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Compare α and β fitted by both paths; they must differ from the surface's."""
+    plain = surface_of(primitives)
+    surface = replace(plain, rig=rig.with_joints(int(plain.field.joints.max()) + 1))
+    for adopt in (True, False):
+        compiled, whole = both(monkeypatch, partial(bake, surface, weighting, adopt))
+        found, expected = (np.hstack([slots.alpha, slots.beta]) for slots in (compiled, whole))
+        # Gradients as large that the order of a sum decides which is adopted may change places.
+        placed = (dense(compiled) == dense(whole)).all(axis=1)
+        assert np.count_nonzero(~placed) <= len(placed) // 100
+        off = np.abs(found - expected)[placed]
+        assert off.max(initial=0.0) <= 1e-5 * np.abs(expected).max(initial=0.0)
+        assert np.array_equal(compiled.counts[:, :2], whole.counts[:, :2])
+        bent = bake(plain, weighting, adopt)
+        if bent.alpha.any() and len(rig.parents) > 1:
+            assert not np.array_equal(compiled.alpha, bent.alpha)
+
+
+@pytest.mark.parametrize("weighting", WEIGHTINGS)
+@pytest.mark.parametrize("name", FIXTURES)
+def test_both_paths_fit_fixtures_alike(name: str, weighting: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    meshes = rigged_meshes_of(path_of(name))
+    assert meshes
+    for primitives, rig in meshes:
+        assert_fits_agree(primitives, rig, weighting, monkeypatch)
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_both_paths_fit_real_models_alike(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    meshes = rigged_meshes_of(path_of(name))
+    assert meshes
+    for primitives, rig in meshes:
+        assert_fits_agree(primitives, rig, "max", monkeypatch)
 
 
 @pytest.mark.parametrize("name", [CESIUM_MAN, PBR_TEST])
