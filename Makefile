@@ -55,8 +55,10 @@ picture: $(DEV) ## Draw docs/bend.png and docs/shaders.png anew; the latter need
 	$(BIN)/python -m benchmarks.bend_picture docs/bend.png
 	$(BIN)/python -m benchmarks.bend_render docs/shaders.png
 
-table: $(DEV) ## Write docs/lighting.md, docs/encodings.md and docs/morphs.md anew, from the models of SKINBAKE_CORPUS or ../shared/corpus
+table: $(DEV) ## Write docs/lighting.md, docs/fitted.md, docs/encodings.md and docs/morphs.md anew, from the models of SKINBAKE_CORPUS or ../shared/corpus
 	$(BIN)/python -m benchmarks.corpus_table
+	$(BIN)/python -m benchmarks.analytic_truth
+	$(BIN)/python -m benchmarks.fitted_gradients
 	$(BIN)/python -m benchmarks.encoding_table
 	$(BIN)/python -m benchmarks.morph_frames
 
