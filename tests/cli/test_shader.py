@@ -240,6 +240,8 @@ class TestForFile:
         result = invoke("shader", "--lang", "glsl", "--for", file)
         assert result.exit_code == 3
         assert "have different values of frame" in result.stderr
+        # The module for three.js reads the frame of each mesh when it runs.
+        assert invoke("shader", "--target", "three", "--for", file).exit_code == 0
         assert "choose one with --frame" in result.stderr
         result = invoke("shader", "--lang", "glsl", "--for", file, "--frame", "tangent")
         assert result.exit_code == 0

@@ -18,9 +18,10 @@ from fixtures.make_fixtures import FOLDER
 from skinbake.choices import Encoding, Layout
 from skinbake.format.layouts import GradientFormat
 from skinbake.skinning.algorithms import Algorithm
-from tests.support import browser, corpus
+from tests.support import browser, corpus, gltf_transform
 from tests.support.characters import AS_USUAL, Array, Character, Placement, Pose, angles, baked
 from tests.support.node import package_folder, require_node
+from tests.three.test_three import with_morphs
 from tests.three.write_package import FOLDER as PACKAGE
 
 PAGE = """<!doctype html>
@@ -159,6 +160,23 @@ def test_three_vrm_loads_a_character_beside_the_plugin(stage: Stage) -> None:
 @pytest.mark.parametrize("frame", ["normal", "tangent"])
 def test_both_frames_have_the_same_module(stage: Stage, frame: str) -> None:
     character = stage.character(MIRRORED, RANDOM, frame)
+    found = stage.normals(character)
+    assert largest(found["draws"][0], expected(character, found["world"])) < DEGREES
+
+
+@pytest.mark.parametrize("frame", ["normal", "tangent"])
+def test_morph_targets_come_before_skinning(stage: Stage, frame: str) -> None:
+    path = baked(with_morphs(stage.models, MIRRORED), stage.models, frame)
+    character = Character(path, RANDOM, (0.7, -0.4))
+    found = stage.normals(character)
+    assert largest(found["draws"][0], expected(character, found["world"])) < DEGREES
+
+
+def test_a_file_that_gltf_transform_has_optimised_before_the_bake(stage: Stage) -> None:
+    small = stage.models / "small.glb"
+    done = gltf_transform.run(["optimize", TUBE, small, "--compress", "false", "--simplify", "false"])
+    assert done.returncode == 0, done.stderr
+    character = stage.character(small, BENT)
     found = stage.normals(character)
     assert largest(found["draws"][0], expected(character, found["world"])) < DEGREES
 

@@ -16,7 +16,7 @@ import pytest
 from skinbake.format.layouts import GradientFormat
 from skinbake.skinning.algorithms import Algorithm
 from tests.support import browser, corpus
-from tests.support.characters import Placement, Pose, angles
+from tests.support.characters import Character, Placement, Pose, angles, baked
 from tests.support.node import package_folder, require_node
 from tests.three.test_package import (
     BENT,
@@ -30,6 +30,7 @@ from tests.three.test_package import (
     expected,
     largest,
 )
+from tests.three.test_three import with_morphs
 from tests.three.write_package import FOLDER as PACKAGE
 
 PAGE = """<!doctype html>
@@ -82,6 +83,14 @@ def test_every_normal_is_that_of_the_replay(
     algorithm = Algorithm.LBS_ACCURATE if method == "lbs" else Algorithm.DQS_EXACT
     assert largest(drawn, expected(character, found["world"], algorithm)) < DEGREES
     assert found["report"] == [["accurate", ""]]
+
+
+@pytest.mark.parametrize("frame", ["normal", "tangent"])
+def test_morph_targets_come_before_skinning(stage: Stage, frame: str) -> None:
+    path = baked(with_morphs(stage.models, MIRRORED), stage.models, frame)
+    character = Character(path, RANDOM, (0.7, -0.4))
+    found = stage.normals(character)
+    assert largest(found["draws"][0], expected(character, found["world"])) < DEGREES
 
 
 @pytest.mark.parametrize(("model", "fixture", "pose"), CHARACTERS[2:])

@@ -105,7 +105,8 @@ def write_shader(result: ShaderResult, target: str, *, sync: bool = True) -> Non
 
 def _choices(request: ShaderRequest) -> tuple[ShaderChoices, list[Notice]]:
     notices = []
-    if request.frame is None:
+    # The module for three.js reads the frame from the file when it runs.
+    if request.frame is None and request.target != THREE:
         message = (
             f"the shader is made for --frame {Frame.NORMAL}, but bake uses the tangent frame if a "
             "mesh has TANGENT. Name the baked file with --for, or give --frame"
@@ -142,6 +143,8 @@ def _choices_of_file(
     serving = [view for view in views if _serves(view, request)]
     if not serving:
         raise InputError(_why_none(views, request), document.place)
+    if request.target == THREE:
+        return _choices_at_run_time(document, serving, request)
     frame = request.frame or Frame(str(_agreed(document, serving, "frame")))
     influences = request.influences or int(_agreed(document, serving, "influences"))
     for view in serving:
@@ -157,6 +160,15 @@ def _choices_of_file(
     choices = _with_joints(document, serving, choices)
     others += [notice for view in serving for notice in _unlike_one(view, request)]
     return choices, [*others, *(_not_for(view) for view in views if not _serves(view, request))]
+
+
+def _choices_at_run_time(
+    document: Document, views: Sequence[BakedView], request: ShaderRequest
+) -> tuple[ShaderChoices, list[Notice]]:
+    """Return the choices for a module that reads everything else from the file when it runs."""
+    influences = request.influences or max(int(view.metadata["influences"]) for view in views)
+    choices = _made(request, Frame(str(views[0].metadata["frame"])), influences)
+    return _with_joints(document, views, choices), []
 
 
 def _with_names(
