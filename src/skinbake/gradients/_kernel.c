@@ -1480,9 +1480,10 @@ static int gather_turns(const Surface *s, Vector position, const Fitted *fitted,
     for (int turning = 0; left > 1; turning++) {
         Node *lowest = NULL;
         for (size_t n = 0; n < w->node_count; n++)
-            if (!w->nodes[n].done && (lowest == NULL || w->nodes[n].rank > lowest->rank))
+            if (!w->nodes[n].done && w->nodes[n].joint != NO_JOINT &&
+                (lowest == NULL || w->nodes[n].rank > lowest->rank))
                 lowest = &w->nodes[n];
-        if (turning == MOST_TURNS)
+        if (lowest == NULL || turning == MOST_TURNS)
             return 0;
         add_turn(s, position, lowest, fitted, w);
         int32_t parent = s->parents[lowest->joint], rank = lowest->rank;

@@ -22,7 +22,7 @@ STIFFNESS = 0.12
 FLAT = 1e-6
 """The sine between the two derivatives of the positions below which a class has no normal of its own."""
 
-UNFELT = 1e-6
+UNFELT = 1e-4
 """A joint with at most this weight at a vertex, and no gradient there, is not fitted.
 
 Its α would make up for errors of others, at the end of a long lever.
