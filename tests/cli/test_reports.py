@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.support.command_line import invoke
+from tests.support.models import FOLDER as MODELS
 from tests.support.models import SHARED, SHARED_BIN, bake, copied
 
 Link = Callable[[Path, Path], object]
@@ -142,3 +143,10 @@ def test_a_report_is_written_whole_or_not_at_all(model: Path, tmp_path: Path) ->
     assert invoke("verify", model, "--poses", "rest", "--junit", junit, "--no-sync").exit_code == 0
     assert junit.stat().st_ino != inode  # renamed into place
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.xml", "seam.glb"]
+
+
+@pytest.mark.parametrize("kind", ["rig", "surface"])
+def test_inspect_names_the_kind_of_gradients(tmp_path: Path, kind: str) -> None:
+    target = tmp_path / "tube.glb"
+    assert invoke("bake", MODELS / "bent_tube.glb", "-o", target, "-q", "--gradients", kind).exit_code == 0
+    assert f", gradients {kind}, frame from normal, " in invoke("inspect", target).stdout
