@@ -48,8 +48,9 @@ lint: $(DEV)
 fixtures: $(DEV) ## Write fixtures/ anew
 	$(BIN)/python -m fixtures.make_fixtures
 
-golden: $(DEV) ## Write tests/shaders/golden anew, after a change of templates: review the diff
+golden: $(DEV) ## Write tests/shaders/golden and engines/three anew, after a change of templates: review the diff
 	$(BIN)/python -m tests.shaders.write_golden
+	$(BIN)/python -m tests.three.write_package
 
 picture: $(DEV) ## Draw docs/bend.png and docs/shaders.png anew; the latter needs a Vulkan driver
 	$(BIN)/python -m benchmarks.bend_picture docs/bend.png

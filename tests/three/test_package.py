@@ -5,23 +5,32 @@ The normals are the varying that three.js's own programs hand to fragment shader
 
 from __future__ import annotations
 
-import base64
-import dataclasses
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
-from fixtures.make_fixtures import FOLDER
-from skinbake.choices import Encoding, Layout
+from skinbake.choices import Encoding
 from skinbake.format.layouts import GradientFormat
 from skinbake.skinning.algorithms import Algorithm
 from tests.support import browser, corpus, gltf_transform
-from tests.support.characters import AS_USUAL, Array, Character, Placement, Pose, angles, baked
+from tests.support.characters import AS_USUAL, Character, Placement, Pose, angles, baked
 from tests.support.node import package_folder, require_node
-from tests.three.test_three import with_morphs
+from tests.three.drawn import (
+    BENT,
+    CHARACTERS,
+    DEGREES,
+    MIRRORED,
+    RANDOM,
+    STORAGES,
+    TUBE,
+    Stage,
+    expected,
+    largest,
+    vectors,
+    with_morphs,
+)
 from tests.three.write_package import FOLDER as PACKAGE
 
 PAGE = """<!doctype html>
@@ -38,41 +47,6 @@ PAGE = """<!doctype html>
 <script src="/tests/capture.js"></script>
 <body><script type="module">window.ready = import('/tests/drawing.mjs');</script>
 """
-DEGREES = 0.01
-"""Between the browser and the replay: three.js has bone matrices, and we all else, in float32."""
-TUBE = FOLDER / "bent_tube.glb"
-MIRRORED = FOLDER / "mirrored_tangent.glb"
-BENT = Pose(clip=0, time=0.45)
-RANDOM = Pose(clip=None)
-
-
-class Stage:
-    """The page, and the models that it can load."""
-
-    def __init__(self, page: browser.Page, models: Path) -> None:
-        self.page, self.models = page, models
-
-    def character(
-        self, source: Path, pose: Pose, frame: str = "auto", storage: GradientFormat = AS_USUAL
-    ) -> Character:
-        return Character(baked(source, self.models, frame, storage), pose)
-
-    def call(self, function: str, options: dict[str, Any]) -> Any:
-        """Call a function of the page; whatever the console says of it fails the test.
-
-        The corpus has no images beside its models.
-        """
-        value = self.page.call(function, options)
-        missing = (
-            "Failed to load resource",
-            "THREE.GLTFLoader: Couldn't load",
-            "THREE.GLTFLoader: Unknown ext",
-        )
-        assert [line for line in self.page.messages() if not line.startswith(missing)] == []
-        return value
-
-    def normals(self, character: Character, **options: object) -> dict[str, Any]:
-        return dict(self.call("normals", {**character.told(Placement()), **options}))
 
 
 @pytest.fixture
@@ -92,43 +66,6 @@ def opened(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stage]:
     folders |= {"tests": Path(__file__).resolve().parent, "vrm": package_folder("@pixiv/three-vrm")}
     with browser.opened(PAGE, folders, folder / "profile") as page:
         yield Stage(page, folder / "models")
-
-
-def vectors(text: str) -> Array:
-    return np.frombuffer(base64.b64decode(text), "<f4").reshape(-1, 3).astype(np.float64)
-
-
-def expected(
-    character: Character, world: list[float], algorithm: Algorithm = Algorithm.LBS_ACCURATE
-) -> Array:
-    placement = dataclasses.replace(Placement(), world=np.array(world).reshape(4, 4).T)
-    return character.expected(algorithm, placement).normals
-
-
-def largest(found: str, wanted: Array) -> float:
-    normals = vectors(found)
-    return float(angles(normals, wanted[: len(normals)]).max())
-
-
-CHARACTERS = [
-    pytest.param(None, TUBE, BENT, id="bent_tube"),
-    pytest.param(None, FOLDER / "weights_u8.glb", RANDOM, id="weights_u8"),
-    pytest.param("CesiumMan/CesiumMan.glb", None, Pose(0, 0.6), id="CesiumMan"),
-    pytest.param("RiggedFigure/RiggedFigure.gltf", None, Pose(0, 0.7), id="RiggedFigure"),
-    pytest.param("VRM/cryptovoxels.vrm", None, RANDOM, id="cryptovoxels"),
-    pytest.param("RiggedSimple/RiggedSimple.gltf", None, Pose(0, 0.8), id="RiggedSimple"),
-    pytest.param("RobotMantis/animated_robot_mantis.glb", None, Pose(0, 0.5), id="RobotMantis"),
-    pytest.param("Butterfly/animated_butterfly.glb", None, Pose(0, 0.4), id="Butterfly"),
-    pytest.param("TRex/trex.gltf", None, Pose(0, 0.5), id="TRex"),
-    pytest.param("XRHand/hand_l.gltf", None, RANDOM, id="XRHand"),
-]
-STORAGES = [
-    AS_USUAL,
-    GradientFormat(Encoding.PACKED8),
-    GradientFormat(Encoding.SNORM16),
-    GradientFormat(layout=Layout.TEXCOORD),
-    GradientFormat(Encoding.PACKED8, Layout.CUSTOM),
-]
 
 
 @pytest.mark.parametrize("storage", STORAGES, ids=lambda storage: f"{storage.encoding} {storage.layout}")

@@ -12,7 +12,7 @@ from skinbake.skinning.algorithms import Algorithm
 from tests.support import browser
 from tests.support.characters import Placement
 from tests.support.node import package_folder, require_node
-from tests.three.test_package import BENT, DEGREES, TUBE, Stage, expected, largest
+from tests.three.drawn import BENT, DEGREES, TUBE, Stage, expected, largest
 from tests.three.write_package import FOLDER as PACKAGE
 
 HERE = Path(__file__).resolve().parent

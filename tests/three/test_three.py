@@ -41,6 +41,7 @@ from tests.support.characters import (
 )
 from tests.support.node import package_folder, require_node
 from tests.support.whole_fields import shader_text
+from tests.three.drawn import with_morphs
 
 PAGE = """<!doctype html>
 <meta charset="utf-8">
@@ -329,28 +330,6 @@ class TestTangents:
         assert deviation(found.values[0], expected.normals) < TOLERANCE
         if has_map:
             assert deviation(found.values[1], expected.tangents) < TOLERANCE
-
-
-def with_morphs(folder: Path, source: Path) -> Path:
-    """Add two morph targets to a copy of a fixture: waves that move positions and turn normals."""
-    target = folder / f"{source.stem}-morphs.glb"
-    if target.exists():
-        return target
-    file = Editable(source)
-    positions, normals = file.array("POSITION").copy(), file.array("NORMAL").copy()
-    targets = []
-    for axis, frequency in ((0, 9.0), (2, 5.0)):
-        wave = np.sin(frequency * positions[:, [axis - 1]])
-        moved = 0.3 * wave * normals
-        turned = 1.5 * np.roll(normals, 1, axis=1) * wave
-        accessors = [file.add(part.astype(np.float32)) for part in (moved, turned)]
-        file.content["accessors"][accessors[0]] |= {
-            "min": moved.min(axis=0).tolist(),
-            "max": moved.max(axis=0).tolist(),
-        }
-        targets.append({"POSITION": accessors[0], "NORMAL": accessors[1]})
-    file.primitive()["targets"] = targets
-    return file.write(target)
 
 
 class TestMorphTargets:

@@ -18,7 +18,7 @@ from skinbake.skinning.algorithms import Algorithm
 from tests.support import browser, corpus
 from tests.support.characters import Character, Placement, Pose, angles, baked
 from tests.support.node import package_folder, require_node
-from tests.three.test_package import (
+from tests.three.drawn import (
     BENT,
     CHARACTERS,
     DEGREES,
@@ -29,8 +29,8 @@ from tests.three.test_package import (
     Stage,
     expected,
     largest,
+    with_morphs,
 )
-from tests.three.test_three import with_morphs
 from tests.three.write_package import FOLDER as PACKAGE
 
 PAGE = """<!doctype html>

@@ -1,0 +1,114 @@
+"""Characters that a page draws, and the normals that it should have drawn."""
+
+from __future__ import annotations
+
+import base64
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fixtures.make_fixtures import FOLDER
+from skinbake.choices import Encoding, Layout
+from skinbake.format.layouts import GradientFormat
+from skinbake.skinning.algorithms import Algorithm
+from tests.support import browser
+from tests.support.baked_files import Editable
+from tests.support.characters import AS_USUAL, Array, Character, Placement, Pose, angles, baked
+
+DEGREES = 0.01
+"""Between the browser and the replay: three.js has bone matrices, and we all else, in float32."""
+TUBE = FOLDER / "bent_tube.glb"
+MIRRORED = FOLDER / "mirrored_tangent.glb"
+BENT = Pose(clip=0, time=0.45)
+RANDOM = Pose(clip=None)
+
+
+CHARACTERS = [
+    pytest.param(None, TUBE, BENT, id="bent_tube"),
+    pytest.param(None, FOLDER / "weights_u8.glb", RANDOM, id="weights_u8"),
+    pytest.param("CesiumMan/CesiumMan.glb", None, Pose(0, 0.6), id="CesiumMan"),
+    pytest.param("RiggedFigure/RiggedFigure.gltf", None, Pose(0, 0.7), id="RiggedFigure"),
+    pytest.param("VRM/cryptovoxels.vrm", None, RANDOM, id="cryptovoxels"),
+    pytest.param("RiggedSimple/RiggedSimple.gltf", None, Pose(0, 0.8), id="RiggedSimple"),
+    pytest.param("RobotMantis/animated_robot_mantis.glb", None, Pose(0, 0.5), id="RobotMantis"),
+    pytest.param("Butterfly/animated_butterfly.glb", None, Pose(0, 0.4), id="Butterfly"),
+    pytest.param("TRex/trex.gltf", None, Pose(0, 0.5), id="TRex"),
+    pytest.param("XRHand/hand_l.gltf", None, RANDOM, id="XRHand"),
+]
+STORAGES = [
+    AS_USUAL,
+    GradientFormat(Encoding.PACKED8),
+    GradientFormat(Encoding.SNORM16),
+    GradientFormat(layout=Layout.TEXCOORD),
+    GradientFormat(Encoding.PACKED8, Layout.CUSTOM),
+]
+
+
+class Stage:
+    """The page, and the models that it can load."""
+
+    def __init__(self, page: browser.Page, models: Path) -> None:
+        self.page, self.models = page, models
+
+    def character(
+        self, source: Path, pose: Pose, frame: str = "auto", storage: GradientFormat = AS_USUAL
+    ) -> Character:
+        return Character(baked(source, self.models, frame, storage), pose)
+
+    def call(self, function: str, options: dict[str, Any]) -> Any:
+        """Call a function of the page; whatever the console says of it fails the test.
+
+        The corpus has no images beside its models.
+        """
+        value = self.page.call(function, options)
+        missing = (
+            "Failed to load resource",
+            "THREE.GLTFLoader: Couldn't load",
+            "THREE.GLTFLoader: Unknown ext",
+        )
+        assert [line for line in self.page.messages() if not line.startswith(missing)] == []
+        return value
+
+    def normals(self, character: Character, **options: object) -> dict[str, Any]:
+        return dict(self.call("normals", {**character.told(Placement()), **options}))
+
+
+def vectors(text: str) -> Array:
+    return np.frombuffer(base64.b64decode(text), "<f4").reshape(-1, 3).astype(np.float64)
+
+
+def expected(
+    character: Character, world: list[float], algorithm: Algorithm = Algorithm.LBS_ACCURATE
+) -> Array:
+    placement = dataclasses.replace(Placement(), world=np.array(world).reshape(4, 4).T)
+    return character.expected(algorithm, placement).normals
+
+
+def largest(found: str, wanted: Array) -> float:
+    normals = vectors(found)
+    return float(angles(normals, wanted[: len(normals)]).max())
+
+
+def with_morphs(folder: Path, source: Path) -> Path:
+    """Add two morph targets to a copy of a fixture: waves that move positions and turn normals."""
+    target = folder / f"{source.stem}-morphs.glb"
+    if target.exists():
+        return target
+    file = Editable(source)
+    positions, normals = file.array("POSITION").copy(), file.array("NORMAL").copy()
+    targets = []
+    for axis, frequency in ((0, 9.0), (2, 5.0)):
+        wave = np.sin(frequency * positions[:, [axis - 1]])
+        moved = 0.3 * wave * normals
+        turned = 1.5 * np.roll(normals, 1, axis=1) * wave
+        accessors = [file.add(part.astype(np.float32)) for part in (moved, turned)]
+        file.content["accessors"][accessors[0]] |= {
+            "min": moved.min(axis=0).tolist(),
+            "max": moved.max(axis=0).tolist(),
+        }
+        targets.append({"POSITION": accessors[0], "NORMAL": accessors[1]})
+    file.primitive()["targets"] = targets
+    return file.write(target)
