@@ -32,6 +32,9 @@ console.log(JSON.stringify([...found, THREE.ShaderChunk.skinnormal_vertex === be
 """
 
 
+pytestmark = pytest.mark.slow
+
+
 def run(*command: str, folder: Path) -> str:
     done = subprocess.run(
         command, cwd=folder, capture_output=True, encoding="utf-8", timeout=300, check=False
