@@ -38,7 +38,7 @@ def transform(tmp_path_factory: pytest.TempPathFactory) -> Transform:
 
     def run(name: str, command: str, *options: str, suffix: str = ".glb") -> Answer:
         if name not in bakes:
-            bakes[name] = baked(source(name), tmp_path_factory.mktemp("baked"))
+            bakes[name] = baked(source(name), tmp_path_factory.mktemp("baked"), gradients="surface")
         target = tmp_path_factory.mktemp(command) / f"out{suffix}"
         process = gltf_transform.run([command, bakes[name], target, *options])
         assert process.returncode == 0, process.stderr

@@ -19,7 +19,7 @@ from skinbake.gltf.document import read_document
 from skinbake.gltf.primitives import skinned_sources
 from skinbake.gradients.baker import BakeSettings, bake_mesh
 from skinbake.lighting import angles as lighting
-from skinbake.lighting import blending, metrics
+from skinbake.lighting import blending, tally
 from skinbake.lighting.baked_views import baked_views
 from skinbake.lighting.blending import BlendedSurface
 from skinbake.lighting.influences import normalised_weights
@@ -433,7 +433,7 @@ def test_the_figures_do_not_depend_on_blocks(
     monkeypatch.setattr(blending, "CHUNK_SAMPLES", 1000)
     monkeypatch.setattr(blending, "CHUNK_POSES", 7)
     monkeypatch.setattr(blending, "BLOCK_SAMPLES", 90)
-    monkeypatch.setattr(metrics, "_TAIL", 100)
+    monkeypatch.setattr(tally, "_TAIL", 100)
     pieces = measured(path, poses=request)
     assert whole.normals is not None
     assert pieces.normals is not None

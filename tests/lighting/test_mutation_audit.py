@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from skinbake.choices import PoseKind
+from skinbake.choices import Gradients, PoseKind
 from skinbake.commands.bake import Baker
 from skinbake.commands.verify import verify_file
 from skinbake.lighting.measured import VerifyOptions
@@ -74,7 +74,9 @@ def bakes(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     names = list(FIXTURES)
     if corpus.find_corpus() is not None:
         names += [CESIUM_MAN]
-    return {name: baked(source(name), tmp_path_factory.mktemp("baked")) for name in names}
+    return {
+        name: baked(source(name), tmp_path_factory.mktemp("baked"), gradients="surface") for name in names
+    }
 
 
 def test_no_harmful_mutation_passes_and_few_harmless_fail(bakes: dict[str, Path], tmp_path: Path) -> None:
@@ -103,7 +105,7 @@ def judged(what: str, name: str, path: Path, original: Path | None) -> Outcome:
     And from the original's, where that is given and has the same vertices.
     """
     again = path.with_name(f"again-{path.name}")
-    result = Baker().bake_file(str(path), str(again))
+    result = Baker(gradients=Gradients.SURFACE).bake_file(str(path), str(again))
     assert result.status == "baked", (what, name, result.error)
     found = accurate_normals(path)
     harm = largest_angle(found, accurate_normals(again))
@@ -136,7 +138,7 @@ def test_twenty_tools_leave_the_lighting_and_pass(tmp_path: Path) -> None:
     for number, name in enumerate(names):
         folder = tmp_path / str(number)
         folder.mkdir()
-        path = baked(source_of(name), folder)
+        path = baked(source_of(name), folder, gradients="surface")
         jobs += [(path, folder / f"{tool}.glb", tool) for tool in (*SAFE_TOOLS, *OTHER_TOOLS)]
     failures = gltf_transform.transform(jobs)
     assert not any(failures), [(job, why) for job, why in zip(jobs, failures, strict=True) if why]

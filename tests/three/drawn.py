@@ -33,7 +33,6 @@ CHARACTERS = [
     pytest.param("RiggedFigure/RiggedFigure.gltf", None, Pose(0, 0.7), id="RiggedFigure"),
     pytest.param("VRM/cryptovoxels.vrm", None, RANDOM, id="cryptovoxels"),
     pytest.param("RiggedSimple/RiggedSimple.gltf", None, Pose(0, 0.8), id="RiggedSimple"),
-    pytest.param("RobotMantis/animated_robot_mantis.glb", None, Pose(0, 0.5), id="RobotMantis"),
     pytest.param("Butterfly/animated_butterfly.glb", None, Pose(0, 0.4), id="Butterfly"),
     pytest.param("TRex/trex.gltf", None, Pose(0, 0.5), id="TRex"),
     pytest.param("XRHand/hand_l.gltf", None, RANDOM, id="XRHand"),
