@@ -113,10 +113,11 @@ def test_better_lighting_is_no_notice(tmp_path: Path, name: str) -> None:
 @pytest.mark.parametrize(
     ("name", "options", "said"),
     [
-        (CYLINDER, (), True),
-        (FIGURE, (), True),
-        (CYLINDER, ("--neighbours", "drop"), False),
-        (CESIUM_MAN, (), False),
+        (CYLINDER, ("--gradients", "surface"), True),
+        (FIGURE, ("--gradients", "surface"), True),
+        (CYLINDER, ("--gradients", "rig"), False),
+        (CYLINDER, ("--gradients", "surface", "--neighbours", "drop"), False),
+        (CESIUM_MAN, ("--gradients", "surface"), False),
     ],
 )
 def test_bake_says_where_worse_lighting_is_likely(
