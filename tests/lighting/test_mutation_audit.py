@@ -69,43 +69,52 @@ class Outcome:
         return f"{self.what:<42} {self.name:<28} {self.harm:8.3f}°  {verdict}"
 
 
+@pytest.fixture(scope="module", params=list(Gradients))
+def gradients(request: pytest.FixtureRequest) -> Gradients:
+    kind: Gradients = request.param
+    return kind
+
+
 @pytest.fixture(scope="module")
-def bakes(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+def bakes(tmp_path_factory: pytest.TempPathFactory, gradients: Gradients) -> dict[str, Path]:
     names = list(FIXTURES)
     if corpus.find_corpus() is not None:
         names += [CESIUM_MAN]
     return {
-        name: baked(source(name), tmp_path_factory.mktemp("baked"), gradients="surface") for name in names
+        name: baked(source(name), tmp_path_factory.mktemp("baked"), gradients=gradients) for name in names
     }
 
-
-def test_no_harmful_mutation_passes_and_few_harmless_fail(bakes: dict[str, Path], tmp_path: Path) -> None:
+def test_no_harmful_mutation_passes_and_few_harmless_fail(
+    bakes: dict[str, Path], gradients: Gradients, tmp_path: Path
+) -> None:
     harmful: list[Outcome] = []
     harmless: list[Outcome] = []
     for seed in range(MUTATIONS):
         rng = np.random.default_rng(seed)
         kinds, found = (HARMFUL, harmful) if seed % 2 else (HARMLESS, harmless)
         name = str(rng.choice(list(bakes)))
-        found.append(outcome(kinds[seed // 2 % len(kinds)], name, bakes[name], tmp_path, seed))
+        found.append(outcome(kinds[seed // 2 % len(kinds)], name, bakes[name], tmp_path, seed, gradients))
     judge(harmful, harmless)
     # As many as these are harmful, so the audit looks at something.
     assert sum(one.harm > HARM for one in harmful) > 0.7 * len(harmful), table(harmful)
     assert all(one.harm < NONE for one in harmless), table(harmless)
 
 
-def outcome(mutation: Mutation, name: str, original: Path, folder: Path, seed: int) -> Outcome:
+def outcome(
+    mutation: Mutation, name: str, original: Path, folder: Path, seed: int, gradients: Gradients
+) -> Outcome:
     path = mutated(mutation, original, folder / f"{seed}.glb", seed)
     moves = mutation.name == "vertices reordered"
-    return judged(mutation.name, name, path, None if moves else original)
+    return judged(mutation.name, name, path, None if moves else original, gradients)
 
 
-def judged(what: str, name: str, path: Path, original: Path | None) -> Outcome:
+def judged(what: str, name: str, path: Path, original: Path | None, gradients: Gradients) -> Outcome:
     """Return what verify says of a changed file, and how far its lighting is from a fresh bake's.
 
     And from the original's, where that is given and has the same vertices.
     """
     again = path.with_name(f"again-{path.name}")
-    result = Baker(gradients=Gradients.SURFACE).bake_file(str(path), str(again))
+    result = Baker(gradients=gradients).bake_file(str(path), str(again))
     assert result.status == "baked", (what, name, result.error)
     found = accurate_normals(path)
     harm = largest_angle(found, accurate_normals(again))
@@ -129,7 +138,7 @@ def table(outcomes: Sequence[Outcome]) -> str:
     return "\n".join(str(one) for one in outcomes)
 
 
-def test_twenty_tools_leave_the_lighting_and_pass(tmp_path: Path) -> None:
+def test_twenty_tools_leave_the_lighting_and_pass(tmp_path: Path, gradients: Gradients) -> None:
     gltf_transform.require_node()
     names = ["bent_tube.glb", "foreign_joints.glb", "seam.glb", "weights_u16.glb", "weights_u8.glb"]
     if corpus.find_corpus() is not None:
@@ -138,12 +147,12 @@ def test_twenty_tools_leave_the_lighting_and_pass(tmp_path: Path) -> None:
     for number, name in enumerate(names):
         folder = tmp_path / str(number)
         folder.mkdir()
-        path = baked(source_of(name), folder, gradients="surface")
+        path = baked(source_of(name), folder, gradients=gradients)
         jobs += [(path, folder / f"{tool}.glb", tool) for tool in (*SAFE_TOOLS, *OTHER_TOOLS)]
     failures = gltf_transform.transform(jobs)
     assert not any(failures), [(job, why) for job, why in zip(jobs, failures, strict=True) if why]
     found = {
-        tool: [judged(tool, path.name, target, None) for path, target, one in jobs if one == tool]
+        tool: [judged(tool, path.name, target, None, gradients) for path, target, one in jobs if one == tool]
         for tool in SAFE_TOOLS
     }
     harmless = [one for outcomes in found.values() for one in outcomes]
@@ -151,7 +160,7 @@ def test_twenty_tools_leave_the_lighting_and_pass(tmp_path: Path) -> None:
     judge([], harmless)
     for path, target, tool in jobs:
         if tool in OTHER_TOOLS:
-            judge([judged(tool, path.name, target, None)], [])
+            judge([judged(tool, path.name, target, None, gradients)], [])
 
 
 def source_of(name: str) -> Path:

@@ -993,11 +993,31 @@ static void find_leverage(RingFrame *f, const Vector derivatives[2], double flat
     }
 }
 
+/* The sum of the unit normals at the corners of a class, of any length. It depends neither on the order of the
+   vertices nor on how often one is stored. */
+static ALWAYS_INLINE Vector sum_normals(const Surface *s, Members corners)
+{
+    Vector sum = {0.0, 0.0, 0.0}, unit = sum;
+    size_t latest = SIZE_MAX;
+    for (size_t n = 0; n < corners.count; n++) {
+        size_t vertex = s->triangles[3 * (size_t)(corners.first[n] >> 2) + (corners.first[n] & 3)];
+        if (vertex >= (size_t)s->vertices)
+            continue; /* find_edges notes what has changed since the check */
+        if (vertex != latest && !unit_normal(row3(s->normals, s->wide_normals, vertex), &unit))
+            unit = (Vector){0.0, 0.0, 0.0};
+        latest = vertex;
+        sum = plus(sum, unit);
+    }
+    double least = s->fit.flat * (double)corners.count;
+    return dot(sum, sum) > least * least ? sum : (Vector){0.0, 0.0, 0.0};
+}
+
 /* Measure the frame of a class from its corners, which stand in the blocks. */
-static ALWAYS_INLINE void measure_ring(const Surface *s, size_t vertex, size_t corners, double total, Scratch *w)
+static ALWAYS_INLINE void measure_ring(const Surface *s, Members around, double total, Scratch *w)
 {
     RingFrame *f = &w->frame;
-    Vector given = row3(s->normals, s->wide_normals, vertex);
+    const size_t corners = around.count;
+    Vector given = sum_normals(s, around);
     f->sound = unit_normal(given, &f->normal);
     frame_from_normal(given, &f->tangents[0], &f->tangents[1]);
     f->total = total;
@@ -1112,13 +1132,13 @@ static inline void add_turns(const Surface *s, size_t neighbour, const double by
 }
 
 /* Measure the frame of a class, and sum up its turns for every joint met. The corners stand in the blocks. */
-static ALWAYS_INLINE void sum_turns(const Surface *s, Shape shape, size_t vertex, size_t corners, int32_t used,
+static ALWAYS_INLINE void sum_turns(const Surface *s, Shape shape, size_t vertex, Members corners, int32_t used,
                                     double total, Scratch *w)
 {
-    measure_ring(s, vertex, corners, total, w);
+    measure_ring(s, corners, total, w);
     if (!w->frame.sound)
         return;
-    find_ring(corners, w);
+    find_ring(corners.count, w);
     const size_t slots = shape.slots;
     memset(w->turns, 0, (size_t)used * TURN * sizeof *w->turns);
     Four sums[TURN], own = slots == 4 ? load(s->weights + vertex * slots) : all(0.0);
@@ -1201,7 +1221,7 @@ static ALWAYS_INLINE int32_t sum_corners(const Surface *s, Shape shape, size_t v
     if (shape.fits) {
         w->frame.sound = 0;
         if (varies && corners.count <= MOST_CORNERS)
-            sum_turns(s, shape, vertex, corners.count, used, *total, w);
+            sum_turns(s, shape, vertex, corners, used, *total, w);
     }
     for (int32_t n = 0; n < used; n++)
         if (w->met[n] >= 0)

@@ -16,7 +16,6 @@ from skinbake.geometry.frames import frame_from_normal, has_direction, unit_norm
 from skinbake.geometry.rig import Rig
 from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray, IntArray
 from skinbake.gradients.field import NO_JOINT, WeightField
-from skinbake.gradients.labels import first_rows
 from skinbake.gradients.surface import FLAT, NEGLIGIBLE, STIFFNESS, UNFELT, Surface
 from skinbake.gradients.weight_gradients import (
     VertexGradients,
@@ -59,11 +58,9 @@ def ring_turns(surface: Surface, *, weighting: str) -> RingTurns:
     of the positions, and the angle-weighted mean of the triangles' normals.
     """
     classes = surface.classes.astype(np.int64)
-    first = first_rows(classes)
-    unit = unit_normals(surface.normals[first])
-    normals = unit.astype(np.float64)
-    tangents = np.stack(frame_from_normal(unit), axis=1).astype(np.float64)
-    count = len(first)
+    count = int(classes.max(initial=-1)) + 1
+    normals, directed = _normals_of_classes(surface, classes, count)
+    tangents = np.stack(frame_from_normal(normals.astype(np.float32)), axis=1).astype(np.float64)
     total, derivatives, faces = np.zeros(count), np.zeros((count, 2, 3)), np.zeros((count, 3))
     for corners in corners_of(surface.positions, surface.triangles, weighting):
         at = classes[corners.origin]
@@ -78,7 +75,7 @@ def ring_turns(surface: Surface, *, weighting: str) -> RingTurns:
         facing = np.linalg.norm(faces, axis=1)
         lengths = np.linalg.norm(derivatives, axis=2)
         sound = area > FLAT * lengths[:, 0] * lengths[:, 1]
-        sound &= (facing > FLAT) & has_direction(surface.normals[first])
+        sound &= (facing > FLAT) & directed
     keys, values = [], []
     joint_count = int(surface.field.joints.max(initial=0)) + 1
     for corners in corners_of(surface.positions, surface.triangles, weighting):
@@ -98,6 +95,20 @@ def ring_turns(surface: Surface, *, weighting: str) -> RingTurns:
     offsets, joints, sums = summed_by_key(keys, values, joint_count, count)
     both = sums.reshape(-1, 4, 3)
     return RingTurns(offsets, joints, both[:, :2], both[:, 2:], normals, tangents, sound)
+
+
+def _normals_of_classes(surface: Surface, classes: IntArray, count: int) -> tuple[Float64Array, BoolArray]:
+    """Return a unit normal (C, 3) of each class, and whether it has one: the mean over the class's corners.
+
+    The mean depends neither on the order of the vertices nor on how often a vertex is stored.
+    """
+    units = np.where(has_direction(surface.normals)[:, None], unit_normals(surface.normals), 0.0)
+    corners = surface.triangles.ravel().astype(np.int64)
+    sums = summed_rows(classes[corners], units[corners].astype(np.float64), count)
+    lengths = np.linalg.norm(sums, axis=1)
+    directed = lengths > FLAT * np.bincount(classes[corners], minlength=count)
+    sums[~directed] = 0.0, 0.0, 1.0
+    return unit_normals(sums).astype(np.float64), directed
 
 
 def _summed(at: IntArray, values: Float64Array, count: int) -> Float64Array:
