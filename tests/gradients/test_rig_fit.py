@@ -12,7 +12,7 @@ from skinbake.geometry.frames import frame_from_normal, unit_normals
 from skinbake.geometry.rig import NO_PARENT, Rig
 from skinbake.geometry.skinned import BakedPrimitive, Float64Array, IntArray, SkinnedPrimitive
 from skinbake.gradients.baker import BakeSettings, bake_mesh
-from skinbake.gradients.surface import STIFFNESS
+from skinbake.gradients.surface import EVEN, FAINT, STIFFNESS
 from skinbake.lighting.operator import GradientOperator, gradient_operator
 from tests.support.kernels import use_numpy
 
@@ -97,7 +97,6 @@ def sampled_fit(primitive: SkinnedPrimitive, rig: Rig) -> tuple[Float64Array, Fl
         triangle_truth(operator, positions, n0.astype(np.float64)),
     )
     carried = carries(rig)
-    reference = highest(primitive.joints, rig)
     samples = [(joint, axis) for joint in range(len(rig.parents)) for axis in np.eye(3)]
     rows = {"alpha": [], "beta": []}  # type: dict[str, list[tuple[Float64Array, Float64Array]]]
     for joint, axis in samples:
@@ -110,45 +109,57 @@ def sampled_fit(primitive: SkinnedPrimitive, rig: Rig) -> tuple[Float64Array, Fl
                 normal = np.mean([truth(deformed) for truth in truths], axis=0)
                 turned = np.einsum("vk,vkij,vj->vi", primitive.weights, matrices[..., :3], rest)
                 moved = np.einsum("vkij,vj->vki", matrices, homogeneous(positions))
-                levers = moved - moved[np.arange(len(moved)), reference][:, None]
+                levers = moved[:, 1:] - moved[:, :1]
                 slope.append(sign * np.einsum("vi,vi->v", turned, normal))
                 column.append(sign * np.einsum("vki,vi->vk", levers, normal))
             rows[name].append((sum(slope) / (2 * TURN), sum(column) / (2 * TURN)))
+    presence = presences(primitive, operator)
     found = []
     for name, base in (("alpha", surface.alpha), ("beta", surface.beta)):
         whole = np.concatenate([-base.sum(axis=1, keepdims=True), base], axis=1).astype(np.float64)
         slopes = np.stack([row[0] for row in rows[name]], axis=1)
         columns = np.stack([row[1] for row in rows[name]], axis=1)
-        found.append(solved(primitive, rig, carried, reference, whole, slopes, columns))
+        found.append(solved(primitive, rig, carried, presence, whole, slopes, columns))
     return found[0], found[1]
+
+
+def presences(primitive: SkinnedPrimitive, operator: GradientOperator) -> Float64Array:
+    """Return each slot's weight (V, K), plus its joint's share of the lengths of the weights' gradients."""
+    joints, count = primitive.joints.astype(np.int64), len(primitive.joints)
+    whole = np.zeros((count, joints.max() + 1))
+    np.put_along_axis(whole, joints, primitive.weights, axis=1)
+    axes = [operator.along(np.tile(axis, (count, 1))) @ whole for axis in np.eye(3)]
+    lengths = np.linalg.norm(axes, axis=0)
+    share: Float64Array = lengths / lengths.sum(axis=1, keepdims=True)
+    return primitive.weights + np.take_along_axis(share, joints, axis=1)
 
 
 def solved(
     primitive: SkinnedPrimitive,
     rig: Rig,
     carried: Float64Array,
-    reference: IntArray,
+    presence: Float64Array,
     base: Float64Array,
     slopes: Float64Array,
     columns: Float64Array,
 ) -> Float64Array:
-    """Solve each vertex with rows for the pull to the gradient, by numpy's lstsq."""
+    """Solve each vertex by numpy's lstsq, with rows for all pulls, for all slots but the first.
+
+    The first slot takes minus the sum, so a row for all slots loses the first one's number from each other.
+    """
     result = np.zeros((len(base), base.shape[1] - 1))
     for vertex, joints in enumerate(primitive.joints):
-        own = int(reference[vertex])
-        unknown = [slot for slot in range(len(joints)) if slot != own]
         levers = primitive.positions[vertex].astype(np.float64) - rig.pivots
-        matrix, right = [columns[vertex][:, unknown]], [-slopes[vertex]]
-        for number, slot in enumerate(unknown):
-            apart = carried[:, joints[slot]] != carried[:, joints[own]]
-            pull = np.sqrt(STIFFNESS * (levers[apart] ** 2).sum())
-            matrix.append(pull * np.eye(len(unknown))[number : number + 1])
-            right.append(np.array([pull * base[vertex, slot]]))
-        values = np.linalg.lstsq(np.concatenate(matrix), np.concatenate(right), rcond=None)[0]
-        every = np.zeros(len(joints))
-        every[unknown] = values
-        every[own] = -values.sum()
-        result[vertex] = every[1:]
+        squares = (levers**2).sum(axis=1)
+        parting = [joint for joint in range(len(levers)) if 0 < carried[joint, joints].sum() < len(joints)]
+        pulls = [np.sqrt(STIFFNESS * squares[joint]) * carried[joint, joints] for joint in parting]
+        more = EVEN + np.maximum((FAINT / presence[vertex]) ** 2, 1.0) - 1.0
+        pulls += list(np.diag(np.sqrt(STIFFNESS * squares[parting].sum() * more)))
+        matrix = np.array([row[1:] - row[0] for row in pulls])
+        right = np.array([row @ base[vertex] for row in pulls])
+        result[vertex] = np.linalg.lstsq(
+            np.concatenate([columns[vertex], matrix]), np.concatenate([-slopes[vertex], right]), rcond=None
+        )[0]
     return result
 
 
@@ -160,13 +171,6 @@ def carries(rig: Rig) -> Float64Array:
         while above != NO_PARENT:
             found[above, joint] = 1.0
             above = int(rig.parents[above])
-    return found
-
-
-def highest(joints: IntArray, rig: Rig) -> IntArray:
-    """Return each vertex's slot of the joint with the fewest joints above it; the lowest of equal ones."""
-    depths = carries(rig).sum(axis=0)
-    found: IntArray = np.argmin(depths[joints] * 1000 + joints, axis=1)
     return found
 
 

@@ -84,6 +84,7 @@ def bakes(tmp_path_factory: pytest.TempPathFactory, gradients: Gradients) -> dic
         name: baked(source(name), tmp_path_factory.mktemp("baked"), gradients=gradients) for name in names
     }
 
+
 def test_no_harmful_mutation_passes_and_few_harmless_fail(
     bakes: dict[str, Path], gradients: Gradients, tmp_path: Path
 ) -> None:

@@ -533,7 +533,7 @@ done:
 
 /* How gradients are fitted to a rig (rig_fit.py has the same names). */
 typedef struct {
-    double stiffness, flat, unfelt;
+    double stiffness, even, faint, unfelt, flat; /* as in surface.py */
 } FitSettings;
 
 /* The surface to bake: V vertices with K slots each, T triangles, C weld classes. Rows as in the twins. */
@@ -743,7 +743,7 @@ typedef struct {
     Node *nodes;
     int32_t *node_of;  /* by joint: its node, -1 elsewhere */
     size_t node_count;
-    double *matrix, *right, *stiffness; /* MOST_FITTED squared, twice, once */
+    double *matrix, *right; /* MOST_FITTED squared, and twice */
 } Scratch;
 
 static void free_scratch(Scratch *w)
@@ -751,7 +751,7 @@ static void free_scratch(Scratch *w)
     free(w->local), free(w->met), free(w->seen), free(w->own), free(w->x), free(w->y), free(w->z);
     free(w->entries), free(w->foreign), free(w->named);
     free(w->block_room), free(w->ring), free(w->turns), free(w->gradients), free(w->nodes), free(w->node_of);
-    free(w->matrix), free(w->right), free(w->stiffness);
+    free(w->matrix), free(w->right);
 }
 
 static Status allocate_fit(Scratch *w, const Surface *s)
@@ -766,9 +766,8 @@ static Status allocate_fit(Scratch *w, const Surface *s)
     w->node_of = malloc((joints + 1) * sizeof *w->node_of);
     w->matrix = malloc(MOST_FITTED * MOST_FITTED * sizeof *w->matrix);
     w->right = malloc(2 * MOST_FITTED * sizeof *w->right);
-    w->stiffness = malloc(MOST_FITTED * sizeof *w->stiffness);
-    if (!w->block_room || !w->ring || !w->turns || !w->gradients || !w->nodes || !w->node_of || !w->matrix || !w->right ||
-        !w->stiffness)
+    if (!w->block_room || !w->ring || !w->turns || !w->gradients || !w->nodes || !w->node_of || !w->matrix ||
+        !w->right)
         return NO_MEMORY;
     memset(w->node_of, 0xFF, (joints + 1) * sizeof *w->node_of);
     return DONE;
@@ -1415,73 +1414,77 @@ static void close_nodes(const Surface *s, Scratch *w)
     w->node_count = 0;
 }
 
-/* The slots of a vertex that are fitted: `unknowns` of them, and behind them the one that takes what they leave. */
+/* The slots of a vertex that are fitted. The last of them takes what the others, the unknowns, leave. */
 typedef struct {
     size_t unknowns;
     uint8_t slots[MOST_FITTED];
+    double presence[MOST_FITTED]; /* the weight and the share of the gradient of each slot's joint, added */
+    double given[MOST_FITTED][2]; /* the surface's gradients along the class's tangents */
+    double reach;                 /* the squared levers of all turns that part the slots, added */
 } Fitted;
 
-/* Choose the slots to fit: those that weigh something or whose gradient is worth a slot. Returns 0 where there are
-   too few or too many. */
+/* Choose the slots to fit, by the presence of their joints. Returns 0 where there are too few or too many. */
 static int choose_slots(const Surface *s, size_t vertex, size_t entries, double magnitudes, Scratch *w, Fitted *fitted)
 {
     const size_t slots = (size_t)s->slots;
     const double *weights = s->weights + vertex * slots;
     const int32_t *joints = s->joints + vertex * slots;
-    int32_t highest = INT32_MAX;
-    size_t count = 0, reference = 0;
+    size_t count = 0;
     for (size_t k = 0; k < slots; k++) {
         const int32_t joint = w->named[k];
         if ((size_t)(uint32_t)joint >= (size_t)s->joint_count)
             continue;
-        int chosen = weights[k] > s->fit.unfelt && joints[k] == joint;
-        for (size_t n = 0; !chosen && n < entries; n++)
-            chosen = w->entries[n].joint == joint && w->entries[n].magnitude > s->negligible * magnitudes;
-        if (!chosen)
+        double presence = joints[k] == joint ? weights[k] : 0.0;
+        for (size_t n = 0; n < entries; n++)
+            if (w->entries[n].joint == joint)
+                presence += w->entries[n].magnitude / magnitudes;
+        if (!(presence > s->fit.unfelt))
             continue;
         if (count == MOST_FITTED || k > UINT8_MAX)
             return 0;
-        if (s->ranks[joint] < highest) {
-            highest = s->ranks[joint];
-            reference = count;
-        }
+        for (int side = 0; side < 2; side++)
+            fitted->given[count][side] = dot(w->gradients[k], w->frame.tangents[side]);
+        fitted->presence[count] = presence;
         fitted->slots[count++] = (uint8_t)k;
     }
     if (count < 2)
         return 0;
     fitted->unknowns = count - 1;
-    uint8_t last = fitted->slots[fitted->unknowns];
-    fitted->slots[fitted->unknowns] = fitted->slots[reference];
-    fitted->slots[reference] = last;
+    fitted->reach = 0.0;
     for (size_t i = 0; i < count; i++)
         node_of(s, w->named[fitted->slots[i]], w)->members |= UINT64_C(1) << i;
     return 1;
 }
 
 /* Add what the turn of one joint says to the normal equations of the slots. */
-static void add_turn(const Surface *s, Vector position, const Node *node, const Fitted *fitted, Scratch *w)
+static void add_turn(const Surface *s, Vector position, const Node *node, Fitted *fitted, Scratch *w)
 {
     const double *pivot = s->pivots + 3 * (size_t)node->joint, *turn = node->turn;
     if (!isfinite(pivot[0]) || !isfinite(pivot[1]) || !isfinite(pivot[2]))
         return;
+    /* Where it carries the last slot it moves the others the other way. */
+    const size_t unknowns = fitted->unknowns;
+    int carries = node->members >> unknowns & 1;
+    uint64_t moved = (carries ? ~node->members : node->members) & ((UINT64_C(1) << unknowns) - 1);
+    if (!moved)
+        return;
+    double sign = carries ? -1.0 : 1.0;
     Vector lever = minus(position, (Vector){pivot[0], pivot[1], pivot[2]}), tilt = cross(lever, w->frame.normal);
-    double square = dot(tilt, tilt), reach = dot(lever, lever), wanted[2];
+    double reach = dot(lever, lever), wanted[2];
+    fitted->reach += reach;
+    double pull = s->fit.stiffness * reach, square = dot(tilt, tilt) + pull;
     for (int n = 0; n < 2; n++) {
         const double *arm = turn + ARMS + 3 * n, *spin = turn + SPINS + 3 * n;
         Vector r = plus(cross(lever, (Vector){arm[0], arm[1], arm[2]}), (Vector){spin[0], spin[1], spin[2]});
         wanted[n] = dot(tilt, r);
+        for (size_t i = 0; i <= unknowns; i++)
+            wanted[n] += node->members >> i & 1 ? pull * fitted->given[i][n] : 0.0;
     }
-    /* Where it carries the reference it moves the others the other way. */
-    const size_t unknowns = fitted->unknowns;
-    int carries = node->members >> unknowns & 1;
-    uint64_t moved = carries ? ~node->members : node->members;
-    double sign = carries ? -1.0 : 1.0;
     for (size_t i = 0; i < unknowns; i++) {
         if (!(moved >> i & 1))
             continue;
         w->right[2 * i] += sign * wanted[0];
         w->right[2 * i + 1] += sign * wanted[1];
-        w->stiffness[i] += reach;
         for (size_t k = 0; k <= i; k++)
             if (moved >> k & 1)
                 w->matrix[i * MOST_FITTED + k] += square;
@@ -1490,10 +1493,10 @@ static void add_turn(const Surface *s, Vector position, const Node *node, const 
 
 /* Go through all joints whose turns part the joints around a vertex, from the lowest up. Returns 0 where there are
    too many. */
-static int gather_turns(const Surface *s, Vector position, const Fitted *fitted, Scratch *w)
+static int gather_turns(const Surface *s, Vector position, Fitted *fitted, Scratch *w)
 {
     for (size_t i = 0; i < fitted->unknowns; i++) {
-        w->stiffness[i] = w->right[2 * i] = w->right[2 * i + 1] = 0.0;
+        w->right[2 * i] = w->right[2 * i + 1] = 0.0;
         memset(w->matrix + i * MOST_FITTED, 0, (i + 1) * sizeof *w->matrix);
     }
     size_t left = w->node_count;
@@ -1564,21 +1567,26 @@ static int solve(size_t count, double *matrix, double (*right)[2])
     }
 }
 
+/* The pull of one slot to its gradient. It is strong where the joint is hardly there. */
+static double pull_of(const Surface *s, const Fitted *fitted, size_t slot)
+{
+    double faint = s->fit.faint / fitted->presence[slot], more = faint > 1.0 ? faint * faint - 1.0 : 0.0;
+    return s->fit.stiffness * fitted->reach * (s->fit.even + more);
+}
+
 /* Move the gradients of the fitted slots, in the plane of the class's tangents, to the solution of the least
    squares. */
 static void move_gradients(const Surface *s, const Fitted *fitted, Scratch *w)
 {
     const Vector *tangents = w->frame.tangents;
     const size_t unknowns = fitted->unknowns;
-    double(*right)[2] = (double(*)[2])w->right, given[MOST_FITTED][2];
-    for (size_t i = 0; i <= unknowns; i++)
-        for (int side = 0; side < 2; side++)
-            given[i][side] = dot(w->gradients[fitted->slots[i]], tangents[side]);
+    double(*right)[2] = (double(*)[2])w->right, last = pull_of(s, fitted, unknowns);
     for (size_t i = 0; i < unknowns; i++) {
-        double pull = w->stiffness[i] > 0.0 ? s->fit.stiffness * w->stiffness[i] : 1.0;
-        w->matrix[i * MOST_FITTED + i] += pull;
-        right[i][0] += pull * given[i][0];
-        right[i][1] += pull * given[i][1];
+        double pull = pull_of(s, fitted, i);
+        for (size_t k = 0; k <= i; k++)
+            w->matrix[i * MOST_FITTED + k] += k == i ? last + pull : last;
+        for (int side = 0; side < 2; side++)
+            right[i][side] += pull * fitted->given[i][side] - last * fitted->given[unknowns][side];
     }
     if (!solve(unknowns, w->matrix, right))
         return;
@@ -1589,8 +1597,8 @@ static void move_gradients(const Surface *s, const Fitted *fitted, Scratch *w)
     }
     for (size_t i = 0; i <= unknowns; i++) {
         Vector *gradient = &w->gradients[fitted->slots[i]];
-        *gradient = plus(*gradient, plus(times(tangents[0], right[i][0] - given[i][0]),
-                                         times(tangents[1], right[i][1] - given[i][1])));
+        *gradient = plus(*gradient, plus(times(tangents[0], right[i][0] - fitted->given[i][0]),
+                                         times(tangents[1], right[i][1] - fitted->given[i][1])));
     }
 }
 
@@ -1600,7 +1608,7 @@ static void fit_vertex(const Surface *s, size_t vertex, const ClassGradients *fo
     Fitted fitted;
     open_nodes(s, found->used, w);
     if (choose_slots(s, vertex, found->entries, found->magnitude, w, &fitted) &&
-        gather_turns(s, position, &fitted, w))
+        gather_turns(s, position, &fitted, w) && fitted.reach > 0.0)
         move_gradients(s, &fitted, w);
     close_nodes(s, w);
 }
@@ -1811,17 +1819,18 @@ static int read_surface(PyObject *args, PyObject *keywords, Array *a, Surface *s
 {
     static char *names[] = {"positions", "triangles", "joints", "weights", "free", "classes", "normals", "tangents",
                             "bitangents", "alpha", "beta", "adopted", "ends", "sums", "parents", "ranks", "pivots",
-                            "class_count", "weighting", "adopts", "negligible", "stiffness", "flat", "unfelt", NULL};
+                            "class_count", "weighting", "adopts", "negligible", "stiffness", "even", "faint", "unfelt",
+                            "flat", NULL};
     PyObject *o[ARRAYS];
     Py_ssize_t class_count;
     int weighting, adopts;
     double negligible;
     FitSettings fit;
-    if (!PyArg_ParseTupleAndKeywords(args, keywords, "$OOOOOOOOOOOOOOOOOnipdddd", names, &o[POSITIONS], &o[TRIANGLES],
+    if (!PyArg_ParseTupleAndKeywords(args, keywords, "$OOOOOOOOOOOOOOOOOnipdddddd", names, &o[POSITIONS], &o[TRIANGLES],
                                      &o[JOINTS], &o[WEIGHTS], &o[UNUSED], &o[CLASSES], &o[NORMALS], &o[TANGENTS],
                                      &o[BITANGENTS], &o[ALPHA], &o[BETA], &o[ADOPTED], &o[ENDS], &o[SUMS],
                                      &o[PARENTS], &o[RANKS], &o[PIVOTS], &class_count, &weighting, &adopts,
-                                     &negligible, &fit.stiffness, &fit.flat, &fit.unfelt))
+                                     &negligible, &fit.stiffness, &fit.even, &fit.faint, &fit.unfelt, &fit.flat))
         return -1;
     if (read_arrays(o, surface_arrays, ARRAYS, 2, a) < 0)
         return -1;

@@ -76,8 +76,10 @@ def bake_surface(
     adopts: bool,
     negligible: float,
     stiffness: float,
-    flat: float,
+    even: float,
+    faint: float,
     unfelt: float,
+    flat: float,
 ) -> None:
     """Fill alpha, beta (V, K − 1) of a surface of P primitives, whose rows end at ``ends`` (P,).
 

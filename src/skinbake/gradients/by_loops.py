@@ -14,7 +14,16 @@ from skinbake.geometry.triangles import DEGENERATE_AREA
 from skinbake.gradients import _kernel
 from skinbake.gradients.field import WeightDefects, WeightField
 from skinbake.gradients.labels import Labels
-from skinbake.gradients.surface import FLAT, NEGLIGIBLE, STIFFNESS, UNFELT, Surface, SurfaceSlots
+from skinbake.gradients.surface import (
+    EVEN,
+    FAINT,
+    FLAT,
+    NEGLIGIBLE,
+    STIFFNESS,
+    UNFELT,
+    Surface,
+    SurfaceSlots,
+)
 
 NO_RIG = Rig(np.empty(0, dtype=np.int32), np.empty((0, 3)))
 
@@ -89,8 +98,10 @@ def bake_surface(surface: Surface, *, weighting: str, adopt: bool) -> SurfaceSlo
         adopts=adopt,
         negligible=NEGLIGIBLE,
         stiffness=STIFFNESS,
-        flat=FLAT,
+        even=EVEN,
+        faint=FAINT,
         unfelt=UNFELT,
+        flat=FLAT,
     )
     adopts = np.zeros(vertices, dtype=np.bool_)
     adopts[np.flatnonzero(adopted) // slots] = True

@@ -16,7 +16,7 @@ from skinbake.geometry.frames import frame_from_normal, has_direction, unit_norm
 from skinbake.geometry.rig import Rig
 from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray, IntArray
 from skinbake.gradients.field import NO_JOINT, WeightField
-from skinbake.gradients.surface import FLAT, NEGLIGIBLE, STIFFNESS, UNFELT, Surface
+from skinbake.gradients.surface import EVEN, FAINT, FLAT, STIFFNESS, UNFELT, Surface
 from skinbake.gradients.weight_gradients import (
     VertexGradients,
     corner_differences,
@@ -165,32 +165,50 @@ def fitted(
 ) -> tuple[Float64Array, Float64Array]:
     """Return α and β (V, K) for which the tangents follow small turns of the joints of a rig best.
 
-    Of the joints that a vertex names, the highest in the hierarchy takes minus the sum of the others. A
-    vertex that cannot be fitted keeps its α and β.
+    The fitted gradients of a vertex sum to 0. A vertex that cannot be fitted keeps its α and β.
     """
-    pairs = _turning_pairs(vertices, gradients, turns, rig)
-    named, system = pairs.named, _normal_equations(vertices, turns, pairs)
-    targets = _gradients_of_slots(vertices, gradients, turns)
-    change = np.zeros((*named.shape, 2))
-    for count in np.unique(system.unknowns.sum(axis=1)):
-        rows = np.flatnonzero((system.unknowns.sum(axis=1) == count) & system.solvable)
+    presence = _presence(vertices, gradients)
+    named = np.where(_can_be_fitted(presence), vertices.named, NO_JOINT)
+    given = _gradients_of_slots(vertices, gradients, turns)
+    pairs = _turning_pairs(vertices, named, turns, rig)
+    system = _normal_equations(vertices, turns, pairs, given, presence)
+    counts = np.count_nonzero(system.unknowns, axis=1)
+    change = np.zeros_like(given)
+    for count in np.unique(counts):
+        rows = np.flatnonzero((counts == count) & system.solvable)
         if count == 0 or len(rows) == 0:
             continue
         slots = np.nonzero(system.unknowns[rows])[1].reshape(len(rows), count)
         here = rows[:, None]
         matrix = system.matrix[here[:, :, None], slots[:, :, None], slots[:, None, :]]
-        stiffness = system.stiffness[here, slots]
-        matrix[:, np.arange(count), np.arange(count)] += stiffness
-        target = targets[here, slots]
-        values = np.linalg.solve(matrix, system.right[here, slots] + stiffness[:, :, None] * target)
+        values = np.linalg.solve(matrix, system.right[here, slots])
         fits = np.isfinite(values).all(axis=(1, 2))
-        change[here[fits], slots[fits]] = (values - target)[fits]
-        # The reference takes minus the sum of all fitted values, whatever its own gradient is.
-        own = targets[rows[fits], pairs.reference[rows[fits]]]
-        change[rows[fits], pairs.reference[rows[fits]]] = -values[fits].sum(axis=1) - own
+        change[here[fits], slots[fits]] = (values - given[here, slots])[fits]
+        last = rows[fits], pairs.last[rows[fits]]
+        change[last] = -values[fits].sum(axis=1) - given[last]
     moved = np.einsum("vkt,vti->vki", change, turns.tangents[vertices.classes])
     along = [np.einsum("vki,vi->vk", moved, axis) for axis in vertices.frame]
     return vertices.alpha + along[0], vertices.beta + along[1]
+
+
+def _presence(vertices: FittedVertices, gradients: VertexGradients) -> Float64Array:
+    """Return the presence of the joint of each slot, (V, K): its weight, and its share of the gradients."""
+    owner, entry = _entries(gradients.offsets, vertices.classes)
+    lengths = np.linalg.norm(gradients.gradients[entry], axis=1)
+    total = np.bincount(owner, lengths, len(vertices.classes))
+    row, slot = np.nonzero(vertices.named[owner] == gradients.joints[entry, None])
+    weights = vertices.field.weights * (vertices.named == vertices.field.joints)
+    presence = np.where(vertices.named >= 0, weights, 0.0)
+    with np.errstate(invalid="ignore"):
+        presence[owner[row], slot] += (lengths / total[owner])[row]
+    return presence
+
+
+def _can_be_fitted(presence: Float64Array) -> BoolArray:
+    """Return the slots (V, K) that are fitted. A vertex has none if it would have too many."""
+    chosen: BoolArray = presence > UNFELT
+    few: BoolArray = np.count_nonzero(chosen, axis=1, keepdims=True) <= MOST_FITTED
+    return chosen & few
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,8 +216,8 @@ class _Pairs:
     """The pairs (N,) of a vertex and a joint whose turn parts the joints around the vertex.
 
     arms, spins (N, 2, 3) are the sums over all joints that the turning joint carries. carries (N, K) tells
-    which slots it carries. named (V, K) are the fitted joints of the slots, −1 for the others, and reference
-    (V,) the slot of the highest of them.
+    which slots it carries. named (V, K) are the fitted joints of the slots, −1 for the others, and last (V,)
+    is the last slot of them, which takes minus the sum of the others.
     """
 
     vertices: IntArray
@@ -208,15 +226,12 @@ class _Pairs:
     spins: Float64Array
     carries: BoolArray
     named: IntArray
-    reference: IntArray
+    last: IntArray
 
 
-def _turning_pairs(
-    vertices: FittedVertices, gradients: VertexGradients, turns: RingTurns, rig: Rig
-) -> _Pairs:
+def _turning_pairs(vertices: FittedVertices, named: IntArray, turns: RingTurns, rig: Rig) -> _Pairs:
     """Return the pairs of V vertices. Joints that the rig does not have stand apart and never turn."""
     owner, entry = _entries(turns.offsets, vertices.classes)
-    named = _fitted_joints(vertices, gradients)
     row, slot = np.nonzero(named >= 0)
     vertex = np.concatenate([owner, row])
     joint = np.concatenate([turns.joints[entry], named[row, slot]])
@@ -239,7 +254,6 @@ def _turning_pairs(
     parting &= np.isfinite(rig.pivots[turning]).all(axis=1)
     at, turning, both = at[parting], turning[parting], sums[parting].reshape(-1, 4, 3)
     lines = rig.lines_of_descent()
-    ranks = np.where(named >= 0, rig.ranks[named], size)
     return _Pairs(
         vertices=at,
         levers=vertices.positions[at].astype(np.float64) - rig.pivots[turning],
@@ -247,7 +261,7 @@ def _turning_pairs(
         spins=both[:, 2:],
         carries=lines[turning[:, None], named[at]] & (named[at] >= 0),
         named=named,
-        reference=ranks.argmin(axis=1),
+        last=named.shape[1] - 1 - (named >= 0)[:, ::-1].argmax(axis=1),
     )
 
 
@@ -256,20 +270,6 @@ def _entries(offsets: IntArray, rows: IntArray) -> tuple[IntArray, IntArray]:
     count = offsets[rows + 1] - offsets[rows]
     owner = np.repeat(np.arange(len(rows)), count)
     return owner, np.arange(len(owner)) + np.repeat(offsets[rows] - np.cumsum(count) + count, count)
-
-
-def _fitted_joints(vertices: FittedVertices, gradients: VertexGradients) -> IntArray:
-    """Return the joints of the slots (V, K) that are fitted, −1 for the others."""
-    owner, entry = _entries(gradients.offsets, vertices.classes)
-    lengths = np.linalg.norm(gradients.gradients[entry], axis=1)
-    total = np.bincount(owner, lengths, len(vertices.classes))
-    worth = lengths > NEGLIGIBLE * total[owner]
-    varies = np.zeros(vertices.named.shape, dtype=np.bool_)
-    same = vertices.named[owner[worth]] == gradients.joints[entry[worth], None]
-    np.logical_or.at(varies, owner[worth], same)
-    chosen = ((vertices.field.weights > UNFELT) & (vertices.named == vertices.field.joints)) | varies
-    chosen &= np.count_nonzero(chosen, axis=1)[:, None] <= MOST_FITTED
-    return np.where(chosen, vertices.named, NO_JOINT)
 
 
 def _gradients_of_slots(
@@ -288,34 +288,46 @@ def _gradients_of_slots(
 class _NormalEquations:
     """The least squares of V vertices over all their slots.
 
-    matrix (V, K, K), right (V, K, 2) for both tangents, stiffness (V, K). unknowns (V, K) tells which slots
-    have an equation, solvable (V,) which vertices.
+    matrix (V, K, K), right (V, K, 2) for both tangents. unknowns (V, K) tells which slots have an equation,
+    solvable (V,) which vertices.
     """
 
     matrix: Float64Array
     right: Float64Array
-    stiffness: Float64Array
     unknowns: BoolArray
     solvable: BoolArray
 
 
-def _normal_equations(vertices: FittedVertices, turns: RingTurns, pairs: _Pairs) -> _NormalEquations:
-    """Sum up, over all turning joints, what tilts a tangent along the normal, by slot and as it should be."""
+def _normal_equations(
+    vertices: FittedVertices, turns: RingTurns, pairs: _Pairs, given: Float64Array, presence: Float64Array
+) -> _NormalEquations:
+    """Sum up, over all turning joints, what tilts a tangent along the normal, by slot and as it should be.
+
+    The turn of a joint moves the slots that it carries. Their gradients follow it, and each turn by itself
+    pulls their sum to that of the surface's gradients. given (V, K, 2) are these, presence is (V, K).
+    """
     at, classes = pairs.vertices, vertices.classes[pairs.vertices]
     count, slots = pairs.named.shape
-    reference = pairs.carries[np.arange(len(at)), pairs.reference[at]]
+    carries_last = pairs.carries[np.arange(len(at)), pairs.last[at]]
     unknowns = pairs.named >= 0
-    unknowns[np.arange(count), pairs.reference] = False
-    sides = np.where(unknowns[at], pairs.carries.astype(np.float64) - reference[:, None], 0.0)
+    unknowns[np.arange(count), pairs.last] = False
+    sides = np.where(unknowns[at], pairs.carries.astype(np.float64) - carries_last[:, None], 0.0)
     tilt = np.cross(pairs.levers, turns.normals[classes])
     wanted = np.cross(pairs.levers[:, None], pairs.arms) + pairs.spins
-    squares = np.einsum("ni,ni->n", tilt, tilt)
-    levers = np.einsum("ni,ni->n", pairs.levers, pairs.levers)
+    levers = np.einsum("ni,ni->n", pairs.levers, pairs.levers) * sides.any(axis=1)
+    squares = np.einsum("ni,ni->n", tilt, tilt) + STIFFNESS * levers
+    aims = np.einsum("ni,nti->nt", tilt, wanted)
+    aims += STIFFNESS * levers[:, None] * np.einsum("nk,nkt->nt", pairs.carries, given[at])
     matrix, right = np.zeros((count, slots, slots)), np.zeros((count, slots, 2))
-    stiffness = np.zeros((count, slots))
     np.add.at(matrix, at, sides[:, :, None] * sides[:, None, :] * squares[:, None, None])
-    np.add.at(right, at, sides[:, :, None] * np.einsum("ni,nti->nt", tilt, wanted)[:, None, :])
-    np.add.at(stiffness, at, np.abs(sides) * levers[:, None])
-    unknowns &= stiffness > 0.0
-    solvable = turns.sound[vertices.classes]
-    return _NormalEquations(matrix, right, STIFFNESS * stiffness, unknowns, solvable)
+    np.add.at(right, at, sides[:, :, None] * aims[:, None, :])
+    reach = np.bincount(at, levers, count)
+    with np.errstate(divide="ignore"):
+        more = np.maximum(np.square(FAINT / presence), 1.0) - 1.0
+    pull = STIFFNESS * reach[:, None] * (EVEN + np.where(pairs.named >= 0, more, 0.0))
+    last = np.arange(count), pairs.last
+    matrix += pull[last][:, None, None]
+    matrix[:, np.arange(slots), np.arange(slots)] += pull
+    right += pull[:, :, None] * given - (pull[last][:, None] * given[last])[:, None]
+    solvable = turns.sound[vertices.classes] & (reach > 0.0)
+    return _NormalEquations(matrix, right, unknowns, solvable)

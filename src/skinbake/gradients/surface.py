@@ -17,16 +17,23 @@ that is less than 0.01°.
 """
 
 STIFFNESS = 0.12
-"""The share of a joint's squared lever that pulls its fitted gradient to the surface's gradient."""
+"""The share of a turn's squared lever that pulls the fitted gradients to the surface's gradients."""
+
+EVEN = 1e-4
+"""A pull at every slot, a share of that of all turns. It decides where no turn parts two slots."""
+
+FAINT = 0.1
+"""The presence below which a joint's gradient is pulled harder, by the inverse square of the presence.
+
+The presence of a joint at a vertex is its weight there, plus its share of the gradients' lengths. A joint
+that is hardly there would make up for errors of others, at the end of a long lever.
+"""
+
+UNFELT = 1e-4
+"""The presence up to which a joint is not fitted."""
 
 FLAT = 1e-6
 """The sine between the two derivatives of the positions below which a class has no normal of its own."""
-
-UNFELT = 1e-4
-"""A joint with at most this weight at a vertex, and no gradient there, is not fitted.
-
-Its α would make up for errors of others, at the end of a long lever.
-"""
 
 
 @dataclass(frozen=True, slots=True)
