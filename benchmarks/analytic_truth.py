@@ -45,9 +45,9 @@ from skinbake.lighting.measured import rest_surface
 from skinbake.lighting.metrics import vertex_areas
 from skinbake.lighting.operator import gradient_operator
 from skinbake.lighting.poses import PoseRequest, pose_set
-from skinbake.lighting.threads import Threads
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.surface import RestSurface
+from skinbake.threads import Threads
 from tests.support.replay import replay
 from tests.support.whole_fields import angular_errors, rest_frame
 

@@ -196,6 +196,25 @@ def test_positions_in_float64_give_the_same(name: str, monkeypatch: pytest.Monke
         assert_paths_agree(wide, "max", monkeypatch)
 
 
+@pytest.mark.parametrize("name", ["foreign_joints.glb", "two_primitives.glb", "seam.glb"])
+def test_any_number_of_threads_bakes_the_same_bytes(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    ((primitives, rig),) = rigged_meshes_of(path_of(name))
+    surface = surface_of(primitives)
+    surface = replace(surface, rig=rig.with_joints(int(surface.field.joints.max()) + 1))
+    whole = bake(surface)
+    monkeypatch.setattr(by_loops, "PART", 7)
+    found = []
+    for count in (1, 2, 3, 8):
+        monkeypatch.setenv("OMP_NUM_THREADS", str(count))
+        found.append(bake(surface))
+    for slots in found:
+        for array in ("alpha", "beta", "adopting", "adopted"):
+            assert getattr(slots, array).tobytes() == getattr(whole, array).tobytes(), array
+        assert slots.counts.tobytes() == found[0].counts.tobytes()
+        assert slots.counts == pytest.approx(whole.counts, rel=1e-12)
+    assert found[0].adopted.size or name != "foreign_joints.glb"
+
+
 def test_the_kernels_frame_from_normals_is_the_contracts_bit_by_bit() -> None:
     [primitives] = meshes_of(path_of(CESIUM_MAN)).values()
     lengths = np.random.default_rng(1).uniform(0.1, 30.0, (len(primitives[0].normals), 1))
@@ -281,8 +300,13 @@ class TestArguments:
             "adopts": True,
             "negligible": 1e-4,
             "stiffness": 0.1,
-            "flat": 1e-6,
+            "even": 1e-4,
+            "faint": 0.1,
             "unfelt": 1e-6,
+            "flat": 1e-6,
+            "grouped": None,
+            "first": 0,
+            "last": 0,
         }
 
     def test_these_are_right(self) -> None:
@@ -328,6 +352,30 @@ class TestArguments:
     def test_wrong_ones_are_refused(self, name: str, value: Any, error: type[Exception]) -> None:
         with pytest.raises((error, ValueError) if error is BufferError else error):
             _kernel.bake_surface(**{**self.arguments(), name: value})
+
+    @pytest.mark.parametrize(
+        ("changed", "message"),
+        [
+            ({"first": 1, "last": 4}, "out of range"),
+            ({"first": -1, "last": 2}, "out of range"),
+            ({"first": 2, "last": 1}, "out of range"),
+            ({"triangles": np.array([[0, 1, 2]] * 2, dtype=np.uint32)}, "another surface"),
+            ({"class_count": 2}, "another surface"),
+        ],
+    )
+    def test_groups_of_other_classes_are_refused(self, changed: dict[str, Any], message: str) -> None:
+        given = self.arguments()
+        groups = _kernel.group_surface(
+            given["triangles"], given["joints"], given["weights"], given["classes"], 3
+        )
+        given |= {"grouped": groups, "first": 0, "last": 3}
+        _kernel.bake_surface(**given)
+        with pytest.raises(ValueError, match=message):
+            _kernel.bake_surface(**{**given, **changed})
+
+    def test_groups_are_no_other_object(self) -> None:
+        with pytest.raises(ValueError, match="PyCapsule"):
+            _kernel.bake_surface(**{**self.arguments(), "grouped": "all"})
 
     @pytest.mark.parametrize(
         ("parents", "ranks"),
@@ -415,6 +463,8 @@ def spoil():
         parents[chance.integers(30)] = chance.choice([2**31 - 1, -7, 0, 29])
         ranks[chance.integers(30)] = chance.choice([2**31 - 1, -7, 0, 29])
 
+grouped = _kernel.group_surface(triangles, joints, weights, classes, V // 2)
+
 for turn in range(8):
     for array, before in zip((triangles, joints, classes, ends, parents, ranks), kept):
         array[...] = before
@@ -428,7 +478,8 @@ for turn in range(8):
             classes=classes, normals=positions, tangents=frames, bitangents=frames, alpha=alpha,
             beta=alpha.copy(), adopted=np.zeros((V, S), np.int32), ends=ends, sums=np.zeros((2, 4)),
             parents=parents, ranks=ranks, pivots=pivots, class_count=V // 2,
-            weighting=_kernel.BY_ANGLE, adopts=True, negligible=1e-4, stiffness=0.1, flat=1e-6, unfelt=1e-6)
+            weighting=_kernel.BY_ANGLE, adopts=True, negligible=1e-4, stiffness=0.1, even=1e-4, faint=0.1,
+            unfelt=1e-6, flat=1e-6, grouped=grouped if turn % 2 else None, first=0, last=V // 2)
     except (IndexError, ValueError):
         pass
     going = False

@@ -642,6 +642,29 @@ static Status group_vertices(const Surface *s, Groups *groups)
     return DONE;
 }
 
+/* The corners and the vertices of a surface by weld class, and the numbers that it was made for. */
+typedef struct {
+    Groups corners, vertices;
+    Py_ssize_t joint_count, vertex_count, slots, triangle_count, class_count;
+} Grouped;
+
+static void free_grouped(Grouped *grouped)
+{
+    free(grouped->corners.start), free(grouped->corners.members);
+    free(grouped->vertices.start), free(grouped->vertices.members);
+}
+
+static Status group_all(const Surface *s, Grouped *grouped)
+{
+    *grouped = (Grouped){.joint_count = s->joint_count,
+                         .vertex_count = s->vertices,
+                         .slots = s->slots,
+                         .triangle_count = s->triangle_count,
+                         .class_count = s->class_count};
+    Status status = group_corners(s, &grouped->corners);
+    return status == DONE ? group_vertices(s, &grouped->vertices) : status;
+}
+
 /* Some members of a group. */
 typedef struct {
     const uint32_t *first;
@@ -740,6 +763,7 @@ typedef struct {
     double *turns;     /* by local number, TURN each */
     RingFrame frame;
     Vector *gradients; /* by slot */
+    double *shares;    /* by slot: of the gradients' lengths */
     Node *nodes;
     int32_t *node_of;  /* by joint: its node, -1 elsewhere */
     size_t node_count;
@@ -750,7 +774,7 @@ static void free_scratch(Scratch *w)
 {
     free(w->local), free(w->met), free(w->seen), free(w->own), free(w->x), free(w->y), free(w->z);
     free(w->entries), free(w->foreign), free(w->named);
-    free(w->block_room), free(w->ring), free(w->turns), free(w->gradients), free(w->nodes), free(w->node_of);
+    free(w->block_room), free(w->ring), free(w->turns), free(w->gradients), free(w->shares), free(w->nodes), free(w->node_of);
     free(w->matrix), free(w->right);
 }
 
@@ -762,11 +786,12 @@ static Status allocate_fit(Scratch *w, const Surface *s)
     w->ring = malloc(2 * MOST_CORNERS * sizeof *w->ring);
     w->turns = malloc(room * TURN * sizeof *w->turns);
     w->gradients = malloc((size_t)s->slots * sizeof *w->gradients);
+    w->shares = malloc((size_t)s->slots * sizeof *w->shares);
     w->nodes = malloc((joints + 1) * sizeof *w->nodes);
     w->node_of = malloc((joints + 1) * sizeof *w->node_of);
     w->matrix = malloc(MOST_FITTED * MOST_FITTED * sizeof *w->matrix);
     w->right = malloc(2 * MOST_FITTED * sizeof *w->right);
-    if (!w->block_room || !w->ring || !w->turns || !w->gradients || !w->nodes || !w->node_of || !w->matrix ||
+    if (!w->block_room || !w->ring || !w->turns || !w->gradients || !w->shares || !w->nodes || !w->node_of || !w->matrix ||
         !w->right)
         return NO_MEMORY;
     memset(w->node_of, 0xFF, (joints + 1) * sizeof *w->node_of);
@@ -1424,7 +1449,7 @@ typedef struct {
 } Fitted;
 
 /* Choose the slots to fit, by the presence of their joints. Returns 0 where there are too few or too many. */
-static int choose_slots(const Surface *s, size_t vertex, size_t entries, double magnitudes, Scratch *w, Fitted *fitted)
+static int choose_slots(const Surface *s, size_t vertex, Scratch *w, Fitted *fitted)
 {
     const size_t slots = (size_t)s->slots;
     const double *weights = s->weights + vertex * slots;
@@ -1434,10 +1459,7 @@ static int choose_slots(const Surface *s, size_t vertex, size_t entries, double 
         const int32_t joint = w->named[k];
         if ((size_t)(uint32_t)joint >= (size_t)s->joint_count)
             continue;
-        double presence = joints[k] == joint ? weights[k] : 0.0;
-        for (size_t n = 0; n < entries; n++)
-            if (w->entries[n].joint == joint)
-                presence += w->entries[n].magnitude / magnitudes;
+        double presence = w->shares[k] + (joints[k] == joint ? weights[k] : 0.0);
         if (!(presence > s->fit.unfelt))
             continue;
         if (count == MOST_FITTED || k > UINT8_MAX)
@@ -1477,17 +1499,21 @@ static void add_turn(const Surface *s, Vector position, const Node *node, Fitted
         const double *arm = turn + ARMS + 3 * n, *spin = turn + SPINS + 3 * n;
         Vector r = plus(cross(lever, (Vector){arm[0], arm[1], arm[2]}), (Vector){spin[0], spin[1], spin[2]});
         wanted[n] = dot(tilt, r);
-        for (size_t i = 0; i <= unknowns; i++)
-            wanted[n] += node->members >> i & 1 ? pull * fitted->given[i][n] : 0.0;
     }
+    double mask[MOST_FITTED], given[2] = {0.0, 0.0}; /* branches here would be guessed wrongly half of the time */
+    for (size_t i = 0; i <= unknowns; i++) {
+        double carried = (double)(node->members >> i & 1);
+        given[0] += carried * fitted->given[i][0];
+        given[1] += carried * fitted->given[i][1];
+        mask[i] = (double)(moved >> i & 1);
+    }
+    wanted[0] = sign * (wanted[0] + pull * given[0]);
+    wanted[1] = sign * (wanted[1] + pull * given[1]);
     for (size_t i = 0; i < unknowns; i++) {
-        if (!(moved >> i & 1))
-            continue;
-        w->right[2 * i] += sign * wanted[0];
-        w->right[2 * i + 1] += sign * wanted[1];
+        w->right[2 * i] += mask[i] * wanted[0];
+        w->right[2 * i + 1] += mask[i] * wanted[1];
         for (size_t k = 0; k <= i; k++)
-            if (moved >> k & 1)
-                w->matrix[i * MOST_FITTED + k] += square;
+            w->matrix[i * MOST_FITTED + k] += mask[i] * mask[k] * square;
     }
 }
 
@@ -1607,8 +1633,7 @@ static void fit_vertex(const Surface *s, size_t vertex, const ClassGradients *fo
 {
     Fitted fitted;
     open_nodes(s, found->used, w);
-    if (choose_slots(s, vertex, found->entries, found->magnitude, w, &fitted) &&
-        gather_turns(s, position, &fitted, w) && fitted.reach > 0.0)
+    if (choose_slots(s, vertex, w, &fitted) && gather_turns(s, position, &fitted, w) && fitted.reach > 0.0)
         move_gradients(s, &fitted, w);
     close_nodes(s, w);
 }
@@ -1622,6 +1647,8 @@ static ALWAYS_INLINE double project_fitted(const Surface *s, Shape shape, size_t
     find_frame(s, vertex, &t, &b);
     double unheld = 0.0;
     memset(w->gradients, 0, slots * sizeof *w->gradients);
+    memset(w->shares, 0, slots * sizeof *w->shares);
+    double whole = 1.0 / found->magnitude;
     for (size_t n = 0; n < found->entries; n++) {
         Entry *entry = &w->entries[n];
         size_t slot = 0;
@@ -1629,7 +1656,7 @@ static ALWAYS_INLINE double project_fitted(const Surface *s, Shape shape, size_t
             slot++;
         entry->held = slot < slots;
         if (entry->held)
-            w->gradients[slot] = entry->gradient;
+            w->gradients[slot] = entry->gradient, w->shares[slot] = entry->magnitude * whole;
         else
             unheld += entry->magnitude;
     }
@@ -1654,10 +1681,12 @@ static size_t shared_capacity(const Surface *s, Members vertices)
     return least;
 }
 
-/* The state of a bake: the surface, its corners and vertices by weld class, and room to work in. */
+/* The state of a bake: the surface, its corners and vertices by weld class, the classes to bake, and room to work
+   in. */
 typedef struct {
     const Surface *surface;
-    Groups corners, vertices;
+    const Grouped *grouped;
+    size_t first, last;
     Scratch scratch;
     const Baked *out;
 } Work;
@@ -1703,8 +1732,8 @@ static ALWAYS_INLINE void write_vertex(Work *work, Shape shape, size_t vertex, P
 
 static ALWAYS_INLINE Status bake_classes(Work *work, Shape shape)
 {
-    const Groups *corners = &work->corners, *vertices = &work->vertices;
-    for (size_t c = 0; c < (size_t)work->surface->class_count; c++) {
+    const Groups *corners = &work->grouped->corners, *vertices = &work->grouped->vertices;
+    for (size_t c = work->first; c < work->last; c++) {
         uint32_t itself = (uint32_t)c;
         if (corners->start[c + 1] < corners->start[c] ||
             (vertices->start && vertices->start[c + 1] < vertices->start[c]))
@@ -1736,21 +1765,16 @@ static Status bake_all_classes(Work *work)
     return fits ? bake_classes(work, (Shape){wide, 1, slots}) : bake_classes(work, (Shape){wide, 0, slots});
 }
 
-static Status bake_checked_surface(const Surface *s, const Baked *out)
+/* Bake the weld classes from first up to last. */
+static Status bake_grouped(const Surface *s, const Grouped *grouped, size_t first, size_t last, const Baked *out)
 {
     Work work;
     memset(&work, 0, sizeof work);
-    work.surface = s, work.out = out;
-    Status status = group_corners(s, &work.corners);
-    if (status == DONE)
-        status = group_vertices(s, &work.vertices);
-    if (status == DONE)
-        status = allocate_scratch(&work.scratch, s);
+    work.surface = s, work.grouped = grouped, work.first = first, work.last = last, work.out = out;
+    Status status = allocate_scratch(&work.scratch, s);
     if (status == DONE)
         status = bake_all_classes(&work);
     free_scratch(&work.scratch);
-    free(work.corners.start), free(work.corners.members);
-    free(work.vertices.start), free(work.vertices.members);
     return status;
 }
 
@@ -1770,15 +1794,6 @@ static int check_surface(Surface *s)
         }
     }
     s->joint_count = (Py_ssize_t)largest + 1;
-    if (s->parents && s->rig_joints < s->joint_count) {
-        PyErr_SetString(PyExc_ValueError, "the rig has too few joints");
-        return -1;
-    }
-    s->joint_count = s->parents ? s->rig_joints : s->joint_count;
-    if (s->joint_count > INT32_MAX - s->slots) { /* local numbers count both */
-        PyErr_SetString(PyExc_ValueError, "too many joints for one surface");
-        return -1;
-    }
     for (Py_ssize_t v = 0; v < s->vertices; v++)
         if (s->classes[v] < 0 || s->classes[v] >= s->class_count) {
             PyErr_SetString(PyExc_IndexError, "a weld class is out of range");
@@ -1786,6 +1801,21 @@ static int check_surface(Surface *s)
         }
     if (s->triangle_count > UINT32_MAX / 4 || s->vertices >= INT32_MAX) {
         PyErr_SetString(PyExc_ValueError, "too many triangles or vertices for one surface");
+        return -1;
+    }
+    return 0;
+}
+
+/* Take the joints of the rig into account. Return -1 with an exception if it has too few, or too many. */
+static int check_rig(Surface *s)
+{
+    if (s->parents && s->rig_joints < s->joint_count) {
+        PyErr_SetString(PyExc_ValueError, "the rig has too few joints");
+        return -1;
+    }
+    s->joint_count = s->parents ? s->rig_joints : s->joint_count;
+    if (s->joint_count > INT32_MAX - s->slots) { /* local numbers count both */
+        PyErr_SetString(PyExc_ValueError, "too many joints for one surface");
         return -1;
     }
     return 0;
@@ -1814,23 +1844,30 @@ static const Requirement surface_arrays[ARRAYS] = {
     [PIVOTS] = {"pivots", "d", AXIS_J, AXIS_3, READ},
 };
 
+/* The classes to bake: those of `grouped` from first up to last, or all if it is None. */
+typedef struct {
+    PyObject *grouped;
+    Py_ssize_t first, last;
+} Part;
+
 /* Take and check the arguments of bake_surface. Return -1 with an exception if one is wrong. */
-static int read_surface(PyObject *args, PyObject *keywords, Array *a, Surface *s, Baked *out)
+static int read_surface(PyObject *args, PyObject *keywords, Array *a, Surface *s, Baked *out, Part *part)
 {
     static char *names[] = {"positions", "triangles", "joints", "weights", "free", "classes", "normals", "tangents",
                             "bitangents", "alpha", "beta", "adopted", "ends", "sums", "parents", "ranks", "pivots",
                             "class_count", "weighting", "adopts", "negligible", "stiffness", "even", "faint", "unfelt",
-                            "flat", NULL};
+                            "flat", "grouped", "first", "last", NULL};
     PyObject *o[ARRAYS];
     Py_ssize_t class_count;
     int weighting, adopts;
     double negligible;
     FitSettings fit;
-    if (!PyArg_ParseTupleAndKeywords(args, keywords, "$OOOOOOOOOOOOOOOOOnipdddddd", names, &o[POSITIONS], &o[TRIANGLES],
+    if (!PyArg_ParseTupleAndKeywords(args, keywords, "$OOOOOOOOOOOOOOOOOnipddddddOnn", names, &o[POSITIONS], &o[TRIANGLES],
                                      &o[JOINTS], &o[WEIGHTS], &o[UNUSED], &o[CLASSES], &o[NORMALS], &o[TANGENTS],
                                      &o[BITANGENTS], &o[ALPHA], &o[BETA], &o[ADOPTED], &o[ENDS], &o[SUMS],
                                      &o[PARENTS], &o[RANKS], &o[PIVOTS], &class_count, &weighting, &adopts,
-                                     &negligible, &fit.stiffness, &fit.even, &fit.faint, &fit.unfelt, &fit.flat))
+                                     &negligible, &fit.stiffness, &fit.even, &fit.faint, &fit.unfelt, &fit.flat, &part->grouped,
+                                     &part->first, &part->last))
         return -1;
     if (read_arrays(o, surface_arrays, ARRAYS, 2, a) < 0)
         return -1;
@@ -1878,7 +1915,33 @@ static int read_surface(PyObject *args, PyObject *keywords, Array *a, Surface *s
         .primitives = (size_t)a[ENDS].rows,
         .sums = a[SUMS].buffer.buf,
     };
-    return check_surface(s);
+    return 0;
+}
+
+static const char capsule_name[] = "skinbake.gradients._kernel.grouped";
+
+static void free_capsule(PyObject *capsule)
+{
+    Grouped *grouped = PyCapsule_GetPointer(capsule, capsule_name);
+    if (grouped)
+        free_grouped(grouped);
+    free(grouped);
+}
+
+/* The groups of a capsule that belong to a surface. Return NULL with an exception if they are of another one. */
+static const Grouped *groups_of(const Part *part, Surface *s)
+{
+    const Grouped *grouped = PyCapsule_GetPointer(part->grouped, capsule_name);
+    if (grouped == NULL)
+        return NULL;
+    if (grouped->vertex_count != s->vertices || grouped->slots != s->slots ||
+        grouped->triangle_count != s->triangle_count || grouped->class_count != s->class_count || part->first < 0 ||
+        part->first > part->last || part->last > s->class_count) {
+        PyErr_SetString(PyExc_ValueError, "the groups belong to another surface, or the classes are out of range");
+        return NULL;
+    }
+    s->joint_count = grouped->joint_count;
+    return grouped;
 }
 
 static PyObject *bake_surface(PyObject *Py_UNUSED(module), PyObject *args, PyObject *keywords)
@@ -1888,11 +1951,25 @@ static PyObject *bake_surface(PyObject *Py_UNUSED(module), PyObject *args, PyObj
     memset(a, 0, sizeof a);
     Surface surface;
     Baked out;
-    if (read_surface(args, keywords, a, &surface, &out) < 0)
+    Part part = {Py_None, 0, 0};
+    const Grouped *given = NULL;
+    if (read_surface(args, keywords, a, &surface, &out, &part) < 0)
+        goto done;
+    if (part.grouped == Py_None ? check_surface(&surface) < 0 : (given = groups_of(&part, &surface)) == NULL)
+        goto done;
+    if (check_rig(&surface) < 0)
         goto done;
     Status status;
     Py_BEGIN_ALLOW_THREADS
-    status = bake_checked_surface(&surface, &out);
+    if (given) {
+        status = bake_grouped(&surface, given, (size_t)part.first, (size_t)part.last, &out);
+    } else {
+        Grouped own;
+        status = group_all(&surface, &own);
+        if (status == DONE)
+            status = bake_grouped(&surface, &own, 0, (size_t)surface.class_count, &out);
+        free_grouped(&own);
+    }
     Py_END_ALLOW_THREADS
     if (status == DONE)
         result = Py_NewRef(Py_None);
@@ -1900,6 +1977,59 @@ static PyObject *bake_surface(PyObject *Py_UNUSED(module), PyObject *args, PyObj
         raise_status(status);
 done:
     release_arrays(a, ARRAYS);
+    return result;
+}
+
+static PyObject *group_surface(PyObject *Py_UNUSED(module), PyObject *args)
+{
+    enum { GROUPED_TRIANGLES, GROUPED_JOINTS, GROUPED_WEIGHTS, GROUPED_CLASSES, GROUPED_ARRAYS };
+    static const Requirement required[GROUPED_ARRAYS] = {
+        [GROUPED_TRIANGLES] = {"triangles", "iI", AXIS_T, AXIS_3, READ},
+        [GROUPED_JOINTS] = {"joints", "i", AXIS_V, AXIS_K, READ},
+        [GROUPED_WEIGHTS] = {"weights", "d", AXIS_V, AXIS_K, READ},
+        [GROUPED_CLASSES] = {"classes", "i", AXIS_V, AXIS_1, READ},
+    };
+    PyObject *o[GROUPED_ARRAYS], *result = NULL;
+    Array a[GROUPED_ARRAYS];
+    memset(a, 0, sizeof a);
+    Py_ssize_t class_count;
+    Grouped *grouped = NULL;
+    if (!PyArg_ParseTuple(args, "OOOOn", &o[GROUPED_TRIANGLES], &o[GROUPED_JOINTS], &o[GROUPED_WEIGHTS],
+                          &o[GROUPED_CLASSES], &class_count))
+        return NULL;
+    if (read_arrays(o, required, GROUPED_ARRAYS, 2, a) < 0)
+        goto done;
+    Surface surface = {
+        .triangles = a[GROUPED_TRIANGLES].buffer.buf,
+        .joints = a[GROUPED_JOINTS].buffer.buf,
+        .weights = a[GROUPED_WEIGHTS].buffer.buf,
+        .classes = a[GROUPED_CLASSES].buffer.buf,
+        .vertices = a[GROUPED_JOINTS].rows,
+        .slots = a[GROUPED_JOINTS].columns,
+        .triangle_count = a[GROUPED_TRIANGLES].rows,
+        .class_count = class_count,
+    };
+    if (check_surface(&surface) < 0)
+        goto done;
+    grouped = calloc(1, sizeof *grouped);
+    if (grouped == NULL) {
+        PyErr_NoMemory();
+        goto done;
+    }
+    Status status;
+    Py_BEGIN_ALLOW_THREADS
+    status = group_all(&surface, grouped);
+    Py_END_ALLOW_THREADS
+    if (status == DONE)
+        result = PyCapsule_New(grouped, capsule_name, free_capsule);
+    else
+        raise_status(status);
+    if (result == NULL) {
+        free_grouped(grouped);
+        free(grouped);
+    }
+done:
+    release_arrays(a, GROUPED_ARRAYS);
     return result;
 }
 
@@ -1911,6 +2041,8 @@ static PyMethodDef functions[] = {
     {"normalise_influences", normalise_influences, METH_VARARGS,
      "normalise_influences(joints, weights, free, adopting_sum, tolerance): in place; return the defects by name."},
     {"mark_proper", mark_proper, METH_VARARGS, "mark_proper(positions, triangles, mask, least): fill mask."},
+    {"group_surface", group_surface, METH_VARARGS,
+     "group_surface(triangles, joints, weights, classes, class_count): return the groups, for bake_surface."},
     {"bake_surface", (PyCFunction)(void (*)(void))bake_surface, METH_VARARGS | METH_KEYWORDS,
      "bake_surface(*, positions, triangles, ...): fill alpha, beta, adopted and sums; see _kernel.pyi."},
     {NULL, NULL, 0, NULL},

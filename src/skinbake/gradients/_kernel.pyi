@@ -52,6 +52,19 @@ def mark_proper(
 ) -> None:
     """Fill mask (T,): whether each of the triangles (T, 3) has an area over ``least``."""
 
+class Grouped:
+    """The corners and vertices of a surface by weld class, a capsule. Only bake_surface reads it."""
+
+def group_surface(
+    triangles: npt.NDArray[np.uint32],
+    joints: npt.NDArray[np.int32],
+    weights: npt.NDArray[np.float64],
+    classes: npt.NDArray[np.int32],
+    class_count: int,
+    /,
+) -> Grouped:
+    """Return the corners and vertices by weld class, for any number of calls of bake_surface."""
+
 def bake_surface(
     *,
     positions: FloatArray,
@@ -80,11 +93,15 @@ def bake_surface(
     faint: float,
     unfelt: float,
     flat: float,
+    grouped: Grouped | None,
+    first: int,
+    last: int,
 ) -> None:
     """Fill alpha, beta (V, K − 1) of a surface of P primitives, whose rows end at ``ends`` (P,).
 
     adopted (V, K) comes as zeros. If a slot adopts a joint, 1 + joint is written. tangents and bitangents are
     (V, 3), or (0, 3) if the frame comes from normals. Fill sums (P, 4): vertices that adopt, vertices that
     overflow, summed gradient magnitude, its part that no slot holds. weighting is one of BY_MAX, BY_ANGLE,
-    BY_AREA and BY_ANGLE_AREA.
+    BY_AREA and BY_ANGLE_AREA. With groups of the surface, only the classes from first up to last are
+    baked, and several threads may bake different classes at a time. Without, all are.
     """

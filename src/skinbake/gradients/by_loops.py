@@ -5,6 +5,9 @@ The same operations in numpy, ``by_numpy``, describe the results.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
+
 import numpy as np
 import numpy.typing as npt
 
@@ -26,6 +29,9 @@ from skinbake.gradients.surface import (
 )
 
 NO_RIG = Rig(np.empty(0, dtype=np.int32), np.empty((0, 3)))
+
+PART = 1 << 15
+"""The weld classes that one thread bakes at a time. It is fixed, so sums are the same for any threads."""
 
 WEIGHTINGS = {
     "max": _kernel.BY_MAX,
@@ -68,20 +74,20 @@ def mark_proper(positions: FloatArray, triangles: IntArray) -> BoolArray:
 
 
 def bake_surface(surface: Surface, *, weighting: str, adopt: bool) -> SurfaceSlots:
-    """Return α and β of a surface."""
+    """Return α and β of a surface. Large surfaces are baked by several threads, with the same result."""
     vertices, slots = surface.field.joints.shape
     alpha, beta = (np.empty((vertices, slots - 1), dtype=np.float32) for _ in range(2))
     adopted = np.zeros((vertices, slots), dtype=np.int32)  # memory stays untouched if no slot adopts
     tangents, bitangents = surface.frame or (np.zeros((0, 3)), np.zeros((0, 3)))
-    counts = np.zeros((len(surface.ends), 4))
     rig = surface.rig or NO_RIG
-    _kernel.bake_surface(
+    bake = partial(
+        _kernel.bake_surface,
         positions=np.ascontiguousarray(surface.positions),
-        triangles=np.ascontiguousarray(surface.triangles, dtype=np.uint32),
+        triangles=(triangles := np.ascontiguousarray(surface.triangles, dtype=np.uint32)),
         joints=surface.field.joints,
         weights=surface.field.weights,
         free=surface.field.free,
-        classes=np.ascontiguousarray(surface.classes, dtype=np.int32),
+        classes=(classes := np.ascontiguousarray(surface.classes, dtype=np.int32)),
         normals=np.ascontiguousarray(surface.normals),
         tangents=np.ascontiguousarray(tangents),
         bitangents=np.ascontiguousarray(bitangents),
@@ -89,11 +95,10 @@ def bake_surface(surface: Surface, *, weighting: str, adopt: bool) -> SurfaceSlo
         beta=beta,
         adopted=adopted,
         ends=np.array(surface.ends, dtype=np.uint64),
-        sums=counts,
         parents=np.ascontiguousarray(rig.parents, dtype=np.int32),
         ranks=np.ascontiguousarray(rig.ranks, dtype=np.int32),
         pivots=np.ascontiguousarray(rig.pivots, dtype=np.float64),
-        class_count=int(surface.classes.max(initial=-1)) + 1,
+        class_count=(count := int(classes.max(initial=-1)) + 1),
         weighting=WEIGHTINGS[weighting],
         adopts=adopt,
         negligible=NEGLIGIBLE,
@@ -103,7 +108,31 @@ def bake_surface(surface: Surface, *, weighting: str, adopt: bool) -> SurfaceSlo
         unfelt=UNFELT,
         flat=FLAT,
     )
+    if count <= PART:
+        counts = np.zeros((len(surface.ends), 4))
+        bake(sums=counts, grouped=None, first=0, last=0)
+    else:
+        grouped = _kernel.group_surface(
+            triangles, surface.field.joints, surface.field.weights, classes, count
+        )
+        counts = _baked_in_parts(partial(bake, grouped=grouped), count, len(surface.ends))
     adopts = np.zeros(vertices, dtype=np.bool_)
     adopts[np.flatnonzero(adopted) // slots] = True
     rows = np.flatnonzero(adopts)
     return SurfaceSlots(alpha, beta, rows, adopted[rows] - 1, counts)
+
+
+def _baked_in_parts(bake: Callable[..., None], classes: int, primitives: int) -> Float64Array:
+    """Bake parts of the classes side by side. Return the sums (P, 4), added in the order of the parts."""
+    from skinbake.threads import Threads, thread_count  # small models need no threads
+
+    def baked(first: int) -> Float64Array:
+        sums = np.zeros((primitives, 4))
+        bake(sums=sums, first=first, last=min(first + PART, classes))
+        return sums
+
+    total = np.zeros((primitives, 4))
+    with Threads(thread_count()) as threads:
+        for sums in threads.each(baked, range(0, classes, PART)):
+            total += sums
+    return total

@@ -18,7 +18,6 @@ from skinbake.lighting.blending import BlendedSurface, blocks, chunks
 from skinbake.lighting.metrics import cosine, squared_sine
 from skinbake.lighting.operator import GradientOperator
 from skinbake.lighting.reference import RestFrames, morphed_frames, rest_frames
-from skinbake.lighting.threads import Threads, thread_count
 from skinbake.lighting.triangle_normals import (
     CarriedNormals,
     ClassSums,
@@ -30,6 +29,7 @@ from skinbake.skinning.components import Vector, cross, dot, scaled
 from skinbake.skinning.morphs import morphed
 from skinbake.skinning.run import Skinning
 from skinbake.skinning.surface import Options, RestSurface
+from skinbake.threads import Threads, thread_count
 from skinbake.timing import stage
 
 METHODS: dict[str, dict[str, Algorithm]] = {

@@ -12,7 +12,7 @@ from skinbake.commands.verify import verify_file
 from skinbake.lighting import angles, blending
 from skinbake.lighting.measured import VerifyOptions
 from skinbake.lighting.poses import PoseRequest
-from skinbake.lighting.threads import MOST, Threads, thread_count
+from skinbake.threads import MOST, Threads, thread_count
 from tests.support.baked_files import baked, source
 
 
