@@ -60,7 +60,10 @@ class Normals:
 
 
 class Character:
-    """A baked file of one mesh of one primitive, at rest or morphed, and its joints in one pose."""
+    """A baked file of one mesh of one primitive, at rest or morphed, and its joints in one pose.
+
+    Slots without weight may name joints that do not exist, as exporters write them.
+    """
 
     def __init__(self, path: Path, pose: Pose, morphs: tuple[float, ...] = ()) -> None:
         self.path, self.morphs = path, morphs
@@ -76,6 +79,7 @@ class Character:
             tangents, bitangents = (
                 part.astype(np.float32) for part in frames.frame_from_tangent(normals, self.tangents)
             )
+        self.joints, self.pose = _posed(path, pose)
         joints, weights = file.influences()
         alpha, beta = _gradients(file, metadata)
         self.rest = RestSurface(
@@ -83,14 +87,13 @@ class Character:
             normals=normals,
             tangents=tangents,
             bitangents=bitangents,
-            joints=joints[:, :4],
-            weights=weights / weights.sum(axis=1, keepdims=True),
+            joints=np.where(joints[:, :4] < len(self.joints), joints[:, :4], 0),
+            weights=_normalized(weights),
             alpha=alpha,
             beta=beta,
         )
         self._along = self._tangents_in_frame()
         self._morph(file)
-        self.joints, self.pose = _posed(path, pose)
 
     def _tangents_in_frame(self) -> Array | None:
         """The weight gradients' share along TANGENT: what α and β would be for it, (2, V)."""
@@ -154,6 +157,13 @@ class Character:
         rest = replace(self.rest, tangents=tangents, bitangents=bitangents)
         posed = replay(Algorithm.LBS_ACCURATE, rest, self.matrices(placement)[None])
         return unit(posed.normals[0] @ np.linalg.inv(placement.world[:3, :3]))
+
+
+def _normalized(weights: Array) -> Array:
+    """Return weights (V, K) whose sums are 1: slot 0 has all where a file gives none, as in three.js."""
+    sums = weights.sum(axis=1, keepdims=True)
+    first = np.eye(1, weights.shape[1])
+    return np.asarray(np.divide(weights, sums, out=np.repeat(first, len(weights), 0), where=sums > 0))
 
 
 def _gradients(file: gltf_reading.GltfFile, metadata: JsonObject) -> tuple[Array, Array]:

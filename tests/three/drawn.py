@@ -17,6 +17,7 @@ from skinbake.skinning.algorithms import Algorithm
 from tests.support import browser
 from tests.support.baked_files import Editable
 from tests.support.characters import AS_USUAL, Array, Character, Placement, Pose, angles, baked
+from tests.support.replay import replay
 
 DEGREES = 0.01
 """Between the browser and the replay: three.js has bone matrices, and we all else, in float32."""
@@ -36,6 +37,8 @@ CHARACTERS = [
     pytest.param("Butterfly/animated_butterfly.glb", None, Pose(0, 0.4), id="Butterfly"),
     pytest.param("TRex/trex.gltf", None, Pose(0, 0.5), id="TRex"),
     pytest.param("XRHand/hand_l.gltf", None, RANDOM, id="XRHand"),
+    pytest.param("RiggedElf/RiggedElf.gltf", None, Pose(0, 0.5), id="RiggedElf"),
+    pytest.param("AFrameHands/leftHandLow.glb", None, Pose(0, 0.05), id="AFrameHands"),
 ]
 STORAGES = [
     AS_USUAL,
@@ -84,6 +87,18 @@ def expected(
 ) -> Array:
     placement = dataclasses.replace(Placement(), world=np.array(world).reshape(4, 4).T)
     return character.expected(algorithm, placement).normals
+
+
+def uncertainty(character: Character, world: list[float]) -> Array:
+    """Return how far each normal turns, in degrees, where joint matrices are rounded to float32."""
+    placement = dataclasses.replace(Placement(), world=np.array(world).reshape(4, 4).T)
+    matrices = character.matrices(placement)
+    random = np.random.default_rng(3)
+    roundings = 1 + 2.0**-24 * random.choice([-1, 1], (32, *matrices.shape))
+    exact, *changed = replay(
+        Algorithm.LBS_ACCURATE, character.rest, np.concatenate([matrices[None], matrices * roundings])
+    ).normals
+    return np.asarray(np.max([angles(one, exact) for one in changed], axis=0))
 
 
 def largest(found: str, wanted: Array) -> float:
