@@ -49,6 +49,24 @@ function skinnedMeshes(root) {
     return found;
 }
 
+// Draw until all is compiled, then once more, recorded: values of three floats for each vertex, and clip positions.
+async function draw(renderer, scene, camera) {
+    // SwiftShader's WebGPU cannot present to a canvas.
+    if (renderer.backend.isWebGPUBackend) renderer.setRenderTarget(new THREE.RenderTarget(SIZE, SIZE));
+    for (let frame = 0; frame < 2; frame++) renderer.render(scene, camera);
+    const capture = renderer.backend.isWebGPUBackend ? WEBGPU_CAPTURE : CAPTURE;
+    capture.draws = [];
+    capture.on = true;
+    renderer.render(scene, camera);
+    capture.on = false;
+    if (capture === CAPTURE) return capture.draws;
+    const read = [];
+    for (const one of capture.draws) read.push(await WEBGPU_CAPTURE.read(one));
+    return read
+        .filter(({ name }) => name)
+        .map(({ varying }) => ({ values: varying.filter((_, index) => index % 4 < 3) }));
+}
+
 function base64(floats) {
     const bytes = new Uint8Array(floats.buffer, floats.byteOffset, floats.byteLength);
     let text = '';
@@ -76,9 +94,9 @@ const api = {
         return renderer.backend.isWebGPUBackend ? 'webgpu' : 'webgl';
     },
 
-    // The normals of a character as its vertex stage hands them on; by the WebGL 2 backend.
-    async normals({ material = 'own', lighting, ...options }) {
-        const renderer = await rendererOf('webgl');
+    // The normals of a character as its vertex stage hands them on.
+    async normals({ material = 'own', lighting, backend = 'webgl', ...options }) {
+        const renderer = await rendererOf(backend);
         const { scene: model } = await load(options);
         const scene = new THREE.Scene();
         scene.add(model, new THREE.DirectionalLight());
@@ -86,12 +104,7 @@ const api = {
         if (MATERIALS[material]) mesh.material = MATERIALS[material](mesh.material);
         if (lighting) skinbake.lighting(model, lighting);
         const camera = new THREE.PerspectiveCamera();
-        for (let frame = 0; frame < 2; frame++) renderer.render(scene, camera);
-        CAPTURE.draws = [];
-        CAPTURE.on = true;
-        renderer.render(scene, camera);
-        CAPTURE.on = false;
-        const draws = CAPTURE.draws.map(({ values }) => base64(values));
+        const draws = (await draw(renderer, scene, camera)).map(({ values }) => base64(values));
         const world = mesh.matrixWorld.toArray();
         const report = skinbake.applySkinbake(mesh).meshes.map((one) => [one.lighting, one.reason]);
         skinbake.dispose(scene);

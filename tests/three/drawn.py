@@ -103,6 +103,7 @@ def uncertainty(character: Character, world: list[float]) -> Array:
 
 def largest(found: str, wanted: Array) -> float:
     normals = vectors(found)
+    assert (np.linalg.norm(normals, axis=1) > 0).all()
     return float(angles(normals, wanted[: len(normals)]).max())
 
 

@@ -1,4 +1,4 @@
-"""The npm package under WebGPURenderer: its WebGL 2 backend against the replay, WebGPU against that.
+"""The npm package under WebGPURenderer, by both its backends: normals of real draws against the replay.
 
 The WebGPU of the browser runs on SwiftShader.
 """
@@ -46,10 +46,20 @@ PAGE = """<!doctype html>
 }}
 </script>
 <script src="/tests/capture.js"></script>
+<script src="/tests/capture_webgpu.js"></script>
 <body><script type="module">window.ready = import('/tests/drawing_webgpu.mjs');</script>
 """
 SIZE = 96
 SOURCES = [(TUBE, BENT, "auto"), (MIRRORED, RANDOM, "normal"), (MIRRORED, RANDOM, "tangent")]
+
+
+BACKENDS = ["webgl", "webgpu"]
+
+
+def require(stage: Stage, backend: str) -> None:
+    """Skip where the browser has no WebGPU, and the renderer takes WebGL 2 in its place."""
+    if stage.page.call("backend", backend) != backend:
+        pytest.skip("this browser has no WebGPU adapter")
 
 
 @pytest.fixture
@@ -74,11 +84,13 @@ def opened(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stage]:
 @pytest.mark.parametrize("storage", STORAGES, ids=lambda storage: f"{storage.encoding} {storage.layout}")
 @pytest.mark.parametrize(("source", "pose", "frame"), SOURCES)
 @pytest.mark.parametrize("method", ["lbs", "dqs"])
+@pytest.mark.parametrize("backend", BACKENDS)
 def test_every_normal_is_that_of_the_replay(
-    stage: Stage, source: Path, pose: Pose, frame: str, method: str, storage: GradientFormat
+    stage: Stage, source: Path, pose: Pose, frame: str, method: str, storage: GradientFormat, backend: str
 ) -> None:
+    require(stage, backend)
     character = stage.character(source, pose, frame, storage)
-    found = stage.normals(character, method=method)
+    found = stage.normals(character, method=method, backend=backend)
     (drawn,) = found["draws"]
     algorithm = Algorithm.LBS_ACCURATE if method == "lbs" else Algorithm.DQS_EXACT
     assert largest(drawn, expected(character, found["world"], algorithm)) < DEGREES
@@ -93,10 +105,16 @@ def test_morph_targets_come_before_skinning(stage: Stage, frame: str) -> None:
     assert largest(found["draws"][0], expected(character, found["world"])) < DEGREES
 
 
+@pytest.mark.parametrize(
+    ("backend", "storage"), [("webgl", STORAGES[0]), *(("webgpu", storage) for storage in STORAGES)], ids=str
+)
 @pytest.mark.parametrize(("model", "fixture", "pose"), CHARACTERS[2:])
-def test_real_characters_too(stage: Stage, model: str, fixture: None, pose: Pose) -> None:
-    character = stage.character(corpus.model(model), pose)
-    found = stage.normals(character)
+def test_real_characters_too(
+    stage: Stage, model: str, fixture: None, pose: Pose, storage: GradientFormat, backend: str
+) -> None:
+    require(stage, backend)
+    character = stage.character(corpus.model(model), pose, storage=storage)
+    found = stage.normals(character, backend=backend)
     (drawn,) = found["draws"]
     assert largest(drawn, expected(character, found["world"])) < DEGREES
 
@@ -128,9 +146,8 @@ def test_a_material_that_skins_by_itself_is_told_of_once(stage: Stage) -> None:
 
 @pytest.mark.parametrize("method", ["lbs", "dqs"])
 def test_webgpu_draws_the_same_picture(stage: Stage, method: str) -> None:
-    """WebGPU has no transform feedback; its pixels hold the normals as floats."""
-    if stage.page.call("backend", "webgpu") != "webgpu":
-        pytest.skip("this browser has no WebGPU adapter")
+    """Its pixels hold the normals as floats."""
+    require(stage, "webgpu")
     character = stage.character(TUBE, BENT, storage=STORAGES[1])
     told = {**character.told(Placement()), "method": method}
     accurate, other = (picture(stage.call("picture", {**told, "backend": b})) for b in ("webgl", "webgpu"))
