@@ -19,9 +19,9 @@ const state = (globalThis[Symbol.for('skinbake.three')] ??= {
     meshes: new WeakMap(), // mesh -> Map of material -> { program, lighting, reason, repaired }
     standard: new WeakSet(), // meshes that lighting() has switched
     told: new WeakMap(), // mesh -> messages
+    passed: new WeakSet(), // geometries that nobody has asked for: they are told of once
     backends: new Map(), // name -> { install, uninstall, verify }
     count: 0,
-    undo: [],
 });
 
 function apply(root, method) {
@@ -29,13 +29,21 @@ function apply(root, method) {
     install();
     const meshes = skinnedMeshes(root);
     for (const mesh of meshes) {
-        takeOwnHooks(mesh);
-        const { skinbake } = mesh.geometry.userData;
-        if (isObject(skinbake)) state.methods.set(skinbake, method);
-        const { problem } = adopt(mesh.geometry, method);
+        const problem = strangeness(mesh) || takeUp(mesh, method);
         if (problem && problem !== NOT_BAKED) tell(mesh, problem);
     }
+    root.traverse((object) => {
+        if (!object.isMesh || object.isSkinnedMesh || problemOf(object.geometry) === NOT_BAKED) return;
+        tell(object, `three.js does not skin ${kindOf(object)}`);
+    });
     return { meshes: meshes.map((mesh) => new MeshReport(mesh)) };
+}
+
+function takeUp(mesh, method) {
+    takeOwnHooks(mesh);
+    const { skinbake } = mesh.geometry.userData;
+    if (isObject(skinbake)) state.methods.set(skinbake, method);
+    return adopt(mesh.geometry, method).problem;
 }
 
 /**
@@ -65,10 +73,11 @@ function dispose(root) {
         state.meshes.delete(mesh);
         const { userData } = mesh.geometry;
         if (isObject(userData.skinbake)) state.methods.delete(userData.skinbake);
+        state.passed.add(mesh.geometry);
         forget(mesh.geometry);
     }
     if (state.count > 0) return;
-    while (state.undo.length) state.undo.pop()();
+    for (const backend of state.backends.values()) backend.uninstall();
     state.backends.clear();
 }
 
@@ -106,21 +115,27 @@ class MeshReport {
     }
 
     #found() {
-        const adopted = state.geometries.get(this.mesh.geometry);
-        if (!adopted) return ['standard', NOT_BAKED];
-        if (adopted.problem) return ['standard', adopted.problem];
+        const problem = strangeness(this.mesh) || (state.geometries.get(this.mesh.geometry)?.problem ?? NOT_BAKED);
+        if (problem) return ['standard', problem];
         if (state.standard.has(this.mesh)) return ['standard', 'lighting() has switched it'];
         const drawn = state.meshes.get(this.mesh) ?? new Map();
         const found = [this.mesh.material].flat().map((material) => drawn.get(material));
         const standard = found.find((one) => one?.lighting === 'standard');
         if (standard) return ['standard', standard.reason];
-        if (!found.every(Boolean)) return ['not drawn', 'it has not been drawn yet'];
+        if (!found.every((one) => one && one.lighting !== 'not drawn')) return ['not drawn',
+                'it has not been drawn yet'];
         if (found.every((one) => one.lighting === 'unlit')) return ['unlit', 'its materials read no normals'];
         return ['accurate', ''];
     }
 }
 
 const NOT_BAKED = 'it is not baked';
+const NOT_ASKED = 'applySkinbake has not been called for it';
+
+function strangeness(mesh) {
+    if (mesh instanceof state.three.SkinnedMesh) return '';
+    return "it is of another copy of three.js: let every import of 'three' find the same files";
+}
 
 function skinnedMeshes(root) {
     const found = [];
@@ -128,6 +143,10 @@ function skinnedMeshes(root) {
         if (object.isSkinnedMesh) found.push(object);
     });
     return found;
+}
+
+function kindOf({ isBatchedMesh, isInstancedMesh, type }) {
+    return isBatchedMesh ? 'a BatchedMesh' : isInstancedMesh ? 'an InstancedMesh' : `a ${type}`;
 }
 
 const isObject = (value) => typeof value === 'object' && value !== null;
@@ -149,14 +168,17 @@ function isBaked(geometry) {
     return adopted !== undefined && !adopted.problem;
 }
 
+function isIntact({ attributes }, { sources, hidden }) {
+    return Boolean(attributes[STORAGE] ?? hidden) && sources.every(([name,
+            source]) => attributes[name] === source);
+}
+
 // Give a geometry the attributes that the shader reads.
 function adopt(geometry, method) {
     const adopted = state.geometries.get(geometry);
     if (adopted && !adopted.problem) {
         // What has been changed since is put right.
-        const { attributes } = geometry;
-        const same = adopted.sources.every(([name, source]) => attributes[name] === source);
-        if (same && attributes[STORAGE] && adopted.method === method) return adopted;
+        if (isIntact(geometry, adopted) && adopted.method === method) return adopted;
         forget(geometry);
     }
     const made = madeOf(geometry, method);
@@ -179,11 +201,20 @@ function madeOf(geometry, method) {
     if (metadata.frame === 'tangent') define(attributes, TANGENT, attributes.tangent, false);
     const scale = metadata.encoding ? metadata.scale : 1;
     const constants = [scale, FRAMES[metadata.frame], METHODS[method], 1];
-    // One element for all vertices and instances: constants of the geometry.
-    const { InstancedBufferAttribute } = state.three;
-    const storage = new InstancedBufferAttribute(new Float32Array(constants), 4, false, 1 << 30);
-    define(attributes, STORAGE, storage, true);
+    define(attributes, STORAGE, storageOf(geometry, constants), true);
     return { problem: '', sources, method, constants };
+}
+
+// One element for all vertices and instances. Where the attributes say how many instances there are, one for each
+// vertex: it must not say so.
+function storageOf(geometry, constants) {
+    const { BufferAttribute, InstancedBufferAttribute } = state.three;
+    if (!geometry.isInstancedBufferGeometry) {
+        return new InstancedBufferAttribute(new Float32Array(constants), 4, false, 1 << 30);
+    }
+    const { count } = geometry.attributes.position;
+    return new BufferAttribute(Float32Array.from({ length: 4 * count }, (_, index) => constants[index % 4]),
+            4);
 }
 
 // Only enumerable attributes are uploaded and cloned. Another name for the same attribute needs neither.
@@ -206,7 +237,7 @@ function coordinatesOf({ alpha, beta }) {
     return [...new Set([...alpha, ...beta])].map((name) => renamed[name.toLowerCase()] ?? name.toLowerCase());
 }
 
-function problemOf(geometry, metadata) {
+function problemOf(geometry, metadata = geometry.userData.skinbake) {
     const { attributes } = geometry;
     if (!isObject(metadata) || !Number.isInteger(metadata.version)) {
         if (!attributes._skinbake_alpha_0) return NOT_BAKED;
@@ -266,13 +297,11 @@ function tell(mesh, reason) {
 // Watch each draw of skinned meshes, of whatever origin: gltfjsx and clone() make new ones.
 function install() {
     for (const backend of state.backends.values()) backend.install();
-    if (state.undo.length) return;
     const { prototype } = state.three.SkinnedMesh;
-    for (const [name, act] of Object.entries(HOOKS)) {
-        Object.defineProperty(prototype, name, hook(prototype[name], act));
-        state.undo.push(() => delete prototype[name]);
-    }
-    for (const backend of state.backends.values()) state.undo.push(() => backend.uninstall());
+    if (Object.hasOwn(prototype, 'onBeforeRender')) return;
+    // They stay after dispose(), because they hold what is assigned to meshes.
+    for (const [name, act] of Object.entries(HOOKS)) Object.defineProperty(prototype, name,
+            hook(prototype[name], act));
 }
 
 const HOOKS = {
@@ -302,33 +331,49 @@ function hook(inherited, act) {
     };
 }
 
+// A mesh may have hooks of its own from before, or from a class of its own.
 function takeOwnHooks(mesh) {
-    for (const name of Object.keys(HOOKS)) {
-        if (!Object.hasOwn(mesh, name)) continue;
-        const own = mesh[name];
-        delete mesh[name];
-        mesh[name] = own;
+    for (const [name, act] of Object.entries(HOOKS)) {
+        let holder = mesh;
+        while (!Object.hasOwn(holder, name)) holder = Object.getPrototypeOf(holder);
+        if (!Object.getOwnPropertyDescriptor(holder, name).get) {
+            Object.defineProperty(mesh, name, hook(mesh[name], act));
+        }
     }
 }
 
 function beforeDraw(renderer, scene, camera, geometry) {
-    const metadata = geometry.userData.skinbake;
     const adopted = state.geometries.get(geometry);
-    if (!adopted && isObject(metadata) && state.methods.has(metadata)) {
-        // Attributes that come during a frame are not uploaded in it.
-        queueMicrotask(() => {
-            const { problem } = adopt(geometry, state.methods.get(metadata));
-            if (problem) tell(this, problem);
-        });
-    }
+    if (!adopted) meet(this, geometry);
+    else if (!adopted.problem && !isIntact(geometry, adopted)) adoptLater(this, geometry, adopted.method);
     hide(renderer, this, geometry, adopted);
+}
+
+// A geometry that is drawn for the first time: a clone of one that was asked for, or nobody has asked.
+function meet(mesh, geometry) {
+    const metadata = geometry.userData.skinbake;
+    if (isObject(metadata) && state.methods.has(metadata)) {
+        adoptLater(mesh, geometry, state.methods.get(metadata));
+    } else if (state.count > 0 && !state.passed.has(geometry)) {
+        state.passed.add(geometry);
+        const problem = problemOf(geometry, metadata);
+        if (problem !== NOT_BAKED) tell(mesh, problem || NOT_ASKED);
+    }
+}
+
+// Attributes that come during a frame are not uploaded in it.
+function adoptLater(mesh, geometry, method) {
+    queueMicrotask(() => {
+        const { problem } = adopt(geometry, method);
+        if (problem) tell(mesh, problem);
+    });
 }
 
 function afterDraw(renderer, scene, camera, geometry, material) {
     const adopted = state.geometries.get(geometry);
     if (!adopted || adopted.problem) return;
     show(this, geometry, adopted);
-    if (state.standard.has(this)) return;
+    if (state.standard.has(this) || !isIntact(geometry, adopted)) return;
     const drawn = state.meshes.get(this) ?? state.meshes.set(this, new Map()).get(this);
     const backend = state.backends.get(renderer.isWebGLRenderer ? 'webgl' : 'webgpu');
     const before = drawn.get(material);
@@ -355,7 +400,8 @@ function afterShadow(renderer, object, camera, shadowCamera, geometry) {
 
 // WebGLRenderer draws a mesh without these constants as three.js does.
 function hide(renderer, mesh, geometry, adopted) {
-    if (!adopted || adopted.problem || !state.standard.has(mesh) || !renderer.isWebGLRenderer) return;
+    if (!adopted || adopted.problem || adopted.hidden) return;
+    if (!state.standard.has(mesh) || !renderer.isWebGLRenderer) return;
     adopted.hidden = geometry.attributes[STORAGE];
     delete geometry.attributes[STORAGE];
 }

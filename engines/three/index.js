@@ -420,11 +420,13 @@ const CHUNKS = {
 };
 const CHUNKED = Object.values(CHUNKS).join();
 const usual = {};
+let changes = 0;
 
 // three.js puts its chunks together when it compiles a program, after all hooks of the material. So the hooks
 // may come and go. Meshes without the constants of a bake run three.js's own lines alone.
 function changeChunks() {
     if (ShaderChunk.skinnormal_vertex.includes('skinbake')) return;
+    changes++;
     for (const [name, [before, after]] of Object.entries(CHUNKS)) {
         usual[name] = ShaderChunk[name];
         ShaderChunk[name] = `${before}${ShaderChunk[name]}${after}`;
@@ -445,9 +447,9 @@ function verifyProgram(renderer, mesh, material, before) {
     if (!attributes.normal) return { ...found, lighting: 'unlit' };
     if (!before?.repaired && !material.isRawShaderMaterial) {
         // It may be from before the chunks were changed. Then this define gives it a program of its own.
-        material.defines = { ...material.defines, SKINBAKE: '' };
+        material.defines = { ...material.defines, SKINBAKE: changes };
         material.needsUpdate = true;
-        return { ...found, lighting: 'unlit', repaired: true };
+        return { ...found, lighting: 'not drawn', repaired: true };
     }
     const reason = `its ${material.type} "${material.name}" does not skin by three.js's chunks`;
     return { ...found, lighting: 'standard', reason };

@@ -76,10 +76,12 @@ export class SkinbakePlugin {
 }
 
 const OFF = new Vector4();
+const asked = new WeakSet(); // meshes whose program has asked for their constants since the last look
 let usual;
 
 // Scale; frame: 2 normal, 3 tangent; 1 for dual quaternions.
 function constantsOf(object) {
+    asked.add(object);
     const { constants, problem = true } = state.geometries.get(object.geometry) ?? {};
     return problem || state.standard.has(object) ? OFF : new Vector4().fromArray(constants);
 }
@@ -313,14 +315,17 @@ function restoreMaterials() {
     NodeMaterial.prototype.setupPosition = usual;
 }
 
-// The vertex stage is three.js's own, unless the application has replaced it.
+const ACCURATE = { lighting: 'accurate', reason: '' };
+const UNSEEN = { lighting: 'not drawn', reason: '' };
+
+// A program that lights accurately asks for the constants whenever it draws. It may not be ready in a first draw.
 function verifyMaterial(renderer, mesh, material, before) {
-    const found = { material, lighting: 'accurate', reason: '' };
-    let reason = '';
+    if (asked.delete(mesh)) return ACCURATE;
+    if (!before || before.lighting === 'standard') return before ?? UNSEEN;
+    let reason = `its ${material.type} "${material.name}" does not skin by three.js's nodes`;
     if (material.vertexNode) reason = `its ${material.type} "${material.name}" skins by its own vertexNode`;
     if (material.isShaderMaterial) reason = `WebGPURenderer cannot draw its ${material.type} "${material.name}"`;
-    if (before?.reason === reason) return before;
-    return reason ? { ...found, lighting: 'standard', reason } : found;
+    return { lighting: 'standard', reason };
 }
 
 function serveWebGPU() {

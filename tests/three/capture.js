@@ -6,7 +6,7 @@ window.CAPTURE = CAPTURE;
 
 {
     const prototype = WebGL2RenderingContext.prototype;
-    const { attachShader, drawArrays, drawElements, drawElementsInstanced, linkProgram, shaderSource } = prototype;
+    const { attachShader, drawArraysInstanced, drawElements, drawElementsInstanced, linkProgram, shaderSource } = prototype;
     const sources = new WeakMap();
     const shaders = new WeakMap();
     const recorded = new WeakMap();
@@ -30,15 +30,15 @@ window.CAPTURE = CAPTURE;
         linkProgram.call(this, program);
     };
     prototype.drawElements = function (mode, count, type, offset) {
-        record(this, count, type, offset);
+        record(this, count, type, offset, 1);
         drawElements.call(this, mode, count, type, offset);
     };
     prototype.drawElementsInstanced = function (mode, count, type, offset, instances) {
-        record(this, count, type, offset);
+        record(this, count, type, offset, instances);
         drawElementsInstanced.call(this, mode, count, type, offset, instances);
     };
 
-    function record(gl, count, type, offset) {
+    function record(gl, count, type, offset, instances) {
         const program = gl.getParameter(gl.CURRENT_PROGRAM);
         const { name, text } = recorded.get(program) ?? {};
         if (!CAPTURE.on || !name) return;
@@ -46,18 +46,18 @@ window.CAPTURE = CAPTURE;
         const indices = new Indices(count);
         gl.getBufferSubData(gl.ELEMENT_ARRAY_BUFFER, offset, indices);
         const vertices = indices.reduce((largest, index) => Math.max(largest, index), 0) + 1;
-        const values = new Float32Array(3 * vertices);
+        const values = new Float32Array(3 * vertices * instances);
         const buffer = gl.createBuffer();
         gl.bindBufferBase(gl.TRANSFORM_FEEDBACK_BUFFER, 0, buffer);
         gl.bufferData(gl.TRANSFORM_FEEDBACK_BUFFER, values.byteLength, gl.STREAM_READ);
         gl.enable(gl.RASTERIZER_DISCARD);
         gl.beginTransformFeedback(gl.POINTS);
-        drawArrays.call(gl, gl.POINTS, 0, vertices);
+        drawArraysInstanced.call(gl, gl.POINTS, 0, vertices, instances);
         gl.endTransformFeedback();
         gl.disable(gl.RASTERIZER_DISCARD);
         gl.getBufferSubData(gl.TRANSFORM_FEEDBACK_BUFFER, 0, values);
         gl.bindBufferBase(gl.TRANSFORM_FEEDBACK_BUFFER, 0, null);
         gl.deleteBuffer(buffer);
-        CAPTURE.draws.push({ name, text, values, program });
+        CAPTURE.draws.push({ name, text, values, program, instances });
     }
 }

@@ -141,6 +141,40 @@ for (const [name, Material] of Object.entries(MATERIALS)) {
     CHANGES[name] = ({ mesh }) => (mesh.material = new Material());
 }
 
+const VIEWS = {
+    ArrayCamera: () => {},
+    'two renders': () => {},
+    // What applications do to draw many characters in one pose: three.js has no class for it.
+    instances: ({ mesh }) => {
+        const matrices = [0, 1].map((number) => new THREE.Matrix4().makeRotationY(2 * number));
+        mesh.isInstancedMesh = true;
+        mesh.count = matrices.length;
+        mesh.instanceColor = mesh.morphTexture = null;
+        mesh.instanceMatrix = new THREE.InstancedBufferAttribute(new Float32Array(32), 16);
+        matrices.forEach((matrix, index) => matrix.toArray(mesh.instanceMatrix.array, 16 * index));
+        mesh.computeBoundingSphere();
+    },
+    InstancedBufferGeometry: ({ scene, mesh }) => {
+        mesh.geometry = new THREE.InstancedBufferGeometry().copy(mesh.geometry);
+        mesh.geometry.instanceCount = Infinity;
+        mesh.geometry.setAttribute('offset', new THREE.InstancedBufferAttribute(new Float32Array(9), 3));
+        mesh.material.onBeforeCompile = (shader) => {
+            shader.vertexShader = shader.vertexShader
+                .replace('void main() {', 'attribute vec3 offset; void main() {')
+                .replace('#include <project_vertex>', 'transformed += offset;\n#include <project_vertex>');
+        };
+        skinbake.applySkinbake(scene);
+    },
+};
+
+function plainCopy(geometry) {
+    const copy = new THREE.BufferGeometry().setIndex(geometry.index);
+    for (const [name, attribute] of Object.entries(geometry.attributes)) {
+        if (!name.startsWith('morphSkinbake')) copy.setAttribute(name, attribute);
+    }
+    return copy;
+}
+
 function replace(mesh, other) {
     other.frustumCulled = false;
     mesh.parent.add(other);
@@ -168,6 +202,104 @@ const api = {
         skinbake.dispose(scene);
         skinbake.dispose(mesh);
         return { ...result, hooked: mesh.userData.hooked ?? false, error: renderer.getContext().getError() };
+    },
+
+    // A mesh that was drawn before it is asked for, then disposed of, drawn with another material, asked for again.
+    async late(options) {
+        const { scene: model } = await load({ ...options, plugin: false });
+        const scene = new THREE.Scene();
+        scene.add(model);
+        const [mesh] = skinnedMeshes(model);
+        const found = [];
+        const look = async (report) => {
+            const draws = (await draw(scene)).map(({ values }) => base64(values));
+            found.push({ draws, report: told(report?.meshes ?? []) });
+        };
+        await look();
+        for (let round = 0; round < 2; round++) {
+            const report = skinbake.applySkinbake(scene);
+            await look(report);
+            skinbake.dispose(scene);
+            mesh.material = new mesh.material.constructor({ defines: mesh.material.defines });
+            await look();
+        }
+        return { found, world: mesh.matrixWorld.toArray() };
+    },
+
+    // What cameras and instances do: the draws of one frame, or of two renders, with all that is switched standard.
+    async views({ kind, lighting, ...options }) {
+        const { scene: model } = await load(options);
+        const scene = new THREE.Scene();
+        scene.add(model);
+        const [mesh] = skinnedMeshes(model);
+        if (lighting) skinbake.lighting(scene, lighting);
+        const cameras = [0, 1].map((number) => {
+            const one = new THREE.PerspectiveCamera();
+            one.rotation.set(0, number, 0);
+            one.updateMatrixWorld();
+            one.viewport = new THREE.Vector4(32 * number, 0, 32, 64);
+            return one;
+        });
+        await VIEWS[kind]({ scene, mesh });
+        const all = kind === 'two renders' ? cameras : [kind === 'ArrayCamera' ? new THREE.ArrayCamera(cameras) : cameras[0]];
+        for (let frame = 0; frame < 3; frame++) {
+            for (const one of all) renderer.render(scene, one);
+            await null;
+        }
+        CAPTURE.draws = [];
+        CAPTURE.on = true;
+        for (const one of all) renderer.render(scene, one);
+        CAPTURE.on = false;
+        const draws = CAPTURE.draws.map(({ values, instances }) => ({ values: base64(values), instances }));
+        const report = told(skinbake.applySkinbake(scene).meshes);
+        skinbake.dispose(scene);
+        const views = cameras.map((one) => one.matrixWorldInverse.toArray());
+        return { draws, views, report, world: mesh.matrixWorld.toArray() };
+    },
+
+    // What the console has of baked meshes that three.js does not skin, or that nobody has asked for.
+    async strangers(options) {
+        const { scene } = await load(options);
+        const [mesh] = skinnedMeshes(scene);
+        const { geometry, material } = mesh;
+        const batched = new THREE.BatchedMesh(1, geometry.attributes.position.count, geometry.index.count, material);
+        batched.addInstance(batched.addGeometry(plainCopy(geometry)));
+        const added = {
+            batched,
+            instanced: new THREE.InstancedMesh(geometry, material, 1),
+            still: new THREE.Mesh(geometry, material),
+        };
+        for (const [name, object] of Object.entries(added)) scene.add(Object.assign(object, { name }));
+        skinbake.applySkinbake(scene);
+        skinbake.applySkinbake(scene);
+        const later = (await load({ ...options, plugin: false })).scene;
+        skinnedMeshes(later).forEach((one) => (one.name = 'later'));
+        scene.add(later);
+        await draw(scene);
+        skinbake.dispose(scene);
+        for (const object of Object.values(added)) object.removeFromParent();
+        await draw(scene);
+    },
+
+    // A class with a hook of its own, and one whose meshes come from another copy of three.js.
+    async classes(options) {
+        const { scene } = await load({ ...options, plugin: false });
+        const [mesh] = skinnedMeshes(scene);
+        class Own extends THREE.SkinnedMesh {
+            onBeforeRender() {
+                this.userData.hooked = true;
+            }
+        }
+        const own = new Own(mesh.geometry, mesh.material);
+        own.bind(mesh.skeleton, mesh.bindMatrix);
+        replace(mesh, own);
+        for (let time = 0; time < 3; time++) skinbake.applySkinbake(scene);
+        skinbake.lighting(own, 'standard');
+        const draws = (await draw(scene)).map(({ values }) => base64(values));
+        const other = Object.assign(new THREE.Mesh(mesh.geometry, mesh.material), { name: 'other', isSkinnedMesh: true });
+        const report = told(skinbake.applySkinbake(other).meshes);
+        skinbake.dispose(scene);
+        return { draws, report, hooked: own.userData.hooked, world: own.matrixWorld.toArray() };
     },
 
     // Two characters that share all but what clone() of SkeletonUtils makes anew; one is switched to standard.

@@ -15,7 +15,7 @@ from skinbake.choices import Encoding
 from skinbake.format.layouts import GradientFormat
 from skinbake.skinning.algorithms import Algorithm
 from tests.support import browser, corpus, gltf_transform
-from tests.support.characters import AS_USUAL, Character, Placement, Pose, angles, baked
+from tests.support.characters import AS_USUAL, Array, Character, Placement, Pose, angles, baked
 from tests.support.node import package_folder, require_node
 from tests.three.drawn import (
     BENT,
@@ -170,6 +170,79 @@ def test_standard_lighting_is_three_s_own(stage: Stage) -> None:
     wanted = expected(character, found["world"], Algorithm.LBS_APPROXIMATED)
     assert largest(found["draws"][0], wanted) < DEGREES
     assert found["report"] == [["standard", "lighting() has switched it"]]
+
+
+def test_a_mesh_that_was_drawn_before_is_taken_up_and_given_back(stage: Stage) -> None:
+    character = stage.character(TUBE, BENT)
+    found = stage.call("late", character.told(Placement()))
+    normals = [
+        expected(character, found["world"], algorithm)
+        for algorithm in (Algorithm.LBS_APPROXIMATED, Algorithm.LBS_ACCURATE)
+    ]
+    reports = [one["report"] for one in found["found"]]
+    assert reports == [[], [["accurate", ""]], [], [["accurate", ""]], []]
+    for one, wanted in zip(found["found"], [*normals, *normals, normals[0]], strict=True):
+        (drawn,) = one["draws"]
+        assert largest(drawn, wanted) < DEGREES
+
+
+@pytest.mark.parametrize("lighting", ["accurate", "standard"])
+@pytest.mark.parametrize(
+    ("kind", "views"),
+    [
+        ("ArrayCamera", [(0,), (1,)]),
+        ("two renders", [(0,), (1,)]),
+        ("instances", [(0, 2)]),
+        ("InstancedBufferGeometry", [(0, 0, 0)]),
+    ],
+)
+def test_several_views_and_instances(
+    stage: Stage, kind: str, views: list[tuple[int, ...]], lighting: str
+) -> None:
+    """Each camera is turned by its number, in radians, and so is each instance."""
+    character = stage.character(TUBE, BENT)
+    found = stage.call("views", {**character.told(Placement()), "kind": kind, "lighting": lighting})
+    accurate = lighting == "accurate"
+    algorithm = Algorithm.LBS_ACCURATE if accurate else Algorithm.LBS_APPROXIMATED
+    wanted = expected(character, found["world"], algorithm)
+    for draw, turns in zip(found["draws"], views, strict=True):
+        drawn = vectors(draw["values"]).reshape(len(turns), -1, 3)
+        for normals, turn in zip(drawn, turns, strict=True):
+            # A camera turned one way sees what an instance turned the other way shows.
+            about_y = turn if kind == "instances" else -turn
+            turned = wanted @ rotation(about_y).T
+            assert angles(normals, turned[: len(normals)]).max() < DEGREES
+    assert found["report"] == [["accurate", ""] if accurate else ["standard", "lighting() has switched it"]]
+
+
+def rotation(angle: float) -> Array:
+    """Return the rotation (3, 3) about y."""
+    sine, cosine = np.sin(angle), np.cos(angle)
+    return np.array([[cosine, 0, sine], [0, 1, 0], [-sine, 0, cosine]])
+
+
+def test_meshes_that_are_not_lit_accurately_are_told_of_once(stage: Stage) -> None:
+    stage.page.call("strangers", stage.character(TUBE, BENT).told(Placement()))
+    reasons = {
+        "batched": "three.js does not skin a BatchedMesh",
+        "instanced": "three.js does not skin an InstancedMesh",
+        "still": "three.js does not skin a Mesh",
+        "later": "applySkinbake has not been called for it",
+    }
+    assert stage.page.messages() == [
+        f'skinbake: "{name}" has three.js\'s standard lighting: {reason}' for name, reason in reasons.items()
+    ]
+
+
+def test_classes_with_hooks_are_served_and_those_of_another_three_told_of(stage: Stage) -> None:
+    character = stage.character(TUBE, BENT)
+    found = stage.page.call("classes", character.told(Placement()))
+    wanted = expected(character, found["world"], Algorithm.LBS_APPROXIMATED)
+    assert largest(found["draws"][0], wanted) < DEGREES
+    assert found["hooked"]
+    reason = "it is of another copy of three.js: let every import of 'three' find the same files"
+    assert found["report"] == [["standard", reason]]
+    assert stage.page.messages() == [f'skinbake: "other" has three.js\'s standard lighting: {reason}']
 
 
 def test_clones_share_all_and_are_switched_apart(stage: Stage) -> None:
