@@ -1,8 +1,9 @@
 // What the tests of WebGPURenderer call in the browser: characters drawn as a page draws them, by either backend.
 
 import * as THREE from 'three/webgpu';
-import { positionLocal, vec3, vec4 } from 'three/tsl';
+import { positionLocal, vec3 } from 'three/tsl';
 import { GLTFLoader } from 'three/addons/loaders/GLTFLoader.js';
+import * as SkeletonUtils from 'three/addons/utils/SkeletonUtils.js';
 import * as skinbake from 'skinbake-three/webgpu';
 
 CAPTURE.names = ['v_normalViewGeometry'];
@@ -76,6 +77,12 @@ function base64(floats) {
     return btoa(text);
 }
 
+class Still extends THREE.MeshBasicNodeMaterial {
+    setupPosition() {
+        return positionLocal;
+    }
+}
+
 const MATERIALS = {
     own: null,
     normal: () => new THREE.MeshNormalMaterial(),
@@ -111,13 +118,81 @@ const api = {
         return { draws, world, report };
     },
 
-    // What is reported of a material that skins by itself.
+    // A mesh that was drawn before it is asked for, then switched, then disposed of.
+    async late({ backend, ...options }) {
+        const renderer = await rendererOf(backend);
+        const { scene: model } = await load({ ...options, plugin: false });
+        const scene = new THREE.Scene();
+        scene.add(model);
+        const camera = new THREE.PerspectiveCamera();
+        const found = [];
+        const look = async (report) => {
+            const draws = (await draw(renderer, scene, camera)).map(({ values }) => base64(values));
+            found.push({ draws, report: (report?.meshes ?? []).map((one) => [one.lighting, one.reason]) });
+        };
+        await look();
+        const report = skinbake.applySkinbake(scene);
+        await look(report);
+        skinbake.lighting(scene, 'standard');
+        await look(report);
+        skinbake.lighting(scene, 'accurate');
+        await look(report);
+        skinbake.dispose(scene);
+        await look();
+        return { found, world: skinnedMeshes(model)[0].matrixWorld.toArray() };
+    },
+
+    // The draws of one frame with an ArrayCamera, or of two renders. Each camera is turned by its number.
+    async views({ kind, ...options }) {
+        const renderer = await rendererOf('webgl');
+        const { scene: model } = await load(options);
+        const scene = new THREE.Scene();
+        scene.add(model);
+        const cameras = [0, 1].map((number) => {
+            const one = new THREE.PerspectiveCamera();
+            one.rotation.set(0, number, 0);
+            one.updateMatrixWorld();
+            one.viewport = new THREE.Vector4(32 * number, 0, 32, 64);
+            return one;
+        });
+        const all = kind === 'ArrayCamera' ? [new THREE.ArrayCamera(cameras)] : cameras;
+        for (const one of all) renderer.render(scene, one);
+        CAPTURE.draws = [];
+        CAPTURE.on = true;
+        for (const one of all) renderer.render(scene, one);
+        CAPTURE.on = false;
+        const draws = CAPTURE.draws.map(({ values }) => base64(values));
+        skinbake.dispose(scene);
+        return { draws, world: skinnedMeshes(model)[0].matrixWorld.toArray() };
+    },
+
+    // How many vertex programs draw so many characters of some files.
+    async programs({ urls, count, backend }) {
+        const renderer = await rendererOf(backend);
+        const scene = new THREE.Scene();
+        const models = [];
+        for (const url of urls) {
+            const { scene: model } = await load({ url });
+            for (let number = 0; number < count; number++) models.push(SkeletonUtils.clone(model));
+        }
+        scene.add(...models);
+        const before = renderer.info.memory.programs;
+        const meshes = skinnedMeshes(scene);
+        for (const mesh of meshes) Object.assign(mesh, { frustumCulled: false, material: new THREE.MeshNormalMaterial() });
+        const draws = await draw(renderer, scene, new THREE.PerspectiveCamera());
+        const lightings = skinbake.applySkinbake(scene).meshes.map((report) => report.lighting);
+        const programs = renderer.info.memory.programs - before;
+        skinbake.dispose(scene);
+        return { draws: draws.length, programs, lightings: [...new Set(lightings)] };
+    },
+
+    // What is reported of a material that does not skin as NodeMaterial does.
     async foreign(options) {
         const renderer = await rendererOf('webgl');
         const { scene } = await load(options);
         const [mesh] = skinnedMeshes(scene);
         mesh.name = 'hero';
-        mesh.material = new THREE.MeshBasicNodeMaterial({ name: 'own', vertexNode: vec4(0, 0, 0, 1) });
+        mesh.material = new Still({ name: 'own' });
         for (let frame = 0; frame < 3; frame++) renderer.render(scene, new THREE.PerspectiveCamera());
         const report = skinbake.applySkinbake(mesh).meshes.map((one) => [one.lighting, one.reason]);
         skinbake.dispose(scene);

@@ -101,6 +101,12 @@ def uncertainty(character: Character, world: list[float]) -> Array:
     return np.asarray(np.max([angles(one, exact) for one in changed], axis=0))
 
 
+def rotation(angle: float) -> Array:
+    """Return the rotation (3, 3) about y."""
+    sine, cosine = np.sin(angle), np.cos(angle)
+    return np.array([[cosine, 0, sine], [0, 1, 0], [-sine, 0, cosine]])
+
+
 def largest(found: str, wanted: Array) -> float:
     normals = vectors(found)
     assert (np.linalg.norm(normals, axis=1) > 0).all()

@@ -15,7 +15,7 @@ from skinbake.choices import Encoding
 from skinbake.format.layouts import GradientFormat
 from skinbake.skinning.algorithms import Algorithm
 from tests.support import browser, corpus, gltf_transform
-from tests.support.characters import AS_USUAL, Array, Character, Placement, Pose, angles, baked
+from tests.support.characters import AS_USUAL, Character, Placement, Pose, angles, baked
 from tests.support.node import package_folder, require_node
 from tests.three.drawn import (
     BENT,
@@ -28,6 +28,7 @@ from tests.three.drawn import (
     Stage,
     expected,
     largest,
+    rotation,
     uncertainty,
     vectors,
     with_morphs,
@@ -213,12 +214,6 @@ def test_several_views_and_instances(
             turned = wanted @ rotation(about_y).T
             assert angles(normals, turned[: len(normals)]).max() < DEGREES
     assert found["report"] == [["accurate", ""] if accurate else ["standard", "lighting() has switched it"]]
-
-
-def rotation(angle: float) -> Array:
-    """Return the rotation (3, 3) about y."""
-    sine, cosine = np.sin(angle), np.cos(angle)
-    return np.array([[cosine, 0, sine], [0, 1, 0], [-sine, 0, cosine]])
 
 
 def test_meshes_that_are_not_lit_accurately_are_told_of_once(stage: Stage) -> None:

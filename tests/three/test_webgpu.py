@@ -13,10 +13,11 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from skinbake.choices import Encoding
 from skinbake.format.layouts import GradientFormat
 from skinbake.skinning.algorithms import Algorithm
 from tests.support import browser, corpus
-from tests.support.characters import Character, Placement, Pose, angles, baked
+from tests.support.characters import AS_USUAL, Character, Placement, Pose, angles, baked
 from tests.support.node import package_folder, require_node
 from tests.three.drawn import (
     BENT,
@@ -29,6 +30,7 @@ from tests.three.drawn import (
     Stage,
     expected,
     largest,
+    rotation,
     with_morphs,
 )
 from tests.three.write_package import FOLDER as PACKAGE
@@ -129,17 +131,59 @@ def test_materials_of_all_kinds_have_the_same_normals(stage: Stage, material: st
     assert found["report"] == [["accurate", ""]]
 
 
-def test_standard_lighting_is_three_s_own(stage: Stage) -> None:
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_standard_lighting_is_three_s_own(stage: Stage, backend: str) -> None:
+    require(stage, backend)
     character = stage.character(TUBE, BENT)
     for options in ({"lighting": "standard"}, {"plugin": False}):
-        found = stage.normals(character, **options)
+        found = stage.normals(character, backend=backend, **options)
         wanted = expected(character, found["world"], Algorithm.LBS_APPROXIMATED)
         assert largest(found["draws"][0], wanted) < DEGREES
 
 
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_a_mesh_that_was_drawn_before_is_taken_up_switched_and_given_back(stage: Stage, backend: str) -> None:
+    require(stage, backend)
+    character = stage.character(TUBE, BENT)
+    found = stage.call("late", {**character.told(Placement()), "backend": backend})
+    standard, accurate = (
+        expected(character, found["world"], algorithm)
+        for algorithm in (Algorithm.LBS_APPROXIMATED, Algorithm.LBS_ACCURATE)
+    )
+    switched = ["standard", "lighting() has switched it"]
+    reports = [one["report"] for one in found["found"]]
+    assert reports == [[], [["accurate", ""]], [switched], [["accurate", ""]], []]
+    for one, wanted in zip(found["found"], [standard, accurate, standard, accurate, standard], strict=True):
+        (drawn,) = one["draws"]
+        assert largest(drawn, wanted) < DEGREES
+
+
+@pytest.mark.parametrize("kind", ["ArrayCamera", "two renders"])
+def test_several_cameras(stage: Stage, kind: str) -> None:
+    character = stage.character(TUBE, BENT)
+    found = stage.call("views", {**character.told(Placement()), "kind": kind})
+    wanted = expected(character, found["world"])
+    for turn, drawn in enumerate(found["draws"]):
+        assert largest(drawn, wanted @ rotation(-turn).T) < DEGREES
+    assert len(found["draws"]) == 2
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_a_hundred_characters_of_all_kinds_share_their_programs(stage: Stage, backend: str) -> None:
+    """One vertex and one fragment program for each skeleton and each set of attributes."""
+    require(stage, backend)
+    sources = [(TUBE, AS_USUAL), (TUBE, GradientFormat(Encoding.SNORM16)), (TUBE, STORAGES[3])]
+    paths = [baked(source, stage.models, storage=storage) for source, storage in sources]
+    options = {"urls": [f"/models/{path.name}" for path in paths], "count": 34, "backend": backend}
+    found = stage.call("programs", options)
+    assert found["draws"] == 102
+    assert found["lightings"] == ["accurate"]
+    assert found["programs"] <= {"webgl": 2, "webgpu": 3}[backend]
+
+
 def test_a_material_that_skins_by_itself_is_told_of_once(stage: Stage) -> None:
     told = stage.character(TUBE, BENT).told(Placement())
-    reason = 'its MeshBasicNodeMaterial "own" skins by its own vertexNode'
+    reason = 'its MeshBasicNodeMaterial "own" does not skin by three.js\'s nodes'
     assert stage.page.call("foreign", told) == [["standard", reason]]
     assert stage.page.messages() == [f'skinbake: "hero" has three.js\'s standard lighting: {reason}']
 

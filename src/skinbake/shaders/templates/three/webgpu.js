@@ -288,13 +288,16 @@ function restoreMaterials() {
 const ACCURATE = { lighting: 'accurate', reason: '' };
 const UNSEEN = { lighting: 'not drawn', reason: '' };
 
-// A program that lights accurately asks for the constants whenever it draws. It may not be ready in a first draw.
+// A program that lights accurately asks for the constants whenever it draws.
 function verifyMaterial(renderer, mesh, material, before) {
     if (asked.delete(mesh)) return ACCURATE;
-    if (!before || before.lighting === 'standard') return before ?? UNSEEN;
-    let reason = `its ${material.type} "${material.name}" does not skin by three.js's nodes`;
-    if (material.vertexNode) reason = `its ${material.type} "${material.name}" skins by its own vertexNode`;
-    if (material.isShaderMaterial) reason = `WebGPURenderer cannot draw its ${material.type} "${material.name}"`;
+    if (before?.lighting === 'standard') return before;
+    if (before !== UNSEEN) {
+        // It may be from before the geometry was changed.
+        material.needsUpdate = true;
+        return UNSEEN;
+    }
+    const reason = `its ${material.type} "${material.name}" does not skin by three.js's nodes`;
     return { lighting: 'standard', reason };
 }
 
