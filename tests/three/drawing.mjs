@@ -117,6 +117,7 @@ const CHANGES = {
         replace(mesh, other);
     },
     'geometry.clone()': ({ mesh }) => (mesh.geometry = mesh.geometry.clone()),
+    'geometry.copy()': ({ mesh }) => mesh.geometry.copy(mesh.geometry.clone()),
     'onBeforeRender of its own': ({ mesh }) => {
         const before = mesh.onBeforeRender;
         mesh.onBeforeRender = function (...parameters) {

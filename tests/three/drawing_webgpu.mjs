@@ -54,7 +54,10 @@ function skinnedMeshes(root) {
 async function draw(renderer, scene, camera) {
     // SwiftShader's WebGPU cannot present to a canvas.
     if (renderer.backend.isWebGPUBackend) renderer.setRenderTarget(new THREE.RenderTarget(SIZE, SIZE));
-    for (let frame = 0; frame < 2; frame++) renderer.render(scene, camera);
+    for (let frame = 0; frame < 2; frame++) {
+        renderer.render(scene, camera);
+        await null;
+    }
     const capture = renderer.backend.isWebGPUBackend ? WEBGPU_CAPTURE : CAPTURE;
     capture.draws = [];
     capture.on = true;
@@ -77,6 +80,30 @@ function base64(floats) {
     return btoa(text);
 }
 
+// What applications do after the first frames.
+const CHANGES = {
+    'geometry.clone()': ({ mesh }) => (mesh.geometry = mesh.geometry.clone()),
+    'geometry.copy()': ({ mesh }) => mesh.geometry.copy(mesh.geometry.clone()),
+    'mesh.clone()': ({ mesh }) => replace(mesh, mesh.clone()),
+    'SkeletonUtils.clone()': ({ scene, model }) => {
+        const other = SkeletonUtils.clone(model);
+        skinnedMeshes(other).forEach((one) => (one.frustumCulled = false));
+        model.removeFromParent();
+        scene.add(other);
+    },
+    'another material': ({ mesh }) => (mesh.material = new THREE.MeshPhongMaterial()),
+    'material.clone()': ({ mesh }) => (mesh.material = mesh.material.clone()),
+    'applied twice': ({ scene }) => void skinbake.applySkinbake(scene),
+    'attribute taken away': ({ mesh }) => mesh.geometry.deleteAttribute('morphSkinbakeStorage'),
+    'override material': ({ scene }) => (scene.overrideMaterial = new THREE.MeshNormalMaterial()),
+};
+
+function replace(mesh, other) {
+    other.frustumCulled = false;
+    mesh.parent.add(other);
+    mesh.removeFromParent();
+}
+
 class Still extends THREE.MeshBasicNodeMaterial {
     setupPosition() {
         return positionLocal;
@@ -95,6 +122,8 @@ const MATERIALS = {
 };
 
 const api = {
+    changes: () => Object.keys(CHANGES),
+
     // The backend that a renderer really has.
     async backend(name) {
         const renderer = await rendererOf(name);
@@ -102,7 +131,7 @@ const api = {
     },
 
     // The normals of a character as its vertex stage hands them on.
-    async normals({ material = 'own', lighting, backend = 'webgl', ...options }) {
+    async normals({ material = 'own', lighting, backend = 'webgl', change, ...options }) {
         const renderer = await rendererOf(backend);
         const { scene: model } = await load(options);
         const scene = new THREE.Scene();
@@ -111,9 +140,13 @@ const api = {
         if (MATERIALS[material]) mesh.material = MATERIALS[material](mesh.material);
         if (lighting) skinbake.lighting(model, lighting);
         const camera = new THREE.PerspectiveCamera();
+        if (change) {
+            await draw(renderer, scene, camera);
+            CHANGES[change]({ scene, model, mesh });
+        }
         const draws = (await draw(renderer, scene, camera)).map(({ values }) => base64(values));
         const world = mesh.matrixWorld.toArray();
-        const report = skinbake.applySkinbake(mesh).meshes.map((one) => [one.lighting, one.reason]);
+        const report = skinbake.applySkinbake(scene).meshes.map((one) => [one.lighting, one.reason]);
         skinbake.dispose(scene);
         return { draws, world, report };
     },

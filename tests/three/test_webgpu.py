@@ -131,6 +131,17 @@ def test_materials_of_all_kinds_have_the_same_normals(stage: Stage, material: st
     assert found["report"] == [["accurate", ""]]
 
 
+def test_whatever_a_page_does_the_normals_stay_right(stage: Stage) -> None:
+    character = stage.character(TUBE, BENT)
+    wrong = {}
+    for change in stage.call("changes", {}):
+        found = stage.normals(character, change=change)
+        error = largest(found["draws"][-1], expected(character, found["world"]))
+        if error > DEGREES or found["report"] != [["accurate", ""]]:
+            wrong[change] = (error, found["report"])
+    assert wrong == {}
+
+
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_standard_lighting_is_three_s_own(stage: Stage, backend: str) -> None:
     require(stage, backend)

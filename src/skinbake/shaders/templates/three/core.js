@@ -338,16 +338,16 @@ function takeOwnHooks(mesh) {
 
 function beforeDraw(renderer, scene, camera, geometry) {
     const adopted = state.geometries.get(geometry);
-    if (!adopted) meet(this, geometry);
-    else if (!adopted.problem && !isIntact(geometry, adopted)) adoptLater(this, geometry, adopted.method);
+    if (!adopted) meet(renderer, this, geometry);
+    else if (!adopted.problem && !isIntact(geometry, adopted)) adoptDrawn(renderer, this, geometry, adopted.method);
     hide(renderer, this, geometry, adopted);
 }
 
 // A geometry that is drawn for the first time: a clone of one that was asked for, or nobody has asked.
-function meet(mesh, geometry) {
+function meet(renderer, mesh, geometry) {
     const metadata = geometry.userData.skinbake;
     if (isObject(metadata) && state.methods.has(metadata)) {
-        adoptLater(mesh, geometry, state.methods.get(metadata));
+        adoptDrawn(renderer, mesh, geometry, state.methods.get(metadata));
     } else if (state.count > 0 && !state.passed.has(geometry)) {
         state.passed.add(geometry);
         const problem = problemOf(geometry, metadata);
@@ -355,12 +355,14 @@ function meet(mesh, geometry) {
     }
 }
 
-// Attributes that come during a frame are not uploaded in it.
-function adoptLater(mesh, geometry, method) {
-    queueMicrotask(() => {
+// WebGLRenderer does not upload attributes that come during a frame. WebGPURenderer needs them in it.
+function adoptDrawn(renderer, mesh, geometry, method) {
+    const act = () => {
         const { problem } = adopt(geometry, method);
         if (problem) tell(mesh, problem);
-    });
+    };
+    if (renderer.isWebGLRenderer) queueMicrotask(act);
+    else act();
 }
 
 function afterDraw(renderer, scene, camera, geometry, material) {
