@@ -1,5 +1,6 @@
 // Record what vertex shaders hand on, while a page draws as it always does: each program whose vertex shader
-// writes one of the names is linked with transform feedback, and each draw of it is run once more for it.
+// writes one of the names is linked with transform feedback, and each draw of it is run once more for it. The names
+// are those of varyings, or gl_Position.
 
 const CAPTURE = { names: ['vNormal'], on: false, draws: [] };
 window.CAPTURE = CAPTURE;
@@ -22,7 +23,8 @@ window.CAPTURE = CAPTURE;
     prototype.linkProgram = function (program) {
         const texts = shaders.get(program).map((shader) => sources.get(shader));
         const text = texts.find((one) => one.includes('gl_Position')) ?? '';
-        const name = CAPTURE.names.find((one) => new RegExp(`(out|varying) +(highp )?vec3 ${one};`).test(text));
+        const isWritten = (one) => one === 'gl_Position' || new RegExp(`(out|varying) +(highp )?vec3 ${one};`).test(text);
+        const name = text && CAPTURE.names.find(isWritten);
         if (name) {
             this.transformFeedbackVaryings(program, [name], this.SEPARATE_ATTRIBS);
             recorded.set(program, { name, text });
@@ -46,7 +48,7 @@ window.CAPTURE = CAPTURE;
         const indices = new Indices(count);
         gl.getBufferSubData(gl.ELEMENT_ARRAY_BUFFER, offset, indices);
         const vertices = indices.reduce((largest, index) => Math.max(largest, index), 0) + 1;
-        const values = new Float32Array(3 * vertices * instances);
+        const values = new Float32Array((name === 'gl_Position' ? 4 : 3) * vertices * instances);
         const buffer = gl.createBuffer();
         gl.bindBufferBase(gl.TRANSFORM_FEEDBACK_BUFFER, 0, buffer);
         gl.bufferData(gl.TRANSFORM_FEEDBACK_BUFFER, values.byteLength, gl.STREAM_READ);

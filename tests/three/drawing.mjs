@@ -357,6 +357,32 @@ const api = {
         return report;
     },
 
+    // Where a shadow's draw puts vertices, in clip space, and the cameras of the frame.
+    async shadows(options) {
+        const renderer = new THREE.WebGLRenderer();
+        CAPTURE.names = ['gl_Position'];
+        const { scene: model } = await load(options);
+        const light = new THREE.DirectionalLight();
+        light.position.set(1, 2, 3);
+        light.castShadow = true;
+        const scene = new THREE.Scene();
+        scene.add(model, light);
+        skinnedMeshes(model).forEach((mesh) => Object.assign(mesh, { castShadow: true, receiveShadow: true }));
+        renderer.shadowMap.enabled = true;
+        for (let frame = 0; frame < 2; frame++) renderer.render(scene, camera);
+        CAPTURE.draws = [];
+        CAPTURE.on = true;
+        renderer.render(scene, camera);
+        CAPTURE.on = false;
+        CAPTURE.names = ['vNormal'];
+        renderer.dispose();
+        const draws = CAPTURE.draws.filter(({ text }) => !text.includes('vNormal;')).map(({ values }) => base64(values));
+        const world = skinnedMeshes(model)[0].matrixWorld.toArray();
+        const seen = light.shadow.camera;
+        skinbake.dispose(scene);
+        return { draws, world, view: seen.matrixWorldInverse.toArray(), projection: seen.projectionMatrix.toArray() };
+    },
+
     // Names of attributes that GLTFExporter writes of a character that is lit accurately.
     async exported(options) {
         const { scene } = await load(options);

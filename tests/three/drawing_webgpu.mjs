@@ -199,24 +199,58 @@ const api = {
         return { draws, world: skinnedMeshes(model)[0].matrixWorld.toArray() };
     },
 
-    // How many vertex programs draw so many characters of some files.
-    async programs({ urls, count, backend }) {
+    // How many programs one character of a file needs, and how many more a hundred of it need.
+    async programs({ backend, ...options }) {
         const renderer = await rendererOf(backend);
+        const { scene: model } = await load(options);
         const scene = new THREE.Scene();
-        const models = [];
-        for (const url of urls) {
-            const { scene: model } = await load({ url });
-            for (let number = 0; number < count; number++) models.push(SkeletonUtils.clone(model));
-        }
-        scene.add(...models);
-        const before = renderer.info.memory.programs;
-        const meshes = skinnedMeshes(scene);
-        for (const mesh of meshes) Object.assign(mesh, { frustumCulled: false, material: new THREE.MeshNormalMaterial() });
-        const draws = await draw(renderer, scene, new THREE.PerspectiveCamera());
+        scene.add(new THREE.DirectionalLight());
+        const count = async (characters) => {
+            const before = renderer.info.memory.programs;
+            scene.add(...Array.from({ length: characters }, () => SkeletonUtils.clone(model)));
+            for (const mesh of skinnedMeshes(scene)) {
+                Object.assign(mesh, { frustumCulled: false, material: new THREE.MeshPhongMaterial() });
+            }
+            const draws = await draw(renderer, scene, new THREE.PerspectiveCamera());
+            return { draws: draws.length, more: renderer.info.memory.programs - before };
+        };
+        const found = [await count(1), await count(99)];
         const lightings = skinbake.applySkinbake(scene).meshes.map((report) => report.lighting);
-        const programs = renderer.info.memory.programs - before;
         skinbake.dispose(scene);
-        return { draws: draws.length, programs, lightings: [...new Set(lightings)] };
+        return { found, lightings: [...new Set(lightings)] };
+    },
+
+    // Where a shadow's draw puts vertices, in clip space, and the cameras of the frame.
+    async shadows(options) {
+        const renderer = await rendererOf('webgpu');
+        const { scene: model } = await load(options);
+        const light = new THREE.DirectionalLight();
+        light.position.set(1, 2, 3);
+        light.castShadow = true;
+        const scene = new THREE.Scene();
+        scene.add(model, light);
+        skinnedMeshes(model).forEach((mesh) => Object.assign(mesh, { castShadow: true, receiveShadow: true }));
+        renderer.shadowMap.enabled = true;
+        renderer.setRenderTarget(new THREE.RenderTarget(SIZE, SIZE));
+        const camera = new THREE.PerspectiveCamera();
+        for (let frame = 0; frame < 2; frame++) {
+            renderer.render(scene, camera);
+            await new Promise(requestAnimationFrame); // Shadows are drawn once for each of them.
+        }
+        WEBGPU_CAPTURE.draws = [];
+        WEBGPU_CAPTURE.on = true;
+        renderer.render(scene, camera);
+        WEBGPU_CAPTURE.on = false;
+        const draws = [];
+        for (const one of WEBGPU_CAPTURE.draws) {
+            const { name, position } = await WEBGPU_CAPTURE.read(one);
+            if (!name) draws.push(base64(position));
+        }
+        renderer.shadowMap.enabled = false;
+        const world = skinnedMeshes(model)[0].matrixWorld.toArray();
+        const seen = light.shadow.camera;
+        skinbake.dispose(scene);
+        return { draws, world, view: seen.matrixWorldInverse.toArray(), projection: seen.projectionMatrix.toArray() };
     },
 
     // What is reported of a material that does not skin as NodeMaterial does.

@@ -101,6 +101,24 @@ def uncertainty(character: Character, world: list[float]) -> Array:
     return np.asarray(np.max([angles(one, exact) for one in changed], axis=0))
 
 
+def in_clip_space(character: Character, found: dict[str, Any], algorithm: Algorithm) -> Array:
+    """Return where a camera of the page has the vertices (V, 4)."""
+    world, view, projection = (
+        np.array(found[key]).reshape(4, 4).T for key in ("world", "view", "projection")
+    )
+    placement = dataclasses.replace(Placement(), world=world)
+    points = replay(algorithm, character.rest, character.matrices(placement)[None]).positions[0]
+    return np.asarray(np.insert(points, 3, 1, axis=1) @ (projection @ view @ world).T)
+
+
+def shadow_is_of(character: Character, found: dict[str, Any], algorithm: Algorithm) -> bool:
+    """Return whether the draws into a shadow map have every vertex where the algorithm puts it."""
+    wanted = in_clip_space(character, found, algorithm)
+    draws = [np.frombuffer(base64.b64decode(text), "<f4").reshape(-1, 4) for text in found["draws"]]
+    assert draws
+    return all(np.abs(drawn - wanted[: len(drawn)]).max() < 1e-5 for drawn in draws)
+
+
 def rotation(angle: float) -> Array:
     """Return the rotation (3, 3) about y."""
     sine, cosine = np.sin(angle), np.cos(angle)

@@ -29,6 +29,7 @@ from tests.three.drawn import (
     expected,
     largest,
     rotation,
+    shadow_is_of,
     uncertainty,
     vectors,
     with_morphs,
@@ -238,6 +239,14 @@ def test_classes_with_hooks_are_served_and_those_of_another_three_told_of(stage:
     reason = "it is of another copy of three.js: let every import of 'three' find the same files"
     assert found["report"] == [["standard", reason]]
     assert stage.page.messages() == [f'skinbake: "other" has three.js\'s standard lighting: {reason}']
+
+
+@pytest.mark.parametrize("method", ["lbs", "dqs"])
+def test_shadows_follow_the_method(stage: Stage, method: str) -> None:
+    character = stage.character(TUBE, BENT)
+    found = stage.call("shadows", {**character.told(Placement()), "method": method})
+    blended = [shadow_is_of(character, found, one) for one in (Algorithm.LBS_ACCURATE, Algorithm.DQS_EXACT)]
+    assert blended == [method == "lbs", method == "dqs"]
 
 
 def test_clones_share_all_and_are_switched_apart(stage: Stage) -> None:

@@ -13,11 +13,10 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from skinbake.choices import Encoding
 from skinbake.format.layouts import GradientFormat
 from skinbake.skinning.algorithms import Algorithm
 from tests.support import browser, corpus
-from tests.support.characters import AS_USUAL, Character, Placement, Pose, angles, baked
+from tests.support.characters import Character, Placement, Pose, angles, baked
 from tests.support.node import package_folder, require_node
 from tests.three.drawn import (
     BENT,
@@ -31,6 +30,7 @@ from tests.three.drawn import (
     expected,
     largest,
     rotation,
+    shadow_is_of,
     with_morphs,
 )
 from tests.three.write_package import FOLDER as PACKAGE
@@ -169,6 +169,15 @@ def test_a_mesh_that_was_drawn_before_is_taken_up_switched_and_given_back(stage:
         assert largest(drawn, wanted) < DEGREES
 
 
+@pytest.mark.parametrize("method", ["lbs", "dqs"])
+def test_shadows_follow_the_method(stage: Stage, method: str) -> None:
+    require(stage, "webgpu")
+    character = stage.character(TUBE, BENT)
+    found = stage.call("shadows", {**character.told(Placement()), "method": method})
+    blended = [shadow_is_of(character, found, one) for one in (Algorithm.LBS_ACCURATE, Algorithm.DQS_EXACT)]
+    assert blended == [method == "lbs", method == "dqs"]
+
+
 @pytest.mark.parametrize("kind", ["ArrayCamera", "two renders"])
 def test_several_cameras(stage: Stage, kind: str) -> None:
     character = stage.character(TUBE, BENT)
@@ -180,16 +189,15 @@ def test_several_cameras(stage: Stage, kind: str) -> None:
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
-def test_a_hundred_characters_of_all_kinds_share_their_programs(stage: Stage, backend: str) -> None:
-    """One vertex and one fragment program for each skeleton and each set of attributes."""
+def test_a_hundred_characters_of_one_file_share_their_programs(stage: Stage, backend: str) -> None:
     require(stage, backend)
-    sources = [(TUBE, AS_USUAL), (TUBE, GradientFormat(Encoding.SNORM16)), (TUBE, STORAGES[3])]
-    paths = [baked(source, stage.models, storage=storage) for source, storage in sources]
-    options = {"urls": [f"/models/{path.name}" for path in paths], "count": 34, "backend": backend}
-    found = stage.call("programs", options)
-    assert found["draws"] == 102
+    character = stage.character(TUBE, BENT)
+    found = stage.call("programs", {**character.told(Placement()), "backend": backend})
+    one, hundred = found["found"]
+    assert one["draws"] == 1
+    assert one["more"] >= 2
+    assert hundred == {"draws": 100, "more": 0}
     assert found["lightings"] == ["accurate"]
-    assert found["programs"] <= {"webgl": 2, "webgpu": 3}[backend]
 
 
 def test_a_material_that_skins_by_itself_is_told_of_once(stage: Stage) -> None:
