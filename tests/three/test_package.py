@@ -14,7 +14,8 @@ import pytest
 from skinbake.choices import Encoding
 from skinbake.format.layouts import GradientFormat
 from skinbake.skinning.algorithms import Algorithm
-from tests.support import browser, corpus, gltf_transform
+from tests.support import browser, corpus, gltf_reading, gltf_transform
+from tests.support.baked_files import Editable
 from tests.support.characters import AS_USUAL, Character, Placement, Pose, angles, baked
 from tests.support.node import package_folder, require_node
 from tests.three.drawn import (
@@ -247,6 +248,20 @@ def test_shadows_follow_the_method(stage: Stage, method: str) -> None:
     found = stage.call("shadows", {**character.told(Placement()), "method": method})
     blended = [shadow_is_of(character, found, one) for one in (Algorithm.LBS_ACCURATE, Algorithm.DQS_EXACT)]
     assert blended == [method == "lbs", method == "dqs"]
+
+
+def test_metadata_of_an_accessor_is_found(stage: Stage) -> None:
+    """Where extras of the primitive are no object, bake writes into those of alpha's accessor."""
+    file = Editable(TUBE)
+    file.primitive()["extras"] = "ours"
+    path = baked(file.write(stage.models / "spoken_for.glb"), stage.models)
+    document = gltf_reading.read(path)
+    assert document.primitive(0)["extras"] == "ours"
+    character = stage.character(TUBE, BENT)
+    found = stage.page.call("normals", {**character.told(Placement()), "url": f"/models/{path.name}"})
+    assert stage.page.messages() == ["THREE.GLTFLoader: Ignoring primitive type .extras, ours"]
+    assert largest(found["draws"][0], expected(character, found["world"])) < DEGREES
+    assert found["report"] == found["loaded"] == [["accurate", ""]]
 
 
 def test_clones_share_all_and_are_switched_apart(stage: Stage) -> None:
