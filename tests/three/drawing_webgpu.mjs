@@ -4,6 +4,7 @@ import * as THREE from 'three/webgpu';
 import { positionLocal, vec3 } from 'three/tsl';
 import { GLTFLoader } from 'three/addons/loaders/GLTFLoader.js';
 import * as SkeletonUtils from 'three/addons/utils/SkeletonUtils.js';
+import { MToonNodeMaterial } from '@pixiv/three-vrm/nodes';
 import * as skinbake from 'skinbake-three/webgpu';
 
 CAPTURE.names = ['v_normalViewGeometry'];
@@ -118,6 +119,7 @@ const MATERIALS = {
     clone: (material) => material.clone(),
     copy: (material) => new material.constructor().copy(material),
     hook: (material) => Object.assign(material, { onBeforeCompile: () => {} }),
+    mtoon: () => new MToonNodeMaterial(),
     positioned: () => new THREE.MeshStandardNodeMaterial({ positionNode: positionLocal.add(vec3(1, 0, 0)) }),
 };
 

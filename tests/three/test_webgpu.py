@@ -44,8 +44,9 @@ PAGE = """<!doctype html>
     "three/webgpu": "/three/build/three.webgpu.js",
     "three/tsl": "/three/build/three.tsl.js",
     "three/addons/": "/three/examples/jsm/",
+    "@pixiv/three-vrm/nodes": "/vrm/lib/nodes/index.module.js",
     "skinbake-three/webgpu": "/package/webgpu.js"
-}}
+}, "scopes": {"/vrm/": {"three/tsl": "/tests/tsl_for_three_vrm.mjs"}}}
 </script>
 <script src="/tests/capture.js"></script>
 <script src="/tests/capture_webgpu.js"></script>
@@ -73,12 +74,12 @@ def stage(opened: Stage) -> Stage:
 
 @pytest.fixture(scope="module")
 def opened(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stage]:
-    require_node("three")
+    require_node("three", "@pixiv/three-vrm")
     folder = tmp_path_factory.mktemp("webgpu")
     for name in ("models", "profile"):
         (folder / name).mkdir()
     folders = {"models": folder / "models", "three": package_folder("three"), "package": PACKAGE}
-    folders |= {"tests": Path(__file__).resolve().parent}
+    folders |= {"tests": Path(__file__).resolve().parent, "vrm": package_folder("@pixiv/three-vrm")}
     with browser.opened(PAGE, folders, folder / "profile") as page:
         yield Stage(page, folder / "models")
 
@@ -122,7 +123,7 @@ def test_real_characters_too(
 
 
 @pytest.mark.parametrize(
-    "material", ["own", "normal", "standard", "node", "clone", "copy", "hook", "positioned"]
+    "material", ["own", "normal", "standard", "node", "clone", "copy", "hook", "positioned", "mtoon"]
 )
 def test_materials_of_all_kinds_have_the_same_normals(stage: Stage, material: str) -> None:
     character = stage.character(TUBE, BENT)
