@@ -3,10 +3,9 @@
 // Everything that a shader needs lies on the geometry, because a geometry survives what materials do not:
 // clone(), copy(), another material, a hook that is set later, a mesh that is written anew around it.
 
-const ATTRIBUTES = ['morphSkinbakeAlpha', 'morphSkinbakeBeta', 'morphSkinbakeTangent',
-        'morphSkinbakeStorage'];
 // GLTFExporter leaves out attributes whose names begin with "morph".
-const [ALPHA, BETA, TANGENT, STORAGE] = ATTRIBUTES;
+const ATTRIBUTES = ['Alpha', 'Beta', 'Tangent', 'Storage', 'Dual'].map((name) => `morphSkinbake${name}`);
+const [ALPHA, BETA, TANGENT, STORAGE, DUAL] = ATTRIBUTES;
 const FRAMES = { normal: 2, tangent: 3 }; // An attribute that is missing reads as 0 or 1.
 const METHODS = { lbs: 0, dqs: 1 };
 const ENCODINGS = { packed8: Int8Array, snorm16: Int16Array };
@@ -201,7 +200,10 @@ function madeOf(geometry, method) {
     if (metadata.frame === 'tangent') define(attributes, TANGENT, attributes.tangent, false);
     const scale = metadata.encoding ? metadata.scale : 1;
     const constants = [scale, FRAMES[metadata.frame], METHODS[method], 1];
-    define(attributes, STORAGE, storageOf(geometry, constants), true);
+    const storage = storageOf(geometry, constants);
+    define(attributes, STORAGE, storage, true);
+    // Nothing reads it: WebGPURenderer makes other programs for geometries that have attributes of other names.
+    if (method === 'dqs') define(attributes, DUAL, storage, true);
     return { problem: '', sources, method, constants };
 }
 
@@ -414,4 +416,4 @@ function show(mesh, geometry, adopted) {
     define(geometry.attributes, STORAGE, adopted.hidden, true);
     adopted.hidden = undefined;
 }
-export { apply, applyToAll, dispose, isBaked, lighting, serve, state };
+export { apply, applyToAll, dispose, DUAL, isBaked, lighting, serve, state };

@@ -39,7 +39,7 @@ import {
     vec3,
     vec4,
 } from 'three/tsl';
-import { apply, applyToAll, isBaked, serve, state } from './core.js';
+import { apply, applyToAll, DUAL, isBaked, serve, state } from './core.js';
 
 export { dispose, lighting } from './core.js';
 
@@ -76,12 +76,13 @@ export class SkinbakePlugin {
 }
 
 const OFF = new Vector4();
-const asked = new WeakSet(); // meshes whose program has asked for their constants since the last look
+// Meshes whose program has asked for their constants since the last look -> whether it has dual quaternions.
+const asked = new WeakMap();
 let usual;
 
-// Scale; frame: 2 normal, 3 tangent; 1 for dual quaternions.
-function constantsOf(object) {
-    asked.add(object);
+// Scale; frame: 2 normal, 3 tangent.
+function constantsOf(object, isDual) {
+    asked.set(object, isDual);
     const { constants, problem = true } = state.geometries.get(object.geometry) ?? {};
     return problem || state.standard.has(object) ? OFF : new Vector4().fromArray(constants);
 }
@@ -109,7 +110,8 @@ function setupPosition(builder) {
 
 function light(builder, position, normal) {
     const { geometry } = builder;
-    const constants = uniform(new Vector4()).onObjectUpdate(({ object }) => constantsOf(object));
+    const isDual = geometry.hasAttribute(DUAL);
+    const constants = uniform(new Vector4()).onObjectUpdate(({ object }) => constantsOf(object, isDual));
     If(constants.y.greaterThan(1.5), () => {
         const tangent = geometry.hasAttribute('tangent') ? attribute('tangent', 'vec4') : null;
         const isTangentFrame = constants.y.greaterThan(2.5);
@@ -131,20 +133,10 @@ function light(builder, position, normal) {
             alpha: decoded('morphSkinbakeAlpha', constants.x),
             beta: decoded('morphSkinbakeBeta', constants.x),
         };
-        const t = vec3(0).toVar();
-        const b = vec3(0).toVar();
-        If(constants.z.greaterThan(0.5), () => {
-            const found = dualQuaternions(moved, slots);
-            t.assign(found.tangent);
-            b.assign(found.bitangent);
-            positionLocal.assign(back.mul(vec4(found.position, 1)).xyz);
-        }).Else(() => {
-            const found = blended(moved, slots);
-            t.assign(found.tangent);
-            b.assign(found.bitangent);
-        });
-        const image = turned(back, t).toVar();
-        const other = turned(back, b).toVar();
+        const found = isDual ? dualQuaternions(moved, slots) : blended(moved, slots);
+        if (isDual) positionLocal.assign(back.mul(vec4(found.position, 1)).xyz);
+        const image = turned(back, found.tangent).toVar();
+        const other = turned(back, found.bitangent).toVar();
         normalLocal.assign(cross(image, other).mul(frame.handedness));
         if (tangent) {
             const along = (axis) => dot(tangent.xyz, axis);
@@ -320,7 +312,9 @@ const UNSEEN = { lighting: 'not drawn', reason: '' };
 
 // A program that lights accurately asks for the constants whenever it draws.
 function verifyMaterial(renderer, mesh, material, before) {
-    if (asked.delete(mesh)) return ACCURATE;
+    const isDual = asked.get(mesh);
+    asked.delete(mesh);
+    if (isDual === mesh.geometry.hasAttribute(DUAL)) return ACCURATE;
     if (before?.lighting === 'standard') return before;
     if (before !== UNSEEN) {
         // It may be from before the geometry was changed.

@@ -192,6 +192,7 @@ const api = {
         const scene = new THREE.Scene();
         scene.add(model);
         const [mesh] = skinnedMeshes(model);
+        const original = mesh.clone();
         if (when === 'after') await draw(scene, 1);
         CHANGES[change]({ scene, mesh, model });
         if (lighting) skinbake.lighting(model, lighting);
@@ -202,6 +203,7 @@ const api = {
         const result = { draws, report, loaded: told(userData.skinbake?.meshes ?? []), world: now.matrixWorld.toArray() };
         skinbake.dispose(scene);
         skinbake.dispose(mesh);
+        skinbake.dispose(original);
         return { ...result, hooked: mesh.userData.hooked ?? false, error: renderer.getContext().getError() };
     },
 
@@ -218,8 +220,8 @@ const api = {
         };
         await look();
         for (let round = 0; round < 2; round++) {
-            const report = skinbake.applySkinbake(scene);
-            await look(report);
+            await look(skinbake.applySkinbake(scene));
+            await look(skinbake.applySkinbake(scene, { method: 'dqs' }));
             skinbake.dispose(scene);
             mesh.material = new mesh.material.constructor({ defines: mesh.material.defines });
             await look();
@@ -233,6 +235,7 @@ const api = {
         const scene = new THREE.Scene();
         scene.add(model);
         const [mesh] = skinnedMeshes(model);
+        const original = mesh.clone();
         if (lighting) skinbake.lighting(scene, lighting);
         const cameras = [0, 1].map((number) => {
             const one = new THREE.PerspectiveCamera();
@@ -254,6 +257,7 @@ const api = {
         const draws = CAPTURE.draws.map(({ values, instances }) => ({ values: base64(values), instances }));
         const report = told(skinbake.applySkinbake(scene).meshes);
         skinbake.dispose(scene);
+        skinbake.dispose(original);
         const views = cameras.map((one) => one.matrixWorldInverse.toArray());
         return { draws, views, report, world: mesh.matrixWorld.toArray() };
     },

@@ -139,6 +139,7 @@ const api = {
         const scene = new THREE.Scene();
         scene.add(model, new THREE.DirectionalLight());
         const [mesh] = skinnedMeshes(model);
+        const original = mesh.clone();
         if (MATERIALS[material]) mesh.material = MATERIALS[material](mesh.material);
         if (lighting) skinbake.lighting(model, lighting);
         const camera = new THREE.PerspectiveCamera();
@@ -150,6 +151,7 @@ const api = {
         const world = mesh.matrixWorld.toArray();
         const report = skinbake.applySkinbake(scene).meshes.map((one) => [one.lighting, one.reason]);
         skinbake.dispose(scene);
+        skinbake.dispose(original);
         return { draws, world, report };
     },
 
@@ -159,6 +161,8 @@ const api = {
         const { scene: model } = await load({ ...options, plugin: false });
         const scene = new THREE.Scene();
         scene.add(model);
+        const [mesh] = skinnedMeshes(model);
+        const original = mesh.clone();
         const camera = new THREE.PerspectiveCamera();
         const found = [];
         const look = async (report) => {
@@ -172,9 +176,14 @@ const api = {
         await look(report);
         skinbake.lighting(scene, 'accurate');
         await look(report);
+        await look(skinbake.applySkinbake(scene, { method: 'dqs' }));
+        mesh.geometry = mesh.geometry.clone();
+        await look(report);
+        await look(skinbake.applySkinbake(scene, { method: 'lbs' }));
         skinbake.dispose(scene);
+        skinbake.dispose(original);
         await look();
-        return { found, world: skinnedMeshes(model)[0].matrixWorld.toArray() };
+        return { found, world: mesh.matrixWorld.toArray() };
     },
 
     // The draws of one frame with an ArrayCamera, or of two renders. Each camera is turned by its number.
@@ -211,7 +220,7 @@ const api = {
             const before = renderer.info.memory.programs;
             scene.add(...Array.from({ length: characters }, () => SkeletonUtils.clone(model)));
             for (const mesh of skinnedMeshes(scene)) {
-                Object.assign(mesh, { frustumCulled: false, material: new THREE.MeshPhongMaterial() });
+                Object.assign(mesh, { frustumCulled: false, material: new THREE.MeshPhysicalMaterial({ clearcoat: 1 }) });
             }
             const draws = await draw(renderer, scene, new THREE.PerspectiveCamera());
             return { draws: draws.length, more: renderer.info.memory.programs - before };
