@@ -6,7 +6,7 @@ import { CSM } from 'three/addons/csm/CSM.js';
 import { GLTFExporter } from 'three/addons/exporters/GLTFExporter.js';
 import { GLTFLoader } from 'three/addons/loaders/GLTFLoader.js';
 import * as SkeletonUtils from 'three/addons/utils/SkeletonUtils.js';
-import { MToonMaterial, VRMLoaderPlugin } from '@pixiv/three-vrm';
+import { MToonMaterial, VRMLoaderPlugin, VRMUtils } from '@pixiv/three-vrm';
 import * as skinbake from 'skinbake-three';
 
 const renderer = new THREE.WebGLRenderer({ antialias: false });
@@ -205,6 +205,30 @@ const api = {
         skinbake.dispose(mesh);
         skinbake.dispose(original);
         return { ...result, hooked: mesh.userData.hooked ?? false, error: renderer.getContext().getError() };
+    },
+
+    // A character of VRM with expressions, as three-vrm's own examples load it: with its tools, if asked for.
+    async vrm({ expressions, tools = false, triangles, ...options }) {
+        const { scene: model, userData } = await load({ ...options, vrm: true });
+        const scene = new THREE.Scene();
+        scene.add(model);
+        const original = skinnedMeshes(model)[0].clone();
+        if (tools) {
+            const { index } = original.geometry;
+            original.geometry.setIndex(new THREE.BufferAttribute(index.array.slice(0, 3 * triangles), 1));
+            VRMUtils.removeUnnecessaryVertices(scene);
+            VRMUtils.combineSkeletons(scene);
+            VRMUtils.combineMorphs(userData.vrm);
+        }
+        for (const [name, weight] of Object.entries(expressions)) userData.vrm.expressionManager.setValue(name, weight);
+        userData.vrm.update(0);
+        const draws = (await draw(scene)).map(({ values }) => base64(values));
+        const [mesh] = skinnedMeshes(model);
+        const materials = [mesh.material].flat().map(({ isMToonMaterial, isOutline }) => [isMToonMaterial, isOutline]);
+        const report = told(skinbake.applySkinbake(scene).meshes);
+        skinbake.dispose(scene);
+        skinbake.dispose(original);
+        return { draws, materials, report, world: mesh.matrixWorld.toArray() };
     },
 
     // A mesh that was drawn before it is asked for, then disposed of, drawn with another material, asked for again.

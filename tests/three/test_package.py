@@ -35,6 +35,7 @@ from tests.three.drawn import (
     vectors,
     with_morphs,
 )
+from tests.three.vrm import EXPRESSIONS, as_vrm
 from tests.three.write_package import FOLDER as PACKAGE
 
 PAGE = """<!doctype html>
@@ -108,6 +109,29 @@ def test_three_vrm_loads_a_character_beside_the_plugin(stage: Stage) -> None:
     assert found["draws"]
     assert max(largest(drawn, wanted) for drawn in found["draws"]) < DEGREES
     assert found["report"] == [["accurate", ""]]
+
+
+@pytest.mark.parametrize("tools", [False, True], ids=["as loaded", "VRMUtils"])
+@pytest.mark.parametrize("version", [0, 1])
+def test_expressions_of_vrm_morph_before_skinning_under_mtoon(
+    stage: Stage, version: int, tools: bool
+) -> None:
+    """MToon draws the mesh twice: the second time its back sides, as the outline."""
+    source = as_vrm(with_morphs(stage.models, TUBE), stage.models / f"tube{version}.vrm", version)
+    weights = (0.7, 0.4)
+    character = Character(baked(source, stage.models), BENT, weights)
+    triangles = 500
+    options = {"expressions": dict(zip(EXPRESSIONS, weights, strict=True)), "tools": tools}
+    told = {name: value for name, value in character.told(Placement()).items() if name != "morphs"}
+    found = stage.call("vrm", {**told, **options, "triangles": triangles})
+    assert found["materials"] == [[True, False], [True, True]]
+    assert found["report"] == [["accurate", ""]]
+    wanted = expected(character, found["world"])
+    if tools:
+        wanted = wanted[np.unique(gltf_reading.read(source).triangles()[:triangles])]
+    surface, outline = found["draws"]
+    assert largest(surface, wanted) < DEGREES
+    assert largest(outline, -wanted) < DEGREES
 
 
 @pytest.mark.parametrize("frame", ["normal", "tangent"])
