@@ -2,9 +2,12 @@
 
 import * as THREE from 'three/webgpu';
 import { positionLocal, vec3 } from 'three/tsl';
+import { WebGLRenderer } from 'three';
 import { GLTFLoader } from 'three/addons/loaders/GLTFLoader.js';
 import * as SkeletonUtils from 'three/addons/utils/SkeletonUtils.js';
 import { MToonNodeMaterial } from '@pixiv/three-vrm/nodes';
+import { WebGLNodesHandler } from 'three/addons/tsl/WebGLNodesHandler.js';
+import * as chunks from 'skinbake-three';
 import * as skinbake from 'skinbake-three/webgpu';
 
 CAPTURE.names = ['v_normalViewGeometry'];
@@ -54,12 +57,12 @@ function skinnedMeshes(root) {
 // Draw until all is compiled, then once more, recorded: values of three floats for each vertex, and clip positions.
 async function draw(renderer, scene, camera) {
     // SwiftShader's WebGPU cannot present to a canvas.
-    if (renderer.backend.isWebGPUBackend) renderer.setRenderTarget(new THREE.RenderTarget(SIZE, SIZE));
+    if (renderer.backend?.isWebGPUBackend) renderer.setRenderTarget(new THREE.RenderTarget(SIZE, SIZE));
     for (let frame = 0; frame < 2; frame++) {
         renderer.render(scene, camera);
         await null;
     }
-    const capture = renderer.backend.isWebGPUBackend ? WEBGPU_CAPTURE : CAPTURE;
+    const capture = renderer.backend?.isWebGPUBackend ? WEBGPU_CAPTURE : CAPTURE;
     capture.draws = [];
     capture.on = true;
     renderer.render(scene, camera);
@@ -208,6 +211,27 @@ const api = {
         const draws = CAPTURE.draws.map(({ values }) => base64(values));
         skinbake.dispose(scene);
         return { draws, world: skinnedMeshes(model)[0].matrixWorld.toArray() };
+    },
+
+    // A node material that WebGLRenderer draws: with the module of chunks alone, then with both.
+    async handled(options) {
+        const found = [];
+        for (const modules of [[chunks], [chunks, skinbake]]) {
+            const renderer = new WebGLRenderer();
+            renderer.setNodesHandler(new WebGLNodesHandler());
+            const { scene: model } = await load({ ...options, plugin: false });
+            const scene = new THREE.Scene();
+            scene.add(model, new THREE.DirectionalLight());
+            const [mesh] = skinnedMeshes(model);
+            Object.assign(mesh, { name: 'hero', material: new THREE.MeshStandardNodeMaterial({ name: 'nodes' }) });
+            const [{ meshes }] = modules.map((module) => module.applySkinbake(scene));
+            const draws = (await draw(renderer, scene, new THREE.PerspectiveCamera())).map(({ values }) => base64(values));
+            const report = meshes.map((one) => [one.lighting, one.reason]);
+            found.push({ draws, report, world: mesh.matrixWorld.toArray() });
+            skinbake.dispose(scene);
+            renderer.dispose();
+        }
+        return found;
     },
 
     // How many programs one character of a file needs, and how many more a hundred of it need.

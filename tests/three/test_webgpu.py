@@ -45,6 +45,7 @@ PAGE = """<!doctype html>
     "three/tsl": "/three/build/three.tsl.js",
     "three/addons/": "/three/examples/jsm/",
     "@pixiv/three-vrm/nodes": "/vrm/lib/nodes/index.module.js",
+    "skinbake-three": "/package/index.js",
     "skinbake-three/webgpu": "/package/webgpu.js"
 }, "scopes": {"/vrm/": {"three/tsl": "/tests/tsl_for_three_vrm.mjs"}}}
 </script>
@@ -178,6 +179,21 @@ def test_shadows_follow_the_method(stage: Stage, method: str) -> None:
     found = stage.call("shadows", {**character.told(Placement()), "method": method})
     blended = [shadow_is_of(character, found, one) for one in (Algorithm.LBS_ACCURATE, Algorithm.DQS_EXACT)]
     assert blended == [method == "lbs", method == "dqs"]
+
+
+def test_node_materials_of_webgl_renderer_need_both_modules(stage: Stage) -> None:
+    character = stage.character(TUBE, BENT)
+    found = stage.page.call("handled", character.told(Placement()))
+    reason = (
+        'its MeshStandardNodeMaterial "nodes" does not skin by three.js\'s chunks: '
+        "call applySkinbake of 'skinbake-three/webgpu' too"
+    )
+    assert stage.page.messages() == [f'skinbake: "hero" has three.js\'s standard lighting: {reason}']
+    alone, both = found
+    assert [alone["report"], both["report"]] == [[["standard", reason]], [["accurate", ""]]]
+    standard = expected(character, alone["world"], Algorithm.LBS_APPROXIMATED)
+    assert largest(alone["draws"][0], standard) < DEGREES
+    assert largest(both["draws"][0], expected(character, both["world"])) < DEGREES
 
 
 @pytest.mark.parametrize("kind", ["ArrayCamera", "two renders"])

@@ -205,7 +205,8 @@ function verifyProgram(renderer, mesh, material, before) {
         material.needsUpdate = true;
         return { ...found, lighting: 'not drawn', repaired: true };
     }
-    const reason = `its ${material.type} "${material.name}" does not skin by three.js's chunks`;
+    const remedy = material.isNodeMaterial ? ": call applySkinbake of 'skinbake-three/webgpu' too" : '';
+    const reason = `its ${material.type} "${material.name}" does not skin by three.js's chunks${remedy}`;
     return { ...found, lighting: 'standard', reason };
 }
 
