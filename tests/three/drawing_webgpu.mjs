@@ -123,6 +123,10 @@ const MATERIALS = {
     copy: (material) => new material.constructor().copy(material),
     hook: (material) => Object.assign(material, { onBeforeCompile: () => {} }),
     mtoon: () => new MToonNodeMaterial(),
+    lambert: () => new THREE.MeshLambertMaterial(),
+    phong: () => new THREE.MeshPhongMaterial(),
+    toon: () => new THREE.MeshToonMaterial(),
+    matcap: () => new THREE.MeshMatcapMaterial(),
     positioned: () => new THREE.MeshStandardNodeMaterial({ positionNode: positionLocal.add(vec3(1, 0, 0)) }),
 };
 
@@ -253,6 +257,25 @@ const api = {
         const lightings = skinbake.applySkinbake(scene).meshes.map((report) => report.lighting);
         skinbake.dispose(scene);
         return { found, lightings: [...new Set(lightings)] };
+    },
+
+    // The tangents of a character, which normal maps need.
+    async tangents(options) {
+        CAPTURE.names = ['v_tangentView'];
+        const renderer = new THREE.WebGPURenderer({ forceWebGL: true });
+        await renderer.init();
+        const { scene: model } = await load(options);
+        const scene = new THREE.Scene();
+        scene.add(model, new THREE.DirectionalLight());
+        const [mesh] = skinnedMeshes(model);
+        const flat = new THREE.DataTexture(new Uint8Array([128, 128, 255, 255]), 1, 1);
+        flat.needsUpdate = true;
+        mesh.material = new THREE.MeshStandardMaterial({ normalMap: flat });
+        const draws = (await draw(renderer, scene, new THREE.PerspectiveCamera())).map(({ values }) => base64(values));
+        CAPTURE.names = ['v_normalViewGeometry'];
+        skinbake.dispose(scene);
+        renderer.dispose();
+        return { draws, world: mesh.matrixWorld.toArray() };
     },
 
     // Where a shadow's draw puts vertices, in clip space, and the cameras of the frame.

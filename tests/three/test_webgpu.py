@@ -6,6 +6,7 @@ The WebGPU of the browser runs on SwiftShader.
 from __future__ import annotations
 
 import base64
+import dataclasses
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -58,6 +59,8 @@ SOURCES = [(TUBE, BENT, "auto"), (MIRRORED, RANDOM, "normal"), (MIRRORED, RANDOM
 
 
 BACKENDS = ["webgl", "webgpu"]
+KINDS = ("own", "normal", "lambert", "phong", "toon", "matcap", "standard", "node", "mtoon")
+KINDS += ("clone", "copy", "hook", "positioned")
 
 
 def require(stage: Stage, backend: str) -> None:
@@ -123,9 +126,7 @@ def test_real_characters_too(
     assert largest(drawn, expected(character, found["world"])) < DEGREES
 
 
-@pytest.mark.parametrize(
-    "material", ["own", "normal", "standard", "node", "clone", "copy", "hook", "positioned", "mtoon"]
-)
+@pytest.mark.parametrize("material", KINDS)
 def test_materials_of_all_kinds_have_the_same_normals(stage: Stage, material: str) -> None:
     character = stage.character(TUBE, BENT)
     found = stage.normals(character, material=material)
@@ -142,6 +143,19 @@ def test_whatever_a_page_does_the_normals_stay_right(stage: Stage) -> None:
         if error > DEGREES or found["report"] != [["accurate", ""]]:
             wrong[change] = (error, found["report"])
     assert wrong == {}
+
+
+@pytest.mark.parametrize("method", ["lbs", "dqs"])
+@pytest.mark.parametrize("frame", ["normal", "tangent"])
+def test_tangents_are_those_of_the_replay(stage: Stage, frame: str, method: str) -> None:
+    character = stage.character(MIRRORED, RANDOM, frame)
+    found = stage.call("tangents", {**character.told(Placement()), "method": method})
+    algorithm = Algorithm.LBS_ACCURATE if method == "lbs" else Algorithm.DQS_EXACT
+    placement = dataclasses.replace(Placement(), world=np.array(found["world"]).reshape(4, 4).T)
+    tangents = character.expected(algorithm, placement).tangents
+    assert tangents is not None
+    (drawn,) = found["draws"]
+    assert largest(drawn, tangents) < DEGREES
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
