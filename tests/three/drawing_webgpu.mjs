@@ -4,6 +4,7 @@ import * as THREE from 'three/webgpu';
 import { positionLocal, vec3 } from 'three/tsl';
 import { WebGLRenderer } from 'three';
 import { GLTFLoader } from 'three/addons/loaders/GLTFLoader.js';
+import { CSMShadowNode } from 'three/addons/csm/CSMShadowNode.js';
 import * as SkeletonUtils from 'three/addons/utils/SkeletonUtils.js';
 import { MToonNodeMaterial } from '@pixiv/three-vrm/nodes';
 import { WebGLNodesHandler } from 'three/addons/tsl/WebGLNodesHandler.js';
@@ -99,6 +100,12 @@ const CHANGES = {
     'material.clone()': ({ mesh }) => (mesh.material = mesh.material.clone()),
     'applied twice': ({ scene }) => void skinbake.applySkinbake(scene),
     'attribute taken away': ({ mesh }) => mesh.geometry.deleteAttribute('morphSkinbakeStorage'),
+    CSM: ({ scene, renderer }) => {
+        const light = scene.children.find(({ isLight }) => isLight);
+        light.castShadow = renderer.shadowMap.enabled = true;
+        light.shadow.shadowNode = new CSMShadowNode(light, { cascades: 2, maxFar: 10 });
+        skinnedMeshes(scene).forEach((mesh) => (mesh.receiveShadow = mesh.castShadow = true));
+    },
     'override material': ({ scene }) => (scene.overrideMaterial = new THREE.MeshNormalMaterial()),
 };
 
@@ -116,6 +123,7 @@ class Still extends THREE.MeshBasicNodeMaterial {
 
 const MATERIALS = {
     own: null,
+    fuzzy: () => new THREE.MeshPhysicalMaterial({ sheen: 1 }),
     normal: () => new THREE.MeshNormalMaterial(),
     standard: () => new THREE.MeshStandardMaterial(),
     node: () => new THREE.MeshPhysicalNodeMaterial(),
@@ -140,8 +148,15 @@ const api = {
     },
 
     // The normals of a character as its vertex stage hands them on.
-    async normals({ material = 'own', lighting, backend = 'webgl', change, ...options }) {
+    async normals({ material = 'own', lighting, backend = 'webgl', change, uniformBytes, ...options }) {
         const renderer = await rendererOf(backend);
+        const { createNodeBuilder } = renderer.backend;
+        if (uniformBytes) {
+            renderer.backend.createNodeBuilder = function (...parameters) {
+                const getUniformBufferLimit = () => uniformBytes;
+                return Object.assign(createNodeBuilder.apply(this, parameters), { getUniformBufferLimit });
+            };
+        }
         const { scene: model } = await load(options);
         const scene = new THREE.Scene();
         scene.add(model, new THREE.DirectionalLight());
@@ -152,9 +167,11 @@ const api = {
         const camera = new THREE.PerspectiveCamera();
         if (change) {
             await draw(renderer, scene, camera);
-            CHANGES[change]({ scene, model, mesh });
+            CHANGES[change]({ scene, model, mesh, renderer });
         }
         const draws = (await draw(renderer, scene, camera)).map(({ values }) => base64(values));
+        renderer.backend.createNodeBuilder = createNodeBuilder;
+        renderer.shadowMap.enabled = false;
         const world = mesh.matrixWorld.toArray();
         const report = skinbake.applySkinbake(scene).meshes.map((one) => [one.lighting, one.reason]);
         skinbake.dispose(scene);

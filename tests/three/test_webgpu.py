@@ -145,6 +145,16 @@ def test_whatever_a_page_does_the_normals_stay_right(stage: Stage) -> None:
     assert wrong == {}
 
 
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_joints_that_no_uniform_buffer_holds_come_from_a_texture(stage: Stage, backend: str) -> None:
+    """As three.js has it. Here the buffer is said to be small."""
+    require(stage, backend)
+    character = stage.character(TUBE, BENT)
+    found = stage.normals(character, backend=backend, material="fuzzy", uniformBytes=64)
+    assert largest(found["draws"][-1], expected(character, found["world"])) < DEGREES
+    assert found["report"] == [["accurate", ""]]
+
+
 @pytest.mark.parametrize("method", ["lbs", "dqs"])
 @pytest.mark.parametrize("frame", ["normal", "tangent"])
 def test_tangents_are_those_of_the_replay(stage: Stage, frame: str, method: str) -> None:
