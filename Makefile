@@ -52,9 +52,10 @@ golden: $(DEV) ## Write tests/shaders/golden and engines/three anew, after a cha
 	$(BIN)/python -m tests.shaders.write_golden
 	$(BIN)/python -m tests.three.write_package
 
-picture: $(DEV) ## Draw docs/bend.png and docs/shaders.png anew; the latter needs a Vulkan driver
+picture: $(DEV) $(NODE_MODULES) ## Draw bend.png, shaders.png (needs a Vulkan driver) and three-*.png (Chromium) of docs/ anew
 	$(BIN)/python -m benchmarks.bend_picture docs/bend.png
 	$(BIN)/python -m benchmarks.bend_render docs/shaders.png
+	$(BIN)/python -m benchmarks.three_picture
 
 table: $(DEV) ## Write docs/lighting.md, docs/fitted.md, docs/encodings.md and docs/morphs.md anew, from the models of SKINBAKE_CORPUS or ../shared/corpus
 	$(BIN)/python -m benchmarks.corpus_table
@@ -67,9 +68,10 @@ bench: $(DEV) $(NODE_MODULES) ## Time bake and verify against peers: write bench
 	$(BIN)/python -m benchmarks.results
 	$(BIN)/python -m benchmarks.library_cost
 
-speeds: $(DEV) ## Print the times of the replay and of the shaders, algorithm by algorithm
+speeds: $(DEV) $(NODE_MODULES) ## Print the times of the replay, of the shaders, and of frames of three.js (Chromium)
 	$(BIN)/python -m benchmarks.replay_speed
 	$(BIN)/python -m benchmarks.shader_speed
+	$(BIN)/python -m benchmarks.three_frame
 
 FUZZ_MODELS := build/fuzz-models
 

@@ -18,7 +18,7 @@ const state = (globalThis[Symbol.for('skinbake.three')] ??= {
     meshes: new WeakMap(), // mesh -> Map of material -> { program, lighting, reason, repaired }
     standard: new WeakSet(), // meshes that lighting() has switched
     told: new WeakMap(), // mesh -> messages
-    passed: new WeakSet(), // geometries that nobody has asked for: they are told of once
+    passed: new WeakSet(), // geometries that were not asked for: they are told of once
     backends: new Map(), // name -> { install, uninstall, verify }
     count: 0,
 });
@@ -132,7 +132,9 @@ const NOT_BAKED = 'it is not baked';
 const NOT_ASKED = 'applySkinbake has not been called for it';
 
 function strangeness(mesh) {
-    if (mesh instanceof state.three.SkinnedMesh) return '';
+    const Mesh = Object.getPrototypeOf(state.three.SkinnedMesh);
+    const Object3D = Object.getPrototypeOf(Mesh);
+    if (mesh instanceof Object3D) return '';
     return "it is of another copy of three.js: let every import of 'three' find the same files";
 }
 
@@ -352,7 +354,7 @@ function beforeDraw(renderer, scene, camera, geometry) {
     hide(renderer, this, geometry, adopted);
 }
 
-// A geometry that is drawn for the first time: a clone of one that was asked for, or nobody has asked.
+// A geometry that is drawn for the first time: a clone of one that was asked for, or one that was not.
 function meet(renderer, mesh, geometry) {
     const metadata = geometry.userData.skinbake;
     if (isObject(metadata) && state.methods.has(metadata)) {

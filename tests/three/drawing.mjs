@@ -310,7 +310,7 @@ const api = {
         await draw(scene);
     },
 
-    // A class with a hook of its own, and one whose meshes come from another copy of three.js.
+    // A class with a hook of its own, and a mesh of another copy of three.js.
     async classes(options) {
         const { scene } = await load({ ...options, plugin: false });
         const [mesh] = skinnedMeshes(scene);
@@ -325,7 +325,8 @@ const api = {
         for (let time = 0; time < 3; time++) skinbake.applySkinbake(scene);
         skinbake.lighting(own, 'standard');
         const draws = (await draw(scene)).map(({ values }) => base64(values));
-        const other = Object.assign(new THREE.Mesh(mesh.geometry, mesh.material), { name: 'other', isSkinnedMesh: true });
+        const copy = await import('/three/build/three.core.js?copy');
+        const other = Object.assign(new copy.SkinnedMesh(mesh.geometry, mesh.material), { name: 'other' });
         const report = told(skinbake.applySkinbake(other).meshes);
         skinbake.dispose(scene);
         return { draws, report, hooked: own.userData.hooked, world: own.matrixWorld.toArray() };

@@ -264,7 +264,10 @@ def test_classes_with_hooks_are_served_and_those_of_another_three_told_of(stage:
     assert found["hooked"]
     reason = "it is of another copy of three.js: let every import of 'three' find the same files"
     assert found["report"] == [["standard", reason]]
-    assert stage.page.messages() == [f'skinbake: "other" has three.js\'s standard lighting: {reason}']
+    assert stage.page.messages() == [
+        "THREE.WARNING: Multiple instances of Three.js being imported.",
+        f'skinbake: "other" has three.js\'s standard lighting: {reason}',
+    ]
 
 
 @pytest.mark.parametrize("method", ["lbs", "dqs"])
