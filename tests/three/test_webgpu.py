@@ -59,8 +59,8 @@ SOURCES = [(TUBE, BENT, "auto"), (MIRRORED, RANDOM, "normal"), (MIRRORED, RANDOM
 
 
 BACKENDS = ["webgl", "webgpu"]
-KINDS = ("own", "normal", "lambert", "phong", "toon", "matcap", "standard", "node", "mtoon")
-KINDS += ("clone", "copy", "hook", "positioned")
+KINDS = ["own", "normal", "lambert", "phong", "toon", "matcap", "standard", "node", "mtoon"]
+KINDS += ["clone", "copy", "hook", "positioned"]
 
 
 def require(stage: Stage, backend: str) -> None:
