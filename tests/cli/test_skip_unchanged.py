@@ -15,7 +15,6 @@ import pytest
 
 import skinbake
 from skinbake.commands.bake import Baker
-from skinbake.errors import InputError
 from skinbake.jobs import state
 from skinbake.jobs.state import HEADER, State
 from tests.support.command_line import LINUX, document, invoke, run
@@ -391,14 +390,33 @@ class TestTheStateFile:
         result = invoke("bake", models, "--out-dir", tmp_path / "o", "--state", tmp_path / "state")
         assert (result.exit_code, "--state is for --skip-unchanged" in result.stderr) == (2, True)
 
-    def test_another_file_is_left_alone(self, models: Path, tmp_path: Path) -> None:
-        other = tmp_path / "precious.txt"
+    def test_a_batch_goes_on_without_another_program_s_file(self, models: Path, tmp_path: Path) -> None:
+        other, out = tmp_path / "precious.txt", tmp_path / "out"
         other.write_text("not a state file\n", encoding="utf-8")
-        process = run("bake", models, "--out-dir", tmp_path / "out", "--skip-unchanged", "--state", other)
-        assert process.returncode == 3
-        assert b"it exists and is no state file of skinbake" in process.stderr
-        assert other.read_text(encoding="utf-8") == "not a state file\n"
-        assert not (tmp_path / "out").exists()
+        options = ["--out-dir", str(out), "--skip-unchanged", "--state", str(other), "--warnings-as-errors"]
+        for _ in range(2):
+            process = run("bake", models / "seam.glb", *options)
+            assert process.returncode == 0
+            assert process.stderr.count(b"warning: ") == 1
+            assert (
+                f"{other}: it is no state file of skinbake: it is left untouched".encode() in process.stderr
+            )
+            assert b"seam.glb: baked" in process.stdout
+            assert other.read_text(encoding="utf-8") == "not a state file\n"
+            assert [path.name for path in out.iterdir()] == ["seam.glb"]
+
+    def test_a_damaged_one_begins_anew(self, models: Path, tmp_path: Path) -> None:
+        path = tmp_path / "out" / STATE
+        options = ["--out-dir", str(tmp_path / "out"), "--skip-unchanged"]
+        for damage, words in ((HEADER, b""), (b"\0" * 99, b"a new one begins"), (None, b"")):
+            if damage is not None:
+                path.parent.mkdir(exist_ok=True)
+                path.write_bytes(damage)
+            process = run("bake", models / "seam.glb", *options)
+            assert process.returncode == 0
+            assert (b"warning: " in process.stderr, words in process.stderr) == (bool(words), True)
+            assert (b"up to date" in process.stdout) == (damage is None)
+            assert path.read_bytes().startswith(HEADER)
 
     @LINUX
     def test_where_it_cannot_be_written_files_are_baked_all_the_same(
@@ -456,8 +474,11 @@ class TestTheStateFile:
 
     @pytest.mark.parametrize("name", [".", os.devnull])
     def test_only_a_file_can_be_one(self, name: str, tmp_path: Path) -> None:
-        with pytest.raises(InputError, match="it exists and is no state file of skinbake"):
-            State(str(tmp_path / name))
+        found = State(str(tmp_path / name))
+        assert [notice.code for notice in found.notices] == ["state-foreign"]
+        found.add(b'{"key": "a"}\n')
+        found.close()
+        assert not list(tmp_path.iterdir())
 
 
 class TestVerify:

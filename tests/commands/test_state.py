@@ -13,7 +13,6 @@ from typing import Any
 import pytest
 
 from skinbake.cli.many import STATE_NAME
-from skinbake.errors import InputError
 from skinbake.jobs import state
 from skinbake.jobs.file_work import FileWork
 from skinbake.jobs.state import HEADER, NAME, Recipe, State, recipe
@@ -58,6 +57,7 @@ def test_a_head_that_was_cut_begins_anew(content: bytes, tmp_path: Path) -> None
     path = tmp_path / "s.jsonl"
     path.write_bytes(content)
     first = State(str(path))
+    assert [notice.code for notice in first.notices] == ["state-damaged"] * bool(content)
     first.add(b'{"key": "a"}\n')
     first.close()
     assert path.read_bytes() == HEADER + b'{"key": "a"}\n'
@@ -70,13 +70,25 @@ def test_the_name_that_is_ours_may_hold_anything_and_another_name_is_another_s(
     assert STATE_NAME == NAME
     (tmp_path / NAME).write_bytes(content)
     (tmp_path / "s.jsonl").write_bytes(content)
-    ours = State(str(tmp_path / NAME))
-    ours.add(b'{"key": "a"}\n')
-    ours.close()
-    assert (tmp_path / NAME).read_bytes() == HEADER + b'{"key": "a"}\n'
-    with pytest.raises(InputError, match="no state file"):
-        State(str(tmp_path / "s.jsonl"))
-    assert (tmp_path / "s.jsonl").read_bytes() == content
+    for name, code, after in (
+        (NAME, "state-damaged", HEADER + b'{"key": "a"}\n'),
+        ("s.jsonl", "state-foreign", content),
+    ):
+        found = State(str(tmp_path / name))
+        assert [(notice.code, notice.place.file) for notice in found.notices] == [
+            (code, str(tmp_path / name))
+        ]
+        found.add(b'{"key": "a"}\n')
+        assert (found.known("a") is None) == (name != NAME)
+        found.close()
+        assert (tmp_path / name).read_bytes() == after
+
+
+def test_a_state_file_that_is_whole_needs_no_words(tmp_path: Path) -> None:
+    for content in (None, b"", HEADER, HEADER + b"\xff\n"):
+        if content is not None:
+            (tmp_path / NAME).write_bytes(content)
+        assert State(str(tmp_path / NAME)).notices == ()
 
 
 class Forge:

@@ -220,16 +220,21 @@ def notes_of(
     *,
     sync: bool,
 ) -> Notes:
-    """Return the notes in the state file at ``path``. For None, the notes are empty and no record is kept.
+    """Return the notes in the state file at ``path``, and warn if it holds something else.
 
-    Raises InputError for a file that is no state file.
+    If it is no state file, or for None, the notes are empty and no record is kept. Raises InputError if the
+    system cannot read the file.
     """
     if path is None:
         return Notes(say)
     from skinbake.jobs.state import State, recipe
 
+    state = State(path, sync=sync)
+    say.notices(state.notices)
+    if not state.is_ours:
+        return Notes(say)
     roots = {entry.root for entry in inputs if os.sep in entry.kept}  # the folders that were searched
-    return Notes(say, State(path, sync=sync), recipe(command, options, path, sorted(roots)))
+    return Notes(say, state, recipe(command, options, path, sorted(roots)))
 
 
 @dataclass(frozen=True, slots=True)

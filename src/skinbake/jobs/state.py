@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO
 
 from skinbake.containment import BESIDE, Bounds, RefusedError, Spot, flush, open_beneath, open_regular, spots
-from skinbake.errors import InputError, OutputError, Place, SkinbakeError
+from skinbake.errors import InputError, Notice, OutputError, Place, SkinbakeError
 from skinbake.gltf.beside import named_files
 from skinbake.gltf.digests import DIGITS, digest_of
 from skinbake.gltf.document import Document, read_document
@@ -50,6 +50,12 @@ YOUNG = 1_000_000_000
 
 ABSENT = (errno.ENOENT, errno.ENOTDIR, errno.ENAMETOOLONG)
 """The system's error codes for a file that is not there. The last one means that no such file can exist."""
+
+FOREIGN = (
+    "it is no state file of skinbake: it is left untouched. Every file is done, and nothing is noted for the "
+    "next run; name another file with --state"
+)
+DAMAGED = "the first line of this state file is damaged: a new one begins, and every file is done"
 
 DIGEST = re.compile(f"[0-9a-f]{{{DIGITS}}}")
 
@@ -203,11 +209,13 @@ def made(target: str, written: Mapping[str, str], read: Digests, bounds: Bounds 
 class State:
     """A state file with one record a line. The last record of each key counts. New records are appended.
 
-    Its lines may hold anything. A line that is not a record is skipped.
+    Its lines may hold anything. A line that is not a record is skipped. If the file is no state file of
+    skinbake, it is left untouched, and no record is kept. If a state file has lost its first line, it begins
+    anew. ``notices`` tell of both.
     """
 
     def __init__(self, path: str, *, sync: bool = True) -> None:
-        """Read the file; a missing file is empty. Raises InputError if it is not a state file of skinbake.
+        """Read the file; a missing file is empty. Raises InputError if the system cannot read it.
 
         With ``sync``, closing it waits until all is on the disk.
         """
@@ -216,6 +224,8 @@ class State:
         self._lines = 0
         self._descriptor: int | None = None
         self._is_damaged = False
+        self.is_ours = True
+        self.notices: tuple[Notice, ...] = ()
         self._read()
 
     def known(self, key: str) -> bytes | None:
@@ -224,6 +234,8 @@ class State:
 
     def add(self, record: bytes) -> None:
         """Add a record, on the disk too. Raises OutputError if the write fails."""
+        if not self.is_ours:
+            return
         try:
             if self._descriptor is None:
                 self._descriptor = self._opened()
@@ -256,24 +268,32 @@ class State:
         except FileNotFoundError:
             return
         except OSError as error:
-            if error.errno in {errno.EINVAL, errno.EISDIR}:
-                raise InputError("it exists and is no state file of skinbake", place) from error
-            raise InputError(f"cannot be read: {error.strerror}", place) from error
+            if error.errno not in {errno.EINVAL, errno.EISDIR}:
+                raise InputError(f"cannot be read: {error.strerror}", place) from error
+            head = None
         except ValueError as error:
             raise InputError(f"cannot be read: {error}", place) from error
-        try:
-            with os.fdopen(descriptor, "rb") as file:
-                head = file.read(len(HEADER))
-                if head == HEADER:
-                    for line in _lines(file):
-                        self._remember(line)
-                    return
-        except OSError as error:
-            raise InputError(f"cannot be read: {error.strerror}", place) from error
+        else:
+            try:
+                head = self._read_lines(descriptor)
+            except OSError as error:
+                raise InputError(f"cannot be read: {error.strerror}", place) from error
         # A power cut can leave any bytes. A file with another name may belong to another program.
-        if not HEADER.startswith(head) and self._path.name != NAME:
-            raise InputError("it exists and is no state file of skinbake", place)
-        self._is_damaged = bool(head)
+        if head is None or (not HEADER.startswith(head) and self._path.name != NAME):
+            self.is_ours = False
+            self.notices = (Notice("state-foreign", FOREIGN, place),)
+        elif head not in {HEADER, b""}:
+            self._is_damaged = True
+            self.notices = (Notice("state-damaged", DAMAGED, place),)
+
+    def _read_lines(self, descriptor: int) -> bytes:
+        """Read the records, if the first line is that of a state file. Return the bytes in its place."""
+        with os.fdopen(descriptor, "rb") as file:
+            head = file.read(len(HEADER))
+            if head == HEADER:
+                for line in _lines(file):
+                    self._remember(line)
+            return head
 
     def _remember(self, record: bytes) -> None:
         with suppress(ValueError, KeyError, TypeError, RecursionError):
