@@ -286,9 +286,12 @@ def edgebreaker_twin(model: Model) -> Model:
         for name, number in primitive["attributes"].items()
     }
     generic = [name for name in arrays if name != "POSITION"]
+    indices = _rows(model, model.json["accessors"][primitive["indices"]])
+    if indices is None:
+        raise ValueError(f"{model.name}: the indices have no data")
     stream = DracoPy.encode(
         arrays["POSITION"],
-        _rows(model, model.json["accessors"][primitive["indices"]]).reshape(-1, 3).astype(np.uint32),  # type: ignore[union-attr]
+        indices.reshape(-1, 3).astype(np.uint32),
         quantization_bits=12,
         generic_attributes={number: arrays[name] for number, name in enumerate(generic)},
     )

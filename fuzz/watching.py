@@ -88,11 +88,14 @@ class Watch:
                     self._judge(path, True, event)
 
     def _judge(self, path: object, writes: bool, event: str) -> None:
-        try:
-            real = os.path.realpath(os.fsdecode(path))  # type: ignore[arg-type]
-        except (ValueError, OSError, TypeError):
+        if not isinstance(path, str | bytes | os.PathLike):
             return  # no name of a file
-        if not os.fsdecode(path).startswith("/") and _line().startswith(BY_DESCRIPTOR):  # type: ignore[arg-type]
+        name = os.fsdecode(path)
+        try:
+            real = os.path.realpath(name)
+        except (ValueError, OSError):
+            return  # no file can have this name
+        if not name.startswith("/") and _line().startswith(BY_DESCRIPTOR):
             return
         if real == "/" and not writes:  # the root folder, to see whether the kernel has openat2
             return
@@ -101,14 +104,13 @@ class Watch:
         ):
             return
         if not writes and (
-            path in OWN_PROCESS
+            name in OWN_PROCESS
             or re.fullmatch(r"/proc/\d+/stat", real)
-            or str(path) in OWN_PROCESS
             or real.startswith((*OURS, *READABLE))
             or (event == "open" and real + "/" in OURS)
         ):
             return
-        self.broken.append((f"{event} {'writes' if writes else 'reads'} {os.fsdecode(path)[:200]}", _line()))  # type: ignore[arg-type]
+        self.broken.append((f"{event} {'writes' if writes else 'reads'} {name[:200]}", _line()))
 
     @staticmethod
     def _is_below(path: str, folder: str) -> bool:

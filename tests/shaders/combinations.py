@@ -9,8 +9,8 @@ from itertools import product
 from typing import Any
 
 from skinbake.choices import Frame, Language, Method, Morphs
+from skinbake.cli.shader import PUBLISHED_CAP
 from skinbake.shaders.choices import ALGORITHMS, BEST, ShaderChoices
-from skinbake.skinning.surface import DEFAULT_CAP
 from tests.support.whole_fields import shader_text
 
 FRAMES = (Frame.NORMAL, Frame.TANGENT)
@@ -42,9 +42,9 @@ def combinations(language: Language) -> list[ShaderChoices]:
 def variants(language: Language) -> list[ShaderChoices]:
     """Return what the options and further influence sets add to ``combinations``."""
     every = [choices for choices in combinations(language) if choices.influences in (1, 2, 4, 8)]
-    capped = [replace(choices, cap=DEFAULT_CAP) for choices in every if choices.is_corrected]
+    capped = [replace(choices, cap=PUBLISHED_CAP) for choices in every if choices.is_corrected]
     mirrored = [replace(choices, mirrored_joints=True) for choices in every if choices.crosses]
-    both = [replace(choices, cap=DEFAULT_CAP) for choices in mirrored if choices.influences == 4]
+    both = [replace(choices, cap=PUBLISHED_CAP) for choices in mirrored if choices.influences == 4]
     fours = [choices for choices in combinations(language) if choices.influences == 4]
     many = [replace(choices, influences=count) for choices, count in product(fours, MANY_INFLUENCES)]
     return [*capped, *mirrored, *both, *many]

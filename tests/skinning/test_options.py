@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from skinbake.choices import Baseline
+from skinbake.cli.shader import PUBLISHED_CAP
 from skinbake.skinning.algorithms import Algorithm
-from skinbake.skinning.surface import DEFAULT_CAP, RestSurface
+from skinbake.skinning.surface import RestSurface
 from tests.support import analytic
 from tests.support.analytic_rest import poses, rest_surface, sample
 from tests.support.replay import replay
@@ -67,7 +68,7 @@ def test_the_cap_survives_a_tangent_that_collapses(dtype: type[np.floating]) -> 
     rest = single_vertex()
     matrices = np.stack([np.eye(4), half_turn])[None]
     free = replay(Algorithm.LBS_ACCURATE, rest, matrices, dtype=dtype)
-    capped = replay(Algorithm.LBS_ACCURATE, rest, matrices, dtype=dtype, cap=DEFAULT_CAP)
+    capped = replay(Algorithm.LBS_ACCURATE, rest, matrices, dtype=dtype, cap=PUBLISHED_CAP)
     assert np.linalg.norm(replay(Algorithm.LBS_APPROXIMATED, rest, matrices).tangents) == 0
     assert np.linalg.norm(free.tangents) > 0
     np.testing.assert_array_equal(capped.tangents, free.tangents)
@@ -84,7 +85,7 @@ def test_the_cap_of_one_influence_is_idle() -> None:
         beta=np.zeros((1, 0)),
     )
     for algorithm, _ in CAPPED:
-        skinned = replay(algorithm, alone, np.eye(4)[None, None], cap=DEFAULT_CAP)
+        skinned = replay(algorithm, alone, np.eye(4)[None, None], cap=PUBLISHED_CAP)
         np.testing.assert_allclose(skinned.normals[0], rest.normals, atol=1e-15)
 
 

@@ -105,7 +105,7 @@ def stored(url: str) -> Tree:
     }
 
 
-class Bucket(fsspec.AbstractFileSystem):  # type: ignore[misc]
+class Bucket(fsspec.AbstractFileSystem):  # type: ignore[misc]  # fsspec is untyped
     """An object store like S3: keys, no folders, and an object appears when all of it is there.
 
     It stands for ``s3://`` where ``bucket_for_s3`` is entered.
@@ -166,7 +166,7 @@ def bucket_for_s3() -> Iterator[type[Bucket]]:
         registry.update(before)
 
 
-class Torn(MemoryFileSystem):  # type: ignore[misc]
+class Torn(MemoryFileSystem):  # type: ignore[misc]  # fsspec is untyped
     """A file server, ``torn://``, whose connection breaks amid the files named in ``breaks_at``."""
 
     protocol = "torn"

@@ -51,7 +51,7 @@ def replay(
 
     Every number is converted to ``dtype`` (float32 or float64) first, and so is the result, in mesh space
     moved by the joint matrices. Normals are not unit. ``cap`` limits the length of the correction of t' and
-    of b' to cap × |T t| and cap × |T b| in algorithms 3, 5 and 6 (DEFAULT_CAP is the published figure; None
+    of b' to cap × |T t| and cap × |T b| in algorithms 3, 5 and 6 (PUBLISHED_CAP is the published figure; None
     is off); ``baseline`` chooses the normal of algorithm 1. Both are ignored by the algorithms that they do
     not concern.
 

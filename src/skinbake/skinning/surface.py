@@ -9,9 +9,6 @@ import numpy as np
 from skinbake.choices import Baseline
 from skinbake.geometry.skinned import BoolArray, FloatArray, IntArray
 
-DEFAULT_CAP = 0.9
-"""The limit of the paper's published demo, for callers that switch the cap on without a value."""
-
 
 @dataclass(frozen=True, slots=True)
 class Options:
