@@ -1,12 +1,18 @@
-"""Bake and strip all models with two builds of skinbake, and say where their outputs differ.
+"""Bake all models with two builds of skinbake, strip the outputs, and say where files differ.
 
-Usage: python -m benchmarks.same_bytes BEFORE AFTER [FOLDER]: two ``skinbake`` commands, and a folder of
-models (by default the corpus of SKINBAKE_CORPUS, or ../shared/corpus). A refactoring differs nowhere.
+Usage: python -m benchmarks.same_bytes BEFORE AFTER [FOLDER] [--after OPTIONS]
+
+BEFORE and AFTER are two ``skinbake`` commands. FOLDER holds models (by default the corpus of SKINBAKE_CORPUS,
+or ../shared/corpus). A refactoring differs nowhere. Where a default has changed between the two builds,
+``--after`` gives the second one options that bring the former default back, like ``--after "--gradients
+surface"``.
 """
 
 from __future__ import annotations
 
+import argparse
 import hashlib
+import shlex
 import subprocess
 import sys
 import tempfile
@@ -25,14 +31,27 @@ OPTIONS: tuple[tuple[str, ...], ...] = (
     ("--compress", "meshopt"),
 )
 FOLDERS = ("public", "derived")
+MODELS = {".glb", ".gltf", ".vrm"}
+USAGE = "%(prog)s BEFORE AFTER [FOLDER] [--after OPTIONS]"
 
 
-def outputs(command: str, models: Path, options: tuple[str, ...]) -> dict[str, str]:
-    """Return the digests of all files that baking a folder makes, and the exit code, by name."""
+def outputs(command: str, models: Path, options: list[str]) -> dict[str, str]:
+    """Return the digests of all files that baking a folder, and stripping that, make, by name.
+
+    The exit code of the bake, and those of the strips, are under names of their own.
+    """
     with tempfile.TemporaryDirectory() as folder:
-        bake = [command, "bake", str(models), "--out-dir", folder, "-q", *options]
+        baked, stripped = Path(folder, "baked"), Path(folder, "stripped")
+        bake = [command, "bake", str(models), "--out-dir", str(baked), "-q", *options]
         done = subprocess.run(bake, capture_output=True, check=False)
         found = {"exit code": str(done.returncode)}
+        for path in sorted(baked.rglob("*")):
+            if path.suffix in MODELS:
+                target = stripped / path.relative_to(baked)
+                target.parent.mkdir(parents=True, exist_ok=True)
+                strip = [command, "strip", str(path), "-o", str(target), "-q"]
+                done = subprocess.run(strip, capture_output=True, check=False)
+                found[f"exit code of strip {path.relative_to(baked)}"] = str(done.returncode)
         for path in sorted(Path(folder).rglob("*")):
             if path.is_file():
                 found[path.relative_to(folder).as_posix()] = hashlib.sha256(path.read_bytes()).hexdigest()
@@ -41,18 +60,24 @@ def outputs(command: str, models: Path, options: tuple[str, ...]) -> dict[str, s
 
 def main() -> int:
     """Print a line a set of options and one a difference; 1 where there are any."""
-    if len(sys.argv) not in {3, 4}:
-        sys.exit(__doc__)
-    before, after = sys.argv[1:3]
-    root = Path(sys.argv[3]) if len(sys.argv) == 4 else find_corpus()
-    if root is None:
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.same_bytes", usage=USAGE)
+    parser.add_argument("before")
+    parser.add_argument("after")
+    parser.add_argument("folder", nargs="?", type=Path, default=find_corpus())
+    parser.add_argument("--after", dest="only_after", default="", metavar="OPTIONS")
+    given = parser.parse_args()
+    if given.folder is None:
         sys.exit("there is no corpus: name a folder of models")
     differences = 0
     for options in OPTIONS:
-        for folder in FOLDERS if (root / FOLDERS[0]).is_dir() else (".",):
-            old, new = (outputs(command, root / folder, options) for command in (before, after))
+        for folder in FOLDERS if (given.folder / FOLDERS[0]).is_dir() else (".",):
+            models = given.folder / folder
+            old = outputs(given.before, models, [*options])
+            new = outputs(given.after, models, [*options, *shlex.split(given.only_after)])
             unlike = sorted(name for name in old.keys() | new.keys() if old.get(name) != new.get(name))
-            print(f"{' '.join(options) or 'defaults'}, {folder}: {len(old) - 1} files, {len(unlike)} differ")
+            files = sum(not name.startswith("exit code") for name in old)
+            line = f"{' '.join(options) or 'defaults'}, {folder}: {files} files, {len(unlike)} differ"
+            print(line, flush=True)
             for name in unlike:
                 print(f"  {name}")
             differences += len(unlike)
