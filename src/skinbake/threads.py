@@ -6,6 +6,7 @@ import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
+from itertools import chain, islice
 from typing import TypeVar
 
 Item = TypeVar("Item")
@@ -46,11 +47,13 @@ class Threads:
 
     def each(self, work: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
         """Yield the result of ``work`` for each item, in the items' order."""
-        if self._pool is None:
-            yield from map(work, items)
+        pending = iter(items)
+        first = list(islice(pending, 2))
+        if self._pool is None or len(first) < 2:  # one block gains nothing from another thread
+            yield from map(work, chain(first, pending))
             return
         waiting: deque[Future[Result]] = deque()
-        for item in items:
+        for item in chain(first, pending):
             waiting.append(self._pool.submit(work, item))
             if len(waiting) > AHEAD * self._count:
                 yield waiting.popleft().result()
