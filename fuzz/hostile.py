@@ -1,9 +1,10 @@
 """Run every command on files that once broke a promise: ``python -m fuzz.hostile [--asan]``.
 
-The files are those of ``hostile/`` in the corpus. A table says how each command ended, how long the slowest
-took, at best of some tries, and how much memory the largest; with ``--asan`` all run under AddressSanitizer,
-which is slower and larger. The exit code is 1 where a command ended in an undocumented way, or over the
-bounds.
+The files are in ``hostile/`` of the corpus. A table says how each command ended, the seconds of the slowest,
+at best of some tries, and the memory of the largest. The seconds are those of the clock, or those of the
+processors if they are fewer: on a busy machine a command waits for others. With ``--asan`` all run under
+AddressSanitizer, which is slower and larger. The exit code is 1 if a command ended in an undocumented way, or
+over the bounds.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import resource
 import shutil
 import subprocess
 import sys
@@ -32,7 +34,7 @@ LAUNCHER = REPOSITORY / "benchmarks" / "launch.py"
 
 @dataclass(frozen=True)
 class Run:
-    """How a command ended: its exit code, wall time, peak memory, and the last line that it said."""
+    """How a command ended: its exit code, time, peak memory, and the last line that it said."""
 
     code: int
     seconds: float
@@ -41,7 +43,7 @@ class Run:
 
 
 def command_lines(path: Path, out: Path) -> Iterator[list[str]]:
-    """Yield the command lines for a file: that which broke the promise, where it is noted, and the usual."""
+    """Yield the command lines for a file: the one that broke the promise, if it is noted, and the usual."""
     note = path.parent / "_note.json"
     if note.exists():
         recorded = json.loads(note.read_text(encoding="utf-8"))[1][0][2]
@@ -60,10 +62,17 @@ def run(arguments: list[str], env: dict[str, str]) -> Run:
     """Run one command in a process of its own."""
     launch = [sys.executable, "-I", "-S", str(LAUNCHER)]
     command = [*launch, sys.executable, "-m", "skinbake", *arguments]
+    before = processor_seconds()
     done = subprocess.run(command, env=env, capture_output=True, text=True, check=False, errors="replace")
     seconds, peak = done.stdout.split()[-2:]
     said = done.stderr.strip().rpartition("\n")[2]
-    return Run(done.returncode, float(seconds), int(peak) / 2**20, said)
+    return Run(done.returncode, min(float(seconds), processor_seconds() - before), int(peak) / 2**20, said)
+
+
+def processor_seconds() -> float:
+    """Return the processor time of all children that have ended."""
+    spent = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return spent.ru_utime + spent.ru_stime
 
 
 def least(arguments: list[str], env: dict[str, str], tries: int) -> Run:
@@ -87,7 +96,7 @@ def main() -> int:
     if given.asan:
         build()
         env = environment()
-    env.pop("PYTHONDONTWRITEBYTECODE", None)  # who installs the package has it compiled
+    env.pop("PYTHONDONTWRITEBYTECODE", None)  # an installed package is compiled to bytecode
     tries = 1 if given.asan else TRIES
     bad = 0
     begun, count, table = time.monotonic(), 0, {}
