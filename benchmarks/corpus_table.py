@@ -36,58 +36,59 @@ SUFFIXES = {".glb", ".gltf", ".vrm"}
 CORPUS_FOLDERS = ("public", "derived")
 PACKAGES = ("numpy", "scipy")
 
-HEAD = """# What accurate lighting is worth
+HEAD = """# The gain of accurate lighting
 
-Angle in degrees between the normals that a shader computes and the true normals of the deformed surface.
-Every model is baked, checked by `skinbake verify` (structure, freshness, algorithm 3 = algorithm 2), and
-measured over its own animations; one without any, over joints turned at random by up to 30°. α and β are
-fitted to the rig (`--gradients rig`, the default). [fitted.md](fitted.md) has the figures of the paper's
-gradients beside them, also in poses of other kinds.
+The figures are angles in degrees between the normals that a shader computes and the true normals of the
+deformed surface. Every model is baked and checked by `skinbake verify` (structure, freshness, algorithm 3 =
+algorithm 2). It is measured over its own animations. If it has none, its joints turn at random by up to 30°.
+α and β are fitted to the rig (`--gradients rig`, the default). [fitted.md](fitted.md) has the figures of the
+paper's gradients beside them, also in poses of other kinds.
 
-## What a true normal is
-A smooth surface has one normal at each point. A mesh does not: it has flat triangles, and the normal at a
-vertex is an agreement about them. The authored normals of the rest pose are such an agreement, and
-animation files store none for the other poses. So verify finds true normals itself, in two ways that have
-little in common. Both look only at where the vertices are before and after skinning, never at α and β. (The
-fit of α and β looks at both truths, for small turns, and at no pose of the tables.) Both give the authored
-normal itself at rest.
+## True normals
+A smooth surface has one normal at each point. A mesh has flat triangles, and the normal at a vertex is an
+agreement about them. The authored normals of the rest pose are such an agreement. Animation files store no
+normals for the other poses. So verify finds true normals itself, in two ways that have little in common. Both
+look only at the places of the vertices before and after skinning, never at α and β. (The fit of α and β looks
+at both truths, for small turns, and at no pose of the tables.) At rest both give the authored normal itself.
 
-- **By tangents.** Two tangents are measured at each vertex, at rest and in the pose: how the position
-  changes along the triangles around it, averaged with Max's weights (1999). The map from the tangents at
-  rest to those in the pose moves the authored normal.
+- **By tangents.** Two tangents are measured at each vertex, at rest and in the pose. A tangent is the change
+  of the position along the triangles around the vertex, averaged with Max's weights (1999). The map from the
+  tangents at rest to the tangents in the pose moves the authored normal.
 - **By triangles.** The normal at a vertex is the mean of its triangles' normals, each weighted by the
-  triangle's angle there (Thürmer and Wüthrich 1998). Modelling tools shade with it. It is taken at rest and
-  in the pose, and the authored normal keeps its place beside it.
+  triangle's angle there (Thürmer and Wüthrich 1998). Modelling tools shade with it. It is computed at rest
+  and in the pose, and the authored normal keeps its place beside it.
 
-Neither depends on an option of bake: the weighting of triangles, the crease angle (15°) and the tangents
-are verify's own. All meshes that the same skins draw are one surface, unless they have morph targets,
-whatever `--weld` was told. Only `--limit-influences` changes the truths, because it moves vertices. Errors
-are weighted by the area around each vertex in the rest pose, in the scene's unit: a quantised mesh counts as
-much as its float twin.
+No option of bake changes these ways: the weighting of triangles, the crease angle (15°) and the tangents are
+verify's own. All meshes that the same skins draw are one surface, with or without `--weld`, unless they have
+morph targets. Only `--limit-influences` changes the truths, because it moves vertices. Errors are weighted by
+the area around each vertex in the rest pose, in the scene's unit. So a quantised mesh counts as much as its
+float twin.
 
-Each truth has an error of its own, which no one sees on a real model. On a surface that has a formula it
-shows. Here is a tube of three joints, bent in eight steps, by the mean angle in degrees: standard and
-accurate lighting (algorithms 1 and 3) against the formula; accurate lighting as verify measures it, by each
-truth; and each truth against the formula. Where weights are smooth, accurate lighting is nearer to the
-formula than either truth: verify reports its real error by tangents, and twice as much by triangles. Where
-weights change within an edge (steep), or have kinks, the mesh is too coarse to show what the formula does,
-all three share that error, and verify may report less than the real one. A difference that is smaller than
-the truths' own distance from each other says nothing.
+Each truth has an error of its own. It cannot be seen on a real model, but on a surface that has a formula.
+The table shows a tube of three joints, bent in eight steps. Its figures are mean angles in degrees: standard
+and accurate lighting (algorithms 1 and 3) against the formula; accurate lighting against each truth, as
+verify measures it; and each truth against the formula. Where weights are smooth, accurate lighting is nearer
+to the formula than either truth. There verify reports its real error by tangents, and twice as much by
+triangles. Where weights change within an edge (steep), or have kinks, the mesh is too coarse to follow the
+formula. All three share that error, and verify may report less than the real one. A difference says nothing
+if it is smaller than the distance between the two truths.
 
 {analytic}
 
 ## Reading the tables
-Each figure is over all vertices and poses, weighted by the area around a vertex at rest, so that a finely
-divided hand counts no more than a coarse back of the same size. *Mean* is the average, 95 % of the area
-stays below *p95*, and *gain* is the standard mean divided by the accurate one (blank where the error is
-rounding). *Standard* is what engines do today (algorithm 1; 4 for dual quaternions), *accurate* uses α and
-β (algorithm 3; 5), *exact* is algorithm 6. Figures are by tangents where nothing else is said. The gain is
-large where joints bend a smooth, finely divided surface. It is small where little bends; where every vertex
-has one joint, so that standard lighting is right but for the border triangles; and where the mesh is coarse
-or full of hard edges: the true normals are themselves measured on its triangles, and on a dozen of those
-they are known to some ten degrees only. A gain below 1 says that by this measure accurate lighting is no
-better on that model. Standard lighting is the blended matrix here, as in three.js; *over i. t.* is the gain
-over the inverse transpose, as in Bevy: where joints are scaled unevenly, that alone may be all the gain.
+Each figure is over all vertices and poses, weighted by the area around a vertex at rest. So a finely divided
+hand counts no more than a coarse back of the same size. *Mean* is the average. 95 % of the area stays below
+*p95*. *Gain* is the standard mean divided by the accurate one (blank if the error is rounding). *Standard* is
+the lighting of today's engines (algorithm 1; 4 for dual quaternions). *Accurate* uses α and β (algorithm 3;
+5). *Exact* is algorithm 6. Figures are by tangents if nothing else is said.
+
+The gain is large if joints bend a smooth, finely divided surface. It is small if little bends. It is small if
+every vertex has one joint, because then standard lighting is wrong at the border triangles only. And it is
+small if the mesh is coarse or full of hard edges: the true normals are measured on its triangles too, and a
+dozen triangles show them to some ten degrees only. A gain below 1 says that by this measure accurate lighting
+is no better on that model. Standard lighting is the blended matrix here, as in three.js. *Over i. t.* is the
+gain over the inverse transpose, as in Bevy. If joints are scaled unevenly, the inverse transpose alone may
+bring all the gain.
 """
 
 

@@ -65,7 +65,7 @@ class Sums:
 
 @dataclass
 class Lit:
-    """What a document's lighting is off by. sums has the keys (truth, method, lighting)."""
+    """The errors of a document's lighting. sums has the keys (truth, method, lighting)."""
 
     sums: dict[tuple[str, str, str], Sums] = field(default_factory=dict)
     from_clips: bool = True

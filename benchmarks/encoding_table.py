@@ -39,7 +39,7 @@ CHARACTERS = (
 )
 SCALED = (Encoding.SNORM16, Encoding.PACKED8)
 
-HEAD = """# What smaller α and β cost
+HEAD = """# The cost of smaller α and β
 
 α and β are two numbers for each influence of a vertex: the slopes of its skin weight along the two tangent
 directions. `bake --encoding` stores them in fewer bytes. [The reference](reference/file-format.md#encodings)

@@ -4,8 +4,8 @@ Usage: python -m benchmarks.growth [--markdown FILE] [--family NAME]... [--kib S
 
 Each family makes one thing as numerous as a file of so many bytes can have it: primitives that share their
 accessors, buffer views of one Draco stream, channels of one sampler. Every command runs in a child, whose
-processor time and peak memory are taken; "refused" is exit 3. The last column is what doubling the bytes
-costs at most, of those steps that take more than 0.5 s: 2 is linear.
+processor time and peak memory are taken; "refused" is exit 3. The last column is the largest factor by which
+a doubling of the bytes multiplies the memory, or a time of more than 0.5 s: 2 is linear.
 """
 
 from __future__ import annotations
@@ -42,17 +42,19 @@ WARM = (
 """Modules that are imported before children are made: their time is not the file's."""
 
 NOTICEABLE = 0.5
-"""Seconds of a processor: what takes less is not seen to grow."""
+"""Seconds of a processor. The growth of a shorter time cannot be seen."""
 
 PATIENCE = 60
 """Seconds of a processor after which a child is given up."""
 
 EXPLAINED = (
-    "what bake, verify, strip and inspect take of hostile families at four sizes. "
-    "`refused` is exit 3, before the memory is set aside; the last column is what a doubling costs at most, "
-    "of the steps that take over 0.5 s, or in memory. A command may take 2,048 bytes of memory for each "
-    "byte of its file, but always a gibibyte: below that, small files whose primitives share their vertices "
-    "(`shared_accessors`) grow with vertices times primitives, and above it they are refused."
+    "the time and memory of bake, verify, strip and inspect on hostile families at four sizes. "
+    "The seconds are those of the processors, or those of the clock if they are fewer. `refused` is exit 3, "
+    "before the memory is allocated. The last column is the largest factor by which a doubling of the bytes "
+    "multiplies the memory, or the time of a step that takes over 0.5 s. A command may take 2,048 bytes of "
+    "memory for each byte of its file, and always a gibibyte. Below a gibibyte, small files whose primitives "
+    "share their vertices (`shared_accessors`) grow with vertices times primitives. Above it they are "
+    "refused."
 )
 
 Content = dict[str, Any]
@@ -327,7 +329,7 @@ COMMANDS = {
 
 @dataclass(frozen=True)
 class Run:
-    """What one command took on one file."""
+    """The time and memory of one command on one file."""
 
     seconds: float
     mebibytes: float

@@ -2,7 +2,7 @@
 
 Usage: python -m benchmarks.libigl_normals VERTICES POSES
 
-That is the least that whoever checks normals computes: where the vertices go, and the normals of the
+That is the least that a check of normals computes: the places of the vertices, and the normals of the
 surface that they make. Prints the mean of the last pose's normals' y, so that nothing can be left out.
 """
 

@@ -43,7 +43,7 @@ LIBRARY = (
 
 @dataclass(frozen=True)
 class Cluster:
-    """What is assumed of the machines.
+    """The assumptions about the machines.
 
     Cores of a node; bytes a second of a node's network and of the store; seconds waited for an asset. A task
     holds files until they take task_seconds or are task_files, as those of ``--dask`` do.
@@ -61,7 +61,7 @@ CLUSTER = Cluster()
 LARGEST_FOR_RATE = 1_000_000
 """Vertices of the largest grid that the rate is taken from: the library has none larger."""
 
-HEAD = """# What a library of a million assets costs
+HEAD = """# The cost of a library of a million assets
 
 `python -m benchmarks.library_cost` computes this page from the figures of the last `make bench`
 ([benchmarks/RESULTS.md](../benchmarks/RESULTS.md)). It is a calculation, not a run of a million files. The
@@ -88,7 +88,7 @@ bottleneck.
 
 @dataclass(frozen=True)
 class Rates:
-    """What was measured, of one core unless said otherwise.
+    """The measured rates, of one core unless said otherwise.
 
     start: seconds of a whole process on the smallest grid; file: seconds a file in a process that runs
     already; vertex: seconds a vertex; payload: seconds a byte that bake only copies; read, written: bytes a
@@ -248,13 +248,13 @@ def bottlenecks(asset: Asset, found: Rates) -> Iterator[str]:
     )
     yield (
         f"- **Store**: {moved * ASSETS / CLUSTER.store_bytes / 60:,.0f} minutes at "
-        f"{CLUSTER.store_bytes / 1e9:.0f} GB/s, whatever the number of cores. {textures:.0%} of the bytes "
+        f"{CLUSTER.store_bytes / 1e9:.0f} GB/s, at any number of cores. {textures:.0%} of the bytes "
         "are textures and animation. A library that keeps textures beside its .gltf files need not move them."
     )
     if found.tasks is not None:
         group, alone = task_files(asset, CLUSTER), asset.seconds * found.tasks
         yield (
-            f"- **Scheduler**: one process, {found.tasks:,.0f} tasks a second, whatever the number of cores. "
+            f"- **Scheduler**: one process, {found.tasks:,.0f} tasks a second, at any number of cores. "
             f"`--dask` puts several files into a task, {group} of the mean size. With one file in a task the "
             f"scheduler would keep up with {alone:,.0f} cores."
         )
@@ -317,7 +317,7 @@ def caveats(found: Rates, results: Json) -> Iterator[str]:
     longest = max(LIBRARY, key=lambda kind: kind.vertices)
     seconds = found.file + found.vertex * longest.vertices + found.payload * longest.payload
     together = results["rows"]["files"]["jobs"]
-    yield "## What this leaves out"
+    yield "## Not counted"
     yield (
         f"- Cores that share a memory. `file` is measured with {together} busy cores, the other rates "
         "with 1. "

@@ -1,4 +1,4 @@
-"""What `make bench` measures: one function for each row of its table, or for a few that share their runs.
+"""Measure the rows of `make bench`: one function for each row of the table, or for a few rows of one run.
 
 Each takes a plan (how much) and an empty folder, and returns JSON: what was measured on which input, and
 the figures of every command's runs under its name. Where a peer is not installed its runs are missing.

@@ -44,7 +44,7 @@ CHARACTERS = (
     "RiggedElf/RiggedElf.gltf",
 )
 
-HEAD = """# What morph targets cost
+HEAD = """# The cost of morph targets
 
 α and β are the slopes of a vertex's skin weights along its two tangent directions, t0 and b0. With the normal
 n0 these directions are the *frame* of the vertex. α and β are derivatives along curves on the surface whose

@@ -28,7 +28,7 @@ SLOTS = 4
 
 @dataclass(frozen=True)
 class Mesh:
-    """What both loops read: positions (V, 3) float32, triangles (T, 3), joints and weights (V, SLOTS)."""
+    """The input of both loops: positions (V, 3) float32, triangles (T, 3), joints and weights (V, SLOTS)."""
 
     positions: npt.NDArray[np.float32]
     triangles: npt.NDArray[np.int32]

@@ -19,7 +19,7 @@ LAUNCHER = [sys.executable, "-I", "-S", str(Path(__file__).with_name("launch.py"
 SKINBAKE = [str(Path(sys.executable).with_name("skinbake"))]
 MIB = 1 << 20
 NOT_INHERITED = {"PYTHONDONTWRITEBYTECODE", "PYTHONUNBUFFERED", "PYTHONPATH", "PYTHONPROFILEIMPORTTIME"}
-"""What a developer's shell may have set and users' has not: their bytecode is kept."""
+"""A variable that a developer's shell may have set and a user's has not: users keep their bytecode."""
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,8 @@
 """Print docs/reliability.md from the logs of the fuzzer: ``python -m benchmarks.reliability LOG...``.
 
-What was tried, how often, how much of the readers that reached, and what it found. Each line of a log is a
-run of ``make fuzz``, ``fuzz-native``, ``fuzz-coverage`` or ``faults``; nothing else is added here.
+The page lists the attempts and their number, the branches of the readers that they reached, and their
+finds. Each line of a log is a run of ``make fuzz``, ``fuzz-native``, ``fuzz-coverage`` or ``faults``; nothing
+else is added here.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ WORDS = {
     "target uri": "reader of URIs, coverage-guided",
     "target state": "reader of state files, coverage-guided",
 }
-"""What each kind of run tries, in the order of the table."""
+"""The program or the code that each kind of run tries, in the order of the table."""
 
 
 def read_logs(paths: Iterable[Path]) -> list[Line]:
@@ -47,7 +48,7 @@ def page(lines: Sequence[Line]) -> str:
     """Return the page."""
     parts = [
         "# Reliability",
-        "What was tried to break skinbake, and what came of it. "
+        "This page lists the attempts to break skinbake, and their results. "
         "`python -m benchmarks.reliability` writes this page from the logs of "
         "`make fuzz`, `make fuzz-native`, `make fuzz-coverage` and `make faults`. "
         "[growth.md](growth.md) shows how time and memory grow with hostile files.",
@@ -62,7 +63,7 @@ def page(lines: Sequence[Line]) -> str:
 
 
 def _executions(lines: Sequence[Line]) -> list[str]:
-    rows = ["| what is run | executions | hours | runs | causes found |", "|---|---|---|---|---|"]
+    rows = ["| program | executions | hours | runs | causes found |", "|---|---|---|---|---|"]
     kinds = {line["kind"] for line in lines}
     for kind in [*(known for known in WORDS if known in kinds), *sorted(kinds - WORDS.keys())]:
         own = [line for line in lines if line["kind"] == kind]
@@ -99,8 +100,8 @@ def _faults(lines: Sequence[Line]) -> list[str]:
         return []
     rows = ["| fault | times |", "|---|---|", *(f"| {kind} | {count:,} |" for kind, count in counts.items())]
     about = (
-        "At each call that writes, one after another. With `+` all calls that follow fail too, but for those "
-        "that remove files; `short` writes half of what it was given."
+        "Each fault is tried at each call that writes, one after another. With `+` all calls that follow "
+        "fail too, except calls that remove files. `short` writes half of the bytes."
     )
     return ["## Faults", about, "\n".join(rows)]
 
@@ -116,8 +117,8 @@ def _coverage(lines: Sequence[Line]) -> list[str]:
     reached = f"{last['covered']} of {last['branches']} branches of src/skinbake/gltf ({share:.1f} %)"
     text = f"{reached} are reached by {by}."
     if last.get("explained"):
-        why = "[fuzz/explained.py](../fuzz/explained.py) says what else reaches them, or why nothing can."
-        text += f" Of {last['explained']} others {why}"
+        why = "names another way to reach it, or the reason why nothing can."
+        text += f" For each of {last['explained']} others, [fuzz/explained.py](../fuzz/explained.py) {why}"
     return ["## Branches", text]
 
 
@@ -139,15 +140,15 @@ def _hostile(lines: Sequence[Line]) -> list[str]:
         codes, slowest, largest = plain.get(name, ("", "", ""))
         rows.append(f"| {name} | {codes} | {slowest} | {largest} | {sanitized.get(name, ('',))[0]} |")
     about = (
-        "The commands are the one that broke the promise, where it is noted, then `bake`, "
-        "`bake --compress draco`, `verify`, `inspect` and `strip`; times are of whole processes, at best of "
-        "some tries."
+        "The first command is the one that broke the promise, if it is noted. The others are `bake`, "
+        "`bake --compress draco`, `verify`, `inspect` and `strip`. A time is that of a whole process: the "
+        "best of some tries, by the clock or, if it is less, by the processors."
     )
     return ["## Hostile files", about, "\n".join(rows)]
 
 
 def _finds(lines: Sequence[Line]) -> list[str]:
-    """Return what was found, each with the day on which it was seen last."""
+    """Return the finds, each with the day on which it was seen last."""
     last: dict[str, str] = {}
     times = Counter[str]()
     for line in sorted(lines, key=lambda line: str(line["date"])):
@@ -155,7 +156,7 @@ def _finds(lines: Sequence[Line]) -> list[str]:
         last.update(dict.fromkeys(line["finds"], line["date"][:10]))
     if not last:
         return ["## Found", "Nothing."]
-    rows = ["| find | times | last seen | what it was, and the test |", "|---|---|---|---|"]
+    rows = ["| find | times | last seen | cause, and the test |", "|---|---|---|---|"]
     rows += [
         f"| {name.replace('|', '/')} | {times[name]:,} | {day} | {mended(name) or 'open'} |"
         for name, day in sorted(last.items())

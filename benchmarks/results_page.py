@@ -12,7 +12,7 @@ from benchmarks.processes import MIB, Json, median
 
 NONE = "—"
 FREE_MEMORY = 100 * MIB
-"""What a bake may take besides three times its file."""
+"""The memory that a bake may take besides three times its file."""
 
 WORTH_A_LINE = 0.0005
 """Seconds from which a stage has a line of its own."""
@@ -49,7 +49,7 @@ def page(results: Json) -> str:
 
 
 def about(results: Json) -> Iterator[str]:
-    """Yield what was run where."""
+    """Yield the machine and the versions."""
     machine, versions = results["machine"], results["versions"]
     if results["quick"]:
         yield "**A quick run: one run each of small inputs. The figures say nothing.**\n"

@@ -1,4 +1,4 @@
-"""What it costs that bake waits until its outputs are on the disk: a table, with ``--no-sync`` beside it.
+"""Measure the wait of bake until its outputs are on the disk: a table, with ``--no-sync`` beside it.
 
 ``python -m benchmarks.sync_cost [FOLDER]`` works in a folder of FOLDER's disk, by default the current one.
 CesiumMan is left out where there is no corpus. Times are whole processes', the least of some runs in turns.

@@ -46,7 +46,7 @@ from tests.support.whole_fields import angular_errors, reference_normals, rest_f
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 DEFAULT_OUTPUT = REPOSITORY / "docs" / "weight_quantisation.md"
-MARK = "<!-- What follows is written by benchmarks/weight_quantisation.py. -->\n"
+MARK = "<!-- benchmarks/weight_quantisation.py writes the rest of this page. -->\n"
 CREASE_ANGLE = float(np.radians(15.0))
 POSES = 8
 CHARACTERS = (
@@ -518,12 +518,12 @@ def tables(costs: list[str], methods: list[str], helped: dict[str, int], dense: 
     better = " | ".join(f"{count}" for count in helped.values())
     return "\n".join(
         [
-            "\n## What rounding costs",
+            "\n## The cost of rounding",
             "| model | vertices | error, FLOAT | 8 bits | 16 bits | added by 8 bits: mean / p99 "
             "| of it with exact ∇w | added by 16 bits: mean / p99 |",
             "|---|--:|--:|--:|--:|--:|--:|--:|",
             *costs,
-            "\n## What denoising does: added by 8 bits, mean",
+            "\n## The effect of denoising: added by 8 bits, mean",
             f"| model | {names} |",
             f"|---|{dashes}",
             *methods,

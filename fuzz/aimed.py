@@ -37,7 +37,7 @@ UNDER_COMMANDS: tuple[tuple[str, ...], ...] = (
     ("inspect", "in/m.glb"),
     ("strip", "in/m.glb", "-o", "out/m.glb"),
 )
-"""What is done with each directed model."""
+"""The command lines for each directed model."""
 
 
 def aimed_cases(models: Sequence[Model]) -> list[Case]:

@@ -1,4 +1,4 @@
-"""What all targets for atheris share: how one begins, and which exceptions are answers and no defects."""
+"""The common part of all targets for atheris: their start, and the exceptions that are answers."""
 
 from __future__ import annotations
 

@@ -34,7 +34,7 @@ FINDS = REPOSITORY / "fuzz" / "finds"
 
 @dataclass
 class Totals:
-    """What came of many runs: how many, by command and exit code, and how often each thing was found."""
+    """The results of many runs: how many, by command and exit code, and how often each thing was found."""
 
     runs: int = 0
     codes: Counter[str] = field(default_factory=Counter)
@@ -60,7 +60,7 @@ class _Batch:
 
 @dataclass(frozen=True)
 class Plan:
-    """What to run: seeds from ``first`` until ``seconds`` are over, or ``most`` done, ``workers`` at once.
+    """The runs to do: seeds from ``first`` until ``seconds`` are over, or ``most`` done, ``workers`` at once.
 
     around wraps the work of each child: coverage is measured so. ``aimed`` cases run before all others.
     """

@@ -1,4 +1,4 @@
-"""What each find of the fuzzer was, and the test that would see it again.
+"""The cause of each find of the fuzzer, and the test that would see it again.
 
 By the beginning of the names under which finds are kept: ``python -m benchmarks.reliability`` prints both.
 """

@@ -47,7 +47,7 @@ class Find:
 
 @dataclass
 class Outcome:
-    """What a command did: its exit code, what it printed, and tracebacks that it logged or ended in."""
+    """The outcome of a command: its exit code, its output, and tracebacks that it logged or ended in."""
 
     code: int
     stdout: bytes

@@ -1,4 +1,4 @@
-"""What many runs in one process need not repeat: the command line's parser, options not given, templates.
+"""Steps that many runs in one process need not repeat: the parser, options not given, templates.
 
 None of it is judged: what a command does with its file is done anew in each run.
 """

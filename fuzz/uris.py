@@ -5,7 +5,7 @@ from __future__ import annotations
 from random import Random
 
 SECRET = b"SKINBAKE-SECRET: this was outside of the folder of the model"
-"""What files hold that no run may read: where it turns up in an output, something was let out."""
+"""The content of files that no run may read: if it turns up in an output, something was let out."""
 
 PLAIN = ("m.bin", "tex.png", "sub/tex.png", "x#/tex.png", "a b.png", "ä.png")
 UPWARDS = ("..", "%2e%2e", "%2E.", ".%2e", "..%2f..", "..%5c..", "..\\..", "%252e%252e", "....", "...")

@@ -64,7 +64,7 @@ OWN_PROCESS = ("/proc/self/stat", "/proc/self/statm", "/proc/self/status", "/pro
 
 @dataclass
 class Watch:
-    """What one run may read and write; ``broken`` lists what else it did, each with the stack's last line."""
+    """The folders that one run may read and write; ``broken`` lists all else, with the stack's last line."""
 
     inputs: str
     outputs: str

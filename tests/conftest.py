@@ -1,4 +1,4 @@
-"""What holds for all tests; a run's first lines say what may be skipped, and why."""
+"""Rules for all tests; a run's first lines say what may be skipped, and why."""
 
 from __future__ import annotations
 

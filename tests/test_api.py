@@ -27,7 +27,7 @@ TUBE = FOLDER / "bent_tube.glb"
 
 @pytest.fixture
 def examples(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
-    """What the examples of the documentation may use."""
+    """The names that the examples of the documentation may use."""
     monkeypatch.chdir(ROOT)
     baked = tmp_path / "baked.glb"
     skinbake.bake(TUBE, baked)

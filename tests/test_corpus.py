@@ -1,4 +1,4 @@
-"""Files that nobody here wrote: real models bake or say why not, broken ones do no harm."""
+"""Files of other people: real models bake or say why not, broken ones do no harm."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Stages: who is counted for what."""
+"""Stages: the time that each one counts."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is done while things fail: commands, the folder that they begin with, and what they may leave."""
+"""Commands that run while calls fail, the folder that they begin with, and the files that they may leave."""
 
 from __future__ import annotations
 

@@ -13,7 +13,7 @@ from fuzz.native import decoders, kernel
 
 KINDS = {"kernel": kernel.executions, "decoders": decoders.executions}
 NOTE = struct.Struct("<QQ")
-"""What the note holds: the seed at work, and the executions done."""
+"""The content of the note: the seed at work, and the executions done."""
 
 
 def main() -> int:

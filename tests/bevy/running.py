@@ -70,7 +70,7 @@ class Scene:
 
 @dataclass(frozen=True)
 class Seen:
-    """What the vertex stage hands on: positions (V, 4), unit normals (V, 3), tangents (V, 4)."""
+    """The outputs of the vertex stage: positions (V, 4), unit normals (V, 3), tangents (V, 4)."""
 
     positions: Single
     normals: Single
@@ -116,7 +116,7 @@ class Morph:
 
 @dataclass(frozen=True)
 class Case:
-    """What is run: a text, a scene, the definitions that Bevy and the Rust lines set, and morph targets."""
+    """A run: a text, a scene, the definitions that Bevy and the Rust lines set, and morph targets."""
 
     choices: ShaderChoices
     given: Scene

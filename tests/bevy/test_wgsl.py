@@ -132,7 +132,7 @@ def _cases() -> dict[str, Case]:
 
 @pytest.fixture(scope="module")
 def seen(characters: dict[str, Case]) -> dict[str, Seen]:
-    """What the vertex stage makes of every case."""
+    """The results of the vertex stage for every case."""
     return run(_cases() | characters)
 
 

@@ -1,4 +1,4 @@
-"""Exit codes: 0 fine, 2 usage, 3 input, 4 output; the worst of several inputs; and who writes nothing."""
+"""Exit codes: 0 fine, 2 usage, 3 input, 4 output; the worst of several; and failures write nothing."""
 
 from __future__ import annotations
 
@@ -293,7 +293,7 @@ class TestStripAndInspect:
 
 
 def test_the_codes_leave_the_process(tmp_path: Path) -> None:
-    """What the other tests see in this process is what a shell sees."""
+    """A shell sees the same as the other tests see in this process."""
     (tmp_path / "broken.glb").touch()
     found = [
         run("bake", SEAM, "--dry-run").returncode,

@@ -1,4 +1,4 @@
-"""Many files in one call: the same whoever does the work, told in order, and safe from deaths and Ctrl-C."""
+"""Many files in one call: the same with any runner, told in order, and safe from deaths and Ctrl-C."""
 
 from __future__ import annotations
 
@@ -411,7 +411,7 @@ def large(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @LINUX
 class TestTerminal:
-    """What a terminal shows of a process of its own, from the first second on."""
+    """The text on a terminal of a process of its own, from the first second on."""
 
     def shown(self, *arguments: str | Path) -> list[tuple[float, str]]:
         """Return what a terminal gets on stderr, with the seconds since the start of the process."""

@@ -1,4 +1,4 @@
-"""What people read: results on stdout, messages on stderr, as much and as colourful as they want."""
+"""Text for people: results on stdout, messages on stderr, as much and as colourful as they want."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whoever reads stdout may leave at any time: the exit code says so, in every command."""
+"""The reader of stdout may leave at any time: the exit code says so, in every command."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ COMMANDS = [
 
 
 def without_reader(*arguments: str, stream: str = "stdout") -> subprocess.CompletedProcess[bytes]:
-    """Run a command whose stdout, or stderr, is a pipe that nobody reads."""
+    """Run a command whose stdout, or stderr, is a pipe without a reader."""
     reading, writing = os.pipe()
     os.close(reading)
     out, err = (writing, subprocess.PIPE) if stream == "stdout" else (subprocess.PIPE, writing)

@@ -252,7 +252,7 @@ bake_file = Baker.bake_file
 
 
 class TestWhileItRuns:
-    """What others do meanwhile; ``bake_file`` is followed by it."""
+    """A change by others, right after ``bake_file``."""
 
     @pytest.fixture
     def then(self, monkeypatch: pytest.MonkeyPatch) -> Callable[[Callable[[str, str], object]], None]:

@@ -1,4 +1,4 @@
-"""What a command raises is what its result says, and no exception passes the boundary of a file."""
+"""The result has the error that a command raises, and no exception passes the boundary of a file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Workers: all jobs are done once, whoever dies; what has begun is undone when they are told to stop."""
+"""Workers: all jobs are done once, if any worker dies; begun work is undone when they are told to stop."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the fuzzer would find: each judge sees what it is there for, and a case is its seed's alone."""
+"""The judges of the fuzzer: each sees the defects that it is for, and a case depends on its seed alone."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ BROKEN = {
 
 @pytest.fixture(scope="module")
 def found(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[str]]:
-    """What is found of each; in a process of its own, for an audit hook can never be taken away."""
+    """The finds of each; in a process of its own, for an audit hook can never be taken away."""
     repository = Path(__file__).resolve().parents[2]
     # A small process starts it, since a new one counts the memory of its parent as its own at first.
     command = [sys.executable, "-I", "-S", str(repository / "benchmarks" / "launch.py"), sys.executable, "-c"]

@@ -308,7 +308,7 @@ def test_missing_members_are_refused(remove: Callable[[JsonObject], Any], messag
 
 
 def test_the_plain_accessor_is_fine() -> None:
-    """What the rejections start from would pass."""
+    """The document that the rejections start from would pass."""
     assert read(plain()).values.tolist() == [[0, 0], [7, 8], [2, -2], [3, -3], [4, -4], [5, -5]]
 
 

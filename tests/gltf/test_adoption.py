@@ -1,4 +1,4 @@
-"""How adopted joints are stored, and that nobody can see them in a position."""
+"""How adopted joints are stored, and that no position shows them."""
 
 from __future__ import annotations
 

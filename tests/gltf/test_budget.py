@@ -1,4 +1,4 @@
-"""What a document claims is counted before it is set aside: by unit, and by the memory that children take."""
+"""The claims of a document are counted before memory is allocated: by unit, and by the memory of children."""
 
 from __future__ import annotations
 

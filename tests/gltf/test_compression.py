@@ -1,4 +1,4 @@
-"""What bake does with compressed files: α/β inside, all else as it was, and strip undoes it.
+"""Bakes of compressed files: α/β inside, all else as it was, and strip undoes it.
 
 What it wrote is read back by the reference decoders. Expected values come from the uncompressed twin.
 """
@@ -193,7 +193,7 @@ class TestEveryCompressionIntoEvery:
 
 
 def test_the_rest_of_the_file_is_left_alone(tmp_path: Path) -> None:
-    """What is not skinned stays compressed as it was, by the very bytes, under every scheme but none."""
+    """A primitive that is not skinned keeps its compressed bytes under every scheme but none."""
     path = corpus.model("barbarian-draco-edgebreaker.glb")
     before = read(path)
     for scheme in (Scheme.KEEP, Scheme.DRACO):

@@ -1,4 +1,4 @@
-"""Reading documents: what is refused, and that what nobody touches is written as it was read."""
+"""Reading documents: refusals, and that untouched data is written as it was read."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What stood in a file before its bake is put back only where that loses nothing of what came after."""
+"""The former data of a file is put back only if that loses nothing that came after the bake."""
 
 from __future__ import annotations
 

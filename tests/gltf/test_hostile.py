@@ -90,7 +90,7 @@ class TestFilesThatChange:
 
 
 class TestEncoders:
-    """What Draco's and meshoptimizer's encoders would read past, or abort on."""
+    """Input that Draco's and meshoptimizer's encoders would read past, or abort on."""
 
     @pytest.mark.parametrize("options", [[], ["--texcoord-bits", "12"]])
     @pytest.mark.parametrize("name", ["TEXCOORD_0", "COLOR_0", "_OTHER"])

@@ -136,7 +136,7 @@ class TestFailures:
     def test_an_interrupt_between_two_names_waits_for_both(
         self, source: Path, target: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        """What is beside a target may be beside another's too, which another process has just finished."""
+        """A file beside a target may be beside another target too, just finished by another process."""
         bake(source, target)
         whole = tree(target.parent)
         link = os.link
@@ -315,7 +315,7 @@ class TestModesAndLinks:
 
 class TestOrder:
     def test_the_document_is_renamed_last(self, source: Path, target: Path) -> None:
-        """Whoever looks meanwhile finds the old document, or the new one with all its files."""
+        """A look meanwhile finds the old document, or the new one with all its files."""
         with failing("link", 0, NO_SPACE) as beside, failing("replace", 0, NO_SPACE) as last:
             bake(source, target)
             assert len(beside) == 3

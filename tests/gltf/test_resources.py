@@ -1,4 +1,4 @@
-"""What URIs stand for (RFC 2397 and 3986; glTF 2.0 specification, §2.8 and §3.6.1)."""
+"""The bytes that URIs stand for (RFC 2397 and 3986; glTF 2.0 specification, §2.8 and §3.6.1)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Several files at once: below a folder, durable, and in nobody's way; nothing is left of what failed."""
+"""Several files at once: below a folder, durable, and in no other's way; nothing is left of a failure."""
 
 from __future__ import annotations
 
@@ -377,7 +377,7 @@ class TestTemporaries:
 
 
 class TestTaken:
-    """Files beside the target replace nothing, whoever is faster."""
+    """Files beside the target replace nothing, in any order."""
 
     @pytest.fixture(params=["links", "no links"])
     def links(self, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:

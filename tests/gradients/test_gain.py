@@ -1,4 +1,4 @@
-"""What α and β are worth on real characters, against normals measured on the deformed mesh."""
+"""The gain by α and β on real characters, against normals measured on the deformed mesh."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What must not matter: the unit of length, where the mesh stands, and every order in which it is listed."""
+"""Changes without effect: the unit of length, the place of the mesh, and every order of its lists."""
 
 from __future__ import annotations
 

@@ -273,7 +273,7 @@ def test_the_environment_can_ask_for_numpy(monkeypatch: pytest.MonkeyPatch) -> N
 
 
 class TestArguments:
-    """What the compiled loops are given by mistake is an exception, never memory read past its end."""
+    """Wrong arguments of the compiled loops are an exception, never memory read past its end."""
 
     def arguments(self) -> dict[str, Any]:
         field, _ = weight_field(empty(3))

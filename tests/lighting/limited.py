@@ -1,4 +1,4 @@
-"""What ``bake --limit-influences`` leaves of a primitive's influences, found by another route than bake's."""
+"""The influences that ``bake --limit-influences`` leaves, found by another route than bake's."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What happens to baked files: 45 kinds of change, harmful and harmless ones, each drawn from a seed."""
+"""Changes of baked files: 45 kinds of change, harmful and harmless ones, each drawn from a seed."""
 
 from __future__ import annotations
 

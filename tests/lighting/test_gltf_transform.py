@@ -1,4 +1,4 @@
-"""What glTF-Transform's commands make of a baked file, each of them really run.
+"""The effect of glTF-Transform's commands on a baked file, each of them really run.
 
 ====================================================  ====================================================
 command                                               baked file afterwards

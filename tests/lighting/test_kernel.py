@@ -264,7 +264,7 @@ def int32(*values: int) -> Int32Array:
 
 
 class TestArguments:
-    """What the compiled loops are given by mistake is an exception, never memory read past its end."""
+    """Wrong arguments of the compiled loops are an exception, never memory read past its end."""
 
     BLEND: tuple[Any, ...] = (
         np.zeros((2, 5, 4)),

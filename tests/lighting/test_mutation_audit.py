@@ -56,7 +56,7 @@ OTHER_TOOLS = ["normals", "quantize", "simplify", "sortWeights"]
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of one changed file: by how much its lighting is off, and what verify said."""
+    """The result of one changed file: the error of its lighting, and the verdict of verify."""
 
     what: str
     name: str

@@ -31,7 +31,7 @@ MODELS = [
 
 
 class Case(NamedTuple):
-    """What is done to a file, the notice's code, and words that its message holds."""
+    """A change of a file, the notice's code, and words that its message holds."""
 
     edit: Callable[[Editable], None]
     code: str

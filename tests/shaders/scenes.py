@@ -1,4 +1,4 @@
-"""What the shaders are run on: a surface that nobody would model, and baked characters in their own clips.
+"""The inputs of the shaders: a surface that no artist would model, and baked characters in their own clips.
 
 A scene is float32 throughout, so that the shader and every replay begin with the same numbers.
 """

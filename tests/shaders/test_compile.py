@@ -31,7 +31,7 @@ def test_every_glsl_text_compiles(version: str) -> None:
 
 @pytest.mark.slow
 def test_every_glsl_text_becomes_valid_spirv() -> None:
-    """Those that differ in nothing but the algorithm are included together: the compiler starts slowly."""
+    """Texts that differ in nothing but the algorithm are included together: the compiler starts slowly."""
     found = {name: glslang.spirv(glsl(group, "450")) for name, group in together(Language.GLSL).items()}
     assert {name: glslang.invalid(module) for name, module in found.items()} == dict.fromkeys(found, "")
 

@@ -202,7 +202,7 @@ class TestMirroredJoints:
 
 
 class TestTheScenes:
-    """What the irregular scene is made to have, it has."""
+    """The irregular scene has the features that it is made for."""
 
     def test_weights_of_zero_with_a_derivative(self) -> None:
         scene = irregular(4, Method.LBS)

@@ -1,4 +1,4 @@
-"""What every text promises to whoever pastes it: pure functions under one prefix, nothing unused."""
+"""The promises of every text to its user: pure functions under one prefix, nothing unused."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ class TestEveryText:
             assert [found for found in macros if not found.startswith("SKINBAKE_")] == [], name
 
     def test_no_function_is_dead(self, language: Language) -> None:
-        """What the text does not call, its header says to call; or it converts joints, for the host."""
+        """The header names each function that the text does not call, or the function is for the host."""
         for name, (choices, text) in texts(language).items():
             names = FUNCTION.findall(code(text))
             uncalled = {found for found in names if len(re.findall(rf"\b{found}\(", code(text))) == 1}

@@ -1,4 +1,4 @@
-"""What must not depend on how a surface is stored, and what two algorithms must agree on."""
+"""Results that must not depend on the storage of a surface, and results that two algorithms share."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""What the tests share: independent readers and validators, and the corpus of real models."""
+"""The common parts of the tests: independent readers and validators, and the corpus of real models."""

@@ -39,7 +39,7 @@ def baked(original: Path, folder: Path, settings: BakeSettings | None = None, **
 
 @dataclass(frozen=True)
 class Answer:
-    """What the command line said of one file: the exit code, its JSON, and what a person reads."""
+    """The outcome of one file on the command line: the exit code, its JSON, and its text."""
 
     exit_code: int
     file: JsonObject

@@ -48,7 +48,7 @@ def failure_of(require: Callable[[], str]) -> str:
 
 
 def test_no_test_module_imports_another() -> None:
-    """What several need lies in tests/support, so that any module can be run, moved or removed alone."""
+    """Common code lies in tests/support, so that any module can be run, moved or removed alone."""
     modules = sorted(Path(corpus.REPOSITORY, "tests").rglob("test_*.py"))
     assert len(modules) > 90
     found = [module.name for module in modules if IMPORT_OF_A_TEST.search(module.read_text(encoding="utf-8"))]

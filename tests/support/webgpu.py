@@ -63,7 +63,7 @@ class Job:
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """What the compiler has against a shader (empty: nothing), and the bytes that it left as results."""
+    """The complaints of the compiler about a shader (empty: none), and the bytes of its results."""
 
     complaint: str
     results: bytes = b""

@@ -367,7 +367,7 @@ def _no_interrupts() -> Iterator[None]:
 
 
 class _Relay:
-    """What a worker tells of files that take long: its newest word, a few times a second."""
+    """Tell of files that take long, as a worker: its newest word, a few times a second."""
 
     def __init__(self, connection: Connection) -> None:
         self._connection, self._source, self._due = connection, "", 0.0
