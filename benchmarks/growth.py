@@ -186,6 +186,25 @@ def many_joints(size: int) -> Scene:
     return scene
 
 
+def joint_chain(size: int) -> Scene:
+    """Make a chain of joints, and a surface that hangs on its last two."""
+    scene = Scene()
+    one = scene.surface(_side(size // 2))
+    count, joints = scene.json["accessors"][0]["count"], size // 2 // 30
+    bound, share = np.tile([0, 1, 0, 0], (count, 1)), np.linspace(0, 1, count)
+    one["attributes"]["JOINTS_0"] = scene.accessor(bound, "|u1", "VEC4")
+    one["attributes"]["WEIGHTS_0"] = scene.accessor(
+        np.stack([share, 1 - share, 0 * share, 0 * share], axis=1), "<f4", "VEC4"
+    )
+    scene.json["nodes"] = [
+        {"mesh": 0, "skin": 0},
+        *({"children": [node + 1]} for node in range(1, joints)),
+        {},
+    ]
+    scene.json["skins"] = [{"joints": list(range(joints, 0, -1))}]
+    return scene.draw([one])
+
+
 def _animated(scene: Scene, channels: int, clips: int, keys: int) -> Scene:
     times = scene.accessor(np.arange(keys), "<f4", "SCALAR")
     turns = scene.accessor(np.tile([0.0, 0, 0, 1], (keys, 1)), "<f4", "VEC4")
@@ -308,6 +327,7 @@ FAMILIES: dict[str, Callable[[int], Scene]] = {
         many_skins,
         deep_joints,
         many_joints,
+        joint_chain,
         many_channels,
         many_clips,
         many_sets,

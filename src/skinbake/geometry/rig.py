@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from skinbake.geometry.skinned import BoolArray, Float64Array
+from skinbake.geometry.skinned import BoolArray, Float64Array, IntArray
 
 NO_PARENT = -1
 
@@ -26,28 +26,23 @@ class Rig:
     @property
     def ranks(self) -> npt.NDArray[np.int32]:
         """Return an order (J,) in which every joint comes after the joint that carries it."""
-        depths, above = np.zeros(len(self.parents), dtype=np.int32), self.parents
-        while (above != NO_PARENT).any():
-            depths += above != NO_PARENT
-            above = np.where(above == NO_PARENT, NO_PARENT, self.parents[above])
-        ranks = np.empty(len(depths), dtype=np.int32)
-        ranks[np.argsort(depths, kind="stable")] = np.arange(len(depths))
+        ranks = np.empty(len(self.parents), dtype=np.int32)
+        ranks[np.argsort(self.depths, kind="stable")] = np.arange(len(ranks))
         return ranks
 
-    def carriers(self) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-        """Return each joint and all joints that carry it, in rows like CSR: joints (N,), offsets (J + 1,)."""
-        lines = self.lines_of_descent().T
-        return np.nonzero(lines)[1], np.concatenate([[0], np.cumsum(lines.sum(axis=1))])
+    @property
+    def depths(self) -> npt.NDArray[np.int32]:
+        """Return the number of joints (J,) that carry each joint.
 
-    def lines_of_descent(self) -> BoolArray:
-        """Return a mask (J, J): whether joint j is joint i, or carries it, at [j, i]."""
-        joints = np.arange(len(self.parents))
-        mask, above = np.eye(len(joints), dtype=np.bool_), self.parents
+        Each round doubles the length of the steps, so that a long chain takes few rounds.
+        """
+        above = self.parents
+        depths: npt.NDArray[np.int32] = (above != NO_PARENT).astype(np.int32)
         while (above != NO_PARENT).any():
             held = above != NO_PARENT
-            mask[above[held], joints[held]] = True
-            above = np.where(held, self.parents[above], NO_PARENT)
-        return mask
+            depths += np.where(held, depths[above], 0).astype(np.int32)
+            above = np.where(held, above[above], NO_PARENT)
+        return depths
 
     def with_joints(self, count: int) -> Rig:
         """Return the rig with at least so many joints. Further joints stand apart, and do not turn."""
@@ -56,3 +51,75 @@ class Rig:
             np.pad(self.parents, (0, more), constant_values=NO_PARENT),
             np.pad(self.pivots, ((0, more), (0, 0)), constant_values=np.nan),
         )
+
+
+class Lineage:
+    """The lines of descent of a rig. They take J log J: a mask of all pairs would take J².
+
+    A root is added above all joints: number J, of depth −1.
+    """
+
+    def __init__(self, rig: Rig) -> None:
+        self.root = len(rig.parents)
+        self.depths = np.append(rig.depths, -1)
+        parents = np.append(np.where(rig.parents == NO_PARENT, self.root, rig.parents), self.root)
+        self._starts, self._ends = _spans(parents, np.argsort(self.depths, kind="stable"))
+        self._steps = [parents]
+        while (self._steps[-1] != self.root).any():
+            self._steps.append(self._steps[-1][self._steps[-1]])
+
+    def carries(self, above: IntArray, joints: IntArray) -> BoolArray:
+        """Tell whether each joint of ``above`` is the joint of ``joints``, or carries it."""
+        starts = self._starts[joints]
+        inside: BoolArray = (self._starts[above] <= starts) & (starts < self._ends[above])
+        return inside
+
+    def lowest_above(self, groups: IntArray, joints: IntArray, count: int) -> IntArray:
+        """Return for each of ``count`` groups the lowest joint that is, or carries, all its joints.
+
+        groups (N,) names the group of each of the joints (N,). A group without joints has the root.
+        """
+        first, last = np.full(count, self.root), np.zeros(count, dtype=np.int64)
+        np.minimum.at(first, groups, self._starts[joints])
+        np.maximum.at(last, groups, self._starts[joints])
+        # A joint that carries the first and the last of a group carries all between them.
+        at_start = np.argsort(self._starts)
+        lowest, other = at_start[np.minimum(first, last)], at_start[last]
+        for step in reversed(self._steps):
+            lowest = np.where(self.carries(step[lowest], other), lowest, step[lowest])
+        found: IntArray = np.where(self.carries(lowest, other), lowest, self._steps[0][lowest])
+        return found
+
+    def upwards(self, joints: IntArray, counts: IntArray) -> tuple[IntArray, IntArray]:
+        """Return the first so many joints of each way up, as rows and joints (M,), ordered by rows.
+
+        The way of row i begins with joints[i]. counts (N,) are the lengths.
+        """
+        rows = np.flatnonzero(counts > 0)
+        found = [(rows, joints[rows])]
+        while len(rows):
+            more = counts[rows] > len(found)
+            rows, above = rows[more], self._steps[0][found[-1][1][more]]
+            found.append((rows, above))
+        every, passed = (np.concatenate(pieces) for pieces in zip(*found, strict=True))
+        order = np.argsort(every, kind="stable")
+        return every[order], passed[order]
+
+
+def _spans(parents: IntArray, order: IntArray) -> tuple[IntArray, IntArray]:
+    """Return the numbers of joints, start and end: a joint and all that it carries are start … end − 1.
+
+    order begins with the root, and has each joint after its parent.
+    """
+    above: list[int] = parents.tolist()
+    places: list[int] = order.tolist()
+    first, others = places[0], places[1:]
+    sizes, free = [1] * len(above), [0] * len(above)
+    for joint in reversed(others):
+        sizes[above[joint]] += sizes[joint]
+    starts, free[first] = [0] * len(above), 1
+    for joint in others:
+        starts[joint] = free[above[joint]]
+        free[above[joint]] += sizes[joint]
+        free[joint] = starts[joint] + 1
+    return np.array(starts), np.array(starts) + np.array(sizes)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from skinbake.geometry.frames import frame_from_normal, has_direction, unit_normals
-from skinbake.geometry.rig import Rig
+from skinbake.geometry.rig import Lineage, Rig
 from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray, IntArray
 from skinbake.gradients.field import NO_JOINT, WeightField
 from skinbake.gradients.surface import EVEN, FAINT, FLAT, STIFFNESS, UNFELT, Surface
@@ -237,29 +237,25 @@ def _turning_pairs(vertices: FittedVertices, named: IntArray, turns: RingTurns, 
     joint = np.concatenate([turns.joints[entry], named[row, slot]])
     values = np.concatenate([turns.arms[entry], turns.spins[entry]], axis=1).reshape(-1, 12)
     values = np.concatenate([values, np.zeros((len(row), 12))])
-    carriers, starts = rig.carriers()
-    repeated, above = _entries(starts, joint)
+    lineage, count = Lineage(rig), len(named)
+    # Up to the lowest joint that carries all joints around a vertex, each turn parts them.
+    climbs = lineage.depths[joint] - lineage.depths[lineage.lowest_above(vertex, joint, count)[vertex]]
+    too_many = np.zeros(count, dtype=np.bool_)
+    too_many[vertex[climbs > MOST_TURNS]] = True
+    repeated, above = lineage.upwards(joint, np.where(too_many[vertex], 0, climbs))
     size = len(rig.parents)
-    involved = np.unique(vertex * size + joint)
-    amount = np.bincount(involved // size, minlength=len(named))
-    keys, place = np.unique(vertex[repeated] * size + carriers[above], return_inverse=True)
+    keys, place = np.unique(vertex[repeated] * size + above, return_inverse=True)
     sums = summed_rows(place, values[repeated], len(keys))
     at, turning = np.divmod(keys, size)
-    again, over = _entries(starts, involved % size)
-    carried = np.bincount(
-        np.searchsorted(keys, (involved // size)[again] * size + carriers[over]), minlength=len(keys)
-    )
-    parting = carried < amount[at]
-    parting &= np.bincount(at[parting], minlength=len(named))[at] <= MOST_TURNS
+    parting = np.bincount(at, minlength=count)[at] <= MOST_TURNS
     parting &= np.isfinite(rig.pivots[turning]).all(axis=1)
     at, turning, both = at[parting], turning[parting], sums[parting].reshape(-1, 4, 3)
-    lines = rig.lines_of_descent()
     return _Pairs(
         vertices=at,
         levers=vertices.positions[at].astype(np.float64) - rig.pivots[turning],
         arms=both[:, :2],
         spins=both[:, 2:],
-        carries=lines[turning[:, None], named[at]] & (named[at] >= 0),
+        carries=lineage.carries(turning[:, None], named[at]) & (named[at] >= 0),
         named=named,
         last=named.shape[1] - 1 - (named >= 0)[:, ::-1].argmax(axis=1),
     )
