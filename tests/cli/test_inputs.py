@@ -163,13 +163,14 @@ def test_inputs_named_twice_by_folders_and_patterns_are_baked_once(tree: Path, t
     ],
 )
 def test_what_cannot_go_together_is_said_before_anything_is_written(
-    arguments: list[str], message: str, tmp_path: Path
+    arguments: list[str], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     put(tmp_path, "one/x.glb", "two/x.glb", "nest/x.glb", "nest/nest/x.glb")
     before = {name: (tmp_path / name).read_bytes() for name in files(tmp_path)}
-    process = run("bake", *arguments, folder=tmp_path)
-    assert process.returncode == 2
-    assert message in process.stderr.decode()
+    monkeypatch.chdir(tmp_path)
+    result = invoke("bake", *arguments)
+    assert result.exit_code == 2
+    assert message in result.stderr
     assert {name: (tmp_path / name).read_bytes() for name in files(tmp_path)} == before
 
 

@@ -437,6 +437,7 @@ class TestTerminal:
         # The first picture comes before any long stage is over.
         assert text.index("large.glb") < text.index("large.glb: gradient operator")
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("jobs", ["1", "2"])
     def test_each_of_many_files_has_its_own_line(self, jobs: str, large: Path, tmp_path: Path) -> None:
         names = [f"{letter}.glb" for letter in "abcdefgh"]

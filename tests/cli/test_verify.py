@@ -58,7 +58,7 @@ def test_several_files_return_the_worst_code_and_all_are_told(good: Path, bad: P
         ([text, good], 3),
         ([good, good], 0),
     ):
-        result = run("--json", *files)
+        result = run("--json", *files, "--samples", "2")
         assert result.exit_code == code
         document = json.loads(result.stdout)
         assert [entry["input"] for entry in document["files"]] == [str(file) for file in files]

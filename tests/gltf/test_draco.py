@@ -250,6 +250,7 @@ def test_more_than_a_stream_of_its_length_may_hold_is_refused() -> None:
         draco_stream.check_counts(memoryview(data), 3_000_000, 3, 72_000_000, Place("x"))
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="only Linux tells what a process has")
 def test_a_stream_wider_than_its_accessors_is_refused_in_bounded_memory(tmp_path: Path) -> None:
     """20,000 vertices of 4 × 127 constant integers, 40 MB where 0.2 are declared; the limit is lowered."""

@@ -136,7 +136,8 @@ WRITE_FRAME = {
 }
 
 
-@pytest.mark.parametrize("language", [Language.WGSL, pytest.param(Language.GLSL, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("language", Language)
 def test_the_frame_that_follows_the_normal_is_the_replay_s(language: Language, tmp_path: Path) -> None:
     """Any two normals; then none of a length; then opposite ones, on both sides of the threshold."""
     n0, turned = directions(3000, 1), directions(3000, 2)

@@ -129,6 +129,7 @@ def versions(kind: str, choices: ShaderChoices) -> tuple[str, ...]:
 
 @pytest.mark.parametrize("implementation", [webgpu.NAGA, webgpu.TINT], ids=["naga", "tint"])
 class TestWgsl:
+    @pytest.mark.slow
     def test_every_algorithm(self, implementation: webgpu.Implementation) -> None:
         work = irregular_work(algorithms(Language.WGSL))
         for name, found in run_wgsl(implementation, work).items():

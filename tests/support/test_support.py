@@ -80,6 +80,7 @@ class TestKhronos:
         with pytest.raises(FileNotFoundError):
             khronos.validate(tmp_path / "nowhere.glb")
 
+    @pytest.mark.slow
     def test_a_validator_that_ended_is_said_and_started_anew(self) -> None:
         khronos.validate(TUBE)
         khronos.VALIDATOR._started().kill()
