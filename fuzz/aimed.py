@@ -178,7 +178,7 @@ def _past_the_end(model: Model) -> None:
 
 
 def _skins() -> Iterator[Case]:
-    """Yield a case of two groups of meshes that share no joint."""
+    """Yield cases of skins: two groups of meshes that share no joint, and each way to have no rig or two."""
 
     def apart(model: Model) -> None:
         nodes = model.json["nodes"]
@@ -187,6 +187,35 @@ def _skins() -> Iterator[Case]:
         model.json["skins"].append({"joints": [len(nodes) - 1] * 4})
 
     yield _of("skins apart", _changed(apart), "--weld", "skin")
+    yield _of("a skin of one joint", _changed(_one_joint))
+    yield _of("joints that cannot turn", _changed(_flattened))
+    yield _of("skins of two bind poses", _changed(_posed_twice))
+
+
+def _one_joint(model: Model) -> None:
+    skin = model.json["skins"][0]
+    skin["joints"] = skin["joints"][:1]
+    joints = _added(model, np.zeros((VERTICES, 4), "|u1"), "VEC4", 5121)
+    _primitive(model)["attributes"]["JOINTS_0"] = joints
+
+
+def _bound(model: Model, matrix: Any) -> int:
+    """Add an inverse bind matrix for each joint of the sheet; return the accessor."""
+    count = len(model.json["skins"][0]["joints"])
+    matrices = np.tile(np.asarray(matrix, "<f4").ravel(), (count, 1))
+    return _added(model, matrices, "MAT4", 5126)
+
+
+def _flattened(model: Model) -> None:
+    model.json["skins"][0]["inverseBindMatrices"] = _bound(model, np.diag([0, 0, 0, 1]))
+
+
+def _posed_twice(model: Model) -> None:
+    skins, nodes = model.json["skins"], model.json["nodes"]
+    shift = np.eye(4)
+    shift[3, :3] = 1.0, 2.0, 3.0  # the columns of the matrix one after another
+    skins.append({**skins[0], "inverseBindMatrices": _bound(model, shift)})
+    nodes.append({"mesh": 0, "skin": 1})
 
 
 def _morphs() -> Iterator[Case]:

@@ -111,7 +111,7 @@ EXPLAINED: dict[tuple[str, str, str], str] = {
     (
         "replacing.py",
         "replaced",
-        "if error.errno == errno.ENOENT:  # somebody has removed or renamed it -> return False",
+        "if error.errno == errno.ENOENT:  # another program has removed or renamed it -> return False",
     ): RACE,
     (
         "replacing.py",

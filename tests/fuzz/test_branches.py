@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from fuzz import branches
-from fuzz.explained import WINDOWS
-from fuzz.measuring import PACKAGE
+from fuzz.explained import EXPLAINED, WINDOWS
+from fuzz.measuring import PACKAGE, REPOSITORY
 
 TEXT = """def first(x):
     if x:
@@ -50,3 +50,12 @@ def test_each_missed_branch_has_its_explanation(
     lines, found = branches.judged({REACHED: "a.py:2"}, {MISSED: "a.py:4"}, explained)
     assert lines[0].endswith("reached: 50.0 %")
     assert [wrong is not None and wrong in line for line in found] == ([] if wrong is None else [True])
+
+
+def test_each_explanation_is_of_lines_that_are_there() -> None:
+    """A run of minutes finds out which branches are missed, but an edit of a line shows at once."""
+    for file, _, branch in EXPLAINED:
+        lines = {line.strip() for line in (REPOSITORY / PACKAGE / file).read_text("utf-8").splitlines()}
+        start, _, goal = branch.partition(" -> ")
+        assert start in lines, (file, branch)
+        assert goal.partition(" #")[0] in {*lines, "the end"} or goal in lines, (file, branch)

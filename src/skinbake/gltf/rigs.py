@@ -30,8 +30,8 @@ def fitting_rig(document: Document, source: PrimitiveSource) -> tuple[Rig | None
         return None, [_no_rig("no inverse bind matrix of the skin can be inverted", source)]
     if not others:
         return rig, []
-    count = "another skin" if others == 1 else f"{others} other skins"
-    message = f"{count} with other joints or bind poses draw the mesh too: α/β are fitted to the first skin"
+    others_draw = "another skin draws" if others == 1 else f"{others} other skins draw"
+    message = f"{others_draw} the mesh with other joints or bind poses: α/β are fitted to the first skin"
     return rig, [Notice("rig-of-first-skin", message, source.place)]
 
 
