@@ -110,7 +110,7 @@ def lighting_errors(  # noqa: PLR0913  # four arguments are optional, and by key
     *,
     options: Options | None = None,
     morphing: Morphing | None = None,
-    truths: Sequence[str] = tuple(Truth),
+    at_rest: Truths | None = None,
     advance: Callable[[int], None] = lambda poses: None,
 ) -> float:
     """Run every algorithm of a method over all poses, and measure its normals block by block.
@@ -118,14 +118,14 @@ def lighting_errors(  # noqa: PLR0913  # four arguments are optional, and by key
     surfaces are the primitives of one mesh in the operator's order. joint_matrices are (P, J, 4, 4). The
     truths are built from the positions that the method itself gives. record is called with every block, in an
     order that does not depend on the number of threads. advance is called with the number of poses done. With
-    morphing, every pose starts from its own surface, so poses are measured one at a time. Returns the largest
-    angle in degrees between the normals of algorithms 2 and 3, or 0 if they are not compared.
+    morphing, every pose starts from its own surface, so poses are measured one at a time. at_rest is the
+    result of ``truths_at_rest`` for the same mesh. Returns the largest angle in degrees between the normals
+    of algorithms 2 and 3, or 0 if they are not compared.
     """
     poses, options = len(joint_matrices), options or Options()
     count = len(operator.positions)
-    parts = [slice(pose, pose + 1) for pose in range(poses)] if morphing else chunks(count, poses)
-    with stage("truths"):
-        truth = Truths.of(operator, surfaces, parts[0].stop if parts else 0, truths)
+    parts = _parts(operator, poses, morphing)
+    truth = truths_at_rest(operator, surfaces, poses, morphing) if at_rest is None else at_rest
     identity = Identity() if method == "lbs" and options.cap is None else None
     skinned: Sequence[_Skinned] = []
     sides = _sides(surfaces, joint_matrices)
@@ -134,7 +134,7 @@ def lighting_errors(  # noqa: PLR0913  # four arguments are optional, and by key
     with Threads(thread_count()) as threads:
         for number, pose in enumerate(parts):
             if morphing or not skinned:
-                posed, at_rest = _morphed(surfaces, truth, morphing, pose.start)
+                posed, own_truth = _morphed(surfaces, truth, morphing, pose.start)
                 # Each pose is a chunk of its own, because each has its own surface.
                 matrices = joint_matrices[pose] if morphing else joint_matrices
                 skinned = [_skinned(surface, matrices, method, options) for surface in posed]
@@ -142,7 +142,7 @@ def lighting_errors(  # noqa: PLR0913  # four arguments are optional, and by key
             algorithms = dict(METHODS[method])
             if number % max(stride, 1):
                 del algorithms["direct"]
-            chunk = _Chunk(at_rest, skinned, algorithms, pose, at, None if sides is None else sides[pose])
+            chunk = _Chunk(own_truth, skinned, algorithms, pose, at, None if sides is None else sides[pose])
             with stage("positions"):
                 deformed = chunk.positions(threads)
             with stage("truths"):
@@ -160,6 +160,26 @@ def lighting_errors(  # noqa: PLR0913  # four arguments are optional, and by key
                 identity.close()
             advance(pose.stop - pose.start)
     return 0.0 if identity is None else identity.largest
+
+
+def truths_at_rest(
+    operator: GradientOperator,
+    surfaces: Sequence[RestSurface],
+    poses: int,
+    morphing: Morphing | None,
+    names: Sequence[str] = tuple(Truth),
+) -> Truths:
+    """Measure a mesh at rest, for any number of calls of ``lighting_errors`` with so many poses."""
+    parts = _parts(operator, poses, morphing)
+    with stage("truths"):
+        return Truths.of(operator, surfaces, parts[0].stop if parts else 0, names)
+
+
+def _parts(operator: GradientOperator, poses: int, morphing: Morphing | None) -> list[slice]:
+    """Return the poses that are measured together."""
+    if morphing:
+        return [slice(pose, pose + 1) for pose in range(poses)]
+    return chunks(len(operator.positions), poses)
 
 
 @dataclass(frozen=True, slots=True)
@@ -370,8 +390,7 @@ def _for_direct(surface: RestSurface, part: slice) -> RestSurface:
     and TANGENT of a file are orthonormal to a tenth of a degree, and a frame in float32 to 1e-7. A fold
     amplifies either error.
     """
-    names = ("positions", "normals", "tangents", "bitangents", "joints", "weights", "alpha", "beta")
-    block = RestSurface(**{name: getattr(surface, name)[part] for name in names})
+    block = surface.rows(part)
     t, b = (tuple(vectors.T.astype(np.float64)) for vectors in (block.tangents, block.bitangents))
     normal = cross(t, b)
     volume = dot(normal, normal)

@@ -53,6 +53,8 @@ BLOCK_SAMPLES = 1 << 14
 def chunks(vertices: int, poses: int) -> list[slice]:
     """Cut the poses of so many vertices into chunks."""
     size = max(CHUNK_POSES, CHUNK_SAMPLES // max(vertices, 1))
+    # Whole vectors: no pose is left over from groups of eight, and rows begin with a line of the cache.
+    size -= size % 8 if size > 8 else 0
     return [slice(start, min(start + size, poses)) for start in range(0, poses, size)]
 
 

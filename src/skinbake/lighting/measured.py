@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
@@ -21,6 +22,7 @@ from skinbake.lighting.angles import (
     MeasuredBlock,
     lighting_errors,
     not_rigid_joints,
+    truths_at_rest,
 )
 from skinbake.lighting.baked_views import BakedView, whole_surfaces
 from skinbake.lighting.influences import normalised_weights
@@ -147,8 +149,8 @@ class Lighting:
         ):  # figures are checked to be finite
             for method in methods:
                 self._expect(method, drawn)
-                for draw in drawn:
-                    self._measure(method, draw)
+            for draw in drawn:
+                self._measure(methods, draw)
             with stage("figures"):
                 verdict = self._verdict(drawn, reason if not_rigid else None)
         morphs = morph_count(self._document, [(draw.views[0].source.mesh, draw.poses) for draw in drawn])
@@ -205,34 +207,36 @@ class Lighting:
                 self._poses[skin, node] = found
             yield skin, self._poses[skin, node]
 
-    def _measure(self, method: str, draw: _Draw) -> None:
+    def _measure(self, methods: Sequence[str], draw: _Draw) -> None:
+        """Measure a draw by all methods. They share what the truths need of the mesh at rest."""
+        morphing = morphing_of(self._document, draw.views, draw.poses)
+        at_rest = truths_at_rest(draw.operator, draw.rest, len(draw.poses.clips), morphing)
         first = len(self._segments)
         self._segments += [_Segment(view.source.place, draw.poses) for view in draw.views]
-        by_place = [self._by_place[view.source.place] for view in draw.views]
-
-        def record(block: MeasuredBlock) -> None:
-            areas = draw.areas[block.surface][block.vertex : block.vertex + block.errors.shape[1]]
-            start = first + block.surface, block.pose, block.vertex
-            whole, own = (
-                tallies[block.truth, method][block.lighting]
-                for tallies in (self._whole, by_place[block.surface])
+        for method in methods:
+            identity = lighting_errors(
+                draw.operator,
+                draw.rest,
+                draw.poses.joint_matrices,
+                method,
+                partial(self._record, method, draw, first),
+                options=Options(self._options.cap, self._options.baseline),
+                morphing=morphing,
+                at_rest=at_rest,
+                advance=self._advance,
             )
-            with stage("figures"):
-                whole.add(block.errors, areas, valid=block.valid, start=start)
-                if own is not whole:
-                    own.add(block.errors, areas, valid=block.valid, start=start)
+            self._identity = max(self._identity, identity)
 
-        identity = lighting_errors(
-            draw.operator,
-            draw.rest,
-            draw.poses.joint_matrices,
-            method,
-            record,
-            options=Options(self._options.cap, self._options.baseline),
-            morphing=morphing_of(self._document, draw.views, draw.poses),
-            advance=self._advance,
-        )
-        self._identity = max(self._identity, identity)
+    def _record(self, method: str, draw: _Draw, first: int, block: MeasuredBlock) -> None:
+        """Count a block of a draw whose segments begin with ``first``."""
+        areas = draw.areas[block.surface][block.vertex : block.vertex + block.errors.shape[1]]
+        start = first + block.surface, block.pose, block.vertex
+        by_place = self._by_place[draw.views[block.surface].source.place]
+        whole, own = (tallies[block.truth, method][block.lighting] for tallies in (self._whole, by_place))
+        with stage("figures"):
+            whole.add(block.errors, areas, valid=block.valid, start=start)
+            if own is not whole:
+                own.add(block.errors, areas, valid=block.valid, start=start)
 
     def _advance(self, poses: int) -> None:
         self._done += poses

@@ -52,13 +52,15 @@ class Skinning:
             if dual_quaternions
             else _matrices(joint_matrices, dtype)
         )
-        return cls(_Vertices.of(rest, dtype), motions, options or Options())
+        return cls(_Vertices(rest, dtype), motions, options or Options())
 
     def run(self, algorithms: Sequence[Algorithm], pose: slice, part: slice) -> list[PosedVertex]:
         """Return the result of an algorithm for a block of poses and vertices, as components (P, V)."""
         scale = self.motions.scale
-        vertex = self.vertices.block(part, None if scale is None else scale[pose])
-        per_slot = [self.motions.of_slot(joints[part], pose) for joints in self.vertices.joints]
+        vertex = self.vertices.block(
+            part, None if scale is None else scale[pose], gradients=Algorithm.LBS_DIRECT in algorithms
+        )
+        per_slot = [self.motions.of_slot(joints, pose) for joints in self.vertices.joints(part)]
         return [STEPS[algorithm](vertex, per_slot, self.options, _ignore_line) for algorithm in algorithms]
 
 
@@ -118,56 +120,37 @@ def _rigid_motions(
 
 @dataclass(frozen=True, slots=True)
 class _Vertices:
-    """A rest surface transposed: one contiguous array for each component, vertices last."""
+    """A rest surface whose blocks are transposed one by one. All of it at once would double its memory."""
 
-    position: FloatArray
-    normal: FloatArray
-    tangent: FloatArray
-    bitangent: FloatArray
-    weights: FloatArray
-    alpha: FloatArray
-    beta: FloatArray
-    gradients: FloatArray
-    handedness: FloatArray
-    joints: npt.NDArray[np.intp]
+    rest: RestSurface
+    dtype: npt.DTypeLike
 
-    @classmethod
-    def of(cls, rest: RestSurface, dtype: npt.DTypeLike) -> _Vertices:
-        """Transpose and convert every array of the surface."""
-
-        def turned(array: FloatArray) -> FloatArray:
-            return np.ascontiguousarray(np.moveaxis(array, 0, -1), dtype=dtype)
-
-        return cls(
-            position=turned(rest.positions),
-            normal=turned(rest.normals),
-            tangent=turned(rest.tangents),
-            bitangent=turned(rest.bitangents),
-            weights=turned(rest.weights),
-            alpha=turned(rest.alpha),
-            beta=turned(rest.beta),
-            gradients=turned(rest.weight_gradients()),
-            handedness=rest.handedness().astype(dtype),
-            joints=np.ascontiguousarray(rest.joints.T, dtype=np.intp),
-        )
-
-    def block(self, part: slice, scale: FloatArray | None) -> RestVertex:
+    def block(self, part: slice, scale: FloatArray | None, *, gradients: bool) -> RestVertex:
         """Return the vertices of a block; p, t and b times the scale (P,) of its poses if there is one."""
+        rest = self.rest.rows(part)
         position, tangent, bitangent = (
-            tuple(vectors[:, part]) if scale is None else _scaled(scale, vectors[:, part])
-            for vectors in (self.position, self.tangent, self.bitangent)
+            tuple(vectors) if scale is None else _scaled(scale, vectors)
+            for vectors in map(self._turned, (rest.positions, rest.tangents, rest.bitangents))
         )
         return RestVertex(
             position=position,
-            normal=tuple(self.normal[:, part]),
+            normal=tuple(self._turned(rest.normals)),
             tangent=tangent,
             bitangent=bitangent,
-            weights=tuple(self.weights[:, part]),
-            alpha=tuple(self.alpha[:, part]),
-            beta=tuple(self.beta[:, part]),
-            gradients=[tuple(gradient[:, part]) for gradient in self.gradients],
-            handedness=self.handedness[part],
+            weights=tuple(self._turned(rest.weights)),
+            alpha=tuple(self._turned(rest.alpha)),
+            beta=tuple(self._turned(rest.beta)),
+            gradients=list(map(tuple, self._turned(rest.weight_gradients()))) if gradients else [],
+            handedness=rest.handedness().astype(self.dtype),
         )
+
+    def joints(self, part: slice) -> npt.NDArray[np.intp]:
+        """Return the joints of a block by slot: (K, V)."""
+        return np.ascontiguousarray(self.rest.joints[part].T, dtype=np.intp)
+
+    def _turned(self, array: FloatArray) -> FloatArray:
+        """Return one contiguous row for each component, vertices last."""
+        return np.ascontiguousarray(np.moveaxis(array, 0, -1), dtype=self.dtype)
 
 
 def _scaled(scale: FloatArray, vectors: FloatArray) -> Vector:

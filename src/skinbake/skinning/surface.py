@@ -38,6 +38,20 @@ class RestSurface:
     beta: FloatArray
     gradients: FloatArray | None = None
 
+    def rows(self, part: slice) -> RestSurface:
+        """Return some of the vertices."""
+        return RestSurface(
+            positions=self.positions[part],
+            normals=self.normals[part],
+            tangents=self.tangents[part],
+            bitangents=self.bitangents[part],
+            joints=self.joints[part],
+            weights=self.weights[part],
+            alpha=self.alpha[part],
+            beta=self.beta[part],
+            gradients=None if self.gradients is None else self.gradients[part],
+        )
+
     def weight_gradients(self) -> FloatArray:
         """Return ∇w (V, K, 3): as given, otherwise α t0 + β b0; slot 0 has minus the sum of the others.
 
