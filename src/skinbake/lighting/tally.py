@@ -15,6 +15,9 @@ _SHARES = (0.95, 0.99)
 # The number of samples that a tail gathers before it is shortened for the first time.
 _TAIL = 1 << 16
 
+# The number of samples that wait for their bins. To sum up the bins takes as long as to fill in so many.
+_WAITING = 1 << 14
+
 # The bits of a positive float32 that its bin ignores, and the number of bins: 64 to each power of two.
 _SHIFT = 17
 _BINS = 1 << (31 - _SHIFT)
@@ -122,21 +125,27 @@ class _Tail:
         self._weights: list[Float64Array] = []
         self._count, self._limit = 0, _TAIL
         self._bins: Float64Array | None = None
+        self._noted, self._waiting = 0, 0
 
     def add(self, errors: FloatArray, weights: Float64Array) -> None:
         """Take the errors (N,), all of at least ``least``, that may be in the tail, and their weights."""
         self._values.append(errors)
         self._weights.append(weights)
         self._count += len(errors)
-        if self._bins is not None:
-            self._note(errors, weights)
+        self._waiting += len(errors)
+        if self._count > self._limit or (self._bins is not None and self._waiting > _WAITING):
+            self._note()
         if self._count > self._limit:
             self._shorten()
 
-    def _note(self, values: FloatArray, weights: Float64Array) -> None:
-        """Add values to their bins, and raise ``least`` as far as the needed weight stays above it."""
+    def _note(self) -> None:
+        """Add the waiting values to their bins, and raise ``least`` while enough weight stays above it."""
         if self._bins is None:
             self._bins = np.zeros(_BINS)
+        values, weights = (
+            np.concatenate([*parts[self._noted :], parts[0][:0]]) for parts in (self._values, self._weights)
+        )
+        self._noted, self._waiting = len(self._values), 0
         self._bins += np.bincount(_bin_of(values), weights, minlength=_BINS)
         above = np.cumsum(self._bins[::-1])
         place = int(np.searchsorted(above, self._needed))
@@ -148,15 +157,16 @@ class _Tail:
     def _shorten(self) -> None:
         """Drop the values below ``least``."""
         values, weights = np.concatenate(self._values), np.concatenate(self._weights)
-        if self._bins is None:
-            self._note(values, weights)
         chosen = values >= self.least
         self._values, self._weights = [values[chosen]], [weights[chosen]]
+        self._noted = 1
         self._count = len(self._values[0])
         self._limit = max(_TAIL, 2 * self._count)
 
     def percentiles(self, weight: float) -> list[float]:
         """Invert the cumulative weight of all values that were added, ``weight`` in total."""
+        if self._bins is not None:
+            self._note()
         values, weights = np.concatenate(self._values), np.concatenate(self._weights)
         places = _bin_of(values)
         in_bins = np.bincount(places, weights, minlength=_BINS) if self._bins is None else self._bins
