@@ -161,3 +161,21 @@ def test_pairs_at_crowded_places_are_claimed_before_they_are_listed() -> None:
 
     with pytest.raises(RefusedError):
         weld_classes([close], claim=refuse)
+
+
+def test_classes_are_numbered_by_their_first_vertices() -> None:
+    """Neighbours of a mesh then lie near in memory, also in arrays with a row for each class."""
+    rng = np.random.default_rng(0)
+    classes = weld_classes([copies(positions=rng.integers(0, 5, (200, 3)))]).tolist()
+    assert list(dict.fromkeys(classes)) == list(range(max(classes) + 1))
+    assert max(classes) + 1 < 200
+
+
+def test_rows_of_one_hash_are_told_apart(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(1)
+    parts = [copies(positions=rng.integers(0, 5, (200, 3)), normals=tilted(*rng.uniform(0, 90, 200)))]
+    expected = partition(*parts)
+    monkeypatch.setattr(welds, "_hashes", lambda rows: np.zeros(len(rows), dtype=np.uint64))
+    assert partition(*parts) == expected
+    monkeypatch.setattr(welds, "_hashes", lambda rows: (rows[:, 0] % 3).astype(np.uint64))
+    assert partition(*parts) == expected

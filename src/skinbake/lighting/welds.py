@@ -8,8 +8,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
+import numpy.typing as npt
 
-from skinbake.geometry.skinned import Float64Array, SkinnedPrimitive
+from skinbake.geometry.skinned import BoolArray, Float64Array, SkinnedPrimitive
 from skinbake.lighting.influences import Int64Array, influence_keys
 
 BYTES_A_PAIR = 64
@@ -20,6 +21,9 @@ CROWDED = 32
 
 Real meshes have only a few. Importing SciPy takes longer than the welding of most meshes.
 """
+
+HASH_FACTOR = np.uint64(0x9E3779B97F4A7C15)
+"""2⁶⁴ divided by the golden ratio (Knuth, *The art of computer programming*, 6.4)."""
 
 
 def weld_classes(
@@ -47,18 +51,48 @@ def weld_classes(
     nodes = _row_numbers(np.column_stack([places, normals.view(np.int64)]))
     firsts = np.unique(nodes, return_index=True)[1]
     pairs = _close_pairs(places[firsts], normals[firsts], np.radians(crease_angle_degrees), claim)
-    return _components(pairs, len(firsts))[nodes]
+    return _by_first_vertex(_components(pairs, len(firsts))[nodes])
+
+
+def _by_first_vertex(classes: Int64Array) -> Int64Array:
+    """Renumber classes in the order of their first vertices: neighbours are then near in memory too."""
+    firsts = np.unique(classes, return_index=True)[1]
+    numbers = np.empty(len(firsts), dtype=np.int64)
+    numbers[np.argsort(firsts)] = np.arange(len(firsts))
+    return numbers[classes]
 
 
 def _row_numbers(rows: Int64Array) -> Int64Array:
     """Give equal rows equal numbers, (V,) from 0 without gaps."""
-    order = np.lexsort(rows.T)
-    ordered = rows[order]
-    starts = np.ones(len(rows), dtype=bool)
-    starts[1:] = (ordered[1:] != ordered[:-1]).any(axis=1)
+    hashes = _hashes(rows)
+    # A sort by hash takes a tenth of the time of a sort by all columns.
+    order = np.argsort(hashes)
+    starts = _starts(rows[order])
+    ordered = hashes[order]
+    if (starts[1:] & (ordered[1:] == ordered[:-1])).any():
+        # Unequal rows share a hash, so equal ones may lie apart.
+        order = np.lexsort(rows.T)
+        starts = _starts(rows[order])
     numbers = np.empty(len(rows), dtype=np.int64)
     numbers[order] = np.cumsum(starts) - 1
     return numbers
+
+
+def _starts(ordered: Int64Array) -> BoolArray:
+    """Mark each row that differs from the one before it, (V,)."""
+    starts = np.ones(len(ordered), dtype=bool)
+    starts[1:] = (ordered[1:] != ordered[:-1]).any(axis=1)
+    return starts
+
+
+def _hashes(rows: Int64Array) -> npt.NDArray[np.uint64]:
+    """Return one number for each row, (V,). Equal rows have equal numbers, and others hardly ever."""
+    found = np.zeros(len(rows), dtype=np.uint64)
+    for column in rows.T:
+        found ^= column.view(np.uint64)
+        found *= HASH_FACTOR
+        found ^= found >> np.uint64(29)
+    return found
 
 
 def _close_pairs(
