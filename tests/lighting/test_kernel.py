@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from skinbake.choices import Weighting
 from skinbake.geometry.skinned import Float64Array
 from skinbake.lighting import by_numpy, kernel
 from skinbake.lighting.influences import Int32Array
@@ -79,6 +80,23 @@ def test_linear_blending_is_that_of_numpy(poses: int, forms: int, slots: int) ->
     assert found == pytest.approx(by_numpy.blend(entries, columns, table), rel=1e-12, abs=1e-12)
     directly = np.einsum("fvw,vwip->fivp", entries, table[columns])
     assert found == pytest.approx(directly, rel=1e-12, abs=1e-12)
+
+
+@pytest.mark.parametrize("weighting", list(Weighting))
+@pytest.mark.parametrize("directions", [1, 2, 3])
+def test_rows_of_the_operator_are_those_of_libigl(weighting: Weighting, directions: int) -> None:
+    primitive = analytic_surface(300, "jittered").primitive
+    operator = gradient_operator([primitive], weighting=weighting, crease_angle_degrees=60.0)
+    count = len(operator.positions)
+    along = np.random.default_rng(5).normal(size=(directions, count, 3))
+    for part in (slice(0, count), slice(7, 8), slice(count // 2, count), slice(3, 3)):
+        here = [direction[part] for direction in along]
+        found = by_loops.gradient_rows(operator, part, here)
+        expected = by_numpy.gradient_rows(operator, part, here)
+        assert found.shape == expected.shape
+        assert found.toarray() == pytest.approx(expected.toarray(), rel=1e-9, abs=1e-9)
+        owners = np.repeat(np.arange(found.shape[0]), np.diff(found.indptr))
+        assert len(set(zip(owners, found.indices, strict=True))) == found.nnz, "an entry for each neighbour"
 
 
 @pytest.mark.parametrize("poses", POSES)
@@ -272,6 +290,19 @@ class TestArguments:
         np.zeros((6, 3, 7)),
         np.zeros((2, 3, 5, 7)),
     )
+    ROWS: tuple[Any, ...] = (
+        np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]]),
+        np.array([[0, 1, 2], [1, 3, 2]], np.int32),
+        int32(0, 1, 3, 2, 5, 4),
+        np.array([0, 1, 3, 5, 6]),
+        int32(0, 1, 2),
+        np.ones(4),
+        np.ones((2, 3, 3)),
+        np.zeros(4, np.int32),
+        np.zeros(18, np.int32),
+        np.zeros((2, 18)),
+        0,
+    )
     SUMS: tuple[Any, ...] = (
         np.zeros((3, 4, 7)),
         np.array([[0, 1, 2], [1, 2, 3]], np.int32),
@@ -319,6 +350,18 @@ class TestArguments:
         (_loops.blend, BLEND, 3, np.zeros((2, 3, 5, 8)), ValueError),
         (_loops.blend, BLEND, 3, np.zeros((3, 3, 5, 7)), ValueError),
         (_loops.blend, BLEND, 3, None, TypeError),
+        (_loops.gradient_rows, ROWS, 1, np.array([[0, 1, 2], [1, 3, 4]], np.int32), IndexError),
+        (_loops.gradient_rows, ROWS, 1, np.array([[0, 1, 2], [1, -1, 2]], np.int32), IndexError),
+        (_loops.gradient_rows, ROWS, 2, int32(0, 1, 3, 6, 5, 4), IndexError),
+        (_loops.gradient_rows, ROWS, 2, int32(0, 1, 3, -1, 5, 4), IndexError),
+        (_loops.gradient_rows, ROWS, 3, np.array([0, 1, 3, 7, 6]), IndexError),
+        (_loops.gradient_rows, ROWS, 3, np.array([0, -1, 3, 5, 6]), IndexError),
+        (_loops.gradient_rows, ROWS, 3, np.array([0, 1, 3, 5]), ValueError),
+        (_loops.gradient_rows, ROWS, 4, int32(0, 1, 4), IndexError),
+        (_loops.gradient_rows, ROWS, 4, int32(0, 1, -1), IndexError),
+        (_loops.gradient_rows, ROWS, 6, np.ones((2, 2, 3)), ValueError),
+        (_loops.gradient_rows, ROWS, 7, np.zeros(5, np.int32), ValueError),
+        (_loops.gradient_rows, ROWS, 9, np.zeros((2, 3)), ValueError),
         (_loops.class_sums, SUMS, 1, np.array([[0, 1, 2], [1, 2, 4]], np.int32), IndexError),
         (_loops.class_sums, SUMS, 1, np.array([[0, 1, 2], [1, -1, 3]], np.int32), IndexError),
         (_loops.class_sums, SUMS, 1, np.zeros((2, 4), np.int32), ValueError),
@@ -413,6 +456,9 @@ for turn in range(12):
     going, other = True, threading.Timer(0.0005 * turn, spoil)
     other.start()
     try:
+        _loops.gradient_rows(
+            np.ones((V, 3)), triangles, corners, ends, classes, np.ones(V), np.ones((2, V, 3)),
+            np.zeros(V + 1, np.int32), np.zeros(18 * V, np.int32), np.zeros((2, 18 * V)), 0)
         _loops.class_sums(positions, triangles, corners, ends, sums, 1e10)
         _loops.true_normals(
             *(starts, columns, np.ones(7 * V)) * 2, positions, np.ones((3, V)), np.ones(V),

@@ -14,6 +14,27 @@ def blend(
 ) -> None:
     """Fill out (F, 3, B, P) with Σ entries (F, B, W) × the rows of table (R, 3, P) in columns (B, W)."""
 
+def gradient_rows(
+    positions: Float64Array,
+    triangles: npt.NDArray[np.int32],
+    corners: npt.NDArray[np.int32],
+    ends: npt.NDArray[np.int64],
+    classes: npt.NDArray[np.int32],
+    totals: Float64Array,
+    directions: Float64Array,
+    starts: npt.NDArray[np.int32],
+    columns: npt.NDArray[np.int32],
+    values: Float64Array,
+    weighting: int,
+    /,
+) -> None:
+    """Fill the rows of B vertices: columns and, by direction, values, from starts[b] to starts[b + 1].
+
+    positions (V, 3), triangles (T, 3), corners (N,), ends (C + 1,), totals (C,) are those of an operator,
+    classes (B,) those of the vertices. directions (D, B, 3). starts (B + 1,), columns (M,), values (D, M).
+    Each corner of a class takes at most three entries. weighting is the number of a ``Weighting``.
+    """
+
 def class_sums(
     positions: Float64Array,
     triangles: npt.NDArray[np.int32],

@@ -5,8 +5,12 @@ The same operations in numpy, ``by_numpy``, describe the results.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
 import numpy as np
 
+from skinbake.choices import Weighting
 from skinbake.geometry.skinned import BoolArray, Float32Array, Float64Array, FloatArray, IntArray
 from skinbake.lighting import _loops, by_numpy
 from skinbake.lighting.counted import CountedErrors
@@ -15,12 +19,43 @@ from skinbake.lighting.reference import FLAT_FRAME, RestFrames
 from skinbake.lighting.triangle_normals import FLAT_TRIANGLE, ClassSums
 from skinbake.skinning.components import Vector
 
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
 
 def blend(entries: Float64Array, columns: IntArray, table: Float64Array) -> Float64Array:
     """Return F of a block: (forms, 3, B, P)."""
     out = np.empty((entries.shape[0], 3, entries.shape[1], table.shape[2]))
     _loops.blend(np.ascontiguousarray(entries), np.ascontiguousarray(columns, dtype=np.int32), table, out)
     return out
+
+
+def gradient_rows(operator: GradientOperator, part: slice, directions: Sequence[FloatArray]) -> csr_array:
+    """Return the derivatives of a block's vertices along D directions (B, 3): sparse (D B, V), stacked."""
+    from scipy.sparse import csr_array
+
+    classes = operator.classes[part]
+    size, count = len(classes), len(directions)
+    room = 3 * int((operator.ends[classes + 1] - operator.ends[classes]).sum())
+    starts, columns = np.empty(size + 1, dtype=np.int32), np.empty(room, dtype=np.int32)
+    values = np.empty((count, room))
+    _loops.gradient_rows(
+        operator.positions,
+        operator.triangles,
+        operator.corners,
+        operator.ends,
+        classes,
+        operator.totals,
+        np.ascontiguousarray(directions, dtype=np.float64),
+        starts,
+        columns,
+        values,
+        list(Weighting).index(operator.weighting),
+    )
+    used = int(starts[-1])
+    begins = np.concatenate([starts[:1], *(starts[1:] + number * used for number in range(count))])
+    stacked = values[:, :used].ravel(), np.tile(columns[:used], count), begins
+    return csr_array(stacked, shape=(count * size, len(operator.positions)))
 
 
 def class_sums(operator: GradientOperator, positions: Float64Array, part: slice) -> Float32Array:

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from skinbake.geometry.skinned import BoolArray, Float32Array, Float64Array, FloatArray, IntArray
 from skinbake.lighting.counted import CountedErrors
 from skinbake.lighting.metrics import angles_of_units, unit_vectors
-from skinbake.lighting.operator import GradientOperator
+from skinbake.lighting.operator import GradientOperator, weights_of_corners
 from skinbake.lighting.reference import RestFrames, posed_tangents, tangent_normals
 from skinbake.lighting.triangle_normals import ClassSums, block_sums, sums_of_classes, triangle_normals
 from skinbake.skinning.components import Vector
 
-__all__ = ["angles", "blend", "class_sums", "count_errors", "true_normals"]
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+__all__ = ["angles", "blend", "class_sums", "count_errors", "gradient_rows", "true_normals"]
 
 DENSE = 300
 """The number of forms times columns from which small dense products are faster than a sparse one."""
@@ -56,6 +62,38 @@ def _dense(entries: Float64Array, columns: IntArray, table: Float64Array) -> Flo
         np.take(table, columns[rows], axis=0, out=own, mode="clip")
         np.matmul(by_vertex[rows], own, out=found[rows])
     return np.swapaxes(found, 0, 1)
+
+
+def gradient_rows(operator: GradientOperator, part: slice, directions: Sequence[FloatArray]) -> csr_array:
+    """Return the derivatives of a block's vertices along D directions (B, 3): sparse (D B, V), stacked.
+
+    libigl gives the gradients of the hat functions in the triangle of each corner. A vertex takes their mean.
+    """
+    import igl
+    from scipy.sparse import csr_array, vstack
+
+    owners, corners = operator.corners_of(part)
+    flat, first = operator.triangles.ravel(), corners - corners % 3
+    faces = np.stack([flat[first + (corners + turn) % 3] for turn in range(3)], axis=1)
+    size, count = part.stop - part.start, len(operator.positions)
+    if len(corners) == 0:
+        return csr_array((len(directions) * size, count), dtype=np.float64)
+    here, one, other = operator.positions[faces].transpose(1, 2, 0)
+    share = weights_of_corners(tuple(one - here), tuple(other - here), operator.weighting)
+    share /= operator.totals[operator.classes[part]][owners]
+    met, triangle = np.unique(corners // 3, return_inverse=True)
+    local, numbers = np.unique(operator.triangles[met], return_inverse=True)
+    gradients = csr_array(igl.grad(operator.positions[local], numbers.reshape(-1, 3).astype(np.int64)))
+    ends = np.searchsorted(owners, np.arange(size + 1))
+    places = (triangle[:, None] + len(met) * np.arange(3)).ravel()
+    found = []
+    for direction in directions:
+        turned = np.asarray(direction, dtype=np.float64)[owners] * share[:, None]
+        mean = csr_array((turned.ravel(), places, 3 * ends), shape=(size, 3 * len(met)))
+        found.append(mean @ gradients)
+    stacked = vstack(found, format="csr")
+    columns = local[stacked.indices].astype(np.int32)
+    return csr_array((stacked.data, columns, stacked.indptr), shape=(len(directions) * size, count))
 
 
 def class_sums(operator: GradientOperator, positions: Float64Array, part: slice) -> Float32Array:

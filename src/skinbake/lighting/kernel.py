@@ -10,17 +10,31 @@ from __future__ import annotations
 import logging
 import os
 
-__all__ = ["angles", "blend", "class_sums", "count_errors", "true_normals"]
+__all__ = ["angles", "blend", "class_sums", "count_errors", "gradient_rows", "true_normals"]
 
 logger = logging.getLogger(__name__)
 
 try:
     if os.environ.get("SKINBAKE_KERNEL") == "numpy":
         raise ImportError("SKINBAKE_KERNEL asks for numpy")
-    from skinbake.lighting.by_loops import angles, blend, class_sums, count_errors, true_normals
+    from skinbake.lighting.by_loops import (
+        angles,
+        blend,
+        class_sums,
+        count_errors,
+        gradient_rows,
+        true_normals,
+    )
 except ImportError as error:
     logger.info("without its compiled loops (%s): verify takes several times as long", error)
-    from skinbake.lighting.by_numpy import angles, blend, class_sums, count_errors, true_normals
+    from skinbake.lighting.by_numpy import (
+        angles,
+        blend,
+        class_sums,
+        count_errors,
+        gradient_rows,
+        true_normals,
+    )
 
 IS_COMPILED = blend.__module__.endswith("by_loops")
 """Whether the compiled loops were chosen. The last digits of figures depend on it."""

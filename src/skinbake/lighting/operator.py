@@ -2,9 +2,8 @@
 
 Source: Max, *Weights for computing vertex normals from facet normals* (1999), for the average; Tarini,
 Panozzo, Sorkine-Hornung, *Accurate and efficient lighting for skinned models* (2014), for α and β. It shares
-neither code nor formulas with the kernel that bakes, because an error in one must not hide in both. The
-gradients in the triangles are libigl's, computed block by block. The matrices of all triangles would take
-gigabytes.
+neither code nor formulas with the kernel that bakes, because an error in one must not hide in both. Rows of
+the matrix are made block by block. All of them would take gigabytes.
 """
 
 from __future__ import annotations
@@ -133,38 +132,12 @@ class GradientOperator:
         return np.concatenate([[0], np.cumsum(lengths)])
 
     def rows(self, part: slice, directions: Sequence[FloatArray]) -> csr_array:
-        """Return the derivatives of a block's vertices along D directions (B, 3): sparse (D B, V), stacked.
+        """Return the derivatives of a block's vertices along D directions (B, 3): sparse (D B, V)."""
+        from skinbake.lighting import kernel  # its modules import this one
 
-        libigl gives the gradients of the hat functions in the triangle of each corner. A vertex takes their
-        mean.
-        """
-        import igl
-        from scipy.sparse import csr_array, vstack
+        return kernel.gradient_rows(self, part, directions)
 
-        owners, corners = self._corners_of(part)
-        flat, first = self.triangles.ravel(), corners - corners % 3
-        faces = np.stack([flat[first + (corners + turn) % 3] for turn in range(3)], axis=1)
-        size, count = part.stop - part.start, len(self.positions)
-        if len(corners) == 0:
-            return csr_array((len(directions) * size, count), dtype=np.float64)
-        here, one, other = self.positions[faces].transpose(1, 2, 0)
-        share = _weights(tuple(one - here), tuple(other - here), self.weighting)
-        share /= self.totals[self.classes[part]][owners]
-        met, triangle = np.unique(corners // 3, return_inverse=True)
-        local, numbers = np.unique(self.triangles[met], return_inverse=True)
-        gradients = csr_array(igl.grad(self.positions[local], numbers.reshape(-1, 3).astype(np.int64)))
-        ends = np.searchsorted(owners, np.arange(size + 1))
-        places = (triangle[:, None] + len(met) * np.arange(3)).ravel()
-        found = []
-        for direction in directions:
-            turned = np.asarray(direction, dtype=np.float64)[owners] * share[:, None]
-            mean = csr_array((turned.ravel(), places, 3 * ends), shape=(size, 3 * len(met)))
-            found.append(mean @ gradients)
-        stacked = vstack(found, format="csr")
-        columns = local[stacked.indices].astype(np.int32)
-        return csr_array((stacked.data, columns, stacked.indptr), shape=(len(directions) * size, count))
-
-    def _corners_of(self, part: slice) -> tuple[IntArray, IntArray]:
+    def corners_of(self, part: slice) -> tuple[IntArray, IntArray]:
         """Return the corners of a block's vertices and of their copies, each with its vertex in the block."""
         classes = self.classes[part]
         lengths = self.ends[classes + 1] - self.ends[classes]
@@ -194,7 +167,8 @@ def gradient_operator(
     if weighting not in list(Weighting):
         raise ValueError(f"weighting {weighting!r}, expected one of {', '.join(Weighting)}")
     counts = tuple(len(primitive.positions) for primitive in primitives)
-    positions = np.concatenate([primitive.positions for primitive in primitives]).astype(np.float64)
+    positions = np.concatenate([primitive.positions for primitive in primitives])
+    positions = np.ascontiguousarray(positions, dtype=np.float64)
     triangles = _sound_triangles(positions, _all_triangles(primitives))
     classes = weld_classes(primitives, crease_angle_degrees=crease_angle_degrees, claim=claim)
     claim(_welding_size(triangles, classes))
@@ -308,11 +282,11 @@ def _corner_weights(positions: Float64Array, triangles: Int64Array, weighting: W
     weights = np.empty(triangles.shape)
     for corner in range(3):
         following, preceding = edges[corner], scaled(-1.0, edges[corner - 1])
-        weights[:, corner] = _weights(following, preceding, weighting)
+        weights[:, corner] = weights_of_corners(following, preceding, weighting)
     return weights
 
 
-def _weights(first: Vector, second: Vector, weighting: Weighting) -> Float64Array:
+def weights_of_corners(first: Vector, second: Vector, weighting: Weighting) -> Float64Array:
     """Return the weights of corners from their two edges, by components."""
     normal = cross(first, second)
     area: Float64Array = np.sqrt(dot(normal, normal))
