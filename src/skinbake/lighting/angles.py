@@ -315,7 +315,7 @@ class _Skinned(Protocol):
         """Return the positions of a block: (3, V, P)."""
 
     def normals(self, algorithms: Sequence[Algorithm], pose: slice, part: slice) -> list[Vector]:
-        """Return the normals that algorithms give a block. Its positions must be computed first."""
+        """Return the normals that algorithms give a block."""
 
 
 def _skinned(surface: RestSurface, joint_matrices: Float64Array, method: str, options: Options) -> _Skinned:
@@ -329,21 +329,15 @@ class SteppedSurface:
 
     def __init__(self, rest: RestSurface, joint_matrices: Float64Array, options: Options) -> None:
         self._skinning = Skinning.of(rest, joint_matrices, dual_quaternions=True, options=options)
-        self._approximated: dict[int, Vector] = {}
 
     def positions(self, pose: slice, part: slice) -> Float64Array:
         """Return the positions of a block: (3, V, P)."""
-        (posed,) = self._skinning.run((Algorithm.DQS_APPROXIMATED,), pose, part)
-        self._approximated[part.start] = posed.normal
-        return np.stack([component.T for component in posed.position])
+        position = self._skinning.positions(pose, part)
+        return np.stack([component.T for component in position])
 
     def normals(self, algorithms: Sequence[Algorithm], pose: slice, part: slice) -> list[Vector]:
-        """Return the normals that algorithms 4–6 give a block. Its positions must be computed first."""
-        others = [one for one in algorithms if one is not Algorithm.DQS_APPROXIMATED]
-        found = dict(zip(others, self._skinning.run(others, pose, part), strict=True))
-        return [
-            found[one].normal if one in found else self._approximated.pop(part.start) for one in algorithms
-        ]
+        """Return the normals that algorithms 4–6 give a block."""
+        return [posed.normal for posed in self._skinning.run(algorithms, pose, part)]
 
 
 def _joined(surfaces: Sequence[RestSurface], name: str) -> FloatArray:

@@ -20,6 +20,8 @@ from skinbake.lighting.angles import (
     METHODS,
     NOT_MEASURED,
     MeasuredBlock,
+    Morphing,
+    Truths,
     lighting_errors,
     not_rigid_joints,
     truths_at_rest,
@@ -119,6 +121,7 @@ class Lighting:
         self._whole: _Tallies = {}
         self._by_place: dict[Place, _Tallies] = {}
         self._poses: dict[tuple[int, int | None], PoseSet] = {}
+        self._at_rest: tuple[tuple[int, int, bool], Truths] | None = None
 
     def measured(
         self, meshes: Sequence[Sequence[BakedView]], operators: Sequence[GradientOperator]
@@ -149,8 +152,9 @@ class Lighting:
         ):  # figures are checked to be finite
             for method in methods:
                 self._expect(method, drawn)
-            for draw in drawn:
-                self._measure(methods, draw)
+                for draw in drawn:
+                    self._measure(method, draw)
+                self._sum_up()
             with stage("figures"):
                 verdict = self._verdict(drawn, reason if not_rigid else None)
         morphs = morph_count(self._document, [(draw.views[0].source.mesh, draw.poses) for draw in drawn])
@@ -207,25 +211,38 @@ class Lighting:
                 self._poses[skin, node] = found
             yield skin, self._poses[skin, node]
 
-    def _measure(self, methods: Sequence[str], draw: _Draw) -> None:
-        """Measure a draw by all methods. They share what the truths need of the mesh at rest."""
+    def _measure(self, method: str, draw: _Draw) -> None:
         morphing = morphing_of(self._document, draw.views, draw.poses)
-        at_rest = truths_at_rest(draw.operator, draw.rest, len(draw.poses.clips), morphing)
         first = len(self._segments)
         self._segments += [_Segment(view.source.place, draw.poses) for view in draw.views]
-        for method in methods:
-            identity = lighting_errors(
-                draw.operator,
-                draw.rest,
-                draw.poses.joint_matrices,
-                method,
-                partial(self._record, method, draw, first),
-                options=Options(self._options.cap, self._options.baseline),
-                morphing=morphing,
-                at_rest=at_rest,
-                advance=self._advance,
-            )
-            self._identity = max(self._identity, identity)
+        identity = lighting_errors(
+            draw.operator,
+            draw.rest,
+            draw.poses.joint_matrices,
+            method,
+            partial(self._record, method, draw, first),
+            options=Options(self._options.cap, self._options.baseline),
+            morphing=morphing,
+            at_rest=self._truths(draw, morphing),
+            advance=self._advance,
+        )
+        self._identity = max(self._identity, identity)
+
+    def _truths(self, draw: _Draw, morphing: Morphing | None) -> Truths:
+        """Return the data of a mesh at rest. The last ones serve again for the same mesh in as many poses."""
+        key = id(draw.operator), len(draw.poses.clips), morphing is None
+        if self._at_rest is None or self._at_rest[0] != key:
+            self._at_rest = None  # two at a time would take twice the memory
+            self._at_rest = key, truths_at_rest(draw.operator, draw.rest, key[1], morphing)
+        return self._at_rest[1]
+
+    def _sum_up(self) -> None:
+        """Summarise the tallies that are complete. Their largest errors take memory until then."""
+        with stage("figures"):
+            for tallies in (self._whole, *self._by_place.values()):
+                for lightings in tallies.values():
+                    for tally in lightings.values():
+                        tally.summary()
 
     def _record(self, method: str, draw: _Draw, first: int, block: MeasuredBlock) -> None:
         """Count a block of a draw whose segments begin with ``first``."""

@@ -62,6 +62,7 @@ class ErrorTally:
         self._samples, self._excluded, self._undefined = 0, 0, 0
         self._worst: tuple[float, int, int, int] | None = None
         self._tail = _Tail(self._needed)
+        self._summary: ErrorSummary | None = None
 
     def add(
         self,
@@ -79,6 +80,8 @@ class ErrorTally:
         start is the part that the block belongs to, and its first pose and vertex there: where the largest
         error is found more than once, the first in this order is the worst.
         """
+        if self._summary is not None:
+            raise ValueError("its errors are summarised already")
         weights = np.asarray(areas, dtype=np.float64)
         found = kernel.count_errors(errors, weights, valid, self._tail.least)
         self._samples += found.samples
@@ -93,11 +96,12 @@ class ErrorTally:
         self._tail.add(found.tail, found.tail_weights)
 
     def summary(self) -> ErrorSummary | None:
-        """Summarise the counted errors; None if there are none."""
-        if self._worst is None or not self._samples:
-            return None
+        """Summarise the counted errors; None if there are none. No more can be added afterwards."""
+        if self._worst is None or not self._samples or self._summary is not None:
+            return self._summary
         p95, p99 = self._tail.percentiles(self._weight)
-        return ErrorSummary(
+        self._tail = _Tail(0.0)
+        self._summary = ErrorSummary(
             mean=self._sum / self._weight,
             p95=p95,
             p99=p99,
@@ -109,6 +113,7 @@ class ErrorTally:
             undefined=self._undefined,
             worst_part=self._worst[1],
         )
+        return self._summary
 
 
 class _Tail:
@@ -161,7 +166,7 @@ class _Tail:
         self._values, self._weights = [values[chosen]], [weights[chosen]]
         self._noted = 1
         self._count = len(self._values[0])
-        self._limit = max(_TAIL, 2 * self._count)
+        self._limit = max(_TAIL, self._count + self._count // 4)
 
     def percentiles(self, weight: float) -> list[float]:
         """Invert the cumulative weight of all values that were added, ``weight`` in total."""

@@ -11,6 +11,7 @@ import numpy.typing as npt
 from skinbake.errors import UnsupportedFeatureError
 from skinbake.geometry.dual_quaternions import RIGID_TOLERANCE, rigid_motions
 from skinbake.geometry.skinned import FloatArray
+from skinbake.skinning import dqs
 from skinbake.skinning.algorithms import STEPS, Algorithm
 from skinbake.skinning.components import PosedVertex, RestVertex, Rows, Vector
 from skinbake.skinning.surface import Options, RestSurface
@@ -56,12 +57,18 @@ class Skinning:
 
     def run(self, algorithms: Sequence[Algorithm], pose: slice, part: slice) -> list[PosedVertex]:
         """Return the result of an algorithm for a block of poses and vertices, as components (P, V)."""
-        scale = self.motions.scale
-        vertex = self.vertices.block(
-            part, None if scale is None else scale[pose], gradients=Algorithm.LBS_DIRECT in algorithms
-        )
+        vertex = self._block(pose, part, gradients=Algorithm.LBS_DIRECT in algorithms)
         per_slot = [self.motions.of_slot(joints, pose) for joints in self.vertices.joints(part)]
         return [STEPS[algorithm](vertex, per_slot, self.options, _ignore_line) for algorithm in algorithms]
+
+    def positions(self, pose: slice, part: slice) -> Vector:
+        """Return the positions that dual quaternions give a block: components (P, V)."""
+        per_slot = [self.motions.of_slot(joints, pose) for joints in self.vertices.joints(part)]
+        return dqs.position(self._block(pose, part, gradients=False), per_slot)
+
+    def _block(self, pose: slice, part: slice, *, gradients: bool) -> RestVertex:
+        scale = self.motions.scale
+        return self.vertices.block(part, None if scale is None else scale[pose], gradients=gradients)
 
 
 def _ignore_line(number: int) -> None:
