@@ -1,11 +1,12 @@
 """How far the true normals of verify, and algorithm 3, are from closed forms: into docs/lighting.md.
 
-Usage: python -m benchmarks.analytic_truth [--output FILE]
+Usage: python -m benchmarks.analytic_truth [--output FILE] [--gradients surface]
 
 A bumpy tube with three joints bends in eight steps. Its positions and weights are functions of an angle and
 a height, so that the normal of the deformed tube is known: from differences of fourth order in these two. The
 weights are smooth, steep (they change over a sixth of that height), or kinked (straight ramps, as painting
-tools leave them). The page's part between two marks is written anew.
+tools leave them). The page's part between two marks is written anew. With --gradients surface, the table of
+those gradients is printed and nothing is written.
 """
 
 from __future__ import annotations
@@ -196,11 +197,11 @@ def grown(weights: Weights, columns: int, rows: int, *, gradients: Gradients = G
     return measured(primitive, rest, matrices, exact_normals(weights, matrices, theta, height))
 
 
-def bent_tube() -> Errors:
+def bent_tube(gradients: Gradients) -> Errors:
     """Bake the fixture and measure it in the poses that verify takes."""
     with TemporaryDirectory() as folder:
         path = Path(folder) / BENT_TUBE.name
-        Baker().bake_file(str(BENT_TUBE), str(path))
+        Baker(gradients=gradients).bake_file(str(BENT_TUBE), str(path))
         document = read_document(str(path))
     ((view,), _) = baked_views(document, skinned_sources(document)[0])
     matrices = pose_set(document, 0, read_clips(document), PoseRequest()).joint_matrices
@@ -209,8 +210,8 @@ def bent_tube() -> Errors:
     return measured(view.now, rest_surface(view), matrices, exact)
 
 
-def lines() -> Iterator[str]:
-    """Yield the table."""
+def lines(gradients: Gradients) -> Iterator[str]:
+    """Yield the table for one kind of gradients."""
     yield (
         "| weights | vertices | standard | accurate | accurate by tangents | by triangles "
         "| truth by tangents | by triangles |"
@@ -218,8 +219,8 @@ def lines() -> Iterator[str]:
     yield "|---|--:|--:|--:|--:|--:|--:|--:|"
     for kind, weights in KINDS.items():
         for size in SIZES:
-            yield row(kind, grown(weights, *size))
-    yield row("the README's bent tube", bent_tube())
+            yield row(kind, grown(weights, *size, gradients=gradients))
+    yield row("the README's bent tube", bent_tube(gradients))
 
 
 def row(name: str, errors: Errors) -> str:
@@ -238,9 +239,12 @@ def main() -> None:
     """Write the table into the page."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--output", type=Path, default=DEFAULT_OUTPUT, help="the page to write into")
+    parser.add_argument("--gradients", type=Gradients, choices=list(Gradients), default=Gradients.RIG)
     options = parser.parse_args()
-    table = "\n".join(lines())
+    table = "\n".join(lines(options.gradients))
     print(table)
+    if options.gradients is not Gradients.RIG:
+        return  # the page has the default
     text = options.output.read_text(encoding="utf-8")
     before, rest = text.split(START)
     options.output.write_text(f"{before}{START}\n{table}\n{END}{rest.split(END)[1]}", encoding="utf-8")
