@@ -70,6 +70,29 @@ def test_a_character_cut_in_half_is_baked_as_the_whole(name: str, tmp_path: Path
     assert verify(tmp_path / "skin.glb", *FEW).exit_code == 0
 
 
+@corpus.needed
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "tolerance"), [("CesiumMan/CesiumMan.glb", 1e-6), ("hand_l-weights-u8.glb", 1e-3)]
+)
+def test_no_option_of_bake_changes_the_standard_error(name: str, tolerance: float, tmp_path: Path) -> None:
+    """Not of a character in two meshes either. Slots that integer weights adopt move vertices a little."""
+    cut = cut_into_meshes(halved(corpus.model(name), tmp_path / "half.glb"), tmp_path / "cut.glb")
+    options: list[dict[str, Any]] = [{}, {"weld": "skin"}, {"neighbours": "drop"}, {"gradients": "surface"}]
+    options += [{"weighting": "area"}, {"weighting": "angle", "weld": "skin"}]
+    options += [{"crease_angle": 60.0, "frame": "normal", "weld": "skin"}]
+    found = []
+    for number, how in enumerate(options):
+        path = tmp_path / f"{number}.glb"
+        baked(cut, path, **how)
+        file = verify(path, *FEW).file
+        found.append([file[truth]["lbs"]["approximated"] for truth in ("normals", "normals_by_triangles")])
+    for figures in found[1:]:
+        for one, other in zip(figures, found[0], strict=True):
+            for figure in ("mean", "p95", "p99"):
+                assert one[figure] == pytest.approx(other[figure], rel=tolerance)
+
+
 def test_verify_measures_a_cut_mesh_as_it_does_the_whole(tmp_path: Path) -> None:
     whole = FOLDER / "two_primitives.glb"
     cut = cut_into_meshes(whole, tmp_path / "cut.glb")
