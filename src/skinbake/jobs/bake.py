@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 MODULES = ("skinbake.cli.main", "skinbake.jobs.bake", "skinbake.jobs.file_work")
 """The modules that a worker imports before it starts."""
 
-SECONDS_A_FILE, SECONDS_A_BYTE = 5e-3, 1.3e-8
+SECONDS_A_FILE, SECONDS_A_BYTE = 5e-3, 1.8e-8
 """The approximate time to bake a file. It decides whether workers are worth starting."""
 
 

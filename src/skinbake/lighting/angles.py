@@ -111,13 +111,13 @@ def lighting_errors(  # noqa: PLR0913  # four arguments are optional, and by key
     options: Options | None = None,
     morphing: Morphing | None = None,
     at_rest: Truths | None = None,
-    advance: Callable[[int], None] = lambda poses: None,
+    advance: Callable[[float], None] = lambda poses: None,
 ) -> float:
     """Run every algorithm of a method over all poses, and measure its normals block by block.
 
     surfaces are the primitives of one mesh in the operator's order. joint_matrices are (P, J, 4, 4). The
     truths are built from the positions that the method itself gives. record is called with every block, in an
-    order that does not depend on the number of threads. advance is called with the number of poses done. With
+    order that does not depend on the number of threads. advance is called with poses done. With
     morphing, every pose starts from its own surface, so poses are measured one at a time. at_rest is the
     result of ``truths_at_rest`` for the same mesh. Returns the largest angle in degrees between the normals
     of algorithms 2 and 3, or 0 if they are not compared.
@@ -149,16 +149,17 @@ def lighting_errors(  # noqa: PLR0913  # four arguments are optional, and by key
                 sums = chunk.truths.sums(deformed, threads)
             with stage("normals"):
                 work = partial(chunk.measured, deformed, sums)
-                for blocks_found, compared in threads.each(work, truth.pieces):
+                found = threads.each(work, truth.pieces)
+                for piece, (blocks_found, compared) in zip(truth.pieces, found, strict=True):
                     for block in blocks_found:
                         record(block)
                     if identity is not None:
                         identity.take(compared)
+                    advance((pose.stop - pose.start) * (piece.part.stop - piece.part.start) / count)
             # The positions of the next chunk need the memory.
             del deformed, sums, work
             if identity is not None:
                 identity.close()
-            advance(pose.stop - pose.start)
     return 0.0 if identity is None else identity.largest
 
 

@@ -115,7 +115,7 @@ class Lighting:
         self._document, self._options = document, options
         with stage("poses"):
             self._clips = read_clips(document)
-        self._done, self._total, self._identity = 0, 0, 0.0
+        self._done, self._total, self._identity = 0.0, 0, 0.0
         self._samples = 0
         self._segments: list[_Segment] = []
         self._whole: _Tallies = {}
@@ -255,9 +255,10 @@ class Lighting:
             if own is not whole:
                 own.add(block.errors, areas, valid=block.valid, start=start)
 
-    def _advance(self, poses: int) -> None:
-        self._done += poses
-        tell_steps(self._done, self._total)
+    def _advance(self, poses: float) -> None:
+        before, self._done = round(self._done), self._done + poses
+        if round(self._done) != before:
+            tell_steps(round(self._done), self._total)
 
     def _identity_check(self, drawn: Sequence[_Draw]) -> Check:
         remark = f"direct and accurate (algorithms 2 and 3) agree within {self._identity:.1g}°"
