@@ -39,6 +39,10 @@ class SparseRows:
     columns: Int32Array
     values: Float64Array
 
+    def some(self, part: slice) -> SparseRows:
+        """Return the rows that some of the starts belong to."""
+        return SparseRows(self.starts[part], self.columns, self.values)
+
     def matrix(self, columns: int) -> csr_array:
         """Return the rows as a matrix of so many columns."""
         from scipy.sparse import csr_array
@@ -97,14 +101,14 @@ def _split(stacked: csr_array, group: Sequence[slice]) -> list[tuple[SparseRows,
     """Cut rows along t0, and then along b0, into those of the parts of one group."""
     starts, columns = (array.astype(np.int32, copy=False) for array in (stacked.indptr, stacked.indices))
     first, half = group[0].start, stacked.shape[0] // 2
-    along_t, along_b = starts[: half + 1], starts[half:]
-    return [
-        (
-            SparseRows(along_t[part.start - first : part.stop - first + 1], columns, stacked.data),
-            SparseRows(along_b[part.start - first : part.stop - first + 1], columns, stacked.data),
-        )
-        for part in group
-    ]
+    end = int(starts[half])
+    along_t = SparseRows(starts[: half + 1], columns[:end].copy(), stacked.data[:end])
+    along_b = SparseRows(starts[half:] - np.int32(end), columns[end:].copy(), stacked.data[end:])
+    if np.array_equal(along_t.starts, along_b.starts) and np.array_equal(along_t.columns, along_b.columns):
+        # Usual: both have the same neighbours, which are kept once.
+        along_b = SparseRows(along_t.starts, along_t.columns, along_b.values)
+    parts = [slice(part.start - first, part.stop - first + 1) for part in group]
+    return [(along_t.some(part), along_b.some(part)) for part in parts]
 
 
 def morphed_frames(rest: RestFrames, positions: FloatArray, normals: FloatArray) -> RestFrames:
