@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from tests.support import corpus, khronos
+from tests.support import corpus, gltf_transform, khronos
 from tests.support.baked_files import verify
 from tests.support.command_line import document, invoke
 from tests.support.cutting import cut_into_meshes, halved
@@ -91,6 +91,23 @@ def test_no_option_of_bake_changes_the_standard_error(name: str, tolerance: floa
         for one, other in zip(figures, found[0], strict=True):
             for figure in ("mean", "p95", "p99"):
                 assert one[figure] == pytest.approx(other[figure], rel=tolerance)
+
+
+@corpus.needed
+@pytest.mark.slow
+def test_slots_that_integer_weights_adopt_tear_no_surface_apart(tmp_path: Path) -> None:
+    """Copies of a vertex in two meshes adopt other joints, and the largest weights pay differently."""
+    source = corpus.model("BaseFemale/BaseFemale.glb")
+    quantised = tmp_path / "quantised.glb"
+    bits = [word for name in ("position", "normal", "weight") for word in (f"--quantize-{name}", "16")]
+    gltf_transform.run(["quantize", "--quantization-volume", "scene", *bits, source, quantised])
+    found = []
+    for model in (source, quantised):
+        baked(model, tmp_path / "baked.glb")
+        file = verify(tmp_path / "baked.glb", *FEW).file
+        for truth in ("normals", "normals_by_triangles"):
+            found += [file[truth]["lbs"][lighting]["mean"] for lighting in ("approximated", "accurate")]
+    assert found[:4] == pytest.approx(found[4:], rel=0.01)
 
 
 def test_verify_measures_a_cut_mesh_as_it_does_the_whole(tmp_path: Path) -> None:

@@ -27,6 +27,7 @@ from skinbake.lighting.angles import (
     truths_at_rest,
 )
 from skinbake.lighting.baked_views import BakedView, whole_surfaces
+from skinbake.lighting.before_adoption import before_adoption
 from skinbake.lighting.influences import normalised_weights
 from skinbake.lighting.metrics import total_area
 from skinbake.lighting.morphing import morph_count, morphing_of
@@ -349,7 +350,7 @@ def _true_operator(
     if operator is not None and usual:
         return operator
     return gradient_operator(
-        [view.now for view in views],
+        before_adoption(document, views),
         weighting=TRUE_WEIGHTING,
         crease_angle_degrees=TRUE_CREASE_ANGLE,
         claim=lambda size: document.budget.claim(size, "welding it", views[0].source.place),

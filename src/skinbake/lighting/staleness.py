@@ -17,6 +17,7 @@ from skinbake.gltf.document import Document
 from skinbake.gltf.rigs import fitting_rig, rig_digest
 from skinbake.lighting import freshness
 from skinbake.lighting.baked_views import BakedView, gathered_together
+from skinbake.lighting.before_adoption import NO_PAYMENT
 from skinbake.lighting.expected import Expected, expected_slots, given_weights, noted_kind
 from skinbake.lighting.operator import GradientOperator, gradient_operator
 from skinbake.report.notices import counted
@@ -24,9 +25,6 @@ from skinbake.report.verify import Check
 
 BAKE_LAST = "Bake last: run skinbake bake on the file that the last tool wrote"
 BAKE_AGAIN = "run skinbake bake again"
-
-NO_PAYMENT = 1e-7
-"""Below this weight, the share that adopted slots took is rounding: 2⁻³⁰ each, if weights are FLOAT."""
 
 FITTED_PAYMENT = 4.0
 """The factor by which a fit may enlarge the effect of that share. No file of the corpus needs more than 1."""

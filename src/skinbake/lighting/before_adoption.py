@@ -1,0 +1,48 @@
+"""The weights of a baked file as they were before bake gave some of them to the slots that it adopted."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from skinbake.format.adoption import UNIT
+from skinbake.geometry.skinned import Float64Array, FloatArray, IntArray, SkinnedPrimitive
+from skinbake.gltf.document import Document
+from skinbake.lighting.baked_views import BakedView
+from skinbake.lighting.expected import given_weights
+
+NO_PAYMENT = 1e-7
+"""Below this weight, the share that adopted slots took is rounding: 2⁻³⁰ each, if weights are FLOAT."""
+
+
+def before_adoption(document: Document, views: Sequence[BakedView]) -> list[SkinnedPrimitive]:
+    """Return the primitives of a surface with the weights from before the bake.
+
+    Copies of a vertex in two meshes may have adopted other joints, and integer weights paid a unit for each.
+    They are one point of the surface all the same. Integer weights come back in whole units.
+    """
+    given = [given_weights(document, view) for view in views]
+    if max(own.sum(axis=1).max(initial=0.0) for own in given) < NO_PAYMENT:
+        return [view.now for view in views]
+    return [
+        replace(view.now, weights=returned(view.now.weights, own, view.now.joints))
+        for view, own in zip(views, given, strict=True)
+    ]
+
+
+def returned(weights: FloatArray, given: Float64Array, joints: IntArray) -> Float64Array:
+    """Return weights (V, K) with the given ones (V, K) back where they came from.
+
+    The largest weight paid, of equal ones that of the lowest joint. Of all weights that may have been it, the
+    smallest one is taken: two copies that paid different amounts then agree, but for a few ties.
+    """
+    units = np.rint(UNIT * (np.asarray(weights, dtype=np.float64) - given))
+    paid = np.rint(UNIT * given.sum(axis=1))
+    largest = units + paid[:, None] >= units.max(axis=1, keepdims=True)
+    least = np.where(largest, units, np.inf)
+    equal = least == least.min(axis=1, keepdims=True)
+    payer = np.where(equal, joints.astype(np.int64), np.iinfo(np.int64).max).argmin(axis=1)
+    units[np.arange(len(units)), payer] += paid
+    return units / UNIT
