@@ -47,6 +47,14 @@ def gain(answer: Answer) -> float:
 
 
 @corpus.needed
+def test_remedies_are_tried_where_normals_were_generated(tmp_path: Path) -> None:
+    """Strip takes the normals away with the bake, and without them nothing is baked."""
+    answer = verified(corpus.model("Fox/fox.glb"), tmp_path, *SURFACE, "--generate-normals")
+    [message] = worse(answer)
+    assert "With --gradients rig it is 1." in message
+
+
+@corpus.needed
 @pytest.mark.parametrize("name", [FIGURE, QUAD, CYLINDER])
 def test_what_helps_is_named_and_helps(tmp_path: Path, name: str) -> None:
     model = corpus.model(name)

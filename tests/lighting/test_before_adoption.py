@@ -34,6 +34,7 @@ def test_copies_that_paid_different_amounts_agree_again(units: list[int]) -> Non
         adopted[copy, names] = np.arange(5, 5 + len(names))
     (baked,) = with_adopted([influences], np.arange(4), adopted)
     weights, took = baked.weights.values.astype(np.float64) / UNIT, adopted >= 0
-    found = returned(weights, np.where(took, 1.0 / UNIT, 0.0), baked.joints.values)
+    joints = baked.joints.values.astype(np.int64)
+    found = returned(weights, np.where(took, 1.0 / UNIT, 0.0), joints)
     assert np.any(weights[1:] != weights[0])
     assert np.array_equal(found, np.array([units] * 4) / UNIT)

@@ -90,6 +90,7 @@ def _tried(
         neighbours=Neighbours.DROP if noted.get("neighbours") == Neighbours.DROP else Neighbours.ADOPT,
         frame=FrameChoice(noted["frame"]),
         weld=noted.get("weld", Weld.MESH),
+        generate_normals=True,  # strip takes generated ones away
     )
     plain, _, _ = stripped(document)
     for remedy in REMEDIES:
