@@ -29,7 +29,7 @@ import numpy as np
 from fixtures.builder import pack_glb
 from skinbake.cli.main import main as main_command
 
-SIZES, SMALLEST = 4, 256
+SIZES, SMALLEST = 4, 32
 """Sizes of each family, and KiB of the first."""
 
 WARM = (
@@ -52,9 +52,10 @@ EXPLAINED = (
     "The seconds are those of the processors, or those of the clock if they are fewer. `refused` is exit 3, "
     "before the memory is allocated. The last column is the largest factor by which a doubling of the bytes "
     "multiplies the memory, or the time of a step that takes over 0.5 s. A command may take 2,048 bytes of "
-    "memory for each byte of its file, and always a gibibyte. Below a gibibyte, small files whose primitives "
-    "share their vertices (`shared_accessors`) grow with vertices times primitives. Above it they are "
-    "refused."
+    "memory for each byte of its file, and always a gibibyte. Below a gibibyte, small files can grow faster "
+    "than their bytes: primitives that share their vertices (`shared_accessors`, `draco_views`), copies of a "
+    "vertex that share its triangles (`fan`, `crowd`, `many_views`), and clips of many vertices "
+    "(`many_clips`). Above it they are refused."
 )
 
 Content = dict[str, Any]

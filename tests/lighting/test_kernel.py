@@ -77,9 +77,10 @@ def test_linear_blending_is_that_of_numpy(poses: int, forms: int, slots: int) ->
     entries = rng.normal(size=(forms, 19, 4 * slots)) * (rng.random((forms, 19, 4 * slots)) < 0.7)
     entries[:, 4] = 0.0
     found = by_loops.blend(entries, columns, table)
-    assert found == pytest.approx(by_numpy.blend(entries, columns, table), rel=1e-12, abs=1e-12)
+    # pytest.approx compares numbers one by one, which takes a second here.
+    np.testing.assert_allclose(found, by_numpy.blend(entries, columns, table), rtol=1e-12, atol=1e-12)
     directly = np.einsum("fvw,vwip->fivp", entries, table[columns])
-    assert found == pytest.approx(directly, rel=1e-12, abs=1e-12)
+    np.testing.assert_allclose(found, directly, rtol=1e-12, atol=1e-12)
 
 
 @pytest.mark.parametrize("weighting", list(Weighting))
