@@ -285,8 +285,8 @@ def test_the_command_line_passes_limits_on(tmp_path: Path) -> None:
         ("--max-mean-error", "1", "0.01"),
         ("--max-p95-error", "1", "0.01"),
         ("--min-gain", "2", "1000"),
-        ("--truth=tangents --min-gain", "30", "60"),
-        ("--truth=triangles --min-gain", "20", "30"),
+        ("--truth=tangents --min-gain", "30", "100"),
+        ("--truth=triangles --min-gain", "20", "50"),
     ):
         assert verify(path, *option.split(), keeps, "--samples", "6").exit_code == 0
         answer = verify(path, *option.split(), breaks, "--samples", "6")
