@@ -82,16 +82,7 @@ def _tried(
     document: Document, views: Sequence[BakedView], options: VerifyOptions
 ) -> Iterator[tuple[Remedy, dict[Place, float]]]:
     """Yield each remedy that can be tried, and the gains under it."""
-    noted = views[0].metadata
-    baker = Baker(
-        gradients=noted_kind(views[0]),
-        weighting=noted["weighting"],
-        crease_angle=noted["creaseAngle"],
-        neighbours=Neighbours.DROP if noted.get("neighbours") == Neighbours.DROP else Neighbours.ADOPT,
-        frame=FrameChoice(noted["frame"]),
-        weld=noted.get("weld", Weld.MESH),
-        generate_normals=True,  # strip takes generated ones away
-    )
+    baker = noted_baker(views[0])
     plain, _, _ = stripped(document)
     for remedy in REMEDIES:
         changed = remedy.applied(baker)
@@ -102,6 +93,20 @@ def _tried(
                 yield remedy, _gains(_measured(changed.bake_document(plain).document, options))
         except InputError:
             continue  # an option that cannot be baked is no remedy
+
+
+def noted_baker(view: BakedView) -> Baker:
+    """Return a baker with the settings that the metadata of a primitive name."""
+    noted = view.metadata
+    return Baker(
+        gradients=noted_kind(view),
+        weighting=noted["weighting"],
+        crease_angle=noted["creaseAngle"],
+        neighbours=Neighbours.DROP if noted.get("neighbours") == Neighbours.DROP else Neighbours.ADOPT,
+        frame=FrameChoice(noted["frame"]),
+        weld=noted.get("weld", Weld.MESH),
+        generate_normals=True,  # strip takes generated ones away
+    )
 
 
 def _measured(document: Document, options: VerifyOptions) -> FileVerdict:

@@ -22,17 +22,18 @@ from skinbake.timing import stage
 
 def verify_file(source: str, options: VerifyOptions, bounds: Bounds = BESIDE) -> FileVerdict:
     """Verify one file. Raises SkinbakeError if it cannot be read."""
-    verdict = _verify_file(source, options, bounds)
-    verdict = replace(verdict, input=source)
+    with stage("read"):
+        document = read_document(source, bounds)
+    verdict = replace(verify_document(document, options), input=source)
     if options.warnings_as_errors and verdict.notices:
         problem = Check("warnings", "failed", verdict.notices)
         return replace(verdict, checks=(*verdict.checks, problem))
     return verdict
 
 
-def _verify_file(source: str, options: VerifyOptions, bounds: Bounds) -> FileVerdict:
+def verify_document(document: Document, options: VerifyOptions) -> FileVerdict:
+    """Verify a document, as it is in memory. Raises InputError if a part of it cannot be read."""
     with stage("read"):
-        document = read_document(source, bounds)
         wanted, lost, notices = _sorted_out(document)
     if not lost and not any(is_baked(document, entry) for entry in wanted):
         return _unbaked(document, options, notices, bakeable=bool(wanted))

@@ -1,0 +1,82 @@
+"""``skinbake view``."""
+
+from __future__ import annotations
+
+import sys
+from typing import Any
+
+import click
+
+from skinbake.cli import exit_codes
+from skinbake.cli.console import console, message_options, outside_option
+from skinbake.cli.limits import memory_option
+from skinbake.cli.names import STDIO, check_readable_suffix
+from skinbake.cli.targets import sync_option
+from skinbake.containment import Bounds
+from skinbake.errors import SkinbakeError, printable
+from skinbake.urls import SUFFIXES
+
+
+@click.command("view")
+@click.argument("source", metavar="FILE")
+@click.option(
+    "-o", "--output", metavar="PAGE", help="Write the page to a file (.html), or - for stdout, and end."
+)
+@click.option(
+    "--port",
+    type=click.IntRange(0, 65535),
+    default=0,
+    metavar="P",
+    help="Port on this machine; by default any free one.",
+)
+@click.option("--no-browser", is_flag=True, help="Print the address, but do not open the browser.")
+@outside_option
+@sync_option
+@memory_option
+@message_options
+def command(source: str, output: str | None, **given: Any) -> None:
+    """Show a file in the browser: standard and accurate lighting side by side, over its own animations.
+
+    The page is one HTML file that loads nothing from the network. A file that is not baked is baked in
+    memory. Without -o the page is served to this machine only, until Ctrl-C.
+    """
+    check_readable_suffix(source)
+    if output is not None and output != STDIO and output.lower().endswith(SUFFIXES):
+        raise click.UsageError(f"{output} is the name of a model; name the page .html")
+    say = console(
+        verbose=given["verbose"],
+        quiet=given["quiet"],
+        color=given["color"],
+        results_on_stderr=output == STDIO,
+    )
+    from skinbake.commands.view import view_file, write_page
+    from skinbake.gltf.budget import memory_limited
+
+    try:
+        with memory_limited(given["max_memory"]):
+            result = view_file(source, output, Bounds(allowed=given["allow_outside"]))
+        say.notices(result.notices)
+        if output is None:
+            _serve(result.page, given, say.result)
+        else:
+            write_page(result, output, sync=not given["no_sync"])
+    except SkinbakeError as error:
+        say.error(error)
+        sys.exit(exit_codes.of_error(error))
+    if output != STDIO:
+        how = "" if result.was_baked else ", baked in memory"
+        say.result(f"{printable(source)} -> {printable(str(output))}: {len(result.page):,} bytes{how}")
+
+
+def _serve(page: bytes, given: dict[str, Any], tell: Any) -> None:
+    """Serve the page until Ctrl-C, and open the browser on it."""
+    import webbrowser
+
+    from skinbake.view.serving import serve
+
+    def started(address: str) -> None:
+        tell(f"{address} (Ctrl-C ends)")
+        if not given["no_browser"]:
+            webbrowser.open(address)
+
+    serve(page, given["port"], started)

@@ -1,0 +1,431 @@
+// The page: what is chosen, what is drawn, and when.
+
+import { Camera } from './camera.js';
+import { Chart, nice } from './chart.js';
+import { degrees, showFigures, showNotes } from './figures.js';
+import { fromBase64, gradientsOf, readModel } from './reader.js';
+import { LIGHTINGS, Renderer } from './renderer.js';
+import { Scene } from './scene.js';
+
+const NAMES = {
+    standard: 'Standard',
+    surface: 'Accurate, surface',
+    rig: 'Accurate, fitted',
+    dqs: 'Dual quaternions, exact',
+    truth: 'True normals',
+};
+const SAMPLES = 49;
+const LEGENDS = [2, 5, 10, 20, 30, 45, 60, 90];
+const HEAT = ['#d9dde1', '#f2d16b', '#ee8a2e', '#cf2f2f', '#5c0f3a'];
+const KINDS = { textures: 'checked', moving: 'checked' };
+
+const byId = Object.fromEntries([...document.querySelectorAll('[id]')].map((element) => [element.id, element]));
+const calm = matchMedia('(prefers-reduced-motion: reduce)');
+const dark = matchMedia('(prefers-color-scheme: dark)');
+
+// Inflate what the page holds compressed.
+async function inflated(text) {
+    const stream = new Blob([fromBase64(text)]).stream().pipeThrough(new DecompressionStream('deflate'));
+    return new Uint8Array(await new Response(stream).arrayBuffer());
+}
+
+class Application {
+    constructor(renderer) {
+        this.renderer = renderer;
+        this.scene = new Scene(renderer);
+        this.camera = new Camera(byId.canvas, () => this.changed());
+        this.chart = new Chart(byId.chart, byId['chart-key'], byId['chart-words'], (time, stays) => this.look(time, stays));
+        Object.assign(this, { split: 0.5, mode: 'shaded', speed: 1, isPlaying: false, turn: 0.9, legend: 10 });
+        this.listen();
+        new ResizeObserver(() => this.resize()).observe(byId.canvas);
+        dark.addEventListener('change', () => this.changed());
+    }
+
+    listen() {
+        byId.play.addEventListener('click', () => this.play(!this.isPlaying));
+        byId.time.addEventListener('input', () => this.seek(Number(byId.time.value), true));
+        byId.clip.addEventListener('change', () => this.choose(this.scene.clips[byId.clip.value]));
+        byId.speed.addEventListener('change', () => (this.speed = Number(byId.speed.value)));
+        byId.left.addEventListener('change', () => this.chooseSides());
+        byId.right.addEventListener('change', () => this.chooseSides());
+        byId.home.addEventListener('click', () => this.goHome());
+        byId.worst.addEventListener('click', () => this.focusWorst());
+        byId.open.addEventListener('change', () => this.take([...byId.open.files]));
+        for (const name of Object.keys(KINDS)) byId[name].addEventListener('change', () => this.changed());
+        for (const radio of document.querySelectorAll('input[name=mode]')) {
+            radio.addEventListener('change', () => this.setMode(radio.value));
+        }
+        this.listenToDivider();
+        this.listenToFiles();
+        document.addEventListener('keydown', (event) => {
+            if (event.key !== ' ' || event.target.closest('button, input, select, label')) return;
+            event.preventDefault();
+            this.play(!this.isPlaying);
+        });
+    }
+
+    listenToDivider() {
+        const { divider } = byId;
+        const follow = (event) => {
+            const { left, width } = byId.canvas.getBoundingClientRect();
+            this.setSplit((event.clientX - left) / width);
+        };
+        divider.addEventListener('pointerdown', (event) => {
+            divider.setPointerCapture(event.pointerId);
+            divider.focus({ focusVisible: false });
+            event.preventDefault();
+        });
+        divider.addEventListener('pointermove', (event) => divider.hasPointerCapture(event.pointerId) && follow(event));
+        divider.addEventListener('keydown', (event) => {
+            const steps = { ArrowLeft: -0.02, ArrowRight: 0.02, ArrowDown: -0.02, ArrowUp: 0.02, PageDown: -0.1, PageUp: 0.1, Home: -1, End: 1 };
+            if (!(event.key in steps)) return;
+            event.preventDefault();
+            this.setSplit(this.split + steps[event.key]);
+        });
+    }
+
+    listenToFiles() {
+        let depth = 0;
+        const show = (step) => (byId.drop.hidden = (depth = Math.max(0, depth + step)) === 0);
+        addEventListener('dragenter', () => show(1));
+        addEventListener('dragleave', () => show(-1));
+        addEventListener('dragover', (event) => event.preventDefault());
+        addEventListener('drop', (event) => {
+            event.preventDefault();
+            show(-depth);
+            this.take([...event.dataTransfer.files]);
+        });
+    }
+
+    // Show a file that was dropped or chosen, with the files beside it.
+    async take(files) {
+        const main = files.find(({ name }) => /\.(glb|gltf|vrm)$/i.test(name));
+        if (!main) return this.tell('Expected a .glb, .gltf or .vrm file.');
+        try {
+            const model = await readModel(new Uint8Array(await main.arrayBuffer()), main.name, new Map(files.map((file) => [file.name, file])));
+            await this.show(model, { name: main.name });
+            this.tell('');
+        } catch (error) {
+            this.tell(`${main.name} cannot be shown: ${error.message}`);
+        }
+    }
+
+    tell(text) {
+        byId.message.textContent = text;
+        byId.message.hidden = !text;
+    }
+
+    // Show a model, with what is known of it.
+    async show(model, given) {
+        this.stopMeasuring();
+        this.given = given;
+        await this.scene.show(model);
+        byId.name.textContent = given.name;
+        document.title = `${given.name} – skinbake`;
+        byId.facts.textContent = factsOf(model);
+        showFigures(byId, given);
+        showNotes(byId, given);
+        byId.clip.replaceChildren(...this.scene.clips.map(({ name }, number) => new Option(name, number)));
+        byId.clip.disabled = this.scene.clips.length < 2;
+        this.fillSides();
+        const { middle, radius, low } = this.scene.bounds();
+        this.ground = [middle[0], low, middle[2], 2.4 * radius];
+        this.marked = null;
+        this.measures = new Map();
+        this.camera.frame(middle, radius);
+        this.choose(this.scene.clips[0]);
+        this.play(!calm.matches);
+    }
+
+    fillSides() {
+        const fitting = Object.keys(NAMES).filter((name) => !this.scene.reasonWithout(name));
+        const best = ['rig', 'surface', 'standard'].find((name) => fitting.includes(name));
+        for (const [side, chosen] of [['left', 'standard'], ['right', best]]) {
+            byId[side].replaceChildren(
+                ...Object.entries(NAMES).map(([name, text]) => {
+                    const reason = this.scene.reasonWithout(name);
+                    const option = new Option(reason ? `${text} (${reason})` : text, name);
+                    option.disabled = Boolean(reason);
+                    return option;
+                })
+            );
+            byId[side].value = chosen ?? 'standard';
+        }
+        this.chooseSides();
+    }
+
+    chooseSides() {
+        this.sides = [byId.left.value, byId.right.value];
+        this.showChart();
+        this.changed();
+    }
+
+    setSplit(share) {
+        this.split = Math.max(0, Math.min(1, share));
+        byId.divider.style.left = `${100 * this.split}%`;
+        byId.divider.setAttribute('aria-valuenow', String(Math.round(100 * this.split)));
+        this.changed();
+    }
+
+    setMode(mode) {
+        this.mode = mode;
+        byId.legend.hidden = mode !== 'error';
+        byId.textures.disabled = mode !== 'shaded';
+        this.changed();
+    }
+
+    setLegend(most) {
+        this.legend = LEGENDS.find((one) => one >= most) ?? 90;
+        byId['legend-middle'].textContent = `${this.legend / 2}°`;
+        byId['legend-end'].textContent = `${this.legend}° and more`;
+    }
+
+    choose(clip) {
+        this.clip = clip;
+        byId.clip.value = String(this.scene.clips.indexOf(clip));
+        Object.assign(byId.time, { min: clip.start, max: clip.end, step: Math.max((clip.end - clip.start) / 1000, 1e-4) });
+        this.seek(clip.start);
+        this.measure(clip);
+    }
+
+    seek(time, stops = false) {
+        if (stops) this.play(false);
+        this.time = time;
+        byId.time.value = String(time);
+        byId.clock.textContent = `${time.toFixed(2)} s`;
+        this.chart.setTime(time);
+        this.isPosed = false;
+        this.changed();
+    }
+
+    play(isPlaying) {
+        this.isPlaying = isPlaying;
+        this.last = null;
+        byId.play.classList.toggle('is-playing', isPlaying);
+        byId.play.setAttribute('aria-label', isPlaying ? 'Pause' : 'Play');
+        this.changed();
+    }
+
+    // Show the pose at which the chart is pointed at; null goes back.
+    look(time, stays) {
+        if (time === null) {
+            if (this.kept === undefined) return;
+            const { kept, wasPlaying } = this;
+            this.kept = undefined;
+            this.seek(kept);
+            this.play(wasPlaying);
+            return;
+        }
+        if (this.kept === undefined) [this.kept, this.wasPlaying] = [this.time, this.isPlaying];
+        if (stays) [this.kept, this.wasPlaying] = [time, false];
+        this.seek(time, true);
+    }
+
+    // Measure the errors of all lightings over a clip, a pose at a time, between the frames.
+    measure(clip) {
+        this.stopMeasuring();
+        byId.worst.disabled = true;
+        if (!this.measures.has(clip)) {
+            const times = Array.from({ length: SAMPLES }, (_, i) => clip.start + (i / (SAMPLES - 1)) * (clip.end - clip.start));
+            const lightings = Object.keys(NAMES).filter((name) => name !== 'truth' && !this.scene.reasonWithout(name));
+            const lines = Object.fromEntries(lightings.map((name) => [name, new Array(SAMPLES)]));
+            this.measures.set(clip, { times, lines, next: 0, worst: { error: -1 } });
+        }
+        this.showChart();
+        this.measuring = setTimeout(() => this.measureNext(clip), 60);
+    }
+
+    stopMeasuring() {
+        clearTimeout(this.measuring);
+    }
+
+    measureNext(clip) {
+        const found = this.measures.get(clip);
+        if (found.next < SAMPLES) {
+            const number = spread(found.next++);
+            this.scene.pose(clip, found.times[number]);
+            for (const [lighting, means] of Object.entries(found.lines)) {
+                const { mean, worst } = this.scene.errors(lighting);
+                means[number] = mean;
+                if (lighting === 'standard' && worst.error > found.worst.error) found.worst = { ...worst, time: found.times[number] };
+            }
+            this.isPosed = false;
+            this.measuring = setTimeout(() => this.measureNext(clip), 0);
+        }
+        if (found.next === 1 || found.next % 8 === 0 || found.next === SAMPLES) {
+            byId.worst.disabled = found.worst.error < 0;
+            this.setLegend(found.worst.error / 3);
+            this.showChart();
+            this.changed();
+        }
+    }
+
+    showChart() {
+        const found = this.measures?.get(this.clip);
+        if (!found) return;
+        const shown = [...new Set(this.sides)].filter((lighting) => found.lines[lighting]);
+        this.chart.set(this.clip, found.times, found.lines, shown, NAMES);
+    }
+
+    // Go to the vertex at which standard lighting is wrong by the most in this clip.
+    focusWorst() {
+        const { worst } = this.measures.get(this.clip);
+        if (worst.error < 0) return;
+        this.seek(worst.time, true);
+        this.applyPose();
+        const { position, normal } = this.scene.vertex(worst.part, worst.vertex);
+        this.marked = worst;
+        this.camera.focus(position, normal);
+        const { name, index } = worst.part.primitive;
+        this.tell(`Standard lighting is wrong by ${degrees(worst.error)} here: “${name}”, primitive ${index}, vertex ${worst.vertex}, at ${worst.time.toFixed(2)} s.`);
+    }
+
+    goHome() {
+        this.marked = null;
+        this.tell('');
+        this.camera.home();
+    }
+
+    changed() {
+        if (this.frame) return;
+        this.frame = requestAnimationFrame((now) => {
+            this.frame = 0;
+            this.tick(now);
+        });
+    }
+
+    tick(now) {
+        if (!this.clip) return;
+        const step = this.last ? Math.min((now - this.last) / 1000, 0.25) : 0;
+        this.last = now;
+        if (this.isPlaying) {
+            const { start, end } = this.clip;
+            const length = end - start;
+            if (length > 0) this.seek(start + ((this.time - start + step * this.speed) % length));
+        }
+        const isTurning = byId.moving.checked && this.mode === 'shaded' && !calm.matches;
+        if (isTurning) this.turn += 0.7 * step;
+        this.draw();
+        if (this.isPlaying || isTurning) this.changed();
+        else this.last = null;
+    }
+
+    applyPose() {
+        if (this.isPosed && this.scene.clip === this.clip) return;
+        this.scene.pose(this.clip, this.time);
+        this.isPosed = true;
+        this.uploaded = new Set();
+    }
+
+    draw() {
+        this.applyPose();
+        const methods = this.sides.filter((side) => this.mode === 'error' || LIGHTINGS[side].isTrue).map((side) => LIGHTINGS[side].method);
+        for (const method of methods) {
+            if (this.uploaded.has(method)) continue;
+            this.scene.uploadTruth(method);
+            this.uploaded.add(method);
+        }
+        const { canvas } = byId;
+        const projected = this.camera.projected(canvas.width / canvas.height || 1);
+        const light = [Math.sin(this.turn) * 0.75, 0.6, Math.cos(this.turn) * 0.75];
+        const size = Math.hypot(...light);
+        this.renderer.draw({
+            sides: [[this.sides[0], 0, this.split], [this.sides[1], this.split, 1]],
+            projected,
+            eye: this.camera.eye,
+            light: light.map((value) => value / size),
+            mode: this.mode,
+            legend: this.legend,
+            stops: HEAT.flatMap(rgb),
+            unknown: rgb('#8b93a0'),
+            ink: dark.matches ? [0, 0, 0] : [0.25, 0.23, 0.2],
+            ground: this.ground,
+            isTextured: byId.textures.checked,
+        });
+        this.showReadings(projected);
+    }
+
+    showReadings(projected) {
+        this.sides.forEach((side, i) => {
+            const mean = LIGHTINGS[side].isTrue ? 0 : this.chart.at(side, this.time);
+            const text = mean === undefined ? '…' : LIGHTINGS[side].isTrue ? 'by triangles' : `${degrees(mean)} mean error`;
+            const output = byId[i ? 'right-error' : 'left-error'];
+            if (output.textContent !== text) output.textContent = text;
+        });
+        byId.mark.hidden = !this.marked;
+        if (!this.marked) return;
+        const { position } = this.scene.vertex(this.marked.part, this.marked.vertex);
+        const [x, y, , w] = [0, 1, 2, 3].map((row) => projected[row] * position[0] + projected[4 + row] * position[1] + projected[8 + row] * position[2] + projected[12 + row]);
+        byId.mark.style.left = `${50 * (1 + x / w)}%`;
+        byId.mark.style.top = `${50 * (1 - y / w)}%`;
+    }
+
+    resize() {
+        const { canvas } = byId;
+        const ratio = Math.min(devicePixelRatio, 2);
+        const [width, height] = [Math.round(canvas.clientWidth * ratio), Math.round(canvas.clientHeight * ratio)];
+        if (canvas.width === width && canvas.height === height) return;
+        Object.assign(canvas, { width, height });
+        if (this.clip) this.draw();
+    }
+}
+
+const rgb = (hex) => [1, 3, 5].map((at) => parseInt(hex.slice(at, at + 2), 16) / 255);
+
+// The order in which samples are measured: coarse at first, so that the chart soon has its shape.
+function spread(next) {
+    const order = [];
+    for (let step = 16; step >= 1; step /= 2) {
+        for (let i = 0; i < SAMPLES; i += step) if (!order.includes(i)) order.push(i);
+    }
+    return order[next];
+}
+
+function factsOf(model) {
+    const primitives = [...model.primitives.values()].filter(Boolean);
+    const count = primitives.reduce((sum, { count }) => sum + count, 0);
+    const baked = primitives.find(({ metadata }) => metadata)?.metadata;
+    const how = baked ? `${baked.frame} frame, ${baked.encoding ?? 'float32'}` : 'not baked';
+    return `${count.toLocaleString('en')} vertices, ${how}`;
+}
+
+// Put the other kind of α and β beside the one that the file holds.
+function addOther(model, other) {
+    for (const one of other?.primitives ?? []) {
+        const primitive = model.primitives.get(`${one.mesh}/${one.primitive}/true`);
+        if (!primitive?.metadata) continue;
+        const [alpha, beta] = [one.alpha, one.beta].map((text) => new Float32Array(fromBase64(text).buffer));
+        const others = alpha.length / primitive.count;
+        const own = gradientsOf(primitive, (vertex, slot) => [alpha[others * vertex + slot], beta[others * vertex + slot]]);
+        if (one.joints) Object.assign(own, influencesOfSets(one, others + 1));
+        primitive.gradients[one.kind] = own;
+    }
+}
+
+// Joints and weights of another kind, by set of four. A bake may have adopted other joints for it.
+function influencesOfSets({ joints, weights }, slots) {
+    const inSets = (text, Type) => {
+        const row = new Float32Array(fromBase64(text).buffer);
+        return Array.from({ length: slots / 4 }, (_, set) => Type.from(row.filter((_, i) => (i % slots) >> 2 === set)));
+    };
+    return { joints: inSets(joints, Uint16Array), weights: inSets(weights, Float32Array) };
+}
+
+async function start() {
+    const given = JSON.parse(byId.given.textContent);
+    const texts = JSON.parse(new TextDecoder().decode(await inflated(byId.texts.textContent)));
+    const model = await readModel(fromBase64(byId.model.textContent), given.name);
+    addOther(model, given.other);
+    const application = new Application(new Renderer(byId.canvas, texts));
+    await application.show(model, given);
+    return application;
+}
+
+window.ready = start().then(
+    (application) => (window.application = application),
+    (error) => {
+        byId.message.textContent = `The model cannot be shown: ${error.message}`;
+        byId.message.hidden = false;
+        throw error;
+    }
+);

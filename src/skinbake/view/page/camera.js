@@ -1,0 +1,121 @@
+// A camera that turns around a point: by pointer, touch, wheel and keys.
+
+import { cross, lookAt, minus, normalised, perspective, plus, product } from './matrices.js';
+
+const ANGLE = (32 * Math.PI) / 180;
+const STEEPEST = 1.5;
+
+export class Camera {
+    constructor(element, changed) {
+        Object.assign(this, { element, changed, yaw: 0.45, pitch: 0.16, target: [0, 0, 0], distance: 3, radius: 1 });
+        this.pointers = new Map();
+        element.addEventListener('pointerdown', (event) => this.press(event));
+        element.addEventListener('pointermove', (event) => this.move(event));
+        for (const kind of ['pointerup', 'pointercancel']) element.addEventListener(kind, (event) => this.pointers.delete(event.pointerId));
+        element.addEventListener('wheel', (event) => this.wheel(event), { passive: false });
+        element.addEventListener('keydown', (event) => this.key(event));
+        element.addEventListener('dblclick', () => this.home());
+        element.addEventListener('contextmenu', (event) => event.preventDefault());
+    }
+
+    // Show a box: its middle, and half its diagonal.
+    frame(target, radius, height) {
+        this.radius = radius || 1;
+        this.height = height ?? this.radius;
+        this.middle = target;
+        this.home();
+    }
+
+    home() {
+        this.target = this.middle;
+        Object.assign(this, { yaw: 0.45, pitch: 0.16, distance: this.fitting() });
+        this.changed();
+    }
+
+    fitting() {
+        const { clientWidth: width, clientHeight: height } = this.element;
+        const aspect = Math.min(1, (width || 1) / (height || 1));
+        return (1.12 * this.radius) / Math.sin(ANGLE / 2) / Math.max(aspect, 0.45);
+    }
+
+    focus(point, normal) {
+        this.target = point;
+        this.distance = Math.min(this.distance, this.fitting() * 0.36);
+        this.yaw = Math.atan2(normal[0], normal[2]);
+        this.pitch = Math.max(-1, Math.min(1, Math.asin(Math.max(-1, Math.min(1, normal[1])))));
+        this.changed();
+    }
+
+    get eye() {
+        const flat = Math.cos(this.pitch);
+        const away = [flat * Math.sin(this.yaw), Math.sin(this.pitch), flat * Math.cos(this.yaw)];
+        return plus(this.target, away, this.distance);
+    }
+
+    projected(aspect) {
+        const near = Math.max(this.distance - 4 * this.radius, this.distance / 200);
+        const view = lookAt(this.eye, this.target, [0, 1, 0]);
+        return product(perspective(ANGLE, aspect, near, this.distance + 6 * this.radius), view);
+    }
+
+    press(event) {
+        this.element.setPointerCapture(event.pointerId);
+        this.pointers.set(event.pointerId, [event.clientX, event.clientY]);
+    }
+
+    move(event) {
+        const before = this.pointers.get(event.pointerId);
+        if (!before) return;
+        const now = [event.clientX, event.clientY];
+        const [dx, dy] = [now[0] - before[0], now[1] - before[1]];
+        if (this.pointers.size > 1) {
+            const other = [...this.pointers].find(([id]) => id !== event.pointerId)[1];
+            const far = (point) => Math.hypot(point[0] - other[0], point[1] - other[1]) || 1;
+            this.zoom(far(before) / far(now));
+            this.pan(dx / 2, dy / 2);
+        } else if (event.buttons & 2 || event.shiftKey) this.pan(dx, dy);
+        else this.turn(-0.008 * dx, 0.008 * dy);
+        this.pointers.set(event.pointerId, now);
+        this.changed();
+    }
+
+    turn(yaw, pitch) {
+        this.yaw += yaw;
+        this.pitch = Math.max(-STEEPEST, Math.min(STEEPEST, this.pitch + pitch));
+    }
+
+    pan(dx, dy) {
+        const away = normalised(minus(this.eye, this.target));
+        const side = normalised(cross([0, 1, 0], away));
+        const up = cross(away, side);
+        const step = (2 * this.distance * Math.tan(ANGLE / 2)) / (this.element.clientHeight || 1);
+        this.target = plus(plus(this.target, side, -dx * step), up, dy * step);
+    }
+
+    zoom(factor) {
+        this.distance = Math.max(0.02 * this.radius, Math.min(12 * this.radius, this.distance * factor));
+    }
+
+    wheel(event) {
+        event.preventDefault();
+        this.zoom(Math.exp(0.0012 * event.deltaY * (event.deltaMode ? 30 : 1)));
+        this.changed();
+    }
+
+    key(event) {
+        const acts = {
+            ArrowLeft: () => this.turn(-0.12, 0),
+            ArrowRight: () => this.turn(0.12, 0),
+            ArrowUp: () => this.turn(0, 0.12),
+            ArrowDown: () => this.turn(0, -0.12),
+            '+': () => this.zoom(0.85),
+            '=': () => this.zoom(0.85),
+            '-': () => this.zoom(1 / 0.85),
+            0: () => this.home(),
+        };
+        if (!acts[event.key] || event.ctrlKey || event.metaKey || event.altKey) return;
+        event.preventDefault();
+        acts[event.key]();
+        this.changed();
+    }
+}

@@ -1,0 +1,89 @@
+// What skinbake verify has measured, beside the model. Every text of a file goes in as text.
+
+const ROWS = [
+    ['lbs', 'approximated', 'Standard', 'standard'],
+    ['lbs', 'accurate', 'Accurate', 'rig'],
+    ['dqs', 'approximated', 'Dual q. standard', 'standard'],
+    ['dqs', 'exact', 'Dual q. exact', 'dqs'],
+];
+
+export function showFigures(byId, given) {
+    const { figures, by_triangles: triangles, poses } = given;
+    const factor = figures?.lbs?.gain ?? figures?.dqs?.gain;
+    byId.headline.hidden = !factor;
+    byId.table.parentElement.hidden = !figures;
+    if (!figures) return;
+    if (factor) {
+        byId.gain.textContent = `${factor.toPrecision(3)}×`;
+        const of = figures.lbs ?? figures.dqs;
+        byId['gain-words'].textContent =
+            `Accurate lighting is that much nearer to the true normals than standard lighting: ` +
+            `${degrees(of.accurate.mean)} instead of ${degrees(of.approximated.mean)} in the mean.`;
+    }
+    byId.table.replaceChildren(tableOf(figures, triangles));
+    byId['table-words'].textContent = `By skinbake verify, over ${poses}. Two truths, found in two ways.`;
+}
+
+function tableOf(figures, triangles) {
+    const table = element('table');
+    const head = element('thead');
+    head.append(row('th', ['', 'mean', 'p95', 'max', 'mean', 'p95']));
+    const above = element('tr');
+    for (const [text, span] of [['', 1], ['by tangents', 3], ['by triangles', 2]]) {
+        const cell = element(text ? 'th' : 'td', text);
+        cell.colSpan = span;
+        if (text) cell.scope = 'colgroup';
+        above.append(cell);
+    }
+    head.prepend(above);
+    const body = element('tbody');
+    for (const [method, lighting, name] of ROWS) {
+        const one = figures[method]?.[lighting];
+        if (!one) continue;
+        const other = triangles?.[method]?.[lighting];
+        const cells = [one.mean, one.p95, one.max, other?.mean, other?.p95].map((value) => (value === undefined ? '—' : value.toFixed(2)));
+        const line = row('td', cells);
+        const title = element('th', name);
+        title.scope = 'row';
+        line.prepend(title);
+        body.append(line);
+    }
+    table.append(head, body);
+    return table;
+}
+
+export function showNotes(byId, given) {
+    const checks = given.checks ?? [];
+    byId.checks.hidden = !checks.length;
+    byId['checks-list'].replaceChildren(
+        ...checks.map(({ name, outcome, remark, problems }) => {
+            const item = element('li');
+            const word = element('span', outcome);
+            word.className = `outcome is-${outcome}`;
+            item.append(`${name}: `, word, remark ? ` — ${remark}` : '');
+            for (const problem of problems ?? []) item.append(element('p', problem));
+            return item;
+        })
+    );
+    const notes = given.notes ?? [];
+    byId.notes.hidden = !notes.length;
+    byId['notes-list'].replaceChildren(...notes.map((text) => element('li', text)));
+}
+
+export const degrees = (value) => (value < 10 ? `${value.toFixed(2)}°` : `${value.toFixed(1)}°`);
+
+function row(kind, texts) {
+    const made = element('tr');
+    for (const text of texts) {
+        const cell = element(text ? kind : 'td', text);
+        if (text && kind === 'th') cell.scope = 'col';
+        made.append(cell);
+    }
+    return made;
+}
+
+function element(name, text = '') {
+    const made = document.createElement(name);
+    made.textContent = text;
+    return made;
+}

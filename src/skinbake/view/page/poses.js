@@ -1,0 +1,123 @@
+// Poses of a model: joint matrices and morph weights, from a clip at a time, or turned at random.
+
+import { composed, determinant, dualQuaternion, product, quaternionProduct, slerp } from './matrices.js';
+
+const RIGID = 1e-3; // As skinbake has it: a larger deviation of a joint matrix is no rotation.
+const RANDOM_POSES = 8;
+const RANDOM_ANGLE = Math.PI / 6;
+
+// What a clip does at a time, in seconds. Returns joint matrices by skin, node matrices, and morph weights.
+export function poseAt(model, clip, time) {
+    const moved = model.nodes.map(({ translation, rotation, scale, weights }) => ({ translation, rotation, scale, weights }));
+    const touched = new Set();
+    for (const channel of clip.channels) {
+        moved[channel.node][channel.path] = sampled(channel, time);
+        if (channel.path !== 'weights') touched.add(channel.node);
+    }
+    const matrices = new Array(model.nodes.length);
+    for (const number of model.order) {
+        const { matrix, parent } = model.nodes[number];
+        const { translation, rotation, scale } = moved[number];
+        const local = matrix && !touched.has(number) ? matrix : composed(translation, rotation, scale);
+        matrices[number] = parent < 0 ? local : product(matrices[parent], local);
+    }
+    const skins = model.skins.map(({ joints, inverseBind }) => joints.map((joint, i) => product(matrices[joint], inverseBind[i])));
+    return { nodes: matrices, skins, weights: moved.map(({ weights }) => weights) };
+}
+
+function sampled({ times, values, method, size, path }, time) {
+    const at = (key, part = 0) => {
+        const start = method === 'CUBICSPLINE' ? (3 * key + 1 + part) * size : key * size;
+        return Array.from(values.subarray(start, start + size));
+    };
+    const last = times.length - 1;
+    if (!(time > times[0])) return at(0);
+    if (time >= times[last]) return at(last);
+    let [low, high] = [0, last];
+    while (high - low > 1) {
+        const middle = (low + high) >> 1;
+        if (times[middle] <= time) low = middle;
+        else high = middle;
+    }
+    const step = times[high] - times[low];
+    const share = step > 0 ? (time - times[low]) / step : 0;
+    if (method === 'STEP') return at(low);
+    if (method === 'CUBICSPLINE') return spline(at(low), at(low, 1), at(high), at(high, -1), share, step, path);
+    const [a, b] = [at(low), at(high)];
+    return path === 'rotation' ? slerp(a, b, share) : a.map((value, i) => value + share * (b[i] - value));
+}
+
+function spline(a, out, b, into, s, step, path) {
+    const [s2, s3] = [s * s, s * s * s];
+    const found = a.map(
+        (value, i) =>
+            (2 * s3 - 3 * s2 + 1) * value +
+            step * (s3 - 2 * s2 + s) * out[i] +
+            (3 * s2 - 2 * s3) * b[i] +
+            step * (s3 - s2) * into[i]
+    );
+    if (path !== 'rotation') return found;
+    const length = Math.hypot(...found) || 1;
+    return found.map((value) => value / length);
+}
+
+// A clip in which all joints turn from one random pose to the next, the first and the last being at rest.
+export function randomClip(model, seed = 1) {
+    const random = numbers(seed);
+    const joints = [...new Set(model.skins.flatMap((skin) => skin.joints))];
+    const times = Float32Array.from({ length: RANDOM_POSES + 2 }, (_, i) => i);
+    const channels = joints.map((node) => {
+        const rest = model.nodes[node].rotation;
+        const keys = [rest];
+        for (let i = 0; i < RANDOM_POSES; i++) keys.push(quaternionProduct(rest, randomRotation(random)));
+        keys.push(rest);
+        return { node, path: 'rotation', times, values: Float32Array.from(keys.flat()), method: 'LINEAR', size: 4 };
+    });
+    // A node with a matrix keeps its translation and scale only there.
+    const kept = channels.filter(({ node }) => !model.nodes[node].matrix);
+    return { name: 'Random poses', channels: kept, start: 0, end: RANDOM_POSES + 1, isRandom: true };
+}
+
+function randomRotation(random) {
+    const z = 2 * random() - 1;
+    const around = 2 * Math.PI * random();
+    const half = (RANDOM_ANGLE * random()) / 2;
+    const flat = Math.sqrt(1 - z * z) * Math.sin(half);
+    return [flat * Math.cos(around), flat * Math.sin(around), z * Math.sin(half), Math.cos(half)];
+}
+
+// Numbers from 0 to 1 that are the same for the same seed (mulberry32).
+function numbers(seed) {
+    let state = seed;
+    return () => {
+        state = (state + 0x6d2b79f5) | 0;
+        let t = Math.imul(state ^ (state >>> 15), 1 | state);
+        t = (t + Math.imul(t ^ (t >>> 7), 61 | t)) ^ t;
+        return ((t ^ (t >>> 14)) >>> 0) / 4294967296;
+    };
+}
+
+// Joint matrices as one scale for all and a dual quaternion for each; not rigid: null.
+export function rigidMotions(matrices, used) {
+    const scales = used
+        .map((joint) => Math.cbrt(determinant(matrices[joint])))
+        .filter((scale) => scale > 0)
+        .sort((a, b) => a - b);
+    const scale = scales[(scales.length - 1) >> 1] ?? 1;
+    if (!used.every((joint) => isRigid(matrices[joint], scale))) return null;
+    const isUsed = new Set(used);
+    const unmoved = [0, 0, 0, 1, 0, 0, 0, 0];
+    return { scale, quaternions: matrices.map((matrix, i) => (isUsed.has(i) ? dualQuaternion(matrix, scale) : unmoved)) };
+}
+
+function isRigid(m, scale) {
+    if (!(determinant(m) > 0)) return false;
+    for (let i = 0; i < 3; i++) {
+        for (let j = 0; j <= i; j++) {
+            let product = 0;
+            for (let row = 0; row < 3; row++) product += m[4 * i + row] * m[4 * j + row];
+            if (!(Math.abs(product / (scale * scale) - Number(i === j)) <= RIGID)) return false;
+        }
+    }
+    return true;
+}

@@ -1,0 +1,388 @@
+// Read glTF 2.0: a GLB, or a .gltf with its files. Everything of a file stays data: names are never markup.
+
+import { IDENTITY } from './matrices.js';
+
+const COMPONENTS = {
+    5120: Int8Array, 5121: Uint8Array, 5122: Int16Array, 5123: Uint16Array, 5125: Uint32Array, 5126: Float32Array,
+};
+const SIZES = { SCALAR: 1, VEC2: 2, VEC3: 3, VEC4: 4, MAT2: 4, MAT3: 9, MAT4: 16 };
+const LARGEST = { 5120: 127, 5121: 255, 5122: 32767, 5123: 65535 };
+const UNREAD = ['KHR_draco_mesh_compression', 'EXT_meshopt_compression', 'KHR_meshopt_compression'];
+const TRIANGLES = [4, 5, 6];
+
+// Why a file cannot be shown, in words for its reader.
+export class ReadError extends Error {}
+
+// files are the files dropped beside it, by name.
+export async function readModel(bytes, name, files = new Map()) {
+    const { json, binary } = split(bytes);
+    const unread = (json.extensionsRequired ?? []).filter((one) => UNREAD.includes(one));
+    if (unread.length) {
+        throw new ReadError(`it is compressed (${unread.join(', ')}): run “skinbake view” on it instead`);
+    }
+    const source = new Source(json, binary, files);
+    await source.load();
+    const nodes = readNodes(json);
+    const skins = list(json.skins).map((skin) => readSkin(source, skin));
+    const model = { name, json, source, nodes, skins, order: parentsFirst(nodes) };
+    model.primitives = new Map();
+    model.draws = [];
+    nodes.forEach((node, number) => {
+        if (node.mesh === undefined || !node.isShown) return;
+        list(json.meshes[node.mesh]?.primitives).forEach((_, index) => {
+            const primitive = onePrimitive(model, node.mesh, index, node.skin !== undefined);
+            if (primitive) model.draws.push({ node: number, skin: node.skin, primitive });
+        });
+    });
+    if (!model.draws.length) throw new ReadError('no mesh of it is made of triangles');
+    model.clips = list(json.animations).map((animation, number) => readClip(source, animation, number, nodes));
+    model.clips = model.clips.filter((clip) => clip.channels.length);
+    model.materials = list(json.materials);
+    return model;
+}
+
+const list = (value) => (Array.isArray(value) ? value : []);
+
+function split(bytes) {
+    const view = new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength);
+    const text = (part) => JSON.parse(new TextDecoder().decode(part));
+    try {
+        if (bytes.length < 12 || view.getUint32(0, true) !== 0x46546c67) return { json: text(bytes) };
+    } catch {
+        throw new ReadError('it is neither a GLB nor glTF');
+    }
+    let at = 12;
+    let json, binary;
+    while (at + 8 <= bytes.length) {
+        const length = view.getUint32(at, true);
+        const kind = view.getUint32(at + 4, true);
+        const part = bytes.subarray(at + 8, at + 8 + length);
+        if (kind === 0x4e4f534a) json = text(part);
+        if (kind === 0x004e4942) binary ??= part;
+        at += 8 + length;
+    }
+    if (!json) throw new ReadError('the GLB has no JSON');
+    return { json, binary };
+}
+
+export function fromBase64(text) {
+    const letters = atob(text);
+    const bytes = new Uint8Array(letters.length);
+    for (let i = 0; i < letters.length; i++) bytes[i] = letters.charCodeAt(i);
+    return bytes;
+}
+
+// The buffers and accessors of a document.
+class Source {
+    constructor(json, binary, files) {
+        Object.assign(this, { json, binary, files, buffers: [], known: new Map() });
+    }
+
+    async load() {
+        const buffers = list(this.json.buffers);
+        this.buffers = await Promise.all(
+            buffers.map((buffer, number) =>
+                buffer.uri === undefined && number === 0 ? this.binary : this.resource(buffer.uri)
+            )
+        );
+    }
+
+    // The bytes that a URI names: in a data: URI, or among the files dropped together. Nothing is fetched.
+    async resource(uri) {
+        if (typeof uri !== 'string') return undefined;
+        const [head, body] = uri.split(',', 2);
+        if (head.startsWith('data:')) {
+            return head.endsWith(';base64') ? fromBase64(body) : new TextEncoder().encode(decodeURIComponent(body));
+        }
+        const file = this.files.get(decodeURIComponent(uri).split('/').pop());
+        return file && new Uint8Array(await file.arrayBuffer());
+    }
+
+    view(number) {
+        const { buffer, byteOffset = 0, byteLength, byteStride } = this.json.bufferViews[number];
+        const bytes = this.buffers[buffer];
+        if (!bytes) throw new ReadError('a buffer of it is missing: drop the .gltf together with its files');
+        return { bytes: bytes.subarray(byteOffset, byteOffset + byteLength), byteStride };
+    }
+
+    // The numbers of an accessor as they are stored, tightly packed.
+    accessor(number) {
+        if (this.known.has(number)) return this.known.get(number);
+        const one = this.json.accessors?.[number];
+        const Type = COMPONENTS[one?.componentType];
+        const size = SIZES[one?.type];
+        if (!Type || !size) throw new ReadError(`its accessor ${number} is damaged`);
+        let array = new Type(one.count * size);
+        if (one.bufferView !== undefined) array = this.strided(one, Type, size);
+        if (one.sparse) array = this.withSparse(one, array.slice(), Type, size);
+        const { normalized = false, count, componentType } = one;
+        const found = { array, size, count, normalized, type: componentType };
+        this.known.set(number, found);
+        return found;
+    }
+
+    strided({ bufferView, byteOffset = 0, count, type }, Type, size) {
+        const { bytes, byteStride } = this.view(bufferView);
+        const width = size * Type.BYTES_PER_ELEMENT;
+        const stride = byteStride ?? width;
+        if (byteOffset + (count - 1) * stride + width > bytes.length) throw new ReadError('a buffer of it is cut short');
+        const packed = new Uint8Array(count * width);
+        if (stride === width) packed.set(bytes.subarray(byteOffset, byteOffset + count * width));
+        else {
+            for (let i = 0; i < count; i++) {
+                const start = byteOffset + i * stride;
+                packed.set(bytes.subarray(start, start + width), i * width);
+            }
+        }
+        return new Type(packed.buffer);
+    }
+
+    withSparse({ sparse }, array, Type, size) {
+        const { indices, values, count } = sparse;
+        const at = this.strided({ ...indices, count }, COMPONENTS[indices.componentType], 1);
+        const what = this.strided({ ...values, count }, Type, size);
+        at.forEach((place, i) => array.set(what.subarray(i * size, (i + 1) * size), place * size));
+        return array;
+    }
+
+    // The numbers of an accessor as floats; integers that are normalised become fractions.
+    floats(number) {
+        const { array, size, normalized, type } = this.accessor(number);
+        if (!normalized) return { array: Float32Array.from(array), size };
+        return { array: Float32Array.from(array, (value) => Math.max(value / LARGEST[type], -1)), size };
+    }
+}
+
+function readNodes(json) {
+    const nodes = list(json.nodes).map((node) => ({
+        name: String(node.name ?? ''),
+        mesh: node.mesh,
+        skin: node.skin,
+        matrix: node.matrix,
+        translation: node.translation ?? [0, 0, 0],
+        rotation: node.rotation ?? [0, 0, 0, 1],
+        scale: node.scale ?? [1, 1, 1],
+        weights: node.weights ?? json.meshes?.[node.mesh]?.weights ?? [],
+        parent: -1,
+        isShown: !json.scenes,
+    }));
+    list(json.nodes).forEach((node, number) => list(node.children).forEach((child) => (nodes[child].parent = number)));
+    const show = (number) => {
+        if (nodes[number].isShown) return;
+        nodes[number].isShown = true;
+        list(json.nodes[number].children).forEach(show);
+    };
+    list(json.scenes?.[json.scene ?? 0]?.nodes).forEach(show);
+    return nodes;
+}
+
+function parentsFirst(nodes) {
+    const order = [];
+    const done = new Set([-1]);
+    const add = (number) => {
+        if (done.has(number)) return;
+        done.add(number);
+        add(nodes[number].parent);
+        order.push(number);
+    };
+    nodes.forEach((_, number) => add(number));
+    return order;
+}
+
+function readSkin(source, skin) {
+    const joints = list(skin.joints);
+    const given = skin.inverseBindMatrices;
+    const values = given === undefined ? null : source.floats(given).array;
+    const inverseBind = joints.map((_, i) => (values ? Array.from(values.subarray(16 * i, 16 * i + 16)) : IDENTITY));
+    return { joints, inverseBind };
+}
+
+function onePrimitive(model, mesh, index, isSkinned) {
+    const key = `${mesh}/${index}/${isSkinned}`;
+    if (!model.primitives.has(key)) model.primitives.set(key, readPrimitive(model, mesh, index, isSkinned));
+    return model.primitives.get(key);
+}
+
+function readPrimitive({ source, json, skins, nodes }, mesh, index, isSkinned) {
+    const one = json.meshes[mesh].primitives[index];
+    const { attributes = {}, mode = 4 } = one;
+    if (!TRIANGLES.includes(mode) || attributes.POSITION === undefined) return null;
+    const positions = source.floats(attributes.POSITION).array;
+    const count = positions.length / 3;
+    const triangles = readTriangles(source, one.indices, mode, count);
+    const optional = (name) => (attributes[name] === undefined ? null : source.floats(attributes[name]));
+    const given = optional('NORMAL')?.array;
+    const primitive = {
+        mesh,
+        index,
+        name: String(json.meshes[mesh].name ?? `mesh ${mesh}`),
+        count,
+        positions,
+        normals: given ? unitNormals(given) : smoothNormals(positions, triangles),
+        tangents: optional('TANGENT')?.array ?? null,
+        texcoords: optional('TEXCOORD_0')?.array ?? null,
+        colors: optional('COLOR_0'),
+        triangles,
+        material: one.material,
+        joints: [],
+        weights: [],
+        gradients: {},
+        metadata: null,
+        targets: list(one.targets).map((target) => readTarget(source, target)),
+    };
+    if (isSkinned) {
+        const fewest = Math.min(
+            ...nodes.filter((node) => node.mesh === mesh && node.skin !== undefined).map((node) => skins[node.skin].joints.length)
+        );
+        readInfluences(source, attributes, primitive, fewest);
+        readGradients(source, json, one, primitive);
+    }
+    return primitive;
+}
+
+function readTarget(source, target) {
+    const read = (name) => (target[name] === undefined ? null : source.floats(target[name]).array);
+    return { positions: read('POSITION'), normals: read('NORMAL'), tangents: read('TANGENT') };
+}
+
+function readTriangles(source, indices, mode, count) {
+    const row = indices === undefined ? Uint32Array.from({ length: count }, (_, i) => i) : Uint32Array.from(source.accessor(indices).array);
+    if (row.some((vertex) => vertex >= count)) throw new ReadError('an index of it is past its vertices');
+    if (mode === 4) return row.subarray(0, row.length - (row.length % 3));
+    const found = new Uint32Array(3 * Math.max(0, row.length - 2));
+    for (let i = 0; i + 2 < row.length; i++) {
+        const turned = mode === 5 && i % 2;
+        found.set(mode === 6 ? [row[0], row[i + 1], row[i + 2]] : [row[i], row[i + 1 + turned], row[i + 2 - turned]], 3 * i);
+    }
+    return found;
+}
+
+function unitNormals(given) {
+    const found = new Float32Array(given.length);
+    for (let i = 0; i < given.length; i += 3) {
+        const length = Math.hypot(given[i], given[i + 1], given[i + 2]);
+        const isSound = Number.isFinite(length) && length > 0;
+        for (let axis = 0; axis < 3; axis++) found[i + axis] = isSound ? given[i + axis] / length : Number(axis === 2);
+    }
+    return found;
+}
+
+function smoothNormals(positions, triangles) {
+    const sums = new Float32Array(positions.length);
+    for (let i = 0; i < triangles.length; i += 3) {
+        const [a, b, c] = [3 * triangles[i], 3 * triangles[i + 1], 3 * triangles[i + 2]];
+        const e = [0, 1, 2].map((axis) => positions[b + axis] - positions[a + axis]);
+        const f = [0, 1, 2].map((axis) => positions[c + axis] - positions[a + axis]);
+        const normal = [e[1] * f[2] - e[2] * f[1], e[2] * f[0] - e[0] * f[2], e[0] * f[1] - e[1] * f[0]];
+        for (const corner of [a, b, c]) normal.forEach((value, axis) => (sums[corner + axis] += value));
+    }
+    return unitNormals(sums);
+}
+
+// Joints and weights by set of four; weights as the bake reads them: none is negative, and they sum to 1.
+function readInfluences(source, attributes, primitive, jointCount) {
+    for (let set = 0; attributes[`JOINTS_${set}`] !== undefined; set++) {
+        const joints = Uint16Array.from(source.accessor(attributes[`JOINTS_${set}`]).array);
+        primitive.joints.push(joints.map((joint) => (joint < jointCount ? joint : 0)));
+        primitive.weights.push(source.floats(attributes[`WEIGHTS_${set}`]).array.slice());
+    }
+    normaliseWeights(primitive);
+}
+
+function normaliseWeights({ weights, count }) {
+    for (let vertex = 0; vertex < count; vertex++) {
+        let sum = 0;
+        for (const set of weights) {
+            for (let i = 4 * vertex; i < 4 * vertex + 4; i++) {
+                if (!(set[i] > 0)) set[i] = 0;
+                sum += set[i];
+            }
+        }
+        if (sum === 0) weights[0][4 * vertex] = sum = 1;
+        for (const set of weights) {
+            for (let i = 4 * vertex; i < 4 * vertex + 4; i++) set[i] /= sum;
+        }
+    }
+}
+
+// α and β as they are stored: the shader decodes them.
+function readGradients(source, json, one, primitive) {
+    const metadata = one.extras?.skinbake ?? metadataOfAccessor(json, one);
+    if (!Number.isInteger(metadata?.version)) return;
+    if (metadata.version !== 1) throw new ReadError(`its bake has version ${metadata.version}: make the page with a newer skinbake`);
+    const number = (name) => one.attributes[name];
+    if (![...metadata.alpha, ...metadata.beta].every((name) => number(name) !== undefined)) {
+        throw new ReadError('it has lost attributes of its bake: bake it again');
+    }
+    primitive.metadata = metadata;
+    const kind = metadata.gradients === 'rig' ? 'rig' : 'surface';
+    if (metadata.layout === 'texcoord') {
+        const names = [...new Set([...metadata.alpha, ...metadata.beta])];
+        const others = 4 * primitive.joints.length - 1;
+        const row = names.map((name) => source.floats(number(name)).array);
+        const value = (vertex, place) => row[place >> 1][2 * vertex + (place & 1)];
+        primitive.gradients[kind] = gradientsOf(primitive, (vertex, slot) => [value(vertex, slot), value(vertex, others + slot)]);
+        return;
+    }
+    primitive.gradients[kind] = {
+        storage: metadata.encoding ?? 'float32',
+        scale: metadata.scale ?? 1,
+        alpha: metadata.alpha.map((name) => source.accessor(number(name))),
+        beta: metadata.beta.map((name) => source.accessor(number(name))),
+    };
+}
+
+function metadataOfAccessor(json, one) {
+    const owner = Object.values(one.attributes).find((number) => json.accessors[number].extras?.skinbake);
+    return owner === undefined ? undefined : json.accessors[owner].extras.skinbake;
+}
+
+// Attributes of floats from the values of slots 1 …: value gives α and β of a vertex and a slot, from 0.
+export function gradientsOf(primitive, value) {
+    const others = 4 * primitive.joints.length - 1;
+    const make = () => primitive.joints.map((_, set) => {
+        const size = set ? 4 : 3;
+        return { array: new Float32Array(size * primitive.count), size, count: primitive.count, normalized: false, type: 5126 };
+    });
+    const found = { storage: 'float32', scale: 1, alpha: make(), beta: make() };
+    for (let vertex = 0; vertex < primitive.count; vertex++) {
+        for (let slot = 0; slot < others; slot++) {
+            const set = (slot + 1) >> 2;
+            const place = set ? 4 * vertex + ((slot + 1) & 3) : 3 * vertex + slot;
+            [found.alpha[set].array[place], found.beta[set].array[place]] = value(vertex, slot);
+        }
+    }
+    return found;
+}
+
+function readClip(source, animation, number, nodes) {
+    const channels = [];
+    for (const { sampler, target } of list(animation.channels)) {
+        const { node, path } = target ?? {};
+        const one = animation.samplers?.[sampler];
+        if (nodes[node] === undefined || !one || !['translation', 'rotation', 'scale', 'weights'].includes(path)) continue;
+        const times = source.floats(one.input).array;
+        const values = source.floats(one.output).array;
+        const method = one.interpolation ?? 'LINEAR';
+        const size = values.length / times.length / (method === 'CUBICSPLINE' ? 3 : 1);
+        if (times.length && Number.isInteger(size)) channels.push({ node, path, times, values, method, size });
+    }
+    const ends = channels.map(({ times }) => times[times.length - 1]);
+    return {
+        name: String(animation.name ?? `animation ${number}`),
+        channels,
+        start: Math.min(...channels.map(({ times }) => times[0])),
+        end: Math.max(...ends),
+    };
+}
+
+// The images that a material of the model names, as blobs of their own bytes.
+export async function readImage(model, texture) {
+    const { json, source } = model;
+    const { source: usual, extensions } = json.textures?.[texture] ?? {};
+    const number = extensions?.EXT_texture_webp?.source ?? usual;
+    const image = json.images?.[number];
+    if (!image) return null;
+    const bytes = image.bufferView === undefined ? await source.resource(image.uri) : source.view(image.bufferView).bytes;
+    return bytes ? createImageBitmap(new Blob([bytes]), { colorSpaceConversion: 'none', premultiplyAlpha: 'none' }) : null;
+}

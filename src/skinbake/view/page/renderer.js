@@ -1,0 +1,425 @@
+// Draw a model in WebGL 2: each half of the canvas with its own lighting, and read normals back.
+
+import { readImage } from './reader.js';
+import {
+    FRAGMENT_TEXT, GROUND_FRAGMENT_TEXT, GROUND_VERTEX_TEXT, LOCATIONS, MODES, MOST_SETS, RIGID_TEXT, textName, vertexText,
+} from './shading.js';
+
+const CAPTURED = ['v_position', 'v_normal'];
+const CLAY = [0.60, 0.585, 0.56, 1];
+
+// How each lighting is drawn: the algorithm, the kind of its α and β, and whether its normals are the true ones.
+export const LIGHTINGS = {
+    standard: { stem: 'lbs_approximated', method: 'lbs' },
+    surface: { stem: 'lbs_accurate', method: 'lbs', gradients: 'surface' },
+    rig: { stem: 'lbs_accurate', method: 'lbs', gradients: 'rig' },
+    dqs: { stem: 'dqs_exact', method: 'dqs' },
+    truth: { stem: 'lbs_approximated', method: 'lbs', isTrue: true },
+};
+
+export class Renderer {
+    constructor(canvas, texts) {
+        const gl = canvas.getContext('webgl2', { antialias: true, alpha: true });
+        if (!gl) throw new Error('This browser has no WebGL 2.');
+        Object.assign(this, { canvas, gl, texts, programs: new Map(), parts: [] });
+        this.ground = this.program('ground', GROUND_VERTEX_TEXT, GROUND_FRAGMENT_TEXT);
+        this.square = this.squareArray();
+        this.blank = this.texture(null);
+        this.textures = [];
+    }
+
+    // Take a model. isMirrored: some of its joints mirror the surface.
+    setModel(model, isMirrored) {
+        this.dispose();
+        this.model = model;
+        this.isMirrored = isMirrored;
+        this.geometries = new Map();
+        this.parts = model.draws.map((draw) => {
+            if (!this.geometries.has(draw.primitive)) this.geometries.set(draw.primitive, this.geometry(draw.primitive));
+            return { ...draw, ...this.geometries.get(draw.primitive), truth: {} };
+        });
+        this.palettes = model.skins.map(({ joints }) => this.palette(joints.length));
+        this.materials = model.materials.map((material) => this.material(material));
+        return Promise.all(this.materials.map(({ loading }) => loading));
+    }
+
+    dispose() {
+        const { gl } = this;
+        for (const buffer of this.buffers ?? []) gl.deleteBuffer(buffer);
+        for (const array of this.arrays ?? []) gl.deleteVertexArray(array);
+        for (const texture of this.textures ?? []) gl.deleteTexture(texture);
+        Object.assign(this, { buffers: [], arrays: [], textures: [] });
+    }
+
+    geometry(primitive) {
+        const { gl } = this;
+        if (primitive.joints.length > MOST_SETS) {
+            throw new Error(`it has ${4 * primitive.joints.length} influences for each vertex, and this page draws 8: bake it with --limit-influences 8`);
+        }
+        const indices = this.buffer(primitive.triangles, gl.ELEMENT_ARRAY_BUFFER);
+        const shared = [
+            ['position', this.buffer(primitive.positions), 3],
+            ['normal', this.buffer(primitive.normals), 3],
+            ['tangent', primitive.tangents && this.buffer(primitive.tangents), 4],
+            ['texcoord', primitive.texcoords && this.buffer(primitive.texcoords), 2],
+            ['color', primitive.colors && this.buffer(primitive.colors.array), primitive.colors?.size],
+            ['morphed_normal', primitive.targets.length ? this.buffer(primitive.normals.slice()) : null, 3],
+            ['morphed_tangent', primitive.targets.length && primitive.tangents ? this.buffer(withoutHandedness(primitive.tangents)) : null, 3],
+        ];
+        const kinds = Object.entries(primitive.gradients);
+        const arrays = Object.fromEntries(
+            [['', null], ...kinds].map(([kind, gradients]) => [kind, this.array(indices, shared, primitive, gradients)])
+        );
+        return { arrays, shared: Object.fromEntries(shared.map(([name, buffer]) => [name, buffer])), indices };
+    }
+
+    // A vertex array for one kind of α and β. A kind may have adopted other joints.
+    array(indices, shared, primitive, gradients) {
+        const { gl } = this;
+        const array = gl.createVertexArray();
+        this.arrays.push(array);
+        gl.bindVertexArray(array);
+        gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, indices);
+        for (const [name, buffer, size] of shared) if (buffer) this.attribute(name, buffer, size);
+        const { joints, weights } = gradients?.joints ? gradients : primitive;
+        joints.forEach((set, number) => {
+            gl.bindBuffer(gl.ARRAY_BUFFER, this.buffer(set));
+            gl.enableVertexAttribArray(LOCATIONS[`joints_${number}`]);
+            gl.vertexAttribIPointer(LOCATIONS[`joints_${number}`], 4, gl.UNSIGNED_SHORT, 0, 0);
+            this.attribute(`weights_${number}`, this.buffer(weights[number]), 4);
+            for (const kind of gradients ? ['alpha', 'beta'] : []) {
+                const { array: values, size, type, normalized } = gradients[kind][number];
+                this.attribute(`${kind}_${number}`, this.buffer(values), size, type, normalized);
+            }
+        });
+        gl.bindVertexArray(null);
+        return array;
+    }
+
+    attribute(name, buffer, size, type = this.gl.FLOAT, normalized = false) {
+        const { gl } = this;
+        gl.bindBuffer(gl.ARRAY_BUFFER, buffer);
+        gl.enableVertexAttribArray(LOCATIONS[name]);
+        gl.vertexAttribPointer(LOCATIONS[name], size, type, normalized, 0, 0);
+    }
+
+    buffer(values, target = this.gl.ARRAY_BUFFER) {
+        const { gl } = this;
+        const buffer = gl.createBuffer();
+        this.buffers.push(buffer);
+        if (target === gl.ELEMENT_ARRAY_BUFFER) gl.bindVertexArray(null); // It would become that array's own.
+        gl.bindBuffer(target, buffer);
+        gl.bufferData(target, values, gl.STATIC_DRAW);
+        return buffer;
+    }
+
+    // A texture of joint motions: a row for each joint, four texels of its matrix, two of its dual quaternion.
+    palette(joints) {
+        const { gl } = this;
+        const texture = gl.createTexture();
+        this.textures.push(texture);
+        gl.bindTexture(gl.TEXTURE_2D, texture);
+        gl.texStorage2D(gl.TEXTURE_2D, 1, gl.RGBA32F, 6, Math.max(joints, 1));
+        gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.NEAREST);
+        gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAG_FILTER, gl.NEAREST);
+        return { texture, values: new Float32Array(24 * joints), joints };
+    }
+
+    material(material) {
+        const { pbrMetallicRoughness: pbr = {}, normalTexture, emissiveTexture } = material;
+        const maps = {};
+        const load = async (name, info) => {
+            const image = info && (info.texCoord ?? 0) === 0 ? await readImage(this.model, info.index) : null;
+            if (image) maps[name] = this.texture(image);
+        };
+        const loading = Promise.all([
+            load('base', pbr.baseColorTexture),
+            load('normal', normalTexture),
+            load('emissive', emissiveTexture),
+        ]).catch(() => {}); // An image that cannot be decoded is left out, as a missing one is.
+        return {
+            maps,
+            loading,
+            base: pbr.baseColorFactor ?? [1, 1, 1, 1],
+            emissive: material.emissiveFactor ?? [0, 0, 0],
+            roughness: Math.min(Math.max(pbr.roughnessFactor ?? 1, 0.3), 0.8),
+            normalScale: normalTexture?.scale ?? 1,
+            cutoff: material.alphaMode === 'MASK' ? material.alphaCutoff ?? 0.5 : 0,
+            isBlended: material.alphaMode === 'BLEND',
+            isDouble: material.doubleSided === true,
+        };
+    }
+
+    texture(image) {
+        const { gl } = this;
+        const texture = gl.createTexture();
+        (this.textures ??= []).push(texture);
+        gl.bindTexture(gl.TEXTURE_2D, texture);
+        if (image) gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA, gl.RGBA, gl.UNSIGNED_BYTE, image);
+        else gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA, 1, 1, 0, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4));
+        gl.generateMipmap(gl.TEXTURE_2D);
+        gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.LINEAR_MIPMAP_LINEAR);
+        return texture;
+    }
+
+    squareArray() {
+        const { gl } = this;
+        const array = gl.createVertexArray();
+        const buffer = gl.createBuffer();
+        gl.bindVertexArray(array);
+        gl.bindBuffer(gl.ARRAY_BUFFER, buffer);
+        gl.bufferData(gl.ARRAY_BUFFER, Float32Array.of(-1, -1, 0, 1, -1, 0, -1, 1, 0, 1, 1, 0), gl.STATIC_DRAW);
+        this.attribute('position', buffer, 3);
+        return array;
+    }
+
+    program(name, vertex, fragment = FRAGMENT_TEXT) {
+        if (this.programs.has(name)) return this.programs.get(name);
+        const { gl } = this;
+        const program = gl.createProgram();
+        for (const [kind, text] of [[gl.VERTEX_SHADER, vertex], [gl.FRAGMENT_SHADER, fragment]]) {
+            const shader = gl.createShader(kind);
+            gl.shaderSource(shader, text);
+            gl.compileShader(shader);
+            gl.attachShader(program, shader);
+        }
+        for (const [attribute, location] of Object.entries(LOCATIONS)) {
+            gl.bindAttribLocation(program, location, attribute);
+            const stored = /^(alpha|beta)_/.test(attribute) ? `stored_${attribute}` : attribute;
+            gl.bindAttribLocation(program, location, stored);
+        }
+        if (fragment === FRAGMENT_TEXT) gl.transformFeedbackVaryings(program, CAPTURED, gl.SEPARATE_ATTRIBS);
+        gl.linkProgram(program);
+        if (!gl.getProgramParameter(program, gl.LINK_STATUS)) {
+            const logs = gl.getAttachedShaders(program).map((shader) => gl.getShaderInfoLog(shader));
+            throw new Error(`The shader ${name} does not compile: ${[gl.getProgramInfoLog(program), ...logs].join(' ')}`);
+        }
+        const places = {};
+        const count = gl.getProgramParameter(program, gl.ACTIVE_UNIFORMS);
+        for (let i = 0; i < count; i++) {
+            const uniform = gl.getActiveUniform(program, i).name;
+            places[uniform.replace('[0]', '')] = gl.getUniformLocation(program, uniform);
+        }
+        const made = { program, places };
+        this.programs.set(name, made);
+        return made;
+    }
+
+    // The program, the vertex array and the gradients with which a lighting draws a part.
+    chosen(part, lighting) {
+        const { primitive } = part;
+        if (part.skin === undefined || !primitive.joints.length) {
+            return { made: this.program('rigid', RIGID_TEXT), array: part.arrays[''], gradients: null };
+        }
+        const { stem, gradients: wanted } = LIGHTINGS[lighting];
+        const kinds = Object.keys(primitive.gradients);
+        const kind = stem === 'lbs_approximated' ? '' : kinds.includes(wanted) ? wanted : kinds[0];
+        const isLit = kind !== undefined && stem !== 'lbs_approximated';
+        const gradients = isLit ? primitive.gradients[kind] : null;
+        const frame = primitive.metadata?.frame ?? 'normal';
+        const choices = {
+            stem: isLit ? stem : 'lbs_approximated',
+            sets: primitive.joints.length,
+            frame,
+            storage: gradients?.storage ?? 'float32',
+            morphs: morphsOf(primitive, frame),
+            mirrored: this.isMirrored,
+        };
+        const name = textName(choices);
+        const made = this.programs.get(name) ?? this.program(name, vertexText(this.texts[name], choices));
+        return { made, array: part.arrays[isLit ? kind : ''], gradients, isDual: choices.stem === 'dqs_exact' };
+    }
+
+    // Upload a pose: joint matrices and dual quaternions by skin, and morphed attributes.
+    setPose(pose, motions) {
+        const { gl } = this;
+        this.pose = pose;
+        this.motions = motions;
+        this.palettes.forEach(({ texture, values, joints }, skin) => {
+            for (let joint = 0; joint < joints; joint++) {
+                values.set(pose.skins[skin][joint], 24 * joint);
+                const motion = motions[skin];
+                if (motion) values.set(motion.quaternions[joint], 24 * joint + 16);
+            }
+            gl.activeTexture(gl.TEXTURE0);
+            gl.bindTexture(gl.TEXTURE_2D, texture);
+            gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, 6, joints, gl.RGBA, gl.FLOAT, values);
+        });
+    }
+
+    // Upload the attributes of a part under its morph targets.
+    setMorphed(part, { positions, normals, tangents }) {
+        const { gl } = this;
+        gl.bindVertexArray(null);
+        for (const [name, values] of [['position', positions], ['morphed_normal', normals], ['morphed_tangent', tangents]]) {
+            if (!values || !part.shared[name]) continue;
+            gl.bindBuffer(gl.ARRAY_BUFFER, part.shared[name]);
+            gl.bufferSubData(gl.ARRAY_BUFFER, 0, values);
+        }
+    }
+
+    // Upload the true normals of a part, under linear blending (lbs) or dual quaternions (dqs).
+    setTruth(part, method, values) {
+        const { gl } = this;
+        gl.bindVertexArray(null);
+        part.truth[method] ??= this.buffer(values);
+        gl.bindBuffer(gl.ARRAY_BUFFER, part.truth[method]);
+        gl.bufferSubData(gl.ARRAY_BUFFER, 0, values);
+    }
+
+    bound(part, lighting, projected) {
+        const { gl } = this;
+        const { made, array, gradients, isDual } = this.chosen(part, lighting);
+        const { places } = made;
+        const { method, isTrue } = LIGHTINGS[lighting];
+        gl.useProgram(made.program);
+        gl.bindVertexArray(array);
+        gl.uniformMatrix4fv(places.projected, false, projected);
+        const truth = part.truth[method];
+        if (truth) this.attribute('truth', truth, 4);
+        else {
+            gl.disableVertexAttribArray(LOCATIONS.truth);
+            gl.vertexAttrib4f(LOCATIONS.truth, 0, 0, 0, 0);
+        }
+        if (places.placed) gl.uniformMatrix4fv(places.placed, false, this.pose.nodes[part.node]);
+        if (places.motions) {
+            gl.activeTexture(gl.TEXTURE0);
+            gl.bindTexture(gl.TEXTURE_2D, this.palettes[part.skin].texture);
+            gl.uniform1i(places.motions, 0);
+            gl.uniform1f(places.scale, isDual ? this.motions[part.skin].scale : 1);
+            gl.uniform1f(places.storage_scale, gradients?.scale ?? 1);
+            gl.uniform1f(places.is_true, isTrue ? 1 : 0);
+        }
+        return places;
+    }
+
+    // Draw everything. sides are [lighting, from, to] in shares of the width.
+    draw({ sides, projected, eye, light, mode, legend, stops, unknown, ink, ground, isTextured }) {
+        const { gl, canvas } = this;
+        const { width, height } = canvas;
+        gl.viewport(0, 0, width, height);
+        gl.disable(gl.SCISSOR_TEST);
+        gl.clearColor(0, 0, 0, 0);
+        gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
+        gl.enable(gl.DEPTH_TEST);
+        gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
+        this.drawGround(projected, ground, ink);
+        if (!this.model) return;
+        const opaque = this.parts.filter((part) => !this.materials[part.primitive.material]?.isBlended);
+        const blended = this.parts.filter((part) => !opaque.includes(part));
+        gl.enable(gl.SCISSOR_TEST);
+        for (const [lighting, from, to] of sides) {
+            const [left, right] = [Math.round(from * width), Math.round(to * width)];
+            if (right <= left) continue;
+            gl.scissor(left, 0, right - left, height);
+            for (const part of [...opaque, ...blended]) {
+                const places = this.bound(part, lighting, projected);
+                gl.uniform1i(places.mode, MODES.indexOf(mode));
+                gl.uniform3fv(places.eye, eye);
+                gl.uniform3fv(places.light, light);
+                gl.uniform1f(places.legend, legend);
+                gl.uniform3fv(places.stops, stops);
+                gl.uniform3fv(places.unknown, unknown);
+                this.setMaterial(part, places, isTextured && mode === 'shaded');
+                gl.drawElements(gl.TRIANGLES, part.primitive.triangles.length, gl.UNSIGNED_INT, 0);
+            }
+        }
+        gl.depthMask(true);
+        gl.disable(gl.BLEND);
+        gl.bindVertexArray(null);
+    }
+
+    drawGround(projected, ground, ink) {
+        const { gl } = this;
+        const { program, places } = this.ground;
+        gl.useProgram(program);
+        gl.bindVertexArray(this.square);
+        gl.uniformMatrix4fv(places.projected, false, projected);
+        gl.uniform4fv(places.ground, ground);
+        gl.uniform3fv(places.ink, ink);
+        gl.disable(gl.CULL_FACE);
+        gl.enable(gl.BLEND);
+        gl.depthMask(false);
+        gl.drawArrays(gl.TRIANGLE_STRIP, 0, 4);
+        gl.depthMask(true);
+        gl.disable(gl.BLEND);
+    }
+
+    setMaterial(part, places, isTextured) {
+        const { gl } = this;
+        const { primitive } = part;
+        const own = this.materials[primitive.material];
+        const maps = (isTextured && primitive.texcoords && own?.maps) || {};
+        const isPlain = !isTextured || !own;
+        [['base_map', maps.base], ['normal_map', maps.normal], ['emissive_map', maps.emissive]].forEach(([name, texture], i) => {
+            gl.activeTexture(gl.TEXTURE1 + i);
+            gl.bindTexture(gl.TEXTURE_2D, texture ?? this.blank);
+            gl.uniform1i(places[name], 1 + i);
+        });
+        const hasColors = !isPlain && primitive.colors !== null;
+        gl.uniform4iv(places.has, [maps.base, maps.normal, maps.emissive, hasColors].map((one) => Number(Boolean(one))));
+        gl.uniform1i(places.has_tangents, Number(primitive.metadata?.frame === 'tangent'));
+        gl.uniform1i(places.is_turned, Number(own?.isDouble === true && !this.isMirrored));
+        gl.uniform4fv(places.base_factor, isPlain ? CLAY : own.base);
+        gl.uniform3fv(places.emissive_factor, isPlain ? [0, 0, 0] : own.emissive);
+        gl.uniform1f(places.roughness, isPlain ? 0.42 : own.roughness);
+        gl.uniform1f(places.normal_scale, own?.normalScale ?? 1);
+        gl.uniform1f(places.cutoff, isPlain ? 0 : own.cutoff);
+        const isBlended = !isPlain && own.isBlended;
+        isBlended ? gl.enable(gl.BLEND) : gl.disable(gl.BLEND);
+        gl.depthMask(!isBlended);
+        own?.isDouble ? gl.disable(gl.CULL_FACE) : gl.enable(gl.CULL_FACE);
+        const isTurned = part.skin === undefined && isMirroring(this.pose.nodes[part.node]);
+        gl.frontFace(isTurned || (part.skin !== undefined && this.isMirrored) ? gl.CW : gl.CCW);
+        if (this.isMirrored) gl.disable(gl.CULL_FACE);
+    }
+
+    // The positions and unit normals that the vertex shader gives a part under a lighting: (3, V) numbers each.
+    captured(part, lighting) {
+        const { gl } = this;
+        const { count } = part.primitive;
+        this.bound(part, lighting, new Float32Array(16));
+        const buffers = CAPTURED.map((_, i) => {
+            const buffer = gl.createBuffer();
+            gl.bindBuffer(gl.TRANSFORM_FEEDBACK_BUFFER, buffer);
+            gl.bufferData(gl.TRANSFORM_FEEDBACK_BUFFER, 12 * count, gl.STREAM_READ);
+            gl.bindBufferBase(gl.TRANSFORM_FEEDBACK_BUFFER, i, buffer);
+            return buffer;
+        });
+        gl.bindBuffer(gl.ARRAY_BUFFER, null);
+        gl.bindBuffer(gl.TRANSFORM_FEEDBACK_BUFFER, null);
+        gl.enable(gl.RASTERIZER_DISCARD);
+        gl.beginTransformFeedback(gl.POINTS);
+        gl.drawArrays(gl.POINTS, 0, count);
+        gl.endTransformFeedback();
+        gl.disable(gl.RASTERIZER_DISCARD);
+        const found = buffers.map((buffer, i) => {
+            gl.bindBufferBase(gl.TRANSFORM_FEEDBACK_BUFFER, i, null);
+            const values = new Float32Array(3 * count);
+            gl.bindBuffer(gl.COPY_READ_BUFFER, buffer);
+            gl.getBufferSubData(gl.COPY_READ_BUFFER, 0, values);
+            gl.bindBuffer(gl.COPY_READ_BUFFER, null);
+            gl.deleteBuffer(buffer);
+            return values;
+        });
+        gl.bindVertexArray(null);
+        return { positions: found[0], normals: found[1] };
+    }
+}
+
+function morphsOf({ targets, tangents }, frame) {
+    if (!targets.length) return 'none';
+    return frame === 'tangent' && tangents && targets.some((target) => target.tangents) ? 'tangent' : 'normal';
+}
+
+function withoutHandedness(tangents) {
+    const found = new Float32Array((tangents.length / 4) * 3);
+    for (let i = 0; i < found.length / 3; i++) found.set(tangents.subarray(4 * i, 4 * i + 3), 3 * i);
+    return found;
+}
+
+function isMirroring(m) {
+    return (
+        m[0] * (m[5] * m[10] - m[6] * m[9]) - m[4] * (m[1] * m[10] - m[2] * m[9]) + m[8] * (m[1] * m[6] - m[2] * m[5]) < 0
+    );
+}

@@ -1,0 +1,204 @@
+// A model in a pose: its matrices, its morphed vertices, its true normals, and the errors of each lighting.
+
+import { determinant, plus } from './matrices.js';
+import { poseAt, randomClip, rigidMotions } from './poses.js';
+import { LIGHTINGS } from './renderer.js';
+import { skinned, Surface } from './truth.js';
+
+export class Scene {
+    constructor(renderer) {
+        this.renderer = renderer;
+    }
+
+    // Take a model; other gives α and β of the other kind by primitive.
+    async show(model) {
+        const rest = poseAt(model, { channels: [] }, 0);
+        const clips = model.clips.filter((clip) => clip.channels.some(({ node, path }) => path === 'weights' || moves(model, node)));
+        const clip = clips[0] ?? randomClip(model);
+        const middle = poseAt(model, clip, (clip.start + clip.end) / 2);
+        const isMirrored = [rest, middle].some((pose) => pose.skins.flat().some((matrix) => determinant(matrix) < 0));
+        await this.renderer.setModel(model, isMirrored);
+        Object.assign(this, { model, surfaces: undefined, known: new Map(), morphed: new Map() });
+        this.parts = this.renderer.parts;
+        this.usedJoints = model.skins.map((_, skin) => usedJoints(this.parts.filter((part) => part.skin === skin)));
+        this.clips = model.skins.length ? [...clips, randomClip(model)] : clips;
+        this.pose(clip, clip.start);
+    }
+
+    // Pose the model; truth is measured only when it is wanted.
+    pose(clip, time) {
+        const { model, renderer } = this;
+        Object.assign(this, { clip, time, known: new Map() });
+        this.posed = poseAt(model, clip, time);
+        this.motions = this.posed.skins.map((matrices, skin) => rigidMotions(matrices, this.usedJoints[skin]));
+        renderer.setPose(this.posed, this.motions);
+        for (const part of this.parts) if (part.primitive.targets.length) this.morph(part);
+    }
+
+    morph(part) {
+        const weights = this.posed.weights[part.node];
+        const key = weights.join();
+        if (this.morphed.get(part)?.key === key) return;
+        const arrays = morphedArrays(part.primitive, weights);
+        this.morphed.set(part, { key, ...arrays });
+        this.renderer.setMorphed(part, arrays);
+    }
+
+    // Why a lighting cannot be shown; empty if it can.
+    reasonWithout(lighting) {
+        const lit = this.parts.filter((part) => part.skin !== undefined);
+        const { gradients, stem } = LIGHTINGS[lighting];
+        if (!lit.length) return lighting === 'standard' ? '' : 'nothing in it is skinned';
+        if (gradients && !lit.some((part) => part.primitive.gradients[gradients])) return 'the page holds no such α and β of this file';
+        if (stem !== 'lbs_approximated' && !lit.some((part) => part.primitive.metadata)) return 'it is not baked';
+        if (stem === 'dqs_exact' && this.motions.some((motion, skin) => !motion && this.usedJoints[skin].length)) return 'its joints are not rigid';
+        return '';
+    }
+
+    // Parts of one surface: all that a skin draws, but those with morph targets by themselves.
+    allSurfaces() {
+        if (this.surfaces) return this.surfaces;
+        const groups = new Map();
+        this.parts.forEach((part, number) => {
+            if (part.skin === undefined || !part.primitive.joints.length) return;
+            const key = part.primitive.targets.length ? `${part.node}` : `skin ${part.skin}`;
+            if (!groups.has(key)) groups.set(key, []);
+            groups.get(key).push(part);
+        });
+        this.surfaces = [...groups.values()].map((parts) => ({ parts, surface: new Surface(parts.map((part) => part.primitive)) }));
+        return this.surfaces;
+    }
+
+    // The true normals (x, y, z, 1) of each surface in this pose, under one method; null where it does not apply.
+    truths(method) {
+        if (!this.known.has(method)) this.known.set(method, this.allSurfaces().map((one) => this.truthOf(one, method)));
+        return this.known.get(method);
+    }
+
+    truthOf({ parts, surface }, method) {
+        const { skin } = parts[0];
+        const motions = method === 'dqs' ? this.motions[skin] : null;
+        if (method === 'dqs' && !motions) return null;
+        if (parts.some((part) => this.morphed.has(part))) {
+            const arrays = parts.map((part) => this.morphed.get(part) ?? part.primitive);
+            surface.carry(Float64Array.from(arrays.flatMap(({ positions }) => [...positions])), arrays.flatMap(({ normals }) => [...normals]));
+        }
+        surface.moved ??= new Float64Array(3 * surface.count);
+        parts.forEach((part, i) => {
+            const { positions } = this.morphed.get(part) ?? part.primitive;
+            skinned(part.primitive, positions, this.posed.skins[skin], motions, surface.moved, surface.starts[i]);
+        });
+        return surface.trueNormals(surface.moved, this.posed.skins[skin]).slice();
+    }
+
+    // Upload the true normals under a method.
+    uploadTruth(method) {
+        const truths = this.truths(method);
+        this.allSurfaces().forEach(({ parts, surface }, number) => {
+            parts.forEach((part, i) => {
+                const start = 4 * surface.starts[i];
+                const values = truths[number] ?? new Float32Array(4 * surface.count);
+                this.renderer.setTruth(part, method, values.subarray(start, start + 4 * part.primitive.count));
+            });
+        });
+    }
+
+    // The mean error of a lighting in this pose, in degrees, weighted by rest area, and its largest one.
+    errors(lighting) {
+        const { method } = LIGHTINGS[lighting];
+        const truths = this.truths(method);
+        let [sum, total] = [0, 0];
+        let worst = { error: -1 };
+        this.allSurfaces().forEach(({ parts, surface }, number) => {
+            const truth = truths[number];
+            if (!truth) return;
+            parts.forEach((part, i) => {
+                const { normals } = this.renderer.captured(part, lighting);
+                for (let vertex = 0; vertex < part.primitive.count; vertex++) {
+                    const at = surface.starts[i] + vertex;
+                    const area = surface.areas[at];
+                    if (!truth[4 * at + 3] || !area) continue;
+                    const error = angle(normals, 3 * vertex, truth, 4 * at);
+                    if (!(error >= 0)) continue;
+                    sum += area * error;
+                    total += area;
+                    if (error > worst.error) worst = { error, part, vertex };
+                }
+            });
+        });
+        return { mean: total ? sum / total : 0, worst };
+    }
+
+    // A vertex as it is now: its position and its normal.
+    vertex(part, vertex) {
+        const { positions, normals } = this.renderer.captured(part, 'standard');
+        const three = (values) => Array.from(values.subarray(3 * vertex, 3 * vertex + 3));
+        return { position: three(positions), normal: three(normals) };
+    }
+
+    // The box around the model over some poses of its clip: its middle, half its diagonal, its lowest point.
+    bounds() {
+        const { clip, time } = this;
+        const low = [Infinity, Infinity, Infinity];
+        const high = low.map((value) => -value);
+        for (const share of [0, 0.5]) {
+            this.pose(clip, clip.start + share * (clip.end - clip.start));
+            for (const part of this.parts) {
+                const { positions } = this.renderer.captured(part, 'standard');
+                for (let i = 0; i < positions.length; i++) {
+                    const axis = i % 3;
+                    if (positions[i] < low[axis]) low[axis] = positions[i];
+                    if (positions[i] > high[axis]) high[axis] = positions[i];
+                }
+            }
+        }
+        this.pose(clip, time);
+        const middle = plus(low, high).map((value) => value / 2);
+        return { middle, radius: Math.hypot(...plus(high, low, -1)) / 2, low: low[1] };
+    }
+}
+
+function moves(model, node) {
+    const joints = new Set(model.skins.flatMap((skin) => skin.joints));
+    const below = (number) => joints.has(number) || model.nodes.some((one, child) => one.parent === number && below(child));
+    return below(node);
+}
+
+function usedJoints(parts) {
+    const used = new Set();
+    for (const { primitive } of parts) {
+        primitive.joints.forEach((set, number) => {
+            for (let i = 0; i < set.length; i++) if (primitive.weights[number][i] > 0) used.add(set[i]);
+        });
+    }
+    return [...used].sort((a, b) => a - b);
+}
+
+function angle(a, i, b, j) {
+    const x = a[i + 1] * b[j + 2] - a[i + 2] * b[j + 1];
+    const y = a[i + 2] * b[j] - a[i] * b[j + 2];
+    const z = a[i] * b[j + 1] - a[i + 1] * b[j];
+    const cosine = a[i] * b[j] + a[i + 1] * b[j + 1] + a[i + 2] * b[j + 2];
+    return (Math.atan2(Math.sqrt(x * x + y * y + z * z), cosine) * 180) / Math.PI;
+}
+
+function morphedArrays({ positions, normals, tangents, targets, count }, weights) {
+    const found = {
+        positions: positions.slice(),
+        normals: normals.slice(),
+        tangents: tangents && Float32Array.from({ length: 3 * count }, (_, i) => tangents[4 * Math.floor(i / 3) + (i % 3)]),
+    };
+    targets.forEach((target, number) => {
+        const weight = weights[number] ?? 0;
+        if (!weight) return;
+        for (const name of ['positions', 'normals', 'tangents']) {
+            const moved = target[name];
+            if (moved && found[name]) for (let i = 0; i < moved.length; i++) found[name][i] += weight * moved[i];
+        }
+    });
+    for (let i = 0; i < found.normals.length; i += 3) {
+        const length = Math.hypot(found.normals[i], found.normals[i + 1], found.normals[i + 2]);
+        for (let axis = 0; axis < 3; axis++) found.normals[i + axis] = length ? found.normals[i + axis] / length : normals[i + axis];
+    }
+    return found;
+}

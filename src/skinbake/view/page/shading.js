@@ -1,0 +1,256 @@
+// The programs of the page: what skinbake shader has written, called once for each vertex, and its shading.
+
+export const LOCATIONS = {
+    position: 0, normal: 1, tangent: 2, texcoord: 3, joints_0: 4, weights_0: 5, alpha_0: 6, beta_0: 7,
+    joints_1: 8, weights_1: 9, alpha_1: 10, beta_1: 11, truth: 12, morphed_normal: 13, morphed_tangent: 14, color: 15,
+};
+export const MOST_SETS = 2; // WebGL 2 has 16 attributes.
+export const MODES = ['shaded', 'reflections', 'error', 'normals'];
+
+// The name under which the page holds a text of skinbake shader.
+export function textName({ stem, sets, frame, storage, morphs, mirrored }) {
+    const how = stem === 'lbs_approximated' ? 'float32' : storage;
+    return [stem, 4 * sets, frame, how, morphs, mirrored && stem === 'lbs_accurate' ? 'mirrored' : 'plain'].join('/');
+}
+
+export function vertexText(text, choices) {
+    const { stem, sets, frame, storage, morphs } = choices;
+    const numbers = Array.from({ length: sets }, (_, set) => set);
+    const isDual = stem === 'dqs_exact';
+    const reads = stem !== 'lbs_approximated';
+    const [type, make, name] = isDual ? ['mat2x4', 'motion', 'Q'] : ['mat4', 'motion', 'M'];
+    const slots = numbers.flatMap((set) => ['x', 'y', 'z', 'w'].map((c) => `${make}(int(joints_${set}.${c}))`));
+    const lists = (kind) => numbers.map((set) => `${kind}_${set}`);
+    const inputs = lists('in uvec4 joints').concat(lists('in vec4 weights'), reads ? lists('in vec4 stored_alpha').concat(lists('in vec4 stored_beta')) : []);
+    const decoded = (kind, set) => {
+        if (storage === 'float32') return `stored_${kind}_${set}${set ? '' : '.xyz'}`;
+        if (set === 0) return `skinbake_decoded(stored_${kind}_0, storage_scale)`;
+        return `skinbake_decoded_further(stored_${kind}_${set}, stored_${kind}_0, storage_scale)`;
+    };
+    const gradients = reads ? ['alpha', 'beta'].flatMap((kind) => numbers.map((set) => decoded(kind, set))) : [];
+    const given = ['scale * morphed_position', 'frame', name, ...lists('weights'), ...gradients].join(', ');
+    const followed = {
+        none: '',
+        normal: 'frame = skinbake_morphed_frame(frame, morphed_normal);',
+        tangent: 'frame = skinbake_morphed_tangent_frame(frame, morphed_normal, morphed_tangent);',
+    }[morphs];
+    return `#version 300 es
+precision highp float;
+precision highp int;
+precision highp sampler2D;
+${text}
+in vec3 position;
+in vec3 normal;
+in vec4 tangent;
+in vec2 texcoord;
+in vec4 color;
+in vec4 truth;
+in vec3 morphed_normal;
+in vec3 morphed_tangent;
+${inputs.map((one) => `${one};`).join('\n')}
+uniform sampler2D motions;
+uniform mat4 projected;
+uniform float scale;
+uniform float storage_scale;
+uniform float is_true;
+out vec3 v_position;
+out vec3 v_normal;
+out vec3 v_tangent;
+out vec3 v_bitangent;
+out vec2 v_texcoord;
+out vec4 v_color;
+out vec2 v_error;
+
+${type} motion(int joint)
+{
+    ${isDual
+        ? 'return mat2x4(texelFetch(motions, ivec2(4, joint), 0), texelFetch(motions, ivec2(5, joint), 0));'
+        : 'return mat4(texelFetch(motions, ivec2(0, joint), 0), texelFetch(motions, ivec2(1, joint), 0), texelFetch(motions, ivec2(2, joint), 0), texelFetch(motions, ivec2(3, joint), 0));'}
+}
+
+void main()
+{
+    vec3 morphed_position = position;
+    skinbake_Frame frame = skinbake_frame(normal${frame === 'tangent' ? ', tangent' : ''});
+    ${followed}
+    frame.tangent *= scale;
+    frame.bitangent *= scale;
+    ${type} ${name}[${4 * sets}] = ${type}[${4 * sets}](${slots.join(', ')});
+    skinbake_Vertex v = skinbake_${stem}(${given});
+    v_position = v.position;
+    v_normal = mix(normalize(v.normal), truth.xyz, is_true * truth.w);
+    v_tangent = v.tangent;
+    v_bitangent = v.bitangent;
+    v_texcoord = texcoord;
+    v_color = color;
+    v_error = vec2(degrees(atan(length(cross(v_normal, truth.xyz)), dot(v_normal, truth.xyz))) * truth.w, truth.w);
+    gl_Position = projected * vec4(v_position, 1.0);
+}
+`;
+}
+
+// What no joint moves: the same on both sides.
+export const RIGID_TEXT = `#version 300 es
+precision highp float;
+in vec3 position;
+in vec3 normal;
+in vec2 texcoord;
+in vec4 color;
+uniform mat4 projected;
+uniform mat4 placed;
+out vec3 v_position;
+out vec3 v_normal;
+out vec3 v_tangent;
+out vec3 v_bitangent;
+out vec2 v_texcoord;
+out vec4 v_color;
+out vec2 v_error;
+
+void main()
+{
+    mat3 linear = mat3(placed);
+    v_position = (placed * vec4(position, 1.0)).xyz;
+    v_normal = normalize(transpose(inverse(linear)) * normal);
+    v_tangent = v_bitangent = vec3(0.0);
+    v_texcoord = texcoord;
+    v_color = color;
+    v_error = vec2(0.0);
+    gl_Position = projected * vec4(v_position, 1.0);
+}
+`;
+
+export const FRAGMENT_TEXT = `#version 300 es
+precision highp float;
+in vec3 v_position;
+in vec3 v_normal;
+in vec3 v_tangent;
+in vec3 v_bitangent;
+in vec2 v_texcoord;
+in vec4 v_color;
+in vec2 v_error;
+uniform int mode;
+uniform vec3 eye;
+uniform vec3 light;
+uniform float legend;
+uniform vec3 stops[5];
+uniform vec3 unknown;
+uniform vec4 base_factor;
+uniform vec3 emissive_factor;
+uniform float roughness;
+uniform float normal_scale;
+uniform float cutoff;
+uniform bvec4 has; // base colour, normals, emissive colour, colours of vertices
+uniform bool has_tangents;
+uniform bool is_turned; // seen from behind
+uniform sampler2D base_map;
+uniform sampler2D normal_map;
+uniform sampler2D emissive_map;
+out vec4 result;
+
+vec3 linear(vec3 c) { return pow(c, vec3(2.2)); }
+
+vec3 mapped(vec3 n)
+{
+    vec3 m = texture(normal_map, v_texcoord).xyz * 2.0 - 1.0;
+    m.xy *= normal_scale;
+    vec3 t = v_tangent, b = v_bitangent;
+    if (!has_tangents) {
+        // The frame of the texture coordinates, from what changes between pixels.
+        vec3 px = dFdx(v_position), py = dFdy(v_position);
+        vec2 ux = dFdx(v_texcoord), uy = dFdy(v_texcoord);
+        vec3 a = cross(py, n), c = cross(n, px);
+        t = a * ux.x + c * uy.x;
+        b = a * ux.y + c * uy.y;
+        float size = inversesqrt(max(max(dot(t, t), dot(b, b)), 1e-30));
+        return normalize(t * (m.x * size) + b * (m.y * size) + n * m.z);
+    }
+    return normalize(normalize(t) * m.x + normalize(b) * m.y + n * m.z);
+}
+
+vec3 shaded(vec3 n, vec3 v, vec3 base)
+{
+    vec3 h = normalize(light + v);
+    float nl = max(dot(n, light), 0.0), nh = max(dot(n, h), 0.0), nv = max(dot(n, v), 1e-3);
+    float a2 = roughness * roughness * roughness * roughness;
+    float d = nh * nh * (a2 - 1.0) + 1.0;
+    float k = (roughness + 1.0) * (roughness + 1.0) / 8.0;
+    float shine = 0.04 + 0.96 * pow(1.0 - max(dot(v, h), 0.0), 5.0);
+    float specular = shine * a2 / (d * d) / (4.0 * (nl * (1.0 - k) + k) * (nv * (1.0 - k) + k));
+    vec3 sky = mix(vec3(0.16, 0.15, 0.145), vec3(0.36, 0.39, 0.43), 0.5 + 0.5 * n.y);
+    float rim = pow(1.0 - nv, 4.0) * 0.12;
+    return base * (sky + 2.1 * nl * vec3(1.0, 0.98, 0.94)) + vec3(nl * specular * 1.4) + rim * sky;
+}
+
+vec3 heat(float share)
+{
+    float at = clamp(share, 0.0, 1.0) * 4.0;
+    int low = min(int(at), 3);
+    return mix(stops[low], stops[low + 1], at - float(low));
+}
+
+void main()
+{
+    vec4 base = base_factor;
+    if (has.w) base *= v_color;
+    if (has.x) { vec4 t = texture(base_map, v_texcoord); base *= vec4(linear(t.rgb), t.a); }
+    if (cutoff > 0.0) { if (base.a < cutoff) discard; base.a = 1.0; }
+    vec3 n = normalize(v_normal);
+    vec3 v = normalize(eye - v_position);
+    if (is_turned && !gl_FrontFacing) n = -n;
+    vec3 color;
+    if (mode == 0) {
+        if (has.y) n = mapped(n);
+        color = shaded(n, v, base.rgb);
+        color += emissive_factor * (has.z ? linear(texture(emissive_map, v_texcoord).rgb) : vec3(1.0));
+        color = pow(color / (1.0 + 0.18 * color), vec3(1.0 / 2.2));
+    } else if (mode == 1) {
+        vec3 r = reflect(-v, n);
+        float at = asin(clamp(r.y * 0.94 + r.x * 0.34, -1.0, 1.0)) * 7.0;
+        float width = max(fwidth(at), 1e-4);
+        float wave = abs(fract(at) - 0.5) - 0.25;
+        float line = clamp(0.5 + wave / width, 0.0, 1.0);
+        float soft = smoothstep(0.5, 1.5, width);
+        color = vec3(mix(mix(0.10, 0.93, line), 0.52, soft)) * (0.86 + 0.14 * max(dot(n, v), 0.0));
+        base.a = 1.0;
+    } else if (mode == 2) {
+        color = mix(unknown, heat(v_error.x / legend), v_error.y > 0.99 ? 1.0 : 0.0);
+        color *= 0.80 + 0.20 * max(dot(n, v), 0.0);
+        base.a = 1.0;
+    } else {
+        color = 0.5 + 0.5 * n;
+        base.a = 1.0;
+    }
+    result = vec4(color * base.a, base.a);
+}
+`;
+
+// The ground: rings around what stands on it, and its contact shadow.
+export const GROUND_VERTEX_TEXT = `#version 300 es
+precision highp float;
+in vec3 position;
+uniform mat4 projected;
+uniform vec4 ground; // centre and radius
+out vec2 v_place;
+void main()
+{
+    v_place = position.xy;
+    gl_Position = projected * vec4(ground.xyz + ground.w * vec3(position.x, 0.0, position.y), 1.0);
+}
+`;
+
+export const GROUND_FRAGMENT_TEXT = `#version 300 es
+precision highp float;
+in vec2 v_place;
+uniform vec3 ink;
+out vec4 result;
+void main()
+{
+    float far = length(v_place);
+    float at = far * 6.0;
+    float line = 1.0 - clamp(abs(fract(at - 0.5) - 0.5) / max(fwidth(at), 1e-4) - 0.2, 0.0, 1.0);
+    float fade = smoothstep(1.0, 0.25, far);
+    float shadow = 0.20 * smoothstep(0.34, 0.0, far);
+    float alpha = max(0.15 * line * fade, shadow * fade);
+    result = vec4(ink * alpha, alpha);
+}
+`;

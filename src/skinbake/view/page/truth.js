@@ -1,0 +1,358 @@
+// The true normals of a deformed mesh by its triangles, as skinbake verify measures them (docs/lighting.md).
+//
+// The normal of a vertex is the mean of its triangles' normals, weighted by their angles (Thürmer and Wüthrich
+// 1998). The authored normal keeps its place beside it, in the frame of that normal and of a tangent that is
+// measured on the triangles with the weights of Max 1999. Nothing here reads α or β, or runs on the GPU.
+
+import { determinant } from './matrices.js';
+
+const CREASE = (15 * Math.PI) / 180;
+const DEGENERATE = 1e-10;
+const FLAT = 1e10;
+const TINY_WEIGHT = 1.5 * 2 ** -30; // The weight of an adopted joint does not tell copies of a vertex apart.
+
+// One surface: the primitives that one skin draws. Primitives with morph targets are a surface of their own.
+export class Surface {
+    constructor(primitives) {
+        this.primitives = primitives;
+        let count = 0;
+        this.starts = primitives.map((primitive) => (count += primitive.count) - primitive.count);
+        this.count = count;
+        this.rest = Float64Array.from(joined(primitives, 'positions'));
+        this.normals = Float64Array.from(joined(primitives, 'normals'));
+        this.triangles = soundTriangles(this.rest, offsetTriangles(primitives, this.starts));
+        this.classes = weldClasses(primitives, this.rest, this.normals);
+        this.areas = restAreas(this.rest, this.triangles, count);
+        this.dominant = dominantJoints(primitives);
+        this.listCorners();
+        this.measureTangents();
+        this.sums = new Float64Array(3 * this.classCount);
+        this.edges = new Float64Array(2 * this.triangles.length);
+        this.found = new Float32Array(4 * count);
+        this.carried = new Float64Array(3 * count);
+        this.carry(this.rest, this.normals);
+    }
+
+    // The corners of each class of vertices that are one point of the surface.
+    listCorners() {
+        const { triangles, classes } = this;
+        this.classCount = classes.reduce((most, one) => Math.max(most, one), -1) + 1;
+        const ends = new Int32Array(this.classCount + 1);
+        for (const vertex of triangles) ends[classes[vertex] + 1]++;
+        for (let i = 0; i < this.classCount; i++) ends[i + 1] += ends[i];
+        const next = ends.slice();
+        this.corners = new Int32Array(triangles.length);
+        triangles.forEach((vertex, corner) => (this.corners[next[classes[vertex]]++] = corner));
+        this.ends = ends;
+    }
+
+    // The derivative along a tangent of each vertex, as factors of the two edges of each triangle around it.
+    measureTangents() {
+        const { rest, normals, triangles, classes, ends, corners } = this;
+        const weights = new Float64Array(triangles.length);
+        const totals = new Float64Array(this.classCount);
+        triangles.forEach((vertex, corner) => {
+            weights[corner] = maxWeight(rest, triangles, corner);
+            totals[classes[vertex]] += weights[corner];
+        });
+        const starts = new Int32Array(this.count + 1);
+        for (let vertex = 0; vertex < this.count; vertex++) {
+            const own = classes[vertex];
+            starts[vertex + 1] = starts[vertex] + ends[own + 1] - ends[own];
+        }
+        this.factors = new Float64Array(2 * starts[this.count]);
+        for (let vertex = 0; vertex < this.count; vertex++) {
+            const tangent = perpendicular(normals, 3 * vertex);
+            const own = classes[vertex];
+            for (let i = ends[own], at = 2 * starts[vertex]; i < ends[own + 1]; i++, at += 2) {
+                const share = weights[corners[i]] / totals[own];
+                alongEdges(rest, triangles, corners[i] - (corners[i] % 3), tangent, share, this.factors, at);
+            }
+        }
+        this.factorStarts = starts;
+    }
+
+    // Keep the coordinates of the normals in the frames before skinning: at rest, or under morph targets.
+    carry(positions, normals) {
+        this.measure(positions);
+        const { carried, count } = this;
+        const frame = new Float64Array(9);
+        for (let vertex = 0; vertex < count; vertex++) {
+            this.frameOf(vertex, frame);
+            const [x, y, z] = normals.subarray(3 * vertex, 3 * vertex + 3);
+            const own = [0, 3, 6].map((axis) => frame[axis] * x + frame[axis + 1] * y + frame[axis + 2] * z);
+            const length = Math.hypot(...own);
+            own.forEach((value, axis) => (carried[3 * vertex + axis] = value / length));
+        }
+    }
+
+    // Sum the triangles' normals by class, and keep their edges.
+    measure(positions) {
+        const { triangles, classes, sums, edges } = this;
+        sums.fill(0);
+        for (let t = 0; t < triangles.length; t += 3) {
+            const [a, b, c] = [3 * triangles[t], 3 * triangles[t + 1], 3 * triangles[t + 2]];
+            const ex = positions[b] - positions[a], ey = positions[b + 1] - positions[a + 1], ez = positions[b + 2] - positions[a + 2];
+            const fx = positions[c] - positions[a], fy = positions[c + 1] - positions[a + 1], fz = positions[c + 2] - positions[a + 2];
+            const at = 2 * t;
+            edges[at] = ex; edges[at + 1] = ey; edges[at + 2] = ez;
+            edges[at + 3] = fx; edges[at + 4] = fy; edges[at + 5] = fz;
+            const nx = ey * fz - ez * fy, ny = ez * fx - ex * fz, nz = ex * fy - ey * fx;
+            const area = Math.sqrt(nx * nx + ny * ny + nz * nz);
+            const ee = ex * ex + ey * ey + ez * ez, ef = ex * fx + ey * fy + ez * fz, ff = fx * fx + fy * fy + fz * fz;
+            if (!(Math.abs(ef / area) < FLAT && Math.abs((ee - ef) / area) < FLAT)) continue;
+            for (let corner = 0; corner < 3; corner++) {
+                const along = corner === 0 ? ef : corner === 1 ? ee - ef : ff - ef;
+                const share = Math.atan2(area, along) / area;
+                const place = 3 * classes[triangles[t + corner]];
+                sums[place] += share * nx;
+                sums[place + 1] += share * ny;
+                sums[place + 2] += share * nz;
+            }
+        }
+    }
+
+    // Put t, n × t and n of a vertex into frame; not a number where there is none.
+    frameOf(vertex, frame) {
+        const { sums, edges, factors, factorStarts: starts, classes, ends, corners } = this;
+        const own = classes[vertex];
+        let nx = sums[3 * own], ny = sums[3 * own + 1], nz = sums[3 * own + 2];
+        const length = Math.sqrt(nx * nx + ny * ny + nz * nz);
+        nx /= length; ny /= length; nz /= length;
+        let x = 0, y = 0, z = 0;
+        for (let i = ends[own], at = 2 * starts[vertex]; i < ends[own + 1]; i++, at += 2) {
+            const edge = 2 * (corners[i] - (corners[i] % 3));
+            const e = factors[at], f = factors[at + 1];
+            x += e * edges[edge] + f * edges[edge + 3];
+            y += e * edges[edge + 1] + f * edges[edge + 4];
+            z += e * edges[edge + 2] + f * edges[edge + 5];
+        }
+        const part = x * nx + y * ny + z * nz;
+        x -= part * nx; y -= part * ny; z -= part * nz;
+        const size = Math.sqrt(x * x + y * y + z * z);
+        x /= size; y /= size; z /= size;
+        frame[0] = x; frame[1] = y; frame[2] = z;
+        frame[3] = ny * z - nz * y; frame[4] = nz * x - nx * z; frame[5] = nx * y - ny * x;
+        frame[6] = nx; frame[7] = ny; frame[8] = nz;
+    }
+
+    // True unit normals (x, y, z, 1) of all vertices; 0 where there is none.
+    trueNormals(positions, matrices) {
+        this.measure(positions);
+        const { carried, found, count, dominant } = this;
+        const mirrors = matrices.map((matrix) => determinant(matrix) < 0);
+        const isMirrored = mirrors.some(Boolean);
+        const frame = new Float64Array(9);
+        for (let vertex = 0; vertex < count; vertex++) {
+            this.frameOf(vertex, frame);
+            const a = carried[3 * vertex], b = carried[3 * vertex + 1];
+            const c = (isMirrored && mirrors[dominant[vertex]] ? -1 : 1) * carried[3 * vertex + 2];
+            const at = 4 * vertex;
+            found[at] = a * frame[0] + b * frame[3] + c * frame[6];
+            found[at + 1] = a * frame[1] + b * frame[4] + c * frame[7];
+            found[at + 2] = a * frame[2] + b * frame[5] + c * frame[8];
+            found[at + 3] = 1;
+            if (!Number.isFinite(found[at])) found.fill(0, at, at + 4);
+        }
+        return found;
+    }
+}
+
+// The positions of a primitive, moved by linear blending or by dual quaternions; written from a place on.
+export function skinned(primitive, positions, matrices, motions, found, start) {
+    const { joints, weights, count } = primitive;
+    for (let vertex = 0; vertex < count; vertex++) {
+        const x = positions[3 * vertex], y = positions[3 * vertex + 1], z = positions[3 * vertex + 2];
+        const at = 3 * (start + vertex);
+        if (motions) byQuaternions(joints, weights, vertex, x, y, z, motions, found, at);
+        else {
+            let [px, py, pz] = [0, 0, 0];
+            for (let set = 0; set < joints.length; set++) {
+                for (let i = 4 * vertex; i < 4 * vertex + 4; i++) {
+                    const w = weights[set][i];
+                    if (w === 0) continue;
+                    const m = matrices[joints[set][i]];
+                    px += w * (m[0] * x + m[4] * y + m[8] * z + m[12]);
+                    py += w * (m[1] * x + m[5] * y + m[9] * z + m[13]);
+                    pz += w * (m[2] * x + m[6] * y + m[10] * z + m[14]);
+                }
+            }
+            found[at] = px; found[at + 1] = py; found[at + 2] = pz;
+        }
+    }
+}
+
+function byQuaternions(joints, weights, vertex, x, y, z, { scale, quaternions }, found, at) {
+    const pivot = quaternions[joints[0][4 * vertex]];
+    const b = [0, 0, 0, 0, 0, 0, 0, 0];
+    for (let set = 0; set < joints.length; set++) {
+        for (let i = 4 * vertex; i < 4 * vertex + 4; i++) {
+            const w = weights[set][i];
+            if (w === 0) continue;
+            const q = quaternions[joints[set][i]];
+            const side = q[0] * pivot[0] + q[1] * pivot[1] + q[2] * pivot[2] + q[3] * pivot[3] < 0 ? -w : w;
+            for (let k = 0; k < 8; k++) b[k] += side * q[k];
+        }
+    }
+    const [rx, ry, rz, r, dx, dy, dz, d] = b;
+    const k = 2 / (rx * rx + ry * ry + rz * rz + r * r);
+    x *= scale; y *= scale; z *= scale;
+    const ix = r * x + dx + ry * z - rz * y, iy = r * y + dy + rz * x - rx * z, iz = r * z + dz + rx * y - ry * x;
+    found[at] = x + k * (r * dx - d * rx + ry * iz - rz * iy);
+    found[at + 1] = y + k * (r * dy - d * ry + rz * ix - rx * iz);
+    found[at + 2] = z + k * (r * dz - d * rz + rx * iy - ry * ix);
+}
+
+function joined(primitives, name) {
+    const found = new Float32Array(primitives.reduce((sum, one) => sum + one[name].length, 0));
+    let at = 0;
+    for (const one of primitives) {
+        found.set(one[name], at);
+        at += one[name].length;
+    }
+    return found;
+}
+
+function offsetTriangles(primitives, starts) {
+    return Int32Array.from(primitives.flatMap(({ triangles }, i) => Array.from(triangles, (vertex) => vertex + starts[i])));
+}
+
+function soundTriangles(positions, triangles) {
+    let length = 0;
+    for (let t = 0; t < triangles.length; t += 3) {
+        const [e, f] = edgesOf(positions, triangles, t, 0);
+        const g = [0, 1, 2].map((axis) => f[axis] - e[axis]);
+        const longest = Math.max(square(e), square(f), square(g));
+        if (!(Math.sqrt(square(crossed(e, f))) > DEGENERATE * longest)) continue;
+        triangles.copyWithin(length, t, t + 3);
+        length += 3;
+    }
+    return triangles.subarray(0, length);
+}
+
+const square = ([x, y, z]) => x * x + y * y + z * z;
+const crossed = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
+
+// The two edges from a corner of a triangle to the next one and to the one after it.
+function edgesOf(positions, triangles, t, corner) {
+    const [a, b, c] = [0, 1, 2].map((turn) => 3 * triangles[t + ((corner + turn) % 3)]);
+    return [b, c].map((end) => [0, 1, 2].map((axis) => positions[end + axis] - positions[a + axis]));
+}
+
+function maxWeight(positions, triangles, corner) {
+    const [e, f] = edgesOf(positions, triangles, corner - (corner % 3), corner % 3);
+    return Math.sqrt(square(crossed(e, f))) / (square(e) * square(f));
+}
+
+// The derivative along t of what changes linearly over a triangle, as factors of its two edges.
+function alongEdges(positions, triangles, t, tangent, share, factors, at) {
+    const [e, f] = edgesOf(positions, triangles, t, 0);
+    const n = crossed(e, f);
+    const size = square(n);
+    const dot = (a) => a[0] * tangent[0] + a[1] * tangent[1] + a[2] * tangent[2];
+    factors[at] = (share * dot(crossed(f, n))) / size;
+    factors[at + 1] = (share * dot(crossed(n, e))) / size;
+}
+
+function perpendicular(normals, at) {
+    const n = [normals[at], normals[at + 1], normals[at + 2]];
+    const sizes = n.map(Math.abs);
+    const axis = [0, 0, 0];
+    axis[sizes.indexOf(Math.min(...sizes))] = 1;
+    const found = crossed(axis, n);
+    const length = Math.sqrt(square(found));
+    return found.map((value) => value / length);
+}
+
+function restAreas(positions, triangles, count) {
+    const areas = new Float64Array(count);
+    for (let t = 0; t < triangles.length; t += 3) {
+        const [e, f] = edgesOf(positions, triangles, t, 0);
+        const third = Math.sqrt(square(crossed(e, f))) / 6;
+        for (let corner = 0; corner < 3; corner++) areas[triangles[t + corner]] += third;
+    }
+    return areas;
+}
+
+function dominantJoints(primitives) {
+    return primitives.flatMap(({ joints, weights, count }) =>
+        Array.from({ length: count }, (_, vertex) => {
+            let [found, most] = [0, -1];
+            joints.forEach((set, number) => {
+                for (let i = 4 * vertex; i < 4 * vertex + 4; i++) {
+                    if (weights[number][i] > most) [found, most] = [set[i], weights[number][i]];
+                }
+            });
+            return found;
+        })
+    );
+}
+
+// Number the vertices that are one point: equal places and influences, normals joined by a chain of small angles.
+function weldClasses(primitives, positions, normals) {
+    const count = positions.length / 3;
+    const parents = Int32Array.from({ length: count }, (_, i) => i);
+    const root = (vertex) => {
+        while (parents[vertex] !== vertex) vertex = parents[vertex] = parents[parents[vertex]];
+        return vertex;
+    };
+    const owners = primitives.flatMap((one) => new Array(one.count).fill(one));
+    const starts = new Map();
+    primitives.reduce((start, one) => (starts.set(one, start), start + one.count), 0);
+    for (const group of samePlaces(positions)) {
+        const keys = group.map((vertex) => influencesOf(owners[vertex], vertex - starts.get(owners[vertex])));
+        group.forEach((first, i) => {
+            for (let j = 0; j < i; j++) {
+                if (keys[i] === keys[j] && isClose(normals, 3 * first, 3 * group[j])) parents[root(first)] = root(group[j]);
+            }
+        });
+    }
+    const numbers = new Map();
+    return Int32Array.from({ length: count }, (_, vertex) => {
+        const own = root(vertex);
+        if (!numbers.has(own)) numbers.set(own, numbers.size);
+        return numbers.get(own);
+    });
+}
+
+function influencesOf({ joints, weights }, vertex) {
+    const sums = new Map();
+    joints.forEach((set, number) => {
+        for (let i = 4 * vertex; i < 4 * vertex + 4; i++) {
+            const weight = weights[number][i];
+            if (weight >= TINY_WEIGHT) sums.set(set[i], (sums.get(set[i]) ?? 0) + weight);
+        }
+    });
+    return [...sums].sort((a, b) => a[0] - b[0]).map(([joint, weight]) => `${joint}:${Math.fround(weight)}`).join();
+}
+
+function isClose(normals, a, b) {
+    let apart = 0;
+    for (let axis = 0; axis < 3; axis++) apart += (normals[a + axis] - normals[b + axis]) ** 2;
+    return Math.sqrt(apart) <= 2 * Math.sin(CREASE / 2) + 1e-12;
+}
+
+// The vertices at each place that has more than one, found by a table of places.
+function samePlaces(positions) {
+    const count = positions.length / 3;
+    const bits = 32 - Math.clz32(2 * count);
+    const table = new Int32Array(1 << bits).fill(-1);
+    const words = new Uint32Array(Float32Array.from(positions, (value) => value + 0).buffer); // −0 is +0.
+    const groups = new Map();
+    for (let vertex = 0; vertex < count; vertex++) {
+        const [x, y, z] = words.subarray(3 * vertex, 3 * vertex + 3);
+        let place = (Math.imul(x, 0x9e3779b1) ^ Math.imul(y, 0x85ebca77) ^ Math.imul(z, 0xc2b2ae3d)) >>> (32 - bits);
+        while (table[place] >= 0) {
+            const first = 3 * table[place];
+            if (words[first] === x && words[first + 1] === y && words[first + 2] === z) break;
+            place = (place + 1) & ((1 << bits) - 1);
+        }
+        if (table[place] < 0) table[place] = vertex;
+        else {
+            const first = table[place];
+            if (!groups.has(first)) groups.set(first, [first]);
+            groups.get(first).push(vertex);
+        }
+    }
+    return groups.values();
+}

@@ -1,0 +1,63 @@
+"""The texts of ``skinbake shader`` that the page may need, for its own file and for files dropped on it."""
+
+from __future__ import annotations
+
+import base64
+import json
+import zlib
+from collections.abc import Iterator
+from functools import cache
+
+from skinbake.choices import Encoding, Frame, Language, Lighting, Method, Morphs
+from skinbake.shaders.choices import ShaderChoices
+from skinbake.shaders.text import shader_made
+
+INFLUENCES = (4, 8)
+"""The influences of a vertex that the page draws: WebGL 2 has room for the attributes of two sets."""
+
+MORPHS = {Frame.NORMAL: (Morphs.NONE, Morphs.NORMAL), Frame.TANGENT: tuple(Morphs)}
+
+
+@cache
+def packed_texts() -> str:
+    """Return the texts by name, as JSON that is compressed (zlib) and written in base64."""
+    texts = {name: shader_made(choices)[0] for name, choices in shown_choices()}
+    packed = zlib.compress(json.dumps(texts).encode(), 9)
+    return base64.b64encode(packed).decode()
+
+
+def shown_choices() -> Iterator[tuple[str, ShaderChoices]]:
+    """Yield each choice that the page can make, under the name that its ``textName`` gives.
+
+    Layouts are no choice here: the page has put texture coordinates together before it draws.
+    """
+    for frame, morphs in MORPHS.items():
+        for influences in INFLUENCES:
+            for morph in morphs:
+                usual = ShaderChoices(Language.GLSL, influences=influences, frame=frame, morphs=morph)
+                yield from _algorithms(usual)
+
+
+def _algorithms(usual: ShaderChoices) -> Iterator[tuple[str, ShaderChoices]]:
+    yield _named(usual, Method.LBS, Lighting.APPROXIMATED, Encoding.FLOAT32)
+    for encoding in Encoding:
+        yield _named(usual, Method.LBS, Lighting.ACCURATE, encoding)
+        yield _named(usual, Method.LBS, Lighting.ACCURATE, encoding, mirrored=True)
+        yield _named(usual, Method.DQS, Lighting.EXACT, encoding)
+
+
+def _named(
+    usual: ShaderChoices, method: Method, lighting: Lighting, encoding: Encoding, *, mirrored: bool = False
+) -> tuple[str, ShaderChoices]:
+    choices = ShaderChoices(
+        Language.GLSL,
+        method,
+        lighting,
+        usual.influences,
+        usual.frame,
+        mirrored_joints=mirrored,
+        encoding=encoding,
+        morphs=usual.morphs,
+    )
+    parts = (choices.stem, usual.influences, usual.frame, encoding, usual.morphs)
+    return "/".join([*map(str, parts), "mirrored" if mirrored else "plain"]), choices
