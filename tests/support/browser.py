@@ -57,12 +57,14 @@ class Page:
     def __init__(self, browser: _Pipe, address: str) -> None:
         self._browser, self.address = browser, address
         self._messages: list[str] = []
+        self._requests: list[str] = []
         target = next(t for t in browser.call("Target.getTargets")["targetInfos"] if t["type"] == "page")
         attached = browser.call("Target.attachToTarget", targetId=target["targetId"], flatten=True)
         self._session = attached["sessionId"]
-        for domain in ("Page", "Runtime", "Log"):
+        for domain in ("Page", "Runtime", "Log", "Network"):
             self._send(f"{domain}.enable")
-        failure = self._send("Page.navigate", url=f"{address}/").get("errorText")
+        start = address if address.startswith("file:") else f"{address}/"
+        failure = self._send("Page.navigate", url=start).get("errorText")
         if failure:
             raise RuntimeError(f"{address}: {failure}")
         self.call(
@@ -87,6 +89,32 @@ class Page:
         found, self._messages = self._messages, []
         return found
 
+    def requests(self) -> list[str]:
+        """Return the addresses that the page has asked for so far, without what it holds itself."""
+        self._collect()
+        return [address for address in self._requests if not address.startswith(("data:", "blob:"))]
+
+    def drag(self, start: tuple[float, float], end: tuple[float, float]) -> None:
+        """Press the mouse at a place, move it to another one, and let it go."""
+        for kind, (x, y) in (("mousePressed", start), ("mouseMoved", end), ("mouseReleased", end)):
+            self._send("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", buttons=1, clickCount=1)
+
+    def move_mouse(self, x: float, y: float) -> None:
+        """Point at a place."""
+        self._send("Input.dispatchMouseEvent", type="mouseMoved", x=x, y=y)
+
+    def press(self, key: str) -> None:
+        """Press a key, by its name, and let it go."""
+        for kind in ("keyDown", "keyUp"):
+            self._send("Input.dispatchKeyEvent", type=kind, key=key)
+
+    def show_as(self, width: int, height: int, scheme: str) -> None:
+        """Give the page a size, and say whether its reader likes it light or dark."""
+        self._send(
+            "Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=False
+        )
+        self._send("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
+
     def _send(self, method: str, **parameters: object) -> JsonObject:
         return self._browser.call(method, self._session, **parameters)
 
@@ -98,6 +126,8 @@ class Page:
                 self._messages.append(" ".join(words))
             elif event["method"] == "Log.entryAdded" and parameters["entry"]["level"] in ("warning", "error"):
                 self._messages.append(parameters["entry"]["text"])
+            elif event["method"] == "Network.requestWillBeSent":
+                self._requests.append(parameters["request"]["url"])
             elif event["method"] == "Runtime.exceptionThrown":
                 self._messages.append(json.dumps(parameters["exceptionDetails"]))
 
@@ -213,6 +243,13 @@ def opened(page: str, folders: Mapping[str, Path], scratch: Path) -> Iterator[Pa
         finally:
             server.shutdown()
             thread.join()
+
+
+@contextmanager
+def opened_file(path: Path, scratch: Path) -> Iterator[Page]:
+    """Open a page from the disk, as a double click does, and yield it like ``opened``."""
+    with _running(require_browser(), scratch) as pipe:
+        yield Page(pipe, path.resolve().as_uri())
 
 
 @contextmanager

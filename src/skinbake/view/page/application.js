@@ -254,7 +254,7 @@ class Application {
         }
         if (found.next === 1 || found.next % 8 === 0 || found.next === SAMPLES) {
             byId.worst.disabled = found.worst.error < 0;
-            this.setLegend(found.worst.error / 3);
+            this.setLegend(4 * Math.max(...found.lines.standard.filter((mean) => mean !== undefined)));
             this.showChart();
             this.changed();
         }

@@ -35,7 +35,7 @@ export class Camera {
     fitting() {
         const { clientWidth: width, clientHeight: height } = this.element;
         const aspect = Math.min(1, (width || 1) / (height || 1));
-        return (1.12 * this.radius) / Math.sin(ANGLE / 2) / Math.max(aspect, 0.45);
+        return (0.98 * this.radius) / Math.sin(ANGLE / 2) / Math.max(aspect, 0.45);
     }
 
     focus(point, normal) {

@@ -59,15 +59,19 @@ export class Chart {
         for (const end of ['x1', 'x2']) this.now.setAttribute(end, this.x(time));
     }
 
-    // The mean of a lighting at a time, between its neighbours; undefined where it is not known yet.
+    // The mean of a lighting at a time, between its known neighbours; undefined where none is known yet.
     at(lighting, time) {
         const { times, lines } = this;
         const means = lines[lighting];
         if (!times || !means) return undefined;
-        const place = ((time - times[0]) / (times[times.length - 1] - times[0] || 1)) * (times.length - 1);
-        const low = Math.max(0, Math.min(times.length - 2, Math.floor(place)));
-        const [a, b] = [means[low], means[low + 1] ?? means[low]];
-        return a === undefined || b === undefined ? undefined : a + (b - a) * Math.max(0, Math.min(1, place - low));
+        let [low, high] = [-1, -1];
+        times.forEach((one, i) => {
+            if (means[i] === undefined) return;
+            if (one <= time) low = i;
+            else if (high < 0) high = i;
+        });
+        if (low < 0 || high < 0) return means[Math.max(low, high)];
+        return means[low] + ((means[high] - means[low]) * (time - times[low])) / (times[high] - times[low]);
     }
 
     point(event, stays) {
@@ -91,10 +95,10 @@ function label(text, x, y, anchor) {
     return made;
 }
 
-// The next number above that is 1, 2 or 5 times a power of ten.
+// The next number above that reads well at the top of an axis.
 export function nice(value) {
     const power = 10 ** Math.floor(Math.log10(value));
-    return [1, 2, 5, 10].find((step) => step * power >= value * 0.999) * power;
+    return [1, 2, 3, 4, 6, 8, 10].find((step) => step * power >= value * 0.999) * power;
 }
 
 export const short = (value) => String(Number(value.toPrecision(2)));

@@ -1,10 +1,10 @@
 // What skinbake verify has measured, beside the model. Every text of a file goes in as text.
 
 const ROWS = [
-    ['lbs', 'approximated', 'Standard', 'standard'],
-    ['lbs', 'accurate', 'Accurate', 'rig'],
-    ['dqs', 'approximated', 'Dual q. standard', 'standard'],
-    ['dqs', 'exact', 'Dual q. exact', 'dqs'],
+    ['lbs', 'approximated', 'Standard'],
+    ['lbs', 'accurate', 'Accurate'],
+    ['dqs', 'approximated', 'Dual quaternions, standard'],
+    ['dqs', 'exact', 'Dual quaternions, exact'],
 ];
 
 export function showFigures(byId, given) {
@@ -17,7 +17,9 @@ export function showFigures(byId, given) {
         byId.gain.textContent = `${factor.toPrecision(3)}×`;
         const of = figures.lbs ?? figures.dqs;
         byId['gain-words'].textContent =
-            `Accurate lighting is that much nearer to the true normals than standard lighting: ` +
+            (factor < 1
+                ? 'Accurate lighting is not nearer to the true normals of this file than standard lighting: '
+                : 'Accurate lighting is that much nearer to the true normals than standard lighting: ') +
             `${degrees(of.accurate.mean)} instead of ${degrees(of.approximated.mean)} in the mean.`;
     }
     byId.table.replaceChildren(tableOf(figures, triangles));
@@ -27,9 +29,9 @@ export function showFigures(byId, given) {
 function tableOf(figures, triangles) {
     const table = element('table');
     const head = element('thead');
-    head.append(row('th', ['', 'mean', 'p95', 'max', 'mean', 'p95']));
+    head.append(row('th', ['', 'mean', 'p95', 'mean', 'p95']));
     const above = element('tr');
-    for (const [text, span] of [['', 1], ['by tangents', 3], ['by triangles', 2]]) {
+    for (const [text, span] of [['', 1], ['by tangents', 2], ['by triangles', 2]]) {
         const cell = element(text ? 'th' : 'td', text);
         cell.colSpan = span;
         if (text) cell.scope = 'colgroup';
@@ -41,7 +43,7 @@ function tableOf(figures, triangles) {
         const one = figures[method]?.[lighting];
         if (!one) continue;
         const other = triangles?.[method]?.[lighting];
-        const cells = [one.mean, one.p95, one.max, other?.mean, other?.p95].map((value) => (value === undefined ? '—' : value.toFixed(2)));
+        const cells = [one.mean, one.p95, other?.mean, other?.p95].map((value) => (value === undefined ? '—' : value.toFixed(2)));
         const line = row('td', cells);
         const title = element('th', name);
         title.scope = 'row';

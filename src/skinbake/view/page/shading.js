@@ -178,7 +178,7 @@ vec3 shaded(vec3 n, vec3 v, vec3 base)
     float specular = shine * a2 / (d * d) / (4.0 * (nl * (1.0 - k) + k) * (nv * (1.0 - k) + k));
     vec3 sky = mix(vec3(0.16, 0.15, 0.145), vec3(0.36, 0.39, 0.43), 0.5 + 0.5 * n.y);
     float rim = pow(1.0 - nv, 4.0) * 0.12;
-    return base * (sky + 2.1 * nl * vec3(1.0, 0.98, 0.94)) + vec3(nl * specular * 1.4) + rim * sky;
+    return base * (sky + 1.7 * nl * vec3(1.0, 0.98, 0.94)) + vec3(nl * specular * 1.2) + rim * sky;
 }
 
 vec3 heat(float share)
@@ -205,7 +205,7 @@ void main()
         color = pow(color / (1.0 + 0.18 * color), vec3(1.0 / 2.2));
     } else if (mode == 1) {
         vec3 r = reflect(-v, n);
-        float at = asin(clamp(r.y * 0.94 + r.x * 0.34, -1.0, 1.0)) * 7.0;
+        float at = asin(clamp(r.y * 0.94 + r.x * 0.34, -1.0, 1.0)) * 4.5;
         float width = max(fwidth(at), 1e-4);
         float wave = abs(fract(at) - 0.5) - 0.25;
         float line = clamp(0.5 + wave / width, 0.0, 1.0);
@@ -249,8 +249,8 @@ void main()
     float at = far * 6.0;
     float line = 1.0 - clamp(abs(fract(at - 0.5) - 0.5) / max(fwidth(at), 1e-4) - 0.2, 0.0, 1.0);
     float fade = smoothstep(1.0, 0.25, far);
-    float shadow = 0.20 * smoothstep(0.34, 0.0, far);
-    float alpha = max(0.15 * line * fade, shadow * fade);
+    float shadow = 0.22 * smoothstep(0.42, 0.0, far);
+    float alpha = max(0.10 * line * fade, shadow * fade);
     result = vec4(ink * alpha, alpha);
 }
 `;

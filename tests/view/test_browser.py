@@ -1,0 +1,192 @@
+"""The page of skinbake view in a browser: what it draws, what it measures, and what it never does."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fixtures.make_fixtures import FOLDER
+from skinbake.choices import Encoding, Layout
+from skinbake.format.layouts import GradientFormat
+from skinbake.gltf.animation import clip_poses, read_clips, read_skeleton
+from skinbake.gltf.document import read_document
+from skinbake.gltf.primitives import skinned_sources
+from skinbake.lighting.angles import MeasuredBlock, lighting_errors
+from skinbake.lighting.baked_views import baked_views
+from skinbake.lighting.measured import rest_surface
+from skinbake.lighting.operator import gradient_operator
+from skinbake.skinning.algorithms import Algorithm
+from tests.support import browser, corpus
+from tests.support.baking import bake_file
+from tests.support.characters import Array, Character, Placement, Pose, angles, baked
+from tests.support.node import package_folder, require_node
+from tests.view.pages import normals, numbers, picture, shown, take
+
+DEGREES = 0.01
+"""Between the page and the replay: the page has joint matrices, and the shader all else, in float32."""
+TUBE = FOLDER / "bent_tube.glb"
+MODES = ("shaded", "reflections", "error", "normals")
+
+CHARACTERS = {
+    "bent_tube": ("", 0.45),
+    "CesiumMan": ("CesiumMan/CesiumMan.glb", 0.6),
+    "Fox": ("Fox/fox.glb", 0.9),
+    "RiggedFigure": ("RiggedFigure/RiggedFigure.gltf", 0.7),
+    "TRex": ("TRex/trex.gltf", 0.5),
+}
+
+
+@dataclass(frozen=True)
+class Browsing:
+    """A page in the browser, and the file that it shows: baked with the gradients of the rig."""
+
+    page: browser.Page
+    path: Path
+    surface: Path
+    time: float
+
+    def expected(self, lighting: str) -> Array:
+        """Return the normals (V, 3) of the replay under a lighting of the page."""
+        path = self.surface if lighting == "surface" else self.path
+        algorithms = {"standard": Algorithm.LBS_APPROXIMATED, "dqs": Algorithm.DQS_EXACT}
+        algorithm = algorithms.get(lighting, Algorithm.LBS_ACCURATE)
+        return Character(path, Pose(0, self.time)).expected(algorithm, Placement()).normals
+
+
+@pytest.fixture(scope="module", params=CHARACTERS)
+def browsing(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browsing]:
+    """Open the page of a character."""
+    browser.require_browser()
+    name, time = CHARACTERS[request.param]
+    source = corpus.model(name) if name else TUBE
+    folder = tmp_path_factory.mktemp(request.param)
+    paths = {}
+    for kind in ("rig", "surface"):
+        paths[kind] = folder / f"{source.stem}-{kind}.glb"
+        assert bake_file(source, paths[kind], gradients=kind).status == "baked"
+    with shown(paths["rig"]) as page:
+        yield Browsing(page, paths["rig"], paths["surface"], time)
+        # Whatever the tests have done to it, the page has said nothing and asked for nothing.
+        assert page.messages() == []
+        assert page.requests() == [page.address]
+
+
+@pytest.mark.parametrize("lighting", ["standard", "rig", "surface", "dqs"])
+def test_every_normal_is_that_of_the_replay(browsing: Browsing, lighting: str) -> None:
+    found = normals(browsing.page, lighting, clip=0, time=browsing.time)
+    assert angles(found, browsing.expected(lighting)).max() < DEGREES
+    if lighting != "standard":
+        standard = browsing.expected("standard")
+        assert np.percentile(angles(found, standard), 99) > 100 * DEGREES
+
+
+def test_its_errors_are_those_of_verify(browsing: Browsing) -> None:
+    """The page measures true normals by itself, in JavaScript: by triangles, as verify does."""
+    found = browsing.page.call(
+        """((time) => {
+            const { scene } = application;
+            application.play(false);
+            application.stopMeasuring();
+            application.isPosed = false;
+            scene.pose(scene.clips[0], time);
+            return Object.fromEntries(['standard', 'rig'].map((name) => [name, scene.errors(name).mean]));
+        })""",
+        browsing.time,
+    )
+    wanted = errors_by_verify(browsing.path, browsing.time)
+    for lighting, name in (("standard", "approximated"), ("rig", "accurate")):
+        assert found[lighting] == pytest.approx(wanted[name], rel=0.002), lighting
+
+
+def errors_by_verify(path: Path, time: float) -> dict[str, float]:
+    """Return the mean errors by triangles of one pose, weighted by area at rest."""
+    document = read_document(str(path))
+    (view,), _ = baked_views(document, skinned_sources(document)[0])
+    operator = gradient_operator([view.now])
+    matrices = clip_poses(read_skeleton(document, 0), read_clips(document)[0], np.array([time]))
+    corners = view.now.positions[view.now.triangles].astype(np.float64)
+    sizes = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    areas = np.bincount(view.now.triangles.ravel(), np.repeat(sizes, 3), len(view.now.positions))
+    sums: dict[str, Any] = {}
+
+    def record(block: MeasuredBlock) -> None:
+        here = areas[block.vertex : block.vertex + block.errors.shape[1]] * block.valid[0]
+        total = sums.setdefault(block.lighting, [0.0, 0.0])
+        total[0] += float((np.where(block.valid[0], block.errors[0], 0.0) * here).sum())
+        total[1] += float(here.sum())
+
+    lighting_errors(operator, [rest_surface(view)], matrices, "lbs", record, truths=("triangles",))
+    return {lighting: error / area for lighting, (error, area) in sums.items()}
+
+
+def test_every_mode_draws_something_else(browsing: Browsing) -> None:
+    browsing.page.call("((time) => application.seek(time, true))", browsing.time)
+    pictures = []
+    for mode in MODES:
+        browsing.page.call("((mode) => document.querySelector(`input[value=${mode}]`).click())", mode)
+        found = picture(browsing.page).astype(int)
+        drawn = found[..., 3] > 200
+        assert drawn.mean() > 0.02, mode
+        assert found[drawn][:, :3].std() > 10, mode
+        pictures.append(found)
+    for i, one in enumerate(pictures):
+        for other in pictures[:i]:
+            assert np.abs(one - other).max() > 60
+    browsing.page.call("(() => document.querySelector('input[value=shaded]').click())")
+
+
+def test_the_divider_follows_the_mouse_and_the_keys(browsing: Browsing) -> None:
+    page = browsing.page
+    page.call(
+        "((time) => { application.seek(time, true); document.querySelector('input[value=error]').click(); })",
+        browsing.time,
+    )
+    before = picture(page)
+    box = page.call("(() => { const { left, top, width, height } = divider.getBoundingClientRect(); "
+                    "return { x: left + width / 2, y: top + height / 3, width: canvas.clientWidth }; })")
+    page.drag((box["x"], box["y"]), (0.25 * box["width"], box["y"]))
+    assert page.call("(() => divider.getAttribute('aria-valuenow'))") == "25"
+    after = picture(page)
+    changed = (before != after).any(axis=2).any(axis=0).nonzero()[0] / before.shape[1]
+    assert changed.size
+    assert 0.24 < changed.min()
+    assert changed.max() < 0.51
+    page.call("(() => divider.focus())")
+    page.press("ArrowRight")
+    assert page.call("(() => divider.getAttribute('aria-valuenow'))") == "27"
+    page.press("End")
+    assert page.call("(() => divider.getAttribute('aria-valuenow'))") == "100"
+    page.call("(() => application.setSplit(0.5))")
+
+
+def test_it_plays_and_the_time_goes_on(browsing: Browsing) -> None:
+    times = browsing.page.call(
+        """(async () => {
+            application.seek(application.clip.start, true);
+            play.click();
+            const times = [application.time];
+            for (let i = 0; i < 6; i++) {
+                await new Promise(requestAnimationFrame);
+                times.push(application.time);
+            }
+            play.click();
+            return times;
+        })"""
+    )
+    assert len(set(times)) > 3
+
+
+def test_pointing_at_the_chart_shows_the_pose_and_leaving_it_goes_back(browsing: Browsing) -> None:
+    page = browsing.page
+    page.call("(() => { chart.scrollIntoView(); application.seek(application.clip.start, true); })")
+    box = page.call("(() => { const { left, top, width, height } = chart.getBoundingClientRect(); return [left, top, width, height]; })")
+    page.move_mouse(box[0] + 0.7 * box[2], box[1] + box[3] / 2)
+    start, end, pointed = page.call("(() => [application.clip.start, application.clip.end, application.time])")
+    assert 0.5 < (pointed - start) / (end - start) < 0.8
+    page.move_mouse(5, 5)
+    assert page.call("(() => application.time)") == pytest.approx(start)
