@@ -16,19 +16,24 @@ from skinbake.commands.view import view_file
 from tests.support import browser
 from tests.support.characters import Array
 
+DEGREES = 0.01
+"""Between the page and the replay: the page has joint matrices, and the shader all else, in float32."""
+
 BASE64 = """window.base64Of = (values) => {
     const bytes = new Uint8Array(values.buffer, values.byteOffset, values.byteLength);
     let letters = '';
-    for (let i = 0; i < bytes.length; i += 8192) letters += String.fromCharCode(...bytes.subarray(i, i + 8192));
+    for (let i = 0; i < bytes.length; i += 8192) {
+        letters += String.fromCharCode(...bytes.subarray(i, i + 8192));
+    }
     return btoa(letters);
 };"""
 
 NORMALS = """((clip, time, lighting) => {
     const { scene, renderer } = application;
-    application.play(false);
+    application.choose(scene.clips[clip]);
     application.stopMeasuring();
-    scene.pose(scene.clips[clip], time);
-    application.isPosed = false;
+    application.seek(time, true);
+    application.applyPose();
     return base64Of(renderer.captured(scene.parts[0], lighting).normals);
 })"""
 
@@ -61,8 +66,8 @@ def take(page: browser.Page, *files: Path) -> None:
     held: list[Any] = [[path.name, base64.b64encode(path.read_bytes()).decode()] for path in files]
     page.call(
         """(async (...held) => {
-            const files = held.map(([name, text]) => new File([Uint8Array.from(atob(text), (c) => c.charCodeAt(0))], name));
-            await application.take(files);
+            const bytes = (text) => Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
+            await application.take(held.map(([name, text]) => new File([bytes(text)], name)));
         })""",
         *held,
     )

@@ -127,27 +127,29 @@ export class Renderer {
 
     material(material) {
         const { pbrMetallicRoughness: pbr = {}, normalTexture, emissiveTexture } = material;
-        const maps = {};
-        const load = async (name, info) => {
-            const image = info && (info.texCoord ?? 0) === 0 ? await readImage(this.model, info.index) : null;
-            if (image) maps[name] = this.texture(image);
-        };
-        const loading = Promise.all([
-            load('base', pbr.baseColorTexture),
-            load('normal', normalTexture),
-            load('emissive', emissiveTexture),
-        ]).catch(() => {}); // An image that cannot be decoded is left out, as a missing one is.
-        return {
-            maps,
-            loading,
-            base: pbr.baseColorFactor ?? [1, 1, 1, 1],
-            emissive: material.emissiveFactor ?? [0, 0, 0],
+        const made = {
+            maps: {},
+            base: pbr.baseColorTexture ? CLAY : pbr.baseColorFactor ?? [1, 1, 1, 1],
+            emissive: emissiveTexture ? [0, 0, 0] : material.emissiveFactor ?? [0, 0, 0],
             roughness: Math.min(Math.max(pbr.roughnessFactor ?? 1, 0.3), 0.8),
             normalScale: normalTexture?.scale ?? 1,
             cutoff: material.alphaMode === 'MASK' ? material.alphaCutoff ?? 0.5 : 0,
             isBlended: material.alphaMode === 'BLEND',
             isDouble: material.doubleSided === true,
         };
+        // An image that is missing or cannot be decoded is left out, with the factor that belongs to it.
+        const load = async (name, info, factors) => {
+            const image = info && (info.texCoord ?? 0) === 0 ? await readImage(this.model, info.index).catch(() => null) : null;
+            if (!image) return;
+            made.maps[name] = this.texture(image);
+            Object.assign(made, factors);
+        };
+        made.loading = Promise.all([
+            load('base', pbr.baseColorTexture, { base: pbr.baseColorFactor ?? [1, 1, 1, 1] }),
+            load('normal', normalTexture, {}),
+            load('emissive', emissiveTexture, { emissive: material.emissiveFactor ?? [0, 0, 0] }),
+        ]);
+        return made;
     }
 
     texture(image) {

@@ -3,7 +3,7 @@
 import { determinant, plus } from './matrices.js';
 import { poseAt, randomClip, rigidMotions } from './poses.js';
 import { LIGHTINGS } from './renderer.js';
-import { skinned, Surface } from './truth.js';
+import { joined, skinned, Surface } from './truth.js';
 
 export class Scene {
     constructor(renderer) {
@@ -81,7 +81,7 @@ export class Scene {
         if (method === 'dqs' && !motions) return null;
         if (parts.some((part) => this.morphed.has(part))) {
             const arrays = parts.map((part) => this.morphed.get(part) ?? part.primitive);
-            surface.carry(Float64Array.from(arrays.flatMap(({ positions }) => [...positions])), arrays.flatMap(({ normals }) => [...normals]));
+            surface.carry(joined(arrays, 'positions'), joined(arrays, 'normals'));
         }
         surface.moved ??= new Float64Array(3 * surface.count);
         parts.forEach((part, i) => {

@@ -203,7 +203,8 @@ function byQuaternions(joints, weights, vertex, x, y, z, { scale, quaternions },
     found[at + 2] = z + k * (r * dz - d * rz + rx * iy - ry * ix);
 }
 
-function joined(primitives, name) {
+// One array of all primitives.
+export function joined(primitives, name) {
     const found = new Float32Array(primitives.reduce((sum, one) => sum + one[name].length, 0));
     let at = 0;
     for (const one of primitives) {

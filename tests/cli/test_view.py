@@ -1,0 +1,139 @@
+"""``skinbake view``: the page as a file, and served; what it refuses, and what it leaves alone."""
+
+from __future__ import annotations
+
+import http.client
+import re
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from fixtures.make_fixtures import FOLDER
+from skinbake.cli import exit_codes
+from tests.support.command_line import LINUX, invoke
+from tests.support.models import bake, edited, sheet, write_model
+
+TUBE = FOLDER / "bent_tube.glb"
+
+
+def files(folder: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def test_a_file_that_is_not_baked_is_baked_in_memory_only(tmp_path: Path) -> None:
+    source = tmp_path / "tube.glb"
+    source.write_bytes(TUBE.read_bytes())
+    before = files(tmp_path)
+    result = invoke("view", source, "-o", tmp_path / "page.html")
+    assert result.exit_code == 0
+    assert re.fullmatch(r".*tube\.glb -> .*page\.html: [\d,]+ bytes, baked in memory\n", result.stdout)
+    after = files(tmp_path)
+    page = after.pop("page.html").decode()
+    assert after == before
+    assert "This page baked it in memory" in page
+
+
+def test_a_baked_file_is_shown_as_it_is(tmp_path: Path) -> None:
+    bake(TUBE, tmp_path / "tube.glb", encoding="packed8")
+    result = invoke("view", tmp_path / "tube.glb", "-o", tmp_path / "page.html")
+    assert result.stdout.endswith(" bytes\n")
+    assert "baked it in memory" not in (tmp_path / "page.html").read_text(encoding="utf-8")
+
+
+def test_the_same_file_gives_the_same_page(tmp_path: Path) -> None:
+    pages = [invoke("view", TUBE, "-o", "-").stdout_bytes for _ in range(2)]
+    assert pages[0] == pages[1]
+    assert pages[0].startswith(b"<!doctype html>")
+
+
+def test_the_page_names_nothing_on_the_network(tmp_path: Path) -> None:
+    page = invoke("view", TUBE, "-o", "-").stdout
+    assert "default-src 'none'" in page
+    addresses = set(re.findall(r"""https?://[^\s"'<)]+""", page))
+    assert addresses == {"http://www.w3.org/2000/svg"}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "words"),
+    [
+        (["{tube}", "-o", "page.glb"], exit_codes.USAGE, "page.glb is the name of a model"),
+        (["model.obj"], exit_codes.USAGE, "expected a name that ends in .glb, .gltf, .vrm"),
+        (["{folder}/none.glb", "-o", "{folder}/page.html"], exit_codes.INPUT, "cannot be read"),
+        (["{tube}", "-o", "{folder}/none/page.html"], exit_codes.OUTPUT, "its folder does not exist"),
+        (["{tube}", "--port", "70000"], exit_codes.USAGE, "70000 is not in the range"),
+    ],
+)
+def test_it_refuses(tmp_path: Path, arguments: list[str], code: int, words: str) -> None:
+    given = [argument.format(tube=TUBE, folder=tmp_path) for argument in arguments]
+    result = invoke("view", *given)
+    assert result.exit_code == code
+    assert words in " ".join(result.stderr.split())
+    assert files(tmp_path) == {}
+
+
+def test_a_file_without_anything_skinned_is_an_input_error(tmp_path: Path) -> None:
+    def unskinned(content: dict[str, object]) -> None:
+        for node in content["nodes"]:  # type: ignore[attr-defined]
+            node.pop("skin", None)
+
+    path = edited("bent_tube.glb", tmp_path / "models", unskinned)
+    result = invoke("view", path, "-o", tmp_path / "page.html")
+    assert result.exit_code == exit_codes.INPUT
+    assert "nothing in it can be shown: skipped: it has joints, but no node" in result.stderr
+    assert not (tmp_path / "page.html").exists()
+
+
+def test_a_page_may_not_replace_a_file_of_the_model(tmp_path: Path) -> None:
+    def rename(content: dict[str, object]) -> None:
+        content["buffers"][0]["uri"] = "data.html"  # type: ignore[index]
+
+    path = edited("shared_accessors.gltf", tmp_path, rename)
+    (tmp_path / "shared accessors.bin").rename(tmp_path / "data.html")
+    result = invoke("view", path, "-o", tmp_path / "data.html")
+    assert result.exit_code == exit_codes.OUTPUT
+    assert "it is a file of the input" in result.stderr
+
+
+def test_a_missing_image_is_said_and_left_out(tmp_path: Path) -> None:
+    def with_image(content: dict[str, object]) -> None:
+        content["images"] = [{"uri": "skin.png"}]
+
+    path = write_model(tmp_path / "sheet.glb", [sheet()], change=with_image)
+    result = invoke("view", path, "-o", tmp_path / "page.html")
+    assert result.exit_code == 0
+    assert "shown without this image" in result.stderr
+    (tmp_path / "skin.png").write_bytes(b"\x89PNG and so on")
+    assert invoke("view", path, "-o", tmp_path / "page.html").stderr == ""
+
+
+@LINUX
+@pytest.mark.slow
+def test_it_serves_the_page_to_this_machine_until_ctrl_c() -> None:
+    command = [sys.executable, "-u", "-m", "skinbake", "view", str(TUBE), "--no-browser"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stdout is not None
+            address = re.fullmatch(r"http://127\.0\.0\.1:(\d+)/ \(Ctrl-C ends\)\n", process.stdout.readline())
+            assert address is not None
+            port = int(address[1])
+            assert asked(port, "/")[0] == 200
+            assert asked(port, "/")[1].startswith(b"<!doctype html>")
+            assert asked(port, "/../pyproject.toml")[0] == 404
+            assert asked(port, "/", host="evil.example")[0] == 404
+            taken = invoke("view", TUBE, "--no-browser", "--port", str(port))
+            assert taken.exit_code == exit_codes.OUTPUT
+            assert "choose another --port" in taken.stderr
+        finally:
+            process.send_signal(signal.SIGINT)
+        assert process.wait(20) == exit_codes.INTERRUPTED
+
+
+def asked(port: int, path: str, host: str | None = None) -> tuple[int, bytes]:
+    """Return the status and the body of one request."""
+    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=20)
+    connection.request("GET", path, headers={"Host": host or f"127.0.0.1:{port}"})
+    answer = connection.getresponse()
+    return answer.status, answer.read()

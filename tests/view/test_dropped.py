@@ -1,0 +1,139 @@
+"""Files dropped on the page: every frame, encoding and layout, morph targets, and files that it refuses."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fixtures.make_fixtures import FOLDER
+from skinbake.choices import Encoding, Layout
+from skinbake.format.layouts import GradientFormat
+from skinbake.gltf.animation import read_clips
+from skinbake.gltf.document import read_document
+from skinbake.gltf.primitives import skinned_sources
+from skinbake.lighting.baked_views import baked_views
+from skinbake.lighting.measured import rest_surface
+from skinbake.lighting.morphing import morphing_of
+from skinbake.lighting.poses import PoseRequest, draws_of, pose_set
+from skinbake.skinning.algorithms import Algorithm
+from tests.support import browser
+from tests.support.baking import bake_file
+from tests.support.characters import AS_USUAL, Array, angles, baked, unit
+from tests.support.models import copied
+from tests.support.replay import replay
+from tests.view.pages import DEGREES, normals, shown, take
+
+TUBE = FOLDER / "bent_tube.glb"
+PACKED, SNORM = GradientFormat(Encoding.PACKED8), GradientFormat(Encoding.SNORM16)
+COORDINATES, CUSTOM = GradientFormat(layout=Layout.TEXCOORD), GradientFormat(Encoding.PACKED8, Layout.CUSTOM)
+CASES = [
+    *(("bent_tube.glb", storage) for storage in (AS_USUAL, PACKED, SNORM, COORDINATES, CUSTOM)),
+    *(("mirrored_tangent.glb", storage) for storage in (AS_USUAL, PACKED)),
+    *(("two_sets.glb", storage) for storage in (AS_USUAL, SNORM, COORDINATES)),
+]
+"""Both frames, one and two sets of influences, and every way to store α and β."""
+
+LIGHTINGS = {
+    "standard": Algorithm.LBS_APPROXIMATED,
+    "rig": Algorithm.LBS_ACCURATE,
+    "dqs": Algorithm.DQS_EXACT,
+}
+
+
+@pytest.fixture(scope="module")
+def browsing() -> Iterator[browser.Page]:
+    """Open the page of a fixture, on which the tests drop others."""
+    with shown(FOLDER / "weights_u8.glb") as page:
+        yield page
+        assert page.requests() == [page.address]
+
+
+def matrices(page: browser.Page) -> Array:
+    """Return the joint matrices (1, J, 4, 4) of the pose that the page has."""
+    found = page.call("(() => application.scene.posed.skins[0].map((matrix) => Array.from(matrix)))")
+    return np.array(found).reshape(1, -1, 4, 4).swapaxes(2, 3)
+
+
+@pytest.mark.parametrize(("name", "storage"), CASES, ids=str)
+def test_every_frame_and_storage_is_shown(
+    browsing: browser.Page, tmp_path: Path, name: str, storage: GradientFormat
+) -> None:
+    path = baked(FOLDER / name, tmp_path, storage=storage)
+    take(browsing, path)
+    assert browsing.call("(() => document.title)") == f"{path.name} – skinbake"
+    document = read_document(str(path))
+    (view,), _ = baked_views(document, skinned_sources(document)[0])
+    for lighting, algorithm in LIGHTINGS.items():
+        found = normals(browsing, lighting, clip=0, time=0.6)
+        wanted = unit(replay(algorithm, rest_surface(view), matrices(browsing)).normals[0])
+        assert angles(found, wanted).max() < DEGREES, lighting
+    assert browsing.messages() == []
+
+
+@pytest.mark.parametrize("frame", ["normal", "tangent"])
+def test_morph_targets_come_before_skinning(browsing: browser.Page, tmp_path: Path, frame: str) -> None:
+    path = baked(FOLDER / "morphed_sheet.glb", tmp_path, frame)
+    document = read_document(str(path))
+    views, _ = baked_views(document, skinned_sources(document)[0])
+    clips = read_clips(document)
+    ((skin, node),) = draws_of(document, 0, clips)
+    poses = pose_set(document, skin, clips, PoseRequest(samples=5), node)
+    morphing = morphing_of(document, views, poses)
+    assert morphing is not None
+    take(browsing, path)
+    pose = 3
+    (surface,) = morphing.surfaces([rest_surface(view) for view in views], pose)
+    for lighting, algorithm in LIGHTINGS.items():
+        found = normals(browsing, lighting, clip=0, time=float(poses.times[pose] or 0.0))
+        wanted = unit(replay(algorithm, surface, poses.joint_matrices[pose : pose + 1]).normals[0])
+        assert angles(found, wanted).max() < DEGREES, lighting
+    assert browsing.messages() == []
+
+
+def test_a_gltf_is_shown_with_the_files_dropped_beside_it(browsing: browser.Page, tmp_path: Path) -> None:
+    source = copied("shared_accessors.gltf", tmp_path / "source")
+    path = tmp_path / "baked.gltf"
+    assert bake_file(source, path).status == "baked"
+    buffers = [each for each in tmp_path.iterdir() if each.suffix == ".bin"]
+    take(browsing, path)
+    assert "a buffer of it is missing" in browsing.call("(() => message.textContent)")
+    assert browsing.call("(() => document.title)") != "baked.gltf – skinbake"
+    take(browsing, path, *buffers)
+    assert browsing.call("(() => [document.title, message.hidden])") == ["baked.gltf – skinbake", True]
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        ("letter.txt", b"Dear reader", "Expected a .glb, .gltf or .vrm file."),
+        ("broken.glb", b"glTF\2\0\0\0\xff\0\0\0", "the GLB has no JSON"),
+        ("text.gltf", b"no JSON", "it is neither a GLB nor glTF"),
+        ("empty.gltf", b'{"asset": {"version": "2.0"}}', "no mesh of it is made of triangles"),
+        (
+            "packed.gltf",
+            b'{"extensionsRequired": ["KHR_draco_mesh_compression"]}',
+            "it is compressed (KHR_draco_mesh_compression)",
+        ),
+    ],
+)
+def test_what_it_cannot_show_is_said_and_the_last_model_stays(
+    browsing: browser.Page, tmp_path: Path, name: str, content: bytes, words: str
+) -> None:
+    shown_first = baked(TUBE, tmp_path)
+    take(browsing, shown_first)
+    path = tmp_path / name
+    path.write_bytes(content)
+    take(browsing, path)
+    assert words in browsing.call("(() => message.textContent)")
+    assert browsing.call("(() => document.title)") == f"{shown_first.name} – skinbake"
+    browsing.call("(() => application.draw())")
+    assert browsing.messages() == []
+
+
+def test_a_file_that_is_not_baked_has_standard_lighting_only(browsing: browser.Page) -> None:
+    take(browsing, TUBE)
+    options = browsing.call("(() => [...right.options].map(({ value, disabled }) => [value, disabled]))")
+    assert [value for value, disabled in options if not disabled] == ["standard", "truth"]

@@ -1,0 +1,63 @@
+"""The parts of the page: its modules as one script, and its texts of shaders."""
+
+from __future__ import annotations
+
+import base64
+import json
+import re
+import zlib
+
+import pytest
+
+from skinbake.view.sources import FOLDER, MODULES, filled_page, script
+from skinbake.view.texts import packed_texts, shown_choices
+from tests.support.command_line import invoke
+
+DECLARED = re.compile(r"^(?:export )?(?:async )?(?:const|let|class|function)\s+(\w+)", re.MULTILINE)
+
+
+def test_every_module_comes_after_those_that_it_imports() -> None:
+    for number, name in enumerate(MODULES):
+        found = re.findall(r"from '\./([a-z]+\.js)'", (FOLDER / name).read_text(encoding="utf-8"))
+        assert set(found) <= set(MODULES[:number]), name
+    assert {path.name for path in FOLDER.glob("*.js")} == set(MODULES)
+
+
+def test_the_script_has_each_name_once_and_no_link() -> None:
+    names = DECLARED.findall(script())
+    assert len(names) == len(set(names))
+    assert len(names) > 100
+    assert not re.search(r"^(import|export) ", script(), re.MULTILINE)
+
+
+def test_nothing_in_the_script_or_style_can_end_its_element() -> None:
+    for text in (script(), (FOLDER / "page.css").read_text(encoding="utf-8")):
+        assert not re.search(r"</(script|style)|<!--|\r", text, re.IGNORECASE)
+
+
+def test_the_texts_are_what_skinbake_shader_writes() -> None:
+    """A few of them, by the command line; the others are made by the same function."""
+    texts = json.loads(zlib.decompress(base64.b64decode(packed_texts())))
+    assert set(texts) == {name for name, _ in shown_choices()}
+    plain = ["--frame", "normal"]
+    tangent = ["--frame", "tangent", "--encoding", "snorm16", "--morphs", "tangent", "--mirrored-joints"]
+    packed = ["--method", "dqs", "--influences", "8", "--encoding", "packed8"]
+    for name, options in (
+        ("lbs_accurate/4/normal/float32/none/plain", plain),
+        ("lbs_approximated/4/normal/float32/none/plain", ["--lighting", "approximated", *plain]),
+        ("dqs_exact/8/normal/packed8/none/plain", [*packed, *plain]),
+        ("lbs_accurate/4/tangent/snorm16/tangent/mirrored", tangent),
+    ):
+        assert texts[name] == invoke("shader", "--lang", "glsl", *options).stdout, name
+
+
+def test_no_two_choices_have_one_name() -> None:
+    names = [name for name, _ in shown_choices()]
+    assert len(names) == len(set(names))
+
+
+def test_a_value_is_never_filled_in_again() -> None:
+    empty = dict.fromkeys(("version", "model", "texts", "given"), "")
+    assert "@{model}@{script}" in filled_page({**empty, "title": "@{model}@{script}"})
+    with pytest.raises(KeyError):
+        filled_page(empty)
