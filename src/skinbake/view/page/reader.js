@@ -148,8 +148,8 @@ class Source {
     // The numbers of an accessor as floats; integers that are normalised become fractions.
     floats(number) {
         const { array, size, normalized, type } = this.accessor(number);
-        if (!normalized) return { array: Float32Array.from(array), size };
-        return { array: Float32Array.from(array, (value) => Math.max(value / LARGEST[type], -1)), size };
+        if (!normalized) return { array: new Float32Array(array), size };
+        return { array: new Float32Array(array).map((value) => Math.max(value / LARGEST[type], -1)), size };
     }
 }
 
@@ -246,7 +246,7 @@ function readTarget(source, target) {
 }
 
 function readTriangles(source, indices, mode, count) {
-    const row = indices === undefined ? Uint32Array.from({ length: count }, (_, i) => i) : Uint32Array.from(source.accessor(indices).array);
+    const row = indices === undefined ? new Uint32Array(count).map((_, i) => i) : new Uint32Array(source.accessor(indices).array);
     if (row.some((vertex) => vertex >= count)) throw new ReadError('an index of it is past its vertices');
     if (mode === 4) return row.subarray(0, row.length - (row.length % 3));
     const found = new Uint32Array(3 * Math.max(0, row.length - 2));
@@ -282,7 +282,7 @@ function smoothNormals(positions, triangles) {
 // Joints and weights by set of four; weights as the bake reads them: none is negative, and they sum to 1.
 function readInfluences(source, attributes, primitive, jointCount) {
     for (let set = 0; attributes[`JOINTS_${set}`] !== undefined; set++) {
-        const joints = Uint16Array.from(source.accessor(attributes[`JOINTS_${set}`]).array);
+        const joints = new Uint16Array(source.accessor(attributes[`JOINTS_${set}`]).array);
         primitive.joints.push(joints.map((joint) => (joint < jointCount ? joint : 0)));
         primitive.weights.push(source.floats(attributes[`WEIGHTS_${set}`]).array.slice());
     }

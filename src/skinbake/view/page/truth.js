@@ -18,12 +18,12 @@ export class Surface {
         let count = 0;
         this.starts = primitives.map((primitive) => (count += primitive.count) - primitive.count);
         this.count = count;
-        this.rest = Float64Array.from(joined(primitives, 'positions'));
-        this.normals = Float64Array.from(joined(primitives, 'normals'));
+        this.rest = new Float64Array(joined(primitives, 'positions'));
+        this.normals = new Float64Array(joined(primitives, 'normals'));
         this.triangles = soundTriangles(this.rest, offsetTriangles(primitives, this.starts));
-        this.classes = weldClasses(primitives, this.rest, this.normals);
+        this.classes = weldClasses(primitives, this.starts, this.rest, this.normals);
         this.areas = restAreas(this.rest, this.triangles, count);
-        this.dominant = dominantJoints(primitives);
+        this.dominant = dominantJoints(primitives, this.starts, count);
         this.listCorners();
         this.measureTangents();
         this.sums = new Float64Array(3 * this.classCount);
@@ -48,28 +48,28 @@ export class Surface {
 
     // The derivative along a tangent of each vertex, as factors of the two edges of each triangle around it.
     measureTangents() {
-        const { rest, normals, triangles, classes, ends, corners } = this;
-        const weights = new Float64Array(triangles.length);
+        const { normals, triangles, classes, ends, corners, count } = this;
+        const { weights, along } = measuredTriangles(this.rest, triangles);
         const totals = new Float64Array(this.classCount);
-        triangles.forEach((vertex, corner) => {
-            weights[corner] = maxWeight(rest, triangles, corner);
-            totals[classes[vertex]] += weights[corner];
-        });
-        const starts = new Int32Array(this.count + 1);
-        for (let vertex = 0; vertex < this.count; vertex++) {
+        triangles.forEach((vertex, corner) => (totals[classes[vertex]] += weights[corner]));
+        const starts = new Int32Array(count + 1);
+        for (let vertex = 0; vertex < count; vertex++) {
             const own = classes[vertex];
             starts[vertex + 1] = starts[vertex] + ends[own + 1] - ends[own];
         }
-        this.factors = new Float64Array(2 * starts[this.count]);
-        for (let vertex = 0; vertex < this.count; vertex++) {
-            const tangent = perpendicular(normals, 3 * vertex);
+        const factors = new Float64Array(2 * starts[count]);
+        for (let vertex = 0; vertex < count; vertex++) {
+            const [x, y, z] = perpendicular(normals, 3 * vertex);
             const own = classes[vertex];
             for (let i = ends[own], at = 2 * starts[vertex]; i < ends[own + 1]; i++, at += 2) {
-                const share = weights[corners[i]] / totals[own];
-                alongEdges(rest, triangles, corners[i] - (corners[i] % 3), tangent, share, this.factors, at);
+                const corner = corners[i];
+                const share = weights[corner] / totals[own];
+                const from = 2 * (corner - (corner % 3));
+                factors[at] = share * (along[from] * x + along[from + 1] * y + along[from + 2] * z);
+                factors[at + 1] = share * (along[from + 3] * x + along[from + 4] * y + along[from + 5] * z);
             }
         }
-        this.factorStarts = starts;
+        Object.assign(this, { factors, factorStarts: starts });
     }
 
     // Keep the coordinates of the normals in the frames before skinning: at rest, or under morph targets.
@@ -79,10 +79,15 @@ export class Surface {
         const frame = new Float64Array(9);
         for (let vertex = 0; vertex < count; vertex++) {
             this.frameOf(vertex, frame);
-            const [x, y, z] = normals.subarray(3 * vertex, 3 * vertex + 3);
-            const own = [0, 3, 6].map((axis) => frame[axis] * x + frame[axis + 1] * y + frame[axis + 2] * z);
-            const length = Math.hypot(...own);
-            own.forEach((value, axis) => (carried[3 * vertex + axis] = value / length));
+            const at = 3 * vertex;
+            const [x, y, z] = [normals[at], normals[at + 1], normals[at + 2]];
+            const t = frame[0] * x + frame[1] * y + frame[2] * z;
+            const s = frame[3] * x + frame[4] * y + frame[5] * z;
+            const n = frame[6] * x + frame[7] * y + frame[8] * z;
+            const length = Math.sqrt(t * t + s * s + n * n);
+            carried[at] = t / length;
+            carried[at + 1] = s / length;
+            carried[at + 2] = n / length;
         }
     }
 
@@ -215,105 +220,131 @@ export function joined(primitives, name) {
 }
 
 function offsetTriangles(primitives, starts) {
-    return Int32Array.from(primitives.flatMap(({ triangles }, i) => Array.from(triangles, (vertex) => vertex + starts[i])));
+    const found = new Int32Array(primitives.reduce((sum, { triangles }) => sum + triangles.length, 0));
+    let at = 0;
+    primitives.forEach(({ triangles }, number) => triangles.forEach((vertex) => (found[at++] = vertex + starts[number])));
+    return found;
 }
 
+// The triangles that are no line and no point.
 function soundTriangles(positions, triangles) {
     let length = 0;
     for (let t = 0; t < triangles.length; t += 3) {
-        const [e, f] = edgesOf(positions, triangles, t, 0);
-        const g = [0, 1, 2].map((axis) => f[axis] - e[axis]);
-        const longest = Math.max(square(e), square(f), square(g));
-        if (!(Math.sqrt(square(crossed(e, f))) > DEGENERATE * longest)) continue;
+        const [a, b, c] = [3 * triangles[t], 3 * triangles[t + 1], 3 * triangles[t + 2]];
+        const longest = Math.max(apart(positions, a, b), apart(positions, b, c), apart(positions, c, a));
+        if (!(doubledArea(positions, a, b, c) > DEGENERATE * longest)) continue;
         triangles.copyWithin(length, t, t + 3);
         length += 3;
     }
     return triangles.subarray(0, length);
 }
 
-const square = ([x, y, z]) => x * x + y * y + z * z;
-const crossed = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
-
-// The two edges from a corner of a triangle to the next one and to the one after it.
-function edgesOf(positions, triangles, t, corner) {
-    const [a, b, c] = [0, 1, 2].map((turn) => 3 * triangles[t + ((corner + turn) % 3)]);
-    return [b, c].map((end) => [0, 1, 2].map((axis) => positions[end + axis] - positions[a + axis]));
+// The squared distance of two places.
+function apart(positions, a, b) {
+    const [x, y, z] = [positions[a] - positions[b], positions[a + 1] - positions[b + 1], positions[a + 2] - positions[b + 2]];
+    return x * x + y * y + z * z;
 }
 
-function maxWeight(positions, triangles, corner) {
-    const [e, f] = edgesOf(positions, triangles, corner - (corner % 3), corner % 3);
-    return Math.sqrt(square(crossed(e, f))) / (square(e) * square(f));
+function doubledArea(positions, a, b, c) {
+    const ex = positions[b] - positions[a], ey = positions[b + 1] - positions[a + 1], ez = positions[b + 2] - positions[a + 2];
+    const fx = positions[c] - positions[a], fy = positions[c + 1] - positions[a + 1], fz = positions[c + 2] - positions[a + 2];
+    return Math.hypot(ey * fz - ez * fy, ez * fx - ex * fz, ex * fy - ey * fx);
 }
 
-// The derivative along t of what changes linearly over a triangle, as factors of its two edges.
-function alongEdges(positions, triangles, t, tangent, share, factors, at) {
-    const [e, f] = edgesOf(positions, triangles, t, 0);
-    const n = crossed(e, f);
-    const size = square(n);
-    const dot = (a) => a[0] * tangent[0] + a[1] * tangent[1] + a[2] * tangent[2];
-    factors[at] = (share * dot(crossed(f, n))) / size;
-    factors[at + 1] = (share * dot(crossed(n, e))) / size;
+// The weights of corners (Max 1999), and by triangle two vectors: what changes linearly over it changes along t
+// by its difference on the first edge times the first vector's part along t, and likewise on the second.
+function measuredTriangles(positions, triangles) {
+    const weights = new Float64Array(triangles.length);
+    const along = new Float64Array(2 * triangles.length);
+    for (let t = 0; t < triangles.length; t += 3) {
+        const [a, b, c] = [3 * triangles[t], 3 * triangles[t + 1], 3 * triangles[t + 2]];
+        const ex = positions[b] - positions[a], ey = positions[b + 1] - positions[a + 1], ez = positions[b + 2] - positions[a + 2];
+        const fx = positions[c] - positions[a], fy = positions[c + 1] - positions[a + 1], fz = positions[c + 2] - positions[a + 2];
+        const nx = ey * fz - ez * fy, ny = ez * fx - ex * fz, nz = ex * fy - ey * fx;
+        const size = nx * nx + ny * ny + nz * nz;
+        const area = Math.sqrt(size);
+        const [ab, ac, bc] = [ex * ex + ey * ey + ez * ez, fx * fx + fy * fy + fz * fz, apart(positions, b, c)];
+        weights[t] = area / (ab * ac);
+        weights[t + 1] = area / (ab * bc);
+        weights[t + 2] = area / (ac * bc);
+        const at = 2 * t;
+        along[at] = (fy * nz - fz * ny) / size;
+        along[at + 1] = (fz * nx - fx * nz) / size;
+        along[at + 2] = (fx * ny - fy * nx) / size;
+        along[at + 3] = (ny * ez - nz * ey) / size;
+        along[at + 4] = (nz * ex - nx * ez) / size;
+        along[at + 5] = (nx * ey - ny * ex) / size;
+    }
+    return { weights, along };
 }
 
+// A unit vector at right angles to a normal: its product with the axis that it is the farthest from.
 function perpendicular(normals, at) {
-    const n = [normals[at], normals[at + 1], normals[at + 2]];
-    const sizes = n.map(Math.abs);
-    const axis = [0, 0, 0];
-    axis[sizes.indexOf(Math.min(...sizes))] = 1;
-    const found = crossed(axis, n);
-    const length = Math.sqrt(square(found));
-    return found.map((value) => value / length);
+    const [x, y, z] = [normals[at], normals[at + 1], normals[at + 2]];
+    const [ax, ay, az] = [Math.abs(x), Math.abs(y), Math.abs(z)];
+    const found = ax <= ay && ax <= az ? [0, -z, y] : ay <= az ? [z, 0, -x] : [-y, x, 0];
+    const length = Math.sqrt(found[0] * found[0] + found[1] * found[1] + found[2] * found[2]);
+    return [found[0] / length, found[1] / length, found[2] / length];
 }
 
 function restAreas(positions, triangles, count) {
     const areas = new Float64Array(count);
     for (let t = 0; t < triangles.length; t += 3) {
-        const [e, f] = edgesOf(positions, triangles, t, 0);
-        const third = Math.sqrt(square(crossed(e, f))) / 6;
-        for (let corner = 0; corner < 3; corner++) areas[triangles[t + corner]] += third;
+        const [a, b, c] = [triangles[t], triangles[t + 1], triangles[t + 2]];
+        const third = doubledArea(positions, 3 * a, 3 * b, 3 * c) / 6;
+        areas[a] += third;
+        areas[b] += third;
+        areas[c] += third;
     }
     return areas;
 }
 
-function dominantJoints(primitives) {
-    return primitives.flatMap(({ joints, weights, count }) =>
-        Array.from({ length: count }, (_, vertex) => {
-            let [found, most] = [0, -1];
-            joints.forEach((set, number) => {
+// The joint of the largest weight of each vertex.
+function dominantJoints(primitives, starts, count) {
+    const dominant = new Uint16Array(count);
+    primitives.forEach(({ joints, weights, count: own }, number) => {
+        for (let vertex = 0; vertex < own; vertex++) {
+            let most = -1;
+            for (let set = 0; set < joints.length; set++) {
                 for (let i = 4 * vertex; i < 4 * vertex + 4; i++) {
-                    if (weights[number][i] > most) [found, most] = [set[i], weights[number][i]];
+                    if (!(weights[set][i] > most)) continue;
+                    most = weights[set][i];
+                    dominant[starts[number] + vertex] = joints[set][i];
                 }
-            });
-            return found;
-        })
-    );
+            }
+        }
+    });
+    return dominant;
 }
 
 // Number the vertices that are one point: equal places and influences, normals joined by a chain of small angles.
-function weldClasses(primitives, positions, normals) {
+function weldClasses(primitives, starts, positions, normals) {
     const count = positions.length / 3;
-    const parents = Int32Array.from({ length: count }, (_, i) => i);
+    const parents = new Int32Array(count).map((_, i) => i);
     const root = (vertex) => {
         while (parents[vertex] !== vertex) vertex = parents[vertex] = parents[parents[vertex]];
         return vertex;
     };
-    const owners = primitives.flatMap((one) => new Array(one.count).fill(one));
-    const starts = new Map();
-    primitives.reduce((start, one) => (starts.set(one, start), start + one.count), 0);
     for (const group of samePlaces(positions)) {
-        const keys = group.map((vertex) => influencesOf(owners[vertex], vertex - starts.get(owners[vertex])));
+        const keys = group.map((vertex) => {
+            const number = starts.findLastIndex((start) => start <= vertex);
+            return influencesOf(primitives[number], vertex - starts[number]);
+        });
         group.forEach((first, i) => {
             for (let j = 0; j < i; j++) {
                 if (keys[i] === keys[j] && isClose(normals, 3 * first, 3 * group[j])) parents[root(first)] = root(group[j]);
             }
         });
     }
-    const numbers = new Map();
-    return Int32Array.from({ length: count }, (_, vertex) => {
+    const numbers = new Int32Array(count).fill(-1);
+    const classes = new Int32Array(count);
+    let next = 0;
+    for (let vertex = 0; vertex < count; vertex++) {
         const own = root(vertex);
-        if (!numbers.has(own)) numbers.set(own, numbers.size);
-        return numbers.get(own);
-    });
+        if (numbers[own] < 0) numbers[own] = next++;
+        classes[vertex] = numbers[own];
+    }
+    return classes;
 }
 
 function influencesOf({ joints, weights }, vertex) {
@@ -338,10 +369,10 @@ function samePlaces(positions) {
     const count = positions.length / 3;
     const bits = 32 - Math.clz32(2 * count);
     const table = new Int32Array(1 << bits).fill(-1);
-    const words = new Uint32Array(Float32Array.from(positions, (value) => value + 0).buffer); // −0 is +0.
+    const words = new Uint32Array(new Float32Array(positions).map((value) => value + 0).buffer); // −0 is +0.
     const groups = new Map();
     for (let vertex = 0; vertex < count; vertex++) {
-        const [x, y, z] = words.subarray(3 * vertex, 3 * vertex + 3);
+        const [x, y, z] = [words[3 * vertex], words[3 * vertex + 1], words[3 * vertex + 2]];
         let place = (Math.imul(x, 0x9e3779b1) ^ Math.imul(y, 0x85ebca77) ^ Math.imul(z, 0xc2b2ae3d)) >>> (32 - bits);
         while (table[place] >= 0) {
             const first = 3 * table[place];
