@@ -71,6 +71,7 @@ def pair_up(inputs: Sequence[Input], folder: str) -> list[tuple[Input, str]]:
 REPORTS: Mapping[str, Callable[[bytes], bool]] = {
     "--summary": lambda head: head.startswith(b"{"),
     "--junit": lambda head: b"<testsuite" in head,
+    "--html": lambda head: b'<meta name="generator" content="skinbake ' in head,
 }
 """The beginning of a file that an earlier run has written, by option."""
 

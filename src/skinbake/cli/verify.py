@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,11 +16,13 @@ from skinbake.cli.given import Given
 from skinbake.cli.inputs import expanded
 from skinbake.cli.limits import limit_options, memory_of_each
 from skinbake.cli.many import Clock, Reporting, Run, many_options, notes_of, state_path, work_through
+from skinbake.cli.names import STDIO
 from skinbake.cli.remote import cluster_option
 from skinbake.cli.runners import runner_of, seconds_of
 from skinbake.cli.targets import check_reports
 from skinbake.containment import Bounds, Within
-from skinbake.errors import OutputError, Place
+from skinbake.errors import OutputError, Place, SkinbakeError
+from skinbake.urls import is_url
 
 if TYPE_CHECKING:
     from typing import Unpack
@@ -45,6 +47,7 @@ class VerifyGiven(Given):
     min_gain: float | None
     require_baked: bool
     junit: str | None
+    html: str | None
     truth: str | None
 
 
@@ -132,6 +135,12 @@ def _poses(ctx: click.Context, param: click.Parameter, value: str) -> tuple[Pose
 @click.option("--warnings-as-errors", is_flag=True, help="Fail if there are warnings.")
 @click.option("--json", "as_json", is_flag=True, help="Print the results as JSON.")
 @click.option("--junit", metavar="FILE", help="Also write the results as JUnit XML.")
+@click.option(
+    "--html",
+    metavar="PAGE",
+    help="Also write a page that shows the file and its results; for several files an index, and their "
+    "pages in a folder of its name.",
+)
 @many_options
 @limit_options
 @cluster_option
@@ -149,7 +158,14 @@ def command(inputs: tuple[str, ...], **given: Unpack[VerifyGiven]) -> None:
     """
     clock = Clock()
     found, notes_at = expanded(inputs), state_path(given)
-    reports = {"--junit": given["junit"], "--summary": given["summary"], "--state": notes_at}
+    reports = {
+        "--junit": given["junit"],
+        "--html": given["html"],
+        "--summary": given["summary"],
+        "--state": notes_at,
+    }
+    if given["html"] and any(entry.source == STDIO or is_url(entry.source) for entry in found):
+        raise click.UsageError("--html needs files on this machine's disks, because it reads them again")
     check_reports(reports, None, (entry.source for entry in found))
     say = console(verbose=given["verbose"], quiet=given["quiet"], color=given["color"])
     from skinbake.jobs.file_work import FileWork
@@ -167,7 +183,7 @@ def command(inputs: tuple[str, ...], **given: Unpack[VerifyGiven]) -> None:
         )
         for entry in found
     ]
-    reporting = _reporting(given, say)
+    reporting = _reporting(given, say, options, {entry.source: entry.searched for entry in found})
     clock.imports_done()
     work = FileWork(Verify(options), notes.recipe, given["timings"], memory_of_each(given))
     guess = (SECONDS_A_FILE, SECONDS_A_BYTE)
@@ -177,12 +193,14 @@ def command(inputs: tuple[str, ...], **given: Unpack[VerifyGiven]) -> None:
     sys.exit(work_through(run, reporting, given, say, clock, notes))
 
 
-def _reporting(given: VerifyGiven, say: Console) -> Reporting[FileVerdict]:
+def _reporting(
+    given: VerifyGiven, say: Console, options: VerifyOptions, searched: Mapping[str, str | None]
+) -> Reporting[FileVerdict]:
     """Return how verdicts are reported, counted and written."""
     from skinbake.report.totals import VERIFY_OUTCOMES, Totals
     from skinbake.report.verify import SCHEMA, as_json, as_junit, as_text, file_json
 
-    junit = given["junit"]
+    junit, page = given["junit"], given["html"]
 
     def tell(verdict: FileVerdict) -> None:
         say.notices(verdict.notices)
@@ -193,7 +211,25 @@ def _reporting(given: VerifyGiven, say: Console) -> Reporting[FileVerdict]:
             say.result(as_text(verdict))
 
     def write(verdicts: Sequence[FileVerdict]) -> int:
-        return _write(str(junit), as_junit(verdicts), say, sync=not given["no_sync"])
+        code = exit_codes.OK
+        if junit is not None:
+            code = _write(junit, as_junit(verdicts), say, sync=not given["no_sync"])
+        if page is not None:
+            code = max(code, write_page(page, verdicts))
+        return code
+
+    def write_page(target: str, verdicts: Sequence[FileVerdict]) -> int:
+        from skinbake.commands.view import write_report
+
+        def bounds(source: str) -> Bounds:
+            return Bounds(searched.get(source), given["allow_outside"])
+
+        try:
+            write_report(verdicts, options, target, bounds, sync=not given["no_sync"])
+        except SkinbakeError as error:
+            say.error(error)
+            return exit_codes.of_error(error)
+        return exit_codes.OK
 
     return Reporting(
         schema=SCHEMA,
@@ -203,7 +239,7 @@ def _reporting(given: VerifyGiven, say: Console) -> Reporting[FileVerdict]:
         code=_code,
         file_json=file_json,
         document=lambda verdicts, code, process: as_json(verdicts, exit_code=code, process=process),
-        write=write if junit else None,
+        write=write if junit or page else None,
     )
 
 

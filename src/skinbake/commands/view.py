@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import os
+import re
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from pathlib import PurePath
+from pathlib import Path, PurePath
 from typing import Any
+from urllib.parse import quote
 
 import numpy as np
 
@@ -22,12 +25,13 @@ from skinbake.gltf.document import STDIO, Document, read_document
 from skinbake.gltf.output import plan_output, refuse_own_input
 from skinbake.gltf.primitives import skinned_sources
 from skinbake.gltf.resources import is_data_uri, read_resource
-from skinbake.gltf.writing import write_file, write_stdout
+from skinbake.gltf.writing import write_file, write_files, write_stdout
 from skinbake.lighting.baked_views import BakedView, baked_views, is_baked
 from skinbake.lighting.expected import noted_kind
 from skinbake.lighting.measured import VerifyOptions
-from skinbake.report.verify import FileVerdict, file_json
+from skinbake.report.verify import FileVerdict, file_json, gain
 from skinbake.timing import stage
+from skinbake.view.index import Listed, index
 from skinbake.view.page import OtherGradients, Shown, page
 
 PNG, JPEG, WEBP = b"\x89PNG", b"\xff\xd8\xff", b"RIFF"
@@ -53,22 +57,106 @@ def view_file(source: str, target: str | None = None, bounds: Bounds = BESIDE) -
         document = read_document(source, bounds)
     if target is not None:
         refuse_own_input(document, source, target)
-    views = _baked_views(document)
-    was_baked = bool(views)
+    was_baked = bool(_baked_views(document))
     notices: tuple[Notice, ...] = ()
     if not was_baked:
         document, notices = _baked(document)
-        views = _baked_views(document)
-    with stage("other gradients"):
-        others = list(_other_gradients(document, views))
     verdict = verify_document(document, VerifyOptions())
+    notes = [] if was_baked else ["The file was not baked. This page baked it in memory, with the defaults."]
+    made, missing = _page(document, replace(verdict, notices=(*notices, *verdict.notices)), notes)
+    return ViewResult(made, was_baked, (*notices, *missing, *verdict.notices))
+
+
+def report_page(verdict: FileVerdict, options: VerifyOptions, bounds: Bounds = BESIDE) -> bytes:
+    """Return the page of a file that was verified, with its verdict and the limits that it was held to.
+
+    Raises InputError if the file cannot be read any more.
+    """
+    document = read_document(verdict.input, bounds)
+    return _page(document, verdict, [], limits=_limits(options))[0]
+
+
+def write_report(
+    verdicts: Sequence[FileVerdict],
+    options: VerifyOptions,
+    target: str,
+    bounds: Callable[[str], Bounds],
+    *,
+    sync: bool = True,
+) -> None:
+    """Write the page of one verdict, or an index and the pages of several in a folder of its name.
+
+    ``bounds`` gives the folders in which the document of an input may name files. A file without figures has
+    no page. Raises SkinbakeError; the files that were written before stay.
+    """
+    if len(verdicts) == 1 and verdicts[0].error is None and not verdicts[0].up_to_date:
+        write_file([report_page(verdicts[0], options, bounds(verdicts[0].input))], target, sync=sync)
+        return
+    folder = Path(os.path.realpath(target)).with_suffix("")
+    if folder.suffix or folder == Path(os.path.realpath(target)):
+        folder = folder.with_name(f"{folder.name}-pages")
+    listed = []
+    for number, verdict in enumerate(verdicts, 1):
+        link = None
+        if verdict.error is None and not verdict.up_to_date:
+            name = f"{number:04}-{UNSAFE.sub('_', PurePath(verdict.input).stem)[:80]}.html"
+            made = report_page(verdict, options, bounds(verdict.input))
+            write_files(folder, {folder / name: [made]}, str(folder / name), sync=sync)
+            link = f"{quote(folder.name)}/{name}"
+        listed.append(_listed(verdict, link))
+    write_file([index(listed, _limits(options))], target, sync=sync)
+
+
+UNSAFE = re.compile("[^A-Za-z0-9._-]+")
+"""The characters of a file's name that its page's name does not have."""
+
+
+def _listed(verdict: FileVerdict, link: str | None) -> Listed:
+    """Return the entry of a file in the index."""
+    normals = verdict.normals or {}
+    figures = normals.get("lbs") or normals.get("dqs") or {}
+    problems = [problem.message for check in verdict.checks for problem in check.problems]
+    remark = str(verdict.error.message) if verdict.error else "; ".join(problems[:1])
+    if verdict.up_to_date:
+        remark = "passed before, up to date"
+    return Listed(
+        name=verdict.input,
+        link=link,
+        passed=verdict.passed,
+        remark=remark,
+        standard=figures["approximated"].mean if figures else None,
+        accurate=figures["accurate"].mean if figures else None,
+        gain=gain(figures) if figures else None,
+    )
+
+
+def _page(
+    document: Document, verdict: FileVerdict, notes: Sequence[str], limits: Sequence[str] | None = None
+) -> tuple[bytes, list[Notice]]:
+    """Return the page of a document, and notices on what is missing in it."""
+    with stage("other gradients"):
+        others = list(_other_gradients(document, _baked_views(document)))
     with stage("page"):
         glb, missing = _self_contained(document)
-    found = (*notices, *missing, *verdict.notices)
-    name = "stdin" if source == STDIO else PurePath(source).name
-    findings = _findings(verdict, found, was_baked=was_baked)
-    with stage("page"):
-        return ViewResult(page(Shown(name=name, glb=glb, others=others, findings=findings)), was_baked, found)
+        told = [*notes, *map(_sentence, (*missing, *verdict.notices))]
+        name = "stdin" if document.place.file == "<stdin>" else PurePath(document.name).name
+        findings = {**_findings(verdict), "notes": told, "limits": limits}
+        return page(Shown(name=name, glb=glb, others=others, findings=findings)), missing
+
+
+def _sentence(notice: Notice) -> str:
+    where = notice.place.within_file
+    return f"{notice.message} ({where})" if where else notice.message
+
+
+def _limits(options: VerifyOptions) -> list[str]:
+    """Return the limits that were asked for, in words."""
+    given = (
+        ("mean error at most", options.max_mean_error, "°"),
+        ("95th percentile of the error at most", options.max_p95_error, "°"),
+        ("gain at least", options.min_gain, "×"),
+    )
+    return [f"{words} {limit:g}{unit}" for words, limit, unit in given if limit is not None]
 
 
 def write_page(result: ViewResult, target: str, *, sync: bool = True) -> None:
@@ -103,10 +191,12 @@ def _other_gradients(document: Document, views: Sequence[BakedView]) -> Iterator
 
     Yields nothing if they cannot be baked: without a rig there is one kind only.
     """
+    if not views:
+        return
     kind = Gradients.SURFACE if noted_kind(views[0]) is Gradients.RIG else Gradients.RIG
     try:
         plain, _, _ = stripped(document)
-        made = replace(noted_baker(views[0]), gradients=kind, generate_normals=True).bake_document(plain)
+        made = replace(noted_baker(views[0]), gradients=kind).bake_document(plain)
         others = {view.source.place: view for view in _baked_views(made.document)}
     except SkinbakeError:
         return
@@ -174,15 +264,15 @@ def _lost_images(lost: Sequence[InputError], place: Place) -> list[Notice]:
     return [Notice("images-missing", message, place, len(lost))]
 
 
-def _findings(verdict: FileVerdict, notices: Sequence[Notice], *, was_baked: bool) -> dict[str, Any]:
-    """Return what the page tells beside the model: the members of verify's JSON, and sentences."""
+def _findings(verdict: FileVerdict) -> dict[str, Any]:
+    """Return the verdict in the members of verify's JSON, with problems as sentences."""
     told = file_json(verdict)
-    notes = [] if was_baked else ["The file was not baked. This page baked it in memory, with the defaults."]
-    notes += [f"{notice.message} ({notice.place.within_file})" for notice in notices]
     return {
         "figures": told["normals"],
         "by_triangles": told["normals_by_triangles"],
+        "primitives": told["primitives"],
         "poses": told["poses"],
+        "passed": verdict.passed,
         "checks": [
             {
                 "name": check.name,
@@ -192,5 +282,4 @@ def _findings(verdict: FileVerdict, notices: Sequence[Notice], *, was_baked: boo
             }
             for check in verdict.checks
         ],
-        "notes": notes,
     }

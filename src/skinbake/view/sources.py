@@ -8,7 +8,8 @@ import re
 from functools import cache
 from pathlib import Path
 
-FOLDER = Path(__file__).parent / "page"
+FOLDER = Path(__file__).parent / "templates" / "page"
+INDEX = Path(__file__).parent / "templates" / "index"
 
 MODULES = (
     "matrices.js",
@@ -41,23 +42,32 @@ def _unlinked(text: str) -> str:
 
 
 @cache
-def _text(name: str) -> str:
-    return (FOLDER / name).read_text(encoding="utf-8")
+def _text(name: str, folder: Path = FOLDER) -> str:
+    return (folder / name).read_text(encoding="utf-8")
 
 
 def filled_page(values: dict[str, str]) -> str:
     """Return the page with its style and script, and with ``values`` in the places of their names.
 
-    The values must be safe where they stand: HTML as text, and in scripts no ``<``. The policy lets the
-    browser run the page's own script and no other, and load nothing.
+    The values must be safe where they stand: HTML as text, and in scripts no ``<``.
     """
-    style, code = _text("page.css"), script()
+    return _filled(_text("page.html"), _text("page.css"), script(), values)
+
+
+def filled_index(values: dict[str, str]) -> str:
+    """Return the index of several pages, filled like the page itself."""
+    page, style, code = (_text(f"index.{kind}", INDEX) for kind in ("html", "css", "js"))
+    return _filled(page, style, code, values)
+
+
+def _filled(page: str, style: str, code: str, values: dict[str, str]) -> str:
+    """Return a page with a policy that lets the browser run its own script and no other, and load nothing."""
     policy = (
         "default-src 'none'; base-uri 'none'; form-action 'none'; img-src data: blob:; "
         f"style-src '{_digest(style)}'; script-src '{_digest(code)}'"
     )
     known = {**values, "style": style, "script": code, "policy": policy}
-    return MARK.sub(lambda found: known[found[1]], _text("page.html"))
+    return MARK.sub(lambda found: known[found[1]], page)
 
 
 def _digest(text: str) -> str:

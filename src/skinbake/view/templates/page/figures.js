@@ -56,20 +56,45 @@ function tableOf(figures, triangles) {
 
 export function showNotes(byId, given) {
     const checks = given.checks ?? [];
+    byId.limits.textContent = given.limits?.length ? `Limits: ${given.limits.join(', ')}.` : '';
+    byId.verdict.textContent = given.limits ? (given.passed ? 'passed' : 'failed') : '';
+    if (given.limits) byId.checks.parentElement.prepend(byId.checks); // A report begins with its verdict.
+    byId.verdict.className = `outcome is-${given.passed ? 'passed' : 'failed'}`;
+    showPrimitives(byId, given.primitives ?? []);
     byId.checks.hidden = !checks.length;
     byId['checks-list'].replaceChildren(
         ...checks.map(({ name, outcome, remark, problems }) => {
             const item = element('li');
             const word = element('span', outcome);
             word.className = `outcome is-${outcome}`;
-            item.append(`${name}: `, word, remark ? ` — ${remark}` : '');
-            for (const problem of problems ?? []) item.append(element('p', problem));
+            item.append(`${name}: `, word, remark && !problems.length ? ` — ${remark}` : '');
+            for (const problem of problems) item.append(element('p', problem));
             return item;
         })
     );
     const notes = given.notes ?? [];
     byId.notes.hidden = !notes.length;
     byId['notes-list'].replaceChildren(...notes.map((text) => element('li', text)));
+}
+
+// The figures of each primitive, where there are several.
+function showPrimitives(byId, primitives) {
+    const rows = primitives.filter(({ normals }) => normals?.lbs ?? normals?.dqs);
+    byId.primitives.hidden = rows.length < 2;
+    const table = element('table');
+    const head = element('thead');
+    head.append(row('th', ['', 'standard', 'accurate', 'gain']));
+    const body = element('tbody');
+    for (const { mesh, mesh_name: name, primitive, normals } of rows) {
+        const { approximated, accurate, gain } = normals.lbs ?? normals.dqs;
+        const line = row('td', [approximated.mean.toFixed(2), accurate.mean.toFixed(2), gain ? `${gain.toPrecision(3)}×` : '—']);
+        const title = element('th', `${name ?? `mesh ${mesh}`}, ${primitive}`);
+        title.scope = 'row';
+        line.prepend(title);
+        body.append(line);
+    }
+    table.append(head, body);
+    byId['primitives-table'].replaceChildren(table);
 }
 
 export const degrees = (value) => (value < 10 ? `${value.toFixed(2)}°` : `${value.toFixed(1)}°`);

@@ -3,7 +3,7 @@
 import { Camera } from './camera.js';
 import { Chart, nice } from './chart.js';
 import { degrees, showFigures, showNotes } from './figures.js';
-import { fromBase64, gradientsOf, readModel } from './reader.js';
+import { fromBase64, gradientsOf, ReadError, readModel } from './reader.js';
 import { LIGHTINGS, Renderer } from './renderer.js';
 import { Scene } from './scene.js';
 
@@ -414,6 +414,8 @@ function influencesOfSets({ joints, weights }, slots) {
 async function start() {
     const given = JSON.parse(byId.given.textContent);
     const texts = JSON.parse(new TextDecoder().decode(await inflated(byId.texts.textContent)));
+    showFigures(byId, given);
+    showNotes(byId, given);
     const model = await readModel(fromBase64(byId.model.textContent), given.name);
     addOther(model, given.other);
     const application = new Application(new Renderer(byId.canvas, texts));
@@ -426,6 +428,6 @@ window.ready = start().then(
     (error) => {
         byId.message.textContent = `The model cannot be shown: ${error.message}`;
         byId.message.hidden = false;
-        throw error;
+        if (!(error instanceof ReadError)) throw error;
     }
 );

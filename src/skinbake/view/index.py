@@ -1,0 +1,64 @@
+"""The index of the pages of several files: which passed, and how much each gains."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from skinbake.version import __version__
+from skinbake.view.sources import filled_index
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Listed:
+    """One file of the index: its name, the link to its page (None: it has none), and its figures.
+
+    standard and accurate are mean errors in degrees, gain is their ratio; None if they were not measured.
+    remark says why a file failed, or why it has no figures.
+    """
+
+    name: str
+    link: str | None
+    passed: bool
+    remark: str = ""
+    standard: float | None = None
+    accurate: float | None = None
+    gain: float | None = None
+
+
+def index(files: Sequence[Listed], limits: Sequence[str]) -> bytes:
+    """Return the index as UTF-8: files with the smallest gain first."""
+    failed = sum(not one.passed for one in files)
+    count = f"{len(files):,} file{'' if len(files) == 1 else 's'}"
+    values = {
+        "version": html.escape(__version__),
+        "summary": f"{count}, {failed:,} failed" if failed else f"{count}, all passed",
+        "limits": html.escape(f"Limits: {', '.join(limits)}." if limits else "No limits were asked for."),
+        "rows": "\n".join(map(_row, sorted(files, key=_order))),
+    }
+    return filled_index(values).encode("utf-8", "backslashreplace")
+
+
+def _order(one: Listed) -> tuple[bool, float, str]:
+    return one.passed, 0.0 if one.gain is None else one.gain, one.name
+
+
+def _row(one: Listed) -> str:
+    name = html.escape(one.name)
+    shown = name if one.link is None else f'<a href="{html.escape(one.link)}">{name}</a>'
+    outcome = "passed" if one.passed else "failed"
+    remark = f" {html.escape(one.remark)}" if one.remark else ""
+    cells = [
+        f"<td>{shown}</td>",
+        f'<td data-value="{outcome}"><span class="{outcome}">{outcome}</span>{remark}</td>',
+        _number(one.standard, "{:.2f}°"),
+        _number(one.accurate, "{:.2f}°"),
+        _number(one.gain, "{:.3g}×"),
+    ]
+    return f"<tr>{''.join(cells)}</tr>"
+
+
+def _number(value: float | None, shown: str) -> str:
+    text = "—" if value is None else shown.format(value)
+    return f'<td class="number" data-value="{-1.0 if value is None else value!r}">{text}</td>'

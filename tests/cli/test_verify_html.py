@@ -1,0 +1,128 @@
+"""``skinbake verify --html``: the page of one file, and the index of several."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from fixtures.make_fixtures import FOLDER
+from skinbake.cli import exit_codes
+from skinbake.view.index import Listed, index
+from tests.support.command_line import invoke
+from tests.support.models import bake
+
+TUBE, SEAM = FOLDER / "bent_tube.glb", FOLDER / "seam.glb"
+
+
+def given(page: Path) -> dict[str, Any]:
+    """Return what a page holds beside its model."""
+    found = re.search(r'id="given">(.*?)</script>', page.read_text(encoding="utf-8"))
+    assert found is not None
+    content: dict[str, Any] = json.loads(found[1])
+    return content
+
+
+def rows(page: Path) -> list[tuple[str, str, str | None]]:
+    """Return name, outcome and link of each file of an index."""
+    text = page.read_text(encoding="utf-8")
+    found = re.findall(r'<tr><td>(?:<a href="([^"]*)">)?([^<]*)(?:</a>)?</td><td data-value="(\w+)">', text)
+    return [(Path(name).name, outcome, link or None) for link, name, outcome in found]
+
+
+def test_one_file_gives_its_page_with_limits_and_verdict(tmp_path: Path) -> None:
+    bake(TUBE, tmp_path / "tube.glb")
+    page = tmp_path / "report.html"
+    result = invoke("verify", tmp_path / "tube.glb", "--html", page, "--max-mean-error", "0.01")
+    assert result.exit_code == exit_codes.VERIFICATION
+    told = given(page)
+    assert told["passed"] is False
+    assert told["limits"] == ["mean error at most 0.01°"]
+    (failed,) = (check for check in told["checks"] if check["outcome"] == "failed")
+    assert failed["name"] == "limits"
+    assert "over 0.01°" in failed["problems"][0]
+    wanted = json.loads(invoke("verify", tmp_path / "tube.glb", "--json").stdout)["files"][0]
+    assert told["figures"] == wanted["normals"]
+    assert [path.name for path in tmp_path.iterdir() if path.is_dir()] == []
+
+
+def test_the_page_of_a_plain_view_has_no_limits(tmp_path: Path) -> None:
+    invoke("view", TUBE, "-o", tmp_path / "page.html")
+    assert given(tmp_path / "page.html")["limits"] is None
+
+
+def test_a_page_is_small_beside_its_model(tmp_path: Path) -> None:
+    bake(TUBE, tmp_path / "tube.glb")
+    invoke("verify", tmp_path / "tube.glb", "--html", tmp_path / "report.html")
+    rest = (tmp_path / "report.html").stat().st_size - (tmp_path / "tube.glb").stat().st_size * 4 / 3
+    assert rest < 300_000
+
+
+def test_several_files_give_an_index_with_the_worst_first(tmp_path: Path) -> None:
+    folder = tmp_path / "models"
+    folder.mkdir()
+    for source in (TUBE, SEAM):
+        bake(source, folder / source.name)
+    (folder / "broken.glb").write_bytes(b"glTF")
+    page = tmp_path / "all.html"
+    result = invoke("verify", folder, "--html", page, "--min-gain", "30")
+    assert result.exit_code == exit_codes.INPUT
+    assert rows(page) == [
+        ("broken.glb", "failed", None),
+        ("seam.glb", "failed", "all/0003-seam.html"),
+        ("bent_tube.glb", "failed", "all/0001-bent_tube.html"),
+    ]
+    for _, _, link in rows(page)[1:]:
+        assert link is not None
+        assert given(tmp_path / link)["limits"] == ["gain at least 30×"]
+    text = page.read_text(encoding="utf-8")
+    assert "3 files, 3 failed" in text
+    assert "Limits: gain at least 30×." in text
+    assert "not a GLB" in text
+
+
+def test_names_are_text_in_the_index() -> None:
+    name = "<img src=x onerror=alert(1)>\"'&.glb"
+    page = index([Listed(name=name, link='x".html', passed=False, remark="<script>1</script>")], ["<b>"])
+    text = page.decode()
+    assert "<img" not in text
+    assert text.count("<script") == 1
+    assert "<b>" not in text
+    assert 'href="x&quot;.html"' in text
+
+
+@pytest.mark.parametrize("source", ["-", "https://example.com/hero.glb"])
+def test_it_needs_files_that_it_can_read_again(tmp_path: Path, source: str) -> None:
+    result = invoke("verify", source, "--html", tmp_path / "report.html")
+    assert result.exit_code == exit_codes.USAGE
+    assert "--html needs files on this machine's disks" in " ".join(result.stderr.split())
+
+
+def test_it_replaces_earlier_pages_only(tmp_path: Path) -> None:
+    bake(TUBE, tmp_path / "tube.glb")
+    page = tmp_path / "report.html"
+    for _ in range(2):
+        assert invoke("verify", tmp_path / "tube.glb", "--html", page).exit_code == exit_codes.OK
+    page.write_text("<!doctype html>my own page")
+    result = invoke("verify", tmp_path / "tube.glb", "--html", page)
+    assert result.exit_code == exit_codes.USAGE
+    assert "was not written by an earlier run" in " ".join(result.stderr.split())
+    assert page.read_text() == "<!doctype html>my own page"
+
+
+def test_a_page_that_cannot_be_written_is_said(tmp_path: Path) -> None:
+    bake(TUBE, tmp_path / "tube.glb")
+    result = invoke("verify", tmp_path / "tube.glb", "--html", tmp_path / "none" / "report.html")
+    assert result.exit_code == exit_codes.OUTPUT
+    assert "its folder does not exist" in result.stderr
+
+
+def test_a_file_that_is_not_baked_has_a_page_all_the_same(tmp_path: Path) -> None:
+    result = invoke("verify", TUBE, "--require-baked", "--html", tmp_path / "report.html")
+    assert result.exit_code == exit_codes.VERIFICATION
+    told = given(tmp_path / "report.html")
+    assert told["passed"] is False
+    assert told["figures"] is None
