@@ -413,13 +413,17 @@ function influencesOfSets({ joints, weights }, slots) {
 
 async function start() {
     const given = JSON.parse(byId.given.textContent);
-    const texts = JSON.parse(new TextDecoder().decode(await inflated(byId.texts.textContent)));
+    const renderer = new Renderer(byId.canvas); // The GPU's process starts while the file is read.
+    const inflating = inflated(byId.texts.textContent);
     showFigures(byId, given);
     showNotes(byId, given);
     const model = await readModel(fromBase64(byId.model.textContent), given.name);
     addOther(model, given.other);
-    const application = new Application(new Renderer(byId.canvas, texts));
+    renderer.texts = JSON.parse(new TextDecoder().decode(await inflating));
+    const application = new Application(renderer);
     await application.show(model, given);
+    application.draw();
+    application.firstFrame = performance.now();
     return application;
 }
 

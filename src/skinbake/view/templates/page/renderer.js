@@ -2,7 +2,7 @@
 
 import { readImage } from './reader.js';
 import {
-    FRAGMENT_TEXT, GROUND_FRAGMENT_TEXT, GROUND_VERTEX_TEXT, LOCATIONS, MODES, MOST_SETS, RIGID_TEXT, textName, vertexText,
+    fragmentText, GROUND_FRAGMENT_TEXT, GROUND_VERTEX_TEXT, LOCATIONS, MOST_SETS, RIGID_TEXT, textName, vertexText,
 } from './shading.js';
 
 const CAPTURED = ['v_position', 'v_normal'];
@@ -18,17 +18,14 @@ export const LIGHTINGS = {
 };
 
 export class Renderer {
-    constructor(canvas, texts) {
+    constructor(canvas) {
         const gl = canvas.getContext('webgl2', { antialias: true, alpha: true });
         if (!gl) throw new Error('This browser has no WebGL 2.');
-        Object.assign(this, { canvas, gl, texts, programs: new Map(), parts: [] });
-        this.ground = this.program('ground', GROUND_VERTEX_TEXT, GROUND_FRAGMENT_TEXT);
+        Object.assign(this, { canvas, gl, texts: {}, programs: new Map(), parts: [] });
         this.square = this.squareArray();
-        this.blank = this.texture(null);
-        this.textures = [];
     }
 
-    // Take a model. isMirrored: some of its joints mirror the surface.
+    // Take a model. texts must hold what skinbake shader has written. isMirrored: some of its joints mirror the surface.
     setModel(model, isMirrored) {
         this.dispose();
         this.model = model;
@@ -155,10 +152,9 @@ export class Renderer {
     texture(image) {
         const { gl } = this;
         const texture = gl.createTexture();
-        (this.textures ??= []).push(texture);
+        this.textures.push(texture);
         gl.bindTexture(gl.TEXTURE_2D, texture);
-        if (image) gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA, gl.RGBA, gl.UNSIGNED_BYTE, image);
-        else gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA, 1, 1, 0, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4));
+        gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA, gl.RGBA, gl.UNSIGNED_BYTE, image);
         gl.generateMipmap(gl.TEXTURE_2D);
         gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.LINEAR_MIPMAP_LINEAR);
         return texture;
@@ -175,8 +171,9 @@ export class Renderer {
         return array;
     }
 
-    program(name, vertex, fragment = FRAGMENT_TEXT) {
+    program(name, texts, captured = CAPTURED) {
         if (this.programs.has(name)) return this.programs.get(name);
+        const [vertex, fragment] = texts();
         const { gl } = this;
         const program = gl.createProgram();
         for (const [kind, text] of [[gl.VERTEX_SHADER, vertex], [gl.FRAGMENT_SHADER, fragment]]) {
@@ -190,7 +187,7 @@ export class Renderer {
             const stored = /^(alpha|beta)_/.test(attribute) ? `stored_${attribute}` : attribute;
             gl.bindAttribLocation(program, location, stored);
         }
-        if (fragment === FRAGMENT_TEXT) gl.transformFeedbackVaryings(program, CAPTURED, gl.SEPARATE_ATTRIBS);
+        if (captured.length) gl.transformFeedbackVaryings(program, captured, gl.SEPARATE_ATTRIBS);
         gl.linkProgram(program);
         if (!gl.getProgramParameter(program, gl.LINK_STATUS)) {
             const logs = gl.getAttachedShaders(program).map((shader) => gl.getShaderInfoLog(shader));
@@ -208,10 +205,13 @@ export class Renderer {
     }
 
     // The program, the vertex array and the gradients with which a lighting draws a part.
-    chosen(part, lighting) {
+    chosen(part, lighting, mode, maps) {
         const { primitive } = part;
+        const shading = [mode, ...maps].join(' ');
+        const fragment = () => fragmentText(mode, maps);
         if (part.skin === undefined || !primitive.joints.length) {
-            return { made: this.program('rigid', RIGID_TEXT), array: part.arrays[''], gradients: null };
+            const made = this.program(`rigid ${shading}`, () => [RIGID_TEXT, fragment()]);
+            return { made, array: part.arrays[''], gradients: null };
         }
         const { stem, gradients: wanted } = LIGHTINGS[lighting];
         const kinds = Object.keys(primitive.gradients);
@@ -228,7 +228,7 @@ export class Renderer {
             mirrored: this.isMirrored,
         };
         const name = textName(choices);
-        const made = this.programs.get(name) ?? this.program(name, vertexText(this.texts[name], choices));
+        const made = this.program(`${name} ${shading}`, () => [vertexText(this.texts[name], choices), fragment()]);
         return { made, array: part.arrays[isLit ? kind : ''], gradients, isDual: choices.stem === 'dqs_exact' };
     }
 
@@ -269,9 +269,9 @@ export class Renderer {
         gl.bufferSubData(gl.ARRAY_BUFFER, 0, values);
     }
 
-    bound(part, lighting, projected) {
+    bound(part, lighting, projected, mode, maps) {
         const { gl } = this;
-        const { made, array, gradients, isDual } = this.chosen(part, lighting);
+        const { made, array, gradients, isDual } = this.chosen(part, lighting, mode, maps);
         const { places } = made;
         const { method, isTrue } = LIGHTINGS[lighting];
         gl.useProgram(made.program);
@@ -315,14 +315,14 @@ export class Renderer {
             if (right <= left) continue;
             gl.scissor(left, 0, right - left, height);
             for (const part of [...opaque, ...blended]) {
-                const places = this.bound(part, lighting, projected);
-                gl.uniform1i(places.mode, MODES.indexOf(mode));
+                const shown = this.shownMaterial(part, isTextured && mode === 'shaded');
+                const places = this.bound(part, lighting, projected, mode, shown.names);
                 gl.uniform3fv(places.eye, eye);
                 gl.uniform3fv(places.light, light);
                 gl.uniform1f(places.legend, legend);
                 gl.uniform3fv(places.stops, stops);
                 gl.uniform3fv(places.unknown, unknown);
-                this.setMaterial(part, places, isTextured && mode === 'shaded');
+                this.setMaterial(part, places, shown);
                 gl.drawElements(gl.TRIANGLES, part.primitive.triangles.length, gl.UNSIGNED_INT, 0);
             }
         }
@@ -333,7 +333,7 @@ export class Renderer {
 
     drawGround(projected, ground, ink) {
         const { gl } = this;
-        const { program, places } = this.ground;
+        const { program, places } = this.program('ground', () => [GROUND_VERTEX_TEXT, GROUND_FRAGMENT_TEXT], []);
         gl.useProgram(program);
         gl.bindVertexArray(this.square);
         gl.uniformMatrix4fv(places.projected, false, projected);
@@ -347,20 +347,24 @@ export class Renderer {
         gl.disable(gl.BLEND);
     }
 
-    setMaterial(part, places, isTextured) {
-        const { gl } = this;
-        const { primitive } = part;
+    // What is shown of a part's material: its images and colours, by the names that the shading has for them.
+    shownMaterial({ primitive }, isTextured) {
         const own = this.materials[primitive.material];
-        const maps = (isTextured && primitive.texcoords && own?.maps) || {};
         const isPlain = !isTextured || !own;
-        [['base_map', maps.base], ['normal_map', maps.normal], ['emissive_map', maps.emissive]].forEach(([name, texture], i) => {
+        const maps = isPlain || !primitive.texcoords ? {} : own.maps;
+        const names = Object.keys(maps).sort();
+        if (!isPlain && primitive.colors) names.push('colors');
+        if (maps.normal && primitive.metadata?.frame === 'tangent') names.push('tangents');
+        return { own, isPlain, maps, names };
+    }
+
+    setMaterial(part, places, { own, isPlain, maps }) {
+        const { gl } = this;
+        Object.entries(maps).forEach(([name, texture], i) => {
             gl.activeTexture(gl.TEXTURE1 + i);
-            gl.bindTexture(gl.TEXTURE_2D, texture ?? this.blank);
-            gl.uniform1i(places[name], 1 + i);
+            gl.bindTexture(gl.TEXTURE_2D, texture);
+            gl.uniform1i(places[`${name}_map`], 1 + i);
         });
-        const hasColors = !isPlain && primitive.colors !== null;
-        gl.uniform4iv(places.has, [maps.base, maps.normal, maps.emissive, hasColors].map((one) => Number(Boolean(one))));
-        gl.uniform1i(places.has_tangents, Number(primitive.metadata?.frame === 'tangent'));
         gl.uniform1i(places.is_turned, Number(own?.isDouble === true && !this.isMirrored));
         gl.uniform4fv(places.base_factor, isPlain ? CLAY : own.base);
         gl.uniform3fv(places.emissive_factor, isPlain ? [0, 0, 0] : own.emissive);
@@ -380,7 +384,7 @@ export class Renderer {
     captured(part, lighting) {
         const { gl } = this;
         const { count } = part.primitive;
-        this.bound(part, lighting, new Float32Array(16));
+        this.bound(part, lighting, new Float32Array(16), 'normals', []);
         const buffers = CAPTURED.map((_, i) => {
             const buffer = gl.createBuffer();
             gl.bindBuffer(gl.TRANSFORM_FEEDBACK_BUFFER, buffer);

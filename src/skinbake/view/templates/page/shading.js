@@ -5,7 +5,6 @@ export const LOCATIONS = {
     joints_1: 8, weights_1: 9, alpha_1: 10, beta_1: 11, truth: 12, morphed_normal: 13, morphed_tangent: 14, color: 15,
 };
 export const MOST_SETS = 2; // WebGL 2 has 16 attributes.
-export const MODES = ['shaded', 'reflections', 'error', 'normals'];
 
 // The name under which the page holds a text of skinbake shader.
 export function textName({ stem, sets, frame, storage, morphs, mirrored }) {
@@ -119,16 +118,19 @@ void main()
 }
 `;
 
-export const FRAGMENT_TEXT = `#version 300 es
-precision highp float;
-in vec3 v_position;
+// The shading of one mode. maps are the images that a material has; software renderers run every branch.
+export function fragmentText(mode, maps) {
+    const defined = [`MODE_${mode}`, ...maps.map((name) => `HAS_${name}`)].map((name) => `#define ${name.toUpperCase()}\n`);
+    return `#version 300 es\nprecision highp float;\n${defined.join('')}${FRAGMENT_TEXT}`;
+}
+
+const FRAGMENT_TEXT = `in vec3 v_position;
 in vec3 v_normal;
 in vec3 v_tangent;
 in vec3 v_bitangent;
 in vec2 v_texcoord;
 in vec4 v_color;
 in vec2 v_error;
-uniform int mode;
 uniform vec3 eye;
 uniform vec3 light;
 uniform float legend;
@@ -139,8 +141,6 @@ uniform vec3 emissive_factor;
 uniform float roughness;
 uniform float normal_scale;
 uniform float cutoff;
-uniform bvec4 has; // base colour, normals, emissive colour, colours of vertices
-uniform bool has_tangents;
 uniform bool is_turned; // seen from behind
 uniform sampler2D base_map;
 uniform sampler2D normal_map;
@@ -153,18 +153,18 @@ vec3 mapped(vec3 n)
 {
     vec3 m = texture(normal_map, v_texcoord).xyz * 2.0 - 1.0;
     m.xy *= normal_scale;
-    vec3 t = v_tangent, b = v_bitangent;
-    if (!has_tangents) {
-        // The frame of the texture coordinates, from what changes between pixels.
-        vec3 px = dFdx(v_position), py = dFdy(v_position);
-        vec2 ux = dFdx(v_texcoord), uy = dFdy(v_texcoord);
-        vec3 a = cross(py, n), c = cross(n, px);
-        t = a * ux.x + c * uy.x;
-        b = a * ux.y + c * uy.y;
-        float size = inversesqrt(max(max(dot(t, t), dot(b, b)), 1e-30));
-        return normalize(t * (m.x * size) + b * (m.y * size) + n * m.z);
-    }
-    return normalize(normalize(t) * m.x + normalize(b) * m.y + n * m.z);
+#ifdef HAS_TANGENTS
+    return normalize(normalize(v_tangent) * m.x + normalize(v_bitangent) * m.y + n * m.z);
+#else
+    // The frame of the texture coordinates, from what changes between pixels.
+    vec3 px = dFdx(v_position), py = dFdy(v_position);
+    vec2 ux = dFdx(v_texcoord), uy = dFdy(v_texcoord);
+    vec3 a = cross(py, n), c = cross(n, px);
+    vec3 t = a * ux.x + c * uy.x;
+    vec3 b = a * ux.y + c * uy.y;
+    float size = inversesqrt(max(max(dot(t, t), dot(b, b)), 1e-30));
+    return normalize(t * (m.x * size) + b * (m.y * size) + n * m.z);
+#endif
 }
 
 vec3 shaded(vec3 n, vec3 v, vec3 base)
@@ -191,36 +191,49 @@ vec3 heat(float share)
 void main()
 {
     vec4 base = base_factor;
-    if (has.w) base *= v_color;
-    if (has.x) { vec4 t = texture(base_map, v_texcoord); base *= vec4(linear(t.rgb), t.a); }
-    if (cutoff > 0.0) { if (base.a < cutoff) discard; base.a = 1.0; }
+#ifdef HAS_COLORS
+    base *= v_color;
+#endif
+#ifdef HAS_BASE
+    vec4 texel = texture(base_map, v_texcoord);
+    base *= vec4(linear(texel.rgb), texel.a);
+#endif
+    if (base.a < cutoff) discard;
     vec3 n = normalize(v_normal);
     vec3 v = normalize(eye - v_position);
     if (is_turned && !gl_FrontFacing) n = -n;
     vec3 color;
-    if (mode == 0) {
-        if (has.y) n = mapped(n);
-        color = shaded(n, v, base.rgb);
-        color += emissive_factor * (has.z ? linear(texture(emissive_map, v_texcoord).rgb) : vec3(1.0));
-        color = pow(color / (1.0 + 0.18 * color), vec3(1.0 / 2.2));
-    } else if (mode == 1) {
-        vec3 r = reflect(-v, n);
-        float at = asin(clamp(r.y * 0.94 + r.x * 0.34, -1.0, 1.0)) * 4.5;
-        float width = max(fwidth(at), 1e-4);
-        float wave = abs(fract(at) - 0.5) - 0.25;
-        float line = clamp(0.5 + wave / width, 0.0, 1.0);
-        float soft = smoothstep(0.5, 1.5, width);
-        color = vec3(mix(mix(0.10, 0.93, line), 0.52, soft)) * (0.86 + 0.14 * max(dot(n, v), 0.0));
-        base.a = 1.0;
-    } else if (mode == 2) {
-        color = mix(unknown, heat(v_error.x / legend), v_error.y > 0.99 ? 1.0 : 0.0);
-        color *= 0.80 + 0.20 * max(dot(n, v), 0.0);
-        base.a = 1.0;
-    } else {
-        color = 0.5 + 0.5 * n;
-        base.a = 1.0;
-    }
-    result = vec4(color * base.a, base.a);
+    float alpha = 1.0;
+#ifdef MODE_SHADED
+#ifdef HAS_NORMAL
+    n = mapped(n);
+#endif
+    color = shaded(n, v, base.rgb);
+#ifdef HAS_EMISSIVE
+    color += emissive_factor * linear(texture(emissive_map, v_texcoord).rgb);
+#else
+    color += emissive_factor;
+#endif
+    color = pow(color / (1.0 + 0.18 * color), vec3(1.0 / 2.2));
+    if (cutoff == 0.0) alpha = base.a;
+#endif
+#ifdef MODE_REFLECTIONS
+    vec3 r = reflect(-v, n);
+    float at = asin(clamp(r.y * 0.94 + r.x * 0.34, -1.0, 1.0)) * 4.5;
+    float width = max(fwidth(at), 1e-4);
+    float wave = abs(fract(at) - 0.5) - 0.25;
+    float line = clamp(0.5 + wave / width, 0.0, 1.0);
+    float soft = smoothstep(0.5, 1.5, width);
+    color = vec3(mix(mix(0.10, 0.93, line), 0.52, soft)) * (0.86 + 0.14 * max(dot(n, v), 0.0));
+#endif
+#ifdef MODE_ERROR
+    color = mix(unknown, heat(v_error.x / legend), v_error.y > 0.99 ? 1.0 : 0.0);
+    color *= 0.80 + 0.20 * max(dot(n, v), 0.0);
+#endif
+#ifdef MODE_NORMALS
+    color = 0.5 + 0.5 * n;
+#endif
+    result = vec4(color * alpha, alpha);
 }
 `;
 
