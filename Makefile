@@ -52,9 +52,10 @@ golden: $(DEV) ## Write tests/shaders/golden and engines/three anew, after a cha
 	$(BIN)/python -m tests.shaders.write_golden
 	$(BIN)/python -m tests.three.write_package
 
-picture: $(DEV) $(NODE_MODULES) ## Draw bend.png, shaders.png (needs a Vulkan driver) and three-*.png (Chromium) of docs/ anew
+picture: $(DEV) $(NODE_MODULES) ## Draw bend.png, shaders.png, view.gif (need a Vulkan driver) and three-*.png (Chromium) of docs/ anew
 	$(BIN)/python -m benchmarks.bend_picture docs/bend.png
 	$(BIN)/python -m benchmarks.bend_render docs/shaders.png
+	$(BIN)/skinbake render $(EXAMPLE) -o docs/view.gif --split --size 880x400
 	$(BIN)/python -m benchmarks.three_picture
 
 table: $(DEV) ## Write docs/lighting.md, docs/fitted.md, docs/encodings.md and docs/morphs.md anew, from the models of SKINBAKE_CORPUS or ../shared/corpus

@@ -3,22 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from fixtures.make_fixtures import FOLDER
-from skinbake.gltf.animation import clip_poses, read_clips, read_skeleton
-from skinbake.gltf.document import read_document
-from skinbake.gltf.primitives import skinned_sources
-from skinbake.lighting.baked_views import baked_views
-from skinbake.lighting.measured import rest_surface
 from skinbake.skinning.algorithms import Algorithm
 from tests.support import browser
-from tests.support.characters import Array, baked, unit
-from tests.support.replay import replay
+from tests.support.characters import Array, baked
+from tests.support.rasterised import Fragments, eroded, fragments
 from tests.view.pages import picture, shown
 
 TIME = 0.45
@@ -27,15 +21,6 @@ MEAN = 2.0
 SILHOUETTE = 3
 """Pixels beside an edge of the surface, which antialiasing mixes with others."""
 CLAY = np.array([0.60, 0.585, 0.56])
-
-
-@dataclass(frozen=True)
-class Fragments:
-    """The pixels (H, W) that the nearest triangle covers, and what varies over them (H, W, 3)."""
-
-    covered: np.ndarray
-    positions: Array
-    normals: Array
 
 
 @pytest.fixture(scope="module")
@@ -80,51 +65,13 @@ def test_pixels_are_those_of_the_replay(
         "((aspect) => [application.camera.projected(aspect), application.camera.eye, application.turn])",
         width / height,
     )
-    drawn = fragments(path, algorithm, np.array(matrix).reshape(4, 4).T, (width, height))
+    drawn = fragments(path, algorithm, TIME, np.array(matrix).reshape(4, 4).T, (width, height))
     wanted = 255 * (shaded(drawn, np.array(eye), turn) if mode == "shaded" else 0.5 + 0.5 * drawn.normals)
     inside = eroded(drawn.covered, SILHOUETTE)
     assert inside.sum() > 10_000
     difference = np.abs(found[..., :3] - wanted)[inside]
     assert difference.mean() < MEAN
     assert np.percentile(difference, 99) < 4 * MEAN
-
-
-def fragments(path: Path, algorithm: Algorithm, matrix: Array, size: tuple[int, int]) -> Fragments:
-    """Rasterise the posed surface with a depth buffer; normals and positions are perspective-correct."""
-    document = read_document(str(path))
-    (view,), _ = baked_views(document, skinned_sources(document)[0])
-    poses = clip_poses(read_skeleton(document, 0), read_clips(document)[0], np.array([TIME]))
-    posed = replay(algorithm, rest_surface(view), poses)
-    positions, normals = posed.positions[0].astype(float), unit(posed.normals[0])
-    clip = np.column_stack([positions, np.ones(len(positions))]) @ matrix.T
-    places = (clip[:, :3] / clip[:, 3:] * [1, -1, 1] * 0.5 + 0.5) * [*size, 1]
-    width, height = size
-    depth = np.full((height, width), np.inf)
-    owner = np.full((height, width), -1)
-    shares = np.zeros((height, width, 3))
-    for number, triangle in enumerate(view.now.triangles):
-        corners = places[triangle]
-        (x0, y0), (x1, y1), (x2, y2) = corners[:, :2]
-        area = (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0)
-        if area >= 0:  # counter-clockwise, with y downwards
-            continue
-        columns = slice(max(0, int(min(x0, x1, x2) - 0.5)), min(width, int(max(x0, x1, x2) + 1.5)))
-        rows = slice(max(0, int(min(y0, y1, y2) - 0.5)), min(height, int(max(y0, y1, y2) + 1.5)))
-        y, x = np.mgrid[rows, columns] + 0.5
-        b1 = ((x - x0) * (y2 - y0) - (x2 - x0) * (y - y0)) / area
-        b2 = ((x1 - x0) * (y - y0) - (x - x0) * (y1 - y0)) / area
-        weights = np.stack([1 - b1 - b2, b1, b2], axis=-1)
-        z = weights @ corners[:, 2]
-        nearer = (weights >= 0).all(axis=-1) & (z < depth[rows, columns])
-        depth[rows, columns][nearer] = z[nearer]
-        owner[rows, columns][nearer] = number
-        true_shares = weights / clip[triangle, 3]
-        shares[rows, columns][nearer] = (true_shares / true_shares.sum(axis=-1, keepdims=True))[nearer]
-    covered = owner >= 0
-    corners = view.now.triangles[np.where(covered, owner, 0)]
-    mixed = [np.einsum("hwk,hwki->hwi", shares, values[corners]) for values in (positions, normals)]
-    mixed[1] = mixed[1] / np.maximum(np.linalg.norm(mixed[1], axis=-1, keepdims=True), 1e-9)
-    return Fragments(covered, *mixed)
 
 
 def shaded(drawn: Fragments, eye: Array, turn: float) -> Array:
@@ -154,11 +101,3 @@ def shaded(drawn: Fragments, eye: Array, turn: float) -> Array:
 def unit_fields(vectors: Array) -> Array:
     """Return vectors (…, 3) divided by their lengths."""
     return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
-
-
-def eroded(mask: np.ndarray, steps: int) -> np.ndarray:
-    """Return the pixels of a mask that are so many steps away from its edge."""
-    for _ in range(steps):
-        padded = np.pad(mask, 1)
-        mask = mask & padded[:-2, 1:-1] & padded[2:, 1:-1] & padded[1:-1, :-2] & padded[1:-1, 2:]
-    return mask

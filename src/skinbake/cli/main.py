@@ -23,6 +23,7 @@ COMMANDS = {
     "bake": "Add α/β to every skinned primitive of glTF files.",
     "verify": "Check a baked file, and measure its lighting in degrees.",
     "view": "Show a file in the browser: standard and accurate lighting side by side.",
+    "render": "Draw pictures of a file without a browser.",
     "shader": "Write the GLSL or WGSL that reads α/β.",
     "inspect": "Show the skinned primitives of a file, and their bakes.",
     "strip": "Restore a file from before its bake.",

@@ -57,10 +57,10 @@ def view_file(source: str, target: str | None = None, bounds: Bounds = BESIDE) -
         document = read_document(source, bounds)
     if target is not None:
         refuse_own_input(document, source, target)
-    was_baked = bool(_baked_views(document))
+    was_baked = bool(sound_views(document))
     notices: tuple[Notice, ...] = ()
     if not was_baked:
-        document, notices = _baked(document)
+        document, notices = baked_in_memory(document)
     verdict = verify_document(document, VerifyOptions())
     notes = [] if was_baked else ["The file was not baked. This page baked it in memory, with the defaults."]
     made, missing = _page(document, replace(verdict, notices=(*notices, *verdict.notices)), notes)
@@ -135,7 +135,7 @@ def _page(
 ) -> tuple[bytes, list[Notice]]:
     """Return the page of a document, and notices on what is missing in it."""
     with stage("other gradients"):
-        others = list(_other_gradients(document, _baked_views(document)))
+        others = list(_other_gradients(document, sound_views(document)))
     with stage("page"):
         glb, missing = _self_contained(document)
         told = [*notes, *map(_sentence, (*missing, *verdict.notices))]
@@ -167,14 +167,14 @@ def write_page(result: ViewResult, target: str, *, sync: bool = True) -> None:
         write_file([result.page], target, sync=sync)
 
 
-def _baked_views(document: Document) -> list[BakedView]:
+def sound_views(document: Document) -> list[BakedView]:
     """Return the baked primitives of a document whose structure is sound."""
     sources, _ = skinned_sources(document)
     views, _ = baked_views(document, [source for source in sources if is_baked(document, source)])
     return views
 
 
-def _baked(document: Document) -> tuple[Document, tuple[Notice, ...]]:
+def baked_in_memory(document: Document) -> tuple[Document, tuple[Notice, ...]]:
     """Bake a document with the defaults. Raises InputError if nothing in it can be baked."""
     plain, _, _ = stripped(document)
     made = Baker(generate_normals=True).bake_document(plain)
@@ -196,8 +196,8 @@ def _other_gradients(document: Document, views: Sequence[BakedView]) -> Iterator
     kind = Gradients.SURFACE if noted_kind(views[0]) is Gradients.RIG else Gradients.RIG
     try:
         plain, _, _ = stripped(document)
-        made = replace(noted_baker(views[0]), gradients=kind).bake_document(plain)
-        others = {view.source.place: view for view in _baked_views(made.document)}
+        made = replace(noted_baker(views[0]), gradients=kind, generate_normals=True).bake_document(plain)
+        others = {view.source.place: view for view in sound_views(made.document)}
     except SkinbakeError:
         return
     for view in views:

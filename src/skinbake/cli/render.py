@@ -1,0 +1,108 @@
+"""``skinbake render``."""
+
+from __future__ import annotations
+
+import re
+import sys
+from pathlib import Path
+from typing import Any
+
+import click
+
+from skinbake.cli import exit_codes
+from skinbake.cli.console import console, finite, message_options, outside_option
+from skinbake.cli.limits import memory_option
+from skinbake.cli.names import check_readable_suffix
+from skinbake.cli.targets import sync_option
+from skinbake.containment import Bounds
+from skinbake.errors import ChoiceError, SkinbakeError, printable
+
+SUFFIXES = (".png", ".webp", ".gif")
+MOVING = (".webp", ".gif")
+LARGEST = 2048
+
+
+def _size(ctx: click.Context, param: click.Parameter, value: str) -> tuple[int, int]:
+    found = re.fullmatch(r"(\d{1,5})x(\d{1,5})", value)
+    size = (int(found[1]), int(found[2])) if found else (0, 0)
+    if not all(16 <= side <= LARGEST for side in size):
+        raise click.BadParameter(f"must be like 960x600, each side from 16 to {LARGEST}")
+    return size
+
+
+@click.command("render")
+@click.argument("source", metavar="FILE")
+@click.option(
+    "-o", "--output", required=True, metavar="PICTURE", help="Output file: .png, or .webp or .gif that move."
+)
+@click.option("--clip", metavar="NAME", help="Name or number of a clip; by default the first.")
+@click.option(
+    "--time",
+    type=float,
+    callback=finite,
+    metavar="SECONDS",
+    help="Time in the clip. By default the pose in which standard lighting is worst, or, in .webp and .gif, "
+    "the whole clip.",
+)
+@click.option(
+    "--mode",
+    type=click.Choice(["shaded", "reflections", "error", "normals"]),
+    default="shaded",
+    show_default=True,
+    help="Shading, stripes mirrored in the surface, angle to the true normals as colour, or normals.",
+)
+@click.option(
+    "--lighting",
+    type=click.Choice(["standard", "accurate"]),
+    default="accurate",
+    show_default=True,
+    help="Lighting without --split.",
+)
+@click.option("--split", is_flag=True, help="Standard lighting on the left, accurate lighting on the right.")
+@click.option("--turntable", is_flag=True, help="Turn the camera once around the model (.webp, .gif).")
+@click.option("--size", default="960x600", show_default=True, callback=_size, metavar="WxH", help="Pixels.")
+@outside_option
+@sync_option
+@memory_option
+@message_options
+def command(source: str, output: str, **given: Any) -> None:
+    """Draw pictures of a file without a browser, on a GPU or on a software device.
+
+    It needs the extra skinbake[render]. A file that is not baked is baked in memory.
+    """
+    check_readable_suffix(source)
+    suffix = Path(output).suffix.lower()
+    if suffix not in SUFFIXES:
+        raise click.UsageError(f"{output}: expected a name that ends in {', '.join(SUFFIXES)}")
+    if given["turntable"] and suffix not in MOVING:
+        raise click.UsageError(f"--turntable needs a name that ends in {' or '.join(MOVING)}")
+    say = console(verbose=given["verbose"], quiet=given["quiet"], color=given["color"])
+    from skinbake.commands.render import RenderOptions, render_file
+    from skinbake.gltf.budget import memory_limited
+    from skinbake.render.studio import Look
+
+    width, height = given["size"]
+    options = RenderOptions(
+        look=Look(width, height, given["mode"]),
+        sides=("standard", "accurate") if given["split"] else (given["lighting"],),
+        clip=given["clip"],
+        time=given["time"],
+        turntable=given["turntable"],
+    )
+    try:
+        with memory_limited(given["max_memory"]):
+            result = render_file(
+                source,
+                output,
+                options,
+                sync=not given["no_sync"],
+                bounds=Bounds(allowed=given["allow_outside"]),
+            )
+    except ChoiceError as error:
+        raise click.UsageError(error.message) from error
+    except SkinbakeError as error:
+        say.error(error)
+        sys.exit(exit_codes.of_error(error))
+    say.notices(result.notices)
+    count = f"{result.pictures} pictures, " if result.pictures > 1 else ""
+    say.result(f"{printable(source)} -> {printable(output)}: {count}{printable(result.pose)}")

@@ -1,0 +1,1 @@
+"""Pictures of a baked file without a browser, through WebGPU: the extra ``skinbake[render]``."""

@@ -1,0 +1,88 @@
+"""What is drawn: the arrays of one primitive as a skin draws it, and a camera around all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from skinbake.geometry.skinned import BoolArray, Float32Array, Float64Array, IntArray
+from skinbake.skinning.surface import RestSurface
+
+CLAY = (0.60, 0.585, 0.56)
+ANGLE = np.radians(32.0)
+YAW, PITCH = 0.45, 0.16
+FILLED = 0.84
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Subject:
+    """One primitive under one skin.
+
+    triangles (T, 3). is_mirrored: joints mirror the surface. is_double: it is seen from behind too. base is
+    its linear colour. pose_set is the number of the skin's joint matrices among those of a ``Shot``.
+    """
+
+    rest: RestSurface
+    triangles: IntArray
+    pose_set: int
+    base: tuple[float, float, float] = CLAY
+    is_mirrored: bool = False
+    is_double: bool = False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Camera:
+    """A camera that looks at ``middle``, so far away that it shows all points (N, 3) at each of its angles."""
+
+    middle: Float64Array
+    radius: float
+    points: Float64Array
+    yaws: tuple[float, ...]
+
+    def axes(self, yaw: float) -> Float64Array:
+        """Return the camera's right, up and backward directions (3, 3) for an angle around the vertical."""
+        flat = np.cos(PITCH)
+        z = np.array([flat * np.sin(yaw), np.sin(PITCH), flat * np.cos(yaw)])
+        x = np.array([np.cos(yaw), 0.0, -np.sin(yaw)])
+        return np.stack([x, np.cross(z, x), z])
+
+    def distance(self, aspect: float) -> float:
+        """Return the distance from the middle at which the points fill the picture but for a margin."""
+        slope = FILLED * np.tan(ANGLE / 2)
+        found = 0.0
+        for yaw in self.yaws:
+            x, y, z = self.axes(yaw) @ (self.points - self.middle).T
+            found = max(found, float((z + np.maximum(np.abs(x) / aspect, np.abs(y)) / slope).max()))
+        return found or 1.0
+
+    def eye(self, yaw: float, aspect: float) -> Float64Array:
+        """Return the camera's place."""
+        return np.asarray(self.middle + self.distance(aspect) * self.axes(yaw)[2])
+
+    def projected(self, yaw: float, aspect: float) -> Float64Array:
+        """Return the matrix (4, 4) from the scene to the screen, with depths from 0 to 1."""
+        distance = self.distance(aspect)
+        view = np.eye(4)
+        view[:3, :3] = self.axes(yaw)
+        view[:3, 3] = -view[:3, :3] @ self.middle - [0.0, 0.0, distance]
+        near, far = max(distance - 2 * self.radius, distance / 200), distance + 2 * self.radius
+        f = 1.0 / np.tan(ANGLE / 2)
+        lens = np.zeros((4, 4))
+        lens[0, 0], lens[1, 1] = f / aspect, f
+        lens[2, 2:] = far / (near - far), near * far / (near - far)
+        lens[3, 2] = -1.0
+        return np.asarray(lens @ view)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shot:
+    """One picture: joint matrices (J, 4, 4) of each pose set, an angle of the camera.
+
+    errors holds, for each lighting, the errors (V,) in degrees of each subject, and where they are known.
+    """
+
+    matrices: tuple[Float64Array, ...]
+    yaw: float = YAW
+    errors: Mapping[str, tuple[tuple[Float32Array, BoolArray], ...]] = field(default_factory=dict)

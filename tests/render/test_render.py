@@ -1,0 +1,152 @@
+"""``skinbake render``: its pictures against the replay, its files, and what it refuses."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from fixtures.make_fixtures import FOLDER
+from skinbake.cli import exit_codes
+from skinbake.commands import render
+from skinbake.render.studio import MODES, Studio
+from skinbake.render.subject import YAW, Camera
+from skinbake.skinning.algorithms import Algorithm
+from tests.support.characters import Array, baked
+from tests.support.command_line import invoke
+from tests.support.rasterised import eroded, fragments
+from tests.support.webgpu import NAGA
+
+TUBE = FOLDER / "bent_tube.glb"
+SIZE = (480, 320)
+MEAN = 2.0
+"""Of 255, as for the page."""
+
+
+@pytest.fixture
+def device() -> None:
+    """Skip where no device draws."""
+    NAGA.require()
+
+
+def drawn(path: Path, target: Path, *options: str) -> Array:
+    """Draw a file, and return the pixels (H, W, 3)."""
+    result = invoke("render", path, "-o", target, "--size", f"{SIZE[0]}x{SIZE[1]}", *options)
+    assert result.exit_code == 0, result.output
+    return np.asarray(Image.open(target).convert("RGB"), np.float64)
+
+
+@pytest.fixture
+def cameras(monkeypatch: pytest.MonkeyPatch) -> list[Camera]:
+    """Return the cameras of the pictures that the test draws."""
+    found: list[Camera] = []
+
+    def kept(subjects: object, camera: Camera) -> Studio:
+        found.append(camera)
+        return Studio(subjects, camera)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(render, "Studio", kept)
+    return found
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("device")
+@pytest.mark.parametrize("lighting", ["standard", "accurate"])
+@pytest.mark.parametrize(
+    ("name", "time"), [("bent_tube.glb", 0.45), ("mirrored_tangent.glb", None), ("two_sets.glb", None)]
+)
+def test_pixels_are_those_of_the_replay(
+    tmp_path: Path, cameras: list[Camera], name: str, time: float | None, lighting: str
+) -> None:
+    path = baked(FOLDER / name, tmp_path)
+    options = [] if time is None else ["--time", str(time)]
+    found = drawn(path, tmp_path / "picture.png", "--mode", "normals", "--lighting", lighting, *options)
+    matrix = cameras[0].projected(YAW, SIZE[0] / SIZE[1])
+    algorithm = Algorithm.LBS_ACCURATE if lighting == "accurate" else Algorithm.LBS_APPROXIMATED
+    wanted = fragments(path, algorithm, time, matrix, SIZE)
+    inside = eroded(wanted.covered, 2)
+    assert inside.sum() > 2000
+    difference = np.abs(found - 255 * (0.5 + 0.5 * wanted.normals))[inside]
+    assert difference.mean() < MEAN
+    if name == "bent_tube.glb":  # the others are seen from behind too
+        outside = eroded(~wanted.covered, 2)
+        assert np.ptp(found[outside], axis=0).max() == 0
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("device")
+def test_each_mode_and_side_is_another_picture(tmp_path: Path) -> None:
+    found = [drawn(TUBE, tmp_path / f"{mode}.png", "--mode", mode, "--split") for mode in MODES]
+    for number, one in enumerate(found):
+        assert np.abs(one[:, : SIZE[0] // 2 - 1] - one[:, SIZE[0] // 2 + 1 :]).max() > 40
+        for other in found[:number]:
+            assert np.abs(one - other).max() > 40
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("device")
+def test_the_same_file_gives_the_same_bytes_and_nothing_else_is_written(tmp_path: Path) -> None:
+    for name in ("one.png", "other.png"):
+        drawn(TUBE, tmp_path / name)
+    assert (tmp_path / "one.png").read_bytes() == (tmp_path / "other.png").read_bytes()
+    assert {path.name for path in tmp_path.iterdir()} == {"one.png", "other.png"}
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("device")
+@pytest.mark.parametrize("suffix", [".gif", ".webp"])
+def test_a_clip_becomes_an_animation(tmp_path: Path, suffix: str) -> None:
+    target = tmp_path / f"clip{suffix}"
+    result = invoke("render", TUBE, "-o", target, "--size", "64x48")
+    assert result.exit_code == 0
+    assert '19 pictures, clip "bend"' in result.stdout
+    with Image.open(target) as image:
+        assert image.size == (64, 48)
+        assert getattr(image, "n_frames", 1) == 19
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("device")
+def test_a_turntable_turns_one_pose(tmp_path: Path) -> None:
+    target = tmp_path / "turn.webp"
+    result = invoke(
+        "render", FOLDER / "seam.glb", "-o", target, "--size", "64x48", "--turntable", "--mode", "normals"
+    )
+    assert result.exit_code == 0
+    assert "60 pictures, a random pose" in result.stdout
+    with Image.open(target) as image:
+        first = np.asarray(image.convert("RGB"), np.float64)
+        image.seek(20)
+        assert np.abs(np.asarray(image.convert("RGB"), np.float64) - first).max() > 60
+
+
+@pytest.mark.parametrize(
+    ("options", "code", "words"),
+    [
+        (["-o", "picture.jpg"], exit_codes.USAGE, "expected a name that ends in .png, .webp, .gif"),
+        (["-o", "picture.png", "--turntable"], exit_codes.USAGE, "--turntable needs a name that ends in"),
+        (["-o", "picture.png", "--size", "9x9"], exit_codes.USAGE, "must be like 960x600"),
+        (["-o", "picture.png", "--size", "large"], exit_codes.USAGE, "must be like 960x600"),
+        (["-o", "picture.png", "--time", "nan"], exit_codes.USAGE, "must be a finite number"),
+        (["-o", "picture.png", "--clip", "jump"], exit_codes.USAGE, "the file has no such clip; it has bend"),
+    ],
+)
+def test_it_refuses(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, options: list[str], code: int, words: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    result = invoke("render", TUBE, *options)
+    assert result.exit_code == code
+    assert words in " ".join(result.stderr.split())
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_without_its_extra_it_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "wgpu", None)
+    result = invoke("render", TUBE, "-o", tmp_path / "picture.png")
+    assert result.exit_code == exit_codes.INPUT
+    assert "pip install 'skinbake[render]'" in result.stderr
+    assert list(tmp_path.iterdir()) == []
