@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import re
+import tomllib
 import zlib
 
 import pytest
@@ -49,6 +50,17 @@ def test_the_texts_are_what_skinbake_shader_writes() -> None:
         ("lbs_accurate/4/tangent/snorm16/tangent/mirrored", tangent),
     ):
         assert texts[name] == invoke("shader", "--lang", "glsl", *options).stdout, name
+
+
+def test_the_wheel_has_every_file_that_is_no_code() -> None:
+    """Files of C are compiled. All others must be named in pyproject.toml."""
+    package = FOLDER.parents[2]
+    project = tomllib.loads((package.parents[1] / "pyproject.toml").read_text(encoding="utf-8"))
+    patterns = project["tool"]["setuptools"]["package-data"]["skinbake"]
+    named = {path for pattern in patterns for path in package.glob(pattern) if path.is_file()}
+    code = {".py", ".c", ".so", ".pyd", ".pyc"}
+    found = {path for path in package.rglob("*") if path.is_file() and path.suffix not in code}
+    assert found == named
 
 
 def test_no_two_choices_have_one_name() -> None:

@@ -34,7 +34,7 @@ class Subject:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Camera:
-    """A camera that looks at ``middle``, so far away that it shows all points (N, 3) at each of its angles."""
+    """A camera that looks at ``middle``, so far away that it shows all points (N, 3) at all its angles."""
 
     middle: Float64Array
     radius: float
