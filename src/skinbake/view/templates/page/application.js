@@ -170,7 +170,7 @@ class Application {
     setMode(mode) {
         this.mode = mode;
         byId.legend.hidden = mode !== 'error';
-        byId.textures.disabled = mode !== 'shaded';
+        for (const name of Object.keys(KINDS)) byId[name].disabled = mode !== 'shaded';
         this.changed();
     }
 

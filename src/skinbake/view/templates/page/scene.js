@@ -136,6 +136,16 @@ export class Scene {
         return { position: three(positions), normal: three(normals) };
     }
 
+    // The positions of a part in this pose, without the GPU: no program needs to be compiled for them.
+    positions(part) {
+        const { primitive, skin, node } = part;
+        const found = new Float64Array(3 * primitive.count);
+        const { positions } = this.morphed.get(part) ?? primitive;
+        if (skin !== undefined && primitive.joints.length) skinned(primitive, positions, this.posed.skins[skin], null, found, 0);
+        else moved(positions, this.posed.nodes[node], found);
+        return found;
+    }
+
     // The box around the model over some poses of its clip: its middle, half its diagonal, its lowest point.
     bounds() {
         const { clip, time } = this;
@@ -144,7 +154,7 @@ export class Scene {
         for (const share of [0, 0.5]) {
             this.pose(clip, clip.start + share * (clip.end - clip.start));
             for (const part of this.parts) {
-                const { positions } = this.renderer.captured(part, 'standard');
+                const positions = this.positions(part);
                 for (let i = 0; i < positions.length; i++) {
                     const axis = i % 3;
                     if (positions[i] < low[axis]) low[axis] = positions[i];
@@ -155,6 +165,13 @@ export class Scene {
         this.pose(clip, time);
         const middle = plus(low, high).map((value) => value / 2);
         return { middle, radius: Math.hypot(...plus(high, low, -1)) / 2, low: low[1] };
+    }
+}
+
+function moved(positions, m, found) {
+    for (let i = 0; i < positions.length; i += 3) {
+        const [x, y, z] = [positions[i], positions[i + 1], positions[i + 2]];
+        for (let row = 0; row < 3; row++) found[i + row] = m[row] * x + m[4 + row] * y + m[8 + row] * z + m[12 + row];
     }
 }
 
