@@ -70,6 +70,8 @@ COMMANDS = [
     ["shader", "--lang", "glsl", "--for", "{}.out.glb", "-o", "{}.glsl"],
     ["inspect", "{}"],
     ["inspect", "{}.out.glb", "--json"],
+    ["view", "{}", "-o", "{}.html"],
+    ["verify", "{}.out.glb", "--poses", "rest", "--html", "{}.report.html"],
     ["strip", "{}.out.glb", "-o", "{}.stripped.glb"],
     ["cost", "{}"],
     ["cost", "{}", "--json"],

@@ -114,7 +114,7 @@ def test_a_gltf_is_shown_with_the_files_dropped_beside_it(browsing: browser.Page
         ("empty.gltf", b'{"asset": {"version": "2.0"}}', "no mesh of it is made of triangles"),
         (
             "packed.gltf",
-            b'{"extensionsRequired": ["KHR_draco_mesh_compression"]}',
+            b'{"meshes": [{"primitives": [{"extensions": {"KHR_draco_mesh_compression": {}}}]}]}',
             "it is compressed (KHR_draco_mesh_compression)",
         ),
     ],

@@ -16,7 +16,9 @@ export class ReadError extends Error {}
 // files are the files dropped beside it, by name.
 export async function readModel(bytes, name, files = new Map()) {
     const { json, binary } = split(bytes);
-    const unread = (json.extensionsRequired ?? []).filter((one) => UNREAD.includes(one));
+    const holders = [...list(json.bufferViews), ...list(json.meshes).flatMap((mesh) => list(mesh.primitives))];
+    const used = new Set(holders.flatMap((holder) => Object.keys(holder.extensions ?? {})));
+    const unread = UNREAD.filter((one) => used.has(one));
     if (unread.length) {
         throw new ReadError(`it is compressed (${unread.join(', ')}): run “skinbake view” on it instead`);
     }

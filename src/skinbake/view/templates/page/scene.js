@@ -13,7 +13,8 @@ export class Scene {
     // Take a model; other gives α and β of the other kind by primitive.
     async show(model) {
         const rest = poseAt(model, { channels: [] }, 0);
-        const clips = model.clips.filter((clip) => clip.channels.some(({ node, path }) => path === 'weights' || moves(model, node)));
+        const moving = movingNodes(model);
+        const clips = model.clips.filter((clip) => clip.channels.some(({ node, path }) => path === 'weights' || moving.has(node)));
         const clip = clips[0] ?? randomClip(model);
         const middle = poseAt(model, clip, (clip.start + clip.end) / 2);
         const isMirrored = [rest, middle].some((pose) => pose.skins.flat().some((matrix) => determinant(matrix) < 0));
@@ -175,10 +176,16 @@ function moved(positions, m, found) {
     }
 }
 
-function moves(model, node) {
-    const joints = new Set(model.skins.flatMap((skin) => skin.joints));
-    const below = (number) => joints.has(number) || model.nodes.some((one, child) => one.parent === number && below(child));
-    return below(node);
+// The nodes that move joints: joints, and all above them.
+function movingNodes({ skins, nodes }) {
+    const found = new Set();
+    for (let node of skins.flatMap((skin) => skin.joints)) {
+        while (node >= 0 && !found.has(node)) {
+            found.add(node);
+            node = nodes[node].parent;
+        }
+    }
+    return found;
 }
 
 function usedJoints(parts) {

@@ -9,6 +9,7 @@ import { determinant } from './matrices.js';
 const CREASE = (15 * Math.PI) / 180;
 const DEGENERATE = 1e-10;
 const FLAT = 1e10;
+const CROWDED = 4096; // As in bake: of more different normals at one place, only equal ones are one.
 const TINY_WEIGHT = 1.5 * 2 ** -30; // The weight of an adopted joint does not tell copies of a vertex apart.
 
 // One surface: the primitives that one skin draws. Primitives with morph targets are a surface of their own.
@@ -326,13 +327,22 @@ function weldClasses(primitives, starts, positions, normals) {
         return vertex;
     };
     for (const group of samePlaces(positions)) {
-        const keys = group.map((vertex) => {
+        // Equal copies are one at once, so that few are left to compare by angle.
+        const known = new Map();
+        for (const vertex of group) {
             const number = starts.findLastIndex((start) => start <= vertex);
-            return influencesOf(primitives[number], vertex - starts[number]);
-        });
-        group.forEach((first, i) => {
-            for (let j = 0; j < i; j++) {
-                if (keys[i] === keys[j] && isClose(normals, 3 * first, 3 * group[j])) parents[root(first)] = root(group[j]);
+            const influences = influencesOf(primitives[number], vertex - starts[number]);
+            const normal = normals.subarray(3 * vertex, 3 * vertex + 3).join();
+            const key = `${influences} ${normal}`;
+            if (known.has(key)) parents[root(vertex)] = root(known.get(key).vertex);
+            else known.set(key, { vertex, influences });
+        }
+        const different = [...known.values()];
+        if (different.length > CROWDED) continue;
+        different.forEach((first, i) => {
+            for (const other of different.slice(0, i)) {
+                const isOne = first.influences === other.influences && isClose(normals, 3 * first.vertex, 3 * other.vertex);
+                if (isOne) parents[root(first.vertex)] = root(other.vertex);
             }
         });
     }
