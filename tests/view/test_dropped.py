@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+import json
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -105,9 +107,24 @@ def test_a_gltf_is_shown_with_the_files_dropped_beside_it(browsing: browser.Page
     assert browsing.call("(() => [document.title, message.hidden])") == ["baked.gltf – skinbake", True]
 
 
+def triangle(size: float) -> bytes:
+    """Return a glTF of one triangle of a size."""
+    values = np.full(9, size, "<f4").tobytes()
+    content = {
+        "buffers": [{"uri": f"data:;base64,{base64.b64encode(values).decode()}", "byteLength": 36}],
+        "bufferViews": [{"buffer": 0, "byteLength": 36}],
+        "accessors": [{"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3"}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}],
+        "nodes": [{"mesh": 0}],
+        "scenes": [{"nodes": [0]}],
+    }
+    return json.dumps(content).encode()
+
+
 @pytest.mark.parametrize(
     ("name", "content", "words"),
     [
+        ("huge.gltf", triangle(1e30), "its positions are too large for a renderer"),
         ("letter.txt", b"Dear reader", "Expected a .glb, .gltf or .vrm file."),
         ("broken.glb", b"glTF\2\0\0\0\xff\0\0\0", "the GLB has no JSON"),
         ("text.gltf", b"no JSON", "it is neither a GLB nor glTF"),

@@ -7,6 +7,7 @@ const COMPONENTS = {
 };
 const SIZES = { SCALAR: 1, VEC2: 2, VEC3: 3, VEC4: 4, MAT2: 4, MAT3: 9, MAT4: 16 };
 const LARGEST = { 5120: 127, 5121: 255, 5122: 32767, 5123: 65535 };
+const MOST = 1e15; // Squares of lengths then stay floats.
 const UNREAD = ['KHR_draco_mesh_compression', 'EXT_meshopt_compression', 'KHR_meshopt_compression'];
 const TRIANGLES = [4, 5, 6];
 
@@ -210,6 +211,9 @@ function readPrimitive({ source, json, skins, nodes }, mesh, index, isSkinned) {
     const { attributes = {}, mode = 4 } = one;
     if (!TRIANGLES.includes(mode) || attributes.POSITION === undefined) return null;
     const positions = source.floats(attributes.POSITION).array;
+    if (positions.some((value) => !(Math.abs(value) < MOST))) {
+        throw new ReadError('its positions are too large for a renderer: scale the model down');
+    }
     const count = positions.length / 3;
     const triangles = readTriangles(source, one.indices, mode, count);
     const optional = (name) => (attributes[name] === undefined ? null : source.floats(attributes[name]));
