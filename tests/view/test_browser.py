@@ -14,7 +14,7 @@ from fixtures.make_fixtures import FOLDER
 from skinbake.gltf.animation import clip_poses, read_clips, read_skeleton
 from skinbake.gltf.document import read_document
 from skinbake.gltf.primitives import skinned_sources
-from skinbake.lighting.angles import MeasuredBlock, lighting_errors
+from skinbake.lighting.angles import MeasuredBlock, lighting_errors, truths_at_rest
 from skinbake.lighting.baked_views import baked_views
 from skinbake.lighting.measured import rest_surface
 from skinbake.lighting.operator import gradient_operator
@@ -115,7 +115,8 @@ def errors_by_verify(path: Path, time: float) -> dict[str, float]:
         total[0] += float((np.where(block.valid[0], block.errors[0], 0.0) * here).sum())
         total[1] += float(here.sum())
 
-    lighting_errors(operator, [rest_surface(view)], matrices, "lbs", record, truths=("triangles",))
+    truths = truths_at_rest(operator, [rest_surface(view)], len(matrices), None, ("triangles",))
+    lighting_errors(operator, [rest_surface(view)], matrices, "lbs", record, at_rest=truths)
     return {lighting: error / area for lighting, (error, area) in sums.items()}
 
 

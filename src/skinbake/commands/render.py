@@ -19,7 +19,7 @@ from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.json_access import is_number
 from skinbake.gltf.output import refuse_own_input
 from skinbake.gltf.writing import write_file
-from skinbake.lighting.angles import MeasuredBlock, lighting_errors
+from skinbake.lighting.angles import MeasuredBlock, lighting_errors, truths_at_rest
 from skinbake.lighting.baked_views import BakedView, whole_surfaces
 from skinbake.lighting.measured import TRUE_CREASE_ANGLE, rest_surface
 from skinbake.lighting.metrics import vertex_areas
@@ -222,7 +222,8 @@ def _errors(draws: Sequence[_Draw], posed: Sequence[Float64Array]) -> list[dict[
                     own[block.surface][name][0, poses, rows] = np.where(block.valid, block.errors, 0.0)
                     own[block.surface][name][1, poses, rows] = block.valid
 
-        lighting_errors(operator, rest, matrices, "lbs", record, truths=(Truth.TRIANGLES,))
+        truths = truths_at_rest(operator, rest, len(matrices), None, (Truth.TRIANGLES,))
+        lighting_errors(operator, rest, matrices, "lbs", record, at_rest=truths)
         found += own
     return found
 

@@ -196,7 +196,7 @@ def _other_gradients(document: Document, views: Sequence[BakedView]) -> Iterator
     kind = Gradients.SURFACE if noted_kind(views[0]) is Gradients.RIG else Gradients.RIG
     try:
         plain, _, _ = stripped(document)
-        made = replace(noted_baker(views[0]), gradients=kind, generate_normals=True).bake_document(plain)
+        made = replace(noted_baker(views[0]), gradients=kind).bake_document(plain)
         others = {view.source.place: view for view in sound_views(made.document)}
     except SkinbakeError:
         return
