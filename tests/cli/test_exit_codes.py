@@ -292,6 +292,7 @@ class TestStripAndInspect:
         assert names(tmp_path) == ["seam.glb"]
 
 
+@pytest.mark.slow
 def test_the_codes_leave_the_process(tmp_path: Path) -> None:
     """A shell sees the same as the other tests see in this process."""
     (tmp_path / "broken.glb").touch()

@@ -77,6 +77,7 @@ def test_a_time_that_is_none_is_refused(seconds: str) -> None:
     assert invoke("bake", SEAM, "--dry-run", "--timeout", seconds).exit_code == 2
 
 
+@pytest.mark.slow
 @POSIX
 @pytest.mark.parametrize(
     "option",
@@ -95,6 +96,7 @@ def test_another_process_bakes_the_same(option: list[str], tmp_path: Path) -> No
     assert run("verify", other, *option).returncode == 0
 
 
+@pytest.mark.slow
 @POSIX
 def test_a_file_that_takes_too_long_is_given_up_and_others_go_on(tmp_path: Path) -> None:
     slow, quick = tmp_path / "slow.glb", tmp_path / "quick.glb"

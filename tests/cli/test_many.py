@@ -58,6 +58,7 @@ def without_rate(stderr: str) -> str:
     return "\n".join(line for line in stderr.splitlines() if "files/s" not in line)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("options", [[], ["-v"], ["--json"], ["--encoding", "snorm16"]])
 def test_bake_is_the_same_with_any_number_of_processes(
     options: list[str], mixed: Path, tmp_path: Path, workers: list[int]
@@ -76,6 +77,7 @@ def test_bake_is_the_same_with_any_number_of_processes(
     assert set(made[0]) >= {*FIXTURES, "half.glb", "bare.glb"}
 
 
+@pytest.mark.slow
 def test_verify_is_the_same_with_any_number_of_processes(
     mixed: Path, tmp_path: Path, workers: list[int]
 ) -> None:
@@ -428,6 +430,7 @@ class TestTerminal:
         assert process.wait() == 0, found
         return found
 
+    @pytest.mark.slow
     def test_a_long_verify_tells_each_stage_and_its_poses(self, large: Path) -> None:
         found = self.shown("verify", large, "--method", "lbs", "--poses", "random:40")
         text = "".join(part for _, part in found)
@@ -537,6 +540,7 @@ def made(folder: Path) -> list[Path]:
     return list(folder.glob("*/*.glb"))
 
 
+@pytest.mark.slow
 @LINUX
 @pytest.mark.parametrize(
     ("whom", "number", "code"),
@@ -573,6 +577,7 @@ def test_an_interrupt_ends_all_and_leaves_whole_files_only(
     assert {path.read_bytes() for path in done} == {expected.read_bytes()}
 
 
+@pytest.mark.slow
 @LINUX
 def test_a_killed_worker_costs_no_file(
     running: Callable[..., subprocess.Popen[bytes]], tmp_path: Path

@@ -44,6 +44,7 @@ def without_reader(*arguments: str, stream: str = "stdout") -> subprocess.Comple
         os.close(writing)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("arguments", COMMANDS, ids=lambda arguments: " ".join(arguments[:1] + arguments[2:]))
 def test_a_reader_that_has_left_is_141(arguments: list[str]) -> None:
     process = without_reader(*arguments)
@@ -53,6 +54,7 @@ def test_a_reader_that_has_left_is_141(arguments: list[str]) -> None:
     assert b"Exception ignored" not in process.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "arguments", [["bake"], ["inspect", "missing.glb"], ["bake", "missing.glb", "--dry-run"]]
 )

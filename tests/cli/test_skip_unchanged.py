@@ -136,6 +136,7 @@ CHANGES: dict[str, tuple[str, Callable[[Path, Path], object]]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("what", CHANGES)
 def test_whatever_changes_is_baked_again_and_nothing_else(what: str, baking: Baking, tmp_path: Path) -> None:
     name, change = CHANGES[what]
@@ -156,6 +157,7 @@ def test_whatever_changes_is_baked_again_and_nothing_else(what: str, baking: Bak
                 assert (baking.out / mine["uri"]).read_bytes() == (fresh.out / other["uri"]).read_bytes()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "options",
     [

@@ -109,6 +109,7 @@ entry_point()
 """
 
 
+@pytest.mark.slow
 def test_a_defect_is_a_sentence_and_a_traceback_only_where_it_is_asked_for() -> None:
     process = run("inspect", SEAM, command=("-c", BREAKING))
     assert process.returncode == 3
@@ -127,6 +128,7 @@ def test_any_encoding_of_the_terminal_will_do(encoding: str, arguments: list[str
     assert (process.returncode, process.stderr) == (0, b"")
 
 
+@pytest.mark.slow
 def test_a_name_that_is_no_text_is_a_name(tmp_path: Path) -> None:
     if sys.platform != "linux":
         pytest.skip("only on Linux are names bytes")
@@ -182,6 +184,7 @@ def test_a_reader_that_goes_away_gets_no_traceback(command: str) -> None:
     assert b"Exception ignored" not in process.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", ["bake {} -o - >&-", "bake - -o - <&-", "inspect - <&-"])
 def test_closed_streams_are_not_defects_of_skinbake(command: str) -> None:
     process = shell(f"skinbake {command.format(SEAM)}")
@@ -197,6 +200,7 @@ os.execv(sys.executable, [sys.executable, *sys.argv[1:]])
 # Children of a shell's background job ignore Ctrl-C; this one is to hear it.
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_an_interrupt_ends_without_a_traceback_or_a_file(
     number: signal.Signals, code: int, tmp_path: Path

@@ -95,6 +95,7 @@ def said(*arguments: str | Path) -> bytes:
     return process.stdout + process.stderr
 
 
+@pytest.mark.slow
 def test_nothing_is_printed_raw(evil: Path) -> None:
     """In this order: later commands read what earlier ones have written."""
     for pattern in COMMANDS:

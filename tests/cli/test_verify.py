@@ -240,6 +240,7 @@ def test_a_name_is_no_markup_for_the_bar(
     assert "[bold]hero.glb" in result.stderr
 
 
+@pytest.mark.slow
 def test_odd_names_do_not_end_in_a_traceback(good: Path, tmp_path: Path) -> None:
     model = Editable(good)
     model.content["meshes"][0]["name"] = "lone \ud800 and \x1b[31m bell \x07"

@@ -68,7 +68,7 @@ def test_several_files_give_an_index_with_the_worst_first(tmp_path: Path) -> Non
         bake(source, folder / source.name)
     (folder / "broken.glb").write_bytes(b"glTF")
     page = tmp_path / "all.html"
-    result = invoke("verify", folder, "--html", page, "--min-gain", "30")
+    result = invoke("verify", folder, "--html", page, "--min-gain", "50")
     assert result.exit_code == exit_codes.INPUT
     assert rows(page) == [
         ("broken.glb", "failed", None),
@@ -77,10 +77,10 @@ def test_several_files_give_an_index_with_the_worst_first(tmp_path: Path) -> Non
     ]
     for _, _, link in rows(page)[1:]:
         assert link is not None
-        assert given(tmp_path / link)["limits"] == ["gain at least 30×"]
+        assert given(tmp_path / link)["limits"] == ["gain at least 50×"]
     text = page.read_text(encoding="utf-8")
     assert "3 files, 3 failed" in text
-    assert "Limits: gain at least 30×." in text
+    assert "Limits: gain at least 50×." in text
     assert "not a GLB" in text
 
 

@@ -35,6 +35,7 @@ def run_without(*arguments: str | Path) -> subprocess.CompletedProcess[bytes]:
     return run(*arguments, command=("-c", WITHOUT))
 
 
+@pytest.mark.slow
 def test_files_on_this_disk_are_baked_and_verified(tmp_path: Path) -> None:
     here, without = tmp_path / "here", tmp_path / "without"
     models = [SEAM, FOLDER / "shared_accessors.gltf"]
@@ -47,6 +48,7 @@ def test_files_on_this_disk_are_baked_and_verified(tmp_path: Path) -> None:
     assert (checked.returncode, checked.stderr) == (0, b"")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "message", "code"),
     [

@@ -266,6 +266,7 @@ def test_the_scheduler_goes_away(tmp_path: Path) -> None:
     assert not any("distributed" in line or "Traceback" in line for line in lines)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("address", ["tcp://127.0.0.1:1", "nowhere.invalid:8786", "what://is this"])
 def test_no_scheduler_answers(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(dask_runner, "CONNECT_SECONDS", 0.5)

@@ -56,6 +56,7 @@ def test_no_more_workers_than_jobs() -> None:
     assert outcomes(Work(), 0) == {}
 
 
+@pytest.mark.slow
 @POSIX
 @pytest.mark.parametrize("by", [signal.SIGKILL, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
 def test_who_kills_twice_is_lost_and_nobody_else(by: signal.Signals, tmp_path: Path) -> None:

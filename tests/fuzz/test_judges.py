@@ -105,10 +105,10 @@ def test_a_case_is_kept_whole_and_once(tmp_path: Path) -> None:
     assert load(tmp_path / names.pop()) == case
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="the processor's time is read from /proc")
 @pytest.mark.parametrize(
-    ("program", "hangs"),
-    [("while True: pass", True), pytest.param("import time; time.sleep(60)", False, marks=pytest.mark.slow)],
+    ("program", "hangs"), [("while True: pass", True), ("import time; time.sleep(60)", False)]
 )
 def test_only_what_has_the_processor_hangs(
     program: str, hangs: bool, monkeypatch: pytest.MonkeyPatch, tmp_path: Path

@@ -85,6 +85,7 @@ class TestDraco:
         bake(once, twice)
         assert once.read_bytes() == twice.read_bytes()
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("name", ["_WIDE", "WEIGHTS_1"])
     def test_integers_of_32_bits_take_no_gigabytes(self, name: str, tmp_path: Path) -> None:
         """Draco's tables for them took 1.2 GB; the launcher's child has a high-water mark of its own."""

@@ -216,6 +216,7 @@ class TestNesting:
             assert invoke("bake", source, "-o", target).exit_code == 0
         assert once.read_bytes() == twice.read_bytes()
 
+    @pytest.mark.slow
     @pytest.mark.parametrize(
         ("compression", "suffix"),
         [

@@ -152,6 +152,7 @@ class TestFailures:
             bake(source, again)
         assert tree(again.parent) == {k: v for k, v in whole.items() if k != "neighbour.txt"}
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("limit", [100, 2000, 10_000])
     def test_a_full_disk_leaves_everything_as_it_was(self, source: Path, target: Path, limit: int) -> None:
         """A real limit on the size of files: writes stop midway in the .bin or in the JSON."""

@@ -60,6 +60,7 @@ def busy_vertices(model: Editable, count: int = 12) -> list[int]:
     return [int(vertex) for vertex in order[: 3 * count : 3]]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "component", [0, *(pytest.param(other, marks=pytest.mark.slow) for other in (1, 2, 3))]
 )

@@ -328,6 +328,7 @@ def test_another_kind_than_the_noted_one_is_stale(
     check_failure(model.write(tmp_path / HERE), Case(note("", None), "stale", words), "freshness")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", MODELS)
 def test_one_percent_of_any_fitted_alpha_is_stale(
     bakes: Callable[[str], Path], tmp_path: Path, name: str

@@ -84,6 +84,7 @@ def test_json_is_as_the_schema_has_it() -> None:
     assert document["files"][2]["error"] == {"kind": "InputError", "message": "cannot be read"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "member", ["normals", "normals_by_triangles", "checks", "primitives", "without_dqs", "input", "error"]
 )

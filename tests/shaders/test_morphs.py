@@ -166,6 +166,7 @@ def test_the_frame_that_follows_the_normal_is_the_replay_s(language: Language, t
     assert found[:10, 1, :3] == pytest.approx(t0[:10], abs=3e-7)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("language", Language)
 def test_the_frame_that_follows_the_tangent_is_the_replay_s(language: Language, tmp_path: Path) -> None:
     n0, n = directions(2000, 3), directions(2000, 4)
@@ -211,6 +212,7 @@ def surface_at(frame: str) -> tuple[RestSurface, analytic.Sample]:
     return rest, points
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("frame", "morphs"), KINDS)
 @pytest.mark.parametrize("lighting", [Lighting.DIRECT, Lighting.ACCURATE])
 @pytest.mark.parametrize("language", Language)

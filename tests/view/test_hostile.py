@@ -43,6 +43,7 @@ def hostile(folder: Path, name: str) -> Path:
     return path.rename(path.with_name(FILE))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_the_page_has_no_element_more(tmp_path: Path, name: str) -> None:
     """The elements of the page are those of the page of an innocent file."""
