@@ -109,6 +109,16 @@ def test_a_missing_image_is_said_and_left_out(tmp_path: Path) -> None:
     assert invoke("view", path, "-o", tmp_path / "page.html").stderr == ""
 
 
+def test_an_image_that_is_named_often_is_held_once(tmp_path: Path) -> None:
+    def with_images(content: dict[str, object]) -> None:
+        content["images"] = [{"uri": "skin.png"}] * 200
+
+    path = write_model(tmp_path / "sheet.glb", [sheet()], change=with_images)
+    (tmp_path / "skin.png").write_bytes(b"\x89PNG" + bytes(100_000))
+    assert invoke("view", path, "-o", tmp_path / "page.html").exit_code == 0
+    assert (tmp_path / "page.html").stat().st_size < 600_000
+
+
 @LINUX
 @pytest.mark.slow
 def test_it_serves_the_page_to_this_machine_until_ctrl_c() -> None:

@@ -22,6 +22,7 @@ from skinbake.format.strip import stripped
 from skinbake.gltf.codecs.recode import Compression, recoded
 from skinbake.gltf.container import for_target
 from skinbake.gltf.document import STDIO, Document, read_document
+from skinbake.gltf.json_access import JsonObject
 from skinbake.gltf.output import plan_output, refuse_own_input
 from skinbake.gltf.primitives import skinned_sources
 from skinbake.gltf.resources import is_data_uri, read_resource
@@ -231,13 +232,18 @@ def _with_images(document: Document) -> tuple[Document, list[Notice]]:
     length = sum(map(len, binary))
     views, images = list(document.objects("bufferViews")), list(document.objects("images"))
     lost: list[InputError] = []
+    held: dict[str, JsonObject] = {}
     for number, image in enumerate(images):
         uri = image.get("uri")
         if not isinstance(uri, str) or is_data_uri(uri):
             continue
         kept = {key: value for key, value in image.items() if key != "uri"}
+        if uri in held:  # a thousand images may have one name
+            images[number] = {**kept, **held[uri]}
+            continue
         try:
             data = bytes(read_resource(uri, document.folder, document.bounds, document.place))
+            document.budget.claim(2 * len(data), "holding its images in a page", document.place)
         except InputError as error:
             lost.append(error)
             images[number] = kept
@@ -245,7 +251,8 @@ def _with_images(document: Document) -> tuple[Document, list[Notice]]:
         padding = -length % 4
         kind = next((mime for head, mime in IMAGES.items() if data.startswith(head)), "image/png")
         views.append({"buffer": 0, "byteOffset": length + padding, "byteLength": len(data)})
-        images[number] = {**kept, "bufferView": len(views) - 1, "mimeType": kind}
+        held[uri] = {"bufferView": len(views) - 1, "mimeType": kind}
+        images[number] = {**kept, **held[uri]}
         binary += [bytes(padding), data]
         length += padding + len(data)
     if not images:
