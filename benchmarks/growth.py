@@ -55,8 +55,8 @@ EXPLAINED = (
     "memory for each byte of its file, and always a gibibyte. Below a gibibyte, small files can grow faster "
     "than their bytes: primitives that share their vertices (`shared_accessors`, `draco_views`), copies of a "
     "vertex that share its triangles (`fan`, `crowd`, `many_views`), and clips of many vertices "
-    "(`many_clips`). Above it `bake` and `verify` refuse them. `inspect` looks at one primitive after the "
-    "other and keeps none, so it refuses nothing: its time grows with primitives times vertices."
+    "(`many_clips`). Above it every command refuses them: `inspect` of `shared_accessors` takes 12 s of the "
+    "processor at 512 KiB and at 1 MiB, and then exit 3."
 )
 
 Content = dict[str, Any]
