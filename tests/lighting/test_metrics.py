@@ -61,7 +61,6 @@ def test_a_summary_by_hand() -> None:
         worst_pose=1,
         worst_vertex=2,
         samples=6,
-        excluded=0,
         undefined=0,
     )
 
@@ -97,7 +96,7 @@ def test_what_is_masked_or_has_no_area_does_not_count() -> None:
     assert summary.mean == pytest.approx(4 / 3)
     assert (summary.p95, summary.p99, summary.max) == (2.0, 2.0, 2.0)
     assert (summary.worst_pose, summary.worst_vertex) == (0, 3)
-    assert (summary.samples, summary.excluded, summary.undefined) == (3, 5, 0)
+    assert (summary.samples, summary.undefined) == (3, 0)
 
 
 def test_a_missing_normal_counts_as_the_worst_there_is() -> None:
@@ -159,7 +158,7 @@ def test_a_tally_of_blocks_is_exact(seed: int, monkeypatch: pytest.MonkeyPatch) 
     worst = np.flatnonzero(counted & (np.where(np.isnan(errors), 180.0, errors) == values.max()))[0]
     assert (summary.worst_pose, summary.worst_vertex) == divmod(int(worst), count)
     assert summary.worst_part == 2
-    assert (summary.samples, summary.excluded) == (counted.sum(), errors.size - counted.sum())
+    assert summary.samples == counted.sum()
     assert summary.undefined == (np.isnan(errors) & counted).sum()
 
 

@@ -29,8 +29,7 @@ class ErrorSummary:
 
     mean, p95 and p99 are weighted by rest area. worst_pose and worst_vertex index the first sample that has
     the maximum. worst_part is the part of that sample, in a tally of several. samples is the number of
-    counted samples, excluded the number of others. undefined is the number of counted samples without a
-    measured normal.
+    counted samples, undefined the number of them without a measured normal.
     """
 
     mean: float
@@ -40,7 +39,6 @@ class ErrorSummary:
     worst_pose: int
     worst_vertex: int
     samples: int
-    excluded: int
     undefined: int
     worst_part: int = 0
 
@@ -59,7 +57,7 @@ class ErrorTally:
         # Rounding must not make the tail too short.
         self._needed = weight * (1.0 - _SHARES[0]) * (1.0 + 1e-6)
         self._weight, self._sum = 0.0, 0.0
-        self._samples, self._excluded, self._undefined = 0, 0, 0
+        self._samples, self._undefined = 0, 0
         self._worst: tuple[float, int, int, int] | None = None
         self._tail = _Tail(self._needed)
         self._summary: ErrorSummary | None = None
@@ -85,7 +83,6 @@ class ErrorTally:
         weights = np.asarray(areas, dtype=np.float64)
         found = kernel.count_errors(errors, weights, valid, self._tail.least)
         self._samples += found.samples
-        self._excluded += errors.size - found.samples
         self._undefined += found.undefined
         self._weight += found.weight
         self._sum += found.total
@@ -109,7 +106,6 @@ class ErrorTally:
             worst_pose=self._worst[2],
             worst_vertex=self._worst[3],
             samples=self._samples,
-            excluded=self._excluded,
             undefined=self._undefined,
             worst_part=self._worst[1],
         )
