@@ -132,6 +132,8 @@ def test_a_turntable_turns_one_pose(tmp_path: Path) -> None:
         (["-o", "picture.png", "--size", "large"], exit_codes.USAGE, "must be like 960x600"),
         (["-o", "picture.png", "--time", "nan"], exit_codes.USAGE, "must be a finite number"),
         (["-o", "picture.png", "--clip", "jump"], exit_codes.USAGE, "the file has no such clip; it has bend"),
+        (["-o", "picture.png", "--time", "99"], exit_codes.USAGE, 'clip "bend" goes from 0 to'),
+        (["-o", "picture.png", "--time", "-1"], exit_codes.USAGE, 'clip "bend" goes from 0 to'),
     ],
 )
 def test_it_refuses(

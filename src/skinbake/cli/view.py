@@ -43,6 +43,8 @@ def command(source: str, output: str | None, **given: Any) -> None:
     check_readable_suffix(source)
     if output is not None and output != STDIO and output.lower().endswith(SUFFIXES):
         raise click.UsageError(f"{output} is the name of a model; name the page .html")
+    if output is not None and (given["port"] or given["no_browser"]):
+        raise click.UsageError("--port and --no-browser are for a page that is served; -o writes it instead")
     say = console(
         verbose=given["verbose"],
         quiet=given["quiet"],

@@ -12,7 +12,7 @@ import numpy as np
 from skinbake.choices import Truth, Weighting
 from skinbake.commands.view import baked_in_memory, sound_views
 from skinbake.containment import BESIDE, Bounds
-from skinbake.errors import ChoiceError, InputError, Notice
+from skinbake.errors import ChoiceError, InputError, Notice, printable
 from skinbake.geometry.skinned import Float32Array, Float64Array
 from skinbake.gltf.animation import Clip, Skeleton, clip_poses, random_poses, read_clips, read_skeleton
 from skinbake.gltf.document import Document, read_document
@@ -133,7 +133,8 @@ def _clip(document: Document, asked: str | None) -> Clip | None:
 def _times(
     draws: Sequence[_Draw], clip: Clip | None, options: RenderOptions, *, moves: bool
 ) -> tuple[Float64Array, str]:
-    """Return the time of each picture, and the first pose in words."""
+    """Return the time of each picture, and the first pose in words. Raises ChoiceError for another time."""
+    _check_time(clip, options.time)
     if clip is None:
         count = MOST_PICTURES // 2 if options.turntable else 1
         return np.zeros(count), "a random pose, because it has no clip"
@@ -146,6 +147,18 @@ def _times(
         return np.full(count, time), f'clip "{clip.name}" at {time:.2f} s'
     count = max(2, min(MOST_PICTURES, round(1000 * (clip.duration - clip.start) / MILLISECONDS)))
     return np.linspace(clip.start, clip.duration, count, endpoint=False), f'clip "{clip.name}"'
+
+
+def _check_time(clip: Clip | None, time: float | None) -> None:
+    """Raise ChoiceError for a time that no clip has."""
+    if time is None:
+        return
+    if clip is None:
+        raise ChoiceError(f"--time {time:g}: the file has no clip that moves joints")
+    if not clip.start <= time <= clip.duration:
+        raise ChoiceError(
+            f'--time {time:g}: clip "{printable(clip.name)}" goes from {clip.start:g} to {clip.duration:g} s'
+        )
 
 
 def _spread(clip: Clip | None, count: int) -> Float64Array:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from tempfile import gettempdir
 from typing import Any
 
 import numpy as np
@@ -144,6 +146,8 @@ class Studio:
 def _device() -> Any:
     """Return a device of any kind, a software driver too. Raises UnsupportedFeatureError without one."""
     place = Place("render")
+    # Without a desktop some drivers complain on stderr that there is no such folder. No window is opened.
+    os.environ.setdefault("XDG_RUNTIME_DIR", gettempdir())
     try:
         import wgpu
     except ImportError as error:

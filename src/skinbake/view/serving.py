@@ -1,4 +1,4 @@
-"""Serve one page to this machine's browser, and nothing else to nobody else."""
+"""Serve one page to the browser of this machine, and nothing else."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def serve(page: bytes, port: int, started: Callable[[str], None]) -> None:
 def _handler(page: bytes) -> type[http.server.BaseHTTPRequestHandler]:
     class Handler(http.server.BaseHTTPRequestHandler):
         def do_GET(self) -> None:
-            # A page of another site that has its name point here asks with its own name.
+            # Another site may let its name point here. Its pages then ask with that name.
             host = self.headers.get("Host", "").rpartition(":")[0]
             if self.path != "/" or host not in {HOST, "localhost"}:
                 self.send_error(404)
