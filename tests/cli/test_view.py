@@ -13,6 +13,7 @@ import pytest
 
 from fixtures.make_fixtures import FOLDER
 from skinbake.cli import exit_codes
+from skinbake.gltf.json_access import JsonObject
 from tests.support.command_line import LINUX, invoke
 from tests.support.models import bake, edited, sheet, write_model
 
@@ -77,8 +78,8 @@ def test_it_refuses(tmp_path: Path, arguments: list[str], code: int, words: str)
 
 
 def test_a_file_without_anything_skinned_is_an_input_error(tmp_path: Path) -> None:
-    def unskinned(content: dict[str, object]) -> None:
-        for node in content["nodes"]:  # type: ignore[attr-defined]
+    def unskinned(content: JsonObject) -> None:
+        for node in content["nodes"]:
             node.pop("skin", None)
 
     path = edited("bent_tube.glb", tmp_path / "models", unskinned)
@@ -89,8 +90,8 @@ def test_a_file_without_anything_skinned_is_an_input_error(tmp_path: Path) -> No
 
 
 def test_a_page_may_not_replace_a_file_of_the_model(tmp_path: Path) -> None:
-    def rename(content: dict[str, object]) -> None:
-        content["buffers"][0]["uri"] = "data.html"  # type: ignore[index]
+    def rename(content: JsonObject) -> None:
+        content["buffers"][0]["uri"] = "data.html"
 
     path = edited("shared_accessors.gltf", tmp_path, rename)
     (tmp_path / "shared accessors.bin").rename(tmp_path / "data.html")
@@ -100,7 +101,7 @@ def test_a_page_may_not_replace_a_file_of_the_model(tmp_path: Path) -> None:
 
 
 def test_a_missing_image_is_said_and_left_out(tmp_path: Path) -> None:
-    def with_image(content: dict[str, object]) -> None:
+    def with_image(content: JsonObject) -> None:
         content["images"] = [{"uri": "skin.png"}]
 
     path = write_model(tmp_path / "sheet.glb", [sheet()], change=with_image)
@@ -112,7 +113,7 @@ def test_a_missing_image_is_said_and_left_out(tmp_path: Path) -> None:
 
 
 def test_an_image_that_is_named_often_is_held_once(tmp_path: Path) -> None:
-    def with_images(content: dict[str, object]) -> None:
+    def with_images(content: JsonObject) -> None:
         content["images"] = [{"uri": "skin.png"}] * 200
 
     path = write_model(tmp_path / "sheet.glb", [sheet()], change=with_images)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from fixtures.make_fixtures import FOLDER
 from skinbake.cli import exit_codes
 from skinbake.commands import render
 from skinbake.render.studio import MODES, Studio
-from skinbake.render.subject import YAW, Camera
+from skinbake.render.subject import YAW, Camera, Subject
 from skinbake.skinning.algorithms import Algorithm
 from tests.support.characters import Array, baked
 from tests.support.command_line import invoke
@@ -44,9 +45,9 @@ def cameras(monkeypatch: pytest.MonkeyPatch) -> list[Camera]:
     """Return the cameras of the pictures that the test draws."""
     found: list[Camera] = []
 
-    def kept(subjects: object, camera: Camera) -> Studio:
+    def kept(subjects: Sequence[Subject], camera: Camera) -> Studio:
         found.append(camera)
-        return Studio(subjects, camera)  # type: ignore[arg-type]
+        return Studio(subjects, camera)
 
     monkeypatch.setattr(render, "Studio", kept)
     return found

@@ -19,6 +19,7 @@ from skinbake.skinning.algorithms import Algorithm
 from tests.support import browser, corpus
 from tests.support.characters import Character, Placement, Pose, angles, baked
 from tests.support.node import package_folder, require_node
+from tests.support.strictness import missing_tool
 from tests.three.drawn import (
     BENT,
     CHARACTERS,
@@ -66,7 +67,7 @@ KINDS += ["clone", "copy", "hook", "positioned"]
 def require(stage: Stage, backend: str) -> None:
     """Skip where the browser has no WebGPU, and the renderer takes WebGL 2 in its place."""
     if stage.page.call("backend", backend) != backend:
-        pytest.skip("this browser has no WebGPU adapter")
+        missing_tool("this browser has no WebGPU adapter")
 
 
 @pytest.fixture
