@@ -12,9 +12,9 @@ from skinbake.gltf.document import Document
 from skinbake.gltf.primitives import skinned_sources
 from skinbake.lighting.angles import MeasuredBlock, lighting_errors, not_rigid_joints
 from skinbake.lighting.baked_views import BakedView, baked_views, whole_surfaces
-from skinbake.lighting.measured import TRUE_CREASE_ANGLE, TRUE_WEIGHTING, rest_surface
+from skinbake.lighting.measured import rest_surface
 from skinbake.lighting.morphing import morphing_of
-from skinbake.lighting.operator import gradient_operator
+from skinbake.lighting.operator import true_operator
 from skinbake.lighting.poses import PoseRequest, PoseSet, draws_of, pose_set
 from skinbake.lighting.rest_areas import RestAreas
 
@@ -119,9 +119,7 @@ def error_fields(
 ) -> dict[tuple[str, str, int], Field]:
     """Return the errors on one surface under one skin, by truth, lighting, and number of the view."""
     fields: dict[tuple[str, str, int], Field] = {}
-    operator = gradient_operator(
-        [view.now for view in views], weighting=TRUE_WEIGHTING, crease_angle_degrees=TRUE_CREASE_ANGLE
-    )
+    operator = true_operator([view.now for view in views])
 
     def record(block: MeasuredBlock) -> None:
         shape = len(poses.clips), len(views[block.surface].now.positions)

@@ -41,11 +41,13 @@ FilePath: TypeAlias = "str | os.PathLike[str]"
 class BakeOptions(TypedDict, total=False):
     """The options of ``bake``, under the same names as on the command line.
 
-    Enumerations may be given as members or by their values. ``gradients`` is ``rig`` or ``surface``.
+    Enumerations may be given as members or by their values. ``gradients`` is ``rig``, ``surface``
+    or ``poses``.
     ``crease_angle`` is in degrees.
     """
 
     gradients: Gradients | str
+    fit_poses: Sequence[str]
     weighting: Weighting | str
     crease_angle: float
     weld: Weld | str

@@ -50,6 +50,8 @@ class Gradients(StrEnum):
     """The gradients of the weights on the surface, as in the paper."""
     RIG = "rig"
     """Gradients fitted to small turns of all joints (docs/fitted.md)."""
+    POSES = "poses"
+    """Those fitted further, to sampled poses of clips and to random ones."""
 
 
 class Weighting(StrEnum):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Mapping
 from dataclasses import fields
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -28,7 +29,7 @@ from skinbake.cli.many import Clock, Reporting, Run, many_options, notes_of, sta
 from skinbake.cli.names import STDIO
 from skinbake.cli.remote import cluster_option
 from skinbake.cli.runners import runner_of, seconds_of
-from skinbake.cli.targets import check_reports, check_target, in_turns, once, pair_up
+from skinbake.cli.targets import check_read, check_reports, check_target, in_turns, once, pair_up
 from skinbake.cli.writing import writing_of
 from skinbake.containment import Bounds, Within
 from skinbake.errors import ChoiceError
@@ -60,8 +61,15 @@ if TYPE_CHECKING:
     type=one_of(Gradients),
     default="rig",
     show_default=True,
-    help="α and β: the paper's gradients of the weights on the surface, or fitted to the turns of the rig, "
-    "which lights coarse meshes better.",
+    help="α and β: the paper's gradients of the weights on the surface; fitted to the turns of the rig, "
+    "which lights coarse meshes better; or fitted to poses too, which lights these best and takes longer.",
+)
+@click.option(
+    "--fit-poses",
+    multiple=True,
+    metavar="FILE|animations|random:N",
+    help="Poses for --gradients poses: the file's own animations (default), those of another file whose "
+    "nodes have the same names, or random poses. May be given several times.",
 )
 @click.option(
     "--weighting",
@@ -189,7 +197,9 @@ def command(inputs: tuple[str, ...], **given: Unpack[Given]) -> None:
     targets, notes_at = _targets(found, given), state_path(given)
     output, out_dir = given.get("output"), given.get("out_dir")
     reports = {"--summary": given["summary"], "--state": notes_at}
-    check_reports(reports, output, (entry.source for entry in found))
+    clip_files = [source for source in given.get("fit_poses", ()) if Path(source).is_file()]
+    check_reports(reports, output, [*(entry.source for entry in found), *clip_files])
+    check_read("--fit-poses", clip_files, (target for _, target in targets))
     say = console(
         verbose=given["verbose"],
         quiet=given["quiet"],

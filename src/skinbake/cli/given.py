@@ -8,7 +8,7 @@ from typing import NotRequired, TypedDict
 class Given(TypedDict):
     """The options that both commands share. Each command has options of its own in addition.
 
-    ``output``, ``out_dir`` and ``dry_run`` belong to commands that write.
+    ``output``, ``out_dir`` and ``dry_run`` belong to commands that write, ``fit_poses`` to ``bake``.
     """
 
     as_json: bool
@@ -30,3 +30,4 @@ class Given(TypedDict):
     output: NotRequired[str | None]
     out_dir: NotRequired[str | None]
     dry_run: NotRequired[bool]
+    fit_poses: NotRequired[tuple[str, ...]]

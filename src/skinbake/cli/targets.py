@@ -32,6 +32,15 @@ def check_target(source: str, target: str, *, instead: str = "use --in-place to 
         raise click.UsageError(f"{target} is the input; {instead}")
 
 
+def check_read(option: str, paths: Iterable[str], targets: Iterable[str | None]) -> None:
+    """Raise click.UsageError if a file that an option reads is also an output, through links too."""
+    written = [target for target in targets if target not in {None, STDIO}]
+    for path in paths:
+        for target in written:
+            if _same_file(path, str(target)):
+                raise click.UsageError(f"{option}: {path} is also an output, {target}")
+
+
 def _same_file(first: str, second: str) -> bool:
     """Tell whether two names are one file. A name that no disk accepts is no file."""
     one, other = on_disk(first), on_disk(second)

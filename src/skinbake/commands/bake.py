@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -56,6 +56,7 @@ from skinbake.timing import stage
 
 if TYPE_CHECKING:
     from skinbake.lighting.limit_cost import Limited
+    from skinbake.lighting.poses_to_fit import FoundPoses, PoseSource
     from skinbake.lighting.unwritten import UnwrittenBake
 
 BYTES_A_VERTEX, BYTES_A_SLOT, BYTES_A_TRIANGLE = 128, 48, 24
@@ -66,11 +67,13 @@ BYTES_A_VERTEX, BYTES_A_SLOT, BYTES_A_TRIANGLE = 128, 48, 24
 class Baker:
     """Bake files and documents. The fields are the options of ``skinbake bake``, under the same names.
 
-    crease_angle is in degrees. Enumerations may be given by their values. Raises ChoiceError for a value that
-    does not exist, and for options that contradict each other.
+    crease_angle is in degrees. Enumerations may be given by their values. fit_poses are ``animations``,
+    ``random:N`` and files, which are read at once. Raises ChoiceError for a value that does not exist and for
+    options that contradict each other, and InputError for a file that cannot be read.
     """
 
     gradients: Gradients = Gradients.RIG
+    fit_poses: tuple[PoseSource, ...] = ()
     weighting: Weighting = Weighting.MAX
     crease_angle: float = 15.0
     weld: Weld = Weld.MESH
@@ -93,6 +96,7 @@ class Baker:
     def __post_init__(self) -> None:
         for name, kind in ENUMERATIONS.items():
             object.__setattr__(self, name, member_of(kind, getattr(self, name), name))
+        object.__setattr__(self, "fit_poses", _pose_sources(self))
         _check_ranges(self)
         _check_names(self)
         _check_compression(self)
@@ -167,11 +171,11 @@ class Baker:
             document, kept = self._recoded(document, sources)
         sources = [source.in_document(document) for source in sources]
         surfaces, apart = _surfaces(document, sources, self.weld)
-        rigs = [self._rig(document, surface) for surface in surfaces]
+        aims = [self._aim(document, surface) for surface in surfaces]
         bakes = [
             bake
-            for surface, (rig, _) in zip(surfaces, rigs, strict=True)
-            for bake in self._baked_surface(document, surface, rig)
+            for surface, aim in zip(surfaces, aims, strict=True)
+            for bake in self._baked_surface(document, surface, aim)
         ]
         storage = with_scale(GradientFormat(self.encoding, self.layout), [bake.result for bake in bakes])
         with stage("store"):
@@ -180,7 +184,7 @@ class Baker:
             written, lengths = with_baked(document, to_store, names, storage, level=level)
         with stage("encoding"):
             cost, unmeasured = _encoding_cost(document, bakes, storage)
-        unfitted = [notice for _, found in rigs for notice in found]
+        unfitted = [notice for aim in aims for notice in aim.notices]
         notices = [*kept, *reasons, *apart, *unfitted, *(notice for bake in bakes for notice in bake.notices)]
         notices += [*stored_otherwise(document, sources), *unmeasured]
         primitives = tuple(
@@ -212,22 +216,29 @@ class Baker:
                 notices.append(reason)
         return wanted, len(sources) - len(wanted), notices
 
-    def _rig(self, document: Document, sources: Sequence[PrimitiveSource]) -> tuple[Rig | None, list[Notice]]:
-        """Return the rig to which a surface is fitted, None for none, and notices about it."""
+    def _aim(self, document: Document, sources: Sequence[PrimitiveSource]) -> _Aim:
+        """Return the rig and the poses to which a surface is fitted."""
         if self.gradients is Gradients.SURFACE:
-            return None, []
+            return _Aim()
         with stage("rig"):
-            return fitting_rig(document, sources[0])
+            rig, notices = fitting_rig(document, sources[0])
+        if self.gradients is Gradients.RIG:
+            return _Aim(rig, notices=notices)
+        from skinbake.lighting.poses_to_fit import poses_to_fit  # it poses: half a second of imports
+
+        with stage("poses"):
+            found = poses_to_fit(document, sources[0].mesh, self.fit_poses, sources[0].place)
+        return _Aim(rig, found, [*notices, *found.notices])
 
     def _baked_surface(
-        self, document: Document, sources: Sequence[PrimitiveSource], rig: Rig | None
+        self, document: Document, sources: Sequence[PrimitiveSource], aim: _Aim
     ) -> list[PrimitiveBake]:
         """Bake primitives as one surface. Raises InputError if α or β are not finite."""
         with stage("arrays"):
             whole = with_smooth_normals(_read(document, sources))
         if self.limit_influences is not None:
-            return self._limited_surface(document, sources, whole, self.limit_influences, rig)
-        return _finite(self._bakes(sources, whole, rig))
+            return self._limited_surface(document, sources, whole, self.limit_influences, aim)
+        return _finite(self._bakes(document, sources, whole, aim))
 
     def _limited_surface(
         self,
@@ -235,7 +246,7 @@ class Baker:
         sources: Sequence[PrimitiveSource],
         whole: Sequence[SkinnedPrimitive],
         count: int,
-        rig: Rig | None,
+        aim: _Aim,
     ) -> list[PrimitiveBake]:
         """Bake primitives as one surface with at most ``count`` influences a vertex, and measure the cost."""
         from skinbake.lighting.limit_cost import limit_costs, limited  # it replays: half a second of imports
@@ -243,11 +254,11 @@ class Baker:
         with stage("limit"):
             parts = [limited(document, *pair, count) for pair in zip(sources, whole, strict=True)]
         primitives = [part.primitive if part else one for part, one in zip(parts, whole, strict=True)]
-        bakes = _finite(self._bakes(sources, primitives, rig))
+        bakes = _finite(self._bakes(document, sources, primitives, aim))
         if not any(parts):
             return bakes
         with stage("limit"):
-            before = self._bakes(sources, whole, rig)
+            before = self._bakes(document, sources, whole, aim)
             costs = limit_costs(document, _unwritten(before), _unwritten(bakes), parts)
         return [
             replace(bake, limited=part, limit_cost=cost)
@@ -255,14 +266,27 @@ class Baker:
         ]
 
     def _bakes(
-        self, sources: Sequence[PrimitiveSource], primitives: Sequence[SkinnedPrimitive], rig: Rig | None
+        self,
+        document: Document,
+        sources: Sequence[PrimitiveSource],
+        primitives: Sequence[SkinnedPrimitive],
+        aim: _Aim,
     ) -> list[PrimitiveBake]:
-        outcomes = bake_mesh(primitives, self.settings, rig)
-        fitted_to = None if rig is None else rig_digest(rig)
-        return [
-            PrimitiveBake(source, primitive, *outcome, fitted_to=fitted_to)
+        outcomes = bake_mesh(primitives, self.settings, aim.rig)
+        noted = self._noted_aim(aim)
+        bakes = [
+            PrimitiveBake(source, primitive, *outcome, fitted=noted)
             for source, primitive, outcome in zip(sources, primitives, outcomes, strict=True)
         ]
+        return bakes if aim.poses is None else _fitted_to_poses(document, bakes, aim.poses)
+
+    def _noted_aim(self, aim: _Aim) -> JsonObject:
+        """Return what the metadata says of the fit."""
+        noted: JsonObject = {} if aim.rig is None else {"gradients": "rig", "rig": rig_digest(aim.rig)}
+        if aim.poses is not None:
+            names = [source if isinstance(source, str) else source.name for source in self.fit_poses]
+            noted |= {"gradients": "poses", "poses": {"from": names, "digest": aim.poses.digest}}
+        return noted
 
     @property
     def settings(self) -> BakeSettings:
@@ -291,6 +315,15 @@ class Baker:
         }
 
 
+@dataclass(frozen=True, slots=True)
+class _Aim:
+    """The rig and the poses to which a surface is fitted, None for none, and notices about them."""
+
+    rig: Rig | None = None
+    poses: FoundPoses | None = None
+    notices: Sequence[Notice] = ()
+
+
 ENUMERATIONS = {
     "gradients": Gradients,
     "weighting": Weighting,
@@ -303,6 +336,17 @@ ENUMERATIONS = {
 }
 
 HIGHEST_MESHOPT_LEVEL = 3
+
+
+def _pose_sources(baker: Baker) -> tuple[PoseSource, ...]:
+    """Return the sources of the poses, the file's own clips if none is named."""
+    if baker.gradients is not Gradients.POSES:
+        if baker.fit_poses:
+            raise ChoiceError("--fit-poses needs --gradients poses")
+        return ()
+    from skinbake.lighting.poses_to_fit import ANIMATIONS, pose_source  # it poses: half a second of imports
+
+    return tuple(map(pose_source, baker.fit_poses or (ANIMATIONS,)))
 
 
 def _check_ranges(baker: Baker) -> None:
@@ -370,7 +414,7 @@ class BakedDocument:
 class PrimitiveBake:
     """One primitive: the arrays that were baked, the result, the findings, and the loss by a limit.
 
-    fitted_to is the digest of the rig to which α and β are fitted, None for the gradients of the surface.
+    fitted is what the metadata says of the fit, nothing for the gradients of the surface.
     """
 
     source: PrimitiveSource
@@ -379,7 +423,7 @@ class PrimitiveBake:
     findings: BakeFindings
     limited: Limited | None = None
     limit_cost: LimitCost | None = None
-    fitted_to: str | None = None
+    fitted: JsonObject = field(default_factory=dict)
 
     @property
     def notices(self) -> list[Notice]:
@@ -391,15 +435,14 @@ class PrimitiveBake:
             self.findings,
             source.joint_count,
             source.place,
-            fitted=self.fitted_to is not None,
+            fitted=bool(self.fitted),
         )
         return [*assumed, *lean_notices(given, source.place)]
 
     def to_store(self, settings: JsonObject) -> Baked:
         """Return the data to write. settings is noted in the metadata."""
         influences = self.limited.stored if self.limited else None
-        fitted = {} if self.fitted_to is None else {"gradients": "rig", "rig": self.fitted_to}
-        return Baked(self.source, self.primitive, self.result, {**settings, **fitted}, influences)
+        return Baked(self.source, self.primitive, self.result, {**settings, **self.fitted}, influences)
 
     def counts(self, encoding: Encoding, added_bytes: int) -> BakedCounts:
         """Return the numbers of the report."""
@@ -409,7 +452,7 @@ class PrimitiveBake:
             triangles=len(self.primitive.triangles),
             degenerate_triangles=self.findings.degenerate_triangles,
             influences=influences,
-            gradients=str(Gradients.SURFACE if self.fitted_to is None else Gradients.RIG),
+            gradients=self.fitted.get("gradients", str(Gradients.SURFACE)),
             frame=str(self.result.frame),
             generated_normals="NORMAL" not in self.source.attributes,
             adopting_vertices=self.findings.adopting_vertices,
@@ -420,6 +463,28 @@ class PrimitiveBake:
             bytes_per_vertex=vertex_bytes(encoding, influences),
             limited=self.limit_cost,
         )
+
+
+def _fitted_to_poses(
+    document: Document, bakes: Sequence[PrimitiveBake], found: FoundPoses
+) -> list[PrimitiveBake]:
+    """Return the bakes of one surface with α and β fitted to poses."""
+    from skinbake.lighting.operator import true_operator
+    from skinbake.lighting.pose_fit import fit_size, fitted_to_poses
+
+    for bake in bakes:
+        document.budget.claim(fit_size(*bake.primitive.joints.shape), "fitting it", bake.source.place)
+    operator = true_operator(
+        [bake.primitive for bake in bakes],
+        claim=lambda size: document.budget.claim(size, "welding it", bakes[0].source.place),
+    )
+    surfaces = [bake.rest_surface() for bake in _unwritten(bakes)]
+    with stage("fit"):
+        slots = fitted_to_poses(operator, surfaces, found.poses)
+    return [
+        replace(bake, result=bake.result.with_slots(alpha, beta))
+        for bake, (alpha, beta) in zip(bakes, slots, strict=True)
+    ]
 
 
 def _finite(bakes: list[PrimitiveBake]) -> list[PrimitiveBake]:

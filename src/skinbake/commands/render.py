@@ -21,9 +21,9 @@ from skinbake.gltf.output import refuse_own_input
 from skinbake.gltf.writing import write_file
 from skinbake.lighting.angles import MeasuredBlock, lighting_errors, truths_at_rest
 from skinbake.lighting.baked_views import BakedView, whole_surfaces
-from skinbake.lighting.measured import TRUE_CREASE_ANGLE, rest_surface
+from skinbake.lighting.measured import rest_surface
 from skinbake.lighting.metrics import vertex_areas
-from skinbake.lighting.operator import gradient_operator
+from skinbake.lighting.operator import TRUE_CREASE_ANGLE, gradient_operator
 from skinbake.lighting.poses import skins_of
 from skinbake.render.files import MILLISECONDS, MOVING, encoded
 from skinbake.render.studio import Look, Studio, placed

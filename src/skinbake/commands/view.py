@@ -194,7 +194,7 @@ def _other_gradients(document: Document, views: Sequence[BakedView]) -> Iterator
     """
     if not views:
         return
-    kind = Gradients.SURFACE if noted_kind(views[0]) is Gradients.RIG else Gradients.RIG
+    kind = Gradients.RIG if noted_kind(views[0]) is Gradients.SURFACE else Gradients.SURFACE
     try:
         plain, _, _ = stripped(document)
         made = replace(noted_baker(views[0]), gradients=kind).bake_document(plain)

@@ -117,6 +117,8 @@ def _written(
         note["digest"] = metadata.digests(primitive, item.result.frame)
     note["alpha"], note["beta"], arrays = _stored(item, names, storage)
     note |= storage.noted
+    if metadata.POSES in note:
+        note[metadata.POSES] = {**note[metadata.POSES], "slots": metadata.slots_digest(dict(arrays))}
     extras = item.source.json.get("extras")
     # A null is data of another program too, and so is a member of our name without our version.
     beside = "extras" in item.source.json and (not isinstance(extras, dict) or KEY in extras)

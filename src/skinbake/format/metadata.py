@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,9 @@ KEY = "skinbake"
 
 DEEPEST_NOTE = 32
 """The most levels of a note of skinbake; bake writes two."""
+
+POSES = "poses"
+"""The member that names the poses of a fit: their sources, a digest of them, and one of α and β."""
 
 FORMER_ATTRIBUTES = "formerAttributes"
 """The member that lists a primitive's attributes before a bake that limited its influences."""
@@ -47,6 +51,15 @@ def digests(primitive: SkinnedPrimitive, frame: str) -> dict[str, str]:
 def influence_digests(joints: npt.NDArray[Any], weights: npt.NDArray[Any]) -> dict[str, str]:
     """Return the digests of joints and weights (V, K) alone, in the form of ``digests``."""
     return {"JOINTS": array_digest(joints, "<u2"), "WEIGHTS": array_digest(weights, "<f4")}
+
+
+def slots_digest(arrays: Mapping[str, npt.NDArray[Any]]) -> str:
+    """Return one digest of the attributes that hold α and β, by name, as they are stored."""
+    digest = hashlib.sha256()
+    for name, values in sorted(arrays.items()):
+        stored = values.dtype.newbyteorder("<").str
+        digest.update(f"{name} {stored} {array_digest(values, stored)} ".encode())
+    return digest.hexdigest()[:32]
 
 
 def array_digest(values: npt.NDArray[Any], dtype: str) -> str:

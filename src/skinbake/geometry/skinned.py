@@ -63,6 +63,11 @@ class BakedPrimitive:
         joints[self.adopting] = self.adopted
         return joints
 
+    def with_slots(self, alpha: FloatArray, beta: FloatArray) -> BakedPrimitive:
+        """Return the bake with other α and β (V, K − 1), stored as float32."""
+        with np.errstate(over="ignore"):  # the bake checks that all are finite
+            return replace(self, alpha=alpha.astype(np.float32), beta=beta.astype(np.float32))
+
     @property
     def adopts(self) -> bool:
         """Tell whether any slot adopts a joint."""

@@ -128,7 +128,7 @@ def lighting_errors(  # noqa: PLR0913  # four arguments are optional, and by key
     truth = truths_at_rest(operator, surfaces, poses, morphing) if at_rest is None else at_rest
     identity = Identity() if method == "lbs" and options.cap is None else None
     skinned: Sequence[_Skinned] = []
-    sides = _sides(surfaces, joint_matrices)
+    sides = sides_of(surfaces, joint_matrices)
     # Algorithm 2 is only compared with algorithm 3. In millions of vertices × poses, a sample is enough.
     stride = -(-count * poses // IDENTITY_SAMPLES) if method == "lbs" and not morphing else 1
     with Threads(thread_count()) as threads:
@@ -359,7 +359,7 @@ def _morphed(
     return moved, truth.moved(moved)
 
 
-def _sides(surfaces: Sequence[RestSurface], joint_matrices: Float64Array) -> Float64Array | None:
+def sides_of(surfaces: Sequence[RestSurface], joint_matrices: Float64Array) -> Float64Array | None:
     """Return −1 (P, V) if the joint of the largest weight mirrors, else 1; None if no joint mirrors.
 
     A joint that mirrors turns t' × b' to the inside. For example, some left hands are right hands under a

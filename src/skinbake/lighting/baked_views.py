@@ -11,7 +11,7 @@ import numpy as np
 
 from skinbake.choices import Frame, Gradients, Weighting, Weld
 from skinbake.errors import Notice
-from skinbake.format.metadata import VERSION, changed_arrays, read_metadata
+from skinbake.format.metadata import POSES, VERSION, changed_arrays, read_metadata
 from skinbake.format.stored_slots import BAKE, read_slots, shown, wrong_storage
 from skinbake.geometry import frames
 from skinbake.geometry.skinned import Float64Array, FloatArray, SkinnedPrimitive
@@ -140,6 +140,8 @@ def _wrong_members(metadata: JsonObject, source: PrimitiveSource) -> Iterator[st
         yield f'"weld" is {shown(metadata.get("weld"))}'
     if metadata.get("gradients", Gradients.SURFACE) not in list(Gradients):
         yield f'"gradients" is {shown(metadata.get("gradients"))}'
+    if metadata.get("gradients") == Gradients.POSES and not _names_poses(metadata.get(POSES)):
+        yield f'"{POSES}" is {shown(metadata.get(POSES))}'
     if metadata.get("weighting") not in list(Weighting):
         yield f'"weighting" is {shown(metadata.get("weighting"))}'
     angle = metadata.get("creaseAngle")
@@ -159,6 +161,14 @@ def _wrong_members(metadata: JsonObject, source: PrimitiveSource) -> Iterator[st
     for name in wanted:
         if not isinstance(digest.get(name), str):
             yield f'"digest" of {name} is {shown(digest.get(name))}'
+
+
+def _names_poses(noted: object) -> bool:
+    """Tell whether the member about the poses of a fit is complete."""
+    if not isinstance(noted, dict) or not isinstance(noted.get("from"), list):
+        return False
+    values = [*noted["from"], noted.get("digest"), noted.get("slots")]
+    return all(isinstance(value, str) for value in values)
 
 
 def _rest_frame(primitive: SkinnedPrimitive, kind: str) -> tuple[FloatArray, FloatArray] | None:

@@ -9,7 +9,8 @@ import numpy as np
 from skinbake.choices import SLOTS_PER_SET, Gradients
 from skinbake.format.adoption import TINY_WEIGHT, UNIT
 from skinbake.format.former import former_attributes
-from skinbake.format.metadata import FORMER_ATTRIBUTES
+from skinbake.format.metadata import FORMER_ATTRIBUTES, POSES
+from skinbake.geometry.frames import unit_normals
 from skinbake.geometry.rig import Rig
 from skinbake.geometry.skinned import Float64Array, FloatArray, SkinnedPrimitive
 from skinbake.gltf.accessors import read_accessor
@@ -17,7 +18,11 @@ from skinbake.gltf.document import Document
 from skinbake.gltf.rigs import fitting_rig
 from skinbake.gradients.baker import slots_of_surface
 from skinbake.lighting.baked_views import BakedView
-from skinbake.lighting.operator import GradientOperator, expected_alpha_beta
+from skinbake.lighting.influences import normalised_weights
+from skinbake.lighting.operator import GradientOperator, expected_alpha_beta, true_operator
+from skinbake.lighting.pose_fit import fitted_to_poses
+from skinbake.lighting.poses_to_fit import ANIMATIONS, FoundPoses, is_random, poses_to_fit
+from skinbake.skinning.surface import RestSurface
 
 ROUNDING = 1e-6
 """The rounding of a weight that was decoded in float32, relative to it."""
@@ -36,10 +41,12 @@ def expected_slots(
     The gradients of a surface come from the operator, which shares no code with bake. Fitted gradients come
     from bake's own loops: how good they are is measured against the true normals, not here.
     """
-    if (kind or noted_kind(views[0])) is Gradients.SURFACE:
+    kind = kind or noted_kind(views[0])
+    if kind is Gradients.SURFACE:
         return surface_slots(views, operator)
     rig, _ = fitting_rig(document, views[0].source)
-    return surface_slots(views, operator) if rig is None else fitted_slots(document, views, operator, rig)
+    slots = surface_slots(views, operator) if rig is None else fitted_slots(document, views, operator, rig)
+    return slots if kind is Gradients.RIG else posed_slots(document, views, slots)
 
 
 def given_weights(document: Document, view: BakedView) -> Float64Array:
@@ -111,3 +118,39 @@ def fitted_slots(
         alpha, beta = slots.alpha[rows, :count], slots.beta[rows, :count]
         found.append((alpha.astype(np.float64), beta.astype(np.float64)))
     return found
+
+
+def posed_slots(document: Document, views: Sequence[BakedView], slots: Expected) -> Expected:
+    """Return α and β (V, K − 1) of each view fitted to the noted poses, from those fitted to the rig."""
+    found = noted_poses(document, views[0])
+    return fitted_to_poses(
+        true_operator([_before_adoption(document, view) for view in views]),
+        surfaces_of(document, views, slots),
+        found.poses,
+    )
+
+
+def surfaces_of(document: Document, views: Sequence[BakedView], slots: Expected) -> list[RestSurface]:
+    """Return the views as a replay reads them, without the weights of adoption, and with other α and β."""
+    found = []
+    for view, (alpha, beta) in zip(views, slots, strict=True):
+        now = _before_adoption(document, view)
+        joints = np.where(now.joints < view.source.joint_count, now.joints, 0)
+        surface = RestSurface(
+            positions=now.positions.astype(np.float64),
+            normals=unit_normals(now.normals),
+            tangents=view.tangents,
+            bitangents=view.bitangents,
+            joints=joints,
+            weights=normalised_weights(now.weights, joints),
+            alpha=alpha,
+            beta=beta,
+        )
+        found.append(surface)
+    return found
+
+
+def noted_poses(document: Document, view: BakedView) -> FoundPoses:
+    """Return the poses that the metadata names, as far as they are in the file. Files are not."""
+    own = [source for source in view.metadata[POSES]["from"] if source == ANIMATIONS or is_random(source)]
+    return poses_to_fit(document, view.source.mesh, own, view.source.place)

@@ -9,7 +9,7 @@ from functools import partial
 
 import numpy as np
 
-from skinbake.choices import Baseline, Truth, Weighting
+from skinbake.choices import Baseline, Truth
 from skinbake.errors import InputError, Notice, Place
 from skinbake.geometry import frames
 from skinbake.geometry.skinned import Float64Array
@@ -31,7 +31,12 @@ from skinbake.lighting.before_adoption import before_adoption
 from skinbake.lighting.influences import normalised_weights
 from skinbake.lighting.metrics import total_area
 from skinbake.lighting.morphing import morph_count, morphing_of
-from skinbake.lighting.operator import GradientOperator, gradient_operator
+from skinbake.lighting.operator import (
+    TRUE_CREASE_ANGLE,
+    TRUE_WEIGHTING,
+    GradientOperator,
+    true_operator,
+)
 from skinbake.lighting.poses import SHARED_SAMPLES, PoseRequest, PoseSet, described, draws_of, pose_set
 from skinbake.lighting.rest_areas import RestAreas
 from skinbake.lighting.tally import ErrorTally
@@ -55,13 +60,6 @@ SAMPLES_A_BYTE, SAMPLES_FREE = 24, 1_000_000
 
 A mesh is measured once for each skin that draws it, and in at least three poses of each clip. Fifty soldiers
 of one mesh of 3,000 vertices need 20 a byte, a character of a million vertices needs 0.5.
-"""
-
-TRUE_WEIGHTING = Weighting.MAX
-TRUE_CREASE_ANGLE = 15.0
-"""The truths' weighting of triangles, and their hard edges in degrees. No option of bake changes them.
-
-Of all four weightings, Max's weights are the nearest to analytic surfaces (docs/lighting.md).
 """
 
 
@@ -349,10 +347,8 @@ def _true_operator(
     usual = noted["weighting"] == TRUE_WEIGHTING and math.isclose(noted["creaseAngle"], TRUE_CREASE_ANGLE)
     if operator is not None and usual:
         return operator
-    return gradient_operator(
+    return true_operator(
         before_adoption(document, views),
-        weighting=TRUE_WEIGHTING,
-        crease_angle_degrees=TRUE_CREASE_ANGLE,
         claim=lambda size: document.budget.claim(size, "welding it", views[0].source.place),
     )
 

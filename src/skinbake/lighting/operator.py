@@ -36,6 +36,13 @@ ROWS = 1 << 13
 CORNERS = 1 << 16
 """The number of triangle corners that are looked at for these rows. A vertex may have thousands of copies."""
 
+TRUE_WEIGHTING = Weighting.MAX
+TRUE_CREASE_ANGLE = 15.0
+"""The truths' weighting of triangles, and their hard edges in degrees. No option of bake changes them.
+
+Of all four weightings, Max's weights are the nearest to analytic surfaces (docs/lighting.md).
+"""
+
 
 @dataclass(frozen=True, slots=True)
 class GradientOperator:
@@ -188,6 +195,15 @@ def gradient_operator(
         totals=totals,
         corners=corners,
         ends=ends,
+    )
+
+
+def true_operator(
+    primitives: Sequence[SkinnedPrimitive], *, claim: Callable[[int], None] = lambda size: None
+) -> GradientOperator:
+    """Build the operator of the truths. No option of bake changes it."""
+    return gradient_operator(
+        primitives, weighting=TRUE_WEIGHTING, crease_angle_degrees=TRUE_CREASE_ANGLE, claim=claim
     )
 
 

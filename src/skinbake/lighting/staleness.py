@@ -14,17 +14,22 @@ from skinbake.errors import InputError, Notice
 from skinbake.geometry.skinned import Float64Array
 from skinbake.gltf.accessors import read_accessor
 from skinbake.gltf.document import Document
-from skinbake.gltf.rigs import fitting_rig, rig_digest
 from skinbake.lighting import freshness
 from skinbake.lighting.baked_views import BakedView, gathered_together
 from skinbake.lighting.before_adoption import NO_PAYMENT
 from skinbake.lighting.expected import Expected, expected_slots, given_weights, noted_kind
 from skinbake.lighting.operator import GradientOperator, gradient_operator
+from skinbake.lighting.without_poses import (
+    BAKE_AGAIN,
+    WITHOUT_POSES,
+    has_poses,
+    problems_without_poses,
+    rig_changed,
+)
 from skinbake.report.notices import counted
 from skinbake.report.verify import Check
 
 BAKE_LAST = "Bake last: run skinbake bake on the file that the last tool wrote"
-BAKE_AGAIN = "run skinbake bake again"
 
 FITTED_PAYMENT = 4.0
 """The factor by which a fit may enlarge the effect of that share. No file of the corpus needs more than 1."""
@@ -64,18 +69,26 @@ def freshness_check(
     """Return whether α/β fit the arrays that are in the file now, and the arrays from which they were baked.
 
     If α/β fit, and the arrays have changed only in a way that keeps related values together, the check passes
-    with a remark.
+    with a remark. If α/β were fitted to poses that are not in the file any more, they must be the ones that
+    bake wrote, and light the present poses better than the gradients of the surface.
     """
     problems: list[Notice] = []
     moved: list[BakedView] = []
+    without_poses: list[BakedView] = []
     for views, operator in zip(surfaces, operators, strict=True):
+        if noted_kind(views[0]) is Gradients.POSES and not has_poses(document, views[0]):
+            problems += problems_without_poses(document, views, operator)
+            without_poses += views
+            continue
         surface = _Surface(document, views, _comparisons(document, views, operator))
         for number, view in enumerate(views):
             if not surface.compared[number].agrees or not (view.changed == () or _is_rearranged(view)):
                 problems.append(_staleness_notice(surface, number))
             elif view.changed:
                 moved.append(view)
-    remark = _rearranged(moved, sum(map(len, surfaces))) if moved and not problems else ""
+    remarks = [_rearranged(moved, sum(map(len, surfaces)))] if moved else []
+    remarks += [WITHOUT_POSES] if without_poses else []
+    remark = "" if problems else "; ".join(remarks)
     return Check("freshness", "failed" if problems else "passed", tuple(problems), remark)
 
 
@@ -134,10 +147,7 @@ class _Surface:
 
     def rig_changed(self, view: BakedView) -> bool:
         """Tell whether the rig is another one than the noted one, or is gone."""
-        if noted_kind(view) is not Gradients.RIG:
-            return False
-        rig, _ = fitting_rig(self.document, self.views[0].source)
-        return rig is None or rig_digest(rig) != view.metadata.get("rig")
+        return rig_changed(self.document, view)
 
     def weighted(self, weighting: str) -> list[freshness.Comparison]:
         if weighting not in self._otherwise:

@@ -1,0 +1,235 @@
+"""Weight gradients fitted to poses: the tangents of algorithm 3 follow the true normals of each pose.
+
+docs/fitted.md has the derivation. Let δ be the changes of the gradients at a vertex, which sum to 0. In a
+pose they move a tangent t' of algorithm 3 by Σ δ[s] M[s] p̃. The fit minimises the sum over all poses of
+
+    w ((n' · t')² + STIFFNESS |Σ δ[s] M[s] p̃|²)
+
+n' is the mean of both true normals, and w is 2 / (|t'|² + |b'|²) at the given gradients. All terms are
+quadratic in δ with the same matrix for both tangents, so the direction of TANGENT does not matter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+
+from skinbake.choices import Truth
+from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray, IntArray
+from skinbake.gradients.surface import EVEN, FAINT, UNFELT
+from skinbake.lighting.angles import Truths, sides_of
+from skinbake.lighting.blending import BlendedSurface, chunks
+from skinbake.lighting.operator import GradientOperator
+from skinbake.skinning.surface import Options, RestSurface
+from skinbake.threads import Threads, thread_count
+
+STIFFNESS = 0.08
+"""The share of a tangent's whole motion that pulls the fitted gradients to the given ones."""
+
+COLLAPSED = 0.1
+"""The squared length of a tangent, relative to its length under single joints, from which w grows no more.
+
+Where a fold collapses, a short tangent may have any direction, and would outweigh all other poses.
+"""
+
+Slots: TypeAlias = tuple[Float64Array, Float64Array]
+"""α and β (V, K − 1) of the slots after the first."""
+
+
+@dataclass(frozen=True, slots=True)
+class FitPoses:
+    """The poses of a fit: joint matrices (P, J, 4, 4), and the share (P,) of each pose in the whole."""
+
+    joint_matrices: Float64Array
+    shares: Float64Array
+
+
+def fit_size(vertices: int, influences: int) -> int:
+    """Return the bytes that the least squares of so many vertices take."""
+    return 8 * vertices * influences * (4 * influences + 8)
+
+
+def fitted_to_poses(
+    operator: GradientOperator, surfaces: Sequence[RestSurface], poses: FitPoses
+) -> list[Slots]:
+    """Return α and β of each primitive of one surface, fitted to poses. They stay near the given ones.
+
+    surfaces are in the operator's order. A joint that has neither weight nor gradient at a vertex gets none.
+    A vertex without true normals keeps its gradients.
+    """
+    systems = [_LeastSquares.of(surface) for surface in surfaces]
+
+    def add(surface: int, rows: slice, pose: slice, normals: Float64Array) -> None:
+        part = surfaces[surface].rows(rows)
+        moved = _Moved.of(part, poses.joint_matrices[pose], systems[surface].last[rows])
+        systems[surface].add(rows, moved, normals, poses.shares[pose])
+
+    _visit(operator, surfaces, poses, add)
+    with np.errstate(all="ignore"):
+        return [system.solved() for system in systems]
+
+
+def tilts(operator: GradientOperator, surfaces: Sequence[RestSurface], poses: FitPoses) -> list[Float64Array]:
+    """Return by how much the tangents of each primitive leave the true surface: (V,), mean squared sines."""
+    found = [np.zeros(len(surface.positions)) for surface in surfaces]
+
+    def add(surface: int, rows: slice, pose: slice, normals: Float64Array) -> None:
+        part = surfaces[surface].rows(rows)
+        moved = _Moved.of(part, poses.joint_matrices[pose], np.zeros(len(part.positions), dtype=np.int64))
+        tilt = np.einsum("bitp,bip->btp", moved.tangents, normals)
+        weight = moved.emphasis * poses.shares[pose]
+        found[surface][rows] += np.einsum("btp,bp->b", tilt * tilt, weight) / 2.0
+
+    _visit(operator, surfaces, poses, add)
+    return found
+
+
+def _visit(
+    operator: GradientOperator,
+    surfaces: Sequence[RestSurface],
+    poses: FitPoses,
+    work: Callable[[int, slice, slice, Float64Array], None],
+) -> None:
+    """Call ``work`` with the number of a primitive, its rows, poses, and the mean true normals there.
+
+    The normals are (B, 3, P), 0 where there is none. Every vertex meets each pose once, and its poses in
+    order, so that sums do not depend on the number of threads.
+    """
+    matrices, count = poses.joint_matrices, len(operator.positions)
+    widest = max(surface.joints.shape[1] for surface in surfaces)
+    parts = chunks(count, len(matrices))
+    truths = Truths.of(operator, surfaces, (parts[0].stop if parts else 0) * widest, tuple(Truth))
+    sides = sides_of(surfaces, matrices)
+    blended = [BlendedSurface(surface, matrices, Options()) for surface in surfaces]
+    with np.errstate(all="ignore"), Threads(thread_count()) as threads:
+        for pose in parts:
+            deformed = np.empty((3, count, pose.stop - pose.start))
+            for block in truths.pieces:
+                deformed[:, block.part] = blended[block.surface].positions(pose, block.rows)
+            sums = truths.sums(deformed, threads)
+            for block in truths.pieces:
+                side = None if sides is None else sides[pose, block.part]
+                normals, exist = truths.normals(block.number, deformed, sums, side)
+                work(block.surface, block.rows, pose, _mean(normals, exist))
+
+
+def _mean(normals: Float64Array, exist: BoolArray) -> Float64Array:
+    """Return the unit mean (B, 3, P) of normals (U, 3, B, P) that exist (U, B, P), 0 if there is none."""
+    mean = np.where(exist[:, None], normals, 0.0).sum(axis=0)
+    mean /= np.sqrt(np.einsum("ibp,ibp->bp", mean, mean))
+    return np.where(np.isfinite(mean), mean, 0.0).transpose(1, 0, 2)
+
+
+@dataclass(frozen=True, slots=True)
+class _Moved:
+    """B vertices in P poses.
+
+    levers (B, K, 3, P) are M[s] p̃ less that of the vertex's last fitted slot. tangents (B, 3, 2, P) are t'
+    and b'. emphasis (B, P) is w. spread (B, P) is the weighted mean of the squared distances from p' to
+    M[s] p̃.
+    """
+
+    levers: Float64Array
+    tangents: Float64Array
+    emphasis: Float64Array
+    spread: Float64Array
+
+    @classmethod
+    def of(cls, rest: RestSurface, matrices: Float64Array, last: IntArray) -> _Moved:
+        """Move vertices by joint matrices (P, J, 4, 4). last (B,) is a slot of each."""
+        count, slots = rest.joints.shape
+        poses = len(matrices)
+        # By joint, then row and pose: the matrices of a slot are one piece of memory.
+        table = np.ascontiguousarray(matrices[:, :, :3].transpose(1, 2, 0, 3)).reshape(-1, 3 * poses, 4)
+        joints = table[rest.joints]
+        points = np.concatenate([rest.positions, np.ones((count, 1))], axis=1)
+        ends = np.matmul(joints, points[:, None, :, None]).reshape(count, slots, 3, poses)
+        middle = np.einsum("bk,bkip->bip", rest.weights, ends)
+        spread = np.einsum("bk,bkip->bp", rest.weights, np.square(ends - middle[:, None]))
+        levers = ends - ends[np.arange(count), last][:, None]
+        frame = np.stack([rest.tangents, rest.bitangents], axis=2)
+        blended = np.einsum("bk,bkxi->bxi", rest.weights, joints[..., :3])
+        tangents = np.matmul(blended, frame).reshape(count, 3, poses, 2).swapaxes(2, 3)
+        tangents = tangents + np.einsum("bkt,bkip->bitp", _all_slots(rest.alpha, rest.beta), levers)
+        rigid = np.einsum("bk,bkxi->bx", rest.weights, np.square(joints[..., :3]))
+        rigid = rigid.reshape(count, 3, poses).sum(axis=1) / 3.0
+        lengths = np.maximum(np.einsum("bitp,bitp->bp", tangents, tangents), 2.0 * COLLAPSED * rigid)
+        emphasis = 2.0 / lengths
+        return cls(levers, tangents, np.where(np.isfinite(emphasis), emphasis, 0.0), spread)
+
+
+@dataclass(frozen=True, slots=True)
+class _LeastSquares:
+    """The normal equations of all vertices of a primitive, summed over poses.
+
+    given (V, K, 2) are α and β of all slots. presence (V, K) is the weight of each slot's joint and its share
+    of the gradients. last (V,) is the last fitted slot, which takes minus the sum of the others. matrix (V,
+    K, K), right (V, K, 2) and reach (V,) are sums.
+    """
+
+    given: Float64Array
+    presence: FloatArray
+    last: IntArray
+    matrix: Float64Array
+    right: Float64Array
+    reach: Float64Array
+
+    @classmethod
+    def of(cls, surface: RestSurface) -> _LeastSquares:
+        """Prepare the equations of a primitive. Joints with presence above UNFELT are fitted."""
+        given = _all_slots(surface.alpha, surface.beta)
+        lengths = np.hypot(given[..., 0], given[..., 1])
+        total = lengths.sum(axis=1, keepdims=True)
+        share = np.divide(lengths, total, out=np.zeros_like(lengths), where=total > 0.0)
+        presence = surface.weights + share
+        count, slots = presence.shape
+        return cls(
+            given=given,
+            presence=presence,
+            last=slots - 1 - (presence > UNFELT)[:, ::-1].argmax(axis=1),
+            matrix=np.zeros((count, slots, slots)),
+            right=np.zeros((count, slots, 2)),
+            reach=np.zeros(count),
+        )
+
+    def add(self, rows: slice, moved: _Moved, normals: Float64Array, shares: FloatArray) -> None:
+        """Add some poses of some vertices, with true normals (B, 3, P)."""
+        weight = np.where((normals != 0.0).any(axis=1), moved.emphasis * shares, 0.0)
+        tilt = np.einsum("bkip,bip->bkp", moved.levers, normals)
+        aim = np.einsum("bitp,bip->bpt", moved.tangents, normals)
+        flat = moved.levers.reshape(*moved.levers.shape[:2], -1)
+        weighted = (moved.levers * weight[:, None, None]).reshape(flat.shape)
+        self.matrix[rows] += np.matmul(tilt * weight[:, None], tilt.swapaxes(1, 2))
+        self.matrix[rows] += STIFFNESS * np.matmul(weighted, flat.swapaxes(1, 2))
+        self.right[rows] -= np.matmul(tilt * weight[:, None], aim)
+        self.reach[rows] += np.einsum("bp,bp->b", weight, moved.spread)
+
+    def solved(self) -> Slots:
+        """Return α and β (V, K − 1). A joint that is hardly there is pulled harder, as in ``surface``."""
+        count, slots = self.presence.shape
+        vertices, diagonal = np.arange(count), np.arange(slots)
+        fitted = self.presence > UNFELT
+        unknown = fitted.copy()
+        unknown[vertices, self.last] = False
+        more = np.maximum(np.square(FAINT / self.presence), 1.0) - 1.0
+        pull = STIFFNESS * self.reach[:, None] * (EVEN + np.where(fitted, more, 0.0))
+        matrix = self.matrix + pull[vertices, self.last][:, None, None]
+        matrix[:, diagonal, diagonal] += pull
+        solvable = np.isfinite(matrix).all(axis=(1, 2)) & (self.reach > 0.0)
+        unknown &= solvable[:, None]
+        matrix = np.where(unknown[:, :, None] & unknown[:, None], matrix, 0.0)
+        matrix[:, diagonal, diagonal] += ~unknown
+        change = np.linalg.solve(matrix, np.where(unknown[..., None], self.right, 0.0))
+        change = np.where(np.isfinite(change).all(axis=(1, 2), keepdims=True), change, 0.0)
+        change[vertices, self.last] -= change.sum(axis=1)
+        found = self.given + change
+        return found[:, 1:, 0], found[:, 1:, 1]
+
+
+def _all_slots(alpha: FloatArray, beta: FloatArray) -> Float64Array:
+    """Return α and β of all slots (V, K, 2). The first slot has minus the sum of the given others."""
+    others = np.stack([alpha, beta], axis=2).astype(np.float64)
+    return np.concatenate([-others.sum(axis=1, keepdims=True), others], axis=1)

@@ -1,0 +1,227 @@
+"""The poses to which a bake is fitted: clips of the file itself, clips of other files, and random poses."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from skinbake.choices import PoseKind
+from skinbake.errors import ChoiceError, InputError, Notice, Place
+from skinbake.gltf.animation import MORPH_WEIGHTS, Channel, Clip, Skeleton, read_clips, read_skeleton
+from skinbake.gltf.document import Document, read_document
+from skinbake.lighting.pose_fit import FitPoses
+from skinbake.lighting.poses import PoseRequest, PoseSet, pose_set, skins_of
+
+ANIMATIONS, RANDOM = "animations", "random"
+
+CLIP_POSES = 61
+"""The poses of all clips together. It is odd, so that no pose of ``verify`` is among them but the ends."""
+
+RANDOM_POSES, RANDOM_ANGLE, RANDOM_SEED = 60, float(np.radians(45.0)), 2014
+"""The random poses that go with clips. A fit to clips alone lights all other poses worse."""
+
+CLIP_SHARE = 0.9
+"""The share of the clips in the fit. The random poses have the rest."""
+
+MOST_RANDOM = 10_000
+
+
+class ClipFile:
+    """The clips of another file. They move the nodes of a rig that have the same names.
+
+    name is the file's name without its folders. clips are by the file's own nodes, whose names are
+    ``node_names``. Two objects are equal if they hold the same keys for the same names.
+    """
+
+    def __init__(self, name: str, clips: Sequence[Clip], node_names: dict[int, str]) -> None:
+        self.name, self.clips, self.node_names = name, tuple(clips), node_names
+        state = hashlib.sha256()
+        for clip in self.clips:
+            for channel in clip.channels:
+                _feed(state, repr(node_names.get(channel.node)), channel)
+        self.digest = state.hexdigest()[:32]
+
+    @classmethod
+    def read(cls, path: str) -> ClipFile:
+        """Read the clips of a file. Raises InputError if it cannot be read, or has no clip."""
+        document = read_document(path)
+        clips = [
+            replace(clip, channels=moving)
+            for clip in read_clips(document)
+            if (moving := tuple(channel for channel in clip.channels if channel.path != MORPH_WEIGHTS))
+        ]
+        if not clips:
+            raise InputError("--fit-poses: it has no animation that moves a node", document.place)
+        return cls(Path(path).name, clips, _node_names(document))
+
+    def __str__(self) -> str:
+        """Return the name and the digest, which stand for the clips where options are compared."""
+        return f"{self.name} {self.digest}"
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, ClipFile) and str(self) == str(other)
+
+    def __hash__(self) -> int:
+        return hash(str(self))
+
+    def clips_for(self, document: Document) -> tuple[list[Clip], int, int]:
+        """Return the clips by the nodes of a document, and how many of the moved nodes it has, of how many.
+
+        A name that several nodes of either file share moves nothing.
+        """
+        ours = {name: node for node, name in _node_names(document).items()}
+        moved = {channel.node for clip in self.clips for channel in clip.channels}
+        found = {node: ours[name] for node in moved if (name := self.node_names.get(node)) in ours}
+        clips = [
+            replace(
+                clip,
+                channels=tuple(
+                    replace(channel, node=found[channel.node])
+                    for channel in clip.channels
+                    if channel.node in found
+                ),
+            )
+            for clip in self.clips
+        ]
+        return [clip for clip in clips if clip.channels], len(found), len(moved)
+
+
+def _node_names(document: Document) -> dict[int, str]:
+    """Return the names of the nodes that have a name for themselves."""
+    names = [node.get("name") for node in document.objects("nodes")]
+    counts: dict[str, int] = {}
+    for name in names:
+        if isinstance(name, str):
+            counts[name] = counts.get(name, 0) + 1
+    return {node: name for node, name in enumerate(names) if isinstance(name, str) and counts[name] == 1}
+
+
+PoseSource: TypeAlias = "str | ClipFile"
+"""``animations``, ``random:N``, or the clips of another file."""
+
+
+def pose_source(value: PoseSource) -> PoseSource:
+    """Return what a value of ``--fit-poses`` stands for. Raises ChoiceError, and InputError for a file."""
+    if isinstance(value, ClipFile) or value == ANIMATIONS:
+        return value
+    kind, colon, count = value.partition(":")
+    if kind != RANDOM:
+        return ClipFile.read(value)
+    if not colon or not count.isdecimal() or not 1 <= int(count) <= MOST_RANDOM:
+        raise ChoiceError(
+            f"--fit-poses {value}: expected {RANDOM}:N with N from 1 to {MOST_RANDOM:,}, {ANIMATIONS}, "
+            "or a file with animations"
+        )
+    return f"{RANDOM}:{int(count)}"
+
+
+@dataclass(frozen=True, slots=True)
+class FoundPoses:
+    """The poses of one mesh, a digest of what they were made from, and notices on what had to be assumed."""
+
+    poses: FitPoses
+    digest: str
+    notices: tuple[Notice, ...]
+
+
+def poses_to_fit(document: Document, mesh: int, sources: Sequence[PoseSource], place: Place) -> FoundPoses:
+    """Return the poses of all skins that draw a mesh.
+
+    Clips have CLIP_SHARE of the fit if there are any. Raises InputError if a clip or a skin is broken.
+    """
+    clips, notices = _clips(document, sources, place)
+    asked = [int(str(one).partition(":")[2]) for one in sources if is_random(one)]
+    count = max(asked, default=RANDOM_POSES)
+    skins = skins_of(document, mesh)
+    each = max(3, CLIP_POSES // max(1, len(clips) * len(skins)))
+    sampled = PoseRequest(samples=each)
+    by_clips = [pose_set(document, skin, clips, sampled) for skin in skins] if clips else []
+    by_clips = [poses for poses in by_clips if poses.times[0] is not None]  # else it is random already
+    request = PoseRequest(PoseKind.RANDOM, max(4, count // len(skins)), RANDOM_ANGLE, RANDOM_SEED)
+    at_random = [pose_set(document, skin, clips, request) for skin in skins]
+    if not by_clips and any(not is_random(one) for one in sources):
+        message = f"no clip moves its joints: α/β are fitted to {count} random poses"
+        notices.append(Notice("fit-poses-random", message, place))
+    share = CLIP_SHARE if by_clips else 0.0
+    together = _together([(share, by_clips), (1.0 - share, at_random)])
+    return FoundPoses(together, _digest(document, skins, clips, [each, count]), tuple(notices))
+
+
+def is_random(source: PoseSource) -> bool:
+    """Tell whether a source stands for random poses."""
+    return isinstance(source, str) and source.startswith(f"{RANDOM}:")
+
+
+def _clips(
+    document: Document, sources: Sequence[PoseSource], place: Place
+) -> tuple[list[Clip], list[Notice]]:
+    clips: list[Clip] = []
+    notices: list[Notice] = []
+    for source in sources:
+        if source == ANIMATIONS:
+            clips += read_clips(document)
+        elif isinstance(source, ClipFile):
+            found, here, moved = source.clips_for(document)
+            clips += found
+            if here < moved:
+                message = f"{source.name} moves {moved} nodes by name; {here} of them are in this file"
+                notices.append(Notice("fit-poses-unmatched", message, place, moved - here))
+    return clips, notices
+
+
+def _together(parts: Sequence[tuple[float, Sequence[PoseSet]]]) -> FitPoses:
+    """Join sets of poses, each group with its share. Joints that a set lacks stay at rest."""
+    matrices, shares = [], []
+    widest = max(poses.joint_matrices.shape[1] for _, sets in parts for poses in sets)
+    for share, sets in parts:
+        count = sum(len(poses.joint_matrices) for poses in sets)
+        for poses in sets:
+            wide = np.broadcast_to(np.eye(4), (len(poses.joint_matrices), widest, 4, 4)).copy()
+            wide[:, : poses.joint_matrices.shape[1]] = poses.joint_matrices
+            matrices.append(wide)
+            shares.append(np.full(len(wide), share / count))
+    return FitPoses(np.concatenate(matrices), np.concatenate(shares))
+
+
+def _digest(document: Document, skins: Sequence[int], clips: Sequence[Clip], counts: Sequence[int]) -> str:
+    """Return a digest of the stored data that the poses follow from, which no rounding of ours changes."""
+    state = hashlib.sha256(repr(list(counts)).encode())
+    for skin in skins:
+        skeleton = read_skeleton(document, skin)
+        _feed_skeleton(state, skeleton)
+        positions = {node: position for position, node in enumerate(skeleton.nodes)}
+        for clip in clips:
+            for channel in clip.channels:
+                if channel.node in positions and channel.path != MORPH_WEIGHTS:
+                    _feed(state, str(positions[channel.node]), channel)
+    return state.hexdigest()[:32]
+
+
+def _feed_skeleton(state: hashlib._Hash, skeleton: Skeleton) -> None:
+    state.update(repr((skeleton.parents, skeleton.joints.tolist(), sorted(skeleton.matrices))).encode())
+    _feed_arrays(
+        state,
+        skeleton.translations,
+        skeleton.rotations,
+        skeleton.scales,
+        skeleton.inverse_bind,
+        *(matrix for _, matrix in sorted(skeleton.matrices.items())),
+    )
+
+
+def _feed(state: hashlib._Hash, node: str, channel: Channel) -> None:
+    state.update(repr((node, channel.path, channel.method, channel.values.shape)).encode())
+    _feed_arrays(state, channel.times, channel.values)
+
+
+def _feed_arrays(state: hashlib._Hash, *arrays: npt.NDArray[np.float64]) -> None:
+    """Feed arrays as float32, as files store them, so that a tool may write the same numbers again."""
+    for values in arrays:
+        with np.errstate(over="ignore"):
+            state.update((np.asarray(values, dtype="<f4") + np.float32(0.0)).tobytes())

@@ -1,0 +1,229 @@
+"""``bake --gradients poses`` with ``--fit-poses``, and how ``verify`` holds such a bake."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import skinbake
+from skinbake.cli import exit_codes
+from tests.support import corpus
+from tests.support.baked_files import CESIUM_MAN, source, verify
+from tests.support.command_line import document, invoke, run
+from tests.support.gltf_reading import read
+from tests.support.models import Change, copied, note, rewritten
+
+CLIP = "bent_tube.glb"
+
+
+def baked(original: Path, folder: Path, *options: str, name: str = "baked.glb") -> Path:
+    target = folder / name
+    result = invoke("bake", original, "-o", target, "-q", "--gradients", "poses", *options)
+    assert result.exit_code == 0, result.stderr
+    return target
+
+
+def changed(path: Path, change: Change, name: str) -> Path:
+    """Write a copy of a file with another JSON, and the same binary part."""
+    file = read(path)
+    change(file.content)
+    return rewritten(file, path.with_name(name))
+
+
+def without_clips(content: Any) -> None:
+    del content["animations"]
+
+
+def scaled(path: Path, attribute: str, factor: float, name: str, *, first: int = 0) -> Path:
+    """Write a copy of a file with an attribute of floats times a factor, from a vertex on."""
+    file = read(path)
+    number = file.content["meshes"][0]["primitives"][0]["attributes"][attribute]
+    accessor = file.content["accessors"][number]
+    view = file.content["bufferViews"][accessor["bufferView"]]
+    start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
+    assert accessor["componentType"] == 5126
+    chunk = bytearray(file.binary_chunk or b"")
+    values = np.frombuffer(chunk, dtype="<f4", count=3 * accessor["count"], offset=start)
+    values[3 * first :] *= np.float32(factor)
+    return rewritten(replace(file, binary_chunk=bytes(chunk)), path.with_name(name))
+
+
+def mean(path: Path) -> float:
+    """Return the mean error in degrees of accurate lighting, in poses that no fit here sees."""
+    found: dict[str, Any] = skinbake.verify(path, methods=["lbs"], samples=34)
+    return float(found["normals"]["lbs"]["accurate"]["mean"])
+
+
+@pytest.mark.slow
+def test_a_clip_is_lit_better_by_a_fit_to_it(tmp_path: Path) -> None:
+    original = corpus.model(CESIUM_MAN)
+    for kind in ("surface", "rig", "poses"):
+        skinbake.bake(original, tmp_path / f"{kind}.glb", gradients=kind)
+    surface, rig, poses = (mean(tmp_path / f"{kind}.glb") for kind in ("surface", "rig", "poses"))
+    assert poses < 0.9 * rig < 0.8 * surface
+
+
+def test_the_metadata_names_the_poses_and_verify_passes(tmp_path: Path) -> None:
+    path = baked(source(CLIP), tmp_path)
+    noted = note(read(path).content)
+    assert noted is not None
+    assert (noted["gradients"], noted["poses"]["from"]) == ("poses", ["animations"])
+    answer = verify(path)
+    assert (answer.exit_code, answer.failed) == (0, [])
+
+
+def test_two_bakes_are_the_same_bytes_also_by_workers(tmp_path: Path) -> None:
+    one = baked(source(CLIP), tmp_path, "--fit-poses", "random:9", "--fit-poses", "animations")
+    folder = tmp_path / "in"
+    for name in (CLIP, "seam.glb"):
+        copied(name, folder)
+    options = ("--gradients", "poses", "--fit-poses", "random:9", "--fit-poses", "animations")
+    result = invoke("bake", folder, "--out-dir", tmp_path / "out", "-q", "--jobs", "2", *options)
+    assert result.exit_code == 0, result.stderr
+    assert (tmp_path / "out" / CLIP).read_bytes() == one.read_bytes()
+
+
+def test_one_percent_of_alpha_is_caught(tmp_path: Path) -> None:
+    path = baked(source(CLIP), tmp_path)
+    answer = verify(scaled(path, "_SKINBAKE_ALPHA_0", 1.01, "scaled.glb"))
+    assert answer.failed == ["freshness"]
+
+
+def test_a_bake_whose_clips_are_gone_passes_by_its_digest(tmp_path: Path) -> None:
+    path = changed(baked(source(CLIP), tmp_path), without_clips, "gone.glb")
+    answer = verify(path)
+    assert answer.exit_code == 0
+    assert "the poses of the fit are not in the file" in invoke("verify", path).stdout
+    answer = verify(scaled(path, "_SKINBAKE_ALPHA_0", 1.01, "scaled.glb"))
+    assert answer.failed == ["freshness"]
+    assert "α/β changed since its bake" in answer.messages
+
+
+def test_a_bake_whose_clips_are_gone_fails_if_its_arrays_or_its_rig_changed(tmp_path: Path) -> None:
+    path = changed(baked(source(CLIP), tmp_path), without_clips, "gone.glb")
+    moved = verify(scaled(path, "POSITION", 1.5, "moved.glb", first=3))
+    assert moved.failed == ["freshness"]
+    assert "POSITION changed since its bake" in moved.messages
+
+    def turn_upside_down(content: Any) -> None:
+        joints = content["skins"][0]["joints"]
+        joints[0], joints[-1] = joints[-1], joints[0]
+
+    rig = verify(changed(path, turn_upside_down, "rig.glb"))
+    assert "freshness" in rig.failed
+    assert "The skeleton changed since the bake" in rig.messages
+
+
+def test_alpha_that_fits_no_poses_fails_although_its_digest_holds(tmp_path: Path) -> None:
+    """A file that says of itself that other poses made it so is not believed."""
+    path = scaled(baked(source(CLIP), tmp_path), "_SKINBAKE_ALPHA_0", -1.0, "harmful.glb")
+    file = read(path)
+    noted = note(file.content)
+    assert noted is not None
+    arrays = {name: file.stored_attribute(name) for name in ("_SKINBAKE_ALPHA_0", "_SKINBAKE_BETA_0")}
+    noted["poses"] |= {"from": ["walk.glb"], "slots": digest_of(arrays)}
+    answer = verify(rewritten(file, path))
+    assert answer.failed == ["freshness"]
+    assert "times the error of the gradients of the surface" in answer.messages
+
+
+def digest_of(arrays: dict[str, Any]) -> str:
+    """Return the digest that docs/reference/file-format.md defines."""
+    import hashlib
+
+    text = "".join(
+        f"{name} <f4 {hashlib.sha256(arrays[name].astype('<f4').tobytes()).hexdigest()[:32]} "
+        for name in sorted(arrays)
+    )
+    return hashlib.sha256(text.encode()).hexdigest()[:32]
+
+
+def test_the_clips_of_another_file_move_nodes_of_the_same_names(tmp_path: Path) -> None:
+    own = baked(source(CLIP), tmp_path)
+    walk = changed(named(copied(CLIP, tmp_path)), lambda content: None, "walk.glb")
+    still = changed(walk, without_clips, "still.glb")
+    path = baked(still, tmp_path, "--fit-poses", str(walk), name="lent.glb")
+    found, wanted = (read(one).attribute("_SKINBAKE_ALPHA_0") for one in (path, own))
+    np.testing.assert_array_equal(found, wanted)
+    noted = note(read(path).content)
+    assert noted is not None and noted["poses"]["from"] == ["walk.glb"]
+    answer = verify(path)
+    assert answer.exit_code == 0
+    assert "the poses of the fit are not in the file" in invoke("verify", path).stdout
+
+
+def named(path: Path) -> Path:
+    """Give every node of a file a name of its own."""
+
+    def name(content: Any) -> None:
+        for number, node in enumerate(content["nodes"]):
+            node["name"] = f"node {number}"
+
+    return changed(path, name, path.name)
+
+
+def test_nodes_without_a_partner_are_told(tmp_path: Path) -> None:
+    walk = named(copied(CLIP, tmp_path))
+
+    def rename(content: Any) -> None:
+        for node in content["nodes"]:
+            node["name"] = "other " + node["name"]
+        del content["animations"]
+
+    other = changed(walk, rename, "other.glb")
+    result = invoke("bake", other, "--dry-run", "--json", "--gradients", "poses", "--fit-poses", walk)
+    codes = [notice["code"] for notice in document(result)["files"][0]["warnings"]]
+    assert {"fit-poses-unmatched", "fit-poses-random"} <= set(codes)
+
+
+def test_a_file_without_clips_is_fitted_to_random_poses_with_a_notice(tmp_path: Path) -> None:
+    still = changed(copied(CLIP, tmp_path), without_clips, "still.glb")
+    result = invoke("bake", still, "-o", tmp_path / "baked.glb", "--gradients", "poses")
+    assert "no clip moves its joints: α/β are fitted to 60 random poses" in result.stderr
+    assert verify(tmp_path / "baked.glb").exit_code == 0
+    result = invoke("bake", still, "--dry-run", "--gradients", "poses", "--fit-poses", "random:8")
+    assert "random poses" not in result.stderr
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--fit-poses", "animations"], "--fit-poses needs --gradients poses"),
+        (["--gradients", "poses", "--fit-poses", "random:"], "expected random:N"),
+        (["--gradients", "poses", "--fit-poses", "random:0"], "expected random:N"),
+        (["--gradients", "poses", "--fit-poses", "random:10001"], "expected random:N"),
+    ],
+)
+def test_values_without_a_meaning_are_usage_errors(options: list[str], said: str) -> None:
+    result = invoke("bake", source(CLIP), "--dry-run", *options)
+    assert result.exit_code == exit_codes.USAGE
+    assert said in result.stderr
+
+
+def test_a_file_of_clips_must_be_readable_and_have_some(tmp_path: Path) -> None:
+    options = ("--dry-run", "--gradients", "poses", "--fit-poses")
+    missing = run("bake", source(CLIP), *options, tmp_path / "none.glb")
+    assert missing.returncode == exit_codes.INPUT
+    assert b"none.glb: cannot be read" in missing.stderr
+    still = changed(copied(CLIP, tmp_path), without_clips, "still.glb")
+    result = run("bake", source(CLIP), *options, still)
+    assert result.returncode == exit_codes.INPUT
+    assert b"it has no animation that moves a node" in result.stderr
+
+
+@pytest.mark.parametrize("option", ["-o", "--summary"])
+def test_the_file_of_clips_is_never_written(tmp_path: Path, option: str) -> None:
+    walk = copied(CLIP, tmp_path)
+    before = walk.read_bytes()
+    link = tmp_path / "link.glb"
+    link.hardlink_to(walk)
+    target: list[str | Path] = ["-o", tmp_path / "out.glb"] if option != "-o" else []
+    result = invoke(
+        "bake", source("seam.glb"), *target, "--gradients", "poses", "--fit-poses", walk, option, link
+    )
+    assert result.exit_code == exit_codes.USAGE
+    assert walk.read_bytes() == before
