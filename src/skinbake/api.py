@@ -434,6 +434,8 @@ def weight_gradients(
         member_of(Neighbours, neighbours, "neighbours"),
         member_of(FrameChoice, frame, "frame"),
     )
+    if settings.neighbours is Neighbours.EXTEND:
+        raise ValueError('neighbours is "extend", which works on files only: expected adopt or drop')
     if settings.frame is FrameChoice.TANGENT and tangents is None:
         raise ValueError('frame is "tangent", and there are no tangents')
     primitive = _surface(positions, normals, triangles, joints, weights, tangents)

@@ -69,6 +69,8 @@ class Neighbours(StrEnum):
 
     ADOPT = "adopt"
     """The vertex takes it into a free slot, with a weight too small to see."""
+    EXTEND = "extend"
+    """A primitive gets a further influence set if one of its vertices has too few free slots."""
     DROP = "drop"
 
 

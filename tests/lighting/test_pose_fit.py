@@ -132,11 +132,13 @@ def solved(
     point = np.append(surface.positions[vertex], 1.0)
     ends = poses.joint_matrices[:, surface.joints[vertex], :3] @ point
     own = surface.weights[vertex]
-    spread = (own[:, None] * (ends - np.einsum("s,psi->pi", own, ends)[:, None]) ** 2).sum(axis=(1, 2))
-    reach = (weight[:, vertex] * spread).sum()
     both = [np.append(-slots[vertex].sum(), slots[vertex]) for slots in (surface.alpha, surface.beta)]
-    lengths = np.hypot(*both)
-    faint = np.maximum((FAINT / (own + lengths / lengths.sum())) ** 2, 1.0) - 1.0
+    presence = own + np.hypot(*both) / np.hypot(*both).sum()
+    means = np.average(ends, axis=1, weights=presence)
+    reach = weight[:, vertex] @ np.average(
+        ((ends - means[:, None]) ** 2).sum(axis=2), axis=1, weights=presence
+    )
+    faint = np.maximum((FAINT / presence) ** 2, 1.0) - 1.0
     pull = np.sqrt(STIFFNESS * reach * (EVEN + faint))
     rows += [np.diag(pull[1:]), np.full((1, len(motions)), pull[0])]
     right += [np.zeros(len(motions)), np.zeros(1)]

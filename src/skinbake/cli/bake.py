@@ -100,7 +100,8 @@ if TYPE_CHECKING:
     type=one_of(Neighbours),
     default="adopt",
     show_default=True,
-    help="Joints that only the neighbours of a vertex have: put them into free slots, or drop them.",
+    help="Joints that only the neighbours of a vertex have: put them into free slots, add an influence set "
+    "where these are too few, or drop them.",
 )
 @click.option(
     "--frame",

@@ -29,6 +29,7 @@ from skinbake.errors import ChoiceError, InputError, Notice, Place, noticed
 from skinbake.format.attribute_store import stored_otherwise
 from skinbake.format.baked import AttributeNames, Baked, with_baked, with_scale
 from skinbake.format.encodings import vertex_bytes
+from skinbake.format.extension import Extended, extended
 from skinbake.format.layouts import GradientFormat
 from skinbake.format.strip import stripped
 from skinbake.geometry.rig import Rig
@@ -41,6 +42,7 @@ from skinbake.gltf.json_access import JsonObject
 from skinbake.gltf.output import AS_USUAL, Writing, plan_output, refuse_own_input
 from skinbake.gltf.primitives import (
     PrimitiveSource,
+    read_influences,
     read_primitive,
     reason_to_skip,
     skinned_sources,
@@ -51,7 +53,7 @@ from skinbake.gradients.assumptions import assumptions, check_finite
 from skinbake.gradients.baker import BakeFindings, BakeSettings, bake_mesh
 from skinbake.gradients.normal_lean import lean_notices
 from skinbake.gradients.normals import with_smooth_normals
-from skinbake.report.bake import BakedCounts, EncodingCost, FileResult, LimitCost
+from skinbake.report.bake import BakedCounts, EncodingCost, ExtensionCost, FileResult, LimitCost
 from skinbake.timing import stage
 
 if TYPE_CHECKING:
@@ -238,6 +240,8 @@ class Baker:
             whole = with_smooth_normals(_read(document, sources))
         if self.limit_influences is not None:
             return self._limited_surface(document, sources, whole, self.limit_influences, aim)
+        if self.neighbours is Neighbours.EXTEND:
+            return self._extended_surface(document, sources, whole, aim)
         return _finite(self._bakes(document, sources, whole, aim))
 
     def _limited_surface(
@@ -265,6 +269,25 @@ class Baker:
             for bake, part, cost in zip(bakes, parts, costs, strict=True)
         ]
 
+    def _extended_surface(
+        self,
+        document: Document,
+        sources: Sequence[PrimitiveSource],
+        whole: Sequence[SkinnedPrimitive],
+        aim: _Aim,
+    ) -> list[PrimitiveBake]:
+        """Bake primitives as one surface, with a further influence set where free slots are too few."""
+        tried = bake_mesh(whole, self.settings)
+        parts = [
+            extended(one, read_influences(document, source, len(one.positions)), found.overflowing_vertices)
+            if found.overflowing_vertices
+            else None
+            for source, one, (_, found) in zip(sources, whole, tried, strict=True)
+        ]
+        primitives = [part.primitive if part else one for part, one in zip(parts, whole, strict=True)]
+        bakes = _finite(self._bakes(document, sources, primitives, aim))
+        return [replace(bake, extended=part) for bake, part in zip(bakes, parts, strict=True)]
+
     def _bakes(
         self,
         document: Document,
@@ -285,7 +308,10 @@ class Baker:
         noted: JsonObject = {} if aim.rig is None else {"gradients": "rig", "rig": rig_digest(aim.rig)}
         if aim.poses is not None:
             names = [source if isinstance(source, str) else source.name for source in self.fit_poses]
-            noted |= {"gradients": "poses", "poses": {"from": names, "digest": aim.poses.digest}}
+            noted |= {
+                "gradients": "poses",
+                "poses": {"from": names, "fingerprint": list(aim.poses.fingerprint)},
+            }
         return noted
 
     @property
@@ -355,6 +381,8 @@ def _check_ranges(baker: Baker) -> None:
         if value is not None and not least <= value <= (math.inf if most is None else most):
             bound = f"at least {least}" if most is None else f"from {least} to {most}"
             raise ChoiceError(f"{option_of(name)} {value}: expected a number {bound}")
+    if baker.limit_influences is not None and baker.neighbours is Neighbours.EXTEND:
+        raise ChoiceError("--limit-influences contradicts --neighbours extend, which adds influences")
     if (baker.limit_influences or 0) % SLOTS_PER_SET:
         raise ChoiceError(
             f"--limit-influences {baker.limit_influences}: expected a multiple of 4, "
@@ -424,6 +452,7 @@ class PrimitiveBake:
     limited: Limited | None = None
     limit_cost: LimitCost | None = None
     fitted: JsonObject = field(default_factory=dict)
+    extended: Extended | None = None
 
     @property
     def notices(self) -> list[Notice]:
@@ -441,7 +470,8 @@ class PrimitiveBake:
 
     def to_store(self, settings: JsonObject) -> Baked:
         """Return the data to write. settings is noted in the metadata."""
-        influences = self.limited.stored if self.limited else None
+        changed = self.limited or self.extended
+        influences = changed.stored if changed else None
         return Baked(self.source, self.primitive, self.result, {**settings, **self.fitted}, influences)
 
     def counts(self, encoding: Encoding, added_bytes: int) -> BakedCounts:
@@ -462,6 +492,7 @@ class PrimitiveBake:
             added_bytes=added_bytes,
             bytes_per_vertex=vertex_bytes(encoding, influences),
             limited=self.limit_cost,
+            extended=None if self.extended is None else _extension_cost(self.extended, encoding),
         )
 
 
@@ -485,6 +516,23 @@ def _fitted_to_poses(
         replace(bake, result=bake.result.with_slots(alpha, beta))
         for bake, (alpha, beta) in zip(bakes, slots, strict=True)
     ]
+
+
+def _extension_cost(part: Extended, encoding: Encoding) -> ExtensionCost:
+    """Return the price of an influence set more."""
+    from skinbake.skinning.algorithms import Algorithm
+    from skinbake.skinning.counting import multiply_adds
+
+    after = part.primitive.joints.shape[1]
+    before, added = after - SLOTS_PER_SET, part.stored[-1]
+    stored = SLOTS_PER_SET * (added.joints.values.itemsize + added.weights.values.itemsize)
+    work = [sum(multiply_adds(Algorithm.LBS_ACCURATE, count).values()) for count in (before, after)]
+    return ExtensionCost(
+        influences=after,
+        vertices=part.vertices,
+        bytes=stored + vertex_bytes(encoding, after) - vertex_bytes(encoding, before),
+        multiply_adds=work[1] - work[0],
+    )
 
 
 def _finite(bakes: list[PrimitiveBake]) -> list[PrimitiveBake]:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 from skinbake.choices import FrameChoice, Gradients, Neighbours, Weld
 from skinbake.commands.bake import Baker
@@ -102,11 +103,16 @@ def noted_baker(view: BakedView) -> Baker:
         gradients=noted_kind(view),
         weighting=noted["weighting"],
         crease_angle=noted["creaseAngle"],
-        neighbours=Neighbours.DROP if noted.get("neighbours") == Neighbours.DROP else Neighbours.ADOPT,
+        neighbours=_noted_neighbours(noted),
         frame=FrameChoice(noted["frame"]),
         weld=noted.get("weld", Weld.MESH),
         generate_normals=True,  # strip takes generated ones away
     )
+
+
+def _noted_neighbours(noted: Mapping[str, Any]) -> Neighbours:
+    known = noted.get("neighbours")
+    return Neighbours(known) if known in list(Neighbours) else Neighbours.ADOPT
 
 
 def _measured(document: Document, options: VerifyOptions) -> FileVerdict:

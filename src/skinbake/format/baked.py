@@ -43,7 +43,7 @@ class Baked:
     """One primitive to write: its place, its input arrays, the result, and the settings.
 
     The metadata holds the settings as they are. limited are the new influence sets of the primitive, if it
-    has fewer than the file; its arrays then belong to them.
+    has fewer than the file, or more; its arrays then belong to them.
     """
 
     source: PrimitiveSource
@@ -176,7 +176,7 @@ def _replace_influences(
 ) -> SkinnedPrimitive:
     """Let the attributes name the influences of the bake, note the former ones, and return stored arrays.
 
-    Attributes of sets that a limit leaves out are removed.
+    Attributes of sets that a limit leaves out are removed. Those of further sets are added.
     """
     before = read_influences(document, item.source, len(item.primitive.positions))
     after = with_adopted(item.limited or before, item.result.adopting, item.result.adopted)
@@ -190,6 +190,11 @@ def _replace_influences(
             former[name] = int(attributes.pop(name) if stored is None else attributes[name])
             if stored is not None:
                 attributes[name] = store.add(name, stored.values, normalized=stored.normalized)
+    for number, new in enumerate(after[len(before) :], len(before)):
+        attributes[f"JOINTS_{number}"] = store.add(f"JOINTS_{number}", new.joints.values)
+        attributes[f"WEIGHTS_{number}"] = store.add(
+            f"WEIGHTS_{number}", new.weights.values, normalized=new.weights.normalized
+        )
     note["formerDigest"] = metadata.influence_digests(*side_by_side(before))
     note["adopted"] = former
     return item.primitive.with_influences(*side_by_side(after))

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from skinbake.errors import InputError, Place
-from skinbake.format.metadata import KEY, influence_digests
+from skinbake.format.metadata import FORMER_ATTRIBUTES, KEY, influence_digests, noted_names
 from skinbake.gltf.accessors import read_accessor
 from skinbake.gltf.codecs import draco
 from skinbake.gltf.document import Document
@@ -67,11 +67,23 @@ def former_attributes(
         numbers = {name: index(former, name, count, place.at(name)) for name in former}
         found = {name: number for name, number in numbers.items() if number is not None}
         now = _influence_digests(document, attributes, place)
-        before = _influence_digests(document, {**attributes, **found}, place)
+        before = _influence_digests(document, former_sets({**attributes, **found}, note), place)
     except InputError:
         return None
     unedited = now == {name: digest.get(name) for name in now}
     return found if unedited and before == noted else None
+
+
+def former_sets(attributes: JsonObject, note: JsonObject) -> JsonObject:
+    """Return the attributes without the influence sets that bake added."""
+    if FORMER_ATTRIBUTES not in note:
+        return attributes
+    noted = noted_names(note, FORMER_ATTRIBUTES)
+    return {
+        name: number
+        for name, number in attributes.items()
+        if name in noted or not name.startswith(("JOINTS_", "WEIGHTS_"))
+    }
 
 
 def _influence_digests(document: Document, attributes: JsonObject, place: Place) -> dict[str, str]:

@@ -24,10 +24,10 @@ DEEPEST_NOTE = 32
 """The most levels of a note of skinbake; bake writes two."""
 
 POSES = "poses"
-"""The member that names the poses of a fit: their sources, a digest of them, and one of α and β."""
+"""The member that names the poses of a fit: their sources, a fingerprint of them, and a digest of α and β."""
 
 FORMER_ATTRIBUTES = "formerAttributes"
-"""The member that lists a primitive's attributes before a bake that limited its influences."""
+"""The member that lists a primitive's attributes before a bake that changed the number of its influences."""
 
 
 def digests(primitive: SkinnedPrimitive, frame: str) -> dict[str, str]:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from skinbake.choices import Layout
 from skinbake.errors import Notice, Place
-from skinbake.format.former import former_attributes, with_former_stream
+from skinbake.format.former import former_attributes, former_sets, with_former_stream
 from skinbake.format.metadata import FORMER_ATTRIBUTES, KEY, noted_names, read_metadata, slot_names
 from skinbake.gltf import json_access
 from skinbake.gltf.additions import BUFFER_ADDED, BUFFER_LENGTH, FALLBACK_ADDED
@@ -88,8 +88,10 @@ def _restored(
     """Return the JSON of the primitive without bake's attributes and metadata, with its own influences."""
     attributes = dict(json_access.member(primitive, "attributes", place))
     notices = _removed(attributes, note, place)
-    ours = [name for name in json_access.member(primitive, "attributes", place) if name not in attributes]
     former = former_attributes(document, attributes, note, place)
+    if former is not None:
+        attributes = former_sets(attributes, note)
+    ours = [name for name in json_access.member(primitive, "attributes", place) if name not in attributes]
     attributes = _in_former_order({**attributes, **(former or {})}, note)
     written = {**primitive, "attributes": attributes} if "attributes" in primitive else dict(primitive)
     if draco.extension_of(primitive) is not None:
@@ -105,7 +107,7 @@ def _restored(
     if FORMER_ATTRIBUTES in note:
         message = (
             "another tool has removed or edited the influences from before the bake: the "
-            "influences that --limit-influences left stay, with adopted joints among them"
+            f"influences that {_who_changed(attributes, note)} stay, with adopted joints among them"
         )
         return written, [*notices, Notice("limited-kept", message, place)]
     message = (
@@ -113,6 +115,14 @@ def _restored(
         "adopted stay, with weights too small to see"
     )
     return written, [*notices, Notice("adopted-kept", message, place)]
+
+
+def _who_changed(attributes: JsonObject, note: JsonObject) -> str:
+    return (
+        "--neighbours extend added"
+        if former_sets(attributes, note) != attributes
+        else "--limit-influences left"
+    )
 
 
 def _removed(attributes: JsonObject, note: JsonObject, place: Place) -> list[Notice]:

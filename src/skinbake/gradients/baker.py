@@ -70,7 +70,7 @@ def bake_mesh(
             frame = _concatenate([pair[0] for pair in pairs]), _concatenate([pair[1] for pair in pairs])
     with stage("gradients"):
         surface = gathered.surface(frame, rig)
-        adopt = settings.neighbours == Neighbours.ADOPT
+        adopt = settings.neighbours != Neighbours.DROP
         slots = kernel.bake_surface(surface, weighting=settings.weighting, adopt=adopt)
     ends, results = gathered.ends, []
     for number, (primitive, choice) in enumerate(zip(primitives, chosen, strict=True)):

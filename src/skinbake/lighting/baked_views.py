@@ -16,7 +16,7 @@ from skinbake.format.stored_slots import BAKE, read_slots, shown, wrong_storage
 from skinbake.geometry import frames
 from skinbake.geometry.skinned import Float64Array, FloatArray, SkinnedPrimitive
 from skinbake.gltf.document import Document
-from skinbake.gltf.json_access import JsonObject
+from skinbake.gltf.json_access import JsonObject, is_number
 from skinbake.gltf.morphs import target_count
 from skinbake.gltf.primitives import PrimitiveSource, read_primitive
 from skinbake.gltf.skin_groups import meshes_of_one_skin
@@ -167,8 +167,13 @@ def _names_poses(noted: object) -> bool:
     """Tell whether the member about the poses of a fit is complete."""
     if not isinstance(noted, dict) or not isinstance(noted.get("from"), list):
         return False
-    values = [*noted["from"], noted.get("digest"), noted.get("slots")]
-    return all(isinstance(value, str) for value in values)
+    numbers = noted.get("fingerprint")
+    texts = [*noted["from"], noted.get("slots")]
+    return (
+        isinstance(numbers, list)
+        and all(map(is_number, numbers))
+        and all(isinstance(one, str) for one in texts)
+    )
 
 
 def _rest_frame(primitive: SkinnedPrimitive, kind: str) -> tuple[FloatArray, FloatArray] | None:

@@ -128,14 +128,12 @@ class _Moved:
     """B vertices in P poses.
 
     levers (B, K, 3, P) are M[s] p̃ less that of the vertex's last fitted slot. tangents (B, 3, 2, P) are t'
-    and b'. emphasis (B, P) is w. spread (B, P) is the weighted mean of the squared distances from p' to
-    M[s] p̃.
+    and b'. emphasis (B, P) is w.
     """
 
     levers: Float64Array
     tangents: Float64Array
     emphasis: Float64Array
-    spread: Float64Array
 
     @classmethod
     def of(cls, rest: RestSurface, matrices: Float64Array, last: IntArray) -> _Moved:
@@ -147,8 +145,6 @@ class _Moved:
         joints = table[rest.joints]
         points = np.concatenate([rest.positions, np.ones((count, 1))], axis=1)
         ends = np.matmul(joints, points[:, None, :, None]).reshape(count, slots, 3, poses)
-        middle = np.einsum("bk,bkip->bip", rest.weights, ends)
-        spread = np.einsum("bk,bkip->bp", rest.weights, np.square(ends - middle[:, None]))
         levers = ends - ends[np.arange(count), last][:, None]
         frame = np.stack([rest.tangents, rest.bitangents], axis=2)
         blended = np.einsum("bk,bkxi->bxi", rest.weights, joints[..., :3])
@@ -158,7 +154,7 @@ class _Moved:
         rigid = rigid.reshape(count, 3, poses).sum(axis=1) / 3.0
         lengths = np.maximum(np.einsum("bitp,bitp->bp", tangents, tangents), 2.0 * COLLAPSED * rigid)
         emphasis = 2.0 / lengths
-        return cls(levers, tangents, np.where(np.isfinite(emphasis), emphasis, 0.0), spread)
+        return cls(levers, tangents, np.where(np.isfinite(emphasis), emphasis, 0.0))
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,7 +163,7 @@ class _LeastSquares:
 
     given (V, K, 2) are α and β of all slots. presence (V, K) is the weight of each slot's joint and its share
     of the gradients. last (V,) is the last fitted slot, which takes minus the sum of the others. matrix (V,
-    K, K), right (V, K, 2) and reach (V,) are sums.
+    K, K), right (V, K, 2) and reach (V,), the sum of w times the ``_spread``, are sums over poses.
     """
 
     given: Float64Array
@@ -205,7 +201,7 @@ class _LeastSquares:
         self.matrix[rows] += np.matmul(tilt * weight[:, None], tilt.swapaxes(1, 2))
         self.matrix[rows] += STIFFNESS * np.matmul(weighted, flat.swapaxes(1, 2))
         self.right[rows] -= np.matmul(tilt * weight[:, None], aim)
-        self.reach[rows] += np.einsum("bp,bp->b", weight, moved.spread)
+        self.reach[rows] += np.einsum("bp,bp->b", weight, _spread(self.presence[rows], moved.levers))
 
     def solved(self) -> Slots:
         """Return α and β (V, K − 1). A joint that is hardly there is pulled harder, as in ``surface``."""
@@ -227,6 +223,16 @@ class _LeastSquares:
         change[vertices, self.last] -= change.sum(axis=1)
         found = self.given + change
         return found[:, 1:, 0], found[:, 1:, 1]
+
+
+def _spread(presence: FloatArray, levers: Float64Array) -> Float64Array:
+    """Return the mean squared distance (B, P) of M[s] p̃ from their mean. Joints count by their presence.
+
+    By their weight, a vertex with a single influence would have none, however far its adopted joints go.
+    """
+    share = presence / presence.sum(axis=1, keepdims=True)
+    middle = np.einsum("bk,bkip->bip", share, levers)
+    return np.asarray(np.einsum("bk,bkip->bp", share, np.square(levers - middle[:, None])))
 
 
 def _all_slots(alpha: FloatArray, beta: FloatArray) -> Float64Array:

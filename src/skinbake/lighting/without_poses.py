@@ -33,7 +33,7 @@ A fit to other poses than the present ones left at most 0.9 of it on all models 
 
 def has_poses(document: Document, view: BakedView) -> bool:
     """Tell whether the poses of a fit follow from the file as it is now."""
-    return bool(noted_poses(document, view).digest == view.metadata[POSES]["digest"])
+    return noted_poses(document, view).are(view.metadata[POSES]["fingerprint"])
 
 
 def rig_changed(document: Document, view: BakedView) -> bool:

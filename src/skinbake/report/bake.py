@@ -50,6 +50,20 @@ class LimitCost:
 
 
 @dataclass(frozen=True, slots=True)
+class ExtensionCost:
+    """The influence set that --neighbours extend adds to a primitive, and its price.
+
+    vertices needed it. bytes are those of joints, weights, α and β more at each vertex, multiply_adds those
+    of algorithm 3.
+    """
+
+    influences: int
+    vertices: int
+    bytes: int
+    multiply_adds: int
+
+
+@dataclass(frozen=True, slots=True)
 class BakedCounts:
     """The bake of one primitive, in numbers.
 
@@ -57,7 +71,7 @@ class BakedCounts:
     overflowing_vertices had more such joints than free slots. gradient is the summed length of the weight
     gradients, in 1 / length unit, and lost_gradient the share of it that no slot holds. added_bytes is the
     growth of the file by the primitive, bytes_per_vertex the size of α and β for a vertex. limited is the
-    effect of --limit-influences.
+    effect of --limit-influences, extended that of --neighbours extend.
     """
 
     vertices: int
@@ -74,6 +88,7 @@ class BakedCounts:
     added_bytes: int
     bytes_per_vertex: int
     limited: LimitCost | None = None
+    extended: ExtensionCost | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,6 +144,9 @@ def closing_line(result: FileResult, *, dry_run: bool) -> str:
     costs = [count.limited for count in counts if count.limited]
     if costs:
         parts.append(_limited(costs))
+    further = [count.extended for count in counts if count.extended]
+    if further:
+        parts.append(_extended(further))
     adopting = sum(count.adopting_vertices for count in counts)
     if adopting:
         parts.append(f"{counted(adopting, 'vertex', 'vertices')} adopted joints")
@@ -196,6 +214,16 @@ def _limited(costs: Sequence[LimitCost]) -> str:
     return (
         f"limited to {costs[0].influences} influences: {lost}, normals turn by "
         f"{mean:.2g}° (p99 {p99:.2g}°), {movement}"
+    )
+
+
+def _extended(costs: Sequence[ExtensionCost]) -> str:
+    """Return the price of further influence sets, of the dearest primitive."""
+    size, work = max(cost.bytes for cost in costs), max(cost.multiply_adds for cost in costs)
+    vertices = counted(sum(cost.vertices for cost in costs), "vertex", "vertices")
+    return (
+        f"an influence set added to {counted(len(costs), 'primitive')} for {vertices} "
+        f"(+{size} bytes and +{work} multiply-adds a vertex)"
     )
 
 
