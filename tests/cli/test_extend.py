@@ -1,0 +1,121 @@
+"""``bake --neighbours extend``: a further influence set where neighbours' joints find no free slot."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import skinbake
+from skinbake.cli import exit_codes
+from tests.support import corpus, khronos
+from tests.support.baked_files import CESIUM_MAN, source, verify
+from tests.support.command_line import document, invoke
+from tests.support.gltf_reading import read
+from tests.support.models import baked, rewritten, stripped
+
+FULL = "two_sets.glb"
+"""A fixture with vertices that have more foreign joints than free slots."""
+DRACO, BYTES = "hand_l-draco-sequential.glb", "hand_l-weights-u8.glb"
+
+
+@pytest.fixture(scope="module")
+def extended(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("extended") / "baked.glb"
+    baked(source(FULL), path, neighbours="extend")
+    return path
+
+
+def test_all_joints_of_neighbours_find_a_slot(extended: Path, tmp_path: Path) -> None:
+    result = document(invoke("bake", source(FULL), "--dry-run", "--json", "--neighbours", "extend"))
+    counts = result["files"][0]["primitives"][0]
+    before = document(invoke("bake", source(FULL), "--dry-run", "--json"))["files"][0]["primitives"][0]
+    assert (before["overflowing_vertices"], before["influences"], before["extended"]) == (6, 8, None)
+    assert (counts["overflowing_vertices"], counts["influences"]) == (0, 12)
+    assert counts["lost_gradient"] < 1e-5  # joints that are not worth a slot
+    # Joints and weights of the new set, and 8 floats of α and β. The multiply-adds are those of ``cost``.
+    assert counts["extended"]["vertices"] == 6
+    joints, weights = (read(extended).stored_attribute(f"{kind}_2") for kind in ("JOINTS", "WEIGHTS"))
+    assert counts["extended"]["bytes"] == joints[0].nbytes + weights[0].nbytes + 8 * 4
+    costs = [document(invoke("cost", "--influences", str(count), "--json")) for count in (8, 12)]
+    work = [cost["multiply_adds"]["3"] for cost in costs]
+    assert counts["extended"]["multiply_adds"] == work[1] - work[0]
+
+
+def test_the_new_set_moves_no_vertex(extended: Path) -> None:
+    file = read(extended)
+    assert file.attribute("WEIGHTS_2").max() <= 2.0**-30
+    assert file.stored_attribute("JOINTS_2").any()
+    assert not khronos.new_findings(khronos.validate(source(FULL)), khronos.validate(extended))
+
+
+def test_verify_passes_and_a_second_bake_is_the_same(extended: Path, tmp_path: Path) -> None:
+    answer = verify(extended)
+    assert (answer.exit_code, answer.failed) == (0, [])
+    baked(extended, tmp_path / "again.glb", neighbours="extend")
+    assert (tmp_path / "again.glb").read_bytes() == extended.read_bytes()
+
+
+def test_strip_takes_the_set_away(extended: Path, tmp_path: Path) -> None:
+    stripped(extended, tmp_path / "stripped.glb")
+    baked(source(FULL), tmp_path / "usual.glb")
+    stripped(tmp_path / "usual.glb", tmp_path / "wanted.glb")
+    assert (tmp_path / "stripped.glb").read_bytes() == (tmp_path / "wanted.glb").read_bytes()
+
+
+def test_a_set_that_was_edited_since_stays_with_a_notice(extended: Path, tmp_path: Path) -> None:
+    file = read(extended)
+    primitive: Any = file.content["meshes"][0]["primitives"][0]
+    primitive["attributes"]["WEIGHTS_2"] = primitive["attributes"]["WEIGHTS_1"]
+    path = rewritten(file, tmp_path / "edited.glb")
+    result = invoke("strip", path, "-o", tmp_path / "stripped.glb")
+    assert "the influences that --neighbours extend added stay" in result.stderr
+    assert read(tmp_path / "stripped.glb").has_attribute("JOINTS_2")
+
+
+def test_a_primitive_with_free_slots_gets_no_set(tmp_path: Path) -> None:
+    one, other = (
+        baked(source("foreign_joints.glb"), tmp_path / f"{kind}.glb", neighbours=kind)
+        for kind in ("adopt", "extend")
+    )
+    for name in ("JOINTS_0", "WEIGHTS_0", "_SKINBAKE_ALPHA_0", "_SKINBAKE_BETA_0"):
+        np.testing.assert_array_equal(one.stored_attribute(name), other.stored_attribute(name))
+    assert not other.has_attribute("JOINTS_1")
+
+
+def test_it_contradicts_a_limit_and_arrays() -> None:
+    result = invoke("bake", source(FULL), "--dry-run", "--neighbours", "extend", "--limit-influences", "4")
+    assert result.exit_code == exit_codes.USAGE
+    assert "--limit-influences contradicts --neighbours extend" in result.stderr
+    triangle = np.eye(3, dtype=np.float32)
+    with pytest.raises(ValueError, match="works on files only"):
+        skinbake.weight_gradients(
+            triangle,
+            np.ones((3, 3)),
+            [[0, 1, 2]],
+            np.zeros((3, 4), int),
+            np.ones((3, 4)),
+            neighbours="extend",
+        )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [DRACO, BYTES])
+def test_it_works_on_compressed_and_integer_influences(tmp_path: Path, name: str) -> None:
+    skinbake.bake(corpus.model(name), tmp_path / "baked.glb", neighbours="extend")
+    answer = verify(tmp_path / "baked.glb")
+    assert (answer.exit_code, answer.failed) == (0, [])
+    after = khronos.validate(tmp_path / "baked.glb")
+    assert not khronos.new_findings(khronos.validate(corpus.model(name)), after)
+
+
+@pytest.mark.slow
+def test_it_lights_a_character_better(tmp_path: Path) -> None:
+    found = {}
+    for kind in ("adopt", "extend"):
+        path = tmp_path / f"{kind}.glb"
+        skinbake.bake(corpus.model(CESIUM_MAN), path, neighbours=kind, gradients="surface")
+        found[kind] = skinbake.verify(path, methods=["lbs"])["normals"]["lbs"]["accurate"]["mean"]
+    assert found["extend"] < 0.7 * found["adopt"]
