@@ -117,7 +117,7 @@ class Layout(StrEnum):
     TEXCOORD = "texcoord"
     """α1 α2 | α3 β1 | β2 β3 in TEXCOORD_n: for engines that pass no other attributes."""
     CUSTOM = "custom"
-    """As ``attributes``, with the names that Godot passes to shaders."""
+    """As ``attributes``, with the names that Godot after 4.6 passes to shaders."""
 
 
 class Scheme(StrEnum):

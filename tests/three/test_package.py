@@ -17,7 +17,7 @@ from skinbake.skinning.algorithms import Algorithm
 from tests.support import browser, corpus, gltf_reading, gltf_transform
 from tests.support.baked_files import Editable
 from tests.support.characters import AS_USUAL, Character, Placement, Pose, angles, baked
-from tests.support.node import package_folder, require_node
+from tests.support.node import SUPPORT, package_folder, require_node
 from tests.three.drawn import (
     BENT,
     CHARACTERS,
@@ -49,7 +49,7 @@ PAGE = """<!doctype html>
     "skinbake-three": "/package/index.js"
 }}
 </script>
-<script src="/tests/capture.js"></script>
+<script src="/support/capture.js"></script>
 <body><script type="module">window.ready = import('/tests/drawing.mjs');</script>
 """
 
@@ -68,7 +68,8 @@ def opened(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stage]:
     for name in ("models", "profile"):
         (folder / name).mkdir()
     folders = {"models": folder / "models", "three": package_folder("three"), "package": PACKAGE}
-    folders |= {"tests": Path(__file__).resolve().parent, "vrm": package_folder("@pixiv/three-vrm")}
+    folders |= {"tests": Path(__file__).resolve().parent, "support": SUPPORT}
+    folders |= {"vrm": package_folder("@pixiv/three-vrm")}
     with browser.opened(PAGE, folders, folder / "profile") as page:
         yield Stage(page, folder / "models")
 

@@ -11,7 +11,7 @@ import pytest
 from skinbake.skinning.algorithms import Algorithm
 from tests.support import browser
 from tests.support.characters import Placement
-from tests.support.node import package_folder, require_node
+from tests.support.node import SUPPORT, package_folder, require_node
 from tests.three.drawn import BENT, DEGREES, TUBE, Stage, expected, largest
 from tests.three.write_package import FOLDER as PACKAGE
 
@@ -19,7 +19,7 @@ HERE = Path(__file__).resolve().parent
 PAGE = """<!doctype html>
 <meta charset="utf-8">
 <link rel="icon" href="data:,">
-<script src="/tests/capture.js"></script>
+<script src="/support/capture.js"></script>
 <body><script type="module">window.ready = import('/built/app.js');</script>
 """
 
@@ -50,7 +50,7 @@ def test_react_three_fiber_built_by_vite_keeps_inline_materials_accurate(tmp_pat
         check=False,
     )
     assert done.returncode == 0, done.stdout + done.stderr
-    folders = {"models": tmp_path / "models", "built": project / "dist", "tests": HERE}
+    folders = {"models": tmp_path / "models", "built": project / "dist", "support": SUPPORT}
     with browser.opened(PAGE, folders, tmp_path / "profile") as page:
         character = Stage(page, tmp_path / "models").character(TUBE, BENT)
         found = page.call("show", character.told(Placement()))["found"]

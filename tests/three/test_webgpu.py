@@ -18,7 +18,7 @@ from skinbake.format.layouts import GradientFormat
 from skinbake.skinning.algorithms import Algorithm
 from tests.support import browser, corpus
 from tests.support.characters import Character, Placement, Pose, angles, baked
-from tests.support.node import package_folder, require_node
+from tests.support.node import SUPPORT, package_folder, require_node
 from tests.support.strictness import missing_tool
 from tests.three.drawn import (
     BENT,
@@ -51,7 +51,7 @@ PAGE = """<!doctype html>
     "skinbake-three/webgpu": "/package/webgpu.js"
 }, "scopes": {"/vrm/": {"three/tsl": "/tests/tsl_for_three_vrm.mjs"}}}
 </script>
-<script src="/tests/capture.js"></script>
+<script src="/support/capture.js"></script>
 <script src="/tests/capture_webgpu.js"></script>
 <body><script type="module">window.ready = import('/tests/drawing_webgpu.mjs');</script>
 """
@@ -84,7 +84,8 @@ def opened(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stage]:
     for name in ("models", "profile"):
         (folder / name).mkdir()
     folders = {"models": folder / "models", "three": package_folder("three"), "package": PACKAGE}
-    folders |= {"tests": Path(__file__).resolve().parent, "vrm": package_folder("@pixiv/three-vrm")}
+    folders |= {"tests": Path(__file__).resolve().parent, "support": SUPPORT}
+    folders |= {"vrm": package_folder("@pixiv/three-vrm")}
     with browser.opened(PAGE, folders, folder / "profile") as page:
         yield Stage(page, folder / "models")
 

@@ -173,7 +173,7 @@ if TYPE_CHECKING:
     type=one_of(Layout),
     default="attributes",
     show_default=True,
-    help="Attributes of α and β: their own, free TEXCOORD_n, or _CUSTOM0 and _CUSTOM1 (Godot).",
+    help="Attributes of α and β: their own, free TEXCOORD_n, or _CUSTOM0 and _CUSTOM1.",
 )
 @click.option("--require-baked", is_flag=True, help="Fail (exit 3) if nothing in a file can be baked.")
 @click.option(

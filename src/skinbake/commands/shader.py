@@ -30,7 +30,8 @@ from skinbake.shaders.choices import BEST, AttributeText, ShaderChoices
 from skinbake.shaders.text import shader_made
 
 DEFAULT_INFLUENCES = 4
-THREE = "three"
+AT_RUN_TIME = ("three", "godot")
+"""The targets whose code reads frame, encoding, layout, names and scale from the file when it runs."""
 DEFAULTS = {"encoding": Encoding.FLOAT32, "layout": Layout.ATTRIBUTES}
 """The meaning of metadata that do not say how α and β are stored."""
 
@@ -105,8 +106,7 @@ def write_shader(result: ShaderResult, target: str, *, sync: bool = True) -> Non
 
 def _choices(request: ShaderRequest) -> tuple[ShaderChoices, list[Notice]]:
     notices = []
-    # The module for three.js reads the frame from the file when it runs.
-    if request.frame is None and request.target != THREE:
+    if request.frame is None and request.target not in AT_RUN_TIME:
         message = (
             f"the shader is made for --frame {Frame.NORMAL}, but bake uses the tangent frame if a "
             "mesh has TANGENT. Name the baked file with --for, or give --frame"
@@ -143,7 +143,7 @@ def _choices_of_file(
     serving = [view for view in views if _serves(view, request)]
     if not serving:
         raise InputError(_why_none(views, request), document.place)
-    if request.target == THREE:
+    if request.target in AT_RUN_TIME:
         return _choices_at_run_time(document, serving, request)
     frame = request.frame or Frame(str(_agreed(document, serving, "frame")))
     influences = request.influences or int(_agreed(document, serving, "influences"))
@@ -220,8 +220,8 @@ def _views(document: Document) -> list[BakedView]:
 
 
 def _unlike_one(view: BakedView, request: ShaderRequest) -> list[Notice]:
-    """Return a notice if weights do not sum to 1. three.js divides them when it loads a file."""
-    return [] if request.target == THREE else weight_sum_notices(view.now, view.source.place)
+    """Return a notice if weights do not sum to 1. three.js and Godot divide them when they load a file."""
+    return [] if request.target in AT_RUN_TIME else weight_sum_notices(view.now, view.source.place)
 
 
 def _serves(view: BakedView, request: ShaderRequest) -> bool:

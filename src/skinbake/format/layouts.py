@@ -15,7 +15,7 @@ from skinbake.gltf.json_access import JsonObject
 TEXCOORD = re.compile(r"TEXCOORD_(\d+)")
 
 CUSTOM_NAMES = (("_CUSTOM0", "_CUSTOM1"), ("_CUSTOM2", "_CUSTOM3"))
-"""α and β by influence set: Godot's importer reads them into CUSTOM0 … CUSTOM3 (godotengine/godot#120040)."""
+"""α and β by influence set, as CUSTOM0 … CUSTOM3 of Godot after 4.6 (godotengine/godot#120040)."""
 
 
 class GradientFormat(NamedTuple):

@@ -8,7 +8,7 @@ from skinbake.choices import SLOTS_PER_SET, Encoding, Frame, Language, Layout, L
 from skinbake.errors import ChoiceError
 
 CUSTOM_SETS = 2
-"""The number of influence sets of the custom layout: Godot reads `_CUSTOM0` to `_CUSTOM3`."""
+"""The number of influence sets of the custom layout: Godot after 4.6 reads `_CUSTOM0` to `_CUSTOM3`."""
 
 ALGORITHMS = {
     (Method.LBS, Lighting.APPROXIMATED): 1,

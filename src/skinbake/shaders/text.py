@@ -98,6 +98,11 @@ def three_package() -> dict[str, str]:
     return {**found, "index.js": shader_made(choices, package=True)[0]}
 
 
+def godot_include() -> str:
+    """Return the include of the Godot add-on."""
+    return shader_made(ShaderChoices(Language.GLSL, target="godot"))[0]
+
+
 def _text_for(choices: ShaderChoices, reads: Sequence[str], also: Sequence[str] = ()) -> dict[str, Any]:
     """Return the parts of a target's file: header, inputs, usage, snippet, and the pure functions.
 

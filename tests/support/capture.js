@@ -1,8 +1,8 @@
 // Record what vertex shaders hand on, while a page draws as it always does: each program whose vertex shader
 // writes one of the names is linked with transform feedback, and each draw of it is run once more for it. The names
-// are those of varyings, or gl_Position.
+// are those of varyings, or gl_Position; namesFor may choose other ones for a vertex shader by its text.
 
-const CAPTURE = { names: ['vNormal'], on: false, draws: [] };
+const CAPTURE = { names: ['vNormal'], namesFor: () => CAPTURE.names, on: false, draws: [] };
 window.CAPTURE = CAPTURE;
 
 {
@@ -24,7 +24,7 @@ window.CAPTURE = CAPTURE;
         const texts = shaders.get(program).map((shader) => sources.get(shader));
         const text = texts.find((one) => one.includes('gl_Position')) ?? '';
         const isWritten = (one) => one === 'gl_Position' || new RegExp(`(out|varying) +(highp )?vec3 ${one};`).test(text);
-        const name = text && CAPTURE.names.find(isWritten);
+        const name = text && CAPTURE.namesFor(text).find(isWritten);
         if (name) {
             this.transformFeedbackVaryings(program, [name], this.SEPARATE_ATTRIBS);
             recorded.set(program, { name, text });

@@ -1,0 +1,279 @@
+@tool
+extends GLTFDocumentExtension
+## Takes α and β of a baked glTF file into its meshes, and adds a node to the scene that lights them.
+##
+## α becomes CUSTOM0 and β CUSTOM1, in any encoding and layout of the bake. What the shader needs to know of
+## them is in the metadata [constant KEY] of each mesh. In the editor the plugin registers this extension. A game
+## that loads files when it runs does it once: see the readme.
+
+const KEY := &"skinbake"
+const Lighter := preload("skinbake.gd")
+
+const BYTE := 5120
+const SHORT := 5122
+const FLOAT := 5126
+const SIZES := {BYTE: 1, SHORT: 2, FLOAT: 4}
+const TYPES := {"float32": FLOAT, "snorm16": SHORT, "packed8": BYTE}
+const REPAIR := ": a tool changed the file after its bake; bake last"
+
+
+func _import_post_parse(state: GLTFState) -> Error:
+	var meshes: Array = state.json.get("meshes", [])
+	for index in mini(meshes.size(), state.meshes.size()):
+		var primitives: Array = meshes[index]["primitives"]
+		var notes := primitives.map(_note_of.bind(state))
+		if notes.any(func(note: Dictionary) -> bool: return not note.is_empty()):
+			_take_in(state, state.meshes[index], primitives, notes)
+	return OK
+
+
+func _import_post(state: GLTFState, root: Node) -> Error:
+	for mesh: GLTFMesh in state.meshes:
+		if mesh.has_meta(KEY):
+			var lighter := Lighter.new()
+			lighter.name = "Skinbake"
+			root.add_child(lighter)
+			lighter.owner = root
+			return OK
+	return OK
+
+
+## The metadata of a bake: those of the primitive, else those of α's accessor; empty if it is not baked.
+static func _note_of(primitive: Dictionary, state: GLTFState) -> Dictionary:
+	var holders := [primitive]
+	var accessors: Array = state.json.get("accessors", [])
+	for accessor: float in primitive["attributes"].values():
+		holders.append(accessors[int(accessor)])
+	for holder: Dictionary in holders:
+		var extras: Variant = holder.get("extras")
+		if extras is Dictionary and extras.get("skinbake") is Dictionary and extras["skinbake"].has("alpha"):
+			return extras["skinbake"]
+	return {}
+
+
+## Give a mesh the arrays of its bake, and a record for each surface.
+func _take_in(state: GLTFState, gltf_mesh: GLTFMesh, primitives: Array, notes: Array) -> void:
+	var mesh := gltf_mesh.mesh
+	var surfaces: Array[Surface] = []
+	var records: Array[Dictionary] = []
+	for index in mesh.get_surface_count():
+		var surface := Surface.of(mesh, index)
+		surfaces.append(surface)
+		records.append(_record(state, surface, primitives[index], notes[index]))
+	var shapes := range(mesh.get_blend_shape_count()).map(mesh.get_blend_shape_name)
+	var mode := mesh.get_blend_shape_mode()
+	mesh.clear()
+	for shape: String in shapes:
+		mesh.add_blend_shape(shape)
+	mesh.set_blend_shape_mode(mode)
+	for surface in surfaces:
+		surface.add_to(mesh)
+	mesh.set_meta(KEY, records)
+	gltf_mesh.set_meta(KEY, records)
+
+
+## Put α and β into a surface. The record has `why` if they cannot be used.
+func _record(state: GLTFState, surface: Surface, primitive: Dictionary, note: Dictionary) -> Dictionary:
+	if note.is_empty():
+		return {"why": "it is not baked"}
+	if int(note.get("version", 0)) != 1:
+		return {"why": "its bake is of version %s, and this add-on reads version 1" % note.get("version")}
+	if int(note["influences"]) > 4:
+		return {"why": "it has %d influences per vertex, and a shader of Godot reads four: bake with "
+			% int(note["influences"]) + "--limit-influences 4"}
+	if note["frame"] == "tangent" and surface.array(Mesh.ARRAY_TANGENT) == null:
+		return {"why": "its α and β are along TANGENT, which it has not" + REPAIR}
+	if surface.array(Mesh.ARRAY_NORMAL) == null:
+		return {"why": "it has no NORMAL" + REPAIR}
+	var stored := Stored.read(state, surface, primitive, note)
+	if stored.why != "":
+		return {"why": stored.why}
+	var is_tangent: bool = note["frame"] == "tangent"
+	var is_morphed := not surface.blend_shapes.is_empty()
+	surface.set_custom(0, stored.alpha, stored.format)
+	surface.set_custom(1, stored.beta, stored.format)
+	surface.set_custom(2, null, 0)
+	surface.set_custom(3, null, 0)
+	if is_morphed or not is_tangent:
+		var normals: PackedVector3Array = surface.array(Mesh.ARRAY_NORMAL)
+		surface.set_custom(2, normals.to_byte_array().to_float32_array(), Mesh.ARRAY_CUSTOM_RGB_FLOAT)
+	if is_morphed and is_tangent:
+		surface.set_custom(3, surface.array(Mesh.ARRAY_TANGENT), Mesh.ARRAY_CUSTOM_RGBA_FLOAT)
+	return {
+		"why": "",
+		"skinbake_scale": float(note.get("scale", 1.0)),
+		"skinbake_has_tangent_frame": is_tangent,
+		"skinbake_keeps_frame": is_morphed or not is_tangent,
+		"skinbake_is_morphed": is_morphed,
+		"size": surface.bounds().size,
+	}
+
+
+## One surface of an ImporterMesh, taken out so that it can be added again with more arrays.
+class Surface:
+	var primitive: Mesh.PrimitiveType
+	var arrays: Array
+	var blend_shapes: Array[Array]
+	var lods: Dictionary
+	var material: Material
+	var name: String
+	var format: int
+
+	static func of(mesh: ImporterMesh, index: int) -> Surface:
+		var found := Surface.new()
+		found.primitive = mesh.get_surface_primitive_type(index)
+		found.arrays = mesh.get_surface_arrays(index)
+		for shape in mesh.get_blend_shape_count():
+			found.blend_shapes.append(mesh.get_surface_blend_shape_arrays(index, shape))
+		for lod in mesh.get_surface_lod_count(index):
+			found.lods[mesh.get_surface_lod_size(index, lod)] = mesh.get_surface_lod_indices(index, lod)
+		found.material = mesh.get_surface_material(index)
+		found.name = mesh.get_surface_name(index)
+		found.format = mesh.get_surface_format(index)
+		return found
+
+	func add_to(mesh: ImporterMesh) -> void:
+		mesh.add_surface(primitive, arrays, blend_shapes, lods, material, name, format)
+
+	func array(kind: int) -> Variant:
+		var found: Variant = arrays[kind]
+		return null if found == null or found.is_empty() else found
+
+	func count() -> int:
+		return arrays[Mesh.ARRAY_VERTEX].size()
+
+	## The bounding box of the vertices, blend shapes included.
+	func bounds() -> AABB:
+		var found := AABB(arrays[Mesh.ARRAY_VERTEX][0], Vector3.ZERO)
+		for shape: Array in [arrays] + blend_shapes:
+			var vertices: PackedVector3Array = shape[Mesh.ARRAY_VERTEX]
+			for vertex in vertices:
+				found = found.expand(vertex)
+		return found
+
+	## Give up texture coordinates that hold α and β. Those from the third on are overwritten anyway.
+	func drop_texcoords(names: Array) -> void:
+		for set in 2:
+			if "TEXCOORD_%d" % set in names:
+				arrays[Mesh.ARRAY_TEX_UV + set] = null
+				for shape in blend_shapes:
+					shape[Mesh.ARRAY_TEX_UV + set] = null
+
+	func set_custom(number: int, values: Variant, kind: int) -> void:
+		var shift := Mesh.ARRAY_FORMAT_CUSTOM0_SHIFT + number * Mesh.ARRAY_FORMAT_CUSTOM_BITS
+		arrays[Mesh.ARRAY_CUSTOM0 + number] = values
+		format = (format & ~(Mesh.ARRAY_FORMAT_CUSTOM_MASK << shift)) | (kind << shift)
+
+
+## α and β of one primitive as arrays of Godot.
+class Stored:
+	var alpha: PackedFloat32Array
+	var beta: PackedFloat32Array
+	var format := Mesh.ARRAY_CUSTOM_RGB_FLOAT
+	var why := ""
+
+	static func read(
+		state: GLTFState, surface: Surface, primitive: Dictionary, note: Dictionary
+	) -> Stored:
+		var found := Stored.new()
+		var encoding: String = note.get("encoding", "float32")
+		var names: Array = [note["alpha"][0], note["beta"][0]]
+		if note.get("layout") == "texcoord":
+			names = note["alpha"] + note["beta"].slice(1)
+		var pieces: Array[PackedByteArray] = []
+		for attribute: String in names:
+			pieces.append(found._bytes(state, surface, primitive, attribute, encoding))
+		if found.why != "":
+			return found
+		if note.get("layout") == "texcoord":
+			found._assemble(pieces)
+			surface.drop_texcoords(names)
+		elif encoding != "float32":
+			found.format = Mesh.ARRAY_CUSTOM_RGBA_FLOAT
+			found.alpha = _unpacked(pieces[0], encoding)
+			found.beta = _unpacked(pieces[1], encoding)
+		else:
+			found.alpha = pieces[0].to_float32_array()
+			found.beta = pieces[1].to_float32_array()
+		return found
+
+	## The elements of an attribute for the vertices that Godot has kept, tightly packed.
+	func _bytes(
+		state: GLTFState, surface: Surface, primitive: Dictionary, attribute: String, encoding: String
+	) -> PackedByteArray:
+		if not primitive["attributes"].has(attribute):
+			why = "it has lost %s%s" % [attribute, REPAIR]
+			return PackedByteArray()
+		var accessor: GLTFAccessor = state.accessors[int(primitive["attributes"][attribute])]
+		var is_float := encoding == "float32"
+		var components := 4
+		if is_float:
+			components = 2 if attribute.begins_with("TEXCOORD_") else 3
+		var kind := GLTFAccessor.TYPE_VEC2 + components - 2
+		if accessor.component_type != TYPES.get(encoding) or accessor.accessor_type != kind:
+			why = "%s has another type than --encoding %s gives it%s" % [attribute, encoding, REPAIR]
+		elif accessor.sparse_count > 0 or accessor.buffer_view < 0:
+			why = "%s is a sparse accessor, which this add-on does not read%s" % [attribute, REPAIR]
+		if why != "":
+			return PackedByteArray()
+		var size: int = components * SIZES[accessor.component_type]
+		var view: GLTFBufferView = state.buffer_views[accessor.buffer_view]
+		var data := view.load_buffer_view_data(state)
+		var stride := maxi(view.byte_stride, size)
+		var kept := Stored._kept(state, surface, primitive, accessor.count)
+		if stride == size and kept.is_empty():
+			return data.slice(accessor.byte_offset, accessor.byte_offset + size * accessor.count)
+		var packed := PackedByteArray()
+		for vertex: int in (range(accessor.count) if kept.is_empty() else Array(kept)):
+			var start := accessor.byte_offset + vertex * stride
+			packed.append_array(data.slice(start, start + size))
+		return packed
+
+	## Godot drops vertices that no triangle uses, and keeps the order of the others. Empty: it has kept all.
+	static func _kept(
+		state: GLTFState, surface: Surface, primitive: Dictionary, count: int
+	) -> PackedInt32Array:
+		var found := PackedInt32Array()
+		if surface.count() == count:
+			return found
+		var accessor: GLTFAccessor = state.accessors[int(primitive["indices"])]
+		var view: GLTFBufferView = state.buffer_views[accessor.buffer_view]
+		var data := view.load_buffer_view_data(state)
+		var used := {}
+		for corner in accessor.count:
+			match accessor.component_type:
+				5121:
+					used[data.decode_u8(accessor.byte_offset + corner)] = true
+				5123:
+					used[data.decode_u16(accessor.byte_offset + 2 * corner)] = true
+				_:
+					used[data.decode_u32(accessor.byte_offset + 4 * corner)] = true
+		found.append_array(PackedInt32Array(used.keys()))
+		found.sort()
+		return found
+
+	func _assemble(pieces: Array[PackedByteArray]) -> void:
+		var first := pieces[0].to_float32_array()
+		var second := pieces[1].to_float32_array()
+		var third := pieces[2].to_float32_array()
+		var alphas := PackedFloat32Array()
+		var betas := PackedFloat32Array()
+		for at in range(0, first.size(), 2):
+			alphas.append_array([first[at], first[at + 1], second[at]])
+			betas.append_array([second[at + 1], third[at], third[at + 1]])
+		alpha = alphas
+		beta = betas
+
+	## Normalised integers as floats: Godot has no arrays of shorts, and its Compatibility renderer reads only the
+	## first of four bytes.
+	static func _unpacked(bytes: PackedByteArray, encoding: String) -> PackedFloat32Array:
+		var found := PackedFloat32Array()
+		if encoding == "packed8":
+			found.resize(bytes.size())
+			for at in found.size():
+				found[at] = maxf(bytes.decode_s8(at) / 127.0, -1.0)
+		else:
+			found.resize(bytes.size() / 2)
+			for at in found.size():
+				found[at] = maxf(bytes.decode_s16(2 * at) / 32767.0, -1.0)
+		return found

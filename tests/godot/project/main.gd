@@ -1,0 +1,186 @@
+extends Node3D
+## Shows baked files as the page asks: window.show(words) loads one, poses it, and answers in window.answer.
+## window.bound() answers in window.bounds.
+
+const Importer := preload("res://addons/skinbake/skinbake_import.gd")
+
+var _callbacks: Array[JavaScriptObject] = []
+var _scene: Node3D
+var _joints := PackedStringArray()
+var _camera := Camera3D.new()
+var _light := DirectionalLight3D.new()
+var _window := JavaScriptBridge.get_interface("window")
+
+
+func _ready() -> void:
+	GLTFDocument.register_gltf_document_extension(Importer.new())
+	add_child(_camera)
+	_camera.make_current()
+	_light.light_energy = 0.5
+	_light.rotation = Vector3(-0.4, 0.6, 0.0)
+	_light.directional_shadow_mode = DirectionalLight3D.SHADOW_ORTHOGONAL
+	add_child(_light)
+	for name: String in ["show", "bound"]:
+		_callbacks.append(JavaScriptBridge.create_callback(Callable(self, "_on_" + name)))
+		_window[name] = _callbacks[-1]
+	_window.isStarted = true
+
+
+func _on_show(arguments: Array) -> void:
+	_window.answer = JSON.stringify(_show(JSON.parse_string(arguments[0])))
+
+
+func _on_bound(_arguments: Array) -> void:
+	var box: AABB = _meshes()[0].custom_aabb
+	_window.bounds = JSON.stringify([_numbers(box.position), _numbers(box.end)])
+
+
+func _show(asked: Dictionary) -> Dictionary:
+	if _scene != null:
+		remove_child(_scene)
+		_scene.queue_free()
+	var document := GLTFDocument.new()
+	var state := GLTFState.new()
+	document.append_from_buffer(FileAccess.get_file_as_bytes(asked.path), "/", state)
+	_scene = document.generate_scene(state)
+	_joints = _names_of_joints(state)
+	var meshes := _meshes()
+	if asked.has("material"):
+		for mesh: MeshInstance3D in meshes:
+			mesh.set_surface_override_material(0, call("_" + asked.material))
+	add_child(_scene)
+	if asked.get("isCopied", false):
+		var copy: Node3D = _scene.duplicate()
+		remove_child(_scene)
+		_scene.queue_free()
+		_scene = copy
+		add_child(_scene)
+		meshes = _meshes()
+	if asked.get("isStandard", false):
+		_scene.get_node("Skinbake").dispose()
+		if asked.get("isRigid", false):
+			meshes[0].skin = null
+			meshes[0].skeleton = NodePath()
+	_pose(asked)
+	# The camera is not turned, so that normals before it are normals in the world.
+	var bounds: AABB = meshes[0].global_transform * meshes[0].get_aabb()
+	_camera.position = bounds.get_center() + Vector3(0.0, 0.0, 0.8 * bounds.size.length())
+	_light.visible = asked.get("isLit", false)
+	_light.shadow_enabled = asked.get("isShadowed", false)
+	return {
+		"report": _scene.get_node("Skinbake").report,
+		"world": _matrix(meshes[0].global_transform),
+		"skinned": meshes.map(func(mesh: MeshInstance3D) -> bool: return mesh.skin != null),
+	}
+
+
+func _names_of_joints(state: GLTFState) -> PackedStringArray:
+	var found := PackedStringArray()
+	for node in state.skins[0].joints_original:
+		found.append(state.nodes[node].resource_name)
+	return found
+
+
+func _meshes() -> Array[Node]:
+	return _scene.find_children("*", "MeshInstance3D", true, false)
+
+
+func _pose(asked: Dictionary) -> void:
+	var pose: Dictionary = asked.pose
+	if pose.has("clip"):
+		var player: AnimationPlayer = _scene.find_children("*", "AnimationPlayer", true, false)[0]
+		player.play(player.get_animation_list()[pose.clip])
+		player.seek(pose.time, true)
+		player.pause()
+	var turned: Array = pose.get("turned", [])
+	for joint in turned.size():
+		var skeleton: Skeleton3D = _scene.find_children("*", "Skeleton3D", true, false)[0]
+		var turn := Quaternion(turned[joint][1], turned[joint][2], turned[joint][3], turned[joint][0])
+		var bone := skeleton.find_bone(_joints[joint])
+		skeleton.set_bone_pose_rotation(bone, skeleton.get_bone_pose_rotation(bone) * turn.normalized())
+	var morphs: Array = asked.get("morphs", [])
+	for shape in morphs.size():
+		var mesh: MeshInstance3D = _meshes()[0]
+		mesh.set_blend_shape_value(shape, morphs[shape])
+
+
+func _plain() -> StandardMaterial3D:
+	return StandardMaterial3D.new()
+
+
+func _scattering() -> StandardMaterial3D:
+	var material := StandardMaterial3D.new()
+	material.resource_name = "skin"
+	material.subsurf_scatter_enabled = true
+	return material
+
+
+## Shaders of the user's own: one that skins, and one that does not.
+func _own() -> ShaderMaterial:
+	var material := ShaderMaterial.new()
+	material.shader = load("res://addons/skinbake/skinbake.gdshader")
+	return material
+
+
+func _foreign() -> ShaderMaterial:
+	var material := ShaderMaterial.new()
+	material.resource_name = "toon"
+	material.shader = Shader.new()
+	material.shader.code = "shader_type spatial; void fragment() { ALBEDO = vec3(1.0); }"
+	return material
+
+
+## Every feature that the copies of standard materials have.
+func _rich() -> StandardMaterial3D:
+	var material := StandardMaterial3D.new()
+	material.albedo_color = Color(0.9, 0.8, 0.7, 0.9)
+	material.albedo_texture = _texture(1)
+	material.metallic = 0.7
+	material.metallic_texture = _texture(2)
+	material.metallic_texture_channel = BaseMaterial3D.TEXTURE_CHANNEL_BLUE
+	material.roughness = 0.6
+	material.roughness_texture = _texture(3)
+	material.roughness_texture_channel = BaseMaterial3D.TEXTURE_CHANNEL_GREEN
+	material.normal_enabled = true
+	material.normal_scale = 0.8
+	material.normal_texture = _texture(4)
+	material.emission_enabled = true
+	material.emission = Color(0.1, 0.05, 0.0)
+	material.emission_texture = _texture(5)
+	material.emission_energy_multiplier = 0.3
+	material.ao_enabled = true
+	material.ao_light_affect = 0.5
+	material.ao_texture = _texture(6)
+	material.rim_enabled = true
+	material.rim = 0.4
+	material.clearcoat_enabled = true
+	material.clearcoat = 0.6
+	material.grow = true
+	material.grow_amount = 0.02
+	material.transparency = BaseMaterial3D.TRANSPARENCY_ALPHA_SCISSOR
+	material.alpha_scissor_threshold = 0.4
+	material.cull_mode = BaseMaterial3D.CULL_DISABLED
+	material.texture_filter = BaseMaterial3D.TEXTURE_FILTER_LINEAR
+	material.uv1_scale = Vector3(0.5, 0.4, 1.0)
+	material.uv1_offset = Vector3(0.1, 0.2, 0.0)
+	return material
+
+
+static func _texture(seed: int) -> ImageTexture:
+	var image := Image.create(8, 8, false, Image.FORMAT_RGBA8)
+	for pixel in 64:
+		var value := fmod(0.37 * pixel * seed, 1.0)
+		image.set_pixel(pixel % 8, pixel / 8, Color(0.5 + 0.2 * value, value, 1.0 - 0.5 * value, 0.3 + 0.7 * value))
+	return ImageTexture.create_from_image(image)
+
+
+func _matrix(transform: Transform3D) -> Array[float]:
+	var found: Array[float] = []
+	for column in [transform.basis.x, transform.basis.y, transform.basis.z]:
+		found.append_array(_numbers(column) + [0.0])
+	found.append_array(_numbers(transform.origin) + [1.0])
+	return found
+
+
+static func _numbers(vector: Vector3) -> Array[float]:
+	return [vector.x, vector.y, vector.z]

