@@ -17,13 +17,16 @@ import numpy as np
 import pytest
 
 from fixtures.builder import AnyArray, JsonObject
-from skinbake.choices import FrameChoice, Neighbours, Weighting
+from skinbake.choices import Encoding, FrameChoice, Layout, Neighbours, Scheme, Weighting
 from skinbake.errors import InputError
 from skinbake.format.baked import AttributeNames
+from skinbake.format.layouts import GradientFormat
 from skinbake.gltf.additions import Additions
+from skinbake.gltf.codecs.recode import Compression
 from skinbake.gltf.document import read_document
 from skinbake.gltf.resources import encode_data_uri
 from skinbake.gradients.baker import BakeSettings
+from tests.support.baked_files import verify
 from tests.support.baking import bake_file
 from tests.support.gltf_reading import GltfFile, read
 from tests.support.models import (
@@ -39,6 +42,7 @@ from tests.support.models import (
     note,
     primitives,
     sheet,
+    stripped,
     write_model,
 )
 
@@ -215,6 +219,40 @@ class TestSharedAccessors:
         first, second = (attributes_of(after, 0, part) for part in range(2))
         assert (first[ALPHA], first[BETA]) == (second[ALPHA], second[BETA])
         assert first[ALPHA] != first[BETA]
+
+
+@pytest.mark.parametrize(
+    "storage", [GradientFormat(), GradientFormat(Encoding.PACKED8), GradientFormat(layout=Layout.TEXCOORD)]
+)
+@pytest.mark.parametrize("scheme", [Scheme.NONE, Scheme.MESHOPT])
+def test_equal_attributes_of_a_primitive_share_bytes_but_no_accessor_or_view(
+    tmp_path: Path, storage: GradientFormat, scheme: Scheme
+) -> None:
+    """One joint moves all of the sheet, so that α and β are 0. panda3d-gltf reads it only like this."""
+    weights = np.tile(np.array([1, 0, 0, 0], np.float32), (20, 1))
+    rigid = sheet(WEIGHTS_0=weights, JOINTS_0=np.zeros((20, 4), np.uint8))
+    source = write_model(tmp_path / "rigid.glb", [rigid, rigid])
+    once, twice = tmp_path / "once.glb", tmp_path / "twice.glb"
+    result = bake_file(source, once, storage=storage, compression=Compression(scheme))
+    assert result.status == "baked"
+    after = read(once)
+    for part in range(2):
+        numbers = list(attributes_of(after, 0, part).values())
+        views = [after.content["accessors"][number]["bufferView"] for number in numbers]
+        assert len(set(numbers)) == len(set(views)) == len(numbers)
+    data = note(after.content, 0) or {}
+    names = [*data["alpha"], *data["beta"]]
+    first, second = (attributes_of(after, 0, part) for part in range(2))
+    assert [first[name] for name in names] == [second[name] for name in names]
+    added = [after.content["accessors"][first[name]]["bufferView"] for name in dict.fromkeys(names)]
+    places = [after.content["bufferViews"][view] for view in added]
+    assert len({(view["buffer"], view["byteOffset"]) for view in places}) == 1
+    assert bake_file(once, twice, storage=storage, compression=Compression(scheme)).status == "baked"
+    assert twice.read_bytes() == once.read_bytes()
+    assert verify(once, "--poses", "random:2").exit_code == 0
+    if scheme is Scheme.NONE:
+        stripped(once, tmp_path / "stripped.glb")
+        assert (tmp_path / "stripped.glb").read_bytes() == source.read_bytes()
 
 
 def test_equal_bytes_of_different_formats_are_not_shared() -> None:

@@ -92,6 +92,7 @@ class _PlainStore:
 
     def __init__(self, additions: Additions, packed: Packed | None) -> None:
         self._additions, self._packed = additions, packed
+        self._taken: set[int] = set()
 
     def add(
         self,
@@ -101,7 +102,11 @@ class _PlainStore:
         normalized: bool = False,
         extras: JsonObject | None = None,
     ) -> int:
-        return self._additions.add(values, normalized=normalized, extras=extras, packed=self._packed)
+        number = self._additions.add(
+            values, normalized=normalized, extras=extras, packed=self._packed, apart_from=self._taken
+        )
+        self._taken.add(number)
+        return number
 
     def finished(self, primitive: JsonObject) -> JsonObject:
         return primitive
@@ -116,6 +121,7 @@ class _DracoStore:
     def __init__(self, document: Document, additions: Additions, source: PrimitiveSource, level: int) -> None:
         self._document, self._additions, self._source, self._level = document, additions, source, level
         self._new: dict[str, Values] = {}
+        self._taken: set[int] = set()
 
     def add(
         self,
@@ -128,7 +134,9 @@ class _DracoStore:
         if (
             values.dtype.kind == "i"
         ):  # DracoPy encodes only unsigned integers and floats, so these go beside the stream
-            return self._additions.add(values, normalized=normalized, extras=extras)
+            number = self._additions.add(values, normalized=normalized, extras=extras, apart_from=self._taken)
+            self._taken.add(number)
+            return number
         self._new[name] = values
         return self._additions.add_inside(values, normalized=normalized, extras=extras)
 

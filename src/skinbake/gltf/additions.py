@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Container, Iterable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -40,11 +40,12 @@ class Packed(NamedTuple):
 class Additions:
     """Collect vertex attributes and other data, and append them to a document at once.
 
-    Every attribute has its own accessor and buffer view, 4-byte aligned. Equal arrays share one. The bytes go
-    to the end of the BIN chunk of a GLB, or into a new buffer. The new buffer is a file beside a ``.gltf``,
-    named after its content. In a GLB whose buffers are elsewhere, it is a data: URI. Fallback buffers of
-    compressed views come after it. If ``note_key`` is given, the first view gets a note of the
-    former buffer in its ``extras``, under that key. With it the additions can be removed again.
+    Every attribute has its own accessor and buffer view, 4-byte aligned. Equal arrays share the bytes, and
+    those of different primitives the accessor too. The bytes go to the end of the BIN chunk of a GLB, or into
+    a new buffer. The new buffer is a file beside a ``.gltf``, named after its content. In a GLB whose buffers
+    are elsewhere, it is a data: URI. Fallback buffers of compressed views come after it. If ``note_key`` is
+    given, the first view gets a note of the former buffer in its ``extras``, under that key. With it the
+    additions can be removed again.
     """
 
     def __init__(self, document: Document, *, note_key: str | None = None) -> None:
@@ -75,21 +76,25 @@ class Additions:
         normalized: bool = False,
         extras: JsonObject | None = None,
         packed: Packed | None = None,
+        apart_from: Container[int] = (),
     ) -> int:
         """Add an attribute (V, components) and return the index of its accessor.
 
         values has one of the component types of glTF. The size of an element must be a multiple of 4 bytes.
-        With ``extras`` the accessor is not shared, and has these extras.
+        With ``extras`` the accessor is not shared, and has these extras. It is none of ``apart_from``: some
+        loaders (panda3d-gltf 1.3) read no primitive with two attributes in one accessor, or in one view.
         """
         data = np.ascontiguousarray(values)
         like_it = self._shared.setdefault((data.dtype.str, data.shape, normalized, packed), [])
+        twin = None
         if extras is None:
             for before, number in like_it:
                 if _same_bytes(before, data):
-                    return number
-        number = self._add_accessor(
-            {"bufferView": self._add_attribute(data, packed)}, data, normalized, extras
-        )
+                    if number not in apart_from:
+                        return number
+                    twin = number
+        view = self._add_attribute(data, packed) if twin is None else self._add_view_like_that_of(twin)
+        number = self._add_accessor({"bufferView": view}, data, normalized, extras)
         if extras is None:
             like_it.append((data, number))
         return number
@@ -186,6 +191,12 @@ class Additions:
             view["extras"] = {self._note_key: self._note()}
         self._views.append(view)
         return len(self._document.objects("bufferViews")) + len(self._views) - 1
+
+    def _add_view_like_that_of(self, accessor: int) -> int:
+        """Add a view of the bytes of an added accessor."""
+        number = self._accessors[accessor - len(self._document.objects("accessors"))]["bufferView"]
+        view = self._views[number - len(self._document.objects("bufferViews"))]
+        return self._add_view({key: value for key, value in view.items() if key != "extras"})
 
     def _note(self) -> JsonObject:
         """Return the note of the former buffer."""
