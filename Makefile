@@ -9,6 +9,7 @@ BIN := .venv/bin
 PACKAGE := .venv/package.stamp
 DEV := .venv/dev.stamp
 NODE_MODULES := tests/support/node_modules/.stamp
+BLENDER := build/blender/stamp
 BUILT_FROM := pyproject.toml setup.py src/skinbake/gradients/_kernel.c src/skinbake/lighting/_loops.c
 EXAMPLE := fixtures/bent_tube.glb
 
@@ -17,7 +18,7 @@ unexport PYTHONHOME PYTHONPATH PYTHONDONTWRITEBYTECODE VIRTUAL_ENV
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help bake setup test test-all check lint fixtures golden picture table bench speeds
+.PHONY: help bake setup setup-blender test test-all check lint fixtures golden picture table bench speeds
 .PHONY: fuzz fuzz-native fuzz-coverage faults clean
 
 help: ## List the targets
@@ -29,6 +30,8 @@ bake: $(PACKAGE) ## Set up .venv, bake a fixture into build/, and print what it 
 	$(BIN)/skinbake verify build/$(notdir $(EXAMPLE))
 
 setup: $(DEV) $(NODE_MODULES) ## Set up .venv and tests/support
+
+setup-blender: $(BLENDER) ## Set up build/blender for the tests of the add-on: Blender as a Python module (1 GB), and the zip
 
 test: setup ## Set up, and run the tests without the slow ones: under two minutes
 	$(BIN)/python -m pytest -n $(WORKERS) -m "not slow"
@@ -110,6 +113,13 @@ $(PACKAGE): .venv/created.stamp $(BUILT_FROM)
 $(DEV): .venv/created.stamp $(BUILT_FROM)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
 	@touch $(PACKAGE) $@
+
+# Only tests/blender needs it, and is skipped without it (SKINBAKE_STRICT=1: fails). It takes Python 3.11 and no other.
+$(BLENDER): tests/blender/requirements.txt $(DEV)
+	$(PYTHON) -m venv --clear build/blender/venv
+	build/blender/venv/bin/python -m pip install --quiet --disable-pip-version-check --requirement $<
+	$(BIN)/python -m engines.blender.build --wheels build/blender/wheels
+	@touch $@
 
 # Independent glTF tools; the tests that need them are skipped where npm is absent (SKINBAKE_STRICT=1: fail).
 $(NODE_MODULES): tests/support/package-lock.json

@@ -12,39 +12,14 @@ import pytest
 from skinbake.geometry.skinned import Float64Array, SkinnedPrimitive
 from skinbake.lighting.metrics import vertex_areas
 from skinbake.lighting.operator import gradient_operator
-from skinbake.lighting.reference import posed_tangents, rest_frames
 from skinbake.lighting.triangle_normals import (
-    block_sums,
-    carried_normals,
-    triangle_normals,
     vertex_normals,
 )
 from tests.support.surfaces import MILD, STRONG, analytic_surface, bends
+from tests.support.triangle_truth import true_normals
 from tests.support.whole_fields import angular_errors
 
 POSES = bends([MILD, STRONG, 60.0])
-
-
-def true_normals(
-    primitive: SkinnedPrimitive, deformed: Float64Array, normals: Any = None, sides: Any = None
-) -> Float64Array:
-    """Return the truth by triangles (P, V, 3) of deformed positions (P, V, 3)."""
-    n0 = np.asarray(primitive.normals if normals is None else normals, dtype=np.float64)
-    operator = gradient_operator([primitive])
-    rest = rest_frames(operator, primitive.positions, n0)
-    carried = carried_normals(operator, rest, primitive.positions, n0)
-    posed = np.ascontiguousarray(deformed.transpose(2, 1, 0))
-    sums = vertex_normals(operator, posed)
-    found = np.empty(deformed.shape)
-    for part, derivatives in zip(rest.parts, rest.tangents, strict=True):
-        side = None if sides is None else sides[:, part]
-        tangent = posed_tangents(derivatives, posed)[0]
-        vectors, valid = triangle_normals(
-            carried, part, tangent, block_sums(operator.classes, sums, part), side
-        )
-        found[:, part] = np.stack(vectors, axis=2)
-        assert (np.isfinite(found[:, part, 0]) == valid).all()
-    return found
 
 
 def by_libigl(positions: Float64Array, triangles: Any) -> Float64Array:

@@ -1,0 +1,162 @@
+"""Bake an exported file where it is, measure it, and put both into words. Nothing here needs Blender."""
+
+from __future__ import annotations
+
+import traceback
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+Level = Literal["INFO", "WARNING", "ERROR"]
+"""The levels of Blender's reports."""
+
+Status = Literal["baked", "unchanged", "failed"]
+"""``unchanged``: nothing in the file can be baked. ``failed``: the file is the plain export."""
+
+KEPT = "the plain export was kept"
+
+NO_SKINBAKE = (
+    "this Blender has no skinbake ({reason}). Install the zip that holds it, "
+    "or install it with pip into Blender's Python"
+)
+NOTHING_SKINNED = (
+    "nothing is skinned. To bake a character, turn on Data > Skinning, and export its mesh with its armature"
+)
+HINTS = {
+    "no-normals": "turn on Data > Mesh > Normals in the exporter",
+    "no-tangents": "turn on Data > Mesh > Tangents in the exporter",
+    "no-skin": "turn on Data > Skinning in the exporter, and export the armature too",
+}
+"""By the code of a notice of skinbake: what to do in Blender."""
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """A sentence for the user."""
+
+    level: Level
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """The result of one export.
+
+    gain is the mean error of standard lighting divided by that of accurate lighting, by that one of the two
+    true normals of ``skinbake verify`` that shows less of it. None: it was not measured.
+    """
+
+    path: str
+    status: Status
+    lines: tuple[Line, ...]
+    gain: float | None = None
+
+
+def bake_export(path: str, options: Mapping[str, Any], *, measure: bool) -> Outcome:
+    """Replace an exported file by the baked one. If that fails, the file stays as it was exported."""
+    try:
+        import skinbake
+    except ImportError as error:
+        return _failed(path, NO_SKINBAKE.format(reason=error))
+    try:
+        result = skinbake.bake(path, path, **options)
+    except skinbake.SkinbakeError as error:
+        place = error.place.within_file if error.place else ""
+        return _failed(path, f"{place}: {error.message}" if place else error.message)
+    except Exception as error:  # a defect of skinbake must not cost the export
+        traceback.print_exc()
+        return _failed(path, f"{type(error).__name__}: {error}")
+    warnings = _warnings(result["warnings"])
+    if result["status"] != "baked":
+        return Outcome(path, "unchanged", (_unchanged(path, result["skipped"]), *warnings))
+    lines = (Line("INFO", f"{Path(path).name}: {_baked(result)}"), *warnings)
+    if not measure:
+        return Outcome(path, "baked", lines)
+    measured, gain = _measured(path)
+    return Outcome(path, "baked", (*lines, *measured), gain)
+
+
+def _failed(path: str, reason: str) -> Outcome:
+    return Outcome(path, "failed", (Line("ERROR", f"{Path(path).name}: {KEPT}: {reason}"),))
+
+
+def _unchanged(path: str, skipped: int) -> Line:
+    """Return the line for a file in which nothing is baked: a scene of props is nothing to worry about."""
+    if skipped == 0:
+        return Line("INFO", f"{Path(path).name}: {KEPT}: {NOTHING_SKINNED}")
+    return Line("WARNING", f"{Path(path).name}: {KEPT}: none of its skinned meshes can be baked")
+
+
+def _baked(result: Mapping[str, Any]) -> str:
+    """Return what bake did, with what the encoding and the limit of influences cost."""
+    primitives = result["primitives"]
+    vertices = sum(primitive["vertices"] for primitive in primitives)
+    added = sum(primitive["added_bytes"] for primitive in primitives)
+    count = "1 primitive" if len(primitives) == 1 else f"{len(primitives)} primitives"
+    costs = [*_encoding_cost(result["encoding"]), *_limit_cost(primitives)]
+    return "; ".join([f"baked: {count}, {vertices:,} vertices, {added:,} bytes added", *costs])
+
+
+def _encoding_cost(encoding: Mapping[str, Any]) -> Iterator[str]:
+    if (error := encoding["added_error"]) is not None:
+        yield f"{encoding['name']} turns normals by {error['mean']:.2f}° on average"
+
+
+def _limit_cost(primitives: Iterable[Mapping[str, Any]]) -> Iterator[str]:
+    limits = [primitive["limited"] for primitive in primitives if primitive["limited"]]
+    if limits:
+        vertices, worst = sum(limit["vertices"] for limit in limits), max(m["normals"]["max"] for m in limits)
+        yield f"{vertices:,} vertices lost influences, and normals turn by at most {worst:.2f}°"
+
+
+def _measured(path: str) -> tuple[tuple[Line, ...], float | None]:
+    """Verify the baked file. Return what is wrong with it and what it gained."""
+    import skinbake
+
+    try:
+        verdict = skinbake.verify(path, methods=["lbs"])
+    except Exception as error:  # the bake is written and whole: only its measurement is missing
+        if not isinstance(error, skinbake.SkinbakeError):
+            traceback.print_exc()
+        return (Line("WARNING", f"baked, but not measured: {error}"),), None
+    problems = tuple(
+        Line("ERROR", f"verify, {check['name']}: {_said(problem)}")
+        for check in verdict["checks"]
+        for problem in check["problems"]
+    )
+    lines, gain = _figures(verdict)
+    return (*problems, *lines, *_warnings(verdict["warnings"])), gain
+
+
+def _figures(verdict: Mapping[str, Any]) -> tuple[tuple[Line, ...], float | None]:
+    """Return the errors by the true normals that show the smaller gain."""
+    truths = [verdict[kind]["lbs"] for kind in ("normals", "normals_by_triangles") if verdict[kind]]
+    if not truths:
+        return (), None
+    lbs = min(truths, key=_gain)
+    standard, accurate = lbs["approximated"]["mean"], lbs["accurate"]["mean"]
+    text = f"error of normals {standard:.2f}° -> {accurate:.2f}°, gain {_gain(lbs):.1f}x"
+    return (Line("INFO", f"{text}, over {verdict['poses']}"),), _gain(lbs)
+
+
+def _gain(lbs: Mapping[str, Any]) -> float:
+    standard, accurate = lbs["approximated"]["mean"], lbs["accurate"]["mean"]
+    return float(standard / accurate) if accurate > 0.0 else 1.0
+
+
+def _warnings(notices: Iterable[Mapping[str, Any]]) -> tuple[Line, ...]:
+    return tuple(Line("WARNING", _said(notice)) for notice in notices if notice["code"] != "nothing-baked")
+
+
+def _said(notice: Mapping[str, Any]) -> str:
+    """Return a notice of skinbake with its place, such as ``mesh "Body", primitive 0: …``, and a hint."""
+    place = []
+    if (mesh := notice.get("mesh_name") or notice.get("mesh")) is not None:
+        place.append(f'mesh "{mesh}"')
+    if "primitive" in notice:
+        place.append(f"primitive {notice['primitive']}")
+    if "attribute" in notice:
+        place.append(notice["attribute"])
+    parts = [", ".join(place), notice["message"], HINTS.get(notice["code"], "")]
+    return ": ".join(filter(None, parts))

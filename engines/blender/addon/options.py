@@ -1,0 +1,66 @@
+"""The options of ``skinbake bake`` in the panel, with the names and the values of the Python API."""
+
+from __future__ import annotations
+
+Item = tuple[str, str, str]
+"""A value, its label, and its description."""
+
+CHOICES: dict[str, tuple[str, tuple[Item, ...]]] = {
+    "gradients": (
+        "Gradients",
+        (
+            ("rig", "Fitted to the rig", "Fitted to small turns of the bones: lights coarse meshes better"),
+            ("surface", "Of the surface", "The gradients of the weights on the surface, as in the paper"),
+        ),
+    ),
+    "frame": (
+        "Tangent frame",
+        (
+            ("auto", "Automatic", "From tangents if the export has good ones, else from normals"),
+            ("tangent", "Tangents", "From tangents: needs Data > Mesh > Tangents in the exporter"),
+            ("normal", "Normals", "From normals alone"),
+        ),
+    ),
+    "encoding": (
+        "Encoding",
+        (
+            ("float32", "32-bit floats", "24 bytes for each vertex of four influences"),
+            ("snorm16", "16-bit integers", "16 bytes for each vertex of four influences"),
+            ("packed8", "8-bit integers", "8 bytes for each vertex of four influences"),
+        ),
+    ),
+    "layout": (
+        "Layout",
+        (
+            ("attributes", "Own attributes", "_SKINBAKE_ALPHA_0 and _SKINBAKE_BETA_0"),
+            ("texcoord", "UV sets", "Free texture coordinate sets: for engines that pass nothing else"),
+            ("custom", "Custom (Godot)", "_CUSTOM0 and _CUSTOM1: for Godot"),
+        ),
+    ),
+    "neighbours": (
+        "Bones of neighbours",
+        (
+            ("adopt", "Adopt", "A vertex takes them into free slots, with weights too small to see"),
+            ("drop", "Leave out", "Weights and joints stay as they were exported"),
+        ),
+    ),
+    "weld": (
+        "Weld",
+        (
+            ("mesh", "Each mesh", "Each mesh is a surface of its own"),
+            ("skin", "Meshes of an armature", "For characters that are cut into several meshes"),
+        ),
+    ),
+    "limit_influences": (
+        "Influences",
+        (
+            ("0", "As exported", "As many for each vertex as the exporter writes"),
+            ("4", "At most 4", "The four largest of each vertex. Says what that costs"),
+            ("8", "At most 8", "The eight largest of each vertex. Says what that costs"),
+        ),
+    ),
+}
+"""By name: the label, and the values. The first value is the default."""
+
+CREASE_ANGLE = 15.0
+"""The default of the crease angle, in degrees."""

@@ -1,0 +1,176 @@
+"""Build the zip that Blender installs: ``python -m engines.blender.build``.
+
+The zip holds the add-on, and as wheels skinbake and the libraries that it needs and Blender does not have.
+Blender unpacks the wheels into its own Python when it installs the zip. Wheels fit one system and one version
+of Python. So a zip serves the system on which it is built, and either Blender 4.5 and 5.0 (Python 3.11) or
+later ones (Python 3.13). The same sources and wheels give the same bytes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import base64
+import hashlib
+import platform
+import subprocess
+import sys
+import sysconfig
+import tempfile
+import tomllib
+import zipfile
+from collections.abc import Iterable, Mapping, Sequence
+from importlib.metadata import distribution
+from io import BytesIO
+from pathlib import Path
+
+from skinbake.version import __version__
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+ADDON = Path(__file__).resolve().parent / "addon"
+PACKAGE = REPOSITORY / "src" / "skinbake"
+
+LIBRARIES = ("DracoPy", "libigl", "meshopt", "scipy")
+"""What `bake` and `verify` need of the dependencies in pyproject.toml. Blender has numpy."""
+
+COMPILED = ("gradients/_kernel", "lighting/_loops")
+"""The compiled loops, which the installation of skinbake leaves beside the sources."""
+
+BLENDERS: dict[str, tuple[str, str | None]] = {"3.11": ("4.5.0", "5.1.0"), "3.13": ("5.1.0", None)}
+"""By version of Python: the first Blender that has it, and the first one that no longer has it."""
+
+SYSTEMS = {"darwin": "macos"}
+MACHINES = {"x86_64": "x64", "amd64": "x64", "aarch64": "arm64"}
+"""Blender's names, where they differ from Python's."""
+
+
+def build(folder: Path, python: str, wheels: Path) -> Path:
+    """Write the zip into a folder, with the libraries whose wheels lie in another one. Return its path."""
+    contents = addon_files() | {f"wheels/{path.name}": path.read_bytes() for path in _library_wheels(wheels)}
+    name, wheel = skinbake_wheel()
+    contents[f"wheels/{name}"] = wheel
+    contents["blender_manifest.toml"] = _manifest(python, [key for key in contents if key.endswith(".whl")])
+    folder.mkdir(parents=True, exist_ok=True)
+    target = folder / f"skinbake-blender-{__version__}-{system()}-py{python.replace('.', '')}.zip"
+    # Wheels are compressed already.
+    target.write_bytes(_zipped(contents, zipfile.ZIP_STORED))
+    return target
+
+
+def download(folder: Path, python: str) -> None:
+    """Have pip fetch the wheels of the libraries for this system."""
+    with (REPOSITORY / "pyproject.toml").open("rb") as file:
+        dependencies = tomllib.load(file)["project"]["dependencies"]
+    wanted = [line for line in dependencies if line.startswith(LIBRARIES)]
+    options = ["--no-deps", "--only-binary", ":all:", "--python-version", python, "--dest", str(folder)]
+    pip = [sys.executable, "-m", "pip", "download", "--quiet", "--disable-pip-version-check"]
+    subprocess.run([*pip, *options, *wanted], check=True)
+
+
+def system() -> str:
+    """Return Blender's name of this system, such as ``linux-x64``."""
+    name, machine = platform.system().lower(), platform.machine().lower()
+    return f"{SYSTEMS.get(name, name)}-{MACHINES.get(machine, machine)}"
+
+
+def addon_files() -> dict[str, bytes]:
+    """Return the add-on without its wheels, by path in the zip."""
+    found = {path.name: path.read_bytes() for path in ADDON.iterdir() if path.suffix in {".py", ".toml"}}
+    return found | {"LICENSE": (REPOSITORY / "LICENSE").read_bytes()}
+
+
+def skinbake_wheel() -> tuple[str, bytes]:
+    """Return the name and the bytes of a wheel of the skinbake that runs this, compiled loops included.
+
+    pip would compile the loops anew, which takes half a minute.
+    """
+    compiled = _compiled_loops()
+    sources = [path for path in PACKAGE.rglob("*") if path.is_file() and _is_source(path)]
+    contents = {f"skinbake/{path.relative_to(PACKAGE).as_posix()}": path.read_bytes() for path in sources}
+    contents |= {f"skinbake/{path.relative_to(PACKAGE).as_posix()}": path.read_bytes() for path in compiled}
+    tag = f"cp311-abi3-{sysconfig.get_platform().translate(str.maketrans('-.', '__'))}"
+    tag = tag if compiled else "py3-none-any"
+    info = f"skinbake-{__version__}.dist-info"
+    pure = "false" if compiled else "true"
+    about = f"Wheel-Version: 1.0\nGenerator: engines.blender\nRoot-Is-Purelib: {pure}\nTag: {tag}\n"
+    contents[f"{info}/METADATA"] = (distribution("skinbake").read_text("METADATA") or "").encode()
+    contents[f"{info}/WHEEL"] = about.encode()
+    contents[f"{info}/RECORD"] = _record(contents, f"{info}/RECORD").encode()
+    return f"skinbake-{__version__}-{tag}.whl", _zipped(contents, zipfile.ZIP_DEFLATED)
+
+
+def _compiled_loops() -> list[Path]:
+    """Return both modules of compiled loops, or none where they were not compiled."""
+    found = [path for stem in COMPILED for path in PACKAGE.glob(f"{stem}*") if path.suffix in {".so", ".pyd"}]
+    return found if len(found) == len(COMPILED) else []
+
+
+def _is_source(path: Path) -> bool:
+    return "__pycache__" not in path.parts and path.suffix not in {".c", ".so", ".pyd"}
+
+
+def _record(contents: Mapping[str, bytes], itself: str) -> str:
+    """Return the RECORD of a wheel: digests and sizes of all other files."""
+    lines = []
+    for name, data in sorted(contents.items()):
+        digest = base64.urlsafe_b64encode(hashlib.sha256(data).digest()).rstrip(b"=").decode()
+        lines.append(f"{name},sha256={digest},{len(data)}\n")
+    return "".join([*lines, f"{itself},,\n"])
+
+
+def _library_wheels(folder: Path) -> list[Path]:
+    """Return one wheel of each library. Raises ValueError where there is none, or a choice."""
+    found = []
+    for library in LIBRARIES:
+        wheels = [
+            path for path in folder.glob("*.whl") if path.name.lower().startswith(f"{library.lower()}-")
+        ]
+        if len(wheels) != 1:
+            raise ValueError(f"{folder}: expected one wheel of {library}, found {len(wheels)}")
+        found += wheels
+    return found
+
+
+def _manifest(python: str, wheels: Iterable[str]) -> bytes:
+    """Return the manifest of the add-on with what a build knows. It goes before the tables of TOML."""
+    first, last = BLENDERS[python]
+    known = [f'version = "{__version__}"', f'blender_version_min = "{first}"']
+    known += [f'blender_version_max = "{last}"'] if last else []
+    known += [f'platforms = ["{system()}"]', "wheels = ["]
+    known += [*(f'    "./{wheel}",' for wheel in sorted(wheels)), "]"]
+    head, table, rest = (ADDON / "blender_manifest.toml").read_text(encoding="utf-8").partition("\n[")
+    return f"{head}{chr(10).join(known)}\n{table}{rest}".encode()
+
+
+def _zipped(contents: Mapping[str, bytes], method: int) -> bytes:
+    """Return a zip of files in the order of their names, without the time of day."""
+    buffer = BytesIO()
+    with zipfile.ZipFile(buffer, "w") as archive:
+        for name, data in sorted(contents.items()):
+            entry = zipfile.ZipInfo(name)
+            entry.external_attr = 0o644 << 16
+            archive.writestr(entry, data, method)
+    return buffer.getvalue()
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Read the command line, and build."""
+    parser = argparse.ArgumentParser(prog="python -m engines.blender.build", description="Build the add-on.")
+    parser.add_argument("-o", "--out-dir", type=Path, default=REPOSITORY / "build", help="default: build")
+    parser.add_argument("--python", choices=BLENDERS, default="3.11", help="Blender's Python; default: 3.11")
+    parser.add_argument(
+        "--wheels", type=Path, help="keep the libraries' wheels in this folder, and use them again"
+    )
+    given = parser.parse_args(arguments)
+    with tempfile.TemporaryDirectory() as temporary:
+        wheels = given.wheels or Path(temporary)
+        if not any(wheels.glob("*.whl")):
+            download(wheels, given.python)
+        try:
+            target = build(given.out_dir, given.python, wheels)
+        except ValueError as error:
+            parser.error(str(error))
+    sys.stdout.write(f"{target}\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,163 @@
+"""The parts of the add-on that need no Blender: its words, its tables, and its zip."""
+
+from __future__ import annotations
+
+import shutil
+import tomllib
+import zipfile
+from inspect import signature
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import skinbake
+from engines.blender import build
+from fixtures.make_fixtures import FOLDER
+from skinbake import choices
+from skinbake.commands.bake import Baker
+from tests.blender.running import addon_module
+from tests.support.baked_files import Editable
+
+baking = addon_module("baking")
+options = addon_module("options")
+
+ENUMERATIONS = {
+    "gradients": choices.Gradients,
+    "frame": choices.FrameChoice,
+    "encoding": choices.Encoding,
+    "layout": choices.Layout,
+    "neighbours": choices.Neighbours,
+    "weld": choices.Weld,
+}
+
+
+def baked(name: str, folder: Path, measure: bool = False, **chosen: Any) -> Any:
+    """Bake a copy of a fixture as the add-on does an export."""
+    copy = folder / name
+    shutil.copy(FOLDER / name, copy)
+    return baking.bake_export(str(copy), chosen, measure=measure)
+
+
+def test_the_panel_offers_the_values_of_the_python_api() -> None:
+    offered = {name: [item[0] for item in items] for name, (_, items) in options.CHOICES.items()}
+    assert [int(value) for value in offered.pop("limit_influences")] == [0, 4, 8]
+    assert {name: set(values) for name, values in offered.items()} == {
+        name: set(kind) for name, kind in ENUMERATIONS.items()
+    }
+
+
+def test_the_defaults_are_those_of_bake() -> None:
+    defaults = {name: parameter.default for name, parameter in signature(Baker).parameters.items()}
+    for name in ENUMERATIONS:
+        assert options.CHOICES[name][1][0][0] == defaults[name], name
+    assert defaults["crease_angle"] == options.CREASE_ANGLE
+    assert defaults["limit_influences"] is None
+
+
+def test_a_limit_of_influences_says_what_it_costs(tmp_path: Path) -> None:
+    outcome = baked("two_sets.glb", tmp_path, limit_influences=4)
+    assert outcome.status == "baked"
+    assert "vertices lost influences, and normals turn by at most" in outcome.lines[0].text
+
+
+def test_a_stale_bake_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # No export is stale; so the file is spoiled between the bake and its verification.
+    def spoiled(source: str, target: str, **chosen: Any) -> dict[str, Any]:
+        result = usual(source, target, **chosen)
+        file = Editable(Path(target))
+        file.array("_SKINBAKE_ALPHA_0")[:] *= 2
+        file.write(Path(target))
+        return result
+
+    usual = skinbake.bake
+    monkeypatch.setattr(skinbake, "bake", spoiled)
+    outcome = baked("bent_tube.glb", tmp_path, measure=True)
+    assert outcome.status == "baked"
+    errors = [line.text for line in outcome.lines if line.level == "ERROR"]
+    assert errors and all(text.startswith("verify, ") for text in errors)
+
+
+def test_a_measurement_that_fails_keeps_the_bake(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(*paths: str, **chosen: Any) -> dict[str, Any]:
+        raise skinbake.InputError("no memory is left")
+
+    monkeypatch.setattr(skinbake, "verify", broken)
+    outcome = baked("bent_tube.glb", tmp_path, measure=True)
+    assert (outcome.status, outcome.gain) == ("baked", None)
+    assert outcome.lines[-1] == baking.Line("WARNING", "baked, but not measured: no memory is left")
+
+
+def test_a_refused_option_keeps_the_export(tmp_path: Path) -> None:
+    outcome = baked("bent_tube.glb", tmp_path, limit_influences=3)
+    assert (outcome.status, [line.level for line in outcome.lines]) == ("failed", ["ERROR"])
+    assert outcome.lines[0].text.startswith("bent_tube.glb: the plain export was kept: --limit-influences 3")
+    assert (tmp_path / "bent_tube.glb").read_bytes() == (FOLDER / "bent_tube.glb").read_bytes()
+
+
+def test_a_failure_names_the_mesh(tmp_path: Path) -> None:
+    file = Editable(FOLDER / "bent_tube.glb")
+    file.array("POSITION")[5, 1] = np.nan
+    path = file.write(tmp_path / "nan.glb")
+    plain = path.read_bytes()
+    outcome = baking.bake_export(str(path), {}, measure=True)
+    start = 'nan.glb: the plain export was kept: mesh 0 "tube", primitive 0, POSITION: '
+    assert outcome.lines[0].text.startswith(start)
+    assert path.read_bytes() == plain
+
+
+@pytest.fixture
+def wheels(tmp_path: Path) -> Path:
+    """Return a folder with a file for each library: a build looks at names alone."""
+    folder = tmp_path / "wheels"
+    folder.mkdir()
+    for library in build.LIBRARIES:
+        (folder / f"{library.lower()}-1.0-cp311-cp311-any.whl").write_bytes(library.encode())
+    return folder
+
+
+@pytest.mark.slow
+def test_a_build_has_the_same_bytes_again(tmp_path: Path, wheels: Path) -> None:
+    first, second = (build.build(tmp_path / name, "3.11", wheels).read_bytes() for name in "ab")
+    assert first == second
+
+
+@pytest.mark.parametrize(("python", "blenders"), [("3.11", ("4.5.0", "5.1.0")), ("3.13", ("5.1.0", None))])
+def test_the_zip_says_what_it_fits(
+    tmp_path: Path, wheels: Path, python: str, blenders: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(build, "skinbake_wheel", lambda: ("skinbake-1.0-py3-none-any.whl", b""))
+    with zipfile.ZipFile(build.build(tmp_path, python, wheels)) as archive:
+        manifest = tomllib.loads(archive.read("blender_manifest.toml").decode())
+        names = set(archive.namelist())
+    assert (manifest["blender_version_min"], manifest.get("blender_version_max")) == blenders
+    assert manifest["platforms"] == [build.system()]
+    assert {name.removeprefix("./") for name in manifest["wheels"]} <= names
+    assert len(manifest["wheels"]) == len(build.LIBRARIES) + 1
+    assert manifest["permissions"]["files"]
+    assert {"__init__.py", "baking.py", "options.py", "panel.py", "settings.py", "LICENSE"} <= names
+
+
+def test_the_wheel_of_skinbake_holds_all_of_it(tmp_path: Path) -> None:
+    name, data = build.skinbake_wheel()
+    (tmp_path / name).write_bytes(data)
+    with zipfile.ZipFile(tmp_path / name) as archive:
+        held = set(archive.namelist())
+        record = archive.read(next(entry for entry in held if entry.endswith("/RECORD"))).decode()
+    sources = {path.relative_to(build.PACKAGE.parent).as_posix() for path in build.PACKAGE.rglob("*.py")}
+    assert sources <= held
+    assert {"skinbake/py.typed", "skinbake/shaders/templates/targets/bevy.wgsl"} <= held
+    assert not {entry for entry in held if entry.endswith((".c", ".pyc"))}
+    assert {line.split(",")[0] for line in record.splitlines()} == held
+
+
+@pytest.mark.parametrize("count", [0, 2])
+def test_a_missing_or_doubtful_library_is_refused(tmp_path: Path, wheels: Path, count: int) -> None:
+    for path in wheels.glob("scipy*"):
+        path.unlink()
+    for number in range(count):
+        (wheels / f"scipy-1.{number}-cp311-cp311-any.whl").touch()
+    with pytest.raises(ValueError, match=f"expected one wheel of scipy, found {count}"):
+        build.build(tmp_path, "3.11", wheels)
+    assert not list(tmp_path.glob("*.zip"))
