@@ -84,7 +84,7 @@ def export(path: Path, enabled: bool = True, settings: Results | None = None, **
         "gain": shown.gain,
         "lines": lines,
         "raised": raised,
-        "size": path.stat().st_size,
+        "panel": panel(),
     }
 
 
@@ -295,7 +295,7 @@ def disable(folder: Path) -> Results:
 
 def main(zip_file: Path, folder: Path, models: list[Path]) -> None:
     """Run everything in an order that leaves the add-on disabled at the end."""
-    results: Results = {"install": install(zip_file), "characters": {}, "panel_before": panel()}
+    results: Results = {"install": install(zip_file), "characters": {}, "panel": panel()}
     bpy.context.scene.render.fps = FPS
     for model in models:
         clear()
@@ -307,7 +307,6 @@ def main(zip_file: Path, folder: Path, models: list[Path]) -> None:
     results["characters"]["arm"] = export(folder / "arm.glb")
     evaluated_normals(folder / "arm.npz", frame=10)
     results["choices"] = choices(folder)
-    results["panel_after"] = panel()
     results["failures"] = failures(folder)
     results["disabled"] = disable(folder)
     (folder / "results.json").write_text(json.dumps(results))

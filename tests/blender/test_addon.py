@@ -144,15 +144,28 @@ def test_other_formats_of_the_exporter_are_baked(session: Session, name: str) ->
     assert verdict["passed"], verdict["checks"]
 
 
-def test_the_panel_shows_the_options_and_the_outcome(session: Session) -> None:
-    before, after = session.results["panel_before"], session.results["panel_after"]
+def test_the_panel_offers_the_options(session: Session) -> None:
+    before = session.results["panel"]
     assert ["prop", "Bake on export"] in before
-    assert {label for kind, label in before if kind == "prop"} >= {"Gradients", "Encoding", "Layout", "Weld"}
-    assert after[: len(before)] == before
-    shown = " ".join(text for _, text in after[len(before) :])
-    draco = session.results["choices"]["draco"]
-    assert shown == " ".join(text for _, text in draco["lines"])
-    assert [icon for icon, _ in after[len(before) :] if icon != "BLANK1"] == ["INFO", "ERROR", "INFO"]
+    labels = {label for kind, label in before if kind == "prop"}
+    assert {"Gradients", "Encoding", "Layout", "Weld", "Crease angle"} <= labels
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "icons"),
+    [
+        ("choices", "usual", ["INFO", "INFO"]),
+        # Blender's icon ERROR is the triangle of a warning.
+        ("failures", "no_normals", ["ERROR", "ERROR"]),
+        ("failures", "defect", ["CANCEL"]),
+    ],
+)
+def test_the_panel_shows_the_outcome(session: Session, kind: str, name: str, icons: list[str]) -> None:
+    before, outcome = session.results["panel"], session.results[kind][name]
+    assert outcome["panel"][: len(before)] == before
+    shown = outcome["panel"][len(before) :]
+    assert " ".join(text for _, text in shown) == " ".join(text for _, text in outcome["lines"])
+    assert [icon for icon, _ in shown if icon != "BLANK1"] == icons
 
 
 @pytest.mark.parametrize("name", NOT_BAKED)
