@@ -178,6 +178,7 @@ class Language(StrEnum):
 
     GLSL = "glsl"
     WGSL = "wgsl"
+    HLSL = "hlsl"
 
 
 class Morphs(StrEnum):

@@ -94,7 +94,7 @@ def test_the_baked_file_is_not_overwritten_with_its_shader(tmp_path: Path) -> No
     ("arguments", "message"),
     [
         ([], "--lang"),
-        (["--lang", "hlsl"], "hlsl"),
+        (["--lang", "msl"], "msl"),
         (["--lang", "glsl", "--lighting", "exact"], "--method lbs has no exact lighting"),
         (
             ["--lang", "glsl", "--method", "dqs", "--lighting", "direct"],

@@ -126,6 +126,8 @@ class Column:
         """Return the type in a shading language."""
         if language is Language.GLSL:
             return f"{'u' if self.is_integer else ''}vec{self.size}"
+        if language is Language.HLSL:
+            return f"{'uint' if self.is_integer else 'float'}{self.size}"
         return f"vec{self.size}<{'u32' if self.is_integer else 'f32'}>"
 
 
@@ -228,6 +230,70 @@ def wgsl(choices: ShaderChoices) -> str:
             "} }",
         ]
     )
+
+
+def hlsl(several: Sequence[ShaderChoices]) -> str:
+    """Return a compute shader as ``wgsl``, of texts of one method that can be included together.
+
+    It reads ``shared_columns``, and writes the results of all texts side by side. Matrices have HLSL's
+    default packing.
+    """
+    is_linear = several[0].method is Method.LBS
+    reads = shared_columns(several)
+    loads = []
+    for number, column in enumerate(reads):
+        value = f"columns[{len(reads)} * row + {number}].{'xyzw'[: column.size]}"
+        value = f"asuint({value})" if column.is_integer else value
+        loads.append(f"{column.of_type(Language.HLSL)} {_hlsl_name(column.name)} = {value};")
+    return "\n".join(
+        [
+            *(shader_text(choices) for choices in several),
+            "static const float scale = 2.0;",
+            f"StructuredBuffer<{'float4x4' if is_linear else 'float4'}> motions : register(t0);",
+            "StructuredBuffer<float4> columns : register(t1);",
+            "RWStructuredBuffer<float4> results : register(u2);",
+            "[numthreads(64, 1, 1)]",
+            "void main(uint3 id : SV_DispatchThreadID) {",
+            "uint row = id.x, count, size;",
+            "results.GetDimensions(count, size);",
+            f"if ({len(ATTRIBUTES) * len(several)} * row >= count) return;",
+            *loads,
+            *(line for at, choices in enumerate(several) for line in _hlsl_call(choices, at, len(several))),
+            "}",
+        ]
+    )
+
+
+def shared_columns(several: Sequence[ShaderChoices]) -> list[Column]:
+    """Return the attributes that any of the texts reads."""
+    return list({column.name: column for choices in several for column in columns(choices)}.values())
+
+
+def _hlsl_call(choices: ShaderChoices, at: int, count: int) -> list[str]:
+    name, kind = ("M", "float4x4") if choices.method is Method.LBS else ("Q", "float2x4")
+    rows = "motions[{0}]" if name == "M" else "float2x4(motions[2 * {0}], motions[2 * {0} + 1])"
+    return [
+        "{",
+        f"{kind} {name}[{choices.influences}];",
+        *(f"{name}[{slot}] = {rows.format(joint)};" for slot, joint in enumerate(_joints(choices))),
+        f"float3 {_position(choices)} = place.w * place.xyz;",
+        *_hlsl_scaled(usage(shader_text(choices))),
+        *(
+            f"results[{len(ATTRIBUTES)} * ({count} * row + {at}) + {number}] = float4(v.{attribute}, 0.0);"
+            for number, attribute in enumerate(ATTRIBUTES)
+        ),
+        "}",
+    ]
+
+
+def _hlsl_name(name: str) -> str:
+    """Return the name of a column; ``point`` is a word of HLSL's."""
+    return "place" if name == "point" else name
+
+
+def _hlsl_scaled(lines: list[str]) -> list[str]:
+    made = next(at for at, line in enumerate(lines) if line.startswith("skinbake_Frame frame = ")) + 1
+    return [*lines[:made], "frame.tangent *= place.w;", "frame.bitangent *= place.w;", *lines[made:]]
 
 
 def _joints(choices: ShaderChoices) -> list[str]:

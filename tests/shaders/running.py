@@ -1,17 +1,26 @@
-"""Run the wrapped texts on scenes: WGSL by two compilers, GLSL in two kinds of context."""
+"""Run the wrapped texts on scenes: WGSL by two compilers, GLSL in two kinds of context, HLSL by glslang."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import numpy.typing as npt
 
 from skinbake.choices import Method
 from skinbake.shaders.choices import ShaderChoices
-from tests.shaders.combinations import ATTRIBUTES, Column, columns, glsl, wgsl
+from tests.shaders.combinations import (
+    ATTRIBUTES,
+    Column,
+    columns,
+    glsl,
+    hlsl,
+    label,
+    shared_columns,
+    wgsl,
+)
 from tests.shaders.scenes import Scene
-from tests.support import opengl, webgpu
+from tests.support import glslang, opengl, webgpu
 
 Single = npt.NDArray[np.float32]
 Wide = npt.NDArray[np.float64]
@@ -36,6 +45,39 @@ def run_wgsl(implementation: webgpu.Implementation, work: Work) -> dict[str, Sin
         name: np.frombuffer(done(name, answer), np.float32).reshape(-1, len(ATTRIBUTES), 4)[:, :, :3]
         for name, answer in webgpu.answers(implementation, jobs).items()
     }
+
+
+def run_hlsl(work: Work) -> dict[str, Single]:
+    """Return the same of HLSL, whose SPIR-V wgpu runs; fail where the SPIR-V is not valid.
+
+    Texts for one scene that differ in nothing but the lighting share a shader: the compiler starts slowly.
+    """
+    groups: dict[str, list[str]] = {}
+    for name, (choices, scene) in work.items():
+        alike = f"{choices.method} {label(choices).partition('-')[2]} {id(scene)}"
+        groups.setdefault(alike, []).append(name)
+    jobs = {alike: _hlsl_job([work[name] for name in names]) for alike, names in groups.items()}
+    found = {}
+    for alike, answer in webgpu.answers(webgpu.NAGA, jobs).items():
+        names = groups[alike]
+        rows = np.frombuffer(done(alike, answer), np.float32).reshape(-1, len(names), len(ATTRIBUTES), 4)
+        found |= {name: rows[:, at, :, :3] for at, name in enumerate(names)}
+    return found
+
+
+def _hlsl_job(pairs: Sequence[tuple[ShaderChoices, Scene]]) -> webgpu.Job:
+    several = [choices for choices, _ in pairs]
+    module = glslang.spirv_of_hlsl(hlsl(several))
+    assert glslang.invalid(module) == "", label(several[0])
+    widest, scene = max(pairs, key=lambda pair: len(columns(pair[0])))
+    assert columns(widest) == shared_columns(several)
+    given = scene.columns(widest)
+    return webgpu.Job(
+        module,
+        (scene.motions(widest).tobytes(), given.tobytes()),
+        len(several) * len(ATTRIBUTES) * 16 * len(given),
+        -(-len(given) // WORKGROUP),
+    )
 
 
 def done(name: str, answer: webgpu.Answer) -> bytes:

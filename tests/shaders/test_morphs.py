@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import itertools
+import re
 import shutil
 import subprocess
 from dataclasses import replace
@@ -27,7 +28,8 @@ from skinbake.shaders.choices import ALGORITHMS, ShaderChoices
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.morphs import morphed
 from skinbake.skinning.surface import RestSurface
-from tests.support import analytic, morphing
+from tests.shaders.combinations import usage
+from tests.support import analytic, glslang, morphing
 from tests.support.analytic_rest import rest_surface, sample
 from tests.support.baked_files import baked, source
 from tests.support.morphed_files import morphed as with_targets
@@ -75,6 +77,20 @@ void main() {{
 }}
 """
 
+HLSL_BODY = """{text}
+struct Row {{ float4 data[{width}]; }};
+StructuredBuffer<Row> given : register(t0);
+RWStructuredBuffer<Row> found : register(u1);
+[numthreads(64, 1, 1)]
+void main(uint3 place : SV_DispatchThreadID) {{
+    uint id = place.x, count, size;
+    given.GetDimensions(count, size);
+    if (id >= count) return;
+    float4 row[{width}] = given[id].data;
+    {code}
+}}
+"""
+
 WIDTH = 20
 
 
@@ -94,6 +110,9 @@ def run(language: Language, text: str, code: str, rows: Float32Array, folder: Pa
     if language is Language.WGSL:
         code = code.replace("OUT", "found[id.x].data")
         program: object = text + BODY.format(width=WIDTH, code=code)
+    elif language is Language.HLSL:
+        code = code.replace("OUT", "found[id].data")
+        program = glslang.spirv_of_hlsl(HLSL_BODY.format(width=WIDTH, code=code, text=text))
     else:
         code = code.replace("OUT", "found[id].data")
         program = spirv(GLSL_BODY.format(width=WIDTH, code=code, text=text), "comp", folder)
@@ -127,12 +146,14 @@ def directions(count: int, seed: int) -> Float32Array:
 FRAME = {
     Language.WGSL: "let frame = {call};",
     Language.GLSL: "skinbake_Frame frame = {call};",
+    Language.HLSL: "skinbake_Frame frame = {call};",
 }
 WRITE = "OUT[0] = VEC4(frame.normal, frame.handedness); OUT[1] = VEC4(frame.tangent, 0.0); "
 WRITE += "OUT[2] = VEC4(frame.bitangent, 0.0);"
 WRITE_FRAME = {
     Language.WGSL: WRITE.replace("VEC4", "vec4<f32>"),
     Language.GLSL: WRITE.replace("VEC4", "vec4"),
+    Language.HLSL: WRITE.replace("VEC4", "float4"),
 }
 
 
@@ -252,9 +273,9 @@ def test_a_morphed_and_skinned_vertex_is_the_float32_replay_s(
 
 
 def call_of(language: Language, text: str) -> str:
-    """Return the three lines of the header's usage, between reading their names and writing their result."""
-    lines = [line[7:] for line in text.splitlines() if line.startswith("//     ") and " = skinbake_" in line]
-    assert len(lines) == 3
+    """Return the code of the header's usage, between reading its names and writing its result."""
+    lines = [line for line in usage(text) if not line.startswith("//")]
+    assert len(lines) in ((3, 5) if language is Language.HLSL else (3,))
     if language is Language.WGSL:
         before = (
             "let normal = row[0].xyz; let tangent = row[1]; let morphed_position = row[2].xyz;"
@@ -277,6 +298,9 @@ def call_of(language: Language, text: str) -> str:
             )
         )
         vector = "vec4"
+    if language is Language.HLSL:
+        before = re.sub(r"\bmat4\(([^)]*)\)", r"transpose(float4x4(\1))", before)
+        before, vector = before.replace("mat4 M", "float4x4 M").replace("vec", "float"), "float4"
     after = "".join(
         f"OUT[{place}] = {vector}(v.{name}, 0.0);"
         for place, name in enumerate(("position", "normal", "tangent", "bitangent"))

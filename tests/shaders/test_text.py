@@ -16,8 +16,8 @@ from tests.support.whole_fields import shader_text
 FUNCTION = re.compile(r"^(?:fn |[\w\[\]]+ )(\w+)\(", re.MULTILINE)
 STRUCT = re.compile(r"^struct (\w+)", re.MULTILINE)
 IMPURE = re.compile(
-    r"^\s*(?:attribute|varying|uniform|buffer|layout|precision|override|in|out)\b"
-    r"|\binverse\(|#import|#include|\bgl_|@\w",
+    r"^\s*(?:attribute|varying|uniform|buffer|layout|precision|override|in|out(?! float3 a\[)|static)\b"
+    r"|\binverse\(|#import|#include|\bgl_|@\w|\bregister\(|Buffer<|\bcbuffer\b|\bSV_",
     re.MULTILINE,
 )
 

@@ -1,4 +1,4 @@
-"""Compile GLSL with Khronos' reference compiler, and validate and disassemble the SPIR-V that it writes.
+"""Compile GLSL and HLSL with Khronos' reference compiler, and validate and disassemble the SPIR-V that it writes.
 
 Debian packages glslang-tools and spirv-tools.
 """
@@ -51,6 +51,17 @@ def spirv(shader: str) -> bytes:
     with tempfile.TemporaryDirectory() as folder:
         target = Path(folder) / "shader.spv"
         options = ["--stdin", "-S", "vert", "-V", "--auto-map-locations", "--auto-map-bindings"]
+        process = _run([require_compiler(), *options, "-o", str(target)], shader)
+        if process.returncode != 0:
+            raise ValueError(process.stdout + process.stderr)
+        return target.read_bytes()
+
+
+def spirv_of_hlsl(shader: str) -> bytes:
+    """Compile an HLSL compute shader, entry point ``main``; ValueError with the compiler's words."""
+    with tempfile.TemporaryDirectory() as folder:
+        target = Path(folder) / "shader.spv"
+        options = ["--stdin", "-D", "-S", "comp", "-e", "main", "-V"]
         process = _run([require_compiler(), *options, "-o", str(target)], shader)
         if process.returncode != 0:
             raise ValueError(process.stdout + process.stderr)

@@ -24,7 +24,7 @@ COMMANDS = {
     "verify": "Check a baked file, and measure its lighting in degrees.",
     "view": "Show a file in the browser: standard and accurate lighting side by side.",
     "render": "Draw pictures of a file without a browser.",
-    "shader": "Write the GLSL or WGSL that reads α/β.",
+    "shader": "Write the GLSL, WGSL or HLSL that reads α/β.",
     "inspect": "Show the skinned primitives of a file, and their bakes.",
     "strip": "Restore a file from before its bake.",
     "cost": "Count multiply-adds and bytes per vertex of the paper's algorithms.",

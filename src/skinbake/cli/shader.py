@@ -104,7 +104,7 @@ PUBLISHED_CAP = 0.9
 @sync_option
 @message_options
 def command(source: str | None, output: str, **given: Any) -> None:
-    """Write the shader code that reads α and β: GLSL or WGSL, plain or for an engine.
+    """Write the shader code that reads α and β: GLSL, WGSL or HLSL, plain or for an engine.
 
     The text is self-contained. It has pure functions on values, for the algorithms 1 to 6. Its header says
     which attributes it reads, and how to call it.

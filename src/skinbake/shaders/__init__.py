@@ -1,1 +1,1 @@
-"""GLSL and WGSL text from templates: one file for each language and algorithm, and for each engine."""
+"""GLSL, WGSL and HLSL text from templates: one file for each language and algorithm, and for each engine."""

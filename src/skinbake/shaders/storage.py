@@ -80,7 +80,7 @@ def storage_context(choices: ShaderChoices) -> dict[str, Any]:
 
 
 def float32_literal(value: float) -> str:
-    """Return a literal of both languages for a float32 value; nine digits are enough for any two."""
+    """Return a literal of all languages for a float32 value; nine digits are enough for any two."""
     text = f"{value:.9g}"
     return text if "." in text or "e" in text else f"{text}.0"
 

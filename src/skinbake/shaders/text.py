@@ -29,6 +29,7 @@ WIDTH = 110
 TYPES = {
     Language.GLSL: {"vec2": "vec2", "vec3": "vec3", "vec4": "vec4", "uvec4": "uvec4"},
     Language.WGSL: {"vec2": "vec2<f32>", "vec3": "vec3<f32>", "vec4": "vec4<f32>", "uvec4": "vec4<u32>"},
+    Language.HLSL: {"vec2": "float2", "vec3": "float3", "vec4": "float4", "uvec4": "uint4"},
 }
 ENUMERATIONS = {
     "method": Method,
@@ -317,6 +318,7 @@ def _slot_words(first: int, last: int) -> str:
 def _parts(choices: ShaderChoices) -> list[str]:
     """Return the templates of the functions that the algorithm calls, in an order that compiles."""
     several, wgsl = choices.influences > 1, choices.language is Language.WGSL
+    hlsl = choices.language is Language.HLSL
     wanted = {
         "morphed": choices.morphs is not Morphs.NONE,
         "morphed_tangent": choices.morphs is Morphs.TANGENT,
@@ -325,6 +327,8 @@ def _parts(choices: ShaderChoices) -> list[str]:
         "upper": wgsl and choices.algorithm == 3,
         "moved": choices.algorithm in (2, 3),
         "gradients": choices.algorithm == 2,
+        # HLSL has no such function of its own.
+        "outer": hlsl and choices.algorithm == 2,
         "dual_quaternion": choices.method is Method.DQS,
         "hemisphere": choices.method is Method.DQS and several,
         "rotation": choices.algorithm in (4, 5),
@@ -341,14 +345,14 @@ def _guard(choices: ShaderChoices) -> str:
     words += [choices.encoding] if choices.decodes else []
     words += [f"texcoord_{len(choices.pair_names)}"] if choices.assembles else []
     words += [f"morphed_{choices.morphs}"] if choices.morphs is not Morphs.NONE else []
-    return "_".join(["SKINBAKE", *(word.upper() for word in words), "GLSL"])
+    return "_".join(["SKINBAKE", *words, choices.language]).upper()
 
 
 def _params(language: Language, pairs: Iterable[tuple[str, str]]) -> str:
     """Return further parameters of a declaration, each with its comma before it."""
-    if language is Language.GLSL:
-        return "".join(f", {kind} {name}" for kind, name in pairs)
-    return "".join(f", {name}: {kind}" for kind, name in pairs)
+    if language is Language.WGSL:
+        return "".join(f", {name}: {kind}" for kind, name in pairs)
+    return "".join(f", {kind} {name}" for kind, name in pairs)
 
 
 def _arguments(
@@ -375,7 +379,7 @@ def _joined(separator: str, pattern: str, slots: Sequence[Slot]) -> str:
 
 
 def _number(value: float) -> str:
-    """Return a float literal of both languages."""
+    """Return a float literal of all languages."""
     text = repr(float(value))
     return text if "." in text or "e" in text else f"{text}.0"
 

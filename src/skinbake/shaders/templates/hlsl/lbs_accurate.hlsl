@@ -1,0 +1,23 @@
+// The frame moves by the derivative of the skinned position along t0 and b0.
+// M: the joint matrices of @{ slot_words }.
+skinbake_Vertex skinbake_lbs_accurate(float3 p, skinbake_Frame frame, float4x4 M[@{ influences }]@{ params(weight_params + gradient_params) })
+{
+//% for slot in slots
+    @{ "float3x3 T =" if loop.first else "        +" } @{ slot.weight } * (float3x3)M[@{ slot.index }]@{ ";" if loop.last }@{ " // 1" if loop.first }
+//% endfor
+//% for slot in slots
+    float3 q@{ slot.index } = skinbake_moved(M[@{ slot.index }], p);@{ " // 2" if loop.first }
+//% endfor
+//% for slot in others
+    float3 d@{ slot.index } = q@{ slot.index } - q0;@{ " // 3" if loop.first }
+//% endfor
+    skinbake_Vertex v;
+    v.tangent = @{ corrected("mul(T, frame.tangent)", sum("alpha", "d%d", others)) }; // 4
+    v.bitangent = @{ corrected("mul(T, frame.bitangent)", sum("beta", "d%d", others)) }; // 5
+    v.normal = @{ handed("cross(v.tangent, v.bitangent)") }; // 6
+//% if mirrored_joints
+    v.normal *= determinant(T) < 0.0 ? -1.0 : 1.0; // a joint that mirrors turns t x b to the inside
+//% endif
+    v.position = q0@{ " + " ~ sum("weight", "d%d", others) if others }; // 7
+    return v;
+}
