@@ -30,8 +30,8 @@ from skinbake.shaders.choices import BEST, AttributeText, ShaderChoices
 from skinbake.shaders.text import shader_made
 
 DEFAULT_INFLUENCES = 4
-AT_RUN_TIME = ("three", "godot")
-"""The targets whose code reads frame, encoding, layout, names and scale from the file when it runs."""
+AT_RUN_TIME = {"three", "babylon", "godot"}
+"""The targets whose code reads all but the lighting from the file when it runs, and divides its weights."""
 DEFAULTS = {"encoding": Encoding.FLOAT32, "layout": Layout.ATTRIBUTES}
 """The meaning of metadata that do not say how α and β are stored."""
 
@@ -158,7 +158,7 @@ def _choices_of_file(
     if request.morphs is None:
         choices = replace(choices, morphs=Morphs(carrier(serving)))
     choices = _with_joints(document, serving, choices)
-    others += [notice for view in serving for notice in _unlike_one(view, request)]
+    others += [notice for view in serving for notice in _unlike_one(view)]
     return choices, [*others, *(_not_for(view) for view in views if not _serves(view, request))]
 
 
@@ -219,9 +219,9 @@ def _views(document: Document) -> list[BakedView]:
     return views
 
 
-def _unlike_one(view: BakedView, request: ShaderRequest) -> list[Notice]:
-    """Return a notice if weights do not sum to 1. three.js and Godot divide them when they load a file."""
-    return [] if request.target in AT_RUN_TIME else weight_sum_notices(view.now, view.source.place)
+def _unlike_one(view: BakedView) -> list[Notice]:
+    """Return a notice if weights do not sum to 1."""
+    return weight_sum_notices(view.now, view.source.place)
 
 
 def _serves(view: BakedView, request: ShaderRequest) -> bool:

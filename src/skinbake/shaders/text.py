@@ -32,6 +32,7 @@ TYPES = {
     Language.HLSL: {"vec2": "float2", "vec3": "float3", "vec4": "float4", "uvec4": "uint4"},
 }
 ENUMERATIONS = {
+    "language": Language,
     "method": Method,
     "lighting": Lighting,
     "frame": Frame,
@@ -104,8 +105,13 @@ def godot_include() -> str:
     return shader_made(ShaderChoices(Language.GLSL, target="godot"))[0]
 
 
+def babylon_package() -> dict[str, str]:
+    """Return the module of the npm package: the text of ``--target babylon``."""
+    return {"index.js": shader_made(ShaderChoices(Language.GLSL, target="babylon"))[0]}
+
+
 def _text_for(choices: ShaderChoices, reads: Sequence[str], also: Sequence[str] = ()) -> dict[str, Any]:
-    """Return the parts of a target's file: header, inputs, usage, snippet, and the pure functions.
+    """Return the parts of a target's file: header, inputs, usage, snippet, and its parts by template.
 
     reads are the encodings and layouts that the code of the target can read, by the functions in the snippet.
     All targets read attributes of floats, of any names. Raises ChoiceError for other storage. ``also`` are
@@ -122,12 +128,14 @@ def _text_for(choices: ShaderChoices, reads: Sequence[str], also: Sequence[str] 
     context = _context(choices)
     language = choices.language
     names = ["vertex", f"frame_{choices.frame}", *also, *_parts(choices), choices.stem]
+    parts = {name: _rendered(f"{language}/{name}.{language}", context) for name in names}
     return {
         **context,
         "header": _rendered("header.txt", context),
         "inputs": _rendered("inputs.txt", context),
         "usage": _rendered(f"{language}/usage.txt", context),
-        "snippet": "\n\n".join(_rendered(f"{language}/{name}.{language}", context) for name in names),
+        "parts": parts,
+        "snippet": "\n\n".join(parts.values()),
     }
 
 

@@ -6,7 +6,7 @@ fn skinbake_morphed_frame(rest: skinbake_Frame, n: vec3<f32>) -> skinbake_Frame 
     let normal = select(rest.normal, n * inverseSqrt(square), square > 0.0);
     let s = rest.normal + normal;
     let d = normal - rest.normal;
-    let opposite = dot(s, s) < 1e-4; // then every half turn is the smallest; take the one about t0
+    let opposite = dot(s, s) < 1e-4; // then every half turn is the smallest: take the one about t0
     let k = select(2.0 / dot(s, s), 0.0, opposite);
     let tangent = rest.tangent - s * (k * dot(d, rest.tangent));
     let bitangent = rest.bitangent - s * (k * dot(d, rest.bitangent));

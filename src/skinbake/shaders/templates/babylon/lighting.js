@@ -1,0 +1,185 @@
+const PLUGIN = 'Skinbake';
+const HOOKS = [GLSL, WGSL]; // by Babylon.js's numbers of the languages
+
+// What a material needs to light baked meshes. Meshes that are not baked run Babylon.js's own lines alone.
+class Plugin extends MaterialPluginBase {
+    constructor(material) {
+        super(material, PLUGIN, 200, { SKINBAKE: 0 }, true, false);
+        this.doNotSerialize = true;
+        this.registerForExtraEvents = true;
+        this._enable(true);
+    }
+
+    getClassName() {
+        return 'SkinbakeMaterialPlugin';
+    }
+
+    isCompatible() {
+        return true;
+    }
+
+    // Irradiance of the environment that the vertex shader computes comes before its normal is corrected.
+    prepareDefines(defines, scene, mesh) {
+        defines.SKINBAKE = defines.NORMAL ? litBy(mesh, defines) : 0;
+        if (defines.SKINBAKE) defines.USESPHERICALINVERTEX = false;
+    }
+
+    getAttributes(attributes, scene, mesh) {
+        const { sets } = bakeOf(mesh) ?? {};
+        for (let set = 0; set < (litBy(mesh) ? sets : 0); set++) attributes.push(...kindsOf(set));
+    }
+
+    getUniforms() {
+        return { externalUniforms: ['skinbakeScale'] };
+    }
+
+    hardBindForSubMesh(buffer, scene, engine, subMesh) {
+        const baked = bakeOf(subMesh.getMesh());
+        if (baked && !baked.problem) subMesh.effect.setFloat('skinbakeScale', baked.scale);
+    }
+
+    getCustomCode(type, language = 0) {
+        return type === 'vertex' ? HOOKS[language] : null;
+    }
+}
+
+const bakeOf = (mesh) => state.geometries.get(mesh.geometry);
+
+// Return the number of the frame by which a mesh is lit, 0 if it is not lit accurately.
+function litBy(mesh, defines) {
+    return obstacle(mesh, defines) ? 0 : bakeOf(mesh).frame;
+}
+
+// Return why a mesh is not lit accurately, whatever its material is; empty if it may be.
+function obstacle(mesh, defines = {}) {
+    const baked = bakeOf(mesh);
+    if (!baked) return 'its geometry is a copy, and Babylon.js copies no attributes that it does not know';
+    if (baked.problem) return baked.problem;
+    if (state.standard.has(mesh)) return SWITCHED;
+    const engine = mesh.getEngine();
+    if (!engine.isWebGPU && engine.version < 2) return 'this module needs WebGL 2 or WebGPU';
+    if (!mesh.skeleton) return 'it has no skeleton';
+    if (!mesh.computeBonesUsingShaders) return 'the processor skins it (computeBonesUsingShaders)';
+    if (mesh.numBoneInfluencers !== 4 * baked.sets) {
+        return `its numBoneInfluencers is ${mesh.numBoneInfluencers}, and its bake is for ${4 * baked.sets}`;
+    }
+    if (defines.BAKED_VERTEX_ANIMATION_TEXTURE) return 'a baked vertex animation moves it';
+    if (defines.USE_VERTEX_PULLING) return 'its material pulls vertices';
+    const count = attributeCount(defines) + 2 * baked.sets;
+    const { maxVertexAttribs } = engine.getCaps();
+    return count > maxVertexAttribs ? `it needs ${count} attributes, and this device has ${maxVertexAttribs}` : '';
+}
+
+const SWITCHED = 'lighting() has switched it';
+
+// Return how many attributes Babylon.js itself declares for a skinned mesh.
+function attributeCount(defines) {
+    const { MORPHTARGETS, MORPHTARGETS_TEXTURE, NUM_MORPH_INFLUENCERS = 0, NUM_BONE_INFLUENCERS } = defines;
+    const coordinates = [1, 2, 3, 4, 5, 6].map((number) => `UV${number}`);
+    const single = ['NORMAL', 'TANGENT', 'VERTEXCOLOR', 'INSTANCESCOLOR', ...coordinates];
+    const moved = ['POSITION', 'NORMAL', 'TANGENT', 'UV', 'UV2', 'COLOR'];
+    const count = (names) => names.filter((name) => defines[name]).length;
+    const instances = defines.INSTANCES || defines.THIN_INSTANCES ? 4 : 0;
+    const each = MORPHTARGETS && !MORPHTARGETS_TEXTURE ? count(moved.map((one) => `MORPHTARGETS_${one}`)) : 0;
+    return 1 + count(single) + (NUM_BONE_INFLUENCERS > 4 ? 4 : 2) + instances + each * NUM_MORPH_INFLUENCERS;
+}
+
+// Look after the baked meshes of a scene, of whatever origin: clone() makes new ones, and materials change.
+function watch(scene) {
+    const known = state.scenes.get(scene);
+    if (known) return known;
+    const watched = { geometries: new Set(), meshes: new Set() };
+    state.scenes.set(scene, watched);
+    scene.onBeforeRenderObservable.add(() => prepare(watched));
+    scene.onAfterRenderObservable.add(() => watched.meshes.forEach(tellOf));
+    return watched;
+}
+
+function prepare({ geometries, meshes }) {
+    for (const geometry of geometries) {
+        if (geometry.isDisposed()) geometries.delete(geometry);
+        else geometry.meshes.forEach((mesh) => meshes.add(mesh));
+    }
+    for (const mesh of meshes) {
+        if (mesh.isDisposed()) meshes.delete(mesh);
+        else materialsOf(mesh).forEach(equip);
+    }
+}
+
+function materialsOf(mesh) {
+    return (mesh.subMeshes ?? []).map((subMesh) => subMesh.getMaterial()).filter(Boolean);
+}
+
+function equip(material) {
+    if (material instanceof PushMaterial && !isEquipped(material)) new Plugin(material);
+}
+
+const isEquipped = (material) => Boolean(material.pluginManager?.getPlugin(PLUGIN));
+
+const ACCURATE = { lighting: 'accurate', reason: '' };
+const UNLIT = { lighting: 'unlit', reason: 'its materials read no normals' };
+const NOT_DRAWN = { lighting: 'not drawn', reason: 'it has not been drawn yet' };
+
+// Return what a part of a mesh was last drawn with, read from the program that drew it.
+function drawnWith(mesh, subMesh) {
+    const problem = obstacle(mesh, subMesh.materialDefines ?? {});
+    if (problem) return { lighting: 'standard', reason: problem };
+    const material = subMesh.getMaterial();
+    const { effect } = subMesh;
+    const isPending = material instanceof PushMaterial && !isEquipped(material);
+    if (!effect?.isReady() || isPending) return NOT_DRAWN;
+    const reads = (name) => effect.getAttributeLocationByName(name) >= 0;
+    if (reads(kindsOf(0)[0])) return ACCURATE;
+    if (!reads(VertexBuffer.NormalKind)) return UNLIT;
+    const kind = material.getClassName();
+    return { lighting: 'standard', reason: `its ${kind} "${material.name}" takes no material plugins` };
+}
+
+function tellOf(mesh) {
+    for (const subMesh of mesh.subMeshes ?? []) {
+        if (!subMesh.effect?.isReady()) continue;
+        const { lighting, reason } = drawnWith(mesh, subMesh);
+        if (lighting === 'standard' && reason !== SWITCHED) tell(mesh, reason);
+    }
+}
+
+const WORST_FIRST = ['standard', 'not drawn', 'unlit', 'accurate'];
+
+/**
+ * Tell what each baked mesh was last drawn with. Instances are as their source.
+ *
+ * @param {Scene | Node | AssetContainer | AbstractMesh[]} root - What holds the meshes.
+ * @returns {MeshReport[]} One entry for each mesh.
+ */
+export function report(root) {
+    return sourcesOf(root).map((mesh) => {
+        const found = (mesh.subMeshes ?? []).map((subMesh) => drawnWith(mesh, subMesh));
+        const worst = WORST_FIRST.map((one) => found.find(({ lighting }) => lighting === one)).find(Boolean);
+        return { mesh, ...(worst ?? NOT_DRAWN) };
+    });
+}
+
+/**
+ * Switch meshes to Babylon.js's own lighting, or back.
+ *
+ * @param {Scene | Node | AssetContainer | AbstractMesh[]} root - What holds the meshes.
+ * @param {'standard' | 'accurate'} which - The lighting.
+ */
+export function lighting(root, which) {
+    if (which !== 'standard' && which !== 'accurate') {
+        throw new Error(`skinbake: lighting ${which} is neither standard nor accurate`);
+    }
+    for (const mesh of sourcesOf(root)) {
+        if (which === 'standard') state.standard.add(mesh);
+        else state.standard.delete(mesh);
+        materialsOf(mesh).forEach((material) => material.markAsDirty(Material.AttributesDirtyFlag));
+    }
+}
+
+function sourcesOf(root) {
+    const meshes = Array.isArray(root) ? root : (root.meshes ?? [root, ...root.getChildMeshes()]);
+    const sources = new Set(meshes.map((mesh) => mesh.sourceMesh ?? mesh));
+    return [...sources].filter((mesh) => state.geometries.has(mesh.geometry) || isWatched(mesh));
+}
+
+const isWatched = (mesh) => Boolean(state.scenes.get(mesh.getScene())?.meshes.has(mesh));

@@ -1,0 +1,182 @@
+const NAME = 'SKINBAKE';
+const SETS = 2; // Babylon.js reads eight influences for each vertex.
+const FRAMES = { normal: 2, tangent: 3 };
+const ENCODINGS = { packed8: 5120, snorm16: 5122 }; // BYTE, SHORT
+const FLOAT = 5126;
+const kindsOf = (set) => [`skinbakeAlpha${set}`, `skinbakeBeta${set}`];
+
+// Copies of this module on one page share what they know.
+const state = (globalThis[Symbol.for('skinbake.babylon')] ??= {
+    geometries: new WeakMap(), // geometry -> { problem, frame, scale, sets }
+    scenes: new WeakMap(), // scene -> { geometries, meshes } that came from baked primitives
+    standard: new WeakSet(), // meshes that lighting() has switched
+    told: new WeakMap(), // mesh -> messages
+});
+
+/** Load alpha and beta with every glTF file from now on. Skinned meshes that have them are lit accurately. */
+export function registerSkinbake() {
+    unregisterGLTFExtension(NAME);
+    registerGLTFExtension(NAME, false, (loader) => new Loading(loader));
+}
+
+/** Load files as before. What is loaded stays as it is. */
+export function unregisterSkinbake() {
+    unregisterGLTFExtension(NAME);
+}
+
+// An extension of Babylon.js's glTF loader, which drops attributes with a leading underscore.
+class Loading {
+    constructor(loader) {
+        this.name = NAME;
+        this.enabled = true;
+        this.order = 50; // before extensions that load the other attributes of a primitive, as Draco's does
+        this.loader = loader;
+    }
+
+    dispose() {
+        this.loader = null;
+    }
+
+    _loadVertexDataAsync(context, primitive, mesh) {
+        const { gltf } = this.loader;
+        const metadata = metadataOf(gltf, primitive);
+        const problem = problemOf(gltf, primitive, metadata);
+        if (problem === NOT_BAKED) return null;
+        const scene = mesh.getScene();
+        if (problem) {
+            tell(mesh, problem);
+            return this.#with(scene, { problem }, this.loader._loadVertexDataAsync(context, primitive, mesh));
+        }
+        const baked = bakedOf(metadata);
+        const rest = this.loader._loadVertexDataAsync(context, withoutPairs(primitive, metadata), mesh);
+        return this.#with(scene, baked, rest).then(async (geometry) => {
+            const accessors = namesOf(metadata).map((name) => gltf.accessors[primitive.attributes[name]]);
+            const buffers = metadata.layout === 'texcoord'
+                ? await this.#assembled(scene, accessors, baked.sets)
+                : await this.#stored(scene, accessors, baked.sets);
+            for (const buffer of buffers) geometry.setVerticesBuffer(buffer, accessors[0].count);
+            return geometry;
+        });
+    }
+
+    async #with(scene, baked, loading) {
+        const geometry = await loading;
+        state.geometries.set(geometry, baked);
+        watch(scene).geometries.add(geometry);
+        return geometry;
+    }
+
+    // Buffers of the file itself. A missing fourth component reads as 1, with which decoding changes nothing.
+    #stored(scene, accessors, sets) {
+        const kinds = kindsInOrder(sets);
+        return Promise.all(accessors.map(async (accessor, index) => {
+            const context = `/accessors/${accessor.index}`;
+            const kind = kinds[index];
+            if (!accessor.sparse && accessor.bufferView !== undefined) {
+                return this.loader._loadVertexAccessorAsync(context, accessor, kind);
+            }
+            const floats = await this.loader._loadFloatAccessorAsync(context, accessor);
+            const size = accessor.type === 'VEC4' ? 4 : 3;
+            return new VertexBuffer(scene.getEngine(), floats, kind, false, false, size);
+        }));
+    }
+
+    // The layout texcoord has alpha 1 ... alpha K-1, beta 1 ... beta K-1 of a vertex, two numbers to a set.
+    async #assembled(scene, accessors, sets) {
+        const pairs = await Promise.all(accessors.map((accessor) =>
+            this.loader._loadFloatAccessorAsync(`/accessors/${accessor.index}`, accessor)));
+        const { count } = accessors[0];
+        const others = 4 * sets - 1;
+        return kindsInOrder(sets).map((kind, index) => {
+            const set = index % sets;
+            const size = set === 0 ? 3 : 4;
+            const start = (index < sets ? 0 : others) + (set === 0 ? 0 : 4 * set - 1);
+            const values = new Float32Array(size * count);
+            for (let vertex = 0; vertex < count; vertex++) {
+                for (let at = 0; at < size; at++) {
+                    const place = start + at;
+                    values[size * vertex + at] = pairs[place >> 1][2 * vertex + (place & 1)];
+                }
+            }
+            return new VertexBuffer(scene.getEngine(), values, kind, false, false, size);
+        });
+    }
+}
+
+const isObject = (value) => typeof value === 'object' && value !== null;
+
+// All of alpha, then all of beta, as the metadata names them.
+function kindsInOrder(sets) {
+    const kinds = Array.from({ length: sets }, (_, set) => kindsOf(set));
+    return [...kinds.map(([alpha]) => alpha), ...kinds.map(([, beta]) => beta)];
+}
+
+function namesOf({ alpha, beta }) {
+    return [...new Set([...alpha, ...beta])];
+}
+
+function bakedOf({ frame, encoding, scale, influences }) {
+    const sets = Math.ceil(influences / 4);
+    return { problem: '', frame: FRAMES[frame], scale: encoding ? scale : 1, sets };
+}
+
+// Babylon.js need not hand on the texture coordinates that hold alpha and beta.
+function withoutPairs(primitive, metadata) {
+    if (metadata.layout !== 'texcoord') return primitive;
+    const attributes = { ...primitive.attributes };
+    for (const name of namesOf(metadata)) delete attributes[name];
+    return { ...primitive, attributes };
+}
+
+// Where extras of the primitive were not an object, bake has put the metadata into those of alpha's accessor.
+function metadataOf({ accessors }, { extras, attributes }) {
+    const found = [extras, ...Object.values(attributes ?? {}).map((index) => accessors[index]?.extras)];
+    return found.map((one) => one?.skinbake).find((one) => isObject(one) && Number.isInteger(one.version));
+}
+
+const NOT_BAKED = 'it is not baked';
+
+function problemOf({ accessors }, { attributes }, metadata) {
+    if (!metadata) {
+        if (attributes._SKINBAKE_ALPHA_0 === undefined) return NOT_BAKED;
+        return 'it has lost the metadata of its bake: keep the extras of primitives, or bake last';
+    }
+    const { version, frame, encoding, influences, scale, alpha, beta } = metadata;
+    if (version !== 1) return `its bake has version ${version}, and this module reads version 1: update it`;
+    if (influences > 4 * SETS || attributes.JOINTS_2 !== undefined) {
+        const count = Math.max(influences, attributes.JOINTS_2 === undefined ? 0 : 12);
+        return `it has ${count} influences for each vertex, and Babylon.js reads eight: ` +
+            'bake it again with --limit-influences 8';
+    }
+    if (![alpha, beta].every(Array.isArray)) return 'the metadata of its bake is damaged: bake it again';
+    if (!FRAMES[frame]) return `its frame is ${frame}, and this module knows normal and tangent: update it`;
+    if (encoding !== undefined && !ENCODINGS[encoding]) {
+        return `its encoding is ${encoding}, and this module knows packed8 and snorm16: update it`;
+    }
+    if (encoding && !Number.isFinite(scale)) return 'the metadata of its bake lacks the scale: bake it again';
+    for (const name of frame === 'tangent' ? ['NORMAL', 'TANGENT'] : ['NORMAL']) {
+        if (attributes[name] === undefined) return `it has lost ${name}, which its bake needs: bake last`;
+    }
+    for (const [index, name] of namesOf(metadata).entries()) {
+        const problem = misfit(accessors[attributes[name]], index, metadata);
+        if (problem) return `its attribute ${name} ${problem}: bake last, or keep attributes as they are`;
+    }
+    return '';
+}
+
+function misfit(accessor, index, { encoding, layout, alpha }) {
+    if (!accessor) return 'is missing';
+    const isFirst = index % alpha.length === 0;
+    const type = layout === 'texcoord' ? 'VEC2' : encoding || !isFirst ? 'VEC4' : 'VEC3';
+    if (accessor.type !== type) return `is ${accessor.type}, not ${type}`;
+    if (!encoding) return accessor.componentType === FLOAT ? '' : 'is not of floats';
+    const fits = accessor.componentType === ENCODINGS[encoding] && accessor.normalized;
+    return fits ? '' : `is not encoded as ${encoding}`;
+}
+
+function tell(mesh, reason) {
+    const messages = state.told.get(mesh) ?? state.told.set(mesh, new Set()).get(mesh);
+    if (messages.has(reason)) return;
+    messages.add(reason);
+    console.warn(`skinbake: "${mesh.name}" has Babylon.js's standard lighting: ${reason}`);
+}
