@@ -1,11 +1,14 @@
 """Time the page of ``skinbake view`` against three.js with the same file: the first frame, and each frame.
 
-Usage: python -m benchmarks.view_speed MODEL.glb [--rounds N]
+Usage: python -m benchmarks.view_speed MODEL.glb|VERTICES [--rounds N] [--frames N]
 
-Both draw the baked file in a canvas of the same size, with antialiasing, in Chromium without a window, on
-SwiftShader, and wait until the pixels are there. A frame is counted in processor time of the whole browser,
-which other work on the machine changes less than wall time. three.js draws the file once with its standard
-material and two lights. The page draws each half of the canvas with its own lighting. Rounds take turns.
+A number of vertices stands for a skinned grid of that size. Both draw the baked file in a canvas of the
+same size, with antialiasing, in Chromium without a window, on SwiftShader, and wait until the pixels are
+there. The first frame is counted from the navigation, in a browser that has drawn WebGL before, as a user's
+has, with a new profile each time: the least of all rounds, for other work on the machine only adds to it.
+A frame is counted in processor time of the whole browser, which other work changes less than wall time.
+three.js draws the file once with its standard material and two lights. The page draws each half of the
+canvas with its own lighting. Rounds take turns.
 """
 
 from __future__ import annotations
@@ -17,15 +20,14 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
+from benchmarks.skinned_grid import grid_of, write_grid
 from skinbake.commands.bake import Baker
 from skinbake.commands.view import view_file
 from tests.support import browser
 from tests.support.node import package_folder
 
 SIZE = (928, 637)
-FRAMES = 24
 
 THREE_PAGE = """<!doctype html>
 <meta charset="utf-8">
@@ -74,6 +76,7 @@ OURS = """(() => {
     const pixel = new Uint8Array(4);
     application.play(false);
     application.stopMeasuring();
+    document.getElementById('moving').checked = false;
     Object.assign(canvas, { width: WIDTH, height: HEIGHT });
     window.drawn = (share) => {
         const { start, end } = application.clip;
@@ -81,7 +84,6 @@ OURS = """(() => {
         application.draw();
         gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, pixel);
     };
-    return [application.firstFrame, canvas.width, canvas.height];
 })""".replace("WIDTH", str(SIZE[0])).replace("HEIGHT", str(SIZE[1]))
 
 DRAW = "((frames) => { for (let i = 0; i < frames; i++) drawn(i / frames); })"
@@ -103,56 +105,94 @@ def processor_seconds(profile: Path) -> float:
     return sum(ticks for own, ticks in stats if own == group) / TICKS
 
 
-@contextmanager
-def pages(model: Path, folder: Path) -> Iterator[dict[str, browser.Page]]:
-    """Open both pages, each in a browser of its own."""
-    path = folder / "page.html"
-    path.write_bytes(view_file(str(model)).page)
-    for name in ("ours", "theirs"):
-        (folder / name).mkdir()
-    folders = {"three": package_folder("three"), "models": model.parent}
-    with (
-        browser.opened(THREE_PAGE, folders, folder / "theirs") as theirs,
-        browser.opened_file(path, folder / "ours") as ours,
-    ):
-        yield {"three.js": theirs, "skinbake view": ours}
+WARM = """<!doctype html>
+<meta charset="utf-8">
+<link rel="icon" href="data:,">
+<canvas id="canvas"></canvas>
+<script>
+const gl = canvas.getContext('webgl2');
+gl.clear(gl.COLOR_BUFFER_BIT);
+gl.finish();
+window.ready = Promise.resolve();
+</script>
+"""
+FIRST = {"three.js": "(() => first)", "skinbake view": "(() => application.firstFrame)"}
 
 
-def measured(model: Path, rounds: int) -> dict[str, Any]:
+class Pages:
+    """Both pages of a model, as files, and browsers to open them in."""
+
+    def __init__(self, model: Path, folder: Path) -> None:
+        self._folder, self._opened = folder, 0
+        (folder / "pages").mkdir()
+        (folder / "pages" / "three.html").write_text(THREE_PAGE)
+        self._ours = folder / "page.html"
+        self._ours.write_bytes(view_file(str(model)).page)
+        self._folders = {"three": package_folder("three"), "models": model.parent, "pages": folder / "pages"}
+
+    @contextmanager
+    def opened(self, name: str) -> Iterator[tuple[browser.Page, Path]]:
+        """Open a page in a browser with a profile of its own, which has drawn before; yield both."""
+        self._opened += 1
+        profile = self._folder / f"profile-{self._opened}"
+        profile.mkdir()
+        with browser.opened(WARM, self._folders, profile) as page:
+            page.go(
+                f"{page.address}/pages/three.html" if name == "three.js" else self._ours.resolve().as_uri()
+            )
+            yield page, profile
+
+
+def measured(model: Path, rounds: int, count: int) -> dict[str, dict[str, float]]:
     """Return the milliseconds to the first frame, and of each frame, of both pages."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         baked = folder / "models" / "model.glb"
         baked.parent.mkdir()
         Baker(generate_normals=True).bake_file(str(model), str(baked))
-        with pages(baked, folder) as found:
-            first = {"three.js": found["three.js"].call("(() => first)")}
-            first["skinbake view"], *size = found["skinbake view"].call(OURS)
-            profiles = {"three.js": folder / "theirs", "skinbake view": folder / "ours"}
-            times: dict[str, list[float]] = {page: [] for page in found}
-            for number in range(rounds + 1):
-                for page, opened in found.items():
-                    before = processor_seconds(profiles[page])
-                    opened.call(DRAW, FRAMES)
-                    spent = processor_seconds(profiles[page]) - before
-                    if number:  # the first round compiles
-                        times[page].append(1000 * spent / FRAMES)
-    return {
-        "first": first,
-        "frame": {page: statistics.median(own) for page, own in times.items()},
-        "size": size,
-    }
+        pages = Pages(baked, folder)
+        first: dict[str, list[float]] = {page: [] for page in FIRST}
+        for _ in range(rounds):
+            for page, asked in FIRST.items():
+                with pages.opened(page) as (opened, _):
+                    first[page].append(opened.call(asked))
+        return {
+            "first": {page: min(own) for page, own in first.items()},
+            "frame": frames(pages, rounds, count),
+        }
+
+
+def frames(pages: Pages, rounds: int, count: int) -> dict[str, float]:
+    """Return the milliseconds of processor time of a frame of both pages: medians of rounds of ``count``."""
+    times: dict[str, list[float]] = {page: [] for page in FIRST}
+    with pages.opened("three.js") as theirs, pages.opened("skinbake view") as ours:
+        ours[0].call(OURS)
+        for number in range(rounds + 1):
+            for page, (opened, profile) in zip(FIRST, (theirs, ours), strict=True):
+                before = processor_seconds(profile)
+                opened.call(DRAW, count)
+                spent = processor_seconds(profile) - before
+                if number:  # the first round compiles
+                    times[page].append(1000 * spent / count)
+    return {page: statistics.median(own) for page, own in times.items()}
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("model", type=Path)
+    parser.add_argument("model", metavar="MODEL.glb|VERTICES")
     parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--frames", type=int, default=24, help="frames of a round")
     options = parser.parse_args()
-    found = measured(options.model, options.rounds)
-    print(f"{options.model.name}, {found['size'][0]} × {found['size'][1]} pixels, SwiftShader")
+    with tempfile.TemporaryDirectory() as folder:
+        model = Path(options.model)
+        if options.model.isdecimal():
+            model = Path(folder, f"grid-{options.model}.glb")
+            write_grid(model, grid_of(int(options.model)))
+        found = measured(model, options.rounds, options.frames)
+    busy = os.getloadavg()[0]
+    print(f"{model.name}, {SIZE[0]} × {SIZE[1]} pixels, SwiftShader, {os.cpu_count()} cores, load {busy:.1f}")
     for page, first in found["first"].items():
         print(f"  {page:<14} first frame {first:7.0f} ms    a frame {found['frame'][page]:6.1f} ms")
     ratio = found["frame"]["skinbake view"] / found["frame"]["three.js"]

@@ -63,13 +63,15 @@ class Page:
         self._session = attached["sessionId"]
         for domain in ("Page", "Runtime", "Log", "Network"):
             self._send(f"{domain}.enable")
-        start = address if address.startswith("file:") else f"{address}/"
-        failure = self._send("Page.navigate", url=start).get("errorText")
+        self.go(address if address.startswith("file:") else f"{address}/")
+
+    def go(self, address: str) -> None:
+        """Open an address, and wait until its promise ``window.ready`` is fulfilled."""
+        self._send("Runtime.evaluate", expression="delete window.ready")
+        failure = self._send("Page.navigate", url=address).get("errorText")
         if failure:
             raise RuntimeError(f"{address}: {failure}")
-        self.call(
-            "(async () => { while (!window.ready) await new Promise(requestAnimationFrame); await ready; })"
-        )
+        self.call(WHEN_READY)
 
     def call(self, function: str, *arguments: object) -> Any:
         """Call a global function, wait for its promise and return its value, which goes through JSON.

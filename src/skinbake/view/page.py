@@ -55,7 +55,7 @@ def page(shown: Shown) -> bytes:
             "version": html.escape(__version__),
             "title": html.escape(shown.name),
             "model": base64.b64encode(b"".join(shown.glb)).decode(),
-            "texts": packed_texts(),
+            "texts": as_data(packed_texts()),
             "given": as_data(given),
         }
     )
@@ -64,7 +64,7 @@ def page(shown: Shown) -> bytes:
 
 def as_data(content: Any) -> str:
     """Return JSON that may stand in a script element: nothing in it can end the element, or open another."""
-    text = json.dumps(content, ensure_ascii=True, allow_nan=False)
+    text = json.dumps(content, ensure_ascii=True, allow_nan=False, separators=(",", ":"))
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import base64
-import json
-import zlib
 from collections.abc import Iterator
 from functools import cache
+from typing import Any
 
 from skinbake.choices import Encoding, Frame, Language, Lighting, Method, Morphs
 from skinbake.shaders.choices import ShaderChoices
@@ -19,11 +17,14 @@ MORPHS = {Frame.NORMAL: (Morphs.NONE, Morphs.NORMAL), Frame.TANGENT: tuple(Morph
 
 
 @cache
-def packed_texts() -> str:
-    """Return the texts by name, as JSON that is compressed (zlib) and written in base64."""
-    texts = {name: shader_made(choices)[0] for name, choices in shown_choices()}
-    packed = zlib.compress(json.dumps(texts).encode(), 9)
-    return base64.b64encode(packed).decode()
+def packed_texts() -> dict[str, Any]:
+    """Return the lines of all texts, each once, and the texts by name, as the numbers of their lines."""
+    numbers: dict[str, int] = {}
+    texts = {
+        name: [numbers.setdefault(line, len(numbers)) for line in shader_made(choices)[0].split("\n")]
+        for name, choices in shown_choices()
+    }
+    return {"lines": list(numbers), "texts": texts}
 
 
 def shown_choices() -> Iterator[tuple[str, ShaderChoices]]:

@@ -4,7 +4,7 @@ import { Camera } from './camera.js';
 import { Chart, nice } from './chart.js';
 import { degrees, showFigures, showNotes } from './figures.js';
 import { fromBase64, gradientsOf, ReadError, readModel } from './reader.js';
-import { LIGHTINGS, Renderer } from './renderer.js';
+import { LIGHTINGS, pause, Renderer } from './renderer.js';
 import { Scene } from './scene.js';
 
 const NAMES = {
@@ -17,16 +17,17 @@ const NAMES = {
 const SAMPLES = 49;
 const LEGENDS = [2, 5, 10, 20, 30, 45, 60, 90];
 const HEAT = ['#d9dde1', '#f2d16b', '#ee8a2e', '#cf2f2f', '#5c0f3a'];
+const PATIENCE = 250; // Milliseconds that a first frame waits for its images.
+const SLICE = 10; // Milliseconds of measuring at a time.
 const KINDS = { textures: 'checked', moving: 'checked' };
 
 const byId = Object.fromEntries([...document.querySelectorAll('[id]')].map((element) => [element.id, element]));
 const calm = matchMedia('(prefers-reduced-motion: reduce)');
 const dark = matchMedia('(prefers-color-scheme: dark)');
 
-// Inflate what the page holds compressed.
-async function inflated(text) {
-    const stream = new Blob([fromBase64(text)]).stream().pipeThrough(new DecompressionStream('deflate'));
-    return new Uint8Array(await new Response(stream).arrayBuffer());
+// The texts of skinbake shader by name. The page holds each of their lines once.
+function unpackedTexts({ lines, texts }) {
+    return Object.fromEntries(Object.entries(texts).map(([name, numbers]) => [name, numbers.map((number) => lines[number]).join('\n')]));
 }
 
 class Application {
@@ -118,8 +119,10 @@ class Application {
     // Show a model, with what is known of it.
     async show(model, given) {
         this.stopMeasuring();
+        this.isShown = false;
         this.given = given;
-        await this.scene.show(model);
+        const loading = this.scene.show(model);
+        loading.then(() => this.changed());
         byId.name.textContent = given.name;
         document.title = `${given.name} – skinbake`;
         byId.facts.textContent = factsOf(model);
@@ -128,12 +131,19 @@ class Application {
         byId.clip.replaceChildren(...this.scene.clips.map(({ name }, number) => new Option(name, number)));
         byId.clip.disabled = this.scene.clips.length < 2;
         this.fillSides();
+        this.renderer.prepare(this.sides, this.mode, byId.textures.checked);
         const { middle, radius, low } = this.scene.bounds();
         this.ground = [middle[0], low, middle[2], 2.4 * radius];
         this.marked = null;
         this.measures = new Map();
         this.camera.frame(middle, radius);
         this.choose(this.scene.clips[0]);
+        await Promise.race([loading, pause(PATIENCE)]);
+        this.draw();
+        await this.renderer.finished(); // All else begins when the model is seen.
+        this.isShown = true;
+        this.firstFrame = performance.now();
+        this.measure(this.clip);
         this.play(!calm.matches);
     }
 
@@ -185,7 +195,7 @@ class Application {
         byId.clip.value = String(this.scene.clips.indexOf(clip));
         Object.assign(byId.time, { min: clip.start, max: clip.end, step: Math.max((clip.end - clip.start) / 1000, 1e-4) });
         this.seek(clip.start);
-        this.measure(clip);
+        if (this.isShown) this.measure(clip);
     }
 
     seek(time, stops = false) {
@@ -232,32 +242,57 @@ class Application {
             this.measures.set(clip, { times, lines, next: 0, worst: { error: -1 } });
         }
         this.showChart();
-        this.measuring = setTimeout(() => this.measureNext(clip), 60);
+        this.measureAll(clip, (this.measuring = {}));
     }
 
     stopMeasuring() {
-        clearTimeout(this.measuring);
+        this.measuring = null;
     }
 
+    // Measure when the browser and the GPU have nothing else to do.
+    async measureAll(clip, own) {
+        const lightings = Object.keys(this.measures.get(clip).lines);
+        await this.renderer.compiled(this.renderer.prepare(lightings, 'normals', false));
+        let isMore = true;
+        while (isMore) {
+            await this.renderer.finished();
+            await idle();
+            const end = performance.now() + SLICE;
+            while (isMore && this.measuring === own && performance.now() < end) isMore = this.measureNext(clip);
+            isMore &&= this.measuring === own;
+        }
+    }
+
+    // Measure a part of a sample: its true normals, or the errors of one lighting. Return whether there is more.
     measureNext(clip) {
         const found = this.measures.get(clip);
-        if (found.next < SAMPLES) {
-            const number = spread(found.next++);
-            this.scene.pose(clip, found.times[number]);
-            for (const [lighting, means] of Object.entries(found.lines)) {
-                const { mean, worst } = this.scene.errors(lighting);
-                means[number] = mean;
-                if (lighting === 'standard' && worst.error > found.worst.error) found.worst = { ...worst, time: found.times[number] };
-            }
-            this.isPosed = false;
-            this.measuring = setTimeout(() => this.measureNext(clip), 0);
+        if (found.next === SAMPLES) return false;
+        const number = spread(found.next);
+        this.isPosed = false;
+        this.scene.pose(clip, found.times[number]);
+        found.left ??= Object.keys(found.lines);
+        found.truths ??= {};
+        const [lighting] = found.left;
+        const { method } = LIGHTINGS[lighting];
+        if (!found.truths[method]) {
+            found.truths[method] = this.scene.truths(method);
+            return true;
         }
-        if (found.next === 1 || found.next % 8 === 0 || found.next === SAMPLES) {
-            byId.worst.disabled = found.worst.error < 0;
-            this.setLegend(4 * Math.max(...found.lines.standard.filter((mean) => mean !== undefined)));
-            this.showChart();
-            this.changed();
-        }
+        const { mean, worst } = this.scene.errors(lighting, found.truths[method]);
+        found.lines[lighting][number] = mean;
+        if (lighting === 'standard' && worst.error > found.worst.error) found.worst = { ...worst, time: found.times[number] };
+        found.left.shift();
+        if (found.left.length) return true;
+        Object.assign(found, { left: null, truths: null, next: found.next + 1 });
+        if (found.next === 1 || found.next % 8 === 0 || found.next === SAMPLES) this.showMeasures(found);
+        return found.next < SAMPLES;
+    }
+
+    showMeasures(found) {
+        byId.worst.disabled = found.worst.error < 0;
+        this.setLegend(4 * Math.max(...found.lines.standard.filter((mean) => mean !== undefined)));
+        this.showChart();
+        this.changed();
     }
 
     showChart() {
@@ -295,7 +330,7 @@ class Application {
     }
 
     tick(now) {
-        if (!this.clip) return;
+        if (!this.isShown) return;
         const step = this.last ? Math.min((now - this.last) / 1000, 0.25) : 0;
         this.last = now;
         if (this.isPlaying) {
@@ -366,10 +401,11 @@ class Application {
         const [width, height] = [Math.round(canvas.clientWidth * ratio), Math.round(canvas.clientHeight * ratio)];
         if (canvas.width === width && canvas.height === height) return;
         Object.assign(canvas, { width, height });
-        if (this.clip) this.draw();
+        if (this.isShown) this.draw();
     }
 }
 
+const idle = () => new Promise((done) => (window.requestIdleCallback ?? ((call) => setTimeout(call, 16)))(done, { timeout: 100 }));
 const rgb = (hex) => [1, 3, 5].map((at) => parseInt(hex.slice(at, at + 2), 16) / 255);
 
 // The order in which samples are measured: coarse at first, so that the chart soon has its shape.
@@ -413,17 +449,14 @@ function influencesOfSets({ joints, weights }, slots) {
 
 async function start() {
     const given = JSON.parse(byId.given.textContent);
-    const renderer = new Renderer(byId.canvas); // The GPU's process starts while the file is read.
-    const inflating = inflated(byId.texts.textContent);
     showFigures(byId, given);
     showNotes(byId, given);
     const model = await readModel(fromBase64(byId.model.textContent), given.name);
     addOther(model, given.other);
-    renderer.texts = JSON.parse(new TextDecoder().decode(await inflating));
+    const renderer = new Renderer(byId.canvas); // Only now: until here the GPU's process starts beside this.
+    renderer.texts = unpackedTexts(JSON.parse(byId.texts.textContent));
     const application = new Application(renderer);
     await application.show(model, given);
-    application.draw();
-    application.firstFrame = performance.now();
     return application;
 }
 

@@ -41,6 +41,8 @@ export async function readModel(bytes, name, files = new Map()) {
     model.clips = list(json.animations).map((animation, number) => readClip(source, animation, number, nodes));
     model.clips = model.clips.filter((clip) => clip.channels.length);
     model.materials = list(json.materials);
+    model.images = new Map();
+    for (const { index } of model.materials.flatMap(shownTextures)) if (index !== undefined) readImage(model, index);
     return model;
 }
 
@@ -69,6 +71,7 @@ function split(bytes) {
 }
 
 export function fromBase64(text) {
+    if (Uint8Array.fromBase64) return Uint8Array.fromBase64(text);
     const letters = atob(text);
     const bytes = new Uint8Array(letters.length);
     for (let i = 0; i < letters.length; i++) bytes[i] = letters.charCodeAt(i);
@@ -382,8 +385,18 @@ function readClip(source, animation, number, nodes) {
     };
 }
 
-// The images that a material of the model names, as blobs of their own bytes.
-export async function readImage(model, texture) {
+// The textures of a material that are drawn.
+function shownTextures({ pbrMetallicRoughness: pbr, normalTexture, emissiveTexture }) {
+    return [pbr?.baseColorTexture, normalTexture, emissiveTexture].filter(Boolean);
+}
+
+// The image of a texture. It is decoded once, beside the page; null if it is missing or cannot be decoded.
+export function readImage(model, texture) {
+    if (!model.images.has(texture)) model.images.set(texture, decodedImage(model, texture).catch(() => null));
+    return model.images.get(texture);
+}
+
+async function decodedImage(model, texture) {
     const { json, source } = model;
     const { source: usual, extensions } = json.textures?.[texture] ?? {};
     const number = extensions?.EXT_texture_webp?.source ?? usual;

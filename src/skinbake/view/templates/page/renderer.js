@@ -22,7 +22,9 @@ export class Renderer {
         const gl = canvas.getContext('webgl2', { antialias: true, alpha: true });
         if (!gl) throw new Error('This browser has no WebGL 2.');
         Object.assign(this, { canvas, gl, texts: {}, programs: new Map(), parts: [] });
+        this.parallel = gl.getExtension('KHR_parallel_shader_compile');
         this.square = this.squareArray();
+        this.startGround();
     }
 
     // Take a model. texts must hold what skinbake shader has written. isMirrored: some of its joints mirror the surface.
@@ -38,6 +40,34 @@ export class Renderer {
         this.palettes = model.skins.map(({ joints }) => this.palette(joints.length));
         this.materials = model.materials.map((material) => this.material(material));
         return Promise.all(this.materials.map(({ loading }) => loading));
+    }
+
+    // Wait until the GPU has done what it was given so far.
+    async finished() {
+        const { gl } = this;
+        const fence = gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
+        gl.flush();
+        while (gl.clientWaitSync(fence, 0, 0) === gl.TIMEOUT_EXPIRED) await pause(2);
+        gl.deleteSync(fence);
+    }
+
+    // Begin to compile what draws the model with these lightings, once its images are there.
+    prepare(lightings, mode, isTextured) {
+        return lightings.flatMap((lighting) =>
+            this.parts.map((part) => {
+                const { names } = this.shownMaterial(part, isTextured && mode === 'shaded', 'expected');
+                const { name, texts } = this.chosen(part, lighting, mode, names);
+                return this.started(name, texts);
+            })
+        );
+    }
+
+    // Wait until programs that were begun are compiled, where the browser tells it.
+    async compiled(programs) {
+        const { gl, parallel } = this;
+        for (const { program } of parallel ? programs : []) {
+            while (!gl.getProgramParameter(program, parallel.COMPLETION_STATUS_KHR) && !gl.isContextLost()) await pause(8);
+        }
     }
 
     dispose() {
@@ -126,6 +156,7 @@ export class Renderer {
         const { pbrMetallicRoughness: pbr = {}, normalTexture, emissiveTexture } = material;
         const made = {
             maps: {},
+            expected: {},
             base: pbr.baseColorTexture ? CLAY : pbr.baseColorFactor ?? [1, 1, 1, 1],
             emissive: emissiveTexture ? [0, 0, 0] : material.emissiveFactor ?? [0, 0, 0],
             roughness: Math.min(Math.max(pbr.roughnessFactor ?? 1, 0.3), 0.8),
@@ -136,7 +167,9 @@ export class Renderer {
         };
         // An image that is missing or cannot be decoded is left out, with the factor that belongs to it.
         const load = async (name, info, factors) => {
-            const image = info && (info.texCoord ?? 0) === 0 ? await readImage(this.model, info.index).catch(() => null) : null;
+            if (!info || (info.texCoord ?? 0) !== 0) return;
+            made.expected[name] = true;
+            const image = await readImage(this.model, info.index);
             if (!image) return;
             made.maps[name] = this.texture(image);
             Object.assign(made, factors);
@@ -171,7 +204,8 @@ export class Renderer {
         return array;
     }
 
-    program(name, texts, captured = CAPTURED) {
+    // Begin to compile a program. The driver goes on with it beside the page.
+    started(name, texts, captured = CAPTURED) {
         if (this.programs.has(name)) return this.programs.get(name);
         const [vertex, fragment] = texts();
         const { gl } = this;
@@ -189,29 +223,37 @@ export class Renderer {
         }
         if (captured.length) gl.transformFeedbackVaryings(program, captured, gl.SEPARATE_ATTRIBS);
         gl.linkProgram(program);
-        if (!gl.getProgramParameter(program, gl.LINK_STATUS)) {
-            const logs = gl.getAttachedShaders(program).map((shader) => gl.getShaderInfoLog(shader));
-            throw new Error(`The shader ${name} does not compile: ${[gl.getProgramInfoLog(program), ...logs].join(' ')}`);
-        }
-        const places = {};
-        const count = gl.getProgramParameter(program, gl.ACTIVE_UNIFORMS);
-        for (let i = 0; i < count; i++) {
-            const uniform = gl.getActiveUniform(program, i).name;
-            places[uniform.replace('[0]', '')] = gl.getUniformLocation(program, uniform);
-        }
-        const made = { program, places };
+        const made = { program, places: null };
         this.programs.set(name, made);
         return made;
     }
 
-    // The program, the vertex array and the gradients with which a lighting draws a part.
+    // A program that is compiled, with the places of its uniforms.
+    program(name, texts, captured) {
+        const made = this.started(name, texts, captured);
+        if (made.places) return made;
+        const { gl } = this;
+        const { program } = made;
+        if (!gl.getProgramParameter(program, gl.LINK_STATUS)) {
+            const logs = gl.getAttachedShaders(program).map((shader) => gl.getShaderInfoLog(shader));
+            throw new Error(`The shader ${name} does not compile: ${[gl.getProgramInfoLog(program), ...logs].join(' ')}`);
+        }
+        made.places = {};
+        const count = gl.getProgramParameter(program, gl.ACTIVE_UNIFORMS);
+        for (let i = 0; i < count; i++) {
+            const uniform = gl.getActiveUniform(program, i).name;
+            made.places[uniform.replace('[0]', '')] = gl.getUniformLocation(program, uniform);
+        }
+        return made;
+    }
+
+    // The program's name and texts, the vertex array and the gradients with which a lighting draws a part.
     chosen(part, lighting, mode, maps) {
         const { primitive } = part;
         const shading = [mode, ...maps].join(' ');
         const fragment = () => fragmentText(mode, maps);
         if (part.skin === undefined || !primitive.joints.length) {
-            const made = this.program(`rigid ${shading}`, () => [RIGID_TEXT, fragment()]);
-            return { made, array: part.arrays[''], gradients: null };
+            return { name: `rigid ${shading}`, texts: () => [RIGID_TEXT, fragment()], array: part.arrays[''], gradients: null };
         }
         const { stem, gradients: wanted } = LIGHTINGS[lighting];
         const kinds = Object.keys(primitive.gradients);
@@ -227,9 +269,14 @@ export class Renderer {
             morphs: morphsOf(primitive, frame),
             mirrored: this.isMirrored,
         };
-        const name = textName(choices);
-        const made = this.program(`${name} ${shading}`, () => [vertexText(this.texts[name], choices), fragment()]);
-        return { made, array: part.arrays[isLit ? kind : ''], gradients, isDual: choices.stem === 'dqs_exact' };
+        const text = textName(choices);
+        return {
+            name: `${text} ${shading}`,
+            texts: () => [vertexText(this.texts[text], choices), fragment()],
+            array: part.arrays[isLit ? kind : ''],
+            gradients,
+            isDual: choices.stem === 'dqs_exact',
+        };
     }
 
     // Upload a pose: joint matrices and dual quaternions by skin, and morphed attributes.
@@ -271,10 +318,10 @@ export class Renderer {
 
     bound(part, lighting, projected, mode, maps) {
         const { gl } = this;
-        const { made, array, gradients, isDual } = this.chosen(part, lighting, mode, maps);
-        const { places } = made;
+        const { name, texts, array, gradients, isDual } = this.chosen(part, lighting, mode, maps);
+        const { program, places } = this.program(name, texts);
         const { method, isTrue } = LIGHTINGS[lighting];
-        gl.useProgram(made.program);
+        gl.useProgram(program);
         gl.bindVertexArray(array);
         gl.uniformMatrix4fv(places.projected, false, projected);
         const truth = part.truth[method];
@@ -331,9 +378,13 @@ export class Renderer {
         gl.bindVertexArray(null);
     }
 
+    startGround() {
+        this.started('ground', () => [GROUND_VERTEX_TEXT, GROUND_FRAGMENT_TEXT], []);
+    }
+
     drawGround(projected, ground, ink) {
         const { gl } = this;
-        const { program, places } = this.program('ground', () => [GROUND_VERTEX_TEXT, GROUND_FRAGMENT_TEXT], []);
+        const { program, places } = this.program('ground');
         gl.useProgram(program);
         gl.bindVertexArray(this.square);
         gl.uniformMatrix4fv(places.projected, false, projected);
@@ -348,10 +399,10 @@ export class Renderer {
     }
 
     // What is shown of a part's material: its images and colours, by the names that the shading has for them.
-    shownMaterial({ primitive }, isTextured) {
+    shownMaterial({ primitive }, isTextured, kind = 'maps') {
         const own = this.materials[primitive.material];
         const isPlain = !isTextured || !own;
-        const maps = isPlain || !primitive.texcoords ? {} : own.maps;
+        const maps = isPlain || !primitive.texcoords ? {} : own[kind];
         const names = Object.keys(maps).sort();
         if (!isPlain && primitive.colors) names.push('colors');
         if (maps.normal && primitive.metadata?.frame === 'tangent') names.push('tangents');
@@ -412,6 +463,8 @@ export class Renderer {
         return { positions: found[0], normals: found[1] };
     }
 }
+
+export const pause = (milliseconds) => new Promise((done) => setTimeout(done, milliseconds));
 
 function morphsOf({ targets, tangents }, frame) {
     if (!targets.length) return 'none';

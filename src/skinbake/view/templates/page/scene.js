@@ -5,25 +5,29 @@ import { poseAt, randomClip, rigidMotions } from './poses.js';
 import { LIGHTINGS } from './renderer.js';
 import { joined, skinned, Surface } from './truth.js';
 
+const BOUNDING = 20_000; // Vertices that place the camera.
+
 export class Scene {
     constructor(renderer) {
         this.renderer = renderer;
     }
 
     // Take a model; other gives α and β of the other kind by primitive.
-    async show(model) {
+    // Returns a promise of its images.
+    show(model) {
         const rest = poseAt(model, { channels: [] }, 0);
         const moving = movingNodes(model);
         const clips = model.clips.filter((clip) => clip.channels.some(({ node, path }) => path === 'weights' || moving.has(node)));
         const clip = clips[0] ?? randomClip(model);
         const middle = poseAt(model, clip, (clip.start + clip.end) / 2);
         const isMirrored = [rest, middle].some((pose) => pose.skins.flat().some((matrix) => determinant(matrix) < 0));
-        await this.renderer.setModel(model, isMirrored);
+        const loading = this.renderer.setModel(model, isMirrored);
         Object.assign(this, { model, surfaces: undefined, known: new Map(), morphed: new Map() });
         this.parts = this.renderer.parts;
         this.usedJoints = model.skins.map((_, skin) => usedJoints(this.parts.filter((part) => part.skin === skin)));
         this.clips = model.skins.length ? [...clips, randomClip(model)] : clips;
         this.pose(clip, clip.start);
+        return loading;
     }
 
     // Pose the model; truth is measured only when it is wanted.
@@ -105,9 +109,7 @@ export class Scene {
     }
 
     // The mean error of a lighting in this pose, in degrees, weighted by rest area, and its largest one.
-    errors(lighting) {
-        const { method } = LIGHTINGS[lighting];
-        const truths = this.truths(method);
+    errors(lighting, truths = this.truths(LIGHTINGS[lighting].method)) {
         let [sum, total] = [0, 0];
         let worst = { error: -1 };
         this.allSurfaces().forEach(({ parts, surface }, number) => {
@@ -137,13 +139,13 @@ export class Scene {
         return { position: three(positions), normal: three(normals) };
     }
 
-    // The positions of a part in this pose, without the GPU: no program needs to be compiled for them.
-    positions(part) {
-        const { primitive, skin, node } = part;
+    // The positions of every so many vertices of a part in this pose, without the GPU.
+    positions(part, step) {
+        const { skin, node } = part;
+        const primitive = thinned(part.primitive, this.morphed.get(part)?.positions ?? part.primitive.positions, step);
         const found = new Float64Array(3 * primitive.count);
-        const { positions } = this.morphed.get(part) ?? primitive;
-        if (skin !== undefined && primitive.joints.length) skinned(primitive, positions, this.posed.skins[skin], null, found, 0);
-        else moved(positions, this.posed.nodes[node], found);
+        if (skin !== undefined && primitive.joints.length) skinned(primitive, primitive.positions, this.posed.skins[skin], null, found, 0);
+        else moved(primitive.positions, this.posed.nodes[node], found);
         return found;
     }
 
@@ -152,10 +154,11 @@ export class Scene {
         const { clip, time } = this;
         const low = [Infinity, Infinity, Infinity];
         const high = low.map((value) => -value);
+        const step = Math.ceil(this.parts.reduce((sum, { primitive }) => sum + primitive.count, 0) / BOUNDING);
         for (const share of [0, 0.5]) {
             this.pose(clip, clip.start + share * (clip.end - clip.start));
             for (const part of this.parts) {
-                const positions = this.positions(part);
+                const positions = this.positions(part, step);
                 for (let i = 0; i < positions.length; i++) {
                     const axis = i % 3;
                     if (positions[i] < low[axis]) low[axis] = positions[i];
@@ -167,6 +170,18 @@ export class Scene {
         const middle = plus(low, high).map((value) => value / 2);
         return { middle, radius: Math.hypot(...plus(high, low, -1)) / 2, low: low[1] };
     }
+}
+
+function thinned({ joints, weights, count }, positions, step) {
+    if (step === 1) return { joints, weights, count, positions };
+    const kept = Math.ceil(count / step);
+    const every = (row, size) => {
+        const found = new row.constructor(size * kept);
+        for (let i = 0; i < kept; i++) for (let k = 0; k < size; k++) found[size * i + k] = row[size * step * i + k];
+        return found;
+    };
+    const ofFour = (row) => every(row, 4);
+    return { joints: joints.map(ofFour), weights: weights.map(ofFour), count: kept, positions: every(positions, 3) };
 }
 
 function moved(positions, m, found) {
