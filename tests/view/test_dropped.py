@@ -22,11 +22,13 @@ from skinbake.lighting.morphing import morphing_of
 from skinbake.lighting.poses import PoseRequest, draws_of, pose_set
 from skinbake.skinning.algorithms import Algorithm
 from tests.support import browser
+from tests.support.baked_files import Editable
 from tests.support.baking import bake_file
 from tests.support.characters import AS_USUAL, Array, angles, baked, unit
 from tests.support.models import copied
+from tests.support.morphed_files import morphed
 from tests.support.replay import replay
-from tests.view.pages import DEGREES, normals, shown, take
+from tests.view.pages import DEGREES, normals, numbers, shown, take
 
 TUBE = FOLDER / "bent_tube.glb"
 PACKED, SNORM = GradientFormat(Encoding.PACKED8), GradientFormat(Encoding.SNORM16)
@@ -92,6 +94,28 @@ def test_morph_targets_come_before_skinning(browsing: browser.Page, tmp_path: Pa
         found = normals(browsing, lighting, clip=0, time=float(poses.times[pose] or 0.0))
         wanted = unit(replay(algorithm, surface, poses.joint_matrices[pose : pose + 1]).normals[0])
         assert angles(found, wanted).max() < DEGREES, lighting
+    assert browsing.messages() == []
+
+
+def test_nodes_that_share_a_mesh_keep_their_own_morph_weights(browsing: browser.Page, tmp_path: Path) -> None:
+    plain = baked(FOLDER / "bent_tube.glb", tmp_path)
+    one = morphed(plain, tmp_path / "one.glb", weights=[0.9, 0.0])
+    both = Editable(one)
+    both.content["nodes"].append({**both.content["nodes"][0], "weights": [0.0, 0.7]})
+    both.content["scenes"][0]["nodes"].append(len(both.content["nodes"]) - 1)
+    take(browsing, both.write(tmp_path / "both.glb"))
+    found = browsing.call(
+        "(() => { application.seek(0.4, true); application.draw(); return application.scene.parts.map("
+        "(part) => base64Of(application.renderer.captured(part, 'standard').positions)); })"
+    )
+    for text, weights in zip(found, ([0.9, 0.0], [0.0, 0.7]), strict=True):
+        take(browsing, morphed(plain, tmp_path / "alone.glb", weights=weights))
+        alone = browsing.call(
+            "(() => { application.seek(0.4, true); application.draw(); "
+            "const { scene, renderer } = application; "
+            "return base64Of(renderer.captured(scene.parts[0], 'standard').positions); })"
+        )
+        assert np.abs(numbers(text) - numbers(alone)).max() < 1e-6
     assert browsing.messages() == []
 
 

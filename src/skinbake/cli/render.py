@@ -59,6 +59,7 @@ def _size(ctx: click.Context, param: click.Parameter, value: str) -> tuple[int, 
     help="Lighting without --split.",
 )
 @click.option("--split", is_flag=True, help="Standard lighting on the left, accurate lighting on the right.")
+@click.option("--clay", is_flag=True, help="Without the colours and images of the materials.")
 @click.option("--turntable", is_flag=True, help="Turn the camera once around the model (.webp, .gif).")
 @click.option("--size", default="960x600", show_default=True, callback=_size, metavar="WxH", help="Pixels.")
 @outside_option
@@ -88,6 +89,7 @@ def command(source: str, output: str, **given: Any) -> None:
         clip=given["clip"],
         time=given["time"],
         turntable=given["turntable"],
+        in_clay=given["clay"],
     )
     try:
         with memory_limited(given["max_memory"]):

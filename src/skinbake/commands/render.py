@@ -3,34 +3,46 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from skinbake.choices import Truth, Weighting
+from skinbake.choices import Frame, Truth, Weighting
 from skinbake.commands.view import baked_in_memory, sound_views
 from skinbake.containment import BESIDE, Bounds
 from skinbake.errors import ChoiceError, InputError, Notice, printable
-from skinbake.geometry.skinned import Float32Array, Float64Array
-from skinbake.gltf.animation import Clip, Skeleton, clip_poses, random_poses, read_clips, read_skeleton
+from skinbake.geometry.skinned import Float32Array, Float64Array, FloatArray
+from skinbake.gltf.accessors import read_accessor
+from skinbake.gltf.animation import (
+    Clip,
+    Skeleton,
+    clip_poses,
+    clip_weights,
+    random_poses,
+    read_clips,
+    read_skeleton,
+)
 from skinbake.gltf.document import Document, read_document
-from skinbake.gltf.json_access import is_number
+from skinbake.gltf.json_access import reference
+from skinbake.gltf.morphs import resting_weights, target_count
 from skinbake.gltf.output import refuse_own_input
 from skinbake.gltf.writing import write_file
-from skinbake.lighting.angles import MeasuredBlock, lighting_errors, truths_at_rest
+from skinbake.lighting.angles import MeasuredBlock, Morphing, lighting_errors, truths_at_rest
 from skinbake.lighting.baked_views import BakedView, whole_surfaces
 from skinbake.lighting.measured import rest_surface
 from skinbake.lighting.metrics import vertex_areas
+from skinbake.lighting.morphing import morphing_of
 from skinbake.lighting.operator import TRUE_CREASE_ANGLE, gradient_operator
-from skinbake.lighting.poses import skins_of
+from skinbake.lighting.poses import PoseSet, draws_of
 from skinbake.render.files import MILLISECONDS, MOVING, encoded
+from skinbake.render.materials import CLAY, WHITE, Material, Materials
 from skinbake.render.studio import Look, Studio, placed
-from skinbake.render.subject import CLAY, YAW, Shot, Subject
+from skinbake.render.subject import YAW, Shot, Subject
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.run import Skinning
-from skinbake.skinning.surface import Options
+from skinbake.skinning.surface import Options, RestSurface
 
 SEARCHED = 25
 """The poses of a clip among which the one with the worst standard lighting is chosen."""
@@ -45,7 +57,8 @@ class RenderOptions:
     """The options of ``skinbake render``.
 
     clip is a name or a number, None for the first. time is in seconds, None for the pose in which standard
-    lighting is worst, or, in an animation, for the whole clip. sides are one or two lightings.
+    lighting is worst, or, in an animation, for the whole clip. sides are one or two lightings. in_clay draws
+    no images and no colours.
     """
 
     look: Look
@@ -53,6 +66,7 @@ class RenderOptions:
     clip: str | None = None
     time: float | None = None
     turntable: bool = False
+    in_clay: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,11 +81,25 @@ class RenderResult:
 
 @dataclass(frozen=True, slots=True)
 class _Draw:
-    """A surface as one skin draws it: its primitives, and the number of the skin's pose set."""
+    """A surface as one skin draws it: its primitives; with morph targets, the node that has their weights."""
 
     views: Sequence[BakedView]
+    rest: Sequence[RestSurface]
     skeleton: Skeleton
-    pose_set: int
+    node: int | None
+
+
+@dataclass(frozen=True, slots=True)
+class _Posed:
+    """Joint matrices (P, J, 4, 4) of a draw, and the morph targets that move it in these poses, if any."""
+
+    matrices: Float64Array
+    morphing: Morphing | None = None
+
+    def every(self, step: int) -> _Posed:
+        """Return every so many poses."""
+        some = self.morphing and replace(self.morphing, weights=self.morphing.weights[::step])
+        return _Posed(self.matrices[::step], some)
 
 
 def render_file(
@@ -93,34 +121,39 @@ def render_file(
     suffix = Path(target).suffix.lower()
     draws = list(_draws(document, views))
     clip = _clip(document, options.clip)
-    times, pose = _times(draws, clip, options, moves=suffix in MOVING)
-    posed = [_posed(draw.skeleton, clip, times) for draw in draws]
-    subjects = [_subject(document, draw, view) for draw in draws for view in draw.views]
-    some = [matrices[:: max(1, len(times) // 6)] for matrices in posed]
+    times, pose = _times(document, draws, clip, options, moves=suffix in MOVING)
+    posed = [_posed(document, draw, clip, times) for draw in draws]
+    materials = Materials(document)
+    in_clay = options.in_clay or options.look.mode != "shaded"
+    subjects = [
+        _subject(document, number, draw, view, materials.of(view.source.json, in_clay=in_clay))
+        for number, draw in enumerate(draws)
+        for view in draw.views
+    ]
+    some = [one.every(max(1, len(times) // 6)) for one in posed]
     yaws = np.linspace(YAW, YAW + 2 * np.pi, 12) if options.turntable else [YAW]
     camera = placed(list(_positions(draws, some)), list(map(float, yaws)))
     studio = Studio(subjects, camera)
     errors = _errors(draws, posed) if options.look.mode == "error" else None
-    shots = _shots(posed, errors, options, len(times))
+    shots = _shots(draws, posed, errors, options, len(times))
     pictures = [studio.picture(shot, options.sides, options.look) for shot in shots]
     data = encoded(pictures, suffix)
     write_file([data], target, sync=sync)
-    return RenderResult(data, len(pictures), pose, notices)
+    return RenderResult(data, len(pictures), pose, (*notices, *materials.notices()))
 
 
 def _draws(document: Document, views: Sequence[BakedView]) -> Iterator[_Draw]:
-    number = 0
+    clips = read_clips(document)
     for group in whole_surfaces(document, views):
-        for skin in skins_of(document, group[0].source.mesh):
-            yield _Draw(group, read_skeleton(document, skin), number)
-            number += 1
+        for skin, node in draws_of(document, group[0].source.mesh, clips):
+            yield _Draw(group, [rest_surface(view) for view in group], read_skeleton(document, skin), node)
 
 
 def _clip(document: Document, asked: str | None) -> Clip | None:
     """Return the clip of a name or number, the first one if none is asked for, None if there is none."""
     clips = read_clips(document)
     if asked is None:
-        return next((clip for clip in clips if any(one.path != "weights" for one in clip.channels)), None)
+        return next((clip for clip in clips if clip.channels), None)
     named = [clip for clip in clips if clip.name == asked]
     if not named and asked.isdecimal() and int(asked) < len(clips):
         named = [clips[int(asked)]]
@@ -131,7 +164,7 @@ def _clip(document: Document, asked: str | None) -> Clip | None:
 
 
 def _times(
-    draws: Sequence[_Draw], clip: Clip | None, options: RenderOptions, *, moves: bool
+    document: Document, draws: Sequence[_Draw], clip: Clip | None, options: RenderOptions, *, moves: bool
 ) -> tuple[Float64Array, str]:
     """Return the time of each picture, and the first pose in words. Raises ChoiceError for another time."""
     _check_time(clip, options.time)
@@ -142,7 +175,8 @@ def _times(
         time = options.time
         if time is None:
             searched = _spread(clip, SEARCHED)
-            time = float(searched[_worst(draws, [_posed(draw.skeleton, clip, searched) for draw in draws])])
+            worst = _worst(draws, [_posed(document, draw, clip, searched) for draw in draws])
+            time = float(searched[worst])
         count = MOST_PICTURES // 2 if options.turntable else 1
         return np.full(count, time), f'clip "{clip.name}" at {time:.2f} s'
     count = max(2, min(MOST_PICTURES, round(1000 * (clip.duration - clip.start) / MILLISECONDS)))
@@ -154,7 +188,7 @@ def _check_time(clip: Clip | None, time: float | None) -> None:
     if time is None:
         return
     if clip is None:
-        raise ChoiceError(f"--time {time:g}: the file has no clip that moves joints")
+        raise ChoiceError(f"--time {time:g}: the file has no clip")
     if not clip.start <= time <= clip.duration:
         raise ChoiceError(
             f'--time {time:g}: clip "{printable(clip.name)}" goes from {clip.start:g} to {clip.duration:g} s'
@@ -165,66 +199,89 @@ def _spread(clip: Clip | None, count: int) -> Float64Array:
     return np.zeros(1) if clip is None else np.linspace(clip.start, clip.duration, count)
 
 
-def _posed(skeleton: Skeleton, clip: Clip | None, times: Float64Array) -> Float64Array:
-    """Return joint matrices (P, J, 4, 4)."""
+def _posed(document: Document, draw: _Draw, clip: Clip | None, times: Float64Array) -> _Posed:
+    """Return a draw at times of a clip, or in one random pose for all of them."""
     if clip is None:
-        pose = random_poses(skeleton, 1, angle=RANDOM_ANGLE, seed=0)
-        return np.repeat(pose, len(times), axis=0)
-    return clip_poses(skeleton, clip, times)
-
-
-def _subject(document: Document, draw: _Draw, view: BakedView) -> Subject:
-    materials = document.objects("materials")
-    number = view.source.json.get("material")
-    material: dict[str, Any] = (
-        materials[number] if isinstance(number, int) and number < len(materials) else {}
+        pose = random_poses(draw.skeleton, 1, angle=RANDOM_ANGLE, seed=0)
+        matrices = np.repeat(pose, len(times), axis=0)
+    else:
+        matrices = clip_poses(draw.skeleton, clip, times)
+    if draw.node is None:
+        return _Posed(matrices)
+    weights = np.broadcast_to(
+        resting_weights(document, draw.node), (len(times), target_count(document, draw.views[0].source.mesh))
     )
-    rest = rest_surface(view)
+    if clip is not None:
+        weights = clip_weights(draw.node, clip, times, weights[0])
+    poses = PoseSet((), matrices, (), (), weights)
+    return _Posed(matrices, morphing_of(document, draw.views, poses))
+
+
+def _subject(document: Document, number: int, draw: _Draw, view: BakedView, material: Material) -> Subject:
+    at_rest = draw.skeleton.joint_matrices({}, None, 1)[0, :, :3, :3]
+    count = len(view.now.positions)
+    colours = None if material.is_plain else _attribute(document, view, "COLOR_0", (3, 4), count)
+    if colours is not None and material.base == CLAY:
+        material = replace(material, base=WHITE)
     return Subject(
-        rest=rest,
+        rest=rest_surface(view),
         triangles=view.now.triangles,
-        pose_set=draw.pose_set,
-        base=_base_colour(material),
-        is_mirrored=bool((np.linalg.det(draw.skeleton.joint_matrices({}, None, 1)[0, :, :3, :3]) < 0).any()),
-        is_double=material.get("doubleSided") is True,
+        pose_set=number,
+        material=material,
+        texcoords=_attribute(document, view, "TEXCOORD_0", (2,), count) if material.images else None,
+        colours=colours,
+        is_mirrored=bool((np.linalg.det(at_rest) < 0).any()),
+        has_tangents=view.metadata["frame"] == Frame.TANGENT,
     )
 
 
-def _base_colour(material: dict[str, Any]) -> tuple[float, float, float]:
-    """Return the material's own colour; clay if it has an image, which is not drawn, or no colour."""
-    found = material.get("pbrMetallicRoughness")
-    if not isinstance(found, dict) or "baseColorTexture" in found:
-        return CLAY
-    factor = found.get("baseColorFactor")
-    if not isinstance(factor, list) or len(factor) < 3 or not all(map(is_number, factor)):
-        return CLAY
-    return float(factor[0]), float(factor[1]), float(factor[2])
+def _attribute(
+    document: Document, view: BakedView, name: str, widths: tuple[int, ...], count: int
+) -> FloatArray | None:
+    """Return the values of an attribute that is only drawn (V, the largest width); None if it has no such."""
+    number = reference(view.source.attributes.get(name))
+    if number is None or not 0 <= number < len(document.objects("accessors")):
+        return None
+    found = read_accessor(document, number, view.source.place).decoded()
+    if found.shape[0] != count or found.shape[1] not in widths:
+        return None
+    sound = np.nan_to_num(found.astype(np.float64), posinf=0.0, neginf=0.0)
+    return np.pad(sound, ((0, 0), (0, widths[-1] - found.shape[1])), constant_values=1.0)
 
 
-def _positions(draws: Sequence[_Draw], posed: Sequence[Float64Array]) -> Iterator[Float64Array]:
-    """Yield the positions (P, V, 3) of each primitive."""
-    for draw, matrices in zip(draws, posed, strict=True):
-        for view in draw.views:
-            rest = rest_surface(view)
+def _positions(draws: Sequence[_Draw], posed: Sequence[_Posed]) -> Iterator[Float64Array]:
+    """Yield positions (P, V, 3) of each primitive: all poses, or one at a time if targets move it."""
+    for draw, one in zip(draws, posed, strict=True):
+        for rest, matrices in _surfaces(draw, one):
             skinning = Skinning.of(rest, matrices, dual_quaternions=False, options=Options())
             every = slice(0, len(matrices)), slice(0, len(rest.positions))
             (found,) = skinning.run((Algorithm.LBS_APPROXIMATED,), *every)
             yield np.stack([np.asarray(component, np.float64) for component in found.position], axis=-1)
 
 
-def _errors(draws: Sequence[_Draw], posed: Sequence[Float64Array]) -> list[dict[str, Float32Array]]:
+def _surfaces(draw: _Draw, posed: _Posed) -> Iterator[tuple[RestSurface, Float64Array]]:
+    """Yield each primitive before skinning, with the joint matrices of the poses in which it is that."""
+    if posed.morphing is None:
+        yield from ((rest, posed.matrices) for rest in draw.rest)
+        return
+    for pose in range(len(posed.matrices)):
+        for rest in posed.morphing.surfaces(draw.rest, pose):
+            yield rest, posed.matrices[pose : pose + 1]
+
+
+def _errors(draws: Sequence[_Draw], posed: Sequence[_Posed]) -> list[dict[str, Float32Array]]:
     """Return, for each primitive by lighting, errors in degrees and where they are known: (2, P, V)."""
     found: list[dict[str, Float32Array]] = []
-    for draw, matrices in zip(draws, posed, strict=True):
-        rest = [rest_surface(view) for view in draw.views]
+    for draw, one in zip(draws, posed, strict=True):
+        count = len(one.matrices)
         operator = gradient_operator(
             [view.now for view in draw.views],
             weighting=Weighting.MAX,
             crease_angle_degrees=TRUE_CREASE_ANGLE,
         )
         own = [
-            {name: np.zeros((2, len(matrices), len(one.positions)), np.float32) for name in NAMES}
-            for one in rest
+            {name: np.zeros((2, count, len(rest.positions)), np.float32) for name in NAMES}
+            for rest in draw.rest
         ]
 
         def record(block: MeasuredBlock, own: Any = own) -> None:
@@ -235,17 +292,19 @@ def _errors(draws: Sequence[_Draw], posed: Sequence[Float64Array]) -> list[dict[
                     own[block.surface][name][0, poses, rows] = np.where(block.valid, block.errors, 0.0)
                     own[block.surface][name][1, poses, rows] = block.valid
 
-        truths = truths_at_rest(operator, rest, len(matrices), None, (Truth.TRIANGLES,))
-        lighting_errors(operator, rest, matrices, "lbs", record, at_rest=truths)
+        truths = truths_at_rest(operator, draw.rest, count, one.morphing, (Truth.TRIANGLES,))
+        lighting_errors(
+            operator, draw.rest, one.matrices, "lbs", record, morphing=one.morphing, at_rest=truths
+        )
         found += own
     return found
 
 
-def _worst(draws: Sequence[_Draw], posed: Sequence[Float64Array]) -> int:
+def _worst(draws: Sequence[_Draw], posed: Sequence[_Posed]) -> int:
     """Return the pose with the largest mean error of standard lighting."""
     errors = _errors(draws, posed)
     views = [view for draw in draws for view in draw.views]
-    total = np.zeros(len(posed[0]))
+    total = np.zeros(len(posed[0].matrices))
     for view, own in zip(views, errors, strict=True):
         degrees, known = own["standard"]
         total += (degrees * known) @ vertex_areas(view.now.positions, view.now.triangles)
@@ -253,7 +312,11 @@ def _worst(draws: Sequence[_Draw], posed: Sequence[Float64Array]) -> int:
 
 
 def _shots(
-    posed: Sequence[Float64Array], errors: Sequence[Any] | None, options: RenderOptions, count: int
+    draws: Sequence[_Draw],
+    posed: Sequence[_Posed],
+    errors: Sequence[Any] | None,
+    options: RenderOptions,
+    count: int,
 ) -> Iterator[Shot]:
     for pose in range(count):
         turned = 2 * np.pi * pose / count if options.turntable else 0.0
@@ -261,5 +324,19 @@ def _shots(
             name: tuple((own[name][0, pose], own[name][1, pose]) for own in errors or ()) for name in NAMES
         }
         yield Shot(
-            tuple(matrices[pose] for matrices in posed), YAW + turned, told if errors is not None else {}
+            tuple(one.matrices[pose] for one in posed),
+            YAW + turned,
+            told if errors is not None else {},
+            _morphed(draws, posed, pose),
         )
+
+
+def _morphed(draws: Sequence[_Draw], posed: Sequence[_Posed], pose: int) -> dict[int, RestSurface]:
+    """Return the primitives that morph targets move, by their number among all, as they are in a pose."""
+    found: dict[int, RestSurface] = {}
+    first = 0
+    for draw, one in zip(draws, posed, strict=True):
+        if one.morphing is not None:
+            found.update(enumerate(one.morphing.surfaces(draw.rest, pose), first))
+        first += len(draw.rest)
+    return found

@@ -17,11 +17,12 @@ from skinbake.commands.bake import Baker
 from skinbake.commands.remedies import noted_baker
 from skinbake.commands.verify import verify_document
 from skinbake.containment import BESIDE, Bounds
-from skinbake.errors import InputError, Notice, Place, SkinbakeError
+from skinbake.errors import InputError, Notice, SkinbakeError
 from skinbake.format.strip import stripped
 from skinbake.gltf.codecs.recode import Compression, recoded
 from skinbake.gltf.container import for_target
 from skinbake.gltf.document import STDIO, Document, read_document
+from skinbake.gltf.images import images_missing, texture_image
 from skinbake.gltf.json_access import JsonObject
 from skinbake.gltf.output import plan_output, refuse_own_input
 from skinbake.gltf.primitives import skinned_sources
@@ -34,6 +35,7 @@ from skinbake.report.verify import FileVerdict, file_json, gain
 from skinbake.timing import stage
 from skinbake.view.index import Listed, index
 from skinbake.view.page import OtherGradients, Shown, page
+from skinbake.view.texts import INFLUENCES
 
 PNG, JPEG, WEBP = b"\x89PNG", b"\xff\xd8\xff", b"RIFF"
 IMAGES = {PNG: "image/png", JPEG: "image/jpeg", WEBP: "image/webp"}
@@ -139,6 +141,7 @@ def _page(
         others = list(_other_gradients(document, sound_views(document)))
     with stage("page"):
         glb, missing = _self_contained(document)
+        missing += _not_drawn(document, sound_views(document))
         told = [*notes, *map(_sentence, (*missing, *verdict.notices))]
         name = "stdin" if document.place.file == "<stdin>" else PurePath(document.name).name
         findings = {**_findings(verdict), "notes": told, "limits": limits}
@@ -231,7 +234,7 @@ def _with_images(document: Document) -> tuple[Document, list[Notice]]:
     binary = list(document.binary or ())
     length = sum(map(len, binary))
     views, images = list(document.objects("bufferViews")), list(document.objects("images"))
-    lost: list[InputError] = []
+    lost = list(_unread_textures(document))
     held: dict[str, JsonObject] = {}
     for number, image in enumerate(images):
         uri = image.get("uri")
@@ -245,7 +248,7 @@ def _with_images(document: Document) -> tuple[Document, list[Notice]]:
             data = bytes(read_resource(uri, document.folder, document.bounds, document.place))
             document.budget.claim(2 * len(data), "holding its images in a page", document.place)
         except InputError as error:
-            lost.append(error)
+            lost.append(error.message)
             images[number] = kept
             continue
         padding = -length % 4
@@ -256,19 +259,31 @@ def _with_images(document: Document) -> tuple[Document, list[Notice]]:
         binary += [bytes(padding), data]
         length += padding + len(data)
     if not images:
-        return document, []
+        return document, images_missing(lost, "page", document.place)
     buffers = [{**document.objects("buffers")[0], "byteLength": length}, *document.objects("buffers")[1:]]
     root: dict[str, Any] = {**document.json, "images": images, "bufferViews": views, "buffers": buffers}
-    return document.edited(json=root, binary=tuple(binary)), _lost_images(lost, document.place)
+    return document.edited(json=root, binary=tuple(binary)), images_missing(lost, "page", document.place)
 
 
-def _lost_images(lost: Sequence[InputError], place: Place) -> list[Notice]:
-    if not lost:
+def _unread_textures(document: Document) -> Iterator[str]:
+    """Yield why textures have no image that a browser reads."""
+    for number in range(len(document.objects("textures"))):
+        try:
+            texture_image(document, number)
+        except InputError as error:
+            yield error.message
+
+
+def _not_drawn(document: Document, views: Sequence[BakedView]) -> list[Notice]:
+    """Return a notice if vertices have more influences than the page draws."""
+    most = max((4 * view.source.influence_sets for view in views), default=0)
+    if most <= max(INFLUENCES):
         return []
-    message = f"{lost[0].message}: it is shown without this image"
-    if len(lost) > 1:
-        message = f"{len(lost)} images are left out of the page, the first because it {message}"
-    return [Notice("images-missing", message, place, len(lost))]
+    message = (
+        f"it has up to {most} influences for a vertex, and a page draws {max(INFLUENCES)}: the page has its "
+        "figures only. Bake it with --limit-influences 8, or draw it by skinbake render"
+    )
+    return [Notice("influences-not-drawn", message, document.place)]
 
 
 def _findings(verdict: FileVerdict) -> dict[str, Any]:

@@ -3,18 +3,34 @@ struct Scene {
     eye: vec4<f32>,
     light: vec4<f32>,
     base: vec4<f32>,
+    emissive: vec4<f32>, // and the roughness
     mode: u32,
+    flags: u32,
     legend: f32,
+    normal_scale: f32,
+    cutoff: f32,
 }
 struct Varying {
     @builtin(position) position: vec4<f32>,
     @location(0) place: vec3<f32>,
     @location(1) normal: vec3<f32>,
     @location(2) error: vec2<f32>,
+    @location(3) tangent: vec3<f32>,
+    @location(4) bitangent: vec3<f32>,
+    @location(5) texcoord: vec2<f32>,
+    @location(6) color: vec4<f32>,
 }
+const HAS_NORMAL_MAP = 1u;
+const HAS_TANGENTS = 2u;
+const IS_TURNED = 4u; // seen from behind
+const IS_BLENDED = 8u;
 @group(0) @binding(0) var<storage, read> joints: array<mat4x4<f32>>;
 @group(0) @binding(1) var<storage, read> rows: array<array<vec4<f32>, ROW>>;
 @group(0) @binding(2) var<uniform> scene: Scene;
+@group(0) @binding(3) var smooth_sampler: sampler;
+@group(0) @binding(4) var base_map: texture_2d<f32>;
+@group(0) @binding(5) var normal_map: texture_2d<f32>;
+@group(0) @binding(6) var emissive_map: texture_2d<f32>;
 
 @vertex
 fn vertex(@builtin(vertex_index) index: u32) -> Varying {
@@ -23,16 +39,32 @@ fn vertex(@builtin(vertex_index) index: u32) -> Varying {
     let frame = skinbake_Frame(row[1].xyz, row[2].xyz, row[3].xyz, row[2].w);
     let v = skinbake_CALL;
     return Varying(scene.projected * vec4<f32>(v.position, 1.0), v.position, normalize(v.normal),
-        vec2<f32>(row[0].w, row[1].w));
+        vec2<f32>(row[0].w, row[1].w), v.tangent, v.bitangent, row[4].xy, row[5]);
 }
 
-fn shaded(n: vec3<f32>, v: vec3<f32>) -> vec3<f32> {
+fn linear(c: vec3<f32>) -> vec3<f32> { return pow(c, vec3<f32>(2.2)); }
+
+// The normal of a normal map, whose frame comes from the shader, or from what changes between pixels.
+fn mapped(n: vec3<f32>, texel: vec3<f32>, in: Varying, px: vec3<f32>, py: vec3<f32>, ux: vec2<f32>, uy: vec2<f32>) -> vec3<f32> {
+    let m = (texel * 2.0 - 1.0) * vec3<f32>(vec2<f32>(scene.normal_scale), 1.0);
+    if ((scene.flags & HAS_TANGENTS) != 0u) {
+        return normalize(normalize(in.tangent) * m.x + normalize(in.bitangent) * m.y + n * m.z);
+    }
+    let a = cross(py, n);
+    let c = cross(n, px);
+    let t = a * ux.x + c * uy.x;
+    let b = a * ux.y + c * uy.y;
+    let size = inverseSqrt(max(max(dot(t, t), dot(b, b)), 1e-30));
+    return normalize(t * (m.x * size) + b * (m.y * size) + n * m.z);
+}
+
+fn shaded(n: vec3<f32>, v: vec3<f32>, base: vec3<f32>) -> vec3<f32> {
     let light = scene.light.xyz;
     let h = normalize(light + v);
     let nl = max(dot(n, light), 0.0);
     let nh = max(dot(n, h), 0.0);
     let nv = max(dot(n, v), 1e-3);
-    let roughness = 0.42;
+    let roughness = scene.emissive.w;
     let a2 = roughness * roughness * roughness * roughness;
     let d = nh * nh * (a2 - 1.0) + 1.0;
     let k = (roughness + 1.0) * (roughness + 1.0) / 8.0;
@@ -40,7 +72,7 @@ fn shaded(n: vec3<f32>, v: vec3<f32>) -> vec3<f32> {
     let specular = shine * a2 / (d * d) / (4.0 * (nl * (1.0 - k) + k) * (nv * (1.0 - k) + k));
     let sky = mix(vec3<f32>(0.16, 0.15, 0.145), vec3<f32>(0.36, 0.39, 0.43), 0.5 + 0.5 * n.y);
     let rim = pow(1.0 - nv, 4.0) * 0.12;
-    return scene.base.rgb * (sky + 1.7 * nl * vec3<f32>(1.0, 0.98, 0.94)) + nl * specular * 1.2 + rim * sky;
+    return base * (sky + 1.7 * nl * vec3<f32>(1.0, 0.98, 0.94)) + nl * specular * 1.2 + rim * sky;
 }
 
 fn heat(share: f32) -> vec3<f32> {
@@ -51,16 +83,38 @@ fn heat(share: f32) -> vec3<f32> {
 }
 
 @fragment
-fn fragment(in: Varying) -> @location(0) vec4<f32> {
-    let n = normalize(in.normal);
+fn fragment(in: Varying, @builtin(front_facing) is_front: bool) -> @location(0) vec4<f32> {
+    // Derivatives and samples stand before every branch, as WGSL wants. y goes down here, and up in glTF's frame.
+    let texel = textureSample(base_map, smooth_sampler, in.texcoord);
+    let slope = textureSample(normal_map, smooth_sampler, in.texcoord).rgb;
+    let glow = textureSample(emissive_map, smooth_sampler, in.texcoord).rgb;
+    let px = dpdx(in.place);
+    let py = -dpdy(in.place);
+    let ux = dpdx(in.texcoord);
+    let uy = -dpdy(in.texcoord);
+    var n = normalize(in.normal);
+    if ((scene.flags & IS_TURNED) != 0u && !is_front) {
+        n = -n;
+    }
     let v = normalize(scene.eye.xyz - in.place);
     let r = reflect(-v, n);
     let at = asin(clamp(r.y * 0.94 + r.x * 0.34, -1.0, 1.0)) * 4.5;
     let width = max(fwidth(at), 1e-4);
+    let base = scene.base * in.color * vec4<f32>(linear(texel.rgb), texel.a);
+    if (base.a < scene.cutoff) {
+        discard;
+    }
     var color = 0.5 + 0.5 * n;
+    var alpha = 1.0;
     if (scene.mode == 0u) {
-        let lit = shaded(n, v);
+        if ((scene.flags & HAS_NORMAL_MAP) != 0u) {
+            n = mapped(n, slope, in, px, py, ux, uy);
+        }
+        let lit = shaded(n, v, base.rgb) + scene.emissive.rgb * linear(glow);
         color = pow(lit / (1.0 + 0.18 * lit), vec3<f32>(1.0 / 2.2));
+        if ((scene.flags & IS_BLENDED) != 0u) {
+            alpha = base.a;
+        }
     } else if (scene.mode == 1u) {
         let line = clamp(0.5 + (abs(fract(at) - 0.5) - 0.25) / width, 0.0, 1.0);
         let grey = mix(mix(0.10, 0.93, line), 0.52, smoothstep(0.5, 1.5, width));
@@ -69,5 +123,5 @@ fn fragment(in: Varying) -> @location(0) vec4<f32> {
         color = select(vec3<f32>(0.545, 0.576, 0.627), heat(in.error.x / scene.legend), in.error.y > 0.99);
         color *= 0.80 + 0.20 * max(dot(n, v), 0.0);
     }
-    return vec4<f32>(color, 1.0);
+    return vec4<f32>(color * alpha, alpha);
 }

@@ -15,6 +15,7 @@ import numpy.typing as npt
 from skinbake.choices import Frame, Language, Lighting
 from skinbake.errors import Place, UnsupportedFeatureError
 from skinbake.geometry.skinned import Float64Array
+from skinbake.render.materials import Levels
 from skinbake.render.subject import Camera, Shot, Subject
 from skinbake.shaders.choices import ShaderChoices
 from skinbake.shaders.text import shader_made
@@ -30,6 +31,15 @@ SUPERSAMPLING = 2
 
 MOST_POINTS = 20_000
 """The points that place the camera."""
+
+IMAGES = ("base", "normal", "emissive")
+ONE_PIXEL: dict[str, Levels] = {
+    use: (np.array([[pixel]], np.uint8),)
+    for use, pixel in zip(
+        IMAGES, ((255, 255, 255, 255), (128, 128, 255, 255), (255, 255, 255, 255)), strict=True
+    )
+}
+"""What stands for an image that a material does not have."""
 
 LIGHTINGS = {"standard": Lighting.APPROXIMATED, "accurate": Lighting.ACCURATE}
 
@@ -53,6 +63,20 @@ class Studio:
         self._subjects, self._camera = subjects, camera
         self._device = _device()
         self._modules: dict[tuple[str, int, bool], Any] = {}
+        self._pipelines: dict[tuple[object, ...], Any] = {}
+        self._at_rest: dict[int, Any] = {}
+        self._indices = [
+            self._buffer(subject.triangles.astype(np.uint32).tobytes(), _usage("INDEX"))
+            for subject in subjects
+        ]
+        self._images: dict[int, Any] = {}
+        self._smooth = self._device.create_sampler(
+            address_mode_u="repeat",
+            address_mode_v="repeat",
+            mag_filter="linear",
+            min_filter="linear",
+            mipmap_filter="linear",
+        )
 
     def picture(self, shot: Shot, sides: Sequence[str], look: Look) -> Picture:
         """Return one picture (H, W, 3). With two lightings, the model is drawn twice, side by side."""
@@ -76,8 +100,10 @@ class Studio:
         )
         encoder = self._device.create_command_encoder()
         step = encoder.begin_render_pass(**_attachments(many, target, depth))
-        for number, subject in enumerate(self._subjects):
-            self._draw(step, number, subject, shot, lighting, look)
+        for number in sorted(
+            range(len(self._subjects)), key=lambda one: self._subjects[one].material.is_blended
+        ):
+            self._draw(step, number, shot, lighting, look)
         step.end()
         self._device.queue.submit([encoder.finish()])
         data = self._device.queue.read_texture(
@@ -89,47 +115,105 @@ class Studio:
         means: npt.NDArray[np.float32] = samples[..., :3].astype(np.float32).mean(axis=(1, 3))
         return means.round().astype(np.uint8)
 
-    def _draw(self, step: Any, number: int, subject: Subject, shot: Shot, lighting: str, look: Look) -> None:
-        import wgpu
-
-        aspect = look.width / look.height
+    def _draw(self, step: Any, number: int, shot: Shot, lighting: str, look: Look) -> None:
+        subject = self._subjects[number]
         pipeline = self._pipeline(subject, lighting)
-        scene = [
-            self._camera.projected(shot.yaw, aspect).T,
-            [*self._camera.eye(shot.yaw, aspect), 1.0],
-            [*(np.array(LIGHT) / np.linalg.norm(LIGHT)), 0.0],
-            [*subject.base, 1.0],
-        ]
-        uniforms = b"".join(np.asarray(part, np.float32).tobytes() for part in scene)
-        uniforms += np.uint32(MODES.index(look.mode)).tobytes() + np.float32(look.legend).tobytes() + bytes(8)
         matrices = shot.matrices[subject.pose_set].transpose(0, 2, 1).astype(np.float32).tobytes()
-        errors = shot.errors.get(lighting)
         buffers = (
             self._buffer(matrices),
-            self._buffer(_rows(subject, None if errors is None else errors[number])),
-            self._buffer(uniforms, wgpu.BufferUsage.UNIFORM),
+            self._rows(number, shot, lighting),
+            self._buffer(self._scene(subject, shot, look), _usage("UNIFORM")),
         )
+        views = (self._image(subject.material.images.get(use), use).create_view() for use in IMAGES)
+        bound = [*({"buffer": buffer} for buffer in buffers), self._smooth, *views]
         step.set_pipeline(pipeline)
         group = self._device.create_bind_group(
             layout=pipeline.get_bind_group_layout(0),
-            entries=[{"binding": n, "resource": {"buffer": buffer}} for n, buffer in enumerate(buffers)],
+            entries=[{"binding": n, "resource": resource} for n, resource in enumerate(bound)],
         )
         step.set_bind_group(0, group)
-        indices = self._buffer(subject.triangles.astype(np.uint32).tobytes(), wgpu.BufferUsage.INDEX)
-        step.set_index_buffer(indices, "uint32")
+        step.set_index_buffer(self._indices[number], "uint32")
         step.draw_indexed(subject.triangles.size)
 
+    def _rows(self, number: int, shot: Shot, lighting: str) -> Any:
+        """Return the buffer of a subject's vertices. Those that no picture changes are uploaded once."""
+        subject, errors = self._subjects[number], shot.errors.get(lighting)
+        if errors is not None or number in shot.morphed:
+            rest = shot.morphed.get(number, subject.rest)
+            return self._buffer(_rows(subject, rest, None if errors is None else errors[number]))
+        if number not in self._at_rest:
+            self._at_rest[number] = self._buffer(_rows(subject, subject.rest, None))
+        return self._at_rest[number]
+
+    def _scene(self, subject: Subject, shot: Shot, look: Look) -> bytes:
+        """Return the bytes of the uniforms: see ``Scene`` in the text of the stages."""
+        aspect, material = look.width / look.height, subject.material
+        flags = [
+            "normal" in material.images,
+            subject.has_tangents,
+            material.is_double and not subject.is_mirrored,
+            material.is_blended,
+        ]
+        parts = [
+            self._camera.projected(shot.yaw, aspect).T,
+            [*self._camera.eye(shot.yaw, aspect), 1.0],
+            [*(np.array(LIGHT) / np.linalg.norm(LIGHT)), 0.0],
+            material.base,
+            [*material.emissive, material.roughness],
+        ]
+        floats = b"".join(np.asarray(part, np.float32).tobytes() for part in parts)
+        modes = np.array([MODES.index(look.mode), sum(flag << n for n, flag in enumerate(flags))], np.uint32)
+        others = np.array([look.legend, material.normal_scale, material.cutoff, 0, 0, 0], np.float32)
+        return floats + modes.tobytes() + others.tobytes()
+
+    def _image(self, levels: Levels | None, use: str) -> Any:
+        """Return the texture of an image, or of the one pixel that stands for none."""
+        import wgpu
+
+        if levels is None:
+            levels = ONE_PIXEL[use]
+        if id(levels) not in self._images:
+            height, width = levels[0].shape[:2]
+            texture = self._device.create_texture(
+                size=(width, height, 1),
+                format="rgba8unorm",
+                mip_level_count=len(levels),
+                usage=wgpu.TextureUsage.TEXTURE_BINDING | wgpu.TextureUsage.COPY_DST,
+            )
+            for number, level in enumerate(levels):
+                self._device.queue.write_texture(
+                    {"texture": texture, "mip_level": number},
+                    np.ascontiguousarray(level),
+                    {"bytes_per_row": 4 * level.shape[1], "rows_per_image": level.shape[0]},
+                    (level.shape[1], level.shape[0], 1),
+                )
+            self._images[id(levels)] = texture
+        return self._images[id(levels)]
+
     def _pipeline(self, subject: Subject, lighting: str) -> Any:
-        module = self._module(lighting, subject.rest.joints.shape[1], subject.is_mirrored)
-        culled = "none" if subject.is_double or subject.is_mirrored else "back"
-        return self._device.create_render_pipeline(
+        material, slots = subject.material, subject.rest.joints.shape[1]
+        culled = "none" if material.is_double or subject.is_mirrored else "back"
+        key = (lighting, slots, subject.is_mirrored, culled, material.is_blended)
+        if key in self._pipelines:
+            return self._pipelines[key]
+        module = self._module(lighting, slots, subject.is_mirrored)
+        target: dict[str, Any] = {"format": "rgba8unorm"}
+        if material.is_blended:
+            over = {"src_factor": "one", "dst_factor": "one-minus-src-alpha", "operation": "add"}
+            target["blend"] = {"color": over, "alpha": over}
+        self._pipelines[key] = self._device.create_render_pipeline(
             layout="auto",
             vertex={"module": module, "entry_point": "vertex"},
             primitive={"topology": "triangle-list", "cull_mode": culled},
-            depth_stencil={"format": "depth32float", "depth_write_enabled": True, "depth_compare": "less"},
+            depth_stencil={
+                "format": "depth32float",
+                "depth_write_enabled": not material.is_blended,
+                "depth_compare": "less",
+            },
             multisample={"count": 4},
-            fragment={"module": module, "entry_point": "fragment", "targets": [{"format": "rgba8unorm"}]},
+            fragment={"module": module, "entry_point": "fragment", "targets": [target]},
         )
+        return self._pipelines[key]
 
     def _module(self, lighting: str, slots: int, mirrored: bool) -> Any:
         key = (lighting, slots, mirrored)
@@ -138,9 +222,16 @@ class Studio:
         return self._modules[key]
 
     def _buffer(self, data: bytes, usage: int | None = None) -> Any:
-        import wgpu
+        return self._device.create_buffer_with_data(
+            data=data, usage=_usage("STORAGE") if usage is None else usage
+        )
 
-        return self._device.create_buffer_with_data(data=data, usage=usage or wgpu.BufferUsage.STORAGE)
+
+def _usage(name: str) -> int:
+    """Return the flag of a buffer's use by its name in WebGPU."""
+    import wgpu
+
+    return int(getattr(wgpu.BufferUsage, name))
 
 
 def _device() -> Any:
@@ -172,7 +263,7 @@ def shader(lighting: str, slots: int, mirrored: bool) -> str:
         mirrored_joints=mirrored and lighting == "accurate",
     )
     sets = range(choices.influence_sets)
-    first = 4
+    first = 6
     joints = [f"joints[u32(row[{first + number}].{c})]" for number in sets for c in "xyzw"][:slots]
     weights = [f"row[{first + len(sets) + number}]" for number in sets]
     slopes = [
@@ -194,12 +285,13 @@ def shader(lighting: str, slots: int, mirrored: bool) -> str:
     return shader_made(choices)[0] + scene
 
 
-def _rows(subject: Subject, errors: tuple[Any, Any] | None) -> bytes:
+def _rows(subject: Subject, rest: RestSurface, errors: tuple[Any, Any] | None) -> bytes:
     """Return what the vertex stage reads of each vertex, in vec4: see ``shader``."""
-    rest = subject.rest
     count, slots = rest.joints.shape
     padded = 4 * -(-slots // 4)
     degrees, known = (np.zeros(count), np.zeros(count)) if errors is None else errors
+    texcoords = np.zeros((count, 2)) if subject.texcoords is None else subject.texcoords
+    colours = np.ones((count, 4)) if subject.colours is None else subject.colours
 
     def wide(values: npt.NDArray[Any]) -> list[npt.NDArray[Any]]:
         filled = np.pad(values, ((0, 0), (0, padded - values.shape[1])))
@@ -214,6 +306,8 @@ def _rows(subject: Subject, errors: tuple[Any, Any] | None) -> bytes:
         np.column_stack([rest.normals, known]),
         np.column_stack([rest.tangents, _handedness(rest)]),
         np.column_stack([rest.bitangents, np.zeros(count)]),
+        np.pad(texcoords, ((0, 0), (0, 2))),
+        colours,
         *wide(rest.joints),
         *wide(rest.weights),
         *slopes(rest.alpha),

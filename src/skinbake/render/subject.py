@@ -7,10 +7,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from skinbake.geometry.skinned import BoolArray, Float32Array, Float64Array, IntArray
+from skinbake.geometry.skinned import BoolArray, Float32Array, Float64Array, FloatArray, IntArray
+from skinbake.render.materials import Material
 from skinbake.skinning.surface import RestSurface
 
-CLAY = (0.60, 0.585, 0.56)
 ANGLE = np.radians(32.0)
 YAW, PITCH = 0.45, 0.16
 FILLED = 0.84
@@ -20,16 +20,19 @@ FILLED = 0.84
 class Subject:
     """One primitive under one skin.
 
-    triangles (T, 3). is_mirrored: joints mirror the surface. is_double: it is seen from behind too. base is
-    its linear colour. pose_set is the number of the skin's joint matrices among those of a ``Shot``.
+    triangles (T, 3). texcoords (V, 2) and colours (V, 4) are None if they are not drawn. is_mirrored: joints
+    mirror the surface. has_tangents: its frame is that of TANGENT, to which normal maps belong. pose_set is
+    the number of its joint matrices among those of a ``Shot``.
     """
 
     rest: RestSurface
     triangles: IntArray
     pose_set: int
-    base: tuple[float, float, float] = CLAY
+    material: Material = field(default_factory=Material)
+    texcoords: FloatArray | None = None
+    colours: FloatArray | None = None
     is_mirrored: bool = False
-    is_double: bool = False
+    has_tangents: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,8 +84,10 @@ class Shot:
     """One picture: joint matrices (J, 4, 4) of each pose set, an angle of the camera.
 
     errors holds, for each lighting, the errors (V,) in degrees of each subject, and where they are known.
+    morphed holds subjects by their number as their morph targets make them, before skinning.
     """
 
     matrices: tuple[Float64Array, ...]
     yaw: float = YAW
     errors: Mapping[str, tuple[tuple[Float32Array, BoolArray], ...]] = field(default_factory=dict)
+    morphed: Mapping[int, RestSurface] = field(default_factory=dict)

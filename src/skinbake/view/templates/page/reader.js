@@ -10,6 +10,7 @@ const LARGEST = { 5120: 127, 5121: 255, 5122: 32767, 5123: 65535 };
 const MOST = 1e15; // Squares of lengths then stay floats.
 const UNREAD = ['KHR_draco_mesh_compression', 'EXT_meshopt_compression', 'KHR_meshopt_compression'];
 const TRIANGLES = [4, 5, 6];
+const MOST_SETS = 2; // WebGL 2 has 16 attributes.
 
 // Why a file cannot be shown, in words for its reader.
 export class ReadError extends Error {}
@@ -294,6 +295,10 @@ function readInfluences(source, attributes, primitive, jointCount) {
         const joints = new Uint16Array(source.accessor(attributes[`JOINTS_${set}`]).array);
         primitive.joints.push(joints.map((joint) => (joint < jointCount ? joint : 0)));
         primitive.weights.push(source.floats(attributes[`WEIGHTS_${set}`]).array.slice());
+    }
+    if (primitive.joints.length > MOST_SETS) {
+        const count = 4 * primitive.joints.length;
+        throw new ReadError(`it has ${count} influences for a vertex, and this page draws 8: bake it with --limit-influences 8`);
     }
     normaliseWeights(primitive);
 }

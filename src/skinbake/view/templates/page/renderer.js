@@ -2,7 +2,7 @@
 
 import { readImage } from './reader.js';
 import {
-    fragmentText, GROUND_FRAGMENT_TEXT, GROUND_VERTEX_TEXT, LOCATIONS, MOST_SETS, RIGID_TEXT, textName, vertexText,
+    fragmentText, GROUND_FRAGMENT_TEXT, GROUND_VERTEX_TEXT, LOCATIONS, RIGID_TEXT, textName, vertexText,
 } from './shading.js';
 
 const CAPTURED = ['v_position', 'v_normal'];
@@ -34,8 +34,9 @@ export class Renderer {
         this.isMirrored = isMirrored;
         this.geometries = new Map();
         this.parts = model.draws.map((draw) => {
-            if (!this.geometries.has(draw.primitive)) this.geometries.set(draw.primitive, this.geometry(draw.primitive));
-            return { ...draw, ...this.geometries.get(draw.primitive), truth: {} };
+            const key = draw.primitive.targets.length ? draw : draw.primitive; // Each node has its own morph weights.
+            if (!this.geometries.has(key)) this.geometries.set(key, this.geometry(draw.primitive));
+            return { ...draw, ...this.geometries.get(key), truth: {} };
         });
         this.palettes = model.skins.map(({ joints }) => this.palette(joints.length));
         this.materials = model.materials.map((material) => this.material(material));
@@ -80,9 +81,6 @@ export class Renderer {
 
     geometry(primitive) {
         const { gl } = this;
-        if (primitive.joints.length > MOST_SETS) {
-            throw new Error(`it has ${4 * primitive.joints.length} influences for each vertex, and this page draws 8: bake it with --limit-influences 8`);
-        }
         const indices = this.buffer(primitive.triangles, gl.ELEMENT_ARRAY_BUFFER);
         const shared = [
             ['position', this.buffer(primitive.positions), 3],
@@ -158,6 +156,7 @@ export class Renderer {
             maps: {},
             expected: {},
             base: pbr.baseColorTexture ? CLAY : pbr.baseColorFactor ?? [1, 1, 1, 1],
+            isUncoloured: !pbr.baseColorTexture && !pbr.baseColorFactor,
             emissive: emissiveTexture ? [0, 0, 0] : material.emissiveFactor ?? [0, 0, 0],
             roughness: Math.min(Math.max(pbr.roughnessFactor ?? 1, 0.3), 0.8),
             normalScale: normalTexture?.scale ?? 1,
@@ -417,12 +416,14 @@ export class Renderer {
             gl.uniform1i(places[`${name}_map`], 1 + i);
         });
         gl.uniform1i(places.is_turned, Number(own?.isDouble === true && !this.isMirrored));
-        gl.uniform4fv(places.base_factor, isPlain ? CLAY : own.base);
+        const isClay = isPlain || (own.isUncoloured && !part.primitive.colors);
+        gl.uniform4fv(places.base_factor, isClay ? CLAY : own.base);
         gl.uniform3fv(places.emissive_factor, isPlain ? [0, 0, 0] : own.emissive);
         gl.uniform1f(places.roughness, isPlain ? 0.42 : own.roughness);
         gl.uniform1f(places.normal_scale, own?.normalScale ?? 1);
         gl.uniform1f(places.cutoff, isPlain ? 0 : own.cutoff);
         const isBlended = !isPlain && own.isBlended;
+        gl.uniform1i(places.is_blended, Number(isBlended));
         isBlended ? gl.enable(gl.BLEND) : gl.disable(gl.BLEND);
         gl.depthMask(!isBlended);
         own?.isDouble ? gl.disable(gl.CULL_FACE) : gl.enable(gl.CULL_FACE);

@@ -4,7 +4,6 @@ export const LOCATIONS = {
     position: 0, normal: 1, tangent: 2, texcoord: 3, joints_0: 4, weights_0: 5, alpha_0: 6, beta_0: 7,
     joints_1: 8, weights_1: 9, alpha_1: 10, beta_1: 11, truth: 12, morphed_normal: 13, morphed_tangent: 14, color: 15,
 };
-export const MOST_SETS = 2; // WebGL 2 has 16 attributes.
 
 // The name under which the page holds a text of skinbake shader.
 export function textName({ stem, sets, frame, storage, morphs, mirrored }) {
@@ -142,6 +141,7 @@ uniform float roughness;
 uniform float normal_scale;
 uniform float cutoff;
 uniform bool is_turned; // seen from behind
+uniform bool is_blended;
 uniform sampler2D base_map;
 uniform sampler2D normal_map;
 uniform sampler2D emissive_map;
@@ -215,7 +215,7 @@ void main()
     color += emissive_factor;
 #endif
     color = pow(color / (1.0 + 0.18 * color), vec3(1.0 / 2.2));
-    if (cutoff == 0.0) alpha = base.a;
+    if (is_blended) alpha = base.a;
 #endif
 #ifdef MODE_REFLECTIONS
     vec3 r = reflect(-v, n);

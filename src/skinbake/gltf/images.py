@@ -1,0 +1,61 @@
+"""Images of textures: which of them a texture names, and their bytes (glTF 2.0, §3.8 and §5.19)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from skinbake.errors import InputError, Notice, Place
+from skinbake.gltf.document import Document
+from skinbake.gltf.glb import Bytes
+from skinbake.gltf.json_access import JsonObject, index, member, text
+from skinbake.gltf.resources import decode_data_uri, is_data_uri, read_resource
+from skinbake.gltf.views import view_bytes
+
+WEBP, KTX2 = "EXT_texture_webp", "KHR_texture_basisu"
+
+
+def texture_image(document: Document, texture: int) -> int | None:
+    """Return the image of a texture that is PNG, JPEG or WebP; None if it names none.
+
+    Raises InputError if the texture does not exist, if it names an image that does not exist, or if its only
+    image is in KTX2.
+    """
+    textures = document.objects("textures")
+    if not 0 <= texture < len(textures):
+        message = f"a material names texture {texture}, and the file has {len(textures)}"
+        raise InputError(message, document.place)
+    content = textures[texture]
+    extensions = member(content, "extensions", document.place)
+    count = len(document.objects("images"))
+    for holder in (extensions.get(WEBP), content):
+        if isinstance(holder, dict):
+            found = index(holder, "source", count, document.place)
+            if found is not None:
+                return found
+    if KTX2 in extensions:
+        raise InputError(f"texture {texture} is in KTX2, which is not decoded", document.place)
+    return None
+
+
+def image_bytes(document: Document, image: int) -> Bytes:
+    """Return the bytes of an image. Raises InputError if they cannot be had."""
+    content: JsonObject = document.objects("images")[image]
+    view = index(content, "bufferView", len(document.objects("bufferViews")), document.place)
+    if view is not None:
+        return view_bytes(document, view, document.place)
+    uri = text(content, "uri", document.place)
+    if uri is None:
+        raise InputError(f"image {image} names neither a buffer view nor a file", document.place)
+    if is_data_uri(uri):
+        return decode_data_uri(uri, document.place)
+    return read_resource(uri, document.folder, document.bounds, document.place)
+
+
+def images_missing(reasons: Sequence[str], made: str, place: Place) -> list[Notice]:
+    """Return a notice on images that are left out of a page or a picture, if there are any."""
+    if not reasons:
+        return []
+    message = f"{reasons[0]}: it is shown without this image"
+    if len(reasons) > 1:
+        message = f"{len(reasons)} images are left out of the {made}, the first because {message}"
+    return [Notice("images-missing", message, place, len(reasons))]

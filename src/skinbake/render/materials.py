@@ -1,0 +1,157 @@
+"""What a picture shows of a material: its factors, and the levels of its images (glTF 2.0, §3.9)."""
+
+from __future__ import annotations
+
+import io
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from skinbake.errors import InputError, Notice
+from skinbake.gltf.document import Document
+from skinbake.gltf.glb import Bytes
+from skinbake.gltf.images import image_bytes, images_missing, texture_image
+from skinbake.gltf.json_access import JsonObject, is_number, reference
+
+Levels = tuple[npt.NDArray[np.uint8], ...]
+"""An image (H, W, 4), then each half as large as the one before, down to one pixel."""
+
+CLAY = (0.60, 0.585, 0.56, 1.0)
+WHITE = (1.0, 1.0, 1.0, 1.0)
+CLAY_ROUGHNESS = 0.42
+ROUGHNESS = (0.3, 0.8)
+"""The bounds of the roughness that is drawn: one light makes no highlight outside them."""
+
+LARGEST = 2048
+"""Pixels along a side of an image. Larger ones are scaled down; a picture has no more itself."""
+
+FORMATS = ("PNG", "JPEG", "WEBP")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Material:
+    """Linear factors, and images by use: ``base``, ``normal``, ``emissive``.
+
+    Alpha under cutoff is not drawn; 0 draws all. is_double: it is seen from behind too. is_plain: colours of
+    vertices are not drawn either.
+    """
+
+    base: tuple[float, ...] = CLAY
+    emissive: tuple[float, ...] = (0.0, 0.0, 0.0)
+    roughness: float = CLAY_ROUGHNESS
+    normal_scale: float = 1.0
+    cutoff: float = 0.0
+    is_blended: bool = False
+    is_double: bool = False
+    is_plain: bool = False
+    images: Mapping[str, Levels] = field(default_factory=dict)
+
+
+class Materials:
+    """The materials of a document, each read once, and the images that it had to leave out."""
+
+    def __init__(self, document: Document) -> None:
+        self._document = document
+        self._made: dict[int, Material] = {}
+        self._images: dict[int, Levels | None] = {}
+        self._lost: list[str] = []
+
+    def of(self, primitive: JsonObject, *, in_clay: bool) -> Material:
+        """Return a primitive's material; in clay only its sides count. A missing or broken one is clay."""
+        found = reference(primitive.get("material"))
+        materials = self._document.json.get("materials")
+        if found is None or not isinstance(materials, list) or not 0 <= found < len(materials):
+            return Material(is_plain=in_clay)
+        content = _object(materials[found])
+        if in_clay:
+            return Material(is_double=content.get("doubleSided") is True, is_plain=True)
+        if found not in self._made:
+            self._made[found] = self._read(content)
+        return self._made[found]
+
+    def notices(self) -> list[Notice]:
+        """Return a notice if images were left out."""
+        return images_missing(self._lost, "picture", self._document.place)
+
+    def _read(self, content: dict[str, Any]) -> Material:
+        pbr = _object(content.get("pbrMetallicRoughness"))
+        named = {
+            "base": _object(pbr.get("baseColorTexture")),
+            "normal": _object(content.get("normalTexture")),
+            "emissive": _object(content.get("emissiveTexture")),
+        }
+        images = {use: levels for use, info in named.items() if (levels := self._image(info)) is not None}
+        base = _numbers(pbr, "baseColorFactor", WHITE if "base" in images else CLAY)
+        emissive = _numbers(content, "emissiveFactor", (0.0, 0.0, 0.0))
+        mode = content.get("alphaMode")
+        return Material(
+            # A factor that belongs to an image says little without it.
+            base=CLAY if named["base"] and "base" not in images else base,
+            emissive=(0.0, 0.0, 0.0) if named["emissive"] and "emissive" not in images else emissive,
+            roughness=float(np.clip(_number(pbr, "roughnessFactor", 1.0), *ROUGHNESS)),
+            normal_scale=_number(named["normal"], "scale", 1.0),
+            cutoff=_number(content, "alphaCutoff", 0.5) if mode == "MASK" else 0.0,
+            is_blended=mode == "BLEND",
+            is_double=content.get("doubleSided") is True,
+            images=images,
+        )
+
+    def _image(self, info: dict[str, Any]) -> Levels | None:
+        """Return the image that a texture info names; None without one, or if it cannot be shown."""
+        texture = reference(info.get("index"))
+        if texture is None or info.get("texCoord", 0) != 0:
+            return None
+        if texture not in self._images:
+            self._images[texture] = None
+            try:
+                image = texture_image(self._document, texture)
+                if image is not None:
+                    self._images[texture] = decoded(image_bytes(self._document, image), self._document)
+            except InputError as error:
+                self._lost.append(error.message)
+        return self._images[texture]
+
+
+def decoded(data: Bytes, document: Document) -> Levels:
+    """Return the levels of a PNG, JPEG or WebP. Raises InputError if it is none, or too large."""
+    from PIL import Image
+
+    place = document.place
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")  # Pillow warns of images that are far too large, and of odd ones
+            with Image.open(io.BytesIO(data), formats=FORMATS) as image:
+                width, height = image.size
+                document.budget.claim(8 * width * height, f"an image of {width:,} × {height:,} pixels", place)
+                image.thumbnail((LARGEST, LARGEST))
+                found = image.convert("RGBA")
+    except InputError:
+        raise
+    except Exception as error:  # decoders raise what their formats' readers raise: of any class
+        raise InputError(f"an image cannot be decoded ({error})", place) from error
+    levels = [found]
+    while max(levels[-1].size) > 1:
+        width, height = levels[-1].size
+        half = max(1, width // 2), max(1, height // 2)
+        levels.append(levels[-1].resize(half, Image.Resampling.BOX))
+    return tuple(np.asarray(level, np.uint8) for level in levels)
+
+
+def _object(value: object) -> dict[str, Any]:
+    return value if isinstance(value, dict) else {}
+
+
+def _number(parent: dict[str, Any], key: str, default: float) -> float:
+    value = parent.get(key, default)
+    return float(value) if is_number(value) else default
+
+
+def _numbers(parent: dict[str, Any], key: str, default: tuple[float, ...]) -> tuple[float, ...]:
+    value = parent.get(key)
+    if not isinstance(value, list) or len(value) != len(default) or not all(map(is_number, value)):
+        return default
+    return tuple(map(float, value))

@@ -1,0 +1,249 @@
+"""Materials in pictures: images, colours of vertices, morph targets, and images that cannot be had."""
+
+from __future__ import annotations
+
+import base64
+import io
+import struct
+import zlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from fixtures.make_fixtures import FOLDER
+from skinbake.gltf.document import read_document
+from skinbake.render.materials import CLAY, Materials
+from skinbake.render.studio import Studio
+from skinbake.render.subject import Shot
+from tests.support.baked_files import Editable
+from tests.support.baking import bake_file
+from tests.support.characters import Array
+from tests.support.command_line import invoke
+from tests.support.models import edited, sheet, write_model
+from tests.support.morphed_files import morphed, warped
+from tests.support.webgpu import NAGA
+
+SIZE = "160x120"
+TUBE = "bent_tube.glb"
+
+
+@pytest.fixture
+def device() -> None:
+    """Skip where no device draws."""
+    NAGA.require()
+
+
+def image(*rows: list[tuple[int, int, int]]) -> dict[str, str]:
+    """Return a glTF image that holds the pixels of these rows as PNG."""
+    data = io.BytesIO()
+    Image.fromarray(np.array(rows, np.uint8)).save(data, "PNG")
+    return {"uri": "data:image/png;base64," + base64.b64encode(data.getvalue()).decode()}
+
+
+def drawn(path: Path, *options: str) -> Array:
+    target = path.with_suffix(".png")
+    result = invoke("render", path, "-o", target, "--size", SIZE, "--time", "0.4", *options)
+    assert result.exit_code == 0, result.output
+    return np.asarray(Image.open(target).convert("RGB"), np.float64)
+
+
+def tube(folder: Path, material: dict[str, Any], *images: dict[str, str]) -> Path:
+    """Return the bent tube with another material, whose textures are these images."""
+
+    def change(content: dict[str, Any]) -> None:
+        content["materials"][0] = {"doubleSided": True, **material}
+        content["images"] = list(images)
+        content["textures"] = [{"source": number} for number in range(len(images))]
+
+    return edited(TUBE, folder, change)
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("device")
+def test_an_image_of_one_colour_is_that_factor(tmp_path: Path) -> None:
+    """The image holds 2.2nd roots of the linear factors, as the page reads it."""
+    red, half = image([(255, 0, 0)] * 2), round(255 * 0.25 ** (1 / 2.2))
+    grey = image([(half, half, half)] * 2)
+    flat = image([(128, 128, 255)] * 2)
+    base = {"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}
+    plain = drawn(tube(tmp_path, {}))
+    for material, pictures, factors in (
+        (base, [red], {"pbrMetallicRoughness": {"baseColorFactor": [1, 0, 0, 1]}}),
+        (
+            {"emissiveTexture": {"index": 0}, "emissiveFactor": [0, 1, 0.5]},
+            [grey],
+            {"emissiveFactor": [0, 0.25, 0.125]},
+        ),
+        ({"normalTexture": {"index": 0}}, [flat], {}),
+    ):
+        found = drawn(tube(tmp_path, material, *pictures))
+        wanted = drawn(tube(tmp_path, factors))
+        assert np.abs(found - wanted).max() <= 3
+        if factors:
+            assert np.abs(found - plain).max() > 40
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("device")
+def test_an_image_lies_where_its_coordinates_say_and_clay_hides_it(tmp_path: Path) -> None:
+    smooth = {"pbrMetallicRoughness": {"roughnessFactor": 0.42}}
+    stripes = image(([(255, 0, 0)] * 32 + [(0, 0, 255)] * 32) * 4)
+    base = {"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}
+    path = tube(tmp_path, base, stripes)
+    found = drawn(path)
+    ends = [
+        drawn(tube(tmp_path, {"pbrMetallicRoughness": {"baseColorFactor": [r, 0, b, 1]}}))
+        for r, b in ((1, 0), (0, 1))
+    ]
+    apart = np.stack([np.abs(found - end).max(axis=2) for end in ends])
+    differ = np.abs(ends[0] - ends[1]).max(axis=2) > 60
+    each = [(one[differ] < 12).mean() for one in apart]
+    assert min(each) > 0.05  # both colours are seen, and between them a blur
+    assert sum(each) > 0.2
+    assert np.abs(drawn(path, "--clay") - drawn(tube(tmp_path, smooth))).max() <= 1
+
+
+def tilted(folder: Path, *, by_image: bool, tangents: bool) -> Path:
+    """Return a flat sheet that one joint moves, lit as if it leant to the side of growing u."""
+    slope = np.array([0.5, 0.2, np.sqrt(1 - 0.29)])
+    flat = sheet().attributes["POSITION"] * [1, 1, 0]
+    count = len(flat)
+    normal = np.array([0.0, 0.0, 1.0]) if by_image else slope
+    attributes: dict[str, Any] = {
+        "POSITION": flat.astype(np.float32),
+        "NORMAL": np.tile(normal, (count, 1)).astype(np.float32),
+        "TEXCOORD_0": (flat[:, :2] * [0.4, 0.4] + 0.5).astype(np.float32),
+        "JOINTS_0": np.zeros((count, 4), np.uint8),
+        "WEIGHTS_0": np.tile([1, 0, 0, 0], (count, 1)).astype(np.float32),
+    }
+    if tangents:
+        attributes["TANGENT"] = np.tile([1, 0, 0, 1], (count, 1)).astype(np.float32)
+
+    def change(content: dict[str, Any]) -> None:
+        red, green, blue = (int(value) for value in (slope * 127.5 + 127.5).round())
+        content["materials"] = [{"normalTexture": {"index": 0}} if by_image else {}]
+        content["images"] = [image([(red, green, blue)] * 2)]
+        content["textures"] = [{"source": 0}]
+
+    return write_model(folder / "sheet.glb", [sheet(**attributes)], change=change)
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("device")
+@pytest.mark.parametrize("tangents", [False, True])
+def test_a_normal_map_leans_as_a_normal_would(tmp_path: Path, tangents: bool) -> None:
+    pictures = []
+    for by_image in (True, False):
+        path = tilted(tmp_path, by_image=by_image, tangents=tangents and by_image)
+        target = path.with_suffix(".png")
+        result = invoke("render", path, "-o", target, "--size", SIZE, "--lighting", "standard")
+        assert result.exit_code == 0, result.output
+        pictures.append(np.asarray(Image.open(target).convert("RGB"), np.float64))
+    assert np.abs(pictures[0] - pictures[1]).max() <= 4
+    path = tilted(tmp_path, by_image=True, tangents=False)
+    invoke("render", path, "-o", path.with_suffix(".png"), "--size", SIZE, "--clay")
+    flat = np.asarray(Image.open(path.with_suffix(".png")).convert("RGB"), np.float64)
+    assert np.abs(pictures[0] - flat).max() > 10
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("device")
+def test_morph_targets_are_drawn_with_the_weights_of_each_node(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Drawn through targets, the tube is what it is with the sums written into its arrays."""
+    plain = tmp_path / "plain.glb"
+    assert bake_file(FOLDER / TUBE, plain).status == "baked"
+    weights = [0.9, 0.7]
+    by_hand = Editable(FOLDER / TUBE)
+    positions, normals = (by_hand.array(name).astype(np.float64) for name in ("POSITION", "NORMAL"))
+    sums = [np.zeros_like(positions), np.zeros_like(positions)]
+    for number, weight in enumerate(weights):
+        moved, leant = warped(positions, normals, number)
+        sums = [sums[0] + weight * moved, sums[1] + weight * leant]
+    turned = normals + sums[1]
+    by_hand.array("POSITION")[:] = positions + sums[0]
+    by_hand.array("NORMAL")[:] = turned / np.linalg.norm(turned, axis=1, keepdims=True)
+    options = ("--mode", "normals", "--lighting", "standard")
+    wanted = drawn(by_hand.write(tmp_path / "by_hand.glb"), *options)
+    path = morphed(plain, tmp_path / "morphed.glb", weights=weights)
+    found = drawn(path, *options)
+    assert np.abs(found - wanted).mean() < 0.1
+    assert np.abs(found - drawn(plain, *options)).max() > 60
+
+    shots: list[Shot] = []
+
+    def kept(studio: Studio, shot: Shot, *rest: Any) -> Any:
+        shots.append(shot)
+        return picture(studio, shot, *rest)
+
+    picture = Studio.picture
+    monkeypatch.setattr(Studio, "picture", kept)
+    two = Editable(path)
+    two.content["nodes"].append({**two.content["nodes"][0], "weights": [0.0, 0.3]})
+    two.content["scenes"][0]["nodes"].append(len(two.content["nodes"]) - 1)
+    drawn(two.write(tmp_path / "two.glb"), *options)
+    first, second = (shots[0].morphed[number].positions for number in (0, 1))
+    assert np.allclose(first - positions, sums[0], atol=1e-6)
+    assert np.allclose(second - positions, 0.3 * warped(positions, normals, 1)[0], atol=1e-6)
+
+
+def huge() -> bytes:
+    """Return the head of a PNG of 200,000 × 200,000 pixels."""
+    head = b"IHDR" + struct.pack(">IIBBBBB", 200_000, 200_000, 8, 2, 0, 0, 0)
+    return b"\x89PNG\r\n\x1a\n" + struct.pack(">I", 13) + head + struct.pack(">I", zlib.crc32(head))
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ({"images": [{"uri": "gone.png"}], "textures": [{"source": 0}]}, "gone.png"),
+        ({"images": [{"uri": "data:,no%20picture"}], "textures": [{"source": 0}]}, "cannot be decoded"),
+        (
+            {
+                "images": [{"uri": "data:;base64," + base64.b64encode(huge()).decode()}],
+                "textures": [{"source": 0}],
+            },
+            "cannot be decoded",
+        ),
+        (
+            {
+                "images": [{"uri": "gone.ktx2"}],
+                "textures": [{"extensions": {"KHR_texture_basisu": {"source": 0}}}],
+            },
+            "texture 0 is in KTX2, which is not decoded",
+        ),
+        ({"images": [], "textures": [{"source": 3}]}, '"source" refers to entry 3'),
+        ({"images": [{}], "textures": [{"source": 0}]}, "names neither a buffer view nor a file"),
+        ({}, "a material names texture 0, and the file has 0"),
+    ],
+)
+def test_an_image_that_cannot_be_had_is_left_out_with_a_notice(
+    tmp_path: Path, content: dict[str, Any], words: str
+) -> None:
+    def change(model: dict[str, Any]) -> None:
+        model["materials"] = [{"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}]
+        model.update(content)
+
+    document = read_document(str(write_model(tmp_path / "sheet.glb", [sheet()], change=change)))
+    materials = Materials(document)
+    made = materials.of({"material": 0}, in_clay=False)
+    assert (made.base, dict(made.images)) == (CLAY, {})
+    (notice,) = materials.notices()
+    assert notice.code == "images-missing"
+    assert words in notice.message
+
+
+def test_a_material_of_other_types_is_clay(tmp_path: Path) -> None:
+    def change(model: dict[str, Any]) -> None:
+        model["materials"] = [
+            {"pbrMetallicRoughness": {"baseColorFactor": "red", "baseColorTexture": 7}, "emissiveFactor": [1]}
+        ]
+
+    document = read_document(str(write_model(tmp_path / "sheet.glb", [sheet()], change=change)))
+    for number in (0, 5, "first", None):
+        made = Materials(document).of({"material": number}, in_clay=False)
+        assert (made.base, made.emissive) == (CLAY, (0.0, 0.0, 0.0))
