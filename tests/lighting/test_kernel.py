@@ -18,11 +18,11 @@ import pytest
 
 from skinbake.choices import Weighting
 from skinbake.geometry.skinned import Float64Array
-from skinbake.lighting import by_numpy, kernel
+from skinbake.lighting import by_numpy, kernel, triangle_normals
 from skinbake.lighting.influences import Int32Array
 from skinbake.lighting.operator import GradientOperator, gradient_operator
 from skinbake.lighting.reference import RestFrames, rest_frames
-from skinbake.lighting.triangle_normals import ClassSums, carried_normals, class_blocks
+from skinbake.lighting.triangle_normals import ClassBlock, ClassSums, carried_normals, class_blocks
 from tests.support.baked_files import verify
 from tests.support.models import FOLDER, baked
 from tests.support.strictness import missing_tool
@@ -63,8 +63,8 @@ class Mesh:
         self.rest: RestFrames = rest_frames(self.operator, self.positions, self.normals, parts=parts)
         self.deformed = deformed(self.positions, poses)
         carried = carried_normals(self.operator, self.rest, self.positions, self.normals)
-        blocks = class_blocks(self.operator, poses)
-        sums = [by_numpy.class_sums(self.operator, self.deformed, part) for part in blocks]
+        blocks = class_blocks(self.operator)
+        sums = [by_numpy.class_sums(self.operator, self.deformed, block) for block in blocks]
         self.sums = ClassSums(carried, self.operator.classes, np.concatenate(sums, axis=1))
 
 
@@ -105,11 +105,23 @@ def test_sums_at_weld_classes_are_those_of_numpy(poses: int) -> None:
     mesh = Mesh(poses)
     count = len(mesh.operator.ends) - 1
     for part in (slice(0, count), slice(7, 8), slice(count // 2, count), slice(3, 3)):
-        found = by_loops.class_sums(mesh.operator, mesh.deformed, part)
-        expected = by_numpy.class_sums(mesh.operator, mesh.deformed, part)
+        block = ClassBlock.of(mesh.operator, part)
+        found = by_loops.class_sums(mesh.operator, mesh.deformed, block)
+        expected = by_numpy.class_sums(mesh.operator, mesh.deformed, block)
         assert found.shape == expected.shape == (3, part.stop - part.start, poses)
         # Both are rounded to float32 at the end.
         assert np.allclose(found, expected, rtol=2e-7, atol=1e-7, equal_nan=True)
+
+
+def test_sums_at_weld_classes_do_not_depend_on_the_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+    mesh = Mesh(35)
+    count = len(mesh.operator.ends) - 1
+    at_once = by_loops.class_sums(mesh.operator, mesh.deformed, ClassBlock.of(mesh.operator, slice(0, count)))
+    monkeypatch.setattr(triangle_normals, "CLASS_CORNERS", 40)
+    blocks = class_blocks(mesh.operator)
+    found = [by_loops.class_sums(mesh.operator, mesh.deformed, block) for block in blocks]
+    assert len(blocks) > 20
+    np.testing.assert_array_equal(np.concatenate(found, axis=1), at_once)
 
 
 @pytest.mark.parametrize("sided", [False, True])
@@ -269,7 +281,7 @@ def test_without_any_optimisation_the_bits_are_the_same(
         vectors = tuple(component[part].T for component in mesh.deformed)
         errors = by_loops.angles(vectors, normals)
         counted = by_loops.count_errors(errors[0].T, np.ones(part.stop - part.start), exist[0].T, 20.0)
-        sums = by_loops.class_sums(mesh.operator, mesh.deformed, part)
+        sums = by_loops.class_sums(mesh.operator, mesh.deformed, ClassBlock.of(mesh.operator, part))
         return [normals, exist, errors, sums, counted.tail, counted.total, counted.largest]
 
     expected = results()
@@ -307,9 +319,10 @@ class TestArguments:
     SUMS: tuple[Any, ...] = (
         np.zeros((3, 4, 7)),
         np.array([[0, 1, 2], [1, 2, 3]], np.int32),
-        int32(0, 1, 2, 3, 4, 5),
-        np.array([0, 2, 6]),
+        int32(0, 1),
+        int32(0, 0, 1, 1),
         np.zeros((3, 2, 7), np.float32),
+        0,
         1e10,
     )
     TRUE: tuple[Any, ...] = (
@@ -366,14 +379,11 @@ class TestArguments:
         (_loops.class_sums, SUMS, 1, np.array([[0, 1, 2], [1, 2, 4]], np.int32), IndexError),
         (_loops.class_sums, SUMS, 1, np.array([[0, 1, 2], [1, -1, 3]], np.int32), IndexError),
         (_loops.class_sums, SUMS, 1, np.zeros((2, 4), np.int32), ValueError),
-        (_loops.class_sums, SUMS, 2, int32(0, 1, 2, 3, 4, 6), IndexError),
-        (_loops.class_sums, SUMS, 2, int32(0, 1, 2, 3, 4, -3), IndexError),
-        (_loops.class_sums, SUMS, 3, np.array([0, 2, 7]), IndexError),
-        (_loops.class_sums, SUMS, 3, np.array([0, 2, 1]), IndexError),
-        (_loops.class_sums, SUMS, 3, np.array([-1, 2, 6]), IndexError),
-        (_loops.class_sums, SUMS, 3, np.array([0, 6]), ValueError),
-        (_loops.class_sums, SUMS, 3, np.zeros(0, np.int64), ValueError),
+        (_loops.class_sums, SUMS, 2, int32(0, 2), IndexError),
+        (_loops.class_sums, SUMS, 2, int32(0, -1), IndexError),
+        (_loops.class_sums, SUMS, 3, int32(0, 0, 1), ValueError),
         (_loops.class_sums, SUMS, 4, np.zeros((3, 2, 6), np.float32), ValueError),
+        (_loops.class_sums, SUMS, 5, -1, ValueError),
         (_loops.true_normals, TRUE, 0, int32(0, 1, 3), IndexError),
         (_loops.true_normals, TRUE, 0, int32(0, 2, 1), IndexError),
         (_loops.true_normals, TRUE, 0, int32(-1, 1, 2), IndexError),
@@ -438,9 +448,10 @@ chance, V, P = np.random.default_rng(3), 4_000, 20
 positions = chance.normal(size=(3, V, P))
 triangles = chance.integers(0, V, (2 * V, 3)).astype(np.int32)
 corners, ends = np.arange(6 * V, dtype=np.int32), np.arange(0, 6 * V + 1, 6)
+met = np.arange(2 * V, dtype=np.int32)
 columns, starts = chance.integers(0, V, 7 * V).astype(np.int32), np.arange(0, 7 * V + 1, 7, dtype=np.int32)
 classes = np.arange(V, dtype=np.int32)
-changing = [triangles, corners, ends, columns, starts, classes]
+changing = [triangles, met, corners, ends, columns, starts, classes]
 kept = [array.copy() for array in changing]
 going = True
 
@@ -460,7 +471,7 @@ for turn in range(12):
         _loops.gradient_rows(
             np.ones((V, 3)), triangles, corners, ends, classes, np.ones(V), np.ones((2, V, 3)),
             np.zeros(V + 1, np.int32), np.zeros(18 * V, np.int32), np.zeros((2, 18 * V)), 0)
-        _loops.class_sums(positions, triangles, corners, ends, sums, 1e10)
+        _loops.class_sums(positions, triangles, met, classes, sums, 0, 1e10)
         _loops.true_normals(
             *(starts, columns, np.ones(7 * V)) * 2, positions, np.ones((3, V)), np.ones(V),
             np.ones(V, np.bool_), np.ones((3, V)), classes, sums, None,

@@ -562,92 +562,114 @@ static ALWAYS_INLINE double arctangent(double y, double x)
     return (beyond ? QUARTER : 0.0) + t * sum;
 }
 
-enum { POSITIONS, TRIANGLES, CORNERS, ENDS, SUMS, SUM_ARRAYS };
+enum { POSITIONS, TRIANGLES, MET, MESH_CLASSES, SUMS, SUM_ARRAYS };
 
 static const Requirement sum_arrays[SUM_ARRAYS] = {
     [POSITIONS] = {"positions", "d", "3VP", READ},
     [TRIANGLES] = {"triangles", "i", "T3", READ},
-    [CORNERS] = {"corners", "i", "N", READ},
-    [ENDS] = {"ends", "q", "E", READ},
+    [MET] = {"met", "i", "N", READ},
+    [MESH_CLASSES] = {"classes", "i", "V", READ},
     [SUMS] = {"sums", "f", "3CP", WRITTEN},
 };
 
+/* The poses in work at a time here: the sums of a block of classes stay in the processor's second cache. */
+enum { FACE_STRIP = 32 };
+
+typedef double FaceStrip[FACE_STRIP];
+
 typedef struct {
     const double *positions;
-    const int32_t *triangles, *corners;
-    const int64_t *ends;
+    const int32_t *triangles, *met, *classes;
+    double *totals; /* (3, C, width) */
     float *sums;
-    Py_ssize_t vertices, poses, triangle_count, corner_count, classes;
+    Py_ssize_t vertices, poses, width, triangle_count, met_count, class_count, first_class;
     double flat; /* a triangle with a larger cotangent is a line or a point */
 } Sums;
 
-/* Add angle × unit normal of one triangle, in up to STRIP poses, at one of its corners. */
-static ALWAYS_INLINE void add_corner(Components origin, Components second, Components third, int corner, double flat,
-                                     Py_ssize_t count, double *restrict x, double *restrict y, double *restrict z)
+/* A triangle in up to FACE_STRIP poses: its normal, its doubled area, the products of the edges at its corners.
+   One without an area has a normal of zero, and any angle. */
+typedef struct {
+    FaceStrip x, y, z, area, reciprocal, along[3];
+} Face;
+
+static ALWAYS_INLINE void measure_face(Components origin, Components second, Components third, double flat,
+                                       Py_ssize_t count, Face *face)
 {
     for (Py_ssize_t p = 0; p < count; p++) {
         const Vector here = vector_at(origin, p);
         const Vector e1 = minus(vector_at(second, p), here), e2 = minus(vector_at(third, p), here);
         const Vector normal = cross(e1, e2);
-        const double aa = dot(e1, e1), ab = dot(e1, e2), area = sqrt(dot(normal, normal)), reciprocal = 1.0 / area;
+        const double aa = dot(e1, e1), ab = dot(e1, e2), bb = dot(e2, e2);
+        const double area = sqrt(dot(normal, normal)), reciprocal = 1.0 / area;
         const int sound = (fabs(ab * reciprocal) < flat) & (fabs((aa - ab) * reciprocal) < flat);
-        const double along = corner == 0 ? ab : corner == 1 ? aa - ab : dot(e2, e2) - ab;
-        const double beside = fabs(along);
+        face->x[p] = sound ? normal.x : 0.0;
+        face->y[p] = sound ? normal.y : 0.0;
+        face->z[p] = sound ? normal.z : 0.0;
+        face->area[p] = sound ? area : 1.0;
+        face->reciprocal[p] = sound ? reciprocal : 0.0;
+        face->along[0][p] = sound ? ab : 0.0;
+        face->along[1][p] = sound ? aa - ab : 0.0;
+        face->along[2][p] = sound ? bb - ab : 0.0;
+    }
+}
+
+/* Add angle × unit normal of a triangle at one of its corners. */
+static ALWAYS_INLINE void add_corner(const Face *face, const double *along, Py_ssize_t count, double *restrict x,
+                                     double *restrict y, double *restrict z)
+{
+    for (Py_ssize_t p = 0; p < count; p++) {
+        const double area = face->area[p], beside = fabs(along[p]);
         const int steep = area > beside;
         const double acute = arctangent(steep ? beside : area, steep ? area : beside);
         const double upright = steep ? HALF - acute : acute;
-        const double angle = along < 0.0 ? 2.0 * HALF - upright : upright;
-        const double factor = angle * reciprocal;
-        x[p] += sound ? factor * normal.x : 0.0;
-        y[p] += sound ? factor * normal.y : 0.0;
-        z[p] += sound ? factor * normal.z : 0.0;
+        const double angle = along[p] < 0.0 ? 2.0 * HALF - upright : upright;
+        const double factor = angle * face->reciprocal[p];
+        x[p] += factor * face->x[p];
+        y[p] += factor * face->y[p];
+        z[p] += factor * face->z[p];
     }
 }
 
-/* Write the sums of one class, whose corners are given, in up to STRIP poses. */
-static ALWAYS_INLINE int sum_class(const Sums *s, Py_ssize_t row, int64_t from, int64_t to, Py_ssize_t first,
-                                   Py_ssize_t count)
+/* Add one triangle, in some poses, at those of its corners that belong to the classes in work. */
+static ALWAYS_INLINE int add_face(const Sums *s, int32_t triangle, Py_ssize_t first, Py_ssize_t count)
 {
-    const Py_ssize_t stride = s->vertices * s->poses;
-    Strip x = {0}, y = {0}, z = {0};
-    for (int64_t n = from; n < to; n++) {
-        const int32_t corner = s->corners[n];
-        if (corner < 0 || corner / 3 >= s->triangle_count)
+    Face face;
+    Components at[3];
+    Py_ssize_t rows[3];
+    if (triangle < 0 || triangle >= s->triangle_count)
+        return 1;
+    for (int corner = 0; corner < 3; corner++) {
+        const int32_t vertex = s->triangles[3 * (Py_ssize_t)triangle + corner];
+        if (vertex < 0 || vertex >= s->vertices)
             return 1;
-        Components at[3];
-        for (int turn = 0; turn < 3; turn++) {
-            const int32_t vertex = s->triangles[3 * (Py_ssize_t)(corner / 3) + turn];
-            if (vertex < 0 || vertex >= s->vertices)
-                return 1;
-            at[turn] = components(s->positions, stride, vertex * s->poses + first);
+        at[corner] = components(s->positions, s->vertices * s->poses, vertex * s->poses + first);
+        rows[corner] = s->classes[vertex] - s->first_class;
+    }
+    measure_face(at[0], at[1], at[2], s->flat, count, &face);
+    const Py_ssize_t apart = s->class_count * s->width;
+    for (int corner = 0; corner < 3; corner++)
+        if (rows[corner] >= 0 && rows[corner] < s->class_count) {
+            double *total = s->totals + rows[corner] * s->width;
+            add_corner(&face, face.along[corner], count, total, total + apart, total + 2 * apart);
         }
-        if (corner % 3 == 0)
-            add_corner(at[0], at[1], at[2], 0, s->flat, count, x, y, z);
-        else if (corner % 3 == 1)
-            add_corner(at[0], at[1], at[2], 1, s->flat, count, x, y, z);
-        else
-            add_corner(at[0], at[1], at[2], 2, s->flat, count, x, y, z);
-    }
-    float *out = s->sums + row * s->poses + first;
-    const Py_ssize_t apart = s->classes * s->poses;
-    for (Py_ssize_t p = 0; p < count; p++) {
-        out[p] = (float)x[p];
-        out[apart + p] = (float)y[p];
-        out[2 * apart + p] = (float)z[p];
-    }
     return 0;
 }
 
+/* Sum up the triangles that the classes in work meet, which are given in ascending order. So each class has its
+   terms in the same order, no matter which other classes are in work. */
 FOR_PROCESSORS
 static int sum_classes(const Sums *s)
 {
-    for (Py_ssize_t row = 0; row < s->classes; row++) {
-        const int64_t from = s->ends[row], to = s->ends[row + 1];
-        if (from < 0 || to < from || to > s->corner_count)
-            return 1;
-        for (Py_ssize_t first = 0; first < s->poses; first += STRIP)
-            if (sum_class(s, row, from, to, first, least(STRIP, s->poses - first)))
+    const Py_ssize_t rows = 3 * s->class_count;
+    for (Py_ssize_t first = 0; first < s->poses; first += s->width) {
+        const Py_ssize_t count = least(s->width, s->poses - first);
+        memset(s->totals, 0, (size_t)(rows * s->width) * sizeof(double));
+        for (Py_ssize_t n = 0; n < s->met_count; n++)
+            if (add_face(s, s->met[n], first, count))
                 return 1;
+        for (Py_ssize_t row = 0; row < rows; row++)
+            for (Py_ssize_t p = 0; p < count; p++)
+                s->sums[row * s->poses + first + p] = (float)s->totals[row * s->width + p];
     }
     return 0;
 }
@@ -656,25 +678,47 @@ static PyObject *class_sums(PyObject *Py_UNUSED(module), PyObject *args)
 {
     PyObject *o[SUM_ARRAYS], *result = NULL;
     Array a[SUM_ARRAYS];
-    Py_ssize_t sizes[26];
-    double flat;
+    Py_ssize_t sizes[26], first_class;
+    double flat, *totals = NULL;
     memset(a, 0, sizeof a);
-    if (!PyArg_ParseTuple(args, "OOOOOd", &o[POSITIONS], &o[TRIANGLES], &o[CORNERS], &o[ENDS], &o[SUMS], &flat))
+    if (!PyArg_ParseTuple(args, "OOOOOnd", &o[POSITIONS], &o[TRIANGLES], &o[MET], &o[MESH_CLASSES], &o[SUMS],
+                          &first_class, &flat))
         return NULL;
     if (read_arrays(o, sum_arrays, SUM_ARRAYS, a, sizes) < 0)
         goto done;
-    if (SIZE('E') != SIZE('C') + 1) {
-        PyErr_Format(PyExc_ValueError, "ends has %zd rows for %zd classes", SIZE('E'), SIZE('C'));
+    if (first_class < 0) {
+        PyErr_Format(PyExc_ValueError, "the first class is %zd", first_class);
         goto done;
     }
-    const Sums work = {DATA(POSITIONS), DATA(TRIANGLES), DATA(CORNERS), DATA(ENDS), DATA(SUMS), SIZE('V'),
-                       SIZE('P'),       SIZE('T'),       SIZE('N'),     SIZE('C'),  flat};
+    const Py_ssize_t width = least(FACE_STRIP, SIZE('P'));
+    totals = malloc((size_t)(3 * SIZE('C') * width + 1) * sizeof *totals);
+    if (totals == NULL) {
+        PyErr_NoMemory();
+        goto done;
+    }
+    const Sums work = {
+        .positions = DATA(POSITIONS),
+        .triangles = DATA(TRIANGLES),
+        .met = DATA(MET),
+        .classes = DATA(MESH_CLASSES),
+        .totals = totals,
+        .sums = DATA(SUMS),
+        .vertices = SIZE('V'),
+        .poses = SIZE('P'),
+        .width = width,
+        .triangle_count = SIZE('T'),
+        .met_count = SIZE('N'),
+        .class_count = SIZE('C'),
+        .first_class = first_class,
+        .flat = flat,
+    };
     int stray;
     Py_BEGIN_ALLOW_THREADS
     stray = sum_classes(&work);
     Py_END_ALLOW_THREADS
     result = none_unless(stray);
 done:
+    free(totals);
     release_arrays(a, SUM_ARRAYS);
     return result;
 }
@@ -991,6 +1035,29 @@ static ALWAYS_INLINE void count_one(const Counting *c, Counted *n, float error, 
     }
 }
 
+/* Keep the errors of a row that may be in the tail: without a branch, since one in twenty is. */
+static ALWAYS_INLINE void keep_tail(const Counting *c, Counted *n, const float *errors, Py_ssize_t row)
+{
+    Py_ssize_t kept = n->kept;
+    for (Py_ssize_t p = 0; p < c->poses; p++) {
+        c->tail[kept] = errors[p];
+        c->tail_rows[kept] = (int32_t)row;
+        kept += errors[p] >= c->least;
+    }
+    n->kept = kept;
+}
+
+/* Note the largest error of a row, if it is the largest of all, or as large at an earlier pose. */
+static ALWAYS_INLINE void note_largest(const Counting *c, Counted *n, const float *errors, float largest,
+                                       Py_ssize_t row)
+{
+    Py_ssize_t pose = 0;
+    while (pose < c->poses - 1 && errors[pose] != largest)
+        pose++;
+    if (largest > n->largest || pose < n->pose)
+        n->largest = largest, n->pose = pose, n->vertex = row;
+}
+
 enum { LANES = 8 };
 
 /* Return the sum of a row, NaN if any error is NaN, and find the largest error: in lanes, as vectors do. */
@@ -1036,10 +1103,15 @@ static Counted count_rows(const Counting *c)
             for (Py_ssize_t p = 0; p < c->poses; p++)
                 if (valid[p])
                     samples++, count_one(c, &n, errors[p], row, p, &sum);
-        } else if (sum != sum || largest >= c->least || largest >= n.largest) {
+        } else if (sum != sum) {
             sum = 0.0;
             for (Py_ssize_t p = 0; p < c->poses; p++)
                 count_one(c, &n, errors[p], row, p, &sum);
+        } else {
+            if (largest >= c->least)
+                keep_tail(c, &n, errors, row);
+            if (c->poses > 0 && largest >= n.largest)
+                note_largest(c, &n, errors, largest, row);
         }
         n.samples += samples;
         n.weight += weight * (double)samples;
@@ -1081,7 +1153,7 @@ static PyMethodDef functions[] = {
     {"blend", blend, METH_VARARGS, "blend(entries, columns, table, out): fill out."},
     {"gradient_rows", gradient_rows, METH_VARARGS, "gradient_rows(...): fill starts, columns and values; see _loops.pyi."},
     {"class_sums", class_sums, METH_VARARGS,
-     "class_sums(positions, triangles, corners, ends, sums, flat): fill sums."},
+     "class_sums(positions, triangles, met, classes, sums, first_class, flat): fill sums."},
     {"true_normals", true_normals, METH_VARARGS, "true_normals(...): fill normals and exist; see _loops.pyi."},
     {"angles", angles, METH_VARARGS, "angles(x, y, z, expected, angles): fill angles, in degrees."},
     {"count_errors", count_errors, METH_VARARGS,

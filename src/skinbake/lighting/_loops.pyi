@@ -38,16 +38,17 @@ def gradient_rows(
 def class_sums(
     positions: Float64Array,
     triangles: npt.NDArray[np.int32],
-    corners: npt.NDArray[np.int32],
-    ends: npt.NDArray[np.int64],
+    met: npt.NDArray[np.int32],
+    classes: npt.NDArray[np.int32],
     sums: Float32Array,
+    first_class: int,
     flat: float,
     /,
 ) -> None:
-    """Fill sums (3, C, P) with Σ angle × unit normal over corners[ends[c]:ends[c + 1]] of each class.
+    """Fill sums (3, C, P) with Σ angle × unit normal over the corners of C classes from ``first_class`` on.
 
-    positions (3, V, P). triangles (T, 3). corners (N,) count the entries of triangles. ends (C + 1,). A
-    triangle with a larger cotangent than ``flat`` adds nothing.
+    positions (3, V, P). triangles (T, 3). classes (V,). met (N,) are the triangles with a corner in these
+    classes, each once, in ascending order. A triangle with a larger cotangent than ``flat`` adds nothing.
     """
 
 def true_normals(

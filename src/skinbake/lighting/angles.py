@@ -20,6 +20,7 @@ from skinbake.lighting.operator import GradientOperator
 from skinbake.lighting.reference import RestFrames, morphed_frames, rest_frames
 from skinbake.lighting.triangle_normals import (
     CarriedNormals,
+    ClassBlock,
     ClassSums,
     carried_normals,
     class_blocks,
@@ -190,7 +191,7 @@ class Truths:
     operator: GradientOperator
     names: Sequence[str]
     pieces: Sequence[_Block]
-    classes: Sequence[slice]
+    classes: Sequence[ClassBlock]
     frames: RestFrames
     carried: CarriedNormals | None
 
@@ -203,9 +204,10 @@ class Truths:
         positions, normals = (_joined(surfaces, name) for name in ("positions", "normals"))
         parts = tuple(piece.part for piece in pieces)
         frames = rest_frames(operator, positions, normals, parts=parts)
-        classes, carried = [], None
+        classes: list[ClassBlock] = []
+        carried = None
         if Truth.TRIANGLES in names:
-            classes = class_blocks(operator, poses)
+            classes = class_blocks(operator)
             carried = carried_normals(operator, frames, positions, normals)
         return cls(operator, names, pieces, classes, frames, carried)
 
@@ -222,8 +224,8 @@ class Truths:
             return None
         total = np.empty((3, len(self.operator.ends) - 1, deformed.shape[2]), dtype=np.float32)
         found = threads.each(partial(kernel.class_sums, self.operator, deformed), self.classes)
-        for part, values in zip(self.classes, found, strict=True):
-            total[:, part] = values
+        for block, values in zip(self.classes, found, strict=True):
+            total[:, block.part] = values
         return ClassSums(self.carried, self.operator.classes, total)
 
     def normals(

@@ -16,7 +16,7 @@ from skinbake.lighting import _loops, by_numpy
 from skinbake.lighting.counted import CountedErrors
 from skinbake.lighting.operator import GradientOperator
 from skinbake.lighting.reference import FLAT_FRAME, RestFrames
-from skinbake.lighting.triangle_normals import FLAT_TRIANGLE, ClassSums
+from skinbake.lighting.triangle_normals import FLAT_TRIANGLE, ClassBlock, ClassSums
 from skinbake.skinning.components import Vector
 
 if TYPE_CHECKING:
@@ -58,15 +58,17 @@ def gradient_rows(operator: GradientOperator, part: slice, directions: Sequence[
     return csr_array(stacked, shape=(count * size, len(operator.positions)))
 
 
-def class_sums(operator: GradientOperator, positions: Float64Array, part: slice) -> Float32Array:
+def class_sums(operator: GradientOperator, positions: Float64Array, block: ClassBlock) -> Float32Array:
     """Return Σ angle × unit normal over the corners of some weld classes: (3, C, P)."""
+    part = block.part
     sums = np.empty((3, part.stop - part.start, positions.shape[2]), dtype=np.float32)
     _loops.class_sums(
         np.ascontiguousarray(positions, dtype=np.float64),
         operator.triangles,
-        operator.corners,
-        operator.ends[part.start : part.stop + 1],
+        block.triangles,
+        operator.classes,
         sums,
+        part.start,
         FLAT_TRIANGLE,
     )
     return sums

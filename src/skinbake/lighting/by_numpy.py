@@ -12,7 +12,13 @@ from skinbake.lighting.counted import CountedErrors
 from skinbake.lighting.metrics import angles_of_units, unit_vectors
 from skinbake.lighting.operator import GradientOperator, weights_of_corners
 from skinbake.lighting.reference import RestFrames, posed_tangents, tangent_normals
-from skinbake.lighting.triangle_normals import ClassSums, block_sums, sums_of_classes, triangle_normals
+from skinbake.lighting.triangle_normals import (
+    ClassBlock,
+    ClassSums,
+    block_sums,
+    sums_of_classes,
+    triangle_normals,
+)
 from skinbake.skinning.components import Vector
 
 if TYPE_CHECKING:
@@ -96,12 +102,12 @@ def gradient_rows(operator: GradientOperator, part: slice, directions: Sequence[
     return csr_array((stacked.data, columns, stacked.indptr), shape=(len(directions) * size, count))
 
 
-def class_sums(operator: GradientOperator, positions: Float64Array, part: slice) -> Float32Array:
+def class_sums(operator: GradientOperator, positions: Float64Array, block: ClassBlock) -> Float32Array:
     """Return Σ angle × unit normal over the corners of some weld classes: (3, C, P).
 
     float32 halves the memory. Sums of unit vectors lose a millionth of a degree.
     """
-    return sums_of_classes(operator, positions, part).astype(np.float32)
+    return sums_of_classes(operator, positions, block.part).astype(np.float32)
 
 
 def true_normals(

@@ -201,8 +201,11 @@ def unit_or_nan(vector: Vector, sound: BoolArray) -> tuple[Vector, BoolArray]:
 
 def posed_tangents(along: tuple[SparseRows, SparseRows], positions: Float64Array) -> tuple[Vector, Vector]:
     """Differentiate positions (3, V, P): two tangents, components (P, B), stored vertex by vertex."""
-    along_t, along_b = (rows.matrix(positions.shape[1]) for rows in along)
-    tangent, bitangent = (
-        tuple((matrix @ component).T for component in positions) for matrix in (along_t, along_b)
-    )
-    return tangent, bitangent
+    along_t, along_b = along
+    return posed_tangent(along_t, positions), posed_tangent(along_b, positions)
+
+
+def posed_tangent(along: SparseRows, positions: Float64Array) -> Vector:
+    """Differentiate positions (3, V, P) along one tangent: components (P, B), stored vertex by vertex."""
+    matrix = along.matrix(positions.shape[1])
+    return tuple((matrix @ component).T for component in positions)

@@ -16,7 +16,7 @@ _SHARES = (0.95, 0.99)
 _TAIL = 1 << 16
 
 # The number of samples that wait for their bins. To sum up the bins takes as long as to fill in so many.
-_WAITING = 1 << 14
+_WAITING = 1 << 15
 
 # The bits of a positive float32 that its bin ignores, and the number of bins: 64 to each power of two.
 _SHIFT = 17
@@ -162,7 +162,7 @@ class _Tail:
         self._values, self._weights = [values[chosen]], [weights[chosen]]
         self._noted = 1
         self._count = len(self._values[0])
-        self._limit = max(_TAIL, self._count + self._count // 4)
+        self._limit = max(_TAIL, 2 * self._count)
 
     def percentiles(self, weight: float) -> list[float]:
         """Invert the cumulative weight of all values that were added, ``weight`` in total."""

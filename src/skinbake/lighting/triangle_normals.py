@@ -16,7 +16,7 @@ import numpy as np
 from skinbake.geometry.skinned import BoolArray, Float32Array, Float64Array, FloatArray, IntArray
 from skinbake.lighting.influences import Int32Array
 from skinbake.lighting.operator import GradientOperator
-from skinbake.lighting.reference import RestFrames, posed_tangents
+from skinbake.lighting.reference import RestFrames, posed_tangent
 from skinbake.skinning.components import Vector, cross, dot, minus_scaled, scaled
 
 FLAT_TRIANGLE = 1e10
@@ -25,16 +25,32 @@ FLAT_TRIANGLE = 1e10
 CORNER_SAMPLES = 1 << 15
 """The corners × poses in work at a time. The temporaries of a block stay in the processor's cache."""
 
+CLASS_CORNERS = 1 << 13
+"""The corners of a block of weld classes. A triangle at the edge of a block is measured in two of them."""
 
-def class_blocks(operator: GradientOperator, poses: int) -> list[slice]:
-    """Cut a mesh's weld classes into blocks, for chunks of so many poses."""
-    size = max(1, CORNER_SAMPLES // max(poses, 1))
+
+@dataclass(frozen=True, slots=True)
+class ClassBlock:
+    """Some weld classes, and the triangles with a corner in them: (N,) int32, ascending, each once."""
+
+    part: slice
+    triangles: Int32Array
+
+    @classmethod
+    def of(cls, operator: GradientOperator, part: slice) -> ClassBlock:
+        """Find the triangles that some weld classes meet."""
+        met = np.sort(operator.corners[operator.ends[part.start] : operator.ends[part.stop]] // 3)
+        return cls(part, met[np.diff(met, prepend=-1) != 0])
+
+
+def class_blocks(operator: GradientOperator) -> list[ClassBlock]:
+    """Cut a mesh's weld classes into blocks."""
     ends, count = operator.ends, len(operator.ends) - 1
     found, start = [], 0
     while start < count:
-        stop = int(np.searchsorted(ends, ends[start] + size, side="right")) - 1
-        stop = min(max(stop, start + 1), start + size, count)
-        found.append(slice(start, stop))
+        stop = int(np.searchsorted(ends, ends[start] + CLASS_CORNERS, side="right")) - 1
+        stop = min(max(stop, start + 1), start + CLASS_CORNERS, count)
+        found.append(ClassBlock.of(operator, slice(start, stop)))
         start = stop
     return found
 
@@ -79,8 +95,7 @@ def _corner_normals(operator: GradientOperator, positions: Float64Array, corners
 
 def vertex_normals(operator: GradientOperator, positions: Float64Array) -> Float64Array:
     """Return the angle-weighted sums of the weld classes: (3, C, P), from positions (3, V, P)."""
-    blocks = class_blocks(operator, positions.shape[2])
-    found = [sums_of_classes(operator, positions, part) for part in blocks]
+    found = [sums_of_classes(operator, positions, block.part) for block in class_blocks(operator)]
     return np.concatenate([np.zeros((3, 0, positions.shape[2])), *found], axis=1)
 
 
@@ -103,9 +118,8 @@ def carried_normals(
     coefficients = np.full((3, len(positions)), np.nan)
     with np.errstate(all="ignore"):
         for part, derivatives in zip(rest.parts, rest.tangents, strict=True):
-            frame = _frame(
-                posed_tangents(derivatives, components)[0], block_sums(operator.classes, sums, part)
-            )
+            tangent = posed_tangent(derivatives[0], components)
+            frame = _frame(tangent, block_sums(operator.classes, sums, part))
             n0 = tuple(np.asarray(normals[part], dtype=np.float64).T[:, None])
             found = np.concatenate([dot(axis, n0) for axis in frame])
             coefficients[:, part] = found / np.sqrt((found * found).sum(axis=0))
