@@ -223,7 +223,11 @@ def test_quick_work_shows_none(good: Path, clocked: Callable[[float], None]) -> 
     assert run(good).stderr == ""
 
 
-def test_a_log_gets_no_bar(good: Path, clocked: Callable[[float], None]) -> None:
+def test_a_log_gets_no_bar(
+    good: Path, clocked: Callable[[float], None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # A bar that shows nothing would still import rich.
+    monkeypatch.setattr("skinbake.cli.progress._bar", None)
     clocked(1000.0)
     assert run(good).stderr == ""
 

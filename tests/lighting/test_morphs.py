@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,10 @@ from skinbake.choices import FrameChoice, PoseKind
 from skinbake.gltf.animation import read_clips
 from skinbake.gltf.document import read_document
 from skinbake.gradients.baker import BakeSettings
+from skinbake.lighting import measured
+from skinbake.lighting.angles import Truths
 from skinbake.lighting.poses import PoseRequest, draws_of, pose_set
+from skinbake.skinning.surface import RestSurface
 from tests.support.baked_files import Editable, baked, source, verify
 from tests.support.morphed_files import morphed, with_tangents
 from tests.support.straightforward import Character, duff, unit
@@ -122,6 +126,27 @@ def test_targets_that_change_after_a_bake_make_it_no_staler(tmp_path: Path) -> N
     file = Editable(path)
     file.stored(file.primitive()["targets"][0]["POSITION"])[:] *= 2.0
     assert verify(file.write(path)).failed == []
+
+
+def test_both_methods_share_the_morphed_surfaces_if_these_are_small(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = morphed(baked(source("mirrored_tangent.glb"), tmp_path), tmp_path / "moved.glb", targets=1)
+    made = []
+
+    def counted(truth: Truths, surfaces: Sequence[RestSurface]) -> Truths:
+        made.append(surfaces)
+        return moved(truth, surfaces)
+
+    moved = Truths.moved
+    monkeypatch.setattr(Truths, "moved", counted)
+    shared = verify(path).file["normals"]
+    once = len(made)
+    assert set(shared) == {"lbs", "dqs"}
+    assert once > 10
+    monkeypatch.setattr(measured, "MORPHED_BYTES", 0)
+    assert verify(path).file["normals"] == shared
+    assert len(made) == 3 * once
 
 
 # The tangent frame

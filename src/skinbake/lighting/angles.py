@@ -64,10 +64,14 @@ WELL_CONDITIONED = 1e-3
 
 @dataclass(frozen=True, slots=True)
 class Morphing:
-    """The morph targets of one mesh by primitive (None: no targets), and their weights (P, N) in P poses."""
+    """The morph targets of one mesh by primitive (None: no targets), and their weights (P, N) in P poses.
+
+    kept, if it is there, keeps each pose's surfaces and truths when they are first made, for another method.
+    """
 
     targets: tuple[MorphTargets | None, ...]
     weights: Float64Array
+    kept: dict[int, tuple[Sequence[RestSurface], Truths]] | None = None
 
     def surfaces(self, surfaces: Sequence[RestSurface], pose: int) -> list[RestSurface]:
         """Return the primitives as they are in one pose, before skinning."""
@@ -357,8 +361,13 @@ def _morphed(
     """Return the primitives before skinning, and the data of them that the truths need."""
     if morphing is None or not morphing.weights[pose].any():
         return surfaces, truth
+    if morphing.kept is not None and pose in morphing.kept:
+        return morphing.kept[pose]
     moved = morphing.surfaces(surfaces, pose)
-    return moved, truth.moved(moved)
+    found = moved, truth.moved(moved)
+    if morphing.kept is not None:
+        morphing.kept[pose] = found
+    return found
 
 
 def sides_of(surfaces: Sequence[RestSurface], joint_matrices: Float64Array) -> Float64Array | None:

@@ -62,6 +62,9 @@ A mesh is measured once for each skin that draws it, and in at least three poses
 of one mesh of 3,000 vertices need 20 a byte, a character of a million vertices needs 0.5.
 """
 
+MORPHED_BYTES = 64 << 20
+"""The memory in which morphed surfaces wait for the second method. Those that need more are made again."""
+
 
 @dataclass(frozen=True, slots=True)
 class VerifyOptions:
@@ -121,6 +124,8 @@ class Lighting:
         self._by_place: dict[Place, _Tallies] = {}
         self._poses: dict[tuple[int, int | None], PoseSet] = {}
         self._at_rest: tuple[tuple[int, int, bool], Truths] | None = None
+        self._morphed: dict[int, Morphing] = {}
+        self._room = MORPHED_BYTES
 
     def measured(
         self, meshes: Sequence[Sequence[BakedView]], operators: Sequence[GradientOperator]
@@ -152,7 +157,7 @@ class Lighting:
             for method in methods:
                 self._expect(method, drawn)
                 for draw in drawn:
-                    self._measure(method, draw)
+                    self._measure(method, draw, again=method != methods[-1])
                 self._sum_up()
             with stage("figures"):
                 verdict = self._verdict(drawn, reason if not_rigid else None)
@@ -210,8 +215,9 @@ class Lighting:
                 self._poses[skin, node] = found
             yield skin, self._poses[skin, node]
 
-    def _measure(self, method: str, draw: _Draw) -> None:
-        morphing = morphing_of(self._document, draw.views, draw.poses)
+    def _measure(self, method: str, draw: _Draw, *, again: bool) -> None:
+        """Measure a draw by a method; ``again``: another method follows."""
+        morphing = self._morphing(draw, again=again)
         first = len(self._segments)
         self._segments += [_Segment(view.source.place, draw.poses) for view in draw.views]
         identity = lighting_errors(
@@ -226,6 +232,19 @@ class Lighting:
             advance=self._advance,
         )
         self._identity = max(self._identity, identity)
+
+    def _morphing(self, draw: _Draw, *, again: bool) -> Morphing | None:
+        """Return the morph targets of a draw, and keep its morphed surfaces for the next method if small."""
+        key = id(draw)
+        if key in self._morphed:
+            return self._morphed[key] if again else self._morphed.pop(key)
+        morphing = morphing_of(self._document, draw.views, draw.poses)
+        size = sum(_morphed_size(rest) for rest in draw.rest) * len(draw.poses.clips)
+        if morphing is None or not again or size > self._room:
+            return morphing
+        self._room -= size
+        self._morphed[key] = replace(morphing, kept={})
+        return self._morphed[key]
 
     def _truths(self, draw: _Draw, morphing: Morphing | None) -> Truths:
         """Return the data of a mesh at rest. The last ones serve again for the same mesh in as many poses."""
@@ -398,6 +417,12 @@ def _limits_check(by_truth: Mapping[Truth, Normals], options: VerifyOptions, pla
     bends = any(gain(figures) is not None for normals in by_truth.values() for figures in normals.values())
     remark = "no gain to hold to --min-gain: nothing bends in these poses"
     return Check("limits", "passed", (), remark if options.min_gain is not None and not bends else "")
+
+
+def _morphed_size(rest: RestSurface) -> int:
+    """Return the memory of a surface in one pose of its morph targets, with the data that truths need."""
+    vertices, slots = rest.joints.shape
+    return int(vertices * 8 * (4 * 3 + 3 * slots + 8))
 
 
 def _not_rigid(rest: Sequence[RestSurface], poses: PoseSet) -> list[str]:

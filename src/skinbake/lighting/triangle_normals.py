@@ -66,10 +66,10 @@ def sums_of_classes(operator: GradientOperator, positions: Float64Array, part: s
     step = max(1, CORNER_SAMPLES // max(positions.shape[2], 1))
     for first in range(int(starts[0]), int(starts[-1]), step):
         corners = operator.corners[first : min(first + step, int(starts[-1]))]
-        owners = np.searchsorted(starts, np.arange(first, first + len(corners)), side="right") - 1
-        rows, begins = np.unique(owners, return_index=True)
+        bounds = np.clip(starts - first, 0, len(corners))
+        rows = np.flatnonzero(np.diff(bounds))
         for axis, weighted in enumerate(_corner_normals(operator, positions, corners)):
-            total[axis, rows] += np.add.reduceat(weighted, begins, axis=0)
+            total[axis, rows] += np.add.reduceat(weighted, bounds[rows], axis=0)
     return total
 
 
