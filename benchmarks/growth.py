@@ -52,11 +52,11 @@ EXPLAINED = (
     "The seconds are those of the processors, or those of the clock if they are fewer. `refused` is exit 3, "
     "before the memory is allocated. The last column is the largest factor by which a doubling of the bytes "
     "multiplies the memory, or the time of a step that takes over 0.5 s. A command may take 2,048 bytes of "
-    "memory for each byte of its file, and always a gibibyte. Below a gibibyte, small files can grow faster "
-    "than their bytes: primitives that share their vertices (`shared_accessors`, `draco_views`), copies of a "
-    "vertex that share its triangles (`fan`, `crowd`, `many_views`), and clips of many vertices "
-    "(`many_clips`). Above it every command refuses them: `inspect` of `shared_accessors` takes 12 s of the "
-    "processor at 512 KiB and at 1 MiB, and then exit 3."
+    "memory for each byte of its file, and always a gibibyte. Work that small files could ask for without "
+    "bytes has bounds of its own ([Bounds](reference/limits.md#bounds)). Primitives that share their vertices "
+    "(`shared_accessors`, `draco_views`) count at each use, copies of a vertex (`fan`, `crowd`, "
+    "`own_triangles`) with the neighbours of all copies, and clips (`many_clips`) with all vertices. Up to "
+    "these bounds, such a file may grow faster than its bytes; beyond them it is refused at once."
 )
 
 Content = dict[str, Any]

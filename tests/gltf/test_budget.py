@@ -122,7 +122,7 @@ def test_data_uris_are_counted() -> None:
                 document.buffer(number)
 
 
-def bomb(path: Path, count: int, primitives: int) -> Path:
+def bomb(path: Path, count: float, primitives: int) -> Path:
     """Write primitives that share accessors of ``count`` vertices without data, but for three positions."""
     data = struct.pack("<3I9f", 0, 1, 2, 0, 0, 0, 1, 0, 0, 0, 0, 1)
     sparse = {"count": 3, "indices": {"bufferView": 0, "componentType": 5125}, "values": {"bufferView": 1}}
@@ -170,14 +170,55 @@ COMMANDS: list[Callable[[Path], list[str | Path]]] = [
 @LINUX
 @pytest.mark.parametrize("command", COMMANDS)
 def test_zeros_that_no_byte_backs_are_refused(command: Callable[[Path], Any], tmp_path: Path) -> None:
-    """1.7 KB that took 2.4 GB."""
-    path = bomb(tmp_path / "p10.gltf", 1 << 20, 10)
+    path = bomb(tmp_path / "p1.gltf", 500_000, 1)
     code, peak, said = taken(*command(path))
     assert (code, said.count("\n")) == (3, 1)
-    assert "p10.gltf: mesh 0, primitive 0" in said
-    assert "claims 12 MiB of zeros" in said
+    assert "p1.gltf: mesh 0, primitive 0" in said
+    assert "claims 7.629 MiB of zeros" in said
     assert "--max-memory" in said
     assert peak < 200 * MIB
+
+
+@LINUX
+@pytest.mark.parametrize("count", [1 << 20, float(1 << 20)])
+@pytest.mark.parametrize("command", COMMANDS)
+def test_vertices_that_are_shared_too_often_are_refused_before_they_are_read(
+    command: Callable[[Path], Any], count: float, tmp_path: Path
+) -> None:
+    """1.7 KB that took 2.4 GB."""
+    path = bomb(tmp_path / "p10.gltf", count, 10)
+    code, peak, said = taken(*command(path))
+    assert (code, said.count("\n")) == (3, 1)
+    assert "p10.gltf: its skinned primitives have 10,485,770 vertices and triangles" in said
+    assert peak < 100 * MIB
+
+
+def test_vertices_and_triangles_are_limited_by_the_file_s_bytes() -> None:
+    budget = Budget(backed=100)
+    most = budgets.ELEMENTS_FREE + 100 * budgets.ELEMENTS_RATIO
+    budget.check_elements(most, HERE)
+    budget.check_elements(most, HERE)
+    with pytest.raises(InputError, match=f"x.glb: its skinned primitives have {most + 1:,} vertices"):
+        budget.check_elements(most + 1, HERE)
+
+
+def test_welding_is_limited_by_the_file_s_bytes() -> None:
+    budget = Budget(limit=1 << 60, backed=100)
+    budget.claim_welding(budgets.WELDING_FREE, HERE)
+    budget.claim_welding(100 * budgets.WELDING_RATIO, HERE)
+    assert budget.held == budget.welded
+    with pytest.raises(InputError, match=r"x.glb: its vertices have so many copies .* 128 MiB"):
+        budget.claim_welding(1, HERE)
+
+
+@pytest.mark.parametrize("json", [{"indices": "x"}, {"indices": -1}, {"indices": 9}, {"indices": None}])
+def test_json_that_is_not_sound_is_refused_where_it_is_read(json: JsonObject, tmp_path: Path) -> None:
+    def spoil(root: JsonObject) -> None:
+        root["meshes"][0]["primitives"][0].update(json)
+        root["accessors"][0]["count"] = -5
+
+    document = read_document(str(edited("seam.glb", tmp_path, spoil)))
+    assert len(skinned_sources(document)[0]) == 1
 
 
 @LINUX
@@ -198,7 +239,7 @@ def test_the_bombs_of_the_audit_are_refused(name: str, tmp_path: Path) -> None:
 def test_max_memory_bounds_what_a_child_takes(
     command: Callable[[Path], Any], limit: int, tmp_path: Path
 ) -> None:
-    path = crowd(tmp_path / "crowd.glb", 150, 2000)
+    path = crowd(tmp_path / "crowd.glb", 150, 110)
     code, peak, said = taken(*command(path), "--max-memory", f"{limit}M")
     assert code == 3
     assert f"The limit is {limit} MiB (--max-memory)" in said

@@ -507,7 +507,7 @@ def _fitted_to_poses(
         document.budget.claim(fit_size(*bake.primitive.joints.shape), "fitting it", bake.source.place)
     operator = true_operator(
         [bake.primitive for bake in bakes],
-        claim=lambda size: document.budget.claim(size, "welding it", bakes[0].source.place),
+        claim=lambda size: document.budget.claim_welding(size, bakes[0].source.place),
     )
     surfaces = [bake.rest_surface() for bake in _unwritten(bakes)]
     with stage("fit"):

@@ -42,6 +42,20 @@ UNPACKED_RATIO, UNPACKED_FREE = 100, 1 << 27
 Real characters expand 2 to 12 times.
 """
 
+ELEMENTS_RATIO, ELEMENTS_FREE = 4, 1 << 19
+"""Skinned primitives may have ELEMENTS_RATIO vertices and triangles for each byte, and ELEMENTS_FREE more.
+
+Each counts as often as a primitive uses it, because each use is work. Compressed characters have 0.1 for a
+byte. Thirty primitives that share the vertices of one of them have 3.
+"""
+
+WELDING_RATIO, WELDING_FREE = 512, 1 << 27
+"""Welding may make a surface larger by WELDING_RATIO bytes for each byte, and by WELDING_FREE more.
+
+Every copy of a vertex has the neighbours of all its copies, so a thousand copies have a million neighbours.
+The seams and poles of characters have some tens of copies.
+"""
+
 GROUPS, GROUP_ROOT = Path("/proc/self/cgroup"), Path("/sys/fs/cgroup")
 """The paths where Linux lists the control groups of a process, and their limits."""
 
@@ -117,6 +131,7 @@ class Budget:
     zeros: int = 0
     unpacked: int = 0
     packed: int = 0
+    welded: int = 0
     _zeros_of: set[int] = field(default_factory=set)
     _files: set[str] = field(default_factory=set)
 
@@ -179,6 +194,28 @@ class Budget:
                 place,
             )
         self.claim(size, "compressed data", place)
+
+    def check_elements(self, count: int, place: Place) -> None:
+        """Hold the vertices and triangles of all skinned primitives against the size of the document."""
+        most = ELEMENTS_RATIO * self.backed + ELEMENTS_FREE
+        if count > most:
+            raise InputError(
+                f"its skinned primitives have {count:,} vertices and triangles, each counted as often as a "
+                f"primitive uses it. A file of {shown(self.backed)} may have at most {most:,}",
+                place,
+            )
+
+    def claim_welding(self, size: int, place: Place) -> None:
+        """Count ``size`` bytes by which welding makes a surface larger."""
+        self.welded += size
+        most = WELDING_RATIO * self.backed + WELDING_FREE
+        if self.welded > most:
+            raise InputError(
+                f"its vertices have so many copies at one place that welding them would take "
+                f"{shown(self.welded)}. A file of {shown(self.backed)} may take at most {shown(most)} for it",
+                place,
+            )
+        self.claim(size, "welding it", place)
 
     @contextmanager
     def passing(self) -> Iterator[None]:

@@ -102,7 +102,28 @@ def skinned_sources(document: Document) -> tuple[list[PrimitiveSource], list[Not
             notices.append(
                 Notice("no-joints", "skipped: its node has a skin, but it has no JOINTS_0", source.place)
             )
+    counts = [_whole(element.get("count")) or 0 for element in document.objects("accessors")]
+    document.budget.check_elements(sum(_element_count(one, counts) for one in sources), document.place)
     return sources, notices
+
+
+def _element_count(source: PrimitiveSource, counts: Sequence[int]) -> int:
+    """Return the number of a primitive's vertices and triangles, as far as its JSON is sound.
+
+    What is not sound is refused where it is read.
+    """
+    vertices, indices = (
+        counts[number] if (number := _whole(name)) is not None and number < len(counts) else 0
+        for name in (source.attributes.get("POSITION"), source.json.get("indices"))
+    )
+    return vertices + (indices or vertices) // 3
+
+
+def _whole(value: object) -> int | None:
+    """Return a whole number of at least 0, as JSON may spell it, or None."""
+    if isinstance(value, float) and value.is_integer():
+        value = int(value)
+    return value if isinstance(value, int) and value >= 0 else None
 
 
 def _joint_counts(document: Document) -> dict[int, int]:

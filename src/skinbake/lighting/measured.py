@@ -368,7 +368,7 @@ def _true_operator(
         return operator
     return true_operator(
         before_adoption(document, views),
-        claim=lambda size: document.budget.claim(size, "welding it", views[0].source.place),
+        claim=lambda size: document.budget.claim_welding(size, views[0].source.place),
     )
 
 

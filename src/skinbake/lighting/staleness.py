@@ -59,7 +59,7 @@ def mesh_operator(
         [view.now for view in views],
         weighting=chosen,
         crease_angle_degrees=float(noted["creaseAngle"]),
-        claim=lambda size: document.budget.claim(size, "welding it", views[0].source.place),
+        claim=lambda size: document.budget.claim_welding(size, views[0].source.place),
     )
 
 

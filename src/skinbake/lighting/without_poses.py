@@ -79,7 +79,7 @@ def _without_effect(
     poses = noted_poses(document, views[0]).poses
     true = true_operator(
         [view.now for view in views],
-        claim=lambda size: document.budget.claim(size, "welding it", views[0].source.place),
+        claim=lambda size: document.budget.claim_welding(size, views[0].source.place),
     )
     slots = [(view.alpha.astype(np.float64), view.beta.astype(np.float64)) for view in views]
     stored = surfaces_of(document, views, slots)
