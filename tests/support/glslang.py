@@ -1,4 +1,4 @@
-"""Compile GLSL and HLSL with Khronos' reference compiler, and validate and disassemble the SPIR-V that it writes.
+"""Compile GLSL and HLSL with Khronos' reference compiler, and validate and disassemble its SPIR-V.
 
 Debian packages glslang-tools and spirv-tools.
 """

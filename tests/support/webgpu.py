@@ -52,7 +52,8 @@ TINT = Implementation("wgpudawn", (Path("/usr/lib/chromium/vk_swiftshader_icd.js
 class Job:
     """A compute shader, entry point ``main``: what bindings 0, 1, … of group 0 hold; the results' is last.
 
-    code is WGSL, or SPIR-V, which NAGA alone takes. workgroups 0 compiles only; else the shader is run over that many.
+    code is WGSL, or SPIR-V, which NAGA alone takes. workgroups 0 compiles only; else the shader is run over
+    that many.
     """
 
     code: str | bytes
