@@ -53,7 +53,7 @@ EXPLAINED = (
     "before the memory is allocated. The last column is the largest factor by which a doubling of the bytes "
     "multiplies the memory, or the time of a step that takes over 0.5 s. A command may take 2,048 bytes of "
     "memory for each byte of its file, and always a gibibyte. Work that small files could ask for without "
-    "bytes has bounds of its own ([Bounds](reference/limits.md#bounds)). Primitives that share their vertices "
+    "bytes has bounds of its own ([Bounds](reference/limits.md#bounds)). Primitives that share vertices "
     "(`shared_accessors`, `draco_views`) count at each use, copies of a vertex (`fan`, `crowd`, "
     "`own_triangles`) with the neighbours of all copies, and clips (`many_clips`) with all vertices. Up to "
     "these bounds, such a file may grow faster than its bytes; beyond them it is refused at once."

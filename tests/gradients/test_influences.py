@@ -279,3 +279,16 @@ def test_real_files_defects_are_counted_once_each(tmp_path: Path) -> None:
         expected = count(name, code)
         assert expected > 0
         assert notices_of(name, tmp_path)[code] == expected
+
+
+def test_weights_that_move_nothing_leave_their_slots_free() -> None:
+    field, defects = field_of([3, 5, 7, 9], [0.75, 0.25, 1e-11, 0.0])
+    assert defects == FINE
+    np.testing.assert_array_equal(field.free[0], [False, False, True, True])
+    np.testing.assert_array_equal(field.weights[0], [0.75, 0.25, 0.0, 0.0])
+
+
+def test_the_weight_of_an_adopted_slot_is_kept() -> None:
+    field, _ = field_of([3, 5, 7, 9], [1.0, 2.0**-30, 0.0, 0.0])
+    np.testing.assert_array_equal(field.free[0], [False, False, True, True])
+    assert field.weights[0, 1] > 0.0

@@ -260,7 +260,7 @@ def test_weightings_and_defects_have_the_names_of_the_definition() -> None:
     assert list(by_loops.WEIGHTINGS) == list(WEIGHTINGS)
     assert len(set(by_loops.WEIGHTINGS.values())) == len(WEIGHTINGS)
     field, _ = weight_field(empty(3))
-    found = _kernel.normalise_influences(field.joints, field.weights, field.free, 0.99, 1e-3)
+    found = _kernel.normalise_influences(field.joints, field.weights, field.free, 0.99, 1e-3, 2.0**-30)
     assert set(found) == {field.name for field in fields(WeightDefects)}
 
 
@@ -432,7 +432,7 @@ class TestArguments:
     def test_vertices_without_slots_are_refused(self) -> None:
         joints, weights, free = np.zeros((3, 0), np.int32), np.zeros((3, 0)), np.zeros((3, 0), np.bool_)
         with pytest.raises(ValueError, match="at least 1"):
-            _kernel.normalise_influences(joints, weights, free, 0.99, 1e-3)
+            _kernel.normalise_influences(joints, weights, free, 0.99, 1e-3, 2.0**-30)
 
 
 KEPT = ("ends", "sums", "parents", "ranks", "pivots")

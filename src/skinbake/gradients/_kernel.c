@@ -393,7 +393,7 @@ typedef struct {
     double *weights;
     uint8_t *unused;
     Py_ssize_t slots;
-    double adopting_sum, tolerance;
+    double adopting_sum, tolerance, least;
 } Influences;
 
 /* The numbers of vertices at which something was assumed. */
@@ -408,8 +408,12 @@ static void normalise_vertex(const Influences *field, Py_ssize_t vertex, Defects
     double *weights = field->weights + vertex * slots;
     uint8_t *unused = field->unused + vertex * slots;
     int negative = 0, merged = 0;
-    double total = 0.0;
+    double total = 0.0, largest = 0.0;
+    for (Py_ssize_t k = 0; k < slots; k++)
+        largest = weights[k] > largest ? weights[k] : largest;
     for (Py_ssize_t k = 0; k < slots; k++) {
+        if (weights[k] > 0.0 && weights[k] < field->least * largest)
+            weights[k] = 0.0;
         unused[k] = weights[k] == 0.0;
         if (weights[k] < 0.0) {
             negative = 1;
@@ -454,8 +458,8 @@ static PyObject *normalise_influences(PyObject *Py_UNUSED(module), PyObject *arg
     PyObject *objects[ARRAYS], *result = NULL;
     Array a[ARRAYS] = {{.held = 0}};
     Influences field;
-    if (!PyArg_ParseTuple(args, "OOOdd", &objects[JOINTS], &objects[WEIGHTS], &objects[UNUSED],
-                          &field.adopting_sum, &field.tolerance))
+    if (!PyArg_ParseTuple(args, "OOOddd", &objects[JOINTS], &objects[WEIGHTS], &objects[UNUSED],
+                          &field.adopting_sum, &field.tolerance, &field.least))
         return NULL;
     if (read_arrays(objects, required, ARRAYS, 1, a) < 0)
         goto done;
@@ -2039,7 +2043,7 @@ static PyMethodDef functions[] = {
     {"label_equal_rows", label_equal_rows, METH_VARARGS,
      "label_equal_rows(rows, labels): fill labels, return how many there are."},
     {"normalise_influences", normalise_influences, METH_VARARGS,
-     "normalise_influences(joints, weights, free, adopting_sum, tolerance): in place; return the defects by name."},
+     "normalise_influences(joints, weights, free, adopting_sum, tolerance, least): in place; return the defects by name."},
     {"mark_proper", mark_proper, METH_VARARGS, "mark_proper(positions, triangles, mask, least): fill mask."},
     {"group_surface", group_surface, METH_VARARGS,
      "group_surface(triangles, joints, weights, classes, class_count): return the groups, for bake_surface."},

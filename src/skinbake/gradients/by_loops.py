@@ -57,11 +57,16 @@ def label_equal_rows(rows: npt.NDArray[np.generic]) -> Labels:
 
 
 def normalise_influences(
-    joints: npt.NDArray[np.int32], weights: Float64Array, *, adopting_sum: float, tolerance: float
+    joints: npt.NDArray[np.int32],
+    weights: Float64Array,
+    *,
+    adopting_sum: float,
+    tolerance: float,
+    least: float,
 ) -> tuple[WeightField, WeightDefects]:
     """Turn stored influences (V, K) into a weight field in place. Return it with the assumptions made."""
     free = np.empty(joints.shape, dtype=np.bool_)
-    defects = _kernel.normalise_influences(joints, weights, free, adopting_sum, tolerance)
+    defects = _kernel.normalise_influences(joints, weights, free, adopting_sum, tolerance, least)
     return WeightField(joints, weights, free), WeightDefects(**defects)
 
 

@@ -50,13 +50,20 @@ def _hash_rows(keys: npt.NDArray[np.uint64]) -> npt.NDArray[np.uint64]:
 
 
 def normalise_influences(
-    joints: npt.NDArray[np.int32], weights: Float64Array, *, adopting_sum: float, tolerance: float
+    joints: npt.NDArray[np.int32],
+    weights: Float64Array,
+    *,
+    adopting_sum: float,
+    tolerance: float,
+    least: float,
 ) -> tuple[WeightField, WeightDefects]:
     """Turn stored influences (V, K) into a weight field in place. Return it with the assumptions made.
 
     A vertex may adopt if its weights sum to more than ``adopting_sum``. It counts as not normalised if the
-    sum is further than ``tolerance`` from 1. ``influences.weight_field`` has the policy.
+    sum is further than ``tolerance`` from 1. Weights below ``least`` of the vertex's largest count as 0.
+    ``influences.weight_field`` has the policy.
     """
+    weights[(weights > 0) & (weights < least * weights.max(axis=1, keepdims=True, initial=0.0))] = 0.0
     free = weights == 0
     negative = weights < 0
     weights[negative] = 0.0

@@ -15,13 +15,22 @@ ADOPTING_SUM = 1e-3
 """The Σw above which a vertex may adopt. Its largest weight must afford 1/65535 for each adopted slot."""
 
 
+LEAST_WEIGHT = 2.0**-30
+"""The share of a vertex's largest weight below which a weight counts as 0. Adopted slots have as much.
+
+Some exporters leave weights of 1e-11, which move nothing and take slots from joints of neighbours.
+"""
+
+
 def weight_field(primitive: SkinnedPrimitive) -> tuple[WeightField, WeightDefects]:
     """Return the weight field of a primitive's stored influences, and the assumptions made.
 
     Negative weights count as 0. A vertex whose weights are all zero belongs to the joint of slot 0, as in
-    three.js. Weights are divided by their sum. A joint in several slots keeps the first slot with a positive
-    weight (or the first of all), with the sum of the weights.
+    three.js. Weights that move nothing count as 0, and all are divided by their sum. A joint in several slots
+    keeps the first slot with a positive weight (or the first of all), with the sum of the weights.
     """
     joints = primitive.joints.astype(np.int32, order="C")
     weights = primitive.weights.astype(np.float64, order="C")
-    return kernel.normalise_influences(joints, weights, adopting_sum=ADOPTING_SUM, tolerance=SUM_TOLERANCE)
+    return kernel.normalise_influences(
+        joints, weights, adopting_sum=ADOPTING_SUM, tolerance=SUM_TOLERANCE, least=LEAST_WEIGHT
+    )
