@@ -36,6 +36,7 @@ def normalise_influences(
     free: npt.NDArray[np.bool_],
     adopting_sum: float,
     tolerance: float,
+    least: float,
     /,
 ) -> dict[str, int]:
     """Make stored influences (V, K) a weight field in place, fill free (V, K), and return the defects.
