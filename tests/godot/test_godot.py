@@ -123,8 +123,12 @@ def write_project(path: Path) -> None:
 
 
 def normals(found: dict[str, Any]) -> Array:
-    (drawn,) = [draw for draw in found["draws"] if draw["name"] == "normal_interp"]
-    return floats(drawn["values"], 3)
+    (drawn,) = drawn_normals(found)
+    return drawn
+
+
+def drawn_normals(found: dict[str, Any]) -> list[Array]:
+    return [floats(draw["values"], 3) for draw in found["draws"] if draw["name"] == "normal_interp"]
 
 
 def floats(text: str, columns: int) -> Array:
@@ -306,6 +310,27 @@ def test_a_file_that_does_not_fit_is_named_with_the_reason(
     assert found["skinned"] == [True]
     assert found["report"][0]["reason"].startswith(reason)
     assert [line for line in found["said"] if reason in line]
+
+
+def test_a_surface_without_a_bake_is_skinned_beside_one_that_is_lit(stage: Stage) -> None:
+    path = baked(FIXTURES / "two_primitives.glb", stage.models)
+    file = Editable(path)
+    del file.primitive(1)["extras"]
+    edited = file.write(stage.models / "one_of_two.glb")
+    character = Character(path, RANDOM)
+    found = stage.shown({**character.told(Placement()), "url": f"/models/{edited.name}"})
+    assert [(entry["lighting"], entry["reason"]) for entry in found["report"]] == [
+        ("accurate", ""),
+        ("standard", "it is not baked"),
+    ]
+    assert len(found["said"]) == 1
+    assert found["skinned"] == [False]
+    drawn = drawn_normals(found)
+    assert len(drawn) == 2
+    wanted = expected(as_stored(character), found)
+    lit = [len(one) == len(wanted) and largest(one, wanted) < DEGREES for one in drawn]
+    assert sorted(lit) == [False, True]
+    assert all(np.isfinite(one).all() for one in drawn)
 
 
 def test_standard_materials_look_as_before(stage: Stage) -> None:

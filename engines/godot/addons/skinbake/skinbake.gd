@@ -6,9 +6,11 @@ extends Node
 ## a texture with the joint matrices whenever the skeleton has a new pose.
 ## [member report] says for each surface whether it is lit, and if not, why.
 
-const KEY := &"skinbake"
 const BEFORE := &"skinbake_before"
 const Materials := preload("skinbake_material.gd")
+
+## What the import knows of the baked meshes, by their resource names: a dictionary for each surface.
+@export var records: Dictionary = {}
 
 ## A dictionary for each surface: mesh, surface, lighting ("accurate" or "standard") and reason.
 var report: Array[Dictionary] = []
@@ -54,24 +56,26 @@ func _baked_meshes() -> Array[Node]:
 	var found := scene.find_children("*", "MeshInstance3D", true, false)
 	if scene is MeshInstance3D:
 		found.push_front(scene)
-	return found.filter(func(node: MeshInstance3D) -> bool: return node.mesh != null and node.mesh.has_meta(KEY))
+	return found.filter(
+		func(node: MeshInstance3D) -> bool: return node.mesh != null and records.has(node.mesh.resource_name)
+	)
 
 
 func _light(mesh: MeshInstance3D) -> void:
-	var records: Array = mesh.mesh.get_meta(KEY)
+	var surfaces: Array = records[mesh.mesh.resource_name]
 	var skeleton := mesh.get_node_or_null(mesh.skeleton) as Skeleton3D
 	var materials: Array[ShaderMaterial] = []
 	var reasons := PackedStringArray()
 	var boxes: Array[AABB] = []
-	for surface in records.size():
+	for surface in surfaces.size():
 		var found := Materials.skinning(mesh, surface)
 		materials.append(found.material)
-		reasons.append(records[surface].why if found.reason == "" else found.reason)
-	var hindrance := _hindrance(mesh, skeleton, records, materials)
+		reasons.append(surfaces[surface].why if found.reason == "" else found.reason)
+	var hindrance := _hindrance(mesh, skeleton, surfaces, materials)
 	if hindrance == "":
 		boxes = _boxes(mesh.mesh)
-		hindrance = _rescaled(mesh.mesh, records)
-	for surface in records.size():
+		hindrance = _rescaled(mesh.mesh, surfaces)
+	for surface in surfaces.size():
 		var reason := hindrance if reasons[surface] == "" else reasons[surface]
 		var lighting := "accurate" if reason == "" else "standard"
 		report.append({"mesh": _name(mesh), "surface": surface, "lighting": lighting, "reason": reason})
@@ -85,7 +89,7 @@ func _light(mesh: MeshInstance3D) -> void:
 	})
 	var pose := _pose_of(skeleton, mesh.skin)
 	for surface in materials.size():
-		_set_parameters(materials[surface], records[surface], pose.texture)
+		_set_parameters(materials[surface], surfaces[surface], pose.texture)
 		mesh.set_surface_override_material(surface, materials[surface])
 	# Without a skin: Godot's own skinning would come first, and take the joints and weights away.
 	mesh.skin = null
@@ -95,7 +99,7 @@ func _light(mesh: MeshInstance3D) -> void:
 
 ## Why none of the surfaces of a mesh can be skinned by a shader, "" if they can. Godot skins a mesh as a whole.
 func _hindrance(
-	mesh: MeshInstance3D, skeleton: Skeleton3D, records: Array, materials: Array[ShaderMaterial]
+	mesh: MeshInstance3D, skeleton: Skeleton3D, surfaces: Array, materials: Array[ShaderMaterial]
 ) -> String:
 	if skeleton == null or mesh.skin == null:
 		return "the mesh has no skeleton"
@@ -109,18 +113,18 @@ func _hindrance(
 		var format: int = mesh.mesh.surface_get_format(surface)
 		if format & Mesh.ARRAY_FLAG_USE_8_BONE_WEIGHTS or not format & Mesh.ARRAY_FORMAT_BONES:
 			return "surface %d has not four influences per vertex" % surface
-	if records.all(func(record: Dictionary) -> bool: return record.why != ""):
+	if surfaces.all(func(record: Dictionary) -> bool: return record.why != ""):
 		return "nothing of it can be lit"
 	return ""
 
 
 ## Why the arrays do not fit α and β any more, "" if they do.
-func _rescaled(mesh: Mesh, records: Array) -> String:
-	for surface in records.size():
-		if records[surface].why != "":
+func _rescaled(mesh: Mesh, surfaces: Array) -> String:
+	for surface in surfaces.size():
+		if surfaces[surface].why != "":
 			continue
 		var now: Vector3 = RenderingServer.mesh_get_surface(mesh.get_rid(), surface).aabb.size
-		var before: Vector3 = records[surface].size
+		var before: Vector3 = surfaces[surface].size
 		if absf(now.length() - before.length()) > 1e-3 * before.length():
 			return "its vertices were scaled at import: leave Root Scale at 1, and scale the node"
 	return ""

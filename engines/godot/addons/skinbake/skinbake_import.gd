@@ -2,9 +2,9 @@
 extends GLTFDocumentExtension
 ## Takes α and β of a baked glTF file into its meshes, and adds a node to the scene that lights them.
 ##
-## α becomes CUSTOM0 and β CUSTOM1, in any encoding and layout of the bake. What the shader needs to know of
-## them is in the metadata [constant KEY] of each mesh. In the editor the plugin registers this extension. A game
-## that loads files when it runs does it once: see the readme.
+## α becomes CUSTOM0 and β CUSTOM1, in any encoding and layout of the bake. The node has what the shader needs to
+## know of them. In the editor the plugin registers this extension. A game that loads files when it runs does it
+## once: see the readme.
 
 const KEY := &"skinbake"
 const Lighter := preload("skinbake.gd")
@@ -19,22 +19,26 @@ const REPAIR := ": a tool changed the file after its bake; bake last"
 
 func _import_post_parse(state: GLTFState) -> Error:
 	var meshes: Array = state.json.get("meshes", [])
+	var records := {}
 	for index in mini(meshes.size(), state.meshes.size()):
 		var primitives: Array = meshes[index]["primitives"]
 		var notes := primitives.map(_note_of.bind(state))
 		if notes.any(func(note: Dictionary) -> bool: return not note.is_empty()):
-			_take_in(state, state.meshes[index], primitives, notes)
+			var mesh: ImporterMesh = state.meshes[index].mesh
+			records[mesh.resource_name] = _take_in(state, mesh, primitives, notes)
+	state.set_additional_data(KEY, records)
 	return OK
 
 
 func _import_post(state: GLTFState, root: Node) -> Error:
-	for mesh: GLTFMesh in state.meshes:
-		if mesh.has_meta(KEY):
-			var lighter := Lighter.new()
-			lighter.name = "Skinbake"
-			root.add_child(lighter)
-			lighter.owner = root
-			return OK
+	var records: Dictionary = state.get_additional_data(KEY)
+	if not records.is_empty():
+		var lighter := Node.new()
+		lighter.set_script(Lighter)
+		lighter.set(&"records", records)
+		lighter.name = "Skinbake"
+		root.add_child(lighter)
+		lighter.owner = root
 	return OK
 
 
@@ -51,9 +55,8 @@ static func _note_of(primitive: Dictionary, state: GLTFState) -> Dictionary:
 	return {}
 
 
-## Give a mesh the arrays of its bake, and a record for each surface.
-func _take_in(state: GLTFState, gltf_mesh: GLTFMesh, primitives: Array, notes: Array) -> void:
-	var mesh := gltf_mesh.mesh
+## Give a mesh the arrays of its bake, and return a record for each surface.
+func _take_in(state: GLTFState, mesh: ImporterMesh, primitives: Array, notes: Array) -> Array[Dictionary]:
 	var surfaces: Array[Surface] = []
 	var records: Array[Dictionary] = []
 	for index in mesh.get_surface_count():
@@ -68,8 +71,7 @@ func _take_in(state: GLTFState, gltf_mesh: GLTFMesh, primitives: Array, notes: A
 	mesh.set_blend_shape_mode(mode)
 	for surface in surfaces:
 		surface.add_to(mesh)
-	mesh.set_meta(KEY, records)
-	gltf_mesh.set_meta(KEY, records)
+	return records
 
 
 ## Put α and β into a surface. The record has `why` if they cannot be used.
