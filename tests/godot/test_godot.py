@@ -253,6 +253,25 @@ def test_a_shader_of_one_s_own_skins_by_the_include(stage: Stage) -> None:
 
 
 @pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        ("override", "material_override is set"),
+        ("overlay", "material_overlay is set"),
+        ("unskin", "the mesh has no skeleton"),
+        ("rescale", "its vertices were scaled at import: leave Root Scale at 1"),
+    ],
+)
+def test_what_was_done_to_a_mesh_is_named_if_it_stays_standard(
+    stage: Stage, change: str, reason: str
+) -> None:
+    found = stage.show(stage.character(TUBE, BENT), change=change, isDrawn=False)
+    (entry,) = found["report"]
+    assert (entry["mesh"], entry["lighting"]) == ("Skeleton3D/tube", "standard")
+    assert entry["reason"].startswith(reason)
+    assert [line for line in found["said"] if reason in line]
+
+
+@pytest.mark.parametrize(
     ("material", "reason"),
     [
         ("scattering", 'its material "skin" has subsurface scattering, which skinbake\'s shader has not'),
@@ -283,6 +302,17 @@ def of_a_later_version(file: Editable) -> None:
     file.primitive()["extras"]["skinbake"]["version"] = 2
 
 
+def with_sparse_values(file: Editable) -> None:
+    values = file.content["accessors"][file.add(np.ones((1, 3), np.float32))]["bufferView"]
+    indices = file.content["accessors"][file.add(np.zeros((1, 2), np.uint16))]["bufferView"]
+    number = file.primitive()["attributes"]["_SKINBAKE_ALPHA_0"]
+    file.content["accessors"][number]["sparse"] = {
+        "count": 1,
+        "indices": {"bufferView": indices, "componentType": 5123},
+        "values": {"bufferView": values},
+    }
+
+
 def with_shorts(file: Editable) -> None:
     number = file.primitive()["attributes"]["_SKINBAKE_BETA_0"]
     file.content["accessors"][number]["componentType"] = 5122
@@ -295,6 +325,7 @@ def with_shorts(file: Editable) -> None:
         (MIRRORED, without("TANGENT"), "its α and β are along TANGENT, which it has not"),
         (TUBE, without("_SKINBAKE_ALPHA_0"), "it has lost _SKINBAKE_ALPHA_0"),
         (TUBE, with_shorts, "_SKINBAKE_BETA_0 has another type than --encoding float32 gives it"),
+        (TUBE, with_sparse_values, "_SKINBAKE_ALPHA_0 is a sparse accessor"),
         (TUBE, of_a_later_version, "its bake is of version 2"),
     ],
 )

@@ -48,6 +48,8 @@ func _show(asked: Dictionary) -> Dictionary:
 	if asked.has("material"):
 		for mesh: MeshInstance3D in meshes:
 			mesh.set_surface_override_material(0, call("_" + asked.material))
+	if asked.has("change"):
+		call("_" + asked.change, meshes[0])
 	add_child(_scene)
 	if asked.get("isCopied", false):
 		var copy: Node3D = _scene.duplicate()
@@ -113,6 +115,28 @@ func _scattering() -> StandardMaterial3D:
 	material.resource_name = "skin"
 	material.subsurf_scatter_enabled = true
 	return material
+
+
+## What a user, or the import, may have done to a mesh that the add-on cannot serve then.
+func _override(mesh: MeshInstance3D) -> void:
+	mesh.material_override = _plain()
+
+
+func _overlay(mesh: MeshInstance3D) -> void:
+	mesh.material_overlay = _plain()
+
+
+func _unskin(mesh: MeshInstance3D) -> void:
+	mesh.skin = null
+
+
+func _rescale(mesh: MeshInstance3D) -> void:
+	var arrays := mesh.mesh.surface_get_arrays(0)
+	for vertex: int in arrays[Mesh.ARRAY_VERTEX].size():
+		arrays[Mesh.ARRAY_VERTEX][vertex] *= 2.0
+	var format: int = mesh.mesh.surface_get_format(0)
+	mesh.mesh.clear_surfaces()
+	mesh.mesh.add_surface_from_arrays(Mesh.PRIMITIVE_TRIANGLES, arrays, [], {}, format)
 
 
 ## Shaders of the user's own: one that skins, and one that does not.
