@@ -44,7 +44,10 @@ PAGE = """<!doctype html>
 <body><canvas id="canvas" width="64" height="64" style="width: 64px; height: 64px"></canvas>
 <script src="/support/capture.js"></script>
 <script>
-CAPTURE.namesFor = (text) => [text.includes('#define MODE_RENDER_DEPTH') ? 'gl_Position' : 'normal_interp'];
+CAPTURE.namesFor = (text) => {
+    if (text.includes('#define MODE_RENDER_DEPTH')) return ['gl_Position'];
+    return [text.includes('texture_normal') ? 'tangent_interp' : 'normal_interp'];
+};
 </script>
 <script src="/engine/index.js"></script>
 <script type="module">window.ready = import('/tests/page.mjs');</script>
@@ -123,12 +126,12 @@ def write_project(path: Path) -> None:
 
 
 def normals(found: dict[str, Any]) -> Array:
-    (drawn,) = drawn_normals(found)
+    (drawn,) = drawn_vectors(found)
     return drawn
 
 
-def drawn_normals(found: dict[str, Any]) -> list[Array]:
-    return [floats(draw["values"], 3) for draw in found["draws"] if draw["name"] == "normal_interp"]
+def drawn_vectors(found: dict[str, Any], name: str = "normal_interp") -> list[Array]:
+    return [floats(draw["values"], 3) for draw in found["draws"] if draw["name"] == name]
 
 
 def floats(text: str, columns: int) -> Array:
@@ -181,6 +184,18 @@ def test_both_frames_have_the_same_shader(stage: Stage, frame: str) -> None:
     character = stage.character(MIRRORED, RANDOM, frame)
     assert character.frame == Frame(frame)
     assert_accurate(character, stage.show(character))
+
+
+@pytest.mark.parametrize("frame", ["normal", "tangent"])
+def test_tangents_of_normal_maps_follow(stage: Stage, frame: str) -> None:
+    """In the normal frame they are not t0, and have to be put together from the images of t0 and b0."""
+    character = stage.character(MIRRORED, RANDOM, frame)
+    found = stage.show(character, material="rich")
+    (drawn,) = drawn_vectors(found, "tangent_interp")
+    wanted = character.expected(Algorithm.LBS_ACCURATE, placement_of(found)).tangents
+    assert wanted is not None
+    # Godot rounds TANGENT.
+    assert largest(drawn, wanted) < 5 * DEGREES
 
 
 def test_vertices_that_godot_drops_shift_nothing(stage: Stage) -> None:
@@ -356,7 +371,7 @@ def test_a_surface_without_a_bake_is_skinned_beside_one_that_is_lit(stage: Stage
     ]
     assert len(found["said"]) == 1
     assert found["skinned"] == [False]
-    drawn = drawn_normals(found)
+    drawn = drawn_vectors(found)
     assert len(drawn) == 2
     wanted = expected(as_stored(character), found)
     lit = [len(one) == len(wanted) and largest(one, wanted) < DEGREES for one in drawn]
