@@ -24,7 +24,7 @@ window.shown = async (options) => {
     window.show(JSON.stringify({ ...options, path: '/model.glb' }));
     if (options.isDrawn === false) return { ...JSON.parse(window.answer), said: [...said] };
     // Godot fills the joint texture at the end of a frame, and uses its copy in the next.
-    for (let i = 0; i < 3; i++) await frame();
+    for (let i = 0; i < 2; i++) await frame();
     CAPTURE.draws = [];
     CAPTURE.on = true;
     await frame();
