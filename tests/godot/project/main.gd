@@ -3,6 +3,36 @@ extends Node3D
 ## window.bound() answers in window.bounds.
 
 const Importer := preload("res://addons/skinbake/skinbake_import.gd")
+const Materials := preload("res://addons/skinbake/skinbake_material.gd")
+
+## Each value of what decides the text of a copy's shader.
+const CHOICES := {
+	"blend_mode": [1, 2, 3, 4],
+	"depth_draw_mode": [1, 2],
+	"cull_mode": [1, 2],
+	"diffuse_mode": [1, 2, 3],
+	"specular_mode": [1, 2],
+	"shading_mode": [0, 2],
+	"texture_filter": [0, 1, 2, 4, 5],
+	"transparency": [1, 2, 3, 4],
+	"emission_enabled": [true],
+	"emission_operator": [1],
+	"emission_on_uv2": [true],
+	"ao_enabled": [true],
+	"ao_on_uv2": [true],
+	"rim_enabled": [true],
+	"clearcoat_enabled": [true],
+	"grow": [true],
+	"vertex_color_use_as_albedo": [true],
+	"vertex_color_is_srgb": [true],
+	"albedo_texture_force_srgb": [true],
+	"texture_repeat": [false],
+	"no_depth_test": [true],
+	"shadow_to_opacity": [true],
+	"disable_receive_shadows": [true],
+	"disable_ambient_light": [true],
+	"disable_fog": [true],
+}
 
 var _callbacks: Array[JavaScriptObject] = []
 var _scene: Node3D
@@ -137,6 +167,31 @@ func _rescale(mesh: MeshInstance3D) -> void:
 	var format: int = mesh.mesh.surface_get_format(0)
 	mesh.mesh.clear_surfaces()
 	mesh.mesh.add_surface_from_arrays(Mesh.PRIMITIVE_TRIANGLES, arrays, [], {}, format)
+
+
+## Copy materials of every kind: Godot parses their shaders at once, and prints what is wrong with them.
+func _vary(mesh: MeshInstance3D) -> void:
+	for name: String in CHOICES:
+		for value: Variant in CHOICES[name]:
+			var material := StandardMaterial3D.new()
+			material.emission_enabled = name.begins_with("emission")
+			material.ao_enabled = name.begins_with("ao")
+			material.set(name, value)
+			assert_equal(material.get(name), value)
+			_copy(mesh, material)
+	_copy(mesh, ORMMaterial3D.new())
+	mesh.set_surface_override_material(0, _plain())
+
+
+func _copy(mesh: MeshInstance3D, material: Material) -> void:
+	mesh.set_surface_override_material(0, material)
+	var uniforms: Array = Materials.skinning(mesh, 0).material.shader.get_shader_uniform_list()
+	assert_equal(uniforms.any(func(uniform: Dictionary) -> bool: return uniform.name == "albedo"), true)
+
+
+func assert_equal(found: Variant, wanted: Variant) -> void:
+	if found != wanted:
+		push_error("skinbake: found %s, wanted %s" % [found, wanted])
 
 
 ## Shaders of the user's own: one that skins, and one that does not.
