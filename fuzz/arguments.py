@@ -57,7 +57,7 @@ VERIFY: Group = (
 )
 SHADER: Group = (
     (0.9, [["--lang", "glsl"], ["--lang", "wgsl"]]),
-    (0.5, [["--target", target] for target in ("plain", "three", "bevy", "godot", "babylon")]),
+    (0.5, [["--target", target] for target in ("plain", "three", "bevy", "bevy-wesl", "godot", "babylon")]),
     (0.3, [["--method", "dqs"]]),
     (0.2, [["--frame", "tangent"], ["--frame", "normal"]]),
     (0.2, [["--influences", "8"], ["--influences", "4"]]),

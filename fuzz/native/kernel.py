@@ -104,6 +104,7 @@ def _calls(kernel: Any, random: np.random.Generator) -> list[Call]:
         "free": free,
         "adopting_sum": float(random.choice([0, 0.99, np.nan])),
         "tolerance": 1e-3,
+        "least": float(random.choice([0, 2.0**-30, np.nan])),
     }
     areas = {
         "positions": positions,

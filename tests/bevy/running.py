@@ -1,4 +1,4 @@
-"""Run the Bevy target's vertex stage on arrays: as a compute shader, with stand-ins for Bevy's modules."""
+"""Run the Bevy targets' vertex stages on arrays: as compute shaders, with stand-ins for Bevy's modules."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from skinbake.geometry.morphs import Differences, MorphTarget, MorphTargets
 from skinbake.shaders.choices import ShaderChoices
 from skinbake.skinning.surface import RestSurface
 from tests.bevy.compose import compose
+from tests.bevy.link import link
 from tests.support import gltf_reading
 from tests.support.characters import Character, Pose
 from tests.support.webgpu import NAGA, Job, answers
@@ -24,6 +25,9 @@ from tests.support.whole_fields import shader_text
 
 Single = npt.NDArray[np.float32]
 Wide = npt.NDArray[np.float64]
+
+WESL = "bevy-wesl"
+"""The target for Bevy 0.20."""
 
 VERTICES, JOINTS, SKIN_INDEX, FIRST_VERTEX = 192, 7, 3, 5
 """The matrices of another skin and the vertices of another mesh come first in Bevy's buffers."""
@@ -123,6 +127,11 @@ class Case:
     defines: tuple[str, ...] = BAKED
     deltas: Morph | None = None
 
+    @property
+    def all_defines(self) -> tuple[str, ...]:
+        """The definitions, with the one that Bevy sets for morph targets."""
+        return (*self.defines, "MORPH_TARGETS") if self.deltas else self.defines
+
 
 def scene(*, mirrored: bool = False, influences: int = 4, seed: int = 5) -> Scene:
     """Return random vertices under random joints: rotated, sheared, scaled, and half of them mirrored."""
@@ -187,7 +196,8 @@ def morph(targets: int = 2, seed: int = 8) -> Morph:
 
 def run(cases: Mapping[str, Case]) -> dict[str, Seen]:
     """Skin every scene by the target's own vertex function; raise RuntimeError where one does not compile."""
-    found = answers(NAGA, {name: _job(case) for name, case in cases.items()})
+    wgsl = plain_wgsl({name: (case.choices, case.all_defines) for name, case in cases.items()})
+    found = answers(NAGA, {name: _job(case, wgsl[name]) for name, case in cases.items()})
     if complaints := [answer.complaint for answer in found.values() if answer.complaint]:
         raise RuntimeError(complaints[0])
     rows = {name: np.frombuffer(answer.results, np.float32) for name, answer in found.items()}
@@ -195,10 +205,18 @@ def run(cases: Mapping[str, Case]) -> dict[str, Seen]:
     return {name: Seen(row[:, 0], row[:, 1, :3], row[:, 2]) for name, row in shaped.items()}
 
 
-def _job(case: Case) -> Job:
-    text = compose(shader_text(case.choices), (*case.defines, *(("MORPH_TARGETS",) if case.deltas else ())))
-    width = 3 if case.given.stored is None else 4
-    code = _as_compute(text, width if "SKINBAKE" in case.defines else 0, case.deltas is not None)
+def plain_wgsl(shaders: Mapping[str, tuple[ShaderChoices, tuple[str, ...]]]) -> dict[str, str]:
+    """Return each shader under its definitions, with the stand-ins of its target for what it imports."""
+    texts = {name: (shader_text(choices), defines) for name, (choices, defines) in shaders.items()}
+    wesl = {name for name, (choices, _) in shaders.items() if choices.target == WESL}
+    linked = link({name: texts[name] for name in texts if name in wesl})
+    return linked | {name: compose(*texts[name]) for name in texts if name not in wesl}
+
+
+def _job(case: Case, text: str) -> Job:
+    width = (3 if case.given.stored is None else 4) if "SKINBAKE" in case.defines else 0
+    call = _call(width, case.deltas is not None, case.choices.target)
+    code = _as_compute(text, call, case.deltas is not None)
     other_skin = np.full((SKIN_INDEX, 4, 4), np.nan, np.float32)
     matrices = np.concatenate([other_skin, case.given.matrices]).transpose(0, 2, 1)
     buffers = [_columns(case.given), _meshes(), matrices.tobytes()]
@@ -215,7 +233,7 @@ def jacobians(rest: RestSurface, matrices: Single) -> Wide:
 
 
 def chosen(frame: str, lighting: Lighting = Lighting.ACCURATE, **more: Any) -> ShaderChoices:
-    """Return choices of the Bevy target."""
+    """Return choices of the target for Bevy 0.19, or of another one."""
     options = {"language": Language.WGSL, "target": "bevy", "frame": frame, "lighting": lighting}
     return ShaderChoices(**{**options, **more})
 
@@ -241,31 +259,41 @@ def _meshes() -> bytes:
     return words.tobytes()
 
 
-def _as_compute(text: str, width: int, morphed: bool) -> str:
-    """Turn the vertex stage into a function, and call it for one vertex an invocation.
+def _call(width: int, morphed: bool, target: str) -> str:
+    """Return the call of the vertex function for one vertex.
 
     α and β are of ``width`` numbers in a vertex buffer; 0: there are none.
     """
+    members = ["1u", "row[0].xyz", "row[1].xyz", "row[2]", "bitcast<vec4<u32>>(row[3])", "row[4]"]
+    baked = [f"row[{column}].{'xyzw'[:width]}" for column in (5, 6) if width]
+    index = [f"id.x + {FIRST_VERTEX}u"] if morphed else []
+    if target == WESL:
+        vertex = f"Vertex({', '.join([*members, *index])})"
+        return f"vertex({', '.join([vertex, *baked])})"
+    return f"vertex(Vertex({', '.join([*members, *baked, *index])}))"
+
+
+def _as_compute(text: str, call: str, morphed: bool) -> str:
+    """Turn the vertex stage into a function, and call it for one vertex an invocation."""
     for binding, (group, name) in enumerate(
         [("0", "mesh"), ("1", "joint_matrices"), ("2", "morph_weights"), ("3", "morph_targets"), ("8", "")]
     ):
         text = text.replace(f"@group(2) @binding({group}) ", f"@group(0) @binding({binding + 1}) ")
         assert not name or not morphed or name in text
-    members = ["1u", "row[0].xyz", "row[1].xyz", "row[2]", "bitcast<vec4<u32>>(row[3])", "row[4]"]
-    members += [f"row[{column}].{'xyzw'[:width]}" for column in (5, 6) if width]
-    members += [f"id.x + {FIRST_VERTEX}u"] if morphed else []
     body = f"""
 @group(0) @binding(0) var<storage> rows: array<array<vec4<f32>, 7>>;
 @group(0) @binding({6 if morphed else 3}) var<storage, read_write> results: array<array<vec4<f32>, 3>>;
 @compute @workgroup_size(64)
 fn main(@builtin(global_invocation_id) id: vec3<u32>) {{
     let row = rows[id.x];
-    let out = vertex(Vertex({", ".join(members)}));
+    let out = {call};
     results[id.x][0] = out.world_position;
     results[id.x][1] = vec4<f32>(out.world_normal, 0.0);
     results[id.x][2] = out.world_tangent;
 }}
 """
+    # A function that is called has no locations.
+    text = re.sub(r"@location\(1[45]\) (?=skinbake_)", "", text)
     return re.sub(r"^@vertex\s", "", text, flags=re.MULTILINE) + body
 
 

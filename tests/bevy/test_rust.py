@@ -11,7 +11,7 @@ import pytest
 
 from skinbake.choices import Frame
 from skinbake.shaders.choices import ShaderChoices
-from tests.bevy.running import chosen
+from tests.bevy.running import WESL, chosen
 from tests.support.strictness import missing_tool
 from tests.support.whole_fields import shader_text
 
@@ -35,6 +35,8 @@ def crates(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ("choices", "names", "vertex_format"),
     [
         (chosen(Frame.NORMAL), "SKINBAKE_ALPHA_0 SKINBAKE_BETA_0", "Float32x3"),
+        (chosen(Frame.NORMAL, target=WESL), "SKINBAKE_ALPHA_0 SKINBAKE_BETA_0", "Float32x3"),
+        (chosen(Frame.TANGENT, target=WESL), "SKINBAKE_ALPHA_0 SKINBAKE_BETA_0", "Float32x3"),
         (chosen(Frame.TANGENT, layout="custom"), "CUSTOM0 CUSTOM1", "Float32x3"),
         (chosen(Frame.NORMAL, encoding="packed8", scale=1.5), "SKINBAKE_ALPHA_0 SKINBAKE_BETA_0", "Snorm8x4"),
         (
@@ -43,7 +45,7 @@ def crates(tmp_path_factory: pytest.TempPathFactory) -> Path:
             "Snorm16x4",
         ),
     ],
-    ids=["float32", "custom", "packed8", "snorm16"],
+    ids=["float32", "next", "next tangent", "custom", "packed8", "snorm16"],
 )
 def test_the_rust_lines_compile_and_add_the_attributes(
     choices: ShaderChoices, names: str, vertex_format: str, crates: Path, tmp_path: Path
@@ -58,15 +60,20 @@ def test_the_rust_lines_compile_and_add_the_attributes(
     )
     assert process.returncode == 0, process.stderr
     alpha, beta = names.split()
+    is_next = choices.target == WESL
+    exact = is_next and choices.frame == Frame.NORMAL
+    first = 14 if is_next else 8
     assert process.stdout.splitlines() == [
-        f"{alpha} SkinbakeAlpha {vertex_format} 64 8",
-        f"{beta} SkinbakeBeta {vertex_format} {64 + SIZES[vertex_format]} 9",
+        "with compressed normals: " + ("Bevy's own" if exact else "baked"),
+        f"shaders/skinbake.{'wesl' if is_next else 'wgsl'}",
+        f"{alpha} SkinbakeAlpha {vertex_format} 64 {first}",
+        f"{beta} SkinbakeBeta {vertex_format} {64 + SIZES[vertex_format]} {first + 1}",
     ]
 
 
 def _rust_lines(text: str, folder: Path) -> str:
     """The Rust lines, by the very command that the text names for it."""
-    found = re.search(r"^// +sed -n '(.*)' skinbake\.wgsl > ", text, re.MULTILINE)
+    found = re.search(r"^// +sed -n '(.*)' skinbake\.w[ge]sl > ", text, re.MULTILINE)
     assert found is not None
     (folder / "skinbake.wgsl").write_text(text)
     process = subprocess.run(

@@ -1,4 +1,4 @@
-"""The vertex stage for Bevy compiles under every set of definitions, and skins as the replay does."""
+"""The vertex stages for Bevy compile under every set of definitions, and skin as the replay does."""
 
 from __future__ import annotations
 
@@ -19,9 +19,11 @@ from skinbake.shaders.choices import AttributeText, ShaderChoices
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.morphs import morphed
 from tests.bevy.compose import compose, without_comments
+from tests.bevy.link import link
 from tests.bevy.running import (
     BAKED,
     PLAIN,
+    WESL,
     Case,
     Scene,
     Seen,
@@ -30,6 +32,7 @@ from tests.bevy.running import (
     chosen,
     jacobians,
     morph,
+    plain_wgsl,
     run,
     scene,
 )
@@ -42,7 +45,7 @@ from tests.support.whole_fields import shader_text
 # Float32 on both sides of a subtraction of numbers near 1; t' and b' may be nearly parallel.
 DEGREES = 0.02
 
-CHOICES = [
+CURRENT = [
     chosen(Frame.NORMAL),
     chosen(Frame.TANGENT),
     chosen(Frame.NORMAL, mirrored_joints=True),
@@ -52,6 +55,13 @@ CHOICES = [
     chosen(Frame.NORMAL, Lighting.DIRECT),
     chosen(Frame.TANGENT, Lighting.DIRECT),
 ]
+NEXT = [
+    chosen(Frame.NORMAL, target=WESL),
+    chosen(Frame.TANGENT, mirrored_joints=True, cap=0.9, target=WESL),
+    chosen(Frame.TANGENT, influences=3, target=WESL),
+    chosen(Frame.TANGENT, Lighting.DIRECT, target=WESL),
+]
+CHOICES = [*CURRENT, *NEXT]
 OTHERWISE = [
     chosen(Frame.NORMAL, encoding="packed8", scale=2.5),
     chosen(Frame.TANGENT, Lighting.DIRECT, encoding="snorm16", scale=0.125, layout="custom"),
@@ -59,11 +69,16 @@ OTHERWISE = [
     chosen(Frame.TANGENT, Lighting.DIRECT, morphs=Morphs.TANGENT),
 ]
 """α and β as integers, and targets that morph TANGENT."""
+NEXT_OTHERWISE = [
+    chosen(Frame.NORMAL, encoding="packed8", scale=2.5, target=WESL),
+    chosen(Frame.TANGENT, morphs=Morphs.TANGENT, target=WESL),
+]
 STORAGES = [GradientFormat(Encoding.PACKED8), GradientFormat(Encoding.SNORM16, Layout.CUSTOM)]
 TUBE, BENT = FOLDER / "bent_tube.glb", Pose(clip=0, time=0.45)
 FRAMES = (Frame.NORMAL, Frame.TANGENT)
 SKINS = ("", "SKINNED", "SKINNED SKINBAKE")
 SWITCHES = ("VERTEX_TANGENTS", "MORPH_TARGETS", "SKINS_USE_UNIFORM_BUFFERS")
+COMPRESSED = ("VERTEX_POSITIONS_COMPRESSED", "")
 OUTPUTS = "VERTEX_UVS_A VERTEX_UVS_B VERTEX_COLORS VERTEX_OUTPUT_INSTANCE_INDEX VISIBILITY_RANGE_DITHER"
 MAIN = "\n@compute @workgroup_size(1) fn main() {}\n"
 
@@ -73,11 +88,14 @@ _MORPHED = {
     "morph tangent by normal": chosen(Frame.TANGENT),
     "morph tangent": chosen(Frame.TANGENT, morphs=Morphs.TANGENT),
     "morph tangent, direct": chosen(Frame.TANGENT, Lighting.DIRECT, morphs=Morphs.TANGENT),
+    "morph normal, next": chosen(Frame.NORMAL, target=WESL),
+    "morph tangent, next": chosen(Frame.TANGENT, morphs=Morphs.TANGENT, target=WESL),
 }
 
 
 def _name(choices: ShaderChoices) -> str:
-    return "-".join(shader_text(choices).splitlines()[4].split("--")[3:-1]).replace(" ", "")
+    words = shader_text(choices).splitlines()[4].split("--")
+    return "-".join([*words[3:-1], *(["next"] if choices.target == WESL else [])]).replace(" ", "")
 
 
 def _definitions() -> list[tuple[str, ...]]:
@@ -86,19 +104,45 @@ def _definitions() -> list[tuple[str, ...]]:
     return [("VERTEX_POSITIONS", "VERTEX_NORMALS", *" ".join(chosen).split()) for chosen in switches]
 
 
+def _needs_more(choices: ShaderChoices, defines: tuple[str, ...]) -> bool:
+    """Tell whether the Rust lines would not define SKINBAKE: in the tangent frame they ask for TANGENT."""
+    return choices.frame == Frame.TANGENT and "SKINBAKE" in defines and "VERTEX_TANGENTS" not in defines
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("implementation", [NAGA, TINT], ids=["naga", "tint"])
 def test_every_set_of_definitions_compiles(implementation: Implementation) -> None:
     jobs = {
-        f"{_name(choices)}: {' '.join(defines)}": Job(compose(shader_text(choices), defines) + MAIN)
-        for choices in [*CHOICES, *OTHERWISE]
+        f"{_name(choices)}: {' '.join(defines)}": (choices, defines)
+        for choices in [*CURRENT, *OTHERWISE]
         for defines in _definitions()
-        # In the tangent frame the Rust lines ask for TANGENT before they define SKINBAKE.
-        if not (choices.frame == Frame.TANGENT and "SKINBAKE" in defines and "VERTEX_TANGENTS" not in defines)
+        if not _needs_more(choices, defines)
     }
     assert len(jobs) == 12 * 48 - 7 * 8
+    assert not _complaints(implementation, jobs)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("implementation", [NAGA, TINT], ids=["naga", "tint"])
+def test_every_set_of_definitions_compiles_for_the_next_release(implementation: Implementation) -> None:
+    # Positions are compressed in half of them, in turn: Bevy decompresses them by a function of its own.
+    jobs = {
+        f"{_name(choices)}: {' '.join(defines)}": (choices, (*defines, *COMPRESSED[number % 2].split()))
+        for choices in [NEXT[0], *NEXT_OTHERWISE]
+        for number, defines in enumerate(_definitions())
+        if not _needs_more(choices, defines)
+    }
+    assert len(jobs) == 3 * 48 - 8
+    assert not _complaints(implementation, jobs)
+
+
+def _complaints(
+    implementation: Implementation, shaders: dict[str, tuple[ShaderChoices, tuple[str, ...]]]
+) -> dict[str, str]:
+    """Return what a compiler finds wrong, by the name of the shader."""
+    jobs = {name: Job(text + MAIN) for name, text in plain_wgsl(shaders).items()}
     complaints = {name: answer.complaint for name, answer in answers(implementation, jobs).items()}
-    assert not {name: found for name, found in complaints.items() if found}
+    return {name: found for name, found in complaints.items() if found}
 
 
 @pytest.fixture(scope="module")
@@ -108,11 +152,12 @@ def characters(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Case]:
     cases = {}
     for storage, lighting in product(STORAGES, (Lighting.ACCURATE, Lighting.DIRECT)):
         path = baked(TUBE, folder, storage=storage)
-        request = ShaderRequest(Language.WGSL, target="bevy", lighting=lighting)
         given = character(path, BENT)
         assert given.stored is not None
-        case = Case(shader(request, str(path)).choices, given)
-        cases[f"{storage.encoding} {lighting}"] = case
+        for target in ("bevy", WESL):
+            request = ShaderRequest(Language.WGSL, target=target, lighting=lighting)
+            case = Case(shader(request, str(path)).choices, given)
+            cases[f"{target} {storage.encoding} {lighting}"] = case
     return cases
 
 
@@ -127,6 +172,7 @@ def _cases() -> dict[str, Case]:
     for name, choices in _MORPHED.items():
         cases[name] = Case(choices, scene(), deltas=morph())
     cases["not baked"] = Case(chosen(Frame.NORMAL), scene(), PLAIN)
+    cases["not baked, next"] = Case(chosen(Frame.NORMAL, target=WESL), scene(), PLAIN)
     return cases
 
 
@@ -198,10 +244,12 @@ def test_frames_that_follow_otherwise_are_far_off() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("lighting", [Lighting.ACCURATE, Lighting.DIRECT])
 @pytest.mark.parametrize("encoding", ["packed8", "snorm16"])
+@pytest.mark.parametrize("target", ["bevy", WESL])
 def test_integers_are_what_the_file_means(
-    encoding: str, lighting: Lighting, seen: dict[str, Seen], characters: dict[str, Case]
+    target: str, encoding: str, lighting: Lighting, seen: dict[str, Seen], characters: dict[str, Case]
 ) -> None:
-    case, found = characters[f"{encoding} {lighting}"], seen[f"{encoding} {lighting}"]
+    name = f"{target} {encoding} {lighting}"
+    case, found = characters[name], seen[name]
     rest = case.given.rest(Frame.NORMAL)
     expected = replay(Algorithm(case.choices.algorithm), rest, case.given.matrices[None])
     assert degrees_between(found.normals, expected.normals[0]).max() < DEGREES
@@ -211,8 +259,9 @@ def test_integers_are_what_the_file_means(
 
 
 @pytest.mark.slow
-def test_a_mesh_that_is_not_baked_is_lit_as_bevy_does(seen: dict[str, Seen]) -> None:
-    given, found = scene(), seen["not baked"]
+@pytest.mark.parametrize("name", ["not baked", "not baked, next"])
+def test_a_mesh_that_is_not_baked_is_lit_as_bevy_does(name: str, seen: dict[str, Seen]) -> None:
+    given, found = scene(), seen[name]
     expected = np.einsum("vji,vj->vi", np.linalg.inv(_blended(given)), given.normals)
     assert degrees_between(found.normals, expected).max() < DEGREES
 
@@ -230,9 +279,10 @@ def test_a_mesh_that_is_not_baked_is_lit_as_bevy_does(seen: dict[str, Seen]) -> 
         ({"encoding": "snorm16"}, "snorm16 needs .*; give --for BAKED_FILE"),
     ],
 )
-def test_what_bevy_cannot_use_is_refused(choices: dict[str, Any], reason: str) -> None:
-    with pytest.raises(ChoiceError, match="bevy.*" + reason):
-        shader_text(chosen(Frame.NORMAL, **choices))
+@pytest.mark.parametrize("target", ["bevy", WESL])
+def test_what_bevy_cannot_use_is_refused(choices: dict[str, Any], reason: str, target: str) -> None:
+    with pytest.raises(ChoiceError, match=f"--target {target}[: ].*{reason}"):
+        shader_text(chosen(Frame.NORMAL, **choices, target=target))
 
 
 def test_attributes_are_registered_by_the_names_of_the_file_without_underscore() -> None:
@@ -246,7 +296,7 @@ def test_attributes_are_registered_by_the_names_of_the_file_without_underscore()
     assert 'add_custom_vertex_attribute("CUSTOM1", BETA)' in text
 
 
-@pytest.mark.parametrize("choices", [*CHOICES, *OTHERWISE], ids=_name)
+@pytest.mark.parametrize("choices", [*CURRENT, *OTHERWISE], ids=_name)
 def test_no_name_is_one_that_bevys_composer_refuses(choices: ShaderChoices) -> None:
     # naga adds a letter to names that end in a digit or in _, and naga_oil refuses what naga would rename.
     text = without_comments(shader_text(choices))
@@ -262,6 +312,15 @@ def test_names_that_bevy_does_not_have_are_noticed() -> None:
     for known, unknown in (("skinning::skin_model", "skinning::skin"), ("mesh_functions", "functions")):
         with pytest.raises(ValueError, match=r"has no|no module"):
             compose(text.replace(known, unknown), BAKED)
+
+
+@pytest.mark.slow
+def test_names_that_the_next_bevy_does_not_have_are_noticed() -> None:
+    text = shader_text(chosen(Frame.NORMAL, target=WESL))
+    assert link({"sound": (text, BAKED)})
+    for known, unknown in (("skinning::skin_model", "skinning::skin"), ("forward_io::", "io::")):
+        with pytest.raises(ValueError, match=r"broken: .*(skin|io)"):
+            link({"broken": (text.replace(known, unknown), BAKED)})
 
 
 def _one_joint_each() -> Scene:
