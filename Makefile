@@ -118,7 +118,7 @@ $(DEV): .venv/created.stamp $(BUILT_FROM)
 # Only tests/blender needs it, and is skipped without it (SKINBAKE_STRICT=1: fails). It takes Python 3.11 and no other.
 $(BLENDER): tests/blender/requirements.txt $(DEV)
 	$(PYTHON) -m venv --clear build/blender/venv
-	build/blender/venv/bin/python -m pip install --quiet --disable-pip-version-check --requirement $<
+	build/blender/venv/bin/python -m pip install --quiet --disable-pip-version-check --no-compile --requirement $<
 	$(BIN)/python -m engines.blender.build --wheels build/blender/wheels
 	@touch $@
 

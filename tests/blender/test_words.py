@@ -62,6 +62,7 @@ def test_a_limit_of_influences_says_what_it_costs(tmp_path: Path) -> None:
     assert "vertices lost influences, and normals turn by at most" in outcome.lines[0].text
 
 
+@pytest.mark.slow
 def test_a_stale_bake_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     # No export is stale; so the file is spoiled between the bake and its verification.
     def spoiled(source: str, target: str, **chosen: Any) -> dict[str, Any]:
@@ -139,6 +140,7 @@ def test_the_zip_says_what_it_fits(
     assert {"__init__.py", "baking.py", "options.py", "panel.py", "settings.py", "LICENSE"} <= names
 
 
+@pytest.mark.slow
 def test_the_wheel_of_skinbake_holds_all_of_it(tmp_path: Path) -> None:
     name, data = build.skinbake_wheel()
     (tmp_path / name).write_bytes(data)
