@@ -56,6 +56,7 @@ golden: $(DEV) ## Write tests/shaders/golden and the modules of engines/ anew, a
 	$(BIN)/python -m tests.three.write_package
 	$(BIN)/python -m tests.godot.write_addon
 	$(BIN)/python -m tests.babylon.write_package
+	$(BIN)/python -m tests.playcanvas.write_package
 
 picture: $(DEV) $(NODE_MODULES) ## Draw bend.png, shaders.png, view.gif (need a Vulkan driver) and three-*.png (Chromium) of docs/ anew
 	$(BIN)/python -m benchmarks.bend_picture docs/bend.png

@@ -16,7 +16,7 @@ import signal
 import subprocess
 import threading
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -40,6 +40,8 @@ ARGUMENTS = (
     "--use-webgpu-adapter=swiftshader",
     "--remote-debugging-pipe",
 )
+PRESENTING = ("--enable-features=Vulkan", "--use-vulkan=swiftshader", "--disable-vulkan-surface")
+"""Further arguments for a page that shows WebGPU on a canvas, and does not only draw into textures."""
 SECONDS = 120
 """The longest that one call may take."""
 
@@ -234,11 +236,13 @@ def require_browser() -> str:
 
 
 @contextmanager
-def opened(page: str, folders: Mapping[str, Path], scratch: Path) -> Iterator[Page]:
+def opened(
+    page: str, folders: Mapping[str, Path], scratch: Path, arguments: Sequence[str] = ()
+) -> Iterator[Page]:
     """Start the browser on a page and yield it once the page's promise ``window.ready`` is fulfilled.
 
     page is HTML; folders are served beside it under their names; scratch is an empty folder for the browser's
-    files, among them ``stderr.txt``.
+    files, among them ``stderr.txt``; arguments are further ones of the browser's.
     """
     program = require_browser()
     handler = functools.partial(_Handler, page=page, folders=folders)
@@ -246,7 +250,7 @@ def opened(page: str, folders: Mapping[str, Path], scratch: Path) -> Iterator[Pa
         thread = threading.Thread(target=server.serve_forever, daemon=True)
         thread.start()
         try:
-            with _running(program, scratch) as pipe:
+            with _running(program, scratch, arguments) as pipe:
                 yield Page(pipe, f"http://127.0.0.1:{server.server_address[1]}")
         finally:
             server.shutdown()
@@ -261,14 +265,17 @@ def opened_file(path: Path, scratch: Path) -> Iterator[Page]:
 
 
 @contextmanager
-def _running(program: str, scratch: Path) -> Iterator[_Pipe]:
+def _running(program: str, scratch: Path, arguments: Sequence[str] = ()) -> Iterator[_Pipe]:
     their_reading, writing = os.pipe()
     reading, their_writing = os.pipe()
     # A shell gives the browser the two descriptors under the numbers that it wants.
     command = f'exec "$@" 3</dev/fd/{their_reading} 4>/dev/fd/{their_writing}'
     with (scratch / "stderr.txt").open("wb") as stderr:
         process = subprocess.Popen(
-            ["sh", "-c", command, "sh", program, *ARGUMENTS, f"--user-data-dir={scratch}", "about:blank"],
+            [
+                *("sh", "-c", command, "sh", program, *ARGUMENTS, *arguments),
+                *(f"--user-data-dir={scratch}", "about:blank"),
+            ],
             pass_fds=(their_reading, their_writing),
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,

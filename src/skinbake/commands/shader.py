@@ -30,7 +30,7 @@ from skinbake.shaders.choices import BEST, AttributeText, ShaderChoices
 from skinbake.shaders.text import shader_made
 
 DEFAULT_INFLUENCES = 4
-AT_RUN_TIME = {"three", "babylon", "godot"}
+AT_RUN_TIME = {"three", "babylon", "godot", "playcanvas"}
 """The targets whose code reads all but the lighting from the file when it runs, and divides its weights."""
 DEFAULTS = {"encoding": Encoding.FLOAT32, "layout": Layout.ATTRIBUTES}
 """The meaning of metadata that do not say how α and β are stored."""

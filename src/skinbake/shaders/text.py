@@ -110,6 +110,11 @@ def babylon_package() -> dict[str, str]:
     return {"index.js": shader_made(ShaderChoices(Language.GLSL, target="babylon"))[0]}
 
 
+def playcanvas_package() -> dict[str, str]:
+    """Return the module of the npm package: the text of ``--target playcanvas``."""
+    return {"index.js": shader_made(ShaderChoices(Language.GLSL, target="playcanvas"))[0]}
+
+
 def _text_for(choices: ShaderChoices, reads: Sequence[str], also: Sequence[str] = ()) -> dict[str, Any]:
     """Return the parts of a target's file: header, inputs, usage, snippet, and its parts by template.
 

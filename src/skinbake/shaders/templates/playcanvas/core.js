@@ -1,0 +1,282 @@
+// Which mesh instances are lit accurately. Before each frame the module looks at all skinned ones of the
+// application, so that clones, other materials and late entities need no further call.
+
+const bakes = new WeakMap(); // Mesh -> { problem, values, stride, method, texture }
+const watched = new Map(); // Application -> { stop }
+const standard = new WeakSet(); // mesh instances that lighting() has switched
+const problems = new WeakMap(); // material -> why it cannot have the chunks, or empty
+const told = new WeakMap(); // mesh instance -> messages
+
+/**
+ * Make the options of a container asset whose baked skinned meshes are lit accurately wherever they are drawn.
+ *
+ * @param {AppBase} app - The application.
+ * @param {{ method?: 'lbs' | 'dqs' }} [options] - Linear blending, as PlayCanvas has it, or dual quaternions.
+ * @param {object} [others] - Further options of the asset. Their hooks are called too.
+ * @returns {object} The fifth parameter of `new Asset(name, 'container', file, data, options)`.
+ */
+export function skinbakeOptions(app, { method = METHOD } = {}, others = {}) {
+    if (method !== 'lbs' && method !== 'dqs') throw new Error(`skinbake: method ${method} is neither lbs nor dqs`);
+    watch(app);
+    const views = new Map();
+    return {
+        ...others,
+        bufferView: {
+            ...others.bufferView,
+            postprocess: (description, bytes) => {
+                views.set(description, bytes);
+                others.bufferView?.postprocess?.(description, bytes);
+            },
+        },
+        global: {
+            ...others.global,
+            postprocess: (gltf, result) => {
+                takeBakes(gltf, result, views, method);
+                others.global?.postprocess?.(gltf, result);
+            },
+        },
+    };
+}
+
+/**
+ * Tell the lighting of the skinned meshes below an entity. An entry stays up to date.
+ *
+ * @param {Entity} root - A model, or the root of the scene.
+ * @returns {SkinbakeReport} What each skinned mesh is drawn with.
+ */
+export function skinbakeReport(root) {
+    return { meshes: skinned(root).map((instance) => new MeshReport(instance)) };
+}
+
+/**
+ * Switch the skinned meshes below an entity to PlayCanvas's own lighting, or back.
+ *
+ * @param {Entity} root - A model, or the root of the scene.
+ * @param {'standard' | 'accurate'} which - The lighting.
+ */
+export function lighting(root, which) {
+    if (which !== 'standard' && which !== 'accurate') {
+        throw new Error(`skinbake: lighting ${which} is neither standard nor accurate`);
+    }
+    for (const instance of skinned(root)) {
+        if (which === 'standard') standard.add(instance);
+        else standard.delete(instance);
+    }
+}
+
+/**
+ * Undo everything for an application, and free the textures.
+ *
+ * @param {AppBase} app - The application.
+ */
+export function dispose(app) {
+    watched.get(app)?.stop();
+    watched.delete(app);
+}
+
+class MeshReport {
+    constructor(meshInstance) {
+        this.meshInstance = meshInstance;
+    }
+
+    get lighting() {
+        return found(this.meshInstance)[0];
+    }
+
+    get reason() {
+        return found(this.meshInstance)[1];
+    }
+}
+
+const NOT_BAKED = 'it is not baked, or its asset was loaded without skinbakeOptions()';
+
+// Read from the programs that drew it.
+function found(instance) {
+    const bake = bakes.get(instance.mesh);
+    if (!bake) return ['standard', NOT_BAKED];
+    if (bake.problem) return ['standard', bake.problem];
+    if (standard.has(instance)) return ['standard', 'lighting() has switched it'];
+    const problem = problemOfMaterial(instance.material) || problems.get(instance.material);
+    if (problem) return ['standard', problem];
+    const programs = [...instance._shaderCache.values()].map(({ shader }) => shader.definition.vshader ?? '');
+    const lit = programs.filter((text) => text.includes('vNormalW'));
+    const isLit = instance.getParameter(CONSTANTS) !== undefined;
+    if (!isLit || !programs.length) return ['not drawn', 'it has not been drawn yet'];
+    if (!lit.length) return ['unlit', 'its material reads no normals'];
+    if (lit.every((text) => text.includes('skinbake_normal'))) return ['accurate', ''];
+    return ['standard', `its material "${instance.material.name}" does not use the chunk normalVS`];
+}
+
+function skinned(root) {
+    const components = [...root.findComponents('render'), ...root.findComponents('model')];
+    const instances = components.flatMap(({ meshInstances }) => meshInstances ?? []);
+    return instances.filter(({ skinInstance }) => skinInstance);
+}
+
+function watch(app) {
+    if (watched.has(app)) return;
+    const kept = { materials: new Set(), textures: new Set(), instances: new Set() };
+    const before = () => lightAll(app, kept);
+    const after = (asset) => warnOfOthers(asset);
+    app.on('prerender', before);
+    app.assets.on('load', after);
+    app.once('destroy', () => dispose(app));
+    kept.stop = () => {
+        app.off('prerender', before);
+        app.assets.off('load', after);
+        kept.instances.forEach(withoutParameters);
+        kept.materials.forEach(withoutChunks);
+        kept.textures.forEach((texture) => texture.destroy());
+        kept.nothing?.destroy();
+    };
+    watched.set(app, kept);
+}
+
+function lightAll(app, kept) {
+    for (const instance of kept.instances) if (!instance.mesh) kept.instances.delete(instance);
+    for (const layer of app.scene.layers.layerList) {
+        for (const instance of layer.meshInstances) if (instance.skinInstance) light(app, kept, instance);
+        for (const instance of layer.shadowCasters) if (instance.skinInstance) light(app, kept, instance);
+    }
+}
+
+const CONSTANTS = 'skinbakeConstants';
+const DATA = 'skinbakeData';
+
+function light(app, kept, instance) {
+    const bake = bakes.get(instance.mesh);
+    if (!bake) return;
+    const { material } = instance;
+    const problem = bake.problem || problemOfMaterial(material) || prepare(app, kept, material);
+    if (problem) tell(instance, problem);
+    if (problem || standard.has(instance)) {
+        withoutParameters(instance);
+        kept.instances.delete(instance);
+        return;
+    }
+    if (kept.instances.has(instance) && instance.getParameter(CONSTANTS)) return;
+    if (!bake.texture) {
+        bake.texture = dataTexture(app.graphicsDevice, bake.values, bake.stride);
+        kept.textures.add(bake.texture);
+        freeWith(instance.mesh, bake, kept);
+    }
+    instance.setParameter(CONSTANTS, [bake.stride, bake.method === 'dqs' ? 1 : 0, 0, 0]);
+    instance.setParameter(DATA, bake.texture);
+    kept.instances.add(instance);
+}
+
+function withoutParameters(instance) {
+    instance.deleteParameter(CONSTANTS);
+    instance.deleteParameter(DATA);
+}
+
+function freeWith(mesh, bake, kept) {
+    const { destroy } = mesh;
+    mesh.destroy = () => {
+        kept.textures.delete(bake.texture);
+        bake.texture.destroy();
+        bake.texture = null;
+        destroy.call(mesh);
+    };
+}
+
+// Texels of four floats, row by row.
+function dataTexture(device, values, stride) {
+    const width = Math.min(Math.max(values.length / 4, 1), 2048);
+    const height = Math.ceil(values.length / (4 * width));
+    const levels = new Float32Array(4 * width * height);
+    levels.set(values);
+    return new Texture(device, {
+        name: 'skinbake',
+        width,
+        height,
+        format: PIXELFORMAT_RGBA32F,
+        mipmaps: false,
+        minFilter: FILTER_NEAREST,
+        magFilter: FILTER_NEAREST,
+        addressU: ADDRESS_CLAMP_TO_EDGE,
+        addressV: ADDRESS_CLAMP_TO_EDGE,
+        levels: [levels],
+    });
+}
+
+function problemOfMaterial(material) {
+    if (material instanceof StandardMaterial || material instanceof LitMaterial) return '';
+    return `its material "${material.name}" is not a StandardMaterial or LitMaterial`;
+}
+
+// Give a material the chunks. It draws other meshes as before.
+function prepare(app, kept, material) {
+    if (kept.materials.has(material) && isPrepared(material)) return '';
+    const texts = chunksFor(app.graphicsDevice, material);
+    const name = `its material "${material.name}"`;
+    const problem = texts ? '' : `${name}, or the application, has other chunks than PlayCanvas's`;
+    problems.set(material, problem);
+    if (problem) return problem;
+    kept.materials.add(material);
+    kept.nothing ??= dataTexture(app.graphicsDevice, new Float32Array(4), 1);
+    material.setParameter(CONSTANTS, [0, 0, 0, 0]);
+    material.setParameter(DATA, kept.nothing);
+    for (const [language, chunks] of texts) {
+        for (const [name, text] of Object.entries(chunks)) material.getShaderChunks(language).set(name, text);
+    }
+    material.update();
+    return '';
+}
+
+function isPrepared(material) {
+    if (!material.hasShaderChunks) return false;
+    const chunks = [SHADERLANGUAGE_GLSL, SHADERLANGUAGE_WGSL].map((language) => material.getShaderChunks(language));
+    return Object.keys(GLSL).every((name) => chunks.some((one) => one.get(name)?.includes('skinbake')));
+}
+
+// PlayCanvas's own functions stay under another name: a mesh that is not baked runs them alone.
+function chunksFor(device, material) {
+    const texts = [];
+    const languages = new Map([[SHADERLANGUAGE_GLSL, GLSL], [SHADERLANGUAGE_WGSL, WGSL]]);
+    for (const [language, added] of languages) {
+        const chunks = {};
+        for (const [name, { usual, text }] of Object.entries(added)) {
+            const own = material.hasShaderChunks ? material.getShaderChunks(language).get(name) : undefined;
+            const current = own ?? ShaderChunks.get(device, language).get(name);
+            // A device has the chunks of one language only.
+            if (current === undefined) continue;
+            const [signature, renamed] = usual;
+            // The copy of a material has them already.
+            const isOurs = current.includes('skinbake');
+            if (!isOurs && !signature.test(current)) return null;
+            chunks[name] = isOurs ? current : `${current.replace(signature, renamed)}${text}`;
+        }
+        texts.push([language, chunks]);
+    }
+    return texts;
+}
+
+function withoutChunks(material) {
+    if (!isPrepared(material)) return;
+    for (const language of [SHADERLANGUAGE_GLSL, SHADERLANGUAGE_WGSL]) {
+        for (const name of Object.keys(GLSL)) material.getShaderChunks(language).delete(name);
+    }
+    material.deleteParameter(CONSTANTS);
+    material.deleteParameter(DATA);
+    material.update();
+}
+
+function tell(instance, reason) {
+    const messages = told.get(instance) ?? told.set(instance, new Set()).get(instance);
+    if (messages.has(reason)) return;
+    messages.add(reason);
+    console.warn(`skinbake: "${instance.node.name}" has PlayCanvas's standard lighting: ${reason}`);
+}
+
+// An asset that was loaded without the options, in an application that uses them.
+function warnOfOthers({ name, type, resource }) {
+    const { gltf, renders = [] } = (type === 'container' && resource?.data) || {};
+    for (const [number, { primitives, name: mesh = number }] of (gltf?.meshes ?? []).entries()) {
+        if (!primitives.some((primitive) => metadataOf(gltf, primitive))) continue;
+        if (renders[number]?.meshes?.every((made) => !bakes.has(made))) {
+            const reason = `its asset "${name}" was loaded without skinbakeOptions()`;
+            console.warn(`skinbake: "${mesh}" has PlayCanvas's standard lighting: ${reason}`);
+        }
+    }
+}

@@ -1,0 +1,144 @@
+// PlayCanvas gives shaders no attributes of other names. So alpha, beta and TANGENT are read from the buffer views
+// when the file is loaded, decoded, and put into a texture.
+
+const FRAMES = { normal: 2, tangent: 3 }; // texels of each vertex
+const ENCODINGS = { packed8: 5120, snorm16: 5122 };
+const COMPONENTS = {
+    5120: [Int8Array, 127],
+    5121: [Uint8Array, 255],
+    5122: [Int16Array, 32767],
+    5123: [Uint16Array, 65535],
+    5126: [Float32Array, 1],
+};
+const SIZES = { VEC2: 2, VEC3: 3, VEC4: 4 };
+
+const LOST = 'it has lost the metadata of its bake: keep the extras of primitives, or bake last';
+
+const isObject = (value) => typeof value === 'object' && value !== null;
+
+function takeBakes(gltf, { renders }, views, method) {
+    for (const [number, { primitives }] of (gltf.meshes ?? []).entries()) {
+        const { meshes } = renders[number];
+        if (meshes.length !== primitives.length) continue;
+        for (const [index, primitive] of primitives.entries()) {
+            const metadata = metadataOf(gltf, primitive);
+            if (metadata) bakes.set(meshes[index], bakeOf(gltf, primitive, metadata, views, method));
+            else if (primitive.attributes._SKINBAKE_ALPHA_0 !== undefined) {
+                bakes.set(meshes[index], { problem: LOST });
+            }
+        }
+    }
+    views.clear();
+}
+
+// Where extras of the primitive were not an object, bake has put the metadata into those of alpha's accessor.
+function metadataOf({ accessors = [] }, { extras, attributes }) {
+    const places = [extras, ...Object.values(attributes).map((number) => accessors[number]?.extras)];
+    const notes = places.map((place) => place?.skinbake);
+    return notes.find((note) => isObject(note) && Number.isInteger(note.version));
+}
+
+function bakeOf(gltf, primitive, metadata, views, method) {
+    const problem = problemOf(gltf, primitive, metadata);
+    if (problem) return { problem };
+    const read = (name) => elements(gltf, primitive.attributes[name], views);
+    const names = [...new Set([...metadata.alpha, ...metadata.beta])];
+    const stored = names.map(read);
+    const tangents = metadata.frame === 'tangent' ? read('TANGENT') : null;
+    if ([...stored, ...(tangents ? [tangents] : [])].some((array) => !array)) {
+        return { problem: 'its buffer views could not be read: bake it again without compression' };
+    }
+    const isPaired = metadata.layout === 'texcoord';
+    const [alpha, beta] = isPaired ? assembled(stored) : stored.map((array) => decoded(array, metadata));
+    const stride = FRAMES[metadata.frame];
+    const count = alpha.length / 3;
+    const values = new Float32Array(4 * stride * count);
+    for (let vertex = 0; vertex < count; vertex++) {
+        const at = 4 * stride * vertex;
+        values.set(alpha.subarray(3 * vertex, 3 * vertex + 3), at);
+        values.set(beta.subarray(3 * vertex, 3 * vertex + 3), at + 4);
+        if (tangents) values.set(tangents.subarray(4 * vertex, 4 * vertex + 4), at + 8);
+    }
+    return { problem: '', values, stride, method, texture: null };
+}
+
+function problemOf({ accessors }, { attributes, extensions }, metadata) {
+    const { version, frame, encoding, layout, influences, scale, alpha, beta } = metadata;
+    if (version !== 1) return `its bake has version ${version}, and this module reads version 1: update it`;
+    if (extensions?.KHR_draco_mesh_compression) {
+        return 'its alpha and beta are compressed by Draco: bake it again with --compress none';
+    }
+    if (influences > 4 || attributes.JOINTS_1 !== undefined) {
+        const count = influences > 4 ? influences : 8;
+        const remedy = 'bake it again with --limit-influences 4';
+        return `it has ${count} influences for each vertex, and PlayCanvas reads four: ${remedy}`;
+    }
+    if (!Array.isArray(alpha) || !Array.isArray(beta)) return 'the metadata of its bake is damaged: bake it again';
+    if (!FRAMES[frame]) return `its frame is ${frame}, and this module knows normal and tangent: update it`;
+    if (encoding !== undefined && !ENCODINGS[encoding]) {
+        return `its encoding is ${encoding}, and this module knows packed8 and snorm16: update it`;
+    }
+    if (encoding && !Number.isFinite(scale)) return 'the metadata of its bake lacks the scale: bake it again';
+    for (const name of frame === 'tangent' ? ['NORMAL', 'TANGENT'] : ['NORMAL']) {
+        if (attributes[name] !== undefined) continue;
+        return `it has lost the attribute ${name}, which its bake needs: bake last`;
+    }
+    for (const name of [...alpha, ...beta]) {
+        const problem = misfit(accessors[attributes[name]], encoding, layout);
+        if (problem) return `its attribute ${name} ${problem}: bake last, or keep attributes as they are`;
+    }
+    return '';
+}
+
+function misfit(accessor, encoding, layout) {
+    if (!accessor) return 'is missing';
+    const type = layout === 'texcoord' ? 'VEC2' : encoding ? 'VEC4' : 'VEC3';
+    if (accessor.type !== type) return `is ${accessor.type}, not ${type}`;
+    if (!encoding) return accessor.componentType === 5126 ? '' : 'is not of floats';
+    const isEncoded = accessor.componentType === ENCODINGS[encoding] && accessor.normalized;
+    return isEncoded ? '' : `is not encoded as ${encoding}`;
+}
+
+// The elements of an accessor as floats, or null where its buffer view is not at hand.
+function elements({ accessors, bufferViews }, number, views) {
+    const { bufferView, byteOffset = 0, componentType, count, normalized, sparse, type } = accessors[number];
+    const description = bufferViews?.[bufferView];
+    const bytes = views.get(description);
+    if (!bytes || sparse || !COMPONENTS[componentType]) return null;
+    const [Numbers, limit] = COMPONENTS[componentType];
+    const size = SIZES[type];
+    const stride = description.byteStride ?? size * Numbers.BYTES_PER_ELEMENT;
+    const result = new Float32Array(size * count);
+    for (let index = 0; index < count; index++) {
+        const row = new Numbers(size);
+        const start = byteOffset + index * stride;
+        new Uint8Array(row.buffer).set(bytes.subarray(start, start + row.byteLength));
+        for (let at = 0; at < size; at++) {
+            result[size * index + at] = normalized ? Math.max(row[at] / limit, -1) : row[at];
+        }
+    }
+    return result;
+}
+
+function decoded(stored, { encoding, scale }) {
+    if (!encoding) return stored;
+    const count = stored.length / 4;
+    const result = new Float32Array(3 * count);
+    for (let vertex = 0; vertex < count; vertex++) {
+        const factor = scale * stored[4 * vertex + 3] ** 2;
+        for (let at = 0; at < 3; at++) result[3 * vertex + at] = factor * stored[4 * vertex + at];
+    }
+    return result;
+}
+
+// The layout texcoord has alpha 1, alpha 2 | alpha 3, beta 1 | beta 2, beta 3.
+function assembled(stored) {
+    const count = stored[0].length / 2;
+    const both = [new Float32Array(3 * count), new Float32Array(3 * count)];
+    for (let vertex = 0; vertex < count; vertex++) {
+        const row = stored.flatMap((pairs) => [pairs[2 * vertex], pairs[2 * vertex + 1]]);
+        both[0].set(row.slice(0, 3), 3 * vertex);
+        both[1].set(row.slice(3, 6), 3 * vertex);
+    }
+    return both;
+}

@@ -1,0 +1,122 @@
+const WGSL = {
+    skinVS: {
+        usual: [/fn\s+getSkinMatrix\s*\(/, 'fn skinbake_usualSkinMatrix('],
+        text: /* wgsl */ `
+uniform skinbakeConstants: vec4f;
+var skinbakeData: texture_2d<uff>;
+
+@{ wgsl | replace("fn skinbake_frame(n: vec3<f32>, tangent", "fn skinbake_tangent_frame(n: vec3<f32>, tangent") | replace("\\", "\\\\") | replace("`", "\\`") | replace("${", "\\${") }
+
+fn skinbake_isBaked() -> bool {
+    return uniform.skinbakeConstants.x > 1.5;
+}
+
+fn skinbake_hasDualQuaternions() -> bool {
+    return uniform.skinbakeConstants.y > 0.5;
+}
+
+fn skinbake_datum(index: i32) -> vec4f {
+    let texel = i32(pcVertexIndex) * i32(uniform.skinbakeConstants.x) + index;
+    let width = i32(textureDimensions(skinbakeData).x);
+    return textureLoad(skinbakeData, vec2i(texel % width, texel / width), 0);
+}
+
+fn skinbake_joint(index: f32) -> mat4x4f {
+    let rows = getBoneMatrix(i32(textureDimensions(texture_poseMap).x), 3 * i32(index + 0.5));
+    return transpose(mat4x4f(rows.v1, rows.v2, rows.v3, vec4f(0.0, 0.0, 0.0, 1.0)));
+}
+
+fn skinbake_joints() -> array<mat4x4f, 4> {
+    return array<mat4x4f, 4>(
+        skinbake_joint(vertex_boneIndices.x), skinbake_joint(vertex_boneIndices.y),
+        skinbake_joint(vertex_boneIndices.z), skinbake_joint(vertex_boneIndices.w));
+}
+
+fn skinbake_weights() -> vec4f {
+    let sum = dot(vertex_boneWeights, vec4f(1.0));
+    return select(vec4f(1.0, 0.0, 0.0, 0.0), vertex_boneWeights / sum, sum > 0.0);
+}
+
+fn skinbake_motion(M: mat4x4f, scale: f32) -> mat2x4f {
+    return skinbake_dual_quaternion(mat4x4f(M[0] / scale, M[1] / scale, M[2] / scale, M[3]));
+}
+
+fn skinbake_turned(p: vec3f, rest: skinbake_Frame, M: array<mat4x4f, 4>, alpha: vec3f, beta: vec3f) -> skinbake_Vertex {
+    let scale = length(M[0][0].xyz);
+    let frame = skinbake_Frame(rest.normal, scale * rest.tangent, scale * rest.bitangent, rest.handedness);
+    let Q = array<mat2x4f, 4>(
+        skinbake_motion(M[0], scale), skinbake_motion(M[1], scale),
+        skinbake_motion(M[2], scale), skinbake_motion(M[3], scale));
+    return skinbake_dqs_exact(scale * p, frame, Q, skinbake_weights(), alpha, beta);
+}
+
+fn getSkinMatrix(indices: vec4f, weights: vec4f) -> mat4x4f {
+    if (!skinbake_isBaked() || !skinbake_hasDualQuaternions()) { return skinbake_usualSkinMatrix(indices, weights); }
+    let frame = skinbake_Frame(vec3f(0.0), vec3f(1.0, 0.0, 0.0), vec3f(0.0, 1.0, 0.0), 1.0);
+    let v = skinbake_turned(vec3f(0.0), frame, skinbake_joints(), vec3f(0.0), vec3f(0.0));
+    let z = cross(v.tangent, v.bitangent) / length(v.tangent);
+    return mat4x4f(vec4f(v.tangent, 0.0), vec4f(v.bitangent, 0.0), vec4f(z, 0.0), vec4f(v.position, 1.0));
+}
+`,
+    },
+    normalVS: {
+        usual: [/fn\s+getNormal\s*\(/, 'fn skinbake_usualNormal('],
+        text: /* wgsl */ `
+#if defined(SKIN) && !defined(BATCH)
+// The matrix whose columns are a * b.x, a * b.y, a * b.z.
+fn skinbake_outer(a: vec3f, b: vec3f) -> mat3x3f {
+    return mat3x3f(a * b.x, a * b.y, a * b.z);
+}
+
+fn skinbake_model() -> mat4x4f {
+#ifdef MESH_INSTANCE_STORAGE
+    return getStoredModelMatrix();
+#else
+    return uniform.matrix_model;
+#endif
+}
+
+fn skinbake_normal() -> vec3f {
+    let n0 = select(vec3f(0.0, 0.0, 1.0), normalize(vertex_normal), dot(vertex_normal, vertex_normal) > 0.0);
+    var rest = skinbake_frame(n0);
+    if (uniform.skinbakeConstants.x > 2.5) { rest = skinbake_tangent_frame(n0, skinbake_datum(2)); }
+    var frame = rest;
+#ifdef MORPHING_NORMAL
+    frame = skinbake_morphed_frame(rest, getLocalNormal(vertex_normal));
+#endif
+    let M = skinbake_joints();
+    let p = getLocalPosition(vertex_position.xyz);
+    let alpha = skinbake_datum(0).xyz;
+    let beta = skinbake_datum(1).xyz;
+    var v: skinbake_Vertex;
+    if (skinbake_hasDualQuaternions()) {
+        v = skinbake_turned(p, frame, M, alpha, beta);
+    } else {
+//% if blended == "direct"
+        v = skinbake_lbs_direct(p, frame, M, skinbake_weights(), skinbake_gradients(frame, alpha, beta));
+//% else
+        v = skinbake_lbs_accurate(p, frame, M, skinbake_weights(), alpha, beta);
+//% endif
+    }
+    let model = skinbake_model();
+    let world = mat3x3f(model[0].xyz, model[1].xyz, model[2].xyz);
+    let cofactors = mat3x3f(cross(world[1], world[2]), cross(world[2], world[0]), cross(world[0], world[1]));
+    let normal = normalize((cofactors * v.normal) * select(1.0, -1.0, determinant(world) < 0.0));
+    dNormalMatrix = world * (skinbake_outer(v.tangent, rest.tangent / dot(rest.tangent, rest.tangent))
+            + skinbake_outer(v.bitangent, rest.bitangent / dot(rest.bitangent, rest.bitangent)));
+#ifndef TANGENTS
+    dNormalMatrix = dNormalMatrix + skinbake_outer(normal, n0);
+#endif
+    return normal;
+}
+#endif
+
+fn getNormal() -> vec3f {
+#if defined(SKIN) && !defined(BATCH)
+    if (skinbake_isBaked()) { return skinbake_normal(); }
+#endif
+    return skinbake_usualNormal();
+}
+`,
+    },
+};

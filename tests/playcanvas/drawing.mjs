@@ -1,0 +1,242 @@
+// What the tests call in the browser. PlayCanvas loads, poses and draws characters as it always does. To read a
+// varying back, each vertex is drawn as a point into a pixel of its own, by two chunks at the ends of
+// PlayCanvas's own main functions. This works alike in WebGL 2 and WebGPU.
+
+import * as pc from 'playcanvas';
+import * as skinbake from 'skinbake-playcanvas';
+
+const WIDTH = 256;
+const apps = new Map();
+
+async function application(backend) {
+    if (apps.has(backend)) return apps.get(backend);
+    const canvas = document.createElement('canvas');
+    canvas.width = canvas.height = 64;
+    document.body.append(canvas);
+    const device = await pc.createGraphicsDevice(canvas, { deviceTypes: [backend] });
+    const options = new pc.AppOptions();
+    options.graphicsDevice = device;
+    const { RenderComponentSystem, CameraComponentSystem, LightComponentSystem } = pc;
+    options.componentSystems = [RenderComponentSystem, CameraComponentSystem, LightComponentSystem];
+    const { AnimClipHandler, ContainerHandler, RenderHandler, TextureHandler } = pc;
+    options.resourceHandlers = [TextureHandler, ContainerHandler, AnimClipHandler, RenderHandler];
+    const app = new pc.AppBase(canvas);
+    app.init(options);
+    app.start();
+    app.autoRender = false;
+    const sun = new pc.Entity();
+    sun.addComponent('light', { type: 'directional', castShadows: true, shadowDistance: 100 });
+    app.root.addChild(sun);
+    const camera = new pc.Entity();
+    camera.addComponent('camera', {});
+    camera.setPosition(0, 0, 10);
+    app.root.addChild(camera);
+    const one = { app, camera: camera.camera };
+    apps.set(backend, one);
+    return one;
+}
+
+export async function backend(name) {
+    return (await application(name)).app.graphicsDevice.deviceType;
+}
+
+function loaded(app, { url, method, plugin = true }) {
+    // PlayCanvas keeps morph targets in half floats otherwise.
+    const others = { morphPreferHighPrecision: true };
+    const options = plugin ? skinbake.skinbakeOptions(app, { method }, others) : others;
+    const asset = new pc.Asset(url, 'container', { url, filename: url.split('/').pop() }, null, options);
+    app.assets.add(asset);
+    return new Promise((resolve, reject) => {
+        asset.ready(() => resolve(asset));
+        asset.once('error', (error) => reject(new Error(error)));
+        app.assets.load(asset);
+    });
+}
+
+const skinned = (entity) =>
+    entity
+        .findComponents('render')
+        .flatMap(({ meshInstances }) => meshInstances)
+        .filter(({ skinInstance }) => skinInstance);
+
+function pose(instance, { turned = [] }, morphs) {
+    for (const [joint, [w, x, y, z]] of turned.entries()) {
+        const bone = instance.skinInstance.bones[joint];
+        bone.setLocalRotation(bone.getLocalRotation().clone().mul(new pc.Quat(x, y, z, w)));
+    }
+    morphs.forEach((weight, index) => instance.morphInstance.setWeight(index, weight));
+}
+
+const VERTEX = {
+    [pc.SHADERLANGUAGE_GLSL]: `
+        gl_Position = vec4(2.0 * (float(gl_VertexID % ${WIDTH}) + 0.5) / ${WIDTH}.0 - 1.0,
+            2.0 * (float(gl_VertexID / ${WIDTH}) + 0.5) / HEIGHT - 1.0, 0.5, 1.0);`,
+    [pc.SHADERLANGUAGE_WGSL]: `
+        output.position = vec4f(2.0 * (f32(pcVertexIndex % ${WIDTH}u) + 0.5) / ${WIDTH}.0 - 1.0,
+            1.0 - 2.0 * (f32(pcVertexIndex / ${WIDTH}u) + 0.5) / HEIGHT, 0.5, 1.0);`,
+};
+const FRAGMENT = {
+    [pc.SHADERLANGUAGE_GLSL]: 'gl_FragColor = vec4(VARYING, 1.0);',
+    [pc.SHADERLANGUAGE_WGSL]: 'output.color = vec4f(VARYING, 1.0);',
+};
+// Shadows are drawn without the varyings.
+const guarded = (text, varying) => `\n#ifdef VARYING_${varying.toUpperCase()}\n${text.replace('VARYING', varying)}\n#endif\n`;
+
+
+// Draw one mesh alone and return the varying of each vertex.
+async function read({ app, camera }, instance, varying) {
+    const { graphicsDevice: device } = app;
+    const { mesh, material } = instance;
+    const vertices = mesh.vertexBuffer.numVertices;
+    const height = Math.ceil(vertices / WIDTH);
+    for (const language of [pc.SHADERLANGUAGE_GLSL, pc.SHADERLANGUAGE_WGSL]) {
+        const chunks = material.getShaderChunks(language);
+        chunks.set('litUserMainEndVS', VERTEX[language].replaceAll('HEIGHT', `${height}.0`));
+        chunks.set('litUserMainEndPS', guarded(FRAGMENT[language], varying));
+    }
+    material.blendType = pc.BLEND_NONE;
+    material.alphaTest = 0;
+    material.update();
+    const usual = mesh.primitive[0];
+    const [indices] = mesh.indexBuffer;
+    mesh.indexBuffer[0] = null;
+    mesh.primitive[0] = { type: pc.PRIMITIVE_POINTS, base: 0, baseVertex: 0, count: vertices, indexed: false };
+    const colorBuffer = new pc.Texture(device, {
+        width: WIDTH,
+        height,
+        format: pc.PIXELFORMAT_RGBA32F,
+        mipmaps: false,
+        minFilter: pc.FILTER_NEAREST,
+        magFilter: pc.FILTER_NEAREST,
+    });
+    const target = new pc.RenderTarget({ colorBuffer, depth: true });
+    camera.renderTarget = target;
+    app.render();
+    camera.renderTarget = null;
+    const values = await colorBuffer.read(0, 0, WIDTH, height, { renderTarget: target, immediate: true });
+    mesh.primitive[0] = usual;
+    mesh.indexBuffer[0] = indices;
+    for (const language of [pc.SHADERLANGUAGE_GLSL, pc.SHADERLANGUAGE_WGSL]) {
+        for (const name of ['litUserMainEndVS', 'litUserMainEndPS']) material.getShaderChunks(language).delete(name);
+    }
+    material.update();
+    target.destroy();
+    colorBuffer.destroy();
+    const vectors = new Float32Array(3 * vertices);
+    for (let vertex = 0; vertex < vertices; vertex++) vectors.set(values.subarray(4 * vertex, 4 * vertex + 3), 3 * vertex);
+    return btoa(Array.from(new Uint8Array(vectors.buffer), (byte) => String.fromCharCode(byte)).join(''));
+}
+
+// Load a character, change it as a page might, draw it, and return what its vertex shader hands on.
+export async function draw(options) {
+    const { backend = 'webgl2', change = '', mapped = false, morphs = [], root = null, varyings = ['vNormalW'] } = options;
+    const one = await application(backend);
+    const { app } = one;
+    const asset = await loaded(app, options);
+    let entity = asset.resource.instantiateRenderEntity();
+    const parent = new pc.Entity();
+    if (root) {
+        parent.setLocalPosition(...root.position);
+        parent.setLocalEulerAngles(...root.angles);
+        parent.setLocalScale(...root.scale);
+    }
+    app.root.addChild(parent);
+    parent.addChild(entity);
+    const changed = await CHANGES[change](one, entity);
+    if (changed) {
+        entity.destroy();
+        parent.addChild(changed);
+        entity = changed;
+    }
+    for (const instance of skinned(entity)) {
+        pose(instance, options.pose ?? {}, morphs);
+        instance.cull = false;
+        if (mapped) map(app, instance.material);
+    }
+    const report = skinbake.skinbakeReport(entity).meshes;
+    app.update(0);
+    app.render();
+    const found = [];
+    const [instance] = skinned(entity);
+    const programs = [...instance._shaderCache.values()].map(({ shader }) => shader.definition.vshader);
+    for (const varying of varyings) found.push(await read(one, instance, varying));
+    app.render();
+    const result = {
+        values: found,
+        world: Array.from(instance.node.getWorldTransform().data),
+        root: Array.from(parent.getWorldTransform().data),
+        report: report.map(({ lighting, reason }) => [lighting, reason]),
+        programs: programs.map((text) => text.includes('skinbake_turned')),
+    };
+    parent.destroy();
+    app.assets.remove(asset);
+    asset.unload();
+    return result;
+}
+
+function map(app, material) {
+    const texture = new pc.Texture(app.graphicsDevice, { width: 1, height: 1, format: pc.PIXELFORMAT_RGBA8 });
+    texture.lock().set([128, 128, 255, 255]);
+    texture.unlock();
+    material.normalMap = texture;
+    material.update();
+}
+
+const CHANGES = {
+    '': () => null,
+    clone: ({ app }, entity) => {
+        app.root.addChild(entity);
+        app.render();
+        return entity.clone();
+    },
+    'another material': (_, entity) => {
+        for (const instance of skinned(entity)) instance.material = new pc.StandardMaterial();
+    },
+    'a copied material': ({ app }, entity) => {
+        app.render();
+        for (const instance of skinned(entity)) instance.material = instance.material.clone();
+    },
+    standard: (_, entity) => skinbake.lighting(entity, 'standard'),
+    'and back': ({ app }, entity) => {
+        skinbake.lighting(entity, 'standard');
+        app.render();
+        skinbake.lighting(entity, 'accurate');
+    },
+    'an own chunk': (_, entity) => {
+        for (const { material } of skinned(entity)) {
+            material.getShaderChunks(pc.SHADERLANGUAGE_GLSL).set('normalVS', OWN);
+            material.update();
+        }
+    },
+    'a shader of its own': (_, entity) => {
+        for (const instance of skinned(entity)) instance.material = new pc.ShaderMaterial(SHADER);
+    },
+    disposed: ({ app }, entity) => {
+        app.render();
+        skinbake.dispose(app);
+    },
+};
+const OWN = 'mat3 dNormalMatrix; vec3 skinnedNormal() { dNormalMatrix = mat3(1.0); return vec3(0.0, 0.0, 1.0); }';
+const SHADER = {
+    uniqueName: 'own',
+    vertexGLSL: 'attribute vec3 vertex_position; void main(void) { gl_Position = vec4(vertex_position, 1.0); }',
+    fragmentGLSL: 'void main(void) { gl_FragColor = vec4(1.0); }',
+    attributes: { vertex_position: pc.SEMANTIC_POSITION },
+};
+
+// Load and draw without reading back: what is told.
+export async function told(options) {
+    const one = await application('webgl2');
+    const asset = await loaded(one.app, options);
+    const entity = asset.resource.instantiateRenderEntity();
+    one.app.root.addChild(entity);
+    await CHANGES[options.change ?? ''](one, entity);
+    for (const frame of [1, 2]) one.app.render();
+    const report = skinbake.skinbakeReport(entity).meshes.map(({ lighting, reason }) => [lighting, reason]);
+    entity.destroy();
+    return report;
+}
+
+window.told = told;
+window.draw = draw;
+window.backend = backend;

@@ -1,0 +1,262 @@
+"""The npm package in PlayCanvas itself, on WebGL 2 and WebGPU: normals and tangents against the replay.
+
+Both run in Chromium on SwiftShader. Joints are turned at random.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fixtures.make_fixtures import FOLDER as FIXTURES
+from skinbake.choices import Encoding, Layout
+from skinbake.format.layouts import GradientFormat
+from skinbake.skinning.algorithms import Algorithm
+from tests.playcanvas.write_package import FOLDER as PACKAGE
+from tests.support import browser, corpus
+from tests.support.baked_files import Editable
+from tests.support.characters import AS_USUAL, Array, Character, Normals, Placement, Pose, angles, baked
+from tests.support.node import package_folder, require_node
+from tests.support.replay import replay
+from tests.support.strictness import missing_tool
+from tests.three.drawn import vectors, with_morphs
+
+PAGE = """<!doctype html>
+<meta charset="utf-8">
+<link rel="icon" href="data:,">
+<script type="importmap">
+{"imports": {
+    "playcanvas": "/playcanvas/build/playcanvas.mjs",
+    "skinbake-playcanvas": "/package/index.js"
+}}
+</script>
+<body><script type="module">window.ready = import('/tests/drawing.mjs');</script>
+"""
+DEGREES = 0.01
+"""Between the browser and the replay: PlayCanvas has bone matrices, and we all else, in float32."""
+TUBE = FIXTURES / "bent_tube.glb"
+MIRRORED = FIXTURES / "mirrored_tangent.glb"
+RANDOM = Pose(clip=None)
+BACKENDS = ["webgl2", "webgpu"]
+PACKED = GradientFormat(Encoding.PACKED8)
+SHORT = GradientFormat(Encoding.SNORM16, Layout.CUSTOM)
+PAIRS = GradientFormat(layout=Layout.TEXCOORD)
+
+
+class Stage:
+    """The page, and the models that it can load."""
+
+    def __init__(self, page: browser.Page, models: Path) -> None:
+        self.page, self.models = page, models
+
+    def character(self, source: Path, frame: str = "auto", storage: GradientFormat = AS_USUAL) -> Character:
+        return Character(baked(source, self.models, frame, storage), RANDOM)
+
+    def draw(self, character: Character, **options: object) -> dict[str, Any]:
+        """Draw a character; whatever the console says of it fails the test."""
+        found = dict(self.page.call("draw", {**character.told(Placement()), **options}))
+        # The corpus has no images beside its models.
+        others = ("Failed to load resource", "GPU stall due to ReadPixels")
+        assert [line for line in self.page.messages() if not any(part in line for part in others)] == []
+        return found
+
+    def told(self, path: Path, **options: object) -> tuple[list[Any], list[str]]:
+        """Draw a file and return the report, and what the module says on the console."""
+        report = self.page.call("told", {"url": f"/models/{path.name}", **options})
+        return report, [line for line in self.page.messages() if line.startswith("skinbake")]
+
+
+def require(stage: Stage, backend: str) -> None:
+    """Skip where the browser has no WebGPU."""
+    if stage.page.call("backend", backend) != backend:
+        missing_tool("this browser has no WebGPU adapter")
+
+
+def expected(
+    character: Character, found: dict[str, Any], algorithm: Algorithm = Algorithm.LBS_ACCURATE
+) -> Normals:
+    world = np.array(found["world"]).reshape(4, 4).T
+    return character.expected(algorithm, at(character, found, world))
+
+
+def at(character: Character, found: dict[str, Any], world: Array) -> Placement:
+    """Return where PlayCanvas has the mesh: the joints' matrices are those below the root."""
+    root = np.array(found["root"]).reshape(4, 4).T
+    return dataclasses.replace(Placement(), world=world, root=root)
+
+
+def largest(values: str, wanted: Array | None) -> float:
+    assert wanted is not None
+    found = vectors(values)
+    assert found.shape == wanted.shape
+    assert (np.linalg.norm(found, axis=1) > 0.5).all()
+    return float(angles(found, wanted).max())
+
+
+@pytest.fixture
+def stage(opened: Stage) -> Stage:
+    """The page, of which no earlier test has left a message."""
+    opened.page.messages()
+    return opened
+
+
+@pytest.fixture(scope="module")
+def opened(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stage]:
+    require_node("playcanvas")
+    folder = tmp_path_factory.mktemp("playcanvas")
+    for name in ("models", "profile"):
+        (folder / name).mkdir()
+    folders = {"models": folder / "models", "playcanvas": package_folder("playcanvas"), "package": PACKAGE}
+    folders |= {"tests": Path(__file__).resolve().parent}
+    with browser.opened(PAGE, folders, folder / "profile", browser.PRESENTING) as page:
+        yield Stage(page, folder / "models")
+
+
+FIXTURE_CASES = [
+    pytest.param(TUBE, "auto", AS_USUAL, id="tube"),
+    pytest.param(MIRRORED, "normal", PACKED, id="packed8"),
+    pytest.param(MIRRORED, "tangent", SHORT, id="snorm16"),
+    pytest.param(MIRRORED, "tangent", PAIRS, id="texcoord"),
+]
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize(("source", "frame", "storage"), FIXTURE_CASES)
+def test_every_normal_is_that_of_the_replay(
+    stage: Stage, source: Path, frame: str, storage: GradientFormat, backend: str
+) -> None:
+    require(stage, backend)
+    character = stage.character(source, frame, storage)
+    found = stage.draw(character, backend=backend)
+    assert largest(found["values"][0], expected(character, found).normals) < DEGREES
+    assert found["report"] == [["accurate", ""]]
+
+
+CHARACTERS = ["CesiumMan/CesiumMan.glb", "RiggedFigure/RiggedFigure.gltf", "Butterfly/animated_butterfly.glb"]
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize("model", CHARACTERS)
+def test_real_characters_too(stage: Stage, model: str, backend: str) -> None:
+    require(stage, backend)
+    character = stage.character(corpus.model(model))
+    found = stage.draw(character, backend=backend)
+    assert largest(found["values"][0], expected(character, found).normals) < DEGREES
+    assert found["report"][0] == ["accurate", ""]
+
+
+TURNED = {"position": [1, -2, 3], "angles": [20, 70, -35], "scale": [0.5, 1.5, 1]}
+FLIPPED = {"position": [0, 1, 0], "angles": [10, -40, 5], "scale": [-2, 2, 2]}
+
+
+@pytest.mark.parametrize(
+    ("frame", "backend", "root"),
+    [("normal", "webgl2", TURNED), ("tangent", "webgpu", TURNED), ("tangent", "webgl2", FLIPPED)],
+)
+def test_a_placed_character_has_normals_and_tangents(
+    stage: Stage, frame: str, backend: str, root: dict[str, Any]
+) -> None:
+    require(stage, backend)
+    character = stage.character(MIRRORED, frame)
+    found = stage.draw(character, backend=backend, root=root, mapped=True, varyings=["vNormalW", "vTangentW"])
+    wanted = expected(character, found)
+    assert largest(found["values"][0], wanted.normals) < DEGREES
+    assert largest(found["values"][1], wanted.tangents) < DEGREES
+
+
+@pytest.mark.parametrize(("frame", "backend"), [("normal", "webgl2"), ("tangent", "webgpu")])
+def test_morph_targets_come_before_skinning(stage: Stage, frame: str, backend: str) -> None:
+    require(stage, backend)
+    path = baked(with_morphs(stage.models, MIRRORED), stage.models, frame)
+    character = Character(path, RANDOM, (0.7, -0.4))
+    found = stage.draw(character, backend=backend)
+    assert largest(found["values"][0], expected(character, found).normals) < DEGREES
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_dual_quaternions_move_normals_positions_and_shadows(stage: Stage, backend: str) -> None:
+    require(stage, backend)
+    character = stage.character(MIRRORED, "tangent", PACKED)
+    found = stage.draw(character, backend=backend, method="dqs", varyings=["vPositionW", "vNormalW"])
+    assert largest(found["values"][1], expected(character, found, Algorithm.DQS_EXACT).normals) < DEGREES
+    matrices = character.matrices(at(character, found, np.array(found["world"]).reshape(4, 4).T))
+    wanted = replay(Algorithm.DQS_EXACT, character.rest, matrices[None]).positions[0]
+    assert np.abs(vectors(found["values"][0]) - wanted).max() < 1e-5 * np.ptp(wanted)
+    # Of the forward pass and of the shadow map.
+    assert len(found["programs"]) >= 2
+    assert all(found["programs"])
+
+
+@pytest.mark.parametrize("change", ["clone", "another material", "a copied material", "and back"])
+def test_whatever_a_page_does_the_normals_stay_right(stage: Stage, change: str) -> None:
+    character = stage.character(TUBE)
+    found = stage.draw(character, change=change)
+    assert largest(found["values"][0], expected(character, found).normals) < DEGREES
+    assert found["report"] == [["accurate", ""]]
+
+
+@pytest.mark.parametrize("change", ["standard", "disposed"])
+def test_without_it_a_mesh_has_the_engine_s_own_normals(stage: Stage, change: str) -> None:
+    character = stage.character(TUBE)
+    found = stage.draw(character, change=change)
+    wanted = expected(character, found, Algorithm.LBS_APPROXIMATED).normals
+    assert largest(found["values"][0], wanted) < DEGREES
+    assert found["report"][0][0] != "accurate"
+
+
+class TestMessages:
+    """Nothing is silently standard."""
+
+    def test_eight_influences(self, stage: Stage) -> None:
+        reason = "it has 8 influences for each vertex, and PlayCanvas reads four"
+        report, (message,) = stage.told(baked(FIXTURES / "two_sets.glb", stage.models))
+        assert report[0][1].startswith(reason)
+        assert reason in message
+
+    @pytest.mark.parametrize(
+        ("change", "reason"),
+        [
+            ("an own chunk", "has other chunks than PlayCanvas's"),
+            ("a shader of its own", "is not a StandardMaterial or LitMaterial"),
+        ],
+    )
+    def test_a_material_that_cannot(self, stage: Stage, change: str, reason: str) -> None:
+        report, (message,) = stage.told(baked(TUBE, stage.models), change=change)
+        assert report[0][0] == "standard"
+        assert reason in report[0][1]
+        assert message.startswith("skinbake: ")
+        assert "PlayCanvas's standard lighting" in message
+        assert reason in message
+
+    def test_an_asset_that_was_loaded_without_the_options(self, stage: Stage) -> None:
+        path = stage.models / "without.glb"
+        path.write_bytes(baked(TUBE, stage.models).read_bytes())
+        stage.told(baked(TUBE, stage.models))
+        report, (message,) = stage.told(path, plugin=False)
+        assert report == [["standard", "it is not baked, or its asset was loaded without skinbakeOptions()"]]
+        assert "was loaded without skinbakeOptions()" in message
+
+    def test_lost_metadata(self, stage: Stage) -> None:
+        file = Editable(baked(TUBE, stage.models))
+        file.primitive().pop("extras")
+        report, (message,) = stage.told(file.write(stage.models / "lost.glb"))
+        assert report[0][1].startswith("it has lost the metadata of its bake")
+        assert "it has lost the metadata" in message
+
+    def test_a_damaged_attribute(self, stage: Stage) -> None:
+        file = Editable(baked(TUBE, stage.models))
+        file.primitive()["attributes"]["_SKINBAKE_BETA_0"] = file.primitive()["attributes"]["WEIGHTS_0"]
+        _, (message,) = stage.told(file.write(stage.models / "damaged.glb"))
+        assert "its attribute _SKINBAKE_BETA_0 is VEC4, not VEC3" in message
+
+    def test_a_mesh_that_is_not_baked_is_not_told_of(self, stage: Stage) -> None:
+        path = stage.models / "plain.glb"
+        path.write_bytes(TUBE.read_bytes())
+        report, messages = stage.told(path)
+        assert report[0][0] == "standard"
+        assert messages == []
