@@ -57,7 +57,7 @@ def run_hlsl(work: Work) -> dict[str, Single]:
         alike = f"{choices.method} {label(choices).partition('-')[2]} {id(scene)}"
         groups.setdefault(alike, []).append(name)
     jobs = {alike: _hlsl_job([work[name] for name in names]) for alike, names in groups.items()}
-    found: dict[str, npt.NDArray[np.float32]] = {}
+    found: dict[str, Single] = {}
     for alike, answer in webgpu.answers(webgpu.NAGA, jobs).items():
         names = groups[alike]
         rows = np.frombuffer(done(alike, answer), np.float32).reshape(-1, len(names), len(ATTRIBUTES), 4)
