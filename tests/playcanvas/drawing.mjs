@@ -13,7 +13,7 @@ async function application(backend) {
     const canvas = document.createElement('canvas');
     canvas.width = canvas.height = 64;
     document.body.append(canvas);
-    const device = await pc.createGraphicsDevice(canvas, { deviceTypes: [backend] });
+    const device = await pc.createGraphicsDevice(canvas, { deviceTypes: [backend], antialias: false });
     const options = new pc.AppOptions();
     options.graphicsDevice = device;
     const { RenderComponentSystem, CameraComponentSystem, LightComponentSystem } = pc;
@@ -25,13 +25,13 @@ async function application(backend) {
     app.start();
     app.autoRender = false;
     const sun = new pc.Entity();
-    sun.addComponent('light', { type: 'directional', castShadows: true, shadowDistance: 100 });
+    sun.addComponent('light', { type: 'directional', shadowDistance: 100, shadowResolution: 64 });
     app.root.addChild(sun);
     const camera = new pc.Entity();
     camera.addComponent('camera', {});
     camera.setPosition(0, 0, 10);
     app.root.addChild(camera);
-    const one = { app, camera: camera.camera };
+    const one = { app, camera: camera.camera, sun: sun.light };
     apps.set(backend, one);
     return one;
 }
@@ -83,8 +83,8 @@ const FRAGMENT = {
 const guarded = (text, varying) => `\n#ifdef VARYING_${varying.toUpperCase()}\n${text.replace('VARYING', varying)}\n#endif\n`;
 
 
-// Draw one mesh alone and return the varying of each vertex.
-async function read({ app, camera }, instance, varying) {
+// Draw, and return the varying of each vertex of one mesh, and what `look` finds before anything else is drawn.
+async function read({ app, camera }, instance, varying, look) {
     const { graphicsDevice: device } = app;
     const { mesh, material } = instance;
     const vertices = mesh.vertexBuffer.numVertices;
@@ -113,6 +113,7 @@ async function read({ app, camera }, instance, varying) {
     camera.renderTarget = target;
     app.render();
     camera.renderTarget = null;
+    const seen = look();
     const values = await colorBuffer.read(0, 0, WIDTH, height, { renderTarget: target, immediate: true });
     mesh.primitive[0] = usual;
     mesh.indexBuffer[0] = indices;
@@ -124,14 +125,16 @@ async function read({ app, camera }, instance, varying) {
     colorBuffer.destroy();
     const vectors = new Float32Array(3 * vertices);
     for (let vertex = 0; vertex < vertices; vertex++) vectors.set(values.subarray(4 * vertex, 4 * vertex + 3), 3 * vertex);
-    return btoa(Array.from(new Uint8Array(vectors.buffer), (byte) => String.fromCharCode(byte)).join(''));
+    const text = btoa(Array.from(new Uint8Array(vectors.buffer), (byte) => String.fromCharCode(byte)).join(''));
+    return { text, ...seen };
 }
 
 // Load a character, change it as a page might, draw it, and return what its vertex shader hands on.
 export async function draw(options) {
-    const { backend = 'webgl2', change = '', mapped = false, morphs = [], root = null, varyings = ['vNormalW'] } = options;
+    const { backend = 'webgl2', change = '', mapped = false, morphs = [], root = null, shadows = false, varyings = ['vNormalW'] } = options;
     const one = await application(backend);
     const { app } = one;
+    one.sun.castShadows = shadows;
     const asset = await loaded(app, options);
     let entity = asset.resource.instantiateRenderEntity();
     const parent = new pc.Entity();
@@ -155,18 +158,19 @@ export async function draw(options) {
     }
     const report = skinbake.skinbakeReport(entity).meshes;
     app.update(0);
-    app.render();
-    const found = [];
     const [instance] = skinned(entity);
-    const programs = [...instance._shaderCache.values()].map(({ shader }) => shader.definition.vshader);
-    for (const varying of varyings) found.push(await read(one, instance, varying));
-    app.render();
+    const look = () => ({
+        report: report.map(({ lighting, reason }) => [lighting, reason]),
+        programs: [...instance._shaderCache.values()].map(({ shader }) => shader.definition.vshader),
+    });
+    const found = [];
+    for (const varying of varyings) found.push(await read(one, instance, varying, look));
     const result = {
-        values: found,
+        values: found.map(({ text }) => text),
         world: Array.from(instance.node.getWorldTransform().data),
         root: Array.from(parent.getWorldTransform().data),
-        report: report.map(({ lighting, reason }) => [lighting, reason]),
-        programs: programs.map((text) => text.includes('skinbake_turned')),
+        report: found[0].report,
+        programs: found[0].programs.map((text) => text.includes('skinbake_turned')),
     };
     parent.destroy();
     app.assets.remove(asset);

@@ -118,15 +118,15 @@ def opened(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stage]:
 
 
 FIXTURE_CASES = [
-    pytest.param(TUBE, "auto", AS_USUAL, id="tube"),
-    pytest.param(MIRRORED, "normal", PACKED, id="packed8"),
-    pytest.param(MIRRORED, "tangent", SHORT, id="snorm16"),
-    pytest.param(MIRRORED, "tangent", PAIRS, id="texcoord"),
+    pytest.param(TUBE, "auto", AS_USUAL, "webgl2", id="tube"),
+    pytest.param(TUBE, "auto", AS_USUAL, "webgpu", id="tube on webgpu"),
+    pytest.param(MIRRORED, "normal", PACKED, "webgl2", id="packed8"),
+    pytest.param(MIRRORED, "tangent", SHORT, "webgpu", id="snorm16"),
+    pytest.param(MIRRORED, "tangent", PAIRS, "webgl2", id="texcoord"),
 ]
 
 
-@pytest.mark.parametrize("backend", BACKENDS)
-@pytest.mark.parametrize(("source", "frame", "storage"), FIXTURE_CASES)
+@pytest.mark.parametrize(("source", "frame", "storage", "backend"), FIXTURE_CASES)
 def test_every_normal_is_that_of_the_replay(
     stage: Stage, source: Path, frame: str, storage: GradientFormat, backend: str
 ) -> None:
@@ -182,7 +182,9 @@ def test_morph_targets_come_before_skinning(stage: Stage, frame: str, backend: s
 def test_dual_quaternions_move_normals_positions_and_shadows(stage: Stage, backend: str) -> None:
     require(stage, backend)
     character = stage.character(MIRRORED, "tangent", PACKED)
-    found = stage.draw(character, backend=backend, method="dqs", varyings=["vPositionW", "vNormalW"])
+    found = stage.draw(
+        character, backend=backend, method="dqs", shadows=True, varyings=["vPositionW", "vNormalW"]
+    )
     assert largest(found["values"][1], expected(character, found, Algorithm.DQS_EXACT).normals) < DEGREES
     matrices = character.matrices(at(character, found, np.array(found["world"]).reshape(4, 4).T))
     wanted = replay(Algorithm.DQS_EXACT, character.rest, matrices[None]).positions[0]

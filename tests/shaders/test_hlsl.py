@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from skinbake.choices import Encoding, Frame, Language, Layout, Lighting, Method
-from skinbake.shaders.choices import ALGORITHMS, BEST, ShaderChoices
+from skinbake.shaders.choices import BEST, ShaderChoices
 from tests.shaders.combinations import every_stored_and_morphed, every_text, hlsl, label
 from tests.shaders.running import WORKGROUP, Single, done, run_hlsl
 from tests.shaders.scenes import CHARACTERS, Scene
@@ -54,7 +54,7 @@ def test_characters(tmp_path: Path) -> None:
     work: dict[str, tuple[ShaderChoices, Scene]] = {}
     for character in CHARACTERS:
         scene = character.scene(tmp_path, 1)
-        for method, lighting in ALGORITHMS:
+        for method, lighting in BEST.items():
             choices = ShaderChoices(HLSL, method, lighting, character.influences, character.frame)
             work[f"{character.path} {label(choices)}"] = choices, scene
     for name, found in run_hlsl(work).items():
@@ -63,9 +63,10 @@ def test_characters(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_every_storage_and_morph_compiles() -> None:
-    """With two sets of influences; dual quaternions read α and β in no other way."""
-    every = [c for c in every_stored_and_morphed(HLSL).values() if c.influences == 8 and c.method == "lbs"]
-    assert len(every) == 17
+    """With two sets of influences in the tangent frame; dual quaternions read α and β in no other way."""
+    stored = [c for c in every_stored_and_morphed(HLSL).values() if c.influences == 8 and c.method == "lbs"]
+    every = [choices for choices in stored if choices.frame == Frame.TANGENT]
+    assert len(every) == 9
     for choices in every:
         module = glslang.spirv_of_hlsl(hlsl([choices, replace(choices, lighting=Lighting.DIRECT)]))
         assert glslang.invalid(module) == "", label(choices)

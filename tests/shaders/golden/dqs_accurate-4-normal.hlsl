@@ -9,7 +9,7 @@
 // come from its supplement.
 // Dual quaternions: L. Kavan, S. Collins, J. Zara, C. O'Sullivan, "Skinning with Dual Quaternions", I3D 2007.
 // Frame: T. Duff et al., "Building an Orthonormal Basis, Revisited", JCGT 6(1), 2017.
-// HLSL, shader model 4.0 or later. Pure functions: no semantics, buffers or globals.
+// HLSL of shader model 5. Pure functions: no semantics, buffers or globals.
 //
 // Inputs of each vertex, in mesh space: the attributes as they are stored, before any joint matrix:
 //     POSITION             float3  p, in the file's unit of length

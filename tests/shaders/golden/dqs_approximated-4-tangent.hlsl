@@ -8,7 +8,7 @@
 // Models", Computer Graphics Forum 33(2), 2014, doi:10.1111/cgf.12330. The numbers beside the lines
 // come from its supplement.
 // Dual quaternions: L. Kavan, S. Collins, J. Zara, C. O'Sullivan, "Skinning with Dual Quaternions", I3D 2007.
-// HLSL, shader model 4.0 or later. Pure functions: no semantics, buffers or globals.
+// HLSL of shader model 5. Pure functions: no semantics, buffers or globals.
 //
 // Inputs of each vertex, in mesh space: the attributes as they are stored, before any joint matrix:
 //     POSITION             float3  p, in the file's unit of length

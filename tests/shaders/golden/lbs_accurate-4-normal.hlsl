@@ -8,7 +8,7 @@
 // Models", Computer Graphics Forum 33(2), 2014, doi:10.1111/cgf.12330. The numbers beside the lines
 // come from its supplement.
 // Frame: T. Duff et al., "Building an Orthonormal Basis, Revisited", JCGT 6(1), 2017.
-// HLSL, shader model 4.0 or later. Pure functions: no semantics, buffers or globals.
+// HLSL of shader model 5. Pure functions: no semantics, buffers or globals.
 //
 // Inputs of each vertex, in mesh space: the attributes as they are stored, before any joint matrix:
 //     POSITION             float3  p, in the file's unit of length

@@ -7,7 +7,7 @@
 // Algorithm 2 of M. Tarini, D. Panozzo, O. Sorkine-Hornung, "Accurate and Efficient Lighting for Skinned
 // Models", Computer Graphics Forum 33(2), 2014, doi:10.1111/cgf.12330. The numbers beside the lines
 // come from its supplement.
-// HLSL, shader model 4.0 or later. Pure functions: no semantics, buffers or globals.
+// HLSL of shader model 5. Pure functions: no semantics, buffers or globals.
 //
 // Inputs of each vertex, in mesh space: the attributes as they are stored, before any joint matrix:
 //     POSITION             float3  p, in the file's unit of length

@@ -1,6 +1,6 @@
 //% set text = text_for(reads=["snorm16", "packed8", "texcoord"])
 @{ text.header }
-// HLSL, shader model 4.0 or later. Pure functions: no semantics, buffers or globals.
+// HLSL of shader model 5. Pure functions: no semantics, buffers or globals.
 //
 @{ text.inputs }
 //
