@@ -1,68 +1,136 @@
-// What the tests call in the browser: scenes of Babylon.js, drawn as a page draws them. What comes back are the
-// normals that the vertex shaders handed on.
+// What the tests call in the browser: scenes of Babylon.js, drawn as a page draws them, with whatever a page does to
+// materials and meshes. What comes back are the normals that the vertex shaders handed on.
 
 import '@babylonjs/core/Animations/animatable.js';
 import { FreeCamera } from '@babylonjs/core/Cameras/freeCamera.js';
 import { Engine } from '@babylonjs/core/Engines/engine.js';
 import '@babylonjs/core/Engines/Extensions/index.js';
-import { ImportMeshAsync } from '@babylonjs/core/Loading/sceneLoader.js';
-import { Quaternion, Vector3 } from '@babylonjs/core/Maths/math.vector.js';
+import { WebGPUEngine } from '@babylonjs/core/Engines/webgpuEngine.js';
 import { DirectionalLight } from '@babylonjs/core/Lights/directionalLight.js';
+import { ShadowGenerator } from '@babylonjs/core/Lights/Shadows/shadowGenerator.js';
+import '@babylonjs/core/Lights/Shadows/shadowGeneratorSceneComponent.js';
+import { ImportMeshAsync, LoadAssetContainerAsync } from '@babylonjs/core/Loading/sceneLoader.js';
+import { ShaderMaterial } from '@babylonjs/core/Materials/shaderMaterial.js';
+import { StandardMaterial } from '@babylonjs/core/Materials/standardMaterial.js';
+import { RawTexture } from '@babylonjs/core/Materials/Textures/rawTexture.js';
+import { Matrix, Quaternion, Vector3 } from '@babylonjs/core/Maths/math.vector.js';
+import '@babylonjs/core/Meshes/instancedMesh.js';
+import '@babylonjs/core/Meshes/thinInstanceMesh.js';
 import { Scene } from '@babylonjs/core/scene.js';
 import '@babylonjs/loaders/glTF/2.0/index.js';
 import * as skinbake from 'skinbake-babylon';
 
+WEBGPU_CAPTURE.dialect = {
+    struct: 'struct FragmentInputs {',
+    returns: 'return vertexOutputs;',
+    position: 'vertexOutputs.position',
+    captured: 'vertexOutputs.captured',
+    indexed: (code) => [code, 'vertexInputs.vertexIndex'],
+};
+
+// SwiftShader's WebGPU cannot present to a canvas: what is drawn there goes into a texture.
+if (window.GPUCanvasContext) {
+    const textures = new WeakMap();
+    GPUCanvasContext.prototype.configure = function ({ device, format }) {
+        const usage = GPUTextureUsage.RENDER_ATTACHMENT | GPUTextureUsage.COPY_SRC;
+        textures.set(this, device.createTexture({ size: [this.canvas.width, this.canvas.height], format, usage }));
+    };
+    GPUCanvasContext.prototype.getCurrentTexture = function () {
+        return textures.get(this);
+    };
+}
+
 const engines = {};
 
-async function engineOf(backend) {
+function engineOf(backend) {
     engines[backend] ??= started(backend);
     return engines[backend];
 }
 
-async function started() {
+async function started(backend) {
     const canvas = document.createElement('canvas');
-    canvas.width = canvas.height = 64;
+    canvas.width = canvas.height = 16;
     document.body.append(canvas);
-    return new Engine(canvas, false);
+    if (backend === 'webgl') return new Engine(canvas, false);
+    if (!navigator.gpu || !(await navigator.gpu.requestAdapter())) return null;
+    const engine = new WebGPUEngine(canvas, { antialias: false });
+    await engine.initAsync();
+    return engine;
 }
 
-async function load({ backend = 'webgl', url, pose = {}, left = false, plugin = true }) {
-    const engine = await engineOf(backend);
-    const scene = new Scene(engine);
+async function stageOf({ backend = 'webgl', left = false, plugin = true }) {
+    const scene = new Scene(await engineOf(backend));
     scene.useRightHandedSystem = !left;
-    new DirectionalLight('sun', new Vector3(-1, -1, -1), scene);
+    new DirectionalLight('sun', new Vector3(-1, -2, -3), scene);
     scene.activeCamera = new FreeCamera('camera', new Vector3(0, 0, -3), scene);
     if (plugin) skinbake.registerSkinbake();
     else skinbake.unregisterSkinbake();
-    const loaded = await ImportMeshAsync(url, scene, { pluginExtension: '.glb' });
-    for (const group of loaded.animationGroups) group.stop();
-    if (pose.clip !== undefined) {
-        const group = loaded.animationGroups[pose.clip];
-        group.start(false);
-        group.pause();
-        group.goToFrame(60 * pose.time);
-    }
-    const meshes = loaded.meshes.filter((mesh) => mesh.geometry);
-    for (const [joint, turn] of (pose.turned ?? []).entries()) {
-        const bone = meshes[0].skeleton.bones.find((one) => one.getIndex() === joint);
-        const [w, x, y, z] = turn;
-        const node = bone.getTransformNode();
-        node.rotationQuaternion = node.rotationQuaternion.multiply(new Quaternion(x, y, z, w));
-    }
-    for (const mesh of meshes) mesh.alwaysSelectAsActiveMesh = true;
-    return { scene, meshes, loaded };
+    return scene;
 }
 
-// Draw until everything is compiled, then once more, recorded.
-async function draw(scene) {
-    await scene.whenReadyAsync();
+// Options: those of stageOf; url; pose; morphs; material; bones: where the shader reads them.
+async function load({ url, pose, morphs = [], material = 'pbr', bones = 'texture', ...options }) {
+    const scene = await stageOf(options);
+    const loaded = await ImportMeshAsync(url, scene, { pluginExtension: '.glb' });
+    posed(loaded, pose);
+    const meshes = skinned(scene);
+    for (const mesh of meshes) {
+        mesh.alwaysSelectAsActiveMesh = true;
+        morphs.forEach((weight, index) => (mesh.morphTargetManager.getTarget(index).influence = weight));
+        if (bones === 'uniforms') mesh.skeleton.useTextureToStoreBoneMatrices = false;
+        if (material === 'standard') mesh.material = new StandardMaterial('standard', scene);
+    }
+    return { scene, mesh: meshes[0], loaded };
+}
+
+const skinned = (scene) => scene.meshes.filter((mesh) => mesh.geometry && mesh.skeleton);
+
+function posed({ animationGroups, skeletons }, { clip, time, turned = [] } = {}) {
+    for (const group of animationGroups) group.stop();
+    if (clip !== undefined) {
+        animationGroups[clip].start(false);
+        animationGroups[clip].pause();
+        animationGroups[clip].goToFrame(60 * time);
+    }
+    for (const [joint, [w, x, y, z]] of turned.entries()) {
+        const node = skeletons[0].bones.find((bone) => bone.getIndex() === joint).getTransformNode();
+        node.rotationQuaternion = node.rotationQuaternion.multiply(new Quaternion(x, y, z, w));
+    }
+}
+
+// Draw until everything is compiled, then once more, recorded: each draw of a varying of that name.
+async function draw(scene, name = 'vNormalW') {
+    await ready(scene);
+    const engine = scene.getEngine();
+    const capture = engine.isWebGPU ? WEBGPU_CAPTURE : CAPTURE;
+    frame(scene);
+    frame(scene);
+    capture.draws = [];
+    capture.on = true;
+    frame(scene);
+    capture.on = false;
+    if (!engine.isWebGPU) return CAPTURE.draws.filter((one) => one.name === name).map(({ values }) => base64(values));
+    WEBGPU_CAPTURE.name = name;
+    const found = [];
+    for (const one of capture.draws) {
+        for (let instance = 0; instance < one.instances; instance++) {
+            const { varying } = await WEBGPU_CAPTURE.read(one, instance);
+            found.push(base64(varying.filter((_, index) => index % 4 < 3)));
+        }
+    }
+    return found;
+}
+
+// A program that does not compile is never ready.
+async function ready(scene) {
+    const late = new Promise((_, reject) => setTimeout(() => reject(new Error('the scene is never ready')), 20000));
+    await Promise.race([scene.whenReadyAsync(), late]);
+}
+
+function frame(scene) {
+    scene.getEngine().beginFrame();
     scene.render();
-    scene.render();
-    CAPTURE.draws = [];
-    CAPTURE.on = true;
-    scene.render();
-    CAPTURE.on = false;
-    return CAPTURE.draws.map(({ values }) => base64(values));
+    scene.getEngine().endFrame();
 }
 
 function base64(floats) {
@@ -74,17 +142,149 @@ function base64(floats) {
     return btoa(text);
 }
 
-const told = (reports) => reports.map(({ lighting, reason }) => [lighting, reason]);
+const told = (root) => skinbake.report(root).map(({ lighting, reason }) => [lighting, reason]);
 
-const api = {
-    async normals(options) {
-        const { scene } = await load(options);
-        const draws = await draw(scene);
-        const report = told(skinbake.report(scene));
-        scene.dispose();
-        return { draws, report };
+// A page that adds a normal map.
+function addBump(scene, { material }) {
+    const texture = RawTexture.CreateRGBATexture(new Uint8Array([128, 128, 255, 255]), 1, 1, scene);
+    material.bumpTexture = texture;
+}
+
+// What applications do after the first frame. Each returns the meshes that it leaves.
+const CHANGES = {
+    nothing: () => {},
+    'material.clone()': ({ mesh }) => (mesh.material = mesh.material.clone('other')),
+    'another material': ({ mesh, scene }) => (mesh.material = new StandardMaterial('other', scene)),
+    'material.freeze()': ({ mesh }) => mesh.material.freeze(),
+    'mesh.clone()': ({ mesh }) => {
+        mesh.clone('copy');
+        mesh.setEnabled(false);
+    },
+    'mesh without materials': ({ mesh }) => (mesh.material = null),
+    'registered twice': () => skinbake.registerSkinbake(),
+    'standard and back': ({ scene }) => {
+        skinbake.lighting(scene, 'standard');
+        frame(scene);
+        skinbake.lighting(scene, 'accurate');
     },
 };
 
-CAPTURE.names = ['vNormalW'];
+const PLACES = [Matrix.RotationY(1), Matrix.Scaling(1, -2, 0.5).multiply(Matrix.RotationX(2))];
+
+const MANY = {
+    instances: ({ mesh }) => {
+        for (const place of PLACES) {
+            const instance = mesh.createInstance('instance');
+            instance.alwaysSelectAsActiveMesh = true;
+            instance.rotationQuaternion = new Quaternion();
+            place.decompose(instance.scaling, instance.rotationQuaternion, instance.position);
+        }
+    },
+    'thin instances': ({ mesh }) => mesh.thinInstanceAdd([Matrix.Identity(), ...PLACES]),
+};
+
+// What keeps a mesh standard, whatever this module does.
+const STRANGERS = {
+    'fewer influences': ({ mesh }) => (mesh.numBoneInfluencers = 2),
+    processor: ({ mesh }) => (mesh.computeBonesUsingShaders = false),
+    copied: ({ mesh }) => mesh.geometry.copy('copy').applyToMesh(mesh),
+    crowded: ({ mesh, scene }) => {
+        scene.getEngine().getCaps().maxVertexAttribs = 5;
+        mesh.material = new StandardMaterial('other', scene);
+    },
+    'own shader': ({ mesh, scene }) => {
+        const source = {
+            vertexSource: `attribute vec3 position; attribute vec3 normal; varying vec3 vNormalW;
+                void main(void) { vNormalW = normal; gl_Position = vec4(position, 1.0); }`,
+            fragmentSource: `varying vec3 vNormalW; void main(void) { gl_FragColor = vec4(vNormalW, 1.0); }`,
+        };
+        const options = { attributes: ['position', 'normal'], uniforms: [] };
+        mesh.material = new ShaderMaterial('own', scene, source, options);
+    },
+};
+
+const api = {
+    backend: async (name) => Boolean(await engineOf(name)),
+
+    async normals({ lighting, bump = false, ...options }) {
+        const { scene, mesh } = await load(options);
+        if (lighting) skinbake.lighting(scene, lighting);
+        if (bump) addBump(scene, mesh);
+        const names = options.backend === 'webgpu' ? ['vTBN0', 'vTBN1', 'vTBN2'] : ['vTBN'];
+        const draws = [];
+        for (const name of bump ? names : ['vNormalW']) draws.push(...(await draw(scene, name)));
+        const report = told(scene);
+        scene.dispose();
+        return { draws, report };
+    },
+
+    // The normals of each view in turn of one character, after a frame as it was and a change.
+    async changed({ url, pose }) {
+        const found = {};
+        for (const [name, change] of Object.entries(CHANGES)) {
+            const stage = await load({ url, pose });
+            frame(stage.scene);
+            change(stage);
+            for (const mesh of skinned(stage.scene)) mesh.alwaysSelectAsActiveMesh = true;
+            frame(stage.scene);
+            found[name] = { draws: await draw(stage.scene), report: told(stage.scene.meshes.filter((one) => one.isEnabled())) };
+            stage.scene.dispose();
+        }
+        return found;
+    },
+
+    // A file that is loaded into a container and put into the scene twice.
+    async instantiated({ url, pose }) {
+        const scene = await stageOf({});
+        const container = await LoadAssetContainerAsync(url, scene, { pluginExtension: '.glb' });
+        for (let time = 0; time < 2; time++) {
+            const entries = container.instantiateModelsToScene((name) => name, true, { doNotInstantiate: true });
+            posed(entries, pose);
+        }
+        for (const mesh of skinned(scene)) mesh.alwaysSelectAsActiveMesh = true;
+        const draws = await draw(scene);
+        const report = told(scene);
+        scene.dispose();
+        return { draws, report };
+    },
+
+    async many({ kind, ...options }) {
+        const { scene, mesh } = await load(options);
+        MANY[kind]({ scene, mesh });
+        const draws = await draw(scene);
+        const report = told(scene);
+        scene.dispose();
+        return { draws, report, places: [Matrix.Identity(), ...PLACES].map((place) => [...place.asArray()]) };
+    },
+
+    async strangers({ url, pose }) {
+        const found = {};
+        const most = (await engineOf('webgl')).getCaps().maxVertexAttribs;
+        for (const [name, change] of Object.entries(STRANGERS)) {
+            const stage = await load({ url, pose });
+            frame(stage.scene);
+            stage.mesh.name = name;
+            change(stage);
+            await ready(stage.scene);
+            frame(stage.scene);
+            frame(stage.scene);
+            found[name] = told(stage.scene);
+            stage.scene.getEngine().getCaps().maxVertexAttribs = most;
+            stage.scene.dispose();
+        }
+        return found;
+    },
+
+    // Where the draws into a shadow map put the vertices, in clip space.
+    async shadows(options) {
+        const { scene, mesh } = await load(options);
+        const generator = new ShadowGenerator(64, scene.lights[0]);
+        generator.addShadowCaster(mesh);
+        const draws = await draw(scene, 'gl_Position');
+        scene.dispose();
+        return draws;
+    },
+};
+
+CAPTURE.names = ['vTBN', 'vNormalW', 'gl_Position'];
 Object.assign(window, api);

@@ -21,6 +21,7 @@ PAGE = """<!doctype html>
 <meta charset="utf-8">
 <link rel="icon" href="data:,">
 <script src="/three/capture.js"></script>
+<script src="/three/capture_webgpu.js"></script>
 <body><script type="module">window.ready = import('/built/app.js');</script>
 """
 DEGREES = 0.01
@@ -46,7 +47,7 @@ class Stage:
 
     def messages(self) -> list[str]:
         """Return the console since the last time. The corpus has no images beside its models."""
-        others = ("Failed to load resource", "BJS - ")
+        others = ("Failed to load resource",)
         return [line for line in self.page.messages() if not line.startswith(others)]
 
     def normals(self, character: Character, **options: object) -> dict[str, Any]:

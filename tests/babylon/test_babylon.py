@@ -1,32 +1,49 @@
 """The npm package in Babylon.js, in a browser: normals of real draws against the replay.
 
-The normals are the varying that Babylon.js's own programs hand to fragment shaders, by transform feedback.
+The normals are the varying that Babylon.js's own programs hand to fragment shaders: under WebGL 2 by
+transform feedback, under WebGPU, which runs on SwiftShader, by drawing each vertex into a pixel of its own.
 """
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from fixtures.make_fixtures import FOLDER
 from skinbake.choices import Encoding
 from skinbake.format.layouts import GradientFormat
 from skinbake.skinning.algorithms import Algorithm
 from tests.babylon.stage import DEGREES, Stage, expected, opened_stage
-from tests.support import corpus
-from tests.support.characters import Pose, angles
-from tests.three.drawn import BENT, MIRRORED, RANDOM, TUBE, largest, vectors
+from tests.support import corpus, gltf_reading
+from tests.support.baked_files import Editable
+from tests.support.characters import Array, Character, Placement, Pose, angles, baked, unit
+from tests.support.strictness import missing_tool
+from tests.three.drawn import BENT, MIRRORED, RANDOM, STORAGES, TUBE, largest, vectors, with_morphs
 
 pytestmark = pytest.mark.slow
 
+TWO_SETS = FOLDER / "two_sets.glb"
 PACKED = GradientFormat(Encoding.PACKED8)
 CHARACTERS = [
     pytest.param("CesiumMan/CesiumMan.glb", Pose(0, 0.6), id="CesiumMan"),
     pytest.param("RiggedFigure/RiggedFigure.gltf", Pose(0, 0.7), id="RiggedFigure"),
     pytest.param("RiggedElf/RiggedElf.gltf", Pose(0, 0.5), id="RiggedElf"),
 ]
+VIEWS = [
+    (TUBE, BENT, "normal", False, "webgl"),
+    (TUBE, BENT, "normal", True, "webgl"),
+    (MIRRORED, RANDOM, "normal", True, "webgl"),
+    (MIRRORED, RANDOM, "tangent", False, "webgl"),
+    (MIRRORED, RANDOM, "tangent", True, "webgl"),
+    (TUBE, BENT, "normal", True, "webgpu"),
+    (MIRRORED, RANDOM, "tangent", False, "webgpu"),
+]
+BACKENDS = ["webgl", "webgpu"]
+RIGHT = [["accurate", ""]]
 
 
 @pytest.fixture(scope="module")
@@ -42,32 +59,234 @@ def stage(opened: Stage) -> Stage:
     return opened
 
 
+def require(stage: Stage, backend: str) -> None:
+    if not stage.page.call("backend", backend):
+        missing_tool("this browser has no WebGPU adapter")
+
+
+def worst(drawn: str, wanted: Array) -> float:
+    """Return the largest angle; under WebGPU a buffer may hold more vertices than the mesh has."""
+    normals = vectors(drawn)[: len(wanted)]
+    assert len(normals) > 0.9 * len(wanted)
+    return float(angles(normals, wanted[: len(normals)]).max())
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
 @pytest.mark.parametrize(("model", "pose"), CHARACTERS)
-def test_every_normal_is_that_of_the_replay(stage: Stage, model: str, pose: Pose) -> None:
+def test_every_normal_is_that_of_the_replay(stage: Stage, model: str, pose: Pose, backend: str) -> None:
+    require(stage, backend)
     character = stage.character(corpus.model(model), pose, storage=PACKED)
-    found = stage.normals(character)
+    found = stage.normals(character, backend=backend)
     (drawn,) = found["draws"]
-    assert largest(drawn, expected(character)) < DEGREES
-    assert found["report"] == [["accurate", ""]]
+    assert worst(drawn, expected(character)) < DEGREES
+    assert found["report"] == RIGHT
     standard = expected(character, Algorithm.LBS_APPROXIMATED)
-    assert np.percentile(angles(vectors(drawn), standard[: len(vectors(drawn))]), 99) > 100 * DEGREES
+    drawn_normals = vectors(drawn)[: len(standard)]
+    assert np.percentile(angles(drawn_normals, standard[: len(drawn_normals)]), 99) > 100 * DEGREES
 
 
-@pytest.mark.parametrize("left", [False, True], ids=["right", "left"])
-@pytest.mark.parametrize("frame", ["normal", "tangent"])
-@pytest.mark.parametrize(("source", "pose"), [(TUBE, BENT), (MIRRORED, RANDOM)], ids=["tube", "mirrored"])
-def test_both_frames_and_both_hands(stage: Stage, source: Path, pose: Pose, frame: str, left: bool) -> None:
-    if frame == "tangent" and source == TUBE:
-        pytest.skip("it has no TANGENT")
+@pytest.mark.parametrize(("source", "pose", "frame", "left", "backend"), VIEWS)
+def test_both_frames_and_both_hands(
+    stage: Stage, source: Path, pose: Pose, frame: str, left: bool, backend: str
+) -> None:
+    require(stage, backend)
     character = stage.character(source, pose, frame)
-    found = stage.normals(character, left=left)
-    assert largest(found["draws"][0], expected(character, left=left)) < DEGREES
-    assert found["report"] == [["accurate", ""]]
+    found = stage.normals(character, left=left, backend=backend, material="standard")
+    assert worst(found["draws"][0], expected(character, left=left)) < DEGREES
+    assert found["report"] == RIGHT
 
 
-def test_without_the_module_babylon_has_its_own_normals(stage: Stage) -> None:
+@pytest.mark.parametrize("storage", STORAGES, ids=lambda storage: f"{storage.encoding} {storage.layout}")
+@pytest.mark.parametrize(("source", "pose"), [(TUBE, BENT), (TWO_SETS, RANDOM)], ids=["four", "eight"])
+def test_every_encoding_and_layout(stage: Stage, source: Path, pose: Pose, storage: GradientFormat) -> None:
+    character = stage.character(source, pose, storage=storage)
+    found = stage.normals(character, material="standard")
+    assert largest(found["draws"][0], expected(character)) < DEGREES
+    assert found["report"] == RIGHT
+
+
+def test_eight_influences_under_webgpu(stage: Stage) -> None:
+    require(stage, "webgpu")
+    character = stage.character(TWO_SETS, RANDOM, storage=PACKED)
+    found = stage.normals(character, material="standard", backend="webgpu")
+    assert worst(found["draws"][0], expected(character)) < DEGREES
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_joints_may_come_from_uniforms(stage: Stage, backend: str) -> None:
+    require(stage, backend)
+    character = stage.character(TUBE, BENT, storage=PACKED)
+    found = stage.normals(character, bones="uniforms", material="standard", backend=backend)
+    assert worst(found["draws"][0], expected(character)) < DEGREES
+
+
+def test_joints_that_mirror_keep_normals_on_babylon_s_side(stage: Stage) -> None:
+    character = stage.character(corpus.model("AFrameHands/leftHandLow.glb"), Pose(0, 0.05))
+    found = stage.normals(character)
+    assert (np.linalg.det(character.matrices(Placement())[:, :3, :3]) < 0).all()
+    assert largest(found["draws"][0], -expected(character)) < DEGREES
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize("frame", ["normal", "tangent"])
+def test_morph_targets_come_before_skinning(stage: Stage, frame: str, backend: str) -> None:
+    require(stage, backend)
+    path = baked(with_morphs(stage.models, MIRRORED), stage.models, frame)
+    character = Character(path, RANDOM, (0.7, -0.4))
+    found = stage.normals(character, backend=backend, material="standard")
+    assert worst(found["draws"][0], expected(character)) < DEGREES
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_morph_targets_with_tangents_turn_the_tangent_frame(stage: Stage, backend: str) -> None:
+    """docs/reference/frame.md, *Morph targets*, by TANGENT."""
+    require(stage, backend)
+    weights = (0.7, -0.4)
+    path = baked(with_morphed_tangents(stage.models, MIRRORED), stage.models, "tangent")
+    character = Character(path, RANDOM, weights)
+    file = gltf_reading.read(path)
+    stored = file.attribute("TANGENT")
+    targets = file.primitive(0)["targets"]
+    moved = stored[:, :3] + sum(
+        weight * file.values(target["TANGENT"]) for weight, target in zip(weights, targets, strict=True)
+    )
+    n, n0 = character.rest.normals, Character(path, RANDOM).rest.normals
+    along = np.einsum("vi,vi->v", n, moved) - np.einsum("vi,vi->v", n0, stored[:, :3])
+    tangents = moved - n * along[:, None]
+    bitangents = np.cross(n, tangents) * stored[:, 3:]
+    by_normal = expected(character)
+    character.rest = dataclasses.replace(character.rest, tangents=tangents, bitangents=bitangents)
+    wanted = expected(character)
+    assert angles(wanted, by_normal).max() > 100 * DEGREES
+    found = stage.normals(character, backend=backend, material="standard")
+    assert worst(found["draws"][0], wanted) < DEGREES
+
+
+def with_morphed_tangents(folder: Path, source: Path) -> Path:
+    """Add TANGENT to the targets of ``with_morphs``: they turn and stretch it."""
+    target = folder / f"{source.stem}-morphed-tangents.glb"
+    if target.exists():
+        return target
+    file = Editable(with_morphs(folder, source))
+    tangents, positions = file.array("TANGENT").copy(), file.array("POSITION").copy()
+    for one, frequency in zip(file.primitive()["targets"], (7.0, 3.0), strict=True):
+        wave = np.sin(frequency * positions[:, [1]])
+        one["TANGENT"] = file.add((np.roll(tangents[:, :3], 1, axis=1) * wave).astype(np.float32))
+    return file.write(target)
+
+
+@pytest.mark.parametrize(
+    ("frame", "left", "backend"),
+    [
+        ("normal", False, "webgl"),
+        ("tangent", True, "webgl"),
+        ("normal", True, "webgpu"),
+        ("tangent", False, "webgpu"),
+    ],
+)
+def test_normal_maps_have_the_matrix_of_tangents(stage: Stage, frame: str, left: bool, backend: str) -> None:
+    require(stage, backend)
+    character = stage.character(MIRRORED, RANDOM, frame)
+    found = stage.normals(character, left=left, bump=True, material="standard", backend=backend)
+    right = character.expected(Algorithm.LBS_ACCURATE, Placement())
+    assert right.tangents is not None
+    assert character.tangents is not None
+    bitangents = np.cross(right.normals, right.tangents) * character.tangents[:, 3:]
+    wanted = [part * ((-1, 1, 1) if left else 1) for part in (right.tangents, bitangents, right.normals)]
+    assert (character.tangents[:, 3] < 0).any()
+    if backend == "webgl":
+        (drawn,) = found["draws"]
+        columns = vectors(drawn).reshape(-1, 3, 3).transpose(1, 0, 2)
+    else:
+        columns = np.array([vectors(drawn)[: len(right.normals)] for drawn in found["draws"]])
+    for found_column, one in zip(columns, wanted, strict=True):
+        assert angles(found_column, one[: len(found_column)]).max() < DEGREES
+
+
+@pytest.mark.parametrize("kind", ["instances", "thin instances"])
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_instances_of_any_shape(stage: Stage, kind: str, backend: str) -> None:
+    """One turns, one stretches and mirrors."""
+    require(stage, backend)
+    character = stage.character(TUBE, BENT, storage=PACKED)
+    options = {**character.told(Placement()), "kind": kind, "backend": backend, "material": "standard"}
+    found = stage.call("many", options)
+    assert found["report"] == RIGHT
+    rest = expected(character)
+    places = [np.array(place).reshape(4, 4).T[:3, :3] for place in found["places"]]
+    wanted = [unit(rest @ np.linalg.inv(place)) for place in places]
+    if backend == "webgl":
+        draws = np.concatenate([vectors(drawn).reshape(-1, len(rest), 3) for drawn in found["draws"]])
+    else:
+        draws = np.array([vectors(drawn)[: len(rest)] for drawn in found["draws"]])
+    assert len(draws) == len(places)
+    errors = [[angles(one, normals[: len(one)]).max() for one in draws] for normals in wanted]
+    assert (np.min(errors, axis=1) < DEGREES).all()
+
+
+def test_whatever_a_page_does_the_normals_stay_right(stage: Stage) -> None:
+    character = stage.character(TUBE, BENT)
+    found = stage.call("changed", character.told(Placement()))
+    wanted = expected(character)
+    errors = {name: [largest(drawn, wanted) for drawn in one["draws"]] for name, one in found.items()}
+    assert {name: len(each) == 1 and each[0] < DEGREES for name, each in errors.items()} == dict.fromkeys(
+        found, True
+    )
+    assert {name: one["report"] for name, one in found.items()} == dict.fromkeys(found, RIGHT)
+
+
+def test_a_container_that_is_instantiated_twice(stage: Stage) -> None:
+    character = stage.character(TUBE, BENT)
+    found = stage.call("instantiated", character.told(Placement()))
+    assert [largest(drawn, expected(character)) < DEGREES for drawn in found["draws"]] == [True, True]
+    assert found["report"] == RIGHT * 2
+
+
+@pytest.mark.parametrize(
+    ("options", "report"),
+    [({"plugin": False}, []), ({"lighting": "standard"}, [["standard", "lighting() has switched it"]])],
+    ids=["unregistered", "switched"],
+)
+def test_standard_lighting_is_babylon_s_own(
+    stage: Stage, options: dict[str, object], report: list[list[str]]
+) -> None:
     """Else the tests above would not see it."""
     character = stage.character(TUBE, BENT)
-    found = stage.normals(character, plugin=False)
+    found = stage.normals(character, **options)
     assert largest(found["draws"][0], expected(character, Algorithm.LBS_APPROXIMATED)) < DEGREES
-    assert found["report"] == []
+    assert found["report"] == report
+
+
+def test_shadows_are_where_they_were(stage: Stage) -> None:
+    """Linear blending moves the vertices in any case."""
+    told = stage.character(TUBE, BENT).told(Placement())
+    with_module, without = (stage.call("shadows", {**told, "plugin": one}) for one in (True, False))
+    assert len(with_module) == 1
+    assert with_module == without
+
+
+def test_meshes_that_stay_standard_are_told_of_once(stage: Stage) -> None:
+    reasons = {
+        "fewer influences": "its numBoneInfluencers is 2, and its bake is for 4",
+        "processor": "the processor skins it (computeBonesUsingShaders)",
+        "copied": "its geometry is a copy, and Babylon.js copies no attributes that it does not know",
+        "crowded": "it needs 6 vertex attributes, and this device has 5",
+        "own shader": 'its ShaderMaterial "own" takes no material plugins',
+    }
+    found = stage.page.call("strangers", stage.character(TUBE, BENT).told(Placement()))
+    assert found == {name: [["standard", reason]] for name, reason in reasons.items()}
+    assert stage.messages() == [
+        f'skinbake: "{name}" has Babylon.js\'s standard lighting: {reason}'
+        for name, reason in reasons.items()
+    ]
+
+
+def test_a_file_that_lost_its_metadata_is_told_of(stage: Stage) -> None:
+    file = Editable(stage.character(TUBE, BENT).path)
+    del file.primitive()["extras"]
+    file.write(stage.models / "lost.glb")
+    found = stage.page.call("normals", {"url": "/models/lost.glb"})
+    reason = "it has lost the metadata of its bake: keep the extras of primitives, or bake last"
+    assert found["report"] == [["standard", reason]]
+    name = gltf_reading.read(TUBE).content["nodes"][0].get("name", "node0")
+    assert stage.messages() == [f'skinbake: "{name}" has Babylon.js\'s standard lighting: {reason}']

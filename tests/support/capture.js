@@ -23,10 +23,15 @@ window.CAPTURE = CAPTURE;
     prototype.linkProgram = function (program) {
         const texts = shaders.get(program).map((shader) => sources.get(shader));
         const text = texts.find((one) => one.includes('gl_Position')) ?? '';
+<<<<<<< HEAD:tests/support/capture.js
         const isWritten = (one) => one === 'gl_Position' || new RegExp(`(out|varying) +(highp )?vec3 ${one};`).test(text);
         const name = text && CAPTURE.namesFor(text).find(isWritten);
+=======
+        const isWritten = (one) => one === 'gl_Position' || new RegExp(`(out|varying) +(highp )?(vec3|mat3) ${one};`).test(text);
+        const name = text && CAPTURE.names.find(isWritten);
+>>>>>>> f7ca7f4 (Serve Babylon.js under WebGPU too, and test all that it draws):tests/three/capture.js
         if (name) {
-            this.transformFeedbackVaryings(program, [name], this.SEPARATE_ATTRIBS);
+            this.transformFeedbackVaryings(program, [name], this.INTERLEAVED_ATTRIBS);
             recorded.set(program, { name, text });
         }
         linkProgram.call(this, program);
@@ -48,7 +53,8 @@ window.CAPTURE = CAPTURE;
         const indices = new Indices(count);
         gl.getBufferSubData(gl.ELEMENT_ARRAY_BUFFER, offset, indices);
         const vertices = indices.reduce((largest, index) => Math.max(largest, index), 0) + 1;
-        const values = new Float32Array((name === 'gl_Position' ? 4 : 3) * vertices * instances);
+        const size = name === 'gl_Position' ? 4 : new RegExp(`mat3 ${name};`).test(text) ? 9 : 3;
+        const values = new Float32Array(size * vertices * instances);
         const buffer = gl.createBuffer();
         gl.bindBufferBase(gl.TRANSFORM_FEEDBACK_BUFFER, 0, buffer);
         gl.bufferData(gl.TRANSFORM_FEEDBACK_BUFFER, values.byteLength, gl.STREAM_READ);

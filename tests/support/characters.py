@@ -87,7 +87,7 @@ class Character:
             normals=normals,
             tangents=tangents,
             bitangents=bitangents,
-            joints=np.where(joints[:, :4] < len(self.joints), joints[:, :4], 0),
+            joints=np.where(joints < len(self.joints), joints, 0),
             weights=_normalized(weights),
             alpha=alpha,
             beta=beta,
@@ -167,15 +167,19 @@ def _normalized(weights: Array) -> Array:
 
 
 def _gradients(file: gltf_reading.GltfFile, metadata: JsonObject) -> tuple[Array, Array]:
-    """Return α and β of one influence set, (V, 3) each, decoded (docs/reference/file-format.md)."""
+    """Return α and β of all slots but the first, (V, K - 1) each, decoded (docs/reference/file-format.md)."""
     if metadata.get("layout") == "texcoord":
         names = dict.fromkeys([*metadata["alpha"], *metadata["beta"]])
         row = np.hstack([file.attribute(name) for name in names])
-        return row[:, :3], row[:, 3:]
-    alpha, beta = (file.attribute(metadata[kind][0]) for kind in ("alpha", "beta"))
-    if "encoding" in metadata:
-        alpha, beta = (part[:, :3] * part[:, 3:] ** 2 * metadata["scale"] for part in (alpha, beta))
-    return alpha, beta
+        return row[:, : row.shape[1] // 2], row[:, row.shape[1] // 2 :]
+    return _decoded(file, metadata, "alpha"), _decoded(file, metadata, "beta")
+
+
+def _decoded(file: gltf_reading.GltfFile, metadata: JsonObject, kind: str) -> Array:
+    first, *further = (file.attribute(name) for name in metadata[kind])
+    if "encoding" not in metadata:
+        return np.hstack([first, *further])
+    return np.asarray(np.hstack([first[:, :3], *further]) * first[:, 3:] ** 2 * metadata["scale"])
 
 
 def _posed(path: Path, pose: Pose) -> tuple[Array, JsonObject]:

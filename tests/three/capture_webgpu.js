@@ -2,7 +2,19 @@
 // write to buffers there. So each draw is run once more with its own vertex shader, buffers and bind groups, its
 // vertices as points: each is moved to a pixel of its own, where its values are stored as floats.
 
-const WEBGPU_CAPTURE = { name: 'v_normalViewGeometry', on: false, draws: [] };
+// How an engine writes the WGSL of vertex shaders: that of three.js, unless a page sets another one.
+const THREE_DIALECT = {
+    struct: 'struct VaryingsStruct {',
+    returns: 'return varyings;',
+    position: 'varyings.builtinClipSpace',
+    captured: 'varyings.captured',
+    indexed(code) {
+        const index = /@builtin\( vertex_index \) (\w+)/.exec(code)?.[1];
+        if (index) return [code, index];
+        return [code.replace('fn main( ', 'fn main( @builtin( vertex_index ) capturedVertex : u32, '), 'capturedVertex'];
+    },
+};
+const WEBGPU_CAPTURE = { name: 'v_normalViewGeometry', dialect: THREE_DIALECT, on: false, draws: [] };
 window.WEBGPU_CAPTURE = WEBGPU_CAPTURE;
 
 if (window.GPUDevice) {
@@ -43,7 +55,7 @@ if (window.GPUDevice) {
     for (const name of ['draw', 'drawIndexed']) {
         around(pass, name, (encoder, _, count, instances = 1) => {
             const { pipeline, groups, buffers } = stateOf(encoder);
-            if (!WEBGPU_CAPTURE.on || !pipeline?.code?.includes('struct VaryingsStruct')) return;
+            if (!WEBGPU_CAPTURE.on || !pipeline?.code?.includes(WEBGPU_CAPTURE.dialect.struct)) return;
             WEBGPU_CAPTURE.draws.push({ pipeline, groups: [...groups], buffers: [...buffers], instances });
         });
     }
@@ -58,7 +70,8 @@ if (window.GPUDevice) {
         const vertices = Math.min(...counts);
         const height = Math.ceil(vertices / WIDTH);
         const module = device.createShaderModule({ code: moved(code, height) });
-        const location = new RegExp(`@location\\( (\\d+) \\) ${WEBGPU_CAPTURE.name} : vec3`).exec(code)?.[1];
+        const declared = `@location\\( ?(\\d+) ?\\) +(?:@interpolate\\([^)]*\\) +)?${WEBGPU_CAPTURE.name} : vec3`;
+        const location = new RegExp(declared).exec(code)?.[1];
         const taken = location === undefined ? '' : `@location( ${location} ) handed : vec3<f32>,`;
         const given = location === undefined ? 'vec4<f32>()' : 'vec4<f32>( handed, 0.0 )';
         const fragment = device.createShaderModule({
@@ -102,18 +115,17 @@ struct Values { @location( 0 ) handed : vec4<f32>, @location( 1 ) position : vec
     };
 
     function moved(code, height) {
-        const index = /@builtin\( vertex_index \) (\w+)/.exec(code)?.[1] ?? 'capturedVertex';
-        const parameter = index === 'capturedVertex' ? '@builtin( vertex_index ) capturedVertex : u32, ' : '';
+        const { struct, returns, position, captured, indexed } = WEBGPU_CAPTURE.dialect;
+        const [text, index] = indexed(code);
         const at = (coordinate, size) => `2.0 * ( f32( ${coordinate} ) + 0.5 ) / ${size}.0 - 1.0`;
-        return code
-            .replace('struct VaryingsStruct {', 'struct VaryingsStruct { @location( 15 ) captured : vec4<f32>,')
-            .replace('fn main( ', `fn main( ${parameter}`)
+        return text
+            .replace(struct, `${struct} @location( 15 ) captured : vec4<f32>,`)
             .replace(
-                'return varyings;',
-                `varyings.captured = varyings.builtinClipSpace;
-                varyings.builtinClipSpace = vec4<f32>( ${at(`${index} % ${WIDTH}u`, WIDTH)},
+                returns,
+                `${captured} = ${position};
+                ${position} = vec4<f32>( ${at(`${index} % ${WIDTH}u`, WIDTH)},
                     - ( ${at(`${index} / ${WIDTH}u`, height)} ), 0.0, 1.0 );
-                return varyings;`,
+                ${returns}`,
             );
     }
 }

@@ -65,24 +65,39 @@ function obstacle(mesh, defines = {}) {
     }
     if (defines.BAKED_VERTEX_ANIMATION_TEXTURE) return 'a baked vertex animation moves it';
     if (defines.USE_VERTEX_PULLING) return 'its material pulls vertices';
-    const count = attributeCount(defines) + 2 * baked.sets;
-    const { maxVertexAttribs } = engine.getCaps();
-    return count > maxVertexAttribs ? `it needs ${count} attributes, and this device has ${maxVertexAttribs}` : '';
+    return shortage(mesh, defines, baked.sets);
 }
 
 const SWITCHED = 'lighting() has switched it';
 
-// Return how many attributes Babylon.js itself declares for a skinned mesh.
-function attributeCount(defines) {
-    const { MORPHTARGETS, MORPHTARGETS_TEXTURE, NUM_MORPH_INFLUENCERS = 0, NUM_BONE_INFLUENCERS } = defines;
-    const coordinates = [1, 2, 3, 4, 5, 6].map((number) => `UV${number}`);
-    const single = ['NORMAL', 'TANGENT', 'VERTEXCOLOR', 'INSTANCESCOLOR', ...coordinates];
-    const moved = ['POSITION', 'NORMAL', 'TANGENT', 'UV', 'UV2', 'COLOR'];
-    const count = (names) => names.filter((name) => defines[name]).length;
-    const instances = defines.INSTANCES || defines.THIN_INSTANCES ? 4 : 0;
-    const each = MORPHTARGETS && !MORPHTARGETS_TEXTURE ? count(moved.map((one) => `MORPHTARGETS_${one}`)) : 0;
-    return 1 + count(single) + (NUM_BONE_INFLUENCERS > 4 ? 4 : 2) + instances + each * NUM_MORPH_INFLUENCERS;
+// Return which limit of the device the attributes of a mesh exceed, with alpha and beta; empty if none.
+function shortage(mesh, defines, sets) {
+    const engine = mesh.getEngine();
+    const kinds = Object.keys(KINDS).filter((name) => defines[name]).map((name) => KINDS[name]);
+    kinds.push('position', 'matricesIndices', 'matricesWeights');
+    if (sets > 1) kinds.push('matricesIndicesExtra', 'matricesWeightsExtra');
+    const perInstance = defines.INSTANCES || defines.THIN_INSTANCES ? 4 : 0;
+    const isMorphed = defines.MORPHTARGETS && !defines.MORPHTARGETS_TEXTURE;
+    const moved = isMorphed ? MORPHED.filter((name) => defines[`MORPHTARGETS_${name}`]) : [];
+    const morphs = moved.length * (defines.NUM_MORPH_INFLUENCERS ?? 0);
+    const count = kinds.length + perInstance + morphs + 2 * sets;
+    const most = engine.getCaps().maxVertexAttribs;
+    if (count > most) return `it needs ${count} vertex attributes, and this device has ${most}`;
+    // Attributes that lie interleaved share a buffer. So do the four of an instance.
+    const buffers = new Set(kinds.map((kind) => {
+        const one = mesh.getVertexBuffer(kind);
+        return one && one.effectiveByteOffset < one.effectiveByteStride ? one.effectiveBuffer : kind;
+    }));
+    const needed = buffers.size + perInstance / 4 + morphs + 1;
+    const available = engine.isWebGPU ? engine.currentLimits.maxVertexBuffers : Infinity;
+    return needed > available ? `it needs ${needed} vertex buffers, and this device has ${available}` : '';
 }
+
+const MORPHED = ['POSITION', 'NORMAL', 'TANGENT', 'UV', 'UV2', 'COLOR'];
+
+// Babylon.js's defines -> the attributes that they declare.
+const KINDS = { NORMAL: 'normal', TANGENT: 'tangent', VERTEXCOLOR: 'color', INSTANCESCOLOR: 'instanceColor' };
+for (let number = 1; number <= 6; number++) KINDS[`UV${number}`] = number === 1 ? 'uv' : `uv${number}`;
 
 // Look after the baked meshes of a scene, of whatever origin: clone() makes new ones, and materials change.
 function watch(scene) {

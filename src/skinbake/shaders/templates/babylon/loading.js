@@ -51,10 +51,12 @@ class Loading {
         const rest = this.loader._loadVertexDataAsync(context, withoutPairs(primitive, metadata), mesh);
         return this.#with(scene, baked, rest).then(async (geometry) => {
             const accessors = namesOf(metadata).map((name) => gltf.accessors[primitive.attributes[name]]);
-            const buffers = metadata.layout === 'texcoord'
-                ? await this.#assembled(scene, accessors, baked.sets)
-                : await this.#stored(scene, accessors, baked.sets);
-            for (const buffer of buffers) geometry.setVerticesBuffer(buffer, accessors[0].count);
+            const columns = await Promise.all(accessors.map((accessor) => this.#column(accessor)));
+            const { count } = accessors[0];
+            const ordered = metadata.layout === 'texcoord' ? assembled(columns, baked.sets, count) : columns;
+            for (const buffer of interleaved(scene.getEngine(), ordered, count)) {
+                geometry.setVerticesBuffer(buffer, count);
+            }
             return geometry;
         });
     }
@@ -66,51 +68,72 @@ class Loading {
         return geometry;
     }
 
-    // Buffers of the file itself. A missing fourth component reads as 1, with which decoding changes nothing.
-    #stored(scene, accessors, sets) {
-        const kinds = kindsInOrder(sets);
-        return Promise.all(accessors.map(async (accessor, index) => {
+    // Return the values of an accessor row by row: as they are stored, or as floats.
+    async #column(accessor) {
+        const size = Number(accessor.type.slice(3));
+        const Integers = { 5120: Int8Array, 5122: Int16Array }[accessor.componentType];
+        if (!Integers || accessor.sparse || accessor.bufferView === undefined) {
             const context = `/accessors/${accessor.index}`;
-            const kind = kinds[index];
-            if (!accessor.sparse && accessor.bufferView !== undefined) {
-                return this.loader._loadVertexAccessorAsync(context, accessor, kind);
-            }
-            const floats = await this.loader._loadFloatAccessorAsync(context, accessor);
-            const size = accessor.type === 'VEC4' ? 4 : 3;
-            return new VertexBuffer(scene.getEngine(), floats, kind, false, false, size);
-        }));
+            const values = await this.loader._loadFloatAccessorAsync(context, accessor);
+            return { size, values, type: FLOAT };
+        }
+        const view = this.loader.gltf.bufferViews[accessor.bufferView];
+        const context = `/bufferViews/${view.index}`;
+        const { buffer, byteOffset } = await this.loader.loadBufferViewAsync(context, view);
+        const width = size * Integers.BYTES_PER_ELEMENT;
+        const values = new Integers(size * accessor.count);
+        for (let row = 0; row < accessor.count; row++) {
+            const start = byteOffset + (accessor.byteOffset ?? 0) + row * (view.byteStride ?? width);
+            values.set(new Integers(buffer.slice(start, start + width)), size * row);
+        }
+        return { size, values, type: accessor.componentType };
     }
+}
 
-    // The layout texcoord has alpha 1 ... alpha K-1, beta 1 ... beta K-1 of a vertex, two numbers to a set.
-    async #assembled(scene, accessors, sets) {
-        const pairs = await Promise.all(accessors.map((accessor) =>
-            this.loader._loadFloatAccessorAsync(`/accessors/${accessor.index}`, accessor)));
-        const { count } = accessors[0];
-        const others = 4 * sets - 1;
-        return kindsInOrder(sets).map((kind, index) => {
-            const set = index % sets;
-            const size = set === 0 ? 3 : 4;
-            const start = (index < sets ? 0 : others) + (set === 0 ? 0 : 4 * set - 1);
-            const values = new Float32Array(size * count);
-            for (let vertex = 0; vertex < count; vertex++) {
-                for (let at = 0; at < size; at++) {
-                    const place = start + at;
-                    values[size * vertex + at] = pairs[place >> 1][2 * vertex + (place & 1)];
-                }
+// The layout texcoord has alpha 1 ... alpha K-1, beta 1 ... beta K-1 of a vertex, two numbers to a set.
+function assembled(pairs, sets, count) {
+    const others = 4 * sets - 1;
+    return Array.from({ length: 2 * sets }, (_, index) => {
+        const set = index % sets;
+        const size = set === 0 ? 3 : 4;
+        const start = (index < sets ? 0 : others) + (set === 0 ? 0 : 4 * set - 1);
+        const values = new Float32Array(size * count);
+        for (let row = 0; row < count; row++) {
+            for (let at = 0; at < size; at++) {
+                const place = start + at;
+                values[size * row + at] = pairs[place >> 1].values[2 * row + (place & 1)];
             }
-            return new VertexBuffer(scene.getEngine(), values, kind, false, false, size);
-        });
-    }
+        }
+        return { size, values, type: FLOAT };
+    });
+}
+
+// WebGPU has eight vertex buffers: all of alpha and beta lie in one. A missing fourth component reads as 1.
+// Then decoding changes nothing.
+function interleaved(engine, columns, count) {
+    const sets = columns.length / 2;
+    const widths = columns.map(({ size, values }) => size * values.BYTES_PER_ELEMENT);
+    const offsets = widths.map((_, index) => widths.slice(0, index).reduce((sum, width) => sum + width, 0));
+    const stride = widths.reduce((sum, width) => sum + width, 0);
+    const bytes = new Uint8Array(stride * count);
+    columns.forEach(({ values }, index) => {
+        const width = widths[index];
+        const from = new Uint8Array(values.buffer, values.byteOffset, values.byteLength);
+        for (let row = 0; row < count; row++) {
+            bytes.set(from.subarray(width * row, width * (row + 1)), stride * row + offsets[index]);
+        }
+    });
+    const buffer = new Buffer(engine, bytes, false, stride, false, false, true);
+    return columns.map(({ size, type }, index) => {
+        const kind = kindsOf(index % sets)[index < sets ? 0 : 1];
+        const place = { stride, offset: offsets[index], useBytes: true, takeBufferOwnership: true };
+        return new VertexBuffer(engine, buffer, kind, { ...place, size, type, normalized: type !== FLOAT });
+    });
 }
 
 const isObject = (value) => typeof value === 'object' && value !== null;
 
-// All of alpha, then all of beta, as the metadata names them.
-function kindsInOrder(sets) {
-    const kinds = Array.from({ length: sets }, (_, set) => kindsOf(set));
-    return [...kinds.map(([alpha]) => alpha), ...kinds.map(([, beta]) => beta)];
-}
-
+// All of alpha, then all of beta.
 function namesOf({ alpha, beta }) {
     return [...new Set([...alpha, ...beta])];
 }

@@ -28,7 +28,7 @@
 // Computer Graphics Forum 33(2), 2014, doi:10.1111/cgf.12330. Frame: T. Duff et al., "Building an Orthonormal
 // Basis, Revisited", JCGT 6(1), 2017.
 
-import { VertexBuffer } from '@babylonjs/core/Buffers/buffer.js';
+import { Buffer, VertexBuffer } from '@babylonjs/core/Buffers/buffer.js';
 import { Material } from '@babylonjs/core/Materials/material.js';
 import { MaterialPluginBase } from '@babylonjs/core/Materials/materialPluginBase.js';
 import { PushMaterial } from '@babylonjs/core/Materials/pushMaterial.js';
