@@ -121,10 +121,13 @@ async function draw(scene, name = 'vNormalW') {
     return found;
 }
 
-// A program that does not compile is never ready.
+// As whenReadyAsync(), which looks every tenth of a second, and waits forever for a program that does not compile.
 async function ready(scene) {
-    const late = new Promise((_, reject) => setTimeout(() => reject(new Error('the scene is never ready')), 20000));
-    await Promise.race([scene.whenReadyAsync(), late]);
+    const end = performance.now() + 60000;
+    while (!scene.isReady()) {
+        if (performance.now() > end) throw new Error('the scene is never ready');
+        await new Promise((resolve) => setTimeout(resolve, 2));
+    }
 }
 
 function frame(scene) {

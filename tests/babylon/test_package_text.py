@@ -3,10 +3,16 @@
 from __future__ import annotations
 
 import json
+import re
+from dataclasses import replace
+from typing import Any
 
-from skinbake.choices import Language
+import pytest
+
+from skinbake.choices import Language, Lighting, Method
+from skinbake.errors import ChoiceError
 from skinbake.shaders.choices import ShaderChoices
-from skinbake.shaders.text import babylon_package
+from skinbake.shaders.text import babylon_package, shader_made
 from skinbake.version import __version__
 from tests.babylon.write_package import FOLDER
 from tests.support.node import SUPPORT
@@ -31,3 +37,29 @@ def test_the_package_asks_for_the_version_of_babylon_that_is_tested() -> None:
     tested = json.loads((SUPPORT / "package.json").read_text(encoding="utf-8"))["devDependencies"]
     peers = package["peerDependencies"]
     assert {name: f"^{tested[name]}" for name in peers} == peers
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"method": Method.DQS, "lighting": Lighting.EXACT}, "Babylon.js blends joint matrices"),
+        ({"lighting": Lighting.APPROXIMATED}, "approximated lighting is Babylon.js's own"),
+        ({"lighting": Lighting.DIRECT}, "use --lighting accurate"),
+        ({"influences": 12}, "bake with --limit-influences 8"),
+        ({"influences": 2}, "use --influences 4"),
+    ],
+)
+def test_what_babylon_cannot_use_is_refused(changes: dict[str, Any], reason: str) -> None:
+    choices = replace(ShaderChoices(Language.GLSL, target="babylon"), **changes)
+    with pytest.raises(ChoiceError, match=re.escape(reason)):
+        shader_made(choices)
+
+
+def test_a_file_s_influences_and_mirrors_change_nothing() -> None:
+    """The module sees to both when it runs."""
+    usual = ShaderChoices(Language.GLSL, target="babylon")
+    texts = [
+        shader_made(choices)[0].splitlines()
+        for choices in (usual, replace(usual, influences=8, mirrored_joints=True))
+    ]
+    assert [line for line in texts[0] if "--" not in line] == [line for line in texts[1] if "--" not in line]

@@ -242,6 +242,7 @@ class TestForFile:
         assert "have different values of frame" in result.stderr
         # The module for three.js reads the frame of each mesh when it runs.
         assert invoke("shader", "--target", "three", "--for", file).exit_code == 0
+        assert invoke("shader", "--target", "babylon", "--for", file).exit_code == 0
         assert "choose one with --frame" in result.stderr
         result = invoke("shader", "--lang", "glsl", "--for", file, "--frame", "tangent")
         assert result.exit_code == 0
@@ -343,5 +344,6 @@ def test_weights_of_another_sum_are_told_by_every_command(tmp_path: Path) -> Non
         assert result.exit_code == 0
         assert "the weights of 5 vertices miss a sum of 1 by over 0.001 (0.5 … 1.25)" in result.stderr
         assert "corrects normals by 0.8 … 2 times what is right" in result.stderr
-    # GLTFLoader divides weights by their sum.
-    assert "sum of 1" not in invoke("shader", "--target", "three", "--for", target).stderr
+    # GLTFLoader divides weights by their sum, and so does the module for Babylon.js.
+    for engine in ("three", "babylon"):
+        assert "sum of 1" not in invoke("shader", "--target", engine, "--for", target).stderr
