@@ -13,6 +13,8 @@ import { ImportMeshAsync, LoadAssetContainerAsync } from '@babylonjs/core/Loadin
 import { ShaderMaterial } from '@babylonjs/core/Materials/shaderMaterial.js';
 import { StandardMaterial } from '@babylonjs/core/Materials/standardMaterial.js';
 import { RawTexture } from '@babylonjs/core/Materials/Textures/rawTexture.js';
+import { RawCubeTexture } from '@babylonjs/core/Materials/Textures/rawCubeTexture.js';
+import { SphericalPolynomial } from '@babylonjs/core/Maths/sphericalPolynomial.js';
 import { Matrix, Quaternion, Vector3 } from '@babylonjs/core/Maths/math.vector.js';
 import '@babylonjs/core/Meshes/instancedMesh.js';
 import '@babylonjs/core/Meshes/thinInstanceMesh.js';
@@ -276,6 +278,20 @@ const api = {
             stage.scene.dispose();
         }
         return found;
+    },
+
+    // Whether the vertex shader computes the light of an environment, which it does by the normal.
+    async irradiance(options) {
+        const { scene, mesh } = await load(options);
+        mesh.material.twoSidedLighting = false; // else the fragment shader computes it
+        const faces = Array.from({ length: 6 }, () => new Uint8Array([255, 255, 255, 255]));
+        scene.environmentTexture = new RawCubeTexture(scene, faces, 1);
+        scene.environmentTexture.sphericalPolynomial = new SphericalPolynomial();
+        const draws = await draw(scene);
+        const [{ text }] = CAPTURE.draws.filter(({ name }) => name === 'vNormalW');
+        const report = told(scene);
+        scene.dispose();
+        return { draws, report, inVertex: text.includes('vEnvironmentIrradiance=') };
     },
 
     // Where the draws into a shadow map put the vertices, in clip space.

@@ -268,6 +268,16 @@ def test_standard_lighting_is_babylon_s_own(
     assert found["report"] == report
 
 
+def test_the_light_of_an_environment_sees_the_accurate_normals(stage: Stage) -> None:
+    """Babylon.js computes it in the vertex shader, before a plugin can correct the normal."""
+    character = stage.character(TUBE, BENT)
+    told = character.told(Placement())
+    with_module, without = (stage.call("irradiance", {**told, "plugin": one}) for one in (True, False))
+    assert without["inVertex"]
+    assert not with_module["inVertex"]
+    assert largest(with_module["draws"][0], expected(character)) < DEGREES
+
+
 def test_shadows_are_where_they_were(stage: Stage) -> None:
     """Linear blending moves the vertices in any case."""
     told = stage.character(TUBE, BENT).told(Placement())

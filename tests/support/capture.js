@@ -23,13 +23,8 @@ window.CAPTURE = CAPTURE;
     prototype.linkProgram = function (program) {
         const texts = shaders.get(program).map((shader) => sources.get(shader));
         const text = texts.find((one) => one.includes('gl_Position')) ?? '';
-<<<<<<< HEAD:tests/support/capture.js
-        const isWritten = (one) => one === 'gl_Position' || new RegExp(`(out|varying) +(highp )?vec3 ${one};`).test(text);
-        const name = text && CAPTURE.namesFor(text).find(isWritten);
-=======
         const isWritten = (one) => one === 'gl_Position' || new RegExp(`(out|varying) +(highp )?(vec3|mat3) ${one};`).test(text);
-        const name = text && CAPTURE.names.find(isWritten);
->>>>>>> f7ca7f4 (Serve Babylon.js under WebGPU too, and test all that it draws):tests/three/capture.js
+        const name = text && CAPTURE.namesFor(text).find(isWritten);
         if (name) {
             this.transformFeedbackVaryings(program, [name], this.INTERLEAVED_ATTRIBS);
             recorded.set(program, { name, text });
