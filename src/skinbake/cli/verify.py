@@ -219,7 +219,7 @@ def _reporting(
         return code
 
     def write_page(target: str, verdicts: Sequence[FileVerdict]) -> int:
-        from skinbake.commands.view import write_report
+        from skinbake.commands.html_report import write_report
 
         def bounds(source: str) -> Bounds:
             return Bounds(searched.get(source), given["allow_outside"])

@@ -12,7 +12,7 @@ import numpy as np
 from skinbake.choices import Frame, Truth, Weighting
 from skinbake.commands.view import baked_in_memory, sound_views
 from skinbake.containment import BESIDE, Bounds
-from skinbake.errors import ChoiceError, InputError, Notice, printable
+from skinbake.errors import ChoiceError, InputError, Notice, SkinbakeError, printable
 from skinbake.geometry.skinned import Float32Array, Float64Array, FloatArray
 from skinbake.gltf.accessors import read_accessor
 from skinbake.gltf.animation import (
@@ -40,6 +40,7 @@ from skinbake.render.files import MILLISECONDS, MOVING, encoded
 from skinbake.render.materials import CLAY, WHITE, Material, Materials
 from skinbake.render.studio import Look, Studio, placed
 from skinbake.render.subject import YAW, Shot, Subject
+from skinbake.render.thumbnail import Posed, thumbnail
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.run import Skinning
 from skinbake.skinning.surface import Options, RestSurface
@@ -140,6 +141,36 @@ def render_file(
     data = encoded(pictures, suffix)
     write_file([data], target, sync=sync)
     return RenderResult(data, len(pictures), pose, (*notices, *materials.notices()))
+
+
+def small_picture(document: Document) -> bytes | None:
+    """Return a PNG of a baked file in the middle of its first clip; None if nothing of it can be drawn.
+
+    It needs no device and no extra.
+    """
+    try:
+        draws = list(_draws(document, sound_views(document)))
+        clip = _clip(document, None)
+        times = np.zeros(1) if clip is None else np.array([(clip.start + clip.duration) / 2])
+        found = [part for draw in draws for part in _still(draw, _posed(document, draw, clip, times))]
+    except SkinbakeError:
+        return None
+    sound = [part.positions[np.isfinite(part.positions).all(axis=1)] for part in found]
+    if not sum(map(len, sound)):
+        return None
+    return thumbnail(found, placed(sound, [YAW]))
+
+
+def _still(draw: _Draw, posed: _Posed) -> Iterator[Posed]:
+    """Yield the primitives of a draw in its only pose, with accurate normals."""
+    for view, (rest, matrices) in zip(draw.views, _surfaces(draw, posed), strict=True):
+        skinning = Skinning.of(rest, matrices, dual_quaternions=False, options=Options())
+        (found,) = skinning.run((Algorithm.LBS_ACCURATE,), slice(0, 1), slice(0, len(rest.positions)))
+        positions, normals = (
+            np.stack([np.asarray(axis, np.float64)[0] for axis in vector], axis=-1)
+            for vector in (found.position, found.normal)
+        )
+        yield Posed(positions, normals, view.now.triangles)
 
 
 def _draws(document: Document, views: Sequence[BakedView]) -> Iterator[_Draw]:

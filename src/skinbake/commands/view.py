@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import os
-import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path, PurePath
+from pathlib import PurePath
 from typing import Any
-from urllib.parse import quote
 
 import numpy as np
 
@@ -27,13 +24,12 @@ from skinbake.gltf.json_access import JsonObject
 from skinbake.gltf.output import plan_output, refuse_own_input
 from skinbake.gltf.primitives import skinned_sources
 from skinbake.gltf.resources import is_data_uri, read_resource
-from skinbake.gltf.writing import write_file, write_files, write_stdout
+from skinbake.gltf.writing import write_file, write_stdout
 from skinbake.lighting.baked_views import BakedView, baked_views, is_baked
 from skinbake.lighting.expected import noted_kind
 from skinbake.lighting.measured import VerifyOptions
-from skinbake.report.verify import FileVerdict, file_json, gain
+from skinbake.report.verify import FileVerdict, file_json
 from skinbake.timing import stage
-from skinbake.view.index import Listed, index
 from skinbake.view.page import OtherGradients, Shown, page
 from skinbake.view.texts import INFLUENCES
 
@@ -66,77 +62,17 @@ def view_file(source: str, target: str | None = None, bounds: Bounds = BESIDE) -
         document, notices = baked_in_memory(document)
     verdict = verify_document(document, VerifyOptions())
     notes = [] if was_baked else ["The file was not baked. This page baked it in memory, with the defaults."]
-    made, missing = _page(document, replace(verdict, notices=(*notices, *verdict.notices)), notes)
+    made, missing = page_of(document, replace(verdict, notices=(*notices, *verdict.notices)), notes)
     return ViewResult(made, was_baked, (*notices, *missing, *verdict.notices))
 
 
-def report_page(verdict: FileVerdict, options: VerifyOptions, bounds: Bounds = BESIDE) -> bytes:
-    """Return the page of a file that was verified, with its verdict and the limits that it was held to.
-
-    Raises InputError if the file cannot be read any more.
-    """
-    document = read_document(verdict.input, bounds)
-    return _page(document, verdict, [], limits=_limits(options))[0]
-
-
-def write_report(
-    verdicts: Sequence[FileVerdict],
-    options: VerifyOptions,
-    target: str,
-    bounds: Callable[[str], Bounds],
-    *,
-    sync: bool = True,
-) -> None:
-    """Write the page of one verdict, or an index and the pages of several in a folder of its name.
-
-    ``bounds`` gives the folders in which the document of an input may name files. A file without figures has
-    no page. Raises SkinbakeError; the files that were written before stay.
-    """
-    if len(verdicts) == 1 and verdicts[0].error is None and not verdicts[0].up_to_date:
-        write_file([report_page(verdicts[0], options, bounds(verdicts[0].input))], target, sync=sync)
-        return
-    folder = Path(os.path.realpath(target)).with_suffix("")
-    if folder.suffix or folder == Path(os.path.realpath(target)):
-        folder = folder.with_name(f"{folder.name}-pages")
-    listed = []
-    for number, verdict in enumerate(verdicts, 1):
-        link = None
-        if verdict.error is None and not verdict.up_to_date:
-            name = f"{number:04}-{UNSAFE.sub('_', PurePath(verdict.input).stem)[:80]}.html"
-            made = report_page(verdict, options, bounds(verdict.input))
-            write_files(folder, {folder / name: [made]}, str(folder / name), sync=sync)
-            link = f"{quote(folder.name)}/{name}"
-        listed.append(_listed(verdict, link))
-    write_file([index(listed, _limits(options))], target, sync=sync)
-
-
-UNSAFE = re.compile("[^A-Za-z0-9._-]+")
-"""The characters of a file's name that its page's name does not have."""
-
-
-def _listed(verdict: FileVerdict, link: str | None) -> Listed:
-    """Return the entry of a file in the index."""
-    normals = verdict.normals or {}
-    figures = normals.get("lbs") or normals.get("dqs") or {}
-    problems = [problem.message for check in verdict.checks for problem in check.problems]
-    remark = str(verdict.error.message) if verdict.error else "; ".join(problems[:1])
-    if verdict.up_to_date:
-        remark = "passed before, up to date"
-    return Listed(
-        name=verdict.input,
-        link=link,
-        passed=verdict.passed,
-        remark=remark,
-        standard=figures["approximated"].mean if figures else None,
-        accurate=figures["accurate"].mean if figures else None,
-        gain=gain(figures) if figures else None,
-    )
-
-
-def _page(
+def page_of(
     document: Document, verdict: FileVerdict, notes: Sequence[str], limits: Sequence[str] | None = None
 ) -> tuple[bytes, list[Notice]]:
-    """Return the page of a document, and notices on what is missing in it."""
+    """Return the page of a document that was verified, and notices on what is missing in it.
+
+    limits are those that it was held to, in words; None if it was not.
+    """
     with stage("other gradients"):
         others = list(_other_gradients(document, sound_views(document)))
     with stage("page"):
@@ -151,16 +87,6 @@ def _page(
 def _sentence(notice: Notice) -> str:
     where = notice.place.within_file
     return f"{notice.message} ({where})" if where else notice.message
-
-
-def _limits(options: VerifyOptions) -> list[str]:
-    """Return the limits that were asked for, in words."""
-    given = (
-        ("mean error at most", options.max_mean_error, "°"),
-        ("95th percentile of the error at most", options.max_p95_error, "°"),
-        ("gain at least", options.min_gain, "×"),
-    )
-    return [f"{words} {limit:g}{unit}" for words, limit, unit in given if limit is not None]
 
 
 def write_page(result: ViewResult, target: str, *, sync: bool = True) -> None:

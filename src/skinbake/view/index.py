@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import html
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,7 +13,7 @@ from skinbake.view.sources import filled_index
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Listed:
-    """One file of the index: its name, the link to its page (None: it has none), and its figures.
+    """One file of the index: its name, the link to its page and a small PNG (None: it has none), its figures.
 
     standard and accurate are mean errors in degrees, gain is their ratio; None if they were not measured.
     remark says why a file failed, or why it has no figures.
@@ -20,6 +21,7 @@ class Listed:
 
     name: str
     link: str | None
+    picture: bytes | None = None
     passed: bool
     remark: str = ""
     standard: float | None = None
@@ -46,19 +48,29 @@ def _order(one: Listed) -> tuple[bool, float, str]:
 
 def _row(one: Listed) -> str:
     name = html.escape(one.name)
-    shown = name if one.link is None else f'<a href="{html.escape(one.link)}">{name}</a>'
+    words = f'{_picture(one.picture)}<span class="name">{name}</span>'
+    shown = words if one.link is None else f'<a href="{html.escape(one.link)}">{words}</a>'
     outcome = "passed" if one.passed else "failed"
     remark = f" {html.escape(one.remark)}" if one.remark else ""
     cells = [
-        f"<td>{shown}</td>",
+        f'<td class="file">{shown}</td>',
         f'<td data-value="{outcome}"><span class="{outcome}">{outcome}</span>{remark}</td>',
-        _number(one.standard, "{:.2f}°"),
-        _number(one.accurate, "{:.2f}°"),
-        _number(one.gain, "{:.3g}×"),
+        _number("Standard", one.standard, "{:.2f}°"),
+        _number("Accurate", one.accurate, "{:.2f}°"),
+        _number("Gain", one.gain, "{:.3g}×"),
     ]
     return f"<tr>{''.join(cells)}</tr>"
 
 
-def _number(value: float | None, shown: str) -> str:
+def _picture(png: bytes | None) -> str:
+    """Return a picture, or the empty place of one. It says no more than the name beside it."""
+    if png is None:
+        return '<span class="picture"></span>'
+    data = base64.b64encode(png).decode()
+    return f'<img class="picture" src="data:image/png;base64,{data}" width="96" height="72" alt="">'
+
+
+def _number(label: str, value: float | None, shown: str) -> str:
     text = "—" if value is None else shown.format(value)
-    return f'<td class="number" data-value="{-1.0 if value is None else value!r}">{text}</td>'
+    key = -1.0 if value is None else value
+    return f'<td class="number" data-label="{label}" data-value="{key!r}">{text}</td>'

@@ -18,7 +18,7 @@ const SAMPLES = 49;
 const LEGENDS = [2, 5, 10, 20, 30, 45, 60, 90];
 const HEAT = ['#d9dde1', '#f2d16b', '#ee8a2e', '#cf2f2f', '#5c0f3a'];
 const PATIENCE = 250; // Milliseconds that a first frame waits for its images.
-const SLICE = 10; // Milliseconds of measuring at a time.
+const SLICE = [10, 100]; // Milliseconds of measuring at a time: as long as it had to wait, within these.
 const KINDS = { textures: 'checked', moving: 'checked' };
 
 const byId = Object.fromEntries([...document.querySelectorAll('[id]')].map((element) => [element.id, element]));
@@ -255,9 +255,11 @@ class Application {
         await this.renderer.compiled(this.renderer.prepare(lightings, 'normals', false));
         let isMore = true;
         while (isMore) {
+            const begun = performance.now();
             await this.renderer.finished();
             await idle();
-            const end = performance.now() + SLICE;
+            const now = performance.now();
+            const end = now + Math.min(Math.max(now - begun, SLICE[0]), SLICE[1]);
             while (isMore && this.measuring === own && performance.now() < end) isMore = this.measureNext(clip);
             isMore &&= this.measuring === own;
         }

@@ -1,0 +1,97 @@
+"""``skinbake verify --html``: the page of one file, or an index and the pages of several."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Callable, Sequence
+from pathlib import Path, PurePath
+from urllib.parse import quote
+
+from skinbake.commands.render import small_picture
+from skinbake.commands.view import page_of
+from skinbake.containment import BESIDE, Bounds
+from skinbake.gltf.document import read_document
+from skinbake.gltf.writing import write_file, write_files
+from skinbake.lighting.measured import VerifyOptions
+from skinbake.report.verify import FileVerdict, gain
+from skinbake.view.index import Listed, index
+
+UNSAFE = re.compile("[^A-Za-z0-9._-]+")
+"""The characters of a file's name that its page's name does not have."""
+
+
+def report_page(verdict: FileVerdict, options: VerifyOptions, bounds: Bounds = BESIDE) -> bytes:
+    """Return the page of a file that was verified, with its verdict and the limits that it was held to.
+
+    Raises InputError if the file cannot be read any more.
+    """
+    return _made(verdict, options, bounds)[0]
+
+
+def _made(verdict: FileVerdict, options: VerifyOptions, bounds: Bounds) -> tuple[bytes, bytes | None]:
+    """Return the page of a file, and a small picture of it, None if it cannot be drawn."""
+    document = read_document(verdict.input, bounds)
+    page, _ = page_of(document, verdict, [], limits=limits_in_words(options))
+    return page, small_picture(document)
+
+
+def write_report(
+    verdicts: Sequence[FileVerdict],
+    options: VerifyOptions,
+    target: str,
+    bounds: Callable[[str], Bounds],
+    *,
+    sync: bool = True,
+) -> None:
+    """Write the page of one verdict, or an index and the pages of several in a folder of its name.
+
+    ``bounds`` gives the folders in which the document of an input may name files. A file without figures has
+    no page. Raises SkinbakeError; the files that were written before stay.
+    """
+    if len(verdicts) == 1 and verdicts[0].error is None and not verdicts[0].up_to_date:
+        write_file([report_page(verdicts[0], options, bounds(verdicts[0].input))], target, sync=sync)
+        return
+    folder = Path(os.path.realpath(target)).with_suffix("")
+    if folder.suffix or folder == Path(os.path.realpath(target)):
+        folder = folder.with_name(f"{folder.name}-pages")
+    listed = []
+    for number, verdict in enumerate(verdicts, 1):
+        link = picture = None
+        if verdict.error is None and not verdict.up_to_date:
+            name = f"{number:04}-{UNSAFE.sub('_', PurePath(verdict.input).stem)[:80]}.html"
+            made, picture = _made(verdict, options, bounds(verdict.input))
+            write_files(folder, {folder / name: [made]}, str(folder / name), sync=sync)
+            link = f"{quote(folder.name)}/{name}"
+        listed.append(_listed(verdict, link, picture))
+    write_file([index(listed, limits_in_words(options))], target, sync=sync)
+
+
+def _listed(verdict: FileVerdict, link: str | None, picture: bytes | None) -> Listed:
+    """Return the entry of a file in the index."""
+    normals = verdict.normals or {}
+    figures = normals.get("lbs") or normals.get("dqs") or {}
+    problems = [problem.message for check in verdict.checks for problem in check.problems]
+    remark = str(verdict.error.message) if verdict.error else "; ".join(problems[:1])
+    if verdict.up_to_date:
+        remark = "passed before, up to date"
+    return Listed(
+        name=verdict.input,
+        link=link,
+        picture=picture,
+        passed=verdict.passed,
+        remark=remark,
+        standard=figures["approximated"].mean if figures else None,
+        accurate=figures["accurate"].mean if figures else None,
+        gain=gain(figures) if figures else None,
+    )
+
+
+def limits_in_words(options: VerifyOptions) -> list[str]:
+    """Return the limits that were asked for, in words."""
+    given = (
+        ("mean error at most", options.max_mean_error, "°"),
+        ("95th percentile of the error at most", options.max_p95_error, "°"),
+        ("gain at least", options.min_gain, "×"),
+    )
+    return [f"{words} {limit:g}{unit}" for words, limit, unit in given if limit is not None]

@@ -1,0 +1,130 @@
+"""Small pictures in clay without a device: a rasteriser in numpy, and a writer of PNG (its §5)."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from skinbake.geometry.skinned import Float64Array, IntArray
+from skinbake.render.subject import YAW, Camera
+
+SIZE = (192, 144)
+SUPERSAMPLING = 2
+AT_ONCE = 1 << 20
+"""The number of pixels that are tried at a time."""
+
+LIGHT = np.array([0.35, 0.75, 0.56])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Posed:
+    """A surface in one pose: positions and normals (V, 3), triangles (T, 3)."""
+
+    positions: Float64Array
+    normals: Float64Array
+    triangles: IntArray
+
+
+def thumbnail(surfaces: list[Posed], camera: Camera) -> bytes:
+    """Return a PNG of grey and alpha. What is not finite is left out."""
+    width, height = (SUPERSAMPLING * side for side in SIZE)
+    matrix = camera.projected(YAW, width / height)
+    grey = np.zeros(width * height)
+    depths = np.full(width * height, np.inf)
+    towards = camera.axes(YAW)[2]
+    with np.errstate(all="ignore"):  # positions may be of any size; what overflows lies outside the picture
+        for surface in surfaces:
+            places = _on_screen(surface.positions, matrix, (width, height))
+            for pixels, depth, triangles, shares in _fragments(places, surface.triangles, (width, height)):
+                normals = np.einsum("fk,fki->fi", shares, surface.normals[surface.triangles[triangles]])
+                shades = _shaded(normals, towards)
+                sound = np.isfinite(shades) & np.isfinite(depth)
+                order = np.flatnonzero(sound)[np.argsort(-depth[sound], kind="stable")]
+                order = order[depth[order] < depths[pixels[order]]]
+                # Of several values for one pixel, the last one stays: the nearest.
+                grey[pixels[order]], depths[pixels[order]] = shades[order], depth[order]
+    covered = np.isfinite(depths).astype(np.float64)
+    means = [
+        part.reshape(SIZE[1], SUPERSAMPLING, SIZE[0], SUPERSAMPLING).mean(axis=(1, 3))
+        for part in (grey * covered, covered)
+    ]
+    alpha = means[1]
+    shown = np.divide(means[0], alpha, out=np.zeros_like(alpha), where=alpha > 0)
+    return png(np.stack([255 * shown, 255 * alpha], axis=2).round().clip(0, 255).astype(np.uint8))
+
+
+def _on_screen(positions: Float64Array, matrix: Float64Array, size: tuple[int, int]) -> Float64Array:
+    """Return places (V, 3): pixels from the upper left corner, and the depth."""
+    clip = np.column_stack([positions, np.ones(len(positions))]) @ matrix.T
+    return np.asarray((clip[:, :3] / clip[:, 3:] * [1, -1, 1] * 0.5 + 0.5) * [*size, 1.0])
+
+
+def _fragments(
+    places: Float64Array, triangles: IntArray, size: tuple[int, int]
+) -> Iterator[tuple[IntArray, Float64Array, IntArray, Float64Array]]:
+    """Yield pixels, depths, triangles and shares of corners (F, 3): triangles of one extent at a time."""
+    corners = places[triangles]
+    low = np.floor(np.clip(corners[..., :2].min(axis=1), 0, size))
+    high = np.ceil(np.clip(corners[..., :2].max(axis=1), 0, size))
+    extents = (high - low).max(axis=1)
+    seen = np.isfinite(corners).all(axis=(1, 2)) & (high > low).all(axis=1)
+    extent = 1
+    smallest = 0
+    while smallest < max(size):
+        chosen = np.flatnonzero(seen & (extents > smallest) & (extents <= extent))
+        step = max(1, AT_ONCE // extent**2)
+        for start in range(0, len(chosen), step):
+            yield _covered(corners, chosen[start : start + step], low, extent, size)
+        smallest, extent = extent, 2 * extent
+
+
+def _covered(
+    corners: Float64Array, chosen: IntArray, low: Float64Array, extent: int, size: tuple[int, int]
+) -> tuple[IntArray, Float64Array, IntArray, Float64Array]:
+    """Return the fragments of triangles that fit into a square of this many pixels."""
+    y, x = (axis.ravel() for axis in np.mgrid[:extent, :extent])
+    px, py = low[chosen, 0, None] + x, low[chosen, 1, None] + y
+    (x0, y0), (x1, y1), (x2, y2) = (corners[chosen, corner, :2].T[..., None] for corner in range(3))
+    area = (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0)
+    b1 = ((px + 0.5 - x0) * (y2 - y0) - (x2 - x0) * (py + 0.5 - y0)) / area
+    b2 = ((x1 - x0) * (py + 0.5 - y0) - (px + 0.5 - x0) * (y1 - y0)) / area
+    shares = np.stack([1 - b1 - b2, b1, b2], axis=-1)
+    inside = (shares >= 0).all(axis=-1) & (px < size[0]) & (py < size[1])
+    owners, _ = np.nonzero(inside)
+    kept = shares[inside]
+    depth = np.einsum("fk,fk->f", kept, corners[chosen[owners], :, 2])
+    return (py[inside] * size[0] + px[inside]).astype(np.intp), depth, chosen[owners], kept
+
+
+def _shaded(normals: Float64Array, towards: Float64Array) -> Float64Array:
+    """Return shades (F,) from 0 to 1 of clay; a surface seen from behind is lit like its front."""
+    n = normals / np.linalg.norm(normals, axis=1, keepdims=True)
+    n = np.where((n @ towards)[:, None] < 0, -n, n)
+    light = LIGHT / np.linalg.norm(LIGHT)
+    half = (light + towards) / np.linalg.norm(light + towards)
+    lit = 0.30 + 0.16 * n[:, 1] + 0.52 * np.maximum(n @ light, 0) + 0.25 * np.maximum(n @ half, 0) ** 40
+    return np.asarray(np.clip(lit, 0, 1) ** (1 / 1.4))
+
+
+def png(pixels: npt.NDArray[np.uint8]) -> bytes:
+    """Return a PNG of pixels (H, W, 2): grey and alpha."""
+    height, width = pixels.shape[:2]
+    rows = pixels.reshape(height, -1)
+    above = np.vstack([np.zeros_like(rows[:1]), rows[:-1]])
+    filtered = np.column_stack([np.full(height, 2, np.uint8), rows - above])  # the filter "up"
+    head = struct.pack(">IIBBBBB", width, height, 8, 4, 0, 0, 0)
+    parts = [
+        _chunk(b"IHDR", head),
+        _chunk(b"IDAT", zlib.compress(filtered.tobytes(), 9)),
+        _chunk(b"IEND", b""),
+    ]
+    return b"\x89PNG\r\n\x1a\n" + b"".join(parts)
+
+
+def _chunk(kind: bytes, data: bytes) -> bytes:
+    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
