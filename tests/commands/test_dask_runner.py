@@ -23,6 +23,7 @@ from skinbake.jobs.remote import dask_runner
 from skinbake.jobs.remote.dask_runner import DaskRunner
 from skinbake.jobs.work import Job
 from skinbake.report.bake import FileResult
+from skinbake.timing import Told, heard
 from tests.commands.clusters import PATIENCE, cluster, observer, require_dask, wait_for_workers
 from tests.commands.file_works import BakeOrDie, Raise, baking, verifying
 from tests.support.command_line import document, invoke
@@ -124,6 +125,7 @@ def test_one_cluster_for_what_needs_no_deaths(
     ):
         wait_for_workers(client, 1)
         _verdicts_are_those_of_this_process(found.address, baked)
+        _a_single_file_tells_of_its_stages(found.address, baked)
         _the_command_line_sends_its_files(found.address, tmp_path)
         _jobs_are_sent_in_a_bounded_number(found.address, client, monkeypatch, tmp_path, sources)
         _closing_forgets_what_has_not_begun(found.address, client, tmp_path, sources)
@@ -139,6 +141,18 @@ def _verdicts_are_those_of_this_process(address: str, baked: list[Job]) -> None:
         verdicts = dict(runner.run(verifying(), jobs))
     assert verdicts == {number: verifying()(job) for number, job in enumerate(jobs)}
     assert all(verdict.passed for verdict in verdicts.values())
+
+
+def _a_single_file_tells_of_its_stages(address: str, baked: list[Job]) -> None:
+    jobs = [Job(job.target or "") for job in baked[:2]]
+    told: list[Told] = []
+    with DaskRunner(address, MAKING_FOLDERS) as runner, heard(told.append):
+        assert len(list(runner.run(verifying(), jobs))) == 2
+        assert told == []
+        assert len(list(runner.run(verifying(), jobs[:1]))) == 1
+    assert {one.source for one in told} == {jobs[0].source}
+    assert told[0].stage == "waiting for a worker"
+    assert {"read", "freshness"} <= {one.stage for one in told}
 
 
 def _the_command_line_sends_its_files(address: str, folder: Path) -> None:

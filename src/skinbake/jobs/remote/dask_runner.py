@@ -12,7 +12,7 @@ from collections import deque
 from collections.abc import Generator, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Generic
+from typing import TYPE_CHECKING, Any, Generic
 from uuid import uuid4
 
 from skinbake.errors import InputError, Notice, Place
@@ -20,6 +20,7 @@ from skinbake.gltf.output import Writing
 from skinbake.jobs.remote.dask_task import build, call, perform, versions
 from skinbake.jobs.remote.sent_files import DoneHere, JobWithFiles, ResultWithFiles, WorkWithFiles
 from skinbake.jobs.work import Job, ResultT, Work
+from skinbake.timing import Told, is_heard, tell
 
 if TYPE_CHECKING:
     from distributed import Client, Future  # distributed is untyped: these are Any
@@ -192,7 +193,9 @@ class _Flight(Generic[ResultT]):
         self._next = 0
         self._suspects: deque[int] = deque()
         self._under_way: dict[str, _Task] = {}
-        self._ended: queue.SimpleQueue[str] = queue.SimpleQueue()
+        self._ended: queue.SimpleQueue[str | Told] = queue.SimpleQueue()
+        # The rows of many files would fill the screen. Of many, the bar counts those that are done.
+        self._topic = f"skinbake-{self._name}" if len(jobs) == 1 and is_heard() else None
         self._sent = 0
         self._seconds: float | None = None
         self._threads = 0
@@ -202,6 +205,8 @@ class _Flight(Generic[ResultT]):
 
     def results(self) -> Iterator[tuple[int, ResultT]]:
         """Yield each job's number and result."""
+        if self._topic:
+            self._client.subscribe_topic(self._topic, self._hear)
         while self._over is None and (self._next < len(self._jobs) or self._suspects or self._under_way):
             self._look()
             yield from self._launch()
@@ -213,6 +218,9 @@ class _Flight(Generic[ResultT]):
     def cancel(self) -> None:
         """Forget the jobs that have not begun. A job that runs on a worker comes to its end there."""
         self._under_way.clear()  # Dask drops tasks without a held future
+        if self._topic:
+            with suppress(Exception):  # the scheduler may have gone away
+                self._client.unsubscribe_topic(self._topic)
 
     def _look(self) -> None:
         """Count the workers' threads from time to time. Give up if there have been none for long."""
@@ -267,7 +275,9 @@ class _Flight(Generic[ResultT]):
                 sent[number] = job
         if not sent:
             return
-        pickled = call(perform, build(), pickle.dumps((self._work, list(sent.values()))))
+        pickled = call(perform, build(), pickle.dumps((self._work, list(sent.values()))), self._topic)
+        if self._topic:
+            tell(Told(self._jobs[0].source, "waiting for a worker"))
         numbers = tuple(sent)
         key = f"skinbake-{self._name}-{numbers[0]}{'-alone' if alone else ''}"
         future = self._client.submit(pickle.loads, pickled, key=key, pure=False)
@@ -278,16 +288,23 @@ class _Flight(Generic[ResultT]):
     def _note(self, future: Future) -> None:
         self._ended.put(future.key)
 
+    def _hear(self, event: tuple[float, Sequence[Any]]) -> None:
+        """Note an event of the worker, on the thread of the client's network."""
+        self._ended.put(Told(self._jobs[0].source, *event[1]))
+
     def _some_ended(self) -> list[str]:
-        """Wait a little for tasks to end, and return the keys of the ended ones."""
-        keys: list[str] = []
+        """Wait a little for tasks to end, and return the keys of the ended ones. Tell what workers told."""
+        found: list[str | Told] = []
         if not self._under_way:
-            return keys
+            return []
         with suppress(queue.Empty):
-            keys.append(self._ended.get(timeout=LOOK_SECONDS))
-            while len(keys) < BATCH:
-                keys.append(self._ended.get_nowait())
-        return keys
+            found.append(self._ended.get(timeout=LOOK_SECONDS))
+            while len(found) < BATCH:
+                found.append(self._ended.get_nowait())
+        for told in found:
+            if isinstance(told, Told):
+                tell(told)
+        return [key for key in found if isinstance(key, str)]
 
     def _landed(self, keys: Sequence[str]) -> Iterator[tuple[int, ResultT]]:
         """Yield the results of tasks that succeeded, and handle the tasks that ended otherwise."""

@@ -6,13 +6,18 @@ import pickle
 import platform
 import time
 from collections.abc import Callable
+from contextlib import nullcontext
 from typing import TYPE_CHECKING
 
+from skinbake.timing import Told, heard
 from skinbake.version import __version__
 
 if TYPE_CHECKING:
     from skinbake.jobs.remote.sent_files import JobWithFiles, ResultWithFiles, WorkWithFiles
     from skinbake.jobs.work import ResultT
+
+TOLD_EVERY = 0.5
+"""Seconds between two events of the same stage."""
 
 Versions = tuple[str, str, str]
 """The versions of skinbake, Python and NumPy."""
@@ -51,11 +56,14 @@ def versions() -> Versions:
     return build(), platform.python_version(), np.__version__
 
 
-def perform(version: str, pickled: bytes) -> str | tuple[list[ResultWithFiles[ResultT]], float]:
+def perform(
+    version: str, pickled: bytes, topic: str | None = None
+) -> str | tuple[list[ResultWithFiles[ResultT]], float]:
     """Do a pickled (work, jobs). Return the results and the seconds that they took.
 
-    If the client has another version, return a text that names the version here. Then nothing is unpickled,
-    because the client's classes may have other members.
+    With a topic, stages and steps are told to the cluster under it. If the client has another version, return
+    a text that names the version here. Then nothing is unpickled, because the client's classes may have other
+    members.
     """
     if version != build():
         return f"{_address()} has skinbake {build()}"
@@ -64,8 +72,25 @@ def perform(version: str, pickled: bytes) -> str | tuple[list[ResultWithFiles[Re
     work, jobs = pickle.loads(pickled)
     start = time.perf_counter()
     workspace = _local_folder()
-    results = [work.result_there(job, workspace) for job in jobs]
+    with heard(_teller(topic)) if topic else nullcontext():
+        results = [work.result_there(job, workspace) for job in jobs]
     return results, time.perf_counter() - start
+
+
+def _teller(topic: str) -> Callable[[Told], None]:
+    """Return a listener that logs the progress of a job as events of the cluster, a few in a second."""
+    from distributed import get_worker
+
+    worker, last, due = get_worker(), Told(""), 0.0
+
+    def tell(told: Told) -> None:
+        nonlocal due, last
+        now = time.monotonic()
+        if told.stage != last.stage or now >= due:
+            due, last = now + TOLD_EVERY, told
+            worker.log_event(topic, [told.stage, told.done, told.total])
+
+    return tell
 
 
 def _address() -> str:
