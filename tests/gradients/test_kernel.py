@@ -37,6 +37,7 @@ from skinbake.gradients.influences import weight_field
 from skinbake.gradients.surface import Surface, SurfaceSlots
 from skinbake.gradients.weight_gradients import VertexGradients, weight_gradients
 from skinbake.gradients.weld import weld
+from skinbake.timing import Told, heard, stage
 from tests.support.baked_arrays import (
     AFRAME_HAND,
     BARBARIAN,
@@ -213,6 +214,18 @@ def test_any_number_of_threads_bakes_the_same_bytes(name: str, monkeypatch: pyte
         assert slots.counts.tobytes() == found[0].counts.tobytes()
         assert slots.counts == pytest.approx(whole.counts, rel=1e-12)
     assert found[0].adopted.size or name != "foreign_joints.glb"
+
+
+def test_the_parts_of_a_large_surface_are_told_as_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+    (primitives,) = meshes_of(path_of("seam.glb")).values()
+    surface = surface_of(primitives)
+    parts = len(np.unique(surface.classes)) // 7 + 1
+    monkeypatch.setattr(by_loops, "PART", 7)
+    told: list[Told] = []
+    with heard(told.append), stage("gradients"):
+        bake(surface)
+    assert told == [Told("", "gradients", done, parts if done else 0) for done in range(parts + 1)]
+    assert parts > 2
 
 
 def test_the_kernels_frame_from_normals_is_the_contracts_bit_by_bit() -> None:

@@ -113,7 +113,8 @@ def slots_of_surface(
     The arguments are as for ``bake_mesh``; crease_angle is in radians.
     """
     gathered = _gathered(primitives, crease_angle)
-    return kernel.bake_surface(gathered.surface(frame, rig), weighting=weighting, adopt=False)
+    with stage("gradients"):
+        return kernel.bake_surface(gathered.surface(frame, rig), weighting=weighting, adopt=False)
 
 
 @dataclass(frozen=True, slots=True)

@@ -27,6 +27,7 @@ from skinbake.gradients.surface import (
     Surface,
     SurfaceSlots,
 )
+from skinbake.timing import tell_steps
 
 NO_RIG = Rig(np.empty(0, dtype=np.int32), np.empty((0, 3)))
 
@@ -128,7 +129,10 @@ def bake_surface(surface: Surface, *, weighting: str, adopt: bool) -> SurfaceSlo
 
 
 def _baked_in_parts(bake: Callable[..., None], classes: int, primitives: int) -> Float64Array:
-    """Bake parts of the classes side by side. Return the sums (P, 4), added in the order of the parts."""
+    """Bake parts of the classes side by side. Return the sums (P, 4), added in the order of the parts.
+
+    Each part is a step of the present stage.
+    """
     from skinbake.threads import Threads, thread_count  # small models need no threads
 
     def baked(first: int) -> Float64Array:
@@ -136,8 +140,9 @@ def _baked_in_parts(bake: Callable[..., None], classes: int, primitives: int) ->
         bake(sums=sums, first=first, last=min(first + PART, classes))
         return sums
 
-    total = np.zeros((primitives, 4))
+    total, starts = np.zeros((primitives, 4)), range(0, classes, PART)
     with Threads(thread_count()) as threads:
-        for sums in threads.each(baked, range(0, classes, PART)):
+        for done, sums in enumerate(threads.each(baked, starts), 1):
             total += sums
+            tell_steps(done, len(starts))
     return total
