@@ -30,7 +30,9 @@ from skinbake.choices import (
     member_of,
 )
 from skinbake.containment import Bounds, Within
+from skinbake.errors import ChoiceError
 from skinbake.geometry.skinned import Float32Array, IntArray, SkinnedPrimitive
+from skinbake.threads import LARGEST, threads_limited
 
 if TYPE_CHECKING:
     from pygltflib import GLTF2
@@ -76,12 +78,13 @@ def bake(
     allow_outside: Sequence[FilePath] = (),
     dry_run: bool = False,
     sync: bool = True,
+    threads: int | str = "auto",
     **options: Unpack[BakeOptions],
 ) -> dict[str, Any]: ...
 
 
 @overload
-def bake(source: GLTF2, **options: Unpack[BakeOptions]) -> GLTF2: ...
+def bake(source: GLTF2, *, threads: int | str = "auto", **options: Unpack[BakeOptions]) -> GLTF2: ...
 
 
 def bake(
@@ -91,6 +94,7 @@ def bake(
     allow_outside: Sequence[FilePath] = (),
     dry_run: bool = False,
     sync: bool = True,
+    threads: int | str = "auto",
     **options: Unpack[BakeOptions],
 ) -> dict[str, Any] | GLTF2:
     """Add α and β, the skin-weight gradients, to every skinned primitive of a file or a model.
@@ -107,6 +111,8 @@ def bake(
         Do everything except writing.
     sync
         Wait until the output is on the disk.
+    threads
+        The number of threads, or ``auto``: one for each core. The result is the same at any number.
     **options
         The options of ``skinbake bake``: see ``BakeOptions``.
 
@@ -136,17 +142,18 @@ def bake(
     from skinbake.gltf.output import Writing
 
     baker = Baker(**options)  # type: ignore[arg-type]  # it takes the values of enumerations too
-    if not isinstance(source, str | os.PathLike):
-        from skinbake.pygltflib_models import baked_model
+    with threads_limited(_thread_count(threads)):
+        if not isinstance(source, str | os.PathLike):
+            from skinbake.pygltflib_models import baked_model
 
-        return baked_model(source, baker)
-    if target is None:
-        raise TypeError("bake() needs a target for a file")
-    from skinbake.report.bake import file_json
+            return baked_model(source, baker)
+        if target is None:
+            raise TypeError("bake() needs a target for a file")
+        from skinbake.report.bake import file_json
 
-    writing = Writing(dry_run=dry_run, sync=sync)
-    within = Within(_bounds(allow_outside))
-    return file_json(baker.bake_file(os.fspath(source), os.fspath(target), writing, within))
+        writing = Writing(dry_run=dry_run, sync=sync)
+        within = Within(_bounds(allow_outside))
+        return file_json(baker.bake_file(os.fspath(source), os.fspath(target), writing, within))
 
 
 def verify(
@@ -166,6 +173,7 @@ def verify(
     require_baked: bool = False,
     warnings_as_errors: bool = False,
     allow_outside: Sequence[FilePath] = (),
+    threads: int | str = "auto",
 ) -> dict[str, Any]:
     """Check that a file still carries the right α and β, and measure its lighting in degrees.
 
@@ -188,6 +196,8 @@ def verify(
         Fail if the file holds no bake, or if there are warnings.
     allow_outside
         Folders in which the document may name files, besides its own folder.
+    threads
+        The number of threads, or ``auto``: one for each core. The figures are the same at any number.
 
     Returns
     -------
@@ -227,7 +237,8 @@ def verify(
         cap=cap,
         baseline=member_of(Baseline, baseline, "baseline"),
     )
-    return file_json(verify_file(os.fspath(source), options, bounds=_bounds(allow_outside)))
+    with threads_limited(_thread_count(threads)):
+        return file_json(verify_file(os.fspath(source), options, bounds=_bounds(allow_outside)))
 
 
 def inspect(source: FilePath, *, allow_outside: Sequence[FilePath] = ()) -> dict[str, Any]:
@@ -309,6 +320,15 @@ def strip(
     bounds = _bounds(allow_outside)
     paths = os.fspath(source), os.fspath(target)
     return as_json(strip_file(*paths, warnings_as_errors=warnings_as_errors, sync=sync, bounds=bounds))
+
+
+def _thread_count(threads: int | str) -> int | None:
+    """Return the number of threads asked for, or None for ``auto``. Raises ChoiceError."""
+    if threads == "auto":
+        return None
+    if isinstance(threads, int) and 1 <= threads <= LARGEST:
+        return threads
+    raise ChoiceError(f"--threads {threads}: expected a number from 1 to {LARGEST}, or auto")
 
 
 def _bounds(allow_outside: Sequence[FilePath]) -> Bounds:

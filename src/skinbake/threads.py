@@ -5,30 +5,76 @@ from __future__ import annotations
 import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
+from contextvars import ContextVar
 from itertools import chain, islice
-from typing import TypeVar
+from math import ceil
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeVar
+
+from skinbake.control_groups import GROUP_ROOT, GROUPS, group_folders
+
+if TYPE_CHECKING:
+    from concurrent.futures import Future
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 MOST = 8
-"""The largest number of threads. With more, the thread that gathers results is the bottleneck."""
+"""The largest number of threads that is chosen unasked. With more, the gathering thread is the bottleneck."""
+
+LARGEST = 64
+"""The largest number of threads that can be asked for."""
 
 AHEAD = 4
 """The number of blocks a thread may do before their results are taken. Results take memory."""
 
+_asked: ContextVar[int | None] = ContextVar("_asked", default=None)
 
-def thread_count() -> int:
-    """Return the number of threads: the number of cores, or the value of OMP_NUM_THREADS.
 
-    A worker process finds 1 there, because the processes are the parallelism.
+@contextmanager
+def threads_limited(count: int | None) -> Iterator[None]:
+    """Let the work in the block take ``count`` threads; None: as many as there are cores for it."""
+    token = _asked.set(count)
+    try:
+        yield
+    finally:
+        _asked.reset(token)
+
+
+def thread_count(processes: int = 1) -> int:
+    """Return the number of threads for work in each of so many processes.
+
+    It is the number that ``threads_limited`` set, else the value of OMP_NUM_THREADS, else a share of the
+    cores. A worker process that was told nothing finds OMP_NUM_THREADS=1.
     """
+    asked = _asked.get()
+    if asked is not None:
+        return asked
     told = os.environ.get("OMP_NUM_THREADS", "")
     if told.isdecimal() and int(told) > 0:
         return min(int(told), MOST)
+    return min(max(usable_cores() // processes, 1), MOST)
+
+
+def usable_cores() -> int:
+    """Return the number of cores that affinity and the quotas of control groups leave to this process."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return min(cores, MOST)
+    # A quota of 1.5 cores is used up by two threads, and not by one.
+    return max(1, min([cores, *(ceil(quota) for quota in cpu_quotas())]))
+
+
+def cpu_quotas(groups: Path = GROUPS, root: Path = GROUP_ROOT) -> Iterator[float]:
+    """Yield the cores that control groups leave to this process: their quota divided by its period."""
+    for folder in group_folders("cpu", groups, root):
+        for names in (("cpu.max",), ("cpu.cfs_quota_us", "cpu.cfs_period_us")):
+            try:
+                text = " ".join((folder / name).read_text(encoding="ascii") for name in names)
+                quota, period = map(int, text.split())
+            except (OSError, ValueError):  # also "max 100000", which is no limit
+                continue
+            if quota > 0 and period > 0:  # -1 is no limit
+                yield quota / period
 
 
 class Threads:
@@ -36,7 +82,11 @@ class Threads:
 
     def __init__(self, count: int) -> None:
         self._count = count
-        self._pool = ThreadPoolExecutor(count) if count > 1 else None
+        self._pool = None
+        if count > 1:
+            from concurrent.futures import ThreadPoolExecutor  # it takes some milliseconds
+
+            self._pool = ThreadPoolExecutor(count)
 
     def __enter__(self) -> Threads:
         return self

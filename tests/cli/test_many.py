@@ -19,6 +19,7 @@ import jsonschema
 import pytest
 
 from benchmarks.skinned_grid import grid_of, write_grid
+from skinbake import threads
 from skinbake.choices import PoseKind
 from skinbake.commands.bake import Baker
 from skinbake.errors import InputError, OutputError, Place, SkinbakeError
@@ -71,7 +72,7 @@ def test_bake_is_the_same_with_any_number_of_processes(
         said.append((result.stdout, without_rate(result.stderr)))
         made.append(contents(out))
         shutil.rmtree(out)
-    assert workers == [2, processes.usable_cores()]
+    assert workers == [2, threads.usable_cores()]
     assert said[0] == said[1] == said[2]
     assert made[0] == made[1] == made[2]
     assert set(made[0]) >= {*FIXTURES, "half.glb", "bare.glb"}

@@ -28,7 +28,7 @@ from skinbake.cli.limits import limit_options, memory_of_each
 from skinbake.cli.many import Clock, Reporting, Run, many_options, notes_of, state_path, work_through
 from skinbake.cli.names import STDIO
 from skinbake.cli.remote import cluster_option
-from skinbake.cli.runners import runner_of, seconds_of
+from skinbake.cli.runners import runner_of, seconds_of, threads_of_each
 from skinbake.cli.targets import check_read, check_reports, check_target, in_turns, once, pair_up
 from skinbake.cli.writing import writing_of
 from skinbake.containment import Bounds, Within
@@ -229,7 +229,13 @@ def command(inputs: tuple[str, ...], **given: Unpack[Given]) -> None:
     guess = (SECONDS_A_FILE, SECONDS_A_BYTE)
     sources = [job.source for job in jobs]
     runner: Runner[Job, FileResult] = runner_of(given, sources, turns, MODULES, guess, say)
-    work = FileWork(Bake(baker, writing_of(given)), notes.recipe, given["timings"], memory_of_each(given))
+    work = FileWork(
+        Bake(baker, writing_of(given)),
+        notes.recipe,
+        given["timings"],
+        memory_of_each(given),
+        threads_of_each(given, sources),
+    )
     run = Run(jobs, runner, work, seconds_of(sources, guess))
     sys.exit(work_through(run, reporting, given, say, clock, notes))
 

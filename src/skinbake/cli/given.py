@@ -17,6 +17,7 @@ class Given(TypedDict):
     state: str | None
     skip_unchanged: bool
     jobs: int
+    threads: int | None
     no_sync: bool
     isolate: bool
     timeout: float | None

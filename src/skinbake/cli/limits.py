@@ -85,6 +85,6 @@ def memory_of_each(given: Given) -> int | None:
     if given["max_memory"] or given["dask"] or (given["jobs"] == 1 and not given["isolate"]):
         return given["max_memory"]
     from skinbake.gltf.budget import default_limit
-    from skinbake.jobs.processes import usable_cores
+    from skinbake.threads import usable_cores
 
     return default_limit(given["jobs"] or usable_cores())

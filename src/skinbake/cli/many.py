@@ -20,6 +20,7 @@ from skinbake.cli.runners import LONG
 from skinbake.cli.targets import sync_option
 from skinbake.containment import flush
 from skinbake.errors import OutputError, Place
+from skinbake.threads import LARGEST
 from skinbake.timing import heard
 
 if TYPE_CHECKING:
@@ -47,6 +48,14 @@ def _jobs(ctx: click.Context, param: click.Parameter, value: str) -> int:
     return int(value)
 
 
+def _threads(ctx: click.Context, param: click.Parameter, value: str) -> int | None:
+    if value == "auto":
+        return None
+    if not (value.isdecimal() and len(value) < 9 and 1 <= int(value) <= LARGEST):
+        raise click.BadParameter(f"must be a number of threads from 1 to {LARGEST}, or auto")
+    return int(value)
+
+
 def many_options(command: Command) -> Command:
     """Add the options for many files."""
     for option in (
@@ -67,6 +76,14 @@ def many_options(command: Command) -> Command:
             "--skip-unchanged",
             is_flag=True,
             help="Pass over files whose input, options and output have not changed, by digest.",
+        ),
+        click.option(
+            "--threads",
+            default="auto",
+            show_default=True,
+            callback=_threads,
+            metavar="N",
+            help="Threads for the work on a file; auto: the usable cores, divided by --jobs.",
         ),
         click.option(
             "-j",

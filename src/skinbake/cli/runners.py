@@ -66,11 +66,25 @@ def chosen_runner(
     alone = count == 1 or len(sources) == 1 or STDIO in sources
     if limits is None and (alone or seconds_of(sources, guess) <= WORTHWHILE):
         return InThisProcess()
-    from skinbake.jobs.processes import Limits, Processes, usable_cores
+    from skinbake.jobs.processes import Limits, Processes
+    from skinbake.threads import usable_cores
 
     limits = limits or Limits()
     whole = Processes(count or usable_cores(), modules, limits)
     return FirstThese(turns, Processes(1, modules, limits), whole) if turns else whole
+
+
+def threads_of_each(given: Given, sources: Sequence[str]) -> int | None:
+    """Return the threads for the work on a file, or None: the process that does it looks for itself."""
+    if given["threads"] is not None or given["dask"]:
+        return given["threads"]
+    if given["isolate"]:
+        return 1  # threads reserve addresses, which count for the process's limit
+    if given["jobs"] == 1 and not given["timeout"]:
+        return None
+    from skinbake.threads import thread_count, usable_cores
+
+    return thread_count(min(given["jobs"] or usable_cores(), len(sources)))
 
 
 def seconds_of(sources: Sequence[str], guess: tuple[float, float]) -> float:

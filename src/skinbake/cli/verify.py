@@ -18,7 +18,7 @@ from skinbake.cli.limits import limit_options, memory_of_each
 from skinbake.cli.many import Clock, Reporting, Run, many_options, notes_of, state_path, work_through
 from skinbake.cli.names import STDIO
 from skinbake.cli.remote import cluster_option
-from skinbake.cli.runners import runner_of, seconds_of
+from skinbake.cli.runners import runner_of, seconds_of, threads_of_each
 from skinbake.cli.targets import check_reports
 from skinbake.containment import Bounds, Within
 from skinbake.errors import OutputError, Place, SkinbakeError
@@ -185,9 +185,15 @@ def command(inputs: tuple[str, ...], **given: Unpack[VerifyGiven]) -> None:
     ]
     reporting = _reporting(given, say, options, {entry.source: entry.searched for entry in found})
     clock.imports_done()
-    work = FileWork(Verify(options), notes.recipe, given["timings"], memory_of_each(given))
-    guess = (SECONDS_A_FILE, SECONDS_A_BYTE)
     sources = [job.source for job in jobs]
+    work = FileWork(
+        Verify(options),
+        notes.recipe,
+        given["timings"],
+        memory_of_each(given),
+        threads_of_each(given, sources),
+    )
+    guess = (SECONDS_A_FILE, SECONDS_A_BYTE)
     runner: Runner[Job, FileVerdict] = runner_of(given, sources, [], MODULES, guess, say)
     run = Run(jobs, runner, work, seconds_of(sources, guess))
     sys.exit(work_through(run, reporting, given, say, clock, notes))

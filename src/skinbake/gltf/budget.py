@@ -13,6 +13,7 @@ from contextvars import ContextVar
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from skinbake.control_groups import GROUP_ROOT, GROUPS, group_folders
 from skinbake.errors import InputError, Place
 
 SHARE = 4
@@ -56,9 +57,6 @@ Every copy of a vertex has the neighbours of all its copies, so a thousand copie
 The seams and poles of characters have some tens of copies.
 """
 
-GROUPS, GROUP_ROOT = Path("/proc/self/cgroup"), Path("/sys/fs/cgroup")
-"""The paths where Linux lists the control groups of a process, and their limits."""
-
 _limit: ContextVar[int | None] = ContextVar("_limit", default=None)
 
 
@@ -88,19 +86,8 @@ def machine_memory() -> int:
 
 def group_limits(groups: Path = GROUPS, root: Path = GROUP_ROOT) -> Iterator[int]:
     """Yield the limits of the control groups of this process, version 2 or 1."""
-    try:
-        lines = groups.read_text(encoding="utf-8", errors="replace").splitlines()
-    except OSError:
-        return
-    for line in lines:
-        _, controllers, path = (*line.split(":", maxsplit=2), "", "")[:3]
-        if controllers and "memory" not in controllers.split(","):
-            continue
-        base, name = (root / "memory", "memory.limit_in_bytes") if controllers else (root, "memory.max")
-        own = base / path.strip("/")
-        for folder in dict.fromkeys((own, *own.parents)):
-            if folder != base and base not in folder.parents:
-                break
+    for folder in group_folders("memory", groups, root):
+        for name in ("memory.max", "memory.limit_in_bytes"):
             try:
                 text = (folder / name).read_text(encoding="ascii").strip()
             except (OSError, ValueError):

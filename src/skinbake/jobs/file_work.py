@@ -10,6 +10,7 @@ from skinbake.gltf.budget import memory_limited
 from skinbake.gltf.document import STDIO
 from skinbake.jobs.boundary import survived
 from skinbake.jobs.work import Job, ResultT, changed
+from skinbake.threads import threads_limited
 from skinbake.timing import stage, tell_file, timed
 
 if TYPE_CHECKING:
@@ -48,18 +49,20 @@ class FileCommand(Protocol[ResultT]):
 class FileWork(Generic[ResultT]):
     """Have a command work on a file, unless ``recipe`` is given and the file is known to be up to date.
 
-    max_memory is the memory that a file may take, in bytes. An error in a file raises nothing.
+    max_memory is the memory that a file may take, in bytes. threads is the number of threads for it, None for
+    one on each core. An error in a file raises nothing.
     """
 
     command: FileCommand[ResultT]
     recipe: state.Recipe | None = None
     is_timed: bool = False
     max_memory: int | None = None
+    threads: int | None = None
 
     def __call__(self, job: Job) -> ResultT:
         """Return the result of the file."""
         tell_file(job.source)
-        with memory_limited(self.max_memory):
+        with memory_limited(self.max_memory), threads_limited(self.threads):
             if not self.is_timed:
                 return self._survived(job)
             result, timings = timed(lambda: self._survived(job))

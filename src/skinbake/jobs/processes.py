@@ -68,13 +68,6 @@ the next: fresh pages for the arrays of each file take a quarter of the work on 
 """
 
 
-def usable_cores() -> int:
-    """Return the number of cores that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
-
-
 @dataclass(eq=False, slots=True)
 class _Worker:
     """A process, this end of its pipe, and the jobs that it was sent. The job in work is the first.
