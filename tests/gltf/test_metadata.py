@@ -14,6 +14,7 @@ from fixtures.builder import JsonObject
 from skinbake.commands.inspect import inspect_file
 from skinbake.format.metadata import read_metadata
 from skinbake.gltf.document import read_document
+from skinbake.threads import threads_limited
 from tests.support.gltf_reading import GltfFile
 from tests.support.models import FIXTURES, FOLDER, SHARED, bake, baked, note, primitives, rewritten
 
@@ -43,6 +44,23 @@ def test_digests_are_those_of_the_arrays_in_the_written_file(name: str, tmp_path
         found = note(after.content, mesh, number)
         assert found is not None
         assert found["digest"] == digests(after, mesh, number, found["frame"])
+
+
+@pytest.mark.parametrize("name", ["mirrored_tangent.glb", "two_sets.glb"])
+def test_digests_are_the_same_by_several_threads(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("skinbake.format.metadata.LARGE", 1)
+    notes = []
+    for count in (1, 2, 3, 8):
+        with threads_limited(count):
+            after = baked(FOLDER / name, tmp_path / name)
+        for mesh, number, _ in primitives(after.content):
+            found = note(after.content, mesh, number)
+            assert found is not None
+            assert found["digest"] == digests(after, mesh, number, found["frame"])
+        notes.append((tmp_path / name).read_bytes())
+    assert len(set(notes)) == 1
 
 
 def changed(path: Path) -> set[str]:

@@ -37,6 +37,7 @@ from skinbake.gradients.influences import weight_field
 from skinbake.gradients.surface import Surface, SurfaceSlots
 from skinbake.gradients.weight_gradients import VertexGradients, weight_gradients
 from skinbake.gradients.weld import weld
+from skinbake.threads import threads_limited
 from skinbake.timing import Told, heard, stage
 from tests.support.baked_arrays import (
     AFRAME_HAND,
@@ -226,6 +227,30 @@ def test_the_parts_of_a_large_surface_are_told_as_steps(monkeypatch: pytest.Monk
         bake(surface)
     assert told == [Told("", "gradients", done, parts if done else 0) for done in range(parts + 1)]
     assert parts > 2
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_rows_are_prepared_in_parts_as_the_definition_does(
+    count: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    random = np.random.default_rng(5)
+    joints = random.integers(0, 3, (50, 4), dtype=np.int32)
+    weights = np.round(random.uniform(-0.5, 1.0, (50, 4)), 1) * (random.random((50, 1)) < 0.8)
+    points = random.integers(0, 2, (50, 3)).astype(np.float32)
+    corners = random.integers(0, 50, (90, 3)).astype(np.uint32)
+    told = {"adopting_sum": 0.5, "tolerance": 1e-3}
+    field, defects = by_numpy.normalise_influences(joints.copy(), weights.copy(), **told)
+    monkeypatch.setattr(by_loops, "ROWS", 7)
+    with threads_limited(count):
+        found, counted = by_loops.normalise_influences(joints.copy(), weights.copy(), **told)
+        mask = by_loops.mark_proper(points, corners)
+    assert counted == defects
+    assert min(defects.negative, defects.all_zero, defects.not_normalised, defects.repeated_joint) > 0
+    assert np.array_equal(found.joints, field.joints)
+    assert np.array_equal(found.free, field.free)
+    assert found.weights == pytest.approx(field.weights, abs=1e-15)
+    assert np.array_equal(mask, by_numpy.mark_proper(points, corners))
+    assert 0 < np.count_nonzero(mask) < len(mask)
 
 
 def test_the_kernels_frame_from_normals_is_the_contracts_bit_by_bit() -> None:

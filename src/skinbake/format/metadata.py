@@ -14,11 +14,15 @@ from skinbake.geometry.blocks import blocks
 from skinbake.geometry.skinned import SkinnedPrimitive
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject, is_deeper, reference
+from skinbake.threads import Threads, thread_count
 
 VERSION = 1
 
 KEY = "skinbake"
 """The key in ``extras`` of all notes that skinbake makes in a file."""
+
+LARGE = 1 << 23
+"""The bytes of arrays from which several threads read them: about 10 ms of work."""
 
 DEEPEST_NOTE = 32
 """The most levels of a note of skinbake; bake writes two."""
@@ -44,13 +48,26 @@ def digests(primitive: SkinnedPrimitive, frame: str) -> dict[str, str]:
     }
     if frame == Frame.TANGENT and primitive.tangents is not None:
         arrays["TANGENT"] = (primitive.tangents, "<f4")
-    influences = influence_digests(primitive.joints, primitive.weights)
-    return {**{name: array_digest(values, dtype) for name, (values, dtype) in arrays.items()}, **influences}
+    return array_digests({**arrays, **_of_influences(primitive.joints, primitive.weights)})
 
 
 def influence_digests(joints: npt.NDArray[Any], weights: npt.NDArray[Any]) -> dict[str, str]:
     """Return the digests of joints and weights (V, K) alone, in the form of ``digests``."""
-    return {"JOINTS": array_digest(joints, "<u2"), "WEIGHTS": array_digest(weights, "<f4")}
+    return array_digests(_of_influences(joints, weights))
+
+
+def _of_influences(
+    joints: npt.NDArray[Any], weights: npt.NDArray[Any]
+) -> dict[str, tuple[npt.NDArray[Any], str]]:
+    return {"JOINTS": (joints, "<u2"), "WEIGHTS": (weights, "<f4")}
+
+
+def array_digests(arrays: Mapping[str, tuple[npt.NDArray[Any], str]]) -> dict[str, str]:
+    """Return the digest of each array and its type, by name. Large arrays are read side by side."""
+    size = sum(values.nbytes for values, _ in arrays.values())
+    with Threads(thread_count() if size >= LARGE else 1) as threads:
+        found = threads.each(lambda array: array_digest(*array), arrays.values())
+        return dict(zip(arrays, found, strict=True))
 
 
 def slots_digest(arrays: Mapping[str, npt.NDArray[Any]]) -> str:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
+from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -33,6 +34,11 @@ NO_RIG = Rig(np.empty(0, dtype=np.int32), np.empty((0, 3)))
 
 PART = 1 << 15
 """The weld classes that one thread bakes at a time. It is fixed, so sums are the same for any threads."""
+
+ROWS = 1 << 17
+"""The vertices or triangles that one thread prepares at a time: about 3 ms of work."""
+
+Found = TypeVar("Found")
 
 WEIGHTINGS = {
     "max": _kernel.BY_MAX,
@@ -67,7 +73,13 @@ def normalise_influences(
 ) -> tuple[WeightField, WeightDefects]:
     """Turn stored influences (V, K) into a weight field in place. Return it with the assumptions made."""
     free = np.empty(joints.shape, dtype=np.bool_)
-    defects = _kernel.normalise_influences(joints, weights, free, adopting_sum, tolerance, least)
+
+    def normalise(rows: slice) -> dict[str, int]:
+        parts = joints[rows], weights[rows], free[rows]
+        return _kernel.normalise_influences(*parts, adopting_sum, tolerance, least)
+
+    found = _by_rows(normalise, len(joints))
+    defects = {name: sum(part[name] for part in found) for name in found[0]}
     return WeightField(joints, weights, free), WeightDefects(**defects)
 
 
@@ -75,7 +87,12 @@ def mark_proper(positions: FloatArray, triangles: IntArray) -> BoolArray:
     """Tell for each triangle (T, 3) whether it has an area, as a mask (T,)."""
     mask = np.empty(len(triangles), dtype=np.bool_)
     corners = np.ascontiguousarray(triangles, dtype=np.uint32)
-    _kernel.mark_proper(np.ascontiguousarray(positions), corners, mask, DEGENERATE_AREA)
+    points = np.ascontiguousarray(positions)
+
+    def mark(rows: slice) -> None:
+        _kernel.mark_proper(points, corners[rows], mask[rows], DEGENERATE_AREA)
+
+    _by_rows(mark, len(corners))
     return mask
 
 
@@ -126,6 +143,16 @@ def bake_surface(surface: Surface, *, weighting: str, adopt: bool) -> SurfaceSlo
     adopts[np.flatnonzero(adopted) // slots] = True
     rows = np.flatnonzero(adopts)
     return SurfaceSlots(alpha, beta, rows, adopted[rows] - 1, counts)
+
+
+def _by_rows(work: Callable[[slice], Found], rows: int) -> list[Found]:
+    """Return the results of work on parts of some rows, done side by side if they are many."""
+    if rows <= ROWS:
+        return [work(slice(0, rows))]
+    from skinbake.threads import Threads, thread_count
+
+    with Threads(thread_count()) as threads:
+        return list(threads.each(work, map(slice, range(0, rows, ROWS), range(ROWS, rows + ROWS, ROWS))))
 
 
 def _baked_in_parts(bake: Callable[..., None], classes: int, primitives: int) -> Float64Array:
