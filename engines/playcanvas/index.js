@@ -145,7 +145,7 @@ function skinned(root) {
 
 function watch(app) {
     if (watched.has(app)) return;
-    const kept = { materials: new Set(), textures: new Set(), instances: new Set() };
+    const kept = { materials: new Set(), bakes: new Set(), instances: new Set() };
     const before = () => lightAll(app, kept);
     const after = (asset) => warnOfOthers(asset);
     app.on('prerender', before);
@@ -156,7 +156,7 @@ function watch(app) {
         app.assets.off('load', after);
         kept.instances.forEach(withoutParameters);
         kept.materials.forEach(withoutChunks);
-        kept.textures.forEach((texture) => texture.destroy());
+        kept.bakes.forEach(free);
         kept.nothing?.destroy();
     };
     watched.set(app, kept);
@@ -187,7 +187,7 @@ function light(app, kept, instance) {
     if (kept.instances.has(instance) && instance.getParameter(CONSTANTS)) return;
     if (!bake.texture) {
         bake.texture = dataTexture(app.graphicsDevice, bake.values, bake.stride);
-        kept.textures.add(bake.texture);
+        kept.bakes.add(bake);
         freeWith(instance.mesh, bake, kept);
     }
     instance.setParameter(CONSTANTS, [bake.stride, bake.method === 'dqs' ? 1 : 0, 0, 0]);
@@ -203,11 +203,15 @@ function withoutParameters(instance) {
 function freeWith(mesh, bake, kept) {
     const { destroy } = mesh;
     mesh.destroy = () => {
-        kept.textures.delete(bake.texture);
-        bake.texture.destroy();
-        bake.texture = null;
+        kept.bakes.delete(bake);
+        free(bake);
         destroy.call(mesh);
     };
+}
+
+function free(bake) {
+    bake.texture?.destroy();
+    bake.texture = null;
 }
 
 // Texels of four floats, row by row.

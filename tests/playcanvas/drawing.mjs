@@ -215,9 +215,14 @@ const CHANGES = {
     'a shader of its own': (_, entity) => {
         for (const instance of skinned(entity)) instance.material = new pc.ShaderMaterial(SHADER);
     },
-    disposed: ({ app }, entity) => {
+    disposed: ({ app }) => {
         app.render();
         skinbake.dispose(app);
+    },
+    'disposed and again': ({ app }) => {
+        app.render();
+        skinbake.dispose(app);
+        skinbake.skinbakeOptions(app);
     },
 };
 const OWN = 'mat3 dNormalMatrix; vec3 skinnedNormal() { dNormalMatrix = mat3(1.0); return vec3(0.0, 0.0, 1.0); }';
