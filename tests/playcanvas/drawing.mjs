@@ -6,6 +6,8 @@ import * as pc from 'playcanvas';
 import * as skinbake from 'skinbake-playcanvas';
 
 const WIDTH = 256;
+const draco = '/draco/draco_decoder_gltf';
+pc.dracoInitialize({ jsUrl: `${draco}_nodejs.js`, wasmUrl: `${draco}.wasm`, numWorkers: 1 });
 const apps = new Map();
 
 async function application(backend) {

@@ -14,12 +14,13 @@ import numpy as np
 import pytest
 
 from fixtures.make_fixtures import FOLDER as FIXTURES
-from skinbake.choices import Encoding, Layout
+from skinbake.choices import Encoding, Layout, Scheme
 from skinbake.format.layouts import GradientFormat
 from skinbake.skinning.algorithms import Algorithm
 from tests.playcanvas.write_package import FOLDER as PACKAGE
 from tests.support import browser, corpus
 from tests.support.baked_files import Editable
+from tests.support.baking import bake_file
 from tests.support.characters import AS_USUAL, Array, Character, Normals, Placement, Pose, angles, baked
 from tests.support.node import package_folder, require_node
 from tests.support.replay import replay
@@ -107,12 +108,12 @@ def stage(opened: Stage) -> Stage:
 
 @pytest.fixture(scope="module")
 def opened(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stage]:
-    require_node("playcanvas")
+    require_node("playcanvas", "draco3dgltf")
     folder = tmp_path_factory.mktemp("playcanvas")
     for name in ("models", "profile"):
         (folder / name).mkdir()
     folders = {"models": folder / "models", "playcanvas": package_folder("playcanvas"), "package": PACKAGE}
-    folders |= {"tests": Path(__file__).resolve().parent}
+    folders |= {"tests": Path(__file__).resolve().parent, "draco": package_folder("draco3dgltf")}
     with browser.opened(PAGE, folders, folder / "profile", browser.PRESENTING) as page:
         yield Stage(page, folder / "models")
 
@@ -251,6 +252,14 @@ class TestMessages:
         report, (message,) = stage.told(file.write(stage.models / "lost.glb"))
         assert report[0][1].startswith("it has lost the metadata of its bake")
         assert "it has lost the metadata" in message
+
+    def test_draco(self, stage: Stage) -> None:
+        path = stage.models / "draco.glb"
+        bake_file(TUBE, path, compress=Scheme.DRACO)
+        reason = "its alpha and beta are compressed by Draco: bake it again with --compress none"
+        report, (message,) = stage.told(path)
+        assert report == [["standard", reason]]
+        assert reason in message
 
     def test_a_damaged_attribute(self, stage: Stage) -> None:
         file = Editable(baked(TUBE, stage.models))
