@@ -2,6 +2,7 @@
 // materials and meshes. What comes back are the normals that the vertex shaders handed on.
 
 import '@babylonjs/core/Animations/animatable.js';
+import { BakedVertexAnimationManager } from '@babylonjs/core/BakedVertexAnimation/bakedVertexAnimationManager.js';
 import { FreeCamera } from '@babylonjs/core/Cameras/freeCamera.js';
 import { Engine } from '@babylonjs/core/Engines/engine.js';
 import '@babylonjs/core/Engines/Extensions/index.js';
@@ -193,9 +194,26 @@ const STRANGERS = {
     'fewer influences': ({ mesh }) => (mesh.numBoneInfluencers = 2),
     processor: ({ mesh }) => (mesh.computeBonesUsingShaders = false),
     copied: ({ mesh }) => mesh.geometry.copy('copy').applyToMesh(mesh),
+    'no skeleton': ({ mesh }) => (mesh.skeleton = null),
     crowded: ({ mesh, scene }) => {
-        scene.getEngine().getCaps().maxVertexAttribs = 5;
+        const caps = scene.getEngine().getCaps();
+        const most = caps.maxVertexAttribs;
+        caps.maxVertexAttribs = 5;
         mesh.material = new StandardMaterial('other', scene);
+        return () => (caps.maxVertexAttribs = most);
+    },
+    'old engine': ({ mesh, scene }) => {
+        const engine = scene.getEngine();
+        Object.defineProperty(engine, 'version', { get: () => 1, configurable: true });
+        mesh.material = new StandardMaterial('other', scene);
+        return () => delete engine.version;
+    },
+    'baked animation': ({ mesh, scene }) => {
+        const width = 4 * (mesh.skeleton.bones.length + 1);
+        const floats = new Float32Array(4 * width);
+        const texture = RawTexture.CreateRGBATexture(floats, width, 1, scene, false, false, 1, 1); // nearest, float
+        mesh.bakedVertexAnimationManager = new BakedVertexAnimationManager(scene);
+        mesh.bakedVertexAnimationManager.texture = texture;
     },
     'own shader': ({ mesh, scene }) => {
         const source = {
@@ -207,6 +225,26 @@ const STRANGERS = {
         mesh.material = new ShaderMaterial('own', scene, source, options);
     },
 };
+
+const STRANGERS_OF_WEBGPU = {
+    crowded: ({ mesh, scene }) => {
+        const engine = scene.getEngine();
+        const limits = engine.currentLimits;
+        engine._deviceLimits = { ...limitsOf(limits), maxVertexBuffers: 4 };
+        mesh.material = new StandardMaterial('other', scene);
+        return () => (engine._deviceLimits = limits);
+    },
+    'pulled vertices': ({ mesh, scene }) => {
+        mesh.material = new StandardMaterial('other', scene);
+        mesh.material.useVertexPulling = true;
+    },
+};
+
+function limitsOf(limits) {
+    const found = {};
+    for (const name in limits) found[name] = limits[name];
+    return found;
+}
 
 const api = {
     backend: async (name) => Boolean(await engineOf(name)),
@@ -262,22 +300,26 @@ const api = {
         return { draws, report, places: [Matrix.Identity(), ...PLACES].map((place) => [...place.asArray()]) };
     },
 
-    async strangers({ url, pose }) {
+    async strangers({ url, pose, backend }) {
         const found = {};
-        const most = (await engineOf('webgl')).getCaps().maxVertexAttribs;
-        for (const [name, change] of Object.entries(STRANGERS)) {
-            const stage = await load({ url, pose });
+        const changes = backend === 'webgpu' ? STRANGERS_OF_WEBGPU : STRANGERS;
+        for (const [name, change] of Object.entries(changes)) {
+            const stage = await load({ url, pose, backend });
             frame(stage.scene);
             stage.mesh.name = name;
-            change(stage);
+            const undo = change(stage);
             await ready(stage.scene);
             frame(stage.scene);
             frame(stage.scene);
             found[name] = told(stage.scene);
-            stage.scene.getEngine().getCaps().maxVertexAttribs = most;
+            if (typeof undo === 'function') undo();
             stage.scene.dispose();
         }
         return found;
+    },
+
+    async loaded({ urls }) {
+        for (const url of urls) (await load({ url })).scene.dispose();
     },
 
     // Whether the vertex shader computes the light of an environment, which it does by the normal.

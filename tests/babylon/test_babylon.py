@@ -7,8 +7,9 @@ transform feedback, under WebGPU, which runs on SwiftShader, by drawing each ver
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -286,28 +287,95 @@ def test_shadows_are_where_they_were(stage: Stage) -> None:
     assert with_module == without
 
 
-def test_meshes_that_stay_standard_are_told_of_once(stage: Stage) -> None:
-    reasons = {
+STRANGERS = {
+    "webgl": {
         "fewer influences": "its numBoneInfluencers is 2, and its bake is for 4",
         "processor": "the processor skins it (computeBonesUsingShaders)",
         "copied": "its geometry is a copy, and Babylon.js copies no attributes that it does not know",
+        "no skeleton": "it has no skeleton",
         "crowded": "it needs 6 vertex attributes, and this device has 5",
+        "old engine": "this module needs WebGL 2 or WebGPU",
+        "baked animation": "a baked vertex animation moves it",
         "own shader": 'its ShaderMaterial "own" takes no material plugins',
-    }
-    found = stage.page.call("strangers", stage.character(TUBE, BENT).told(Placement()))
-    assert found == {name: [["standard", reason]] for name, reason in reasons.items()}
+    },
+    "webgpu": {
+        "crowded": "it needs 5 vertex buffers, and this device has 4",
+        "pulled vertices": "its material pulls vertices",
+    },
+}
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_meshes_that_stay_standard_are_told_of_once(stage: Stage, backend: str) -> None:
+    require(stage, backend)
+    told = stage.character(TUBE, BENT).told(Placement())
+    found = stage.page.call("strangers", {**told, "backend": backend})
+    assert found == {name: [["standard", reason]] for name, reason in STRANGERS[backend].items()}
     assert stage.messages() == [
         f'skinbake: "{name}" has Babylon.js\'s standard lighting: {reason}'
-        for name, reason in reasons.items()
+        for name, reason in STRANGERS[backend].items()
     ]
 
 
-def test_a_file_that_lost_its_metadata_is_told_of(stage: Stage) -> None:
-    file = Editable(stage.character(TUBE, BENT).path)
+DAMAGES: dict[str, Callable[[Editable, dict[str, Any]], object]] = {
+    "its bake has version 2, and this module reads version 1: update it": lambda _, noted: noted.update(
+        version=2
+    ),
+    "it has 12 influences for each vertex, and Babylon.js reads eight: "
+    "bake it again with --limit-influences 8": lambda _, noted: noted.update(influences=12),
+    "the metadata of its bake is damaged: bake it again": lambda _, noted: noted.pop("alpha"),
+    "its frame is other, and this module knows normal and tangent: update it": lambda _, noted: noted.update(
+        frame="other"
+    ),
+    "its encoding is other, and this module knows packed8 and snorm16: update it": (
+        lambda _, noted: noted.update(encoding="other")
+    ),
+    "the metadata of its bake lacks the scale: bake it again": lambda _, noted: noted.pop("scale"),
+    "it has lost TANGENT, which its bake needs: bake last": lambda _, noted: noted.update(frame="tangent"),
+    "its attribute _SKINBAKE_BETA_0 is missing: bake last, or keep attributes as they are": (
+        lambda file, _: file.primitive()["attributes"].pop("_SKINBAKE_BETA_0")
+    ),
+    "its attribute _SKINBAKE_ALPHA_0 is VEC3, not VEC4: bake last, or keep attributes as they are": (
+        lambda file, _: file.primitive()["attributes"].update(
+            _SKINBAKE_ALPHA_0=file.primitive()["attributes"]["POSITION"]
+        )
+    ),
+    "its attribute _SKINBAKE_ALPHA_0 is not encoded as packed8: bake last, or keep attributes as they are": (
+        lambda file, _: file.primitive()["attributes"].update(
+            _SKINBAKE_ALPHA_0=file.primitive()["attributes"]["WEIGHTS_0"]
+        )
+    ),
+    "its attribute _SKINBAKE_ALPHA_0 is VEC4, not VEC3: bake last, or keep attributes as they are": (
+        lambda _, noted: noted.pop("encoding")
+    ),
+    "it has lost the metadata of its bake: keep the extras of primitives, or bake last": (
+        lambda file, _: file.primitive().pop("extras")
+    ),
+}
+
+
+def test_what_has_happened_to_a_bake_is_told_when_it_is_loaded(stage: Stage) -> None:
+    source = stage.character(TUBE, BENT, storage=PACKED).path
+    urls = []
+    for number, damage in enumerate(DAMAGES.values()):
+        file = Editable(source)
+        damage(file, file.primitive()["extras"]["skinbake"])
+        urls.append(f"/models/{file.write(stage.models / f'damaged{number}.glb').name}")
+    stage.page.call("loaded", {"urls": urls})
+    (node,) = (node for node in file.content["nodes"] if "mesh" in node)
+    assert stage.messages() == [
+        f'skinbake: "{node["name"]}" has Babylon.js\'s standard lighting: {reason}' for reason in DAMAGES
+    ]
+
+
+def test_a_file_that_lost_its_metadata_has_standard_normals(stage: Stage) -> None:
+    character = stage.character(TUBE, BENT)
+    file = Editable(character.path)
     del file.primitive()["extras"]
     file.write(stage.models / "lost.glb")
-    found = stage.page.call("normals", {"url": "/models/lost.glb"})
+    told = {**character.told(Placement()), "url": "/models/lost.glb"}
+    found = stage.page.call("normals", told)
     reason = "it has lost the metadata of its bake: keep the extras of primitives, or bake last"
     assert found["report"] == [["standard", reason]]
-    name = gltf_reading.read(TUBE).content["nodes"][0].get("name", "node0")
-    assert stage.messages() == [f'skinbake: "{name}" has Babylon.js\'s standard lighting: {reason}']
+    assert len(stage.messages()) == 1
+    assert largest(found["draws"][0], expected(character, Algorithm.LBS_APPROXIMATED)) < DEGREES
