@@ -317,6 +317,12 @@ def test_meshes_that_stay_standard_are_told_of_once(stage: Stage, backend: str) 
     ]
 
 
+def alpha(file: Editable) -> dict[str, Any]:
+    """Return the accessor of α."""
+    found: dict[str, Any] = file.content["accessors"][file.primitive()["attributes"]["_SKINBAKE_ALPHA_0"]]
+    return found
+
+
 DAMAGES: dict[str, Callable[[Editable, dict[str, Any]], object]] = {
     "its bake has version 2, and this module reads version 1: update it": lambda _, noted: noted.update(
         version=2
@@ -348,6 +354,9 @@ DAMAGES: dict[str, Callable[[Editable, dict[str, Any]], object]] = {
     "its attribute _SKINBAKE_ALPHA_0 is VEC4, not VEC3: bake last, or keep attributes as they are": (
         lambda _, noted: noted.pop("encoding")
     ),
+    "its attribute _SKINBAKE_ALPHA_0 is not of floats: bake last, or keep attributes as they are": (
+        lambda file, noted: (noted.pop("encoding"), alpha(file).update(type="VEC3"))
+    ),
     "it has lost the metadata of its bake: keep the extras of primitives, or bake last": (
         lambda file, _: file.primitive().pop("extras")
     ),
@@ -366,6 +375,26 @@ def test_what_has_happened_to_a_bake_is_told_when_it_is_loaded(stage: Stage) -> 
     assert stage.messages() == [
         f'skinbake: "{node["name"]}" has Babylon.js\'s standard lighting: {reason}' for reason in DAMAGES
     ]
+
+
+def test_sparse_accessors_and_metadata_of_an_accessor_are_read(stage: Stage) -> None:
+    """Where extras of the primitive are no object, bake writes into those of alpha's accessor."""
+    file = Editable(TUBE)
+    file.primitive()["extras"] = "ours"
+    path = baked(file.write(stage.models / "spoken_for.glb"), stage.models, storage=PACKED)
+    sparse = Editable(path)
+    assert sparse.primitive()["extras"] == "ours"
+    accessor = alpha(sparse)
+    numbers = np.arange(accessor["count"], dtype=np.uint32).view(np.float32).reshape(-1, 2)
+    indices = sparse.content["accessors"][sparse.add(numbers)]["bufferView"]
+    values = {"bufferView": accessor.pop("bufferView"), "byteOffset": accessor.pop("byteOffset", 0)}
+    accessor["sparse"] = {"count": accessor["count"], "values": values}
+    accessor["sparse"]["indices"] = {"bufferView": indices, "componentType": 5125}
+    sparse.write(stage.models / "sparse.glb")
+    character = stage.character(TUBE, BENT, storage=PACKED)
+    found = stage.call("normals", {**character.told(Placement()), "url": "/models/sparse.glb"})
+    assert found["report"] == RIGHT
+    assert largest(found["draws"][0], expected(character)) < DEGREES
 
 
 def test_a_file_that_lost_its_metadata_has_standard_normals(stage: Stage) -> None:
