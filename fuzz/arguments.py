@@ -65,6 +65,14 @@ SHADER: Group = (
     (0.2, [["--mirrored-joints"]]),
     (0.2, [["--morphs", "normal"], ["--morphs", "tangent"]]),
 )
+RENDER: Group = (
+    (0.5, [["--mode", mode] for mode in ("shaded", "reflections", "error", "normals")]),
+    (0.3, [["--clip", "0"], ["--clip", "1"], ["--clip", "walk"]]),
+    (0.3, [["--time", "0"], ["--time", "0.5"], ["--time", "-1"]]),
+    (0.4, [["--split"], ["--lighting", "standard"], ["--lighting", "accurate"]]),
+    (0.2, [["--clay"], ["--turntable"], ["--max-memory", "200K"]]),
+)
+REPORT = ["--html", "out/report.html"]
 STATES = (
     b"",
     b"\xff\xfe\0garbage\n",
@@ -96,15 +104,21 @@ def command_line(random: Random, name: str, suffix: str) -> tuple[list[str], dic
         return _bake(random, source, suffix, files), files, piped
     if kind < 0.66:
         arguments = ["verify", source, *chosen(random, VERIFY)]
+        arguments += REPORT if random.random() < 0.25 else []
         arguments += _noted(random, files) if random.random() < 0.1 else []
         arguments += ["--junit", "out/junit.xml"] if random.random() < 0.1 else []
         return arguments, files, piped
-    if kind < 0.77:
+    if kind < 0.70:
+        return ["view", source, "-o", random.choice(("out/page.html", "out/page.html", "-"))], files, piped
+    if kind < 0.75:
+        goal = random.choice(("out/m.png", "out/m.gif", "out/m.webp"))
+        return ["render", source, "-o", goal, "--size", "16x16", *chosen(random, RENDER)], files, piped
+    if kind < 0.82:
         goal = random.choice(("out/m.glb", "out/m.glb", "out/m.gltf", "-"))
         return ["strip", source, "-o", goal, *(["--json"] if random.random() < 0.1 else [])], files, piped
-    if kind < 0.86:
+    if kind < 0.88:
         return ["inspect", source, *(["--json"] if random.random() < 0.4 else [])], files, piped
-    if kind < 0.91:
+    if kind < 0.92:
         return ["cost", source, *(["--json"] if random.random() < 0.4 else [])], files, piped
     target = ["-o", "out/s.txt"] if random.random() < 0.5 else []
     return ["shader", "--for", source, *chosen(random, SHADER), *target], files, piped

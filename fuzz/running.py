@@ -29,7 +29,10 @@ from fuzz.watching import Watch, Watcher, package
 DOCUMENTED = {0, 1, 2, 3, 4}
 CPU_SECONDS = 10.0
 MEMORY_KIB = 512 * 1024
-REPORTS = {"out/state.jsonl", "out/summary.jsonl", "out/junit.xml"}
+REPORTS = {"out/state.jsonl", "out/summary.jsonl", "out/junit.xml", "out/report.html"}
+SCRIPTS = ((4, 4), (1, 1))
+"""The script elements of a page, and of an index: begun and ended. A name in a model must add none."""
+
 SUFFIXES = (".glb", ".gltf", ".vrm")
 
 _STYLE = re.compile("\x1b\\[(?:0|1|2|31|32|33|34|35|36)m")
@@ -147,7 +150,7 @@ class Runner:
         outcome = self.command(case.arguments, case.stdin, watch)
         spent = time.process_time() - spent
         memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - memory
-        finds = [*self._reported(outcome), *self._left(case, outcome)]
+        finds = [*self._reported(outcome), *self._left(case, outcome), *self._pages(case, outcome)]
         finds += [Find("outside", f"{what.split()[0]} {where}", what) for what, where in watch.broken[:3]]
         command = case.arguments[0]
         if spent > CPU_SECONDS:
@@ -246,6 +249,21 @@ class Runner:
             finds.append(
                 Find("outside", "around", f"{sorted(around)} beside the folders, or a secret overwritten")
             )
+        return finds
+
+    def _pages(self, case: Case, outcome: Outcome) -> list[Find]:
+        """Look whether a text of the model has become markup of a page."""
+        pages = [
+            Path(path).read_bytes() for path in _files("out") if path in {"out/page.html", "out/report.html"}
+        ]
+        if case.arguments[0] == "view" and "-" in case.arguments and outcome.code == 0:
+            pages.append(outcome.stdout)
+        finds = []
+        for page in pages:
+            elements = page.lower().count(b"<script"), page.lower().count(b"</script")
+            if page.startswith(b"<!doctype html>") and elements not in SCRIPTS:
+                text = page[-3000:].decode("utf-8", "replace")
+                finds.append(Find("markup", f"{case.arguments[0]} {elements}", text))
         return finds
 
     # What must hold of a bake

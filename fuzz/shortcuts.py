@@ -1,4 +1,4 @@
-"""Steps that many runs in one process need not repeat: the parser, options not given, templates.
+"""Steps that many runs in one process need not repeat: the parser, options not given, templates, a device.
 
 None of it is judged: what a command does with its file is done anew in each run.
 """
@@ -18,11 +18,35 @@ def remember_what_never_changes() -> None:
     """Keep what click makes anew for each command line, and compile all templates of shaders once."""
     _keep_parsers()
     _keep_defaults()
+    _draw_on_paper()
     from skinbake.shaders import text
 
     environment = text._environment()
     for name in environment.list_templates():
         environment.get_template(name)
+
+
+def _draw_on_paper() -> None:
+    """Let pictures be empty: all that goes to the device is made, and no device is started."""
+    import numpy as np
+
+    from skinbake.commands import render
+    from skinbake.render import studio
+
+    class Paper(studio.Studio):
+        def __init__(self, subjects: Any, camera: Any) -> None:
+            self._subjects, self._camera = subjects, camera
+
+        def picture(self, shot: Any, sides: Any, look: Any) -> Any:
+            for number, subject in enumerate(self._subjects):
+                for lighting in sides:
+                    errors = shot.errors.get(lighting)
+                    rest = shot.morphed.get(number, subject.rest)
+                    studio._rows(subject, rest, None if errors is None else errors[number])
+                self._scene(subject, shot, look)
+            return np.zeros((look.height, look.width, 3), np.uint8)
+
+    render.Studio = Paper  # type: ignore[attr-defined]  # only for the fuzzer
 
 
 def _keep_parsers() -> None:

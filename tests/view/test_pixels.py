@@ -30,7 +30,10 @@ def browsing(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[browser
     with shown(path) as page:
         page.show_as(900, 640, "light")
         page.call(
-            """((time) => {
+            """(async (time) => {
+                while (innerWidth !== 900 || canvas.width !== canvas.clientWidth) {
+                    await new Promise(requestAnimationFrame); // it takes its new size with a frame
+                }
                 application.stopMeasuring();
                 application.seek(time, true);
                 for (const id of ['textures', 'moving']) document.getElementById(id).checked = false;
@@ -94,7 +97,7 @@ def shaded(drawn: Fragments, eye: Array, turn: float) -> Array:
     up = 0.5 + 0.5 * n[..., 1:2]
     sky = (1 - up) * np.array([0.16, 0.15, 0.145]) + up * np.array([0.36, 0.39, 0.43])
     rim = (1 - nv) ** 4 * 0.12
-    colour = CLAY * (sky + 1.7 * nl * np.array([1.0, 0.98, 0.94])) + nl * specular * 1.2 + rim * sky
+    colour = CLAY * (sky + 1.1 * nl * np.array([1.0, 0.98, 0.94])) + nl * specular * 1.2 + rim * sky
     return np.asarray(np.clip((colour / (1 + 0.18 * colour)) ** (1 / 2.2), 0, 1))
 
 

@@ -72,7 +72,7 @@ fn shaded(n: vec3<f32>, v: vec3<f32>, base: vec3<f32>) -> vec3<f32> {
     let specular = shine * a2 / (d * d) / (4.0 * (nl * (1.0 - k) + k) * (nv * (1.0 - k) + k));
     let sky = mix(vec3<f32>(0.16, 0.15, 0.145), vec3<f32>(0.36, 0.39, 0.43), 0.5 + 0.5 * n.y);
     let rim = pow(1.0 - nv, 4.0) * 0.12;
-    return base * (sky + 1.7 * nl * vec3<f32>(1.0, 0.98, 0.94)) + nl * specular * 1.2 + rim * sky;
+    return base * (sky + 1.1 * nl * vec3<f32>(1.0, 0.98, 0.94)) + nl * specular * 1.2 + rim * sky;
 }
 
 fn heat(share: f32) -> vec3<f32> {

@@ -24,7 +24,7 @@ from skinbake.skinning.surface import RestSurface
 SCENE = Path(__file__).parent / "scene.wgsl"
 MODES = ("shaded", "reflections", "error", "normals")
 STOPS = ((217, 221, 225), (242, 209, 107), (238, 138, 46), (207, 47, 47), (92, 15, 58))
-LIGHT = (0.60, 0.60, 0.53)
+LIGHT = (-0.5, 0.6, 0.6)
 BACKGROUND = (0.945, 0.941, 0.933)
 SUPERSAMPLING = 2
 """Samples along each side of a pixel, beside the four of the driver."""

@@ -178,7 +178,7 @@ vec3 shaded(vec3 n, vec3 v, vec3 base)
     float specular = shine * a2 / (d * d) / (4.0 * (nl * (1.0 - k) + k) * (nv * (1.0 - k) + k));
     vec3 sky = mix(vec3(0.16, 0.15, 0.145), vec3(0.36, 0.39, 0.43), 0.5 + 0.5 * n.y);
     float rim = pow(1.0 - nv, 4.0) * 0.12;
-    return base * (sky + 1.7 * nl * vec3(1.0, 0.98, 0.94)) + vec3(nl * specular * 1.2) + rim * sky;
+    return base * (sky + 1.1 * nl * vec3(1.0, 0.98, 0.94)) + vec3(nl * specular * 1.2) + rim * sky;
 }
 
 vec3 heat(float share)
