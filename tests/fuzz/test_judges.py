@@ -20,6 +20,7 @@ from fuzz.replay import smaller
 from fuzz.running import Find
 from fuzz.seeds import plain_seeds
 from fuzz.watching import Watch
+from skinbake.cli.main import COMMANDS
 
 FIXTURES = Path(__file__).resolve().parents[2] / "fixtures"
 MODELS = [read_model(path) for path in sorted(FIXTURES.glob("*.gl[bt]*"))]
@@ -54,6 +55,8 @@ BROKEN = {
     "Path('new').write_bytes(b'')": ["outside"],
     "os.rename('in/m.glb', 'moved')": ["input", "outside"],
     "sys.stdout.write('SKINBAKE-SECRET: this was outside of the folder of the model')": ["secret"],
+    "Path('out/report.html').write_text('<!doctype html><script>1</script>')": [],
+    "Path('out/report.html').write_text('<!doctype html><script>1</script><script>2</script>')": ["markup"],
     "bytearray(700 << 20)": ["memory"],
 }
 
@@ -89,9 +92,17 @@ def test_a_case_is_its_seeds() -> None:
 
 def test_seeds_give_many_kinds_of_cases() -> None:
     cases = [make_case(seed, MODELS) for seed in range(400)]
-    assert {case.arguments[0] for case in cases} == {"bake", "verify", "strip", "inspect", "cost", "shader"}
+    assert {case.arguments[0] for case in cases} == set(COMMANDS)
     options = {word for case in cases for word in case.arguments if word.startswith("--")}
-    assert {"--compress", "--layout", "--weld", "--limit-influences", "--in-place", "--state"} <= options
+    assert {
+        "--compress",
+        "--layout",
+        "--weld",
+        "--limit-influences",
+        "--in-place",
+        "--state",
+        "--html",
+    } <= options
     assert len({case.about.split(": ")[1] for case in cases}) > 50
     assert any(case.links for case in cases)
 

@@ -13,6 +13,8 @@ import pytest
 from fixtures.builder import AnyArray, JsonObject, pack_glb
 from skinbake.format.metadata import array_digest
 from skinbake.geometry.frames import tangent_deviation
+from skinbake.geometry.rig import Rig
+from skinbake.gltf.rigs import rig_digest
 from tests.support.command_line import invoke
 from tests.support.compressed import draco_twin
 from tests.support.gltf_reading import read
@@ -177,3 +179,10 @@ def test_a_view_that_ends_in_the_padding_of_the_chunk_is_refused(tmp_path: Path)
     assert invoke("bake", source, "-o", goal).exit_code == 0
     assert invoke("strip", goal, "-o", tmp_path / "again.glb").exit_code == 0
     assert (tmp_path / "again.glb").read_bytes() == source.read_bytes()
+
+
+def test_a_joint_whose_pivot_is_past_all_floats_has_a_digest() -> None:
+    """Its inverse bind matrix was nearly singular, and a second skin drew the mesh."""
+    parents = np.array([-1, 0], np.int32)
+    far, near = (Rig(parents, np.array([[0.0, 0.0, 0.0], [x, 0.0, 0.0]])) for x in (1e60, 1.0))
+    assert rig_digest(far) == rig_digest(far) != rig_digest(near)

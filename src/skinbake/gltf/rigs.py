@@ -58,7 +58,9 @@ def rig_of_mesh(document: Document, mesh: int) -> tuple[Rig, int]:
 def rig_digest(rig: Rig) -> str:
     """Return a short digest of a rig. float32 decides, so that a tool may write its matrices again."""
     state = hashlib.sha256(rig.parents.astype("<i4").tobytes())
-    state.update((rig.pivots.astype("<f4") + np.float32(0.0)).tobytes())
+    with np.errstate(over="ignore"):  # a matrix that is nearly singular has its pivot past all floats
+        pivots = rig.pivots.astype("<f4")
+    state.update((pivots + np.float32(0.0)).tobytes())
     return state.hexdigest()[:16]
 
 
