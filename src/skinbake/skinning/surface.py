@@ -8,6 +8,7 @@ import numpy as np
 
 from skinbake.choices import Baseline
 from skinbake.geometry.skinned import BoolArray, FloatArray, IntArray
+from skinbake.skinning.components import cross, dot
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +71,8 @@ class RestSurface:
 
         t' × b' points along the normal of an unmirrored frame and against that of a mirrored one.
         """
-        volume = np.einsum("vi,vi->v", np.cross(self.tangents, self.bitangents), self.normals)
+        # For very small arrays, numpy's own cross product would take most of the time.
+        volume = dot(cross(tuple(self.tangents.T), tuple(self.bitangents.T)), tuple(self.normals.T))
         return np.where(volume < 0, -1.0, 1.0)
 
     def joints_in_use(self, joint_count: int) -> BoolArray:
