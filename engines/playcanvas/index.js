@@ -522,7 +522,7 @@ skinbake_Frame skinbake_morphed_frame(skinbake_Frame rest, vec3 n)
     vec3 normal = square > 0.0 ? n * inversesqrt(square) : rest.normal;
     vec3 s = rest.normal + normal;
     vec3 d = normal - rest.normal;
-    bool opposite = dot(s, s) < 1e-4; // then every half turn is the smallest; take the one about t0
+    bool opposite = dot(s, s) < 1e-4; // then every half turn is the smallest: take the one about t0
     float k = opposite ? 0.0 : 2.0 / dot(s, s);
     vec3 tangent = rest.tangent - s * (k * dot(d, rest.tangent));
     vec3 bitangent = rest.bitangent - s * (k * dot(d, rest.bitangent));
@@ -808,7 +808,7 @@ fn skinbake_morphed_frame(rest: skinbake_Frame, n: vec3<f32>) -> skinbake_Frame 
     let normal = select(rest.normal, n * inverseSqrt(square), square > 0.0);
     let s = rest.normal + normal;
     let d = normal - rest.normal;
-    let opposite = dot(s, s) < 1e-4; // then every half turn is the smallest; take the one about t0
+    let opposite = dot(s, s) < 1e-4; // then every half turn is the smallest: take the one about t0
     let k = select(2.0 / dot(s, s), 0.0, opposite);
     let tangent = rest.tangent - s * (k * dot(d, rest.tangent));
     let bitangent = rest.bitangent - s * (k * dot(d, rest.bitangent));
