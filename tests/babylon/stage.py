@@ -14,13 +14,13 @@ from skinbake.skinning.algorithms import Algorithm
 from tests.babylon.write_package import FOLDER as PACKAGE
 from tests.support import browser
 from tests.support.characters import AS_USUAL, Array, Character, Placement, Pose, baked
-from tests.support.node import package_folder, require_node
+from tests.support.node import SUPPORT, package_folder, require_node
 
 HERE = Path(__file__).resolve().parent
 PAGE = """<!doctype html>
 <meta charset="utf-8">
 <link rel="icon" href="data:,">
-<script src="/three/capture.js"></script>
+<script src="/support/capture.js"></script>
 <script src="/three/capture_webgpu.js"></script>
 <body><script type="module">window.ready = import('/built/app.js');</script>
 """
@@ -69,7 +69,7 @@ def opened_stage(folder: Path) -> Iterator[Stage]:
         (folder / name).mkdir()
     build(folder / "project")
     folders = {"models": folder / "models", "built": folder / "project" / "dist"}
-    folders |= {"three": HERE.parent / "three", "babylon": HERE}
+    folders |= {"three": HERE.parent / "three", "support": SUPPORT}
     with browser.opened(PAGE, folders, folder / "profile") as page:
         yield Stage(page, folder / "models")
 
