@@ -61,6 +61,7 @@ async function started(backend) {
     return engine;
 }
 
+// Scenes are not disposed of: so Babylon.js keeps the programs, and later scenes need not compile them again.
 async function stageOf({ backend = 'webgl', left = false, plugin = true }) {
     const scene = new Scene(await engineOf(backend));
     scene.useRightHandedSystem = !left;
@@ -257,7 +258,6 @@ const api = {
         const draws = [];
         for (const name of bump ? names : ['vNormalW']) draws.push(...(await draw(scene, name)));
         const report = told(scene);
-        scene.dispose();
         return { draws, report };
     },
 
@@ -271,7 +271,6 @@ const api = {
             for (const mesh of skinned(stage.scene)) mesh.alwaysSelectAsActiveMesh = true;
             frame(stage.scene);
             found[name] = { draws: await draw(stage.scene), report: told(stage.scene.meshes.filter((one) => one.isEnabled())) };
-            stage.scene.dispose();
         }
         return found;
     },
@@ -287,7 +286,6 @@ const api = {
         for (const mesh of skinned(scene)) mesh.alwaysSelectAsActiveMesh = true;
         const draws = await draw(scene);
         const report = told(scene);
-        scene.dispose();
         return { draws, report };
     },
 
@@ -296,7 +294,6 @@ const api = {
         MANY[kind]({ scene, mesh });
         const draws = await draw(scene);
         const report = told(scene);
-        scene.dispose();
         return { draws, report, places: [Matrix.Identity(), ...PLACES].map((place) => [...place.asArray()]) };
     },
 
@@ -313,13 +310,12 @@ const api = {
             frame(stage.scene);
             found[name] = told(stage.scene);
             if (typeof undo === 'function') undo();
-            stage.scene.dispose();
         }
         return found;
     },
 
     async loaded({ urls }) {
-        for (const url of urls) (await load({ url })).scene.dispose();
+        for (const url of urls) await load({ url });
     },
 
     // Whether the vertex shader computes the light of an environment, which it does by the normal.
@@ -332,7 +328,6 @@ const api = {
         const draws = await draw(scene);
         const [{ text }] = CAPTURE.draws.filter(({ name }) => name === 'vNormalW');
         const report = told(scene);
-        scene.dispose();
         return { draws, report, inVertex: text.includes('vEnvironmentIrradiance=') };
     },
 
@@ -342,7 +337,6 @@ const api = {
         const generator = new ShadowGenerator(64, scene.lights[0]);
         generator.addShadowCaster(mesh);
         const draws = await draw(scene, 'gl_Position');
-        scene.dispose();
         return draws;
     },
 };
