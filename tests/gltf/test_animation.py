@@ -15,7 +15,7 @@ from skinbake.errors import InputError
 from skinbake.geometry.skinned import Float64Array
 from skinbake.gltf.animation import clip_poses, random_poses, read_clips, read_skeleton, rest_pose
 from skinbake.gltf.document import Document, read_document
-from tests.support import corpus
+from tests.support import corpus, models
 from tests.support.gltf_reading import GltfFile, JsonObject, read
 from tests.support.small_documents import Builder, animate
 
@@ -386,3 +386,15 @@ def test_outputs_must_be_finite() -> None:
     animate(builder, values=[[0.0, 0, 0, 1], [np.nan, 0, 0, 1], [0, 0, 0, 1]])
     with pytest.raises(InputError, match="finite"):
         clips_of(builder)
+
+
+def test_skins_that_say_the_same_share_their_joints(tmp_path: Path) -> None:
+    def copy_skins(root: JsonObject) -> None:
+        (first,) = root["skins"]
+        other = {**first, "joints": first["joints"][::-1]}
+        root["skins"] = [first, {**first, "name": "another"}, other]
+
+    document = read_document(str(models.edited("bent_tube.glb", tmp_path, copy_skins)))
+    one, same, other = (read_skeleton(document, skin) for skin in range(3))
+    assert same is one
+    assert other.joints.tolist() != one.joints.tolist()

@@ -156,10 +156,19 @@ def _at(channel: Channel, at: Float64Array) -> Float64Array:
 
 
 def read_skeleton(document: Document, skin_index: int) -> Skeleton:
-    """Return the joints of a skin with their ancestors.
+    """Return the joints of a skin with their ancestors. Skins that say the same share them.
 
     Raises InputError if the hierarchy or the matrices are broken.
     """
+    skin = document.objects("skins")[skin_index]
+    known: dict[str, Skeleton] = document.derived.setdefault("skeletons", {})
+    key = repr((skin.get("joints"), skin.get("inverseBindMatrices")))
+    if key not in known:
+        known[key] = _read_skeleton(document, skin_index)
+    return known[key]
+
+
+def _read_skeleton(document: Document, skin_index: int) -> Skeleton:
     skin, place = document.objects("skins")[skin_index], document.place
     nodes = document.objects("nodes")
     listed = skin.get("joints")

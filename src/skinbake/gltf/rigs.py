@@ -51,7 +51,8 @@ def rig_of_mesh(document: Document, mesh: int) -> tuple[Rig, int]:
         for node in document.objects("nodes")
         if node.get("mesh") == mesh and "skin" in node
     }
-    first, *others = (_rig_of_skin(document, skin) for skin in skins)
+    skeletons = {id(one): one for one in (read_skeleton(document, skin) for skin in skins)}
+    first, *others = (Rig(_joint_parents(one), _pivots(one.inverse_bind)) for one in skeletons.values())
     return first, len({rig_digest(rig) for rig in others} - {rig_digest(first)})
 
 
@@ -62,11 +63,6 @@ def rig_digest(rig: Rig) -> str:
         pivots = rig.pivots.astype("<f4")
     state.update((pivots + np.float32(0.0)).tobytes())
     return state.hexdigest()[:16]
-
-
-def _rig_of_skin(document: Document, skin: int) -> Rig:
-    skeleton = read_skeleton(document, skin)
-    return Rig(_joint_parents(skeleton), _pivots(skeleton.inverse_bind))
 
 
 def _joint_parents(skeleton: Skeleton) -> npt.NDArray[np.int32]:
