@@ -29,7 +29,6 @@ from skinbake.errors import ChoiceError, InputError, Notice, Place, noticed
 from skinbake.format.attribute_store import stored_otherwise
 from skinbake.format.baked import AttributeNames, Baked, with_baked, with_scale
 from skinbake.format.encodings import vertex_bytes
-from skinbake.format.extension import Extended, extended
 from skinbake.format.layouts import GradientFormat
 from skinbake.format.strip import stripped
 from skinbake.geometry.rig import Rig
@@ -57,6 +56,7 @@ from skinbake.report.bake import BakedCounts, EncodingCost, ExtensionCost, FileR
 from skinbake.timing import stage
 
 if TYPE_CHECKING:
+    from skinbake.format.extension import Extended
     from skinbake.lighting.limit_cost import Limited
     from skinbake.lighting.poses_to_fit import FoundPoses, PoseSource
     from skinbake.lighting.unwritten import UnwrittenBake
@@ -277,6 +277,8 @@ class Baker:
         aim: _Aim,
     ) -> list[PrimitiveBake]:
         """Bake primitives as one surface, with a further influence set where free slots are too few."""
+        from skinbake.format.extension import extended  # few bakes ask for it
+
         tried = bake_mesh(whole, self.settings)
         parts = [
             extended(one, read_influences(document, source, len(one.positions)), found.overflowing_vertices)

@@ -14,7 +14,6 @@ from skinbake.geometry.skinned import Float64Array
 from skinbake.gltf.accessors import read_accessor
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject, index, is_number, member, objects, text
-from skinbake.gltf.morphs import skinned_target_count
 
 PATHS = {"translation": 3, "rotation": 4, "scale": 3}
 MORPH_WEIGHTS = "weights"
@@ -277,6 +276,12 @@ def read_clips(document: Document) -> list[Clip]:
     return clips
 
 
+def _morph_count(document: Document, node: int) -> int | None:
+    from skinbake.gltf.morphs import skinned_target_count  # a bake reads skeletons without it
+
+    return skinned_target_count(document, node)
+
+
 def _channel(
     document: Document,
     samplers: list[JsonObject],
@@ -295,7 +300,7 @@ def _channel(
     sampler_index = index(channel, "sampler", len(samplers), place)
     if node is None or path is None or sampler_index is None:
         return None
-    components = skinned_target_count(document, node) if path == MORPH_WEIGHTS else PATHS.get(path)
+    components = _morph_count(document, node) if path == MORPH_WEIGHTS else PATHS.get(path)
     if not components:
         return None
     sampler = samplers[sampler_index]
