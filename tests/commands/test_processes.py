@@ -204,3 +204,10 @@ def test_with_a_limit_of_memory_each_job_has_a_process_of_its_own() -> None:
     crashed = limited(Crashing(), range(5), Limits(memory=1 << 30))
     assert [number for number, result in crashed.items() if result[0] == "lost"] == [3]
     assert "SIGSEGV" in crashed[3][2]
+
+
+def test_large_jobs_begin_first_and_all_are_done_once() -> None:
+    jobs = [*range(12)]
+    with closing(Processes(1, early=lambda found: [7, 3, found[-1]]).run(Work(), jobs)) as results:
+        order = [number for number, _ in results]
+    assert order == [7, 3, 11, 0, 1, 2, 4, 5, 6, 8, 9, 10]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
@@ -24,6 +25,9 @@ SECONDS_A_URL = 0.1
 
 WORTHWHILE = 0.5
 """The seconds of work from which other processes are started."""
+
+SHARE = 0.05
+"""The part of a process's time from which a file begins before others."""
 
 LONG = 1.0
 """The seconds of work from which its progress is shown at once."""
@@ -70,7 +74,8 @@ def chosen_runner(
     from skinbake.threads import usable_cores
 
     limits = limits or Limits()
-    whole = Processes(count or usable_cores(), modules, limits)
+    workers = count or usable_cores()
+    whole = Processes(workers, modules, limits, partial(_large_ones, workers, guess))
     return FirstThese(turns, Processes(1, modules, limits), whole) if turns else whole
 
 
@@ -87,14 +92,31 @@ def threads_of_each(given: Given, sources: Sequence[str]) -> int | None:
     return thread_count(min(given["jobs"] or usable_cores(), len(sources)))
 
 
+def _large_ones(workers: int, guess: tuple[float, float], jobs: Sequence[Job]) -> list[int]:
+    """Return the numbers of the jobs to begin with, the largest first, so that none is left for the end.
+
+    They are the files that take more than SHARE of a process's time. So they are few, and the results of the
+    others still come in time, because these are done in order.
+    """
+    seconds = [_seconds(job.source, guess) for job in jobs]
+    least = SHARE * sum(seconds) / workers
+    large = [number for number, one in enumerate(seconds) if one > least]
+    return sorted(large, key=lambda number: -seconds[number])
+
+
 def seconds_of(sources: Sequence[str], guess: tuple[float, float]) -> float:
     """Return the approximate time that the work takes, or, if it is longer, LONG or more."""
     seconds = 0.0
     for source in sources:
-        try:
-            seconds += guess[0] + guess[1] * Path(source).stat().st_size
-        except (OSError, ValueError):
-            seconds += SECONDS_A_URL if is_url(source) else 0.0
+        seconds += _seconds(source, guess)
         if seconds > LONG:
             break
     return seconds
+
+
+def _seconds(source: str, guess: tuple[float, float]) -> float:
+    """Return the approximate time that a file takes."""
+    try:
+        return guess[0] + guess[1] * Path(source).stat().st_size
+    except (OSError, ValueError):
+        return SECONDS_A_URL if is_url(source) else 0.0

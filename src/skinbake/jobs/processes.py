@@ -14,7 +14,7 @@ import sys
 import threading
 import time
 from collections import deque
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass, field
 from multiprocessing import resource_tracker
@@ -22,7 +22,7 @@ from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from multiprocessing.reduction import ForkingPickler
 from pathlib import Path
-from typing import TYPE_CHECKING, Generic
+from typing import TYPE_CHECKING, Any, Generic
 
 from skinbake.errors import SkinbakeError
 from skinbake.jobs.boundary import survived
@@ -93,6 +93,10 @@ class Limits:
     memory: int | None = None
 
 
+def _none(jobs: Sequence[Any]) -> Sequence[int]:
+    return ()
+
+
 @dataclass(frozen=True, slots=True)
 class Processes:
     """A runner with ``workers`` processes of its own.
@@ -100,11 +104,13 @@ class Processes:
     If workers are forks of one server process, the server imports ``modules`` once, before it forks them. If
     a worker dies, the work of the others is not lost. Its job is tried again while no other job runs, because
     the jobs together may have used up the memory. A job that takes longer than ``limits`` allow is lost.
+    The jobs whose numbers ``early`` returns begin before the others.
     """
 
     workers: int
     modules: Sequence[str] = ()
     limits: Limits = field(default_factory=Limits)
+    early: Callable[[Sequence[Any]], Sequence[int]] = _none
 
     def run(
         self, work: Work[JobT, ReturnT], jobs: Sequence[JobT]
@@ -130,6 +136,8 @@ class _Pool(Generic[JobT, ReturnT]):
         self._context = _context(runner.modules)
         self._workers: list[_Worker] = []
         self._next = 0
+        self._early = deque(runner.early(jobs))
+        self._begun_early = set(self._early)
         self._back: deque[int] = deque()
         self._suspects: deque[int] = deque()
         self._deaths: dict[int, int] = {}
@@ -224,6 +232,10 @@ class _Pool(Generic[JobT, ReturnT]):
     def _next_number(self) -> int | None:
         if self._back:
             return self._back.popleft()
+        if self._early:
+            return self._early.popleft()
+        while self._next in self._begun_early:
+            self._next += 1
         if self._next == len(self._jobs) or self._next >= self._oldest + WINDOW:
             return None
         self._next += 1
