@@ -262,7 +262,7 @@ def character_table() -> Iterator[str]:
     for path in found:
         with TemporaryDirectory() as folder:
             target = Path(folder) / "baked" / f"{path.stem}.glb"
-            Baker(generate_normals=True).bake_file(str(path), str(target), Writing(make_folder=True))
+            Baker(generate_normals=True).bake_file(str(path), str(target), Writing())
             yield f"| {path.name} | as it is | {verdict_row(target)} |"
             for name, warp in (("wave", wave), ("bend", bend)):
                 moved = Path(folder) / f"{name}.glb"

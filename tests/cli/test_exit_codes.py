@@ -55,13 +55,13 @@ class TestBake:
         assert f"error: {tmp_path / name}: " in result.stderr
         assert names(tmp_path / "out") == []
 
-    @pytest.mark.parametrize("name", ["missing/out.glb", "folder.glb", "y" * 300 + ".glb"])
+    @pytest.mark.parametrize("name", ["file/out.glb", "file/deep/out.glb", "y" * 300 + ".glb"])
     def test_an_output_that_cannot_be_written_is_4(self, name: str, tmp_path: Path) -> None:
-        (tmp_path / "folder.glb").mkdir()
+        (tmp_path / "file").touch()
         result = invoke("bake", SEAM, "-o", tmp_path / name)
         assert result.exit_code == 4
         assert f"error: {tmp_path / name}: " in result.stderr
-        assert names(tmp_path) == ["folder.glb"]
+        assert names(tmp_path) == ["file"]
 
     def test_all_inputs_are_tried_and_the_worst_code_returned(self, tmp_path: Path) -> None:
         broken = tmp_path / "broken.glb"
@@ -145,7 +145,7 @@ class TestBake:
             result = invoke("bake", source, *target, "--dry-run")
             assert (result.exit_code, "(dry run): baked" in result.stdout) == (0, True)
         assert invoke("bake", tmp_path / "broken.glb", "--dry-run").exit_code == 3
-        assert invoke("bake", source, "-o", tmp_path / "no" / "a.glb", "--dry-run").exit_code == 4
+        assert invoke("bake", source, "-o", tmp_path / "broken.glb" / "a.glb", "--dry-run").exit_code == 4
         assert (names(tmp_path / "in"), names(tmp_path / "out")) == (["seam.glb"], [])
         assert source.read_bytes() == before
 
@@ -273,7 +273,7 @@ class TestStripAndInspect:
         assert invoke("inspect", tmp_path / "missing.gltf").exit_code == 3
         assert invoke("strip", SEAM, "-o", tmp_path / "out.glb").exit_code == 0
         assert invoke("strip", tmp_path / "broken.glb", "-o", tmp_path / "a.glb").exit_code == 3
-        assert invoke("strip", SEAM, "-o", tmp_path / "no" / "a.glb").exit_code == 4
+        assert invoke("strip", SEAM, "-o", tmp_path / "broken.glb" / "a.glb").exit_code == 4
         assert invoke("strip", SEAM, "-o", tmp_path / "b.glb", "--warnings-as-errors").exit_code == 3
         assert names(tmp_path) == ["broken.glb", "out.glb"]
 
@@ -300,6 +300,6 @@ def test_the_codes_leave_the_process(tmp_path: Path) -> None:
         run("bake", SEAM, "--dry-run").returncode,
         run("bake", SEAM).returncode,
         run("bake", tmp_path / "broken.glb", "--dry-run").returncode,
-        run("bake", SEAM, "-o", tmp_path / "no" / "a.glb").returncode,
+        run("bake", SEAM, "-o", tmp_path / "broken.glb" / "a.glb").returncode,
     ]
     assert found == [0, 2, 3, 4]

@@ -120,9 +120,9 @@ def test_it_replaces_earlier_pages_only(tmp_path: Path) -> None:
 
 def test_a_page_that_cannot_be_written_is_said(tmp_path: Path) -> None:
     bake(TUBE, tmp_path / "tube.glb")
-    result = invoke("verify", tmp_path / "tube.glb", "--html", tmp_path / "none" / "report.html")
+    result = invoke("verify", tmp_path / "tube.glb", "--html", tmp_path / "tube.glb" / "report.html")
     assert result.exit_code == exit_codes.OUTPUT
-    assert "its folder does not exist" in result.stderr
+    assert "is a file, not a folder" in result.stderr
 
 
 def test_a_file_that_is_not_baked_has_a_page_all_the_same(tmp_path: Path) -> None:

@@ -63,7 +63,7 @@ def test_the_page_names_nothing_on_the_network(tmp_path: Path) -> None:
         (["{tube}", "-o", "page.glb"], exit_codes.USAGE, "page.glb is the name of a model"),
         (["model.obj"], exit_codes.USAGE, "expected a name that ends in .glb, .gltf, .vrm"),
         (["{folder}/none.glb", "-o", "{folder}/page.html"], exit_codes.INPUT, "cannot be read"),
-        (["{tube}", "-o", "{folder}/none/page.html"], exit_codes.OUTPUT, "its folder does not exist"),
+        (["{tube}", "-o", "{tube}/page.html"], exit_codes.OUTPUT, "is a file, not a folder"),
         (["{tube}", "-o", "{folder}/page.html", "--port", "8000"], exit_codes.USAGE, "a page that is served"),
         (["{tube}", "-o", "{folder}/page.html", "--no-browser"], exit_codes.USAGE, "a page that is served"),
         (["{tube}", "--port", "70000"], exit_codes.USAGE, "70000 is not in the range"),

@@ -20,7 +20,7 @@ from tests.support.baking import bake_work
 
 def baking(**options: Any) -> FileWork[FileResult]:
     """Return the work that bakes."""
-    return FileWork(bake_work(**(options or {"make_folder": True})))
+    return FileWork(bake_work(**options))
 
 
 def verifying(options: VerifyOptions | None = None) -> FileWork[FileVerdict]:

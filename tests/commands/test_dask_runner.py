@@ -18,7 +18,6 @@ import pytest
 import skinbake
 from skinbake.cli import exit_codes
 from skinbake.errors import InputError
-from skinbake.gltf.output import Writing
 from skinbake.jobs.remote import dask_runner
 from skinbake.jobs.remote.dask_runner import DaskRunner
 from skinbake.jobs.work import Job
@@ -31,8 +30,6 @@ from tests.support.kernels import use_numpy
 from tests.support.libraries import tree, write_library, write_sheets
 
 require_dask()
-
-MAKING_FOLDERS = Writing(make_folder=True)
 
 
 def jobs_of(folder: Path, sources: list[Path], *, url: str = "") -> list[Job]:
@@ -53,7 +50,7 @@ def test_a_worker_is_killed_midway(tmp_path: Path) -> None:
     results: dict[int, Any] = {}
     with cluster(tmp_path / "cluster", options=["--no-nanny"]) as found, observer(found.address) as client:
         wait_for_workers(client, 2)
-        with DaskRunner(found.address, MAKING_FOLDERS) as runner:
+        with DaskRunner(found.address) as runner:
             assert runner.connect() == []
             held: tuple[str, ...] = ()
             for number, result in runner.run(baking(), jobs):
@@ -99,7 +96,7 @@ def test_plain_paths_travel_and_a_killer_harms_nobody_else(tmp_path: Path) -> No
     with cluster(tmp_path / "cluster", allowed_failures=0) as found:
         with observer(found.address) as client:
             wait_for_workers(client, 2)
-        with DaskRunner(found.address, MAKING_FOLDERS) as runner:
+        with DaskRunner(found.address) as runner:
             results = dict(runner.run(work, jobs))
     assert sorted(results) == list(range(25))
     failed = [number for number, result in results.items() if result.error is not None]
@@ -137,7 +134,7 @@ def test_one_cluster_for_what_needs_no_deaths(
 
 def _verdicts_are_those_of_this_process(address: str, baked: list[Job]) -> None:
     jobs = [Job(job.target or "") for job in baked[:4]]
-    with DaskRunner(address, MAKING_FOLDERS) as runner:
+    with DaskRunner(address) as runner:
         verdicts = dict(runner.run(verifying(), jobs))
     assert verdicts == {number: verifying()(job) for number, job in enumerate(jobs)}
     assert all(verdict.passed for verdict in verdicts.values())
@@ -177,7 +174,7 @@ def _jobs_are_sent_in_a_bounded_number(
 ) -> None:
     jobs = jobs_of(folder / "bounded", sources)
     most = 0
-    with monkeypatch.context() as patch, DaskRunner(address, MAKING_FOLDERS) as runner:
+    with monkeypatch.context() as patch, DaskRunner(address) as runner:
         patch.setattr(dask_runner, "LEAST_WINDOW", 2)
         patch.setattr(dask_runner, "WINDOW_PER_THREAD", 3)
         patch.setattr(dask_runner, "TASK_JOBS", 1)
@@ -192,7 +189,7 @@ def _count_of_tasks(client: Any) -> int:
 
 
 def _closing_forgets_what_has_not_begun(address: str, client: Any, folder: Path, sources: list[Path]) -> None:
-    runner = DaskRunner(address, MAKING_FOLDERS)
+    runner = DaskRunner(address)
     results = runner.run(baking(), jobs_of(folder / "closed", sources))
     with closing(results):
         next(results)
@@ -205,7 +202,7 @@ def _closing_forgets_what_has_not_begun(address: str, client: Any, folder: Path,
 
 
 def _work_that_raises_loses_its_job(address: str, jobs: list[Job]) -> None:
-    with DaskRunner(address, MAKING_FOLDERS) as runner:
+    with DaskRunner(address) as runner:
         results = dict(runner.run(Raise(), jobs))
     assert [message_of(results[number]) for number in range(2)] == [
         "not baked: its worker failed: RuntimeError: on purpose"
@@ -215,24 +212,24 @@ def _work_that_raises_loses_its_job(address: str, jobs: list[Job]) -> None:
 def _another_version_is_refused(address: str, monkeypatch: pytest.MonkeyPatch, jobs: list[Job]) -> None:
     with monkeypatch.context() as patch:
         patch.setattr("skinbake.jobs.remote.dask_task.__version__", "9.9.9")
-        runner = DaskRunner(address, MAKING_FOLDERS)
+        runner = DaskRunner(address)
         with pytest.raises(InputError, match=f"has skinbake {skinbake.__version__}, this is 9.9.9") as raised:
             runner.connect()
         assert raised.value.place is not None
         assert raised.value.place.file == address
         # A worker that comes when all was well at first.
         patch.setattr(DaskRunner, "_checked", lambda self, client: [])
-        with DaskRunner(address, MAKING_FOLDERS) as trusting:
+        with DaskRunner(address) as trusting:
             results = dict(trusting.run(baking(), jobs))
     assert sorted(results) == [0, 1, 2]
     assert all("has skinbake 0" in message_of(result) for result in results.values())
     with monkeypatch.context() as patch:  # whose last bits may differ
         use_numpy(patch)
         with pytest.raises(InputError, match=r"has skinbake [0-9.]+, this is [0-9.]+ without compiled loops"):
-            DaskRunner(address, MAKING_FOLDERS).connect()
+            DaskRunner(address).connect()
     with monkeypatch.context() as patch:
         patch.setattr("platform.python_version", lambda: "3.99.0")
-        with DaskRunner(address, MAKING_FOLDERS) as other:
+        with DaskRunner(address) as other:
             (notice,) = other.connect()
     assert (notice.code, notice.place.file) == ("worker-versions", address)
     assert "this is Python 3.99.0" in notice.message
@@ -242,7 +239,7 @@ def _without_workers_jobs_are_lost(found: Any, client: Any, jobs: list[Job]) -> 
     found.workers[0].kill()
     while client.nthreads():
         time.sleep(0.05)
-    with DaskRunner(found.address, MAKING_FOLDERS, patience=1.0) as runner:
+    with DaskRunner(found.address, patience=1.0) as runner:
         results = dict(runner.run(baking(), jobs))
     assert sorted(results) == [0, 1, 2]
     assert {message_of(result) for result in results.values()} == {
@@ -285,6 +282,6 @@ def test_the_scheduler_goes_away(tmp_path: Path) -> None:
 def test_no_scheduler_answers(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(dask_runner, "CONNECT_SECONDS", 0.5)
     with pytest.raises(InputError, match="no Dask scheduler answers") as raised:
-        DaskRunner(address, MAKING_FOLDERS).connect()
+        DaskRunner(address).connect()
     assert raised.value.place is not None
     assert raised.value.place.file == address

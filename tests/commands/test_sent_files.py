@@ -101,13 +101,15 @@ def test_files_of_others_beside_the_target_are_left_alone(tmp_path: Path) -> Non
 def test_what_fails_is_said_as_on_one_machine(tmp_path: Path) -> None:
     name = write_library(tmp_path / "lib")[-1]
     source, gone = f"{tmp_path}/lib/{name}", f"{tmp_path}/gone/a.gltf"
+    taken = f"{tmp_path}/taken.glb"
+    Path(taken).mkdir()
     within = Within(Bounds(f"{tmp_path}/lib"))
     for work, job in (
-        (baking(make_folder=False), Job(gone, f"{tmp_path}/a.glb")),
-        (baking(make_folder=False), Job(source, f"{tmp_path}/a.glb")),
-        (baking(make_folder=False), Job(source, gone, within=within)),
-        (baking(dry_run=True), Job(source, gone, within=within)),
-        (baking(make_folder=False), Job(source, f"{tmp_path}/lib/props/crate #1.bin", within=within)),
+        (baking(), Job(gone, f"{tmp_path}/a.glb")),
+        (baking(), Job(source, f"{tmp_path}/a.glb")),
+        (baking(), Job(source, taken, within=within)),
+        (baking(dry_run=True), Job(source, taken, within=within)),
+        (baking(), Job(source, f"{tmp_path}/lib/props/crate #1.bin", within=within)),
         (baking(warnings_as_errors=True), Job(source, f"{tmp_path}/a.gltf", within=within)),
         (verifying(), Job(gone)),
     ):

@@ -74,7 +74,6 @@ def verify_one(source: str, options: VerifyOptions) -> FileVerdict:
 
 
 def bake_all(names: list[str], source: str, target: str, **options: Any) -> list[FileResult]:
-    options = {"make_folder": True, **options}
     within = Within(Bounds(source), target)
     return [bake_one(f"{source}/{name}", f"{target}/{name}", within, **options) for name in names]
 

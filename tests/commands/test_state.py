@@ -97,7 +97,7 @@ class Forge:
     def __init__(self, folder: Path) -> None:
         self.source = str(copied("seam.glb", folder / "in"))
         self.target = str(folder / "out" / "seam.glb")
-        work = bake_work(make_folder=True)
+        work = bake_work()
         self.recipe: Recipe = recipe("bake", work.baker, str(folder / "out" / NAME))
         result = FileWork(work, self.recipe)(Job(self.source, self.target))
         assert result.record is not None

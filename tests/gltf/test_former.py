@@ -125,11 +125,11 @@ def test_an_image_that_has_the_name_of_the_new_bin_keeps_its_bytes(tmp_path: Pat
 
 def test_a_folder_for_results_is_made_and_goes_again_where_nothing_comes_of_it(tmp_path: Path) -> None:
     target = tmp_path / "new" / "deeper" / "seam.glb"
-    assert bake_file(str(FOLDER / "seam.glb"), str(target), make_folder=True).status == "baked"
+    assert bake_file(str(FOLDER / "seam.glb"), str(target)).status == "baked"
     assert target.is_file()
     broken = tmp_path / "broken.glb"
     broken.write_bytes(b"glTF")
     other = tmp_path / "other" / "broken.glb"
     with pytest.raises(InputError):
-        bake_file(str(broken), str(other), make_folder=True)
+        bake_file(str(broken), str(other))
     assert not other.parent.exists()

@@ -201,14 +201,25 @@ class TestTargets:
         (tmp_path / "model.glb").mkdir()
         assert "is not a regular file" in str(write(FOLDER / "seam.glb", tmp_path / "model.glb"))
 
-    def test_a_missing_folder_is_not_made(self, tmp_path: Path) -> None:
-        error = write(FOLDER / "seam.glb", tmp_path / "missing" / "model.glb")
-        assert str(error) == f"{tmp_path}/missing/model.glb: its folder does not exist"
+    def test_missing_folders_are_made(self, tmp_path: Path) -> None:
+        bake(FOLDER / "seam.glb", tmp_path / "new" / "deep" / "model.glb")
+        assert list(tree(tmp_path)) == ["new", "new/deep", "new/deep/model.glb"]
+
+    def test_folders_that_were_made_go_if_the_write_fails(self, tmp_path: Path) -> None:
+        with failing("fsync", 1, NO_SPACE):
+            write(FOLDER / "seam.glb", tmp_path / "new" / "deep" / "model.glb")
         assert tree(tmp_path) == {}
+
+    def test_a_link_that_leads_nowhere_may_be_a_folder_to_make(self, tmp_path: Path) -> None:
+        (tmp_path / "link").symlink_to("there")
+        bake(FOLDER / "seam.glb", tmp_path / "link" / "model.glb")
+        assert (tmp_path / "there" / "model.glb").is_file()
 
     def test_a_file_for_a_folder_is_refused(self, tmp_path: Path) -> None:
         (tmp_path / "file").write_bytes(b"x")
-        write(FOLDER / "seam.glb", tmp_path / "file" / "model.glb")
+        error = write(FOLDER / "seam.glb", tmp_path / "file" / "model.glb")
+        assert str(error) == f"{tmp_path}/file/model.glb: {tmp_path}/file is a file, not a folder"
+        assert "Not a directory" in str(write(FOLDER / "seam.glb", tmp_path / "file" / "deep" / "model.glb"))
         assert tree(tmp_path) == {"file": b"x"}
 
     def test_a_name_too_long_for_the_disk_is_an_output_error(self, tmp_path: Path) -> None:

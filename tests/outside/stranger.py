@@ -48,7 +48,7 @@ def work(source: Path, target: Path, within: Within) -> None:
     """Do with one document all that reads or writes what it names."""
     state.seen(str(source), within.bounds)
     for command in (
-        lambda: bake_file(str(source), str(target), make_folder=True, within=within),
+        lambda: bake_file(str(source), str(target), within=within),
         lambda: verify_file(str(source), VerifyOptions(), bounds=within.bounds),
         lambda: inspect_file(str(source), within.bounds),
         lambda: strip_file(str(source), str(target.with_name("stripped.gltf")), bounds=within.bounds),

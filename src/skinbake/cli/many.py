@@ -155,12 +155,17 @@ class Summary:
     """Write JSON lines, one a file, and the totals at the end. Report once if writing fails."""
 
     def __init__(self, path: str | None, schema: str, say: Console, *, sync: bool = True) -> None:
-        """Begin the file. Raises OutputError. With ``sync``, closing it waits until it is on the disk."""
+        """Begin the file, in folders that are made. Raises OutputError.
+
+        With ``sync``, closing it waits until it is on the disk.
+        """
         self._path, self._schema, self._say, self._sync = path, schema, say, sync
         self.failed = False
         self._file = None
         if path is not None:
             try:
+                if not Path(path).parent.exists():
+                    Path(path).parent.mkdir(parents=True, exist_ok=True)
                 self._file = Path(path).open("w", encoding="utf-8", newline="\n")  # noqa: SIM115  # close() closes it
             except (OSError, ValueError) as error:
                 reason = getattr(error, "strerror", None) or error

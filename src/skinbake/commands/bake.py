@@ -121,7 +121,7 @@ class Baker:
         planned = None
         if target is not None and not untouched:
             with noticed(notices), stage("write"):
-                planned = plan_output(result, target, make_folder=writing.make_folder, root=within.output)
+                planned = plan_output(result, target, root=within.output)
             notices = [*notices, *planned.notices]
         with noticed(notices):
             if self.warnings_as_errors and notices:

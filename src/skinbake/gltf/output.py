@@ -24,12 +24,11 @@ ATTEMPTS = 8
 class Writing:
     """The options of writing an output.
 
-    A ``dry_run`` does everything except writing. ``make_folder`` makes the folder of the target if it is
-    missing. ``traced`` requests digests of the written files. ``sync`` waits until they are on the disk.
+    A ``dry_run`` does everything except writing. ``traced`` requests digests of the written files. ``sync``
+    waits until they are on the disk.
     """
 
     dry_run: bool = False
-    make_folder: bool = False
     traced: bool = False
     sync: bool = True
 
@@ -83,9 +82,7 @@ class PlannedOutput:
         raise OutputError("cannot be written: the files beside it keep changing", Place(self.target))
 
 
-def plan_output(
-    document: Document, target: str, *, make_folder: bool = False, root: str | None = None
-) -> PlannedOutput:
+def plan_output(document: Document, target: str, *, root: str | None = None) -> PlannedOutput:
     """Return the plan of writing a document to ``target``, or to stdout for ``-``.
 
     The suffix of the target must match the container. ``root`` is the folder that nothing is written outside
@@ -93,7 +90,7 @@ def plan_output(
     relative path, if the target is in another folder and that path is below the root. An existing file is not
     changed: if it has the same content it serves, otherwise the copy has another name and the URI follows.
     Other URIs are rewritten so that they still lead to the same file. A document that was not edited is
-    written with the bytes that were read. The folder of the target must exist, unless ``make_folder``. Raises
+    written with the bytes that were read. The folder of the target is made if it is missing. Raises
     OutputError if the target cannot be written, and InputError if a buffer is outside the bounds of the
     document or has a name that is never opened.
     """
@@ -102,11 +99,11 @@ def plan_output(
         return PlannedOutput(target, {Path(STDIO): _serialised(document)}, [])
 
     def again() -> PlannedOutput:
-        return plan_output(document, target, make_folder=make_folder, root=root)
+        return plan_output(document, target, root=root)
 
     try:
         path, base = _place_of(target, root)
-        check_target(path, target, make_folder=make_folder)
+        check_target(path, target)
         written, beside, serving, notices = Beside(document, path.parent, base).planned()
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error

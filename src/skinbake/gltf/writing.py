@@ -137,11 +137,14 @@ def _digest(path: str) -> str | None:
         return None
 
 
-def check_target(path: Path, target: str, *, make_folder: bool) -> None:
-    """Raise OutputError if the user's target, ``path`` without links, cannot be written."""
+def check_target(path: Path, target: str) -> None:
+    """Raise OutputError if the user's target, ``path`` without links, cannot be written.
+
+    A missing folder is made when the file is written.
+    """
     there = os.path.lexists(path.parent)  # read first, because another process may be about to make it
-    if not (path.parent.is_dir() if there else make_folder):
-        raise OutputError("its folder does not exist", Place(target))
+    if there and not path.parent.is_dir():
+        raise OutputError(f"{path.parent} is a file, not a folder", Place(target))
     if path.is_symlink() or (path.exists() and not path.is_file()):
         raise OutputError("it exists and is not a regular file", Place(target))
     if path.exists() and not os.access(path, os.W_OK):
@@ -162,10 +165,13 @@ def write_stdout(pieces: Iterable[Bytes]) -> None:
 
 
 def write_file(pieces: Iterable[Bytes], target: str, *, sync: bool = True) -> None:
-    """Write one file that the user named, whole or not at all; a link is followed. Raises OutputError."""
+    """Write one file that the user named, whole or not at all. Raises OutputError.
+
+    A link is followed. The missing folders of the name are made.
+    """
     try:
         path = Path(os.path.realpath(target))
-        check_target(path, target, make_folder=False)
+        check_target(path, target)
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise OutputError(f"cannot be written: {reason}", Place(target)) from error

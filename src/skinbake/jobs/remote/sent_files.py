@@ -152,7 +152,7 @@ class WorkWithFiles(Generic[ResultT]):
         path = Path(os.path.realpath(target))
         nothing = Document(job.source, path.parent, {}, is_glb=True, raw=b"")
         with noticed(result.notices):
-            planned = plan_output(nothing, target, make_folder=writing.make_folder, root=job.within.output)
+            planned = plan_output(nothing, target, root=job.within.output)
             if writing.dry_run:
                 return result
             files = _files_to_write(returned, target, planned.root)

@@ -90,13 +90,11 @@ class Staging:
     ) -> FileResult:
         """Bake one file, where source and target may be URLs.
 
-        The command writes the same bytes on a disk. The result names files as the user does. If a URL's
-        folder is missing, it is made. Raises SkinbakeError, and then the target has not been touched.
+        The command writes the same bytes on a disk. The result names files as the user does. Raises
+        SkinbakeError, and then the target has not been touched.
         """
         goal = None if target is None else self._target_end(target, within.output)
-        made = how.make_folder or (target is not None and is_url(target))
         start = self.end_of(source, within.bounds)
-        how = replace(how, make_folder=made)
         return _bake_between(start, goal, baker, how, within, self.workspace)
 
     def verify_file(self, source: str, options: VerifyOptions, within: Within) -> FileVerdict:
