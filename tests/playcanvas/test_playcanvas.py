@@ -205,10 +205,13 @@ def test_whatever_a_page_does_the_normals_stay_right(stage: Stage, change: str) 
     assert found["report"] == [["accurate", ""]]
 
 
-@pytest.mark.parametrize("change", ["standard", "disposed"])
-def test_without_it_a_mesh_has_the_engine_s_own_normals(stage: Stage, change: str) -> None:
+@pytest.mark.parametrize(
+    ("change", "backend"), [("standard", "webgl2"), ("standard", "webgpu"), ("disposed", "webgl2")]
+)
+def test_without_it_a_mesh_has_the_engine_s_own_normals(stage: Stage, change: str, backend: str) -> None:
+    require(stage, backend)
     character = stage.character(TUBE)
-    found = stage.draw(character, change=change)
+    found = stage.draw(character, change=change, backend=backend)
     wanted = expected(character, found, Algorithm.LBS_APPROXIMATED).normals
     assert largest(found["values"][0], wanted) < DEGREES
     assert found["report"][0][0] != "accurate"
