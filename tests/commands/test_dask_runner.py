@@ -143,7 +143,7 @@ def _verdicts_are_those_of_this_process(address: str, baked: list[Job]) -> None:
 def _a_single_file_tells_of_its_stages(address: str, baked: list[Job]) -> None:
     jobs = [Job(job.target or "") for job in baked[:2]]
     told: list[Told] = []
-    with DaskRunner(address, MAKING_FOLDERS) as runner, heard(told.append):
+    with DaskRunner(address) as runner, heard(told.append):
         assert len(list(runner.run(verifying(), jobs))) == 2
         assert told == []
         assert len(list(runner.run(verifying(), jobs[:1]))) == 1
