@@ -18,6 +18,7 @@ from skinbake.render.subject import YAW, Camera, Subject
 from skinbake.skinning.algorithms import Algorithm
 from tests.support.characters import Array, baked
 from tests.support.command_line import invoke
+from tests.support.models import sheet, write_model
 from tests.support.rasterised import eroded, fragments
 from tests.support.webgpu import NAGA
 
@@ -145,6 +146,16 @@ def test_it_refuses(
     assert result.exit_code == code
     assert words in " ".join(result.stderr.split())
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_model_that_is_too_large_is_refused(tmp_path: Path) -> None:
+    """Found by the fuzzer: the camera's matrix was past all floats, and NumPy warned."""
+    positions = sheet().attributes["POSITION"].astype(np.float64) * 1e20
+    path = write_model(tmp_path / "sheet.glb", [sheet(POSITION=positions.astype(np.float32))])
+    result = invoke("render", path, "-o", tmp_path / "picture.png")
+    assert result.exit_code == exit_codes.INPUT
+    assert "its positions are too large for a renderer" in result.stderr
+    assert not (tmp_path / "picture.png").exists()
 
 
 def test_without_its_extra_it_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from skinbake.render.studio import placed
 from skinbake.render.subject import YAW, Camera
 from skinbake.render.thumbnail import SIZE, SUPERSAMPLING, Posed, png, thumbnail
 from skinbake.skinning.algorithms import Algorithm
+from tests.support.baked_files import Editable
 from tests.support.characters import baked
 from tests.support.models import bake, sheet, write_model
 from tests.support.rasterised import fragments
@@ -89,3 +91,13 @@ def test_a_file_without_clips_has_a_picture_and_one_that_cannot_be_posed_has_non
     assert render.small_picture(document) is not None
     broken = document.edited(json={**document.json, "skins": [{"joints": [99]}]})
     assert render.small_picture(broken) is None
+
+
+def test_tangents_that_are_no_numbers_cause_no_warning(tmp_path: Path) -> None:
+    """Found by the fuzzer, in a file that verify fails and whose report has a small picture all the same."""
+    file = Editable(baked(FOLDER / "mirrored_tangent.glb", tmp_path, "tangent"))
+    file.array("TANGENT")[:, :3] = np.inf
+    document = read_document(str(file.write(tmp_path / "infinite.glb")))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert render.small_picture(document) is not None

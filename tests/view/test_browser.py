@@ -89,10 +89,16 @@ def test_its_errors_are_those_of_verify(browsing: Browsing) -> None:
             application.stopMeasuring();
             application.seek(time, true);
             application.applyPose();
-            return Object.fromEntries(['standard', 'rig'].map((name) => [name, scene.errors(name).mean]));
+            right.value = 'truth';
+            application.chooseSides();
+            application.draw();
+            const names = ['standard', 'rig', 'truth'];
+            return Object.fromEntries(names.map((name) => [name, scene.errors(name).mean]));
         })""",
         browsing.time,
     )
+    assert found["truth"] < DEGREES
+    browsing.page.call("(() => { right.value = 'rig'; application.chooseSides(); })")
     wanted = errors_by_verify(browsing.path, browsing.time)
     for lighting, name in (("standard", "approximated"), ("rig", "accurate")):
         assert found[lighting] == pytest.approx(wanted[name], rel=0.002), lighting

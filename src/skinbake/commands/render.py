@@ -38,12 +38,15 @@ from skinbake.lighting.operator import TRUE_CREASE_ANGLE, gradient_operator
 from skinbake.lighting.poses import PoseSet, draws_of
 from skinbake.render.files import MILLISECONDS, MOVING, encoded
 from skinbake.render.materials import CLAY, WHITE, Material, Materials
-from skinbake.render.studio import Look, Studio, placed
+from skinbake.render.studio import Look, Picture, Studio, placed
 from skinbake.render.subject import YAW, Shot, Subject
 from skinbake.render.thumbnail import Posed, thumbnail
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.run import Skinning
 from skinbake.skinning.surface import Options, RestSurface
+
+MOST = 1e15
+"""The largest coordinate of a picture: squares of lengths then stay floats, as on the page."""
 
 SEARCHED = 25
 """The poses of a clip among which the one with the worst standard lighting is chosen."""
@@ -120,9 +123,20 @@ def render_file(
     if not views:
         raise InputError("nothing in it is baked soundly: run skinbake verify", document.place)
     suffix = Path(target).suffix.lower()
+    with np.errstate(all="ignore"):  # what is too large is refused, and what is no number is not drawn
+        pictures, pose, missing = _pictures(document, views, options, moves=suffix in MOVING)
+    data = encoded(pictures, suffix)
+    write_file([data], target, sync=sync)
+    return RenderResult(data, len(pictures), pose, (*notices, *missing))
+
+
+def _pictures(
+    document: Document, views: Sequence[BakedView], options: RenderOptions, *, moves: bool
+) -> tuple[list[Picture], str, list[Notice]]:
+    """Return the pictures, the first pose in words, and notices on what is missing in them."""
     draws = list(_draws(document, views))
     clip = _clip(document, options.clip)
-    times, pose = _times(document, draws, clip, options, moves=suffix in MOVING)
+    times, pose = _times(document, draws, clip, options, moves=moves)
     posed = [_posed(document, draw, clip, times) for draw in draws]
     materials = Materials(document)
     in_clay = options.in_clay or options.look.mode != "shaded"
@@ -131,16 +145,15 @@ def render_file(
         for number, draw in enumerate(draws)
         for view in draw.views
     ]
-    some = [one.every(max(1, len(times) // 6)) for one in posed]
+    some = list(_positions(draws, [one.every(max(1, len(times) // 6)) for one in posed]))
+    if not all((np.abs(part) < MOST).all() for part in some):
+        raise InputError("its positions are too large for a renderer: scale the model down", document.place)
     yaws = np.linspace(YAW, YAW + 2 * np.pi, 12) if options.turntable else [YAW]
-    camera = placed(list(_positions(draws, some)), list(map(float, yaws)))
-    studio = Studio(subjects, camera)
+    studio = Studio(subjects, placed(some, list(map(float, yaws))))
     errors = _errors(draws, posed) if options.look.mode == "error" else None
     shots = _shots(draws, posed, errors, options, len(times))
     pictures = [studio.picture(shot, options.sides, options.look) for shot in shots]
-    data = encoded(pictures, suffix)
-    write_file([data], target, sync=sync)
-    return RenderResult(data, len(pictures), pose, (*notices, *materials.notices()))
+    return pictures, pose, materials.notices()
 
 
 def small_picture(document: Document) -> bytes | None:
@@ -152,10 +165,11 @@ def small_picture(document: Document) -> bytes | None:
         draws = list(_draws(document, sound_views(document)))
         clip = _clip(document, None)
         times = np.zeros(1) if clip is None else np.array([(clip.start + clip.duration) / 2])
-        found = [part for draw in draws for part in _still(draw, _posed(document, draw, clip, times))]
+        with np.errstate(all="ignore"):  # what is no number is not drawn
+            found = [part for draw in draws for part in _still(draw, _posed(document, draw, clip, times))]
     except SkinbakeError:
         return None
-    sound = [part.positions[np.isfinite(part.positions).all(axis=1)] for part in found]
+    sound = [part.positions[(np.abs(part.positions) < MOST).all(axis=1)] for part in found]
     if not sum(map(len, sound)):
         return None
     return thumbnail(found, placed(sound, [YAW]))
