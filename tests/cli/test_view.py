@@ -8,7 +8,9 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 from fixtures.make_fixtures import FOLDER
@@ -120,6 +122,31 @@ def test_an_image_that_is_named_often_is_held_once(tmp_path: Path) -> None:
     (tmp_path / "skin.png").write_bytes(b"\x89PNG" + bytes(100_000))
     assert invoke("view", path, "-o", tmp_path / "page.html").exit_code == 0
     assert (tmp_path / "page.html").stat().st_size < 600_000
+
+
+def test_images_in_ktx2_and_influences_that_are_too_many_are_said(tmp_path: Path) -> None:
+    def with_image(content: JsonObject) -> None:
+        content["images"] = [{"uri": "skin.ktx2"}]
+        content["textures"] = [{"extensions": {"KHR_texture_basisu": {"source": 0}}}]
+
+    (tmp_path / "skin.ktx2").write_bytes(b"\xabKTX 20\xbb")
+    attributes: dict[str, Any] = {}
+    for number in range(3):
+        attributes[f"WEIGHTS_{number}"] = np.full((20, 4), 1 / 12, np.float32)
+        attributes[f"JOINTS_{number}"] = np.full((20, 4), 4 * number, np.uint8) + np.arange(4, dtype=np.uint8)
+    twelve = sheet(**attributes)
+    path = write_model(tmp_path / "twelve.glb", [twelve], joints=12, change=with_image)
+    result = invoke("view", path, "-o", tmp_path / "page.html")
+    assert result.exit_code == 0
+    said = " ".join(result.stderr.split())
+    assert "texture 0 is in KTX2, which is not decoded: it is shown without this image" in said
+    assert "it has up to 12 influences for a vertex, and a page draws 8" in said
+    eight = sheet(**{name: array for name, array in twelve.attributes.items() if name[-1] in "01"})
+    assert "WEIGHTS_2" not in eight.attributes
+    fewer = invoke(
+        "view", write_model(tmp_path / "eight.glb", [eight], joints=12), "-o", tmp_path / "page.html"
+    )
+    assert "influences" not in fewer.stderr
 
 
 @LINUX
