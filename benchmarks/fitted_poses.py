@@ -136,15 +136,14 @@ def figures(models: Sequence[Model]) -> Iterator[str]:
             ]
             yield f"| {model.name} | {model.vertices:,} | {model.extended:,} | {' | '.join(cells)} |"
     yield ""
-    listed = [f"{where}: {100 * (found - 1):.0f} %)" for where, found in worse(models, "poses", "surface")]
-    yield f"- `poses` worse than `surface` by more than 2 %: {'; '.join(listed) or 'never'}."
+    worst = worse(models, "poses", "surface")
+    listed = "; ".join(f"{where}: {100 * (found - 1):.0f} %)" for where, found in worst)
+    yield f"- `poses` worse than `surface` by more than 2 %: {listed or 'never'}."
     cases = sum(len(model.lit) for model in models) * len(Truth)
     than_rig = list(worse(models, "poses", "rig"))
     in_clips = sum(f"({CLIPS}" in where for where, _ in than_rig)
-    yield (
-        f"- `poses` worse than `rig` by more than 2 %: in {len(than_rig)} of {cases} cases, {in_clips} of them "
-        f"in {CLIPS}."
-    )
+    counted = f"in {len(than_rig)} of {cases} cases, {in_clips} of them in {CLIPS}"
+    yield f"- `poses` worse than `rig` by more than 2 %: {counted}."
 
 
 def ratio(lit: dict[str, Lit], kind: str, truth: str, other: str = "surface") -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zlib
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -49,12 +50,17 @@ def _poses(file: GltfFile, mesh: int) -> list[Array]:
     for pose in range(POSES):
         matrices = np.tile(np.eye(4), (len(names), 1, 1))
         for number, (name, bind) in enumerate(zip(names, binds, strict=True)):
-            rng = np.random.default_rng([pose, zlib.crc32(name.encode())])
-            turn = np.eye(4)
-            turn[:3, :3] = Rotation.from_rotvec(rng.uniform(-LARGEST, LARGEST, 3)).as_matrix()
-            matrices[number] = np.linalg.inv(bind) @ turn @ bind
+            matrices[number] = np.linalg.inv(bind) @ _turn(name, pose) @ bind
         result.append(matrices)
     return result
+
+
+@cache
+def _turn(name: str, pose: int) -> Array:
+    rng = np.random.default_rng([pose, zlib.crc32(name.encode())])
+    turn = np.eye(4)
+    turn[:3, :3] = Rotation.from_rotvec(rng.uniform(-LARGEST, LARGEST, 3)).as_matrix()
+    return turn
 
 
 def _normals(primitive: StoredPrimitive, matrices: Array) -> Array:

@@ -54,7 +54,7 @@ def test_a_fresh_bake_verifies(name: str, storage: GradientFormat, tmp_path: Pat
     assert answer.exit_code == 0, answer.messages
 
 
-def busy_vertices(model: Editable, count: int = 12) -> list[int]:
+def busy_vertices(model: Editable, count: int = 5) -> list[int]:
     """Return vertices with much to lose: those of the largest scale, apart from one another."""
     order = np.argsort(-model.array(ALPHA)[:, 3].astype(int), kind="stable")
     return [int(vertex) for vertex in order[: 3 * count : 3]]

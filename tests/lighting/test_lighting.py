@@ -19,7 +19,7 @@ from skinbake.gltf.document import read_document
 from skinbake.gltf.primitives import skinned_sources
 from skinbake.gradients.baker import BakeSettings, bake_mesh
 from skinbake.lighting import angles as lighting
-from skinbake.lighting import blending, tally
+from skinbake.lighting import blending, tally, triangle_normals
 from skinbake.lighting.baked_views import baked_views
 from skinbake.lighting.blending import BlendedSurface
 from skinbake.lighting.influences import normalised_weights
@@ -428,11 +428,12 @@ def test_the_figures_do_not_depend_on_blocks(
     tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = baked(source(name), tmp_path)
-    request = PoseRequest(PoseKind.RANDOM, 25)
+    request = PoseRequest(PoseKind.RANDOM, 16)
     whole = measured(path, poses=request)
     monkeypatch.setattr(blending, "CHUNK_SAMPLES", 1000)
     monkeypatch.setattr(blending, "CHUNK_POSES", 7)
-    monkeypatch.setattr(blending, "BLOCK_SAMPLES", 90)
+    monkeypatch.setattr(blending, "BLOCK_SAMPLES", 300)
+    monkeypatch.setattr(triangle_normals, "CLASS_CORNERS", 200)
     monkeypatch.setattr(tally, "_TAIL", 100)
     pieces = measured(path, poses=request)
     assert whole.normals is not None
