@@ -141,16 +141,30 @@ def _edits() -> Iterator[Case]:
     yield _of("VEC9", _changed(lambda m: m.json["accessors"][0].update(type="VEC9")))
     yield _of("component type 1", _changed(lambda m: m.json["accessors"][0].update(componentType=1)))
     yield _of("many vertices of zeros", _changed(_hollow))
+    yield _of("more zeros than its bytes allow", _changed(_all_zeros))
+    yield _of(
+        "extensions by number", _changed(lambda m: m.json.update(extensionsUsed=[7])), "--compress", "draco"
+    )
+    for way in ("draco", "meshopt"):
+        yield _of("no indices", _changed(lambda m: _primitive(m).pop("indices")), "--compress", way)
     yield from _bounds()
     yield from _skins()
     yield from _morphs()
 
 
-def _hollow(model: Model) -> None:
+def _hollow(model: Model, count: int = 300_000) -> None:
     """Let all attributes claim so many zeros that the memory of the machine is looked up."""
     for accessor in model.json["accessors"][:4]:
         del accessor["bufferView"]
-        accessor["count"] = 300_000
+        accessor["count"] = count
+
+
+def _all_zeros(model: Model) -> None:
+    """Let tangents claim zeros too: more than a file of these bytes may."""
+    _hollow(model, 510_000)
+    accessors = model.json["accessors"]
+    accessors.append({"componentType": 5126, "count": 510_000, "type": "VEC4"})
+    _primitive(model)["attributes"]["TANGENT"] = len(accessors) - 1
 
 
 def _bounds() -> Iterator[Case]:
@@ -186,7 +200,12 @@ def _skins() -> Iterator[Case]:
         model.json["meshes"].append({"primitives": [dict(_primitive(model))]})
         model.json["skins"].append({"joints": [len(nodes) - 1] * 4})
 
+    def crossed(model: Model) -> None:
+        apart(model)
+        model.json["skins"][1]["joints"] = model.json["skins"][0]["joints"][::-1]
+
     yield _of("skins apart", _changed(apart), "--weld", "skin")
+    yield _of("skins that share joints", _changed(crossed), "--weld", "skin")
     yield _of("a skin of one joint", _changed(_one_joint))
     yield _of("joints that cannot turn", _changed(_flattened))
     yield _of("skins of two bind poses", _changed(_posed_twice))
@@ -240,6 +259,7 @@ def _morphs() -> Iterator[Case]:
     yield _of("a circle of joints", _changed(_circle, _bake), *verify)
     yield _of("channels of nothing", _changed(_pointing, _bake), *verify)
     yield _of("a sampler of two channels", _changed(_moved_twice, _bake), "verify", "in/m.glb")
+    yield _of("weights of another count", _changed(_weighted_by_three, _bake), "verify", "in/m.glb")
 
 
 def _half_morphed(model: Model) -> None:
@@ -264,6 +284,15 @@ def _moved_twice(model: Model) -> None:
     channels = [{"sampler": 0, "target": {"node": node, "path": "rotation"}} for node in (1, 2)]
     samplers = [{"input": times, "output": output}]
     model.json["animations"] = [{"channels": channels, "samplers": samplers}]
+
+
+def _weighted_by_three(model: Model) -> None:
+    """Animate the weight of one target by three values at two times."""
+    times, output = (_added(model, np.arange(count)[:, None], "SCALAR", 5126) for count in (2, 3))
+    _primitive(model)["targets"] = [{"POSITION": 0}]
+    channel = {"sampler": 0, "target": {"node": 0, "path": "weights"}}
+    sampler = {"input": times, "output": output}
+    model.json["animations"] = [{"channels": [channel], "samplers": [sampler]}]
 
 
 @cache
@@ -311,8 +340,44 @@ def _streams() -> Iterator[Case]:
     infinite = np.full((VERTICES, 1), np.inf, "<f4")
     with_bounds = _with_attribute("_X", infinite, "SCALAR", 5126, min=[0], max=[1])
     yield _of("no bound", edgebreaker_twin(with_bounds), *plain)
+    beside = _beside_a_skin(_in_draco())
+    _primitive(beside)["attributes"]["POSITION"] = 999
+    yield _of("a stream of no accessor", beside, *plain)
+    yield _of("another version", _changed(_of_the_future, _in_draco))
+    yield _of("two streams of one accessor", _changed(_streamed_twice, _in_draco), *plain)
+    yield _of("a sparse accessor over a stream", _changed(_sparse, _in_draco), "--compress", "draco")
     yield from _baked_twice()
     yield from _packed_views()
+
+
+def _of_the_future(model: Model) -> None:
+    start = model.json["bufferViews"][_extension(model)["bufferView"]]["byteOffset"]
+    model.binary[start + 5] = 9
+
+
+def _streamed_twice(model: Model) -> None:
+    """Add a primitive of the same accessors, with a stream of other positions."""
+    other = edgebreaker_twin(_changed(_nudged))
+    view = other.json["bufferViews"][_extension(other)["bufferView"]]
+    start, length = view["byteOffset"], view["byteLength"]
+    model.json["bufferViews"].append({"buffer": 0, "byteOffset": len(model.binary), "byteLength": length})
+    model.binary += other.binary[start : start + length]
+    model.json["buffers"][0]["byteLength"] = len(model.binary)
+    extension = {**_extension(model), "bufferView": len(model.json["bufferViews"]) - 1}
+    model.json["meshes"][0]["primitives"].append({**_primitive(model), "extensions": {DRACO: extension}})
+
+
+def _nudged(model: Model) -> None:
+    start = model.json["bufferViews"][model.json["accessors"][0]["bufferView"]]["byteOffset"]
+    struct.pack_into("<f", model.binary, start, 0.5)
+
+
+def _sparse(model: Model) -> None:
+    """Replace the first position beside its stream."""
+    at = _added(model, [[0]], "SCALAR", 5125), _added(model, [[0, 0, 0]], "VEC3", 5126)
+    index, value = (model.json["accessors"][number]["bufferView"] for number in at)
+    indices = {"bufferView": index, "componentType": 5125}
+    model.json["accessors"][0]["sparse"] = {"count": 1, "indices": indices, "values": {"bufferView": value}}
 
 
 def _beside_a_skin(model: Model) -> Model:
@@ -383,6 +448,11 @@ def _packed_views() -> Iterator[Case]:
         model.json["bufferViews"][1] = view
 
     yield _of("short view", _changed(short))
+    longer = filtered_twin(_sheet(), "EXT")
+    for view in longer.json["bufferViews"]:
+        if "extensions" in view:
+            view["extensions"]["EXT_meshopt_compression"]["count"] += 1
+    yield _of("a view of one row more", longer)
     model = filtered_twin(_sheet(), "EXT")
     attributes = _primitive(model)["attributes"]
     number = attributes["POSITION"]
@@ -457,6 +527,11 @@ def _containers() -> Iterator[Case]:
     deep = b'{"asset":{"version":"2.0"},"extras":' + b"[" * 1100 + b"]" * 1100 + b"}"
     yield _case("more after a deep text", {"m.gltf": deep + b" x"}, TO_GLTF)
     yield _case("no name in a deep text", {"m.gltf": b'{"a":' * 1100 + b"{x}"}, TO_GLTF)
+    yield _case("no colon in a deep text", {"m.gltf": b'{"a":' * 1100 + b'{"b" 1}'}, TO_GLTF)
+    chunked = bytearray(_sheet().packed(GLB)[1]["m.glb"] + struct.pack("<II4s", 4, 0x12345678, b"more"))
+    struct.pack_into("<I", chunked, 8, len(chunked))
+    for target in ("out/m.glb", "out/m.gltf"):
+        yield _case("another chunk", {"m.glb": bytes(chunked)}, ("bake", "in/m.glb", "-o", target))
     yield _case("another suffix", {"m.txt": deep}, ("inspect", "in/m.txt"))
 
 

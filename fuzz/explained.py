@@ -12,6 +12,7 @@ ROOT = "the fuzzer's user may write anywhere: tests/gltf/test_output.py"
 LIMITS = "only with other control groups than this system's: tests/gltf/test_budget.py"
 HEADER = "no stream is known to decode to other counts than its header has: tests/gltf/test_draco.py"
 BEFORE = "every command refuses it before that: "
+COPIES = "takes thousands of copies of a vertex: tests/gltf/test_budget.py"
 LARGE = "takes more memory than the fuzzer gives a run: tests/gltf/test_budget.py"
 
 BY_SYSTEM = frozenset((WINDOWS, OTHER_SYSTEM, ROOT, LIMITS))
@@ -29,6 +30,7 @@ EXPLAINED: dict[tuple[str, str, str], str] = {
         "if error.errno == errno.EACCES: -> place = Place(str(self._document.folder / uri))",
     ): ROOT,
     ("budget.py", "claim", "if self.spent > max(FREE, RATIO * self.backed): -> raise InputError("): LARGE,
+    ("budget.py", "claim_welding", "if self.welded > most: -> raise InputError("): COPIES,
     (
         "budget.py",
         "claim_unpacked",
