@@ -186,3 +186,24 @@ def test_a_joint_whose_pivot_is_past_all_floats_has_a_digest() -> None:
     parents = np.array([-1, 0], np.int32)
     far, near = (Rig(parents, np.array([[0.0, 0.0, 0.0], [x, 0.0, 0.0]])) for x in (1e60, 1.0))
     assert rig_digest(far) == rig_digest(far) != rig_digest(near)
+
+
+def test_a_pivot_beyond_float32_is_no_warning(tmp_path: Path) -> None:
+    """A tiny inverse bind matrix puts its joint there, and its digest in float32 overflowed."""
+
+    def shrink(root: JsonObject) -> None:
+        accessor = root["accessors"][root["skins"][0]["inverseBindMatrices"]]
+        view = root["bufferViews"][accessor["bufferView"]]
+        place.append(view.get("byteOffset", 0) + accessor.get("byteOffset", 0))
+
+    place: list[int] = []
+    source = edited("bent_tube.glb", tmp_path, shrink)
+    model = read(source)
+    data = bytearray(model.binary_chunk or b"")
+    matrix = np.diag([1e-38, 1e-38, 1e-38, 1.0]).astype("<f4")
+    matrix[3, 0] = 1e30  # the translation, by columns
+    data[place[0] : place[0] + 64] = matrix.tobytes()
+    source.write_bytes(pack_glb(model.content, bytes(data)))
+    result = invoke("bake", source, "-o", tmp_path / "out.glb")
+    assert result.exit_code == 0, result.output
+    assert "Warning" not in result.stderr
