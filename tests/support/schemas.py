@@ -66,6 +66,12 @@ LIMITED = {
         ),
     ]
 }
+EXTENDED = {
+    "oneOf": [
+        {"type": "null"},
+        strict({"influences": COUNT, "vertices": COUNT, "bytes": COUNT, "multiply_adds": COUNT}),
+    ]
+}
 BAKED = strict(
     {
         "mesh": COUNT,
@@ -74,7 +80,7 @@ BAKED = strict(
         "triangles": COUNT,
         "degenerate_triangles": COUNT,
         "influences": {"type": "integer", "multipleOf": 4, "minimum": 4},
-        "gradients": {"enum": ["surface", "rig"]},
+        "gradients": {"enum": ["surface", "rig", "poses"]},
         "frame": {"enum": ["tangent", "normal"]},
         "generated_normals": {"type": "boolean"},
         "adopting_vertices": COUNT,
@@ -84,6 +90,7 @@ BAKED = strict(
         "added_bytes": COUNT,
         "bytes_per_vertex": {"type": "integer", "minimum": 6},
         "limited": LIMITED,
+        "extended": EXTENDED,
     },
     optional={"mesh_name": {"type": "string"}},
 )
