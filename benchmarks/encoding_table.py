@@ -24,7 +24,7 @@ from skinbake.commands.verify import verify_file
 from skinbake.errors import SkinbakeError
 from skinbake.lighting.measured import VerifyOptions
 from skinbake.report.bake import FileResult
-from skinbake.report.notices import counted
+from skinbake.wording import counted
 
 DEFAULT_OUTPUT = REPOSITORY / "docs" / "encodings.md"
 CHARACTERS = (

@@ -32,10 +32,8 @@ def test_warnings_name_file_mesh_and_primitive_and_are_aggregated(warned: Path) 
     assert result.stderr.splitlines() == [
         f'warning: {warned}: mesh 0 "sheet", primitive 0: skipped: it has no NORMAL; '
         "--generate-normals adds smooth ones",
-        f'warning: {warned}: mesh 0 "sheet", primitive 1: the weights of 20 vertices miss a sum of 1 '
-        "by over 0.001 (0.5): taken as divided by it, by bake and verify. A shader takes weights as they "
-        "are, and corrects normals by 2 times what is right: mend the weights, or divide them by their sum "
-        "before the shader",
+        f'warning: {warned}: mesh 0 "sheet", primitive 1: the weights of 20 vertices do not sum to 1 (0.5): '
+        "a shader corrects the normals there 2 times; normalise the weights, and bake again",
     ]
 
 

@@ -63,7 +63,7 @@ def test_the_page_names_nothing_on_the_network(tmp_path: Path) -> None:
     ("arguments", "code", "words"),
     [
         (["{tube}", "-o", "page.glb"], exit_codes.USAGE, "page.glb is the name of a model"),
-        (["model.obj"], exit_codes.USAGE, "expected a name that ends in .glb, .gltf, .vrm"),
+        (["model.obj"], exit_codes.USAGE, "OBJ is not glTF: OBJ has no skin"),
         (["{folder}/none.glb", "-o", "{folder}/page.html"], exit_codes.INPUT, "cannot be read"),
         (["{tube}", "-o", "{tube}/page.html"], exit_codes.OUTPUT, "is a file, not a folder"),
         (["{tube}", "-o", "{folder}/page.html", "--port", "8000"], exit_codes.USAGE, "a page that is served"),

@@ -132,4 +132,4 @@ def test_bake_says_where_worse_lighting_is_likely(
     tmp_path: Path, name: str, options: tuple[str, ...], said: bool
 ) -> None:
     result = invoke("bake", corpus.model(name), "-o", tmp_path / "baked.glb", *options)
-    assert ("take joints of their neighbours: the mesh is coarse" in result.stderr) is said
+    assert ("take joints of their neighbours: so coarse a mesh" in result.stderr) is said

@@ -358,7 +358,7 @@ class TestStandardStreams:
         assert str(uris(after.content)[1]).startswith("data:")
         assert_buffers_kept(before, after)
         assert after.has_attribute(ALPHA)
-        assert b"1 images are files" in process.stderr
+        assert b"1 image is a file" in process.stderr
 
     def test_stdin_goes_into_a_file_of_either_kind(self, tmp_path: Path) -> None:
         data = (FOLDER / "seam.glb").read_bytes()

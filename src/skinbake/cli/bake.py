@@ -29,7 +29,7 @@ from skinbake.cli.many import Clock, Reporting, Run, many_options, notes_of, sta
 from skinbake.cli.names import STDIO
 from skinbake.cli.remote import cluster_option
 from skinbake.cli.runners import runner_of, seconds_of, threads_of_each
-from skinbake.cli.targets import check_read, check_reports, check_target, in_turns, once, pair_up
+from skinbake.cli.targets import check_named, check_read, check_reports, check_target, in_turns, once, pair_up
 from skinbake.cli.writing import writing_of
 from skinbake.containment import Bounds, Within
 from skinbake.errors import ChoiceError
@@ -288,6 +288,7 @@ def _targets(inputs: list[Input], given: Mapping[str, Any]) -> list[tuple[Input,
             raise click.UsageError("-o takes one input; use --out-dir for several")
         if given["output"] == STDIO and given["as_json"]:
             raise click.UsageError("stdout cannot take both the GLB and --json")
+        check_named(given["output"], f"use --out-dir {given['output']}, or name the file")
         check_target(inputs[0].source, given["output"])
         return [(inputs[0], given["output"])]
     if given["in_place"]:

@@ -15,6 +15,7 @@ from typing import Any, TypeVar
 import click
 
 from skinbake.cli import exit_codes
+from skinbake.cli.terminal import fitted, width_of, with_colours
 from skinbake.errors import (
     Notice,
     OutputError,
@@ -41,7 +42,12 @@ class Console:
     def result(self, line: str) -> None:
         """Print a line of the result."""
         if self.verbosity >= 0:
-            _echo(printable_lines(line), err=self.results_on_stderr, color=self.color)
+            self._fitted(printable_lines(line), err=self.results_on_stderr)
+
+    def verdict(self, text: str) -> None:
+        """Print the lines of a verdict, with colours on a terminal."""
+        if self.verbosity >= 0:
+            self._fitted(with_colours(printable_lines(text)), err=self.results_on_stderr)
 
     def document(self, content: Any) -> None:
         """Print a JSON document at any verbosity, because it is the result that scripts asked for."""
@@ -60,17 +66,17 @@ class Console:
         """Print the details that only -v shows."""
         if self.verbosity > 0:
             for line in lines:
-                _echo(printable_lines(line), err=True, color=self.color)
+                self._fitted(printable_lines(line), err=True)
 
     def note(self, line: str) -> None:
         """Print a remark on stderr."""
         if self.verbosity >= 0:
-            _echo(printable_lines(line), err=True, color=self.color)
+            self._fitted(printable_lines(line), err=True)
 
     def listing(self, lines: Iterable[str]) -> None:
         """Print lines on stderr at any verbosity."""
         for line in lines:
-            _echo(printable_lines(line), err=True, color=self.color)
+            self._fitted(printable_lines(line), err=True)
 
     def problems(self, problems: Iterable[Notice]) -> None:
         """Print the errors that a check found, at any verbosity."""
@@ -85,7 +91,10 @@ class Console:
 
     def _message(self, kind: str, color: str, text: str) -> None:
         styled = click.style(f"{kind}:", fg=color, bold=True)
-        _echo(f"{styled} {printable(text)}", err=True, color=self.color)
+        self._fitted(f"{styled} {printable(text)}", err=True)
+
+    def _fitted(self, text: str, *, err: bool) -> None:
+        _echo(fitted(text, width_of(err=err)), err=err, color=self.color)
 
 
 def json_text(content: Any, *, indent: int | None = None) -> str:
@@ -122,9 +131,21 @@ def finite(ctx: click.Context, param: click.Parameter, value: float | None) -> f
     return value
 
 
-def one_of(choices: type[StrEnum]) -> click.Choice[str]:
+class Words(click.Choice[str]):
+    """The type of an option whose values are words. It asks about a word that is nearly one of them."""
+
+    def get_invalid_choice_message(self, value: Any, ctx: click.Context | None) -> str:
+        """Return the message for a value that is none of the words."""
+        from skinbake.wording import did_you_mean
+
+        message = super().get_invalid_choice_message(value, ctx)
+        meant = did_you_mean(str(value), map(str, self.choices))
+        return f"{message} {meant[0].upper()}{meant[1:]}" if meant else message
+
+
+def one_of(choices: type[StrEnum]) -> Words:
     """Return the type of an option whose values are the members of an enumeration."""
-    return click.Choice([choice.value for choice in choices])
+    return Words([choice.value for choice in choices])
 
 
 def message_options(command: Command) -> Command:
@@ -132,7 +153,7 @@ def message_options(command: Command) -> Command:
     for option in (
         click.option(
             "--color",
-            type=click.Choice(["auto", "always", "never"]),
+            type=Words(["auto", "always", "never"]),
             default="auto",
             help="Colour of messages; auto uses colours on a terminal if NO_COLOR is not set.",
         ),

@@ -14,6 +14,7 @@ from skinbake.cli.names import STDIO, check_readable_suffix
 from skinbake.cli.remote import behind
 from skinbake.errors import InputError
 from skinbake.urls import SUFFIXES, is_url, on_disk
+from skinbake.wording import not_gltf
 
 MAGIC = frozenset("*?[")
 ANY_FOLDERS = "**"
@@ -44,11 +45,14 @@ def expanded(arguments: Sequence[str], *, but: str | None = None) -> list[Input]
 
     A file that several searches find is there once. ``but`` is the folder of the outputs. It is not searched,
     unless a search begins there. Hidden files and folders, and linked folders, are skipped. An argument that
-    names something that exists is no pattern, even if it has pattern characters. Raises click.UsageError for
-    a file whose name does not show its kind, and if stdin is to be read twice.
+    names something that exists is no pattern, even if it has pattern characters. A name that does not
+    show its kind of file is missing, so that the others are tried. Raises click.UsageError if it is the only
+    argument, and if stdin is to be read twice.
     """
     if list(arguments).count(STDIO) > 1:
         raise click.UsageError("stdin can be read only once")
+    if len(arguments) == 1 and _is_name(arguments[0]):
+        check_readable_suffix(arguments[0])
     search = _Search(but)
     found: list[Input] = []
     seen: set[tuple[str, str]] = set()
@@ -58,6 +62,13 @@ def expanded(arguments: Sequence[str], *, but: str | None = None) -> list[Input]
                 found.append(entry)
                 seen.add((entry.source, entry.kept))
     return found
+
+
+def _is_name(argument: str) -> bool:
+    """Tell whether an argument is the name of one file, there or not: no stdin, URL, folder or pattern."""
+    if argument == STDIO or is_url(argument) or os.path.isdir(argument):
+        return False
+    return MAGIC.isdisjoint(argument) or os.path.lexists(argument)
 
 
 class _Search:
@@ -76,9 +87,9 @@ class _Search:
             return self._behind(argument)
         if os.path.isdir(argument):
             return self._found(argument, argument, (ANY_FOLDERS, "*"), "nothing in this folder")
-        if MAGIC.isdisjoint(argument) or os.path.lexists(argument):
-            check_readable_suffix(argument)
-            return [Input(argument, os.path.basename(argument))]
+        if _is_name(argument):
+            is_model = argument.lower().endswith(SUFFIXES)
+            return [Input(argument, os.path.basename(argument), None if is_model else not_gltf(argument))]
         fixed, pattern = _split(argument)
         return self._found(argument, fixed, pattern, "no file that matches this pattern")
 

@@ -45,6 +45,20 @@ class LazyGroup(click.Group):
         command: click.Command = importlib.import_module(f"skinbake.cli.{cmd_name}").command
         return command
 
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Find the command. For an unknown name, ask about the nearest one."""
+        try:
+            return super().resolve_command(ctx, args)
+        except click.UsageError as error:
+            from skinbake.wording import did_you_mean
+
+            meant = did_you_mean(args[0], COMMANDS)
+            if meant:
+                ctx.fail(f"{error.message} {meant[0].upper()}{meant[1:]}")
+            raise
+
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """List the commands from the table, so that help imports no command."""
         with formatter.section("Commands"):

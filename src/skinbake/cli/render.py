@@ -10,10 +10,10 @@ from typing import Any
 import click
 
 from skinbake.cli import exit_codes
-from skinbake.cli.console import console, finite, message_options, outside_option
+from skinbake.cli.console import Words, console, finite, message_options, outside_option
 from skinbake.cli.limits import memory_option
 from skinbake.cli.names import check_readable_suffix
-from skinbake.cli.targets import sync_option
+from skinbake.cli.targets import check_named, sync_option
 from skinbake.containment import Bounds
 from skinbake.errors import ChoiceError, SkinbakeError, printable
 
@@ -46,14 +46,14 @@ def _size(ctx: click.Context, param: click.Parameter, value: str) -> tuple[int, 
 )
 @click.option(
     "--mode",
-    type=click.Choice(["shaded", "reflections", "error", "normals"]),
+    type=Words(["shaded", "reflections", "error", "normals"]),
     default="shaded",
     show_default=True,
     help="Shading, stripes mirrored in the surface, angle to the true normals as colour, or normals.",
 )
 @click.option(
     "--lighting",
-    type=click.Choice(["standard", "accurate"]),
+    type=Words(["standard", "accurate"]),
     default="accurate",
     show_default=True,
     help="Lighting without --split.",
@@ -72,6 +72,7 @@ def command(source: str, output: str, **given: Any) -> None:
     It needs the extra skinbake[render]. A file that is not baked is baked in memory.
     """
     check_readable_suffix(source)
+    check_named(output)
     suffix = Path(output).suffix.lower()
     if suffix not in SUFFIXES:
         raise click.UsageError(f"{output}: expected a name that ends in {', '.join(SUFFIXES)}")

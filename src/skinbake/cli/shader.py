@@ -10,9 +10,9 @@ import click
 
 from skinbake.choices import Encoding, Frame, Language, Layout, Lighting, Method, Morphs
 from skinbake.cli import exit_codes
-from skinbake.cli.console import console, finite, message_options, one_of, outside_option
+from skinbake.cli.console import Words, console, finite, message_options, one_of, outside_option
 from skinbake.cli.names import STDIO, check_readable_suffix
-from skinbake.cli.targets import sync_option
+from skinbake.cli.targets import check_named, sync_option
 from skinbake.containment import Bounds
 from skinbake.errors import ChoiceError, SkinbakeError, printable
 from skinbake.shaders.text import targets
@@ -87,7 +87,7 @@ PUBLISHED_CAP = 0.9
 )
 @click.option(
     "--target",
-    type=click.Choice(list(targets())),
+    type=Words(list(targets())),
     default="plain",
     show_default=True,
     help="plain functions, or an adapter for an engine.",
@@ -111,6 +111,7 @@ def command(source: str | None, output: str, **given: Any) -> None:
     """
     if not output:
         raise click.UsageError("-o needs the name of a file, or - for stdout")
+    check_named(output)
     if source is not None:
         check_readable_suffix(source)
         if STDIO not in {output, source} and _is(source, output):

@@ -32,6 +32,14 @@ def check_target(source: str, target: str, *, instead: str = "use --in-place to 
         raise click.UsageError(f"{target} is the input; {instead}")
 
 
+def check_named(target: str, instead: str = "name the file") -> None:
+    """Raise click.UsageError if the name of an output is that of a folder, there or not."""
+    path = on_disk(target) or ""
+    is_folder = os.path.isdir(path)  # noqa: PTH112  # pathlib fails for long names
+    if target != STDIO and (is_folder or target.endswith(("/", os.sep))):
+        raise click.UsageError(f"{target} is a folder: {instead}")
+
+
 def check_read(option: str, paths: Iterable[str], targets: Iterable[str | None]) -> None:
     """Raise click.UsageError if a file that an option reads is also an output, through links too."""
     written = [target for target in targets if target not in {None, STDIO}]

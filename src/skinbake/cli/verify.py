@@ -214,7 +214,7 @@ def _reporting(
         if verdict.error is not None:
             say.error(verdict.error)
         if not given["as_json"]:
-            say.result(as_text(verdict))
+            say.verdict(as_text(verdict))
 
     def write(verdicts: Sequence[FileVerdict]) -> int:
         code = exit_codes.OK

@@ -11,7 +11,7 @@ from skinbake.cli import exit_codes
 from skinbake.cli.console import console, message_options, outside_option
 from skinbake.cli.limits import memory_option
 from skinbake.cli.names import STDIO, check_readable_suffix
-from skinbake.cli.targets import sync_option
+from skinbake.cli.targets import check_named, sync_option
 from skinbake.containment import Bounds
 from skinbake.errors import SkinbakeError, printable
 from skinbake.urls import SUFFIXES
@@ -43,6 +43,8 @@ def command(source: str, output: str | None, **given: Any) -> None:
     check_readable_suffix(source)
     if output is not None and output != STDIO and output.lower().endswith(SUFFIXES):
         raise click.UsageError(f"{output} is the name of a model; name the page .html")
+    if output is not None:
+        check_named(output)
     if output is not None and (given["port"] or given["no_browser"]):
         raise click.UsageError("--port and --no-browser are for a page that is served; -o writes it instead")
     say = console(

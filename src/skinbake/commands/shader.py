@@ -25,9 +25,9 @@ from skinbake.lighting.measured import rest_surface, without_dqs
 from skinbake.lighting.morphing import carrier
 from skinbake.lighting.poses import PoseRequest, PoseSet, pose_set, skins_of
 from skinbake.lighting.staleness import refuse_stale
-from skinbake.report.notices import counted
 from skinbake.shaders.choices import BEST, AttributeText, ShaderChoices
 from skinbake.shaders.text import shader_made
+from skinbake.wording import counted
 
 DEFAULT_INFLUENCES = 4
 AT_RUN_TIME = {"three", "babylon", "godot", "playcanvas"}

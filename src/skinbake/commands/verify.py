@@ -18,6 +18,7 @@ from skinbake.lighting.measured import Lighting, VerifyOptions
 from skinbake.lighting.staleness import freshness_check, mesh_operator
 from skinbake.report.verify import Check, FileVerdict
 from skinbake.timing import stage
+from skinbake.wording import counted
 
 
 def verify_file(source: str, options: VerifyOptions, bounds: Bounds = BESIDE) -> FileVerdict:
@@ -112,4 +113,4 @@ def _unbaked(
 
 def _counted(views: Sequence[BakedView]) -> str:
     vertices = sum(len(view.now.positions) for view in views)
-    return f"{len(views)} baked primitive{'s' if len(views) != 1 else ''}, {vertices:,} vertices"
+    return f"{counted(len(views), 'baked primitive')}, {counted(vertices, 'vertex', 'vertices')}"

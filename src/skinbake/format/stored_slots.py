@@ -20,6 +20,7 @@ from skinbake.gltf.accessors import StoredArray, read_accessor
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject, index
 from skinbake.gltf.primitives import PrimitiveSource
+from skinbake.wording import counted
 
 BAKE = "run skinbake bake"
 COMPONENT_TYPES = {Encoding.FLOAT32: "FLOAT", Encoding.SNORM16: "SHORT", Encoding.PACKED8: "BYTE"}
@@ -118,7 +119,7 @@ def _array(
     values: npt.NDArray[Any] = stored.values
     broken = int(np.count_nonzero(~np.isfinite(values).all(axis=1)))
     if broken:
-        message = f"at {broken:,} vertices it is not a finite number: {BAKE}"
+        message = f"at {counted(broken, 'vertex', 'vertices')} it is not a finite number: {BAKE}"
         return Notice("attribute-not-finite", message, place, broken)
     return values
 

@@ -13,6 +13,7 @@ from skinbake.gltf.codecs import meshopt
 from skinbake.gltf.document import GLB_SUFFIXES, STDIO, Document
 from skinbake.gltf.glb import Bytes
 from skinbake.gltf.json_access import JsonObject
+from skinbake.wording import one_or_many
 
 
 def for_target(document: Document, target: str) -> tuple[Document, list[Notice]]:
@@ -110,5 +111,9 @@ def _loose_images(document: Document) -> list[Notice]:
     count = sum(map(is_relative, loose))
     if not count:
         return []
-    message = f"{count} images are files; on standard output their URIs still start at {document.folder}"
+    message = one_or_many(
+        count,
+        f"1 image is a file; on standard output its URI still starts at {document.folder}",
+        f"{count:,} images are files; on standard output their URIs still start at {document.folder}",
+    )
     return [Notice("images-outside", message, document.place, count)]

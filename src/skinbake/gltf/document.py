@@ -20,6 +20,7 @@ from skinbake.errors import InputError, Place, UnsupportedFeatureError
 from skinbake.gltf import json_access, json_text, resources
 from skinbake.gltf.budget import Budget
 from skinbake.gltf.glb import Bytes, GlbChunks, split_glb
+from skinbake.wording import meant_file
 
 GLB_SUFFIXES = (".glb", ".vrm")
 GLTF_SUFFIX = ".gltf"
@@ -159,7 +160,9 @@ def read_named(path: str, root: str | None) -> Bytes:
         if error.errno == errno.EXDEV:
             message = f"is not read: a link leads out of {root}; give the file itself, or its folder"
             raise InputError(message, Place(path)) from error
-        raise InputError(f"cannot be read: {error.strerror or error}", Place(path)) from error
+        meant = meant_file(path) if root is None and error.errno == errno.ENOENT else ""
+        reason = f"{error.strerror or error}{meant and '; '}{meant}"
+        raise InputError(f"cannot be read: {reason}", Place(path)) from error
     except ValueError as error:
         raise InputError(f"cannot be read: {error}", Place(path)) from error
 

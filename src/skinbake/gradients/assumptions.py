@@ -10,6 +10,7 @@ from skinbake.geometry.blocks import blocks
 from skinbake.geometry.skinned import BakedPrimitive, SkinnedPrimitive
 from skinbake.gradients.baker import TANGENT_TOLERANCE, BakeFindings
 from skinbake.gradients.weight_sums import weight_sum_notices
+from skinbake.wording import counted
 
 COARSE = 0.5
 """The share of adopting vertices above which α and β may well make lighting worse.
@@ -42,46 +43,54 @@ def assumptions(
     coarse = 0 if fitted or findings.adopting_vertices <= COARSE * count else findings.adopting_vertices
     consequence = "used all the same, as asked" if forced else "the frame is taken from NORMAL instead"
     table = [
-        ("weights-negative", weights.negative, "{} vertices have negative weights: taken as 0"),
+        ("weights-negative", weights.negative, "{vertices} {have} negative weights: taken as 0"),
         (
             "weights-zero",
             weights.all_zero,
-            "{} vertices have no weight at all: taken as bound to slot 0's joint",
+            "{vertices} {have} no weight at all: taken as bound to slot 0's joint",
         ),
         (
             "joints-repeated",
             weights.repeated_joint,
-            "{} vertices name a joint twice: its weights are added up",
+            "{vertices} {name} a joint twice: its weights are added up",
         ),
         (
             "joints-outside-skin",
             outside,
-            f"{{}} vertices name a joint past the skin's {joint_count}, at weight 0: ignored",
+            f"{{vertices}} {{name}} a joint past the skin's {joint_count}, at weight 0: ignored",
         ),
         (
             "tangents-skewed",
             findings.bad_tangents,
-            f"at {{}} vertices TANGENT × bitangent leans more than {TANGENT_TOLERANCE}° from NORMAL "
+            f"at {{vertices}} TANGENT × bitangent leans more than {TANGENT_TOLERANCE}° from NORMAL "
             f"(up to {findings.tangent_deviation:.3g}°): {consequence}",
         ),
         (
             "lighting-doubtful",
             coarse,
-            f"{{}} of {count:,} vertices take joints of their neighbours: the mesh is coarse for its "
-            "weights, and the gradients of the surface often make the lighting of such a mesh worse. Run "
-            "skinbake verify, which measures that, or take --gradients rig",
+            f"{{count:,}} of {count:,} vertices take joints of their neighbours: so coarse a mesh is often "
+            "lit worse by --gradients surface; measure it with skinbake verify, or take --gradients rig",
         ),
         (
             "normals-zero",
             findings.zero_normals,
-            "{} vertices have a NORMAL without a direction: taken as (0, 0, 1)",
+            "{vertices} {have} a NORMAL without a direction: taken as (0, 0, 1)",
         ),
     ]
     sums = weight_sum_notices(primitive, place) if weights.not_normalised else []
     return [
         *sums,
-        *(Notice(code, text.format(f"{count:,}"), place, count) for code, count, text in table if count),
+        *(Notice(code, _of_vertices(text, count), place, count) for code, count, text in table if count),
     ]
+
+
+def _of_vertices(text: str, count: int) -> str:
+    """Return a sentence about vertices in singular or plural."""
+    one = count == 1
+    vertices = counted(count, "vertex", "vertices")
+    return text.format(
+        count=count, vertices=vertices, have="has" if one else "have", name="names" if one else "name"
+    )
 
 
 def check_finite(primitive: SkinnedPrimitive, baked: BakedPrimitive, place: Place) -> None:
@@ -97,7 +106,7 @@ def check_finite(primitive: SkinnedPrimitive, baked: BakedPrimitive, place: Plac
             of_tangents |= bool((np.abs(primitive.tangents[rows][bad]) > 2.0).any())
     if not count:
         return
-    vertices = "1 vertex" if count == 1 else f"{count} vertices"
+    vertices = counted(count, "vertex", "vertices")
     advice = (
         "their TANGENT is not of length 1: mend it, or take --frame normal"
         if of_tangents

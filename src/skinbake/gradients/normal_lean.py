@@ -14,6 +14,7 @@ from skinbake.errors import Notice, Place
 from skinbake.geometry.frames import has_direction, unit_vectors
 from skinbake.geometry.skinned import Float64Array, FloatArray, IntArray, SkinnedPrimitive
 from skinbake.gradients import kernel
+from skinbake.wording import counted
 
 FAR = 45.0
 """The degrees from which a normal does not look like its surface's.
@@ -104,7 +105,8 @@ def lean_notices(primitive: SkinnedPrimitive, place: Place) -> list[Notice]:
     found, of = (round(number * lean.vertices) for number in (lean.far, lean.looked_at))
     about = "about " if lean.vertices > 1 else ""
     message = (
-        f"normals lean over {FAR:.0f}° from the surface at {about}{found:,} of {of:,} vertices, by "
+        f"normals lean over {FAR:.0f}° from the surface at {about}{found:,} of "
+        f"{counted(of, 'vertex', 'vertices')}, by "
         f"{lean.degrees:.0f}° in the median: it is lit like another shape, baked or not. "
     )
     return [Notice("normals-off-surface", message + _advice(lean), place.at("NORMAL"), found)]

@@ -7,6 +7,7 @@ import numpy as np
 from skinbake.errors import Notice, Place
 from skinbake.geometry.skinned import SkinnedPrimitive
 from skinbake.gradients.influences import SUM_TOLERANCE
+from skinbake.wording import one_or_many
 
 
 def weight_sum_notices(primitive: SkinnedPrimitive, place: Place) -> list[Notice]:
@@ -22,10 +23,10 @@ def weight_sum_notices(primitive: SkinnedPrimitive, place: Place) -> list[Notice
         return []
     low, high = float(off.min()), float(off.max())
     bounds, factors = _span(low, high), _span(1.0 / high, 1.0 / low)
+    vertices = one_or_many(len(off), "1 vertex", "{} vertices")
     message = (
-        f"the weights of {len(off):,} vertices miss a sum of 1 by over {SUM_TOLERANCE} ({bounds}): taken as "
-        "divided by it, by bake and verify. A shader takes weights as they are, and corrects normals by "
-        f"{factors} times what is right: mend the weights, or divide them by their sum before the shader"
+        f"the weights of {vertices} do not sum to 1 ({bounds}): a shader corrects the normals there "
+        f"{factors} times; normalise the weights, and bake again"
     )
     return [Notice("weights-sum", message, place, len(off))]
 

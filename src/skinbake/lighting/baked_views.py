@@ -22,6 +22,7 @@ from skinbake.gltf.primitives import PrimitiveSource, read_primitive
 from skinbake.gltf.skin_groups import meshes_of_one_skin
 from skinbake.gradients.baker import TANGENT_TOLERANCE
 from skinbake.timing import stage
+from skinbake.wording import counted
 
 BYTES_A_VERTEX, BYTES_A_SLOT, BYTES_A_TRIANGLE = 800, 128, 400
 """The approximate memory for a baked primitive, at most. Its gradient operator takes the largest part."""
@@ -195,8 +196,9 @@ def _skewed(view: BakedView) -> Iterator[Notice]:
     angles = frames.tangent_deviation(normals, view.now.tangents[used])
     count, largest = int(np.count_nonzero(angles > TANGENT_TOLERANCE)), float(angles.max(initial=0.0))
     if count:
+        vertices = counted(count, "vertex", "vertices")
         message = (
-            f"at {count:,} vertices TANGENT × bitangent leans more than {TANGENT_TOLERANCE}° from NORMAL "
+            f"at {vertices} TANGENT × bitangent leans more than {TANGENT_TOLERANCE}° from NORMAL "
             f"(up to {largest:.3g}°), and so does the lighting at rest: {BAKE} with --frame normal"
         )
         yield Notice("tangents-skewed", message, view.source.place, count)

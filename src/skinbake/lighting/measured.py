@@ -40,7 +40,6 @@ from skinbake.lighting.operator import (
 from skinbake.lighting.poses import SHARED_SAMPLES, PoseRequest, PoseSet, described, draws_of, pose_set
 from skinbake.lighting.rest_areas import RestAreas
 from skinbake.lighting.tally import ErrorTally
-from skinbake.report.notices import counted
 from skinbake.report.verify import (
     Check,
     ErrorFigures,
@@ -51,6 +50,7 @@ from skinbake.report.verify import (
 )
 from skinbake.skinning.surface import Options, RestSurface
 from skinbake.timing import stage, tell_steps
+from skinbake.wording import counted
 
 BYTES_A_SAMPLE = 32
 """The memory of one vertex in one pose, at most: its errors, while they may be among the largest."""
@@ -180,7 +180,9 @@ class Lighting:
         vertices, count = sum(len(view.now.positions) for view in views), len(poses.clips)
         place = replace(views[0].source.place, primitive=None)
         self._document.budget.claim(
-            BYTES_A_SAMPLE * vertices * count, f"{vertices:,} vertices in {count:,} poses", place
+            BYTES_A_SAMPLE * vertices * count,
+            f"{counted(vertices, 'vertex', 'vertices')} in {counted(count, 'pose')}",
+            place,
         )
         asked = self._options.poses.samples
         self._samples += vertices * (count if asked is None else -(-count // asked) * SHARED_SAMPLES)

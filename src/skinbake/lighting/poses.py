@@ -27,6 +27,7 @@ from skinbake.gltf.animation import (
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import MOST
 from skinbake.gltf.morphs import resting_weights, target_count
+from skinbake.wording import counted
 
 SHARED_SAMPLES = 60
 """The poses that the clips of a file share if no number is given. Each clip gets at least 3."""
@@ -239,4 +240,4 @@ def described(request: PoseRequest, sets: Sequence[PoseSet], seconds: float) -> 
     if clips:
         return f"{poses} poses of {len(clips)} clip{'s' if len(clips) > 1 else ''} ({seconds:.3g} s)"
     reason = "" if request.kind is PoseKind.RANDOM else " (no animation moves its joints)"
-    return f"{poses} random poses, joints turned by up to {np.degrees(request.angle):.3g}°{reason}"
+    return f"{counted(poses, 'random pose')}, joints turned by up to {np.degrees(request.angle):.3g}°{reason}"

@@ -16,6 +16,7 @@ from skinbake.gltf.animation import MORPH_WEIGHTS, Channel, Clip, read_clips
 from skinbake.gltf.document import Document, read_document
 from skinbake.lighting.pose_fit import FitPoses
 from skinbake.lighting.poses import PoseRequest, PoseSet, pose_set, skins_of
+from skinbake.wording import counted
 
 ANIMATIONS, RANDOM = "animations", "random"
 
@@ -155,7 +156,7 @@ def poses_to_fit(document: Document, mesh: int, sources: Sequence[PoseSource], p
     request = PoseRequest(PoseKind.RANDOM, max(4, count // len(skins)), RANDOM_ANGLE, RANDOM_SEED)
     at_random = [pose_set(document, skin, clips, request) for skin in skins]
     if not by_clips and any(not is_random(one) for one in sources):
-        message = f"no clip moves its joints: α/β are fitted to {count} random poses"
+        message = f"no clip moves its joints: α/β are fitted to {counted(count, 'random pose')}"
         notices.append(Notice("fit-poses-random", message, place))
     share = CLIP_SHARE if by_clips else 0.0
     together = _together([(share, by_clips), (1.0 - share, at_random)])
@@ -179,7 +180,9 @@ def _clips(
             found, here, moved = source.clips_for(document)
             clips += found
             if here < moved:
-                message = f"{source.name} moves {moved} nodes by name; {here} of them are in this file"
+                are = "is" if here == 1 else "are"
+                nodes = counted(moved, "node")
+                message = f"{source.name} moves {nodes} by name; {here} of them {are} in this file"
                 notices.append(Notice("fit-poses-unmatched", message, place, moved - here))
     return clips, notices
 

@@ -26,8 +26,8 @@ from skinbake.lighting.without_poses import (
     problems_without_poses,
     rig_changed,
 )
-from skinbake.report.notices import counted
 from skinbake.report.verify import Check
+from skinbake.wording import counted
 
 BAKE_LAST = "Bake last: run skinbake bake on the file that the last tool wrote"
 
@@ -211,7 +211,8 @@ def _staleness_notice(surface: _Surface, number: int) -> Notice:
     differ = (
         "α/β still fit"
         if comparison.agrees
-        else f"α/β are wrong at {comparison.differing:,} of {comparison.count:,} vertices, "
+        else f"α/β are wrong at {comparison.differing:,} of "
+        f"{counted(comparison.count, 'vertex', 'vertices')}, "
         f"most at vertex {comparison.worst}"
     )
     what = _likely_cause(surface, number)

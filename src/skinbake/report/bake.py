@@ -7,7 +7,8 @@ from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
 from skinbake.errors import Notice, Place, SkinbakeError, printable
-from skinbake.report.notices import counted, error_fields, notice_list, place_fields
+from skinbake.report.notices import error_fields, notice_list, place_fields
+from skinbake.wording import counted
 
 SCHEMA = "skinbake.bake/1"
 

@@ -38,7 +38,8 @@ from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 from skinbake.errors import Notice, Place, printable
-from skinbake.report.notices import counted, notice_list, place_fields
+from skinbake.report.notices import notice_list, place_fields
+from skinbake.wording import counted
 
 SCHEMA = "skinbake.cost/1"
 

@@ -8,7 +8,8 @@ from typing import Any
 
 from skinbake.choices import Gradients
 from skinbake.errors import Notice, Place, printable
-from skinbake.report.notices import counted, notice_list, place_fields
+from skinbake.report.notices import notice_list, place_fields
+from skinbake.wording import counted
 
 SCHEMA = "skinbake.inspect/1"
 

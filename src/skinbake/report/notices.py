@@ -33,8 +33,3 @@ def error_fields(error: SkinbakeError | None) -> dict[str, Any] | None:
         return None
     where = place_fields(error.place) if error.place else {}
     return {"kind": type(error).__name__, "message": error.message, **where}
-
-
-def counted(count: int, singular: str, plural: str | None = None) -> str:
-    """Return ``1 primitive``, ``2,000 vertices``."""
-    return f"{count:,} {singular if count == 1 else plural or singular + 's'}"

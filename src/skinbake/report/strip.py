@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from skinbake.errors import Notice, printable
-from skinbake.report.notices import counted, notice_list
+from skinbake.report.notices import notice_list
+from skinbake.wording import counted
 
 SCHEMA = "skinbake.strip/1"
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from skinbake.errors import SkinbakeError, printable
-from skinbake.report.notices import counted
+from skinbake.wording import counted
 
 if TYPE_CHECKING:  # bake need not load the XML modules of verify
     from skinbake.report.bake import FileResult

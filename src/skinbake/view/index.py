@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 from skinbake.version import __version__
 from skinbake.view.sources import filled_index
+from skinbake.wording import counted
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -32,7 +33,7 @@ class Listed:
 def index(files: Sequence[Listed], limits: Sequence[str]) -> bytes:
     """Return the index as UTF-8: files with the smallest gain first."""
     failed = sum(not one.passed for one in files)
-    count = f"{len(files):,} file{'' if len(files) == 1 else 's'}"
+    count = counted(len(files), "file")
     values = {
         "version": html.escape(__version__),
         "summary": f"{count}, {failed:,} failed" if failed else f"{count}, all passed",

@@ -1,0 +1,80 @@
+"""Words of messages: counts, the nearest known name, and what to do with files of other formats."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+from contextlib import suppress
+from itertools import islice
+
+from skinbake.urls import SUFFIXES
+
+MOST_NAMES = 10_000
+"""The number of names of a folder that are compared with a mistyped one."""
+
+OTHER_FORMATS = {
+    ".fbx": "Blender exports it as glTF (File > Export > glTF 2.0), and FBX2glTF converts it",
+    ".obj": "OBJ has no skin: export glTF from the program that rigs the model; obj2gltf converts meshes",
+    ".blend": "export it from Blender (File > Export > glTF 2.0)",
+    ".usd": "Blender imports USD and exports glTF (File > Export > glTF 2.0)",
+    ".stl": "STL has no skin: export glTF from the program that rigs the model, like Blender",
+}
+"""The way to glTF, by the suffix of another format."""
+
+ALIASES = {".usda": ".usd", ".usdc": ".usd", ".usdz": ".usd"}
+
+
+def counted(count: int, singular: str, plural: str | None = None) -> str:
+    """Return ``1 primitive``, ``2,000 vertices``."""
+    return f"{count:,} {singular if count == 1 else plural or singular + 's'}"
+
+
+def one_or_many(count: int, one: str, many: str) -> str:
+    """Return the words for one thing or for many, the count in the place of ``{}``."""
+    return (one if count == 1 else many).format(f"{count:,}")
+
+
+def nearest(word: str, known: Iterable[str]) -> list[str]:
+    """Return the known names that resemble a mistyped one, the likeliest first, at most three."""
+    import difflib  # noqa: PLC0415  # only for a mistake
+
+    by_lower = {name.lower(): name for name in known}
+    return [by_lower[found] for found in difflib.get_close_matches(word.lower(), by_lower, n=3, cutoff=0.7)]
+
+
+def did_you_mean(word: str, known: Iterable[str]) -> str:
+    """Return a question like ``did you mean bake?``, or nothing if no known name is near."""
+    return _question(nearest(word, known))
+
+
+def _question(names: Iterable[str]) -> str:
+    listed = " or ".join(map(repr, names))
+    return f"did you mean {listed}?" if listed else ""
+
+
+def models_beside(path: str) -> list[str]:
+    """Return the names of the glTF files in the folder of a path, as far as they can be read."""
+    with suppress(OSError, ValueError), os.scandir(os.path.dirname(path) or os.curdir) as entries:  # noqa: PTH120
+        return sorted(
+            entry.name for entry in islice(entries, MOST_NAMES) if entry.name.lower().endswith(SUFFIXES)
+        )
+    return []
+
+
+def meant_file(path: str) -> str:
+    """Return a question for a file that does not exist, or nothing if no file beside it has a near name.
+
+    Suffixes are not compared: they make short names look alike.
+    """
+    name = os.path.basename(path)  # noqa: PTH119
+    others = {os.path.splitext(other)[0]: other for other in models_beside(path) if other != name}  # noqa: PTH122
+    return _question(others[found] for found in nearest(os.path.splitext(name)[0], others))  # noqa: PTH122
+
+
+def not_gltf(path: str) -> str:
+    """Say that a name is no glTF file, and how to get one from a known format."""
+    suffix = os.path.splitext(path)[1].lower()  # noqa: PTH122
+    way = OTHER_FORMATS.get(ALIASES.get(suffix, suffix))
+    if way is None:
+        return f"expected a name that ends in {', '.join(SUFFIXES)}, or -"
+    return f"{suffix[1:].upper()} is not glTF: {way}"

@@ -1,0 +1,205 @@
+"""Messages that tell what was meant, and lines that fit a terminal."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import struct
+import subprocess
+import sys
+from pathlib import Path
+
+import click
+import pytest
+
+from skinbake.cli.terminal import fitted, with_colours
+from skinbake.wording import counted
+from tests.support.command_line import document, invoke
+from tests.support.models import FOLDER, bake, sheet, write_model
+
+SEAM = FOLDER / "seam.glb"
+
+
+def said(*arguments: str | Path) -> tuple[int, str]:
+    """Return the exit code and what was said, on one line."""
+    result = invoke(*arguments)
+    return result.exit_code, " ".join(result.stderr.split())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "question"),
+    [
+        (["bkae", "x.glb"], "No such command 'bkae'. Did you mean 'bake'?"),
+        (["veiw", "x.glb"], "Did you mean 'view'?"),
+        (["BAKE", "x.glb"], "Did you mean 'bake'?"),
+        (["bake", "x.glb", "--gradients", "rigg"], "Did you mean 'rig'?"),
+        (["bake", "x.glb", "--encoding", "snorm6"], "Did you mean 'snorm16'?"),
+        (["bake", "x.glb", "--color", "allways"], "Did you mean 'always'?"),
+        (["shader", "--target", "threee"], "Did you mean 'three'?"),
+        (["render", "x.glb", "-o", "x.png", "--mode", "shade"], "Did you mean 'shaded'?"),
+        (["bake", "x.glb", "--gardients", "rig"], "Did you mean '--gradients'?"),
+    ],
+)
+def test_a_mistyped_word_is_asked_about(arguments: list[str], question: str) -> None:
+    code, text = said(*arguments)
+    assert code == 2
+    assert text.endswith(question)
+
+
+def test_a_word_like_no_other_is_not_asked_about() -> None:
+    for arguments in (["frobnicate"], ["bake", "x.glb", "--gradients", "normal"]):
+        code, text = said(*arguments)
+        assert code == 2
+        assert "id you mean" not in text
+
+
+@pytest.mark.parametrize("command", [["bake", "--dry-run"], ["verify"], ["inspect"], ["view", "-o", "-"]])
+def test_a_file_that_is_not_there_is_asked_about(command: list[str], tmp_path: Path) -> None:
+    for name in ("animated_cat.glb", "animated_cta.txt", "rock.glb"):
+        shutil.copyfile(SEAM, tmp_path / name)
+    code, text = said(*command, tmp_path / "animated_cta.glb")
+    assert code == 3
+    assert "cannot be read: No such file or directory; did you mean 'animated_cat.glb'?" in text
+    code, text = said(*command, tmp_path / "hero.glb")
+    assert code == 3
+    assert "id you mean" not in text
+    assert "id you mean" not in said(*command, tmp_path / "none" / "animated_cta.glb")[1]
+
+
+def test_a_broken_link_is_not_meant_itself(tmp_path: Path) -> None:
+    (tmp_path / "hero.glb").symlink_to("gone.glb")
+    assert "id you mean" not in said("inspect", tmp_path / "hero.glb")[1]
+
+
+@pytest.mark.parametrize(
+    ("name", "way"),
+    [
+        ("hero.fbx", "FBX is not glTF: Blender exports it as glTF (File > Export > glTF 2.0), and FBX2glTF"),
+        ("hero.FBX", "FBX is not glTF"),
+        ("hero.obj", "obj2gltf"),
+        ("hero.blend", "export it from Blender"),
+        ("hero.usd", "Blender imports USD"),
+        ("hero.usdz", "USDZ is not glTF: Blender imports USD"),
+        ("hero.stl", "STL has no skin"),
+        ("hero.txt", "expected a name that ends in .glb, .gltf, .vrm"),
+    ],
+)
+@pytest.mark.parametrize("command", [["bake", "--dry-run"], ["verify"], ["view"], ["inspect"], ["cost"]])
+def test_another_format_says_the_way_to_gltf(name: str, way: str, command: list[str]) -> None:
+    code, text = said(*command, name)
+    assert code == 2
+    assert way in text
+
+
+def test_a_name_that_means_nothing_does_not_stop_the_others(tmp_path: Path) -> None:
+    for name in ("notes.txt", "hero.fbx"):
+        (tmp_path / name).touch()
+    arguments = [tmp_path / "notes.txt", SEAM, tmp_path / "hero.fbx", tmp_path / "none.glb"]
+    result = invoke("bake", *arguments, "--out-dir", tmp_path / "out", "--json")
+    assert result.exit_code == 3
+    assert [file["status"] for file in document(result)["files"]] == ["failed", "baked", "failed", "failed"]
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["seam.glb"]
+    assert "notes.txt: expected a name that ends in" in result.stderr
+    assert "hero.fbx: FBX is not glTF" in result.stderr
+    result = invoke("verify", tmp_path / "notes.txt", tmp_path / "out" / "seam.glb", "--poses", "rest")
+    assert result.exit_code == 3
+    assert "seam.glb: passed" in result.stdout
+
+
+@pytest.mark.parametrize("name", ["new/", ""])
+def test_a_folder_for_a_file_says_what_to_use(name: str, tmp_path: Path) -> None:
+    folder = f"{tmp_path}/{name}"
+    code, text = said("bake", SEAM, "-o", folder)
+    assert (code, f"use --out-dir {folder}, or name the file" in text) == (2, True)
+    for arguments in (["shader", "--lang", "glsl"], ["view", SEAM], ["render", SEAM]):
+        code, text = said(*arguments, "-o", folder)
+        assert (code, f"{folder} is a folder: name the file" in text) == (2, True)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_counts_are_singular_and_plural() -> None:
+    assert [counted(n, "vertex", "vertices") for n in (0, 1, 2, 1000)] == [
+        "0 vertices",
+        "1 vertex",
+        "2 vertices",
+        "1,000 vertices",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("change", "one", "two"),
+    [
+        ({0: [0.5, 0, 0, 0]}, "of 1 vertex do not sum to 1 (0.5)", "of 2 vertices do not sum"),
+        ({0: [0, 0, 0, 0]}, "1 vertex has no weight at all", "2 vertices have no weight at all"),
+        ({0: [1.5, -0.5, 0, 0]}, "1 vertex has negative weights", "2 vertices have negative weights"),
+    ],
+)
+def test_warnings_of_one_vertex_are_singular(
+    change: dict[int, list[float]], one: str, two: str, tmp_path: Path
+) -> None:
+    for count, words in ((1, one), (2, two)):
+        part = sheet()
+        weights = part.attributes["WEIGHTS_0"].copy()
+        weights[:count] = change[0]
+        path = write_model(tmp_path / f"{count}.glb", [sheet(WEIGHTS_0=weights)])
+        assert words in said("bake", path, "--dry-run")[1]
+
+
+class TestTerminal:
+    def test_lines_break_between_words_and_paths_stay_whole(self) -> None:
+        text = "  one two three four\nshort\n  a/very/long/path/that/is/wider x"
+        assert fitted(text, 14) == (
+            "  one two\n      three\n      four\nshort\n  a/very/long/path/that/is/wider\n      x"
+        )
+        assert fitted(text, None) == text
+        assert fitted(text, 200) == text
+
+    def test_colours_take_no_room(self) -> None:
+        text = f"{click.style('warning:', fg='yellow')} one two three"
+        assert click.unstyle(fitted(text, 16)) == "warning: one two\n    three"
+
+    def test_verdicts_and_gains_have_colours(self) -> None:
+        text = (
+            "a.glb: FAILED\n  structure  passed  1 baked primitive\n  limits     failed\n"
+            "  LBS gain          2.00x by tangents, 0.50x by triangles\n"
+            '  LBS accurate  1.00  clip "9.99x"'
+        )
+        red, green = "\x1b[31m", "\x1b[32m"
+        shown = with_colours(text)
+        assert click.unstyle(shown) == text
+        coloured = re.findall("(\x1b\\[3[12]m)([^\x1b]*)", shown)
+        assert coloured == [
+            (red, "FAILED"),
+            (green, "passed"),
+            (red, "failed"),
+            (green, "2.00x"),
+            (red, "0.50x"),
+        ]
+
+    @pytest.mark.slow
+    @pytest.mark.skipif(sys.platform != "linux", reason="needs a pseudo terminal")
+    def test_verify_fits_the_terminal(self, tmp_path: Path) -> None:
+        import fcntl
+        import pty
+        import termios
+
+        bake(SEAM, tmp_path / "a.glb")
+        leader, follower = pty.openpty()
+        fcntl.ioctl(follower, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 70, 0, 0))
+        environment = {key: value for key, value in os.environ.items() if key not in {"COLUMNS", "NO_COLOR"}}
+        subprocess.run(
+            [sys.executable, "-m", "skinbake", "verify", "a.glb", "--poses", "rest"],
+            cwd=tmp_path,
+            env={**environment, "TERM": "xterm"},
+            stdout=follower,
+            stderr=follower,
+            check=True,
+        )
+        os.close(follower)
+        shown = os.read(leader, 20_000).decode()
+        os.close(leader)
+        assert "\x1b[32mpassed" in shown
+        lines = click.unstyle(shown).splitlines()
+        assert max(map(len, lines)) <= 70
+        assert any("worst at" in line for line in lines)
