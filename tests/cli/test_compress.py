@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import random
+import re
 from pathlib import Path
 
 import pytest
@@ -48,6 +49,26 @@ def test_the_options_reach_the_file(tmp_path: Path) -> None:
     sizes = [(tmp_path / f"{name}.glb").stat().st_size for name in ("coarse", "draco")]
     assert sizes[0] < sizes[1]
     assert invoke("verify", tmp_path / "coarse.glb", "--poses", "rest").exit_code == 0
+
+
+def test_draco_that_grows_a_file_says_the_factor_and_the_remedy(tmp_path: Path) -> None:
+    result = invoke("bake", TUBE, "-o", tmp_path / "a.glb", "--compress", "draco", "--json")
+    (notice,) = document(result)["files"][0]["warnings"]
+    assert notice["code"] == "draco-larger"
+    sizes = [len(read(path).binary_chunk or b"") for path in (TUBE, tmp_path / "a.glb")]
+    told = re.search(r"buffers ([\d.]+) times as large \(([\d,]+) to ([\d,]+) bytes\)", notice["message"])
+    assert told is not None
+    assert [int(number.replace(",", "")) for number in told.groups()[1:]] == pytest.approx(sizes, abs=3)
+    assert float(told[1]) == pytest.approx(sizes[1] / sizes[0], rel=0.05)
+    # The remedies help, the second one less.
+    made = []
+    for remedy in (["meshopt"], ["draco", "--position-bits", "14", "--normal-bits", "10"]):
+        result = invoke("bake", TUBE, "-o", tmp_path / "b.glb", "--compress", *remedy)
+        assert ("times as large" in result.stderr) == (remedy[0] == "draco")
+        made.append((tmp_path / "b.glb").stat().st_size)
+    assert made[0] < TUBE.stat().st_size < made[1] < (tmp_path / "a.glb").stat().st_size
+    twin = draco_twin(TUBE, tmp_path / "twin.glb", sequential=True)
+    assert "times as large" not in invoke("bake", twin, "--dry-run", "--compress", "draco").stderr
 
 
 def test_a_notice_makes_warnings_as_errors_fail(tmp_path: Path) -> None:

@@ -29,6 +29,7 @@ from skinbake.errors import ChoiceError, InputError, Notice, Place, noticed
 from skinbake.format.attribute_store import stored_otherwise
 from skinbake.format.baked import AttributeNames, Baked, with_baked, with_scale
 from skinbake.format.encodings import vertex_bytes
+from skinbake.format.growth import draco_growth
 from skinbake.format.layouts import GradientFormat
 from skinbake.format.strip import stripped
 from skinbake.geometry.rig import Rig
@@ -169,6 +170,7 @@ class Baker:
         sources, skipped, reasons = self._bakeable(document)
         if not sources:
             return BakedDocument(document, (), skipped, tuple(reasons))
+        given = document
         with stage("compress"):
             document, kept = self._recoded(document, sources)
         sources = [source.in_document(document) for source in sources]
@@ -189,6 +191,8 @@ class Baker:
         unfitted = [notice for aim in aims for notice in aim.notices]
         notices = [*kept, *reasons, *apart, *unfitted, *(notice for bake in bakes for notice in bake.notices)]
         notices += [*stored_otherwise(document, sources), *unmeasured]
+        if self.compress is Scheme.DRACO:
+            notices += draco_growth(given, written)
         primitives = tuple(
             (bake.source.place, bake.counts(self.encoding, length))
             for bake, length in zip(bakes, lengths, strict=True)
