@@ -18,7 +18,7 @@ unexport PYTHONHOME PYTHONPATH PYTHONDONTWRITEBYTECODE VIRTUAL_ENV
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help bake setup setup-blender test test-all check lint fixtures golden picture table bench speeds
+.PHONY: help bake setup setup-blender test test-all check lint fixtures golden picture table bench speeds man
 .PHONY: fuzz fuzz-native fuzz-coverage faults clean
 
 help: ## List the targets
@@ -79,6 +79,10 @@ speeds: $(DEV) $(NODE_MODULES) ## Print the times of the replay, of the shaders,
 	$(BIN)/python -m benchmarks.replay_speed
 	$(BIN)/python -m benchmarks.shader_speed
 	$(BIN)/python -m benchmarks.three_frame
+
+man: $(PACKAGE) ## Write the man page build/skinbake.1 from the declarations of the commands
+	@mkdir -p build
+	$(BIN)/python -m skinbake.cli.manual > build/skinbake.1
 
 FUZZ_MODELS := build/fuzz-models
 

@@ -1,3 +1,6 @@
-"""The version of the program."""
+"""The versions of the program and of its file format."""
 
 __version__ = "0.1.0"
+
+FILE_FORMAT = 1
+"""The version of the metadata in baked files, which docs/reference/file-format.md defines."""

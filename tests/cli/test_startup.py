@@ -15,6 +15,7 @@ import pytest
 
 import skinbake
 from skinbake.cli.main import COMMANDS
+from skinbake.format.metadata import VERSION
 from tests.support.command_line import invoke, run
 from tests.support.models import FOLDER, edited
 
@@ -84,7 +85,7 @@ def test_every_command_has_help(name: str) -> None:
 
 def test_version_is_the_package_s() -> None:
     process = run("--version")
-    assert process.stdout.decode() == f"skinbake, version {skinbake.__version__}\n"
+    assert process.stdout.decode() == f"skinbake, version {skinbake.__version__}, file format {VERSION}\n"
 
 
 def test_the_script_is_installed_and_does_the_same(tmp_path: Path) -> None:

@@ -23,6 +23,7 @@ from skinbake.choices import (
 )
 from skinbake.cli import exit_codes
 from skinbake.cli.console import console, finite, message_options, one_of, outside_option
+from skinbake.cli.help import Helpful
 from skinbake.cli.inputs import Input, expanded
 from skinbake.cli.limits import limit_options, memory_of_each
 from skinbake.cli.many import Clock, Reporting, Run, many_options, notes_of, state_path, work_through
@@ -44,7 +45,15 @@ if TYPE_CHECKING:
     from skinbake.report.bake import FileResult
 
 
-@click.command("bake")
+@click.command(
+    "bake",
+    cls=Helpful,
+    examples=(
+        "skinbake bake hero.glb -o build/hero.glb",
+        "skinbake bake art/characters --out-dir build --jobs auto --skip-unchanged",
+        "skinbake bake hero.glb --dry-run -v",
+    ),
+)
 @click.argument("inputs", nargs=-1, required=True, metavar="INPUT...")
 @click.option("-o", "--output", metavar="FILE", help="Output file; - is a GLB on stdout.")
 @click.option(

@@ -9,6 +9,7 @@ import click
 
 from skinbake.cli import exit_codes
 from skinbake.cli.console import console, message_options, outside_option
+from skinbake.cli.help import Helpful
 from skinbake.cli.limits import memory_option
 from skinbake.cli.names import check_readable_suffix
 from skinbake.containment import Bounds
@@ -18,7 +19,14 @@ if TYPE_CHECKING:
     from skinbake.report.cost import CostResult
 
 
-@click.command("cost")
+@click.command(
+    "cost",
+    cls=Helpful,
+    examples=(
+        "skinbake cost",
+        "skinbake cost hero.glb",
+    ),
+)
 @click.argument("source", required=False, metavar="[FILE]")
 @click.option(
     "--influences",

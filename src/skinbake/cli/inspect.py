@@ -9,13 +9,21 @@ import click
 
 from skinbake.cli import exit_codes
 from skinbake.cli.console import console, message_options, outside_option
+from skinbake.cli.help import Helpful
 from skinbake.cli.limits import memory_option
 from skinbake.cli.names import check_readable_suffix
 from skinbake.containment import Bounds
 from skinbake.errors import SkinbakeError
 
 
-@click.command("inspect")
+@click.command(
+    "inspect",
+    cls=Helpful,
+    examples=(
+        "skinbake inspect hero.glb",
+        "skinbake inspect build/hero.glb --json",
+    ),
+)
 @click.argument("source", metavar="INPUT")
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON.")
 @outside_option

@@ -17,7 +17,7 @@ import click
 
 from skinbake.cli import exit_codes
 from skinbake.errors import SkinbakeError, printable_lines
-from skinbake.version import __version__
+from skinbake.version import FILE_FORMAT, __version__
 
 COMMANDS = {
     "bake": "Add α/β to every skinned primitive of glTF files.",
@@ -93,7 +93,9 @@ def _readers_may_leave() -> Iterator[None]:
     "4 output cannot be written, 130 Ctrl-C, 141 the reader of stdout has left, 143 SIGTERM. "
     "With several files the worst is returned.",
 )
-@click.version_option(__version__, prog_name="skinbake")
+@click.version_option(
+    __version__, prog_name="skinbake", message=f"%(prog)s, version %(version)s, file format {FILE_FORMAT}"
+)
 def main() -> None:
     """Correct lighting for skinned glTF models: bake skin-weight gradients into vertex attributes."""
 

@@ -11,6 +11,7 @@ import click
 
 from skinbake.cli import exit_codes
 from skinbake.cli.console import Words, console, finite, message_options, outside_option
+from skinbake.cli.help import Helpful
 from skinbake.cli.limits import memory_option
 from skinbake.cli.names import check_readable_suffix
 from skinbake.cli.targets import check_named, sync_option
@@ -30,7 +31,14 @@ def _size(ctx: click.Context, param: click.Parameter, value: str) -> tuple[int, 
     return size
 
 
-@click.command("render")
+@click.command(
+    "render",
+    cls=Helpful,
+    examples=(
+        "skinbake render hero.glb -o build/hero.png --split",
+        "skinbake render hero.glb -o build/hero.webp --turntable",
+    ),
+)
 @click.argument("source", metavar="FILE")
 @click.option(
     "-o", "--output", required=True, metavar="PICTURE", help="Output file: .png, or .webp or .gif that move."

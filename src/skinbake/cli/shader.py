@@ -11,6 +11,7 @@ import click
 from skinbake.choices import Encoding, Frame, Language, Layout, Lighting, Method, Morphs
 from skinbake.cli import exit_codes
 from skinbake.cli.console import Words, console, finite, message_options, one_of, outside_option
+from skinbake.cli.help import Helpful
 from skinbake.cli.names import STDIO, check_readable_suffix
 from skinbake.cli.targets import check_named, sync_option
 from skinbake.containment import Bounds
@@ -24,7 +25,14 @@ PUBLISHED_CAP = 0.9
 """The limit of the paper's published demo."""
 
 
-@click.command("shader")
+@click.command(
+    "shader",
+    cls=Helpful,
+    examples=(
+        "skinbake shader --lang glsl --for build/hero.glb -o skinbake.glsl",
+        "skinbake shader --target three --for build/hero.glb",
+    ),
+)
 @click.option(
     "--lang",
     "language",

@@ -9,6 +9,7 @@ import click
 
 from skinbake.cli import exit_codes
 from skinbake.cli.console import console, message_options, outside_option
+from skinbake.cli.help import Helpful
 from skinbake.cli.limits import memory_option
 from skinbake.cli.names import STDIO, check_readable_suffix
 from skinbake.cli.targets import check_target, sync_option
@@ -16,7 +17,11 @@ from skinbake.containment import Bounds
 from skinbake.errors import SkinbakeError
 
 
-@click.command("strip")
+@click.command(
+    "strip",
+    cls=Helpful,
+    examples=("skinbake strip build/hero.glb -o hero.glb",),
+)
 @click.argument("source", metavar="INPUT")
 @click.option("-o", "--output", required=True, metavar="FILE", help="Output file; - is a GLB on stdout.")
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")

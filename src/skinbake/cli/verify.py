@@ -13,6 +13,7 @@ from skinbake.choices import Baseline, Method, PoseKind, Truth
 from skinbake.cli import exit_codes
 from skinbake.cli.console import Console, console, finite, message_options, one_of, outside_option
 from skinbake.cli.given import Given
+from skinbake.cli.help import Helpful
 from skinbake.cli.inputs import expanded
 from skinbake.cli.limits import limit_options, memory_of_each
 from skinbake.cli.many import Clock, Reporting, Run, many_options, notes_of, state_path, work_through
@@ -60,7 +61,14 @@ def _poses(ctx: click.Context, param: click.Parameter, value: str) -> tuple[Pose
     return PoseKind(kind), int(number) if number else None
 
 
-@click.command("verify")
+@click.command(
+    "verify",
+    cls=Helpful,
+    examples=(
+        "skinbake verify build/hero.glb",
+        "skinbake verify build --jobs auto --require-baked --min-gain 1.5 --junit build/skinbake.xml",
+    ),
+)
 @click.argument("inputs", nargs=-1, required=True, metavar="INPUT...")
 @click.option(
     "--method",

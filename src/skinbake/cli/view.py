@@ -9,6 +9,7 @@ import click
 
 from skinbake.cli import exit_codes
 from skinbake.cli.console import console, message_options, outside_option
+from skinbake.cli.help import Helpful
 from skinbake.cli.limits import memory_option
 from skinbake.cli.names import STDIO, check_readable_suffix
 from skinbake.cli.targets import check_named, sync_option
@@ -17,7 +18,14 @@ from skinbake.errors import SkinbakeError, printable
 from skinbake.urls import SUFFIXES
 
 
-@click.command("view")
+@click.command(
+    "view",
+    cls=Helpful,
+    examples=(
+        "skinbake view hero.glb",
+        "skinbake view hero.glb -o build/hero.html",
+    ),
+)
 @click.argument("source", metavar="FILE")
 @click.option(
     "-o", "--output", metavar="PAGE", help="Write the page to a file (.html), or - for stdout, and end."

@@ -15,8 +15,9 @@ from skinbake.geometry.skinned import SkinnedPrimitive
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject, is_deeper, reference
 from skinbake.threads import Threads, thread_count
+from skinbake.version import FILE_FORMAT
 
-VERSION = 1
+VERSION = FILE_FORMAT
 
 KEY = "skinbake"
 """The key in ``extras`` of all notes that skinbake makes in a file."""

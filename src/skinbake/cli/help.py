@@ -1,0 +1,158 @@
+"""The help of the commands: options in groups, examples at the end; completion; and a man page of it all."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import click
+from click.shell_completion import CompletionItem
+
+from skinbake.version import __version__
+
+GROUPS = {
+    "Output": ("output", "out_dir", "in_place", "dry_run", "port", "no_browser"),
+    "α and β": (
+        "gradients",
+        "fit_poses",
+        "weighting",
+        "crease_angle",
+        "weld",
+        "neighbours",
+        "frame",
+        "limit_influences",
+        "generate_normals",
+    ),
+    "Storage": (
+        "encoding",
+        "layout",
+        "alpha_name",
+        "beta_name",
+        "compress",
+        "compress_level",
+        "position_bits",
+        "normal_bits",
+        "texcoord_bits",
+    ),
+    "Shader": (
+        "language",
+        "target",
+        "source",
+        "method",
+        "lighting",
+        "influences",
+        "morphs",
+        "mirrored_joints",
+    ),
+    "Poses": ("poses", "samples", "angle", "seed", "clip", "time"),
+    "Measurement": ("methods", "baseline", "cap", "truth"),
+    "Picture": ("mode", "split", "turntable", "size"),
+    "Conditions": ("max_mean_error", "max_p95_error", "min_gain", "require_baked", "warnings_as_errors"),
+    "Reports": ("as_json", "junit", "html", "summary", "timings"),
+    "Many files": ("jobs", "skip_unchanged", "state", "dask"),
+    "Limits and safety": ("max_memory", "timeout", "isolate", "allow_outside", "no_sync"),
+    "Messages": ("verbose", "quiet", "color", "help"),
+}
+"""The names of the parameters of all commands, by the heading under which help shows them."""
+
+PATHS = {"INPUT", "FILE", "BAKED_FILE", "PAGE", "PICTURE", "DIR"}
+"""The metavars of parameters that are paths."""
+
+PAGE = "skinbake"
+
+
+class PathName(click.types.StringParamType):
+    """Text that a shell completes as a path. Unlike click.Path it is any text, URLs and ``-`` included."""
+
+    def __init__(self, kind: str) -> None:
+        """Take ``file`` or ``dir``."""
+        self._kind = kind
+
+    def shell_complete(
+        self, ctx: click.Context, param: click.Parameter, incomplete: str
+    ) -> list[CompletionItem]:
+        """Have the shell complete the path."""
+        return [CompletionItem(incomplete, type=self._kind)]
+
+
+class Helpful(click.Command):
+    """A command whose help has its options in groups. ``examples`` end it, one a line."""
+
+    def __init__(self, *arguments: Any, examples: tuple[str, ...] = (), **options: Any) -> None:
+        """Take the examples besides the parameters of click."""
+        self.examples = examples
+        super().__init__(*arguments, **options)
+        for param in self.params:
+            if param.type is click.STRING and (param.metavar or "").strip("[].") in PATHS:
+                param.type = PathName("dir" if param.metavar == "DIR" else "file")
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the options, one group after the other."""
+        for heading, rows in grouped(self, ctx):
+            with formatter.section(heading):
+                formatter.write_dl(rows)
+
+    def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the examples."""
+        if self.examples:
+            with formatter.section("Examples"):
+                for line in self.examples:
+                    formatter.write(f"{'':>{formatter.current_indent}}{line}\n")
+
+
+def grouped(command: click.Command, ctx: click.Context) -> Iterator[tuple[str, list[tuple[str, str]]]]:
+    """Yield each heading with its options and their help. Options of no group come first."""
+    left: dict[str | None, tuple[str, str]] = {}
+    for param in command.get_params(ctx):
+        row = param.get_help_record(ctx) if isinstance(param, click.Option) else None
+        if row:
+            left["help" if "--help" in param.opts else param.name] = row
+    known = {name for names in GROUPS.values() for name in names}
+    others = [row for name, row in left.items() if name not in known]
+    if others:
+        yield "Options", others
+    for heading, names in GROUPS.items():
+        rows = [left[name] for name in names if name in left]
+        if rows:
+            yield heading, rows
+
+
+def manual(main: click.Group) -> str:
+    """Return the man page of all commands, in the macros of man(7)."""
+    top = main.context_class(main, info_name=PAGE, **main.context_settings)
+    lines = [
+        f'.TH SKINBAKE 1 "" "skinbake {__version__}" "User Commands"',
+        ".SH NAME",
+        f"{PAGE} \\- {_plain(main.help or '')}",
+        ".SH SYNOPSIS",
+        f".B {PAGE}",
+        "COMMAND [OPTIONS] [ARGUMENTS]",
+        ".SH COMMANDS",
+    ]
+    for name in main.list_commands(top):
+        command = main.get_command(top, name)
+        if command is not None:
+            lines += _command_lines(command, click.Context(command, top, info_name=name))
+    return "\n".join([*lines, ".SH EXIT STATUS", _plain(main.epilog or ""), ""])
+
+
+def _command_lines(command: click.Command, ctx: click.Context) -> Iterator[str]:
+    yield f".SS {_plain(ctx.command_path)} {_plain(' '.join(command.collect_usage_pieces(ctx)))}"
+    for number, paragraph in enumerate((command.help or "").split("\n\n")):
+        if number:
+            yield ".PP"
+        yield _plain(" ".join(paragraph.split()))
+    for heading, rows in grouped(command, ctx):
+        yield ".PP"
+        yield f".B {_plain(heading)}"
+        for option, text in rows:
+            yield from (".TP", f".B {_plain(option)}", _plain(text))
+    examples = getattr(command, "examples", ())
+    if examples:
+        yield from (".PP", ".B Examples", ".PP", ".nf", *map(_plain, examples), ".fi")
+
+
+def _plain(text: str) -> str:
+    """Return text without a meaning for troff."""
+    escaped = text.replace("\\", "\\e").replace("-", "\\-")
+    return f"\\&{escaped}" if escaped.startswith((".", "'")) else escaped
