@@ -31,7 +31,7 @@ export class Chart {
         for (const share of [0, 0.5, 1]) {
             const at = y(share * this.most);
             svg.append(make('line', { class: 'grid', x1: LEFT, x2: width, y1: at, y2: at }));
-            svg.append(label(`${short(share * this.most)}°`, LEFT - 6, at + 4, 'end'));
+            if (known.length) svg.append(label(`${short(share * this.most)}°`, LEFT - 6, at + 4, 'end')); // No scale before it is known.
         }
         svg.append(label(`${clip.start.toFixed(1)} s`, LEFT, height - 4, 'start'));
         svg.append(label(`${clip.end.toFixed(1)} s`, width - 2, height - 4, 'end'));
