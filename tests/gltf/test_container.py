@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import os
 import struct
 import subprocess
 import sys
 from pathlib import Path
+from urllib.parse import unquote
 
+import numpy as np
 import pytest
 
 from fixtures.builder import JsonObject, pack_glb
@@ -16,6 +19,7 @@ from skinbake.commands.strip import strip_file
 from skinbake.errors import OutputError
 from tests.support.baking import bake_file
 from tests.support.gltf_reading import GltfFile, read
+from tests.support.khronos import validate
 from tests.support.models import (
     FOLDER,
     SHARED,
@@ -32,6 +36,9 @@ from tests.support.models import (
 
 ALPHA = "_SKINBAKE_ALPHA_0"
 PNG = b"\x89PNG\r\n\x1a\n"
+ONE_PIXEL = base64.b64decode(
+    "iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAYAAAAfFcSJAAAADUlEQVR42mNk+M9QDwADhgGAWjR9awAAAABJRU5ErkJggg=="
+)
 
 
 def names(folder: Path) -> list[str]:
@@ -51,16 +58,77 @@ def with_image(folder: Path, uri: str, file: str | None, name: str = SHARED) -> 
     return path
 
 
+def assert_same_accessors(before: GltfFile, after: GltfFile) -> None:
+    """Check that every accessor of the first file has the same values in the second, at the same number."""
+    for number, accessor in enumerate(before.content["accessors"]):
+        assert after.content["accessors"][number]["count"] == accessor["count"]
+        assert np.array_equal(before.stored(number), after.stored(number))
+
+
+def embed(content: JsonObject, folder: Path) -> None:
+    """Make data: URIs of all buffers, and add three images, of which one is broken."""
+    for buffer in content["buffers"]:
+        data = (folder / unquote(buffer["uri"])).read_bytes() if "," not in buffer["uri"] else None
+        if data is not None:
+            buffer["uri"] = "data:application/octet-stream;base64," + base64.b64encode(data).decode()
+    image = base64.b64encode(ONE_PIXEL).decode()
+    content["images"] = [
+        {"name": "a", "uri": f"data:image/png;base64,{image}"},
+        {"uri": "data:image/png;base64,///"},
+        {"uri": "data:image/webp;base64,UklGRg=="},
+    ]
+
+
+class TestEmbedded:
+    @pytest.fixture
+    def source(self, tmp_path: Path) -> Path:
+        copied(SHARED, tmp_path / "from")
+        return edited(SHARED, tmp_path / "in", lambda content: embed(content, tmp_path / "from"))
+
+    def test_embedded_buffers_and_images_go_into_the_bin_chunk(self, source: Path, tmp_path: Path) -> None:
+        before, after = read(source), baked(source, tmp_path / "out.glb")
+        assert len(before.content["buffers"]) == 2
+        assert uris(after.content) == [None]
+        assert uris(after.content, "images") == [None, "data:image/png;base64,///", None]
+        first, _, last = after.content["images"]
+        assert (first["name"], first["mimeType"], last["mimeType"]) == ("a", "image/png", "image/webp")
+        view = after.content["bufferViews"][first["bufferView"]]
+        start = view.get("byteOffset", 0)
+        assert (after.binary_chunk or b"")[start : start + view["byteLength"]] == ONE_PIXEL
+        assert_same_accessors(before, after)
+        assert after.has_attribute(ALPHA)
+
+    def test_strip_keeps_them_there(self, source: Path, tmp_path: Path) -> None:
+        bake(source, tmp_path / "a.glb")
+        strip_file(str(source), str(tmp_path / "b.glb"))
+        strip_file(str(tmp_path / "a.glb"), str(tmp_path / "c.glb"))
+        assert (tmp_path / "b.glb").read_bytes() == (tmp_path / "c.glb").read_bytes()
+
+    @pytest.mark.slow
+    def test_the_validator_finds_no_data_uri_in_the_glb(self, source: Path, tmp_path: Path) -> None:
+        model = read(source)
+        del model.content["images"][1:]
+        path = rewritten(model, source)
+        bake(path, tmp_path / "out.glb")
+        report = validate(tmp_path / "out.glb")
+        assert not report["errors"]
+        assert "DATA_URI_GLB" not in {finding.code for finding in report["warnings"]}
+
+
 class TestGltfToGlb:
     def test_the_first_buffer_becomes_the_bin_chunk(self, tmp_path: Path) -> None:
-        source = copied(SHARED, tmp_path / "in")
+        def move(content: JsonObject) -> None:
+            content["buffers"][1]["uri"] = "more.bin"
+
+        source = edited(SHARED, tmp_path / "in", move)
+        (source.parent / "more.bin").write_bytes(read(FOLDER / SHARED).buffer(1))
         before, after = read(source), baked(source, tmp_path / "out.glb")
         expected = json.loads(json.dumps(before.content))
         del expected["buffers"][0]["uri"]
         assert json.dumps(without_additions(expected, after.content)) == json.dumps(expected)
         assert (after.binary_chunk or b"").startswith((FOLDER / SHARED_BIN).read_bytes())
         assert_buffers_kept(before, after)
-        assert names(tmp_path) == [f"in/{SHARED_BIN}", f"in/{SHARED}", "out.glb"]
+        assert names(tmp_path) == ["in/more.bin", f"in/{SHARED_BIN}", f"in/{SHARED}", "more.bin", "out.glb"]
 
     def test_alpha_and_beta_are_those_of_the_gltf(self, tmp_path: Path) -> None:
         source = copied(SHARED, tmp_path / "in")
@@ -355,8 +423,9 @@ class TestStandardStreams:
         assert process.returncode == 0
         (tmp_path / "out.glb").write_bytes(process.stdout)
         after = read(tmp_path / "out.glb")
-        assert str(uris(after.content)[1]).startswith("data:")
-        assert_buffers_kept(before, after)
+        assert uris(after.content) == [None]
+        assert uris(after.content, "images") == ["skin.png", "data:image/png;base64,"]
+        assert_same_accessors(before, after)
         assert after.has_attribute(ALPHA)
         assert b"1 image is a file" in process.stderr
 

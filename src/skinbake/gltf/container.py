@@ -13,19 +13,23 @@ from skinbake.gltf.codecs import meshopt
 from skinbake.gltf.document import GLB_SUFFIXES, STDIO, Document
 from skinbake.gltf.glb import Bytes
 from skinbake.gltf.json_access import JsonObject
+from skinbake.gltf.packing import packed
 from skinbake.wording import one_or_many
 
 
 def for_target(document: Document, target: str) -> tuple[Document, list[Notice]]:
     """Return the document in the container that the suffix of ``target`` means; ``-`` is a GLB.
 
-    If a ``.gltf`` becomes a GLB, its first buffer becomes the BIN chunk. Further buffers stay where they are.
-    On standard output they become data: URIs. If a GLB becomes a ``.gltf``, its BIN chunk becomes a file
-    named after the target.
+    If a ``.gltf`` becomes a GLB, its first buffer becomes the BIN chunk, and the buffers and images of data:
+    URIs go there too. Further buffers stay where they are. On standard output they go into the chunk, or
+    become data: URIs if the document was a GLB before. If a GLB becomes a ``.gltf``, its BIN chunk becomes a
+    file named after the target.
     """
     if target == STDIO or Path(target).suffix.lower() in GLB_SUFFIXES:
-        packed = document if document.is_glb else _as_glb(document)
-        return (_self_contained(packed), _loose_images(packed)) if target == STDIO else (packed, [])
+        glb = document
+        if not document.is_glb:
+            glb = packed(_as_glb(document), buffer_files=target == STDIO)
+        return (_self_contained(glb), _loose_images(glb)) if target == STDIO else (glb, [])
     return _as_gltf(document, Path(target).stem) if document.is_glb else (document, [])
 
 
