@@ -140,12 +140,13 @@ def test_an_unknown_keyword_is_a_type_error(tmp_path: Path) -> None:
 
 
 def test_a_failure_writes_nothing_and_has_its_notices(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
     with pytest.raises(skinbake.OutputError) as caught:
-        skinbake.bake(FOLDER / "morphed_sheet.glb", tmp_path / "missing" / "out.glb")
+        skinbake.bake(FOLDER / "morphed_sheet.glb", tmp_path / "file" / "out.glb")
     assert caught.value.place is not None
     with pytest.raises(skinbake.InputError):
         skinbake.verify(tmp_path / "missing.glb")
-    assert not list(tmp_path.iterdir())
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
 class TestModels:

@@ -81,7 +81,8 @@ def test_failures_and_warnings_are_in_the_document(tmp_path: Path) -> None:
 
 
 def test_an_output_error_has_its_kind_and_code(tmp_path: Path) -> None:
-    result = invoke("bake", FOLDER / "seam.glb", "-o", tmp_path / "no" / "a.glb", "--json")
+    (tmp_path / "file").touch()
+    result = invoke("bake", FOLDER / "seam.glb", "-o", tmp_path / "file" / "a.glb", "--json")
     found = checked(document(result), BAKE)
     assert (found["exit_code"], found["files"][0]["error"]["kind"]) == (4, "OutputError")
 

@@ -276,8 +276,9 @@ class TestSummary:
         assert seen == [0, 1, 2, 3]
 
     def test_where_it_cannot_be_written_nothing_is_baked(self, tmp_path: Path) -> None:
+        (tmp_path / "file").touch()
         process = run(
-            "bake", FOLDER / "seam.glb", "--out-dir", tmp_path / "out", "--summary", tmp_path / "no" / "s"
+            "bake", FOLDER / "seam.glb", "--out-dir", tmp_path / "out", "--summary", tmp_path / "file" / "s"
         )
         assert process.returncode == 4
         assert b"cannot be written" in process.stderr
