@@ -341,7 +341,7 @@ def _streams() -> Iterator[Case]:
     with_bounds = _with_attribute("_X", infinite, "SCALAR", 5126, min=[0], max=[1])
     yield _of("no bound", edgebreaker_twin(with_bounds), *plain)
     beside = _beside_a_skin(_in_draco())
-    _primitive(beside)["attributes"]["POSITION"] = 999
+    _primitive(beside)["attributes"]["NORMAL"] = 999
     yield _of("a stream of no accessor", beside, *plain)
     yield _of("another version", _changed(_of_the_future, _in_draco))
     yield _of("two streams of one accessor", _changed(_streamed_twice, _in_draco), *plain)
