@@ -39,37 +39,8 @@ EXPLAINED: dict[tuple[str, str, str], str] = {
     (
         "budget.py",
         "group_limits",
-        "for folder in dict.fromkeys((own, *own.parents)): -> for line in lines:",
+        'if text.isdecimal(): -> for name in ("memory.max", "memory.limit_in_bytes"):',
     ): LIMITS,
-    (
-        "budget.py",
-        "group_limits",
-        "for folder in dict.fromkeys((own, *own.parents)): -> if folder != base and base not in folder.parents:",
-    ): LIMITS,
-    (
-        "budget.py",
-        "group_limits",
-        'for line in lines: -> _, controllers, path = (*line.split(":", maxsplit=2), "", "")[:3]',
-    ): LIMITS,
-    ("budget.py", "group_limits", "for line in lines: -> the end"): LIMITS,
-    (
-        "budget.py",
-        "group_limits",
-        'if controllers and "memory" not in controllers.split(","): -> base, name = (root / "memory", "memory.limit_in_bytes") if controllers else (root, "memory.max")',
-    ): LIMITS,
-    (
-        "budget.py",
-        "group_limits",
-        'if controllers and "memory" not in controllers.split(","): -> continue',
-    ): LIMITS,
-    ("budget.py", "group_limits", "if folder != base and base not in folder.parents: -> break"): LIMITS,
-    ("budget.py", "group_limits", "if folder != base and base not in folder.parents: -> try:"): LIMITS,
-    (
-        "budget.py",
-        "group_limits",
-        "if text.isdecimal(): -> for folder in dict.fromkeys((own, *own.parents)):",
-    ): LIMITS,
-    ("budget.py", "group_limits", "if text.isdecimal(): -> yield int(text)"): LIMITS,
     (
         "codecs/draco_stream.py",
         "_check_counts",

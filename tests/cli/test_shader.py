@@ -65,11 +65,13 @@ def test_output_goes_to_a_file_and_says_what_it_is(tmp_path: Path) -> None:
 
 
 def test_a_target_that_cannot_be_written_is_exit_4(tmp_path: Path) -> None:
-    for target in (tmp_path / "absent" / "x.glsl", tmp_path):
+    file = tmp_path / "file"
+    file.write_bytes(b"")
+    for target in (file / "x.glsl", tmp_path):
         result = invoke("shader", "--lang", "glsl", "--frame", "normal", "-o", target)
         assert result.exit_code == 4
         assert str(target) in result.stderr
-    assert list(tmp_path.iterdir()) == []
+    assert list(tmp_path.iterdir()) == [file]
 
 
 def test_an_existing_target_is_replaced_and_keeps_its_mode(tmp_path: Path) -> None:

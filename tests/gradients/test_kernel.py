@@ -238,7 +238,7 @@ def test_rows_are_prepared_in_parts_as_the_definition_does(
     weights = np.round(random.uniform(-0.5, 1.0, (50, 4)), 1) * (random.random((50, 1)) < 0.8)
     points = random.integers(0, 2, (50, 3)).astype(np.float32)
     corners = random.integers(0, 50, (90, 3)).astype(np.uint32)
-    told = {"adopting_sum": 0.5, "tolerance": 1e-3}
+    told = {"adopting_sum": 0.5, "tolerance": 1e-3, "least": 2.0**-30}
     field, defects = by_numpy.normalise_influences(joints.copy(), weights.copy(), **told)
     monkeypatch.setattr(by_loops, "ROWS", 7)
     with threads_limited(count):

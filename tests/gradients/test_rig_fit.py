@@ -7,54 +7,19 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from skinbake.choices import FrameChoice
 from skinbake.geometry.frames import frame_from_normal, unit_normals
 from skinbake.geometry.rig import NO_PARENT, Rig
-from skinbake.geometry.skinned import BakedPrimitive, Float64Array, IntArray, SkinnedPrimitive
+from skinbake.geometry.skinned import BakedPrimitive, Float64Array, SkinnedPrimitive
 from skinbake.gradients.baker import BakeSettings, bake_mesh
 from skinbake.gradients.surface import EVEN, FAINT, STIFFNESS
 from skinbake.lighting.operator import GradientOperator, gradient_operator
+from tests.gradients.tubes import SETTINGS, corner_angles, tube, weighted_normals
 from tests.support.kernels import use_numpy
 
-SETTINGS = BakeSettings(frame=FrameChoice.NORMAL)
 TURN = 1e-5
 """The angle of a sampled turn, in radians."""
 
 Normals = Callable[[Float64Array], Float64Array]
-
-
-def tube(rings: int = 9, around: int = 8, joints: int = 4, seed: int = 3) -> tuple[SkinnedPrimitive, Rig]:
-    """Return a coarse tube along z with uneven radii and random smooth weights, and a rig that branches."""
-    random = np.random.default_rng(seed)
-    angle = np.tile(np.arange(around) / around * 2.0 * np.pi, rings)
-    height = np.repeat(np.linspace(-2.0, 2.0, rings), around)
-    radius = 1.0 + 0.2 * np.cos(3.0 * angle + height) + 0.05 * random.normal(size=len(angle))
-    positions = np.stack([radius * np.cos(angle), radius * np.sin(angle), height], axis=1)
-    ring, place = np.divmod(np.arange((rings - 1) * around), around)
-    here, beside = ring * around + place, ring * around + (place + 1) % around
-    triangles = np.concatenate(
-        [
-            np.stack([here, beside, here + around], axis=1),
-            np.stack([beside, beside + around, here + around], axis=1),
-        ]
-    )
-    logits = 2.5 * np.cos(
-        np.arange(joints) + 0.9 * height[:, None] + 0.4 * random.normal(size=(len(angle), joints))
-    )
-    weights = np.exp(logits) / np.exp(logits).sum(axis=1, keepdims=True)
-    order = np.argsort(-weights, axis=1)[:, :4]
-    primitive = SkinnedPrimitive(
-        positions=positions.astype(np.float32),
-        normals=weighted_normals(positions, triangles, corner_angles(positions, triangles)).astype(
-            np.float32
-        ),
-        tangents=None,
-        joints=order.astype(np.uint16),
-        weights=np.take_along_axis(weights, order, axis=1),
-        triangles=triangles.astype(np.uint32),
-    )
-    parents = np.array([NO_PARENT, 0, 1, 1, 0, 4][:joints], dtype=np.int32)
-    return primitive, Rig(parents, random.normal(scale=1.5, size=(joints, 3)))
 
 
 def fitted(primitive: SkinnedPrimitive, rig: Rig | None, settings: BakeSettings = SETTINGS) -> BakedPrimitive:
@@ -227,24 +192,3 @@ def triangle_truth(operator: GradientOperator, rest: Float64Array, n0: Float64Ar
         return n0 + tilt
 
     return normals
-
-
-def corner_angles(points: Float64Array, triangles: IntArray) -> Float64Array:
-    angles = np.empty(triangles.shape)
-    for corner in range(3):
-        origin, one, other = np.roll(triangles, -corner, axis=1).T
-        e1, e2 = points[one] - points[origin], points[other] - points[origin]
-        cosine = (e1 * e2).sum(axis=1) / np.linalg.norm(e1, axis=1) / np.linalg.norm(e2, axis=1)
-        angles[:, corner] = np.arccos(cosine)
-    return angles
-
-
-def weighted_normals(points: Float64Array, triangles: IntArray, angles: Float64Array) -> Float64Array:
-    """Return the sums of the unit normals of the triangles at each vertex, with given weights (T, 3)."""
-    sums = np.zeros_like(points)
-    p, q, r = points[triangles].transpose(1, 0, 2)
-    normal = np.cross(q - p, r - p)
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    for corner in range(3):
-        np.add.at(sums, triangles[:, corner], normal * angles[:, corner : corner + 1])
-    return sums

@@ -20,7 +20,7 @@ from skinbake.lighting.operator import GradientOperator, true_operator
 from skinbake.lighting.pose_fit import STIFFNESS, FitPoses, fitted_to_poses, tilts
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.surface import RestSurface
-from tests.gradients.test_rig_fit import SETTINGS, tube
+from tests.gradients.tubes import SETTINGS, tube
 from tests.support.replay import replay
 
 

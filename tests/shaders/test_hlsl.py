@@ -14,12 +14,12 @@ import pytest
 
 from skinbake.choices import Encoding, Frame, Language, Layout, Lighting, Method
 from skinbake.shaders.choices import BEST, ShaderChoices
+from tests.shaders.awkward_frames import awkward_normals, different, expected
 from tests.shaders.combinations import every_stored_and_morphed, every_text, hlsl, label
+from tests.shaders.judged import assert_like_the_replay, irregular_work
+from tests.shaders.rigid_joints import assert_like_the_library, joint_matrices
 from tests.shaders.running import WORKGROUP, Single, done, run_hlsl
 from tests.shaders.scenes import CHARACTERS, Scene
-from tests.shaders.test_dual_quaternion import assert_like_the_library, joint_matrices
-from tests.shaders.test_frames import awkward_normals, different, expected
-from tests.shaders.test_run import assert_like_the_replay, irregular_work
 from tests.support import glslang, webgpu
 from tests.support.whole_fields import shader_text
 

@@ -11,6 +11,7 @@ CHOICES: dict[str, tuple[str, tuple[Item, ...]]] = {
         (
             ("rig", "Fitted to the rig", "Fitted to small turns of the bones: lights coarse meshes better"),
             ("surface", "Of the surface", "The gradients of the weights on the surface, as in the paper"),
+            ("poses", "Fitted to the animations", "Fitted to the exported animations too. Takes longer"),
         ),
     ),
     "frame": (
@@ -41,6 +42,7 @@ CHOICES: dict[str, tuple[str, tuple[Item, ...]]] = {
         "Bones of neighbours",
         (
             ("adopt", "Adopt", "A vertex takes them into free slots, with weights too small to see"),
+            ("extend", "Extend", "Adopt, and add a set of four influences to meshes with too few free slots"),
             ("drop", "Leave out", "Weights and joints stay as they were exported"),
         ),
     ),

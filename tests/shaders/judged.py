@@ -1,0 +1,76 @@
+"""Work for a shader to run, and how near its results must be to those of the replay."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from skinbake.choices import Lighting
+from skinbake.shaders.choices import ShaderChoices
+from tests.shaders.combinations import ATTRIBUTES, label
+from tests.shaders.running import Single, Wide, Work
+from tests.shaders.scenes import Scene, irregular
+
+TOLERANCE = 1e-5
+
+
+ROUNDING = 4 * float(np.finfo(np.float32).eps)
+"""Of a position by one joint: a sum of four rounded terms."""
+
+
+def term_lengths(choices: ShaderChoices, scene: Scene) -> Wide:
+    """Return the length of what position, normal, tangent and bitangent are made of: (R, 4), float64.
+
+    Position: the farthest that one of the joints takes p. Tangents: |t'| or |T t0|, whichever is longer,
+    since t' = T t0 + a correction; and ROUNDING of the positions M[s] p whose differences, times α, make the
+    correction, as a multiple of TOLERANCE. Normal: t' × b' is as wrong as the product of those. J⁻ᵀ n
+    (algorithm 2) is |J⁻ᵀ n| times the same product over |t' × b'|, and once more for det J, which nears 0 in
+    a fold, as a multiple of |T n0| |t'| |b'|.
+    """
+    posed = scene.posed(choices, np.float64)
+    plain = replace(choices, lighting=Lighting.APPROXIMATED, cap=None, mirrored_joints=False)
+    blended = scene.posed(plain, np.float64)
+    own, other = (np.linalg.norm(vectors, axis=2) for vectors in (posed, blended))
+    farthest, steps = _reach(scene, choices.influences)
+    longest = np.maximum(own, other)
+    corrected = choices.lighting is not Lighting.APPROXIMATED
+    tangent, bitangent = longest[:, 2:].T + corrected * ROUNDING / TOLERANCE * steps
+    if not corrected:
+        normal = own[:, 1]
+    elif choices.lighting is Lighting.DIRECT:
+        crossed = np.cross(posed[:, 2], posed[:, 3])
+        determinant = np.abs(np.einsum("ri,ri->r", blended[:, 1], crossed))
+        normal = own[:, 1] * tangent * bitangent * other[:, 1] / determinant
+    else:
+        normal = tangent * bitangent
+    return np.stack([np.maximum(own[:, 0], farthest), normal, tangent, bitangent], axis=1)
+
+
+def _reach(scene: Scene, influences: int) -> tuple[Wide, Wide]:
+    """Return the farthest that a joint takes p (R,); Σ |α| and Σ |β| times how far joints reach (2, R)."""
+    matrices = scene.matrices.astype(np.float64)
+    moved = np.einsum("pjik,vk->pvji", matrices[:, :, :3, :3], scene.positions) + matrices[:, None, :, :3, 3]
+    used = scene.joints[None, :, :influences]
+    taken = np.take_along_axis(np.linalg.norm(moved, axis=3), used, axis=2)
+    # A position is summed up from terms that may be as long as the joint's translation.
+    sizes = taken + np.linalg.norm(matrices[:, :, :3, 3], axis=2)[:, used[0]]
+    both = (sizes + sizes[:, :, :1])[:, :, 1:]
+    steps = [np.abs(slots[None, :, : influences - 1]) * both for slots in (scene.alpha, scene.beta)]
+    return taken.max(axis=2).ravel(), np.stack([step.sum(axis=2).ravel() for step in steps])
+
+
+def assert_like_the_replay(choices: ShaderChoices, scene: Scene, found: Single) -> None:
+    lengths = term_lengths(choices, scene)
+    assert found.shape[0] == len(lengths)
+    for dtype in (np.float32, np.float64):
+        apart = np.linalg.norm(found - scene.posed(choices, dtype), axis=2) / lengths
+        # Written so that NaN fails.
+        wrong = ~(apart <= TOLERANCE)
+        worst = dict(zip(ATTRIBUTES, np.nanmax(apart, axis=0), strict=True))
+        assert not wrong.any(), f"{label(choices)}: {wrong.sum(axis=0)} rows differ by up to {worst}"
+
+
+def irregular_work(every: Mapping[str, ShaderChoices]) -> Work:
+    return {name: (choices, irregular(choices.influences, choices.method)) for name, choices in every.items()}
