@@ -67,10 +67,10 @@ def test_output_goes_to_a_file_and_says_what_it_is(tmp_path: Path) -> None:
 def test_a_target_that_cannot_be_written_is_exit_4(tmp_path: Path) -> None:
     file = tmp_path / "file"
     file.write_bytes(b"")
-    for target in (file / "x.glsl", tmp_path):
-        result = invoke("shader", "--lang", "glsl", "--frame", "normal", "-o", target)
-        assert result.exit_code == 4
-        assert str(target) in result.stderr
+    target = file / "x.glsl"
+    result = invoke("shader", "--lang", "glsl", "--frame", "normal", "-o", target)
+    assert result.exit_code == 4
+    assert str(target) in result.stderr
     assert list(tmp_path.iterdir()) == [file]
 
 
