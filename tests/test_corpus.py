@@ -207,7 +207,7 @@ class TestRealModels:
             target = tmp_path / str(number) / f"model{suffix}"
             target.parent.mkdir()
             assert bake_file(str(run.source), str(target)).status != "failed"
-            assert_buffers_kept(read(run.source), read(target))
+            assert_views_kept(read(run.source), read(target))
             models = read_plain_many([run.target, target]).values()
             for mesh, part, primitive in primitives(read(run.target).content):
                 if ALPHA in primitive["attributes"]:
@@ -219,6 +219,13 @@ class TestRealModels:
             bakes = [primitive.bake for primitive in inspect_file(str(run.target)).primitives]
             assert sum(found is not None for found in bakes) == len(run.result.primitives)
             assert all(found.changed == () for found in bakes if found)
+
+
+def assert_views_kept(before: GltfFile, after: GltfFile) -> None:
+    """Check that the bytes of every buffer view are there. Those of data: URIs go into the chunk of a GLB."""
+    for number, view in enumerate(before.content.get("bufferViews", [])):
+        if not any("meshopt" in name for name in view.get("extensions", {})):
+            assert after.buffer_view(number) == before.buffer_view(number)
 
 
 @pytest.mark.slow

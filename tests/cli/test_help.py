@@ -16,6 +16,7 @@ import pytest
 from skinbake.cli.help import GROUPS, Helpful, grouped, manual
 from skinbake.cli.main import COMMANDS, main
 from tests.support.command_line import invoke
+from tests.support.strictness import missing_tool
 
 TOP = click.Context(main, info_name="skinbake")
 
@@ -86,7 +87,7 @@ def test_the_script_of_a_shell_completes(shell: str, tmp_path: Path) -> None:
     assert f"_SKINBAKE_COMPLETE={shell}_complete" in made
     program = shutil.which(shell)
     if program is None:
-        pytest.skip(f"{shell} is not installed; its script was made")
+        missing_tool(f"{shell} is not installed; its script was made")
     if shell != "bash":
         subprocess.run([program, "-n"], input=made, text=True, check=True)
         return

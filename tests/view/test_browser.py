@@ -148,6 +148,8 @@ def test_the_divider_follows_the_mouse_and_the_keys(browsing: Browsing) -> None:
         "((time) => { application.seek(time, true); document.querySelector('input[value=error]').click(); })",
         browsing.time,
     )
+    # While errors are measured, the legend may change, and so all colours.
+    page.call("(() => application.stopMeasuring())")
     before = picture(page)
     box = page.call(
         "(() => { const { left, top, width, height } = divider.getBoundingClientRect(); "
