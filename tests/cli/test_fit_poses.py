@@ -195,6 +195,7 @@ def test_a_file_without_clips_is_fitted_to_random_poses_with_a_notice(tmp_path: 
         (["--fit-poses", "animations"], "--fit-poses needs --gradients poses"),
         (["--gradients", "poses", "--fit-poses", "random:"], "expected random:N"),
         (["--gradients", "poses", "--fit-poses", "random:0"], "expected random:N"),
+        (["--gradients", "poses", "--fit-poses", "animation"], "expected random:N"),
         (["--gradients", "poses", "--fit-poses", "random:10001"], "expected random:N"),
     ],
 )
@@ -208,7 +209,7 @@ def test_a_file_of_clips_must_be_readable_and_have_some(tmp_path: Path) -> None:
     options = ("--dry-run", "--gradients", "poses", "--fit-poses")
     missing = run("bake", source(CLIP), *options, tmp_path / "none.glb")
     assert missing.returncode == exit_codes.INPUT
-    assert b"none.glb: cannot be read" in missing.stderr
+    assert b"none.glb: --fit-poses: cannot be read" in missing.stderr
     still = changed(copied(CLIP, tmp_path), without_clips, "still.glb")
     result = run("bake", source(CLIP), *options, still)
     assert result.returncode == exit_codes.INPUT

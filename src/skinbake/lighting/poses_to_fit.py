@@ -63,7 +63,7 @@ class ClipFile:
             if (moving := tuple(channel for channel in clip.channels if channel.path != MORPH_WEIGHTS))
         ]
         if not clips:
-            raise InputError("--fit-poses: it has no animation that moves a node", document.place)
+            raise InputError("it has no animation that moves a node", document.place)
         return cls(Path(path).name, clips, _node_names(document))
 
     def __str__(self) -> str:
@@ -117,14 +117,22 @@ def pose_source(value: PoseSource) -> PoseSource:
     if isinstance(value, ClipFile) or value == ANIMATIONS:
         return value
     kind, colon, count = value.partition(":")
-    if kind != RANDOM:
-        return ClipFile.read(value)
-    if not colon or not count.isdecimal() or not 1 <= int(count) <= MOST_RANDOM:
+    if kind != RANDOM and Path(value).suffix:
+        return _clip_file(value)
+    if kind != RANDOM or not colon or not count.isdecimal() or not 1 <= int(count) <= MOST_RANDOM:
         raise ChoiceError(
             f"--fit-poses {value}: expected {RANDOM}:N with N from 1 to {MOST_RANDOM:,}, {ANIMATIONS}, "
-            "or a file with animations"
+            "or a .glb, .gltf or .vrm file with animations"
         )
     return f"{RANDOM}:{int(count)}"
+
+
+def _clip_file(path: str) -> ClipFile:
+    """Read the clips of a file; an error says that it is that of the option, not an input."""
+    try:
+        return ClipFile.read(path)
+    except InputError as error:
+        raise InputError(f"--fit-poses: {error.message}", error.place) from error
 
 
 @dataclass(frozen=True, slots=True)
