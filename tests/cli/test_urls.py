@@ -49,6 +49,13 @@ def test_folders_and_patterns_behind_urls(library: Path) -> None:
     pattern = invoke("bake", "memory://lib/**/two*.glb", "--out-dir", "memory://one")
     assert pattern.exit_code == 0
     assert list(stored("memory://one")) == ["characters/two_sets.glb"]
+    inspected = document(invoke("inspect", "memory://out/**/two*.glb", "--json"))["files"]
+    assert [(file["input"], file["error"]) for file in inspected] == [
+        ("memory://out/characters/two_sets.glb", None)
+    ]
+    assert all(primitive["baked"] for primitive in inspected[0]["primitives"])
+    assert invoke("strip", "memory://out/characters", "--out-dir", "memory://back").exit_code == 0
+    assert stored("memory://back")["two_sets.glb"] == (library / "lib/characters/two_sets.glb").read_bytes()
     verified = invoke("verify", "memory://out/characters", "--json")
     assert [file["input"] for file in document(verified)["files"]] == [
         "memory://out/characters/bent_tube.glb",

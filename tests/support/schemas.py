@@ -181,6 +181,51 @@ INSPECT = strict(
         "warnings": WARNINGS,
     }
 )
+INSPECTED_FILES = strict(
+    {
+        "schema": {"const": "skinbake.inspect-files/1"},
+        "exit_code": COUNT,
+        "files": {
+            "type": "array",
+            "items": {
+                "anyOf": [
+                    strict(
+                        {
+                            **{key: of for key, of in INSPECT["properties"].items() if key != "schema"},
+                            "error": {"type": "null"},
+                        },
+                        optional={"timings": TIMINGS},
+                    ),
+                    strict(
+                        {"input": TEXT, "warnings": WARNINGS, "error": ERROR}, optional={"timings": TIMINGS}
+                    ),
+                ]
+            },
+        },
+    },
+    optional={"timings": PROCESS_TIMINGS},
+)
+STRIPPED_FILES = strict(
+    {
+        "schema": {"const": "skinbake.strip-files/1"},
+        "exit_code": COUNT,
+        "files": {
+            "type": "array",
+            "items": strict(
+                {
+                    "input": TEXT,
+                    "output": TEXT,
+                    "status": {"enum": ["stripped", "unchanged", "failed"]},
+                    "primitives": COUNT,
+                    "warnings": WARNINGS,
+                    "error": ERROR,
+                },
+                optional={"timings": TIMINGS},
+            ),
+        },
+    },
+    optional={"timings": PROCESS_TIMINGS},
+)
 STRIP = strict(
     {
         "schema": {"const": "skinbake.strip/1"},

@@ -24,15 +24,13 @@ from skinbake.choices import (
 from skinbake.cli import exit_codes
 from skinbake.cli.console import console, finite, message_options, one_of, outside_option
 from skinbake.cli.help import Helpful
-from skinbake.cli.inputs import Input, expanded
-from skinbake.cli.limits import limit_options, memory_of_each
-from skinbake.cli.many import Clock, Reporting, Run, many_options, notes_of, state_path, work_through
+from skinbake.cli.inputs import expanded
+from skinbake.cli.limits import limit_options
+from skinbake.cli.many import Clock, Reporting, many_options, notes_of, run_of, state_path, work_through
 from skinbake.cli.names import STDIO
 from skinbake.cli.remote import cluster_option
-from skinbake.cli.runners import runner_of, seconds_of, threads_of_each
-from skinbake.cli.targets import check_named, check_read, check_reports, check_target, in_turns, once, pair_up
+from skinbake.cli.targets import check_read, check_reports, in_turns, jobs_of, targets_of
 from skinbake.cli.writing import writing_of
-from skinbake.containment import Bounds, Within
 from skinbake.errors import ChoiceError
 
 if TYPE_CHECKING:
@@ -41,7 +39,6 @@ if TYPE_CHECKING:
     from skinbake.cli.console import Console
     from skinbake.cli.given import Given
     from skinbake.commands.bake import Baker
-    from skinbake.jobs.work import Runner
     from skinbake.report.bake import FileResult
 
 
@@ -204,8 +201,8 @@ def command(inputs: tuple[str, ...], **given: Unpack[Given]) -> None:
     clock = Clock()
     found = expanded(inputs, but=given.get("out_dir"))
     baker = _baker(given)
-    targets, notes_at = _targets(found, given), state_path(given)
-    output, out_dir = given.get("output"), given.get("out_dir")
+    targets, notes_at = targets_of(found, given), state_path(given)
+    output = given.get("output")
     reports = {"--summary": given["summary"], "--state": notes_at}
     clip_files = [source for source in given.get("fit_poses", ()) if Path(source).is_file()]
     check_reports(reports, output, [*(entry.source for entry in found), *clip_files])
@@ -217,35 +214,21 @@ def command(inputs: tuple[str, ...], **given: Unpack[Given]) -> None:
         results_on_stderr=output == STDIO,
     )
     from skinbake.jobs.bake import MODULES, SECONDS_A_BYTE, SECONDS_A_FILE, Bake
-    from skinbake.jobs.file_work import FileWork
-    from skinbake.jobs.work import Job
 
     notes = notes_of("bake", baker, notes_at, found, say, sync=not given["no_sync"])
-    jobs = [
-        Job(
-            entry.source,
-            target,
-            notes.known(target),
-            within=Within(Bounds(entry.searched, given["allow_outside"]), out_dir),
-        )
-        if entry.missing is None
-        else Job(entry.source, missing=entry.missing)
-        for entry, target in targets
-    ]
+    jobs = jobs_of(targets, given, notes.known)
     reporting = _reporting(given, say)
     clock.imports_done()
-    turns = in_turns([entry for entry, _ in targets]) if out_dir else []
-    guess = (SECONDS_A_FILE, SECONDS_A_BYTE)
-    sources = [job.source for job in jobs]
-    runner: Runner[Job, FileResult] = runner_of(given, sources, turns, MODULES, guess, say)
-    work = FileWork(
+    run = run_of(
         Bake(baker, writing_of(given)),
-        notes.recipe,
-        given["timings"],
-        memory_of_each(given),
-        threads_of_each(given, sources),
+        jobs,
+        given,
+        say,
+        modules=MODULES,
+        guess=(SECONDS_A_FILE, SECONDS_A_BYTE),
+        turns=in_turns([entry for entry, _ in targets]) if given.get("out_dir") else [],
+        recipe=notes.recipe,
     )
-    run = Run(jobs, runner, work, seconds_of(sources, guess))
     sys.exit(work_through(run, reporting, given, say, clock, notes))
 
 
@@ -285,25 +268,3 @@ def _baker(given: Mapping[str, Any]) -> Baker:
         return Baker(**{entry.name: given[entry.name] for entry in fields(Baker)})
     except ChoiceError as error:
         raise click.UsageError(error.message) from error
-
-
-def _targets(inputs: list[Input], given: Mapping[str, Any]) -> list[tuple[Input, str | None]]:
-    """Return (input, output) pairs. Raises click.UsageError for a combination without a meaning."""
-    chosen = [name for name in ("output", "out_dir", "in_place") if given[name]]
-    if len(chosen) > 1 or (not chosen and not given["dry_run"]):
-        raise click.UsageError("give one of -o/--output, --out-dir and --in-place")
-    if given["output"]:
-        if len(inputs) > 1:
-            raise click.UsageError("-o takes one input; use --out-dir for several")
-        if given["output"] == STDIO and given["as_json"]:
-            raise click.UsageError("stdout cannot take both the GLB and --json")
-        check_named(given["output"], f"use --out-dir {given['output']}, or name the file")
-        check_target(inputs[0].source, given["output"])
-        return [(inputs[0], given["output"])]
-    if given["in_place"]:
-        if any(entry.source == STDIO for entry in inputs):
-            raise click.UsageError("--in-place needs files, not - for stdin")
-        return [(entry, entry.source) for entry in once(inputs)]
-    if given["out_dir"]:
-        return list(pair_up(inputs, given["out_dir"]))
-    return [(entry, None) for entry in inputs]

@@ -1,12 +1,12 @@
-"""The options that ``bake`` and ``verify`` share, as click gives them."""
+"""The options that the commands for many files share, as click gives them."""
 
 from __future__ import annotations
 
-from typing import NotRequired, TypedDict
+from typing import NotRequired, TypedDict, cast
 
 
 class Given(TypedDict):
-    """The options that both commands share. Each command has options of its own in addition.
+    """The options of all commands for many files. Each command has options of its own in addition.
 
     ``output``, ``out_dir`` and ``dry_run`` belong to commands that write, ``fit_poses`` to ``bake``.
     """
@@ -32,3 +32,9 @@ class Given(TypedDict):
     out_dir: NotRequired[str | None]
     dry_run: NotRequired[bool]
     fit_poses: NotRequired[tuple[str, ...]]
+
+
+def alone(some: Given) -> Given:
+    """Return the options of a command that has none for clusters, threads and state files."""
+    absent = {"dask": None, "threads": None, "skip_unchanged": False, "state": None}
+    return cast("Given", {**absent, **some})

@@ -51,7 +51,7 @@ def expanded(arguments: Sequence[str], *, but: str | None = None) -> list[Input]
     """
     if list(arguments).count(STDIO) > 1:
         raise click.UsageError("stdin can be read only once")
-    if len(arguments) == 1 and _is_name(arguments[0]):
+    if is_one_file(arguments) and _is_name(arguments[0]):
         check_readable_suffix(arguments[0])
     search = _Search(but)
     found: list[Input] = []
@@ -62,6 +62,16 @@ def expanded(arguments: Sequence[str], *, but: str | None = None) -> list[Input]
                 found.append(entry)
                 seen.add((entry.source, entry.kept))
     return found
+
+
+def is_one_file(arguments: Sequence[str]) -> bool:
+    """Tell whether the arguments name one file: no folder or pattern, whatever it would find."""
+    if len(arguments) != 1:
+        return False
+    (argument,) = arguments
+    if is_url(argument):
+        return argument.lower().endswith(SUFFIXES) and MAGIC.isdisjoint(argument)
+    return argument == STDIO or _is_name(argument)
 
 
 def _is_name(argument: str) -> bool:

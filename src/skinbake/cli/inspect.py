@@ -3,17 +3,25 @@
 from __future__ import annotations
 
 import sys
-from typing import Any
+from typing import TYPE_CHECKING
 
 import click
 
 from skinbake.cli import exit_codes
-from skinbake.cli.console import console, message_options, outside_option
+from skinbake.cli.console import Console, console, message_options, outside_option
+from skinbake.cli.given import alone
 from skinbake.cli.help import Helpful
-from skinbake.cli.limits import memory_option
-from skinbake.cli.names import check_readable_suffix
-from skinbake.containment import Bounds
-from skinbake.errors import SkinbakeError
+from skinbake.cli.inputs import expanded, is_one_file
+from skinbake.cli.limits import limit_options
+from skinbake.cli.many import Clock, Notes, Reporting, jobs_options, run_of, work_through
+from skinbake.cli.targets import check_reports
+from skinbake.containment import Bounds, Within
+
+if TYPE_CHECKING:
+    from typing import Unpack
+
+    from skinbake.cli.given import Given
+    from skinbake.report.inspect import FileSummary
 
 
 @click.command(
@@ -21,30 +29,65 @@ from skinbake.errors import SkinbakeError
     cls=Helpful,
     examples=(
         "skinbake inspect hero.glb",
+        "skinbake inspect art/characters",
         "skinbake inspect build/hero.glb --json",
     ),
 )
-@click.argument("source", metavar="INPUT")
+@click.argument("inputs", nargs=-1, required=True, metavar="INPUT...")
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON.")
+@jobs_options
+@limit_options
 @outside_option
-@memory_option
 @message_options
-def command(source: str, **given: Any) -> None:
-    """Show the skinned primitives: how influences and frames are stored, and the bakes with their sizes."""
-    check_readable_suffix(source)
-    say = console(verbose=given["verbose"], quiet=given["quiet"], color=given["color"])
-    from skinbake.commands.inspect import inspect_file
-    from skinbake.gltf.budget import memory_limited
-    from skinbake.report.inspect import as_json, as_text
+def command(inputs: tuple[str, ...], **some: Unpack[Given]) -> None:
+    """Show the skinned primitives: how influences and frames are stored, and the bakes with their sizes.
 
-    try:
-        with memory_limited(given["max_memory"]):
-            result = inspect_file(source, Bounds(allowed=given["allow_outside"]))
-    except SkinbakeError as error:
-        say.error(error)
-        sys.exit(exit_codes.of_error(error))
-    say.notices(result.notices)
-    if given["as_json"]:
-        say.document(as_json(result))
-    else:
-        say.result(as_text(result))
+    INPUT is a .glb, .gltf or .vrm file, or - for a GLB on stdin; a folder, for all such files below it; or a
+    quoted pattern like 'art/**/*.glb'. Each may be a URL. Several files, folders and patterns have a line for
+    each file; -v shows all of them in full.
+    """
+    clock, given = Clock(), alone(some)
+    found = expanded(inputs)
+    check_reports({"--summary": given["summary"]}, None, (entry.source for entry in found))
+    say = console(verbose=given["verbose"], quiet=given["quiet"], color=given["color"])
+    from skinbake.jobs.inspect import MODULES, SECONDS_A_BYTE, SECONDS_A_FILE, Inspect
+    from skinbake.jobs.work import Job
+
+    jobs = [
+        Job(
+            entry.source,
+            missing=entry.missing,
+            within=Within(Bounds(entry.searched, given["allow_outside"])),
+        )
+        for entry in found
+    ]
+    reporting = _reporting(given, say, is_one=is_one_file(inputs))
+    clock.imports_done()
+    run = run_of(Inspect(), jobs, given, say, modules=MODULES, guess=(SECONDS_A_FILE, SECONDS_A_BYTE))
+    sys.exit(work_through(run, reporting, given, say, clock, Notes(say)))
+
+
+def _reporting(given: Given, say: Console, *, is_one: bool) -> Reporting[FileSummary]:
+    """Return how summaries are reported and counted. ``is_one``: of one file, which has its own schema."""
+    from skinbake.report.inspect import FILES_SCHEMA, as_line, as_text, file_json, files_json, one_json
+    from skinbake.report.totals import INSPECT_OUTCOMES, Totals
+
+    def tell(result: FileSummary) -> None:
+        say.notices(result.notices)
+        if result.error is not None:
+            say.error(result.error)
+        elif result.summary is not None and not given["as_json"]:
+            in_full = is_one or given["verbose"]
+            say.result(as_text(result.summary) if in_full else as_line(result.summary))
+
+    return Reporting(
+        schema=FILES_SCHEMA,
+        outcomes=INSPECT_OUTCOMES,
+        tell=tell,
+        count=Totals.add_inspected,
+        code=lambda result: exit_codes.OK if result.error is None else exit_codes.of_error(result.error),
+        file_json=file_json,
+        document=lambda results, code, process: (
+            one_json(results[0], process) if is_one else files_json(results, exit_code=code, process=process)
+        ),
+    )

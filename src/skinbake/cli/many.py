@@ -1,4 +1,4 @@
-"""The common part of ``bake`` and ``verify``: many files, in several processes, reported as they are done."""
+"""The common part of commands for many files: several processes, and results reported as they are done."""
 
 from __future__ import annotations
 
@@ -15,8 +15,9 @@ import click
 
 from skinbake.cli import exit_codes
 from skinbake.cli.console import Command, Console, json_text
+from skinbake.cli.limits import memory_of_each
 from skinbake.cli.progress import Progress
-from skinbake.cli.runners import LONG
+from skinbake.cli.runners import LONG, runner_of, seconds_of, threads_of_each
 from skinbake.cli.targets import sync_option
 from skinbake.containment import flush
 from skinbake.errors import OutputError, Place
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
 
     from skinbake.cli.given import Given
     from skinbake.cli.inputs import Input
+    from skinbake.jobs.file_work import FileCommand
     from skinbake.jobs.state import Recipe, State
     from skinbake.jobs.work import Job, Result, Runner, Work
     from skinbake.report.totals import Totals
@@ -60,14 +62,6 @@ def many_options(command: Command) -> Command:
     """Add the options for many files."""
     for option in (
         click.option(
-            "--timings", is_flag=True, help="Say where the time goes, by stage; in --json and --summary too."
-        ),
-        click.option(
-            "--summary",
-            metavar="FILE",
-            help="Also write JSON lines: each file's result as soon as it is there, totals at the end.",
-        ),
-        click.option(
             "--state",
             metavar="FILE",
             help=f"Where --skip-unchanged keeps its notes; in --out-dir: {STATE_NAME}.",
@@ -84,6 +78,22 @@ def many_options(command: Command) -> Command:
             callback=_threads,
             metavar="N",
             help="Threads for the work on a file; auto: the usable cores, divided by --jobs.",
+        ),
+    ):
+        command = option(command)
+    return jobs_options(command)
+
+
+def jobs_options(command: Command) -> Command:
+    """Add the options for many files that even a command of little work has."""
+    for option in (
+        click.option(
+            "--timings", is_flag=True, help="Say where the time goes, by stage; in --json and --summary too."
+        ),
+        click.option(
+            "--summary",
+            metavar="FILE",
+            help="Also write JSON lines: each file's result as soon as it is there, totals at the end.",
         ),
         click.option(
             "-j",
@@ -269,13 +279,37 @@ class Run(Generic[ResultT]):
     seconds: float
 
 
+def run_of(
+    command: FileCommand[ResultT],
+    jobs: Sequence[Job],
+    given: Given,
+    say: Console,
+    *,
+    modules: Sequence[str],
+    guess: tuple[float, float],
+    turns: Sequence[int] = (),
+    recipe: Recipe | None = None,
+) -> Run[ResultT]:
+    """Return the run of a command on jobs, as the options ask for. Parameters are as for ``runner_of``.
+
+    Raises click.UsageError for options that do not go together, and InputError if a cluster cannot be used.
+    """
+    from skinbake.jobs.file_work import FileWork
+
+    sources = [job.source for job in jobs]
+    runner: Runner[Job, ResultT] = runner_of(given, sources, turns, modules, guess, say)
+    threads = threads_of_each(given, sources)
+    work = FileWork(command, recipe, given["timings"], memory_of_each(given), threads)
+    return Run(jobs, runner, work, seconds_of(sources, guess))
+
+
 @dataclass(frozen=True, slots=True)
 class Reporting(Generic[ResultT]):
     """How a command's results are reported, counted and written, and the exit code of each.
 
     outcomes are the kinds by which files are counted. document makes the JSON of all results, of the exit
-    code and of the seconds of the process. If write is given, it writes another report of all results and
-    returns its exit code.
+    code and of the seconds of the process, or None if there is nothing to print. If write is given, it writes
+    another report of all results and returns its exit code.
     """
 
     schema: str
@@ -284,7 +318,9 @@ class Reporting(Generic[ResultT]):
     count: Callable[[Totals, ResultT], None]
     code: Callable[[ResultT], int]
     file_json: Callable[[ResultT], Mapping[str, object]]
-    document: Callable[[Sequence[ResultT], int, Mapping[str, float | None] | None], Mapping[str, object]]
+    document: Callable[
+        [Sequence[ResultT], int, Mapping[str, float | None] | None], Mapping[str, object] | None
+    ]
     write: Callable[[Sequence[ResultT]], int] | None = None
 
 
@@ -313,7 +349,9 @@ def work_through(
         say.listing(timing_lines(totals, clock.process()))
     if given["as_json"]:
         spent = clock.process() if given["timings"] else None
-        say.document(reporting.document(results, code, spent))
+        content = reporting.document(results, code, spent)
+        if content is not None:
+            say.document(content)
     return code
 
 

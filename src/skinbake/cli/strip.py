@@ -3,63 +3,103 @@
 from __future__ import annotations
 
 import sys
-from typing import Any
+from typing import TYPE_CHECKING
 
 import click
 
 from skinbake.cli import exit_codes
-from skinbake.cli.console import console, message_options, outside_option
+from skinbake.cli.console import Console, console, message_options, outside_option
+from skinbake.cli.given import alone
 from skinbake.cli.help import Helpful
-from skinbake.cli.limits import memory_option
-from skinbake.cli.names import STDIO, check_readable_suffix
-from skinbake.cli.targets import check_target, sync_option
-from skinbake.containment import Bounds
-from skinbake.errors import SkinbakeError
+from skinbake.cli.inputs import expanded
+from skinbake.cli.limits import limit_options
+from skinbake.cli.many import Clock, Notes, Reporting, jobs_options, run_of, work_through
+from skinbake.cli.names import STDIO
+from skinbake.cli.targets import check_reports, in_turns, jobs_of, targets_of
+from skinbake.cli.writing import writing_of
+
+if TYPE_CHECKING:
+    from typing import Unpack
+
+    from skinbake.cli.given import Given
+    from skinbake.report.strip import StripResult
 
 
 @click.command(
     "strip",
     cls=Helpful,
-    examples=("skinbake strip build/hero.glb -o hero.glb",),
+    examples=(
+        "skinbake strip build/hero.glb -o hero.glb",
+        "skinbake strip build --out-dir unbaked",
+    ),
 )
-@click.argument("source", metavar="INPUT")
-@click.option("-o", "--output", required=True, metavar="FILE", help="Output file; - is a GLB on stdout.")
+@click.argument("inputs", nargs=-1, required=True, metavar="INPUT...")
+@click.option("-o", "--output", metavar="FILE", help="Output file; - is a GLB on stdout.")
+@click.option(
+    "--out-dir",
+    metavar="DIR",
+    help="Output folder, made if it is missing. A named input keeps its name. A file found in a folder "
+    "or by a pattern keeps its path from there.",
+)
+@click.option("--in-place", is_flag=True, help="Replace each input by its version before bake.")
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 @click.option(
     "--warnings-as-errors", is_flag=True, help="Fail (exit 3) and write nothing if there are warnings."
 )
+@jobs_options
+@limit_options
 @outside_option
-@sync_option
-@memory_option
 @message_options
-def command(source: str, **given: Any) -> None:
-    """Write the document as it was before bake: equal JSON, and the original influences."""
-    check_readable_suffix(source)
-    check_target(source, given["output"], instead="choose another name")
-    to_stdout = given["output"] == STDIO
-    if to_stdout and given["as_json"]:
-        raise click.UsageError("stdout cannot take both the GLB and --json")
+def command(inputs: tuple[str, ...], **some: Unpack[Given]) -> None:
+    """Write the document as it was before bake: equal JSON, and the original influences.
+
+    INPUT is a .glb, .gltf or .vrm file, or - for a GLB on stdin; a folder, for all such files below it; or a
+    quoted pattern like 'build/**/*.glb'. Inputs and outputs may be URLs.
+    """
+    clock, given = Clock(), alone(some)
+    found = expanded(inputs, but=given.get("out_dir"))
+    targets, output = targets_of(found, given), given.get("output")
+    check_reports({"--summary": given["summary"]}, output, (entry.source for entry in found))
+    to_stdout = output == STDIO
     say = console(
         verbose=given["verbose"], quiet=given["quiet"], color=given["color"], results_on_stderr=to_stdout
     )
-    from skinbake.commands.strip import strip_file
-    from skinbake.gltf.budget import memory_limited
-    from skinbake.report.strip import as_json, closing_line
+    from skinbake.jobs.strip import MODULES, SECONDS_A_BYTE, SECONDS_A_FILE, Strip
 
-    try:
-        with memory_limited(given["max_memory"]):
-            result = strip_file(
-                source,
-                given["output"],
-                warnings_as_errors=given["warnings_as_errors"],
-                sync=not given["no_sync"],
-                bounds=Bounds(allowed=given["allow_outside"]),
-            )
-    except SkinbakeError as error:
-        say.error(error)
-        sys.exit(exit_codes.of_error(error))
-    say.notices(result.notices)
-    if given["as_json"]:
-        say.document(as_json(result))
-    else:
-        say.result(closing_line(result))
+    reporting = _reporting(given, say, is_one=output is not None)
+    clock.imports_done()
+    run = run_of(
+        Strip(writing_of(given), given["warnings_as_errors"]),
+        jobs_of(targets, given),
+        given,
+        say,
+        modules=MODULES,
+        guess=(SECONDS_A_FILE, SECONDS_A_BYTE),
+        turns=in_turns([entry for entry, _ in targets]) if given.get("out_dir") else [],
+    )
+    sys.exit(work_through(run, reporting, given, say, clock, Notes(say)))
+
+
+def _reporting(given: Given, say: Console, *, is_one: bool) -> Reporting[StripResult]:
+    """Return how results are reported and counted. ``is_one``: of one file, which has its own schema."""
+    from skinbake.report.strip import FILES_SCHEMA, closing_line, file_json, files_json, one_json
+    from skinbake.report.totals import STRIP_OUTCOMES, Totals
+
+    def tell(result: StripResult) -> None:
+        say.notices(result.notices)
+        if result.error is not None:
+            say.error(result.error)
+        if not (given["as_json"] or (is_one and result.error)):
+            say.result(closing_line(result))
+
+    return Reporting(
+        schema=FILES_SCHEMA,
+        outcomes=STRIP_OUTCOMES,
+        tell=tell,
+        count=Totals.add_stripped,
+        code=lambda result: exit_codes.OK if result.error is None else exit_codes.of_error(result.error),
+        file_json=file_json,
+        document=lambda results, code, process: (
+            one_json(results[0], process) if is_one else files_json(results, exit_code=code, process=process)
+        ),
+    )

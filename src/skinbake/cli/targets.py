@@ -7,13 +7,19 @@ import stat
 import struct
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from skinbake.cli.console import Command
 from skinbake.cli.inputs import Input
 from skinbake.cli.names import STDIO
+from skinbake.containment import Bounds, Within
 from skinbake.urls import SUFFIXES, canonical, is_url, join_url, on_disk
+
+if TYPE_CHECKING:
+    from skinbake.cli.given import Given
+    from skinbake.jobs.work import Job
 
 GLB_HEADERS = struct.Struct("<4sIIII")
 """The header of a GLB, and the header of its first chunk, which is its JSON."""
@@ -58,6 +64,49 @@ def _same_file(first: str, second: str) -> bool:
         return Path(one).samefile(other)
     except (OSError, ValueError):
         return False
+
+
+def targets_of(inputs: list[Input], given: Mapping[str, Any]) -> list[tuple[Input, str | None]]:
+    """Return (input, output) pairs. Raises click.UsageError for a combination without a meaning."""
+    chosen = [name for name in ("output", "out_dir", "in_place") if given[name]]
+    if len(chosen) > 1 or (not chosen and not given.get("dry_run")):
+        raise click.UsageError("give one of -o/--output, --out-dir and --in-place")
+    if given["output"]:
+        if len(inputs) > 1:
+            raise click.UsageError("-o takes one input; use --out-dir for several")
+        if given["output"] == STDIO and given["as_json"]:
+            raise click.UsageError("stdout cannot take both the GLB and --json")
+        check_named(given["output"], f"use --out-dir {given['output']}, or name the file")
+        check_target(inputs[0].source, given["output"])
+        return [(inputs[0], given["output"])]
+    if given["in_place"]:
+        if any(entry.source == STDIO for entry in inputs):
+            raise click.UsageError("--in-place needs files, not - for stdin")
+        return [(entry, entry.source) for entry in once(inputs)]
+    if given["out_dir"]:
+        return list(pair_up(inputs, given["out_dir"]))
+    return [(entry, None) for entry in inputs]
+
+
+def jobs_of(
+    targets: Iterable[tuple[Input, str | None]],
+    given: Given,
+    known: Callable[[str | None], bytes | None] = lambda target: None,
+) -> list[Job]:
+    """Return the jobs of pairs from ``targets_of``. ``known`` returns the record of a target."""
+    from skinbake.jobs.work import Job
+
+    return [
+        Job(
+            entry.source,
+            target,
+            known(target),
+            within=Within(Bounds(entry.searched, given["allow_outside"]), given.get("out_dir")),
+        )
+        if entry.missing is None
+        else Job(entry.source, missing=entry.missing)
+        for entry, target in targets
+    ]
 
 
 def pair_up(inputs: Sequence[Input], folder: str) -> list[tuple[Input, str]]:

@@ -15,11 +15,10 @@ from skinbake.cli.console import Console, console, finite, message_options, one_
 from skinbake.cli.given import Given
 from skinbake.cli.help import Helpful
 from skinbake.cli.inputs import expanded
-from skinbake.cli.limits import limit_options, memory_of_each
-from skinbake.cli.many import Clock, Reporting, Run, many_options, notes_of, state_path, work_through
+from skinbake.cli.limits import limit_options
+from skinbake.cli.many import Clock, Reporting, many_options, notes_of, run_of, state_path, work_through
 from skinbake.cli.names import STDIO
 from skinbake.cli.remote import cluster_option
-from skinbake.cli.runners import runner_of, seconds_of, threads_of_each
 from skinbake.cli.targets import check_reports
 from skinbake.containment import Bounds, Within
 from skinbake.errors import OutputError, Place, SkinbakeError
@@ -28,7 +27,6 @@ from skinbake.urls import is_url
 if TYPE_CHECKING:
     from typing import Unpack
 
-    from skinbake.jobs.work import Runner
     from skinbake.lighting.measured import VerifyOptions
     from skinbake.report.verify import FileVerdict
 
@@ -176,7 +174,6 @@ def command(inputs: tuple[str, ...], **given: Unpack[VerifyGiven]) -> None:
         raise click.UsageError("--html needs files on this machine's disks, because it reads them again")
     check_reports(reports, None, (entry.source for entry in found))
     say = console(verbose=given["verbose"], quiet=given["quiet"], color=given["color"])
-    from skinbake.jobs.file_work import FileWork
     from skinbake.jobs.verify import MODULES, SECONDS_A_BYTE, SECONDS_A_FILE, Verify
     from skinbake.jobs.work import Job
 
@@ -193,17 +190,8 @@ def command(inputs: tuple[str, ...], **given: Unpack[VerifyGiven]) -> None:
     ]
     reporting = _reporting(given, say, options, {entry.source: entry.searched for entry in found})
     clock.imports_done()
-    sources = [job.source for job in jobs]
-    work = FileWork(
-        Verify(options),
-        notes.recipe,
-        given["timings"],
-        memory_of_each(given),
-        threads_of_each(given, sources),
-    )
     guess = (SECONDS_A_FILE, SECONDS_A_BYTE)
-    runner: Runner[Job, FileVerdict] = runner_of(given, sources, [], MODULES, guess, say)
-    run = Run(jobs, runner, work, seconds_of(sources, guess))
+    run = run_of(Verify(options), jobs, given, say, modules=MODULES, guess=guess, recipe=notes.recipe)
     sys.exit(work_through(run, reporting, given, say, clock, notes))
 
 

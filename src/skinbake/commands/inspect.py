@@ -28,6 +28,7 @@ from skinbake.gradients.influences import weight_field
 from skinbake.gradients.normal_lean import lean_notices
 from skinbake.gradients.weight_sums import weight_sum_notices
 from skinbake.report.inspect import AttributeSummary, BakeSummary, InspectResult, PrimitiveSummary
+from skinbake.timing import stage
 
 BYTES_A_VERTEX, BYTES_A_SLOT = 64, 40
 """The approximate memory for summing up a primitive, at most."""
@@ -35,7 +36,8 @@ BYTES_A_VERTEX, BYTES_A_SLOT = 64, 40
 
 def inspect_file(source: str, bounds: Bounds = BESIDE) -> InspectResult:
     """Return a summary of one file. Raises SkinbakeError if it cannot be read."""
-    document = read_document(source, bounds)
+    with stage("read"):
+        document = read_document(source, bounds)
     sources, notices = skinned_sources(document)
     primitives = []
     for entry in sources:

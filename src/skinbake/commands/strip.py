@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from skinbake.containment import BESIDE, Bounds
-from skinbake.errors import InputError, Notice, Place
+from skinbake.errors import InputError, Notice, Place, noticed
 from skinbake.format.strip import stripped
 from skinbake.gltf.container import for_target
-from skinbake.gltf.document import read_document
+from skinbake.gltf.document import STDIO, read_document
 from skinbake.gltf.output import plan_output, refuse_own_input
+from skinbake.gltf.writing import version_of
 from skinbake.report.strip import StripResult
+from skinbake.timing import stage
 
 
 def strip_file(
@@ -18,23 +22,32 @@ def strip_file(
     warnings_as_errors: bool = False,
     sync: bool = True,
     bounds: Bounds = BESIDE,
+    root: str | None = None,
 ) -> StripResult:
     """Write a document without the additions of bake. Raises SkinbakeError; then nothing is written.
 
-    With ``sync``, it waits until the file is on the disk.
+    With ``sync``, it waits until the file is on the disk. Nothing is written outside ``root``, which is the
+    target's own folder by default. A file that holds no bake is not replaced by itself.
     """
-    document = read_document(source, bounds)
+    in_place = target == source != STDIO
+    replaced = version_of(source) if in_place else None
+    with stage("read"):
+        document = read_document(source, bounds)
     refuse_own_input(document, source, target)
-    document, count, notices = stripped(document)
+    with stage("strip"):
+        document, count, notices = stripped(document)
     if count == 0:
         notices.append(Notice("nothing-baked", "passed through unchanged: it holds no bake", Place(source)))
     document, found = for_target(document, target)
-    planned = plan_output(document, target)
-    notices += [*found, *planned.notices]
+    with stage("write"):
+        planned = None if in_place and count == 0 else plan_output(document, target, root=root)
+    notices += [*found, *(planned.notices if planned else ())]
     if warnings_as_errors and notices:
         raise InputError(
             f"not written: {'; '.join(notice.message for notice in notices)} (--warnings-as-errors)",
             Place(source),
         )
-    planned.write(sync=sync)
+    if planned is not None:
+        with noticed(notices), stage("write"):
+            replace(planned, replaces=replaced).write(sync=sync)
     return StripResult(source, target, count, tuple(notices))

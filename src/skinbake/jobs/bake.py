@@ -36,7 +36,7 @@ class Bake:
         writing = replace(self.writing, traced=traced)
         there = elsewhere_of(job)
         if there is not None:
-            return there.bake_file(job.source, job.target, self.baker, writing, job.within)
+            return there.write(job.source, job.target, self.baker.bake_file, writing, job.within)
         return self.baker.bake_file(job.source, job.target, writing, job.within)
 
     def failed(self, job: Job, error: SkinbakeError) -> FileResult:

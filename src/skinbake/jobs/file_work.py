@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Generic, Protocol
+from typing import TYPE_CHECKING, Generic, Protocol, TypeVar, runtime_checkable
 
 from skinbake.errors import InputError, Place, SkinbakeError
 from skinbake.gltf.budget import memory_limited
@@ -15,20 +15,29 @@ from skinbake.timing import stage, tell_file, timed
 
 if TYPE_CHECKING:
     from skinbake.jobs import state
+    from skinbake.jobs.work import Result
 
 
-class FileCommand(Protocol[ResultT]):
+ResultT_co = TypeVar("ResultT_co", bound="Result", covariant=True)
+
+
+class FileCommand(Protocol[ResultT_co]):
     """The work of a command on one file, and the results that it can return."""
 
     @property
     def undone(self) -> str:
         """The words before the reason why a file was lost, like ``not baked``."""
 
-    def result_of(self, job: Job, *, traced: bool) -> ResultT:
+    def result_of(self, job: Job, *, traced: bool) -> ResultT_co:
         """Do the work. If ``traced``, the result has digests of the written files. Raises SkinbakeError."""
 
-    def failed(self, job: Job, error: SkinbakeError) -> ResultT:
+    def failed(self, job: Job, error: SkinbakeError) -> ResultT_co:
         """Return the result of a file that failed."""
+
+
+@runtime_checkable
+class NotedCommand(FileCommand[ResultT], Protocol[ResultT]):
+    """A command whose outcomes a state file can hold."""
 
     def up_to_date(self, job: Job) -> ResultT:
         """Return the result of a file that is up to date."""
@@ -49,8 +58,8 @@ class FileCommand(Protocol[ResultT]):
 class FileWork(Generic[ResultT]):
     """Have a command work on a file, unless ``recipe`` is given and the file is known to be up to date.
 
-    max_memory is the memory that a file may take, in bytes. threads is the number of threads for it, None for
-    one on each core. An error in a file raises nothing.
+    A recipe needs a NotedCommand. max_memory is the memory that a file may take, in bytes. threads is the
+    number of threads for it, None for one on each core. An error in a file raises nothing.
     """
 
     command: FileCommand[ResultT]
@@ -82,25 +91,34 @@ class FileWork(Generic[ResultT]):
     def _result(self, job: Job) -> ResultT:
         if job.missing is not None:
             raise InputError(job.missing, Place(job.source))
-        recipe = self.recipe
-        if recipe is None or STDIO in {job.source, job.target} or not self.command.is_noted(job):
-            return self.command.result_of(job, traced=False)
+        command, recipe = self.command, self.recipe
+        if recipe is None or STDIO in {job.source, job.target} or not isinstance(command, NotedCommand):
+            return command.result_of(job, traced=False)
+        return self._noted(command, recipe, job)
+
+    def _noted(self, command: NotedCommand[ResultT], recipe: state.Recipe, job: Job) -> ResultT:
+        """Return the result of the file, with its record for the state file."""
+        if not command.is_noted(job):
+            return command.result_of(job, traced=False)
         from skinbake.jobs import state  # only --skip-unchanged needs it
 
         with stage("state"):
             if job.known is not None and recipe.still_holds(job.known, job.source, job.target):
-                return self.command.up_to_date(job)
+                return command.up_to_date(job)
             before = state.seen(job.source, job.within.bounds)
-        result = self.command.result_of(job, traced=True)
+        result = command.result_of(job, traced=True)
         if before is None:
             return result
         with stage("state"):
-            return changed(result, record=self._record(recipe, job, result, before))
+            return changed(result, record=_record(command, recipe, job, result, before))
 
-    def _record(self, recipe: state.Recipe, job: Job, result: ResultT, before: state.Seen) -> bytes | None:
-        """Return the record of a file that was just done, or None if anything is in doubt."""
-        try:
-            found = self.command.evidence(job, result, before)
-            return None if found is None else recipe.record(job.source, job.target, *found)
-        except (OSError, ValueError):
-            return None
+
+def _record(
+    command: NotedCommand[ResultT], recipe: state.Recipe, job: Job, result: ResultT, before: state.Seen
+) -> bytes | None:
+    """Return the record of a file that was just done, or None if anything is in doubt."""
+    try:
+        found = command.evidence(job, result, before)
+        return None if found is None else recipe.record(job.source, job.target, *found)
+    except (OSError, ValueError):
+        return None

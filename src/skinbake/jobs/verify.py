@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
 from skinbake.commands.verify import verify_file
+from skinbake.containment import Bounds
 from skinbake.errors import SkinbakeError
 from skinbake.jobs.elsewhere import elsewhere_of
 from skinbake.jobs.work import Job
@@ -33,8 +34,8 @@ class Verify:
         """Verify the file. Raises SkinbakeError if it cannot be read. Nothing is written or traced."""
         there = elsewhere_of(job)
         if there is not None:
-            return there.verify_file(job.source, self.options, job.within)
-        return verify_file(job.source, self.options, job.within.bounds)
+            return there.read(job.source, job.within.bounds, self._verdict)
+        return self._verdict(job.source, job.within.bounds)
 
     def failed(self, job: Job, error: SkinbakeError) -> FileVerdict:
         """Return that the file could not be verified."""
@@ -47,6 +48,9 @@ class Verify:
     def is_noted(self, job: Job) -> bool:
         """Tell that a state file can hold every verdict."""
         return True
+
+    def _verdict(self, source: str, bounds: Bounds) -> FileVerdict:
+        return verify_file(source, self.options, bounds)
 
     def evidence(
         self, job: Job, result: FileVerdict, before: state.Seen

@@ -2,34 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Protocol, TypeVar
 
-from skinbake.containment import OWN_FOLDERS, Within
+from skinbake.containment import OWN_FOLDERS, Bounds, Within
 from skinbake.errors import Notice, SkinbakeError
 
 if TYPE_CHECKING:
-    from skinbake.commands.bake import Baker
     from skinbake.gltf.output import Writing
-    from skinbake.lighting.measured import VerifyOptions
-    from skinbake.report.bake import FileResult
-    from skinbake.report.verify import FileVerdict
-
-
-class Elsewhere(Protocol):
-    """Fetch files that are not on the local disk, and store the written files.
-
-    Its methods do the same as the commands' functions of the same names, and raise the same errors.
-    """
-
-    def bake_file(
-        self, source: str, target: str | None, baker: Baker, how: Writing, within: Within
-    ) -> FileResult:
-        """Bake a file."""
-
-    def verify_file(self, source: str, options: VerifyOptions, within: Within) -> FileVerdict:
-        """Verify a file."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,11 +50,32 @@ class Result(Protocol):
         """The seconds of each stage, or None if they were not asked for."""
 
 
+T = TypeVar("T")
 JobT = TypeVar("JobT")
 ReturnT = TypeVar("ReturnT")
 ResultT = TypeVar("ResultT", bound=Result)
 JobT_contra = TypeVar("JobT_contra", contravariant=True)
 ReturnT_co = TypeVar("ReturnT_co", covariant=True)
+
+
+class Elsewhere(Protocol):
+    """Fetch files that are not on the local disk for a command's function, and store the written files.
+
+    The functions take paths of the local disk. Their results and errors name files as the user does.
+    """
+
+    def read(self, source: str, bounds: Bounds, reads: Callable[[str, Bounds], T]) -> T:
+        """Return ``reads(path, bounds)`` for a file."""
+
+    def write(
+        self,
+        source: str,
+        target: str | None,
+        makes: Callable[[str, str | None, Writing, Within], ResultT],
+        how: Writing,
+        within: Within,
+    ) -> ResultT:
+        """Return ``makes(path, path of the target, how, within)``, and store the files that it writes."""
 
 
 def changed(result: ResultT, **fields: object) -> ResultT:

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from skinbake.choices import Gradients
-from skinbake.errors import Notice, Place, printable
-from skinbake.report.notices import notice_list, place_fields
+from skinbake.errors import Notice, Place, SkinbakeError, printable
+from skinbake.report.notices import error_fields, notice_list, place_fields
 from skinbake.wording import counted
 
 SCHEMA = "skinbake.inspect/1"
+FILES_SCHEMA = "skinbake.inspect-files/1"
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,14 +70,56 @@ class InspectResult:
     notices: tuple[Notice, ...]
 
 
-def as_text(result: InspectResult) -> str:
-    """Return the summary as lines for a terminal."""
-    lines = [
-        f"{printable(result.input)}: {result.byte_length:,} bytes, "
+@dataclass(frozen=True, slots=True)
+class FileSummary:
+    """The result of one input: its summary, or the error that left it without one.
+
+    record is always None. timings are seconds by stage, None if they were not requested.
+    """
+
+    input: str
+    summary: InspectResult | None = None
+    error: SkinbakeError | None = None
+    record: bytes | None = None
+    timings: dict[str, float] | None = None
+
+    @property
+    def notices(self) -> tuple[Notice, ...]:
+        """Return the notices of the summary, or those from before the error."""
+        if self.summary is not None:
+            return self.summary.notices
+        return () if self.error is None else self.error.notices
+
+
+def as_line(result: InspectResult) -> str:
+    """Return the summary as one line: the counts, and how much of the file is baked."""
+    return f"{_counts(result)}, {_baked_text(result.primitives)}"
+
+
+def _baked_text(primitives: Sequence[PrimitiveSummary]) -> str:
+    """Return how many primitives are baked, and of how many the bake is stale."""
+    if not primitives:
+        return "nothing to bake"
+    baked = [primitive.bake for primitive in primitives if primitive.bake is not None]
+    if not baked:
+        return "not baked"
+    changed = sum(bool(bake.changed) for bake in baked)
+    share = "baked" if len(baked) == len(primitives) else f"{len(baked):,} of {len(primitives):,} baked"
+    return f"{share}, {counted(changed, 'primitive')} changed since: bake again" if changed else share
+
+
+def _counts(result: InspectResult) -> str:
+    return (
+        f"{printable(result.input)}: {counted(result.byte_length, 'byte')}, "
         f"{counted(result.meshes, 'mesh', 'meshes')}, "
         f"{counted(result.skins, 'skin')}, {counted(result.animations, 'animation')}, "
         f"{counted(len(result.primitives), 'skinned primitive')}"
-    ]
+    )
+
+
+def as_text(result: InspectResult) -> str:
+    """Return the summary as lines for a terminal."""
+    lines = [_counts(result)]
     for primitive in result.primitives:
         lines += _primitive_lines(primitive)
     return "\n".join(lines)
@@ -135,6 +178,38 @@ def as_json(result: InspectResult) -> dict[str, Any]:
         "animations": result.animations,
         "primitives": [_primitive_json(primitive) for primitive in result.primitives],
         "warnings": notice_list(result.notices),
+    }
+
+
+def one_json(result: FileSummary, process: Mapping[str, float | None] | None) -> dict[str, Any] | None:
+    """Return the JSON of a single file, or None if it failed. process holds the seconds of the process."""
+    if result.summary is None:
+        return None
+    return as_json(result.summary) | ({} if process is None else {"timings": dict(process)})
+
+
+def files_json(
+    results: Sequence[FileSummary], *, exit_code: int, process: Mapping[str, float | None] | None
+) -> dict[str, Any]:
+    """Return the summaries as one JSON object; docs/reference/json.md documents its members."""
+    return {
+        "schema": FILES_SCHEMA,
+        "exit_code": exit_code,
+        **({} if process is None else {"timings": dict(process)}),
+        "files": [file_json(result) for result in results],
+    }
+
+
+def file_json(result: FileSummary) -> dict[str, Any]:
+    """Return the result of one file as a JSON object."""
+    found: dict[str, Any] = {"input": result.input, "warnings": notice_list(result.notices)}
+    if result.summary is not None:
+        found = as_json(result.summary)
+        del found["schema"]
+    return {
+        **found,
+        "error": error_fields(result.error),
+        **({} if result.timings is None else {"timings": result.timings}),
     }
 
 

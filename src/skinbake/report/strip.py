@@ -2,30 +2,53 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
-from skinbake.errors import Notice, printable
-from skinbake.report.notices import notice_list
+from skinbake.errors import Notice, SkinbakeError, printable
+from skinbake.report.notices import error_fields, notice_list
 from skinbake.wording import counted
 
 SCHEMA = "skinbake.strip/1"
+FILES_SCHEMA = "skinbake.strip-files/1"
+
+Status = Literal["stripped", "unchanged", "failed"]
+"""``unchanged``: passed through, because it holds no bake."""
 
 
 @dataclass(frozen=True, slots=True)
 class StripResult:
-    """The number of primitives that lost their bake, and notices on leftovers."""
+    """The number of primitives that lost their bake, and notices on leftovers.
+
+    error is the reason of a failure. record is always None. timings are seconds by stage, None if they were
+    not requested.
+    """
 
     input: str
     output: str
     primitives: int
     notices: tuple[Notice, ...]
+    error: SkinbakeError | None = None
+    record: bytes | None = None
+    timings: dict[str, float] | None = None
+
+    @property
+    def status(self) -> Status:
+        """The outcome of the file."""
+        if self.error is not None:
+            return "failed"
+        return "stripped" if self.primitives else "unchanged"
 
 
 def closing_line(result: StripResult) -> str:
     """Return one line with the number of stripped primitives."""
+    name = printable(result.input)
+    if result.status == "failed":
+        return f"{name}: failed, nothing written"
     what = f"stripped {counted(result.primitives, 'primitive')}" if result.primitives else "unchanged"
-    return f"{printable(result.input)} -> {printable(result.output)}: {what}"
+    where = name if result.output == result.input else f"{name} -> {printable(result.output)}"
+    return f"{where}: {what}"
 
 
 def as_json(result: StripResult) -> dict[str, Any]:
@@ -36,4 +59,36 @@ def as_json(result: StripResult) -> dict[str, Any]:
         "output": result.output,
         "primitives": result.primitives,
         "warnings": notice_list(result.notices),
+    }
+
+
+def one_json(result: StripResult, process: Mapping[str, float | None] | None) -> dict[str, Any] | None:
+    """Return the JSON of a single file, or None if it failed. process holds the seconds of the process."""
+    if result.error is not None:
+        return None
+    return as_json(result) | ({} if process is None else {"timings": dict(process)})
+
+
+def files_json(
+    results: Sequence[StripResult], *, exit_code: int, process: Mapping[str, float | None] | None
+) -> dict[str, Any]:
+    """Return the results as one JSON object; docs/reference/json.md documents its members."""
+    return {
+        "schema": FILES_SCHEMA,
+        "exit_code": exit_code,
+        **({} if process is None else {"timings": dict(process)}),
+        "files": [file_json(result) for result in results],
+    }
+
+
+def file_json(result: StripResult) -> dict[str, Any]:
+    """Return the result of one file as a JSON object."""
+    return {
+        "input": result.input,
+        "output": result.output,
+        "status": result.status,
+        "primitives": result.primitives,
+        "warnings": notice_list(result.notices),
+        "error": error_fields(result.error),
+        **({} if result.timings is None else {"timings": result.timings}),
     }

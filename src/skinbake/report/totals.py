@@ -12,6 +12,8 @@ from skinbake.wording import counted
 
 if TYPE_CHECKING:  # bake need not load the XML modules of verify
     from skinbake.report.bake import FileResult
+    from skinbake.report.inspect import FileSummary
+    from skinbake.report.strip import StripResult
     from skinbake.report.verify import FileVerdict
 
 LISTED = 100
@@ -19,6 +21,8 @@ LISTED = 100
 
 BAKE_OUTCOMES = ("baked", "unchanged", "up-to-date", "failed")
 VERIFY_OUTCOMES = ("passed", "up-to-date", "failed")
+INSPECT_OUTCOMES = ("inspected", "failed")
+STRIP_OUTCOMES = ("stripped", "unchanged", "failed")
 
 
 @dataclass(slots=True)
@@ -49,6 +53,16 @@ class Totals:
             self._add("failed", f"{verdict.input}: {_problem(verdict)}", verdict.timings)
         else:
             self._add("up-to-date" if verdict.up_to_date else "passed", "", verdict.timings)
+
+    def add_inspected(self, result: FileSummary) -> None:
+        """Count a file of inspect."""
+        reason = _reason(result.input, result.error) if result.error else ""
+        self._add("failed" if result.error else "inspected", reason, result.timings)
+
+    def add_stripped(self, result: StripResult) -> None:
+        """Count a file of strip."""
+        reason = _reason(result.input, result.error) if result.error else ""
+        self._add(result.status, reason, result.timings)
 
     def _add(self, outcome: str, reason: str, timings: Mapping[str, float] | None) -> None:
         self.counts[outcome] += 1

@@ -1,4 +1,4 @@
-"""bake and verify for files that are not on this machine's disk.
+"""Commands for files that are not on this machine's disk.
 
 The files are fetched into a private folder. The functions for local files work on them there. Then the
 written files are stored again. The private folder mirrors the names of the storage, as far as one file's work
@@ -31,20 +31,17 @@ from skinbake.gltf.beside import NamedFile, named_files
 from skinbake.gltf.document import GLB_SUFFIXES, STDIO, read_document
 from skinbake.gltf.resources import is_there
 from skinbake.jobs.remote.storages import Storage, located, reading, writing
+from skinbake.jobs.work import ResultT
 from skinbake.timing import stage
 from skinbake.urls import is_url, on_disk
 
 if TYPE_CHECKING:
-    from skinbake.commands.bake import Baker
     from skinbake.gltf.output import Writing
-    from skinbake.lighting.measured import VerifyOptions
-    from skinbake.report.bake import FileResult
-    from skinbake.report.verify import FileVerdict
 
 T = TypeVar("T")
 
 ATTEMPTS = 8
-"""The number of times that a bake is tried if the files beside its target have changed."""
+"""The number of times that a file is made if the files beside its target have changed."""
 
 
 class RemoteDisk(Storage, Protocol):
@@ -85,21 +82,29 @@ class Staging:
     disk: RemoteDisk | None = None
     workspace: str | None = None
 
-    def bake_file(
-        self, source: str, target: str | None, baker: Baker, how: Writing, within: Within
-    ) -> FileResult:
-        """Bake one file, where source and target may be URLs.
+    def write(
+        self,
+        source: str,
+        target: str | None,
+        makes: Callable[[str, str | None, Writing, Within], ResultT],
+        how: Writing,
+        within: Within,
+    ) -> ResultT:
+        """Return ``makes(path, path of the target, how, within)``, where source and target may be URLs.
 
-        The command writes the same bytes on a disk. The result names files as the user does. Raises
+        The function writes the same bytes on a disk. The result names files as the user does. Raises
         SkinbakeError, and then the target has not been touched.
         """
         goal = None if target is None else self._target_end(target, within.output)
         start = self.end_of(source, within.bounds)
-        return _bake_between(start, goal, baker, how, within, self.workspace)
+        return _made_between(start, goal, makes, how, within, self.workspace)
 
-    def verify_file(self, source: str, options: VerifyOptions, within: Within) -> FileVerdict:
-        """Verify one file, which may be a URL. Raises SkinbakeError if it cannot be read."""
-        return _verify_at(self.end_of(source, within.bounds), options, within.bounds, self.workspace)
+    def read(self, source: str, bounds: Bounds, reads: Callable[[str, Bounds], T]) -> T:
+        """Return ``reads(path, bounds)`` for a file, which may be a URL.
+
+        Raises SkinbakeError if the file cannot be read.
+        """
+        return _read_at(self.end_of(source, bounds), reads, bounds, self.workspace)
 
     def end_of(self, given: str, bounds: Bounds = BESIDE) -> End:
         """Return the end that a path or URL names. Raises InputError if a URL's driver is missing.
@@ -137,10 +142,8 @@ def _top(name: str) -> str:
     return "" if normal == "." else normal
 
 
-def _verify_at(source: End, options: VerifyOptions, given: Bounds, workspace: str | None) -> FileVerdict:
-    """Verify the file at an end, through a private folder if it is in a storage; may raise SkinbakeError."""
-    from skinbake.commands.verify import verify_file
-
+def _read_at(source: End, reads: Callable[[str, Bounds], T], given: Bounds, workspace: str | None) -> T:
+    """Read the file at an end, through a private folder if it is in a storage; may raise SkinbakeError."""
     with _PrivateFolder(workspace) as folder:
         path = folder.fetch_input(source)
         bounds = folder.bounds_of(source, given)
@@ -148,19 +151,24 @@ def _verify_at(source: End, options: VerifyOptions, given: Bounds, workspace: st
             if resource.array == "buffers":
                 folder.fetch_named(source, resource, bounds, with_content=True)
         naming = folder.naming((source, path))
-        return _named(lambda: verify_file(path, options, bounds), naming)
+        return _named(lambda: reads(path, bounds), naming)
 
 
-def _bake_between(
-    source: End, target: End | None, baker: Baker, how: Writing, within: Within, workspace: str | None
-) -> FileResult:
-    """Bake from one end to another, through a private folder. On a SkinbakeError nothing is stored."""
+def _made_between(
+    source: End,
+    target: End | None,
+    makes: Callable[[str, str | None, Writing, Within], ResultT],
+    how: Writing,
+    within: Within,
+    workspace: str | None,
+) -> ResultT:
+    """Make a file from one end to another, through a private folder. On a SkinbakeError nothing is stored."""
     if target is not None and source.given != target.given and _one_file(source, target):
         raise OutputError("it is the input; use --in-place to replace it", Place(target.given))
     taken: frozenset[str] = frozenset()
     for _ in range(ATTEMPTS):
         with _PrivateFolder(workspace) as folder:
-            result, clashing = _attempt(folder, source, target, baker, how, within, taken)
+            result, clashing = _attempt(folder, source, target, makes, how, within, taken)
         if not clashing:
             return result
         taken |= clashing
@@ -176,15 +184,15 @@ def _attempt(
     folder: _PrivateFolder,
     source: End,
     target: End | None,
-    baker: Baker,
+    makes: Callable[[str, str | None, Writing, Within], ResultT],
     how: Writing,
     within: Within,
     taken: frozenset[str],
-) -> tuple[FileResult, frozenset[str]]:
+) -> tuple[ResultT, frozenset[str]]:
     """Return the result, and the names that other files in the target's storage have.
 
-    If there are such names, nothing is stored. ``taken`` are the names known from earlier attempts. The bake
-    sees their files, and gives its own files other names.
+    If there are such names, nothing is stored. ``taken`` are the names known from earlier attempts. The
+    function sees their files, and gives its own files other names.
     """
     path = folder.fetch_input(source)
     bounds = folder.bounds_of(source, within.bounds)
@@ -199,7 +207,7 @@ def _attempt(
     output = within.output if target is None else folder.output_of(target, within.output)
     how = replace(how, sync=how.sync and not is_stored)
     naming = folder.naming((source, path), (target, goal))
-    result = _named(lambda: baker.bake_file(path, goal, how, Within(bounds, output)), naming)
+    result = _named(lambda: makes(path, goal, how, Within(bounds, output)), naming)
     written = [name for name, state in folder.files_of(target).items() if before.get(name) != state]
     if target is None or target.storage is None or not written:
         return result, frozenset()

@@ -1,0 +1,36 @@
+"""Inspecting as work on many files."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from skinbake.commands.inspect import inspect_file
+from skinbake.errors import SkinbakeError
+from skinbake.jobs.elsewhere import elsewhere_of
+from skinbake.jobs.work import Job
+from skinbake.report.inspect import FileSummary
+
+MODULES = ("skinbake.cli.main", "skinbake.jobs.inspect", "skinbake.jobs.file_work")
+"""The modules that a worker imports before it starts."""
+
+SECONDS_A_FILE, SECONDS_A_BYTE = 2e-3, 4e-9
+"""The approximate time to inspect a file. It decides whether workers are worth starting."""
+
+
+@dataclass(frozen=True, slots=True)
+class Inspect:
+    """Sum up the source of a job."""
+
+    undone: ClassVar[str] = "not inspected"
+
+    def result_of(self, job: Job, *, traced: bool) -> FileSummary:
+        """Sum up the file. Raises SkinbakeError if it cannot be read. Nothing is written or traced."""
+        there = elsewhere_of(job)
+        if there is not None:
+            return FileSummary(job.source, there.read(job.source, job.within.bounds, inspect_file))
+        return FileSummary(job.source, inspect_file(job.source, job.within.bounds))
+
+    def failed(self, job: Job, error: SkinbakeError) -> FileSummary:
+        """Return that the file could not be read."""
+        return FileSummary(job.source, error=error)

@@ -1,0 +1,50 @@
+"""Stripping as work on many files."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from skinbake.commands.strip import strip_file
+from skinbake.containment import Within
+from skinbake.errors import SkinbakeError
+from skinbake.gltf.output import AS_USUAL, Writing
+from skinbake.jobs.elsewhere import elsewhere_of
+from skinbake.jobs.work import Job
+from skinbake.report.strip import StripResult
+
+MODULES = ("skinbake.cli.main", "skinbake.jobs.strip", "skinbake.jobs.file_work")
+"""The modules that a worker imports before it starts."""
+
+SECONDS_A_FILE, SECONDS_A_BYTE = 3e-3, 4e-9
+"""The approximate time to strip a file. It decides whether workers are worth starting."""
+
+
+@dataclass(frozen=True, slots=True)
+class Strip:
+    """Write the target of a job: its source as it was before bake."""
+
+    undone: ClassVar[str] = "not stripped"
+    writing: Writing = AS_USUAL
+    warnings_as_errors: bool = False
+
+    def result_of(self, job: Job, *, traced: bool) -> StripResult:
+        """Strip the file. Raises SkinbakeError; then nothing has been written. Nothing is traced."""
+        there = elsewhere_of(job)
+        if there is not None:
+            return there.write(job.source, job.target, self._stripped, self.writing, job.within)
+        return self._stripped(job.source, job.target, self.writing, job.within)
+
+    def failed(self, job: Job, error: SkinbakeError) -> StripResult:
+        """Return that the file failed."""
+        return StripResult(job.source, str(job.target), 0, error.notices, error)
+
+    def _stripped(self, source: str, target: str | None, how: Writing, within: Within) -> StripResult:
+        return strip_file(
+            source,
+            str(target),
+            warnings_as_errors=self.warnings_as_errors,
+            sync=how.sync,
+            bounds=within.bounds,
+            root=within.output,
+        )
