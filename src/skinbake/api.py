@@ -77,6 +77,7 @@ def bake(
     *,
     allow_outside: Sequence[FilePath] = (),
     dry_run: bool = False,
+    pack: bool = False,
     sync: bool = True,
     threads: int | str = "auto",
     **options: Unpack[BakeOptions],
@@ -93,6 +94,7 @@ def bake(
     *,
     allow_outside: Sequence[FilePath] = (),
     dry_run: bool = False,
+    pack: bool = False,
     sync: bool = True,
     threads: int | str = "auto",
     **options: Unpack[BakeOptions],
@@ -109,6 +111,8 @@ def bake(
         Folders in which a document may name files, besides its own folder.
     dry_run
         Do everything except writing.
+    pack
+        Bring the files of images and buffers into the target, which must be a ``.glb`` or ``.vrm``.
     sync
         Wait until the output is on the disk.
     threads
@@ -151,7 +155,7 @@ def bake(
             raise TypeError("bake() needs a target for a file")
         from skinbake.report.bake import file_json
 
-        writing = Writing(dry_run=dry_run, sync=sync)
+        writing = Writing(dry_run=dry_run, sync=sync, pack=pack)
         within = Within(_bounds(allow_outside))
         return file_json(baker.bake_file(os.fspath(source), os.fspath(target), writing, within))
 

@@ -13,7 +13,7 @@ from skinbake.errors import InputError
 from skinbake.jobs.remote import dask_runner
 from tests.support.command_line import document, invoke
 from tests.support.libraries import filesystem, stored, tree, upload, write_library
-from tests.support.models import FOLDER
+from tests.support.models import FOLDER, edited
 
 
 @pytest.fixture(autouse=True)
@@ -68,6 +68,20 @@ def test_outputs_are_not_taken_for_inputs(library: Path) -> None:
     for _ in range(2):
         assert invoke("bake", "memory://lib", "--out-dir", "memory://lib/out").exit_code == 0
     assert stored("memory://lib/out").keys() == tree(library / "here").keys()
+
+
+def test_images_behind_urls_are_packed(library: Path) -> None:
+    folder = library / "lib" / "images"
+    path = edited("seam.glb", folder, lambda content: content.update(images=[{"uri": "skin.png"}]))
+    (folder / "skin.png").write_bytes(b"\x89PNG, or so it begins")
+    upload(folder, "memory://images")
+    for name in ("memory://images/packed.glb", "memory://elsewhere/packed.glb"):
+        assert invoke("bake", "memory://images/seam.glb", "-o", name, "--pack").exit_code == 0
+    assert invoke("bake", path, "-o", folder / "packed.glb", "--pack").exit_code == 0
+    expected = (folder / "packed.glb").read_bytes()
+    assert b"\x89PNG, or so it begins" in expected
+    assert stored("memory://elsewhere") == {"packed.glb": expected}
+    assert stored("memory://images")["packed.glb"] == expected
 
 
 def test_urls_in_several_processes(library: Path) -> None:

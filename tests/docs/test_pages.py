@@ -71,10 +71,10 @@ def options() -> Iterator[str]:
                 yield max(parameter.opts, key=len)
 
 
-def test_readme_names_every_option() -> None:
+def test_readme_and_reference_name_every_option() -> None:
     short = {"--output": "-o", "--verbose": "-v", "--quiet": "-q"}
-    readme = text(REPOSITORY / "README.md")
-    missing = {option for option in options() if f"`{short.get(option, option)}" not in readme}
+    pages = text(REPOSITORY / "README.md") + text(REFERENCE / "command-line.md")
+    missing = {option for option in options() if f"`{short.get(option, option)}" not in pages}
     assert missing <= {"--help"}
 
 

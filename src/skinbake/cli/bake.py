@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -60,6 +60,11 @@ if TYPE_CHECKING:
     "or by a pattern keeps its path from there.",
 )
 @click.option("--in-place", is_flag=True, help="Replace each input by its baked version.")
+@click.option(
+    "--pack",
+    is_flag=True,
+    help="Bring the files of images and buffers into the output, which must be a .glb or .vrm.",
+)
 @click.option("--dry-run", is_flag=True, help="Do everything except writing.")
 @click.option("--json", "as_json", is_flag=True, help="Print the results as JSON.")
 @click.option(
@@ -202,6 +207,7 @@ def command(inputs: tuple[str, ...], **given: Unpack[Given]) -> None:
     found = expanded(inputs, but=given.get("out_dir"))
     baker = _baker(given)
     targets, notes_at = targets_of(found, given), state_path(given)
+    _check_pack(given, [target for _, target in targets])
     output = given.get("output")
     reports = {"--summary": given["summary"], "--state": notes_at}
     clip_files = [source for source in given.get("fit_poses", ()) if Path(source).is_file()]
@@ -213,9 +219,10 @@ def command(inputs: tuple[str, ...], **given: Unpack[Given]) -> None:
         color=given["color"],
         results_on_stderr=output == STDIO,
     )
-    from skinbake.jobs.bake import MODULES, SECONDS_A_BYTE, SECONDS_A_FILE, Bake
+    from skinbake.jobs.bake import MODULES, SECONDS_A_BYTE, SECONDS_A_FILE, Bake, BakeOptions
 
-    notes = notes_of("bake", baker, notes_at, found, say, sync=not given["no_sync"])
+    options = BakeOptions(baker, pack=given.get("pack", False))
+    notes = notes_of("bake", options, notes_at, found, say, sync=not given["no_sync"])
     jobs = jobs_of(targets, given, notes.known)
     reporting = _reporting(given, say)
     clock.imports_done()
@@ -258,6 +265,17 @@ def _reporting(given: Given, say: Console) -> Reporting[FileResult]:
             results, exit_code=code, dry_run=dry_run, process=process
         ),
     )
+
+
+def _check_pack(given: Given, targets: Sequence[str | None]) -> None:
+    """Raise click.UsageError if --pack meets an output that has no binary chunk."""
+    if not given.get("pack"):
+        return
+    for target in targets:
+        if target is not None and target != STDIO and target.lower().endswith(".gltf"):
+            raise click.UsageError(
+                f"{target}: --pack needs a .glb or .vrm as output, because a .gltf has no binary chunk"
+            )
 
 
 def _baker(given: Mapping[str, Any]) -> Baker:

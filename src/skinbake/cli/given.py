@@ -8,7 +8,8 @@ from typing import NotRequired, TypedDict, cast
 class Given(TypedDict):
     """The options of all commands for many files. Each command has options of its own in addition.
 
-    ``output``, ``out_dir`` and ``dry_run`` belong to commands that write, ``fit_poses`` to ``bake``.
+    ``output``, ``out_dir`` and ``dry_run`` belong to commands that write, ``fit_poses`` and ``pack`` to
+    ``bake``.
     """
 
     as_json: bool
@@ -32,6 +33,7 @@ class Given(TypedDict):
     out_dir: NotRequired[str | None]
     dry_run: NotRequired[bool]
     fit_poses: NotRequired[tuple[str, ...]]
+    pack: NotRequired[bool]
 
 
 def alone(some: Given) -> Given:

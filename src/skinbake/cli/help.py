@@ -11,7 +11,7 @@ from click.shell_completion import CompletionItem
 from skinbake.version import __version__
 
 GROUPS = {
-    "Output": ("output", "out_dir", "in_place", "dry_run", "port", "no_browser"),
+    "Output": ("output", "out_dir", "in_place", "pack", "dry_run", "port", "no_browser"),
     "α and β": (
         "gradients",
         "fit_poses",

@@ -13,4 +13,6 @@ def writing_of(given: Given) -> Writing:
     """Return how outputs are written, from the options of the command line."""
     from skinbake.gltf.output import Writing
 
-    return Writing(dry_run=given.get("dry_run", False), sync=not given["no_sync"])
+    return Writing(
+        dry_run=given.get("dry_run", False), sync=not given["no_sync"], pack=given.get("pack", False)
+    )

@@ -117,7 +117,7 @@ class Baker:
             document = read_document(source, within.bounds)
         if target is not None:
             refuse_own_input(document, source, target)
-        made, result, notices = self._rebaked(document, target)
+        made, result, notices = self._rebaked(document, target, pack=writing.pack)
         untouched = result is document and target == source and source != STDIO
         planned = None
         if target is not None and not untouched:
@@ -142,7 +142,7 @@ class Baker:
         )
 
     def _rebaked(
-        self, document: Document, target: str | None
+        self, document: Document, target: str | None, *, pack: bool
     ) -> tuple[BakedDocument, Document, list[Notice]]:
         """Bake a document that may hold an earlier bake, for the container of the target.
 
@@ -151,14 +151,14 @@ class Baker:
         """
         with stage("strip"):
             original, _, undone = stripped(document)
-            prepared, moved = (original, []) if target is None else for_target(original, target)
+            prepared, moved = (original, []) if target is None else for_target(original, target, pack=pack)
         made = self.bake_document(prepared)
         if made.primitives:
             return made, made.document, [*undone, *moved, *made.notices]
         reason = "none of its skinned primitives can be baked" if made.skipped else "nothing in it is skinned"
         if self.require_baked:
             raise InputError(f"{reason} (--require-baked)", document.place)
-        result, moved = (document, []) if target is None else for_target(document, target)
+        result, moved = (document, []) if target is None else for_target(document, target, pack=pack)
         last = Notice("nothing-baked", f"passed through unchanged: {reason}", document.place)
         return made, result, [*moved, *made.notices, last]
 

@@ -7,30 +7,41 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from skinbake.containment import RefusedError, is_relative, path_uri, relative_names
-from skinbake.errors import Notice
+from skinbake.errors import Notice, OutputError, Place
 from skinbake.gltf import resources
 from skinbake.gltf.codecs import meshopt
 from skinbake.gltf.document import GLB_SUFFIXES, STDIO, Document
 from skinbake.gltf.glb import Bytes
 from skinbake.gltf.json_access import JsonObject
-from skinbake.gltf.packing import packed
+from skinbake.gltf.packing import packed, packed_with_files
 from skinbake.wording import one_or_many
 
 
-def for_target(document: Document, target: str) -> tuple[Document, list[Notice]]:
+def for_target(document: Document, target: str, *, pack: bool = False) -> tuple[Document, list[Notice]]:
     """Return the document in the container that the suffix of ``target`` means; ``-`` is a GLB.
+
+    With ``pack``, a GLB takes the files of buffers and images into its BIN chunk. Otherwise:
 
     If a ``.gltf`` becomes a GLB, its first buffer becomes the BIN chunk, and the buffers and images of data:
     URIs go there too. Further buffers stay where they are. On standard output they go into the chunk, or
     become data: URIs if the document was a GLB before. If a GLB becomes a ``.gltf``, its BIN chunk becomes a
     file named after the target.
     """
-    if target == STDIO or Path(target).suffix.lower() in GLB_SUFFIXES:
-        glb = document
-        if not document.is_glb:
+    if is_glb_name(target):
+        glb, notices = document, list[Notice]()
+        if pack:
+            glb, notices = packed_with_files(glb if glb.is_glb else _as_glb(glb))
+        elif not document.is_glb:
             glb = packed(_as_glb(document), buffer_files=target == STDIO)
-        return (_self_contained(glb), _loose_images(glb)) if target == STDIO else (glb, [])
+        return (_self_contained(glb), _loose_images(glb) or notices) if target == STDIO else (glb, notices)
+    if pack:
+        raise OutputError("--pack needs a .glb or .vrm: a .gltf has no binary chunk", Place(target))
     return _as_gltf(document, Path(target).stem) if document.is_glb else (document, [])
+
+
+def is_glb_name(target: str) -> bool:
+    """Tell whether a target is a GLB by its name; ``-`` is."""
+    return target == STDIO or Path(target).suffix.lower() in GLB_SUFFIXES
 
 
 def _as_glb(document: Document) -> Document:

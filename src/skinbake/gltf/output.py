@@ -25,12 +25,13 @@ class Writing:
     """The options of writing an output.
 
     A ``dry_run`` does everything except writing. ``traced`` requests digests of the written files. ``sync``
-    waits until they are on the disk.
+    waits until they are on the disk. ``pack`` brings the files of buffers and images into a GLB's BIN chunk.
     """
 
     dry_run: bool = False
     traced: bool = False
     sync: bool = True
+    pack: bool = False
 
 
 AS_USUAL = Writing()

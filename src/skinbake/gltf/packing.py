@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import os
 from contextlib import suppress
 from dataclasses import dataclass, field
 
-from skinbake.containment import is_relative
-from skinbake.errors import InputError
+from skinbake.containment import OutsideError, RefusedError, is_relative
+from skinbake.errors import InputError, Notice
 from skinbake.gltf.codecs import meshopt
 from skinbake.gltf.document import Document
 from skinbake.gltf.glb import Bytes
 from skinbake.gltf.json_access import JsonObject, integer
-from skinbake.gltf.resources import decode_data_uri, is_data_uri, read_resource
+from skinbake.gltf.resources import decode_data_uri, find, is_data_uri, read_open_file, shortened
+from skinbake.wording import one_or_many
 
-MIME_TYPES = {b"\x89PNG": "image/png", b"\xff\xd8\xff": "image/jpeg"}
-"""The formats of images in glTF, by their first bytes."""
+MIME_TYPES = {
+    b"\x89PNG": "image/png",
+    b"\xff\xd8\xff": "image/jpeg",
+    b"\xabKTX 20\xbb": "image/ktx2",
+}
+"""The formats of images in glTF, by their first bytes. WebP has its length in between."""
 
 
 @dataclass(slots=True)
@@ -31,31 +36,75 @@ class _Chunk:
     def add(self, data: Bytes) -> int:
         """Append data, and return its offset."""
         padding = -self.length % 4
-        self.pieces += [bytes(padding), data]
+        self.pieces += [bytes(padding), data] if padding else [data]
         start = self.length + padding
         self.length = start + len(data)
         return start
 
 
-def packed(document: Document, *, buffer_files: bool = False, image_files: bool = False) -> Document:
-    """Return a GLB with the buffers and images of data: URIs in its BIN chunk, and on request those of files.
+class _StaysError(Exception):
+    """An image cannot be packed. The text says why."""
+
+
+def packed(document: Document, *, buffer_files: bool = False) -> Document:
+    """Return a GLB with the buffers and images of data: URIs in its BIN chunk, and on request buffer files.
 
     Files are read within the bounds of the document. A buffer or image that cannot be read stays as it is,
     and so does an image of unknown format. A GLB without a BIN chunk is returned as it is.
     """
     if not document.has_binary_buffer:
         return document
+    return _with_all(document, buffer_files=buffer_files, image_files=False)[0]
+
+
+def packed_with_files(document: Document) -> tuple[Document, list[Notice]]:
+    """Return a GLB with all buffers and images in its BIN chunk, and a notice on images that stay outside.
+
+    It gets a BIN chunk if it has none and needs one. The bytes of images are not changed. An image stays
+    outside if it may not be read, is missing, or has an unknown format. Raises InputError for files that take
+    more memory than the budget of the document.
+    """
+    prepared = document if document.has_binary_buffer else _with_empty_chunk(document)
+    inside, left = _with_all(prepared, buffer_files=True, image_files=True)
+    if inside is prepared:
+        inside = document
+    if not left:
+        return inside, []
+    (uri, why), count = left[0], len(left)
+    message = one_or_many(
+        count,
+        f'1 image stays a file: "{shortened(uri)}" {why}',
+        f'{{}} images stay files: "{shortened(uri)}" {why}, …',
+    )
+    return inside, [Notice("image-not-packed", message, document.place, count)]
+
+
+def _with_empty_chunk(document: Document) -> Document:
+    """Return a GLB with a new first buffer, which is its BIN chunk. The chunk is empty, or an unused one."""
+    buffers = document.objects("buffers")
+    places = {number: (number + 1, 0) for number in range(len(buffers))}
+    views = [_moved_view(view, places, document) for view in document.objects("bufferViews")]
+    chunk = document.binary or ()
+    root = {**document.json, "buffers": [{"byteLength": sum(map(len, chunk))}, *buffers]}
+    return document.edited(json=root | ({"bufferViews": views} if views else {}), binary=chunk)
+
+
+def _with_all(
+    document: Document, *, buffer_files: bool, image_files: bool
+) -> tuple[Document, list[tuple[str, str]]]:
+    """Return the document with its data in the chunk, and (URI, reason) of files that stay."""
     chunk = _Chunk(list(document.binary or ()))
     before = chunk.length
     root = {**document.json, **_with_buffers(document, chunk, files=buffer_files)}
-    images, views = _with_images(document, chunk, len(root.get("bufferViews", ())), files=image_files)
+    images, views, left = _with_images(document, chunk, len(root.get("bufferViews", ())), files=image_files)
     if chunk.length == before:
-        return document
+        return document, left
     if views:
         root |= {"images": images, "bufferViews": [*root.get("bufferViews", ()), *views]}
     root["buffers"] = [{**root["buffers"][0], "byteLength": chunk.length}, *root["buffers"][1:]]
     padding = bytes(-chunk.length % 4)
-    return document.edited(json=root, binary=(*chunk.pieces, padding) if padding else tuple(chunk.pieces))
+    pieces = (*chunk.pieces, padding) if padding else tuple(chunk.pieces)
+    return document.edited(json=root, binary=pieces), left
 
 
 def _is_wanted(uri: object, *, files: bool) -> bool:
@@ -99,41 +148,78 @@ def _moved(holder: JsonObject, places: dict[int, tuple[int, int]], document: Doc
 
 def _with_images(
     document: Document, chunk: _Chunk, views: int, *, files: bool
-) -> tuple[list[JsonObject], list[JsonObject]]:
-    """Move images into the chunk, and return all images and the new buffer views."""
+) -> tuple[list[JsonObject], list[JsonObject], list[tuple[str, str]]]:
+    """Move images into the chunk. Return all images, the new buffer views, and (URI, reason) of files left.
+
+    Images of the same URI share its buffer view.
+    """
     images: list[JsonObject] = []
     added: list[JsonObject] = []
-    for image, kind, data in _image_data(document, files=files):
-        if kind is None:
-            images.append(image)
-            continue
-        added.append({"buffer": 0, "byteOffset": chunk.add(data), "byteLength": len(data)})
-        kept = {key: value for key, value in image.items() if key != "uri"}
-        images.append({**kept, "bufferView": views + len(added) - 1, "mimeType": kind})
-    return images, added
-
-
-def _image_data(document: Document, *, files: bool) -> Iterator[tuple[JsonObject, str | None, bytes]]:
-    """Yield each image with its MIME type and its bytes; the type is None if it stays as it is."""
+    left: list[tuple[str, str]] = []
+    known: dict[str, tuple[int, str]] = {}
     for image in document.objects("images"):
-        uri, kind, data = image.get("uri"), None, b""
-        if isinstance(uri, str) and _is_wanted(uri, files=files):
-            with suppress(InputError):
+        uri = image.get("uri")
+        if not isinstance(uri, str) or not _is_wanted(uri, files=files):
+            images.append(image)
+            if files and isinstance(uri, str):
+                left.append((uri, "is not a relative path"))
+            continue
+        if uri not in known:
+            try:
                 data = _bytes_at(uri, document)
-                document.budget.claim(2 * len(data), "holding its images", document.place)
-                kind = _mime_type(image, uri, data) if data else None
-        yield image, kind, data
+                kind = _mime_type(image, uri, data)
+            except _StaysError as reason:
+                images.append(image)
+                if not is_data_uri(uri):
+                    left.append((uri, str(reason)))
+                continue
+            added.append({"buffer": 0, "byteOffset": chunk.add(data), "byteLength": len(data)})
+            known[uri] = views + len(added) - 1, kind
+        kept = {key: value for key, value in image.items() if key != "uri"}
+        number, kind = known[uri]
+        images.append({**kept, "bufferView": number, "mimeType": kind})
+    return images, added, left
 
 
-def _bytes_at(uri: str, document: Document) -> bytes:
-    if is_data_uri(uri):
-        return decode_data_uri(uri, document.place)
-    return bytes(read_resource(uri, document.folder, document.bounds, document.place))
+def _bytes_at(uri: str, document: Document) -> Bytes:
+    """Return the bytes of an image. Raises _StaysError, or InputError if a file is too large."""
+    if not is_data_uri(uri):
+        return _file_at(uri, document)
+    try:
+        data = decode_data_uri(uri, document.place)
+        document.budget.claim(2 * len(data), "holding its images", document.place)
+    except InputError as error:
+        raise _StaysError(error.message) from error
+    return data
 
 
-def _mime_type(image: JsonObject, uri: str, data: bytes) -> str | None:
-    """Return the MIME type by the bytes, else as the URI or the image tells."""
-    found = next((kind for head, kind in MIME_TYPES.items() if data.startswith(head)), None)
+def _file_at(uri: str, document: Document) -> Bytes:
+    """Return the bytes of an image's file, within the bounds of the document."""
+    try:
+        descriptor = find(uri, document.folder, document.bounds)[1]
+        try:
+            size = os.fstat(descriptor).st_size
+            document.budget.claim(size, f'image "{shortened(uri)}"', document.place)
+            return read_open_file(descriptor)
+        finally:
+            os.close(descriptor)
+    except OutsideError as error:
+        raise _StaysError(f"is not read: {error}. --allow-outside DIR names further folders") from error
+    except RefusedError as error:
+        raise _StaysError(f"is not read: {error}") from error
+    except OSError as error:
+        raise _StaysError(f"cannot be read: {error.strerror}") from error
+
+
+def _mime_type(image: JsonObject, uri: str, data: Bytes) -> str:
+    """Return the MIME type by the bytes, else as the URI or the image tells. Raises _StaysError."""
+    head = bytes(data[:12])
+    found = next((kind for start, kind in MIME_TYPES.items() if head.startswith(start)), None)
+    if head[:4] == b"RIFF" and head[8:] == b"WEBP":
+        found = "image/webp"
     declared = uri[len("data:") :].partition(",")[0].partition(";")[0] if is_data_uri(uri) else ""
     told = image.get("mimeType")
-    return found or (declared if declared.startswith("image/") else told if isinstance(told, str) else None)
+    kind = found or (declared if declared.startswith("image/") else told)
+    if not data or not isinstance(kind, str):
+        raise _StaysError("is in an unknown format" if data else "is empty")
+    return kind

@@ -24,6 +24,14 @@ SECONDS_A_FILE, SECONDS_A_BYTE = 5e-3, 1.8e-8
 
 
 @dataclass(frozen=True, slots=True)
+class BakeOptions:
+    """The options that decide what a bake writes, for the recipe of a state file."""
+
+    baker: Baker
+    pack: bool = False
+
+
+@dataclass(frozen=True, slots=True)
 class Bake:
     """Bake the source of a job into its target."""
 

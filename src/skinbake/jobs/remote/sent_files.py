@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Generic
 
-from skinbake.containment import Bounds, RefusedError, Within, below, spot_of
+from skinbake.containment import Bounds, RefusedError, below, spot_of
 from skinbake.errors import ChoiceError, InputError, OutputError, Place, noticed
 from skinbake.gltf.document import STDIO, Document, read_named
 from skinbake.gltf.output import Writing, plan_output
@@ -113,7 +113,7 @@ class WorkWithFiles(Generic[ResultT]):
             return DoneHere(self.work(job))
 
         def gathered() -> JobWithFiles | DoneHere[ResultT]:
-            return JobWithFiles(job, _sent_files(job.source, job.target, job.within))
+            return JobWithFiles(job, _sent_files(job, pack=self.writing.pack))
 
         return survived(gathered, lambda error: DoneHere(self.work.failed(job, error)), job.source)
 
@@ -197,11 +197,12 @@ def _has_content(path: Path, root: Path, data: bytes) -> bool:
         raise OutputError(f"cannot be read: {error.strerror}", Place(str(path))) from error
 
 
-def _sent_files(source: str, target: str | None, within: Within) -> SentFiles | None:
-    """Return the files with plain paths that a bake of the source to the target needs.
+def _sent_files(job: Job, *, pack: bool) -> SentFiles | None:
+    """Return the files with plain paths that a bake from a job's source to its target needs.
 
     Raises InputError if they cannot be read, ChoiceError for standard input and output.
     """
+    source, target, within = job.source, job.target, job.within
     if STDIO in {source, target}:
         raise ChoiceError("standard input and output cannot be sent to a cluster", Place(source))
     disk = SentFiles("", {}, {})
@@ -217,7 +218,7 @@ def _sent_files(source: str, target: str | None, within: Within) -> SentFiles | 
     paths = {end.given: end.name for end in (start, goal) if end is not None and end.storage is disk}
     if not paths:
         return None
-    files = _read(start, goal, within.bounds) if start.storage is disk else {}
+    files = _read(start, goal, within.bounds, pack=pack) if start.storage is disk else {}
     folders = {str(Path(path).parent) for path in (*paths.values(), *files)} | set(tops.values())
     paths |= tops
     try:
@@ -246,11 +247,11 @@ def _absolute(path: str) -> str:
     return Path(os.path.realpath(folder), name).as_posix()
 
 
-def _read(source: End, target: End | None, bounds: Bounds) -> dict[str, bytes]:
+def _read(source: End, target: End | None, bounds: Bounds, *, pack: bool) -> dict[str, bytes]:
     """Return a file and the files that it names, as far as a bake needs them, by absolute path."""
     files = {source.name: bytes(read_named(source.given, bounds.root))}
     folder = Path(source.given).parent
-    for resource, with_content in needed(resources_of(source.given, bounds), source, target):
+    for resource, with_content in needed(resources_of(source.given, bounds), source, target, pack=pack):
         try:
             spot, descriptor = find(resource.uri, folder, bounds)
         except RefusedError:

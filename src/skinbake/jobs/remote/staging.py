@@ -196,7 +196,7 @@ def _attempt(
     """
     path = folder.fetch_input(source)
     bounds = folder.bounds_of(source, within.bounds)
-    _fetch_needed(folder, source, path, target, bounds)
+    _fetch_needed(folder, source, path, target, bounds, pack=how.pack)
     goal = None if target is None else folder.path_of_target(target)
     if target is not None:
         with writing(target.given):
@@ -259,10 +259,15 @@ def _is_below(name: str, folder: str) -> bool:
     return name.startswith(f"{folder}/") if folder else not leads_up(name)
 
 
-def needed(found: Sequence[NamedFile], source: End, target: End | None) -> Iterator[tuple[NamedFile, bool]]:
-    """Yield the files that a bake reads, copies or looks for, and for each whether its content is needed."""
+def needed(
+    found: Sequence[NamedFile], source: End, target: End | None, *, pack: bool = False
+) -> Iterator[tuple[NamedFile, bool]]:
+    """Yield the files that a bake reads, copies or looks for, and for each whether its content is needed.
+
+    With ``pack``, it reads all of them.
+    """
     for resource in found:
-        if resource.array == "buffers" or _is_copied(resource, source, target):
+        if pack or resource.array == "buffers" or _is_copied(resource, source, target):
             yield resource, True
         elif _leads_out(resource) or (target is not None and target.name in names_of(resource, source)):
             yield resource, False
@@ -284,11 +289,15 @@ def _is_copied(resource: NamedFile, source: End, target: End | None) -> bool:
     return bool(names_of(resource, own)) and _is_below(name, target.tops[0])
 
 
-def _fetch_needed(folder: _PrivateFolder, source: End, path: str, target: End | None, bounds: Bounds) -> None:
+def _fetch_needed(
+    folder: _PrivateFolder, source: End, path: str, target: End | None, bounds: Bounds, *, pack: bool
+) -> None:
     """Fetch the files for a bake. Raises OutputError if no relative URI of the target can reach one."""
-    for resource, with_content in needed(resources_of(path, bounds), source, target):
+    for resource, with_content in needed(resources_of(path, bounds), source, target, pack=pack):
         there = folder.fetch_named(source, resource, bounds, with_content=with_content)
         if target is None or target.storage == source.storage or _is_copied(resource, source, target):
+            continue
+        if pack and there:
             continue
         outside = not names_of(resource, source)
         if not _leads_out(resource) or not (there or outside):

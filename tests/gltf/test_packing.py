@@ -1,0 +1,217 @@
+"""--pack: images and buffers of files go into the BIN chunk, bit for bit, and only files that may be read."""
+
+from __future__ import annotations
+
+import base64
+from pathlib import Path
+
+import pytest
+
+from fixtures.builder import JsonObject
+from tests.support.command_line import document, invoke
+from tests.support.gltf_reading import GltfFile, read
+from tests.support.khronos import validate
+from tests.support.models import FOLDER, SHARED, edited, rewritten
+
+ONE_PIXEL = base64.b64decode(
+    "iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAYAAAAfFcSJAAAADUlEQVR42mNk+M9QDwADhgGAWjR9awAAAABJRU5ErkJggg=="
+)
+JPEG = b"\xff\xd8\xff\xe0 only its head counts here"
+WEBP = b"RIFF\x10\0\0\0WEBPVP8L only its head"
+KTX2 = b"\xabKTX 20\xbb\r\n\x1a\n and more"
+
+
+def with_files(folder: Path, files: dict[str, bytes], **images: str) -> Path:
+    """Copy the .gltf fixture with two buffer files, and images of these files."""
+
+    def change(content: JsonObject) -> None:
+        content["buffers"][1]["uri"] = "more.bin"
+        content["images"] = [{"uri": uri} for uri in images.values()]
+        content["textures"] = [{"source": number} for number in range(len(images))]
+
+    path = edited(SHARED, folder, change)
+    (folder / "more.bin").write_bytes(read(FOLDER / SHARED).buffer(1))
+    for name, data in files.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes(data)
+    return path
+
+
+def image_data(model: GltfFile, number: int) -> bytes:
+    view = model.content["bufferViews"][model.content["images"][number]["bufferView"]]
+    start = view.get("byteOffset", 0)
+    return bytes(model.buffer(view["buffer"])[start : start + view["byteLength"]])
+
+
+def packed(source: Path, target: Path, *options: str | Path) -> tuple[GltfFile, list[str]]:
+    """Bake with --pack, and return the output and the codes of the notices."""
+    (file,) = document(invoke("bake", source, "-o", target, "--pack", "--json", *options))["files"]
+    assert file["status"] == "baked", file["error"]
+    return read(target), [notice["code"] for notice in file["warnings"]]
+
+
+def test_all_files_are_inside_bit_for_bit(tmp_path: Path) -> None:
+    files = {"skin.png": ONE_PIXEL, "a b.jpg": JPEG, "tex/c.webp": WEBP, "d.ktx2": KTX2}
+    source = with_files(tmp_path / "in", files, a="skin.png", b="a%20b.jpg", c="tex/c.webp", d="d.ktx2")
+    model, notices = packed(source, tmp_path / "out" / "hero.glb")
+    assert notices == []
+    assert [buffer.get("uri") for buffer in model.content["buffers"]] == [None]
+    assert [image["mimeType"] for image in model.content["images"]] == [
+        "image/png",
+        "image/jpeg",
+        "image/webp",
+        "image/ktx2",
+    ]
+    assert all("uri" not in image for image in model.content["images"])
+    assert [image_data(model, number) for number in range(4)] == list(files.values())
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["hero.glb"]
+
+
+def test_alpha_and_beta_are_those_of_the_unpacked_file(tmp_path: Path) -> None:
+    source = with_files(tmp_path / "in", {"skin.png": ONE_PIXEL}, a="skin.png")
+    model, _ = packed(source, tmp_path / "hero.glb")
+    invoke("bake", source, "-o", tmp_path / "plain" / "hero.gltf")
+    plain = read(tmp_path / "plain" / "hero.gltf")
+    for name in ("_SKINBAKE_ALPHA_0", "_SKINBAKE_BETA_0", "POSITION", "WEIGHTS_0"):
+        assert (model.attribute(name) == plain.attribute(name)).all()
+
+
+@pytest.mark.slow
+def test_the_validator_finds_nothing(tmp_path: Path) -> None:
+    source = with_files(tmp_path / "in", {"skin.png": ONE_PIXEL}, a="skin.png", b="skin.png")
+    packed(source, tmp_path / "hero.glb")
+    report = validate(tmp_path / "hero.glb")
+    assert (report["errors"], [w.code for w in report["warnings"] if "URI" in w.code]) == ([], [])
+
+
+def test_images_of_one_file_share_its_bytes(tmp_path: Path) -> None:
+    source = with_files(tmp_path / "in", {"skin.png": ONE_PIXEL}, a="skin.png", b="skin.png")
+    model, _ = packed(source, tmp_path / "hero.glb")
+    first, second = model.content["images"]
+    assert first == second
+    assert (model.binary_chunk or b"").count(ONE_PIXEL) == 1
+
+
+def test_the_bytes_decide_the_type_and_not_a_wrong_name(tmp_path: Path) -> None:
+    source = with_files(tmp_path / "in", {"skin.jpg": ONE_PIXEL}, a="skin.jpg")
+    model = read(source)
+    model.content["images"][0] |= {"mimeType": "image/jpeg", "name": "Skin", "extras": {"kept": 1}}
+    rewritten(model, source)
+    after, _ = packed(source, tmp_path / "hero.glb")
+    (image,) = after.content["images"]
+    assert (image["mimeType"], image["name"], image["extras"]) == ("image/png", "Skin", {"kept": 1})
+
+
+def test_an_image_outside_stays_outside_unless_it_is_allowed(tmp_path: Path) -> None:
+    (tmp_path / "textures").mkdir()
+    (tmp_path / "textures" / "skin.png").write_bytes(ONE_PIXEL)
+    source = with_files(tmp_path / "in", {}, a="../textures/skin.png")
+    model, notices = packed(source, tmp_path / "in" / "hero.glb")
+    assert notices == ["image-not-packed"]
+    assert model.content["images"] == [{"uri": "../textures/skin.png"}]
+    assert ONE_PIXEL not in (model.binary_chunk or b"")
+    model, notices = packed(source, tmp_path / "deep" / "er" / "hero.glb")
+    assert sorted(notices) == ["image-not-packed", "image-outside"]
+    allowed = packed(source, tmp_path / "a.glb", "--allow-outside", tmp_path / "textures")
+    assert (image_data(allowed[0], 0), allowed[1]) == (ONE_PIXEL, [])
+
+
+@pytest.mark.parametrize(
+    ("uri", "files", "why"),
+    [
+        ("gone.png", {}, "cannot be read: No such file"),
+        ("odd.xyz", {"odd.xyz": b"what is this"}, "is in an unknown format"),
+        ("none.png", {"none.png": b""}, "is empty"),
+        ("https://example.org/a.png", {}, "is not a relative path"),
+        ("/etc/hostname", {}, "is not a relative path"),
+    ],
+)
+def test_an_image_that_cannot_be_packed_is_named(
+    uri: str, files: dict[str, bytes], why: str, tmp_path: Path
+) -> None:
+    source = with_files(tmp_path / "in", files, a=uri)
+    result = invoke("bake", source, "-o", tmp_path / "in" / "hero.glb", "--pack")
+    assert result.exit_code == 0
+    assert f'1 image stays a file: "{uri}" {why}' in " ".join(result.stderr.split())
+    assert read(tmp_path / "in" / "hero.glb").content["images"] == [{"uri": uri}]
+    assert invoke("bake", source, "--pack", "-o", tmp_path / "b.glb", "--warnings-as-errors").exit_code == 3
+
+
+def test_a_glb_with_buffers_in_files_gets_a_chunk(tmp_path: Path) -> None:
+    model = read(FOLDER / "seam.glb")
+    model.content["buffers"][0]["uri"] = "all.bin"
+    model.content["images"] = [{"uri": "skin.png"}]
+    (tmp_path / "all.bin").write_bytes(model.binary_chunk or b"")
+    (tmp_path / "skin.png").write_bytes(ONE_PIXEL)
+    path = rewritten(GltfFile(tmp_path / "hero.glb", model.content, None), tmp_path / "hero.glb")
+    after, notices = packed(path, tmp_path / "out.glb")
+    assert notices == []
+    assert [buffer.get("uri") for buffer in after.content["buffers"]] == [None]
+    assert (after.attribute("POSITION") == read(FOLDER / "seam.glb").attribute("POSITION")).all()
+    assert image_data(after, 0) == ONE_PIXEL
+
+
+def test_in_place_and_again(tmp_path: Path) -> None:
+    source = with_files(tmp_path, {"skin.png": ONE_PIXEL}, a="skin.png")
+    path = tmp_path / "hero.glb"
+    assert invoke("bake", source, "-o", path).exit_code == 0
+    assert read(path).content["images"] == [{"uri": "skin.png"}]
+    assert invoke("bake", path, "--in-place", "--pack").exit_code == 0
+    once = path.read_bytes()
+    assert image_data(read(path), 0) == ONE_PIXEL
+    (tmp_path / "skin.png").unlink()
+    assert invoke("bake", path, "--in-place", "--pack").exit_code == 0
+    assert path.read_bytes() == once
+
+
+def test_a_file_without_a_skin_is_packed_too(tmp_path: Path) -> None:
+    path = tmp_path / "bare.gltf"
+    path.write_text('{"asset": {"version": "2.0"}, "images": [{"uri": "skin.png"}]}', encoding="utf-8")
+    (tmp_path / "skin.png").write_bytes(ONE_PIXEL)
+    assert invoke("bake", path, "-o", tmp_path / "bare.glb", "--pack").exit_code == 0
+    assert image_data(read(tmp_path / "bare.glb"), 0) == ONE_PIXEL
+
+
+def test_nothing_to_pack_changes_nothing(tmp_path: Path) -> None:
+    for options in ([], ["--pack"]):
+        assert (
+            invoke("bake", FOLDER / "seam.glb", "-o", tmp_path / f"{len(options)}.glb", *options).exit_code
+            == 0
+        )
+    assert (tmp_path / "0.glb").read_bytes() == (tmp_path / "1.glb").read_bytes()
+
+
+@pytest.mark.parametrize(
+    "arguments", [["{}", "-o", "out.gltf"], ["{}", "--out-dir", "out"], ["{}", "--in-place"]]
+)
+def test_a_gltf_is_refused_before_anything_is_written(
+    arguments: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    source = with_files(tmp_path / "in", {"skin.png": ONE_PIXEL}, a="skin.png")
+    monkeypatch.chdir(tmp_path)
+    result = invoke("bake", "--pack", *(argument.format(source) for argument in arguments))
+    assert result.exit_code == 2
+    assert "--pack needs a .glb or .vrm as output" in " ".join(result.stderr.split())
+    assert [path.name for path in tmp_path.iterdir()] == ["in"]
+
+
+def test_an_image_counts_for_max_memory_before_it_is_read(tmp_path: Path) -> None:
+    source = with_files(tmp_path / "in", {"skin.png": b""}, a="skin.png")
+    with (tmp_path / "in" / "skin.png").open("wb") as file:
+        file.truncate(1 << 40)  # a hole: a terabyte that no disk holds
+    result = invoke("bake", source, "-o", tmp_path / "out.glb", "--pack", "--max-memory", "64M")
+    assert result.exit_code == 3
+    assert 'image "skin.png" would take 1 TiB' in " ".join(result.stderr.split())
+    assert not (tmp_path / "out.glb").exists()
+
+
+def test_skip_unchanged_knows_the_option(tmp_path: Path) -> None:
+    source = with_files(tmp_path / "in", {"skin.png": ONE_PIXEL}, a="skin.png")
+    state = tmp_path / "s"
+    call: list[str | Path] = ["bake", source, "-o", tmp_path / "hero.glb", "--json", "--skip-unchanged"]
+    call += ["--state", state]
+    statuses = [
+        document(invoke(*call, *options))["files"][0]["status"]
+        for options in ([], [], ["--pack"], ["--pack"])
+    ]
+    assert statuses == ["baked", "up-to-date", "baked", "up-to-date"]
