@@ -14,7 +14,6 @@ from skinbake.choices import Neighbours
 from skinbake.geometry.skinned import BakedPrimitive, Float64Array, SkinnedPrimitive
 from skinbake.gradients import slots
 from skinbake.gradients.baker import BakeFindings, BakeSettings, bake_mesh
-from skinbake.lighting.influences import weight_field
 from skinbake.lighting.operator import gradient_operator
 from skinbake.lighting.welds import weld_classes
 from tests.support.baked_arrays import (
@@ -32,6 +31,7 @@ from tests.support.baked_arrays import (
     path_of,
 )
 from tests.support.surfaces import analytic_surface
+from tests.support.weight_field import weight_field
 from tests.support.whole_fields import rest_frame
 
 FILES = [

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from skinbake.geometry.skinned import SkinnedPrimitive
-from skinbake.lighting.influences import carrying_slots, normalised_weights, weight_field
+from skinbake.lighting.influences import carrying_slots, influence_keys, joint_weights, normalised_weights
+from tests.support.weight_field import weight_field
 
 
 def bound(joints: list[list[int]], weights: list[list[float]]) -> SkinnedPrimitive:
@@ -45,18 +46,38 @@ def test_weights_and_joints_must_agree_in_shape() -> None:
         normalised_weights(np.ones((2, 4)), np.zeros((2, 8), dtype=np.uint8))
 
 
-def test_the_field_sums_a_joint_that_stands_twice_and_spans_primitives_of_any_width() -> None:
+def test_a_joint_that_stands_twice_has_the_sum_in_primitives_of_any_width() -> None:
     first = bound([[2, 0, 2, 0]], [[0.5, 0.25, 0.25, 0.0]])
     second = bound([[1, 1, 1, 1, 3, 3, 3, 9]], [[0.0] * 4 + [0.5, 0.5, 1.0, 0.0]])
-    field = weight_field([first, second])
-    expected = np.zeros((2, 10))
-    expected[0, [0, 2]] = 0.25, 0.75
-    expected[1, 3] = 1.0
-    assert field.toarray().tolist() == expected.tolist()
+    joints, weights = joint_weights([first, second])
+    found = [dict(zip(*row, strict=True)) for row in zip(joints.tolist(), weights.tolist(), strict=True)]
+    assert found == [{-1: 0.0, 0: 0.25, 2: 0.75}, {-1: 0.0, 1: 0.0, 3: 1.0, 9: 0.0}]
+    named = [[joint for joint in row if joint >= 0] for row in joints.tolist()]
+    assert named == [[0, 2], [1, 3, 9]]
+
+
+def test_the_weights_of_joints_are_those_of_a_sparse_matrix() -> None:
+    rng = np.random.default_rng(11)
+    primitives = [
+        bound(rng.integers(0, 9, (200, slots)).tolist(), rng.normal(size=(200, slots)).tolist())
+        for slots in (4, 8)
+    ]
+    joints, weights = joint_weights(primitives)
+    found = np.zeros((400, 9))
+    np.add.at(found, (np.arange(400)[:, None], joints), np.where(joints < 0, 0.0, weights))
+    expected = weight_field(primitives).toarray()
+    np.testing.assert_array_equal(found[:, : expected.shape[1]], expected)
+    keys, shares = influence_keys(primitives)
+    for row, (own, share) in enumerate(zip(keys, shares, strict=True)):
+        present = np.flatnonzero(expected[row])
+        assert own[own >= 0].tolist() == present.tolist()
+        assert share[: len(present)].tolist() == expected[row, present].astype(np.float32).tolist()
+        assert not share[len(present) :].any()
 
 
 def test_a_vertex_without_weight_follows_its_first_joint() -> None:
-    assert weight_field([bound([[3, 1, 0, 0]], [[0.0] * 4])]).toarray().tolist() == [[0.0, 0.0, 0.0, 1.0]]
+    joints, weights = joint_weights([bound([[3, 1, 0, 0]], [[0.0] * 4])])
+    assert dict(zip(joints[0].tolist(), weights[0].tolist(), strict=True))[3] == weights.sum() == 1.0
 
 
 @pytest.mark.parametrize(

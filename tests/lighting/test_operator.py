@@ -10,7 +10,6 @@ from skinbake.choices import Weighting
 from skinbake.errors import InputError
 from skinbake.geometry.skinned import Float64Array, SkinnedPrimitive
 from skinbake.lighting import operator as operators
-from skinbake.lighting.influences import weight_field
 from skinbake.lighting.metrics import vertex_areas
 from skinbake.lighting.operator import GradientOperator, expected_alpha_beta, gradient_operator
 from tests.support.surfaces import (
@@ -21,6 +20,7 @@ from tests.support.surfaces import (
     bends,
     flat_triangulation,
 )
+from tests.support.weight_field import weight_field
 from tests.support.whole_fields import angular_errors
 
 WEIGHTINGS = tuple(Weighting)

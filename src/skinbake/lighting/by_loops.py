@@ -6,7 +6,6 @@ The same operations in numpy, ``by_numpy``, describe the results.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,11 +15,9 @@ from skinbake.lighting import _loops, by_numpy
 from skinbake.lighting.counted import CountedErrors
 from skinbake.lighting.operator import GradientOperator
 from skinbake.lighting.reference import FLAT_FRAME, RestFrames
+from skinbake.lighting.sparse_rows import SparseRows
 from skinbake.lighting.triangle_normals import FLAT_TRIANGLE, ClassBlock, ClassSums
 from skinbake.skinning.components import Vector
-
-if TYPE_CHECKING:
-    from scipy.sparse import csr_array
 
 
 def blend(entries: Float64Array, columns: IntArray, table: Float64Array) -> Float64Array:
@@ -30,10 +27,8 @@ def blend(entries: Float64Array, columns: IntArray, table: Float64Array) -> Floa
     return out
 
 
-def gradient_rows(operator: GradientOperator, part: slice, directions: Sequence[FloatArray]) -> csr_array:
+def gradient_rows(operator: GradientOperator, part: slice, directions: Sequence[FloatArray]) -> SparseRows:
     """Return the derivatives of a block's vertices along D directions (B, 3): sparse (D B, V), stacked."""
-    from scipy.sparse import csr_array
-
     classes = operator.classes[part]
     size, count = len(classes), len(directions)
     room = 3 * int((operator.ends[classes + 1] - operator.ends[classes]).sum())
@@ -54,8 +49,7 @@ def gradient_rows(operator: GradientOperator, part: slice, directions: Sequence[
     )
     used = int(starts[-1])
     begins = np.concatenate([starts[:1], *(starts[1:] + number * used for number in range(count))])
-    stacked = values[:, :used].ravel(), np.tile(columns[:used], count), begins
-    return csr_array(stacked, shape=(count * size, len(operator.positions)))
+    return SparseRows(begins, np.tile(columns[:used], count), values[:, :used].ravel())
 
 
 def class_sums(operator: GradientOperator, positions: Float64Array, block: ClassBlock) -> Float32Array:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,6 +11,7 @@ from skinbake.lighting.counted import CountedErrors
 from skinbake.lighting.metrics import angles_of_units, unit_vectors
 from skinbake.lighting.operator import GradientOperator, weights_of_corners
 from skinbake.lighting.reference import RestFrames, posed_tangents, tangent_normals
+from skinbake.lighting.sparse_rows import SparseRows
 from skinbake.lighting.triangle_normals import (
     ClassBlock,
     ClassSums,
@@ -20,9 +20,6 @@ from skinbake.lighting.triangle_normals import (
     triangle_normals,
 )
 from skinbake.skinning.components import Vector
-
-if TYPE_CHECKING:
-    from scipy.sparse import csr_array
 
 __all__ = ["angles", "blend", "class_sums", "count_errors", "gradient_rows", "true_normals"]
 
@@ -70,7 +67,7 @@ def _dense(entries: Float64Array, columns: IntArray, table: Float64Array) -> Flo
     return np.swapaxes(found, 0, 1)
 
 
-def gradient_rows(operator: GradientOperator, part: slice, directions: Sequence[FloatArray]) -> csr_array:
+def gradient_rows(operator: GradientOperator, part: slice, directions: Sequence[FloatArray]) -> SparseRows:
     """Return the derivatives of a block's vertices along D directions (B, 3): sparse (D B, V), stacked.
 
     libigl gives the gradients of the hat functions in the triangle of each corner. A vertex takes their mean.
@@ -81,9 +78,10 @@ def gradient_rows(operator: GradientOperator, part: slice, directions: Sequence[
     owners, corners = operator.corners_of(part)
     flat, first = operator.triangles.ravel(), corners - corners % 3
     faces = np.stack([flat[first + (corners + turn) % 3] for turn in range(3)], axis=1)
-    size, count = part.stop - part.start, len(operator.positions)
+    size = part.stop - part.start
     if len(corners) == 0:
-        return csr_array((len(directions) * size, count), dtype=np.float64)
+        empty = np.zeros(0, dtype=np.int32)
+        return SparseRows(np.zeros(len(directions) * size + 1, dtype=np.int32), empty, np.zeros(0))
     here, one, other = operator.positions[faces].transpose(1, 2, 0)
     share = weights_of_corners(tuple(one - here), tuple(other - here), operator.weighting)
     share /= operator.totals[operator.classes[part]][owners]
@@ -99,7 +97,7 @@ def gradient_rows(operator: GradientOperator, part: slice, directions: Sequence[
         found.append(mean @ gradients)
     stacked = vstack(found, format="csr")
     columns = local[stacked.indices].astype(np.int32)
-    return csr_array((stacked.data, columns, stacked.indptr), shape=(len(directions) * size, count))
+    return SparseRows(stacked.indptr.astype(np.int32, copy=False), columns, stacked.data)
 
 
 def class_sums(operator: GradientOperator, positions: Float64Array, block: ClassBlock) -> Float32Array:

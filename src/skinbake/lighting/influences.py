@@ -1,4 +1,4 @@
-"""The meaning of stored joints and weights: weights that sum to one, as a field over a mesh.
+"""The meaning of stored joints and weights: weights that sum to one.
 
 Source: real files hold weights that glTF does not allow. Their sums are not one, some vertices have no
 weight, a joint is twice at one vertex, or weights are negative.
@@ -7,7 +7,7 @@ weight, a joint is twice at one vertex, or weights are negative.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -21,9 +21,6 @@ from skinbake.geometry.skinned import (
     IntArray,
     SkinnedPrimitive,
 )
-
-if TYPE_CHECKING:
-    from scipy.sparse import csr_array
 
 Int32Array: TypeAlias = npt.NDArray[np.int32]
 Int64Array: TypeAlias = npt.NDArray[np.int64]
@@ -45,23 +42,28 @@ def normalised_weights(weights: FloatArray, joints: IntArray) -> Float64Array:
     return positive
 
 
-def weight_field(primitives: Sequence[SkinnedPrimitive]) -> csr_array:
-    """Return the weight of every joint at every vertex of a mesh: sparse (V, J) float64, rows summing to 1.
+def joint_weights(primitives: Sequence[SkinnedPrimitive]) -> tuple[Int64Array, Float64Array]:
+    """Return each vertex's joints (V, N) int64, ascending and each once, and their weights (V, N) float64.
 
-    If a joint is in several slots of a vertex, it gets their sum. J is one more than the largest joint index
-    in any slot, used or not.
+    If a joint is in several slots of a vertex, it has the sum of their weights. Slots that are left over have
+    −1 in place of a joint, and the weight 0.
     """
-    from scipy.sparse import csr_array
-
-    weights = [normalised_weights(primitive.weights, primitive.joints) for primitive in primitives]
-    counts = [len(primitive.joints) for primitive in primitives]
-    slots = [primitive.joints.shape[1] for primitive in primitives]
-    data = np.concatenate([block.ravel() for block in weights])
-    columns = np.concatenate([primitive.joints.ravel().astype(np.int64) for primitive in primitives])
-    rows = np.repeat(np.arange(sum(counts)), np.repeat(slots, counts))
-    field = csr_array((data, (rows, columns)), shape=(sum(counts), int(columns.max(initial=-1)) + 1))
-    field.eliminate_zeros()
-    return field
+    count = sum(len(primitive.joints) for primitive in primitives)
+    width = max((primitive.joints.shape[1] for primitive in primitives), default=0)
+    joints, weights = np.full((count, width), -1, dtype=np.int64), np.zeros((count, width))
+    start = 0
+    for primitive in primitives:
+        rows, slots = slice(start, start + len(primitive.joints)), slice(0, primitive.joints.shape[1])
+        joints[rows, slots] = primitive.joints
+        weights[rows, slots] = normalised_weights(primitive.weights, primitive.joints)
+        start = rows.stop
+    order = np.argsort(joints, axis=1, kind="stable")
+    joints, weights = np.take_along_axis(joints, order, axis=1), np.take_along_axis(weights, order, axis=1)
+    for slot in range(1, width):
+        again = joints[:, slot] == joints[:, slot - 1]
+        weights[again, slot] += weights[again, slot - 1]
+        joints[again, slot - 1], weights[again, slot - 1] = -1, 0.0
+    return joints, weights
 
 
 def influence_keys(primitives: Sequence[SkinnedPrimitive]) -> tuple[Int64Array, Float32Array]:
@@ -71,18 +73,13 @@ def influence_keys(primitives: Sequence[SkinnedPrimitive]) -> tuple[Int64Array, 
     float32, with 0 there. Influences of the weight that FLOAT slots adopt are left out: copies of a vertex in
     two meshes may have adopted other joints, and are one point all the same.
     """
-    field = weight_field(primitives).astype(np.float32)
-    field.data[field.data < 1.5 * TINY_WEIGHT] = 0.0
-    field.eliminate_zeros()
-    lengths = np.diff(field.indptr)
-    rows = np.repeat(np.arange(field.shape[0]), lengths)
-    slots = np.arange(field.nnz) - field.indptr[rows]
-    width = int(lengths.max(initial=0))
-    joints = np.full((field.shape[0], width), -1, dtype=np.int64)
-    shares = np.zeros((field.shape[0], width), dtype=np.float32)
-    joints[rows, slots] = field.indices
-    shares[rows, slots] = field.data
-    return joints, shares
+    joints, weights = joint_weights(primitives)
+    shares = weights.astype(np.float32)
+    absent = shares < 1.5 * TINY_WEIGHT
+    joints[absent], shares[absent] = -1, 0.0
+    width = int((~absent).sum(axis=1).max(initial=0))
+    order = np.argsort(absent, axis=1, kind="stable")[:, :width]
+    return np.take_along_axis(joints, order, axis=1), np.take_along_axis(shares, order, axis=1)
 
 
 def carrying_slots(primitive: SkinnedPrimitive) -> BoolArray:

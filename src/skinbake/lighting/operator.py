@@ -16,8 +16,9 @@ import numpy as np
 
 from skinbake.choices import Weighting
 from skinbake.errors import InputError
-from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray, IntArray, SkinnedPrimitive
-from skinbake.lighting.influences import Int32Array, Int64Array, carrying_slots, weight_field
+from skinbake.geometry.skinned import Float64Array, FloatArray, IntArray, SkinnedPrimitive
+from skinbake.lighting.influences import Int32Array, Int64Array, carrying_slots, joint_weights
+from skinbake.lighting.sparse_rows import SparseRows
 from skinbake.lighting.welds import weld_classes
 from skinbake.skinning.components import Vector, cross, dot, minus, scaled
 
@@ -92,16 +93,22 @@ class GradientOperator:
         """
         from scipy.sparse import csr_array, vstack
 
-        blocks = [self.rows(part, [directions[part]]) for part in self.blocks()]
         count = len(self.positions)
+        blocks = [self.rows(part, [directions[part]]).matrix(count) for part in self.blocks()]
         return vstack(blocks, format="csr") if blocks else csr_array((count, count), dtype=np.float64)
 
     def reach(self) -> Float64Array:
         """Return the sum of all magnitudes in the rows of x, y and z, (V,). No derivative is larger."""
-        total = np.zeros(len(self.positions))
+        ones = np.ones(len(self.positions))
+        axes = [np.broadcast_to(axis, self.positions.shape) for axis in np.eye(3)]
+        return np.asarray(self.reach_along(axes, ones).sum(axis=0))
+
+    def reach_along(self, directions: Sequence[FloatArray], field: FloatArray) -> Float64Array:
+        """Return Σ |entry| × field (V,) over the rows of D directions (V, 3): (D, V)."""
+        total = np.zeros((len(directions), len(self.positions)))
         for part in self.blocks():
-            axes = [np.broadcast_to(axis, (part.stop - part.start, 3)) for axis in np.eye(3)]
-            total[part] = abs(self.rows(part, axes)).sum(axis=1).reshape(3, -1).sum(axis=0)
+            rows = self.rows(part, [direction[part] for direction in directions])
+            total[:, part] = rows.magnitudes().times(field).reshape(len(directions), -1)
         return total
 
     def blocks(self, within: slice | None = None) -> list[slice]:
@@ -138,7 +145,7 @@ class GradientOperator:
         lengths = np.diff(self.ends)[self.classes[start:stop]]
         return np.concatenate([[0], np.cumsum(lengths)])
 
-    def rows(self, part: slice, directions: Sequence[FloatArray]) -> csr_array:
+    def rows(self, part: slice, directions: Sequence[FloatArray]) -> SparseRows:
         """Return the derivatives of a block's vertices along D directions (B, 3): sparse (D B, V)."""
         from skinbake.lighting import kernel  # its modules import this one
 
@@ -234,28 +241,38 @@ def expected_alpha_beta(
     come from other slots than the stored ones. ``named`` are then the same primitives with the joints that
     the slots name now.
     """
-    field = weight_field(primitives)
+    field = joint_weights(primitives)
     result = []
     for primitive, rows, frame in zip(named or primitives, operator.slices, frames, strict=True):
         carries = carrying_slots(primitive)
         found = np.zeros((2, *primitive.joints.shape))
         for part in operator.blocks(rows):
             here = slice(part.start - rows.start, part.stop - rows.start)
-            derivatives = operator.rows(part, [directions[here] for directions in frame]) @ field
-            size = part.stop - part.start
-            for number, half in enumerate((derivatives[:size], derivatives[size:])):
-                found[number, here] = _named_entries(half, primitive.joints[here], carries[here])
+            derivatives = operator.rows(part, [directions[here] for directions in frame])
+            own = np.tile(primitive.joints[here], (2, 1))
+            of_joints = _derivatives_of_joints(derivatives, field, own).reshape(
+                2, *primitive.joints[here].shape
+            )
+            found[:, here] = np.where(carries[here], of_joints, 0.0)
         result.append((found[0], found[1]))
     return result
 
 
-def _named_entries(derivatives: csr_array, named: IntArray, carries: BoolArray) -> Float64Array:
-    """Look up, in a (V, J) sparse matrix, the entry of the joint that each slot names."""
-    rows = np.broadcast_to(np.arange(len(named))[:, None], named.shape)
-    joints = named.astype(np.int64)
-    carries = carries & (joints < derivatives.shape[1])
-    found = np.zeros(joints.shape)
-    found[carries] = np.asarray(derivatives[rows[carries], joints[carries]]).ravel()
+def _derivatives_of_joints(
+    derivatives: SparseRows, field: tuple[Int64Array, Float64Array], named: IntArray
+) -> Float64Array:
+    """Return the derivatives (B, K) of the weights of the joints that B rows name, by ``joint_weights``."""
+    owners, columns = derivatives.owners(), derivatives.columns[derivatives.entries]
+    values = derivatives.values[derivatives.entries]
+    joints, weights = (array[columns] for array in field)
+    found = np.zeros(named.shape)
+    for slot in range(named.shape[1]):
+        own = named[owners, slot]
+        shares = np.zeros(len(owners))
+        for other in range(joints.shape[1]):
+            shares += np.where(joints[:, other] == own, weights[:, other], 0.0)
+        near = np.flatnonzero(shares)
+        found[:, slot] = np.bincount(owners[near], values[near] * shares[near], minlength=len(named))
     return found
 
 

@@ -12,44 +12,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray
-from skinbake.lighting.influences import Int32Array
 from skinbake.lighting.operator import GradientOperator
+from skinbake.lighting.sparse_rows import SparseRows
 from skinbake.skinning.components import Vector, cross, dot, scaled
-
-if TYPE_CHECKING:
-    from scipy.sparse import csr_array
 
 FLAT_FRAME = 1e-6
 """The sine between two tangents below which they have no normal. float32 positions leave no exact digit."""
-
-
-@dataclass(frozen=True, slots=True)
-class SparseRows:
-    """Some rows of a sparse matrix with V columns. Row r has its entries from starts[r] to starts[r + 1].
-
-    starts (B + 1,) and columns are int32, values are float64. Several blocks share their entries.
-    """
-
-    starts: Int32Array
-    columns: Int32Array
-    values: Float64Array
-
-    def some(self, part: slice) -> SparseRows:
-        """Return the rows that some of the starts belong to."""
-        return SparseRows(self.starts[part], self.columns, self.values)
-
-    def matrix(self, columns: int) -> csr_array:
-        """Return the rows as a matrix of so many columns."""
-        from scipy.sparse import csr_array
-
-        first, last = self.starts[0], self.starts[-1]
-        entries = self.values[first:last], self.columns[first:last], self.starts - first
-        return csr_array(entries, shape=(len(self.starts) - 1, columns))
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,13 +69,13 @@ def rest_frames(
     return _measured(chosen, tuple(along), positions, normals)
 
 
-def _split(stacked: csr_array, group: Sequence[slice]) -> list[tuple[SparseRows, SparseRows]]:
+def _split(stacked: SparseRows, group: Sequence[slice]) -> list[tuple[SparseRows, SparseRows]]:
     """Cut rows along t0, and then along b0, into those of the parts of one group."""
-    starts, columns = (array.astype(np.int32, copy=False) for array in (stacked.indptr, stacked.indices))
-    first, half = group[0].start, stacked.shape[0] // 2
+    starts, columns = stacked.starts, stacked.columns
+    first, half = group[0].start, len(stacked) // 2
     end = int(starts[half])
-    along_t = SparseRows(starts[: half + 1], columns[:end].copy(), stacked.data[:end])
-    along_b = SparseRows(starts[half:] - np.int32(end), columns[end:].copy(), stacked.data[end:])
+    along_t = SparseRows(starts[: half + 1], columns[:end].copy(), stacked.values[:end])
+    along_b = SparseRows(starts[half:] - np.int32(end), columns[end:].copy(), stacked.values[end:])
     if np.array_equal(along_t.starts, along_b.starts) and np.array_equal(along_t.columns, along_b.columns):
         # Usual: both have the same neighbours, which are kept once.
         along_b = SparseRows(along_t.starts, along_t.columns, along_b.values)
@@ -207,5 +179,7 @@ def posed_tangents(along: tuple[SparseRows, SparseRows], positions: Float64Array
 
 def posed_tangent(along: SparseRows, positions: Float64Array) -> Vector:
     """Differentiate positions (3, V, P) along one tangent: components (P, B), stored vertex by vertex."""
+    if positions.shape[2] == 1:  # the rest pose
+        return tuple(along.times(component[:, 0])[None] for component in positions)
     matrix = along.matrix(positions.shape[1])
     return tuple((matrix @ component).T for component in positions)

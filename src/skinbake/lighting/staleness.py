@@ -200,7 +200,7 @@ def _roundings(
         np.concatenate([view.tangents for view in views]),
         np.concatenate([view.bitangents for view in views]),
     ]
-    forgiven = np.column_stack([abs(operator.along(axis)) @ paid for axis in frames])
+    forgiven = operator.reach_along(frames, paid).T.copy()
     forgiven *= 1.0 if noted_kind(views[0]) is Gradients.SURFACE else FITTED_PAYMENT
     return [view.rounding + forgiven[rows] for view, rows in zip(views, operator.slices, strict=True)]
 

@@ -1,0 +1,59 @@
+"""Rows of a sparse matrix, without the import of SciPy, which takes longer than to verify a small file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from skinbake.geometry.skinned import Float64Array, FloatArray
+from skinbake.lighting.influences import Int32Array, Int64Array
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+
+@dataclass(frozen=True, slots=True)
+class SparseRows:
+    """Some rows of a sparse matrix with V columns. Row r has its entries from starts[r] to starts[r + 1].
+
+    starts (B + 1,) and columns are int32, values are float64. Several blocks share their entries.
+    """
+
+    starts: Int32Array
+    columns: Int32Array
+    values: Float64Array
+
+    def __len__(self) -> int:
+        """Return the number of rows."""
+        return len(self.starts) - 1
+
+    @property
+    def entries(self) -> slice:
+        """The entries of these rows among those of all blocks."""
+        return slice(int(self.starts[0]), int(self.starts[-1]))
+
+    def some(self, part: slice) -> SparseRows:
+        """Return the rows that some of the starts belong to."""
+        return SparseRows(self.starts[part], self.columns, self.values)
+
+    def owners(self) -> Int64Array:
+        """Return the row of each entry."""
+        return np.repeat(np.arange(len(self)), np.diff(self.starts))
+
+    def magnitudes(self) -> SparseRows:
+        """Return the rows with the magnitudes of their entries."""
+        return SparseRows(self.starts, self.columns, np.abs(self.values))
+
+    def times(self, field: FloatArray) -> Float64Array:
+        """Return the product with a field (V,). Entries are added in their order, as SciPy adds them."""
+        products = self.values[self.entries] * field[self.columns[self.entries]]
+        return np.bincount(self.owners(), products, minlength=len(self)).astype(np.float64, copy=False)
+
+    def matrix(self, columns: int) -> csr_array:
+        """Return the rows as SciPy's matrix of so many columns."""
+        from scipy.sparse import csr_array
+
+        entries = self.values[self.entries], self.columns[self.entries], self.starts - self.starts[0]
+        return csr_array(entries, shape=(len(self), columns))
