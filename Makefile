@@ -75,7 +75,7 @@ bench: $(DEV) $(NODE_MODULES) ## Time bake and verify against peers: write bench
 	$(BIN)/python -m benchmarks.results
 	$(BIN)/python -m benchmarks.library_cost
 
-speeds: $(DEV) $(NODE_MODULES) ## Print the times of the replay, of the shaders, and of frames of three.js (Chromium)
+speeds: $(DEV) $(NODE_MODULES) ## Time the replay, the shaders (writes docs/gpu.md) and frames of three.js (Chromium)
 	$(BIN)/python -m benchmarks.replay_speed
 	$(BIN)/python -m benchmarks.shader_speed
 	$(BIN)/python -m benchmarks.three_frame
