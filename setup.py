@@ -1,8 +1,10 @@
 """The compiled loops, which pyproject.toml cannot describe: their flags differ by compiler.
 
-Without a compiler the package installs all the same, and `bake` and `verify` run on numpy alone.
+Without a compiler the package installs all the same, and `bake` and `verify` run on numpy alone. With
+`SKINBAKE_PURE=1` in the environment the loops are left out on purpose: the wheel then fits every platform.
 """
 
+import os
 import sys
 
 from setuptools import Extension, setup
@@ -24,10 +26,13 @@ def loops(name: str, source: str) -> Extension:
     )
 
 
-setup(
-    ext_modules=[
-        loops("skinbake.gradients._kernel", "src/skinbake/gradients/_kernel.c"),
-        loops("skinbake.lighting._loops", "src/skinbake/lighting/_loops.c"),
-    ],
-    options={"bdist_wheel": {"py_limited_api": "cp311"}},
-)
+if os.environ.get("SKINBAKE_PURE") == "1":
+    setup()
+else:
+    setup(
+        ext_modules=[
+            loops("skinbake.gradients._kernel", "src/skinbake/gradients/_kernel.c"),
+            loops("skinbake.lighting._loops", "src/skinbake/lighting/_loops.c"),
+        ],
+        options={"bdist_wheel": {"py_limited_api": "cp311"}},
+    )
