@@ -19,7 +19,7 @@ unexport PYTHONHOME PYTHONPATH PYTHONDONTWRITEBYTECODE VIRTUAL_ENV
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 .PHONY: help bake setup setup-blender test test-all check lint fixtures golden picture table bench speeds man
-.PHONY: fuzz fuzz-native fuzz-coverage faults clean
+.PHONY: dist try-dist fuzz fuzz-native fuzz-coverage faults clean
 
 help: ## List the targets
 	@awk 'BEGIN { FS = ":.*## " } /^[a-z-]+:.*## / { printf "  make %-13s %s\n", $$1, $$2 }' Makefile
@@ -84,6 +84,12 @@ man: $(PACKAGE) ## Write the man page build/skinbake.1 from the declarations of 
 	@mkdir -p build
 	$(BIN)/python -m skinbake.cli.manual > build/skinbake.1
 
+dist: .venv/dist.stamp ## Build the sdist, the wheel of this system and the wheel without compiled loops into dist/
+	$(BIN)/python -m release.build
+
+try-dist: dist ## Install them in clean environments of each Python at hand, bake and verify (minutes)
+	$(BIN)/python -m release.try_dist
+
 FUZZ_MODELS := build/fuzz-models
 
 fuzz: $(DEV) ## Damage models for MINUTES=2 in WORKERS=2 from SEED, by every command; then the coverage-guided readers
@@ -119,6 +125,10 @@ $(PACKAGE): .venv/created.stamp $(BUILT_FROM)
 $(DEV): .venv/created.stamp $(BUILT_FROM)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
 	@touch $(PACKAGE) $@
+
+.venv/dist.stamp: $(PACKAGE)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dist]'
+	@touch $@
 
 # Only tests/blender needs it, and is skipped without it (SKINBAKE_STRICT=1: fails). It takes Python 3.11 and no other.
 $(BLENDER): tests/blender/requirements.txt $(DEV)

@@ -12,7 +12,8 @@ from setuptools import Extension, setup
 # No fast-math and no fused multiply-adds: the same input gives the same bytes on every machine. The last two
 # switches let compilers use vectors and change no result, since the loops ask for neither errno nor traps.
 MICROSOFT = ["/O2", "/fp:precise"]
-OTHERS = ["-O3", "-std=c11", "-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math", "-Wno-psabi"]
+OTHERS = ["-O3", "-g0", "-std=c11", "-Wno-psabi"]
+OTHERS += ["-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math"]
 
 
 def loops(name: str, source: str) -> Extension:

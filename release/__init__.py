@@ -1,0 +1,1 @@
+"""Build what is published, and try it in clean environments."""

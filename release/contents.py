@@ -1,0 +1,45 @@
+"""Hold the files in an sdist or a wheel against those of the package's folder."""
+
+from __future__ import annotations
+
+import tarfile
+import zipfile
+from pathlib import Path, PurePosixPath
+
+PACKAGE = Path(__file__).resolve().parents[1] / "src" / "skinbake"
+
+LOOPS = ("gradients/_kernel", "lighting/_loops")
+"""The compiled loops: C in the sdist, libraries in a wheel that has a platform."""
+
+UNWANTED = {"tests", "fixtures", "benchmarks", "fuzz", "release", "engines", "node_modules", "__pycache__"}
+
+
+def faults(path: Path) -> list[str]:
+    """Return what an sdist or a wheel lacks, and what it should not have."""
+    held = _names(path)
+    wanted = {f"skinbake/{name}" for name in _sources(with_c=path.suffix != ".whl")}
+    if path.suffix == ".whl" and not path.name.endswith("-any.whl"):
+        loops = {name for name in held if name.endswith((".abi3.so", ".pyd"))}
+        missing = [name for name in LOOPS if not any(loop.startswith(f"skinbake/{name}.") for loop in loops)]
+    else:
+        loops, missing = set(), []
+    package = {name for name in held if name.startswith("skinbake/")}
+    extra = sorted(package - wanted - loops)
+    extra += sorted(name for name in held - package if UNWANTED & set(PurePosixPath(name).parts))
+    return [f"lacks {name}" for name in sorted(wanted - held) + missing] + [f"has {name}" for name in extra]
+
+
+def _names(path: Path) -> set[str]:
+    if path.suffix == ".whl":
+        with zipfile.ZipFile(path) as wheel:
+            return {name for name in wheel.namelist() if not name.endswith("/")}
+    with tarfile.open(path) as sdist:
+        names = [member.name.partition("/")[2] for member in sdist if member.isfile()]
+    return {name.removeprefix("src/") for name in names}
+
+
+def _sources(*, with_c: bool) -> set[str]:
+    """Return the files of the package, but not what Python and a compiler left beside them."""
+    left = {".pyc", ".so", ".pyd"} | (set() if with_c else {".c"})
+    files = [path for path in PACKAGE.rglob("*") if path.is_file() and path.suffix not in left]
+    return {path.relative_to(PACKAGE).as_posix() for path in files}

@@ -1,0 +1,64 @@
+"""What an installation gets: the wheel without compiled loops, made from a copy of the tree."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from release.contents import PACKAGE, faults
+
+REPOSITORY = PACKAGE.parents[1]
+LEFT = shutil.ignore_patterns("*.so", "*.pyd", "*.egg-info", "__pycache__")
+
+
+@pytest.mark.slow
+def test_a_wheel_holds_the_package_and_nothing_else(tmp_path: Path) -> None:
+    copy = tmp_path / "copy"
+    shutil.copytree(PACKAGE.parent, copy / "src", ignore=LEFT)
+    shutil.copytree(REPOSITORY / "tests" / "release", copy / "tests" / "release", ignore=LEFT)
+    for name in (
+        "pyproject.toml",
+        "setup.py",
+        "MANIFEST.in",
+        "README.md",
+        "LICENSE",
+        "CHANGELOG.md",
+        "CITATION.cff",
+    ):
+        shutil.copy(REPOSITORY / name, copy)
+    wheel = [sys.executable, "-m", "pip", "wheel", "--quiet", "--disable-pip-version-check", "--no-deps"]
+    variables = {**os.environ, "SKINBAKE_PURE": "1"}
+    subprocess.run([*wheel, "--wheel-dir", str(tmp_path), str(copy)], check=True, env=variables)
+    [made] = tmp_path.glob("skinbake-*.whl")
+    assert made.name.endswith("-py3-none-any.whl")
+    assert faults(made) == []
+
+
+def test_a_wheel_of_other_files_has_faults(tmp_path: Path) -> None:
+    wheel = tmp_path / "skinbake-1-py3-none-any.whl"
+    sources = [path for path in PACKAGE.rglob("*") if path.suffix in {".py", ".wgsl", ".pyi"}]
+    with zipfile.ZipFile(wheel, "w") as archive:
+        for name in (*(path.relative_to(PACKAGE.parent).as_posix() for path in sources), "tests/test_api.py"):
+            archive.writestr(name, "")
+        archive.writestr("skinbake/__pycache__/api.pyc", "")
+    found = faults(wheel)
+    assert "lacks skinbake/view/templates/page/page.html" in found
+    assert "has skinbake/__pycache__/api.pyc" in found
+    assert "has tests/test_api.py" in found
+    assert not any("api.py" in fault for fault in found if fault.startswith("lacks"))
+
+
+def test_a_compiled_wheel_needs_both_modules_of_loops(tmp_path: Path) -> None:
+    wheel = tmp_path / "skinbake-1-cp311-abi3-win_amd64.whl"
+    with zipfile.ZipFile(wheel, "w") as archive:
+        archive.writestr("skinbake/gradients/_kernel.pyd", "")
+    found = faults(wheel)
+    assert "lacks lighting/_loops" in found
+    assert "lacks gradients/_kernel" not in found
+    assert "has skinbake/gradients/_kernel.pyd" not in found
