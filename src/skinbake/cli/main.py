@@ -20,6 +20,7 @@ from skinbake.errors import SkinbakeError, printable_lines
 from skinbake.version import FILE_FORMAT, __version__
 
 COMMANDS = {
+    "example": "Write a small model to try the other commands on.",
     "bake": "Add α/β to every skinned primitive of glTF files.",
     "verify": "Check a baked file, and measure its lighting in degrees.",
     "view": "Show a file in the browser: standard and accurate lighting side by side.",

@@ -1,0 +1,39 @@
+"""``skinbake example`` writes the model that the README begins with."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.support.command_line import invoke, run
+from tests.support.models import FOLDER
+
+TUBE = FOLDER / "bent_tube.glb"
+
+
+def test_it_writes_the_fixture(tmp_path: Path) -> None:
+    target = tmp_path / "new" / "hero.glb"
+    result = invoke("example", "-o", target)
+    assert (result.exit_code, result.stdout) == (0, f"{target}: an arm that bends, 99,880 bytes\n")
+    assert target.read_bytes() == TUBE.read_bytes()
+
+
+def test_it_writes_to_stdout() -> None:
+    process = run("example", "-o", "-")
+    assert (process.returncode, process.stdout, process.stderr) == (0, TUBE.read_bytes(), b"")
+
+
+@pytest.mark.parametrize(
+    ("target", "code", "said"),
+    [
+        ("hero.gltf", 2, "hero.gltf: the example is a GLB; expected a name that ends in .glb, or -"),
+        ("{}", 2, "is a folder: name the file"),
+        ("{}/file/hero.glb", 4, "file is a file, not a folder"),
+    ],
+)
+def test_it_refuses_other_targets(target: str, code: int, said: str, tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    result = invoke("example", "-o", target.format(tmp_path))
+    assert result.exit_code == code
+    assert said in result.stderr
