@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
 import pytest
 
 from skinbake.errors import OutputError
 from tests.support.command_line import invoke
-from tests.support.models import FOLDER, bake, copied
+from tests.support.models import FOLDER, bake
 
-README = Path(__file__).parents[2] / "README.md"
 SEAM = FOLDER / "seam.glb"
 
 
@@ -79,18 +77,3 @@ def test_a_report_below_a_file_is_an_output_error(option: str, tmp_path: Path) -
     assert result.exit_code == 4, result.output
     assert "baked.glb/out: " in result.stderr
     assert (tmp_path / "baked.glb").read_bytes() == before
-
-
-def test_the_first_commands_of_the_readme_work_as_pasted(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Beside the character, the folder is empty."""
-    copied("bent_tube.glb", tmp_path).rename(tmp_path / "hero.glb")
-    monkeypatch.chdir(tmp_path)
-    blocks = re.findall(r"^```sh\n(.*?)```", README.read_text("utf-8"), re.DOTALL | re.MULTILINE)
-    lines = [line.partition("#")[0].split() for line in blocks[0].splitlines()]
-    assert [line[:2] for line in lines] == [["skinbake", "bake"], ["skinbake", "verify"]]
-    for line in lines:
-        result = invoke(*line[1:])
-        assert result.exit_code == 0, result.output
-    assert (tmp_path / "build" / "hero.glb").is_file()
