@@ -25,6 +25,7 @@ PURPOSES = {
     "pip": "the installer; `python -m venv` puts it there",
     "dracopy": "`KHR_draco_mesh_compression`: Google's code",
     "click": "the command line",
+    "libigl": "`verify` without compiled loops: gradients by another hand than that of `bake`",
     "jinja2": "`shader`, with markupsafe",
     "meshopt": "`EXT_meshopt_compression`: meshoptimizer's code",
     "skinbake": "with compiled loops",
