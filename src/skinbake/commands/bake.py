@@ -517,7 +517,7 @@ def _fitted_to_poses(
     )
     surfaces = [bake.rest_surface() for bake in _unwritten(bakes)]
     with stage("fit"):
-        slots = fitted_to_poses(operator, surfaces, found.poses)
+        slots = fitted_to_poses(operator, surfaces, found.groups)
     return [
         replace(bake, result=bake.result.with_slots(alpha, beta))
         for bake, (alpha, beta) in zip(bakes, slots, strict=True)

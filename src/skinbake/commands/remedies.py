@@ -13,7 +13,7 @@ from skinbake.format.strip import stripped
 from skinbake.gltf.document import Document
 from skinbake.gltf.primitives import skinned_sources
 from skinbake.lighting.baked_views import BakedView, baked_views, gathered_together, is_baked
-from skinbake.lighting.expected import noted_kind
+from skinbake.lighting.expected import noted_kind, noted_sources
 from skinbake.lighting.measured import Lighting, VerifyOptions
 from skinbake.lighting.staleness import mesh_operator
 from skinbake.report.verify import FileVerdict, gain
@@ -33,9 +33,11 @@ class Remedy:
 
     def applied(self, baker: Baker) -> Baker:
         """Return a baker with the options of the remedy."""
+        gradients = baker.gradients if self.gradients is None else self.gradients
         return replace(
             baker,
-            gradients=baker.gradients if self.gradients is None else self.gradients,
+            gradients=gradients,
+            fit_poses=baker.fit_poses if gradients is Gradients.POSES else (),
             neighbours=baker.neighbours if self.neighbours is None else self.neighbours,
             crease_angle=baker.crease_angle if self.crease_angle is None else self.crease_angle,
         )
@@ -101,6 +103,7 @@ def noted_baker(view: BakedView) -> Baker:
     noted = view.metadata
     return Baker(
         gradients=noted_kind(view),
+        fit_poses=noted_sources(view),
         weighting=noted["weighting"],
         crease_angle=noted["creaseAngle"],
         neighbours=_noted_neighbours(noted),

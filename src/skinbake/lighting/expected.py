@@ -126,7 +126,7 @@ def posed_slots(document: Document, views: Sequence[BakedView], slots: Expected)
     return fitted_to_poses(
         true_operator([_before_adoption(document, view) for view in views]),
         surfaces_of(document, views, slots),
-        found.poses,
+        found.groups,
     )
 
 
@@ -152,5 +152,10 @@ def surfaces_of(document: Document, views: Sequence[BakedView], slots: Expected)
 
 def noted_poses(document: Document, view: BakedView) -> FoundPoses:
     """Return the poses that the metadata names, as far as they are in the file. Files are not."""
-    own = [source for source in view.metadata[POSES]["from"] if source == ANIMATIONS or is_random(source)]
-    return poses_to_fit(document, view.source.mesh, own, view.source.place)
+    return poses_to_fit(document, view.source.mesh, noted_sources(view), view.source.place)
+
+
+def noted_sources(view: BakedView) -> tuple[str, ...]:
+    """Return the sources of the poses that the metadata names, without files."""
+    named = view.metadata.get(POSES, {}).get("from", ())
+    return tuple(source for source in named if source == ANIMATIONS or is_random(source))

@@ -3,15 +3,17 @@
 docs/fitted.md has the derivation. Let δ be the changes of the gradients at a vertex, which sum to 0. In a
 pose they move a tangent t' of algorithm 3 by Σ δ[s] M[s] p̃. The fit minimises the sum over all poses of
 
-    w ((n' · t')² + STIFFNESS |Σ δ[s] M[s] p̃|²)
+    v w ((n' · t')² + STIFFNESS |Σ δ[s] M[s] p̃|²)
 
-n' is the mean of both true normals, and w is 2 / (|t'|² + |b'|²) at the given gradients. All terms are
-quadratic in δ with the same matrix for both tangents, so the direction of TANGENT does not matter.
+n' is the mean of both true normals by their parts in AIM, and w is 2 / (|t'|² + |b'|²) at the given
+gradients. v is a group's share of the fit over the error that its poses have at the given gradients: gentle
+clips and wide random poses count by their shares then. All terms are quadratic in δ with the same matrix for
+both tangents, so the direction of TANGENT does not matter.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -39,86 +41,116 @@ Slots: TypeAlias = tuple[Float64Array, Float64Array]
 """α and β (V, K − 1) of the slots after the first."""
 
 
+AIM = {Truth.TANGENTS: 0.7, Truth.TRIANGLES: 0.3}
+"""The parts of both truths in the normal that the tangents follow.
+
+With halves, the sum of both truths' errors is larger, in clips and in other poses.
+"""
+
+NEGLIGIBLE = float(np.radians(0.3)) ** 2
+"""The mean squared tilt below which the error of a group counts no more. Else rounding would be fitted."""
+
+
 @dataclass(frozen=True, slots=True)
 class FitPoses:
-    """The poses of a fit: joint matrices (P, J, 4, 4), and the share (P,) of each pose in the whole."""
+    """A group of poses that count alike: joint matrices (P, J, 4, 4), and the group's share in the fit."""
 
     joint_matrices: Float64Array
-    shares: Float64Array
+    share: float
 
 
 def fit_size(vertices: int, influences: int) -> int:
     """Return the bytes that the least squares of so many vertices take."""
-    return 8 * vertices * influences * (4 * influences + 8)
+    return 8 * vertices * influences * (5 * influences + 10)
 
 
 def fitted_to_poses(
-    operator: GradientOperator, surfaces: Sequence[RestSurface], poses: FitPoses
+    operator: GradientOperator, surfaces: Sequence[RestSurface], groups: Sequence[FitPoses]
 ) -> list[Slots]:
     """Return α and β of each primitive of one surface, fitted to poses. They stay near the given ones.
 
     surfaces are in the operator's order. A joint that has neither weight nor gradient at a vertex gets none.
     A vertex without true normals keeps its gradients.
     """
-    systems = [_LeastSquares.of(surface) for surface in surfaces]
-
-    def add(surface: int, rows: slice, pose: slice, normals: Float64Array) -> None:
-        part = surfaces[surface].rows(rows)
-        moved = _Moved.of(part, poses.joint_matrices[pose], systems[surface].last[rows])
-        systems[surface].add(rows, moved, normals, poses.shares[pose])
-
-    _visit(operator, surfaces, poses, add)
     with np.errstate(all="ignore"):
-        return [system.solved() for system in systems]
+        fitted = [_LeastSquares.of(surface) for surface in surfaces]
+        for group in groups:
+            systems = [_LeastSquares.of(surface) for surface in surfaces]
+            for seen in _seen(operator, surfaces, group):
+                system = systems[seen.surface]
+                system.add(seen, seen.moved(surfaces, group, system.last))
+            for system, of_group in zip(fitted, systems, strict=True):
+                system.take(of_group, group.share)
+        return [system.solved() for system in fitted]
 
 
-def tilts(operator: GradientOperator, surfaces: Sequence[RestSurface], poses: FitPoses) -> list[Float64Array]:
+def tilts(
+    operator: GradientOperator, surfaces: Sequence[RestSurface], groups: Sequence[FitPoses]
+) -> list[Float64Array]:
     """Return by how much the tangents of each primitive leave the true surface: (V,), mean squared sines."""
     found = [np.zeros(len(surface.positions)) for surface in surfaces]
-
-    def add(surface: int, rows: slice, pose: slice, normals: Float64Array) -> None:
-        part = surfaces[surface].rows(rows)
-        moved = _Moved.of(part, poses.joint_matrices[pose], np.zeros(len(part.positions), dtype=np.int64))
-        tilt = np.einsum("bitp,bip->btp", moved.tangents, normals)
-        weight = moved.emphasis * poses.shares[pose]
-        found[surface][rows] += np.einsum("btp,bp->b", tilt * tilt, weight) / 2.0
-
-    _visit(operator, surfaces, poses, add)
+    with np.errstate(all="ignore"):
+        for group in groups:
+            share = group.share / sum(each.share for each in groups)
+            for seen in _seen(operator, surfaces, group):
+                moved = seen.moved(surfaces, group, np.zeros(len(found[seen.surface]), dtype=np.int64))
+                found[seen.surface][seen.rows] += share * seen.tilt(moved)
     return found
 
 
-def _visit(
-    operator: GradientOperator,
-    surfaces: Sequence[RestSurface],
-    poses: FitPoses,
-    work: Callable[[int, slice, slice, Float64Array], None],
-) -> None:
-    """Call ``work`` with the number of a primitive, its rows, poses, and the mean true normals there.
+@dataclass(frozen=True, slots=True)
+class _Seen:
+    """Some vertices of a primitive in some poses of a group.
 
-    The normals are (B, 3, P), 0 where there is none. Every vertex meets each pose once, and its poses in
-    order, so that sums do not depend on the number of threads.
+    surface is the primitive's number. rows and poses are B vertices and P poses. normals (B, 3, P) are the
+    mean true normals, 0 where there is none. share is that of one pose in the group.
     """
-    matrices, count = poses.joint_matrices, len(operator.positions)
+
+    surface: int
+    rows: slice
+    poses: slice
+    normals: Float64Array
+    share: float
+
+    def moved(self, surfaces: Sequence[RestSurface], group: FitPoses, last: IntArray) -> _Moved:
+        """Return the vertices in the poses. last (V,) is a slot of each vertex of the primitive."""
+        part = surfaces[self.surface].rows(self.rows)
+        return _Moved.of(part, group.joint_matrices[self.poses], last[self.rows])
+
+    def tilt(self, moved: _Moved) -> Float64Array:
+        """Return the mean squared sines (B,) by which both tangents leave the true surface."""
+        tilt = np.einsum("bitp,bip->btp", moved.tangents, self.normals)
+        return np.asarray(self.share * np.einsum("btp,bp->b", tilt * tilt, moved.emphasis) / 2.0)
+
+
+def _seen(operator: GradientOperator, surfaces: Sequence[RestSurface], group: FitPoses) -> Iterator[_Seen]:
+    """Yield all vertices in all poses of a group.
+
+    Every vertex meets each pose once, and its poses in order, so that sums do not depend on the number of
+    threads.
+    """
+    matrices, count = group.joint_matrices, len(operator.positions)
     widest = max(surface.joints.shape[1] for surface in surfaces)
     parts = chunks(count, len(matrices))
     truths = Truths.of(operator, surfaces, (parts[0].stop if parts else 0) * widest, tuple(Truth))
     sides = sides_of(surfaces, matrices)
     blended = [BlendedSurface(surface, matrices, Options()) for surface in surfaces]
-    with np.errstate(all="ignore"), Threads(thread_count()) as threads:
-        for pose in parts:
-            deformed = np.empty((3, count, pose.stop - pose.start))
+    with Threads(thread_count()) as threads:
+        for poses in parts:
+            deformed = np.empty((3, count, poses.stop - poses.start))
             for block in truths.pieces:
-                deformed[:, block.part] = blended[block.surface].positions(pose, block.rows)
+                deformed[:, block.part] = blended[block.surface].positions(poses, block.rows)
             sums = truths.sums(deformed, threads)
             for block in truths.pieces:
-                side = None if sides is None else sides[pose, block.part]
-                normals, exist = truths.normals(block.number, deformed, sums, side)
-                work(block.surface, block.rows, pose, _mean(normals, exist))
+                side = None if sides is None else sides[poses, block.part]
+                normals = _mean(*truths.normals(block.number, deformed, sums, side))
+                yield _Seen(block.surface, block.rows, poses, normals, 1.0 / len(matrices))
 
 
 def _mean(normals: Float64Array, exist: BoolArray) -> Float64Array:
-    """Return the unit mean (B, 3, P) of normals (U, 3, B, P) that exist (U, B, P), 0 if there is none."""
-    mean = np.where(exist[:, None], normals, 0.0).sum(axis=0)
+    """Return the unit mean (B, 3, P) of normals (2, 3, B, P) that exist (2, B, P), 0 if there is none."""
+    parts = np.array([AIM[truth] for truth in Truth])[:, None, None, None]
+    mean = np.where(exist[:, None], parts * normals, 0.0).sum(axis=0)
     mean /= np.sqrt(np.einsum("ibp,ibp->bp", mean, mean))
     return np.where(np.isfinite(mean), mean, 0.0).transpose(1, 0, 2)
 
@@ -163,7 +195,8 @@ class _LeastSquares:
 
     given (V, K, 2) are α and β of all slots. presence (V, K) is the weight of each slot's joint and its share
     of the gradients. last (V,) is the last fitted slot, which takes minus the sum of the others. matrix (V,
-    K, K), right (V, K, 2) and reach (V,), the sum of w times the ``_spread``, are sums over poses.
+    K, K), right (V, K, 2), reach (V,), the sum of w times the ``_spread``, and error (V,), the mean squared
+    tilt at the given gradients, are sums over poses.
     """
 
     given: Float64Array
@@ -172,6 +205,7 @@ class _LeastSquares:
     matrix: Float64Array
     right: Float64Array
     reach: Float64Array
+    error: Float64Array
 
     @classmethod
     def of(cls, surface: RestSurface) -> _LeastSquares:
@@ -189,11 +223,13 @@ class _LeastSquares:
             matrix=np.zeros((count, slots, slots)),
             right=np.zeros((count, slots, 2)),
             reach=np.zeros(count),
+            error=np.zeros(count),
         )
 
-    def add(self, rows: slice, moved: _Moved, normals: Float64Array, shares: FloatArray) -> None:
-        """Add some poses of some vertices, with true normals (B, 3, P)."""
-        weight = np.where((normals != 0.0).any(axis=1), moved.emphasis * shares, 0.0)
+    def add(self, seen: _Seen, moved: _Moved) -> None:
+        """Add some poses of some vertices."""
+        rows, normals = seen.rows, seen.normals
+        weight = np.where((normals != 0.0).any(axis=1), moved.emphasis * seen.share, 0.0)
         tilt = np.einsum("bkip,bip->bkp", moved.levers, normals)
         aim = np.einsum("bitp,bip->bpt", moved.tangents, normals)
         flat = moved.levers.reshape(*moved.levers.shape[:2], -1)
@@ -202,6 +238,14 @@ class _LeastSquares:
         self.matrix[rows] += STIFFNESS * np.matmul(weighted, flat.swapaxes(1, 2))
         self.right[rows] -= np.matmul(tilt * weight[:, None], aim)
         self.reach[rows] += np.einsum("bp,bp->b", weight, _spread(self.presence[rows], moved.levers))
+        self.error[rows] += seen.tilt(moved)
+
+    def take(self, group: _LeastSquares, share: float) -> None:
+        """Add the equations of a group of poses, by its share over its error."""
+        scale = share / (group.error + NEGLIGIBLE)
+        self.matrix[:] += scale[:, None, None] * group.matrix
+        self.right[:] += scale[:, None, None] * group.right
+        self.reach[:] += scale * group.reach
 
     def solved(self) -> Slots:
         """Return α and β (V, K − 1). A joint that is hardly there is pulled harder, as in ``surface``."""

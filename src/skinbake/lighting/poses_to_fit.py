@@ -26,7 +26,7 @@ CLIP_POSES = 61
 RANDOM_POSES, RANDOM_ANGLE, RANDOM_SEED = 60, float(np.radians(45.0)), 2014
 """The random poses that go with clips. A fit to clips alone lights all other poses worse."""
 
-CLIP_SHARE = 0.9
+CLIP_SHARE = 0.95
 """The share of the clips in the fit. The random poses have the rest."""
 
 MOST_RANDOM = 10_000
@@ -137,9 +137,9 @@ def _clip_file(path: str) -> ClipFile:
 
 @dataclass(frozen=True, slots=True)
 class FoundPoses:
-    """The poses of one mesh, their fingerprint, and notices on what had to be assumed."""
+    """The poses of one mesh by groups, their fingerprint, and notices on what had to be assumed."""
 
-    poses: FitPoses
+    groups: tuple[FitPoses, ...]
     fingerprint: tuple[float, ...]
     notices: tuple[Notice, ...]
 
@@ -167,8 +167,10 @@ def poses_to_fit(document: Document, mesh: int, sources: Sequence[PoseSource], p
         message = f"no clip moves its joints: α/β are fitted to {counted(count, 'random pose')}"
         notices.append(Notice("fit-poses-random", message, place))
     share = CLIP_SHARE if by_clips else 0.0
-    together = _together([(share, by_clips), (1.0 - share, at_random)])
-    return FoundPoses(together, _fingerprint(together), tuple(notices))
+    joints = max(poses.joint_matrices.shape[1] for poses in [*by_clips, *at_random])
+    parts = ((by_clips, share), (at_random, 1.0 - share))
+    groups = tuple(_group(sets, joints, part) for sets, part in parts if sets)
+    return FoundPoses(groups, _fingerprint(groups), tuple(notices))
 
 
 def is_random(source: PoseSource) -> bool:
@@ -195,26 +197,22 @@ def _clips(
     return clips, notices
 
 
-def _together(parts: Sequence[tuple[float, Sequence[PoseSet]]]) -> FitPoses:
-    """Join sets of poses, each group with its share. Joints that a set lacks stay at rest."""
-    matrices, shares = [], []
-    widest = max(poses.joint_matrices.shape[1] for _, sets in parts for poses in sets)
-    for share, sets in parts:
-        count = sum(len(poses.joint_matrices) for poses in sets)
-        for poses in sets:
-            wide = np.broadcast_to(np.eye(4), (len(poses.joint_matrices), widest, 4, 4)).copy()
-            wide[:, : poses.joint_matrices.shape[1]] = poses.joint_matrices
-            matrices.append(wide)
-            shares.append(np.full(len(wide), share / count))
-    return FitPoses(np.concatenate(matrices), np.concatenate(shares))
+def _group(sets: Sequence[PoseSet], joints: int, share: float) -> FitPoses:
+    """Join sets of poses of so many joints. Joints that a set lacks stay at rest."""
+    matrices = []
+    for poses in sets:
+        wide = np.broadcast_to(np.eye(4), (len(poses.joint_matrices), joints, 4, 4)).copy()
+        wide[:, : poses.joint_matrices.shape[1]] = poses.joint_matrices
+        matrices.append(wide)
+    return FitPoses(np.concatenate(matrices), share)
 
 
-def _fingerprint(poses: FitPoses) -> tuple[float, ...]:
+def _fingerprint(groups: Sequence[FitPoses]) -> tuple[float, ...]:
     """Return a few numbers from −1 to 1 that change with any joint of any pose, but hardly by rounding.
 
     A digest would change when a tool writes a matrix as translation, rotation and scale.
     """
-    values = poses.joint_matrices.ravel()
+    values = np.concatenate([group.joint_matrices.ravel() for group in groups])
     length = float(np.linalg.norm(values))
     steps = np.arange(1, len(values) + 1)
     found = [float(values @ np.cos(number * steps)) / length for number in range(1, FINGERS + 1)]

@@ -76,7 +76,7 @@ def _without_effect(
     document: Document, views: Sequence[BakedView], operator: GradientOperator
 ) -> Iterator[str | None]:
     """Yield for each view why its α/β are no fit to any poses, None if they may be one."""
-    poses = noted_poses(document, views[0]).poses
+    groups = noted_poses(document, views[0]).groups
     true = true_operator(
         [view.now for view in views],
         claim=lambda size: document.budget.claim_welding(size, views[0].source.place),
@@ -84,7 +84,7 @@ def _without_effect(
     slots = [(view.alpha.astype(np.float64), view.beta.astype(np.float64)) for view in views]
     stored = surfaces_of(document, views, slots)
     plain = surfaces_of(document, views, surface_slots(views, operator))
-    both = [tilts(true, surfaces, poses) for surfaces in (stored, plain)]
+    both = [tilts(true, surfaces, groups) for surfaces in (stored, plain)]
     for number, view in enumerate(views):
         areas = vertex_areas(view.now.positions, view.now.triangles)
         fitted, usual = (float(np.nansum(areas * found[number])) for found in both)
