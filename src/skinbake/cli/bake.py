@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,6 +23,7 @@ from skinbake.choices import (
 )
 from skinbake.cli import exit_codes
 from skinbake.cli.console import console, finite, message_options, one_of, outside_option
+from skinbake.cli.depfile import OPTION, check_depfile, clip_files_read, depfile_option, depfile_writer
 from skinbake.cli.help import Helpful
 from skinbake.cli.inputs import expanded
 from skinbake.cli.limits import limit_options
@@ -190,6 +191,7 @@ if TYPE_CHECKING:
 @click.option(
     "--warnings-as-errors", is_flag=True, help="Fail (exit 3) and write nothing if there are warnings."
 )
+@depfile_option
 @many_options
 @limit_options
 @cluster_option
@@ -209,7 +211,8 @@ def command(inputs: tuple[str, ...], **given: Unpack[Given]) -> None:
     targets, notes_at = targets_of(found, given), state_path(given)
     _check_pack(given, [target for _, target in targets])
     output = given.get("output")
-    reports = {"--summary": given["summary"], "--state": notes_at}
+    depfile_at = check_depfile(given, ((entry.source, target) for entry, target in targets))
+    reports = {"--summary": given["summary"], "--state": notes_at, OPTION: given.get("depfile")}
     clip_files = [source for source in given.get("fit_poses", ()) if Path(source).is_file()]
     check_reports(reports, output, [*(entry.source for entry in found), *clip_files])
     check_read("--fit-poses", clip_files, (target for _, target in targets))
@@ -224,7 +227,8 @@ def command(inputs: tuple[str, ...], **given: Unpack[Given]) -> None:
     options = BakeOptions(baker, pack=given.get("pack", False))
     notes = notes_of("bake", options, notes_at, found, say, sync=not given["no_sync"])
     jobs = jobs_of(targets, given, notes.known)
-    reporting = _reporting(given, say)
+    also_read = clip_files_read(clip_files) if depfile_at else []
+    reporting = _reporting(given, say, depfile_writer(depfile_at, given, say, also_read))
     clock.imports_done()
     run = run_of(
         Bake(baker, writing_of(given)),
@@ -239,7 +243,9 @@ def command(inputs: tuple[str, ...], **given: Unpack[Given]) -> None:
     sys.exit(work_through(run, reporting, given, say, clock, notes))
 
 
-def _reporting(given: Given, say: Console) -> Reporting[FileResult]:
+def _reporting(
+    given: Given, say: Console, write: Callable[[Sequence[FileResult]], int] | None
+) -> Reporting[FileResult]:
     """Return how results of bake are reported, counted and written."""
     from skinbake.report.bake import SCHEMA, as_json, closing_line, detail_lines, file_json
     from skinbake.report.totals import BAKE_OUTCOMES, Totals
@@ -264,6 +270,7 @@ def _reporting(given: Given, say: Console) -> Reporting[FileResult]:
         document=lambda results, code, process: as_json(
             results, exit_code=code, dry_run=dry_run, process=process
         ),
+        write=write,
     )
 
 

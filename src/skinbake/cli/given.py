@@ -8,8 +8,8 @@ from typing import NotRequired, TypedDict, cast
 class Given(TypedDict):
     """The options of all commands for many files. Each command has options of its own in addition.
 
-    ``output``, ``out_dir`` and ``dry_run`` belong to commands that write, ``fit_poses`` and ``pack`` to
-    ``bake``.
+    ``output``, ``out_dir``, ``depfile`` and ``dry_run`` belong to commands that write, ``fit_poses`` and
+    ``pack`` to ``bake``.
     """
 
     as_json: bool
@@ -34,6 +34,7 @@ class Given(TypedDict):
     dry_run: NotRequired[bool]
     fit_poses: NotRequired[tuple[str, ...]]
     pack: NotRequired[bool]
+    depfile: NotRequired[str | None]
 
 
 def alone(some: Given) -> Given:

@@ -48,7 +48,7 @@ GROUPS = {
     "Measurement": ("methods", "baseline", "cap", "truth"),
     "Picture": ("mode", "split", "clay", "turntable", "size"),
     "Conditions": ("max_mean_error", "max_p95_error", "min_gain", "require_baked", "warnings_as_errors"),
-    "Reports": ("as_json", "junit", "html", "summary", "timings"),
+    "Reports": ("as_json", "junit", "html", "summary", "depfile", "timings"),
     "Many files": ("jobs", "threads", "skip_unchanged", "state", "dask"),
     "Limits and safety": ("max_memory", "timeout", "isolate", "allow_outside", "no_sync"),
     "Messages": ("verbose", "quiet", "color", "help"),

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import click
 
 from skinbake.cli import exit_codes
 from skinbake.cli.console import Console, console, message_options, outside_option
+from skinbake.cli.depfile import OPTION, check_depfile, depfile_option, depfile_writer
 from skinbake.cli.given import alone
 from skinbake.cli.help import Helpful
 from skinbake.cli.inputs import expanded
@@ -46,6 +48,7 @@ if TYPE_CHECKING:
 @click.option(
     "--warnings-as-errors", is_flag=True, help="Fail (exit 3) and write nothing if there are warnings."
 )
+@depfile_option
 @jobs_options
 @limit_options
 @outside_option
@@ -59,14 +62,17 @@ def command(inputs: tuple[str, ...], **some: Unpack[Given]) -> None:
     clock, given = Clock(), alone(some)
     found = expanded(inputs, but=given.get("out_dir"))
     targets, output = targets_of(found, given), given.get("output")
-    check_reports({"--summary": given["summary"]}, output, (entry.source for entry in found))
+    depfile_at = check_depfile(given, ((entry.source, target) for entry, target in targets))
+    reports = {"--summary": given["summary"], OPTION: given.get("depfile")}
+    check_reports(reports, output, (entry.source for entry in found))
     to_stdout = output == STDIO
     say = console(
         verbose=given["verbose"], quiet=given["quiet"], color=given["color"], results_on_stderr=to_stdout
     )
     from skinbake.jobs.strip import MODULES, SECONDS_A_BYTE, SECONDS_A_FILE, Strip
 
-    reporting = _reporting(given, say, is_one=output is not None)
+    write = depfile_writer(depfile_at, given, say)
+    reporting = _reporting(given, say, write, is_one=output is not None)
     clock.imports_done()
     run = run_of(
         Strip(writing_of(given), given["warnings_as_errors"]),
@@ -80,7 +86,9 @@ def command(inputs: tuple[str, ...], **some: Unpack[Given]) -> None:
     sys.exit(work_through(run, reporting, given, say, clock, Notes(say)))
 
 
-def _reporting(given: Given, say: Console, *, is_one: bool) -> Reporting[StripResult]:
+def _reporting(
+    given: Given, say: Console, write: Callable[[Sequence[StripResult]], int] | None, *, is_one: bool
+) -> Reporting[StripResult]:
     """Return how results are reported and counted. ``is_one``: of one file, which has its own schema."""
     from skinbake.report.strip import FILES_SCHEMA, closing_line, file_json, files_json, one_json
     from skinbake.report.totals import STRIP_OUTCOMES, Totals
@@ -102,4 +110,5 @@ def _reporting(given: Given, say: Console, *, is_one: bool) -> Reporting[StripRe
         document=lambda results, code, process: (
             one_json(results[0], process) if is_one else files_json(results, exit_code=code, process=process)
         ),
+        write=write,
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import stat
 import struct
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -134,10 +135,14 @@ def pair_up(inputs: Sequence[Input], folder: str) -> list[tuple[Input, str]]:
     return pairs
 
 
+RULES = re.compile(rb"(?:\\#|[^\t\n=#])+\.(?:glb|gltf|vrm): (?:\\#|[^\t=#])*\Z", re.IGNORECASE)
+"""The beginning of an earlier depfile. A Makefile has recipes, variables or comments."""
+
 REPORTS: Mapping[str, Callable[[bytes], bool]] = {
     "--summary": lambda head: head.startswith(b"{"),
     "--junit": lambda head: b"<testsuite" in head,
     "--html": lambda head: b'<meta name="generator" content="skinbake ' in head,
+    "--depfile": lambda head: RULES.match(head) is not None,
 }
 """The beginning of a file that an earlier run has written, by option."""
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
@@ -20,8 +19,9 @@ from skinbake.cli.many import Clock, Reporting, many_options, notes_of, run_of, 
 from skinbake.cli.names import STDIO
 from skinbake.cli.remote import cluster_option
 from skinbake.cli.targets import check_reports
+from skinbake.cli.writing import write_report
 from skinbake.containment import Bounds, Within
-from skinbake.errors import OutputError, Place, SkinbakeError
+from skinbake.errors import SkinbakeError
 from skinbake.urls import is_url
 
 if TYPE_CHECKING:
@@ -215,7 +215,7 @@ def _reporting(
     def write(verdicts: Sequence[FileVerdict]) -> int:
         code = exit_codes.OK
         if junit is not None:
-            code = _write(junit, as_junit(verdicts), say, sync=not given["no_sync"])
+            code = write_report(junit, as_junit(verdicts), say, sync=not given["no_sync"])
         if page is not None:
             code = max(code, write_page(page, verdicts))
         return code
@@ -272,23 +272,3 @@ def _options(given: VerifyGiven) -> VerifyOptions:
         baseline=Baseline(given["baseline"]),
         truth=None if given["truth"] is None else Truth(given["truth"]),
     )
-
-
-def _write(path: str, text: str, say: Console, *, sync: bool) -> int:
-    """Write the JUnit file, whole or not at all. Return the exit code."""
-    from skinbake.gltf.writing import write_file
-
-    data, file = text.encode("utf-8"), Path(path)
-    try:
-        if file.exists() and not (file.is_file() or file.is_dir()):
-            file.write_bytes(data)  # for example a pipe
-        else:
-            write_file([data], path, sync=sync)
-    except OSError as error:
-        say.error(OutputError(f"cannot be written: {error.strerror}", Place(path)))
-        return exit_codes.OUTPUT
-    except OutputError as error:
-        message = error.message.removeprefix("cannot be written: ")
-        say.error(OutputError(f"cannot be written: {message}", Place(path)))
-        return exit_codes.OUTPUT
-    return exit_codes.OK

@@ -34,6 +34,7 @@ from skinbake.format.layouts import GradientFormat
 from skinbake.format.strip import stripped
 from skinbake.geometry.rig import Rig
 from skinbake.geometry.skinned import BakedPrimitive, SkinnedPrimitive
+from skinbake.gltf.beside import files_read
 from skinbake.gltf.codecs import draco
 from skinbake.gltf.container import for_target
 from skinbake.gltf.digests import digests_of
@@ -139,6 +140,7 @@ class Baker:
             tuple(notices),
             encoding=made.encoding,
             written=digests_of(planned.files) if writing.traced and planned else {},
+            read=files_read(document, target, pack=writing.pack) if writing.lists_read else (),
         )
 
     def _rebaked(

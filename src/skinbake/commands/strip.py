@@ -7,6 +7,7 @@ from dataclasses import replace
 from skinbake.containment import BESIDE, Bounds
 from skinbake.errors import InputError, Notice, Place, noticed
 from skinbake.format.strip import stripped
+from skinbake.gltf.beside import files_read
 from skinbake.gltf.container import for_target
 from skinbake.gltf.document import STDIO, read_document
 from skinbake.gltf.output import plan_output, refuse_own_input
@@ -23,19 +24,21 @@ def strip_file(
     sync: bool = True,
     bounds: Bounds = BESIDE,
     root: str | None = None,
+    lists_read: bool = False,
 ) -> StripResult:
     """Write a document without the additions of bake. Raises SkinbakeError; then nothing is written.
 
     With ``sync``, it waits until the file is on the disk. Nothing is written outside ``root``, which is the
     target's own folder by default. A file that holds no bake is not replaced by itself.
+    With ``lists_read``, the result names the files that were read beside the source.
     """
     in_place = target == source != STDIO
     replaced = version_of(source) if in_place else None
     with stage("read"):
-        document = read_document(source, bounds)
-    refuse_own_input(document, source, target)
+        given = read_document(source, bounds)
+    refuse_own_input(given, source, target)
     with stage("strip"):
-        document, count, notices = stripped(document)
+        document, count, notices = stripped(given)
     if count == 0:
         notices.append(Notice("nothing-baked", "passed through unchanged: it holds no bake", Place(source)))
     document, found = for_target(document, target)
@@ -50,4 +53,5 @@ def strip_file(
     if planned is not None:
         with noticed(notices), stage("write"):
             replace(planned, replaces=replaced).write(sync=sync)
-    return StripResult(source, target, count, tuple(notices))
+    read = files_read(given, target, pack=False) if lists_read else ()
+    return StripResult(source, target, count, tuple(notices), read=read)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import os
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from pathlib import Path, PurePosixPath
 from typing import NamedTuple
 
@@ -214,6 +215,26 @@ def named_files(document: Document) -> Iterator[NamedFile]:
             uri = entry.get("uri")
             if isinstance(uri, str) and not is_data_uri(uri) and not _is_on_the_network(uri):
                 yield NamedFile(array, number, uri)
+
+
+def files_read(document: Document, target: str | None, *, pack: bool) -> tuple[str, ...]:
+    """Return the paths of the files that a document names and that making the target reads.
+
+    These are its buffers, and the images that are packed or copied. A file that is missing, or may not be
+    read, is left out.
+    """
+    home = Path(os.path.realpath(document.folder))
+    moves = target is not None and Path(os.path.realpath(target)).parent != home
+    found = []
+    for resource in named_files(document):
+        if resource.array == "images" and not (pack or moves):
+            continue
+        with suppress(OSError, RefusedError):
+            spot, descriptor = find(resource.uri, document.folder, document.bounds)
+            os.close(descriptor)
+            if resource.array == "buffers" or pack or spot.is_own:
+                found.append(spot.path)
+    return tuple(dict.fromkeys(found))
 
 
 def _is_on_the_network(uri: str) -> bool:

@@ -26,12 +26,14 @@ class Writing:
 
     A ``dry_run`` does everything except writing. ``traced`` requests digests of the written files. ``sync``
     waits until they are on the disk. ``pack`` brings the files of buffers and images into a GLB's BIN chunk.
+    ``lists_read`` requests the paths of the files that were read.
     """
 
     dry_run: bool = False
     traced: bool = False
     sync: bool = True
     pack: bool = False
+    lists_read: bool = False
 
 
 AS_USUAL = Writing()

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, ClassVar
 from skinbake.commands.bake import Baker
 from skinbake.containment import Bounds
 from skinbake.errors import SkinbakeError
+from skinbake.gltf.beside import files_read
+from skinbake.gltf.document import read_document
 from skinbake.gltf.output import AS_USUAL, Writing
 from skinbake.jobs.elsewhere import elsewhere_of
 from skinbake.jobs.work import Job
@@ -53,7 +55,11 @@ class Bake:
 
     def up_to_date(self, job: Job) -> FileResult:
         """Return that the target is already the result of this bake."""
-        return FileResult(job.source, job.target, "up-to-date")
+        read: tuple[str, ...] = ()
+        if self.writing.lists_read:
+            document = read_document(job.source, job.within.bounds)
+            read = files_read(document, job.target, pack=self.writing.pack)
+        return FileResult(job.source, job.target, "up-to-date", read=read)
 
     def is_noted(self, job: Job) -> bool:
         """Tell whether there is a target to note."""

@@ -47,4 +47,5 @@ class Strip:
             sync=how.sync,
             bounds=within.bounds,
             root=within.output,
+            lists_read=how.lists_read,
         )

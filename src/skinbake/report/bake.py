@@ -111,7 +111,8 @@ class FileResult:
     output is None if nothing was to be written. skipped counts the skinned primitives that were left out.
     error is the reason of a failure. encoding is the encoding of α and β (None if nothing was baked). written
     has digests of the written files, by path, if they were requested. record is the entry for a state file.
-    timings are seconds by stage, None if they were not requested.
+    timings are seconds by stage, None if they were not requested. read are the paths of the files beside the
+    input that were read, if they were requested.
     """
 
     input: str
@@ -125,6 +126,7 @@ class FileResult:
     written: dict[str, str] | None = None
     record: bytes | None = None
     timings: dict[str, float] | None = None
+    read: tuple[str, ...] = ()
 
 
 def closing_line(result: FileResult, *, dry_run: bool) -> str:

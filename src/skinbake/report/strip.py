@@ -22,7 +22,7 @@ class StripResult:
     """The number of primitives that lost their bake, and notices on leftovers.
 
     error is the reason of a failure. record is always None. timings are seconds by stage, None if they were
-    not requested.
+    not requested. read are the paths of the files beside the input that were read, if they were requested.
     """
 
     input: str
@@ -32,6 +32,7 @@ class StripResult:
     error: SkinbakeError | None = None
     record: bytes | None = None
     timings: dict[str, float] | None = None
+    read: tuple[str, ...] = ()
 
     @property
     def status(self) -> Status:

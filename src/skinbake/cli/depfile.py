@@ -1,0 +1,108 @@
+"""``--depfile``: the files that outputs depend on, for Make and Ninja."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from skinbake.cli import exit_codes
+from skinbake.cli.console import Command
+from skinbake.cli.names import STDIO
+from skinbake.cli.writing import write_report
+from skinbake.errors import InputError, SkinbakeError
+from skinbake.urls import is_url
+
+if TYPE_CHECKING:
+    from skinbake.cli.console import Console
+    from skinbake.cli.given import Given
+    from skinbake.report.bake import FileResult
+    from skinbake.report.strip import StripResult
+
+OPTION = "--depfile"
+
+
+def depfile_option(command: Command) -> Command:
+    """Add the option that writes the dependencies of the outputs."""
+    return click.option(
+        OPTION,
+        metavar="FILE",
+        help="Also write the files that each output was made of, as rules for Make and Ninja.",
+    )(command)
+
+
+def check_depfile(given: Given, targets: Iterable[tuple[str, str | None]]) -> str | None:
+    """Return the path of the depfile, None if there is none to write.
+
+    ``targets`` are the sources and the targets. Raises click.UsageError if a rule would not name two files of
+    this machine.
+    """
+    path = given.get("depfile")
+    if path is None:
+        return None
+    if given["dask"]:
+        raise click.UsageError(f"{OPTION} names files of this machine, --dask uses a cluster: give only one")
+    for source, target in targets:
+        if STDIO in {source, target} or is_url(source) or is_url(target or ""):
+            raise click.UsageError(f"{OPTION} needs files as inputs and outputs, not - and no URLs")
+        if source == target:
+            raise click.UsageError(
+                f"{OPTION}: with --in-place each file would depend on itself; name an output"
+            )
+    return None if given.get("dry_run") else path
+
+
+def depfile_writer(
+    path: str | None, given: Given, say: Console, also_read: Sequence[str] = ()
+) -> Callable[[Sequence[FileResult | StripResult]], int] | None:
+    """Return the function that writes the rules of results and returns its exit code; None for no path.
+
+    ``also_read`` are files that every output was made of.
+    """
+    if path is None:
+        return None
+
+    def write(results: Sequence[FileResult | StripResult]) -> int:
+        from skinbake.report.depfile import depfile
+
+        rules = [
+            (result.output, [result.input, *(_like(result.input, file) for file in result.read), *also_read])
+            for result in results
+            if result.error is None and result.output is not None
+        ]
+        try:
+            text = depfile(rules)
+        except SkinbakeError as error:
+            say.error(error)
+            return exit_codes.of_error(error)
+        return write_report(path, text, say, sync=not given["no_sync"])
+
+    return write
+
+
+def clip_files_read(paths: Iterable[str]) -> list[str]:
+    """Return the files of poses, and the buffers beside them."""
+    from skinbake.gltf.beside import files_read
+    from skinbake.gltf.document import read_document
+
+    found = []
+    for path in paths:
+        try:
+            buffers = files_read(read_document(path), None, pack=False)
+        except InputError:
+            buffers = ()  # the bake reports it
+        found += [path, *(_like(path, buffer) for buffer in buffers)]
+    return found
+
+
+def _like(given: str, path: str) -> str:
+    """Return an absolute path relative to the current folder, if the given path is relative."""
+    if Path(given).is_absolute():
+        return path
+    try:
+        return os.path.relpath(path)
+    except ValueError:  # another drive of Windows
+        return path

@@ -1,0 +1,297 @@
+"""--depfile: the rules that Make and Ninja read, held against both of them."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from skinbake.errors import OutputError
+from skinbake.report.depfile import depfile
+from tests.support.command_line import document, invoke
+from tests.support.gltf_reading import read
+from tests.support.models import FOLDER, SHARED, SHARED_BIN, copied, edited
+from tests.support.tools import required_program
+
+BUFFER = SHARED_BIN.replace(" ", "\\ ")
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Make a folder with a .gltf, its buffer, and an image; it is the current folder."""
+    source = edited(
+        SHARED, tmp_path / "art", lambda content: content.update(images=[{"uri": "skin%20%231.png"}])
+    )
+    source.rename(source.with_name("hero.gltf"))
+    (tmp_path / "art" / "skin #1.png").write_bytes(b"\x89PNG")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def rules(path: str) -> dict[str, str]:
+    """Return what stands after each name of a depfile, up to its colon."""
+    lines = [line for line in Path(path).read_text(encoding="utf-8").splitlines() if line]
+    return {line.partition(":")[0]: line.partition(":")[2].strip() for line in lines}
+
+
+class TestFilesRead:
+    def test_buffers_and_copied_images(self, here: Path) -> None:
+        assert (
+            invoke("bake", "art/hero.gltf", "-o", "out/hero.gltf", "--depfile", "deps/hero.d").exit_code == 0
+        )
+        art = [f"art/{BUFFER}", "art/skin\\ \\#1.png"]
+        assert rules("deps/hero.d") == {
+            "out/hero.gltf": " ".join(["art/hero.gltf", *art]),
+            "art/hero.gltf": "",
+            **dict.fromkeys(art, ""),
+        }
+
+    def test_an_image_counts_if_it_is_read(self, here: Path) -> None:
+        invoke("bake", "art/hero.gltf", "-o", "art/plain.glb", "--depfile", "hero.d")
+        assert rules("hero.d")["art/plain.glb"] == f"art/hero.gltf art/{BUFFER}"
+        invoke("bake", "art/hero.gltf", "-o", "art/packed.glb", "--pack", "--depfile", "hero.d")
+        assert rules("hero.d")["art/packed.glb"] == f"art/hero.gltf art/{BUFFER} art/skin\\ \\#1.png"
+
+    def test_absolute_inputs_have_absolute_rules(self, here: Path) -> None:
+        invoke("bake", here / "art" / "hero.gltf", "-o", here / "art" / "a.glb", "--depfile", "hero.d")
+        buffer = str(here / "art" / SHARED_BIN).replace(" ", "\\ ")
+        assert rules("hero.d")[str(here / "art" / "a.glb")] == f"{here / 'art' / 'hero.gltf'} {buffer}"
+
+    def test_each_output_has_a_rule_and_a_failed_one_has_none(self, here: Path) -> None:
+        shutil.copyfile(FOLDER / "seam.glb", "art/seam.glb")
+        Path("art/broken.glb").write_bytes(b"no glTF")
+        assert invoke("bake", "art", "--out-dir", "out", "--depfile", "all.d").exit_code == 3
+        found = rules("all.d")
+        assert found["out/seam.glb"] == "art/seam.glb"
+        assert found["out/hero.gltf"].startswith("art/hero.gltf art/shared")
+        assert not any("broken" in name for name in found)
+
+    @pytest.mark.slow
+    def test_files_of_poses_count_for_each_output(self, here: Path) -> None:
+        copied(SHARED, here / "clips")
+        shutil.copyfile(FOLDER / "seam.glb", "art/seam.glb")
+        options = ["--gradients", "poses", "--fit-poses", f"clips/{SHARED}"]
+        result = invoke("bake", "art/seam.glb", "-o", "a.glb", "--depfile", "a.d", *options)
+        assert result.exit_code == 0, result.stderr
+        assert rules("a.d")["a.glb"] == f"art/seam.glb clips/{SHARED} clips/{BUFFER}"
+
+    def test_a_file_that_is_up_to_date_keeps_its_rule(self, here: Path) -> None:
+        call = [
+            "bake",
+            "art/hero.gltf",
+            "--out-dir",
+            "out",
+            "--skip-unchanged",
+            "--json",
+            "--depfile",
+            "hero.d",
+        ]
+        assert document(invoke(*call))["files"][0]["status"] == "baked"
+        first = Path("hero.d").read_bytes()
+        Path("hero.d").unlink()
+        assert document(invoke(*call))["files"][0]["status"] == "up-to-date"
+        assert Path("hero.d").read_bytes() == first
+
+    def test_strip_has_it_too(self, here: Path) -> None:
+        invoke("bake", "art/hero.gltf", "-o", "art/baked.gltf")
+        assert invoke("strip", "art/baked.gltf", "-o", "back.glb", "--depfile", "b.d").exit_code == 0
+        assert rules("b.d")["back.glb"].startswith(f"art/baked.gltf art/{BUFFER} art/skinbake-")
+
+    @pytest.mark.slow
+    def test_in_several_processes(self, here: Path, workers: list[int]) -> None:
+        shutil.copyfile(FOLDER / "seam.glb", "art/seam.glb")
+        for number, jobs in enumerate(("1", "2")):
+            assert (
+                invoke("strip", "art", "--out-dir", "out", "--depfile", f"{number}.d", "-j", jobs).exit_code
+                == 0
+            )
+        assert Path("0.d").read_bytes() == Path("1.d").read_bytes()
+        assert workers == [2]
+
+    def test_a_dry_run_writes_nothing(self, here: Path) -> None:
+        for target in ([], ["-o", "a.glb"]):
+            assert invoke("bake", "art/hero.gltf", *target, "--dry-run", "--depfile", "a.d").exit_code == 0
+        assert [path.name for path in here.iterdir()] == ["art"]
+
+
+class TestRefused:
+    @pytest.mark.parametrize(
+        ("arguments", "message"),
+        [
+            (["bake", "-", "-o", "a.glb", "--depfile", "a.d"], "needs files as inputs and outputs, not -"),
+            (
+                ["bake", "art/hero.gltf", "-o", "-", "--depfile", "a.d"],
+                "needs files as inputs and outputs, not -",
+            ),
+            (["bake", "memory://a.glb", "-o", "a.glb", "--depfile", "a.d"], "and no URLs"),
+            (["bake", "art", "--in-place", "--depfile", "a.d"], "each file would depend on itself"),
+            (["strip", "art", "--in-place", "--depfile", "a.d"], "each file would depend on itself"),
+            (["bake", "art", "--out-dir", "o", "--dask", "tcp://a:1", "--depfile", "a.d"], "give only one"),
+            (
+                ["bake", "art/hero.gltf", "-o", "a.glb", "--depfile", "art/hero.gltf"],
+                "is the name of a model",
+            ),
+            (["bake", "art/hero.gltf", "-o", "a.glb", "--depfile", "link"], "is the name of a model"),
+            (["bake", "art/hero.gltf", "-o", "a.glb", "--depfile", "hard"], "is an input"),
+            (["strip", "art/hero.gltf", "-o", "a.glb", "--depfile", "hard"], "is an input"),
+            (
+                ["bake", "art/hero.gltf", "-o", "a.glb", "--depfile", f"art/{SHARED_BIN}"],
+                "exists and was not",
+            ),
+            (["bake", "art/hero.gltf", "-o", "a.glb", "--depfile", "Makefile"], "exists and was not"),
+            (
+                ["bake", "art/hero.gltf", "-o", "a.glb", "--depfile", "s", "--summary", "s"],
+                "the file of --summary",
+            ),
+        ],
+    )
+    def test_usage(self, arguments: list[str], message: str, here: Path) -> None:
+        Path("link").symlink_to("art/hero.gltf")
+        os.link("art/hero.gltf", "hard")
+        Path("Makefile").write_text("all.glb: a\n\tskinbake bake a -o all.glb\n", encoding="utf-8")
+        before = {path: path.read_bytes() for path in here.rglob("*") if path.is_file()}
+        result = invoke(*arguments)
+        assert result.exit_code == 2
+        assert message in " ".join(result.stderr.split())
+        assert before == {path: path.read_bytes() for path in here.rglob("*") if path.is_file()}
+
+    @pytest.mark.parametrize(
+        "name", ["a;b.glb", "a=b.glb", "a|b.glb", "a*b.glb", "a\nb.glb", "a%b.glb", "a\\#b.glb"]
+    )
+    def test_a_name_that_no_rule_can_hold(self, name: str, here: Path) -> None:
+        Path(name).write_bytes((FOLDER / "seam.glb").read_bytes())
+        result = invoke("bake", name, "--out-dir", "out", "--depfile", "a.d")
+        assert result.exit_code == 4
+        assert "cannot stand in a depfile" in " ".join(result.stderr.split())
+        assert not Path("a.d").exists()
+
+    def test_a_depfile_that_cannot_be_written(self, here: Path) -> None:
+        Path("file").touch()
+        result = invoke("bake", "art/hero.gltf", "-o", "a.glb", "--depfile", "file/a.d")
+        assert result.exit_code == 4
+        assert Path("a.glb").exists()
+
+
+MAKEFILE = """
+-include hero.d
+{target}: art/hero.gltf
+\t@{python} -m skinbake bake -q art/hero.gltf -o {quoted} --depfile hero.d && echo built
+"""
+
+NINJA = """
+rule bake
+  command = {python} -m skinbake bake -q $in --out-dir out --depfile $depfile
+  depfile = all.d
+  deps = gcc
+build {outputs}: bake art
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform == "win32", reason="names with these characters do not exist there")
+class TestRealBuilds:
+    def test_make_rebuilds_what_changed(self, here: Path) -> None:
+        make = required_program("make")
+        target = "out #1 of $5/a b.gltf"
+        escaped = target.replace("$", "$$").replace("#", "\\#").replace(" ", "\\ ")
+        quoted = "'" + target.replace("$", "$$").replace("#", "#") + "'"
+        (here / "Makefile").write_text(
+            MAKEFILE.format(target=escaped, quoted=quoted, python=sys.executable), encoding="utf-8"
+        )
+
+        def built() -> bool:
+            done = subprocess.run([make, target], capture_output=True, text=True, check=False)
+            assert done.returncode == 0, done.stderr
+            return "built" in done.stdout
+
+        assert [built(), built()] == [True, False]
+        for name in (SHARED_BIN, "skin #1.png", "hero.gltf"):
+            os.utime(here / "art" / name, (4e9, 4e9))
+            assert built(), name
+            os.utime(here / "art" / name, (1e9, 1e9))
+            os.utime(here / target)
+            assert not built(), name
+        (here / "art" / "skin #1.png").unlink()
+        assert [built(), built()] == [True, False]  # and not an error: the rule without a recipe is there
+
+    def test_ninja_rebuilds_what_changed(self, here: Path) -> None:
+        ninja = required_program("ninja")
+        shutil.copyfile(FOLDER / "seam.glb", here / "art" / "a b$c#d:e.glb")
+        outputs = "out/a$ b$$c#d$:e.glb out/hero.gltf"
+        (here / "build.ninja").write_text(
+            NINJA.format(outputs=outputs, python=sys.executable), encoding="utf-8"
+        )
+
+        def built() -> bool:
+            done = subprocess.run([ninja], capture_output=True, text=True, check=False)
+            assert done.returncode == 0, done.stdout
+            return "no work to do" not in done.stdout
+
+        assert [built(), built()] == [True, False]
+        for name in (SHARED_BIN, "skin #1.png", "a b$c#d:e.glb"):
+            os.utime(here / "art" / name)
+            assert [built(), built()] == [True, False], name
+        (here / "art" / "skin #1.png").unlink()
+        assert [built(), built()] == [True, False]
+        assert read(here / "out" / "a b$c#d:e.glb").has_attribute("_SKINBAKE_ALPHA_0")
+
+    def test_both_read_odd_names_back(self, tmp_path: Path) -> None:
+        make, ninja = required_program("make"), required_program("ninja")
+        names = [
+            "a b",
+            "a#b",
+            "a$b",
+            "a$$(b)c",
+            "a\\b",
+            "a\\ b",
+            "a\\\\ b",
+            "a: b",
+            "a:b",
+            "a'b\"",
+            "~x",
+            "α 😀",
+            "a&b{c}",
+            "[1]",
+        ]
+        for name in names:
+            (tmp_path / name).touch()
+        text = depfile([("out.glb", names)])
+        (tmp_path / "out.d").write_text(text, encoding="utf-8")
+        (tmp_path / "Makefile").write_text(
+            "include out.d\nout.glb:\n\t@touch $@; echo built\n", encoding="utf-8"
+        )
+        (tmp_path / "build.ninja").write_text(
+            "rule r\n  command = cp out.d o.d; touch $out\n  depfile = o.d\n  deps = gcc\nbuild out.glb: r\n",
+            encoding="utf-8",
+        )
+        tools = {make: "up to date", ninja: "no work to do"}
+        for tool, idle in tools.items():
+            subprocess.run([tool], cwd=tmp_path, check=True, capture_output=True)
+            for name in names:
+                os.utime(tmp_path / name, (4e9, 4e9))
+                assert (
+                    idle
+                    not in subprocess.run(
+                        [tool], cwd=tmp_path, check=True, capture_output=True, text=True
+                    ).stdout
+                ), name
+                os.utime(tmp_path / name, (1e9, 1e9))
+                os.utime(tmp_path / "out.glb")
+                subprocess.run([tool], cwd=tmp_path, check=True, capture_output=True)
+                assert (
+                    idle
+                    in subprocess.run([tool], cwd=tmp_path, check=True, capture_output=True, text=True).stdout
+                ), name
+
+
+def test_a_name_is_listed_once() -> None:
+    assert depfile([("a.glb", ["b", "c", "b"]), ("d.glb", ["c"])]) == "a.glb: b c\nd.glb: c\n\nb:\n\nc:\n"
+    with pytest.raises(OutputError, match="Rename"):
+        depfile([("a.glb", ["b>c"])])
+    with pytest.raises(OutputError, match=re.escape("'(member)'")):
+        depfile([("a.glb", ["lib(member)"])])
