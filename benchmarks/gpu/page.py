@@ -30,7 +30,7 @@ HEAD = """# The cost of a frame on a GPU
 
 What does lighting with α and β cost at run time, beside standard skinning, and beside recomputing the normals
 on the GPU after skinning? `python -m benchmarks.shader_speed` measures it on any Vulkan, Metal or Direct3D 12
-adapter, and writes this page. Each adapter has a file in `benchmarks/gpu/results`.
+adapter, and writes this page. Each adapter has a file in `benchmarks/gpu/results`, and its own tables below.
 
 ![{alt}]({chart})
 
@@ -181,7 +181,7 @@ def digits(value: float) -> str:
 def _bytes(record: RunRecord) -> Iterator[str]:
     scene = largest_mesh(record)
     yield BYTES.format(scene=scene)
-    yield "| | moved | of standard | more | drawn | of standard |"
+    yield "| | moved | of LBS standard | more | drawn | of LBS standard |"
     yield "|---|--:|--:|--:|--:|--:|"
     computed, drawn = (by_variant(record, scene, stage) for stage in (COMPUTE, DRAWN))
     for name, entry in computed.items():
@@ -238,7 +238,10 @@ def _adapter(record: RunRecord) -> Iterator[str]:
 
 def _scene(record: RunRecord, scene: str) -> Iterator[str]:
     yield f"\n**{scene[0].upper()}{scene[1:]}**, {record.adapter}\n"
-    yield "| | compute pass, ns a vertex | of standard | share | vertex shader, ns a vertex | of standard |"
+    columns = (
+        "compute pass, ns a vertex | of LBS standard | share | vertex shader, ns a vertex | of LBS standard"
+    )
+    yield f"| | {columns} |"
     yield "|---|--:|--:|--:|--:|--:|"
     computed, drawn = (by_variant(record, scene, stage) for stage in (COMPUTE, DRAWN))
     for name, entry in computed.items():

@@ -18,6 +18,8 @@ from benchmarks.gpu.records import TimeRecord
 from benchmarks.gpu.variants import VARIANTS
 
 POSES = 2
+PICTURE = 512
+"""Pixels of a side: so many that the pixel of a vertex has its normal."""
 
 
 @dataclass(frozen=True)
@@ -93,9 +95,9 @@ def outputs() -> Outputs:
         names = {name for step in variant.steps for name in step.buffers}
         found.sizes[variant.name] = {name: part.buffer(name).size for name in names}
         if variant.choices is not None:
-            drawing = passes.Drawing(
-                device, variant, [passes.Part.of(device, smooth_sheet(), palettes.some(slice(1)))]
-            )
+            first = passes.Part.of(device, smooth_sheet(), palettes.some(slice(1)))
+            with patch("benchmarks.gpu.passes.picture_side", return_value=PICTURE):
+                drawing = passes.Drawing(device, variant, [first])
             drawing()
             found.pictures[variant.name] = drawing.picture()
     for timestamps in (False, True):
