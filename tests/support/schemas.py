@@ -327,6 +327,31 @@ VERIFY = strict(
 )
 
 
+OPTION_VALUES = {
+    "type": "object",
+    "additionalProperties": strict(
+        {
+            "value": {},
+            "origin": {"enum": ["default", "file", "override", "environment"]},
+            "place": {"type": ["string", "null"]},
+            "pattern": {"type": ["string", "null"]},
+        }
+    ),
+}
+OPTIONS_BY_COMMAND = {"type": "object", "additionalProperties": OPTION_VALUES}
+CONFIG = strict(
+    {
+        "schema": {"const": "skinbake.config/1"},
+        "file": {"type": ["string", "null"]},
+        "commands": OPTIONS_BY_COMMAND,
+        "files": {
+            "type": "array",
+            "items": strict({"input": TEXT, "commands": OPTIONS_BY_COMMAND}),
+        },
+    }
+)
+
+
 def checked(found: Any, schema: dict[str, Any]) -> Any:
     """Return the document, which must be of this schema."""
     jsonschema.Draft202012Validator.check_schema(schema)

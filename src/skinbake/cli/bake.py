@@ -22,6 +22,7 @@ from skinbake.choices import (
     Weld,
 )
 from skinbake.cli import exit_codes
+from skinbake.cli.chosen_config import option_sets
 from skinbake.cli.console import console, finite, message_options, one_of, outside_option
 from skinbake.cli.depfile import OPTION, check_depfile, clip_files_read, depfile_option, depfile_writer
 from skinbake.cli.help import Helpful
@@ -197,7 +198,8 @@ if TYPE_CHECKING:
 @cluster_option
 @outside_option
 @message_options
-def command(inputs: tuple[str, ...], **given: Unpack[Given]) -> None:
+@click.pass_context
+def command(ctx: click.Context, inputs: tuple[str, ...], **given: Unpack[Given]) -> None:
     """Add α/β, the skin-weight gradients along tangent and bitangent, to every skinned primitive.
 
     INPUT is a .glb, .gltf or .vrm file, or - for a GLB on stdin; a folder, for all such files below it; or a
@@ -207,7 +209,6 @@ def command(inputs: tuple[str, ...], **given: Unpack[Given]) -> None:
     """
     clock = Clock()
     found = expanded(inputs, but=given.get("out_dir"))
-    baker = _baker(given)
     targets, notes_at = targets_of(found, given), state_path(given)
     _check_pack(given, [target for _, target in targets])
     output = given.get("output")
@@ -215,6 +216,8 @@ def command(inputs: tuple[str, ...], **given: Unpack[Given]) -> None:
     reports = {"--summary": given["summary"], "--state": notes_at, OPTION: given.get("depfile")}
     clip_files = [source for source in given.get("fit_poses", ()) if Path(source).is_file()]
     check_reports(reports, output, [*(entry.source for entry in found), *clip_files])
+    sets = option_sets(ctx, given, [entry.source for entry, _ in targets])
+    bakers = sets.each(_baker)
     check_read("--fit-poses", clip_files, (target for _, target in targets))
     say = console(
         verbose=given["verbose"],
@@ -224,21 +227,21 @@ def command(inputs: tuple[str, ...], **given: Unpack[Given]) -> None:
     )
     from skinbake.jobs.bake import MODULES, SECONDS_A_BYTE, SECONDS_A_FILE, Bake, BakeOptions
 
-    options = BakeOptions(baker, pack=given.get("pack", False))
-    notes = notes_of("bake", options, notes_at, found, say, sync=not given["no_sync"])
+    options = [BakeOptions(baker, pack=given.get("pack", False)) for baker in bakers]
+    notes = notes_of("bake", options[0], notes_at, found, say, sync=not given["no_sync"])
     jobs = jobs_of(targets, given, notes.known)
     also_read = clip_files_read(clip_files) if depfile_at else []
     reporting = _reporting(given, say, depfile_writer(depfile_at, given, say, also_read))
     clock.imports_done()
     run = run_of(
-        Bake(baker, writing_of(given)),
-        jobs,
+        [Bake(baker, writing_of(given)) for baker in bakers],
+        sets.numbered(jobs),
         given,
         say,
         modules=MODULES,
         guess=(SECONDS_A_FILE, SECONDS_A_BYTE),
         turns=in_turns([entry for entry, _ in targets]) if given.get("out_dir") else [],
-        recipe=notes.recipe,
+        recipes=notes.recipes(options),
     )
     sys.exit(work_through(run, reporting, given, say, clock, notes))
 

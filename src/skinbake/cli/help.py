@@ -8,6 +8,8 @@ from typing import Any
 import click
 from click.shell_completion import CompletionItem
 
+from skinbake.cli.chosen_config import config_options, configured_in
+from skinbake.errors import printable
 from skinbake.version import __version__
 
 GROUPS = {
@@ -48,9 +50,10 @@ GROUPS = {
     "Measurement": ("methods", "baseline", "cap", "truth"),
     "Picture": ("mode", "split", "clay", "turntable", "size"),
     "Conditions": ("max_mean_error", "max_p95_error", "min_gain", "require_baked", "warnings_as_errors"),
-    "Reports": ("as_json", "junit", "html", "summary", "depfile", "timings"),
+    "Reports": ("as_json", "changed", "junit", "html", "summary", "depfile", "timings"),
     "Many files": ("jobs", "threads", "skip_unchanged", "state", "dask"),
     "Limits and safety": ("max_memory", "timeout", "isolate", "allow_outside", "no_sync"),
+    "Configuration": ("config", "no_config"),
     "Messages": ("verbose", "quiet", "color", "help"),
 }
 """The names of the parameters of all commands, by the heading under which help shows them."""
@@ -76,15 +79,31 @@ class PathName(click.types.StringParamType):
 
 
 class Helpful(click.Command):
-    """A command whose help has its options in groups. ``examples`` end it, one a line."""
+    """A command whose help has its options in groups, and whose options a configuration file can set.
+
+    ``examples`` end the help, one a line.
+    """
 
     def __init__(self, *arguments: Any, examples: tuple[str, ...] = (), **options: Any) -> None:
         """Take the examples besides the parameters of click."""
         self.examples = examples
         super().__init__(*arguments, **options)
+        self.params += config_options()
         for param in self.params:
             if param.type is click.STRING and (param.metavar or "").strip("[].") in PATHS:
                 param.type = PathName("dir" if param.metavar == "DIR" else "file")
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run the command. -v and errors tell of the options that come from a configuration file."""
+        configured = configured_in(ctx)
+        if configured is None:
+            return super().invoke(ctx)
+        if ctx.params.get("verbose"):
+            click.echo(printable(configured.in_words()), err=True)
+        try:
+            return super().invoke(ctx)
+        except click.UsageError as error:
+            raise click.UsageError(configured.explained(error.message), error.ctx) from error
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the options, one group after the other."""

@@ -63,7 +63,7 @@ def command(inputs: tuple[str, ...], **some: Unpack[Given]) -> None:
     ]
     reporting = _reporting(given, say, is_one=is_one_file(inputs))
     clock.imports_done()
-    run = run_of(Inspect(), jobs, given, say, modules=MODULES, guess=(SECONDS_A_FILE, SECONDS_A_BYTE))
+    run = run_of([Inspect()], jobs, given, say, modules=MODULES, guess=(SECONDS_A_FILE, SECONDS_A_BYTE))
     sys.exit(work_through(run, reporting, given, say, clock, Notes(say)))
 
 

@@ -29,6 +29,7 @@ COMMANDS = {
     "inspect": "Show the skinned primitives of a file, and their bakes.",
     "strip": "Restore a file from before its bake.",
     "cost": "Count multiply-adds and bytes per vertex of the paper's algorithms.",
+    "config": "Show the value of each option, and where it comes from.",
 }
 
 

@@ -227,6 +227,12 @@ class Notes:
             return None
         return self._state.known(self.recipe.key(path))
 
+    def recipes(self, options: Sequence[DataclassInstance]) -> list[Recipe | None]:
+        """Return the recipe for each set of options. The first is that for which the notes were made."""
+        if self.recipe is None:
+            return [None] * len(options)
+        return [self.recipe, *map(self.recipe.with_options, options[1:])]
+
     def add(self, record: bytes | None) -> None:
         """Keep a record."""
         if record is None or self._state is None:
@@ -280,7 +286,7 @@ class Run(Generic[ResultT]):
 
 
 def run_of(
-    command: FileCommand[ResultT],
+    commands: Sequence[FileCommand[ResultT]],
     jobs: Sequence[Job],
     given: Given,
     say: Console,
@@ -288,18 +294,23 @@ def run_of(
     modules: Sequence[str],
     guess: tuple[float, float],
     turns: Sequence[int] = (),
-    recipe: Recipe | None = None,
+    recipes: Sequence[Recipe | None] = (None,),
 ) -> Run[ResultT]:
     """Return the run of a command on jobs, as the options ask for. Parameters are as for ``runner_of``.
 
+    ``commands`` and ``recipes`` are those of each set of options, in the order of the jobs' ``variant``.
     Raises click.UsageError for options that do not go together, and InputError if a cluster cannot be used.
     """
-    from skinbake.jobs.file_work import FileWork
+    from skinbake.jobs.file_work import ByVariant, FileWork
 
     sources = [job.source for job in jobs]
     runner: Runner[Job, ResultT] = runner_of(given, sources, turns, modules, guess, say)
-    threads = threads_of_each(given, sources)
-    work = FileWork(command, recipe, given["timings"], memory_of_each(given), threads)
+    memory, threads = memory_of_each(given), threads_of_each(given, sources)
+    works = [
+        FileWork(command, recipe, given["timings"], memory, threads)
+        for command, recipe in zip(commands, recipes, strict=True)
+    ]
+    work = works[0] if len(works) == 1 else ByVariant(tuple(works))
     return Run(jobs, runner, work, seconds_of(sources, guess))
 
 

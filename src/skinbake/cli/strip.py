@@ -75,7 +75,7 @@ def command(inputs: tuple[str, ...], **some: Unpack[Given]) -> None:
     reporting = _reporting(given, say, write, is_one=output is not None)
     clock.imports_done()
     run = run_of(
-        Strip(writing_of(given), given["warnings_as_errors"]),
+        [Strip(writing_of(given), given["warnings_as_errors"])],
         jobs_of(targets, given),
         given,
         say,

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from skinbake.choices import Baseline, Method, PoseKind, Truth
 from skinbake.cli import exit_codes
+from skinbake.cli.chosen_config import option_sets
 from skinbake.cli.console import Console, console, finite, message_options, one_of, outside_option
 from skinbake.cli.given import Given
 from skinbake.cli.help import Helpful
@@ -152,7 +154,8 @@ def _poses(ctx: click.Context, param: click.Parameter, value: str) -> tuple[Pose
 @cluster_option
 @outside_option
 @message_options
-def command(inputs: tuple[str, ...], **given: Unpack[VerifyGiven]) -> None:
+@click.pass_context
+def command(ctx: click.Context, inputs: tuple[str, ...], **given: Unpack[VerifyGiven]) -> None:
     """Check that files still carry the right α/β, and measure how much they improve the lighting.
 
     Structure: α/β and metadata are there and whole. Freshness: nothing that α/β depend on was changed since
@@ -177,8 +180,10 @@ def command(inputs: tuple[str, ...], **given: Unpack[VerifyGiven]) -> None:
     from skinbake.jobs.verify import MODULES, SECONDS_A_BYTE, SECONDS_A_FILE, Verify
     from skinbake.jobs.work import Job
 
-    options = _options(given)
-    notes = notes_of("verify", options, notes_at, found, say, sync=not given["no_sync"])
+    sources = [entry.source for entry in found]
+    sets = option_sets(ctx, given, sources)
+    options = sets.each(_options)
+    notes = notes_of("verify", options[0], notes_at, found, say, sync=not given["no_sync"])
     jobs = [
         Job(
             entry.source,
@@ -188,15 +193,27 @@ def command(inputs: tuple[str, ...], **given: Unpack[VerifyGiven]) -> None:
         )
         for entry in found
     ]
-    reporting = _reporting(given, say, options, {entry.source: entry.searched for entry in found})
+    options_of = {source: options[number] for source, number in zip(sources, sets.numbers, strict=True)}
+    reporting = _reporting(given, say, options_of, {entry.source: entry.searched for entry in found})
     clock.imports_done()
     guess = (SECONDS_A_FILE, SECONDS_A_BYTE)
-    run = run_of(Verify(options), jobs, given, say, modules=MODULES, guess=guess, recipe=notes.recipe)
+    run = run_of(
+        [Verify(one) for one in options],
+        sets.numbered(jobs),
+        given,
+        say,
+        modules=MODULES,
+        guess=guess,
+        recipes=notes.recipes(options),
+    )
     sys.exit(work_through(run, reporting, given, say, clock, notes))
 
 
 def _reporting(
-    given: VerifyGiven, say: Console, options: VerifyOptions, searched: Mapping[str, str | None]
+    given: VerifyGiven,
+    say: Console,
+    options: Mapping[str, VerifyOptions],
+    searched: Mapping[str, str | None],
 ) -> Reporting[FileVerdict]:
     """Return how verdicts are reported, counted and written."""
     from skinbake.report.totals import VERIFY_OUTCOMES, Totals
@@ -252,7 +269,7 @@ def _code(verdict: FileVerdict) -> int:
     return exit_codes.OK if verdict.passed else exit_codes.VERIFICATION
 
 
-def _options(given: VerifyGiven) -> VerifyOptions:
+def _options(given: Mapping[str, Any]) -> VerifyOptions:
     """Return the VerifyOptions of the command line."""
     import math
 

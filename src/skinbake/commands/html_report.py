@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path, PurePath
 from urllib.parse import quote
 
@@ -38,7 +38,7 @@ def _made(verdict: FileVerdict, options: VerifyOptions, bounds: Bounds) -> tuple
 
 def write_report(
     verdicts: Sequence[FileVerdict],
-    options: VerifyOptions,
+    options: Mapping[str, VerifyOptions],
     target: str,
     bounds: Callable[[str], Bounds],
     *,
@@ -46,11 +46,16 @@ def write_report(
 ) -> None:
     """Write the page of one verdict, or an index and the pages of several in a folder of its name.
 
-    ``bounds`` gives the folders in which the document of an input may name files. A file without figures has
-    no page. Raises SkinbakeError; the files that were written before stay.
+    ``options`` are those of each input. ``bounds`` gives the folders in which the document of an input may
+    name files. A file without figures has no page. The index tells the limits that are the same for all.
+    Raises SkinbakeError; the files that were written before stay.
     """
     if len(verdicts) == 1 and verdicts[0].error is None and not verdicts[0].up_to_date:
-        write_file([report_page(verdicts[0], options, bounds(verdicts[0].input))], target, sync=sync)
+        write_file(
+            [report_page(verdicts[0], options[verdicts[0].input], bounds(verdicts[0].input))],
+            target,
+            sync=sync,
+        )
         return
     folder = Path(os.path.realpath(target)).with_suffix("")
     if folder.suffix or folder == Path(os.path.realpath(target)):
@@ -60,11 +65,13 @@ def write_report(
         link = picture = None
         if verdict.error is None and not verdict.up_to_date:
             name = f"{number:04}-{UNSAFE.sub('_', PurePath(verdict.input).stem)[:80]}.html"
-            made, picture = _made(verdict, options, bounds(verdict.input))
+            made, picture = _made(verdict, options[verdict.input], bounds(verdict.input))
             write_files(folder, {folder / name: [made]}, str(folder / name), sync=sync)
             link = f"{quote(folder.name)}/{name}"
         listed.append(_listed(verdict, link, picture))
-    write_file([index(listed, limits_in_words(options))], target, sync=sync)
+    limits = [limits_in_words(options[verdict.input]) for verdict in verdicts]
+    common = [limit for limit in limits[0] if all(limit in others for others in limits)] if limits else []
+    write_file([index(listed, common)], target, sync=sync)
 
 
 def _listed(verdict: FileVerdict, link: str | None, picture: bytes | None) -> Listed:

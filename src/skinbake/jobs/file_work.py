@@ -122,3 +122,22 @@ def _record(
         return None if found is None else recipe.record(job.source, job.target, *found)
     except (OSError, ValueError):
         return None
+
+
+@dataclass(frozen=True, slots=True)
+class ByVariant(Generic[ResultT]):
+    """Work on files that do not all have the same options. There is one work for each set of options."""
+
+    works: tuple[FileWork[ResultT], ...]
+
+    def __call__(self, job: Job) -> ResultT:
+        """Return the result of the file, by the options of its number."""
+        return self.works[job.variant](job)
+
+    def failed(self, job: Job, error: SkinbakeError) -> ResultT:
+        """Return the result of a file that failed."""
+        return self.works[job.variant].failed(job, error)
+
+    def lost(self, job: Job, reason: str) -> ResultT:
+        """Return the result of a file whose process died before it reported."""
+        return self.works[job.variant].lost(job, reason)

@@ -17,7 +17,7 @@ import re
 import time
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO
 
@@ -103,6 +103,10 @@ class Recipe:
     folder: str
     roots: tuple[str, ...] = ()
 
+    def with_options(self, options: DataclassInstance) -> Recipe:
+        """Return the recipe of the same command with other options."""
+        return replace(self, how=_how(self.command, options))
+
     def key(self, path: str) -> str:
         """Return the key of a file's records: the command, and the file that it makes (verify: reads)."""
         return f"{self.command} {self._relative(_absolute(path))}"
@@ -162,13 +166,18 @@ def recipe(command: str, options: DataclassInstance, state: str, roots: Iterable
 
     ``roots`` are the folders in which inputs were searched.
     """
+    folders = tuple(dict.fromkeys(map(os.path.realpath, roots)))
+    return Recipe(command, _how(command, options), os.path.dirname(_absolute(state)), folders)
+
+
+def _how(command: str, options: DataclassInstance) -> str:
+    """Return the digest of a command with its options and code."""
     text = json.dumps(
         [command, __version__, _code(), kernel.IS_COMPILED, asdict(options)],
         sort_keys=True,
         default=str,
     )
-    folders = tuple(dict.fromkeys(map(os.path.realpath, roots)))
-    return Recipe(command, digest_of([text.encode()]), os.path.dirname(_absolute(state)), folders)
+    return digest_of([text.encode()])
 
 
 def seen(source: str, bounds: Bounds = BESIDE) -> Seen | None:

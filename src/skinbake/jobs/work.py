@@ -18,8 +18,8 @@ class Job:
     """One file to work on, and the file that is made from it (None: no file is made).
 
     known is the record of a state file. missing is the reason if the file does not exist after all.
-    ``within`` are the folders in which files are read and written. elsewhere is given if even plain paths
-    belong to another machine.
+    ``within`` are the folders in which files are read and written. ``variant`` is the number of the options
+    for the file. elsewhere is given if even plain paths belong to another machine.
     """
 
     source: str
@@ -27,6 +27,7 @@ class Job:
     known: bytes | None = None
     missing: str | None = None
     within: Within = OWN_FOLDERS
+    variant: int = 0
     elsewhere: Elsewhere | None = None
 
 

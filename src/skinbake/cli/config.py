@@ -1,0 +1,120 @@
+"""``skinbake config``."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterator
+from typing import Any
+
+import click
+
+from skinbake.cli import exit_codes
+from skinbake.cli.chosen_config import configured_in, searched_folders
+from skinbake.cli.configured import (
+    PER_FILE,
+    Configured,
+    Settings,
+    configured_options,
+    options_of,
+)
+from skinbake.cli.console import console, message_options
+from skinbake.cli.help import Helpful
+from skinbake.cli.inputs import expanded
+from skinbake.errors import InputError, Place
+from skinbake.report.config import ConfigResult, Options, OptionValue, as_json, as_text
+
+VARIABLES = {"threads": "OMP_NUM_THREADS", "color": "NO_COLOR"}
+"""The environment variables that replace the default of an option."""
+
+
+@click.command(
+    "config",
+    cls=Helpful,
+    examples=(
+        "skinbake config --changed",
+        "skinbake config art/heroes/knight.glb",
+    ),
+)
+@click.argument("inputs", nargs=-1, metavar="[INPUT]...")
+@click.option("--changed", is_flag=True, help="Leave out the options that have their default.")
+@click.option("--json", "as_json", is_flag=True, help="Print the options as JSON.")
+@message_options
+@click.pass_context
+def command(ctx: click.Context, /, inputs: tuple[str, ...], **given: Any) -> None:
+    """Show the value of each option, and where it comes from: the default, or a line of a configuration file.
+
+    With INPUT, a file, a folder or a quoted pattern, also show the options of bake and verify for each file,
+    overrides included. The files are not read. The whole configuration file is checked.
+    """
+    say = console(verbose=given["verbose"], quiet=given["quiet"], color=given["color"])
+    found, code = expanded(inputs) if inputs else [], exit_codes.OK
+    for entry in found:
+        if entry.missing is not None:
+            say.error(InputError(entry.missing, Place(entry.source)))
+            code = exit_codes.INPUT
+    result = _result(ctx, [entry.source for entry in found if entry.missing is None])
+    if given["as_json"]:
+        say.document(as_json(result, only_changed=given["changed"]))
+    else:
+        say.result(as_text(result, only_changed=given["changed"]))
+    sys.exit(code)
+
+
+def _result(ctx: click.Context, sources: list[str]) -> ConfigResult:
+    configured = configured_in(ctx)
+    contexts = {str(one.command.name): one for one in _contexts(ctx)}
+    by_command: dict[str, Configured | None] = {
+        name: None if configured is None else configured_options(configured.configuration, one)
+        for name, one in contexts.items()
+    }
+    folders = list(searched_folders())
+
+    def options(name: str, source: str | None) -> Options:
+        chosen = by_command[name]
+        if chosen is None:
+            return _options(contexts[name], None, {})
+        return _options(
+            contexts[name], chosen, chosen.settings if source is None else chosen.settings_of(source)
+        )
+
+    return ConfigResult(
+        None if configured is None else configured.configuration.name,
+        (folders[0], folders[-1]),
+        {name: options(name, None) for name in contexts},
+        {source: {name: options(name, source) for name in PER_FILE} for source in sources},
+    )
+
+
+def _contexts(ctx: click.Context) -> Iterator[click.Context]:
+    """Yield a context for each command, without any option of this run."""
+    top = ctx.find_root()
+    group = top.command
+    for name in group.list_commands(top) if isinstance(group, click.Group) else []:
+        found = group.get_command(top, name)  # type: ignore[attr-defined]  # mypy forgets that it is a group
+        yield click.Context(found, click.Context(group), info_name=name)
+
+
+def _options(ctx: click.Context, configured: Configured | None, settings: Settings) -> Options:
+    """Return the value and the origin of each option of a command."""
+    options = {}
+    for key, option in options_of(ctx.command).items():
+        setting = settings.get(str(option.name))
+        variable = VARIABLES.get(str(option.name))
+        if setting is not None and configured is not None:
+            place = configured.configuration.place(setting.keys)
+            origin = "override" if setting.pattern else "file"
+            options[key] = OptionValue(setting.value, origin, place, setting.pattern)
+        elif variable and os.environ.get(variable):
+            options[key] = OptionValue(_default(ctx, option), "environment", variable)
+        else:
+            options[key] = OptionValue(_default(ctx, option))
+    return options
+
+
+def _default(ctx: click.Context, option: click.Option) -> Any:
+    """Return the default of an option as a file would spell it, or None for none."""
+    value = option.get_default(ctx, call=False)
+    if option.multiple:
+        return list(value) if isinstance(value, list | tuple) else []
+    return value if isinstance(value, str | int | float | bool) else None
