@@ -19,7 +19,7 @@ unexport PYTHONHOME PYTHONPATH PYTHONDONTWRITEBYTECODE VIRTUAL_ENV
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 .PHONY: help bake setup setup-blender test test-all check lint fixtures golden picture table bench speeds man
-.PHONY: dist try-dist fuzz fuzz-native fuzz-coverage faults clean
+.PHONY: docs dist try-dist fuzz fuzz-native fuzz-coverage faults clean
 
 help: ## List the targets
 	@awk 'BEGIN { FS = ":.*## " } /^[a-z-]+:.*## / { printf "  make %-13s %s\n", $$1, $$2 }' Makefile
@@ -39,7 +39,7 @@ test: setup ## Set up, and run the tests without the slow ones: under two minute
 test-all: setup ## Set up, and run all tests
 	$(BIN)/python -m pytest -n $(WORKERS)
 
-check: lint test-all ## Run every check: style, types, layers, fixtures, all tests
+check: lint docs test-all ## Run every check: style, types, layers, fixtures, documentation, all tests
 
 lint: $(DEV)
 	$(BIN)/ruff check
@@ -83,6 +83,9 @@ speeds: $(DEV) $(NODE_MODULES) ## Time the replay, the shaders (writes docs/gpu.
 man: $(PACKAGE) ## Write the man page build/skinbake.1 from the declarations of the commands
 	@mkdir -p build
 	$(BIN)/python -m skinbake.cli.manual > build/skinbake.1
+
+docs: $(DEV) ## Build the documentation's site into build/site/html: warnings and broken links are errors
+	$(BIN)/python -m website.build
 
 dist: .venv/dist.stamp ## Build the sdist, the wheel of this system and the wheel without compiled loops into dist/
 	$(BIN)/python -m release.build
