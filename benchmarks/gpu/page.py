@@ -16,8 +16,11 @@ from benchmarks.gpu.goals import (
     times_ratio,
     verdict,
 )
+from benchmarks.gpu.meshes import INFLUENCES
 from benchmarks.gpu.records import COMPUTE, DRAWN, ErrorRecord, RunRecord, TimeRecord
 from benchmarks.gpu.variants import PACKED8, STANDARD, VARIANTS
+from skinbake.skinning.algorithms import Algorithm
+from skinbake.skinning.counting import multiply_adds
 
 FRAME = 16.0
 """Milliseconds of a frame at 60 frames a second, nearly."""
@@ -65,8 +68,9 @@ They say nothing about a GPU. The bytes and the errors hold for any adapter."""
 ERRORS = """## What they are off by
 Mean angles in degrees between the normals that the compute pass returned and the true normals, by tangents /
 by triangles ([both truths](lighting.md#true-normals)), over the characters' own clips, weighted by rest area.
-A recompute follows the same rule as the truth by triangles. So its figure by triangles says little. The truth
-by tangents is independent of all ways.
+A recompute follows the same rule as the truth by triangles. So its figure by triangles says little. No way
+follows the rule of the truth by tangents. But the fit of α and β looks at both truths, for small turns of the
+rig, and at no pose of these clips.
 """
 
 BYTES = """## What must move
@@ -195,6 +199,15 @@ def _bytes(record: RunRecord) -> Iterator[str]:
         else:
             cells += ["", ""]
         yield f"| {name} | {' | '.join(cells)} |"
+    yield ""
+    counted = sum(multiply_adds(Algorithm.LBS_ACCURATE, INFLUENCES).values())
+    moved = computed[PACKED8].bytes_moved
+    yield textwrap.fill(
+        f"Accurate lighting takes {counted} multiply-adds (`skinbake cost`), with `packed8` "
+        f"{counted / moved:.1f} for each byte. A GPU that computes more of them in the time of a byte waits for "
+        "its memory.",
+        LINE,
+    )
     yield ""
 
 
