@@ -187,7 +187,7 @@ def write_page(results: Path, output: Path) -> None:
     """Write the page of all runs in a folder, and the chart of the first."""
     records = read_records(results)
     picture = output.with_suffix(".svg")
-    picture.write_text(chart(records[0]), encoding="utf-8")
+    picture.write_text(chart(records), encoding="utf-8")
     output.write_text(page(records, picture.name), encoding="utf-8")
     print(f"{len(records)} adapters -> {output}, {picture}")
 

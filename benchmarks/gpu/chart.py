@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from html import escape
 
 from benchmarks.gpu.goals import by_variant, largest_mesh, median_time
-from benchmarks.gpu.records import COMPUTE, RunRecord
+from benchmarks.gpu.records import COMPUTE, ErrorRecord, RunRecord, measured_errors_of
 from benchmarks.gpu.variants import VARIANTS
 from skinbake.choices import Truth
 
@@ -31,10 +31,11 @@ class Panel:
     format: str
 
 
-def chart(record: RunRecord) -> str:
-    """Return the SVG of a run's largest mesh, and of its characters."""
+def chart(records: Sequence[RunRecord]) -> str:
+    """Return the SVG of the first run's largest mesh, and of the first characters that were measured."""
+    record = records[0]
     names = [variant.name for variant in VARIANTS]
-    panels = [_bytes(record, names), _times(record, names), _errors(record, names)]
+    panels = [_bytes(record, names), _times(record, names), _errors(measured_errors_of(records), names)]
     height = HEAD + ROW * len(names) + FOOT
     head = (
         f'<svg xmlns="http://www.w3.org/2000/svg" width="{WIDTH}" height="{height}" '
@@ -62,13 +63,11 @@ def _times(record: RunRecord, names: Sequence[str]) -> Panel:
     return Panel("Nanoseconds a vertex", f"{_short(record.adapter)}, compute pass", values, "{:.3f}")
 
 
-def _errors(record: RunRecord, names: Sequence[str]) -> Panel:
-    characters = list(dict.fromkeys(entry.character for entry in record.errors))
+def _errors(errors: Sequence[ErrorRecord], names: Sequence[str]) -> Panel:
+    characters = list(dict.fromkeys(entry.character for entry in errors))
     values = []
     for name in names:
-        means = [
-            entry.mean for entry in record.errors if (entry.variant, entry.truth) == (name, Truth.TANGENTS)
-        ]
+        means = [entry.mean for entry in errors if (entry.variant, entry.truth) == (name, Truth.TANGENTS)]
         values.append(statistics.fmean(means) if means else None)
     line = f"mean of {len(characters)} characters, by tangents"
     return Panel("Degrees off", line, values, "{:.2f}°")

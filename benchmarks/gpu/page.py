@@ -17,7 +17,14 @@ from benchmarks.gpu.goals import (
     verdict,
 )
 from benchmarks.gpu.meshes import INFLUENCES
-from benchmarks.gpu.records import COMPUTE, DRAWN, ErrorRecord, RunRecord, TimeRecord
+from benchmarks.gpu.records import (
+    COMPUTE,
+    DRAWN,
+    ErrorRecord,
+    RunRecord,
+    TimeRecord,
+    measured_errors_of,
+)
 from benchmarks.gpu.variants import PACKED8, STANDARD, VARIANTS
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.counting import multiply_adds
@@ -100,7 +107,7 @@ def page(records: Sequence[RunRecord], chart: str) -> str:
         *_goals(records),
         *_frame(records),
         *_bytes(first),
-        *_errors(first.errors),
+        *_errors(measured_errors_of(records)),
     ]
     for record in records:
         parts += _adapter(record)
@@ -204,8 +211,8 @@ def _bytes(record: RunRecord) -> Iterator[str]:
     moved = computed[PACKED8].bytes_moved
     yield textwrap.fill(
         f"Accurate lighting takes {counted} multiply-adds (`skinbake cost`), with `packed8` "
-        f"{counted / moved:.1f} for each byte. A GPU that computes more of them in the time of a byte waits for "
-        "its memory.",
+        f"{counted / moved:.1f} for each byte. A GPU that computes more of them in the time of a byte waits "
+        "for its memory.",
         LINE,
     )
     yield ""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -86,6 +87,11 @@ def read_record(path: Path) -> RunRecord:
     )
     found["errors"] = tuple(ErrorRecord(**entry) for entry in found["errors"])
     return RunRecord(**found)
+
+
+def measured_errors_of(records: Sequence[RunRecord]) -> tuple[ErrorRecord, ...]:
+    """Return the errors of the first run that had the corpus of characters."""
+    return next((record.errors for record in records if record.errors), ())
 
 
 def read_records(folder: Path) -> list[RunRecord]:

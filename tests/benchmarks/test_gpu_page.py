@@ -239,7 +239,7 @@ class TestFiles:
     def test_the_committed_page_and_chart_are_those_of_the_results(self) -> None:
         records = read_records(RESULTS)
         assert (DOCS / "gpu.md").read_text(encoding="utf-8") == page(records, "gpu.svg")
-        assert (DOCS / "gpu.svg").read_text(encoding="utf-8") == chart(records[0])
+        assert (DOCS / "gpu.svg").read_text(encoding="utf-8") == chart(records)
 
 
 class TestPage:
@@ -260,10 +260,16 @@ class TestPage:
 
     def test_the_chart_has_bars_of_times_only_for_hardware(self) -> None:
         bars = [
-            len(ElementTree.fromstring(chart(given)).findall("{http://www.w3.org/2000/svg}rect"))
+            len(ElementTree.fromstring(chart([given])).findall("{http://www.w3.org/2000/svg}rect"))
             for given in (record(GOOD), record(GOOD, software=True))
         ]
         assert bars == [1 + 9 + 9 + 1, 1 + 9 + 1]
+
+    def test_errors_come_from_a_run_that_had_characters(self) -> None:
+        without = replace(record(GOOD), errors=())
+        assert "Fox, 6 poses" in page([without, record(GOOD, software=True)], "gpu.svg")
+        assert "4.50°" in chart([without, record(GOOD)])
+        assert "the corpus of characters was not there" in page([without], "gpu.svg")
 
     def test_digits(self) -> None:
         assert [digits(value) for value in (0.01234, 1.234, 12.34, 1234.5)] == [
