@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import statistics
+import textwrap
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from html import escape
@@ -17,6 +18,8 @@ NAMES, PANEL, GAP = 200, 210, 34
 BAR = 18
 FIGURE = 50
 """The room for a figure beside the longest bar."""
+LETTERS = 30
+"""Letters of the line below a title at most."""
 INK, GREY = "#1c1e22", "#60646c"
 STANDARD, ACCURATE, RECOMPUTED = "#9aa3ad", "#d1693f", "#3f74b5"
 
@@ -60,7 +63,7 @@ def _times(record: RunRecord, names: Sequence[str]) -> Panel:
         # A chart would give these times a weight that they do not have.
         return Panel("Nanoseconds a vertex", "no GPU measured yet", [None] * len(names), "")
     values = [None if time is None else 1e9 * time for time in times]
-    return Panel("Nanoseconds a vertex", f"{_short(record.adapter)}, compute pass", values, "{:.3f}")
+    return Panel("Nanoseconds a vertex", _short(record.adapter), values, "{:.3f}")
 
 
 def _errors(errors: Sequence[ErrorRecord], names: Sequence[str]) -> Panel:
@@ -74,8 +77,8 @@ def _errors(errors: Sequence[ErrorRecord], names: Sequence[str]) -> Panel:
 
 
 def _short(adapter: str) -> str:
-    """Return an adapter's name without what stands in brackets."""
-    return adapter.partition("(")[0].strip()
+    """Return an adapter's name without what stands in brackets, as long as a panel is wide."""
+    return textwrap.shorten(adapter.partition("(")[0], LETTERS, placeholder=" …")
 
 
 def _names(names: Sequence[str]) -> Iterator[str]:
