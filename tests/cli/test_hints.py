@@ -203,3 +203,33 @@ class TestTerminal:
         lines = click.unstyle(shown).splitlines()
         assert max(map(len, lines)) <= 70
         assert any("worst at" in line for line in lines)
+
+    @pytest.mark.slow
+    @pytest.mark.skipif(sys.platform != "linux", reason="needs a pseudo terminal")
+    @pytest.mark.parametrize("no_color", [False, True])
+    def test_bake_of_many_fits_the_terminal(self, no_color: bool, tmp_path: Path) -> None:
+        import fcntl
+        import pty
+        import termios
+
+        for number in range(6):
+            shutil.copyfile(SEAM, tmp_path / f"character_of_a_game_{number}.glb")
+        (tmp_path / "broken.glb").write_bytes(b"glTF")
+        leader, follower = pty.openpty()
+        fcntl.ioctl(follower, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 70, 0, 0))
+        environment = {key: value for key, value in os.environ.items() if key not in {"COLUMNS", "NO_COLOR"}}
+        subprocess.run(
+            [sys.executable, "-m", "skinbake", "bake", ".", "--out-dir", "out"],
+            cwd=tmp_path,
+            env={**environment, "TERM": "xterm", **({"NO_COLOR": "1"} if no_color else {})},
+            stdout=follower,
+            stderr=follower,
+            check=False,
+        )
+        os.close(follower)
+        shown = os.read(leader, 20_000).decode()
+        os.close(leader)
+        assert ("\x1b[31mfailed" in shown, "\x1b[3" in shown) == (not no_color, not no_color)
+        lines = click.unstyle(shown).splitlines()
+        assert max(map(len, lines)) <= 70
+        assert any(line.startswith("7 files: 6 baked, 1 failed, in ") for line in lines)

@@ -13,6 +13,9 @@ import numpy as np
 import pytest
 
 from fixtures.builder import JsonObject
+from skinbake.cli.terminal import with_colours
+from skinbake.errors import Place
+from skinbake.report.bake import BakedCounts, FileResult, closing_line, detail_lines, short_line
 from tests.support.command_line import invoke, run
 from tests.support.models import FIXTURES, FOLDER, bake, edited, sheet, write_model
 
@@ -55,6 +58,57 @@ def test_the_closing_line_counts(warned: Path, tmp_path: Path) -> None:
         f"{warned} -> {tmp_path / 'out.glb'}: baked: 1 primitive, 20 vertices, frame from normal, "
         "240 bytes added, 1 skinned primitive skipped, 2 warnings"
     )
+
+
+def test_lines_over_many_files_are_short_and_v_shows_them_in_full(warned: Path, tmp_path: Path) -> None:
+    inputs = [warned, FOLDER / "seam.glb"]
+    whole = [invoke("bake", path, "--out-dir", tmp_path / "out").stdout for path in inputs]
+    short = invoke("bake", *inputs, "--out-dir", tmp_path / "out").stdout.splitlines()
+    out = tmp_path / "out"
+    assert short == [
+        f"{warned} -> {out / warned.name}: baked: 1 primitive, 240 bytes added, 1 skipped, 2 warnings",
+        f"{inputs[1]} -> {out / 'seam.glb'}: baked: 1 primitive, 4,752 bytes added",
+    ]
+    assert invoke("bake", *inputs, "--out-dir", tmp_path / "out", "-v").stdout == "".join(whole)
+    assert all("frame from normal" in line for line in whole)
+
+
+def test_a_short_line_keeps_what_was_lost_and_what_was_asked_for(tmp_path: Path) -> None:
+    result = invoke(
+        "bake", FOLDER / "foreign_joints.glb", FOLDER / "two_sets.glb", "--dry-run", "--neighbours", "drop"
+    )
+    assert re.search(
+        r"foreign_joints.glb \(dry run\): baked: .* \d+\.\d% of the gradient lost", result.stdout
+    )
+    result = invoke(
+        "bake", FOLDER / "two_sets.glb", FOLDER / "seam.glb", "--dry-run", "--limit-influences", "4"
+    )
+    assert "limited to 4 influences" in result.stdout.splitlines()[0]
+
+
+@pytest.mark.parametrize(
+    ("line", "shown"),
+    [
+        ("a.glb: failed, nothing written", "a.glb: \x1b[31mfailed\x1b[0m, nothing written"),
+        ("a.glb: passed before, up to date", "a.glb: \x1b[32mpassed\x1b[0m before, up to date"),
+        ("failed.glb -> passed.glb: baked", "failed.glb -> passed.glb: baked"),
+    ],
+)
+def test_outcomes_have_colours(line: str, shown: str) -> None:
+    assert with_colours(line) == shown
+
+
+def test_one_thing_is_singular() -> None:
+    counts = BakedCounts(1, 1, 0, 1, "rig", "normal", False, 1, 0, 1.0, 0.0, 1, 8)
+    result = FileResult("a.glb", None, "baked", ((Place("a.glb"), counts),))
+    assert closing_line(result, dry_run=True) == (
+        "a.glb (dry run): baked: 1 primitive, 1 vertex, frame from normal, 1 byte added, "
+        "1 vertex adopted joints"
+    )
+    assert short_line(result, dry_run=True) == "a.glb (dry run): baked: 1 primitive, 1 byte added"
+    (detail,) = detail_lines(result)
+    assert "1 vertex, 1 triangle, 1 slot, frame" in detail
+    assert detail.endswith("1 byte")
 
 
 def test_the_closing_line_tells_what_an_encoding_takes_and_costs() -> None:

@@ -243,7 +243,7 @@ class TestGlbToGltf:
         result = bake(path, tmp_path / "out.gltf")
         (notice,) = result.notices
         assert notice.code == "chunks-dropped"
-        assert "1 GLB chunks of unknown type and 4 trailing bytes" in notice.message
+        assert "1 GLB chunk of unknown type and 4 trailing bytes have no place" in notice.message
 
     def test_a_bin_chunk_that_no_buffer_means_is_not_lost_in_silence(self, tmp_path: Path) -> None:
         model = read(FOLDER / "seam.glb")

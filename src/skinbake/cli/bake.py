@@ -231,7 +231,9 @@ def command(ctx: click.Context, inputs: tuple[str, ...], **given: Unpack[Given])
     notes = notes_of("bake", options[0], notes_at, found, say, sync=not given["no_sync"])
     jobs = jobs_of(targets, given, notes.known)
     also_read = clip_files_read(clip_files) if depfile_at else []
-    reporting = _reporting(given, say, depfile_writer(depfile_at, given, say, also_read))
+    reporting = _reporting(
+        given, say, depfile_writer(depfile_at, given, say, also_read), is_one=len(targets) == 1
+    )
     clock.imports_done()
     run = run_of(
         [Bake(baker, writing_of(given)) for baker in bakers],
@@ -247,13 +249,14 @@ def command(ctx: click.Context, inputs: tuple[str, ...], **given: Unpack[Given])
 
 
 def _reporting(
-    given: Given, say: Console, write: Callable[[Sequence[FileResult]], int] | None
+    given: Given, say: Console, write: Callable[[Sequence[FileResult]], int] | None, *, is_one: bool
 ) -> Reporting[FileResult]:
-    """Return how results of bake are reported, counted and written."""
-    from skinbake.report.bake import SCHEMA, as_json, closing_line, detail_lines, file_json
+    """Return how results of bake are reported, counted and written. The line of a single file is in full."""
+    from skinbake.report.bake import SCHEMA, as_json, closing_line, detail_lines, file_json, short_line
     from skinbake.report.totals import BAKE_OUTCOMES, Totals
 
     dry_run = given.get("dry_run", False)
+    line_of = closing_line if is_one or given["verbose"] else short_line
 
     def tell(result: FileResult) -> None:
         say.notices(result.notices)
@@ -261,7 +264,7 @@ def _reporting(
             say.error(result.error)
         say.details(detail_lines(result))
         if not given["as_json"]:
-            say.result(closing_line(result, dry_run=dry_run))
+            say.verdict(line_of(result, dry_run=dry_run))
 
     return Reporting(
         schema=SCHEMA,

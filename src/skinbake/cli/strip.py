@@ -98,7 +98,7 @@ def _reporting(
         if result.error is not None:
             say.error(result.error)
         if not (given["as_json"] or (is_one and result.error)):
-            say.result(closing_line(result))
+            say.verdict(closing_line(result))
 
     return Reporting(
         schema=FILES_SCHEMA,

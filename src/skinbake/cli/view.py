@@ -16,6 +16,7 @@ from skinbake.cli.targets import check_named, sync_option
 from skinbake.containment import Bounds
 from skinbake.errors import SkinbakeError, printable
 from skinbake.urls import SUFFIXES
+from skinbake.wording import counted
 
 
 @click.command(
@@ -77,7 +78,9 @@ def command(source: str, output: str | None, **given: Any) -> None:
         sys.exit(exit_codes.of_error(error))
     if output != STDIO:
         how = "" if result.was_baked else ", baked in memory"
-        say.result(f"{printable(source)} -> {printable(str(output))}: {len(result.page):,} bytes{how}")
+        say.result(
+            f"{printable(source)} -> {printable(str(output))}: {counted(len(result.page), 'byte')}{how}"
+        )
 
 
 def _serve(page: bytes, given: dict[str, Any], tell: Any) -> None:

@@ -14,7 +14,7 @@ from skinbake.gltf.document import GLB_SUFFIXES, STDIO, Document
 from skinbake.gltf.glb import Bytes
 from skinbake.gltf.json_access import JsonObject
 from skinbake.gltf.packing import packed, packed_with_files
-from skinbake.wording import one_or_many
+from skinbake.wording import counted, one_or_many
 
 
 def for_target(document: Document, target: str, *, pack: bool = False) -> tuple[Document, list[Notice]]:
@@ -88,13 +88,13 @@ def _dropped(document: Document) -> Iterator[Notice]:
     """Yield a notice on the parts of a GLB that a ``.gltf`` cannot hold."""
     lost = []
     if document.other_chunks:
-        lost.append(f"{len(document.other_chunks)} GLB chunks of unknown type")
+        lost.append(f"{counted(len(document.other_chunks), 'GLB chunk')} of unknown type")
     if document.binary is not None and not document.has_binary_buffer:
         lost.append("an unreferenced BIN chunk")
     if document.trailing:
-        lost.append(f"{len(document.trailing)} trailing bytes")
+        lost.append(counted(len(document.trailing), "trailing byte"))
     if lost:
-        verb = "has" if len(lost) == 1 and not lost[0][0].isdigit() else "have"
+        verb = "has" if len(lost) == 1 and lost[0].startswith(("1 ", "an ")) else "have"
         yield Notice("chunks-dropped", f"{' and '.join(lost)} {verb} no place in a .gltf", document.place)
 
 

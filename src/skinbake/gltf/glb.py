@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import NamedTuple, TypeAlias
 
 from skinbake.errors import InputError, OutputError, Place, UnsupportedFeatureError
+from skinbake.wording import counted
 
 Bytes: TypeAlias = bytes | memoryview
 
@@ -39,7 +40,9 @@ def split_glb(data: Bytes, place: Place) -> GlbChunks:
     """
     view = memoryview(data)
     if len(view) < HEADER.size:
-        raise InputError(f"not a GLB: {len(view)} bytes are shorter than the 12-byte header", place)
+        raise InputError(
+            f"not a GLB: it has {counted(len(view), 'byte')}, fewer than the 12 bytes of the header", place
+        )
     magic, version, length = HEADER.unpack_from(view)
     if magic != MAGIC:
         raise InputError(

@@ -155,9 +155,11 @@ def _claim(
     budget, place = document.budget, document.place
     with budget.passing():
         at_a_time = (each or fallback) * (BYTES_A_NODE_AND_POSE * len(skeleton.nodes) + 256 * channels)
-        budget.claim(at_a_time, f"{each or fallback:,} poses of {len(skeleton.nodes):,} nodes", place)
+        budget.claim(
+            at_a_time, f"{counted(each or fallback, 'pose')} of {counted(len(skeleton.nodes), 'node')}", place
+        )
     size = poses * (BYTES_A_JOINT_AND_POSE * len(skeleton.joints) + 24 * targets)
-    budget.claim(size, f"{poses:,} poses of {len(skeleton.joints):,} joints", place)
+    budget.claim(size, f"{counted(poses, 'pose')} of {counted(len(skeleton.joints), 'joint')}", place)
 
 
 def _samples_of_each(samples: int | None, clips: Sequence[Clip]) -> int:
@@ -238,6 +240,6 @@ def described(request: PoseRequest, sets: Sequence[PoseSet], seconds: float) -> 
     if request.kind is PoseKind.REST:
         return "the rest pose"
     if clips:
-        return f"{poses} poses of {len(clips)} clip{'s' if len(clips) > 1 else ''} ({seconds:.3g} s)"
+        return f"{counted(poses, 'pose')} of {counted(len(clips), 'clip')} ({seconds:.3g} s)"
     reason = "" if request.kind is PoseKind.RANDOM else " (no animation moves its joints)"
     return f"{counted(poses, 'random pose')}, joints turned by up to {np.degrees(request.angle):.3g}°{reason}"

@@ -12,6 +12,9 @@ from skinbake.wording import counted
 
 SCHEMA = "skinbake.bake/1"
 
+SHOWN_LOSS = 0.0005
+"""The share of the gradient from which a short line tells its loss."""
+
 SEEN = 0.0001
 """Below this angle in degrees, the exact value does not matter."""
 
@@ -129,12 +132,33 @@ class FileResult:
     read: tuple[str, ...] = ()
 
 
+def short_line(result: FileResult, *, dry_run: bool) -> str:
+    """Return the line of one file among many: what is missing from it is in ``closing_line``."""
+    counts = [count for _, count in result.primitives]
+    if not counts:
+        return closing_line(result, dry_run=dry_run)
+    size = counted(sum(count.added_bytes for count in counts), "byte")
+    parts = [f"baked: {counted(len(counts), 'primitive')}, {size} added"]
+    parts += [f"{result.skipped:,} skipped"] if result.skipped else []
+    parts += [_limited(costs)] if (costs := [count.limited for count in counts if count.limited]) else []
+    lost = _lost(counts)
+    parts += [f"{lost:.1%} of the gradient lost"] if lost >= SHOWN_LOSS else []
+    parts += [counted(len(result.notices), "warning")] if result.notices else []
+    return f"{_where(result, dry_run=dry_run)}: {', '.join(parts)}"
+
+
+def _where(result: FileResult, *, dry_run: bool) -> str:
+    """Return the names of the input and of the output."""
+    name = printable(result.input)
+    if dry_run:
+        return f"{name} (dry run)"
+    return name if result.output in {None, result.input} else f"{name} -> {printable(str(result.output))}"
+
+
 def closing_line(result: FileResult, *, dry_run: bool) -> str:
     """Return one line with the numbers of baked, skipped and assumed things."""
     name = printable(result.input)
-    where = name if result.output in {None, result.input} else f"{name} -> {printable(str(result.output))}"
-    if dry_run:
-        where = f"{name} (dry run)"
+    where = _where(result, dry_run=dry_run)
     if result.status == "failed":
         return f"{name}: failed, nothing written"
     if result.status == "up-to-date":
@@ -172,10 +196,11 @@ def detail_lines(result: FileResult) -> Iterator[str]:
     for place, count in result.primitives:
         yield (
             f"{place}: {counted(count.vertices, 'vertex', 'vertices')}, "
-            f"{counted(count.triangles, 'triangle')}, {count.influences} slots, frame from {count.frame}, "
+            f"{counted(count.triangles, 'triangle')}, {counted(count.influences, 'slot')}, "
+            f"frame from {count.frame}, "
             f"{counted(count.adopting_vertices, 'vertex', 'vertices')} adopting, "
             f"{count.overflowing_vertices:,} overflowing, {count.lost_gradient:.2%} of the gradient lost, "
-            f"{count.added_bytes:,} bytes"
+            f"{counted(count.added_bytes, 'byte')}"
         )
 
 
@@ -185,7 +210,7 @@ def _baked(counts: Sequence[BakedCounts]) -> str:
     frames = " and ".join(sorted({count.frame for count in counts}))
     return (
         f"{counted(len(counts), 'primitive')}, {counted(vertices, 'vertex', 'vertices')}, "
-        f"frame from {frames}, {size:,} bytes added"
+        f"frame from {frames}, {counted(size, 'byte')} added"
     )
 
 
