@@ -1,0 +1,167 @@
+"""The GitHub Action: its steps are run by bash as a runner of GitHub runs them."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.pipelines.programs import environment_with_skinbake
+from tests.support.models import FOLDER
+from tests.support.strictness import missing_tool
+
+try:
+    import yaml
+except ImportError:
+    missing_tool("PyYAML is not installed; the extra dev has it with pre-commit")
+
+REPOSITORY = Path(__file__).parents[2]
+ACTION: dict[str, Any] = yaml.safe_load((REPOSITORY / "action.yml").read_text("utf-8"))
+STEPS: list[dict[str, Any]] = ACTION["runs"]["steps"]
+INPUT = re.compile(r"\$\{\{ inputs\.([a-z-]+) \}\}")
+
+
+@dataclass(frozen=True)
+class Ran:
+    """What a step left: its process, its outputs, and the summary of the job."""
+
+    process: subprocess.CompletedProcess[str]
+    outputs: dict[str, str]
+    summary: str
+
+
+@dataclass(frozen=True)
+class Runner:
+    """A runner with a workspace and a folder of its own for the rest."""
+
+    workspace: Path
+    own: Path
+
+    def step(self, name: str, **given: str) -> Ran:
+        """Run a step with some inputs, the others by default."""
+        bash = shutil.which("bash")
+        if bash is None:
+            missing_tool("bash is not installed")
+        step = next(step for step in STEPS if step.get("name") == name)
+        inputs = {key: str(one.get("default", "")) for key, one in ACTION["inputs"].items()}
+        inputs |= {key.replace("_", "-"): value for key, value in given.items()}
+        script, outputs, summary = (self.own / each for each in ("step.sh", "outputs", "summary"))
+        for file in (outputs, summary):
+            file.write_text("")
+        script.write_text(step["run"], encoding="utf-8")
+        values = {key: INPUT.sub(lambda found: inputs[found[1]], text) for key, text in step["env"].items()}
+        process = subprocess.run(
+            [bash, "--noprofile", "--norc", "-eo", "pipefail", str(script)],
+            cwd=self.workspace,
+            env=environment_with_skinbake(
+                self.own / "bin",
+                GITHUB_ACTION_PATH=str(REPOSITORY),
+                GITHUB_OUTPUT=str(outputs),
+                GITHUB_STEP_SUMMARY=str(summary),
+                RUNNER_TEMP=str(self.own),
+                **values,
+            ),
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        found = dict(line.split("=", 1) for line in outputs.read_text("utf-8").splitlines())
+        return Ran(process, found, summary.read_text("utf-8"))
+
+
+@pytest.fixture
+def runner(tmp_path: Path) -> Runner:
+    workspace, own = tmp_path / "workspace", tmp_path / "runner"
+    (workspace / "art").mkdir(parents=True)
+    (workspace / ".git").mkdir()
+    own.mkdir()
+    shutil.copyfile(FOLDER / "seam.glb", workspace / "art" / "my hero.glb")
+    shutil.copyfile(FOLDER / "two_sets.glb", workspace / "art" / "two.glb")
+    return Runner(workspace, own)
+
+
+def test_no_input_is_text_of_a_script() -> None:
+    """It would be run: a branch's name is enough to take over a runner."""
+    for step in STEPS:
+        assert "${{" not in step.get("run", "")
+    used = set(INPUT.findall((REPOSITORY / "action.yml").read_text("utf-8")))
+    assert used | {"artifact"} == set(ACTION["inputs"])
+
+
+def test_the_form_is_that_of_a_composite_action() -> None:
+    assert ACTION["runs"]["using"] == "composite"
+    assert all(("run" in step) != ("uses" in step) for step in STEPS)
+    assert all(step["shell"] == "bash" for step in STEPS if "run" in step)
+    ids = {step["id"] for step in STEPS if "id" in step}
+    for output in ACTION["outputs"].values():
+        assert re.fullmatch(r"\$\{\{ steps\.(\w+)\.outputs\.[\w-]+ \}\}", output["value"])[1] in ids  # type: ignore[index]
+    keep = STEPS[-1]
+    assert keep["uses"].startswith("actions/upload-artifact@")
+    assert "always()" in keep["if"]  # the reports matter most when the step before has failed
+
+
+@pytest.mark.parametrize(("version", "package"), [("", str(REPOSITORY)), ("1.2.3", "skinbake==1.2.3")])
+def test_it_installs_the_code_of_the_action_or_a_version(version: str, package: str, runner: Runner) -> None:
+    (runner.own / "bin").mkdir()
+    python = runner.own / "bin" / "python"
+    python.write_text('#!/bin/sh\nprintf "%s\\n" "$@"\n')
+    python.chmod(0o755)
+    ran = runner.step("Install skinbake", version=version)
+    assert ran.process.returncode == 0
+    arguments = ran.process.stdout.splitlines()
+    assert arguments[:3] == ["-m", "pip", "install"]
+    assert arguments[-1] == package
+
+
+@pytest.mark.slow
+def test_bake_then_verify_passes_and_fails(runner: Runner) -> None:
+    baked = runner.step(
+        "Run skinbake", command="bake", files="  art/my hero.glb\n\nart/t*.glb\n", out_dir="out"
+    )
+    assert (baked.process.returncode, baked.process.stderr) == (0, "")
+    assert baked.outputs["exit-code"] == "0"
+    assert {path.name for path in (runner.workspace / "out").iterdir()} == {"my hero.glb", "two.glb"}
+
+    verified = runner.step("Run skinbake", files="out", options="--poses random:2\n --min-gain 1")
+    reports = Path(verified.outputs["reports"])
+    assert (verified.process.returncode, verified.outputs["exit-code"]) == (0, "0")
+    assert {path.name for path in reports.iterdir()} >= {
+        "skinbake.xml",
+        "skinbake.html",
+        "skinbake.jsonl",
+        "skinbake.txt",
+    }
+    assert "out/my hero.glb" in verified.summary
+    assert verified.summary.startswith("### skinbake verify: exit code 0\n")
+
+    failed = runner.step(
+        "Run skinbake", files="out", options="--poses random:2 --min-gain 1000000", html="no"
+    )
+    assert (failed.process.returncode, failed.outputs["exit-code"]) == (1, "1")
+    assert "exit code 1" in failed.summary
+    assert "<failure" in (reports / "skinbake.xml").read_text("utf-8")
+
+
+@pytest.mark.slow
+def test_a_file_that_is_not_there_fails_the_step(runner: Runner) -> None:
+    ran = runner.step("Run skinbake", files="art/none.glb", html="false")
+    assert (ran.process.returncode, ran.outputs["exit-code"]) == (3, "3")
+    assert "art/none.glb: cannot be read: No such file" in ran.process.stderr
+
+
+@pytest.mark.slow
+def test_an_input_is_not_run_by_the_shell(runner: Runner) -> None:
+    ran = runner.step(
+        "Run skinbake", files="$(touch taken)`touch taken`.glb", options="$(touch${IFS}taken) *", html="no"
+    )
+    assert ran.process.returncode == 3
+    assert [path.name for path in runner.workspace.iterdir() if path.name == "taken"] == []
+    assert runner.step("Run skinbake", files="--in-place", html="no").process.returncode == 2
+    ran = runner.step("Run skinbake", command="strip", files="a.glb")
+    assert ran.process.stdout.startswith("::error::command: expected bake or verify, not strip")
+    assert ran.outputs["exit-code"] == "2"
