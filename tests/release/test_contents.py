@@ -33,6 +33,7 @@ def test_a_wheel_holds_the_package_and_nothing_else(tmp_path: Path) -> None:
     ):
         shutil.copy(REPOSITORY / name, copy)
     wheel = [sys.executable, "-m", "pip", "wheel", "--quiet", "--disable-pip-version-check", "--no-deps"]
+    wheel.append("--no-build-isolation")
     variables = {**os.environ, "SKINBAKE_PURE": "1"}
     subprocess.run([*wheel, "--wheel-dir", str(tmp_path), str(copy)], check=True, env=variables)
     [made] = tmp_path.glob("skinbake-*.whl")
