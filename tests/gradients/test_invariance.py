@@ -231,7 +231,8 @@ def test_the_layout_of_arrays_in_memory_changes_nothing(
 ) -> None:
     [part] = mesh("random")
     fields = ("positions", "normals", "tangents", "joints", "weights", "triangles")
-    other = replace(part, **{field: layout(getattr(part, field)) for field in fields})
+    changed: dict[str, Any] = {field: layout(getattr(part, field)) for field in fields}
+    other = replace(part, **changed)
     [(found, _)] = bake_mesh([other], BakeSettings())
     [(expected, _)] = baked("random")
     assert np.array_equal(found.alpha, expected.alpha)

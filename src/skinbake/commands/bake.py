@@ -43,6 +43,7 @@ from skinbake.gltf.json_access import JsonObject
 from skinbake.gltf.output import AS_USUAL, Writing, plan_output, refuse_own_input
 from skinbake.gltf.primitives import (
     PrimitiveSource,
+    has_float_tangents,
     read_influences,
     read_primitive,
     reason_to_skip,
@@ -54,6 +55,7 @@ from skinbake.gradients.assumptions import assumptions, check_finite
 from skinbake.gradients.baker import BakeFindings, BakeSettings, bake_mesh
 from skinbake.gradients.normal_lean import lean_notices
 from skinbake.gradients.normals import with_smooth_normals
+from skinbake.gradients.tangents import with_straight_tangents
 from skinbake.report.bake import BakedCounts, EncodingCost, ExtensionCost, FileResult, LimitCost
 from skinbake.timing import stage
 
@@ -244,6 +246,8 @@ class Baker:
         """Bake primitives as one surface. Raises InputError if α or β are not finite."""
         with stage("arrays"):
             whole = with_smooth_normals(_read(document, sources))
+            if self.frame is not FrameChoice.NORMAL:
+                whole = _straight(document, sources, whole)
         if self.limit_influences is not None:
             return self._limited_surface(document, sources, whole, self.limit_influences, aim)
         if self.neighbours is Neighbours.EXTEND:
@@ -597,6 +601,16 @@ def _encoding_cost(
         notice = Notice("encoding-unmeasured", message, error.place or document.place)
         return EncodingCost(str(encoding)), [notice]
     return EncodingCost(str(encoding), added.mean if added else None, added.p99 if added else None), []
+
+
+def _straight(
+    document: Document, sources: Sequence[PrimitiveSource], primitives: Sequence[SkinnedPrimitive]
+) -> list[SkinnedPrimitive]:
+    """Return the primitives with the tangents of few leaning vertices straightened, if they are floats."""
+    return [
+        with_straight_tangents(primitive) if has_float_tangents(document, source) else primitive
+        for source, primitive in zip(sources, primitives, strict=True)
+    ]
 
 
 def _read(document: Document, sources: Sequence[PrimitiveSource]) -> list[SkinnedPrimitive]:

@@ -18,6 +18,7 @@ from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.json_access import index
 from skinbake.gltf.primitives import (
     PrimitiveSource,
+    has_float_tangents,
     read_primitive,
     reason_to_skip,
     skinned_sources,
@@ -26,6 +27,7 @@ from skinbake.gltf.resources import is_data_uri
 from skinbake.gradients.baker import chosen_frame
 from skinbake.gradients.influences import weight_field
 from skinbake.gradients.normal_lean import lean_notices
+from skinbake.gradients.tangents import with_straight_tangents
 from skinbake.gradients.weight_sums import weight_sum_notices
 from skinbake.report.inspect import AttributeSummary, BakeSummary, InspectResult, PrimitiveSummary
 from skinbake.timing import stage
@@ -96,12 +98,21 @@ def _summary(document: Document, source: PrimitiveSource, primitive: SkinnedPrim
         influences=int(np.count_nonzero(primitive.weights > 0, axis=1).max(initial=0)),
         weight_sums=(float(sums.min()), float(sums.max())),
         defects=asdict(defects),
-        frame=chosen_frame(primitive, FrameChoice.AUTO).kind if len(primitive.normals) else "none: no NORMAL",
+        frame=_frame(document, source, primitive),
         attributes=tuple(attributes),
         compression=_compression(document, source),
         morph_targets=len(targets) if isinstance(targets, list) else 0,
         bake=bake,
     )
+
+
+def _frame(document: Document, source: PrimitiveSource, primitive: SkinnedPrimitive) -> str:
+    """Return the frame that bake would take."""
+    if len(primitive.normals) == 0:
+        return "none: no NORMAL"
+    if has_float_tangents(document, source):
+        primitive = with_straight_tangents(primitive)
+    return chosen_frame(primitive, FrameChoice.AUTO).kind
 
 
 def _compression(document: Document, source: PrimitiveSource) -> str | None:

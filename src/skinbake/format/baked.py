@@ -18,6 +18,7 @@ from skinbake.format.encodings import common_scale, encoded
 from skinbake.format.layouts import CUSTOM_NAMES, GradientFormat, free_texcoords, of_alpha_and_beta, paired
 from skinbake.format.metadata import KEY
 from skinbake.geometry.skinned import BakedPrimitive, SkinnedPrimitive
+from skinbake.gltf.accessors import read_accessor
 from skinbake.gltf.additions import Additions
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject
@@ -109,6 +110,11 @@ def _written(
         attributes["NORMAL"] = store.add("NORMAL", item.primitive.normals.astype(np.float32))
         note["generated"] = ["NORMAL"]
     primitive = item.primitive
+    if primitive.straightened and primitive.straightened.vertices and primitive.tangents is not None:
+        number = int(attributes["TANGENT"])
+        before = read_accessor(document, number, item.source.place.at("TANGENT")).decoded()
+        note[metadata.STRAIGHTENED] = {"TANGENT": number, "digest": metadata.tangent_digest(before)}
+        attributes["TANGENT"] = store.add("TANGENT", primitive.tangents)
     if item.limited is not None:
         note[metadata.FORMER_ATTRIBUTES] = list(item.source.attributes)
     if item.result.adopts or item.limited is not None:

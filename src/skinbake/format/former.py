@@ -1,6 +1,6 @@
-"""A primitive as it was before its bake: its influences, and its Draco stream.
+"""A primitive as it was before its bake: its influences, its tangents, and its Draco stream.
 
-Influences are known again by their content, since other tools renumber accessors.
+They are known again by their content, since other tools renumber accessors.
 """
 
 from __future__ import annotations
@@ -11,7 +11,14 @@ import numpy as np
 import numpy.typing as npt
 
 from skinbake.errors import InputError, Place
-from skinbake.format.metadata import FORMER_ATTRIBUTES, KEY, influence_digests, noted_names
+from skinbake.format.metadata import (
+    FORMER_ATTRIBUTES,
+    KEY,
+    STRAIGHTENED,
+    influence_digests,
+    noted_names,
+    tangent_digest,
+)
 from skinbake.gltf.accessors import read_accessor
 from skinbake.gltf.codecs import draco
 from skinbake.gltf.document import Document
@@ -72,6 +79,33 @@ def former_attributes(
         return None
     unedited = now == {name: digest.get(name) for name in now}
     return found if unedited and before == noted else None
+
+
+def former_tangent(
+    document: Document, attributes: JsonObject, note: JsonObject, place: Place
+) -> dict[str, int] | None:
+    """Return the accessor of TANGENT to restore if bake straightened it, empty if it did not.
+
+    None if it must not be restored: the former accessor has other content now, or TANGENT has been edited.
+    """
+    noted, digest = note.get(STRAIGHTENED), note.get("digest")
+    if noted is None:
+        return {}
+    if not isinstance(noted, dict) or not isinstance(digest, dict):
+        return None
+    where = place.at("TANGENT")
+    try:
+        draco.add_former_streams(document, with_former_stream)
+        count = len(document.objects("accessors"))
+        former, now = (index(holder, "TANGENT", count, where) for holder in (noted, attributes))
+        if former is None or now is None:
+            return None
+        digests = [
+            tangent_digest(read_accessor(document, number, where).decoded()) for number in (former, now)
+        ]
+    except InputError:
+        return None
+    return {"TANGENT": former} if digests == [noted.get("digest"), digest.get("TANGENT")] else None
 
 
 def former_sets(attributes: JsonObject, note: JsonObject) -> JsonObject:

@@ -31,6 +31,9 @@ DEEPEST_NOTE = 32
 POSES = "poses"
 """The member that names the poses of a fit: their sources, a fingerprint of them, and a digest of α and β."""
 
+STRAIGHTENED = "straightened"
+"""The member that names the accessor of the TANGENT before a bake that straightened some of it."""
+
 FORMER_ATTRIBUTES = "formerAttributes"
 """The member that lists a primitive's attributes before a bake that changed the number of its influences."""
 
@@ -50,6 +53,11 @@ def digests(primitive: SkinnedPrimitive, frame: str) -> dict[str, str]:
     if frame == Frame.TANGENT and primitive.tangents is not None:
         arrays["TANGENT"] = (primitive.tangents, "<f4")
     return array_digests({**arrays, **_of_influences(primitive.joints, primitive.weights)})
+
+
+def tangent_digest(tangents: npt.NDArray[Any]) -> str:
+    """Return the digest of tangents (V, 4), in the form of ``digests``."""
+    return array_digest(tangents, "<f4")
 
 
 def influence_digests(joints: npt.NDArray[Any], weights: npt.NDArray[Any]) -> dict[str, str]:

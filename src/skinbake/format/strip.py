@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from skinbake.choices import Layout
 from skinbake.errors import Notice, Place
-from skinbake.format.former import former_attributes, former_sets, with_former_stream
+from skinbake.format.former import former_attributes, former_sets, former_tangent, with_former_stream
 from skinbake.format.metadata import FORMER_ATTRIBUTES, KEY, noted_names, read_metadata, slot_names
 from skinbake.gltf import json_access
 from skinbake.gltf.additions import BUFFER_ADDED, BUFFER_LENGTH, FALLBACK_ADDED
@@ -89,13 +89,18 @@ def _restored(
     attributes = dict(json_access.member(primitive, "attributes", place))
     notices = _removed(attributes, note, place)
     former = former_attributes(document, attributes, note, place)
+    tangent = former_tangent(document, attributes, note, place)
+    if tangent is None:
+        notices.append(_kept_tangent(place))
     if former is not None:
         attributes = former_sets(attributes, note)
     ours = [name for name in json_access.member(primitive, "attributes", place) if name not in attributes]
-    attributes = _in_former_order({**attributes, **(former or {})}, note)
+    attributes = _in_former_order({**attributes, **(former or {}), **(tangent or {})}, note)
     written = {**primitive, "attributes": attributes} if "attributes" in primitive else dict(primitive)
     if draco.extension_of(primitive) is not None:
-        written["extensions"] = _extensions_before(document, primitive, ours, former is not None, place)
+        written["extensions"] = _extensions_before(
+            document, primitive, ours, former is not None and tangent is not None, place
+        )
     extras = primitive.get("extras")
     if isinstance(extras, dict) and extras.get(KEY) is note:
         left = {key: value for key, value in extras.items() if key != KEY}
@@ -115,6 +120,13 @@ def _restored(
         "adopted stay, with weights too small to see"
     )
     return written, [*notices, Notice("adopted-kept", message, place)]
+
+
+def _kept_tangent(place: Place) -> Notice:
+    message = (
+        "another tool has removed or edited the TANGENT from before the bake: the straightened TANGENT stays"
+    )
+    return Notice("tangents-kept", message, place)
 
 
 def _who_changed(attributes: JsonObject, note: JsonObject) -> str:

@@ -7,6 +7,12 @@ import numpy as np
 from skinbake.geometry.blocks import blocks
 from skinbake.geometry.skinned import BoolArray, Float32Array, Float64Array, FloatArray
 
+ALONG = 1e-3
+"""The share of a tangent in the surface below which its direction there is rounding."""
+
+HUGE = 1e30
+"""A length of a tangent from which float32 cannot hold what is made of it."""
+
 
 def unit_vectors(vectors: FloatArray) -> Float64Array:
     """Return vectors (V, 3) normalised, float64; a vector without a finite length becomes (0, 0, 1)."""
@@ -63,6 +69,24 @@ def frame_from_tangent(normals: Float32Array, tangents: FloatArray) -> tuple[Flo
     tangent, handedness = sound[:, :3], sound[:, 3:]
     with np.errstate(over="ignore", invalid="ignore"):  # a huge TANGENT; the result is checked
         return tangent, np.cross(normals, tangent) * handedness
+
+
+def straightened(normals: Float32Array, tangents: FloatArray) -> Float32Array:
+    """Return tangents (V, 4) made orthogonal to unit normals (V, 3): t − n (n · t) with the length of t.
+
+    A tangent without a length, too long for float32, or along the normal, becomes that of
+    ``frame_from_normal``. A handedness other than 1 and −1 becomes 1.
+    """
+    with np.errstate(invalid="ignore", over="ignore"):  # a signalling NaN, or a huge TANGENT
+        wide, upward = tangents.astype(np.float64), normals.astype(np.float64)
+        tangent = wide[:, :3]
+        flat = tangent - upward * np.einsum("ij,ij->i", upward, tangent)[:, None]
+        before, after = np.linalg.norm(tangent, axis=1), np.linalg.norm(flat, axis=1)
+        usable = (before < HUGE) & (after > ALONG * before)
+        scaled = flat * (before / np.where(usable, after, 1.0))[:, None]
+        found = np.where(usable[:, None], scaled, frame_from_normal(normals)[0])
+        handedness = np.where(np.abs(wide[:, 3:]) == 1.0, wide[:, 3:], 1.0)
+    return np.concatenate([found, handedness], axis=1).astype(np.float32)
 
 
 def tangent_deviation(normals: Float32Array, tangents: FloatArray) -> Float64Array:

@@ -19,13 +19,22 @@ BoolArray: TypeAlias = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True)
+class Straightened:
+    """The vertices whose tangents were straightened, and the largest lean of any before that, in degrees."""
+
+    vertices: tuple[int, ...]
+    lean: float
+
+
+@dataclass(frozen=True, slots=True)
 class SkinnedPrimitive:
     """One skinned primitive of a mesh, as the vertex shader reads it, in mesh space.
 
     positions (V, 3) float32 or float64, length unit of POSITION. normals (V, 3), any length. tangents (V, 4),
     w is the handedness, or None. joints (V, K) integer. weights (V, K) as stored: normalised integers are
     decoded, and the sum is not corrected yet. triangles (T, 3) integer, every index < V, with strips and fans
-    unrolled in winding order. K is 4 × the number of influence sets.
+    unrolled in winding order. K is 4 × the number of influence sets. straightened tells of tangents that are
+    not those of the file.
     """
 
     positions: FloatArray
@@ -34,6 +43,7 @@ class SkinnedPrimitive:
     joints: IntArray
     weights: FloatArray
     triangles: IntArray
+    straightened: Straightened | None = None
 
     def with_influences(self, joints: IntArray, weights: FloatArray) -> SkinnedPrimitive:
         """Return the primitive with other joints and weights, each (V, K)."""

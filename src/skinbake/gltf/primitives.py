@@ -15,6 +15,7 @@ from skinbake.geometry.triangles import TRIANGLE_FAN, TRIANGLES, unrolled
 from skinbake.gltf.accessors import StoredArray, element_count, read_accessor
 from skinbake.gltf.codecs import draco
 from skinbake.gltf.document import Document
+from skinbake.gltf.formats import COMPONENT_NAMES
 from skinbake.gltf.json_access import JsonObject, index, integer, member, objects, text
 
 FLOAT = ("f4", False)
@@ -188,6 +189,15 @@ def _triangle_count(document: Document, source: PrimitiveSource, mode: int) -> i
         number = _accessor_index(document, source, "POSITION")
     count = element_count(document, number, source.place)
     return count // 3 if mode == TRIANGLES else max(count - 2, 0)
+
+
+def has_float_tangents(document: Document, source: PrimitiveSource) -> bool:
+    """Tell whether a primitive stores TANGENT as floats."""
+    number, accessors = source.attributes.get("TANGENT"), document.objects("accessors")
+    if not isinstance(number, int) or not 0 <= number < len(accessors):
+        return False
+    kind = accessors[number].get("componentType")
+    return isinstance(kind, int) and COMPONENT_NAMES.get(kind) == "FLOAT"
 
 
 def read_primitive(document: Document, source: PrimitiveSource) -> SkinnedPrimitive:

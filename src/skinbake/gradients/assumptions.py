@@ -8,9 +8,10 @@ from skinbake.choices import Frame
 from skinbake.errors import InputError, Notice, Place
 from skinbake.geometry.blocks import blocks
 from skinbake.geometry.skinned import BakedPrimitive, SkinnedPrimitive
-from skinbake.gradients.baker import TANGENT_TOLERANCE, BakeFindings
+from skinbake.gradients.baker import BakeFindings
+from skinbake.gradients.tangents import TANGENT_TOLERANCE
 from skinbake.gradients.weight_sums import weight_sum_notices
-from skinbake.wording import counted
+from skinbake.wording import counted, one_or_many
 
 COARSE = 0.5
 """The share of adopting vertices above which α and β may well make lighting worse.
@@ -80,8 +81,27 @@ def assumptions(
     sums = weight_sum_notices(primitive, place) if weights.not_normalised else []
     return [
         *sums,
+        *_straightened(primitive, place),
         *(Notice(code, _of_vertices(text, count), place, count) for code, count, text in table if count),
     ]
+
+
+def _straightened(primitive: SkinnedPrimitive, place: Place) -> list[Notice]:
+    """Return a notice on tangents that were straightened."""
+    found = primitive.straightened
+    if found is None or not found.vertices:
+        return []
+    count, first = len(found.vertices), found.vertices[0]
+    message = one_or_many(
+        count,
+        f"at vertex {first} TANGENT is not orthogonal to NORMAL ({found.lean:.3g}° off)",
+        f"at {{}} vertices, first at vertex {first}, TANGENT is not orthogonal to NORMAL "
+        f"(up to {found.lean:.3g}° off)",
+    )
+    message += (
+        ": the output has an orthogonal one there, and strip restores the former; --frame normal leaves it"
+    )
+    return [Notice("tangents-straightened", message, place, count)]
 
 
 def _of_vertices(text: str, count: int) -> str:

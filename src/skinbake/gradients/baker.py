@@ -16,11 +16,9 @@ from skinbake.gradients import kernel
 from skinbake.gradients.field import WeightDefects, WeightField, concatenate_fields
 from skinbake.gradients.influences import weight_field
 from skinbake.gradients.surface import Surface, SurfaceSlots
+from skinbake.gradients.tangents import leaning
 from skinbake.gradients.weld import weld
 from skinbake.timing import stage
-
-TANGENT_TOLERANCE = 0.1
-"""The degrees by which t0 × b0 may lean from n0. With a larger lean, a TANGENT is not used."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -200,9 +198,11 @@ def chosen_frame(primitive: SkinnedPrimitive, choice: str) -> ChosenFrame:
     """
     if primitive.tangents is None or choice == Frame.NORMAL:
         return ChosenFrame(Frame.NORMAL)
-    deviation, deviating = _deviation(primitive, primitive.tangents)
-    fits = choice == Frame.TANGENT or deviating == 0
-    return ChosenFrame(Frame.TANGENT if fits else Frame.NORMAL, deviation, deviating)
+    if primitive.straightened is not None:  # it has been looked at
+        return ChosenFrame(Frame.TANGENT, primitive.straightened.lean)
+    deviation, vertices = leaning(primitive, primitive.tangents)
+    fits = choice == Frame.TANGENT or not vertices
+    return ChosenFrame(Frame.TANGENT if fits else Frame.NORMAL, deviation, len(vertices))
 
 
 def frame_vectors(primitive: SkinnedPrimitive, choice: ChosenFrame) -> tuple[FloatArray, FloatArray]:
@@ -218,17 +218,3 @@ def frame_vectors(primitive: SkinnedPrimitive, choice: ChosenFrame) -> tuple[Flo
             else frames.frame_from_tangent(normals, given[rows])
         )
     return tangents, bitangents
-
-
-def _deviation(primitive: SkinnedPrimitive, tangents: FloatArray) -> tuple[float, int]:
-    """Return the largest lean of TANGENT in degrees, and the number of vertices of triangles that lean."""
-    used = np.zeros(len(tangents), dtype=np.bool_)
-    used[primitive.triangles.ravel()] = True
-    largest, count = 0.0, 0
-    for block in blocks(len(tangents)):
-        rows = block.start + np.flatnonzero(used[block])
-        normals = frames.unit_normals(primitive.normals[rows])
-        angles = frames.tangent_deviation(normals, tangents[rows])
-        largest = max(largest, float(angles.max(initial=0.0)))
-        count += int(np.count_nonzero(angles > TANGENT_TOLERANCE))
-    return largest, count

@@ -20,7 +20,7 @@ from skinbake.gltf.json_access import JsonObject, is_number
 from skinbake.gltf.morphs import target_count
 from skinbake.gltf.primitives import PrimitiveSource, read_primitive
 from skinbake.gltf.skin_groups import meshes_of_one_skin
-from skinbake.gradients.baker import TANGENT_TOLERANCE
+from skinbake.gradients.tangents import TANGENT_TOLERANCE
 from skinbake.timing import stage
 from skinbake.wording import counted
 

@@ -1,0 +1,54 @@
+"""Tangents of single vertices that lean from the surface, made orthogonal to their normals."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from skinbake.geometry import frames
+from skinbake.geometry.blocks import blocks
+from skinbake.geometry.skinned import FloatArray, SkinnedPrimitive, Straightened
+
+TANGENT_TOLERANCE = 0.1
+"""Degrees between t0 × b0 and n0 up to which TANGENT serves as it is."""
+
+FEW = 100
+"""TANGENT is straightened if at most one vertex in FEW leans, or only one.
+
+If more lean, they are no slips: quantised tangents lean everywhere, and other programs store other things.
+"""
+
+
+def leaning(primitive: SkinnedPrimitive, tangents: FloatArray) -> tuple[float, list[int]]:
+    """Return the largest lean of TANGENT in degrees, and the vertices of triangles that lean too much."""
+    used = np.zeros(len(tangents), dtype=np.bool_)
+    used[primitive.triangles.ravel()] = True
+    largest, found = 0.0, list[int]()
+    for block in blocks(len(tangents)):
+        rows = block.start + np.flatnonzero(used[block])
+        normals = frames.unit_normals(primitive.normals[rows])
+        angles = frames.tangent_deviation(normals, tangents[rows])
+        largest = max(largest, float(angles.max(initial=0.0)))
+        found += rows[angles > TANGENT_TOLERANCE].tolist()
+    return largest, found
+
+
+def with_straight_tangents(primitive: SkinnedPrimitive) -> SkinnedPrimitive:
+    """Return the primitive with sound tangents, or unchanged if too many lean.
+
+    A straightened tangent is t − n (n · t) with the length of t. A tangent without a usable direction becomes
+    that of the frame from NORMAL. A handedness other than 1 and −1 becomes 1. The shader reads TANGENT, so
+    α and β could not do this: at rest they have no effect.
+    """
+    if primitive.tangents is None:
+        return primitive
+    lean, vertices = leaning(primitive, primitive.tangents)
+    if len(vertices) > 1 and len(vertices) > len(np.unique(primitive.triangles)) // FEW:
+        return primitive
+    if not vertices:
+        return replace(primitive, straightened=Straightened((), lean))
+    tangents = primitive.tangents.copy()
+    normals = frames.unit_normals(primitive.normals[vertices])
+    tangents[vertices] = frames.straightened(normals, tangents[vertices])
+    return replace(primitive, tangents=tangents, straightened=Straightened(tuple(vertices), lean))

@@ -1,0 +1,163 @@
+"""Single tangents that lean from the surface: bake straightens them, and strip brings them back."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from skinbake.choices import FrameChoice
+from skinbake.commands.inspect import inspect_file
+from skinbake.commands.strip import strip_file
+from skinbake.commands.verify import verify_file
+from skinbake.geometry import frames
+from skinbake.gradients.baker import BakeSettings
+from skinbake.lighting.measured import VerifyOptions
+from skinbake.lighting.poses import PoseRequest
+from skinbake.report.bake import FileResult
+from tests.support.compressed import draco_twin, meshopt_twin
+from tests.support.corpus import model
+from tests.support.gltf_reading import GltfFile, read
+from tests.support.khronos import new_findings, validate
+from tests.support.models import FOLDER, bake, note, rewritten
+
+SOURCE = FOLDER / "mirrored_tangent.glb"
+VERTEX = 70
+
+
+def tangents_of(file: GltfFile) -> np.ndarray:
+    return np.asarray(file.stored_attribute("TANGENT", 0, 0), np.float32)
+
+
+def with_tangents(source: Path, target: Path, change: dict[int, np.ndarray]) -> Path:
+    """Copy a GLB with other TANGENTs at some vertices of its first primitive."""
+    file = read(source)
+    accessor = file.content["accessors"][file.primitive(0)["attributes"]["TANGENT"]]
+    view = file.content["bufferViews"][accessor["bufferView"]]
+    start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
+    data = bytearray(file.binary_chunk or b"")
+    for vertex, tangent in change.items():
+        place = start + vertex * view.get("byteStride", 16)
+        data[place : place + 16] = np.asarray(tangent, "<f4").tobytes()
+    return rewritten(GltfFile(target, file.content, bytes(data)), target)
+
+
+def leaning(source: Path, target: Path, degrees: float, vertices: list[int]) -> Path:
+    """Copy a GLB with the TANGENTs of some vertices turned out of the surface."""
+    file = read(source)
+    tangents, normals = tangents_of(file), np.asarray(file.attribute("NORMAL"))
+    change = {}
+    for vertex in vertices:
+        turned = (
+            np.cos(np.radians(degrees)) * tangents[vertex, :3] + np.sin(np.radians(degrees)) * normals[vertex]
+        )
+        change[vertex] = np.array([*turned, tangents[vertex, 3]])
+    return with_tangents(source, target, change)
+
+
+def straightening(result: FileResult) -> list[tuple[int | None, str]]:
+    return [
+        (notice.count, notice.message) for notice in result.notices if notice.code == "tangents-straightened"
+    ]
+
+
+@pytest.mark.parametrize("degrees", [0.2, 1.0, 10.0, 60.0, 85.0])
+def test_one_vertex_is_straightened_and_the_frame_stays(degrees: float, tmp_path: Path) -> None:
+    path = leaning(SOURCE, tmp_path / "skewed.glb", degrees, [VERTEX])
+    result = bake(path, tmp_path / "baked.glb")
+    ((count, message),) = straightening(result)
+    assert (
+        count,
+        f"at vertex {VERTEX} TANGENT is not orthogonal to NORMAL ({degrees:g}° off)" in message,
+    ) == (1, True)
+    sound, after = read(SOURCE), read(tmp_path / "baked.glb")
+    assert (note(after.content) or {})["frame"] == "tangent"
+    # Turned within one plane and back, a tangent is what it was; no other vertex changes a bit.
+    np.testing.assert_allclose(tangents_of(after), tangents_of(sound), atol=1e-6 if degrees < 80 else 1e-5)
+    others = np.arange(len(tangents_of(sound))) != VERTEX
+    assert (tangents_of(after)[others] == tangents_of(sound)[others]).all()
+    bake(SOURCE, tmp_path / "sound.glb")
+    for name in ("_SKINBAKE_ALPHA_0", "_SKINBAKE_BETA_0"):
+        expected = read(tmp_path / "sound.glb").attribute(name)
+        np.testing.assert_allclose(after.attribute(name), expected, atol=1e-5 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize(
+    "tangent",
+    [[0, 0, 0, 1], [1, 0, 0, 0], [np.nan, 0, 0, 1], [1, 0, 0, np.inf], [3e38, 3e38, 3e38, -1]],
+)
+def test_a_tangent_without_a_meaning_becomes_a_sound_one(tangent: list[float], tmp_path: Path) -> None:
+    path = with_tangents(SOURCE, tmp_path / "odd.glb", {VERTEX: np.array(tangent)})
+    assert straightening(bake(path, tmp_path / "baked.glb"))
+    after = read(tmp_path / "baked.glb")
+    normals = frames.unit_normals(np.asarray(after.attribute("NORMAL")))
+    assert frames.tangent_deviation(normals, tangents_of(after)).max() < 0.1
+    assert verify_file(str(tmp_path / "baked.glb"), VerifyOptions(poses=PoseRequest(samples=1))).passed
+
+
+@pytest.mark.parametrize("twin", [None, draco_twin, meshopt_twin])
+def test_strip_brings_the_former_tangents_back(twin: object, tmp_path: Path) -> None:
+    path = leaning(SOURCE, tmp_path / "skewed.glb", 10.0, [VERTEX])
+    if callable(twin):
+        path = twin(path, tmp_path / "twin.glb")
+    assert straightening(bake(path, tmp_path / "baked.glb"))
+    assert strip_file(str(tmp_path / "baked.glb"), str(tmp_path / "back.glb")).notices == ()
+    assert (tmp_path / "back.glb").read_bytes() == path.read_bytes()
+    again = bake(tmp_path / "baked.glb", tmp_path / "again.glb")
+    assert straightening(again)
+    assert (tmp_path / "again.glb").read_bytes() == (tmp_path / "baked.glb").read_bytes()
+
+
+def test_edited_tangents_stay_and_it_is_said(tmp_path: Path) -> None:
+    path = leaning(SOURCE, tmp_path / "skewed.glb", 10.0, [VERTEX])
+    bake(path, tmp_path / "baked.glb")
+    edit = tangents_of(read(tmp_path / "baked.glb"))[0] * [1, 1, 1, -1]
+    with_tangents(tmp_path / "baked.glb", tmp_path / "edited.glb", {0: edit})
+    result = strip_file(str(tmp_path / "edited.glb"), str(tmp_path / "back.glb"))
+    assert "tangents-kept" in [notice.code for notice in result.notices]
+    assert (tangents_of(read(tmp_path / "back.glb"))[0] == edit.astype(np.float32)).all()
+
+
+def test_where_many_lean_the_frame_is_that_of_the_normals(tmp_path: Path) -> None:
+    path = leaning(SOURCE, tmp_path / "skewed.glb", 10.0, [70, 71])  # of 198: one is a slip, 1 % are more
+    result = bake(path, tmp_path / "baked.glb")
+    assert [notice.code for notice in result.notices] == ["tangents-skewed"]
+    after = read(tmp_path / "baked.glb")
+    assert (note(after.content) or {})["frame"] == "normal"
+    assert (tangents_of(after) == tangents_of(read(path))).all()
+    assert inspect_file(str(path)).primitives[0].frame == "normal"
+
+
+def test_the_normal_frame_leaves_tangents_alone(tmp_path: Path) -> None:
+    path = leaning(SOURCE, tmp_path / "skewed.glb", 10.0, [VERTEX])
+    result = bake(path, tmp_path / "baked.glb", settings=BakeSettings(frame=FrameChoice.NORMAL))
+    assert result.notices == ()
+    assert (tangents_of(read(tmp_path / "baked.glb")) == tangents_of(read(path))).all()
+
+
+def test_inspect_tells_the_frame_that_bake_takes(tmp_path: Path) -> None:
+    path = leaning(SOURCE, tmp_path / "skewed.glb", 10.0, [VERTEX])
+    assert inspect_file(str(path)).primitives[0].frame == "tangent"
+
+
+@pytest.mark.slow
+def test_the_validator_finds_nothing_new(tmp_path: Path) -> None:
+    path = leaning(SOURCE, tmp_path / "skewed.glb", 10.0, [VERTEX])
+    bake(path, tmp_path / "baked.glb")
+    assert not new_findings(validate(path), validate(tmp_path / "baked.glb"))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("degrees", [1.0, 10.0, 60.0])
+def test_a_character_is_lit_as_if_its_tangent_were_sound(degrees: float, tmp_path: Path) -> None:
+    source = model("Butterfly/animated_butterfly.glb")
+    options = VerifyOptions(methods=(), poses=PoseRequest(samples=3))
+    bake(source, tmp_path / "sound.glb")
+    bake(leaning(source, tmp_path / "skewed.glb", degrees, [2396]), tmp_path / "baked.glb")
+    means = []
+    for path in ("sound.glb", "baked.glb"):
+        verdict = verify_file(str(tmp_path / path), options)
+        assert verdict.passed
+        means.append((verdict.normals or {})["lbs"]["accurate"].mean)
+    assert means[1] == pytest.approx(means[0], abs=1e-6)
