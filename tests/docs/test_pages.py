@@ -17,7 +17,12 @@ REPOSITORY = Path(__file__).resolve().parents[2]
 SOURCE = REPOSITORY / "src" / "skinbake"
 REFERENCE = REPOSITORY / "docs" / "reference"
 PAGES = sorted(
-    [*REPOSITORY.glob("*.md"), *(REPOSITORY / "docs").rglob("*.md"), *(REPOSITORY / "fuzz").glob("*.md")]
+    [
+        *REPOSITORY.glob("*.md"),
+        *(REPOSITORY / "docs").rglob("*.md"),
+        *(REPOSITORY / "fuzz").glob("*.md"),
+        *(REPOSITORY / "examples").glob("*.md"),
+    ]
 )
 
 

@@ -60,7 +60,8 @@ def depfile_writer(
 ) -> Callable[[Sequence[FileResult | StripResult]], int] | None:
     """Return the function that writes the rules of results and returns its exit code; None for no path.
 
-    ``also_read`` are files that every output was made of.
+    ``also_read`` are files that every output was made of. So are those of ``configuration``, absolute paths
+    that become relative if the input was given so.
     """
     if path is None:
         return None

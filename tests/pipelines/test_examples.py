@@ -1,0 +1,127 @@
+"""The examples of builds, each by its own tool: what is baked, what is not baked again, what fails."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import time
+from pathlib import Path
+
+import pytest
+
+from tests.pipelines.programs import environment_with_skinbake
+from tests.support.command_line import document, invoke
+from tests.support.models import FOLDER
+from tests.support.strictness import missing_tool
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+BUILDS = {
+    "make": [["make"]],
+    "ninja": [["ninja"]],
+    "cmake": [["cmake", "-B", "build"], ["cmake", "--build", "build"]],
+    "npm": [["npm", "run", "--silent", "build"]],
+}
+ENCODINGS = {"VEC4 SHORT normalised": "snorm16", "VEC4 BYTE normalised": "packed8"}
+NEEDED = {"cmake": ("cmake", "make")}
+
+
+class Build:
+    """A copy of an example with one model, and its build."""
+
+    def __init__(self, tool: str, folder: Path) -> None:
+        self.environment = environment_with_skinbake(folder / "bin")
+        for program in NEEDED.get(tool, (tool,)):
+            if shutil.which(program, path=self.environment["PATH"]) is None:
+                missing_tool(f"{program} is not installed")
+        self.commands = BUILDS[tool]
+        self.folder = folder / "models"
+        shutil.copytree(EXAMPLES / tool, self.folder)
+        (self.folder / "art").mkdir()
+        shutil.copyfile(FOLDER / "seam.glb", self.folder / "art" / "hero.glb")
+        self._calls = folder / "bin" / "calls"
+        for name in ("MAKEFLAGS", "MAKELEVEL", "MFLAGS"):  # of the make that runs the tests
+            self.environment.pop(name, None)
+
+    def __call__(self) -> tuple[bool, list[str]]:
+        """Build. Return whether that went well, and the commands of skinbake that were called."""
+        self._calls.write_text("")
+        went_well = True
+        for command in self.commands:
+            process = subprocess.run(
+                command, cwd=self.folder, env=self.environment, capture_output=True, text=True, check=False
+            )
+            went_well = went_well and process.returncode == 0
+        return went_well, self._calls.read_text().split()
+
+    @property
+    def baked(self) -> Path:
+        """The model that was baked."""
+        (found,) = (self.folder / "build").rglob("hero.glb")
+        return found
+
+    def encoding(self) -> str:
+        """Return the encoding of the baked model."""
+        found = document(invoke("inspect", self.baked, "--json"))["primitives"][0]["attributes"]
+        return ENCODINGS[found["_SKINBAKE_ALPHA_0"]["format"]]
+
+    def configure(self, *words: str) -> None:
+        """Replace words of the options by the words after them, some time later."""
+        file = self.folder / "skinbake.toml"
+        text = file.read_text("utf-8")
+        for old, new in zip(words[::2], words[1::2], strict=True):
+            assert old in text
+            text = text.replace(old, new)
+        file.write_text(text, encoding="utf-8")
+        self.made_newer(file)
+
+    def made_newer(self, file: Path) -> None:
+        """Let time pass for all other files, because some tools know no parts of a second."""
+        now = time.time()
+        for path in self.folder.rglob("*"):
+            if path.is_file() and path != file:
+                found = path.stat()
+                os.utime(path, ns=(found.st_atime_ns, found.st_mtime_ns - 5_000_000_000))
+        os.utime(file, (now, now))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("tool", ["make", "ninja", "cmake"])
+def test_a_build_bakes_what_changed_and_fails_where_verify_fails(tool: str, tmp_path: Path) -> None:
+    build = Build(tool, tmp_path)
+    assert build() == (True, ["bake", "verify"])
+    assert build.encoding() == "snorm16"
+    assert build() == (True, [])
+
+    build.made_newer(build.folder / "art" / "hero.glb")
+    assert build() == (True, ["bake", "verify"])
+    assert build() == (True, [])
+
+    build.configure('"snorm16"', '"packed8"', "min-gain = 1", "min-gain = 1000000")
+    assert build() == (False, ["bake", "verify"])
+    assert build.encoding() == "packed8"
+    assert build() == (False, ["verify"])  # a failure is not forgotten
+
+
+@pytest.mark.slow
+def test_the_npm_script_passes_over_what_has_not_changed(tmp_path: Path) -> None:
+    build = Build("npm", tmp_path)
+    assert build() == (True, ["bake", "verify"])
+    assert build.encoding() == "snorm16"
+    before = build.baked.stat().st_mtime_ns
+    assert build()[0]
+    assert build.baked.stat().st_mtime_ns == before
+
+    shutil.copyfile(FOLDER / "two_sets.glb", build.folder / "art" / "hero.glb")
+    assert build()[0]
+    assert build.baked.stat().st_mtime_ns > before
+
+    build.configure("min-gain = 1", "min-gain = 1000000")
+    assert build() == (False, ["bake", "verify"])
+
+
+def test_every_example_is_run() -> None:
+    folders = {path.name for path in EXAMPLES.iterdir() if path.is_dir()}
+    assert folders == set(BUILDS)
+    readme = (EXAMPLES / "README.md").read_text("utf-8")
+    assert all(f"| [{name}]({name}/" in readme for name in folders)
