@@ -83,6 +83,19 @@ STATES = (
 )
 
 
+CONFIGS = (
+    b'[bake]\nencoding = "snorm16"\n[verify]\nposes = "random:1"\n',
+    b'[[overrides]]\nfiles = ["in/**", "**"]\nbake = { layout = "texcoord", limit-influences = 4 }\n',
+    b'[bake]\nout-dir = "../../taken"\n',
+    b"[bake]\nin-place = true\n",
+    b"[bake]\njobs = [[[[{}]]]]\n",
+    b'overrides = [{ files = [3] }, "x"]\n',
+    b"a = " + b"[" * 5000,
+    b"\xff\xfe\0",
+    b"",
+)
+
+
 TARGETS = (*["out/m.glb", "out/m.gltf"] * 8, "out/gone/m.glb", "out/m.bin/m.glb", "out/", "out/m.txt")
 
 
@@ -101,7 +114,9 @@ def command_line(random: Random, name: str, suffix: str) -> tuple[list[str], dic
     if suffix == ".glb" and random.random() < 0.04:
         source, piped = "-", True
     if kind < 0.56:
-        return _bake(random, source, suffix, files), files, piped
+        arguments = _bake(random, source, suffix, files)
+        arguments += _configured(random, files) if random.random() < 0.08 else []
+        return arguments, files, piped
     if kind < 0.66:
         arguments = ["verify", source, *chosen(random, VERIFY)]
         arguments += REPORT if random.random() < 0.25 else []
@@ -118,8 +133,11 @@ def command_line(random: Random, name: str, suffix: str) -> tuple[list[str], dic
         return ["strip", source, "-o", goal, *(["--json"] if random.random() < 0.1 else [])], files, piped
     if kind < 0.88:
         return ["inspect", source, *(["--json"] if random.random() < 0.4 else [])], files, piped
-    if kind < 0.92:
+    if kind < 0.91:
         return ["cost", source, *(["--json"] if random.random() < 0.4 else [])], files, piped
+    if kind < 0.92:
+        arguments = ["config", source, *(["--json"] if random.random() < 0.4 else [])]
+        return [*arguments, *_configured(random, files)], files, piped
     target = ["-o", "out/s.txt"] if random.random() < 0.5 else []
     return ["shader", "--for", source, *chosen(random, SHADER), *target], files, piped
 
@@ -146,6 +164,12 @@ def _bake(random: Random, source: str, suffix: str, files: dict[str, bytes]) -> 
         target = ["-o", "-"]
         options = [word for word in options if word != "--json"]
     return ["bake", source, *target, *options, *(_noted(random, files) if random.random() < 0.08 else [])]
+
+
+def _configured(random: Random, files: dict[str, bytes]) -> list[str]:
+    """Return the option of a configuration file, and put one of any content in its place."""
+    files["skinbake.toml"] = random.choice(CONFIGS)
+    return ["--config", "in/skinbake.toml"]
 
 
 def _noted(random: Random, files: dict[str, bytes]) -> list[str]:

@@ -227,7 +227,9 @@ class Runner:
             finds.append(Find("written", f"{case.arguments[0]} removes", str(gone)))
         failed = outcome.code != 0 and case.arguments[1:2] != ("in",)
         if (
-            failed or case.arguments[0] in {"verify", "inspect", "cost"} or "--dry-run" in case.arguments
+            failed
+            or case.arguments[0] in {"verify", "inspect", "cost", "config"}
+            or "--dry-run" in case.arguments
         ) and made:
             finds.append(
                 Find(
