@@ -83,6 +83,36 @@ def test_linear_blending_is_that_of_numpy(poses: int, forms: int, slots: int) ->
     np.testing.assert_allclose(found, directly, rtol=1e-12, atol=1e-12)
 
 
+@pytest.mark.parametrize("poses", POSES)
+@pytest.mark.parametrize("slots", [1, 4, 40])
+def test_blended_normals_are_those_of_numpy(poses: int, slots: int) -> None:
+    rng = np.random.default_rng(poses + slots)
+    table = rng.normal(size=(60, 3, poses))
+    columns = rng.integers(0, 60, (19, 4 * slots)).astype(np.int32)
+    entries = rng.normal(size=(3, 19, 4 * slots))
+    entries[:, 4] = 0.0
+    entries[2, 7] = entries[1, 7]
+    normals = rng.normal(size=(19, 3))
+    t, b = np.einsum("fvw,vwip->fvpi", entries[:2], table[columns])
+    crossed = by_loops.blended_normals(entries[:2], columns, table)
+    np.testing.assert_allclose(crossed, np.moveaxis(np.cross(t, b), 2, 0), rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(
+        crossed, by_numpy.blended_normals(entries[:2], columns, table), rtol=1e-9, atol=1e-9
+    )
+    found = by_loops.blended_normals(entries, columns, table, normals)
+    assert not found[:, 4].any(), "a matrix of zeros has no inverse, and its cofactors are zero"
+    assert np.isfinite(np.delete(found, 7, axis=1)).all()
+    matrices = np.einsum("fvw,vwip->vpif", entries, table[columns])
+    sound = np.flatnonzero(~np.isin(np.arange(19), (4, 7)))
+    # Near a singular matrix, only the product with its determinant is exact.
+    determinants = np.linalg.det(matrices[sound])
+    inverted = np.linalg.solve(np.swapaxes(matrices[sound], -1, -2), normals[sound][:, None, :, None])
+    expected = np.moveaxis(inverted[..., 0], 2, 0) * determinants
+    np.testing.assert_allclose(found[:, sound] * determinants, expected, rtol=1e-6, atol=1e-6)
+    numpys = by_numpy.blended_normals(entries, columns, table, normals)[:, sound]
+    np.testing.assert_allclose(found[:, sound] * determinants, numpys * determinants, rtol=1e-6, atol=1e-9)
+
+
 @pytest.mark.parametrize("weighting", list(Weighting))
 @pytest.mark.parametrize("directions", [1, 2, 3])
 def test_rows_of_the_operator_are_those_of_libigl(weighting: Weighting, directions: int) -> None:
@@ -304,6 +334,13 @@ class TestArguments:
         np.zeros((6, 3, 7)),
         np.zeros((2, 3, 5, 7)),
     )
+    FORMS: tuple[Any, ...] = (
+        np.zeros((3, 5, 4)),
+        np.zeros((5, 4), np.int32),
+        np.zeros((6, 3, 7)),
+        np.zeros((5, 3)),
+        np.zeros((3, 5, 7)),
+    )
     ROWS: tuple[Any, ...] = (
         np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]]),
         np.array([[0, 1, 2], [1, 3, 2]], np.int32),
@@ -365,6 +402,15 @@ class TestArguments:
         (_loops.blend, BLEND, 3, np.zeros((2, 3, 5, 8)), ValueError),
         (_loops.blend, BLEND, 3, np.zeros((3, 3, 5, 7)), ValueError),
         (_loops.blend, BLEND, 3, None, TypeError),
+        (_loops.blended_normals, FORMS, 0, np.zeros((2, 5, 4)), ValueError),
+        (_loops.blended_normals, FORMS, 0, np.zeros((4, 5, 4)), ValueError),
+        (_loops.blended_normals, FORMS, 1, np.full((5, 4), 6, np.int32), IndexError),
+        (_loops.blended_normals, FORMS, 1, np.full((5, 4), -1, np.int32), IndexError),
+        (_loops.blended_normals, FORMS, 2, np.zeros((6, 4, 7)), ValueError),
+        (_loops.blended_normals, FORMS, 3, None, ValueError),
+        (_loops.blended_normals, FORMS, 3, np.zeros((4, 3)), ValueError),
+        (_loops.blended_normals, FORMS, 3, np.zeros((5, 3), np.float32), TypeError),
+        (_loops.blended_normals, FORMS, 4, np.zeros((3, 5, 8)), ValueError),
         (_loops.gradient_rows, ROWS, 1, np.array([[0, 1, 2], [1, 3, 4]], np.int32), IndexError),
         (_loops.gradient_rows, ROWS, 1, np.array([[0, 1, 2], [1, -1, 2]], np.int32), IndexError),
         (_loops.gradient_rows, ROWS, 2, int32(0, 1, 3, 6, 5, 4), IndexError),
@@ -479,6 +525,9 @@ for turn in range(12):
             np.zeros((2, 3, V, P)), np.zeros((2, V, P), np.bool_), 1e-6)
         _loops.blend(
             np.ones((2, V, 7)), columns.reshape(V, 7), positions.reshape(V, 3, P), np.zeros((2, 3, V, P)))
+        _loops.blended_normals(
+            np.ones((3, V, 7)), columns.reshape(V, 7), positions.reshape(V, 3, P), np.ones((V, 3)),
+            np.zeros((3, V, P)))
     except (IndexError, ValueError):
         pass
     going = False

@@ -497,3 +497,11 @@ def duff_frame(normals: npt.NDArray[np.float64]) -> tuple[Any, Any]:
     from skinbake.geometry.frames import frame_from_normal
 
     return frame_from_normal(normals.astype(np.float32))
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 8, 9])
+def test_the_median_is_that_of_numpy(count: int) -> None:
+    values = np.random.default_rng(count).normal(size=count).astype(np.float32)
+    assert lighting._median(values) == np.median(values)
+    values[0] = np.nan
+    assert np.isnan(lighting._median(values))

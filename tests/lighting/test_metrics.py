@@ -162,6 +162,23 @@ def test_a_tally_of_blocks_is_exact(seed: int, monkeypatch: pytest.MonkeyPatch) 
     assert summary.undefined == (np.isnan(errors) & counted).sum()
 
 
+def test_blocks_that_are_counted_early_give_the_same_bits() -> None:
+    """As other threads count them: before the errors so far say which ones are needed no more."""
+    rng = np.random.default_rng(3)
+    blocks = [rng.gamma(1.0, 3.0, (100, 1000)).astype(np.float32) for _ in range(30)]
+    areas = rng.random(1000)
+    weight = 3000 * float(areas.sum())
+    one_by_one, early = ErrorTally(weight), ErrorTally(weight)
+    counts = [early.counted(block, areas) for block in blocks]
+    for number, (block, count) in enumerate(zip(blocks, counts, strict=True)):
+        start = 0, 100 * number, 0
+        one_by_one.add(block, areas, start=start)
+        early.take(count, start)
+        assert early._tail._count == one_by_one._tail._count
+    assert early._tail.least > 0.0
+    assert early.summary() == one_by_one.summary()
+
+
 def test_a_tally_keeps_little_more_than_the_twentieth_that_it_needs() -> None:
     rng = np.random.default_rng(0)
     tally = ErrorTally(400.0 * 1000)

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from skinbake.choices import FrameChoice, Gradients, Neighbours, Weld
-from skinbake.commands.bake import Baker
 from skinbake.errors import InputError, Notice, Place
 from skinbake.format.strip import stripped
 from skinbake.gltf.document import Document
@@ -17,6 +16,9 @@ from skinbake.lighting.expected import noted_kind, noted_sources
 from skinbake.lighting.measured import Lighting, VerifyOptions
 from skinbake.lighting.staleness import mesh_operator
 from skinbake.report.verify import FileVerdict, gain
+
+if TYPE_CHECKING:
+    from skinbake.commands.bake import Baker
 
 WORSE = 0.995
 """The gain below which lighting is worse. From here on, it prints as 1.00."""
@@ -100,6 +102,8 @@ def _tried(
 
 def noted_baker(view: BakedView) -> Baker:
     """Return a baker with the settings that the metadata of a primitive name."""
+    from skinbake.commands.bake import Baker  # most files need no remedy
+
     noted = view.metadata
     return Baker(
         gradients=noted_kind(view),

@@ -14,6 +14,20 @@ def blend(
 ) -> None:
     """Fill out (F, 3, B, P) with Σ entries (F, B, W) × the rows of table (R, 3, P) in columns (B, W)."""
 
+def blended_normals(
+    entries: Float64Array,
+    columns: npt.NDArray[np.int32],
+    table: Float64Array,
+    normals: Float64Array | None,
+    out: Float64Array,
+    /,
+) -> None:
+    """Fill out (3, B, P) with the cross product of two forms, each blended as by ``blend``.
+
+    With normals (B, 3), the forms are the three columns of a matrix M, and out is M⁻ᵀ n, or cof(M) n if
+    det M is 0. entries are (F, B, W).
+    """
+
 def gradient_rows(
     positions: Float64Array,
     triangles: npt.NDArray[np.int32],

@@ -24,17 +24,7 @@ from skinbake.choices import Baseline
 from skinbake.geometry.skinned import Float64Array, FloatArray, IntArray
 from skinbake.lighting import kernel
 from skinbake.skinning.algorithms import Algorithm
-from skinbake.skinning.components import (
-    Rows,
-    Vector,
-    cofactors,
-    corrected,
-    cross,
-    dot,
-    linear,
-    quotient,
-    scaled,
-)
+from skinbake.skinning.components import Vector, cofactors, corrected, cross
 from skinbake.skinning.surface import Options, RestSurface
 
 Form: TypeAlias = tuple[FloatArray, FloatArray | None]
@@ -46,8 +36,8 @@ CHUNK_SAMPLES = 1 << 21
 CHUNK_POSES = 4
 """The least number of poses in a chunk, for any number of vertices. Sparse products need that many."""
 
-BLOCK_SAMPLES = 1 << 14
-"""Vertices × poses in work at a time. The temporaries of a block stay in the processor's cache."""
+BLOCK_SAMPLES = 1 << 16
+"""Vertices × poses in work at a time. A block of 2¹⁴ is no faster alone, and threads wait for each other."""
 
 
 def chunks(vertices: int, poses: int) -> list[slice]:
@@ -106,22 +96,7 @@ class BlendedSurface:
             Algorithm.LBS_ACCURATE: self._accurate,
         }
         block = self._block(part)
-        plans = [steps[algorithm](block) for algorithm in algorithms]
-        tables = [plan.table or self._matrices for plan in plans]
-        vectors: dict[int, Iterator[Vector]] = {}
-        for table in tables:
-            if id(table) not in vectors:
-                forms = [
-                    form
-                    for plan, own in zip(plans, tables, strict=True)
-                    if own is table
-                    for form in plan.forms
-                ]
-                vectors[id(table)] = iter(_forms(forms, block, pose, table))
-        return [
-            plan.finish([next(vectors[id(table)]) for _ in plan.forms])
-            for plan, table in zip(plans, tables, strict=True)
-        ]
+        return [tuple(axis.T for axis in steps[algorithm](block, pose)) for algorithm in algorithms]
 
     def _block(self, part: slice) -> _Block:
         positions = self._rest.positions[part]
@@ -130,25 +105,27 @@ class BlendedSurface:
         flat = np.asarray(columns.reshape(len(columns), -1), dtype=np.int32)
         return _Block(part, self._rest.weights[part, :, None], points[:, None], flat)
 
-    def _approximated(self, block: _Block) -> _Plan:
-        """Return T n, T⁻ᵀ n or Σ w cof(M[s]) n."""
+    def _approximated(self, block: _Block, pose: slice) -> Float64Array:
+        """Return T n, T⁻ᵀ n or Σ w cof(M[s]) n: (3, V, P)."""
         normal = self._rest.normals[block.part]
         if self._options.baseline is Baseline.INVERSE_TRANSPOSE:
             axes: list[Form] = [(axis, None) for axis in np.eye(3)]
-            return _Plan(axes, lambda vectors: _inverse_transposed(vectors, normal))
-        return _Plan([(normal, None)], lambda vectors: vectors[0], self._cofactors)
+            return self._matrices.normals(block, axes, pose, normal)
+        table = self._cofactors or self._matrices
+        found: Float64Array = table.product(block, [block.entries((normal, None))], pose)[0]
+        return found
 
-    def _direct_normals(self, block: _Block) -> _Plan:
-        """Return J⁻ᵀ n."""
+    def _direct_normals(self, block: _Block, pose: slice) -> Float64Array:
+        """Return J⁻ᵀ n: (3, V, P)."""
         if self._direct is None:
             raise ValueError("algorithm 2 was not prepared for")
         rest = self._direct(block.part)
         gradients = rest.weight_gradients()
         axes: list[Form] = [(axis, gradients[:, :, i]) for i, axis in enumerate(np.eye(3))]
-        return _Plan(axes, lambda vectors: _inverse_transposed(vectors, rest.normals))
+        return self._matrices.normals(block, axes, pose, rest.normals)
 
-    def _accurate(self, block: _Block) -> _Plan:
-        """Return ± t' × b' with the sign of b'."""
+    def _accurate(self, block: _Block, pose: slice) -> Float64Array:
+        """Return ± t' × b' with the sign of b': (3, V, P)."""
         sign = self._handedness[block.part, None]
         frame = self._rest.tangents[block.part], sign * self._rest.bitangents[block.part]
         changes = (
@@ -157,30 +134,12 @@ class BlendedSurface:
         )
         cap = self._options.cap
         if cap is None or changes[0].shape[1] == 1:
-            return _Plan(list(zip(frame, changes, strict=True)), lambda vectors: cross(*vectors))
+            return self._matrices.normals(block, list(zip(frame, changes, strict=True)), pose)
         still: list[Form] = [(vector, None) for vector in frame]
         moved: list[Form] = [(np.zeros(3), change) for change in changes]
-        return _Plan(
-            still + moved,
-            lambda vectors: cross(
-                corrected(vectors[0], vectors[2], cap), corrected(vectors[1], vectors[3], cap)
-            ),
-        )
-
-
-@dataclass(frozen=True, slots=True)
-class _Plan:
-    """The computation of an algorithm on a block: forms of joint matrices or another table, and the rest."""
-
-    forms: Sequence[Form]
-    finish: Callable[[Sequence[Vector]], Vector]
-    table: _Table | None = None
-
-
-def _forms(forms: Sequence[Form], block: _Block, pose: slice, table: _Table) -> list[Vector]:
-    """Return F of a block for each form."""
-    product = table.product(block, [block.entries(form) for form in forms], pose)
-    return [tuple(component.T for component in vectors) for vectors in product]
+        entries = [block.entries(form) for form in still + moved]
+        t, b, by_t, by_b = map(tuple, self._matrices.product(block, entries, pose))
+        return np.stack(cross(corrected(t, by_t, cap), corrected(b, by_b, cap)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -213,21 +172,28 @@ class _Table:
 
     def product(self, block: _Block, data: Sequence[Float64Array], pose: slice) -> Float64Array:
         """Multiply matrices with entries (V, K, 4) by the matrices of some poses: (forms, 3, V, P)."""
+        return kernel.blend(_stacked(block, data), block.columns, self._of(pose))
+
+    def normals(
+        self, block: _Block, forms: Sequence[Form], pose: slice, normal: FloatArray | None = None
+    ) -> Float64Array:
+        """Return the cross product of two forms, or M⁻ᵀ n, the forms being M's columns: (3, V, P)."""
+        entries = _stacked(block, [block.entries(form) for form in forms])
+        return kernel.blended_normals(entries, block.columns, self._of(pose), normal)
+
+    def _of(self, pose: slice) -> Float64Array:
+        """Return the table of some poses. The last one is kept."""
         if pose != self._pose:
             rows = np.transpose(self._matrices[pose, :, :3], (1, 3, 2, 0))
             # This order matters: other threads look at the pose first.
             self._table = np.ascontiguousarray(rows, dtype=np.float64).reshape(rows.shape[0] * 4, 3, -1)
             self._pose = pose
-        entries = np.stack(data).reshape(len(data), *block.columns.shape)
-        return kernel.blend(entries, block.columns, self._table)
+        return self._table
 
 
-def _inverse_transposed(columns: Sequence[Vector], normal: FloatArray) -> Vector:
-    """Return M⁻ᵀ n for a matrix given by its columns and n (V, 3), or cof(M) n if det M is 0."""
-    rows: Rows = tuple(zip(*columns, strict=True))
-    turned = cofactors(rows)
-    reciprocal = quotient(1.0, dot(rows[0], turned[0]))
-    return scaled(reciprocal, linear(turned, tuple(normal.T)))
+def _stacked(block: _Block, data: Sequence[Float64Array]) -> Float64Array:
+    """Return the entries of several forms, each (V, K, 4): (forms, V, 4 K)."""
+    return np.stack(data).reshape(len(data), *block.columns.shape)
 
 
 def _with_pivot(derivatives: FloatArray) -> FloatArray:

@@ -27,6 +27,21 @@ def blend(entries: Float64Array, columns: IntArray, table: Float64Array) -> Floa
     return out
 
 
+def blended_normals(
+    entries: Float64Array, columns: IntArray, table: Float64Array, normals: FloatArray | None = None
+) -> Float64Array:
+    """Return F × G of a block, or M⁻ᵀ n: (3, B, P)."""
+    out = np.empty((3, entries.shape[1], table.shape[2]))
+    _loops.blended_normals(
+        np.ascontiguousarray(entries),
+        np.ascontiguousarray(columns, dtype=np.int32),
+        table,
+        None if normals is None else np.ascontiguousarray(normals, dtype=np.float64),
+        out,
+    )
+    return out
+
+
 def gradient_rows(operator: GradientOperator, part: slice, directions: Sequence[FloatArray]) -> SparseRows:
     """Return the derivatives of a block's vertices along D directions (B, 3): sparse (D B, V), stacked."""
     classes = operator.classes[part]

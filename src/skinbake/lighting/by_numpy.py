@@ -19,9 +19,17 @@ from skinbake.lighting.triangle_normals import (
     sums_of_classes,
     triangle_normals,
 )
-from skinbake.skinning.components import Vector
+from skinbake.skinning.components import Rows, Vector, cofactors, cross, dot, linear, quotient, scaled
 
-__all__ = ["angles", "blend", "class_sums", "count_errors", "gradient_rows", "true_normals"]
+__all__ = [
+    "angles",
+    "blend",
+    "blended_normals",
+    "class_sums",
+    "count_errors",
+    "gradient_rows",
+    "true_normals",
+]
 
 DENSE = 300
 """The number of forms times columns from which small dense products are faster than a sparse one."""
@@ -40,6 +48,23 @@ def blend(entries: Float64Array, columns: IntArray, table: Float64Array) -> Floa
     found = product(entries, columns, flat).reshape(*entries.shape[:2], 3, -1)
     # Arithmetic on components that are not contiguous takes three times as long.
     return np.ascontiguousarray(np.swapaxes(found, 1, 2))
+
+
+def blended_normals(
+    entries: Float64Array, columns: IntArray, table: Float64Array, normals: FloatArray | None = None
+) -> Float64Array:
+    """Return the cross product of two forms of a block, by entries as in ``blend``: (3, B, P).
+
+    With normals (B, 3), the forms are the three columns of a matrix M. The result is M⁻ᵀ n, or cof(M) n if
+    det M is 0.
+    """
+    forms = blend(entries, columns, table)
+    if normals is None:
+        return np.stack(cross(*forms))
+    rows: Rows = tuple(zip(*forms, strict=True))
+    turned = cofactors(rows)
+    reciprocal = quotient(1.0, dot(rows[0], turned[0]))
+    return np.stack(scaled(reciprocal, linear(turned, tuple(normals.T[:, :, None]))))
 
 
 def _sparse(entries: Float64Array, columns: IntArray, table: Float64Array) -> Float64Array:

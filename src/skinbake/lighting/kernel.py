@@ -10,7 +10,15 @@ from __future__ import annotations
 import logging
 import os
 
-__all__ = ["angles", "blend", "class_sums", "count_errors", "gradient_rows", "true_normals"]
+__all__ = [
+    "angles",
+    "blend",
+    "blended_normals",
+    "class_sums",
+    "count_errors",
+    "gradient_rows",
+    "true_normals",
+]
 
 logger = logging.getLogger(__name__)
 
@@ -20,6 +28,7 @@ try:
     from skinbake.lighting.by_loops import (
         angles,
         blend,
+        blended_normals,
         class_sums,
         count_errors,
         gradient_rows,
@@ -30,6 +39,7 @@ except ImportError as error:
     from skinbake.lighting.by_numpy import (
         angles,
         blend,
+        blended_normals,
         class_sums,
         count_errors,
         gradient_rows,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -49,6 +49,7 @@ from skinbake.report.verify import (
     gain,
 )
 from skinbake.skinning.surface import Options, RestSurface
+from skinbake.threads import Threads, thread_count
 from skinbake.timing import stage, tell_steps
 from skinbake.wording import counted
 
@@ -227,7 +228,8 @@ class Lighting:
             draw.rest,
             draw.poses.joint_matrices,
             method,
-            partial(self._record, method, draw, first),
+            lambda add: add(),
+            count=partial(self._count, method, draw, first),
             options=Options(self._options.cap, self._options.baseline),
             morphing=morphing,
             at_rest=self._truths(draw, morphing),
@@ -258,22 +260,32 @@ class Lighting:
 
     def _sum_up(self) -> None:
         """Summarise the tallies that are complete. Their largest errors take memory until then."""
-        with stage("figures"):
-            for tallies in (self._whole, *self._by_place.values()):
-                for lightings in tallies.values():
-                    for tally in lightings.values():
-                        tally.summary()
+        found = {
+            id(tally): tally
+            for tallies in (self._whole, *self._by_place.values())
+            for lightings in tallies.values()
+            for tally in lightings.values()
+        }
+        with stage("figures"), Threads(thread_count()) as threads:
+            for _ in threads.each(ErrorTally.summary, found.values()):
+                pass
 
-    def _record(self, method: str, draw: _Draw, first: int, block: MeasuredBlock) -> None:
-        """Count a block of a draw whose segments begin with ``first``."""
+    def _count(self, method: str, draw: _Draw, first: int, block: MeasuredBlock) -> Callable[[], None]:
+        """Count a block of a draw whose segments begin with ``first``. Return what adds it to its tallies."""
         areas = draw.areas[block.surface][block.vertex : block.vertex + block.errors.shape[1]]
         start = first + block.surface, block.pose, block.vertex
         by_place = self._by_place[draw.views[block.surface].source.place]
         whole, own = (tallies[block.truth, method][block.lighting] for tallies in (self._whole, by_place))
+        tallies = [whole] if own is whole else [whole, own]
         with stage("figures"):
-            whole.add(block.errors, areas, valid=block.valid, start=start)
-            if own is not whole:
-                own.add(block.errors, areas, valid=block.valid, start=start)
+            counts = [tally.counted(block.errors, areas, valid=block.valid) for tally in tallies]
+
+        def add() -> None:
+            with stage("figures"):
+                for tally, count in zip(tallies, counts, strict=True):
+                    tally.take(count, start)
+
+        return add
 
     def _advance(self, poses: float) -> None:
         before, self._done = round(self._done), self._done + poses

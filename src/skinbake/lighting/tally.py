@@ -8,6 +8,7 @@ import numpy as np
 
 from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray
 from skinbake.lighting import kernel
+from skinbake.lighting.counted import CountedErrors
 from skinbake.lighting.influences import Int32Array
 
 _SHARES = (0.95, 0.99)
@@ -78,10 +79,18 @@ class ErrorTally:
         start is the part that the block belongs to, and its first pose and vertex there: where the largest
         error is found more than once, the first in this order is the worst.
         """
+        self.take(self.counted(errors, areas, valid=valid), start)
+
+    def counted(
+        self, errors: FloatArray, areas: FloatArray, *, valid: BoolArray | None = None
+    ) -> CountedErrors:
+        """Count a block, for ``take``. Several threads may do this at a time, while another one takes."""
+        return kernel.count_errors(errors, np.asarray(areas, dtype=np.float64), valid, self._tail.least)
+
+    def take(self, found: CountedErrors, start: tuple[int, int, int] = (0, 0, 0)) -> None:
+        """Add a counted block. The order of the blocks matters for the last bits of the summary."""
         if self._summary is not None:
             raise ValueError("its errors are summarised already")
-        weights = np.asarray(areas, dtype=np.float64)
-        found = kernel.count_errors(errors, weights, valid, self._tail.least)
         self._samples += found.samples
         self._undefined += found.undefined
         self._weight += found.weight
@@ -90,7 +99,9 @@ class ErrorTally:
             worst = (found.largest, start[0], start[1] + found.pose, start[2] + found.vertex)
             if self._worst is None or found.largest > self._worst[0] or worst[1:] < self._worst[1:]:
                 self._worst = worst
-        self._tail.add(found.tail, found.tail_weights)
+        # Fewer errors are needed now than when the block was counted, which several threads may do early.
+        chosen = found.tail >= max(self._tail.least, 0.0)
+        self._tail.add(found.tail[chosen], found.tail_weights[chosen])
 
     def summary(self) -> ErrorSummary | None:
         """Summarise the counted errors; None if there are none. No more can be added afterwards."""
