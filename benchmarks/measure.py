@@ -20,12 +20,16 @@ from benchmarks.corpus_table import corpus_folders
 from benchmarks.our_gradients import mesh_of, write_mesh
 from benchmarks.processes import SKINBAKE, Command, Json, Rounds, figures, in_turn, run
 from benchmarks.skinned_grid import grid_of, write_grid
+from skinbake.threads import usable_cores
 
 CHARACTER = Path("CesiumMan", "CesiumMan.glb")
 FALLBACK = peers.REPOSITORY / "fixtures" / "bent_tube.glb"
 JOBS = 2
 REPEATS = 3
 """Repeats of a loop that is timed inside its process: the arrays are read once for all of them."""
+
+COUNTS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48)
+"""The threads by which the speed-up is measured, as far as there are more cores."""
 
 MEMORY, DISK = 400, 300
 """Bytes a vertex that must be free for a grid to be baked: half as much again as its bake may take."""
@@ -43,6 +47,7 @@ class Plan:
 
     grid: int = 1_000_000
     scaling: tuple[int, ...] = (1_000, 10_000, 100_000, 1_000_000, 10_000_000)
+    largest: int = 10_000_000
     verified: int = 34_000
     poses: int = 200
     files: int = 1_000
@@ -58,6 +63,7 @@ FULL = Plan()
 QUICK = Plan(
     grid=10_000,
     scaling=(1_000, 3_000, 10_000),
+    largest=10_000,
     verified=2_500,
     poses=10,
     files=8,
@@ -95,23 +101,27 @@ def grid(plan: Plan, folder: Path) -> Json:
         "copy": tool("copy", model, folder),
         "gltfpack": peers.gltfpack(model, folder / "packed.glb"),
     }
-    slow = {"bake": bake(model, folder), "tangents": tool("tangents", model, folder)}
-    return {
-        "vertices": plan.grid,
-        "bytes": model.stat().st_size,
-        "runs": measured(fast, plan.rounds),
-        "slow_runs": measured(slow, plan.slow),
-    }
+    return {"vertices": plan.grid, "bytes": model.stat().st_size, "runs": measured(fast, plan.rounds)}
+
+
+def tangents(plan: Plan, folder: Path) -> Json:
+    """Bake the same grid, against a tool that makes tangents and takes half a minute."""
+    model = new_grid(plan.grid, folder)
+    commands = {"bake": bake(model, folder), "tangents": tool("tangents", model, folder)}
+    return {"runs": measured(commands, plan.slow)}
 
 
 def gradients(plan: Plan, folder: Path) -> Json:
-    """Time the gradients alone, on one core, against the authors' loop: inside the processes."""
+    """Time the gradients alone, on one core, against two loops of others: inside the processes."""
     mesh = folder / "mesh.raw"
     write_mesh(mesh, mesh_of(grid_of(plan.grid)))
     loop = peers.authors_loop(folder)
     commands: dict[str, Command] = {"skinbake": [*SCRIPT, "benchmarks.our_gradients", mesh, str(REPEATS)]}
     if loop is not None:
         commands["authors' loop"] = [loop, mesh, str(REPEATS)]
+    meshoptimizer = peers.meshopt_tangents(mesh, REPEATS)
+    if meshoptimizer is not None:
+        commands["meshoptimizer"] = meshoptimizer
     seconds: dict[str, list[float]] = {name: [] for name in commands}
     for _ in range(plan.rounds.least):
         for name, command in commands.items():
@@ -150,6 +160,30 @@ def verify(plan: Plan, folder: Path) -> Json:
         "libigl": [*SCRIPT, "benchmarks.libigl_normals", str(plan.verified), poses],
     }
     return {"vertices": plan.verified, "poses": plan.poses, "runs": in_turn(commands, plan.rounds)}
+
+
+def speedup(plan: Plan, folder: Path) -> Json:
+    """Time commands by 1 to as many threads as there are cores, and many files by as many processes."""
+    cores = usable_cores()
+    counts = [count for count in COUNTS if count < cores] + [cores]
+    baked = folder / "baked.glb"
+    run([*SKINBAKE, "bake", "-q", new_grid(plan.verified, folder), "-o", baked])
+    poses = f"random:{plan.poses}"
+    verified: Command = [*SKINBAKE, "verify", "-q", baked, "--method", "lbs", "--poses", poses, "--threads"]
+    cases = {f"verify {plan.verified:,} vertices, {plan.poses} poses": verified}
+    for vertices in dict.fromkeys((plan.grid, plan.largest)):
+        if has_room(vertices, folder):
+            cases[f"bake {vertices:,} vertices"] = [*bake(new_grid(vertices, folder), folder), "--threads"]
+    models = folder / "models"
+    models.mkdir()
+    for number in range(plan.files):
+        shutil.copyfile(character_model(), models / f"{number:04}.glb")
+    many: Command = [*SKINBAKE, "bake", "-q", models, "--out-dir", folder / "many", "--jobs"]
+    cases[f"bake {plan.files:,} × {character_model().name}, by --jobs"] = many
+    found = {}
+    for name, command in cases.items():
+        found[name] = in_turn({str(count): [*command, str(count)] for count in counts}, plan.slow)
+    return {"cores": cores, "cases": found}
 
 
 def files(plan: Plan, folder: Path) -> Json:
@@ -269,9 +303,11 @@ ROWS: dict[str, Callable[[Plan, Path], Json]] = {
     "startup": startup,
     "character": character,
     "grid": grid,
+    "tangents": tangents,
     "gradients": gradients,
     "scaling": scaling,
     "verify": verify,
+    "speedup": speedup,
     "files": files,
     "payload": payload,
     "tasks": tasks,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 import subprocess
 import sys
@@ -11,6 +12,8 @@ from benchmarks.processes import Command
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 NODE_BIN = REPOSITORY / "tests" / "support" / "node_modules" / ".bin"
+MESHOPTIMIZER = NODE_BIN.parent / "meshoptimizer" / "index.js"
+MESHOPT_SOURCE = Path(__file__).with_name("meshopt_tangents.mjs")
 LOOP_SOURCE = Path(__file__).with_name("authors_loop.cpp")
 COMPILER = ("g++", "-O3", "-std=c++17")
 
@@ -28,6 +31,13 @@ def gltfpack(source: Path, target: Path) -> Command | None:
     """Return the command that optimises a file without quantising it."""
     tool = NODE_BIN / "gltfpack"
     return (tool, "-noq", "-i", source, "-o", target) if tool.exists() else None
+
+
+def meshopt_tangents(mesh: Path, repeats: int) -> Command | None:
+    """Return the command that times meshoptimizer's generateTangents on a mesh."""
+    if shutil.which("node") is None or not MESHOPTIMIZER.exists():
+        return None
+    return ("node", MESHOPT_SOURCE, MESHOPTIMIZER, mesh, str(repeats))
 
 
 def authors_loop(folder: Path) -> Path | None:
@@ -52,4 +62,7 @@ def versions() -> dict[str, str]:
         if shutil.which(str(command[0])) is not None:
             process = subprocess.run(command, capture_output=True, encoding="utf-8", check=False)
             found[tool] = process.stdout.split()[-1].lstrip("v") if process.stdout.strip() else "unknown"
+    if MESHOPTIMIZER.exists():
+        package = MESHOPTIMIZER.with_name("package.json").read_text(encoding="utf-8")
+        found["meshoptimizer"] = json.loads(package)["version"]
     return found

@@ -9,13 +9,14 @@ import subprocess
 import sys
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import pytest
 
-from benchmarks import library_cost
+from benchmarks import library_cost, speedup_chart
 from benchmarks.measure import ROWS
 from benchmarks.processes import MIB
-from benchmarks.results import OUTPUT
+from benchmarks.results import OUTPUT, updated
 from benchmarks.results_page import lines, page
 from fixtures.make_fixtures import FOLDER
 from tests.support import corpus
@@ -30,6 +31,7 @@ WHAT = (
     "bake a grid of 10,000 vertices, 1 MB",
     "bake a grid of 10,000 vertices, 1 MB: memory",
     "bake a grid of 10,000 vertices, 1 MB",
+    "gradients alone, 10,000 vertices, one core",
     "gradients alone, 10,000 vertices, one core",
     "time from 1,000 to 10,000 vertices: slope of log time over log vertices",
     "memory from 1,000 to 10,000 vertices: (peak − 100 MiB) / file",
@@ -138,7 +140,8 @@ def sample() -> Results:
     return {
         "startup": {"runs": dict.fromkeys(STARTED, runs)},
         "character": {"model": "a.glb", "bytes": 1, "runs": {"bake": runs, "tangents": slow}},
-        "grid": {"vertices": 100_000, "bytes": 1, "runs": {"bake": runs}, "slow_runs": {"bake": runs}},
+        "grid": {"vertices": 100_000, "bytes": 1, "runs": {"bake": runs}},
+        "tangents": {"runs": {"bake": runs}},
         "gradients": {"vertices": 9, "runs": {"skinbake": half, "authors' loop": whole}},
         "scaling": {"sizes": sizes, "left_out": []},
         "verify": {"vertices": 9, "poses": 9, "runs": {"verify": half, "libigl": whole}},
@@ -176,6 +179,7 @@ class TestPage:
             (None, None),
             (None, None),
             (0.5, False),
+            (None, None),
             (None, True),
             (None, True),
             (0.5, True),
@@ -188,6 +192,7 @@ class TestPage:
             "`gltf-transform copy`",
             "`gltfpack -noq`",
             "`gltf-transform tangents`",
+            "meshoptimizer's generateTangents, WebAssembly",
             "`gltf-transform copy`",
         ]
 
@@ -290,3 +295,61 @@ class TestCommittedPages:
 
     def test_they_are_of_a_full_run(self, committed: Results) -> None:
         assert committed["quick"] is False
+
+
+def speedup_row() -> Results:
+    """A case that gains all of a second thread, and one that gains a third of it by four."""
+    return {
+        "cores": 4,
+        "cases": {
+            "verify 9 vertices, 9 poses": {
+                "1": {"seconds": [8.0, 9.0, 7.0], "mib": [100.0]},
+                "2": {"seconds": [4.0], "mib": [110.0]},
+                "4": {"seconds": [2.5], "mib": [130.0]},
+            },
+            "bake 1,000 × a.glb, by --jobs": {
+                "1": {"seconds": [6.0], "mib": [10.0]},
+                "2": {"seconds": [4.5], "mib": [10.0]},
+                "4": {"seconds": [3.0], "mib": [10.0]},
+            },
+        },
+    }
+
+
+class TestSpeedUp:
+    def test_serial_shares_follow_from_amdahl(self) -> None:
+        for share in (0.0, 0.1, 0.5, 1.0):
+            for threads in (2, 8):
+                gained = 1.0 / (share + (1.0 - share) / threads)
+                assert speedup_chart.serial_share(gained, threads) == pytest.approx(share)
+
+    def test_the_table_holds_two_threads_to_their_goals(self) -> None:
+        rows = [line for line in speedup_chart.section(speedup_row()) if line.startswith("| ")]
+        verify, many = ([cell.strip() for cell in row.strip("| ").split("|")] for row in rows[1:])
+        assert verify == [
+            *("verify 9 vertices, 9 poses", "8.00 s", "4.00 s, 2.00 ×", "2.50 s, 3.20 ×"),
+            *("8%", "100, 130", "1.80 ×", "met"),
+        ]
+        assert many[2:] == ["4.50 s, 1.33 ×", "3.00 s, 2.00 ×", "33%", "10, 10", "1.67 ×", "**missed**"]
+
+    def test_the_chart_has_a_line_for_each_case(self) -> None:
+        picture = ElementTree.fromstring(speedup_chart.chart(speedup_row()))
+        space = "{http://www.w3.org/2000/svg}"
+        lines = [line.attrib["points"].split() for line in picture.iter(f"{space}polyline")]
+        ideal, _, verify, many = ([tuple(map(float, at.split(","))) for at in line] for line in lines)
+        origin, step = ideal[0], (ideal[1][0] - ideal[0][0]) / 4
+        for found, expected in ((verify, (1, 2, 3.2)), (many, (1, 4 / 3, 2))):
+            for (x, y), count, speedup in zip(found, (1, 2, 4), expected, strict=True):
+                assert (x - origin[0]) / step == pytest.approx(count, abs=0.01)
+                assert (origin[1] - y) / step == pytest.approx(speedup, abs=0.01)
+        words = [text.text for text in picture.iter(f"{space}text")]
+        assert "verify 9 vertices, 9 poses: 3.20 ×" in words
+
+    def test_rows_that_are_measured_again_are_said(self) -> None:
+        before = {"rows": {"a": 1, "b": 2}, "later": [{"rows": ["a", "b"], "date": "2000-01-01"}]}
+        after = updated(before, {"b": 3}, 0.25)
+        assert after["rows"] == {"a": 1, "b": 3}
+        assert [one["rows"] for one in after["later"]] == [["a"], ["b"]]
+        again = updated(after, {"a": 4, "b": 5}, 0.5)
+        assert [one["rows"] for one in again["later"]] == [["a", "b"]]
+        assert again["later"][0]["load"] == 0.5
