@@ -260,6 +260,17 @@ class TestValues:
         assert "--skip-unchanged needs --state FILE" in result.stderr
         assert "skinbake.toml:3 sets skip-unchanged;" in result.stderr
 
+    def test_an_output_is_made_of_the_file_too(self, project: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        (project / "skinbake.toml").write_text('[bake]\nencoding = "snorm16"\n')
+        monkeypatch.chdir("heroes")
+        invoke("bake", "knight.glb", "-o", "out.glb", "--depfile", "out.d")
+        assert Path("out.d").read_text().startswith("out.glb: knight.glb ../skinbake.toml\n")
+        absolute = project / "heroes" / "knight.glb"
+        invoke("bake", absolute, "-o", "out.glb", "--depfile", "out.d")
+        assert Path("out.d").read_text().startswith(f"out.glb: {absolute} {project}/skinbake.toml\n")
+        invoke("bake", "knight.glb", "-o", "out.glb", "--depfile", "out.d", "--no-config")
+        assert Path("out.d").read_text().startswith("out.glb: knight.glb\n")
+
     def test_v_names_the_file_and_the_options(self, project: Path) -> None:
         (project / "skinbake.toml").write_text('[bake]\nencoding = "snorm16"\n')
         assert "skinbake.toml sets encoding\n" in invoke("bake", "a.glb", "--dry-run", "-v").stderr
@@ -268,7 +279,7 @@ class TestValues:
 
 DANGEROUS = {
     "bake": (
-        "output out-dir in-place dry-run state summary dask max-memory allow-outside no-sync",
+        "output out-dir in-place dry-run state summary depfile dask max-memory allow-outside no-sync",
         {"in-place": "true", "dry-run": "true", "no-sync": "true", "allow-outside": '["/"]'},
     ),
     "verify": ("junit html state summary dask max-memory allow-outside no-sync", {"allow-outside": '["/"]'}),

@@ -22,7 +22,7 @@ from skinbake.choices import (
     Weld,
 )
 from skinbake.cli import exit_codes
-from skinbake.cli.chosen_config import option_sets
+from skinbake.cli.chosen_config import config_files, option_sets
 from skinbake.cli.console import console, finite, message_options, one_of, outside_option
 from skinbake.cli.depfile import OPTION, check_depfile, clip_files_read, depfile_option, depfile_writer
 from skinbake.cli.help import Helpful
@@ -232,7 +232,10 @@ def command(ctx: click.Context, inputs: tuple[str, ...], **given: Unpack[Given])
     jobs = jobs_of(targets, given, notes.known)
     also_read = clip_files_read(clip_files) if depfile_at else []
     reporting = _reporting(
-        given, say, depfile_writer(depfile_at, given, say, also_read), is_one=len(targets) == 1
+        given,
+        say,
+        depfile_writer(depfile_at, given, say, also_read, config_files(ctx)),
+        is_one=len(targets) == 1,
     )
     clock.imports_done()
     run = run_of(

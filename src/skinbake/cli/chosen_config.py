@@ -93,6 +93,12 @@ def configured_in(ctx: click.Context) -> Configured | None:
     return found
 
 
+def config_files(ctx: click.Context) -> list[str]:
+    """Return the absolute path of the file that was read, in a list, which is empty without one."""
+    configured = configured_in(ctx)
+    return [] if configured is None else [os.path.abspath(configured.configuration.name)]
+
+
 def config_options() -> list[click.Parameter]:
     """Return the options that choose the configuration file. Every command has them."""
     return [

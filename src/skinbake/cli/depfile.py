@@ -56,7 +56,11 @@ def check_depfile(given: Given, targets: Iterable[tuple[str, str | None]]) -> st
 
 
 def depfile_writer(
-    path: str | None, given: Given, say: Console, also_read: Sequence[str] = ()
+    path: str | None,
+    given: Given,
+    say: Console,
+    also_read: Sequence[str] = (),
+    configuration: Sequence[str] = (),
 ) -> Callable[[Sequence[FileResult | StripResult]], int] | None:
     """Return the function that writes the rules of results and returns its exit code; None for no path.
 
@@ -70,7 +74,14 @@ def depfile_writer(
         from skinbake.report.depfile import depfile
 
         rules = [
-            (result.output, [result.input, *(_like(result.input, file) for file in result.read), *also_read])
+            (
+                result.output,
+                [
+                    result.input,
+                    *(_like(result.input, file) for file in (*result.read, *configuration)),
+                    *also_read,
+                ],
+            )
             for result in results
             if result.error is None and result.output is not None
         ]
