@@ -54,21 +54,26 @@ def _beside(page: Path, target: str) -> Path:
     return Path(os.path.normpath(page.parent / target))
 
 
+def _links(page: Path) -> set[Path]:
+    """Return the files of the repository that a page shows or links to."""
+    found = LINK.findall((REPOSITORY / page).read_text("utf-8"))
+    linked = {_beside(page, target) for target, _ in found}
+    return {path for path in linked if (REPOSITORY / path).is_file()}
+
+
 def lay_out(source: Path) -> None:
     """Copy the pages into a folder as the repository has them, with all that they show and link to."""
     contents = parts()
     pages = [Path("README.md"), *(page for listed in contents.values() for page in listed)]
-    unlisted = set((REPOSITORY / "docs").rglob("*.md")) - {REPOSITORY / page for page in (*pages, CONTENTS)}
+    there = {path.relative_to(REPOSITORY) for path in (REPOSITORY / "docs").rglob("*.md")}
+    linked_pages = {linked for page in pages for linked in _links(page) if linked.suffix == ".md"}
+    unlisted = (there | linked_pages) - {*pages, CONTENTS}
     if unlisted:
-        names = ", ".join(path.name for path in sorted(unlisted))
+        names = ", ".join(path.as_posix() for path in sorted(unlisted))
         raise SystemExit(f"{CONTENTS} does not list {names}")
     for page in pages:
-        text = (REPOSITORY / page).read_text("utf-8")
-        for target, _ in LINK.findall(text):
-            linked = _beside(page, target)
-            if linked not in {*pages, CONTENTS} and (REPOSITORY / linked).is_file():
-                _put(source / linked, (REPOSITORY / linked).read_bytes())
-        _put(source / page, text.encode("utf-8"))
+        for path in {page, *_links(page)} - {CONTENTS}:
+            _put(source / path, (REPOSITORY / path).read_bytes())
     front = (source / "README.md").rename(source / "index.md")
     _put(source / COMMANDS, commands().encode("utf-8"))
     contents["Reference"][COMMANDS] = "Help of each command"

@@ -20,7 +20,7 @@ def test_a_page_that_is_not_listed_stops_the_build(tmp_path: Path, monkeypatch: 
     contents = build.parts()
     del contents["Begin"][Path("docs/why.md")]
     monkeypatch.setattr(build, "parts", lambda: contents)
-    with pytest.raises(SystemExit, match=r"docs/README.md does not list why\.md"):
+    with pytest.raises(SystemExit, match=r"docs/README.md does not list docs/why\.md"):
         build.lay_out(tmp_path)
 
 
