@@ -337,7 +337,9 @@ class TestArguments:
             "weighting": _kernel.BY_MAX,
             "adopts": True,
             "negligible": 1e-4,
+            "by_tangents": 0.7,
             "stiffness": 0.1,
+            "doubt": 0.05,
             "even": 1e-4,
             "faint": 0.1,
             "unfelt": 1e-6,
@@ -516,8 +518,9 @@ for turn in range(8):
             classes=classes, normals=positions, tangents=frames, bitangents=frames, alpha=alpha,
             beta=alpha.copy(), adopted=np.zeros((V, S), np.int32), ends=ends, sums=np.zeros((2, 4)),
             parents=parents, ranks=ranks, pivots=pivots, class_count=V // 2,
-            weighting=_kernel.BY_ANGLE, adopts=True, negligible=1e-4, stiffness=0.1, even=1e-4, faint=0.1,
-            unfelt=1e-6, flat=1e-6, grouped=grouped if turn % 2 else None, first=0, last=V // 2)
+            weighting=_kernel.BY_ANGLE, adopts=True, negligible=1e-4, by_tangents=0.7, stiffness=0.1,
+            doubt=0.05, even=1e-4, faint=0.1, unfelt=1e-6, flat=1e-6,
+            grouped=grouped if turn % 2 else None, first=0, last=V // 2)
     except (IndexError, ValueError):
         pass
     going = False

@@ -11,7 +11,7 @@ from skinbake.geometry.frames import frame_from_normal, unit_normals
 from skinbake.geometry.rig import NO_PARENT, Rig
 from skinbake.geometry.skinned import BakedPrimitive, Float64Array, SkinnedPrimitive
 from skinbake.gradients.baker import BakeSettings, bake_mesh
-from skinbake.gradients.surface import EVEN, FAINT, STIFFNESS
+from skinbake.gradients.surface import BY_TANGENTS, DOUBT, EVEN, FAINT, STIFFNESS
 from skinbake.lighting.operator import GradientOperator, gradient_operator
 from tests.gradients.tubes import SETTINGS, corner_angles, tube, weighted_normals
 from tests.support.kernels import use_numpy
@@ -61,6 +61,7 @@ def sampled_fit(primitive: SkinnedPrimitive, rig: Rig) -> tuple[Float64Array, Fl
         tangent_truth(operator, positions, n0.astype(np.float64), t0, b0),
         triangle_truth(operator, positions, n0.astype(np.float64)),
     )
+    parts = [BY_TANGENTS, 1.0 - BY_TANGENTS]
     carried = carries(rig)
     samples = [(joint, axis) for joint in range(len(rig.parents)) for axis in np.eye(3)]
     rows = {"alpha": [], "beta": []}  # type: dict[str, list[tuple[Float64Array, Float64Array]]]
@@ -71,7 +72,7 @@ def sampled_fit(primitive: SkinnedPrimitive, rig: Rig) -> tuple[Float64Array, Fl
             slope, column = [], []
             for matrices, sign in ((ahead, 1.0), (back, -1.0)):
                 deformed = np.einsum("vk,vkij,vj->vi", primitive.weights, matrices, homogeneous(positions))
-                normal = np.mean([truth(deformed) for truth in truths], axis=0)
+                normal = np.average([truth(deformed) for truth in truths], axis=0, weights=parts)
                 turned = np.einsum("vk,vkij,vj->vi", primitive.weights, matrices[..., :3], rest)
                 moved = np.einsum("vkij,vj->vki", matrices, homogeneous(positions))
                 levers = moved[:, 1:] - moved[:, :1]
@@ -79,13 +80,34 @@ def sampled_fit(primitive: SkinnedPrimitive, rig: Rig) -> tuple[Float64Array, Fl
                 column.append(sign * np.einsum("vki,vi->vk", levers, normal))
             rows[name].append((sum(slope) / (2 * TURN), sum(column) / (2 * TURN)))
     presence = presences(primitive, operator)
-    found = []
+    found, given, tilts = [], [], np.zeros(len(positions))
     for name, base in (("alpha", surface.alpha), ("beta", surface.beta)):
         whole = np.concatenate([-base.sum(axis=1, keepdims=True), base], axis=1).astype(np.float64)
         slopes = np.stack([row[0] for row in rows[name]], axis=1)
         columns = np.stack([row[1] for row in rows[name]], axis=1)
         found.append(solved(primitive, rig, carried, presence, whole, slopes, columns))
-    return found[0], found[1]
+        given.append(base)
+        tilts += squared_tilts(slopes + np.einsum("vsk,vk->vs", columns, base), columns)
+    share = (tilts / (tilts + DOUBT**2))[:, None]
+    alpha, beta = (base + share * (fit - base) for base, fit in zip(given, found, strict=True))
+    return alpha, beta
+
+
+def squared_tilts(tilts: Float64Array, columns: Float64Array) -> Float64Array:
+    """Return what any change of the gradients can take off the tilts (V, samples): squared, and added up.
+
+    The turns of a joint about three axes tilt a tangent by a vector, of which a change moves one direction.
+    """
+    found = np.zeros(len(tilts))
+    for first in range(0, tilts.shape[1], 3):
+        by_axis = columns[:, first : first + 3]
+        slot = np.linalg.norm(by_axis, axis=1).argmax(axis=1)
+        direction = by_axis[np.arange(len(tilts)), :, slot]
+        length = np.linalg.norm(direction, axis=1)
+        parts = length > 1e-9
+        along = np.einsum("vs,vs->v", tilts[:, first : first + 3], direction)
+        found[parts] += (along[parts] / length[parts]) ** 2
+    return found
 
 
 def presences(primitive: SkinnedPrimitive, operator: GradientOperator) -> Float64Array:

@@ -537,7 +537,7 @@ done:
 
 /* How gradients are fitted to a rig (rig_fit.py has the same names). */
 typedef struct {
-    double stiffness, even, faint, unfelt, flat; /* as in surface.py */
+    double by_tangents, stiffness, doubt, even, faint, unfelt, flat; /* as in surface.py */
 } FitSettings;
 
 /* The surface to bake: V vertices with K slots each, T triangles, C weld classes. Rows as in the twins. */
@@ -1068,10 +1068,12 @@ static ALWAYS_INLINE void measure_ring(const Surface *s, Members around, double 
 }
 
 /* Write the arms that a weight of 1 at one end of four corners adds. */
-static ALWAYS_INLINE void find_arms(const Block *block, int end, const RingFrame *f, double arms[2][3][AT_ONCE])
+static ALWAYS_INLINE void find_arms(const Surface *s, const Block *block, int end, const RingFrame *f,
+                                    double arms[2][3][AT_ONCE])
 {
     const Four *by = block->along[end], *normal = block->facets.normal;
-    Four mean = all(0.5 / f->total), share = multiply(block->share, all(0.5 / f->facing));
+    Four mean = all(s->fit.by_tangents / f->total);
+    Four share = multiply(block->share, all((1.0 - s->fit.by_tangents) / f->facing));
     Four by_a = multiply(by[0], mean), by_b = multiply(by[1], mean);
     for (int n = 0; n < 2; n++) {
         const Vector *u = f->leverage[n];
@@ -1102,7 +1104,7 @@ static ALWAYS_INLINE Neighbour *neighbour_of(size_t vertex, const Block *block, 
 }
 
 /* Collect the neighbours of a class with their arms. */
-static ALWAYS_INLINE void find_ring(size_t corners, Scratch *w)
+static ALWAYS_INLINE void find_ring(const Surface *s, size_t corners, Scratch *w)
 {
     w->neighbours = 0;
     for (size_t from = 0; from < corners; from += AT_ONCE) {
@@ -1110,7 +1112,7 @@ static ALWAYS_INLINE void find_ring(size_t corners, Scratch *w)
         const Block *block = w->blocks + from / AT_ONCE;
         for (int end = 0; end < 2; end++) {
             double arms[2][3][AT_ONCE];
-            find_arms(block, end, &w->frame, arms);
+            find_arms(s, block, end, &w->frame, arms);
             for (size_t n = 0; n < some; n++) {
                 Neighbour *found = neighbour_of(block->corners.ends[n][end], block, end, n, w);
                 for (int axis = 0; axis < 3; axis++) {
@@ -1166,7 +1168,7 @@ static ALWAYS_INLINE void sum_turns(const Surface *s, Shape shape, size_t vertex
     measure_ring(s, corners, total, w);
     if (!w->frame.sound)
         return;
-    find_ring(corners.count, w);
+    find_ring(s, corners.count, w);
     const size_t slots = shape.slots;
     memset(w->turns, 0, (size_t)used * TURN * sizeof *w->turns);
     Four sums[TURN], own = slots == 4 ? load(s->weights + vertex * slots) : all(0.0);
@@ -1450,6 +1452,7 @@ typedef struct {
     double presence[MOST_FITTED]; /* the weight and the share of the gradient of each slot's joint, added */
     double given[MOST_FITTED][2]; /* the surface's gradients along the class's tangents */
     double reach;                 /* the squared levers of all turns that part the slots, added */
+    double tilts; /* the squared tilts that these turns by a radian give to both tangents, added */
 } Fitted;
 
 /* Choose the slots to fit, by the presence of their joints. Returns 0 where there are too few or too many. */
@@ -1476,7 +1479,7 @@ static int choose_slots(const Surface *s, size_t vertex, Scratch *w, Fitted *fit
     if (count < 2)
         return 0;
     fitted->unknowns = count - 1;
-    fitted->reach = 0.0;
+    fitted->reach = fitted->tilts = 0.0;
     for (size_t i = 0; i < count; i++)
         node_of(s, w->named[fitted->slots[i]], w)->members |= UINT64_C(1) << i;
     return 1;
@@ -1498,7 +1501,7 @@ static void add_turn(const Surface *s, Vector position, const Node *node, Fitted
     Vector lever = minus(position, (Vector){pivot[0], pivot[1], pivot[2]}), tilt = cross(lever, w->frame.normal);
     double reach = dot(lever, lever), wanted[2];
     fitted->reach += reach;
-    double pull = s->fit.stiffness * reach, square = dot(tilt, tilt) + pull;
+    double length = dot(tilt, tilt), pull = s->fit.stiffness * reach, square = length + pull;
     for (int n = 0; n < 2; n++) {
         const double *arm = turn + ARMS + 3 * n, *spin = turn + SPINS + 3 * n;
         Vector r = plus(cross(lever, (Vector){arm[0], arm[1], arm[2]}), (Vector){spin[0], spin[1], spin[2]});
@@ -1511,6 +1514,8 @@ static void add_turn(const Surface *s, Vector position, const Node *node, Fitted
         given[1] += carried * fitted->given[i][1];
         mask[i] = (double)(moved >> i & 1);
     }
+    double off[2] = {length * given[0] - wanted[0], length * given[1] - wanted[1]};
+    fitted->tilts += length > 0.0 ? (off[0] * off[0] + off[1] * off[1]) / length : 0.0;
     wanted[0] = sign * (wanted[0] + pull * given[0]);
     wanted[1] = sign * (wanted[1] + pull * given[1]);
     for (size_t i = 0; i < unknowns; i++) {
@@ -1620,6 +1625,7 @@ static void move_gradients(const Surface *s, const Fitted *fitted, Scratch *w)
     }
     if (!solve(unknowns, w->matrix, right))
         return;
+    double share = fitted->tilts / (fitted->tilts + s->fit.doubt * s->fit.doubt);
     right[unknowns][0] = right[unknowns][1] = 0.0;
     for (size_t i = 0; i < unknowns; i++) {
         right[unknowns][0] -= right[i][0];
@@ -1627,8 +1633,8 @@ static void move_gradients(const Surface *s, const Fitted *fitted, Scratch *w)
     }
     for (size_t i = 0; i <= unknowns; i++) {
         Vector *gradient = &w->gradients[fitted->slots[i]];
-        *gradient = plus(*gradient, plus(times(tangents[0], right[i][0] - fitted->given[i][0]),
-                                         times(tangents[1], right[i][1] - fitted->given[i][1])));
+        *gradient = plus(*gradient, plus(times(tangents[0], share * (right[i][0] - fitted->given[i][0])),
+                                         times(tangents[1], share * (right[i][1] - fitted->given[i][1]))));
     }
 }
 
@@ -1859,19 +1865,19 @@ static int read_surface(PyObject *args, PyObject *keywords, Array *a, Surface *s
 {
     static char *names[] = {"positions", "triangles", "joints", "weights", "free", "classes", "normals", "tangents",
                             "bitangents", "alpha", "beta", "adopted", "ends", "sums", "parents", "ranks", "pivots",
-                            "class_count", "weighting", "adopts", "negligible", "stiffness", "even", "faint", "unfelt",
-                            "flat", "grouped", "first", "last", NULL};
+                            "class_count", "weighting", "adopts", "negligible", "by_tangents", "stiffness", "doubt",
+                            "even", "faint", "unfelt", "flat", "grouped", "first", "last", NULL};
     PyObject *o[ARRAYS];
     Py_ssize_t class_count;
     int weighting, adopts;
     double negligible;
     FitSettings fit;
-    if (!PyArg_ParseTupleAndKeywords(args, keywords, "$OOOOOOOOOOOOOOOOOnipddddddOnn", names, &o[POSITIONS], &o[TRIANGLES],
+    if (!PyArg_ParseTupleAndKeywords(args, keywords, "$OOOOOOOOOOOOOOOOOnipddddddddOnn", names, &o[POSITIONS], &o[TRIANGLES],
                                      &o[JOINTS], &o[WEIGHTS], &o[UNUSED], &o[CLASSES], &o[NORMALS], &o[TANGENTS],
                                      &o[BITANGENTS], &o[ALPHA], &o[BETA], &o[ADOPTED], &o[ENDS], &o[SUMS],
                                      &o[PARENTS], &o[RANKS], &o[PIVOTS], &class_count, &weighting, &adopts,
-                                     &negligible, &fit.stiffness, &fit.even, &fit.faint, &fit.unfelt, &fit.flat, &part->grouped,
-                                     &part->first, &part->last))
+                                     &negligible, &fit.by_tangents, &fit.stiffness, &fit.doubt, &fit.even, &fit.faint,
+                                     &fit.unfelt, &fit.flat, &part->grouped, &part->first, &part->last))
         return -1;
     if (read_arrays(o, surface_arrays, ARRAYS, 2, a) < 0)
         return -1;

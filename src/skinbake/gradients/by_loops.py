@@ -19,6 +19,8 @@ from skinbake.gradients import _kernel
 from skinbake.gradients.field import WeightDefects, WeightField
 from skinbake.gradients.labels import Labels
 from skinbake.gradients.surface import (
+    BY_TANGENTS,
+    DOUBT,
     EVEN,
     FAINT,
     FLAT,
@@ -125,7 +127,9 @@ def bake_surface(surface: Surface, *, weighting: str, adopt: bool) -> SurfaceSlo
         weighting=WEIGHTINGS[weighting],
         adopts=adopt,
         negligible=NEGLIGIBLE,
+        by_tangents=BY_TANGENTS,
         stiffness=STIFFNESS,
+        doubt=DOUBT,
         even=EVEN,
         faint=FAINT,
         unfelt=UNFELT,

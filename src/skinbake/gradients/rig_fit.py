@@ -16,7 +16,7 @@ from skinbake.geometry.frames import frame_from_normal, has_direction, unit_norm
 from skinbake.geometry.rig import Lineage, Rig
 from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray, IntArray
 from skinbake.gradients.field import NO_JOINT, WeightField
-from skinbake.gradients.surface import EVEN, FAINT, FLAT, STIFFNESS, UNFELT, Surface
+from skinbake.gradients.surface import BY_TANGENTS, DOUBT, EVEN, FAINT, FLAT, STIFFNESS, UNFELT, Surface
 from skinbake.gradients.weight_gradients import (
     VertexGradients,
     corner_differences,
@@ -86,7 +86,9 @@ def ring_turns(surface: Surface, *, weighting: str) -> RingTurns:
                 by_tangents = np.einsum("cd,ctdi->cti", along / total[at, None], leverage[at])
                 share = corners.angles / corners.weight / facing[at]
                 by_faces = (along * share[:, None])[:, :, None] * corners.normals[:, None, :]
-                arms = np.where(sound[at, None, None], 0.5 * (by_tangents + by_faces), 0.0)
+                arms = np.where(
+                    sound[at, None, None], BY_TANGENTS * by_tangents + (1.0 - BY_TANGENTS) * by_faces, 0.0
+                )
             corner, joints, difference = corner_differences(surface.field, corners.origin, neighbour)
             arms = arms[corner] * difference[:, None, None]
             spins = np.cross(edges[corner, None, :], arms)
@@ -186,6 +188,7 @@ def fitted(
         change[here[fits], slots[fits]] = (values - given[here, slots])[fits]
         last = rows[fits], pairs.last[rows[fits]]
         change[last] = -values[fits].sum(axis=1) - given[last]
+    change *= (system.tilts / (system.tilts + DOUBT**2))[:, None, None]
     moved = np.einsum("vkt,vti->vki", change, turns.tangents[vertices.classes])
     along = [np.einsum("vki,vi->vk", moved, axis) for axis in vertices.frame]
     return vertices.alpha + along[0], vertices.beta + along[1]
@@ -285,11 +288,13 @@ class _NormalEquations:
     """The least squares of V vertices over all their slots.
 
     matrix (V, K, K), right (V, K, 2) for both tangents. unknowns (V, K) tells which slots have an equation,
-    solvable (V,) which vertices.
+    solvable (V,) which vertices. tilts (V,) are the summed squared tilts that turns by a radian would give to
+    both tangents with the surface's gradients.
     """
 
     matrix: Float64Array
     right: Float64Array
+    tilts: Float64Array
     unknowns: BoolArray
     solvable: BoolArray
 
@@ -311,9 +316,16 @@ def _normal_equations(
     tilt = np.cross(pairs.levers, turns.normals[classes])
     wanted = np.cross(pairs.levers[:, None], pairs.arms) + pairs.spins
     levers = np.einsum("ni,ni->n", pairs.levers, pairs.levers) * sides.any(axis=1)
-    squares = np.einsum("ni,ni->n", tilt, tilt) + STIFFNESS * levers
+    lengths = np.einsum("ni,ni->n", tilt, tilt)
+    carried = np.einsum("nk,nkt->nt", pairs.carries, given[at])
     aims = np.einsum("ni,nti->nt", tilt, wanted)
-    aims += STIFFNESS * levers[:, None] * np.einsum("nk,nkt->nt", pairs.carries, given[at])
+    off = lengths[:, None] * carried - aims
+    turned = sides.any(axis=1) & (lengths > 0.0)
+    tilts = np.bincount(at[turned], (off * off).sum(axis=1)[turned] / lengths[turned], count).astype(
+        np.float64
+    )
+    squares = lengths + STIFFNESS * levers
+    aims += STIFFNESS * levers[:, None] * carried
     matrix, right = np.zeros((count, slots, slots)), np.zeros((count, slots, 2))
     np.add.at(matrix, at, sides[:, :, None] * sides[:, None, :] * squares[:, None, None])
     np.add.at(right, at, sides[:, :, None] * aims[:, None, :])
@@ -326,4 +338,4 @@ def _normal_equations(
     matrix[:, np.arange(slots), np.arange(slots)] += pull
     right += pull[:, :, None] * given - (pull[last][:, None] * given[last])[:, None]
     solvable = turns.sound[vertices.classes] & (reach > 0.0)
-    return _NormalEquations(matrix, right, unknowns, solvable)
+    return _NormalEquations(matrix, right, tilts.astype(np.float64), unknowns, solvable)
