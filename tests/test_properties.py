@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pygltflib as gltf
+import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -123,6 +124,7 @@ OPTIONS = st.builds(
 
 @settings(PROPERTIES, max_examples=EXAMPLES)
 @given(meshes(), OPTIONS, st.sampled_from(COMPRESSIONS))
+@pytest.mark.slow
 def test_a_bake_verifies_repeats_and_is_undone(
     mesh: Mesh, options: list[str], compression: tuple[str, ...]
 ) -> None:
@@ -168,6 +170,7 @@ def _slot_0(stored: StoredPrimitive) -> tuple[npt.NDArray[np.float64], npt.NDArr
 
 @settings(PROPERTIES, max_examples=2)
 @given(st.lists(st.tuples(meshes(), OPTIONS, st.sampled_from(COMPRESSIONS)), min_size=12, max_size=12))
+@pytest.mark.slow
 def test_own_outputs_are_valid(cases: list[tuple[Mesh, list[str], tuple[str, ...]]]) -> None:
     khronos.require_node()
     with tempfile.TemporaryDirectory() as name:

@@ -345,6 +345,7 @@ class TestSpeedUp:
         words = [text.text for text in picture.iter(f"{space}text")]
         assert "verify 9 vertices, 9 poses: 3.20 ×" in words
 
+    @pytest.mark.slow
     def test_rows_that_are_measured_again_are_said(self) -> None:
         before = {"rows": {"a": 1, "b": 2}, "later": [{"rows": ["a", "b"], "date": "2000-01-01"}]}
         after = updated(before, {"b": 3}, 0.25)

@@ -17,6 +17,8 @@ from tests.support.command_line import document, invoke, run
 from tests.support.gltf_reading import read
 from tests.support.models import Change, copied, note, rewritten
 
+pytestmark = pytest.mark.slow
+
 CLIP = "bent_tube.glb"
 
 

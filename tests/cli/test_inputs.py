@@ -78,6 +78,7 @@ def test_a_pattern_keeps_the_path_from_its_first_wildcard_on(
     assert all((tmp_path / "out" / name).is_file() for name in kept)
 
 
+@pytest.mark.slow
 def test_a_relative_pattern_begins_here(tree: Path) -> None:
     process = run("bake", "**/*.glb", "--out-dir", "out", "-q", folder=tree)
     assert process.returncode == 0, process.stderr

@@ -80,6 +80,7 @@ def test_a_suspect_is_tried_again_alone(tmp_path: Path) -> None:
 
 
 @POSIX
+@pytest.mark.slow
 def test_while_a_suspect_is_tried_again_nobody_else_works(tmp_path: Path) -> None:
     outcomes(Deadly((5,), signal.SIGKILL, tmp_path), 30)
     log = [[int(part) for part in path.name.split("-")] for path in tmp_path.iterdir()]

@@ -139,6 +139,7 @@ def test_only_what_has_the_processor_hangs(
             child.kill()
 
 
+@pytest.mark.slow
 def test_aimed_cases_end_in_documented_ways(tmp_path: Path) -> None:
     """Each aimed case is a seed below 0, and runs before all others."""
     models = [model for model in plain_seeds() if "directed" in model.name][:2]

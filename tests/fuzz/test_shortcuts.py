@@ -6,6 +6,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 REPOSITORY = Path(__file__).resolve().parents[2]
 
 PROGRAM = """
@@ -44,6 +46,7 @@ for again in range(2):
 """
 
 
+@pytest.mark.slow
 def test_shortcuts_change_no_output_and_no_exit_code() -> None:
     """Each line prints and ends the same, before the shortcuts and twice after them."""
     model = str(REPOSITORY / "fixtures" / "bent_tube.glb")

@@ -208,6 +208,7 @@ class TestNesting:
         path.write_bytes(b"glTF" + (2).to_bytes(4, "little") + length.to_bytes(4, "little") + b"".join(parts))
         return path
 
+    @pytest.mark.slow
     def test_a_second_bake_has_the_same_bytes(self, nested: Path, tmp_path: Path) -> None:
         """The text is too deep to be indented, as a GLB's is that becomes a .gltf."""
         once, twice = tmp_path / "once" / "out.gltf", tmp_path / "twice" / "out.gltf"

@@ -231,6 +231,7 @@ def test_the_metadata_names_what_was_there(tmp_path: Path) -> None:
     assert found["influences"] == 4
 
 
+@pytest.mark.slow
 def test_verify_still_proves_a_file_whose_former_influences_another_tool_pruned(tmp_path: Path) -> None:
     gltf_transform.require_node()
     baked(path_of(TWO_SETS), tmp_path / "baked.glb", limit_influences=4)

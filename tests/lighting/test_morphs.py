@@ -53,6 +53,7 @@ def lbs(path: Path, *options: str) -> JsonObject:
     return found
 
 
+@pytest.mark.slow
 def test_the_figures_are_those_of_a_straightforward_computation(tmp_path: Path) -> None:
     path = animate_weights(tube(tmp_path), [[0.0, 1.0], [1.0, 0.2], [0.3, 0.0]])
     found = lbs(path, "--samples", "3")
