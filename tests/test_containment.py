@@ -53,6 +53,7 @@ def test_every_name_means_the_same_below_its_folder_on_posix_and_on_windows() ->
     assert accepted > COUNT / 20  # the grammar makes good names too
 
 
+@pytest.mark.slow
 def test_no_spot_is_outside_its_root(tmp_path: Path) -> None:
     home = tmp_path / "root" / "sub"
     home.mkdir(parents=True)

@@ -95,6 +95,7 @@ def test_how_much_is_said_changes_nothing_in_the_document(flag: str, tmp_path: P
     assert checked(document(other), BAKE)["dry_run"] is True
 
 
+@pytest.mark.slow
 def test_inspect(tmp_path: Path) -> None:
     for name in FIXTURES:
         found = checked(document(invoke("inspect", FOLDER / name, "--json")), INSPECT)

@@ -135,6 +135,7 @@ def test_what_does_not_go_together(arguments: list[str], message: str) -> None:
         assert message in result.stderr
 
 
+@pytest.mark.slow
 def test_a_scheduler_that_does_not_answer(library: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(dask_runner, "CONNECT_SECONDS", 0.3)
     with pytest.raises(InputError, match=r"tcp://127\.0\.0\.1:1: no Dask scheduler answers"):

@@ -47,6 +47,7 @@ def test_a_good_file_exits_0_and_a_bad_one_1(good: Path, bad: Path) -> None:
     assert failed.stderr.startswith(f'error: {bad}: mesh 0 "seam", primitive 0: POSITION changed')
 
 
+@pytest.mark.slow
 def test_several_files_return_the_worst_code_and_all_are_told(good: Path, bad: Path, tmp_path: Path) -> None:
     gone, text = tmp_path / "gone.glb", tmp_path / "text.glb"
     text.write_text("nothing of a GLB")
@@ -111,6 +112,7 @@ def test_stdin_is_a_glb_called_dash(good: Path, bad: Path) -> None:
     assert "stdin can be read only once" in twice.stderr
 
 
+@pytest.mark.slow
 def test_stdin_of_a_real_process(good: Path) -> None:
     process = subprocess.run(
         [sys.executable, "-m", "skinbake", "verify", "--json", "-"],

@@ -106,6 +106,7 @@ def test_it_needs_files_that_it_can_read_again(tmp_path: Path, source: str) -> N
     assert "--html needs files on this machine's disks" in " ".join(result.stderr.split())
 
 
+@pytest.mark.slow
 def test_it_replaces_earlier_pages_only(tmp_path: Path) -> None:
     bake(TUBE, tmp_path / "tube.glb")
     page = tmp_path / "report.html"

@@ -180,6 +180,7 @@ def test_who_takes_too_long_is_told_to_stop_and_lost_alone(tmp_path: Path) -> No
 
 
 @POSIX
+@pytest.mark.slow
 def test_who_does_not_stop_is_killed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(processes, "GRACE", 0.5)
     start = time.monotonic()

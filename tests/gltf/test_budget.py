@@ -247,6 +247,7 @@ def test_max_memory_bounds_what_a_child_takes(
 
 
 @LINUX
+@pytest.mark.slow
 def test_what_fits_is_baked_within_what_it_claims(tmp_path: Path) -> None:
     path = crowd(tmp_path / "crowd.glb", 150, 20)
     code, peak, said = taken("bake", path, "-o", tmp_path / "out.glb", "--max-memory", "200M")

@@ -79,6 +79,7 @@ def test_a_surface_that_is_inside_out_is_told_from_odd_normals() -> None:
     assert "face opposite ways" in notice.message
 
 
+@pytest.mark.slow
 def test_of_a_large_mesh_some_are_looked_at() -> None:
     whole = turned(smooth(300, 200), 60.0, 0.5)
     lean = normal_lean(whole)
