@@ -31,7 +31,7 @@ from skinbake.cli.limits import limit_options
 from skinbake.cli.many import Clock, Reporting, many_options, notes_of, run_of, state_path, work_through
 from skinbake.cli.names import STDIO
 from skinbake.cli.remote import cluster_option
-from skinbake.cli.targets import check_read, check_reports, in_turns, jobs_of, targets_of
+from skinbake.cli.targets import check_read, check_reports, in_turns, jobs_of, target_options, targets_of
 from skinbake.cli.writing import writing_of
 from skinbake.errors import ChoiceError
 
@@ -53,14 +53,7 @@ if TYPE_CHECKING:
         "skinbake bake hero.glb --dry-run -v",
     ),
 )
-@click.argument("inputs", nargs=-1, required=True, metavar="INPUT...")
-@click.option("-o", "--output", metavar="FILE", help="Output file; - is a GLB on stdout.")
-@click.option(
-    "--out-dir",
-    metavar="DIR",
-    help="Output folder, made if it is missing. A named input keeps its name. A file found in a folder "
-    "or by a pattern keeps its path from there.",
-)
+@target_options
 @click.option("--in-place", is_flag=True, help="Replace each input by its baked version.")
 @click.option(
     "--pack",

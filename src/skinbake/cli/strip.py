@@ -17,7 +17,7 @@ from skinbake.cli.inputs import expanded
 from skinbake.cli.limits import limit_options
 from skinbake.cli.many import Clock, Notes, Reporting, jobs_options, run_of, work_through
 from skinbake.cli.names import STDIO
-from skinbake.cli.targets import check_reports, in_turns, jobs_of, targets_of
+from skinbake.cli.targets import check_reports, in_turns, jobs_of, target_options, targets_of
 from skinbake.cli.writing import writing_of
 
 if TYPE_CHECKING:
@@ -35,14 +35,7 @@ if TYPE_CHECKING:
         "skinbake strip build --out-dir unbaked",
     ),
 )
-@click.argument("inputs", nargs=-1, required=True, metavar="INPUT...")
-@click.option("-o", "--output", metavar="FILE", help="Output file; - is a GLB on stdout.")
-@click.option(
-    "--out-dir",
-    metavar="DIR",
-    help="Output folder, made if it is missing. A named input keeps its name. A file found in a folder "
-    "or by a pattern keeps its path from there.",
-)
+@target_options
 @click.option("--in-place", is_flag=True, help="Replace each input by its version before bake.")
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 @click.option(

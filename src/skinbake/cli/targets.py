@@ -214,6 +214,22 @@ def _is_report(path: str, option: str) -> bool:
     return not head or REPORTS[option](head)
 
 
+def target_options(command: Command) -> Command:
+    """Add the inputs and the two options that name outputs."""
+    for add in (
+        click.option(
+            "--out-dir",
+            metavar="DIR",
+            help="Output folder, made if it is missing. A named input keeps its name. A file found in a "
+            "folder or by a pattern keeps its path from there.",
+        ),
+        click.option("-o", "--output", metavar="FILE", help="Output file; - is a GLB on stdout."),
+        click.argument("inputs", nargs=-1, required=True, metavar="INPUT..."),
+    ):
+        command = add(command)
+    return command
+
+
 def sync_option(command: Command) -> Command:
     """Add the option that does not wait for the disk."""
     return click.option(
