@@ -37,3 +37,20 @@ def test_it_refuses_other_targets(target: str, code: int, said: str, tmp_path: P
     result = invoke("example", "-o", target.format(tmp_path))
     assert result.exit_code == code
     assert said in result.stderr
+
+
+def test_it_leaves_a_users_own_model_alone(tmp_path: Path) -> None:
+    """The README's first command is pasted in any folder."""
+    target = tmp_path / "hero.glb"
+    for own in (b"mine", bytes(TUBE.stat().st_size)):
+        target.write_bytes(own)
+        result = invoke("example", "-o", target)
+        assert result.exit_code == 4
+        assert "another file has this name already; give the example a new one" in result.stderr
+        assert target.read_bytes() == own
+
+
+def test_it_may_be_there_from_before(tmp_path: Path) -> None:
+    target = tmp_path / "hero.glb"
+    assert [invoke("example", "-o", target).exit_code for _ in range(2)] == [0, 0]
+    assert target.read_bytes() == TUBE.read_bytes()

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
+from skinbake.errors import OutputError, Place
 from skinbake.gltf.writing import write_file, write_stdout
 
 MODEL = Path(__file__).resolve().parents[1] / "example" / "arm.glb"
@@ -13,10 +15,21 @@ STDIO = "-"
 
 
 def write_example(target: str, *, sync: bool = True) -> int:
-    """Write the model to a file, whole or not at all, or to stdout. Return its bytes. Raises OutputError."""
+    """Write the model to a file, whole or not at all, or to stdout. Return its bytes.
+
+    Raises OutputError if it cannot be written, or if another file has the name: it may be a user's own model.
+    """
     data = MODEL.read_bytes()
     if target == STDIO:
         write_stdout([data])
-    else:
+        return len(data)
+    path = Path(target)
+    if not os.path.lexists(path):
         write_file([data], target, sync=sync)
+    elif not _holds(path, data):
+        raise OutputError("another file has this name already; give the example a new one", Place(target))
     return len(data)
+
+
+def _holds(path: Path, data: bytes) -> bool:
+    return path.is_file() and path.stat().st_size == len(data) and path.read_bytes() == data
