@@ -3,7 +3,7 @@
 The files are in ``hostile/`` of the corpus. A table says how each command ended, the seconds of the slowest,
 at best of some tries, and the memory of the largest. The seconds are those of the clock, or those of the
 processors if they are fewer: on a busy machine a command waits for others. With ``--asan`` all run under
-AddressSanitizer, which is slower and larger. The exit code is 1 if a command ended in an undocumented way, or
+AddressSanitizer, which is slower and larger: it is held to no bound. The exit code is 1 if a command ended in an undocumented way, or
 over the bounds.
 """
 
@@ -29,6 +29,7 @@ from tests.support.corpus import find_corpus
 DOCUMENTED = {0, 1, 2, 3, 4}
 SECONDS, MEBIBYTES = 1.0, 512
 TRIES = 5
+UNREMEMBERED = ":malloc_context_size=0:quarantine_size_mb=32"  # freed memory is kept less long, and by no name
 LAUNCHER = REPOSITORY / "benchmarks" / "launch.py"
 
 
@@ -96,8 +97,8 @@ def main() -> int:
     if given.asan:
         build()
         env = environment()
+        env["ASAN_OPTIONS"] += UNREMEMBERED
     env.pop("PYTHONDONTWRITEBYTECODE", None)  # an installed package is compiled to bytecode
-    tries = 1 if given.asan else TRIES
     bad = 0
     begun, count, table = time.monotonic(), 0, {}
     print("| file | exit codes | slowest, s | largest, MiB |\n|---|---|---|---|")
@@ -107,7 +108,7 @@ def main() -> int:
         out = Path(folder, "out")
         for path in sorted(path for path in copy.rglob("*") if path.suffix in {".glb", ".gltf"}):
             out.mkdir()
-            runs = [least(arguments, env, tries) for arguments in command_lines(path, out)]
+            runs = [least(arguments, env, TRIES) for arguments in command_lines(path, out)]
             shutil.rmtree(out)
             slowest, largest = max(r.seconds for r in runs), max(r.mebibytes for r in runs)
             codes = " ".join(str(r.code) for r in runs)
