@@ -223,6 +223,8 @@ BROKEN = {
     "NORMAL removed": Case(normal_removed, "no-normals", ["it is baked", "NORMAL"]),
     "JOINTS removed": Case(joints_removed, "no-joints", ["it is baked", "JOINTS_0"]),
     "version 2": Case(note("version", 2), "version", ["version 2"]),
+    "another fit": Case(note("fit", 2), "version", ["version 2 of the fit", "run skinbake bake"]),
+    "fit unknown": Case(note("fit", None), "version", ["fit", "missing"]),
     "fewer influences": Case(note("influences", 12), "metadata-broken", ["influences", "12"]),
     "frame unknown": Case(note("frame", "uv"), "metadata-broken", ["frame", "uv"]),
     "no digest": Case(note("digest", None), "metadata-broken", ["digest", "missing"]),
@@ -321,7 +323,8 @@ def test_another_kind_than_the_noted_one_is_stale(
     assert verify(path, *FEW).exit_code == 0
     model = Editable(path)
     if noted == "rig":
-        model.metadata().update(gradients="rig", rig=Editable(bakes(name)).metadata()["rig"])
+        fitted = Editable(bakes(name)).metadata()
+        model.metadata().update(gradients="rig", fit=fitted["fit"], rig=fitted["rig"])
     else:
         del model.metadata()["gradients"], model.metadata()["rig"]
     words = [f'made with the gradients "{made}", not "{noted}" as noted', "run skinbake bake"]

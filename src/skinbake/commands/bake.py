@@ -58,6 +58,7 @@ from skinbake.gradients.normals import with_smooth_normals
 from skinbake.gradients.tangents import with_straight_tangents
 from skinbake.report.bake import BakedCounts, EncodingCost, ExtensionCost, FileResult, LimitCost
 from skinbake.timing import stage
+from skinbake.version import FIT
 
 if TYPE_CHECKING:
     from skinbake.format.extension import Extended
@@ -317,11 +318,14 @@ class Baker:
 
     def _noted_aim(self, aim: _Aim) -> JsonObject:
         """Return what the metadata says of the fit."""
-        noted: JsonObject = {} if aim.rig is None else {"gradients": "rig", "rig": rig_digest(aim.rig)}
+        noted: JsonObject = {}
+        if aim.rig is not None:
+            noted = {"gradients": "rig", "fit": FIT, "rig": rig_digest(aim.rig)}
         if aim.poses is not None:
             names = [source if isinstance(source, str) else source.name for source in self.fit_poses]
             noted |= {
                 "gradients": "poses",
+                "fit": FIT,
                 "poses": {"from": names, "fingerprint": list(aim.poses.fingerprint)},
             }
         return noted

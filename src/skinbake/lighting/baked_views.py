@@ -22,6 +22,7 @@ from skinbake.gltf.primitives import PrimitiveSource, read_primitive
 from skinbake.gltf.skin_groups import meshes_of_one_skin
 from skinbake.gradients.tangents import TANGENT_TOLERANCE
 from skinbake.timing import stage
+from skinbake.version import FIT
 from skinbake.wording import counted
 
 BYTES_A_VERTEX, BYTES_A_SLOT, BYTES_A_TRIANGLE = 800, 128, 400
@@ -106,10 +107,9 @@ def _view(document: Document, source: PrimitiveSource) -> BakedView | Notice:
     if metadata is None:
         what = "has α/β but no metadata that can be read" if is_baked(document, source) else "is not baked"
         return Notice("metadata-missing", f"it {what}: {BAKE}", source.place)
-    version = metadata.get("version")
-    if isinstance(version, bool) or version != VERSION:
-        message = f"its metadata has version {shown(version)}, this skinbake reads {VERSION}: {BAKE}"
-        return Notice("version", message, source.place)
+    other = _other_version(metadata)
+    if other is not None:
+        return Notice("version", f"{other}: {BAKE}", source.place)
     wrong = next(_wrong_members(metadata, source), None)
     if wrong is not None:
         return Notice("metadata-broken", f"its metadata is damaged: {wrong}; {BAKE}", source.place)
@@ -131,6 +131,17 @@ def _view(document: Document, source: PrimitiveSource) -> BakedView | Notice:
     return BakedView(
         source, metadata, now, slots.alpha, slots.beta, frame[0], frame[1], changed, slots.rounding
     )
+
+
+def _other_version(metadata: JsonObject) -> str | None:
+    """Return which version of the metadata or of a fit is not the present one, None if both are."""
+    version, fit = metadata.get("version"), metadata.get("fit")
+    if isinstance(version, bool) or version != VERSION:
+        return f"its metadata has version {shown(version)}, this skinbake reads {VERSION}"
+    fitted = metadata.get("gradients", Gradients.SURFACE) != Gradients.SURFACE
+    if fitted and (isinstance(fit, bool) or fit != FIT):
+        return f"its α/β come from version {shown(fit)} of the fit, this skinbake has {FIT}"
+    return None
 
 
 def _wrong_members(metadata: JsonObject, source: PrimitiveSource) -> Iterator[str]:
