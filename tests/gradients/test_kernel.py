@@ -339,7 +339,9 @@ class TestArguments:
             "negligible": 1e-4,
             "by_tangents": 0.7,
             "stiffness": 0.1,
-            "doubt": 0.05,
+            "doubt": 0.01,
+            "smooth": 0.2,
+            "most_doubt": 5.0,
             "even": 1e-4,
             "faint": 0.1,
             "unfelt": 1e-6,
@@ -519,7 +521,7 @@ for turn in range(8):
             beta=alpha.copy(), adopted=np.zeros((V, S), np.int32), ends=ends, sums=np.zeros((2, 4)),
             parents=parents, ranks=ranks, pivots=pivots, class_count=V // 2,
             weighting=_kernel.BY_ANGLE, adopts=True, negligible=1e-4, by_tangents=0.7, stiffness=0.1,
-            doubt=0.05, even=1e-4, faint=0.1, unfelt=1e-6, flat=1e-6,
+            doubt=0.01, smooth=0.2, most_doubt=5.0, even=1e-4, faint=0.1, unfelt=1e-6, flat=1e-6,
             grouped=grouped if turn % 2 else None, first=0, last=V // 2)
     except (IndexError, ValueError):
         pass

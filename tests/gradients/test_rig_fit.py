@@ -11,7 +11,7 @@ from skinbake.geometry.frames import frame_from_normal, unit_normals
 from skinbake.geometry.rig import NO_PARENT, Rig
 from skinbake.geometry.skinned import BakedPrimitive, Float64Array, SkinnedPrimitive
 from skinbake.gradients.baker import BakeSettings, bake_mesh
-from skinbake.gradients.surface import BY_TANGENTS, DOUBT, EVEN, FAINT, STIFFNESS
+from skinbake.gradients.surface import BY_TANGENTS, DOUBT, EVEN, FAINT, MOST_DOUBT, SMOOTH, STIFFNESS
 from skinbake.lighting.operator import GradientOperator, gradient_operator
 from tests.gradients.tubes import SETTINGS, corner_angles, tube, weighted_normals
 from tests.support.kernels import use_numpy
@@ -88,9 +88,19 @@ def sampled_fit(primitive: SkinnedPrimitive, rig: Rig) -> tuple[Float64Array, Fl
         found.append(solved(primitive, rig, carried, presence, whole, slopes, columns))
         given.append(base)
         tilts += squared_tilts(slopes + np.einsum("vsk,vk->vs", columns, base), columns)
-    share = (tilts / (tilts + DOUBT**2))[:, None]
+    share = (tilts / (tilts + doubts(operator, positions) ** 2))[:, None]
     alpha, beta = (base + share * (fit - base) for base, fit in zip(given, found, strict=True))
     return alpha, beta
+
+
+def doubts(operator: GradientOperator, positions: Float64Array) -> Float64Array:
+    """Return the tilt of which a fit takes half, (V,): larger where the normals of the triangles agree."""
+    triangles = operator.triangles.astype(np.int64)
+    angles = corner_angles(positions, triangles)
+    mean = np.linalg.norm(weighted_normals(positions, triangles, angles), axis=1)
+    around = np.bincount(triangles.ravel(), angles.ravel(), len(positions))
+    spread = 1.0 - mean / around
+    return np.asarray([DOUBT * min(max((SMOOTH / one) ** 3, 1.0), MOST_DOUBT) for one in spread.tolist()])
 
 
 def squared_tilts(tilts: Float64Array, columns: Float64Array) -> Float64Array:

@@ -537,7 +537,7 @@ done:
 
 /* How gradients are fitted to a rig (rig_fit.py has the same names). */
 typedef struct {
-    double by_tangents, stiffness, doubt, even, faint, unfelt, flat; /* as in surface.py */
+    double by_tangents, stiffness, doubt, smooth, most_doubt, even, faint, unfelt, flat; /* as in surface.py */
 } FitSettings;
 
 /* The surface to bake: V vertices with K slots each, T triangles, C weld classes. Rows as in the twins. */
@@ -727,6 +727,7 @@ typedef struct {
     Vector normal, tangents[2];
     Vector leverage[2][2]; /* see rig_fit._leverage: by tangent, then by derivative */
     double total, facing;
+    double doubt; /* the tilt for each radian of a turn of which the fit takes half */
     int sound;
 } RingFrame;
 
@@ -1040,6 +1041,14 @@ static ALWAYS_INLINE Vector sum_normals(const Surface *s, Members corners)
     return dot(sum, sum) > least * least ? sum : (Vector){0.0, 0.0, 0.0};
 }
 
+/* The doubt of a class from the length of its mean normal, 1 where all are alike (twin: rig_fit._doubts). */
+static ALWAYS_INLINE double doubt_of(const Surface *s, double alignment)
+{
+    double spread = 1.0 - alignment > s->fit.flat ? 1.0 - alignment : s->fit.flat;
+    double smoothness = s->fit.smooth / spread, cube = smoothness * smoothness * smoothness;
+    return s->fit.doubt * (cube < 1.0 ? 1.0 : cube < s->fit.most_doubt ? cube : s->fit.most_doubt);
+}
+
 /* Measure the frame of a class from its corners, which stand in the blocks. */
 static ALWAYS_INLINE void measure_ring(const Surface *s, Members around, double total, Scratch *w)
 {
@@ -1049,10 +1058,11 @@ static ALWAYS_INLINE void measure_ring(const Surface *s, Members around, double 
     f->sound = unit_normal(given, &f->normal);
     frame_from_normal(given, &f->tangents[0], &f->tangents[1]);
     f->total = total;
-    Four none = all(0.0), faces[3] = {none, none, none}, sums[2][3] = {{none, none, none}, {none, none, none}};
+    Four none = all(0.0), angles = none, faces[3] = {none, none, none}, sums[2][3] = {{none, none, none}, {none, none, none}};
     for (size_t from = 0; from < corners; from += AT_ONCE) {
         Block *block = w->blocks + from / AT_ONCE;
         Four angle = finish_block(block, corners - from, s->weighting, f->tangents);
+        angles = add(angles, angle);
         for (int axis = 0; axis < 3; axis++) {
             faces[axis] = add(faces[axis], multiply(block->facets.normal[axis], angle));
             for (int n = 0; n < 2; n++)
@@ -1063,6 +1073,7 @@ static ALWAYS_INLINE void measure_ring(const Surface *s, Members around, double 
     }
     Vector facing = sums_of(faces);
     f->facing = sqrt(dot(facing, facing));
+    f->doubt = doubt_of(s, f->facing / sum_of(angles));
     const Vector derivatives[2] = {times(sums_of(sums[0]), 1.0 / total), times(sums_of(sums[1]), 1.0 / total)};
     find_leverage(f, derivatives, s->fit.flat);
 }
@@ -1625,7 +1636,7 @@ static void move_gradients(const Surface *s, const Fitted *fitted, Scratch *w)
     }
     if (!solve(unknowns, w->matrix, right))
         return;
-    double share = fitted->tilts / (fitted->tilts + s->fit.doubt * s->fit.doubt);
+    double share = fitted->tilts / (fitted->tilts + w->frame.doubt * w->frame.doubt);
     right[unknowns][0] = right[unknowns][1] = 0.0;
     for (size_t i = 0; i < unknowns; i++) {
         right[unknowns][0] -= right[i][0];
@@ -1866,18 +1877,19 @@ static int read_surface(PyObject *args, PyObject *keywords, Array *a, Surface *s
     static char *names[] = {"positions", "triangles", "joints", "weights", "free", "classes", "normals", "tangents",
                             "bitangents", "alpha", "beta", "adopted", "ends", "sums", "parents", "ranks", "pivots",
                             "class_count", "weighting", "adopts", "negligible", "by_tangents", "stiffness", "doubt",
+                            "smooth", "most_doubt",
                             "even", "faint", "unfelt", "flat", "grouped", "first", "last", NULL};
     PyObject *o[ARRAYS];
     Py_ssize_t class_count;
     int weighting, adopts;
     double negligible;
     FitSettings fit;
-    if (!PyArg_ParseTupleAndKeywords(args, keywords, "$OOOOOOOOOOOOOOOOOnipddddddddOnn", names, &o[POSITIONS], &o[TRIANGLES],
+    if (!PyArg_ParseTupleAndKeywords(args, keywords, "$OOOOOOOOOOOOOOOOOnipddddddddddOnn", names, &o[POSITIONS], &o[TRIANGLES],
                                      &o[JOINTS], &o[WEIGHTS], &o[UNUSED], &o[CLASSES], &o[NORMALS], &o[TANGENTS],
                                      &o[BITANGENTS], &o[ALPHA], &o[BETA], &o[ADOPTED], &o[ENDS], &o[SUMS],
                                      &o[PARENTS], &o[RANKS], &o[PIVOTS], &class_count, &weighting, &adopts,
-                                     &negligible, &fit.by_tangents, &fit.stiffness, &fit.doubt, &fit.even, &fit.faint,
-                                     &fit.unfelt, &fit.flat, &part->grouped, &part->first, &part->last))
+                                     &negligible, &fit.by_tangents, &fit.stiffness, &fit.doubt, &fit.smooth, &fit.most_doubt,
+                                     &fit.even, &fit.faint, &fit.unfelt, &fit.flat, &part->grouped, &part->first, &part->last))
         return -1;
     if (read_arrays(o, surface_arrays, ARRAYS, 2, a) < 0)
         return -1;

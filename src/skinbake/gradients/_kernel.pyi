@@ -92,6 +92,8 @@ def bake_surface(
     by_tangents: float,
     stiffness: float,
     doubt: float,
+    smooth: float,
+    most_doubt: float,
     even: float,
     faint: float,
     unfelt: float,

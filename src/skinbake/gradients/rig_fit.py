@@ -16,7 +16,18 @@ from skinbake.geometry.frames import frame_from_normal, has_direction, unit_norm
 from skinbake.geometry.rig import Lineage, Rig
 from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray, IntArray
 from skinbake.gradients.field import NO_JOINT, WeightField
-from skinbake.gradients.surface import BY_TANGENTS, DOUBT, EVEN, FAINT, FLAT, STIFFNESS, UNFELT, Surface
+from skinbake.gradients.surface import (
+    BY_TANGENTS,
+    DOUBT,
+    EVEN,
+    FAINT,
+    FLAT,
+    MOST_DOUBT,
+    SMOOTH,
+    STIFFNESS,
+    UNFELT,
+    Surface,
+)
 from skinbake.gradients.weight_gradients import (
     VertexGradients,
     corner_differences,
@@ -39,7 +50,8 @@ class RingTurns:
     Class c has the entries offsets[c] … offsets[c + 1]. An entry is a joint, and what its weight adds to the
     turn of the class's two tangents: arms (E, 2, 3) act through the lever from the pivot, 1 / length unit;
     spins (E, 2, 3) act by themselves. normals, and tangents (C, 2, 3), are the orthonormal frames in which
-    this holds. sound (C,) tells which classes can be fitted.
+    this holds. sound (C,) tells which classes can be fitted. doubts (C,) are the tilts, for each radian of a
+    turn, of which the fit takes half.
     """
 
     offsets: IntArray
@@ -49,6 +61,7 @@ class RingTurns:
     normals: Float64Array
     tangents: Float64Array
     sound: BoolArray
+    doubts: Float64Array
 
 
 def ring_turns(surface: Surface, *, weighting: str) -> RingTurns:
@@ -62,10 +75,12 @@ def ring_turns(surface: Surface, *, weighting: str) -> RingTurns:
     normals, directed = _normals_of_classes(surface, classes, count)
     tangents = np.stack(frame_from_normal(normals.astype(np.float32)), axis=1).astype(np.float64)
     total, derivatives, faces = np.zeros(count), np.zeros((count, 2, 3)), np.zeros((count, 3))
+    angles = np.zeros(count)
     for corners in corners_of(surface.positions, surface.triangles, weighting):
         at = classes[corners.origin]
         total += np.bincount(at, corners.weight, count)
         faces += _summed(at, corners.angles[:, None] * corners.normals, count)
+        angles += np.bincount(at, corners.angles, count)
         for _, edges, coefficients in corners.ends():
             along = np.einsum("cti,ci->ct", tangents[at], coefficients)
             derivatives += _summed(at, along[:, :, None] * edges[:, None, :], count)
@@ -76,6 +91,7 @@ def ring_turns(surface: Surface, *, weighting: str) -> RingTurns:
         lengths = np.linalg.norm(derivatives, axis=2)
         sound = area > FLAT * lengths[:, 0] * lengths[:, 1]
         sound &= (facing > FLAT) & directed
+        doubts = _doubts(facing / angles)
     keys, values = [], []
     joint_count = int(surface.field.joints.max(initial=0)) + 1
     for corners in corners_of(surface.positions, surface.triangles, weighting):
@@ -96,7 +112,13 @@ def ring_turns(surface: Surface, *, weighting: str) -> RingTurns:
             values.append(np.concatenate([arms, spins], axis=1).reshape(-1, 12))
     offsets, joints, sums = summed_by_key(keys, values, joint_count, count)
     both = sums.reshape(-1, 4, 3)
-    return RingTurns(offsets, joints, both[:, :2], both[:, 2:], normals, tangents, sound)
+    return RingTurns(offsets, joints, both[:, :2], both[:, 2:], normals, tangents, sound, doubts)
+
+
+def _doubts(alignment: Float64Array) -> Float64Array:
+    """Return the doubt of each class (C,) from the length of its mean normal, 1 where all are alike."""
+    smoothness = SMOOTH / np.maximum(1.0 - alignment, FLAT)
+    return np.asarray(DOUBT * np.clip(smoothness**3, 1.0, MOST_DOUBT))
 
 
 def _normals_of_classes(surface: Surface, classes: IntArray, count: int) -> tuple[Float64Array, BoolArray]:
@@ -188,7 +210,8 @@ def fitted(
         change[here[fits], slots[fits]] = (values - given[here, slots])[fits]
         last = rows[fits], pairs.last[rows[fits]]
         change[last] = -values[fits].sum(axis=1) - given[last]
-    change *= (system.tilts / (system.tilts + DOUBT**2))[:, None, None]
+    doubts = turns.doubts[vertices.classes]
+    change *= (system.tilts / (system.tilts + doubts * doubts))[:, None, None]
     moved = np.einsum("vkt,vti->vki", change, turns.tangents[vertices.classes])
     along = [np.einsum("vki,vi->vk", moved, axis) for axis in vertices.frame]
     return vertices.alpha + along[0], vertices.beta + along[1]

@@ -29,7 +29,15 @@ DOUBT = 0.01
 """The tilt of the tangents, for each radian that a joint turns, of which the fit takes half.
 
 The true normals of a mesh are themselves off a smooth surface. So a fit would spoil gradients whose tangents
-follow them this closely. Of a tilt e, the fit takes the share e² / (e² + DOUBT²).
+follow them this closely. Of a tilt e, the fit takes the share e² / (e² + doubt²).
+"""
+
+SMOOTH, MOST_DOUBT = 0.2, 5.0
+"""The spread of the triangles' normals below which a surface is smooth, and how much the doubt grows there.
+
+The spread of a class is 1 − |Σ angle × normal| / Σ angle. At a spread s the doubt is (SMOOTH / s)³ times
+DOUBT, but at least DOUBT, and at most MOST_DOUBT times it. Triangles that lie nearly in one plane stand for a
+smooth surface, and the gradient follows that surface better than they do.
 """
 
 EVEN = 1e-4

@@ -1,0 +1,27 @@
+"""The fit against a formula: on a smooth tube with smooth weights the gradients of the surface are right."""
+
+from __future__ import annotations
+
+import pytest
+
+from benchmarks.analytic_truth import KINDS, grown
+from skinbake.choices import Gradients
+
+LOST = 1.02
+"""The error that a fit may leave on a smooth surface, relative to the gradients of the surface."""
+
+
+@pytest.mark.parametrize("size", [(17, 24), (24, 32)])
+def test_the_fit_loses_nothing_on_a_smooth_tube(size: tuple[int, int]) -> None:
+    surface, rig = (
+        grown(KINDS["smooth"], *size, gradients=kind) for kind in (Gradients.SURFACE, Gradients.RIG)
+    )
+    assert rig.accurate < LOST * surface.accurate
+    assert surface.accurate < 0.1 * surface.standard
+
+
+def test_the_fit_gains_on_a_steep_tube() -> None:
+    surface, rig = (
+        grown(KINDS["steep"], 17, 24, gradients=kind) for kind in (Gradients.SURFACE, Gradients.RIG)
+    )
+    assert rig.accurate < 0.8 * surface.accurate
