@@ -3,8 +3,8 @@
 The files are in ``hostile/`` of the corpus. A table says how each command ended, the seconds of the slowest,
 at best of some tries, and the memory of the largest. The seconds are those of the clock, or those of the
 processors if they are fewer: on a busy machine a command waits for others. With ``--asan`` all run under
-AddressSanitizer, which is slower and larger: it is held to no bound. The exit code is 1 if a command ended in an undocumented way, or
-over the bounds.
+AddressSanitizer, which is slower and larger: then no bound holds. The exit code is 1 if a command ended in an
+undocumented way, or over the bounds.
 """
 
 from __future__ import annotations
@@ -29,7 +29,9 @@ from tests.support.corpus import find_corpus
 DOCUMENTED = {0, 1, 2, 3, 4}
 SECONDS, MEBIBYTES = 1.0, 512
 TRIES = 5
-UNREMEMBERED = ":malloc_context_size=0:quarantine_size_mb=32"  # freed memory is kept less long, and by no name
+UNREMEMBERED = ":malloc_context_size=0:quarantine_size_mb=32"
+"""Freed memory is kept less long, and without the place that took it: that saves half of the memory."""
+
 LAUNCHER = REPOSITORY / "benchmarks" / "launch.py"
 
 
