@@ -19,7 +19,7 @@ that is less than 0.01°.
 STIFFNESS = 0.12
 """The share of a turn's squared lever that pulls the fitted gradients to the surface's gradients."""
 
-BY_TANGENTS = 0.6
+BY_TANGENTS = 0.55
 """The part of verify's truth by tangents in the normal that the fit follows. That by triangles has the rest.
 
 With halves most of the error that is left is by tangents. With more, some real models get worse by triangles.
@@ -32,7 +32,7 @@ The true normals of a mesh are themselves off a smooth surface. So a fit would s
 follow them this closely. Of a tilt e, the fit takes the share e² / (e² + doubt²).
 """
 
-SMOOTH, MOST_DOUBT = 0.2, 5.0
+SMOOTH, MOST_DOUBT = 0.2, 4.0
 """The spread of the triangles' normals below which a surface is smooth, and how much the doubt grows there.
 
 The spread of a class is 1 − |Σ angle × normal| / Σ angle. At a spread s the doubt is (SMOOTH / s)³ times
