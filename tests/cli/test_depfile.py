@@ -71,6 +71,18 @@ class TestFilesRead:
         assert found["out/hero.gltf"].startswith("art/hero.gltf art/shared")
         assert not any("broken" in name for name in found)
 
+    @pytest.mark.parametrize("before", [None, "a.glb: art/broken.glb\n", ""])
+    @pytest.mark.parametrize("command", ["bake", "strip"])
+    def test_a_run_that_writes_no_output_leaves_the_depfile(
+        self, command: str, before: str | None, here: Path
+    ) -> None:
+        Path("art/broken.glb").write_bytes(b"no glTF")
+        if before is not None:
+            Path("a.d").write_text(before, encoding="utf-8")
+        assert invoke(command, "art/broken.glb", "-o", "a.glb", "--depfile", "a.d").exit_code == 3
+        after = Path("a.d").read_text(encoding="utf-8") if Path("a.d").exists() else None
+        assert after == before
+
     @pytest.mark.slow
     def test_files_of_poses_count_for_each_output(self, here: Path) -> None:
         copied(SHARED, here / "clips")

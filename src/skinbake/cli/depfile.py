@@ -64,6 +64,7 @@ def depfile_writer(
 ) -> Callable[[Sequence[FileResult | StripResult]], int] | None:
     """Return the function that writes the rules of results and returns its exit code; None for no path.
 
+    Without a rule nothing is written: an empty depfile tells a build tool that nothing is depended on.
     ``also_read`` are files that every output was made of. So are those of ``configuration``, absolute paths
     that become relative if the input was given so.
     """
@@ -85,6 +86,8 @@ def depfile_writer(
             for result in results
             if result.error is None and result.output is not None
         ]
+        if not rules:
+            return exit_codes.OK
         try:
             text = depfile(rules)
         except SkinbakeError as error:
