@@ -111,7 +111,8 @@ def test_an_image_outside_stays_outside_unless_it_is_allowed(tmp_path: Path) -> 
     assert model.content["images"] == [{"uri": "../textures/skin.png"}]
     assert ONE_PIXEL not in (model.binary_chunk or b"")
     model, notices = packed(source, tmp_path / "deep" / "er" / "hero.glb")
-    assert sorted(notices) == ["image-not-packed", "image-outside"]
+    assert notices == ["image-not-packed"]
+    assert model.content["images"] == [{"uri": "../../textures/skin.png"}]
     allowed = packed(source, tmp_path / "a.glb", "--allow-outside", tmp_path / "textures")
     assert (image_data(allowed[0], 0), allowed[1]) == (ONE_PIXEL, [])
 
@@ -135,6 +136,33 @@ def test_an_image_that_cannot_be_packed_is_named(
     assert f'1 image stays a file: "{uri}" {why}' in " ".join(result.stderr.split())
     assert read(tmp_path / "in" / "hero.glb").content["images"] == [{"uri": uri}]
     assert invoke("bake", source, "--pack", "-o", tmp_path / "b.glb", "--warnings-as-errors").exit_code == 3
+
+
+def test_an_image_has_one_notice_which_says_that_it_is_not_copied_either(tmp_path: Path) -> None:
+    uris = {"a": "no.png", "b": "nor.png", "c": "../out.png", "d": "a:b.png", "e": "odd.xyz", "f": "no.png"}
+    source = with_files(tmp_path / "in", {"odd.xyz": b"what is this"}, **uris)
+    result = invoke("bake", source, "-o", tmp_path / "out" / "hero.glb", "--pack", "--json")
+    notices = document(result)["files"][0]["warnings"]
+    said = {notice["message"]: notice["count"] for notice in notices}
+    assert {notice["code"] for notice in notices} == {"image-not-packed"}
+    assert said == {
+        '3 images stay files: "no.png" cannot be read: No such file or directory. It cannot be copied '
+        "either. The others are nor.png": 3,
+        f'1 image stays a file: "../out.png" is not read: it leads out of {tmp_path / "in"}. --allow-outside '
+        "DIR names further folders. It is not copied either, and the output refers to the same place": 1,
+        '1 image stays a file: "a:b.png" is not a relative path. Its URI stays as it is': 1,
+        '1 image stays a file: "odd.xyz" is in an unknown format': 1,
+    }
+    assert (tmp_path / "out" / "odd.xyz").exists()
+
+
+def test_a_missing_buffer_keeps_its_notice(tmp_path: Path) -> None:
+    source = with_files(tmp_path / "in", {}, a="no.png")
+    model = read(source)
+    model.content["buffers"].append({"uri": "unused.bin", "byteLength": 4})
+    rewritten(model, source)
+    _, notices = packed(source, tmp_path / "out" / "hero.glb")
+    assert sorted(notices) == ["file-missing", "image-not-packed"]
 
 
 def test_a_glb_with_buffers_in_files_gets_a_chunk(tmp_path: Path) -> None:

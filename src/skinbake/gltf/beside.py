@@ -25,7 +25,7 @@ from skinbake.gltf.additions import content_digest
 from skinbake.gltf.document import Document
 from skinbake.gltf.glb import Bytes
 from skinbake.gltf.json_access import JsonObject
-from skinbake.gltf.resources import FileContent, find, is_data_uri, outside, refused, shortened
+from skinbake.gltf.resources import FileContent, find, is_data_uri, listed, outside, refused, shortened
 from skinbake.gltf.writing import Signature, signature_of
 
 
@@ -58,7 +58,8 @@ class Beside:
     ) -> tuple[Document, dict[Path, Iterable[Bytes]], dict[Path, Signature], list[Notice]]:
         """Return the document with URIs for the target's folder, the files to write there, and notices.
 
-        Before the notices come the files that are already there with the same content.
+        Before the notices come the files that are already there with the same content. No notice repeats
+        what one has ``told`` of the document.
         """
         named = list(named_files(self._document))
         is_buffer = {resource.uri: resource.array == "buffers" for resource in reversed(named)}
@@ -158,30 +159,26 @@ class Beside:
             return True
 
     def _notices(self) -> list[Notice]:
-        place, found = self._document.place, []
-        if self._missing:
-            count = len(self._missing)
+        place, told, found = self._document.place, self._document.told, []
+        if missing := [uri for uri in self._missing if uri not in told]:
+            count = len(missing)
             files = "1 file that it names is" if count == 1 else f"{count} files that it names are"
-            message = f"{files} missing and cannot be copied: {_listed(self._missing)}"
+            message = f"{files} missing and cannot be copied: {listed(missing)}"
             found.append(Notice("file-missing", message, place, count))
-        if self._outside:
-            count = len(self._outside)
+        if away := [uri for uri in self._outside if uri not in told]:
+            count = len(away)
             images = "1 image is" if count == 1 else f"{count} images are"
             message = (
                 f"{images} outside its folder, and neither read nor copied; the output refers to "
-                f"the same place: {_listed(self._outside)}"
+                f"the same place: {listed(away)}"
             )
             found.append(Notice("image-outside", message, place, count))
-        if self._refused:
-            count, (uri, why) = len(self._refused), self._refused[0]
+        if unopened := [(uri, why) for uri, why in self._refused if uri not in told]:
+            count, (uri, why) = len(unopened), unopened[0]
             names = "1 URI names" if count == 1 else f"{count} URIs name"
             message = f'{names} no file beside it, and stays as it is: "{shortened(uri)}": {why}'
             found.append(Notice("uri-refused", message, place, count))
         return found
-
-
-def _listed(uris: Sequence[str]) -> str:
-    return ", ".join(map(shortened, uris[:3])) + (", …" if len(uris) > 3 else "")
 
 
 def _same(first: Iterable[Bytes], second: Iterable[Bytes]) -> bool:
@@ -217,14 +214,18 @@ def named_files(document: Document) -> Iterator[NamedFile]:
                 yield NamedFile(array, number, uri)
 
 
+def is_elsewhere(document: Document, target: str) -> bool:
+    """Tell whether a target is in another folder than the document, so that the files that it names move."""
+    return Path(os.path.realpath(target)).parent != Path(os.path.realpath(document.folder))
+
+
 def files_read(document: Document, target: str | None, *, pack: bool) -> tuple[str, ...]:
     """Return the paths of the files that a document names and that making the target reads.
 
     These are its buffers, and the images that are packed or copied. A file that is missing, or may not be
     read, is left out.
     """
-    home = Path(os.path.realpath(document.folder))
-    moves = target is not None and Path(os.path.realpath(target)).parent != home
+    moves = target is not None and is_elsewhere(document, target)
     found = []
     for resource in named_files(document):
         if resource.array == "images" and not (pack or moves):

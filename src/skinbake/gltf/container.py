@@ -9,6 +9,7 @@ from pathlib import Path
 from skinbake.containment import RefusedError, is_relative, path_uri, relative_names
 from skinbake.errors import Notice, OutputError, Place
 from skinbake.gltf import resources
+from skinbake.gltf.beside import is_elsewhere
 from skinbake.gltf.codecs import meshopt
 from skinbake.gltf.document import GLB_SUFFIXES, STDIO, Document
 from skinbake.gltf.glb import Bytes
@@ -30,7 +31,8 @@ def for_target(document: Document, target: str, *, pack: bool = False) -> tuple[
     if is_glb_name(target):
         glb, notices = document, list[Notice]()
         if pack:
-            glb, notices = packed_with_files(glb if glb.is_glb else _as_glb(glb))
+            moves = target != STDIO and is_elsewhere(document, target)
+            glb, notices = packed_with_files(glb if glb.is_glb else _as_glb(glb), moves=moves)
         elif not document.is_glb:
             glb = packed(_as_glb(document), buffer_files=target == STDIO)
         return (_self_contained(glb), _loose_images(glb) or notices) if target == STDIO else (glb, notices)

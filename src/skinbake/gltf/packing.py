@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import Literal, NamedTuple
 
 from skinbake.containment import OutsideError, RefusedError, is_relative
-from skinbake.errors import InputError, Notice
+from skinbake.errors import InputError, Notice, Place
 from skinbake.gltf.codecs import meshopt
 from skinbake.gltf.document import Document
 from skinbake.gltf.glb import Bytes
 from skinbake.gltf.json_access import JsonObject, integer
-from skinbake.gltf.resources import decode_data_uri, find, is_data_uri, read_open_file, shortened
+from skinbake.gltf.resources import decode_data_uri, find, is_data_uri, listed, read_open_file, shortened
 from skinbake.wording import one_or_many
 
 MIME_TYPES = {
@@ -42,8 +44,31 @@ class _Chunk:
         return start
 
 
+Kind = Literal["outside", "refused", "unreadable", "unknown"]
+
+FATES: dict[Kind, str] = {
+    "outside": ". It is not copied either, and the output refers to the same place",
+    "refused": ". Its URI stays as it is",
+    "unreadable": ". It cannot be copied either",
+    "unknown": "",
+}
+"""What becomes of an image that stays a file if the output is in another folder. Most are copied."""
+
+
+class _Left(NamedTuple):
+    """An image that stays a file, and why. Images of one kind share a notice."""
+
+    uri: str
+    kind: Kind
+    why: str
+
+
 class _StaysError(Exception):
     """An image cannot be packed. The text says why."""
+
+    def __init__(self, kind: Kind, why: str) -> None:
+        super().__init__(why)
+        self.kind = kind
 
 
 def packed(document: Document, *, buffer_files: bool = False) -> Document:
@@ -57,26 +82,33 @@ def packed(document: Document, *, buffer_files: bool = False) -> Document:
     return _with_all(document, buffer_files=buffer_files, image_files=False)[0]
 
 
-def packed_with_files(document: Document) -> tuple[Document, list[Notice]]:
-    """Return a GLB with all buffers and images in its BIN chunk, and a notice on images that stay outside.
+def packed_with_files(document: Document, *, moves: bool) -> tuple[Document, list[Notice]]:
+    """Return a GLB with all buffers and images in its BIN chunk, and notices on images that stay outside.
 
     It gets a BIN chunk if it has none and needs one. The bytes of images are not changed. An image stays
-    outside if it may not be read, is missing, or has an unknown format. Raises InputError for files that take
-    more memory than the budget of the document.
+    outside if it may not be read, is missing, or has an unknown format. If the document ``moves`` to another
+    folder, the notices say what becomes of these images there. Raises InputError for files that take more
+    memory than the budget of the document.
     """
     prepared = document if document.has_binary_buffer else _with_empty_chunk(document)
     inside, left = _with_all(prepared, buffer_files=True, image_files=True)
     if inside is prepared:
         inside = document
-    if not left:
-        return inside, []
-    (uri, why), count = left[0], len(left)
-    message = one_or_many(
-        count,
-        f'1 image stays a file: "{shortened(uri)}" {why}',
-        f'{{}} images stay files: "{shortened(uri)}" {why}, …',
-    )
-    return inside, [Notice("image-not-packed", message, document.place, count)]
+    if moves and left:
+        inside = replace(inside, told=frozenset(image.uri for image in left))
+    kinds = dict.fromkeys(image.kind for image in left)
+    alike = [[image for image in left if image.kind == kind] for kind in kinds]
+    return inside, [_not_packed(images, document.place, moves=moves) for images in alike]
+
+
+def _not_packed(left: Sequence[_Left], place: Place, *, moves: bool) -> Notice:
+    """Return the notice on images of one kind that stay files."""
+    uri, kind, why = left[0]
+    said = f'"{shortened(uri)}" {why}{FATES[kind] if moves else ""}'
+    others = list(dict.fromkeys(image.uri for image in left if image.uri != uri))
+    also = f". The others are {listed(others)}" if others else ""
+    message = f"{one_or_many(len(left), '1 image stays a file', '{} images stay files')}: {said}{also}"
+    return Notice("image-not-packed", message, place, len(left))
 
 
 def _with_empty_chunk(document: Document) -> Document:
@@ -89,10 +121,8 @@ def _with_empty_chunk(document: Document) -> Document:
     return document.edited(json=root | ({"bufferViews": views} if views else {}), binary=chunk)
 
 
-def _with_all(
-    document: Document, *, buffer_files: bool, image_files: bool
-) -> tuple[Document, list[tuple[str, str]]]:
-    """Return the document with its data in the chunk, and (URI, reason) of files that stay."""
+def _with_all(document: Document, *, buffer_files: bool, image_files: bool) -> tuple[Document, list[_Left]]:
+    """Return the document with its data in the chunk, and the images that stay files."""
     chunk = _Chunk(list(document.binary or ()))
     before = chunk.length
     root = {**document.json, **_with_buffers(document, chunk, files=buffer_files)}
@@ -148,21 +178,21 @@ def _moved(holder: JsonObject, places: dict[int, tuple[int, int]], document: Doc
 
 def _with_images(
     document: Document, chunk: _Chunk, views: int, *, files: bool
-) -> tuple[list[JsonObject], list[JsonObject], list[tuple[str, str]]]:
-    """Move images into the chunk. Return all images, the new buffer views, and (URI, reason) of files left.
+) -> tuple[list[JsonObject], list[JsonObject], list[_Left]]:
+    """Move images into the chunk. Return all images, the new buffer views, and the images that stay files.
 
     Images of the same URI share its buffer view.
     """
     images: list[JsonObject] = []
     added: list[JsonObject] = []
-    left: list[tuple[str, str]] = []
+    left: list[_Left] = []
     known: dict[str, tuple[int, str]] = {}
     for image in document.objects("images"):
         uri = image.get("uri")
         if not isinstance(uri, str) or not _is_wanted(uri, files=files):
             images.append(image)
             if files and isinstance(uri, str):
-                left.append((uri, "is not a relative path"))
+                left.append(_Left(uri, "refused", "is not a relative path"))
             continue
         if uri not in known:
             try:
@@ -171,7 +201,7 @@ def _with_images(
             except _StaysError as reason:
                 images.append(image)
                 if not is_data_uri(uri):
-                    left.append((uri, str(reason)))
+                    left.append(_Left(uri, reason.kind, str(reason)))
                 continue
             added.append({"buffer": 0, "byteOffset": chunk.add(data), "byteLength": len(data)})
             known[uri] = views + len(added) - 1, kind
@@ -189,7 +219,7 @@ def _bytes_at(uri: str, document: Document) -> Bytes:
         data = decode_data_uri(uri, document.place)
         document.budget.claim(2 * len(data), "holding its images", document.place)
     except InputError as error:
-        raise _StaysError(error.message) from error
+        raise _StaysError("unreadable", error.message) from error
     return data
 
 
@@ -204,11 +234,12 @@ def _file_at(uri: str, document: Document) -> Bytes:
         finally:
             os.close(descriptor)
     except OutsideError as error:
-        raise _StaysError(f"is not read: {error}. --allow-outside DIR names further folders") from error
+        why = f"is not read: {error}. --allow-outside DIR names further folders"
+        raise _StaysError("outside", why) from error
     except RefusedError as error:
-        raise _StaysError(f"is not read: {error}") from error
+        raise _StaysError("refused", f"is not read: {error}") from error
     except OSError as error:
-        raise _StaysError(f"cannot be read: {error.strerror}") from error
+        raise _StaysError("unreadable", f"cannot be read: {error.strerror}") from error
 
 
 def _mime_type(image: JsonObject, uri: str, data: Bytes) -> str:
@@ -221,5 +252,5 @@ def _mime_type(image: JsonObject, uri: str, data: Bytes) -> str:
     told = image.get("mimeType")
     kind = found or (declared if declared.startswith("image/") else told)
     if not data or not isinstance(kind, str):
-        raise _StaysError("is in an unknown format" if data else "is empty")
+        raise _StaysError("unknown", "is in an unknown format" if data else "is empty")
     return kind

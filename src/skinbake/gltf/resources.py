@@ -6,7 +6,7 @@ import base64
 import errno
 import mmap
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -178,3 +178,8 @@ def refused(uri: str, why: str, place: Place) -> InputError:
 def shortened(uri: str) -> str:
     """Return a URI for messages, shortened."""
     return uri if len(uri) <= 80 else f"{uri[:77]}…"
+
+
+def listed(uris: Sequence[str]) -> str:
+    """Return the first three URIs for messages, shortened."""
+    return ", ".join(map(shortened, uris[:3])) + (", …" if len(uris) > 3 else "")
