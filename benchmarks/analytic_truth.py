@@ -42,10 +42,10 @@ from skinbake.gradients.baker import BakeSettings, bake_mesh
 from skinbake.lighting.angles import Truths
 from skinbake.lighting.baked_views import baked_views
 from skinbake.lighting.influences import normalised_weights
-from skinbake.lighting.measured import rest_surface
 from skinbake.lighting.metrics import vertex_areas
 from skinbake.lighting.operator import gradient_operator
 from skinbake.lighting.poses import PoseRequest, pose_set
+from skinbake.lighting.rest_surfaces import rest_surface
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.surface import RestSurface
 from skinbake.threads import Threads

@@ -12,11 +12,11 @@ from skinbake.gltf.document import Document
 from skinbake.gltf.primitives import skinned_sources
 from skinbake.lighting.angles import MeasuredBlock, lighting_errors, not_rigid_joints
 from skinbake.lighting.baked_views import BakedView, baked_views, whole_surfaces
-from skinbake.lighting.measured import rest_surface
 from skinbake.lighting.morphing import morphing_of
 from skinbake.lighting.operator import true_operator
 from skinbake.lighting.poses import PoseRequest, PoseSet, draws_of, pose_set
 from skinbake.lighting.rest_areas import RestAreas
+from skinbake.lighting.rest_surfaces import rest_surface
 
 Field = tuple[Float64Array, BoolArray]
 """Errors in degrees (P, V), and whether the true normal exists there (P, V)."""

@@ -19,8 +19,8 @@ from skinbake.gltf.animation import read_clips
 from skinbake.gltf.document import read_document
 from skinbake.gltf.primitives import skinned_sources
 from skinbake.lighting.baked_views import baked_views
-from skinbake.lighting.measured import rest_surface
 from skinbake.lighting.poses import PoseRequest, pose_set
+from skinbake.lighting.rest_surfaces import rest_surface
 from skinbake.shaders.choices import ShaderChoices
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.surface import RestSurface

@@ -11,7 +11,7 @@ from skinbake.gltf.animation import clip_poses, random_poses, read_clips, read_s
 from skinbake.gltf.document import read_document
 from skinbake.gltf.primitives import skinned_sources
 from skinbake.lighting.baked_views import baked_views
-from skinbake.lighting.measured import rest_surface
+from skinbake.lighting.rest_surfaces import rest_surface
 from skinbake.skinning.algorithms import Algorithm
 from tests.support.characters import Array, unit
 from tests.support.replay import replay

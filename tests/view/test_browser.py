@@ -16,8 +16,8 @@ from skinbake.gltf.document import read_document
 from skinbake.gltf.primitives import skinned_sources
 from skinbake.lighting.angles import MeasuredBlock, lighting_errors, truths_at_rest
 from skinbake.lighting.baked_views import baked_views
-from skinbake.lighting.measured import rest_surface
 from skinbake.lighting.operator import gradient_operator
+from skinbake.lighting.rest_surfaces import rest_surface
 from skinbake.skinning.algorithms import Algorithm
 from tests.support import browser, corpus
 from tests.support.baking import bake_file

@@ -17,9 +17,9 @@ from skinbake.gltf.animation import read_clips
 from skinbake.gltf.document import read_document
 from skinbake.gltf.primitives import skinned_sources
 from skinbake.lighting.baked_views import baked_views
-from skinbake.lighting.measured import rest_surface
 from skinbake.lighting.morphing import morphing_of
 from skinbake.lighting.poses import PoseRequest, draws_of, pose_set
+from skinbake.lighting.rest_surfaces import rest_surface
 from skinbake.skinning.algorithms import Algorithm
 from tests.support import browser
 from tests.support.baked_files import Editable

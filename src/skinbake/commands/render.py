@@ -31,11 +31,11 @@ from skinbake.gltf.output import refuse_own_input
 from skinbake.gltf.writing import write_file
 from skinbake.lighting.angles import MeasuredBlock, Morphing, lighting_errors, truths_at_rest
 from skinbake.lighting.baked_views import BakedView, whole_surfaces
-from skinbake.lighting.measured import rest_surface
 from skinbake.lighting.metrics import vertex_areas
 from skinbake.lighting.morphing import morphing_of
 from skinbake.lighting.operator import TRUE_CREASE_ANGLE, gradient_operator
 from skinbake.lighting.poses import PoseSet, draws_of
+from skinbake.lighting.rest_surfaces import rest_surface
 from skinbake.render.files import MILLISECONDS, MOVING, encoded
 from skinbake.render.materials import CLAY, WHITE, Material, Materials
 from skinbake.render.studio import Look, Picture, Studio, placed

@@ -21,9 +21,10 @@ from skinbake.gltf.writing import write_file, write_stdout
 from skinbake.gradients.weight_sums import weight_sum_notices
 from skinbake.lighting.angles import not_rigid_joints
 from skinbake.lighting.baked_views import BakedView, baked_views, is_baked
-from skinbake.lighting.measured import rest_surface, without_dqs
+from skinbake.lighting.measured import without_dqs
 from skinbake.lighting.morphing import carrier
 from skinbake.lighting.poses import PoseRequest, PoseSet, pose_set, skins_of
+from skinbake.lighting.rest_surfaces import rest_surface
 from skinbake.lighting.staleness import refuse_stale
 from skinbake.shaders.choices import BEST, AttributeText, ShaderChoices
 from skinbake.shaders.text import shader_made

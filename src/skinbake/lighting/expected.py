@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -10,7 +11,6 @@ from skinbake.choices import SLOTS_PER_SET, Gradients
 from skinbake.format.adoption import TINY_WEIGHT, UNIT
 from skinbake.format.former import former_attributes
 from skinbake.format.metadata import FORMER_ATTRIBUTES, POSES
-from skinbake.geometry.frames import unit_normals
 from skinbake.geometry.rig import Rig
 from skinbake.geometry.skinned import Float64Array, FloatArray, SkinnedPrimitive
 from skinbake.gltf.accessors import read_accessor
@@ -18,10 +18,10 @@ from skinbake.gltf.document import Document
 from skinbake.gltf.rigs import fitting_rig
 from skinbake.gradients.baker import slots_of_surface
 from skinbake.lighting.baked_views import BakedView
-from skinbake.lighting.influences import normalised_weights
 from skinbake.lighting.operator import GradientOperator, expected_alpha_beta, true_operator
 from skinbake.lighting.pose_fit import fitted_to_poses
 from skinbake.lighting.poses_to_fit import ANIMATIONS, FoundPoses, is_random, poses_to_fit
+from skinbake.lighting.rest_surfaces import rest_surface
 from skinbake.skinning.surface import RestSurface
 
 ROUNDING = 1e-6
@@ -132,22 +132,10 @@ def posed_slots(document: Document, views: Sequence[BakedView], slots: Expected)
 
 def surfaces_of(document: Document, views: Sequence[BakedView], slots: Expected) -> list[RestSurface]:
     """Return the views as a replay reads them, without the weights of adoption, and with other α and β."""
-    found = []
-    for view, (alpha, beta) in zip(views, slots, strict=True):
-        now = _before_adoption(document, view)
-        joints = np.where(now.joints < view.source.joint_count, now.joints, 0)
-        surface = RestSurface(
-            positions=now.positions.astype(np.float64),
-            normals=unit_normals(now.normals),
-            tangents=view.tangents,
-            bitangents=view.bitangents,
-            joints=joints,
-            weights=normalised_weights(now.weights, joints),
-            alpha=alpha,
-            beta=beta,
-        )
-        found.append(surface)
-    return found
+    return [
+        rest_surface(replace(view, now=_before_adoption(document, view), alpha=alpha, beta=beta))
+        for view, (alpha, beta) in zip(views, slots, strict=True)
+    ]
 
 
 def noted_poses(document: Document, view: BakedView) -> FoundPoses:

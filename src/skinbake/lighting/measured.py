@@ -11,7 +11,6 @@ import numpy as np
 
 from skinbake.choices import Baseline, Truth
 from skinbake.errors import InputError, Notice, Place
-from skinbake.geometry import frames
 from skinbake.geometry.skinned import Float64Array
 from skinbake.gltf.animation import read_clips
 from skinbake.gltf.document import Document
@@ -28,7 +27,6 @@ from skinbake.lighting.angles import (
 )
 from skinbake.lighting.baked_views import BakedView, whole_surfaces
 from skinbake.lighting.before_adoption import before_adoption
-from skinbake.lighting.influences import normalised_weights
 from skinbake.lighting.metrics import total_area
 from skinbake.lighting.morphing import morph_count, morphing_of
 from skinbake.lighting.operator import (
@@ -39,6 +37,7 @@ from skinbake.lighting.operator import (
 )
 from skinbake.lighting.poses import SHARED_SAMPLES, PoseRequest, PoseSet, described, draws_of, pose_set
 from skinbake.lighting.rest_areas import RestAreas
+from skinbake.lighting.rest_surfaces import rest_surface
 from skinbake.lighting.tally import ErrorTally
 from skinbake.report.verify import (
     Check,
@@ -441,25 +440,6 @@ def _morphed_size(rest: RestSurface) -> int:
 
 def _not_rigid(rest: Sequence[RestSurface], poses: PoseSet) -> list[str]:
     return [poses.joint_names[joint] for joint in not_rigid_joints(rest, poses.joint_matrices)]
-
-
-def rest_surface(view: BakedView) -> RestSurface:
-    """Return the data of a baked primitive that a replay reads. Joints past the skin's become 0.
-
-    float32 data of the file stays float32. A replay computes in float64, and a million vertices fit in
-    memory.
-    """
-    joints = np.where(view.now.joints < view.source.joint_count, view.now.joints, 0)
-    return RestSurface(
-        positions=view.now.positions.astype(np.float64),
-        normals=frames.unit_normals(view.now.normals),
-        tangents=view.tangents,
-        bitangents=view.bitangents,
-        joints=joints,
-        weights=normalised_weights(view.now.weights, joints),
-        alpha=view.alpha,
-        beta=view.beta,
-    )
 
 
 def without_dqs(joints: Sequence[str]) -> str:
