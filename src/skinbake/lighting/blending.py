@@ -25,7 +25,7 @@ from skinbake.geometry.skinned import Float64Array, FloatArray, IntArray
 from skinbake.lighting import kernel
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.components import Vector, cofactors, corrected, cross
-from skinbake.skinning.surface import Options, RestSurface
+from skinbake.skinning.surface import Options, RestSurface, all_slots
 
 Form: TypeAlias = tuple[FloatArray, FloatArray | None]
 """The arguments of F: u (V, 3) or (3,), a direction, and c (V, K), or None for zeros."""
@@ -128,10 +128,11 @@ class BlendedSurface:
         """Return ± t' × b' with the sign of b': (3, V, P)."""
         sign = self._handedness[block.part, None]
         frame = self._rest.tangents[block.part], sign * self._rest.bitangents[block.part]
-        changes = (
-            _with_pivot(self._rest.alpha[block.part]),
-            sign * _with_pivot(self._rest.beta[block.part]),
+        alpha, beta = (
+            all_slots(np.asarray(others[block.part], dtype=np.float64))
+            for others in (self._rest.alpha, self._rest.beta)
         )
+        changes = alpha, sign * beta
         cap = self._options.cap
         if cap is None or changes[0].shape[1] == 1:
             return self._matrices.normals(block, list(zip(frame, changes, strict=True)), pose)
@@ -194,12 +195,6 @@ class _Table:
 def _stacked(block: _Block, data: Sequence[Float64Array]) -> Float64Array:
     """Return the entries of several forms, each (V, K, 4): (forms, V, 4 K)."""
     return np.stack(data).reshape(len(data), *block.columns.shape)
-
-
-def _with_pivot(derivatives: FloatArray) -> FloatArray:
-    """Return derivatives (V, K) of all slots. The first slot has minus the sum of the given others."""
-    wide = np.asarray(derivatives, dtype=np.float64)
-    return np.concatenate([-wide.sum(axis=1, keepdims=True), wide], axis=1)
 
 
 def blended_blocks(

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray
+from skinbake.skinning.surface import all_slots
 
 RELATIVE_TOLERANCE = 1e-3
 """The largest allowed difference between stored and recomputed, relative to the vertex's largest entry.
@@ -75,7 +76,7 @@ def compare(
     largest change that an encoding may have made to a stored α, and to a stored β. Differences up to it are
     allowed.
     """
-    found, wanted = (_with_pivot(np.stack(pair, axis=2).astype(np.float64)) for pair in (stored, expected))
+    found, wanted = (all_slots(np.stack(pair, axis=2).astype(np.float64)) for pair in (stored, expected))
     scale = _scales(wanted, reach)
     allowed = np.zeros((len(found), 1, 2)) if rounding is None else np.asarray(rounding)[:, None]
     difference = _distance(found[:, 1:], wanted[:, 1:], allowed) / scale
@@ -117,11 +118,6 @@ class _Cause:
         allowed = np.maximum(self.tolerance, EXPLAINED * self.difference)
         explained = left <= allowed * self.scale
         return bool(explained[self.differing].mean() >= MOST and explained.mean() >= MOST)
-
-
-def _with_pivot(slots: Float64Array) -> Float64Array:
-    """Return the entries of all slots (V, K, 2). The entry of slot 0 is minus the sum of the others."""
-    return np.concatenate([-slots.sum(axis=1, keepdims=True), slots], axis=1)
 
 
 def _distance(found: Float64Array, wanted: Float64Array, rounding: FloatArray) -> Float64Array:

@@ -25,7 +25,7 @@ from skinbake.gradients.surface import EVEN, FAINT, UNFELT
 from skinbake.lighting.angles import Truths, sides_of
 from skinbake.lighting.blending import BlendedSurface, chunks
 from skinbake.lighting.operator import GradientOperator
-from skinbake.skinning.surface import Options, RestSurface
+from skinbake.skinning.surface import Options, RestSurface, all_slots
 from skinbake.threads import Threads, thread_count
 
 STIFFNESS = 0.08
@@ -181,7 +181,7 @@ class _Moved:
         frame = np.stack([rest.tangents, rest.bitangents], axis=2)
         blended = np.einsum("bk,bkxi->bxi", rest.weights, joints[..., :3])
         tangents = np.matmul(blended, frame).reshape(count, 3, poses, 2).swapaxes(2, 3)
-        tangents = tangents + np.einsum("bkt,bkip->bitp", _all_slots(rest.alpha, rest.beta), levers)
+        tangents = tangents + np.einsum("bkt,bkip->bitp", _pairs_of_slots(rest), levers)
         rigid = np.einsum("bk,bkxi->bx", rest.weights, np.square(joints[..., :3]))
         rigid = rigid.reshape(count, 3, poses).sum(axis=1) / 3.0
         lengths = np.maximum(np.einsum("bitp,bitp->bp", tangents, tangents), 2.0 * COLLAPSED * rigid)
@@ -210,7 +210,7 @@ class _LeastSquares:
     @classmethod
     def of(cls, surface: RestSurface) -> _LeastSquares:
         """Prepare the equations of a primitive. Joints with presence above UNFELT are fitted."""
-        given = _all_slots(surface.alpha, surface.beta)
+        given = _pairs_of_slots(surface)
         lengths = np.hypot(given[..., 0], given[..., 1])
         total = lengths.sum(axis=1, keepdims=True)
         share = np.divide(lengths, total, out=np.zeros_like(lengths), where=total > 0.0)
@@ -279,7 +279,6 @@ def _spread(presence: FloatArray, levers: Float64Array) -> Float64Array:
     return np.asarray(np.einsum("bk,bkip->bp", share, np.square(levers - middle[:, None])))
 
 
-def _all_slots(alpha: FloatArray, beta: FloatArray) -> Float64Array:
-    """Return α and β of all slots (V, K, 2). The first slot has minus the sum of the given others."""
-    others = np.stack([alpha, beta], axis=2).astype(np.float64)
-    return np.concatenate([-others.sum(axis=1, keepdims=True), others], axis=1)
+def _pairs_of_slots(surface: RestSurface) -> Float64Array:
+    """Return α and β of all slots (V, K, 2)."""
+    return all_slots(np.stack([surface.alpha, surface.beta], axis=2).astype(np.float64))

@@ -3,12 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any, TypeVar
 
 import numpy as np
+import numpy.typing as npt
 
 from skinbake.choices import Baseline
 from skinbake.geometry.skinned import BoolArray, FloatArray, IntArray
 from skinbake.skinning.components import cross, dot
+
+FloatT = TypeVar("FloatT", bound="np.floating[Any]")
+
+
+def all_slots(others: npt.NDArray[FloatT]) -> npt.NDArray[FloatT]:
+    """Return derivatives of the weights of all slots (V, K, …) from those of slots 1 … K − 1.
+
+    Slot 0 has minus the sum of the others, because the weights of a vertex sum to 1 everywhere.
+    """
+    return np.concatenate([-others.sum(axis=1, keepdims=True), others], axis=1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +76,7 @@ class RestSurface:
             self.alpha[:, :, None] * self.tangents[:, None, :]
             + self.beta[:, :, None] * self.bitangents[:, None, :]
         )
-        return np.concatenate([-others.sum(axis=1, keepdims=True), others], axis=1)
+        return all_slots(others)
 
     def handedness(self) -> FloatArray:
         """Return the sign (V,) of (t0 × b0) · n0: −1 if the frame is mirrored, 1 also if it is flat.
