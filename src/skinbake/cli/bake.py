@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -267,11 +268,9 @@ def _reporting(
         outcomes=BAKE_OUTCOMES,
         tell=tell,
         count=Totals.add_baked,
-        code=lambda result: exit_codes.OK if result.error is None else exit_codes.of_error(result.error),
+        code=lambda result: exit_codes.of_error(result.error),
         file_json=file_json,
-        document=lambda results, code, process: as_json(
-            results, exit_code=code, dry_run=dry_run, process=process
-        ),
+        document=partial(as_json, dry_run=dry_run),
         write=write,
     )
 

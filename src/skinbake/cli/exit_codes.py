@@ -22,8 +22,10 @@ READER_GONE = 141
 """The code of a command that SIGPIPE ends, as in shells."""
 
 
-def of_error(error: SkinbakeError) -> int:
-    """Return the exit code for an error."""
+def of_error(error: SkinbakeError | None) -> int:
+    """Return the exit code for the error of a file or a command, None if it succeeded."""
+    if error is None:
+        return OK
     if isinstance(error, ChoiceError):
         return USAGE
     if isinstance(error, ReaderGoneError):

@@ -13,7 +13,7 @@ from skinbake.cli.given import alone
 from skinbake.cli.help import Helpful
 from skinbake.cli.inputs import expanded, is_one_file
 from skinbake.cli.limits import limit_options
-from skinbake.cli.many import Clock, Notes, Reporting, jobs_options, run_of, work_through
+from skinbake.cli.many import Clock, Notes, Reporting, jobs_options, of_one, run_of, work_through
 from skinbake.cli.targets import check_reports
 from skinbake.containment import Bounds, Within
 
@@ -85,9 +85,7 @@ def _reporting(given: Given, say: Console, *, is_one: bool) -> Reporting[FileSum
         outcomes=INSPECT_OUTCOMES,
         tell=tell,
         count=Totals.add_inspected,
-        code=lambda result: exit_codes.OK if result.error is None else exit_codes.of_error(result.error),
+        code=lambda result: exit_codes.of_error(result.error),
         file_json=file_json,
-        document=lambda results, code, process: (
-            one_json(results[0], process) if is_one else files_json(results, exit_code=code, process=process)
-        ),
+        document=of_one(one_json) if is_one else files_json,
     )

@@ -9,7 +9,7 @@ from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Generic, TypeVar
+from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
 
 import click
 
@@ -40,6 +40,7 @@ FEW = 5
 """The number of files whose lines tell enough. If there are more, a last line has the totals."""
 
 ResultT = TypeVar("ResultT", bound="Result")
+ResultT_contra = TypeVar("ResultT_contra", bound="Result", contravariant=True)
 
 
 def _jobs(ctx: click.Context, param: click.Parameter, value: str) -> int:
@@ -314,13 +315,42 @@ def run_of(
     return Run(jobs, runner, work, seconds_of(sources, guess))
 
 
+class ResultsJson(Protocol[ResultT_contra]):
+    """Make the JSON object of a run."""
+
+    def __call__(
+        self,
+        results: Sequence[ResultT_contra],
+        /,
+        *,
+        exit_code: int,
+        process: Mapping[str, float | None] | None,
+    ) -> Mapping[str, object] | None:
+        """Return the object of all results. ``process`` has the seconds of the process, if requested.
+
+        None if there is nothing to print.
+        """
+
+
+def of_one(
+    one_json: Callable[[ResultT, Mapping[str, float | None] | None], Mapping[str, object] | None],
+) -> ResultsJson[ResultT]:
+    """Return the function for a run on a single file, which has its own schema, without the exit code."""
+
+    def document(
+        results: Sequence[ResultT], /, *, exit_code: int, process: Mapping[str, float | None] | None
+    ) -> Mapping[str, object] | None:
+        return one_json(results[0], process)
+
+    return document
+
+
 @dataclass(frozen=True, slots=True)
 class Reporting(Generic[ResultT]):
     """How a command's results are reported, counted and written, and the exit code of each.
 
-    outcomes are the kinds by which files are counted. document makes the JSON of all results, of the exit
-    code and of the seconds of the process, or None if there is nothing to print. If write is given, it writes
-    another report of all results and returns its exit code.
+    outcomes are the kinds by which files are counted. document makes the JSON of all results. If write is
+    given, it writes another report of all results and returns its exit code.
     """
 
     schema: str
@@ -329,9 +359,7 @@ class Reporting(Generic[ResultT]):
     count: Callable[[Totals, ResultT], None]
     code: Callable[[ResultT], int]
     file_json: Callable[[ResultT], Mapping[str, object]]
-    document: Callable[
-        [Sequence[ResultT], int, Mapping[str, float | None] | None], Mapping[str, object] | None
-    ]
+    document: ResultsJson[ResultT]
     write: Callable[[Sequence[ResultT]], int] | None = None
 
 
@@ -360,7 +388,7 @@ def work_through(
         say.listing(timing_lines(totals, clock.process()))
     if given["as_json"]:
         spent = clock.process() if given["timings"] else None
-        content = reporting.document(results, code, spent)
+        content = reporting.document(results, exit_code=code, process=spent)
         if content is not None:
             say.document(content)
     return code

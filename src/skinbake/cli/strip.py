@@ -15,7 +15,7 @@ from skinbake.cli.given import alone
 from skinbake.cli.help import Helpful
 from skinbake.cli.inputs import expanded
 from skinbake.cli.limits import limit_options
-from skinbake.cli.many import Clock, Notes, Reporting, jobs_options, run_of, work_through
+from skinbake.cli.many import Clock, Notes, Reporting, jobs_options, of_one, run_of, work_through
 from skinbake.cli.names import STDIO
 from skinbake.cli.targets import check_reports, in_turns, jobs_of, target_options, targets_of
 from skinbake.cli.writing import writing_of
@@ -98,10 +98,8 @@ def _reporting(
         outcomes=STRIP_OUTCOMES,
         tell=tell,
         count=Totals.add_stripped,
-        code=lambda result: exit_codes.OK if result.error is None else exit_codes.of_error(result.error),
+        code=lambda result: exit_codes.of_error(result.error),
         file_json=file_json,
-        document=lambda results, code, process: (
-            one_json(results[0], process) if is_one else files_json(results, exit_code=code, process=process)
-        ),
+        document=of_one(one_json) if is_one else files_json,
         write=write,
     )

@@ -256,16 +256,15 @@ def _reporting(
         count=Totals.add_verified,
         code=_code,
         file_json=file_json,
-        document=lambda verdicts, code, process: as_json(verdicts, exit_code=code, process=process),
+        document=as_json,
         write=write if junit or page else None,
     )
 
 
 def _code(verdict: FileVerdict) -> int:
     """Return the exit code for a verdict."""
-    if verdict.error is not None:
-        return exit_codes.of_error(verdict.error)
-    return exit_codes.OK if verdict.passed else exit_codes.VERIFICATION
+    failed = verdict.error is None and not verdict.passed
+    return exit_codes.VERIFICATION if failed else exit_codes.of_error(verdict.error)
 
 
 def _options(given: Mapping[str, Any]) -> VerifyOptions:

@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 from skinbake.errors import Notice, Place, SkinbakeError, printable
 from skinbake.report.notices import error_fields, notice_list, place_fields
+from skinbake.report.totals import run_json, timing_fields
 from skinbake.wording import counted
 
 SCHEMA = "skinbake.bake/1"
@@ -272,13 +273,8 @@ def as_json(
 
     process holds the seconds of the whole process, None if they were not requested.
     """
-    return {
-        "schema": SCHEMA,
-        "dry_run": dry_run,
-        "exit_code": exit_code,
-        **({} if process is None else {"timings": dict(process)}),
-        "files": [file_json(result) for result in results],
-    }
+    files = map(file_json, results)
+    return run_json(SCHEMA, files, exit_code=exit_code, process=process, dry_run=dry_run)
 
 
 def file_json(result: FileResult) -> dict[str, Any]:
@@ -292,7 +288,7 @@ def file_json(result: FileResult) -> dict[str, Any]:
         "warnings": notice_list(result.notices),
         "encoding": None if result.encoding is None else _encoding_json(result.encoding),
         "error": error_fields(result.error),
-        **({} if result.timings is None else {"timings": result.timings}),
+        **timing_fields(result.timings),
     }
 
 

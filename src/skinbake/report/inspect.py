@@ -9,6 +9,7 @@ from typing import Any
 from skinbake.choices import Gradients
 from skinbake.errors import Notice, Place, SkinbakeError, printable
 from skinbake.report.notices import error_fields, notice_list, place_fields
+from skinbake.report.totals import run_json, timing_fields
 from skinbake.wording import counted
 
 SCHEMA = "skinbake.inspect/1"
@@ -185,19 +186,14 @@ def one_json(result: FileSummary, process: Mapping[str, float | None] | None) ->
     """Return the JSON of a single file, or None if it failed. process holds the seconds of the process."""
     if result.summary is None:
         return None
-    return as_json(result.summary) | ({} if process is None else {"timings": dict(process)})
+    return as_json(result.summary) | timing_fields(process)
 
 
 def files_json(
     results: Sequence[FileSummary], *, exit_code: int, process: Mapping[str, float | None] | None
 ) -> dict[str, Any]:
     """Return the summaries as one JSON object; docs/reference/json.md documents its members."""
-    return {
-        "schema": FILES_SCHEMA,
-        "exit_code": exit_code,
-        **({} if process is None else {"timings": dict(process)}),
-        "files": [file_json(result) for result in results],
-    }
+    return run_json(FILES_SCHEMA, map(file_json, results), exit_code=exit_code, process=process)
 
 
 def file_json(result: FileSummary) -> dict[str, Any]:
@@ -209,7 +205,7 @@ def file_json(result: FileSummary) -> dict[str, Any]:
     return {
         **found,
         "error": error_fields(result.error),
-        **({} if result.timings is None else {"timings": result.timings}),
+        **timing_fields(result.timings),
     }
 
 

@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 from skinbake.errors import Notice, SkinbakeError, printable
 from skinbake.report.notices import error_fields, notice_list
+from skinbake.report.totals import run_json, timing_fields
 from skinbake.wording import counted
 
 SCHEMA = "skinbake.strip/1"
@@ -67,19 +68,14 @@ def one_json(result: StripResult, process: Mapping[str, float | None] | None) ->
     """Return the JSON of a single file, or None if it failed. process holds the seconds of the process."""
     if result.error is not None:
         return None
-    return as_json(result) | ({} if process is None else {"timings": dict(process)})
+    return as_json(result) | timing_fields(process)
 
 
 def files_json(
     results: Sequence[StripResult], *, exit_code: int, process: Mapping[str, float | None] | None
 ) -> dict[str, Any]:
     """Return the results as one JSON object; docs/reference/json.md documents its members."""
-    return {
-        "schema": FILES_SCHEMA,
-        "exit_code": exit_code,
-        **({} if process is None else {"timings": dict(process)}),
-        "files": [file_json(result) for result in results],
-    }
+    return run_json(FILES_SCHEMA, map(file_json, results), exit_code=exit_code, process=process)
 
 
 def file_json(result: StripResult) -> dict[str, Any]:
@@ -91,5 +87,5 @@ def file_json(result: StripResult) -> dict[str, Any]:
         "primitives": result.primitives,
         "warnings": notice_list(result.notices),
         "error": error_fields(result.error),
-        **({} if result.timings is None else {"timings": result.timings}),
+        **timing_fields(result.timings),
     }

@@ -1,9 +1,9 @@
-"""The result of many files together: counts, repeated failures, and times."""
+"""The result of many files together: one JSON object, counts, repeated failures, and times."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -124,7 +124,7 @@ def totals_json(totals: Totals, seconds: float, *, schema: str, exit_code: int) 
         "files": totals.files,
         **counts,
         "seconds": round(seconds, 3),
-        **({"timings": totals.timings} if totals.timings else {}),
+        **timing_fields(totals.timings or None),
     }
 
 
@@ -145,3 +145,30 @@ def timing_lines(totals: Totals, process: Mapping[str, float | None]) -> Iterato
     for name, spent in process.items():
         if spent is not None:
             yield f"  {name.replace('_', '-'):<{width}}{spent:>10.3f}"
+
+
+def timing_fields(seconds: Mapping[str, float | None] | None) -> dict[str, Any]:
+    """Return seconds, by stage or of the process, as a member. If they were not requested, there is none."""
+    return {} if seconds is None else {"timings": dict(seconds)}
+
+
+def run_json(
+    schema: str,
+    files: Iterable[Mapping[str, Any]],
+    *,
+    exit_code: int,
+    process: Mapping[str, float | None] | None,
+    **chosen: Any,
+) -> dict[str, Any]:
+    """Return the results of all files as one JSON object.
+
+    ``process`` holds the seconds of the whole process, None if they were not requested. ``chosen`` are
+    options of the run that the object names.
+    """
+    return {
+        "schema": schema,
+        **chosen,
+        "exit_code": exit_code,
+        **timing_fields(process),
+        "files": list(files),
+    }

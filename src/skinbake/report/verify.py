@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from skinbake.choices import Truth
 from skinbake.errors import Notice, Place, SkinbakeError, printable
 from skinbake.report.notices import error_fields, notice_list, place_fields
+from skinbake.report.totals import run_json, timing_fields
 
 if TYPE_CHECKING:
     from xml.etree import ElementTree
@@ -181,12 +182,7 @@ def as_json(
 
     process holds the seconds of the whole process, None if they were not requested.
     """
-    return {
-        "schema": SCHEMA,
-        "exit_code": exit_code,
-        **({} if process is None else {"timings": dict(process)}),
-        "files": [file_json(verdict) for verdict in verdicts],
-    }
+    return run_json(SCHEMA, map(file_json, verdicts), exit_code=exit_code, process=process)
 
 
 def file_json(verdict: FileVerdict) -> dict[str, Any]:
@@ -222,7 +218,7 @@ def file_json(verdict: FileVerdict) -> dict[str, Any]:
         "without_dqs": verdict.without_dqs,
         "warnings": notice_list(verdict.notices),
         "error": error_fields(verdict.error),
-        **({} if verdict.timings is None else {"timings": verdict.timings}),
+        **timing_fields(verdict.timings),
     }
 
 
