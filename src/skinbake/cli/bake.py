@@ -213,12 +213,7 @@ def command(ctx: click.Context, inputs: tuple[str, ...], **given: Unpack[Given])
     sets = option_sets(ctx, given, [entry.source for entry, _ in targets])
     bakers = sets.each(_baker)
     check_read("--fit-poses", clip_files, (target for _, target in targets))
-    say = console(
-        verbose=given["verbose"],
-        quiet=given["quiet"],
-        color=given["color"],
-        results_on_stderr=output == STDIO,
-    )
+    say = console(given, results_on_stderr=output == STDIO)
     from skinbake.jobs.bake import MODULES, SECONDS_A_BYTE, SECONDS_A_FILE, Bake, BakeOptions
 
     options = [BakeOptions(baker, pack=given.get("pack", False)) for baker in bakers]

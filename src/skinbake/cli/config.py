@@ -47,7 +47,7 @@ def command(ctx: click.Context, /, inputs: tuple[str, ...], **given: Any) -> Non
     With INPUT, a file, a folder or a quoted pattern, also show the options of bake and verify for each file,
     overrides included. The files are not read. The whole configuration file is checked.
     """
-    say = console(verbose=given["verbose"], quiet=given["quiet"], color=given["color"])
+    say = console(given)
     found, code = expanded(inputs) if inputs else [], exit_codes.OK
     for entry in found:
         if entry.missing is not None:

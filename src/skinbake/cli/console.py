@@ -7,7 +7,8 @@ import json
 import math
 import re
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any, TypeVar
@@ -17,6 +18,7 @@ import click
 from skinbake.cli import exit_codes
 from skinbake.cli.terminal import fitted, width_of, with_colours
 from skinbake.errors import (
+    ChoiceError,
     Notice,
     OutputError,
     Place,
@@ -176,15 +178,28 @@ def outside_option(command: Command) -> Command:
     )(command)
 
 
-def console(*, verbose: int, quiet: bool, color: str, results_on_stderr: bool = False) -> Console:
+@contextmanager
+def ended_by_errors(say: Console) -> Iterator[None]:
+    """Print an error of the block, and end with its exit code. Options that contradict are a usage error."""
+    try:
+        yield
+    except ChoiceError as error:
+        raise click.UsageError(error.message) from error
+    except SkinbakeError as error:
+        say.error(error)
+        sys.exit(exit_codes.of_error(error))
+
+
+def console(given: Mapping[str, Any], *, results_on_stderr: bool = False) -> Console:
     """Return the console for the message options, and set up logging to match."""
     import os
 
-    chosen = {"always": True, "never": False, "auto": False if os.environ.get("NO_COLOR") else None}[color]
+    verbose, auto = given["verbose"], False if os.environ.get("NO_COLOR") else None
+    chosen = {"always": True, "never": False, "auto": auto}[given["color"]]
     if verbose:
         import logging  # it takes some milliseconds
 
         from skinbake.jobs.logs import log_to_stderr
 
         log_to_stderr(logging.DEBUG if verbose > 1 else logging.INFO)
-    return Console(-1 if quiet else verbose, chosen, results_on_stderr)
+    return Console(-1 if given["quiet"] else verbose, chosen, results_on_stderr)

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import sys
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from skinbake.cli import exit_codes
-from skinbake.cli.console import console, message_options, outside_option
+from skinbake.cli.console import console, ended_by_errors, message_options, outside_option
 from skinbake.cli.help import Helpful
 from skinbake.cli.limits import memory_option
 from skinbake.cli.names import check_readable_suffix
 from skinbake.containment import Bounds
-from skinbake.errors import SkinbakeError
 
 if TYPE_CHECKING:
     from skinbake.report.cost import CostResult
@@ -48,16 +45,12 @@ def command(source: str | None, influences: int | None, **given: Any) -> None:
         raise click.UsageError("--influences N and FILE exclude each other: a file has its own influences")
     if source is not None:
         check_readable_suffix(source)
-    say = console(verbose=given["verbose"], quiet=given["quiet"], color=given["color"])
+    say = console(given)
     from skinbake.gltf.budget import memory_limited
     from skinbake.report.cost import FileCosts, as_json, as_text
 
-    try:
-        with memory_limited(given["max_memory"]):
-            result = _count(source, influences, Bounds(allowed=given["allow_outside"]))
-    except SkinbakeError as error:
-        say.error(error)
-        sys.exit(exit_codes.of_error(error))
+    with ended_by_errors(say), memory_limited(given["max_memory"]):
+        result = _count(source, influences, Bounds(allowed=given["allow_outside"]))
     if isinstance(result, FileCosts):
         say.notices(result.notices)
     if given["as_json"]:

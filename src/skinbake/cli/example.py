@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Any
 
 import click
 
-from skinbake.cli import exit_codes
-from skinbake.cli.console import console, message_options
+from skinbake.cli.console import console, ended_by_errors, message_options
 from skinbake.cli.help import Helpful
 from skinbake.cli.names import STDIO
 from skinbake.cli.targets import check_named, sync_option
-from skinbake.errors import SkinbakeError, printable
+from skinbake.errors import printable
 
 
 @click.command(
@@ -29,18 +27,10 @@ def command(output: str, **given: Any) -> None:
     check_named(output)
     if output != STDIO and Path(output).suffix.lower() != ".glb":
         raise click.UsageError(f"{output}: the example is a GLB; expected a name that ends in .glb, or -")
-    say = console(
-        verbose=given["verbose"],
-        quiet=given["quiet"],
-        color=given["color"],
-        results_on_stderr=output == STDIO,
-    )
+    say = console(given, results_on_stderr=output == STDIO)
     from skinbake.commands.example import write_example
 
-    try:
+    with ended_by_errors(say):
         size = write_example(output, sync=not given["no_sync"])
-    except SkinbakeError as error:
-        say.error(error)
-        sys.exit(exit_codes.of_error(error))
     if output != STDIO:
         say.result(f"{printable(output)}: an arm that bends, {size:,} bytes")

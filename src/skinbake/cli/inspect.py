@@ -49,7 +49,7 @@ def command(inputs: tuple[str, ...], **some: Unpack[Given]) -> None:
     clock, given = Clock(), alone(some)
     found = expanded(inputs)
     check_reports({"--summary": given["summary"]}, None, (entry.source for entry in found))
-    say = console(verbose=given["verbose"], quiet=given["quiet"], color=given["color"])
+    say = console(given)
     from skinbake.jobs.inspect import MODULES, SECONDS_A_BYTE, SECONDS_A_FILE, Inspect
     from skinbake.jobs.work import Job
 

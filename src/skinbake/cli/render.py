@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import re
-import sys
 from pathlib import Path
 from typing import Any
 
 import click
 
-from skinbake.cli import exit_codes
-from skinbake.cli.console import Words, console, finite, message_options, outside_option
+from skinbake.cli.console import Words, console, ended_by_errors, finite, message_options, outside_option
 from skinbake.cli.help import Helpful
 from skinbake.cli.limits import memory_option
 from skinbake.cli.names import check_readable_suffix
 from skinbake.cli.targets import check_named, sync_option
 from skinbake.containment import Bounds
-from skinbake.errors import ChoiceError, SkinbakeError, printable
+from skinbake.errors import printable
 
 SUFFIXES = (".png", ".webp", ".gif")
 MOVING = (".webp", ".gif")
@@ -86,7 +84,7 @@ def command(source: str, output: str, **given: Any) -> None:
         raise click.UsageError(f"{output}: expected a name that ends in {', '.join(SUFFIXES)}")
     if given["turntable"] and suffix not in MOVING:
         raise click.UsageError(f"--turntable needs a name that ends in {' or '.join(MOVING)}")
-    say = console(verbose=given["verbose"], quiet=given["quiet"], color=given["color"])
+    say = console(given)
     from skinbake.commands.render import RenderOptions, render_file
     from skinbake.gltf.budget import memory_limited
     from skinbake.render.studio import Look
@@ -100,20 +98,14 @@ def command(source: str, output: str, **given: Any) -> None:
         turntable=given["turntable"],
         in_clay=given["clay"],
     )
-    try:
-        with memory_limited(given["max_memory"]):
-            result = render_file(
-                source,
-                output,
-                options,
-                sync=not given["no_sync"],
-                bounds=Bounds(allowed=given["allow_outside"]),
-            )
-    except ChoiceError as error:
-        raise click.UsageError(error.message) from error
-    except SkinbakeError as error:
-        say.error(error)
-        sys.exit(exit_codes.of_error(error))
+    with ended_by_errors(say), memory_limited(given["max_memory"]):
+        result = render_file(
+            source,
+            output,
+            options,
+            sync=not given["no_sync"],
+            bounds=Bounds(allowed=given["allow_outside"]),
+        )
     say.notices(result.notices)
     count = f"{result.pictures} pictures, " if result.pictures > 1 else ""
     say.result(f"{printable(source)} -> {printable(output)}: {count}{printable(result.pose)}")

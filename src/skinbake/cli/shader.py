@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from skinbake.choices import Encoding, Frame, Language, Layout, Lighting, Method, Morphs
-from skinbake.cli import exit_codes
-from skinbake.cli.console import Words, console, finite, message_options, one_of, outside_option
+from skinbake.cli.console import (
+    Words,
+    console,
+    ended_by_errors,
+    finite,
+    message_options,
+    one_of,
+    outside_option,
+)
 from skinbake.cli.help import Helpful
 from skinbake.cli.names import STDIO, check_readable_suffix
 from skinbake.cli.targets import check_named, sync_option
 from skinbake.containment import Bounds
-from skinbake.errors import ChoiceError, SkinbakeError, printable
+from skinbake.errors import printable
 from skinbake.shaders.text import targets
 
 if TYPE_CHECKING:
@@ -125,19 +131,12 @@ def command(source: str | None, output: str, **given: Any) -> None:
         if STDIO not in {output, source} and _is(source, output):
             raise click.UsageError(f"{output} is the baked file itself")
     # The text may be the result on stdout, so everything else goes to stderr.
-    say = console(
-        verbose=given["verbose"], quiet=given["quiet"], color=given["color"], results_on_stderr=True
-    )
+    say = console(given, results_on_stderr=True)
     from skinbake.commands.shader import shader, write_shader
 
-    try:
+    with ended_by_errors(say):
         result = shader(_request(given), source, output, Bounds(allowed=given["allow_outside"]))
         write_shader(result, output, sync=not given["no_sync"])
-    except ChoiceError as error:
-        raise click.UsageError(error.message) from error
-    except SkinbakeError as error:
-        say.error(error)
-        sys.exit(exit_codes.of_error(error))
     say.notices(result.notices)
     if output != STDIO:
         say.result(f"{printable(output)}: {result.choices.words}")

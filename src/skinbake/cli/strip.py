@@ -58,10 +58,7 @@ def command(inputs: tuple[str, ...], **some: Unpack[Given]) -> None:
     depfile_at = check_depfile(given, ((entry.source, target) for entry, target in targets))
     reports = {"--summary": given["summary"], OPTION: given.get("depfile")}
     check_reports(reports, output, (entry.source for entry in found))
-    to_stdout = output == STDIO
-    say = console(
-        verbose=given["verbose"], quiet=given["quiet"], color=given["color"], results_on_stderr=to_stdout
-    )
+    say = console(given, results_on_stderr=output == STDIO)
     from skinbake.jobs.strip import MODULES, SECONDS_A_BYTE, SECONDS_A_FILE, Strip
 
     write = depfile_writer(depfile_at, given, say)

@@ -175,7 +175,7 @@ def command(ctx: click.Context, inputs: tuple[str, ...], **given: Unpack[VerifyG
     if given["html"] and any(entry.source == STDIO or is_url(entry.source) for entry in found):
         raise click.UsageError("--html needs files on this machine's disks, because it reads them again")
     check_reports(reports, None, (entry.source for entry in found))
-    say = console(verbose=given["verbose"], quiet=given["quiet"], color=given["color"])
+    say = console(given)
     from skinbake.jobs.verify import MODULES, SECONDS_A_BYTE, SECONDS_A_FILE, Verify
     from skinbake.jobs.work import Job
 

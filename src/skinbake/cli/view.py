@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import sys
 from typing import Any
 
 import click
 
-from skinbake.cli import exit_codes
-from skinbake.cli.console import console, message_options, outside_option
+from skinbake.cli.console import console, ended_by_errors, message_options, outside_option
 from skinbake.cli.help import Helpful
 from skinbake.cli.limits import memory_option
 from skinbake.cli.names import STDIO, check_readable_suffix
 from skinbake.cli.targets import check_named, sync_option
 from skinbake.containment import Bounds
-from skinbake.errors import SkinbakeError, printable
+from skinbake.errors import printable
 from skinbake.urls import SUFFIXES
 from skinbake.wording import counted
 
@@ -56,16 +54,11 @@ def command(source: str, output: str | None, **given: Any) -> None:
         check_named(output)
     if output is not None and (given["port"] or given["no_browser"]):
         raise click.UsageError("--port and --no-browser are for a page that is served; -o writes it instead")
-    say = console(
-        verbose=given["verbose"],
-        quiet=given["quiet"],
-        color=given["color"],
-        results_on_stderr=output == STDIO,
-    )
+    say = console(given, results_on_stderr=output == STDIO)
     from skinbake.commands.view import view_file, write_page
     from skinbake.gltf.budget import memory_limited
 
-    try:
+    with ended_by_errors(say):
         with memory_limited(given["max_memory"]):
             result = view_file(source, output, Bounds(allowed=given["allow_outside"]))
         say.notices(result.notices)
@@ -73,9 +66,6 @@ def command(source: str, output: str | None, **given: Any) -> None:
             _serve(result.page, given, say.result)
         else:
             write_page(result, output, sync=not given["no_sync"])
-    except SkinbakeError as error:
-        say.error(error)
-        sys.exit(exit_codes.of_error(error))
     if output != STDIO:
         how = "" if result.was_baked else ", baked in memory"
         say.result(
