@@ -4,11 +4,17 @@ from __future__ import annotations
 
 import os
 import signal
+from typing import TYPE_CHECKING, TypeVar
 
 import pytest
 
 from tests.support.corpus import NOT_HERE, find_corpus
 from tests.support.strictness import is_strict
+
+if TYPE_CHECKING:  # it imports numpy
+    from tests.support.stage import Stage
+
+StageT = TypeVar("StageT", bound="Stage")
 
 
 def pytest_configure() -> None:
@@ -23,6 +29,24 @@ def pytest_report_header() -> list[str]:
         f"corpus: {find_corpus() or NOT_HERE}",
         f"a missing tool: its tests {'fail (SKINBAKE_STRICT=1)' if is_strict() else 'are skipped'}",
     ]
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark every test that opens the browser as slow, before the marked ones are left out.
+
+    Their fixtures are ``opened``, of a page that draws with an engine, and ``browsing``, of one of ours.
+    """
+    for item in items:
+        if isinstance(item, pytest.Function) and not {"opened", "browsing"}.isdisjoint(item.fixturenames):
+            item.add_marker(pytest.mark.slow)
+
+
+@pytest.fixture
+def stage(opened: StageT) -> StageT:
+    """The page of a module's ``opened``, of which no earlier test has left a message."""
+    opened.page.messages()
+    return opened
 
 
 @pytest.fixture(autouse=True)

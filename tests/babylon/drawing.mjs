@@ -22,6 +22,7 @@ import '@babylonjs/core/Meshes/thinInstanceMesh.js';
 import { Scene } from '@babylonjs/core/scene.js';
 import '@babylonjs/loaders/glTF/2.0/index.js';
 import * as skinbake from 'skinbake-babylon';
+import { base64 } from '/support/base64.mjs';
 
 WEBGPU_CAPTURE.dialect = {
     struct: 'struct FragmentInputs {',
@@ -140,15 +141,6 @@ function frame(scene) {
     scene.getEngine().endFrame();
 }
 
-function base64(floats) {
-    const bytes = new Uint8Array(floats.buffer, floats.byteOffset, floats.byteLength);
-    let text = '';
-    for (let at = 0; at < bytes.length; at += 8192) {
-        text += String.fromCharCode(...bytes.subarray(at, at + 8192));
-    }
-    return btoa(text);
-}
-
 const told = (root) => skinbake.report(root).map(({ lighting, reason }) => [lighting, reason]);
 
 // A page that adds a normal map.
@@ -248,7 +240,7 @@ function limitsOf(limits) {
 }
 
 const api = {
-    backend: async (name) => Boolean(await engineOf(name)),
+    backend: async (name) => (await engineOf(name)) && name,
 
     async normals({ lighting, bump = false, ...options }) {
         const { scene, mesh } = await load(options);

@@ -18,11 +18,11 @@ from fixtures.make_fixtures import FOLDER
 from skinbake.choices import Encoding, Layout
 from skinbake.format.layouts import GradientFormat
 from skinbake.skinning.algorithms import Algorithm
-from tests.babylon.stage import DEGREES, Stage, expected, opened_stage
+from tests.babylon.stage import DEGREES, expected, opened_stage
 from tests.support import corpus, gltf_reading
 from tests.support.baked_files import Editable
 from tests.support.characters import Array, Character, Placement, Pose, angles, baked, unit
-from tests.support.strictness import missing_tool
+from tests.support.stage import Stage, require_backend
 from tests.three.drawn import BENT, MIRRORED, RANDOM, TUBE, largest, vectors, with_morphs
 
 pytestmark = pytest.mark.slow
@@ -54,18 +54,6 @@ def opened(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stage]:
         yield stage
 
 
-@pytest.fixture
-def stage(opened: Stage) -> Stage:
-    """The page, of which no earlier test has left a message."""
-    opened.page.messages()
-    return opened
-
-
-def require(stage: Stage, backend: str) -> None:
-    if not stage.page.call("backend", backend):
-        missing_tool("this browser has no WebGPU adapter")
-
-
 def worst(drawn: str, wanted: Array) -> float:
     """Return the largest angle; under WebGPU a buffer may hold more vertices than the mesh has."""
     normals = vectors(drawn)[: len(wanted)]
@@ -76,7 +64,7 @@ def worst(drawn: str, wanted: Array) -> float:
 @pytest.mark.parametrize("backend", BACKENDS)
 @pytest.mark.parametrize(("model", "pose"), CHARACTERS)
 def test_every_normal_is_that_of_the_replay(stage: Stage, model: str, pose: Pose, backend: str) -> None:
-    require(stage, backend)
+    require_backend(stage, backend)
     character = stage.character(corpus.model(model), pose, storage=PACKED)
     found = stage.normals(character, backend=backend)
     (drawn,) = found["draws"]
@@ -91,7 +79,7 @@ def test_every_normal_is_that_of_the_replay(stage: Stage, model: str, pose: Pose
 def test_both_frames_and_both_hands(
     stage: Stage, source: Path, pose: Pose, frame: str, left: bool, backend: str
 ) -> None:
-    require(stage, backend)
+    require_backend(stage, backend)
     character = stage.character(source, pose, frame)
     found = stage.normals(character, left=left, backend=backend, material="standard")
     assert worst(found["draws"][0], expected(character, left=left)) < DEGREES
@@ -118,7 +106,7 @@ def test_encodings_and_layouts(stage: Stage, source: Path, storage: GradientForm
 
 
 def test_eight_influences_under_webgpu(stage: Stage) -> None:
-    require(stage, "webgpu")
+    require_backend(stage, "webgpu")
     character = stage.character(TWO_SETS, RANDOM, storage=PACKED)
     found = stage.normals(character, material="standard", backend="webgpu")
     assert worst(found["draws"][0], expected(character)) < DEGREES
@@ -126,7 +114,7 @@ def test_eight_influences_under_webgpu(stage: Stage) -> None:
 
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_joints_may_come_from_uniforms(stage: Stage, backend: str) -> None:
-    require(stage, backend)
+    require_backend(stage, backend)
     character = stage.character(TUBE, BENT, storage=PACKED)
     found = stage.normals(character, bones="uniforms", material="standard", backend=backend)
     assert worst(found["draws"][0], expected(character)) < DEGREES
@@ -142,7 +130,7 @@ def test_joints_that_mirror_keep_normals_on_babylon_s_side(stage: Stage) -> None
 @pytest.mark.parametrize("backend", BACKENDS)
 @pytest.mark.parametrize("frame", ["normal", "tangent"])
 def test_morph_targets_come_before_skinning(stage: Stage, frame: str, backend: str) -> None:
-    require(stage, backend)
+    require_backend(stage, backend)
     path = baked(with_morphs(stage.models, MIRRORED), stage.models, frame)
     character = Character(path, RANDOM, (0.7, -0.4))
     found = stage.normals(character, backend=backend, material="standard")
@@ -152,7 +140,7 @@ def test_morph_targets_come_before_skinning(stage: Stage, frame: str, backend: s
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_morph_targets_with_tangents_turn_the_tangent_frame(stage: Stage, backend: str) -> None:
     """docs/reference/frame.md, *Morph targets*, by TANGENT."""
-    require(stage, backend)
+    require_backend(stage, backend)
     weights = (0.7, -0.4)
     path = baked(with_morphed_tangents(stage.models, MIRRORED), stage.models, "tangent")
     character = Character(path, RANDOM, weights)
@@ -197,7 +185,7 @@ def with_morphed_tangents(folder: Path, source: Path) -> Path:
     ],
 )
 def test_normal_maps_have_the_matrix_of_tangents(stage: Stage, frame: str, left: bool, backend: str) -> None:
-    require(stage, backend)
+    require_backend(stage, backend)
     character = stage.character(MIRRORED, RANDOM, frame)
     found = stage.normals(character, left=left, bump=True, material="standard", backend=backend)
     right = character.expected(Algorithm.LBS_ACCURATE, Placement())
@@ -219,7 +207,7 @@ def test_normal_maps_have_the_matrix_of_tangents(stage: Stage, frame: str, left:
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_instances_of_any_shape(stage: Stage, kind: str, backend: str) -> None:
     """One turns, one stretches and mirrors."""
-    require(stage, backend)
+    require_backend(stage, backend)
     character = stage.character(TUBE, BENT, storage=PACKED)
     options = {**character.told(Placement()), "kind": kind, "backend": backend, "material": "standard"}
     found = stage.call("many", options)
@@ -307,7 +295,7 @@ STRANGERS = {
 
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_meshes_that_stay_standard_are_told_of_once(stage: Stage, backend: str) -> None:
-    require(stage, backend)
+    require_backend(stage, backend)
     told = stage.character(TUBE, BENT).told(Placement())
     found = stage.page.call("strangers", {**told, "backend": backend})
     assert found == {name: [["standard", reason]] for name, reason in STRANGERS[backend].items()}

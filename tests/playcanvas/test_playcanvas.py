@@ -24,20 +24,13 @@ from tests.support.baking import bake_file
 from tests.support.characters import AS_USUAL, Array, Character, Normals, Placement, Pose, angles, baked
 from tests.support.node import package_folder, require_node
 from tests.support.replay import replay
-from tests.support.strictness import missing_tool
+from tests.support.stage import Stage, opened_page, page_of, require_backend
 from tests.three.drawn import vectors, with_morphs
 
-PAGE = """<!doctype html>
-<meta charset="utf-8">
-<link rel="icon" href="data:,">
-<script type="importmap">
-{"imports": {
-    "playcanvas": "/playcanvas/build/playcanvas.mjs",
-    "skinbake-playcanvas": "/package/index.js"
-}}
-</script>
-<body><script type="module">window.ready = import('/tests/drawing.mjs');</script>
-"""
+PAGE = page_of(
+    "/tests/drawing.mjs",
+    {"playcanvas": "/playcanvas/build/playcanvas.mjs", "skinbake-playcanvas": "/package/index.js"},
+)
 DEGREES = 0.01
 """Between the browser and the replay: PlayCanvas has bone matrices, and we all else, in float32."""
 TUBE = FIXTURES / "bent_tube.glb"
@@ -49,33 +42,21 @@ SHORT = GradientFormat(Encoding.SNORM16, Layout.CUSTOM)
 PAIRS = GradientFormat(layout=Layout.TEXCOORD)
 
 
-class Stage:
+class DrawingStage(Stage):
     """The page, and the models that it can load."""
 
-    def __init__(self, page: browser.Page, models: Path) -> None:
-        self.page, self.models = page, models
-
-    def character(self, source: Path, frame: str = "auto", storage: GradientFormat = AS_USUAL) -> Character:
-        return Character(baked(source, self.models, frame, storage), RANDOM)
+    def messages(self) -> list[str]:
+        """Return the lines of the console that fail a test: not those on the speed of reading pixels."""
+        return [line for line in super().messages() if "GPU stall due to ReadPixels" not in line]
 
     def draw(self, character: Character, **options: object) -> dict[str, Any]:
         """Draw a character; whatever the console says of it fails the test."""
-        found = dict(self.page.call("draw", {**character.told(Placement()), **options}))
-        # The corpus has no images beside its models.
-        others = ("Failed to load resource", "GPU stall due to ReadPixels")
-        assert [line for line in self.page.messages() if not any(part in line for part in others)] == []
-        return found
+        return dict(self.call("draw", {**character.told(Placement()), **options}))
 
     def told(self, path: Path, **options: object) -> tuple[list[Any], list[str]]:
         """Draw a file and return the report, and what the module says on the console."""
         report = self.page.call("told", {"url": f"/models/{path.name}", **options})
         return report, [line for line in self.page.messages() if line.startswith("skinbake")]
-
-
-def require(stage: Stage, backend: str) -> None:
-    """Skip where the browser has no WebGPU."""
-    if stage.page.call("backend", backend) != backend:
-        missing_tool("this browser has no WebGPU adapter")
 
 
 def expected(
@@ -99,23 +80,14 @@ def largest(values: str, wanted: Array | None) -> float:
     return float(angles(found, wanted).max())
 
 
-@pytest.fixture
-def stage(opened: Stage) -> Stage:
-    """The page, of which no earlier test has left a message."""
-    opened.page.messages()
-    return opened
-
-
 @pytest.fixture(scope="module")
-def opened(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stage]:
+def opened(tmp_path_factory: pytest.TempPathFactory) -> Iterator[DrawingStage]:
     require_node("playcanvas", "draco3dgltf")
+    folders = {"playcanvas": package_folder("playcanvas"), "draco": package_folder("draco3dgltf")}
+    folders |= {"tests": Path(__file__).resolve().parent, "package": PACKAGE}
     folder = tmp_path_factory.mktemp("playcanvas")
-    for name in ("models", "profile"):
-        (folder / name).mkdir()
-    folders = {"models": folder / "models", "playcanvas": package_folder("playcanvas"), "package": PACKAGE}
-    folders |= {"tests": Path(__file__).resolve().parent, "draco": package_folder("draco3dgltf")}
-    with browser.opened(PAGE, folders, folder / "profile", browser.PRESENTING) as page:
-        yield Stage(page, folder / "models")
+    with opened_page(PAGE, folder, folders, browser.PRESENTING) as (page, models):
+        yield DrawingStage(page, models)
 
 
 FIXTURE_CASES = [
@@ -129,10 +101,10 @@ FIXTURE_CASES = [
 
 @pytest.mark.parametrize(("source", "frame", "storage", "backend"), FIXTURE_CASES)
 def test_every_normal_is_that_of_the_replay(
-    stage: Stage, source: Path, frame: str, storage: GradientFormat, backend: str
+    stage: DrawingStage, source: Path, frame: str, storage: GradientFormat, backend: str
 ) -> None:
-    require(stage, backend)
-    character = stage.character(source, frame, storage)
+    require_backend(stage, backend)
+    character = stage.character(source, RANDOM, frame, storage)
     found = stage.draw(character, backend=backend)
     assert largest(found["values"][0], expected(character, found).normals) < DEGREES
     assert found["report"] == [["accurate", ""]]
@@ -143,9 +115,9 @@ CHARACTERS = ["CesiumMan/CesiumMan.glb", "RiggedFigure/RiggedFigure.gltf", "Butt
 
 @pytest.mark.parametrize("backend", BACKENDS)
 @pytest.mark.parametrize("model", CHARACTERS)
-def test_real_characters_too(stage: Stage, model: str, backend: str) -> None:
-    require(stage, backend)
-    character = stage.character(corpus.model(model))
+def test_real_characters_too(stage: DrawingStage, model: str, backend: str) -> None:
+    require_backend(stage, backend)
+    character = stage.character(corpus.model(model), RANDOM)
     found = stage.draw(character, backend=backend)
     assert largest(found["values"][0], expected(character, found).normals) < DEGREES
     assert found["report"][0] == ["accurate", ""]
@@ -160,10 +132,10 @@ FLIPPED = {"position": [0, 1, 0], "angles": [10, -40, 5], "scale": [-2, 2, 2]}
     [("normal", "webgl2", TURNED), ("tangent", "webgpu", FLIPPED), ("tangent", "webgl2", FLIPPED)],
 )
 def test_a_placed_character_has_normals_and_tangents(
-    stage: Stage, frame: str, backend: str, root: dict[str, Any]
+    stage: DrawingStage, frame: str, backend: str, root: dict[str, Any]
 ) -> None:
-    require(stage, backend)
-    character = stage.character(MIRRORED, frame)
+    require_backend(stage, backend)
+    character = stage.character(MIRRORED, RANDOM, frame)
     found = stage.draw(character, backend=backend, root=root, mapped=True, varyings=["vNormalW", "vTangentW"])
     wanted = expected(character, found)
     assert largest(found["values"][0], wanted.normals) < DEGREES
@@ -171,8 +143,8 @@ def test_a_placed_character_has_normals_and_tangents(
 
 
 @pytest.mark.parametrize(("frame", "backend"), [("normal", "webgl2"), ("tangent", "webgpu")])
-def test_morph_targets_come_before_skinning(stage: Stage, frame: str, backend: str) -> None:
-    require(stage, backend)
+def test_morph_targets_come_before_skinning(stage: DrawingStage, frame: str, backend: str) -> None:
+    require_backend(stage, backend)
     path = baked(with_morphs(stage.models, MIRRORED), stage.models, frame)
     character = Character(path, RANDOM, (0.7, -0.4))
     found = stage.draw(character, backend=backend)
@@ -180,9 +152,9 @@ def test_morph_targets_come_before_skinning(stage: Stage, frame: str, backend: s
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
-def test_dual_quaternions_move_normals_positions_and_shadows(stage: Stage, backend: str) -> None:
-    require(stage, backend)
-    character = stage.character(MIRRORED, "tangent", PACKED)
+def test_dual_quaternions_move_normals_positions_and_shadows(stage: DrawingStage, backend: str) -> None:
+    require_backend(stage, backend)
+    character = stage.character(MIRRORED, RANDOM, "tangent", PACKED)
     found = stage.draw(
         character, backend=backend, method="dqs", shadows=True, varyings=["vPositionW", "vNormalW"]
     )
@@ -198,8 +170,8 @@ def test_dual_quaternions_move_normals_positions_and_shadows(stage: Stage, backe
 @pytest.mark.parametrize(
     "change", ["clone", "another material", "a copied material", "and back", "disposed and again"]
 )
-def test_whatever_a_page_does_the_normals_stay_right(stage: Stage, change: str) -> None:
-    character = stage.character(TUBE)
+def test_whatever_a_page_does_the_normals_stay_right(stage: DrawingStage, change: str) -> None:
+    character = stage.character(TUBE, RANDOM)
     found = stage.draw(character, change=change)
     assert largest(found["values"][0], expected(character, found).normals) < DEGREES
     assert found["report"] == [["accurate", ""]]
@@ -208,9 +180,11 @@ def test_whatever_a_page_does_the_normals_stay_right(stage: Stage, change: str) 
 @pytest.mark.parametrize(
     ("change", "backend"), [("standard", "webgl2"), ("standard", "webgpu"), ("disposed", "webgl2")]
 )
-def test_without_it_a_mesh_has_the_engine_s_own_normals(stage: Stage, change: str, backend: str) -> None:
-    require(stage, backend)
-    character = stage.character(TUBE)
+def test_without_it_a_mesh_has_the_engine_s_own_normals(
+    stage: DrawingStage, change: str, backend: str
+) -> None:
+    require_backend(stage, backend)
+    character = stage.character(TUBE, RANDOM)
     found = stage.draw(character, change=change, backend=backend)
     wanted = expected(character, found, Algorithm.LBS_APPROXIMATED).normals
     assert largest(found["values"][0], wanted) < DEGREES
@@ -220,7 +194,7 @@ def test_without_it_a_mesh_has_the_engine_s_own_normals(stage: Stage, change: st
 class TestMessages:
     """Nothing is silently standard."""
 
-    def test_eight_influences(self, stage: Stage) -> None:
+    def test_eight_influences(self, stage: DrawingStage) -> None:
         reason = "it has 8 influences for each vertex, and PlayCanvas reads four"
         report, (message,) = stage.told(baked(FIXTURES / "two_sets.glb", stage.models))
         assert report[0][1].startswith(reason)
@@ -233,7 +207,7 @@ class TestMessages:
             ("a shader of its own", "is not a StandardMaterial or LitMaterial"),
         ],
     )
-    def test_a_material_that_cannot(self, stage: Stage, change: str, reason: str) -> None:
+    def test_a_material_that_cannot(self, stage: DrawingStage, change: str, reason: str) -> None:
         report, (message,) = stage.told(baked(TUBE, stage.models), change=change)
         assert report[0][0] == "standard"
         assert reason in report[0][1]
@@ -241,7 +215,7 @@ class TestMessages:
         assert "PlayCanvas's standard lighting" in message
         assert reason in message
 
-    def test_an_asset_that_was_loaded_without_the_options(self, stage: Stage) -> None:
+    def test_an_asset_that_was_loaded_without_the_options(self, stage: DrawingStage) -> None:
         path = stage.models / "without.glb"
         path.write_bytes(baked(TUBE, stage.models).read_bytes())
         stage.told(baked(TUBE, stage.models))
@@ -249,14 +223,14 @@ class TestMessages:
         assert report == [["standard", "it is not baked, or its asset was loaded without skinbakeOptions()"]]
         assert "was loaded without skinbakeOptions()" in message
 
-    def test_lost_metadata(self, stage: Stage) -> None:
+    def test_lost_metadata(self, stage: DrawingStage) -> None:
         file = Editable(baked(TUBE, stage.models))
         file.primitive().pop("extras")
         report, (message,) = stage.told(file.write(stage.models / "lost.glb"))
         assert report[0][1].startswith("it has lost the metadata of its bake")
         assert "it has lost the metadata" in message
 
-    def test_draco(self, stage: Stage) -> None:
+    def test_draco(self, stage: DrawingStage) -> None:
         path = stage.models / "draco.glb"
         bake_file(TUBE, path, compress=Scheme.DRACO)
         reason = "its alpha and beta are compressed by Draco: bake it again with --compress none"
@@ -264,13 +238,13 @@ class TestMessages:
         assert report == [["standard", reason]]
         assert reason in message
 
-    def test_a_damaged_attribute(self, stage: Stage) -> None:
+    def test_a_damaged_attribute(self, stage: DrawingStage) -> None:
         file = Editable(baked(TUBE, stage.models))
         file.primitive()["attributes"]["_SKINBAKE_BETA_0"] = file.primitive()["attributes"]["WEIGHTS_0"]
         _, (message,) = stage.told(file.write(stage.models / "damaged.glb"))
         assert "its attribute _SKINBAKE_BETA_0 is VEC4, not VEC3" in message
 
-    def test_a_mesh_that_is_not_baked_is_not_told_of(self, stage: Stage) -> None:
+    def test_a_mesh_that_is_not_baked_is_not_told_of(self, stage: DrawingStage) -> None:
         path = stage.models / "plain.glb"
         path.write_bytes(TUBE.read_bytes())
         report, messages = stage.told(path)

@@ -12,7 +12,7 @@ import shutil
 import subprocess
 import tempfile
 import threading
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import IO, Any
 
@@ -40,6 +40,35 @@ def require_node(*packages: str) -> str:
     if absent:
         missing_tool(f"{', '.join(absent)} not installed: run `{INSTALL_COMMAND}`")
     return node
+
+
+def run_program(package: str, program: str, *arguments: str, folder: Path) -> None:
+    """Run the program of a package in a folder; if it fails, its words fail the test."""
+    done = subprocess.run(
+        [require_node(package), str(package_folder(package) / "bin" / program), *arguments],
+        cwd=folder,
+        capture_output=True,
+        encoding="utf-8",
+        timeout=300,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def build_page(project: Path, entry: Path, packages: Mapping[str, str], **configuration: object) -> None:
+    """Bundle a module into ``dist/app.js`` of an empty project by vite.
+
+    ``packages`` are the files and folders that it imports by name. ``configuration`` are further members of
+    vite's.
+    """
+    (project / f"app{entry.suffix}").write_bytes(entry.read_bytes())
+    (project / "package.json").write_text('{"name": "project", "private": true, "type": "module"}')
+    build = {"entry": f"app{entry.suffix}", "formats": ["es"], "fileName": "app"}
+    told: dict[str, object] = {"build": {"minify": False, "lib": build}, "logLevel": "warn"}
+    # Libraries of three.js bring it again. Pages of the tests import what is served as /support.
+    told["resolve"] = {"alias": {**packages, "/support": str(SUPPORT)}, "dedupe": ["three"]}
+    (project / "vite.config.mjs").write_text(f"export default {json.dumps(told | configuration)};")
+    run_program("vite", "vite.js", "build", folder=project)
 
 
 class Script:

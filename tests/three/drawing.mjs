@@ -8,6 +8,8 @@ import { GLTFLoader } from 'three/addons/loaders/GLTFLoader.js';
 import * as SkeletonUtils from 'three/addons/utils/SkeletonUtils.js';
 import { MToonMaterial, VRMLoaderPlugin, VRMUtils } from '@pixiv/three-vrm';
 import * as skinbake from 'skinbake-three';
+import { base64 } from '/support/base64.mjs';
+import { posed, skinnedMeshes } from './posed.mjs';
 
 const renderer = new THREE.WebGLRenderer({ antialias: false });
 renderer.setSize(64, 64);
@@ -19,29 +21,8 @@ async function load({ url, pose = {}, plugin = true, vrm = false, method, morphs
     if (vrm) loader.register((parser) => new VRMLoaderPlugin(parser));
     if (plugin) loader.register((parser) => new skinbake.SkinbakePlugin(parser, { method }));
     const gltf = await loader.loadAsync(url);
-    const { scene, animations } = gltf;
-    if (pose.clip !== undefined) {
-        const mixer = new THREE.AnimationMixer(scene);
-        mixer.clipAction(animations[pose.clip]).play();
-        mixer.setTime(pose.time);
-    }
-    const meshes = skinnedMeshes(scene);
-    for (const [joint, [w, x, y, z]] of (pose.turned ?? []).entries()) {
-        meshes[0].skeleton.bones[joint].quaternion.multiply(new THREE.Quaternion(x, y, z, w));
-    }
-    for (const mesh of meshes) {
-        mesh.frustumCulled = false;
-        if (morphs) mesh.morphTargetInfluences = morphs;
-    }
+    for (const mesh of posed(gltf, pose, morphs)) mesh.frustumCulled = false;
     return gltf;
-}
-
-function skinnedMeshes(root) {
-    const found = [];
-    root.traverse((object) => {
-        if (object.isSkinnedMesh) found.push(object);
-    });
-    return found;
 }
 
 // Draw until hooks have done their work, then once more, recorded.
@@ -55,15 +36,6 @@ async function draw(scene, frames = 3) {
     renderer.render(scene, camera);
     CAPTURE.on = false;
     return CAPTURE.draws;
-}
-
-function base64(floats) {
-    const bytes = new Uint8Array(floats.buffer, floats.byteOffset, floats.byteLength);
-    let text = '';
-    for (let at = 0; at < bytes.length; at += 8192) {
-        text += String.fromCharCode(...bytes.subarray(at, at + 8192));
-    }
-    return btoa(text);
 }
 
 const told = (reports) => reports.map(({ lighting, reason }) => [lighting, reason]);

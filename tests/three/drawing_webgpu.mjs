@@ -10,6 +10,8 @@ import { MToonNodeMaterial } from '@pixiv/three-vrm/nodes';
 import { WebGLNodesHandler } from 'three/addons/tsl/WebGLNodesHandler.js';
 import * as chunks from 'skinbake-three';
 import * as skinbake from 'skinbake-three/webgpu';
+import { base64 } from '/support/base64.mjs';
+import { posed, skinnedMeshes } from './posed.mjs';
 
 CAPTURE.names = ['v_normalViewGeometry'];
 
@@ -30,29 +32,8 @@ async function load({ url, pose = {}, plugin = true, method, morphs }) {
     const loader = new GLTFLoader();
     if (plugin) loader.register((parser) => new skinbake.SkinbakePlugin(parser, { method }));
     const gltf = await loader.loadAsync(url);
-    const { scene, animations } = gltf;
-    if (pose.clip !== undefined) {
-        const mixer = new THREE.AnimationMixer(scene);
-        mixer.clipAction(animations[pose.clip]).play();
-        mixer.setTime(pose.time);
-    }
-    const meshes = skinnedMeshes(scene);
-    for (const [joint, [w, x, y, z]] of (pose.turned ?? []).entries()) {
-        meshes[0].skeleton.bones[joint].quaternion.multiply(new THREE.Quaternion(x, y, z, w));
-    }
-    for (const mesh of meshes) {
-        mesh.frustumCulled = false;
-        if (morphs) mesh.morphTargetInfluences = morphs;
-    }
+    for (const mesh of posed(gltf, pose, morphs)) mesh.frustumCulled = false;
     return gltf;
-}
-
-function skinnedMeshes(root) {
-    const found = [];
-    root.traverse((object) => {
-        if (object.isSkinnedMesh) found.push(object);
-    });
-    return found;
 }
 
 // Draw until all is compiled, then once more, recorded: values of three floats for each vertex, and clip positions.
@@ -74,15 +55,6 @@ async function draw(renderer, scene, camera) {
     return read
         .filter(({ name }) => name)
         .map(({ varying }) => ({ values: varying.filter((_, index) => index % 4 < 3) }));
-}
-
-function base64(floats) {
-    const bytes = new Uint8Array(floats.buffer, floats.byteOffset, floats.byteLength);
-    let text = '';
-    for (let at = 0; at < bytes.length; at += 8192) {
-        text += String.fromCharCode(...bytes.subarray(at, at + 8192));
-    }
-    return btoa(text);
 }
 
 // What applications do after the first frames.

@@ -14,10 +14,10 @@ from fixtures.make_fixtures import FOLDER
 from skinbake.choices import Encoding, Layout
 from skinbake.format.layouts import GradientFormat
 from skinbake.skinning.algorithms import Algorithm
-from tests.support import browser
 from tests.support.baked_files import Editable
-from tests.support.characters import AS_USUAL, Array, Character, Placement, Pose, angles, baked
+from tests.support.characters import AS_USUAL, Array, Character, Placement, Pose, angles
 from tests.support.replay import replay
+from tests.support.stage import Stage
 
 DEGREES = 0.01
 """Between the browser and the replay: three.js has bone matrices, and we all else, in float32."""
@@ -49,34 +49,15 @@ STORAGES = [
 ]
 
 
-class Stage:
-    """The page, and the models that it can load."""
+class ThreeStage(Stage):
+    """The page, and the models that it can load. three-vrm extends a class that three.js gives up."""
 
-    def __init__(self, page: browser.Page, models: Path) -> None:
-        self.page, self.models = page, models
-
-    def character(
-        self, source: Path, pose: Pose, frame: str = "auto", storage: GradientFormat = AS_USUAL
-    ) -> Character:
-        return Character(baked(source, self.models, frame, storage), pose)
-
-    def call(self, function: str, options: dict[str, Any]) -> Any:
-        """Call a function of the page; whatever the console says of it fails the test.
-
-        The corpus has no images beside its models, and three-vrm extends a class that three.js gives up.
-        """
-        value = self.page.call(function, options)
-        others = (
-            "Failed to load resource",
-            "THREE.GLTFLoader: Couldn't load",
-            "THREE.GLTFLoader: Unknown ext",
-            "THREE.TempNode: This module has been deprecated",
-        )
-        assert [line for line in self.page.messages() if not line.startswith(others)] == []
-        return value
-
-    def normals(self, character: Character, **options: object) -> dict[str, Any]:
-        return dict(self.call("normals", {**character.told(Placement()), **options}))
+    unasked = (
+        *Stage.unasked,
+        "THREE.GLTFLoader: Couldn't load",
+        "THREE.GLTFLoader: Unknown ext",
+        "THREE.TempNode: This module has been deprecated",
+    )
 
 
 def vectors(text: str) -> Array:

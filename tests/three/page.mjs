@@ -4,33 +4,26 @@
 
 import * as THREE from 'three';
 import { GLTFLoader } from 'three/addons/loaders/GLTFLoader.js';
+import { base64 } from '/support/base64.mjs';
+import { posed, skinnedMeshes } from './posed.mjs';
 
 const renderer = new THREE.WebGLRenderer({ antialias: false });
 renderer.setSize(64, 64);
 document.body.append(renderer.domElement);
 
-// Load a model and put it into a pose. Options: url; pose: { clip, time } or { turned }, a quaternion
-// (w, x, y, z) for each joint, after its own rotation; root, a matrix for the whole scene; bind, a bind matrix;
-// morphs, the influences of morph targets.
+// Load a model and put it into a pose. Options: url; pose and morphs, as for posed; root, a matrix for the whole
+// scene; bind, a bind matrix.
 async function load({ url, pose = {}, root, bind, morphs }) {
-    const { scene, animations } = await new GLTFLoader().loadAsync(url);
+    const model = await new GLTFLoader().loadAsync(url);
+    const { scene } = model;
     if (root) {
         scene.matrixAutoUpdate = false;
         scene.matrix.fromArray(root);
     }
-    if (pose.clip !== undefined) {
-        const mixer = new THREE.AnimationMixer(scene);
-        mixer.clipAction(animations[pose.clip]).play();
-        mixer.setTime(pose.time);
-    }
-    const meshes = skinnedMeshes(scene);
-    for (const [joint, [w, x, y, z]] of (pose.turned ?? []).entries()) {
-        meshes[0].skeleton.bones[joint].quaternion.multiply(new THREE.Quaternion(x, y, z, w));
-    }
+    const meshes = posed(model, pose, morphs);
     scene.updateMatrixWorld(true);
     for (const mesh of meshes) {
         if (bind) mesh.bind(mesh.skeleton, new THREE.Matrix4().fromArray(bind));
-        if (morphs) mesh.morphTargetInfluences = morphs;
         mesh.updateMatrixWorld(true);
     }
     return scene;
@@ -38,14 +31,6 @@ async function load({ url, pose = {}, root, bind, morphs }) {
 
 async function imported(address) {
     return { address, ...(await import(address)) };
-}
-
-function skinnedMeshes(root) {
-    const found = [];
-    root.traverse((object) => {
-        if (object.isSkinnedMesh) found.push(object);
-    });
-    return found;
 }
 
 // A material like another one whose vertex shader writes an expression of its last scope, a vec3, for each
@@ -127,15 +112,6 @@ function drawn(object, camera, width, height) {
     target.dispose();
     if (parent) parent.add(object);
     return pixels;
-}
-
-function base64(floats) {
-    const bytes = new Uint8Array(floats.buffer, floats.byteOffset, floats.byteLength);
-    let text = '';
-    for (let at = 0; at < bytes.length; at += 8192) {
-        text += String.fromCharCode(...bytes.subarray(at, at + 8192));
-    }
-    return btoa(text);
 }
 
 const floatsOf = (text) => new Float32Array(Uint8Array.from(atob(text), (c) => c.charCodeAt(0)).buffer);

@@ -14,10 +14,11 @@ import pytest
 from skinbake.choices import Encoding
 from skinbake.format.layouts import GradientFormat
 from skinbake.skinning.algorithms import Algorithm
-from tests.support import browser, corpus, gltf_reading, gltf_transform
+from tests.support import corpus, gltf_reading, gltf_transform
 from tests.support.baked_files import Editable
 from tests.support.characters import AS_USUAL, Character, Placement, Pose, angles, baked
-from tests.support.node import SUPPORT, package_folder, require_node
+from tests.support.node import package_folder, require_node
+from tests.support.stage import opened_page, page_of
 from tests.three.drawn import (
     BENT,
     CHARACTERS,
@@ -26,7 +27,7 @@ from tests.three.drawn import (
     RANDOM,
     STORAGES,
     TUBE,
-    Stage,
+    ThreeStage,
     expected,
     largest,
     rotation,
@@ -38,46 +39,31 @@ from tests.three.drawn import (
 from tests.three.vrm import EXPRESSIONS, as_vrm
 from tests.three.write_package import FOLDER as PACKAGE
 
-PAGE = """<!doctype html>
-<meta charset="utf-8">
-<link rel="icon" href="data:,">
-<script type="importmap">
-{"imports": {
-    "three": "/three/build/three.module.js",
-    "three/addons/": "/three/examples/jsm/",
-    "@pixiv/three-vrm": "/vrm/lib/three-vrm.module.js",
-    "skinbake-three": "/package/index.js"
-}}
-</script>
-<script src="/support/capture.js"></script>
-<body><script type="module">window.ready = import('/tests/drawing.mjs');</script>
-"""
-
-
-@pytest.fixture
-def stage(opened: Stage) -> Stage:
-    """The page, of which no earlier test has left a message."""
-    opened.page.messages()
-    return opened
+PAGE = page_of(
+    "/tests/drawing.mjs",
+    {
+        "three": "/three/build/three.module.js",
+        "three/addons/": "/three/examples/jsm/",
+        "@pixiv/three-vrm": "/vrm/lib/three-vrm.module.js",
+        "skinbake-three": "/package/index.js",
+    },
+    scripts=["/support/capture.js"],
+)
 
 
 @pytest.fixture(scope="module")
-def opened(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stage]:
+def opened(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ThreeStage]:
     require_node("three", "@pixiv/three-vrm")
-    folder = tmp_path_factory.mktemp("package")
-    for name in ("models", "profile"):
-        (folder / name).mkdir()
-    folders = {"models": folder / "models", "three": package_folder("three"), "package": PACKAGE}
-    folders |= {"tests": Path(__file__).resolve().parent, "support": SUPPORT}
-    folders |= {"vrm": package_folder("@pixiv/three-vrm")}
-    with browser.opened(PAGE, folders, folder / "profile") as page:
-        yield Stage(page, folder / "models")
+    folders = {"three": package_folder("three"), "vrm": package_folder("@pixiv/three-vrm")}
+    folders |= {"tests": Path(__file__).resolve().parent, "package": PACKAGE}
+    with opened_page(PAGE, tmp_path_factory.mktemp("package"), folders) as (page, models):
+        yield ThreeStage(page, models)
 
 
 @pytest.mark.parametrize("storage", STORAGES, ids=lambda storage: f"{storage.encoding} {storage.layout}")
 @pytest.mark.parametrize(("model", "fixture", "pose"), CHARACTERS)
 def test_every_normal_is_that_of_the_replay(
-    stage: Stage, model: str | None, fixture: Path | None, pose: Pose, storage: GradientFormat
+    stage: ThreeStage, model: str | None, fixture: Path | None, pose: Pose, storage: GradientFormat
 ) -> None:
     character = stage.character(fixture or corpus.model(model or ""), pose, storage=storage)
     found = stage.normals(character)
@@ -89,7 +75,7 @@ def test_every_normal_is_that_of_the_replay(
     assert np.percentile(angles(vectors(drawn), standard[: len(vectors(drawn))]), 99) > 100 * DEGREES
 
 
-def test_where_weights_jump_the_normal_is_as_float32_has_it(stage: Stage) -> None:
+def test_where_weights_jump_the_normal_is_as_float32_has_it(stage: ThreeStage) -> None:
     """Four of the mantis's 6,243 vertices stand at slivers across which a weight falls from 1 to 0."""
     character = stage.character(corpus.model("RobotMantis/animated_robot_mantis.glb"), Pose(0, 0.4))
     found = stage.normals(character)
@@ -101,7 +87,7 @@ def test_where_weights_jump_the_normal_is_as_float32_has_it(stage: Stage) -> Non
     assert (errors[jumps] < allowed[jumps]).all()
 
 
-def test_three_vrm_loads_a_character_beside_the_plugin(stage: Stage) -> None:
+def test_three_vrm_loads_a_character_beside_the_plugin(stage: ThreeStage) -> None:
     character = stage.character(corpus.model("VRM/cryptovoxels.vrm"), RANDOM)
     found = stage.page.call("normals", {**character.told(Placement()), "vrm": True})
     # three-vrm warns of what this old file has.
@@ -115,7 +101,7 @@ def test_three_vrm_loads_a_character_beside_the_plugin(stage: Stage) -> None:
 @pytest.mark.parametrize("tools", [False, True], ids=["as loaded", "VRMUtils"])
 @pytest.mark.parametrize("version", [0, 1])
 def test_expressions_of_vrm_morph_before_skinning_under_mtoon(
-    stage: Stage, version: int, tools: bool
+    stage: ThreeStage, version: int, tools: bool
 ) -> None:
     """MToon draws the mesh twice: the second time its back sides, as the outline."""
     source = as_vrm(with_morphs(stage.models, TUBE), stage.models / f"tube{version}.vrm", version)
@@ -136,21 +122,21 @@ def test_expressions_of_vrm_morph_before_skinning_under_mtoon(
 
 
 @pytest.mark.parametrize("frame", ["normal", "tangent"])
-def test_both_frames_have_the_same_module(stage: Stage, frame: str) -> None:
+def test_both_frames_have_the_same_module(stage: ThreeStage, frame: str) -> None:
     character = stage.character(MIRRORED, RANDOM, frame)
     found = stage.normals(character)
     assert largest(found["draws"][0], expected(character, found["world"])) < DEGREES
 
 
 @pytest.mark.parametrize("frame", ["normal", "tangent"])
-def test_morph_targets_come_before_skinning(stage: Stage, frame: str) -> None:
+def test_morph_targets_come_before_skinning(stage: ThreeStage, frame: str) -> None:
     path = baked(with_morphs(stage.models, MIRRORED), stage.models, frame)
     character = Character(path, RANDOM, (0.7, -0.4))
     found = stage.normals(character)
     assert largest(found["draws"][0], expected(character, found["world"])) < DEGREES
 
 
-def test_a_file_that_gltf_transform_has_optimised_before_the_bake(stage: Stage) -> None:
+def test_a_file_that_gltf_transform_has_optimised_before_the_bake(stage: ThreeStage) -> None:
     small = stage.models / "small.glb"
     done = gltf_transform.run(["optimize", TUBE, small, "--compress", "false", "--simplify", "false"])
     assert done.returncode == 0, done.stderr
@@ -161,7 +147,7 @@ def test_a_file_that_gltf_transform_has_optimised_before_the_bake(stage: Stage) 
 
 @pytest.mark.parametrize(("model", "fixture", "pose"), [CHARACTERS[0], CHARACTERS[3], CHARACTERS[4]])
 def test_dual_quaternions_have_algorithm_6(
-    stage: Stage, model: str | None, fixture: Path | None, pose: Pose
+    stage: ThreeStage, model: str | None, fixture: Path | None, pose: Pose
 ) -> None:
     character = stage.character(fixture or corpus.model(model or ""), pose)
     found = stage.normals(character, method="dqs")
@@ -169,7 +155,7 @@ def test_dual_quaternions_have_algorithm_6(
 
 
 @pytest.mark.parametrize("when", ["before", "after"])
-def test_whatever_a_page_does_the_normals_stay_right(stage: Stage, when: str) -> None:
+def test_whatever_a_page_does_the_normals_stay_right(stage: ThreeStage, when: str) -> None:
     character = stage.character(TUBE, BENT)
     wrong = {}
     for change in stage.call("changes", {}):
@@ -184,7 +170,7 @@ def test_whatever_a_page_does_the_normals_stay_right(stage: Stage, when: str) ->
 NOT_DRAWN = "it has not been drawn yet"
 
 
-def test_without_the_module_three_has_its_own_normals(stage: Stage) -> None:
+def test_without_the_module_three_has_its_own_normals(stage: ThreeStage) -> None:
     """Else the tests above would not see it. The page has used the module before, and disposed of it."""
     character = stage.character(TUBE, BENT)
     found = stage.normals(character, plugin=False)
@@ -192,7 +178,7 @@ def test_without_the_module_three_has_its_own_normals(stage: Stage) -> None:
     assert largest(found["draws"][0], wanted) < DEGREES
 
 
-def test_standard_lighting_is_three_s_own(stage: Stage) -> None:
+def test_standard_lighting_is_three_s_own(stage: ThreeStage) -> None:
     character = stage.character(TUBE, BENT)
     found = stage.normals(character, lighting="standard")
     wanted = expected(character, found["world"], Algorithm.LBS_APPROXIMATED)
@@ -200,7 +186,7 @@ def test_standard_lighting_is_three_s_own(stage: Stage) -> None:
     assert found["report"] == [["standard", "lighting() has switched it"]]
 
 
-def test_a_mesh_that_was_drawn_before_is_taken_up_and_given_back(stage: Stage) -> None:
+def test_a_mesh_that_was_drawn_before_is_taken_up_and_given_back(stage: ThreeStage) -> None:
     character = stage.character(TUBE, BENT)
     found = stage.call("late", character.told(Placement()))
     normals = [
@@ -226,7 +212,7 @@ def test_a_mesh_that_was_drawn_before_is_taken_up_and_given_back(stage: Stage) -
     ],
 )
 def test_several_views_and_instances(
-    stage: Stage, kind: str, views: list[tuple[int, ...]], lighting: str
+    stage: ThreeStage, kind: str, views: list[tuple[int, ...]], lighting: str
 ) -> None:
     """Each camera is turned by its number, in radians, and so is each instance."""
     character = stage.character(TUBE, BENT)
@@ -244,7 +230,7 @@ def test_several_views_and_instances(
     assert found["report"] == [["accurate", ""] if accurate else ["standard", "lighting() has switched it"]]
 
 
-def test_meshes_that_are_not_lit_accurately_are_told_of_once(stage: Stage) -> None:
+def test_meshes_that_are_not_lit_accurately_are_told_of_once(stage: ThreeStage) -> None:
     stage.page.call("strangers", stage.character(TUBE, BENT).told(Placement()))
     reasons = {
         "batched": "three.js does not skin a BatchedMesh",
@@ -257,7 +243,7 @@ def test_meshes_that_are_not_lit_accurately_are_told_of_once(stage: Stage) -> No
     ]
 
 
-def test_classes_with_hooks_are_served_and_those_of_another_three_told_of(stage: Stage) -> None:
+def test_classes_with_hooks_are_served_and_those_of_another_three_told_of(stage: ThreeStage) -> None:
     character = stage.character(TUBE, BENT)
     found = stage.page.call("classes", character.told(Placement()))
     wanted = expected(character, found["world"], Algorithm.LBS_APPROXIMATED)
@@ -272,14 +258,14 @@ def test_classes_with_hooks_are_served_and_those_of_another_three_told_of(stage:
 
 
 @pytest.mark.parametrize("method", ["lbs", "dqs"])
-def test_shadows_follow_the_method(stage: Stage, method: str) -> None:
+def test_shadows_follow_the_method(stage: ThreeStage, method: str) -> None:
     character = stage.character(TUBE, BENT)
     found = stage.call("shadows", {**character.told(Placement()), "method": method})
     blended = [shadow_is_of(character, found, one) for one in (Algorithm.LBS_ACCURATE, Algorithm.DQS_EXACT)]
     assert blended == [method == "lbs", method == "dqs"]
 
 
-def test_metadata_of_an_accessor_is_found(stage: Stage) -> None:
+def test_metadata_of_an_accessor_is_found(stage: ThreeStage) -> None:
     """Where extras of the primitive are no object, bake writes into those of alpha's accessor."""
     file = Editable(TUBE)
     file.primitive()["extras"] = "ours"
@@ -293,7 +279,7 @@ def test_metadata_of_an_accessor_is_found(stage: Stage) -> None:
     assert found["report"] == found["loaded"] == [["accurate", ""]]
 
 
-def test_clones_share_all_and_are_switched_apart(stage: Stage) -> None:
+def test_clones_share_all_and_are_switched_apart(stage: ThreeStage) -> None:
     character = stage.character(TUBE, BENT)
     found = stage.call("clones", character.told(Placement()))
     accurate = expected(character, found["world"])
@@ -309,7 +295,7 @@ def test_clones_share_all_and_are_switched_apart(stage: Stage) -> None:
     assert not any("kinbake" in name and not name.startswith("_") for name in found["attributes"])
 
 
-def test_a_hundred_characters_of_all_kinds_share_one_program(stage: Stage) -> None:
+def test_a_hundred_characters_of_all_kinds_share_one_program(stage: ThreeStage) -> None:
     sources = [
         (TUBE, "auto", AS_USUAL),
         (TUBE, "auto", GradientFormat(Encoding.PACKED8)),
@@ -320,14 +306,14 @@ def test_a_hundred_characters_of_all_kinds_share_one_program(stage: Stage) -> No
     assert found == {"draws": 102, "programs": 1, "lightings": ["accurate"]}
 
 
-def test_a_material_with_a_shader_of_its_own_is_told_of_once(stage: Stage) -> None:
+def test_a_material_with_a_shader_of_its_own_is_told_of_once(stage: ThreeStage) -> None:
     told = stage.character(TUBE, BENT).told(Placement())
     reason = 'its ShaderMaterial "own" does not skin by three.js\'s chunks'
     assert stage.page.call("foreign", told) == [["standard", reason]]
     assert stage.page.messages() == [f'skinbake: "hero" has three.js\'s standard lighting: {reason}']
 
 
-def test_an_exporter_writes_the_file_s_own_attributes(stage: Stage) -> None:
+def test_an_exporter_writes_the_file_s_own_attributes(stage: ThreeStage) -> None:
     told = stage.character(TUBE, BENT).told(Placement())
     names = stage.call("exported", told)
     assert [name for name in names if "SKINBAKE" in name] == ["_SKINBAKE_ALPHA_0", "_SKINBAKE_BETA_0"]

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.node import package_folder, require_node
+from tests.support.node import package_folder, require_node, run_program
 from tests.support.strictness import missing_tool
 from tests.three.write_package import FOLDER
 
@@ -71,7 +71,7 @@ def test_it_runs_without_a_build(project: Path) -> None:
 
 
 def test_its_types_are_right_under_tsc_strict(project: Path) -> None:
-    node = require_node("typescript", "@types/three")
+    require_node("typescript", "@types/three")
     shutil.copy(Path(__file__).parent / "usage.ts", project / "usage.ts")
     options = {"strict": True, "noEmit": True, "module": "nodenext", "target": "es2022", "types": []}
     options |= {"lib": ["es2022", "dom"], "skipLibCheck": False, "preserveSymlinks": False}
@@ -80,7 +80,7 @@ def test_its_types_are_right_under_tsc_strict(project: Path) -> None:
     }
     configuration = {"compilerOptions": options, "files": ["usage.ts"]}
     (project / "tsconfig.json").write_text(json.dumps(configuration))
-    run(node, str(package_folder("typescript") / "bin" / "tsc"), "-p", ".", folder=project)
+    run_program("typescript", "tsc", "-p", ".", folder=project)
 
 
 def types(path: str) -> str:

@@ -28,7 +28,6 @@ from skinbake.skinning.algorithms import Algorithm
 from tests.support import browser, corpus
 from tests.support.baked_files import Editable
 from tests.support.characters import (
-    AS_USUAL,
     IDENTITY,
     Array,
     Character,
@@ -40,17 +39,14 @@ from tests.support.characters import (
     unit,
 )
 from tests.support.node import package_folder, require_node
+from tests.support.stage import Stage, opened_page, page_of
 from tests.support.whole_fields import shader_text
 from tests.three.drawn import with_morphs
 
-PAGE = """<!doctype html>
-<meta charset="utf-8">
-<link rel="icon" href="data:,">
-<script type="importmap">
-{"imports": {"three": "/three/build/three.module.js", "three/addons/": "/three/examples/jsm/"}}
-</script>
-<body><script type="module">window.ready = import('/tests/page.mjs');</script>
-"""
+PAGE = page_of(
+    "/tests/page.mjs",
+    {"three": "/three/build/three.module.js", "three/addons/": "/three/examples/jsm/"},
+)
 CHOICES = ShaderChoices(Language.GLSL, target="three")
 TOLERANCE = 1e-4
 """Of a component of a unit vector: three.js has bone matrices, and we all else, in float32."""
@@ -71,27 +67,20 @@ class Result:
     values: tuple[Array, ...]
 
 
-class Stage:
+class ModuleStage(Stage):
     """The page, with models and modules to show on it."""
 
-    def __init__(self, page: browser.Page, folder: Path) -> None:
-        self.page, self.folder = page, folder
+    unasked = ()
 
-    def character(
-        self,
-        source: Path,
-        pose: Pose,
-        frame: str = "auto",
-        morphs: tuple[float, ...] = (),
-        storage: GradientFormat = AS_USUAL,
-    ) -> Character:
-        return Character(baked(source, self.folder / "models", frame, storage), pose, morphs)
+    def __init__(self, page: browser.Page, models: Path, modules: Path) -> None:
+        super().__init__(page, models)
+        self.modules = modules
 
     def module(self, choices: ShaderChoices) -> str:
         """Write a module and return its address."""
         text = shader_text(choices)
         name = f"{hashlib.sha256(text.encode()).hexdigest()}.mjs"
-        (self.folder / "modules" / name).write_text(text, encoding="ascii")
+        (self.modules / name).write_text(text, encoding="ascii")
         return f"/modules/{name}"
 
     def vertices(
@@ -121,30 +110,17 @@ class Stage:
         assert found == ["standard"] * len(names)
         return self.page.messages()
 
-    def call(self, function: str, options: dict[str, Any]) -> Any:
-        """Call a function of the page; whatever the console says of it fails the test."""
-        value = self.page.call(function, options)
-        assert self.page.messages() == []
-        return value
-
-
-@pytest.fixture
-def stage(opened: Stage) -> Stage:
-    """The page, of which no earlier test has left a message."""
-    opened.page.messages()
-    return opened
-
 
 @pytest.fixture(scope="module")
-def opened(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stage]:
+def opened(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ModuleStage]:
     require_node("three")
     folder = tmp_path_factory.mktemp("three")
-    for name in ("models", "modules", "profile"):
-        (folder / name).mkdir()
-    folders = {name: folder / name for name in ("models", "modules")}
-    folders |= {"three": package_folder("three"), "tests": Path(__file__).resolve().parent}
-    with browser.opened(PAGE, folders, folder / "profile") as page:
-        yield Stage(page, folder)
+    modules = folder / "modules"
+    modules.mkdir()
+    folders = {"modules": modules, "three": package_folder("three")}
+    folders |= {"tests": Path(__file__).resolve().parent}
+    with opened_page(PAGE, folder, folders) as (page, models):
+        yield ModuleStage(page, models, modules)
 
 
 def floats(text: str) -> npt.NDArray[np.float32]:
@@ -183,23 +159,23 @@ FLIPPED = np.diag([-1.0, 1.0, 1.0, 1.0])
 class TestInstruments:
     """The console and exceptions of the page reach the tests."""
 
-    def test_warnings_and_errors_are_heard(self, stage: Stage) -> None:
+    def test_warnings_and_errors_are_heard(self, stage: ModuleStage) -> None:
         stage.page.call("console.warn", "first")
         stage.page.call("console.error", "second")
         stage.page.call("console.log", "third")
         assert stage.page.messages() == ["first", "second"]
         assert stage.page.messages() == []
 
-    def test_webgl_errors_are_heard(self, stage: Stage) -> None:
+    def test_webgl_errors_are_heard(self, stage: ModuleStage) -> None:
         stage.page.call("(() => document.createElement('canvas').getContext('webgl2').enable(1))")
         (message,) = stage.page.messages()
         assert "INVALID_ENUM" in message
 
-    def test_an_exception_is_raised_here(self, stage: Stage) -> None:
+    def test_an_exception_is_raised_here(self, stage: ModuleStage) -> None:
         with pytest.raises(RuntimeError, match="not here"):
             stage.page.call("(async () => { throw new Error('not here'); })")
 
-    def test_files_outside_the_served_folders_are_not_served(self, stage: Stage) -> None:
+    def test_files_outside_the_served_folders_are_not_served(self, stage: ModuleStage) -> None:
         for path in ("/models/%2e%2e/profile/stderr.txt", "/profile/stderr.txt"):
             status = "(async (path) => (await fetch(path)).status)"
             assert stage.page.call(status, path) == 404
@@ -220,7 +196,7 @@ class TestEveryVertex:
     """By one material and no light: the normal that three.js hands to its fragment shaders."""
 
     def test_three_has_algorithm_1(
-        self, stage: Stage, model: str | None, fixture: Path | None, pose: Pose
+        self, stage: ModuleStage, model: str | None, fixture: Path | None, pose: Pose
     ) -> None:
         character = stage.character(fixture or corpus.model(model or ""), pose)
         found = stage.vertices(character, None)
@@ -230,7 +206,7 @@ class TestEveryVertex:
 
     @pytest.mark.parametrize("lighting", [Lighting.ACCURATE, Lighting.DIRECT])
     def test_patched_it_has_algorithm_3_and_keeps_its_positions(
-        self, stage: Stage, model: str | None, fixture: Path | None, pose: Pose, lighting: Lighting
+        self, stage: ModuleStage, model: str | None, fixture: Path | None, pose: Pose, lighting: Lighting
     ) -> None:
         character = stage.character(fixture or corpus.model(model or ""), pose)
         found = stage.vertices(
@@ -256,8 +232,8 @@ def without_a_normal(folder: Path, source: Path) -> Path:
     return file.write(target)
 
 
-def test_a_normal_without_length_is_that_of_bake(stage: Stage) -> None:
-    character = stage.character(without_a_normal(stage.folder, TUBE), BENT)
+def test_a_normal_without_length_is_that_of_bake(stage: ModuleStage) -> None:
+    character = stage.character(without_a_normal(stage.models, TUBE), BENT)
     found = stage.vertices(character, CHOICES)
     expected = character.expected(Algorithm.LBS_ACCURATE, found.placement)
     assert deviation(found.values[0], expected.normals) < TOLERANCE
@@ -269,7 +245,9 @@ class TestPlacement:
     @pytest.mark.parametrize("frame", ["normal", "tangent"])
     @pytest.mark.parametrize("bind", [IDENTITY, PLACED, SKEWED], ids=["", "bound", "skewed"])
     @pytest.mark.parametrize("root", [IDENTITY, PLACED @ FLIPPED, SKEWED], ids=["", "flipped", "skewed root"])
-    def test_every_vertex_has_algorithm_3(self, stage: Stage, frame: str, bind: Array, root: Array) -> None:
+    def test_every_vertex_has_algorithm_3(
+        self, stage: ModuleStage, frame: str, bind: Array, root: Array
+    ) -> None:
         character = stage.character(MIRRORED, RANDOM, frame)
         found = stage.vertices(
             character,
@@ -286,7 +264,7 @@ class TestPlacement:
     @pytest.mark.parametrize("root", [IDENTITY, PLACED @ FLIPPED], ids=["", "flipped root"])
     @pytest.mark.parametrize("mirrored", [False, True])
     def test_mirrored_joints_turn_the_normal_outside_only_where_asked_for(
-        self, stage: Stage, bind: Array, root: Array, mirrored: bool
+        self, stage: ModuleStage, bind: Array, root: Array, mirrored: bool
     ) -> None:
         """A mirrored bind matrix mirrors every joint; a mirrored scene none, seen from the mesh."""
         character = stage.character(TUBE, BENT)
@@ -302,7 +280,7 @@ class TestPlacement:
         direct = stage.vertices(character, for_frame("normal", Lighting.DIRECT), Placement(root, bind))
         assert deviation(direct.values[0], outside) < TOLERANCE
 
-    def test_an_instance_is_placed_after_skinning(self, stage: Stage) -> None:
+    def test_an_instance_is_placed_after_skinning(self, stage: ModuleStage) -> None:
         character = stage.character(TUBE, BENT)
         found = stage.vertices(character, CHOICES, instance=column_by_column(SKEWED))
         skinned = character.expected(Algorithm.LBS_ACCURATE, found.placement).normals
@@ -317,7 +295,7 @@ class TestTangents:
     @pytest.mark.parametrize("material", ["mapped", "physical", "standard"])
     @pytest.mark.parametrize("lighting", [Lighting.ACCURATE, Lighting.DIRECT])
     def test_both_frames_skin_the_normal_and_tangent(
-        self, stage: Stage, frame: str, material: str, lighting: Lighting
+        self, stage: ModuleStage, frame: str, material: str, lighting: Lighting
     ) -> None:
         character = stage.character(MIRRORED, RANDOM, frame)
         assert character.frame == frame
@@ -334,17 +312,17 @@ class TestTangents:
 
 class TestMorphTargets:
     @pytest.mark.parametrize("frame", ["normal", "tangent"])
-    def test_the_frame_turns_with_the_morphed_normal(self, stage: Stage, frame: str) -> None:
-        source = with_morphs(stage.folder, MIRRORED)
+    def test_the_frame_turns_with_the_morphed_normal(self, stage: ModuleStage, frame: str) -> None:
+        source = with_morphs(stage.models, MIRRORED)
         character = stage.character(source, RANDOM, frame, morphs=(0.7, -0.4))
         found = stage.vertices(character, for_frame(frame), expressions=[NORMAL, TANGENT], material="mapped")
         expected = character.expected(Algorithm.LBS_ACCURATE, found.placement)
         assert deviation(found.values[0], expected.normals) < TOLERANCE
         assert deviation(found.values[1], expected.tangents) < TOLERANCE
 
-    def test_a_frame_derived_anew_would_be_far_off(self, stage: Stage) -> None:
+    def test_a_frame_derived_anew_would_be_far_off(self, stage: ModuleStage) -> None:
         """Else the test above would not see it."""
-        source = with_morphs(stage.folder, MIRRORED)
+        source = with_morphs(stage.models, MIRRORED)
         morphed = stage.character(source, RANDOM, "normal", morphs=(0.7, -0.4))
         found = stage.vertices(morphed, CHOICES)
         assert deviation(found.values[0], morphed.expected_anew(found.placement)) > 100 * TOLERANCE
@@ -382,7 +360,7 @@ class TestStorage:
     @pytest.mark.parametrize("storage", STORAGES)
     @pytest.mark.parametrize("lighting", [Lighting.ACCURATE, Lighting.DIRECT])
     def test_every_vertex_has_what_the_file_means(
-        self, stage: Stage, storage: GradientFormat, lighting: Lighting
+        self, stage: ModuleStage, storage: GradientFormat, lighting: Lighting
     ) -> None:
         character = stage.character(TUBE, BENT, storage=storage)
         choices = for_file(character, lighting)
@@ -391,7 +369,7 @@ class TestStorage:
         expected = character.expected(Algorithm(choices.algorithm), found.placement)
         assert deviation(found.values[0], expected.normals) < TOLERANCE
 
-    def test_packed8_is_seen(self, stage: Stage) -> None:
+    def test_packed8_is_seen(self, stage: ModuleStage) -> None:
         """Else the tests above would not tell it from floats."""
         of_floats = stage.character(TUBE, BENT)
         placement = stage.vertices(of_floats, None).placement
@@ -401,15 +379,15 @@ class TestStorage:
 
     @pytest.mark.parametrize("sets", [0, 1, 3])
     @pytest.mark.parametrize("material", ["standard", "second coordinates"])
-    def test_texture_coordinates_of_any_number(self, stage: Stage, sets: int, material: str) -> None:
+    def test_texture_coordinates_of_any_number(self, stage: ModuleStage, sets: int, material: str) -> None:
         """Also where three.js declares uv1 itself, for a texture."""
-        source = with_coordinates(stage.folder, TUBE, sets)
+        source = with_coordinates(stage.models, TUBE, sets)
         character = stage.character(source, BENT, storage=TEXCOORD)
         found = stage.vertices(character, for_file(character), material=material)
         expected = character.expected(Algorithm.LBS_ACCURATE, found.placement)
         assert deviation(found.values[0], expected.normals) < TOLERANCE
 
-    def test_integers_that_do_not_fit_are_told_of(self, stage: Stage) -> None:
+    def test_integers_that_do_not_fit_are_told_of(self, stage: ModuleStage) -> None:
         character = stage.character(TUBE, BENT, storage=PACKED8)
         told = stage.misfits(character, ["size", "lacking", "integers", "floats", "scale", "encoding"])
         remedy = "bake last, or keep attributes as they are"
@@ -424,7 +402,7 @@ class TestStorage:
             ),
         ]
 
-    def test_texture_coordinates_that_do_not_fit_are_told_of(self, stage: Stage) -> None:
+    def test_texture_coordinates_that_do_not_fit_are_told_of(self, stage: ModuleStage) -> None:
         """A mesh that has as many of them and is not baked is nothing to tell of."""
         character = stage.character(TUBE, BENT, storage=TEXCOORD)
         assert stage.misfits(character, ["pair", "metadata"]) == [
@@ -437,9 +415,9 @@ def standard(mesh: str, reason: str) -> str:
 
 
 class TestMaterials:
-    def test_every_kind_compiles_in_silence(self, stage: Stage) -> None:
+    def test_every_kind_compiles_in_silence(self, stage: ModuleStage) -> None:
         every = stage.page.call("materials")
-        morphing = with_morphs(stage.folder, MIRRORED)
+        morphing = with_morphs(stage.models, MIRRORED)
         for source, frame, names in (
             (morphing, "tangent", every),
             (MIRRORED, "normal", ["basic", "mapped", "flat", "back"]),
@@ -458,7 +436,7 @@ class TestMaterials:
         "material",
         ["basic", "normal", "lambert", "phong", "toon", "matcap", "double-sided", "displaced", "hashed"],
     )
-    def test_every_kind_has_the_same_normal(self, stage: Stage, material: str) -> None:
+    def test_every_kind_has_the_same_normal(self, stage: ModuleStage, material: str) -> None:
         character = stage.character(TUBE, BENT)
         found = stage.vertices(character, CHOICES, material=material)
         expected = character.expected(Algorithm.LBS_ACCURATE, found.placement)
@@ -471,7 +449,7 @@ class TestMaterials:
         ],
         ids=["cap"],
     )
-    def test_choices_of_the_snippet_reach_it(self, stage: Stage, choices: ShaderChoices) -> None:
+    def test_choices_of_the_snippet_reach_it(self, stage: ModuleStage, choices: ShaderChoices) -> None:
         character = stage.character(TUBE, BENT)
         found = stage.vertices(character, choices)
         expected = character.expected(Algorithm.LBS_ACCURATE, found.placement, cap=choices.cap)
@@ -483,7 +461,7 @@ UNLIT = {"depth"}
 
 
 class TestMisfits:
-    def test_a_mesh_that_does_not_fit_is_left_alone_and_told_of(self, stage: Stage) -> None:
+    def test_a_mesh_that_does_not_fit_is_left_alone_and_told_of(self, stage: ModuleStage) -> None:
         character = stage.character(TUBE, BENT)
         changes = ["size", "lacking", "frame", "normal", "influences", "version", "damaged", "metadata"]
         remedy = "bake last, or keep attributes as they are"
@@ -501,16 +479,16 @@ class TestMisfits:
             ),
         ]
 
-    def test_a_file_of_two_influence_sets_is_left_alone(self, stage: Stage) -> None:
-        path = baked(FOLDER / "two_sets.glb", stage.folder / "models")
+    def test_a_file_of_two_influence_sets_is_left_alone(self, stage: ModuleStage) -> None:
+        path = baked(FOLDER / "two_sets.glb", stage.models)
         options = {"url": f"/models/{path.name}", "module": stage.module(CHOICES), "expressions": []}
         (mesh,) = stage.page.call("vertices", options)
         assert mesh["patched"] == 0
         (message,) = stage.page.messages()
         assert message.endswith(EIGHT)
 
-    def test_both_primitives_of_a_mesh_are_lit(self, stage: Stage) -> None:
-        path = baked(FOLDER / "two_primitives.glb", stage.folder / "models")
+    def test_both_primitives_of_a_mesh_are_lit(self, stage: ModuleStage) -> None:
+        path = baked(FOLDER / "two_primitives.glb", stage.models)
         options = {"url": f"/models/{path.name}", "module": stage.module(CHOICES), "expressions": []}
         meshes = stage.call("vertices", options)
         assert [mesh["patched"] for mesh in meshes] == [2, 2]
@@ -557,7 +535,7 @@ def look_at(
 @pytest.mark.parametrize(("model", "fixture", "pose"), [MODELS[0], MODELS[2]])
 class TestPictures:
     def test_lighting_changes_at_the_bends_and_nowhere_else(
-        self, stage: Stage, model: str | None, fixture: Path | None, pose: Pose
+        self, stage: ModuleStage, model: str | None, fixture: Path | None, pose: Pose
     ) -> None:
         """MeshNormalMaterial before and after, against the replay's difference drawn as a colour."""
         character = stage.character(fixture or corpus.model(model or ""), pose)

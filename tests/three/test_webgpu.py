@@ -16,10 +16,10 @@ import pytest
 
 from skinbake.format.layouts import GradientFormat
 from skinbake.skinning.algorithms import Algorithm
-from tests.support import browser, corpus
+from tests.support import corpus
 from tests.support.characters import Character, Placement, Pose, angles, baked
-from tests.support.node import SUPPORT, package_folder, require_node
-from tests.support.strictness import missing_tool
+from tests.support.node import package_folder, require_node
+from tests.support.stage import opened_page, page_of, require_backend
 from tests.three.drawn import (
     BENT,
     CHARACTERS,
@@ -28,7 +28,7 @@ from tests.three.drawn import (
     RANDOM,
     STORAGES,
     TUBE,
-    Stage,
+    ThreeStage,
     expected,
     largest,
     rotation,
@@ -37,24 +37,20 @@ from tests.three.drawn import (
 )
 from tests.three.write_package import FOLDER as PACKAGE
 
-PAGE = """<!doctype html>
-<meta charset="utf-8">
-<link rel="icon" href="data:,">
-<script type="importmap">
-{"imports": {
-    "three": "/three/build/three.module.js",
-    "three/webgpu": "/three/build/three.webgpu.js",
-    "three/tsl": "/three/build/three.tsl.js",
-    "three/addons/": "/three/examples/jsm/",
-    "@pixiv/three-vrm/nodes": "/vrm/lib/nodes/index.module.js",
-    "skinbake-three": "/package/index.js",
-    "skinbake-three/webgpu": "/package/webgpu.js"
-}, "scopes": {"/vrm/": {"three/tsl": "/tests/tsl_for_three_vrm.mjs"}}}
-</script>
-<script src="/support/capture.js"></script>
-<script src="/tests/capture_webgpu.js"></script>
-<body><script type="module">window.ready = import('/tests/drawing_webgpu.mjs');</script>
-"""
+PAGE = page_of(
+    "/tests/drawing_webgpu.mjs",
+    {
+        "three": "/three/build/three.module.js",
+        "three/webgpu": "/three/build/three.webgpu.js",
+        "three/tsl": "/three/build/three.tsl.js",
+        "three/addons/": "/three/examples/jsm/",
+        "@pixiv/three-vrm/nodes": "/vrm/lib/nodes/index.module.js",
+        "skinbake-three": "/package/index.js",
+        "skinbake-three/webgpu": "/package/webgpu.js",
+    },
+    scopes={"/vrm/": {"three/tsl": "/tests/tsl_for_three_vrm.mjs"}},
+    scripts=["/support/capture.js", "/tests/capture_webgpu.js"],
+)
 SIZE = 96
 SOURCES = [(TUBE, BENT, "auto"), (MIRRORED, RANDOM, "normal"), (MIRRORED, RANDOM, "tangent")]
 
@@ -64,30 +60,13 @@ KINDS = ["own", "normal", "lambert", "phong", "toon", "matcap", "standard", "nod
 KINDS += ["clone", "copy", "hook", "positioned"]
 
 
-def require(stage: Stage, backend: str) -> None:
-    """Skip where the browser has no WebGPU, and the renderer takes WebGL 2 in its place."""
-    if stage.page.call("backend", backend) != backend:
-        missing_tool("this browser has no WebGPU adapter")
-
-
-@pytest.fixture
-def stage(opened: Stage) -> Stage:
-    """The page, of which no earlier test has left a message."""
-    opened.page.messages()
-    return opened
-
-
 @pytest.fixture(scope="module")
-def opened(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stage]:
+def opened(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ThreeStage]:
     require_node("three", "@pixiv/three-vrm")
-    folder = tmp_path_factory.mktemp("webgpu")
-    for name in ("models", "profile"):
-        (folder / name).mkdir()
-    folders = {"models": folder / "models", "three": package_folder("three"), "package": PACKAGE}
-    folders |= {"tests": Path(__file__).resolve().parent, "support": SUPPORT}
-    folders |= {"vrm": package_folder("@pixiv/three-vrm")}
-    with browser.opened(PAGE, folders, folder / "profile") as page:
-        yield Stage(page, folder / "models")
+    folders = {"three": package_folder("three"), "vrm": package_folder("@pixiv/three-vrm")}
+    folders |= {"tests": Path(__file__).resolve().parent, "package": PACKAGE}
+    with opened_page(PAGE, tmp_path_factory.mktemp("webgpu"), folders) as (page, models):
+        yield ThreeStage(page, models)
 
 
 @pytest.mark.parametrize("storage", STORAGES, ids=lambda storage: f"{storage.encoding} {storage.layout}")
@@ -95,9 +74,15 @@ def opened(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stage]:
 @pytest.mark.parametrize("method", ["lbs", "dqs"])
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_every_normal_is_that_of_the_replay(
-    stage: Stage, source: Path, pose: Pose, frame: str, method: str, storage: GradientFormat, backend: str
+    stage: ThreeStage,
+    source: Path,
+    pose: Pose,
+    frame: str,
+    method: str,
+    storage: GradientFormat,
+    backend: str,
 ) -> None:
-    require(stage, backend)
+    require_backend(stage, backend)
     character = stage.character(source, pose, frame, storage)
     found = stage.normals(character, method=method, backend=backend)
     (drawn,) = found["draws"]
@@ -107,7 +92,7 @@ def test_every_normal_is_that_of_the_replay(
 
 
 @pytest.mark.parametrize("frame", ["normal", "tangent"])
-def test_morph_targets_come_before_skinning(stage: Stage, frame: str) -> None:
+def test_morph_targets_come_before_skinning(stage: ThreeStage, frame: str) -> None:
     path = baked(with_morphs(stage.models, MIRRORED), stage.models, frame)
     character = Character(path, RANDOM, (0.7, -0.4))
     found = stage.normals(character)
@@ -119,9 +104,9 @@ def test_morph_targets_come_before_skinning(stage: Stage, frame: str) -> None:
 )
 @pytest.mark.parametrize(("model", "fixture", "pose"), CHARACTERS[2:])
 def test_real_characters_too(
-    stage: Stage, model: str, fixture: None, pose: Pose, storage: GradientFormat, backend: str
+    stage: ThreeStage, model: str, fixture: None, pose: Pose, storage: GradientFormat, backend: str
 ) -> None:
-    require(stage, backend)
+    require_backend(stage, backend)
     character = stage.character(corpus.model(model), pose, storage=storage)
     found = stage.normals(character, backend=backend)
     (drawn,) = found["draws"]
@@ -129,14 +114,14 @@ def test_real_characters_too(
 
 
 @pytest.mark.parametrize("material", KINDS)
-def test_materials_of_all_kinds_have_the_same_normals(stage: Stage, material: str) -> None:
+def test_materials_of_all_kinds_have_the_same_normals(stage: ThreeStage, material: str) -> None:
     character = stage.character(TUBE, BENT)
     found = stage.normals(character, material=material)
     assert largest(found["draws"][-1], expected(character, found["world"])) < DEGREES
     assert found["report"] == [["accurate", ""]]
 
 
-def test_whatever_a_page_does_the_normals_stay_right(stage: Stage) -> None:
+def test_whatever_a_page_does_the_normals_stay_right(stage: ThreeStage) -> None:
     character = stage.character(TUBE, BENT)
     wrong = {}
     for change in stage.call("changes", {}):
@@ -148,9 +133,9 @@ def test_whatever_a_page_does_the_normals_stay_right(stage: Stage) -> None:
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
-def test_joints_that_no_uniform_buffer_holds_come_from_a_texture(stage: Stage, backend: str) -> None:
+def test_joints_that_no_uniform_buffer_holds_come_from_a_texture(stage: ThreeStage, backend: str) -> None:
     """As three.js has it. Here the buffer is said to be small."""
-    require(stage, backend)
+    require_backend(stage, backend)
     character = stage.character(TUBE, BENT)
     found = stage.normals(character, backend=backend, material="fuzzy", uniformBytes=64)
     assert largest(found["draws"][-1], expected(character, found["world"])) < DEGREES
@@ -159,7 +144,7 @@ def test_joints_that_no_uniform_buffer_holds_come_from_a_texture(stage: Stage, b
 
 @pytest.mark.parametrize("method", ["lbs", "dqs"])
 @pytest.mark.parametrize("frame", ["normal", "tangent"])
-def test_tangents_are_those_of_the_replay(stage: Stage, frame: str, method: str) -> None:
+def test_tangents_are_those_of_the_replay(stage: ThreeStage, frame: str, method: str) -> None:
     character = stage.character(MIRRORED, RANDOM, frame)
     found = stage.call("tangents", {**character.told(Placement()), "method": method})
     algorithm = Algorithm.LBS_ACCURATE if method == "lbs" else Algorithm.DQS_EXACT
@@ -171,8 +156,8 @@ def test_tangents_are_those_of_the_replay(stage: Stage, frame: str, method: str)
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
-def test_standard_lighting_is_three_s_own(stage: Stage, backend: str) -> None:
-    require(stage, backend)
+def test_standard_lighting_is_three_s_own(stage: ThreeStage, backend: str) -> None:
+    require_backend(stage, backend)
     character = stage.character(TUBE, BENT)
     for options in ({"lighting": "standard"}, {"plugin": False}):
         found = stage.normals(character, backend=backend, **options)
@@ -181,8 +166,10 @@ def test_standard_lighting_is_three_s_own(stage: Stage, backend: str) -> None:
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
-def test_a_mesh_that_was_drawn_before_is_taken_up_switched_and_given_back(stage: Stage, backend: str) -> None:
-    require(stage, backend)
+def test_a_mesh_that_was_drawn_before_is_taken_up_switched_and_given_back(
+    stage: ThreeStage, backend: str
+) -> None:
+    require_backend(stage, backend)
     character = stage.character(TUBE, BENT)
     found = stage.call("late", {**character.told(Placement()), "backend": backend})
     standard, accurate, dual = (
@@ -199,15 +186,15 @@ def test_a_mesh_that_was_drawn_before_is_taken_up_switched_and_given_back(stage:
 
 
 @pytest.mark.parametrize("method", ["lbs", "dqs"])
-def test_shadows_follow_the_method(stage: Stage, method: str) -> None:
-    require(stage, "webgpu")
+def test_shadows_follow_the_method(stage: ThreeStage, method: str) -> None:
+    require_backend(stage, "webgpu")
     character = stage.character(TUBE, BENT)
     found = stage.call("shadows", {**character.told(Placement()), "method": method})
     blended = [shadow_is_of(character, found, one) for one in (Algorithm.LBS_ACCURATE, Algorithm.DQS_EXACT)]
     assert blended == [method == "lbs", method == "dqs"]
 
 
-def test_node_materials_of_webgl_renderer_need_both_modules(stage: Stage) -> None:
+def test_node_materials_of_webgl_renderer_need_both_modules(stage: ThreeStage) -> None:
     character = stage.character(TUBE, BENT)
     found = stage.page.call("handled", character.told(Placement()))
     reason = (
@@ -223,7 +210,7 @@ def test_node_materials_of_webgl_renderer_need_both_modules(stage: Stage) -> Non
 
 
 @pytest.mark.parametrize("kind", ["ArrayCamera", "two renders"])
-def test_several_cameras(stage: Stage, kind: str) -> None:
+def test_several_cameras(stage: ThreeStage, kind: str) -> None:
     character = stage.character(TUBE, BENT)
     found = stage.call("views", {**character.told(Placement()), "kind": kind})
     wanted = expected(character, found["world"])
@@ -233,8 +220,8 @@ def test_several_cameras(stage: Stage, kind: str) -> None:
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
-def test_a_hundred_characters_of_one_file_share_their_programs(stage: Stage, backend: str) -> None:
-    require(stage, backend)
+def test_a_hundred_characters_of_one_file_share_their_programs(stage: ThreeStage, backend: str) -> None:
+    require_backend(stage, backend)
     character = stage.character(TUBE, BENT)
     found = stage.call("programs", {**character.told(Placement()), "backend": backend})
     one, hundred = found["found"]
@@ -244,7 +231,7 @@ def test_a_hundred_characters_of_one_file_share_their_programs(stage: Stage, bac
     assert found["lightings"] == ["accurate"]
 
 
-def test_a_material_that_skins_by_itself_is_told_of_once(stage: Stage) -> None:
+def test_a_material_that_skins_by_itself_is_told_of_once(stage: ThreeStage) -> None:
     told = stage.character(TUBE, BENT).told(Placement())
     reason = 'its MeshBasicNodeMaterial "own" does not skin by three.js\'s nodes'
     assert stage.page.call("foreign", told) == [["standard", reason]]
@@ -252,9 +239,9 @@ def test_a_material_that_skins_by_itself_is_told_of_once(stage: Stage) -> None:
 
 
 @pytest.mark.parametrize("method", ["lbs", "dqs"])
-def test_webgpu_draws_the_same_picture(stage: Stage, method: str) -> None:
+def test_webgpu_draws_the_same_picture(stage: ThreeStage, method: str) -> None:
     """Its pixels hold the normals as floats."""
-    require(stage, "webgpu")
+    require_backend(stage, "webgpu")
     character = stage.character(TUBE, BENT, storage=STORAGES[1])
     told = {**character.told(Placement()), "method": method}
     accurate, other = (picture(stage.call("picture", {**told, "backend": b})) for b in ("webgl", "webgpu"))

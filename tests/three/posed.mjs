@@ -1,0 +1,29 @@
+// Models in the poses that the tests ask for.
+
+import * as THREE from 'three';
+
+export function skinnedMeshes(root) {
+    const found = [];
+    root.traverse((object) => {
+        if (object.isSkinnedMesh) found.push(object);
+    });
+    return found;
+}
+
+// Put a loaded model into a pose, and return its skinned meshes. The pose is { clip, time }, or { turned }: a
+// quaternion (w, x, y, z) for each joint, after its own rotation. morphs are the influences of morph targets.
+export function posed({ scene, animations }, pose, morphs) {
+    if (pose.clip !== undefined) {
+        const mixer = new THREE.AnimationMixer(scene);
+        mixer.clipAction(animations[pose.clip]).play();
+        mixer.setTime(pose.time);
+    }
+    const meshes = skinnedMeshes(scene);
+    for (const [joint, [w, x, y, z]] of (pose.turned ?? []).entries()) {
+        meshes[0].skeleton.bones[joint].quaternion.multiply(new THREE.Quaternion(x, y, z, w));
+    }
+    for (const mesh of meshes) {
+        if (morphs) mesh.morphTargetInfluences = morphs;
+    }
+    return meshes;
+}
