@@ -227,18 +227,16 @@ def open_beneath(spot: Spot) -> int:
     Raises OSError: EXDEV if a link leads out, EINVAL for devices, FIFOs, sockets and files that the system
     generates (/proc, /sys).
     """
-    descriptor = _open(spot.root, spot.name, _READ_FLAGS)
-    try:
-        check_regular(descriptor)
-    except BaseException:
-        os.close(descriptor)
-        raise
-    return descriptor
+    return _regular(_open(spot.root, spot.name, _READ_FLAGS))
 
 
 def open_regular(path: str) -> int:
     """Return a descriptor of a regular file that the user named, opened for reading. Raises OSError."""
-    descriptor = os.open(path, _READ_FLAGS)
+    return _regular(os.open(path, _READ_FLAGS))
+
+
+def _regular(descriptor: int) -> int:
+    """Return the descriptor of a regular file on a disk. Any other one is closed, and OSError is raised."""
     try:
         check_regular(descriptor)
     except BaseException:

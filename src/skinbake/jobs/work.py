@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Protocol, TypeVar
+from typing import TYPE_CHECKING, Protocol, TypeAlias, TypeVar
 
 from skinbake.containment import OWN_FOLDERS, Bounds, Within
 from skinbake.errors import Notice, SkinbakeError
@@ -58,6 +58,9 @@ ResultT = TypeVar("ResultT", bound=Result)
 JobT_contra = TypeVar("JobT_contra", contravariant=True)
 ReturnT_co = TypeVar("ReturnT_co", covariant=True)
 
+Makes: TypeAlias = "Callable[[str, str | None, Writing, Within], ResultT]"
+"""The function of a command that makes a file: of the path, the path of the target, how, and within."""
+
 
 class Elsewhere(Protocol):
     """Fetch files that are not on the local disk for a command's function, and store the written files.
@@ -69,14 +72,9 @@ class Elsewhere(Protocol):
         """Return ``reads(path, bounds)`` for a file."""
 
     def write(
-        self,
-        source: str,
-        target: str | None,
-        makes: Callable[[str, str | None, Writing, Within], ResultT],
-        how: Writing,
-        within: Within,
+        self, source: str, target: str | None, makes: Makes[ResultT], how: Writing, within: Within
     ) -> ResultT:
-        """Return ``makes(path, path of the target, how, within)``, and store the files that it writes."""
+        """Return what ``makes`` returns, and store the files that it writes."""
 
 
 def changed(result: ResultT, **fields: object) -> ResultT:

@@ -31,7 +31,7 @@ from skinbake.gltf.beside import NamedFile, named_files
 from skinbake.gltf.document import GLB_SUFFIXES, STDIO, read_document
 from skinbake.gltf.resources import is_there
 from skinbake.jobs.remote.storages import Storage, located, reading, writing
-from skinbake.jobs.work import ResultT
+from skinbake.jobs.work import Makes, ResultT
 from skinbake.timing import stage
 from skinbake.urls import is_url, on_disk
 
@@ -83,12 +83,7 @@ class Staging:
     workspace: str | None = None
 
     def write(
-        self,
-        source: str,
-        target: str | None,
-        makes: Callable[[str, str | None, Writing, Within], ResultT],
-        how: Writing,
-        within: Within,
+        self, source: str, target: str | None, makes: Makes[ResultT], how: Writing, within: Within
     ) -> ResultT:
         """Return ``makes(path, path of the target, how, within)``, where source and target may be URLs.
 
@@ -157,7 +152,7 @@ def _read_at(source: End, reads: Callable[[str, Bounds], T], given: Bounds, work
 def _made_between(
     source: End,
     target: End | None,
-    makes: Callable[[str, str | None, Writing, Within], ResultT],
+    makes: Makes[ResultT],
     how: Writing,
     within: Within,
     workspace: str | None,
@@ -184,7 +179,7 @@ def _attempt(
     folder: _PrivateFolder,
     source: End,
     target: End | None,
-    makes: Callable[[str, str | None, Writing, Within], ResultT],
+    makes: Makes[ResultT],
     how: Writing,
     within: Within,
     taken: frozenset[str],
