@@ -17,6 +17,7 @@ from skinbake.cli.help import GROUPS, Helpful, grouped, manual
 from skinbake.cli.main import COMMANDS, main
 from tests.support.command_line import invoke
 from tests.support.strictness import missing_tool
+from tests.support.tools import required_program
 
 TOP = click.Context(main, info_name="skinbake")
 
@@ -122,9 +123,7 @@ class TestManual:
         assert "Exit codes: 0 fine" in page
 
     def test_groff_accepts_it(self) -> None:
-        groff = shutil.which("groff")
-        if groff is None:
-            pytest.skip("groff is not installed")
+        groff = required_program("groff")
         process = subprocess.run(
             [groff, "-man", "-Tutf8", "-k", "-ww", "-z"],
             input=manual(main).encode(),

@@ -212,9 +212,11 @@ def test_colour_follows_the_option(
     assert ESCAPE not in result.stdout
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo terminal")
 @pytest.mark.parametrize("no_color", ["", "1"])
 def test_colour_goes_to_terminals_only_and_not_against_no_color(no_color: str, warned: Path) -> None:
-    pty = pytest.importorskip("pty")
+    import pty
+
     leader, follower = pty.openpty()
     environment = {**os.environ, "NO_COLOR": no_color, "TERM": "xterm"}
     if not no_color:

@@ -18,6 +18,8 @@ from skinbake.cli.main import COMMANDS
 from skinbake.format.metadata import VERSION
 from tests.support.command_line import invoke, run
 from tests.support.models import FOLDER, edited
+from tests.support.strictness import missing_tool
+from tests.support.tools import required_program
 
 SEAM = FOLDER / "seam.glb"
 HEAVY = (
@@ -91,7 +93,7 @@ def test_version_is_the_package_s() -> None:
 def test_the_script_is_installed_and_does_the_same(tmp_path: Path) -> None:
     script = shutil.which("skinbake", path=str(Path(sys.executable).parent))
     if script is None:
-        pytest.skip("skinbake is not installed, only importable")
+        missing_tool("skinbake is not installed, only importable")
     command = [script, "bake", str(SEAM), "-o", str(tmp_path / "a.glb")]
     first = subprocess.run(command, capture_output=True, check=True)
     second = run("bake", SEAM, "-o", tmp_path / "b.glb")
@@ -147,9 +149,7 @@ def test_lone_surrogates_in_a_mesh_s_name_can_be_shown(tmp_path: Path) -> None:
 
 
 def shell(line: str) -> subprocess.CompletedProcess[bytes]:
-    bash = shutil.which("bash")
-    if bash is None:
-        pytest.skip("bash is not installed")
+    bash = required_program("bash")
     line = f'set -o pipefail; skinbake() {{ "{sys.executable}" -m skinbake "$@"; }}; {line}'
     return subprocess.run([bash, "-c", line], capture_output=True, check=False, timeout=60)
 

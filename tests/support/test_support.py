@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import json
 import re
-import shutil
 import struct
 from collections.abc import Callable
 from pathlib import Path
@@ -18,8 +17,10 @@ from fixtures.make_fixtures import FOLDER
 from tests.support import corpus, gltf_transform, khronos, node
 from tests.support.gltf_reading import DRACO, MESHOPT, read
 from tests.support.khronos import Finding, Report
+from tests.support.tools import required_program
 
 TUBE = FOLDER / "bent_tube.glb"
+SKIP_BY_ITSELF = re.compile(r"^\s*(?:\w+ = )?pytest\.(?:importorskip\(|skip\(.*installed)", re.MULTILINE)
 IMPORT_OF_A_TEST = re.compile(r"^\s*(?:from|import) tests\b.*\btest_\w+", re.MULTILINE)
 
 
@@ -110,15 +111,24 @@ class TestGltfTransform:
         assert process.returncode != 0
 
 
+def test_no_test_skips_for_a_missing_tool_by_itself() -> None:
+    """``missing_tool`` does it, and fails a strict run."""
+    modules = sorted(Path(corpus.REPOSITORY, "tests").glob("*/*.py"))
+    assert len(modules) > 150
+    found = [module.name for module in modules if SKIP_BY_ITSELF.search(module.read_text(encoding="utf-8"))]
+    assert found == []
+    assert SKIP_BY_ITSELF.search('        pytest.skip("groff is not installed")')
+    assert SKIP_BY_ITSELF.search('pty = pytest.importorskip("pty")')
+
+
 class TestMissingTools:
     @pytest.fixture(autouse=True)
     def no_packages(self, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
         monkeypatch.setattr(node, "SUPPORT", tmp_path)
 
     def test_are_skipped_with_the_command_that_installs_them(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        required_program("node")
         monkeypatch.delenv("SKINBAKE_STRICT", raising=False)
-        if shutil.which("node") is None:
-            pytest.skip("node is not installed")
         with pytest.raises(pytest.skip.Exception, match="npm ci --prefix tests/support"):
             khronos.require_node()
 
