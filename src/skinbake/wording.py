@@ -6,6 +6,7 @@ import os
 from collections.abc import Iterable
 from contextlib import suppress
 from itertools import islice
+from pathlib import Path
 
 from skinbake.urls import SUFFIXES
 
@@ -54,7 +55,7 @@ def _question(names: Iterable[str]) -> str:
 
 def models_beside(path: str) -> list[str]:
     """Return the names of the glTF files in the folder of a path, as far as they can be read."""
-    with suppress(OSError, ValueError), os.scandir(os.path.dirname(path) or os.curdir) as entries:  # noqa: PTH120
+    with suppress(OSError, ValueError), os.scandir(Path(path).parent) as entries:
         return sorted(
             entry.name for entry in islice(entries, MOST_NAMES) if entry.name.lower().endswith(SUFFIXES)
         )
@@ -66,14 +67,14 @@ def meant_file(path: str) -> str:
 
     Suffixes are not compared: they make short names look alike.
     """
-    name = os.path.basename(path)  # noqa: PTH119
-    others = {os.path.splitext(other)[0]: other for other in models_beside(path) if other != name}  # noqa: PTH122
-    return _question(others[found] for found in nearest(os.path.splitext(name)[0], others))  # noqa: PTH122
+    meant = Path(path)
+    others = {Path(other).stem: other for other in models_beside(path) if other != meant.name}
+    return _question(others[found] for found in nearest(meant.stem, others))
 
 
 def not_gltf(path: str) -> str:
     """Say that a name is no glTF file, and how to get one from a known format."""
-    suffix = os.path.splitext(path)[1].lower()  # noqa: PTH122
+    suffix = Path(path).suffix.lower()
     way = OTHER_FORMATS.get(ALIASES.get(suffix, suffix))
     if way is None:
         return f"expected a name that ends in {', '.join(SUFFIXES)}, or -"

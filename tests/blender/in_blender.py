@@ -257,14 +257,14 @@ def failures(folder: Path) -> Results:
             resource.setrlimit(resource.RLIMIT_FSIZE, limits)
 
     def without_skinbake(run: Callable[[], None]) -> None:
-        sys.modules["skinbake"] = None  # type: ignore[assignment]
+        sys.modules["skinbake"] = None  # type: ignore[assignment]  # as Python marks a module that is not to be found
         try:
             run()
         finally:
             sys.modules["skinbake"] = skinbake
 
     def defect(run: Callable[[], None]) -> None:
-        usual, skinbake.bake = skinbake.bake, lambda *paths, **options: 1 / 0  # type: ignore[assignment]
+        usual, skinbake.bake = skinbake.bake, lambda *paths, **options: 1 / 0  # type: ignore[assignment]  # it returns nothing
         try:
             run()
         finally:

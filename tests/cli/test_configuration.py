@@ -13,6 +13,7 @@ from typing import Any
 import click
 import pytest
 
+from skinbake.choices import Encoding
 from skinbake.cli.configured import PER_FILE, SETTABLE, matches, options_of
 from skinbake.cli.main import COMMANDS, main
 from skinbake.commands.bake import Baker
@@ -442,7 +443,7 @@ class TestOverrides:
 
     def test_the_work_can_be_sent(self, tmp_path: Path) -> None:
         """A cluster pickles it; each job finds its options there."""
-        works = ByVariant((FileWork(Bake(Baker())), FileWork(Bake(Baker(encoding="packed8")))))  # type: ignore[arg-type]
+        works = ByVariant((FileWork(Bake(Baker())), FileWork(Bake(Baker(encoding=Encoding.PACKED8)))))
         sent = pickle.loads(pickle.dumps(works))
         for variant, size in ((0, 24), (1, 8)):
             result = sent(Job(str(SEAM), str(tmp_path / "out.glb"), variant=variant))

@@ -6,6 +6,7 @@ import json
 import shutil
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -138,9 +139,9 @@ class TestStrip:
     ) -> None:
         path, prepare = library / "baked.glb", writing.write_files
 
-        def save_first(*arguments: object, **options: object) -> None:
+        def save_first(*arguments: Any, **options: Any) -> None:
             path.write_bytes(path.read_bytes() + bytes(4 + time.time_ns() % 4))
-            prepare(*arguments, **options)  # type: ignore[arg-type]
+            prepare(*arguments, **options)
 
         monkeypatch.setattr("skinbake.gltf.output.write_files", save_first)
         result = invoke("strip", path, "--in-place")

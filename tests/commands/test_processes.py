@@ -8,6 +8,7 @@ import sys
 import time
 from collections.abc import Sequence
 from contextlib import closing
+from operator import length_hint
 from pathlib import Path
 from typing import Any
 
@@ -148,8 +149,7 @@ def test_results_come_in_the_order_of_the_jobs() -> None:
     pairs = iter([(2, "c"), (0, "a"), (1, "b"), (3, "d")])
     results = in_order(pair for pair in pairs)
     assert next(results) == "a"
-    pairs_left = pairs.__length_hint__()  # type: ignore[attr-defined]  # iterators of lists have it
-    assert pairs_left == 2  # none is waited for that need not be
+    assert length_hint(pairs) == 2  # none is waited for that need not be
     assert list(results) == ["b", "c", "d"]
 
 

@@ -99,7 +99,9 @@ def test_the_form_is_that_of_a_composite_action() -> None:
     assert all(step["shell"] == "bash" for step in STEPS if "run" in step)
     ids = {step["id"] for step in STEPS if "id" in step}
     for output in ACTION["outputs"].values():
-        assert re.fullmatch(r"\$\{\{ steps\.(\w+)\.outputs\.[\w-]+ \}\}", output["value"])[1] in ids  # type: ignore[index]
+        found = re.fullmatch(r"\$\{\{ steps\.(\w+)\.outputs\.[\w-]+ \}\}", output["value"])
+        assert found is not None
+        assert found[1] in ids
     keep = STEPS[-1]
     assert keep["uses"].startswith("actions/upload-artifact@")
     assert "always()" in keep["if"]  # the reports matter most when the step before has failed

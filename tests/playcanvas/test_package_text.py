@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from typing import Any
 
 import pytest
 
@@ -38,8 +39,8 @@ def test_the_package_has_the_version_of_skinbake_and_names_its_files() -> None:
         ({"influences": 2}, "use --influences 4"),
     ],
 )
-def test_choices_that_playcanvas_cannot_serve(options: dict[str, object], message: str) -> None:
-    request = ShaderRequest(Language.GLSL, target="playcanvas", **options)  # type: ignore[arg-type]
+def test_choices_that_playcanvas_cannot_serve(options: dict[str, Any], message: str) -> None:
+    request = ShaderRequest(Language.GLSL, target="playcanvas", **options)
     with pytest.raises(ChoiceError, match=message):
         shader(request)
 

@@ -90,9 +90,11 @@ def _contexts(ctx: click.Context) -> Iterator[click.Context]:
     """Yield a context for each command, without any option of this run."""
     top = ctx.find_root()
     group = top.command
-    for name in group.list_commands(top) if isinstance(group, click.Group) else []:
-        found = group.get_command(top, name)  # type: ignore[attr-defined]  # mypy forgets that it is a group
-        yield click.Context(found, click.Context(group), info_name=name)
+    if not isinstance(group, click.Group):
+        return
+    for name in group.list_commands(top):
+        if (found := group.get_command(top, name)) is not None:
+            yield click.Context(found, click.Context(group), info_name=name)
 
 
 def _options(ctx: click.Context, configured: Configured | None, settings: Settings) -> Options:

@@ -57,7 +57,7 @@ def wrong_storage(metadata: JsonObject, influence_sets: int) -> Iterator[str]:
 
 
 def _is_scale(value: object) -> bool:
-    return json_access.is_number(value) and value >= 0  # type: ignore[operator]  # is_number has checked it
+    return json_access.is_number(value) and value >= 0
 
 
 def _are_names(values: list[Any], count: int) -> bool:

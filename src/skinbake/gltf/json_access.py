@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, TypeGuard
 
 from skinbake.errors import InputError, Place
 
@@ -103,7 +103,7 @@ MOST = 3.4028234663852886e38
 """The largest valid number in a file, that of FLOAT; sums and products stay finite in float64."""
 
 
-def is_number(value: object) -> bool:
+def is_number(value: object) -> TypeGuard[float]:
     """Tell whether a value of the JSON is a number in the range of float32; JSON integers have any size."""
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= MOST
 
