@@ -11,6 +11,12 @@ export function textName({ stem, sets, frame, storage, morphs, mirrored }) {
     return [stem, 4 * sets, frame, how, morphs, mirrored && stem === 'lbs_accurate' ? 'mirrored' : 'plain'].join('/');
 }
 
+// What vertices hand to fragments.
+const VARYINGS = [
+    'vec3 v_position', 'vec3 v_normal', 'vec3 v_tangent', 'vec3 v_bitangent', 'vec2 v_texcoord', 'vec4 v_color', 'vec2 v_error',
+];
+const varyings = (direction) => VARYINGS.map((one) => `${direction} ${one};`).join('\n');
+
 export function vertexText(text, choices) {
     const { stem, sets, frame, storage, morphs } = choices;
     const numbers = Array.from({ length: sets }, (_, set) => set);
@@ -51,13 +57,7 @@ uniform mat4 projected;
 uniform float scale;
 uniform float storage_scale;
 uniform float is_true;
-out vec3 v_position;
-out vec3 v_normal;
-out vec3 v_tangent;
-out vec3 v_bitangent;
-out vec2 v_texcoord;
-out vec4 v_color;
-out vec2 v_error;
+${varyings('out')}
 
 ${type} motion(int joint)
 {
@@ -96,13 +96,7 @@ in vec2 texcoord;
 in vec4 color;
 uniform mat4 projected;
 uniform mat4 placed;
-out vec3 v_position;
-out vec3 v_normal;
-out vec3 v_tangent;
-out vec3 v_bitangent;
-out vec2 v_texcoord;
-out vec4 v_color;
-out vec2 v_error;
+${varyings('out')}
 
 void main()
 {
@@ -123,13 +117,7 @@ export function fragmentText(mode, maps) {
     return `#version 300 es\nprecision highp float;\n${defined.join('')}${FRAGMENT_TEXT}`;
 }
 
-const FRAGMENT_TEXT = `in vec3 v_position;
-in vec3 v_normal;
-in vec3 v_tangent;
-in vec3 v_bitangent;
-in vec2 v_texcoord;
-in vec4 v_color;
-in vec2 v_error;
+const FRAGMENT_TEXT = `${varyings('in')}
 uniform vec3 eye;
 uniform vec3 light;
 uniform float legend;
