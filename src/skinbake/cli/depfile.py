@@ -64,7 +64,9 @@ def depfile_writer(
 ) -> Callable[[Sequence[FileResult | StripResult]], int] | None:
     """Return the function that writes the rules of results and returns its exit code; None for no path.
 
-    Without a rule nothing is written: an empty depfile tells a build tool that nothing is depended on.
+    If a file failed, nothing is written. Without its rule, a build tool would believe that its output of an
+    earlier run is new.
+
     ``also_read`` are files that every output was made of. So are those of ``configuration``, absolute paths
     that become relative if the input was given so.
     """
@@ -74,6 +76,8 @@ def depfile_writer(
     def write(results: Sequence[FileResult | StripResult]) -> int:
         from skinbake.report.depfile import depfile
 
+        if any(result.error is not None for result in results):
+            return exit_codes.OK
         rules = [
             (
                 result.output,
@@ -84,10 +88,8 @@ def depfile_writer(
                 ],
             )
             for result in results
-            if result.error is None and result.output is not None
+            if result.output is not None
         ]
-        if not rules:
-            return exit_codes.OK
         try:
             text = depfile(rules)
         except SkinbakeError as error:
