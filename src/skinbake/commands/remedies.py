@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 from skinbake.choices import FrameChoice, Gradients, Neighbours, Weld
 from skinbake.errors import InputError, Notice, Place
-from skinbake.format.strip import stripped
 from skinbake.gltf.document import Document
 from skinbake.gltf.primitives import skinned_sources
 from skinbake.lighting.baked_views import BakedView, baked_views, gathered_together, is_baked
@@ -87,6 +86,8 @@ def _tried(
     document: Document, views: Sequence[BakedView], options: VerifyOptions
 ) -> Iterator[tuple[Remedy, dict[Place, float]]]:
     """Yield each remedy that can be tried, and the gains under it."""
+    from skinbake.format.strip import stripped  # most files need no remedy
+
     baker = noted_baker(views[0])
     plain, _, _ = stripped(document)
     for remedy in REMEDIES:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,10 +20,11 @@ from skinbake.gltf.rigs import fitting_rig
 from skinbake.gradients.baker import slots_of_surface
 from skinbake.lighting.baked_views import BakedView
 from skinbake.lighting.operator import GradientOperator, expected_alpha_beta, true_operator
-from skinbake.lighting.pose_fit import fitted_to_poses
-from skinbake.lighting.poses_to_fit import ANIMATIONS, FoundPoses, is_random, poses_to_fit
 from skinbake.lighting.rest_surfaces import rest_surface
 from skinbake.skinning.surface import RestSurface
+
+if TYPE_CHECKING:
+    from skinbake.lighting.poses_to_fit import FoundPoses
 
 ROUNDING = 1e-6
 """The rounding of a weight that was decoded in float32, relative to it."""
@@ -122,6 +124,8 @@ def fitted_slots(
 
 def posed_slots(document: Document, views: Sequence[BakedView], slots: Expected) -> Expected:
     """Return α and β (V, K − 1) of each view fitted to the noted poses, from those fitted to the rig."""
+    from skinbake.lighting.pose_fit import fitted_to_poses  # few files are fitted to poses
+
     found = noted_poses(document, views[0])
     return fitted_to_poses(
         true_operator([_before_adoption(document, view) for view in views]),
@@ -140,10 +144,14 @@ def surfaces_of(document: Document, views: Sequence[BakedView], slots: Expected)
 
 def noted_poses(document: Document, view: BakedView) -> FoundPoses:
     """Return the poses that the metadata names, as far as they are in the file. Files are not."""
+    from skinbake.lighting.poses_to_fit import poses_to_fit
+
     return poses_to_fit(document, view.source.mesh, noted_sources(view), view.source.place)
 
 
 def noted_sources(view: BakedView) -> tuple[str, ...]:
     """Return the sources of the poses that the metadata names, without files."""
+    from skinbake.lighting.poses_to_fit import ANIMATIONS, is_random
+
     named = view.metadata.get(POSES, {}).get("from", ())
     return tuple(source for source in named if source == ANIMATIONS or is_random(source))

@@ -16,7 +16,6 @@ from skinbake.lighting.baked_views import BakedView
 from skinbake.lighting.expected import noted_kind, noted_poses, surface_slots, surfaces_of
 from skinbake.lighting.metrics import vertex_areas
 from skinbake.lighting.operator import GradientOperator, true_operator
-from skinbake.lighting.pose_fit import tilts
 
 BAKE_AGAIN = "run skinbake bake again"
 
@@ -76,6 +75,8 @@ def _without_effect(
     document: Document, views: Sequence[BakedView], operator: GradientOperator
 ) -> Iterator[str | None]:
     """Yield for each view why its α/β are no fit to any poses, None if they may be one."""
+    from skinbake.lighting.pose_fit import tilts  # few files are fitted to poses
+
     groups = noted_poses(document, views[0]).groups
     true = true_operator(
         [view.now for view in views],
