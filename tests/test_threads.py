@@ -12,7 +12,7 @@ from skinbake.commands.verify import verify_file
 from skinbake.lighting import angles, blending
 from skinbake.lighting.measured import VerifyOptions
 from skinbake.lighting.poses import PoseRequest
-from skinbake.threads import MOST, Threads, thread_count
+from skinbake.threads import MOST, Threads, thread_count, threads_limited
 from tests.support.baked_files import baked, source
 
 
@@ -42,6 +42,27 @@ def test_an_error_is_the_callers(count: int) -> None:
     with Threads(count) as threads, pytest.raises(MemoryError, match="no more"):
         list(threads.each(work, range(100)))
     assert threading.active_count() == before
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_work_that_was_begun_goes_on_beside_other_work_and_its_error_is_the_callers(count: int) -> None:
+    passed, counts = threading.Event(), []
+
+    def work() -> str:
+        counts.append(thread_count())
+        assert passed.wait(5.0)
+        return "done"
+
+    def broken() -> None:
+        raise MemoryError("no more")
+
+    with threads_limited(count), Threads(count) as threads:
+        found, fails = threads.begun(work), threads.begun(broken)
+        passed.set()  # neither has stopped this thread
+        assert found() == "done"
+        with pytest.raises(MemoryError, match="no more"):
+            fails()
+    assert counts == [1]  # work beside other work has no threads of its own
 
 
 def test_a_worker_process_has_one_thread(monkeypatch: pytest.MonkeyPatch) -> None:

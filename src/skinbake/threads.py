@@ -95,6 +95,14 @@ class Threads:
         if self._pool is not None:
             self._pool.shutdown(cancel_futures=True)
 
+    def begun(self, work: Callable[[], Result]) -> Callable[[], Result]:
+        """Begin some work on one thread, and return what waits for its result.
+
+        Without threads, the work is done when its result is wanted. The work must not read a document, whose
+        budget and caches belong to one thread.
+        """
+        return work if self._pool is None else self._pool.submit(_by_one_thread, work).result
+
     def each(self, work: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
         """Yield the result of ``work`` for each item, in the items' order."""
         pending = iter(items)
@@ -109,3 +117,8 @@ class Threads:
                 yield waiting.popleft().result()
         while waiting:
             yield waiting.popleft().result()
+
+
+def _by_one_thread(work: Callable[[], Result]) -> Result:
+    with threads_limited(1):  # another thread does not know how many were asked for
+        return work()

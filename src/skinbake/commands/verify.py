@@ -15,8 +15,9 @@ from skinbake.gradients.normal_lean import lean_notices
 from skinbake.gradients.weight_sums import weight_sum_notices
 from skinbake.lighting.baked_views import BakedView, baked_views, gathered_together, is_baked
 from skinbake.lighting.measured import Lighting, VerifyOptions
-from skinbake.lighting.staleness import freshness_check, mesh_operator
+from skinbake.lighting.staleness import fits_begun, freshness_check, mesh_operator
 from skinbake.report.verify import Check, FileVerdict
+from skinbake.threads import Threads, thread_count
 from skinbake.timing import stage
 from skinbake.wording import counted
 
@@ -49,10 +50,13 @@ def verify_document(document: Document, options: VerifyOptions) -> FileVerdict:
         notices += weight_sum_notices(view.now, view.source.place)
         notices += lean_notices(view.now, view.source.place)
     surfaces = gathered_together(document, views)
-    with stage("gradient operator"):
-        operators = [mesh_operator(document, surface) for surface in surfaces]
-    with stage("freshness"):
-        fresh = freshness_check(document, surfaces, operators)
+    with Threads(thread_count()) as threads:
+        with stage("freshness"):
+            fits = fits_begun(document, surfaces, threads)
+        with stage("gradient operator"):
+            operators = [mesh_operator(document, surface) for surface in surfaces]
+        with stage("freshness"):
+            fresh = freshness_check(document, surfaces, operators, fits)
     lighting = Lighting(document, options)
     verdict = lighting.measured(surfaces, operators)
     if fresh.outcome == "passed":

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from skinbake.choices import SLOTS_PER_SET, Gradients
+from skinbake.choices import SLOTS_PER_SET, Gradients, Weighting
 from skinbake.format.adoption import TINY_WEIGHT, UNIT
 from skinbake.format.former import former_attributes
 from skinbake.format.metadata import FORMER_ATTRIBUTES, POSES
-from skinbake.geometry.rig import Rig
 from skinbake.geometry.skinned import Float64Array, FloatArray, SkinnedPrimitive
 from skinbake.gltf.accessors import read_accessor
 from skinbake.gltf.document import Document
@@ -31,14 +30,20 @@ ROUNDING = 1e-6
 
 Expected = list[tuple[Float64Array, Float64Array]]
 
+Fit = Callable[[], Expected]
+"""A fit to a rig that is prepared, or that another thread has begun."""
+
 
 def expected_slots(
     document: Document,
     views: Sequence[BakedView],
     operator: GradientOperator,
     kind: Gradients | None = None,
+    fit: Fit | None = None,
 ) -> Expected:
     """Return α and β (V, K − 1) of each view of one surface, of the kind that is noted if none is given.
+
+    fit is the result of ``rig_fit``, if it is there already.
 
     The gradients of a surface come from the operator, which shares no code with bake. Fitted gradients come
     from bake's own loops: how good they are is measured against the true normals, not here.
@@ -46,8 +51,8 @@ def expected_slots(
     kind = kind or noted_kind(views[0])
     if kind is Gradients.SURFACE:
         return surface_slots(views, operator)
-    rig, _ = fitting_rig(document, views[0].source)
-    slots = surface_slots(views, operator) if rig is None else fitted_slots(document, views, operator, rig)
+    fit = fit or rig_fit(document, views, operator.weighting)
+    slots = fit() if fit else surface_slots(views, operator)
     return slots if kind is Gradients.RIG else posed_slots(document, views, slots)
 
 
@@ -100,26 +105,32 @@ def surface_slots(views: Sequence[BakedView], operator: GradientOperator) -> Exp
     return [(alpha[:, 1:], beta[:, 1:]) for alpha, beta in expected]
 
 
-def fitted_slots(
-    document: Document, views: Sequence[BakedView], operator: GradientOperator, rig: Rig
-) -> Expected:
-    """Return the gradients of each view fitted to a rig, (V, K − 1), with the joints that the slots name."""
-    noted = views[0].metadata
+def rig_fit(document: Document, views: Sequence[BakedView], weighting: Weighting) -> Fit | None:
+    """Prepare the fit of the gradients of one surface to its rig. None: no joint of it can turn.
+
+    It gives α and β (V, K − 1) of each view, of the joints that the slots name. It no longer reads the
+    document, so any thread may do it.
+    """
+    rig, _ = fitting_rig(document, views[0].source)
+    if rig is None:
+        return None
+    crease_angle = float(np.radians(views[0].metadata["creaseAngle"]))
+    primitives = [_before_adoption(document, view) for view in views]
     tangents = np.concatenate([np.asarray(view.tangents, dtype=np.float64) for view in views])
     bitangents = np.concatenate([np.asarray(view.bitangents, dtype=np.float64) for view in views])
-    slots = slots_of_surface(
-        [_before_adoption(document, view) for view in views],
-        (tangents, bitangents),
-        weighting=operator.weighting,
-        crease_angle=float(np.radians(noted["creaseAngle"])),
-        rig=rig,
-    )
-    found = []
-    for view, rows in zip(views, operator.slices, strict=True):
-        count = view.now.joints.shape[1] - 1
-        alpha, beta = slots.alpha[rows, :count], slots.beta[rows, :count]
-        found.append((alpha.astype(np.float64), beta.astype(np.float64)))
-    return found
+
+    def fit() -> Expected:
+        slots = slots_of_surface(
+            primitives, (tangents, bitangents), weighting=weighting, crease_angle=crease_angle, rig=rig
+        )
+        found, start = [], 0
+        for vertices, width in (primitive.joints.shape for primitive in primitives):
+            own = slice(start, start + vertices), slice(width - 1)
+            found.append((slots.alpha[own].astype(np.float64), slots.beta[own].astype(np.float64)))
+            start += vertices
+        return found
+
+    return fit
 
 
 def posed_slots(document: Document, views: Sequence[BakedView], slots: Expected) -> Expected:

@@ -17,7 +17,7 @@ from skinbake.gltf.document import Document
 from skinbake.lighting import freshness
 from skinbake.lighting.baked_views import BakedView, gathered_together
 from skinbake.lighting.before_adoption import NO_PAYMENT
-from skinbake.lighting.expected import Expected, expected_slots, given_weights, noted_kind
+from skinbake.lighting.expected import Expected, Fit, expected_slots, given_weights, noted_kind, rig_fit
 from skinbake.lighting.operator import GradientOperator, gradient_operator
 from skinbake.lighting.without_poses import (
     BAKE_AGAIN,
@@ -27,6 +27,7 @@ from skinbake.lighting.without_poses import (
     rig_changed,
 )
 from skinbake.report.verify import Check
+from skinbake.threads import Threads
 from skinbake.wording import counted
 
 BAKE_LAST = "Bake last: run skinbake bake on the file that the last tool wrote"
@@ -63,24 +64,40 @@ def mesh_operator(
     )
 
 
+def fits_begun(
+    document: Document, surfaces: Sequence[Sequence[BakedView]], threads: Threads
+) -> list[Fit | None]:
+    """Begin the fits of surfaces to their rigs that ``freshness_check`` needs, beside other work."""
+    fits: list[Fit | None] = []
+    for views in surfaces:
+        is_fitted = noted_kind(views[0]) is Gradients.RIG
+        fit = rig_fit(document, views, views[0].metadata["weighting"]) if is_fitted else None
+        fits.append(threads.begun(fit) if fit else None)
+    return fits
+
+
 def freshness_check(
-    document: Document, surfaces: Sequence[Sequence[BakedView]], operators: Sequence[GradientOperator]
+    document: Document,
+    surfaces: Sequence[Sequence[BakedView]],
+    operators: Sequence[GradientOperator],
+    fits: Sequence[Fit | None] | None = None,
 ) -> Check:
     """Return whether α/β fit the arrays that are in the file now, and the arrays from which they were baked.
 
     If α/β fit, and the arrays have changed only in a way that keeps related values together, the check passes
     with a remark. If α/β were fitted to poses that are not in the file any more, they must be the ones that
-    bake wrote, and light the present poses better than the gradients of the surface.
+    bake wrote, and light the present poses better than the gradients of the surface. fits is the result of
+    ``fits_begun``, if there is one.
     """
     problems: list[Notice] = []
     moved: list[BakedView] = []
     without_poses: list[BakedView] = []
-    for views, operator in zip(surfaces, operators, strict=True):
+    for views, operator, fit in zip(surfaces, operators, fits or [None] * len(surfaces), strict=True):
         if noted_kind(views[0]) is Gradients.POSES and not has_poses(document, views[0]):
             problems += problems_without_poses(document, views, operator)
             without_poses += views
             continue
-        surface = _Surface(document, views, _comparisons(document, views, operator))
+        surface = _Surface(document, views, _comparisons(document, views, operator, fit))
         for number, view in enumerate(views):
             if not surface.compared[number].agrees or not (view.changed == () or _is_rearranged(view)):
                 problems.append(_staleness_notice(surface, number))
@@ -162,9 +179,9 @@ class _Surface:
 
 
 def _comparisons(
-    document: Document, views: Sequence[BakedView], operator: GradientOperator
+    document: Document, views: Sequence[BakedView], operator: GradientOperator, fit: Fit | None = None
 ) -> list[freshness.Comparison]:
-    return _compared(document, views, operator, expected_slots(document, views, operator))
+    return _compared(document, views, operator, expected_slots(document, views, operator, fit=fit))
 
 
 def _compared(
