@@ -142,6 +142,11 @@ def test_sums_at_weld_classes_are_those_of_numpy(poses: int) -> None:
         assert found.shape == expected.shape == (3, part.stop - part.start, poses)
         # Both are rounded to float32 at the end.
         assert np.allclose(found, expected, rtol=2e-7, atol=1e-7, equal_nan=True)
+        wide = by_loops.class_sums(mesh.operator, mesh.deformed, block, np.float64)
+        expected = by_numpy.class_sums(mesh.operator, mesh.deformed, block, np.float64)
+        assert wide.dtype == expected.dtype == np.float64
+        assert np.allclose(wide, expected, rtol=1e-12, atol=1e-13, equal_nan=True)
+        np.testing.assert_array_equal(wide.astype(np.float32), found)
 
 
 def test_sums_at_weld_classes_do_not_depend_on_the_blocks(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -673,7 +673,7 @@ static const Requirement sum_arrays[SUM_ARRAYS] = {
     [TRIANGLES] = {"triangles", "i", "T3", READ},
     [MET] = {"met", "i", "N", READ},
     [MESH_CLASSES] = {"classes", "i", "V", READ},
-    [SUMS] = {"sums", "f", "3CP", WRITTEN},
+    [SUMS] = {"sums", "fd", "3CP", WRITTEN},
 };
 
 /* The poses in work at a time here: the sums of a block of classes stay in the processor's second cache. */
@@ -685,7 +685,8 @@ typedef struct {
     const double *positions;
     const int32_t *triangles, *met, *classes;
     double *totals; /* (3, C, width) */
-    float *sums;
+    void *sums;     /* float, or double if it is wide */
+    int is_wide;
     Py_ssize_t vertices, poses, width, triangle_count, met_count, class_count, first_class;
     double flat; /* a triangle with a larger cotangent is a line or a point */
 } Sums;
@@ -772,8 +773,14 @@ static int sum_classes(const Sums *s)
             if (add_face(s, s->met[n], first, count))
                 return 1;
         for (Py_ssize_t row = 0; row < rows; row++)
-            for (Py_ssize_t p = 0; p < count; p++)
-                s->sums[row * s->poses + first + p] = (float)s->totals[row * s->width + p];
+            for (Py_ssize_t p = 0; p < count; p++) {
+                const Py_ssize_t at = row * s->poses + first + p;
+                const double total = s->totals[row * s->width + p];
+                if (s->is_wide)
+                    ((double *)s->sums)[at] = total;
+                else
+                    ((float *)s->sums)[at] = (float)total;
+            }
     }
     return 0;
 }
@@ -807,6 +814,7 @@ static PyObject *class_sums(PyObject *Py_UNUSED(module), PyObject *args)
         .classes = DATA(MESH_CLASSES),
         .totals = totals,
         .sums = DATA(SUMS),
+        .is_wide = kind_of(&a[SUMS].buffer) == 'd',
         .vertices = SIZE('V'),
         .poses = SIZE('P'),
         .width = width,

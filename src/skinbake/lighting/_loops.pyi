@@ -7,7 +7,7 @@ TypeError for another element type, ValueError for another shape, IndexError for
 import numpy as np
 import numpy.typing as npt
 
-from skinbake.geometry.skinned import BoolArray, Float32Array, Float64Array
+from skinbake.geometry.skinned import BoolArray, Float32Array, Float64Array, FloatArray
 
 def blend(
     entries: Float64Array, columns: npt.NDArray[np.int32], table: Float64Array, out: Float64Array, /
@@ -54,15 +54,16 @@ def class_sums(
     triangles: npt.NDArray[np.int32],
     met: npt.NDArray[np.int32],
     classes: npt.NDArray[np.int32],
-    sums: Float32Array,
+    sums: FloatArray,
     first_class: int,
     flat: float,
     /,
 ) -> None:
     """Fill sums (3, C, P) with Σ angle × unit normal over the corners of C classes from ``first_class`` on.
 
-    positions (3, V, P). triangles (T, 3). classes (V,). met (N,) are the triangles with a corner in these
-    classes, each once, in ascending order. A triangle with a larger cotangent than ``flat`` adds nothing.
+    sums are float32 or float64. positions (3, V, P). triangles (T, 3). classes (V,). met (N,) are the
+    triangles with a corner in these classes, each once, in ascending order. A triangle with a larger
+    cotangent than ``flat`` adds nothing.
     """
 
 def true_normals(

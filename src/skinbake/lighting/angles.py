@@ -214,14 +214,14 @@ class Truths:
         carried = None
         if Truth.TRIANGLES in names:
             classes = class_blocks(operator)
-            carried = carried_normals(operator, frames, positions, normals)
+            carried = carried_normals(operator, frames, positions, normals, classes)
         return cls(operator, names, pieces, classes, frames, carried)
 
     def moved(self, surfaces: Sequence[RestSurface]) -> Truths:
         """Measure the mesh under morph targets, before skinning."""
         positions, normals = (_joined(surfaces, name) for name in ("positions", "normals"))
         frames = morphed_frames(self.frames, positions, normals)
-        carried = self.carried and carried_normals(self.operator, frames, positions, normals)
+        carried = self.carried and carried_normals(self.operator, frames, positions, normals, self.classes)
         return replace(self, frames=frames, carried=carried)
 
     def sums(self, deformed: Float64Array, threads: Threads) -> ClassSums | None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import DTypeLike
 
 from skinbake.choices import Weighting
 from skinbake.geometry.skinned import BoolArray, Float32Array, Float64Array, FloatArray, IntArray
@@ -67,10 +68,12 @@ def gradient_rows(operator: GradientOperator, part: slice, directions: Sequence[
     return SparseRows(begins, np.tile(columns[:used], count), values[:, :used].ravel())
 
 
-def class_sums(operator: GradientOperator, positions: Float64Array, block: ClassBlock) -> Float32Array:
-    """Return Σ angle × unit normal over the corners of some weld classes: (3, C, P)."""
+def class_sums(
+    operator: GradientOperator, positions: Float64Array, block: ClassBlock, dtype: DTypeLike = np.float32
+) -> FloatArray:
+    """Return Σ angle × unit normal over the corners of some weld classes: (3, C, P), float32 or float64."""
     part = block.part
-    sums = np.empty((3, part.stop - part.start, positions.shape[2]), dtype=np.float32)
+    sums: FloatArray = np.empty((3, part.stop - part.start, positions.shape[2]), dtype=dtype)
     _loops.class_sums(
         np.ascontiguousarray(positions, dtype=np.float64),
         operator.triangles,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import DTypeLike
 
 from skinbake.geometry.skinned import BoolArray, Float32Array, Float64Array, FloatArray, IntArray
 from skinbake.lighting.counted import CountedErrors
@@ -125,12 +126,14 @@ def gradient_rows(operator: GradientOperator, part: slice, directions: Sequence[
     return SparseRows(stacked.indptr.astype(np.int32, copy=False), columns, stacked.data)
 
 
-def class_sums(operator: GradientOperator, positions: Float64Array, block: ClassBlock) -> Float32Array:
-    """Return Σ angle × unit normal over the corners of some weld classes: (3, C, P).
+def class_sums(
+    operator: GradientOperator, positions: Float64Array, block: ClassBlock, dtype: DTypeLike = np.float32
+) -> FloatArray:
+    """Return Σ angle × unit normal over the corners of some weld classes: (3, C, P), float32 or float64.
 
     float32 halves the memory. Sums of unit vectors lose a millionth of a degree.
     """
-    return sums_of_classes(operator, positions, block.part).astype(np.float32)
+    return sums_of_classes(operator, positions, block.part).astype(dtype)
 
 
 def true_normals(

@@ -9,6 +9,7 @@ the deformed mesh.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -93,10 +94,19 @@ def _corner_normals(operator: GradientOperator, positions: Float64Array, corners
         return tuple(np.where(sound, angle / area * component, 0.0) for component in normal)
 
 
-def vertex_normals(operator: GradientOperator, positions: Float64Array) -> Float64Array:
-    """Return the angle-weighted sums of the weld classes: (3, C, P), from positions (3, V, P)."""
-    found = [sums_of_classes(operator, positions, block.part) for block in class_blocks(operator)]
-    return np.concatenate([np.zeros((3, 0, positions.shape[2])), *found], axis=1)
+def vertex_normals(
+    operator: GradientOperator, positions: Float64Array, classes: Sequence[ClassBlock] | None = None
+) -> Float64Array:
+    """Return the angle-weighted sums of the weld classes: (3, C, P), from positions (3, V, P).
+
+    classes are the ``class_blocks``, if they are there already.
+    """
+    from skinbake.lighting import kernel  # its modules import this one
+
+    total = np.empty((3, len(operator.ends) - 1, positions.shape[2]))
+    for block in class_blocks(operator) if classes is None else classes:
+        total[:, block.part] = kernel.class_sums(operator, positions, block, np.float64)
+    return total
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,11 +120,18 @@ class CarriedNormals:
 
 
 def carried_normals(
-    operator: GradientOperator, rest: RestFrames, positions: FloatArray, normals: FloatArray
+    operator: GradientOperator,
+    rest: RestFrames,
+    positions: FloatArray,
+    normals: FloatArray,
+    classes: Sequence[ClassBlock] | None = None,
 ) -> CarriedNormals:
-    """Return the coordinates of the normals n0 (V, 3) on the mesh before skinning, with positions (V, 3)."""
+    """Return the coordinates of the normals n0 (V, 3) on the mesh before skinning, with positions (V, 3).
+
+    classes are as in ``vertex_normals``.
+    """
     components = np.ascontiguousarray(np.asarray(positions, dtype=np.float64).T)[:, :, None]
-    sums = vertex_normals(operator, components)
+    sums = vertex_normals(operator, components, classes)
     coefficients = np.full((3, len(positions)), np.nan)
     with np.errstate(all="ignore"):
         for part, derivatives in zip(rest.parts, rest.tangents, strict=True):
