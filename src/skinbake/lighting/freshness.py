@@ -76,13 +76,15 @@ def compare(
     largest change that an encoding may have made to a stored α, and to a stored β. Differences up to it are
     allowed.
     """
-    found, wanted = (all_slots(np.stack(pair, axis=2).astype(np.float64)) for pair in (stored, expected))
+    given, wanted = (np.stack(pair, axis=2).astype(np.float64) for pair in (stored, expected))
+    wanted = all_slots(wanted)
     scale = _scales(wanted, reach)
-    allowed = np.zeros((len(found), 1, 2)) if rounding is None else np.asarray(rounding)[:, None]
-    difference = _distance(found[:, 1:], wanted[:, 1:], allowed) / scale
+    allowed = np.zeros((len(given), 1, 2)) if rounding is None else np.asarray(rounding)[:, None]
+    difference = _distance(given, wanted[:, 1:], allowed) / scale
     differing = difference > tolerance
     factors, reordered, rescaled, resorted = None, False, None, False
     if differing.any():
+        found = all_slots(given)
         cause = _Cause(scale, difference, differing, tolerance, allowed)
         factors = _factors(found, wanted, cause)
         # The entry of slot 0 has the rounding of all others.

@@ -44,7 +44,9 @@ class RestAreas:
                     moved = np.einsum("vij,vj->vi", matrices[..., :3], positions[rows]) + matrices[..., 3]
                     posed[rows] += weight[:, None] * moved
             areas = vertex_areas(posed, primitive.triangles)
-            extent = float(np.abs(posed[primitive.triangles]).max(initial=0.0))
+            in_use = np.zeros(len(posed), dtype=np.bool_)
+            in_use[primitive.triangles] = True
+            extent = float(np.abs(posed[in_use]).max(initial=0.0))
             if _COLLAPSED * extent * extent < areas.sum() < np.inf:
                 return areas
             scales = np.abs(np.linalg.det(self._skeleton.inverse_bind[joints[:, 0], :3, :3])) ** (2.0 / 3.0)
