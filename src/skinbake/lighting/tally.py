@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -184,15 +185,19 @@ class _Tail:
         in_bins = np.bincount(places, weights, minlength=_BINS) if self._bins is None else self._bins
         below = max(0.0, weight - float(in_bins.sum()))
         cumulative = below + np.cumsum(in_bins)
+
+        @cache  # two percentiles may be in one bin
+        def in_order(own: int) -> tuple[FloatArray, Float64Array]:
+            inside = np.flatnonzero(places == own)
+            order = inside[np.argsort(values[inside])]
+            return values[order], (cumulative[own - 1] if own else below) + np.cumsum(weights[order])
+
         found = []
         for share in _SHARES:
             # Rounding may leave a sum a few units below its own share. That must not push a percentile up.
             wanted = share * weight * (1.0 - 1e-9)
-            own = min(int(np.searchsorted(cumulative, wanted)), int(places.max()))
-            inside = np.flatnonzero(places == own)
-            order = inside[np.argsort(values[inside])]
-            sums = (cumulative[own - 1] if own else below) + np.cumsum(weights[order])
-            found.append(float(values[order[min(int(np.searchsorted(sums, wanted)), len(order) - 1)]]))
+            ordered, sums = in_order(min(int(np.searchsorted(cumulative, wanted)), int(places.max())))
+            found.append(float(ordered[min(int(np.searchsorted(sums, wanted)), len(ordered) - 1)]))
         return found
 
 
