@@ -8,6 +8,7 @@ import pytest
 from skinbake.geometry.dual_quaternions import (
     RIGID_TOLERANCE,
     dual_quaternions_from_matrices,
+    not_rigid_joints,
     quaternions_from_rotations,
     rigid_motions,
 )
@@ -132,6 +133,7 @@ def test_one_bad_joint_in_one_pose_is_named_and_harms_no_other(what: str) -> Non
     motions = rigid_motions(matrices)
     assert not motions.is_rigid
     assert motions.not_rigid.tolist() == [4]
+    assert not_rigid_joints(matrices, np.ones(6, dtype=np.bool_)).tolist() == [4]
     assert motions.deviation[4] > RIGID_TOLERANCE
     good = [0, 1, 2, 3, 5]
     np.testing.assert_allclose(
@@ -144,6 +146,7 @@ def test_joints_out_of_use_are_neither_judged_nor_converted() -> None:
     in_use = np.array([True, True, True, True, False, True])
     motions = rigid_motions(spoiled("nan"), in_use=in_use)
     assert motions.is_rigid
+    assert not_rigid_joints(spoiled("nan"), in_use).size == 0
     np.testing.assert_array_equal(motions.dual_quaternions[:, 4], np.tile(np.eye(8)[0], (4, 1)))
 
 

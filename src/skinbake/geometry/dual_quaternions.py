@@ -55,18 +55,31 @@ def rigid_motions(
     matrices = np.asarray(joint_matrices, dtype=np.float64)
     poses, joints = matrices.shape[:2]
     used = np.ones(joints, dtype=np.bool_) if in_use is None else in_use
-    finite = np.all(np.isfinite(matrices), axis=(2, 3))
-    linear = np.where(finite[..., None, None], matrices[..., :3, :3], 0.0)
-    determinant = np.linalg.det(linear)
-    scale = _common_scale(determinant, used)
-    by_pose = np.where(determinant > 0, _deviation(linear, scale), np.inf)
-    deviation = np.where(used, by_pose.max(axis=0, initial=0.0), 0.0)
+    scale, deviation = _scale_and_deviation(matrices, used)
     rigid = used & (deviation <= tolerance)
     motions = np.tile(np.eye(4), (poses, joints, 1, 1))
     motions[:, rigid] = matrices[:, rigid]
     motions[:, rigid, :3, :3] /= scale[:, None, None, None]
     not_rigid = np.flatnonzero(used & ~rigid)
     return RigidMotions(scale, dual_quaternions_from_matrices(motions), not_rigid, deviation)
+
+
+def not_rigid_joints(
+    joint_matrices: FloatArray, in_use: BoolArray, *, tolerance: float = RIGID_TOLERANCE
+) -> IntArray:
+    """Return ``rigid_motions(…).not_rigid`` in half the time, because no dual quaternion is made."""
+    _, deviation = _scale_and_deviation(np.asarray(joint_matrices, dtype=np.float64), in_use)
+    return np.flatnonzero(in_use & ~(deviation <= tolerance))
+
+
+def _scale_and_deviation(matrices: Float64Array, used: BoolArray) -> tuple[Float64Array, Float64Array]:
+    """Return the common scale (P,), and the largest deviation (J,) of each joint in use, 0 for the others."""
+    finite = np.all(np.isfinite(matrices), axis=(2, 3))
+    linear = np.where(finite[..., None, None], matrices[..., :3, :3], 0.0)
+    determinant = np.linalg.det(linear)
+    scale = _common_scale(determinant, used)
+    by_pose = np.where(determinant > 0, _deviation(linear, scale), np.inf)
+    return scale, np.where(used, by_pose.max(axis=0, initial=0.0), 0.0)
 
 
 def _common_scale(determinant: Float64Array, used: BoolArray) -> Float64Array:

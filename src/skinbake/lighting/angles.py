@@ -10,7 +10,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from skinbake.choices import Truth
-from skinbake.geometry.dual_quaternions import rigid_motions
+from skinbake.geometry import dual_quaternions
 from skinbake.geometry.morphs import MorphTargets
 from skinbake.geometry.skinned import BoolArray, Float32Array, Float64Array, FloatArray
 from skinbake.lighting import kernel
@@ -103,7 +103,7 @@ def not_rigid_joints(surfaces: Sequence[RestSurface], joint_matrices: Float64Arr
     in_use = np.zeros(joint_matrices.shape[1], dtype=np.bool_)
     for surface in surfaces:
         in_use |= surface.joints_in_use(len(in_use))
-    return [int(joint) for joint in rigid_motions(joint_matrices, in_use=in_use).not_rigid]
+    return [int(joint) for joint in dual_quaternions.not_rigid_joints(joint_matrices, in_use)]
 
 
 def lighting_errors(  # noqa: PLR0913  # five arguments are optional, and by keyword
