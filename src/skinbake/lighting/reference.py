@@ -180,6 +180,6 @@ def posed_tangents(along: tuple[SparseRows, SparseRows], positions: Float64Array
 def posed_tangent(along: SparseRows, positions: Float64Array) -> Vector:
     """Differentiate positions (3, V, P) along one tangent: components (P, B), stored vertex by vertex."""
     if positions.shape[2] == 1:  # the rest pose
-        return tuple(along.times(component[:, 0])[None] for component in positions)
+        return tuple(product[None] for product in along.times_each(positions[:, :, 0]))
     matrix = along.matrix(positions.shape[1])
     return tuple((matrix @ component).T for component in positions)

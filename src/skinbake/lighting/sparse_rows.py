@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -48,8 +49,15 @@ class SparseRows:
 
     def times(self, field: FloatArray) -> Float64Array:
         """Return the product with a field (V,). Entries are added in their order, as SciPy adds them."""
-        products = self.values[self.entries] * field[self.columns[self.entries]]
-        return np.bincount(self.owners(), products, minlength=len(self)).astype(np.float64, copy=False)
+        return self.times_each([field])[0]
+
+    def times_each(self, fields: Iterable[FloatArray]) -> list[Float64Array]:
+        """Return the products with several fields (V,)."""
+        columns, values, owners = self.columns[self.entries], self.values[self.entries], self.owners()
+        return [
+            np.bincount(owners, values * field[columns], minlength=len(self)).astype(np.float64, copy=False)
+            for field in fields
+        ]
 
     def matrix(self, columns: int) -> csr_array:
         """Return the rows as SciPy's matrix of so many columns."""
