@@ -49,17 +49,24 @@ def weld_classes(
     places = _row_numbers(np.hstack([(positions + 0.0).view(np.int64), joints, shares.view(np.int32)]))
     # Identical copies collapse here. Few pairs are left to compare by angle.
     nodes = _row_numbers(np.column_stack([places, normals.view(np.int64)]))
-    firsts = np.unique(nodes, return_index=True)[1]
+    firsts = _first_rows(nodes)
     pairs = _close_pairs(places[firsts], normals[firsts], np.radians(crease_angle_degrees), claim)
     return _by_first_vertex(_components(pairs, len(firsts))[nodes])
 
 
 def _by_first_vertex(classes: Int64Array) -> Int64Array:
     """Renumber classes in the order of their first vertices: neighbours are then near in memory too."""
-    firsts = np.unique(classes, return_index=True)[1]
+    firsts = _first_rows(classes)
     numbers = np.empty(len(firsts), dtype=np.int64)
     numbers[np.argsort(firsts)] = np.arange(len(firsts))
     return numbers[classes]
+
+
+def _first_rows(numbers: Int64Array) -> Int64Array:
+    """Return the first row that has each number (V,) from 0 without gaps."""
+    firsts = np.full(int(numbers.max(initial=-1)) + 1, len(numbers))
+    np.minimum.at(firsts, numbers, np.arange(len(numbers)))
+    return firsts
 
 
 def _row_numbers(rows: Int64Array) -> Int64Array:
@@ -99,18 +106,21 @@ def _close_pairs(
     places: Int64Array, normals: Float64Array, angle: float, claim: Callable[[int], None]
 ) -> Int64Array:
     """List the pairs (N, 2) at one place whose normals differ by at most ``angle`` radians."""
+    counts = np.bincount(places, minlength=len(places))
+    shared = np.flatnonzero(counts[places] > 1)
     with np.errstate(invalid="ignore", divide="ignore"):
         # The scaling comes before the squaring, so that a normal of any finite length has a direction.
-        scaled = normals / np.abs(normals).max(axis=1, initial=0.0, keepdims=True)
+        scaled = normals[shared] / np.abs(normals[shared]).max(axis=1, initial=0.0, keepdims=True)
         units = scaled / np.linalg.norm(scaled, axis=1, keepdims=True)
-    counts = np.bincount(places, minlength=len(places))
-    candidates = np.flatnonzero((counts[places] > 1) & np.isfinite(units).all(axis=1))
+    sound = np.isfinite(units).all(axis=1)
+    candidates, directions = shared[sound], units[sound]
     # A chord of the unit sphere stands for the angle. The errors of normalising are far below the slack.
     chord = 2.0 * np.sin(min(angle, np.pi) / 2.0) + 1e-12
     if counts.max(initial=0) > CROWDED:
-        return _pairs_in_crowds(candidates, places, units, chord, claim)
-    candidates = candidates[np.argsort(places[candidates], kind="stable")]
-    at, directions = places[candidates], units[candidates]
+        return _pairs_in_crowds(candidates, places[candidates], directions, chord, claim)
+    order = np.argsort(places[candidates], kind="stable")
+    candidates, directions = candidates[order], directions[order]
+    at = places[candidates]
     found = [np.zeros((0, 2), dtype=np.int64)]
     for step in range(1, int(counts.max(initial=0))):
         first = np.flatnonzero(at[:-step] == at[step:])
@@ -122,17 +132,17 @@ def _close_pairs(
 
 def _pairs_in_crowds(
     candidates: Int64Array,
-    places: Int64Array,
-    units: Float64Array,
+    at: Int64Array,
+    directions: Float64Array,
     chord: float,
     claim: Callable[[int], None],
 ) -> Int64Array:
-    """List pairs of candidates without a look at all of them."""
+    """List pairs of candidates, by their places and unit normals, without a look at all of them."""
     from scipy.spatial import cKDTree
 
     # Places lie 4 apart on the first axis, and normals within 2 of each other. So only pairs at one place are
     # near.
-    tree = cKDTree(np.column_stack([4.0 * places[candidates], units[candidates]]))
+    tree = cKDTree(np.column_stack([4.0 * at, directions]))
     claim(BYTES_A_PAIR * int(tree.count_neighbors(tree, chord)) // 2)
     close: Int64Array = candidates[tree.query_pairs(chord, output_type="ndarray")]
     return close
