@@ -888,7 +888,7 @@ static ALWAYS_INLINE void weigh_corners(Corners *c, Weighting weighting, Facets 
     }
 }
 
-static inline void add_scaled(Scratch *w, int32_t number, Vector v, double by)
+static ALWAYS_INLINE void add_scaled(Scratch *w, int32_t number, Vector v, double by)
 {
     w->x[number] += v.x * by;
     w->y[number] += v.y * by;
@@ -897,7 +897,7 @@ static inline void add_scaled(Scratch *w, int32_t number, Vector v, double by)
 
 /* Add coefficient x (weight there - weight here) for every joint that either vertex has. Return the number of
    local numbers in use. All sums run over differences of weights, so the sum of a constant weight is 0 exactly. */
-static int32_t add_differences(const Surface *s, size_t neighbour, Vector c, int32_t used, Scratch *w)
+static ALWAYS_INLINE int32_t add_differences(const Surface *s, size_t neighbour, Vector c, int32_t used, Scratch *w)
 {
     const int32_t slots = (int32_t)s->slots;
     const int32_t *there = s->joints + neighbour * (size_t)slots;
@@ -1006,7 +1006,7 @@ static ALWAYS_INLINE int unit_normal(Vector normal, Vector *unit)
 }
 
 /* Work out the leverage of both tangents from the derivatives of the positions along them. */
-static void find_leverage(RingFrame *f, const Vector derivatives[2], double flat)
+static ALWAYS_INLINE void find_leverage(RingFrame *f, const Vector derivatives[2], double flat)
 {
     Vector a = derivatives[0], b = derivatives[1], c = cross(a, b);
     double area = sqrt(dot(c, c));
@@ -1150,7 +1150,7 @@ static ALWAYS_INLINE void find_turn(const Neighbour *neighbour, double turn[TURN
 }
 
 /* Add turns x (weight there - weight here) for every joint that either vertex has; as add_differences does. */
-static inline void add_turns(const Surface *s, size_t neighbour, const double by[TURN], Scratch *w)
+static ALWAYS_INLINE void add_turns(const Surface *s, size_t neighbour, const double by[TURN], Scratch *w)
 {
     const int32_t slots = (int32_t)s->slots;
     const int32_t *there = s->joints + neighbour * (size_t)slots;
@@ -1416,7 +1416,7 @@ static ALWAYS_INLINE double project(const Surface *s, size_t slots, size_t verte
 /* ---- Fitting one vertex (twin: rig_fit.fitted) --------------------------------------------------------- */
 
 /* The node of a joint, made where there is none; NO_JOINT stands above all roots. */
-static Node *node_of(const Surface *s, int32_t joint, Scratch *w)
+static ALWAYS_INLINE Node *node_of(const Surface *s, int32_t joint, Scratch *w)
 {
     int32_t *place = &w->node_of[joint == NO_JOINT ? s->joint_count : joint];
     if (*place < 0) {
@@ -1433,7 +1433,7 @@ static Node *node_of(const Surface *s, int32_t joint, Scratch *w)
 }
 
 /* Make nodes of the joints around a class, with their turns. */
-static void open_nodes(const Surface *s, int32_t used, Scratch *w)
+static ALWAYS_INLINE void open_nodes(const Surface *s, int32_t used, Scratch *w)
 {
     w->node_count = 0;
     for (int32_t n = 0; n < used; n++) {
@@ -1449,7 +1449,7 @@ static void open_nodes(const Surface *s, int32_t used, Scratch *w)
     }
 }
 
-static void close_nodes(const Surface *s, Scratch *w)
+static ALWAYS_INLINE void close_nodes(const Surface *s, Scratch *w)
 {
     for (size_t n = 0; n < w->node_count; n++)
         w->node_of[w->nodes[n].joint == NO_JOINT ? s->joint_count : w->nodes[n].joint] = -1;
@@ -1467,7 +1467,7 @@ typedef struct {
 } Fitted;
 
 /* Choose the slots to fit, by the presence of their joints. Returns 0 where there are too few or too many. */
-static int choose_slots(const Surface *s, size_t vertex, Scratch *w, Fitted *fitted)
+static ALWAYS_INLINE int choose_slots(const Surface *s, size_t vertex, Scratch *w, Fitted *fitted)
 {
     const size_t slots = (size_t)s->slots;
     const double *weights = s->weights + vertex * slots;
@@ -1497,7 +1497,7 @@ static int choose_slots(const Surface *s, size_t vertex, Scratch *w, Fitted *fit
 }
 
 /* Add what the turn of one joint says to the normal equations of the slots. */
-static void add_turn(const Surface *s, Vector position, const Node *node, Fitted *fitted, Scratch *w)
+static ALWAYS_INLINE void add_turn(const Surface *s, Vector position, const Node *node, Fitted *fitted, Scratch *w)
 {
     const double *pivot = s->pivots + 3 * (size_t)node->joint, *turn = node->turn;
     if (!isfinite(pivot[0]) || !isfinite(pivot[1]) || !isfinite(pivot[2]))
@@ -1539,7 +1539,7 @@ static void add_turn(const Surface *s, Vector position, const Node *node, Fitted
 
 /* Go through all joints whose turns part the joints around a vertex, from the lowest up. Returns 0 where there are
    too many. */
-static int gather_turns(const Surface *s, Vector position, Fitted *fitted, Scratch *w)
+static ALWAYS_INLINE int gather_turns(const Surface *s, Vector position, Fitted *fitted, Scratch *w)
 {
     for (size_t i = 0; i < fitted->unknowns; i++) {
         w->right[2 * i] = w->right[2 * i + 1] = 0.0;
@@ -1599,7 +1599,7 @@ static ALWAYS_INLINE int solve_some(size_t count, double *matrix, double (*right
 }
 
 /* Copies for the usual counts, without loops. */
-static int solve(size_t count, double *matrix, double (*right)[2])
+static ALWAYS_INLINE int solve(size_t count, double *matrix, double (*right)[2])
 {
     switch (count) {
     case 1:
@@ -1614,7 +1614,7 @@ static int solve(size_t count, double *matrix, double (*right)[2])
 }
 
 /* The pull of one slot to its gradient. It is strong where the joint is hardly there. */
-static double pull_of(const Surface *s, const Fitted *fitted, size_t slot)
+static ALWAYS_INLINE double pull_of(const Surface *s, const Fitted *fitted, size_t slot)
 {
     double faint = s->fit.faint / fitted->presence[slot], more = faint > 1.0 ? faint * faint - 1.0 : 0.0;
     return s->fit.stiffness * fitted->reach * (s->fit.even + more);
@@ -1622,7 +1622,7 @@ static double pull_of(const Surface *s, const Fitted *fitted, size_t slot)
 
 /* Move the gradients of the fitted slots, in the plane of the class's tangents, to the solution of the least
    squares. */
-static void move_gradients(const Surface *s, const Fitted *fitted, Scratch *w)
+static ALWAYS_INLINE void move_gradients(const Surface *s, const Fitted *fitted, Scratch *w)
 {
     const Vector *tangents = w->frame.tangents;
     const size_t unknowns = fitted->unknowns;
@@ -1650,7 +1650,7 @@ static void move_gradients(const Surface *s, const Fitted *fitted, Scratch *w)
 }
 
 /* Fit the gradients by slot of one vertex to the rig. */
-static void fit_vertex(const Surface *s, size_t vertex, const ClassGradients *found, Vector position, Scratch *w)
+static ALWAYS_INLINE void fit_vertex(const Surface *s, size_t vertex, const ClassGradients *found, Vector position, Scratch *w)
 {
     Fitted fitted;
     open_nodes(s, found->used, w);
