@@ -225,6 +225,13 @@ static ALWAYS_INLINE Four subtract(Four a, Four b) { return a - b; }
 static ALWAYS_INLINE Four multiply(Four a, Four b) { return a * b; }
 static ALWAYS_INLINE Four divide(Four a, Four b) { return a / b; }
 static ALWAYS_INLINE Four root(Four a) { return four(sqrt(a[0]), sqrt(a[1]), sqrt(a[2]), sqrt(a[3])); }
+typedef int64_t Words __attribute__((vector_size(32)));
+static ALWAYS_INLINE Four magnitudes(Four a) { return (Four)((Words)a & INT64_MAX); }
+static ALWAYS_INLINE Four where_negative(Four a, Four then, Four otherwise)
+{
+    Words negative = a < 0.0;
+    return (Four)((negative & (Words)then) | (~negative & (Words)otherwise));
+}
 #else
 typedef struct {
     double of[4];
@@ -240,7 +247,41 @@ static ALWAYS_INLINE Four subtract(Four a, Four b) { EACH(a.of[n] - b.of[n]); }
 static ALWAYS_INLINE Four multiply(Four a, Four b) { EACH(a.of[n] * b.of[n]); }
 static ALWAYS_INLINE Four divide(Four a, Four b) { EACH(a.of[n] / b.of[n]); }
 static ALWAYS_INLINE Four root(Four a) { EACH(sqrt(a.of[n])); }
+static ALWAYS_INLINE Four magnitudes(Four a) { EACH(fabs(a.of[n])); }
+static ALWAYS_INLINE Four where_negative(Four a, Four then, Four otherwise)
+{
+    EACH(a.of[n] < 0.0 ? then.of[n] : otherwise.of[n]);
+}
 #endif
+
+/* A number for each of the two tangents of a class. */
+#if defined(__GNUC__)
+typedef double Pair __attribute__((vector_size(16)));
+static ALWAYS_INLINE Pair pair(double a, double b) { return (Pair){a, b}; }
+static ALWAYS_INLINE Pair add_pairs(Pair a, Pair b) { return a + b; }
+static ALWAYS_INLINE Pair subtract_pairs(Pair a, Pair b) { return a - b; }
+static ALWAYS_INLINE Pair multiply_pairs(Pair a, Pair b) { return a * b; }
+static ALWAYS_INLINE double part(Pair a, int n) { return a[n]; }
+#else
+typedef struct {
+    double of[2];
+} Pair;
+static ALWAYS_INLINE Pair pair(double a, double b) { return (Pair){{a, b}}; }
+static ALWAYS_INLINE Pair add_pairs(Pair a, Pair b) { return pair(a.of[0] + b.of[0], a.of[1] + b.of[1]); }
+static ALWAYS_INLINE Pair subtract_pairs(Pair a, Pair b) { return pair(a.of[0] - b.of[0], a.of[1] - b.of[1]); }
+static ALWAYS_INLINE Pair multiply_pairs(Pair a, Pair b) { return pair(a.of[0] * b.of[0], a.of[1] * b.of[1]); }
+static ALWAYS_INLINE double part(Pair a, int n) { return a.of[n]; }
+#endif
+static ALWAYS_INLINE Pair both(double a) { return pair(a, a); }
+static ALWAYS_INLINE Pair scaled(double by, Pair a) { return multiply_pairs(both(by), a); }
+static ALWAYS_INLINE Pair load_pair(const double *from)
+{
+    Pair values;
+    memcpy(&values, from, sizeof values);
+    return values;
+}
+static ALWAYS_INLINE void store_pair(double *to, Pair values) { memcpy(to, &values, sizeof values); }
+
 static ALWAYS_INLINE Four load(const double *from)
 {
     Four values;
@@ -248,6 +289,40 @@ static ALWAYS_INLINE Four load(const double *from)
     return values;
 }
 static ALWAYS_INLINE void store(double *to, Four values) { memcpy(to, &values, sizeof values); }
+static ALWAYS_INLINE Four join(Pair a, Pair b) { return four(part(a, 0), part(a, 1), part(b, 0), part(b, 1)); }
+
+#if defined(__clang__) || (defined(__GNUC__) && __GNUC__ >= 12)
+#define HAS_SHUFFLES
+#endif
+
+/* Row `row` of an array (n, 3) of floats or doubles, and a zero. */
+static ALWAYS_INLINE Four row4(const void *base, int wide, size_t row)
+{
+#if defined(HAS_SHUFFLES)
+    typedef float Floats __attribute__((vector_size(16)));
+    const float *p = (const float *)base + 3 * row;
+    if (!wide)
+        return __builtin_convertvector(((Floats){p[0], p[1], p[2], 0.0f}), Four);
+#endif
+    Vector v = row3(base, wide, row);
+    return four(v.x, v.y, v.z, 0.0);
+}
+
+/* The three columns of four rows. */
+static ALWAYS_INLINE void turn_rows(const double *const rows[4], Four columns[3])
+{
+#if defined(HAS_SHUFFLES)
+    Four even = join(load_pair(rows[0]), load_pair(rows[2])), odd = join(load_pair(rows[1]), load_pair(rows[3]));
+    columns[0] = __builtin_shufflevector(even, odd, 0, 4, 2, 6);
+    columns[1] = __builtin_shufflevector(even, odd, 1, 5, 3, 7);
+    even = join(load_pair(rows[0] + 2), load_pair(rows[2] + 2));
+    odd = join(load_pair(rows[1] + 2), load_pair(rows[3] + 2));
+    columns[2] = __builtin_shufflevector(even, odd, 0, 4, 2, 6);
+#else
+    for (int m = 0; m < 3; m++)
+        columns[m] = four(rows[0][m], rows[1][m], rows[2][m], rows[3][m]);
+#endif
+}
 
 /* ---- Equal rows (twin: by_numpy.label_equal_rows) ------------------------------------------------------ */
 
@@ -689,6 +764,7 @@ enum { AT_ONCE = 4, X1 = 0, Y1, Z1, X2, Y2, Z2, COMPONENTS };
 
 typedef struct {
     uint32_t ends[AT_ONCE][2];
+    uint16_t places[2][AT_ONCE]; /* in the ring, if there is one, by end */
     Four edges[COMPONENTS];
     double coefficients[COMPONENTS][AT_ONCE], share[AT_ONCE];
 } Corners;
@@ -706,18 +782,24 @@ typedef struct {
     Four share, along[2][2];
 } Block;
 
-/* A neighbour of a class: the edge to it, and the arms that a weight of 1 there adds, along both tangents. */
+/* What a weight adds to the turn of the two tangents of a class, as in rig_fit.RingTurns: pairs of numbers, first
+   the arms, then the spins, by axis. */
+enum { ARMS = 0, SPINS = 6, TURN = 12 };
+
+/* A neighbour of a class: the edge to it, and the arms that a weight of 1 there adds. If it has the joints of the
+   class it is alike, and has the differences of the weights of four slots. */
 typedef struct {
-    size_t vertex;
-    double edge[3], arms[2][3];
+    double edge[4]; /* x, y, z, 0 */
+    double differences[AT_ONCE], arms[SPINS];
+    uint32_t vertex;
+    int alike;
 } Neighbour;
 
 /* Neighbours among which the next one is looked for; one that is met again later stands twice. */
 enum { LOOKED_BACK = 16 };
 
-/* What a weight adds to the turn of the two tangents of a class, as in rig_fit.RingTurns: arms along the first
-   and the second tangent, then spins. */
-enum { ARMS = 0, SPINS = 6, TURN = 12 };
+/* Entries of the table that says where in the ring a vertex stands. */
+enum { PLACES = 64 };
 
 /* Corners of which a class is fitted at most, and joints that turn around one vertex or are fitted there. */
 enum { MOST_CORNERS = 4096, MOST_TURNS = 128, MOST_FITTED = 64 };
@@ -725,20 +807,40 @@ enum { MOST_CORNERS = 4096, MOST_TURNS = 128, MOST_FITTED = 64 };
 /* The frame of a class, in which its turns are measured, and the weight of its corners. */
 typedef struct {
     Vector normal, tangents[2];
+    Pair along[3];         /* the tangents, by axis */
     Vector leverage[2][2]; /* see rig_fit._leverage: by tangent, then by derivative */
     double total, facing;
     double doubt; /* the tilt for each radian of a turn of which the fit takes half */
     int sound;
 } RingFrame;
 
-/* A joint that may turn: what it carries of the turns, and which of the fitted slots. */
+/* A joint that may turn: which of the fitted slots it carries. */
 typedef struct {
     int32_t joint; /* NO_JOINT: above all roots */
     int32_t rank;
     uint64_t members;
     int done;
-    double turn[TURN];
 } Node;
+
+/* The turn of one node, and the node above it, which is given what it carries. */
+typedef struct {
+    size_t node, above;
+    int parts; /* whether it parts the slots: with a turn that does not, nothing else happens */
+    double sign, pivot[3];
+    uint64_t members, moved; /* the slots that it carries, and those that it moves, each as a bit */
+} Climb;
+
+/* The way of some turns up the rig. It depends on joints only, and the next vertex often has the same ones. */
+typedef struct {
+    int32_t *turning;             /* the joints around the class that turn: the nodes `sources` begin with them */
+    size_t *sources;              /* by turning joint */
+    size_t turnings;
+    int32_t fitted[MOST_FITTED];  /* the joints of the slots that are fitted */
+    size_t fittings;
+    int ends;                     /* 0: there are too many turns */
+    size_t nodes, climbs;
+    Climb climb[MOST_TURNS];      /* from the lowest node up */
+} Way;
 
 /* A joint whose weight varies around the class, and its local number. */
 typedef struct {
@@ -765,14 +867,18 @@ typedef struct {
     Block *blocks;     /* all corners of a class */
     Neighbour *ring;   /* the ends of these corners */
     size_t neighbours;
+    uint16_t places[PLACES]; /* by the last digits of a vertex: where it may stand in the ring */
     double *turns;     /* by local number, TURN each */
     RingFrame frame;
     Vector *gradients; /* by slot */
     double *shares;    /* by slot: of the gradients' lengths */
+    int32_t *turning;  /* the local numbers of the joints that turn */
     Node *nodes;
     int32_t *node_of;  /* by joint: its node, -1 elsewhere */
     size_t node_count;
-    double *matrix, *right; /* MOST_FITTED squared, and twice */
+    double *carried;   /* by node: its turn, TURN each */
+    Way way;
+    double *matrix;    /* MOST_FITTED squared */
 } Scratch;
 
 static void free_scratch(Scratch *w)
@@ -780,7 +886,7 @@ static void free_scratch(Scratch *w)
     free(w->local), free(w->met), free(w->seen), free(w->own), free(w->x), free(w->y), free(w->z);
     free(w->entries), free(w->foreign), free(w->named);
     free(w->block_room), free(w->ring), free(w->turns), free(w->gradients), free(w->shares), free(w->nodes), free(w->node_of);
-    free(w->matrix), free(w->right);
+    free(w->turning), free(w->carried), free(w->way.turning), free(w->way.sources), free(w->matrix);
 }
 
 static Status allocate_fit(Scratch *w, const Surface *s)
@@ -795,9 +901,12 @@ static Status allocate_fit(Scratch *w, const Surface *s)
     w->nodes = malloc((joints + 1) * sizeof *w->nodes);
     w->node_of = malloc((joints + 1) * sizeof *w->node_of);
     w->matrix = malloc(MOST_FITTED * MOST_FITTED * sizeof *w->matrix);
-    w->right = malloc(2 * MOST_FITTED * sizeof *w->right);
+    w->turning = malloc(room * sizeof *w->turning);
+    w->carried = malloc((joints + 1) * TURN * sizeof *w->carried);
+    w->way.turning = malloc(room * sizeof *w->way.turning);
+    w->way.sources = malloc(room * sizeof *w->way.sources);
     if (!w->block_room || !w->ring || !w->turns || !w->gradients || !w->shares || !w->nodes || !w->node_of || !w->matrix ||
-        !w->right)
+        !w->turning || !w->carried || !w->way.turning || !w->way.sources)
         return NO_MEMORY;
     memset(w->node_of, 0xFF, (joints + 1) * sizeof *w->node_of);
     return DONE;
@@ -823,12 +932,10 @@ static Status allocate_scratch(Scratch *w, const Surface *s)
     return s->parents ? allocate_fit(w, s) : DONE;
 }
 
-/* Write ends and edges of at most AT_ONCE corners, whose class is at `origin`. The first one fills the rest. */
-static ALWAYS_INLINE void find_edges(const Surface *s, Shape shape, Vector origin, Members some, Corners *c,
-                                     Scratch *w)
+/* Write the ends of some corners. */
+static ALWAYS_INLINE void find_ends(const Surface *s, Members some, Corners *c, Scratch *w)
 {
     const size_t vertices = (size_t)s->vertices;
-    Vector e1[AT_ONCE], e2[AT_ONCE];
     for (size_t n = 0; n < some.count; n++) {
         static const uint8_t following[] = {1, 2, 0}, last[] = {2, 0, 1};
         const uint32_t *triangle = s->triangles + 3 * (size_t)(some.first[n] >> 2);
@@ -836,8 +943,16 @@ static ALWAYS_INLINE void find_edges(const Surface *s, Shape shape, Vector origi
         if (one >= vertices || other >= vertices)
             one = other = 0, w->stray = 1;
         c->ends[n][0] = one, c->ends[n][1] = other;
-        e1[n] = minus(row3(s->positions, shape.wide, one), origin);
-        e2[n] = minus(row3(s->positions, shape.wide, other), origin);
+    }
+}
+
+/* Write the edges of at most AT_ONCE corners, whose class is at `origin`. The first one fills the rest. */
+static ALWAYS_INLINE void find_edges(const Surface *s, Shape shape, Vector origin, Members some, Corners *c)
+{
+    Vector e1[AT_ONCE], e2[AT_ONCE];
+    for (size_t n = 0; n < some.count; n++) {
+        e1[n] = minus(row3(s->positions, shape.wide, c->ends[n][0]), origin);
+        e2[n] = minus(row3(s->positions, shape.wide, c->ends[n][1]), origin);
     }
     for (size_t n = some.count; n < AT_ONCE; n++)
         e1[n] = e1[0], e2[n] = e2[0];
@@ -952,30 +1067,28 @@ static ALWAYS_INLINE Vector sums_of(const Four *values)
 
 /* The angle from its sine and cosine, both times the same length: Abramowitz and Stegun 4.4.49 for the arc tangent
    of half of it, right to 4e-8. */
-static ALWAYS_INLINE Four angle_of(Four sine, Four cosine, Four length)
+static ALWAYS_INLINE Four angle_of(Shape shape, Four sine, Four cosine, Four length)
 {
-    Four magnitude = root(multiply(cosine, cosine));
+    /* The root of the square is the magnitude, unless the square is out of range. That takes positions in float64. */
+    Four magnitude = shape.wide ? root(multiply(cosine, cosine)) : magnitudes(cosine);
     Four half = divide(sine, add(length, magnitude)), square = multiply(half, half);
     static const double terms[] = {0.0028662257, -0.0161657367, 0.0429096138, -0.0752896400,
                                    0.1065626393, -0.1420889944, 0.1999355085, -0.3333314528};
     Four sum = all(terms[0]);
     for (int n = 1; n < 8; n++)
         sum = add(multiply(sum, square), all(terms[n]));
-    double acute[AT_ONCE], cosines[AT_ONCE];
-    store(acute, multiply(all(2.0), multiply(half, add(multiply(sum, square), all(1.0)))));
-    store(cosines, cosine);
-    for (int n = 0; n < AT_ONCE; n++)
-        acute[n] = cosines[n] < 0.0 ? 3.14159265358979323846 - acute[n] : acute[n];
-    return load(acute);
+    Four acute = multiply(all(2.0), multiply(half, add(multiply(sum, square), all(1.0))));
+    return where_negative(cosine, subtract(all(3.14159265358979323846), acute), acute);
 }
 
 /* Work out the rest of a block of `some` corners. Returns their angles, zero in places that are left over. */
-static ALWAYS_INLINE Four finish_block(Block *block, size_t some, Weighting weighting, const Vector tangents[2])
+static ALWAYS_INLINE Four finish_block(Shape shape, Block *block, size_t some, Weighting weighting,
+                                       const Vector tangents[2])
 {
     const Corners *c = &block->corners;
     Facets *facets = &block->facets;
     Four shrink = divide(all(1.0), facets->area), there = four(1.0, some > 1, some > 2, some > 3);
-    Four angle = multiply(there, angle_of(facets->area, facets->dots, root(facets->lengths)));
+    Four angle = multiply(there, angle_of(shape, facets->area, facets->dots, root(facets->lengths)));
     /* With Max's weights, 1 / share is |e1|^2 |e2|^2 / |e1 x e2|. */
     block->share = weighting == BY_MAX ? multiply(angle, multiply(facets->lengths, shrink))
                                        : divide(angle, load(c->share));
@@ -1024,12 +1137,12 @@ static ALWAYS_INLINE void find_leverage(RingFrame *f, const Vector derivatives[2
 
 /* The sum of the unit normals at the corners of a class, of any length. It depends neither on the order of the
    vertices nor on how often one is stored. */
-static ALWAYS_INLINE Vector sum_normals(const Surface *s, Members corners)
+static ALWAYS_INLINE Vector sum_normals(const Surface *s, Members corners, Members vertices)
 {
     Vector sum = {0.0, 0.0, 0.0}, unit = sum;
     size_t latest = SIZE_MAX;
     for (size_t n = 0; n < corners.count; n++) {
-        size_t vertex = s->triangles[3 * (size_t)(corners.first[n] >> 2) + (corners.first[n] & 3)];
+        size_t vertex = vertices.count == 1 ? vertices.first[0] : s->triangles[3 * (size_t)(corners.first[n] >> 2) + (corners.first[n] & 3)];
         if (vertex >= (size_t)s->vertices)
             continue; /* find_edges notes what has changed since the check */
         if (vertex != latest && !unit_normal(row3(s->normals, s->wide_normals, vertex), &unit))
@@ -1050,18 +1163,21 @@ static ALWAYS_INLINE double doubt_of(const Surface *s, double alignment)
 }
 
 /* Measure the frame of a class from its corners, which stand in the blocks. */
-static ALWAYS_INLINE void measure_ring(const Surface *s, Members around, double total, Scratch *w)
+static ALWAYS_INLINE void measure_ring(const Surface *s, Shape shape, Members around, Members vertices, double total,
+                                       Scratch *w)
 {
     RingFrame *f = &w->frame;
     const size_t corners = around.count;
-    Vector given = sum_normals(s, around);
+    Vector given = sum_normals(s, around, vertices);
     f->sound = unit_normal(given, &f->normal);
     frame_from_normal(given, &f->tangents[0], &f->tangents[1]);
+    const Vector *t = f->tangents;
+    f->along[0] = pair(t[0].x, t[1].x), f->along[1] = pair(t[0].y, t[1].y), f->along[2] = pair(t[0].z, t[1].z);
     f->total = total;
     Four none = all(0.0), angles = none, faces[3] = {none, none, none}, sums[2][3] = {{none, none, none}, {none, none, none}};
     for (size_t from = 0; from < corners; from += AT_ONCE) {
         Block *block = w->blocks + from / AT_ONCE;
-        Four angle = finish_block(block, corners - from, s->weighting, f->tangents);
+        Four angle = finish_block(shape, block, corners - from, s->weighting, f->tangents);
         angles = add(angles, angle);
         for (int axis = 0; axis < 3; axis++) {
             faces[axis] = add(faces[axis], multiply(block->facets.normal[axis], angle));
@@ -1078,80 +1194,142 @@ static ALWAYS_INLINE void measure_ring(const Surface *s, Members around, double 
     find_leverage(f, derivatives, s->fit.flat);
 }
 
+/* Write six numbers of four corners by corner. */
+static ALWAYS_INLINE void turn_over(const Four numbers[6], double by_corner[AT_ONCE][6])
+{
+#if defined(HAS_SHUFFLES)
+    Four low = __builtin_shufflevector(numbers[0], numbers[1], 0, 4, 2, 6);  /* of corners 0 and 2 */
+    Four high = __builtin_shufflevector(numbers[0], numbers[1], 1, 5, 3, 7); /* of corners 1 and 3 */
+    Four low2 = __builtin_shufflevector(numbers[2], numbers[3], 0, 4, 2, 6);
+    Four high2 = __builtin_shufflevector(numbers[2], numbers[3], 1, 5, 3, 7);
+    Four low3 = __builtin_shufflevector(numbers[4], numbers[5], 0, 4, 2, 6);
+    Four high3 = __builtin_shufflevector(numbers[4], numbers[5], 1, 5, 3, 7);
+    store(by_corner[0], __builtin_shufflevector(low, low2, 0, 1, 4, 5));
+    store(by_corner[1], __builtin_shufflevector(high, high2, 0, 1, 4, 5));
+    store(by_corner[2], __builtin_shufflevector(low, low2, 2, 3, 6, 7));
+    store(by_corner[3], __builtin_shufflevector(high, high2, 2, 3, 6, 7));
+    store_pair(by_corner[0] + 4, __builtin_shufflevector(low3, low3, 0, 1));
+    store_pair(by_corner[1] + 4, __builtin_shufflevector(high3, high3, 0, 1));
+    store_pair(by_corner[2] + 4, __builtin_shufflevector(low3, low3, 2, 3));
+    store_pair(by_corner[3] + 4, __builtin_shufflevector(high3, high3, 2, 3));
+#else
+    for (int m = 0; m < 6; m++) {
+        double each[AT_ONCE];
+        store(each, numbers[m]);
+        for (int n = 0; n < AT_ONCE; n++)
+            by_corner[n][m] = each[n];
+    }
+#endif
+}
+
 /* Write the arms that a weight of 1 at one end of four corners adds. */
 static ALWAYS_INLINE void find_arms(const Surface *s, const Block *block, int end, const RingFrame *f,
-                                    double arms[2][3][AT_ONCE])
+                                    double arms[AT_ONCE][SPINS])
 {
     const Four *by = block->along[end], *normal = block->facets.normal;
     Four mean = all(s->fit.by_tangents / f->total);
     Four share = multiply(block->share, all((1.0 - s->fit.by_tangents) / f->facing));
-    Four by_a = multiply(by[0], mean), by_b = multiply(by[1], mean);
+    Four by_a = multiply(by[0], mean), by_b = multiply(by[1], mean), found[SPINS];
     for (int n = 0; n < 2; n++) {
         const Vector *u = f->leverage[n];
         Four by_faces = multiply(by[n], share);
-        store(arms[n][0], add(add(multiply(by_a, all(u[0].x)), multiply(by_b, all(u[1].x))),
-                              multiply(by_faces, normal[0])));
-        store(arms[n][1], add(add(multiply(by_a, all(u[0].y)), multiply(by_b, all(u[1].y))),
-                              multiply(by_faces, normal[1])));
-        store(arms[n][2], add(add(multiply(by_a, all(u[0].z)), multiply(by_b, all(u[1].z))),
-                              multiply(by_faces, normal[2])));
+        found[n] = add(add(multiply(by_a, all(u[0].x)), multiply(by_b, all(u[1].x))),
+                       multiply(by_faces, normal[0]));
+        found[2 + n] = add(add(multiply(by_a, all(u[0].y)), multiply(by_b, all(u[1].y))),
+                           multiply(by_faces, normal[1]));
+        found[4 + n] = add(add(multiply(by_a, all(u[0].z)), multiply(by_b, all(u[1].z))),
+                           multiply(by_faces, normal[2]));
     }
+    turn_over(found, arms);
 }
 
-/* The neighbour of a vertex, put at the end of the ring where it does not stand among the last ones. */
-static ALWAYS_INLINE Neighbour *neighbour_of(size_t vertex, const Block *block, int end, size_t corner, Scratch *w)
+/* The place of a vertex in the ring: that behind its end where the vertex does not stand among the last ones. */
+static ALWAYS_INLINE size_t place_of(uint32_t vertex, const Scratch *w)
 {
-    size_t oldest = w->neighbours > LOOKED_BACK ? w->neighbours - LOOKED_BACK : 0;
-    for (size_t n = w->neighbours; n-- > oldest;)
-        if (w->ring[n].vertex == vertex)
-            return &w->ring[n];
-    Neighbour *found = &w->ring[w->neighbours++];
-    *found = (Neighbour){.vertex = vertex};
-    for (int axis = 0; axis < 3; axis++) {
-        const char *edges = (const char *)&block->corners.edges[3 * end + axis];
-        memcpy(&found->edge[axis], edges + corner * sizeof(double), sizeof(double));
-    }
-    return found;
+    const size_t count = w->neighbours, place = w->places[vertex % PLACES];
+    if (place >= count)
+        return count;
+    const uint32_t held = w->ring[place].vertex;
+    if (held == vertex && place + LOOKED_BACK >= count)
+        return place;
+    /* Every vertex of this class has left its place in the table, or a later one with the same last digits has. */
+    if (held % PLACES == vertex % PLACES)
+        for (size_t n = count; n-- > 0 && n + LOOKED_BACK >= count;)
+            if (w->ring[n].vertex == vertex)
+                return n;
+    return count;
 }
 
-/* Collect the neighbours of a class with their arms. */
-static ALWAYS_INLINE void find_ring(const Surface *s, size_t corners, Scratch *w)
+/* Find the ends of some corners of a class in its ring, and add those that are not there. Write the edges. Returns
+   whether the weights of the ring vary, as far as it is known. */
+static ALWAYS_INLINE int find_neighbours(const Surface *s, Shape shape, size_t vertex, size_t some, int varies,
+                                         Corners *c, Scratch *w)
 {
-    w->neighbours = 0;
+    const size_t slots = shape.slots;
+    const double *here = s->weights + vertex * slots;
+    const Four origin = row4(s->positions, shape.wide, vertex);
+    for (int end = 0; end < 2; end++) {
+        const double *edges[AT_ONCE];
+        for (size_t n = 0; n < some; n++) {
+            const uint32_t there = c->ends[n][end];
+            const size_t place = place_of(there, w);
+            Neighbour *found = &w->ring[place];
+            w->places[there % PLACES] = c->places[end][n] = (uint16_t)place;
+            edges[n] = found->edge;
+            if (place < w->neighbours)
+                continue;
+            w->neighbours++;
+            const double *weights = s->weights + there * slots;
+            found->vertex = there;
+            found->alike = slots == 4 && same_joints(s, slots, vertex, there);
+            store(found->edge, subtract(row4(s->positions, shape.wide, there), origin));
+            memset(found->arms, 0, sizeof found->arms);
+            if (found->alike)
+                store(found->differences, subtract(load(weights), load(here)));
+            varies = varies || !found->alike || memcmp(weights, here, slots * sizeof *here) != 0;
+        }
+        for (size_t n = some; n < AT_ONCE; n++)
+            edges[n] = edges[0];
+        turn_rows(edges, c->edges + 3 * end);
+    }
+    return varies;
+}
+
+/* Add the arms of all corners to the neighbours at their ends. */
+static ALWAYS_INLINE void add_arms(const Surface *s, size_t corners, Scratch *w)
+{
     for (size_t from = 0; from < corners; from += AT_ONCE) {
         size_t some = corners - from < AT_ONCE ? corners - from : AT_ONCE;
         const Block *block = w->blocks + from / AT_ONCE;
         for (int end = 0; end < 2; end++) {
-            double arms[2][3][AT_ONCE];
+            double arms[AT_ONCE][SPINS];
             find_arms(s, block, end, &w->frame, arms);
             for (size_t n = 0; n < some; n++) {
-                Neighbour *found = neighbour_of(block->corners.ends[n][end], block, end, n, w);
-                for (int axis = 0; axis < 3; axis++) {
-                    found->arms[0][axis] += arms[0][axis][n];
-                    found->arms[1][axis] += arms[1][axis][n];
-                }
+                double *sum = w->ring[block->corners.places[end][n]].arms;
+                store(sum, add(load(sum), load(arms[n])));
+                store_pair(sum + 4, add_pairs(load_pair(sum + 4), load_pair(arms[n] + 4)));
             }
         }
     }
 }
 
 /* The turn that a weight of 1 at a neighbour adds: its arms, and their spins around the edge. */
-static ALWAYS_INLINE void find_turn(const Neighbour *neighbour, double turn[TURN])
+static ALWAYS_INLINE void find_turn(const Neighbour *neighbour, Four turn[TURN / AT_ONCE])
 {
-    const double *edge = neighbour->edge;
-    for (int n = 0; n < 2; n++) {
-        const double *arm = neighbour->arms[n];
-        for (int axis = 0; axis < 3; axis++) {
-            int next = (axis + 1) % 3, last = (axis + 2) % 3;
-            turn[ARMS + 3 * n + axis] = arm[axis];
-            turn[SPINS + 3 * n + axis] = edge[next] * arm[last] - edge[last] * arm[next];
-        }
-    }
+    const double *edge = neighbour->edge, *arms = neighbour->arms + ARMS;
+    const Pair x = load_pair(arms), y = load_pair(arms + 2), z = load_pair(arms + 4);
+    turn[0] = load(arms);
+    turn[1] = join(z, subtract_pairs(scaled(edge[1], z), scaled(edge[2], y)));
+    turn[2] = join(subtract_pairs(scaled(edge[2], x), scaled(edge[0], z)),
+                   subtract_pairs(scaled(edge[0], y), scaled(edge[1], x)));
 }
 
 /* Add turns x (weight there - weight here) for every joint that either vertex has; as add_differences does. */
-static ALWAYS_INLINE void add_turns(const Surface *s, size_t neighbour, const double by[TURN], Scratch *w)
+static ALWAYS_INLINE void add_turns(const Surface *s, size_t neighbour, const Four turn[TURN / AT_ONCE], Scratch *w)
 {
+    double by[TURN];
+    for (int m = 0; m < TURN / AT_ONCE; m++)
+        store(by + AT_ONCE * m, turn[m]);
     const int32_t slots = (int32_t)s->slots;
     const int32_t *there = s->joints + neighbour * (size_t)slots;
     const double *weight = s->weights + neighbour * (size_t)slots;
@@ -1172,44 +1350,45 @@ static ALWAYS_INLINE void add_turns(const Surface *s, size_t neighbour, const do
                 w->turns[k * TURN + n] -= by[n] * w->own[k];
 }
 
-/* Measure the frame of a class, and sum up its turns for every joint met. The corners stand in the blocks. */
-static ALWAYS_INLINE void sum_turns(const Surface *s, Shape shape, size_t vertex, Members corners, int32_t used,
+/* Measure the frame of a class, and sum up its turns for every joint met. The corners stand in the blocks, their
+   ends in the ring. */
+static ALWAYS_INLINE void sum_turns(const Surface *s, Shape shape, Members corners, Members vertices, int32_t used,
                                     double total, Scratch *w)
 {
-    measure_ring(s, corners, total, w);
+    measure_ring(s, shape, corners, vertices, total, w);
     if (!w->frame.sound)
         return;
-    find_ring(s, corners.count, w);
-    const size_t slots = shape.slots;
+    add_arms(s, corners.count, w);
     memset(w->turns, 0, (size_t)used * TURN * sizeof *w->turns);
-    Four sums[TURN], own = slots == 4 ? load(s->weights + vertex * slots) : all(0.0);
-    for (int m = 0; m < TURN; m++)
-        sums[m] = all(0.0);
+    Four sums[AT_ONCE][TURN / AT_ONCE]; /* by slot */
+    for (int k = 0; k < AT_ONCE; k++)
+        for (int m = 0; m < TURN / AT_ONCE; m++)
+            sums[k][m] = all(0.0);
     for (size_t n = 0; n < w->neighbours; n++) {
-        size_t there = w->ring[n].vertex;
-        double turn[TURN];
-        find_turn(&w->ring[n], turn);
-        if (slots == 4 && same_joints(s, slots, vertex, there)) {
-            Four difference = subtract(load(s->weights + there * slots), own);
-            for (int m = 0; m < TURN; m++)
-                sums[m] = add(sums[m], multiply(all(turn[m]), difference));
+        const Neighbour *neighbour = &w->ring[n];
+        Four turn[TURN / AT_ONCE];
+        find_turn(neighbour, turn);
+        if (shape.slots == 4 && neighbour->alike) {
+            for (int k = 0; k < AT_ONCE; k++)
+                for (int m = 0; m < TURN / AT_ONCE; m++)
+                    sums[k][m] = add(sums[k][m], multiply(turn[m], all(neighbour->differences[k])));
         } else {
-            add_turns(s, there, turn, w);
+            add_turns(s, neighbour->vertex, turn, w);
         }
     }
-    for (int m = 0; slots == 4 && m < TURN; m++) {
-        double each[AT_ONCE];
-        store(each, sums[m]);
-        for (int k = 0; k < AT_ONCE; k++)
-            w->turns[k * TURN + m] += each[k];
-    }
+    for (int k = 0; shape.slots == 4 && k < AT_ONCE; k++)
+        for (int m = 0; m < TURN / AT_ONCE; m++) {
+            double *to = w->turns + k * TURN + AT_ONCE * m;
+            store(to, add(load(to), sums[k][m]));
+        }
 }
 
 /* Sum over all corners, for every joint met. Return the number of local numbers in use, and the weight of all
    corners as `total`. */
-static ALWAYS_INLINE int32_t sum_corners(const Surface *s, Shape shape, size_t vertex, Members corners, Scratch *w,
+static ALWAYS_INLINE int32_t sum_corners(const Surface *s, Shape shape, Members corners, Members vertices, Scratch *w,
                                          double *total)
 {
+    const size_t vertex = vertices.first[0];
     const size_t slots = shape.slots;
     const int32_t *joints = s->joints + vertex * slots;
     int32_t used = (int32_t)slots;
@@ -1226,25 +1405,30 @@ static ALWAYS_INLINE int32_t sum_corners(const Surface *s, Shape shape, size_t v
     Four none = four(0.0, 0.0, 0.0, 0.0), x = none, y = none, z = none; /* sums of the usual four slots */
     Four own = slots == 4 ? load(here) : none;
     *total = 0.0;
+    const int rings = shape.fits && corners.count <= MOST_CORNERS;
     int varies = 0;
+    w->neighbours = 0;
     for (size_t from = 0; from < corners.count; from += AT_ONCE) {
         size_t some = corners.count - from < AT_ONCE ? corners.count - from : AT_ONCE;
         Corners passing, *c = &passing;
         Facets *facets = NULL;
-        if (shape.fits && from < MOST_CORNERS)
+        if (rings)
             c = &w->blocks[from / AT_ONCE].corners, facets = &w->blocks[from / AT_ONCE].facets;
-        find_edges(s, shape, origin, (Members){corners.first + from, some}, c, w);
+        find_ends(s, (Members){corners.first + from, some}, c, w);
+        if (rings)
+            varies = find_neighbours(s, shape, vertex, some, varies, c, w);
+        else
+            find_edges(s, shape, origin, (Members){corners.first + from, some}, c);
         weigh_corners(c, s->weighting, facets);
         for (size_t n = 0; n < some; n++)
             for (int end = 0; end < 2; end++) {
                 size_t there = c->ends[n][end];
                 const double(*component)[AT_ONCE] = c->coefficients + 3 * end;
                 Vector by = {component[X1][n], component[Y1][n], component[Z1][n]};
-                int alike = slots == 4 && same_joints(s, slots, vertex, there);
-                if (shape.fits)
-                    varies |= !alike || memcmp(s->weights + there * slots, here, slots * sizeof *here) != 0;
-                if (alike) {
-                    Four difference = subtract(load(s->weights + there * slots), own);
+                const Neighbour *known = rings ? &w->ring[c->places[end][n]] : NULL;
+                if (slots == 4 && (known ? known->alike : same_joints(s, slots, vertex, there))) {
+                    Four difference =
+                        known ? load(known->differences) : subtract(load(s->weights + there * slots), own);
                     x = add(x, multiply(four(by.x, by.x, by.x, by.x), difference));
                     y = add(y, multiply(four(by.y, by.y, by.y, by.y), difference));
                     z = add(z, multiply(four(by.z, by.z, by.z, by.z), difference));
@@ -1261,8 +1445,8 @@ static ALWAYS_INLINE int32_t sum_corners(const Surface *s, Shape shape, size_t v
     }
     if (shape.fits) {
         w->frame.sound = 0;
-        if (varies && corners.count <= MOST_CORNERS)
-            sum_turns(s, shape, vertex, corners, used, *total, w);
+        if (varies)
+            sum_turns(s, shape, corners, vertices, used, *total, w);
     }
     for (int32_t n = 0; n < used; n++)
         if (w->met[n] >= 0)
@@ -1283,8 +1467,8 @@ enum { FEW = 32 };
 typedef struct {
     size_t entries, foreign;
     size_t capacity; /* joints that each of the class's vertices may adopt */
+    size_t turnings; /* joints that turn */
     double magnitude;
-    int32_t used; /* local numbers */
 } ClassGradients;
 
 /* Turn sums into entries, joints ascending. Return their number, and the sum of their magnitudes. */
@@ -1416,62 +1600,60 @@ static ALWAYS_INLINE double project(const Surface *s, size_t slots, size_t verte
 /* ---- Fitting one vertex (twin: rig_fit.fitted) --------------------------------------------------------- */
 
 /* The node of a joint, made where there is none; NO_JOINT stands above all roots. */
-static ALWAYS_INLINE Node *node_of(const Surface *s, int32_t joint, Scratch *w)
+static Node *node_of(const Surface *s, int32_t joint, Scratch *w)
 {
     int32_t *place = &w->node_of[joint == NO_JOINT ? s->joint_count : joint];
     if (*place < 0) {
         *place = (int32_t)w->node_count++;
-        Node *made = &w->nodes[*place];
-        made->joint = joint;
-        made->rank = joint == NO_JOINT ? -1 : s->ranks[joint];
-        made->members = 0;
-        made->done = 0;
-        for (int m = 0; m < TURN; m++)
-            made->turn[m] = 0.0;
+        w->nodes[*place] = (Node){joint, joint == NO_JOINT ? -1 : s->ranks[joint], 0, 0};
     }
     return &w->nodes[*place];
 }
 
-/* Make nodes of the joints around a class, with their turns. */
-static ALWAYS_INLINE void open_nodes(const Surface *s, int32_t used, Scratch *w)
-{
-    w->node_count = 0;
-    for (int32_t n = 0; n < used; n++) {
-        const double *turn = w->turns + n * TURN;
-        int turns = 0;
-        for (int m = 0; m < TURN; m++)
-            turns |= turn[m] != 0.0;
-        if (w->met[n] < 0 || !turns)
-            continue;
-        Node *node = node_of(s, w->met[n], w);
-        for (int m = 0; m < TURN; m++)
-            node->turn[m] += turn[m];
-    }
-}
-
-static ALWAYS_INLINE void close_nodes(const Surface *s, Scratch *w)
+static void close_nodes(const Surface *s, Scratch *w)
 {
     for (size_t n = 0; n < w->node_count; n++)
         w->node_of[w->nodes[n].joint == NO_JOINT ? s->joint_count : w->nodes[n].joint] = -1;
     w->node_count = 0;
 }
 
+/* Whether a turn is anything but zeros. Their bits are zeros but for the sign. */
+static ALWAYS_INLINE int turns_at_all(const double turn[TURN])
+{
+    uint64_t words[TURN], any[AT_ONCE];
+    memcpy(words, turn, sizeof words);
+    for (int m = 0; m < AT_ONCE; m++)
+        any[m] = words[m] | words[AT_ONCE + m] | words[2 * AT_ONCE + m];
+    return (any[0] | any[1] | any[2] | any[3]) << 1 != 0;
+}
+
+/* List the joints around a class that turn. Return their number. */
+static ALWAYS_INLINE size_t find_turning(int32_t used, Scratch *w)
+{
+    size_t count = 0;
+    for (int32_t n = 0; n < used; n++)
+        if (w->met[n] >= 0 && turns_at_all(w->turns + n * TURN))
+            w->turning[count++] = n;
+    return count;
+}
+
 /* The slots of a vertex that are fitted. The last of them takes what the others, the unknowns, leave. */
 typedef struct {
     size_t unknowns;
     uint8_t slots[MOST_FITTED];
+    int32_t joints[MOST_FITTED];
     double presence[MOST_FITTED]; /* the weight and the share of the gradient of each slot's joint, added */
-    double given[MOST_FITTED][2]; /* the surface's gradients along the class's tangents */
+    Pair given[MOST_FITTED];      /* the surface's gradients along the class's tangents */
     double reach;                 /* the squared levers of all turns that part the slots, added */
     double tilts; /* the squared tilts that these turns by a radian give to both tangents, added */
 } Fitted;
 
 /* Choose the slots to fit, by the presence of their joints. Returns 0 where there are too few or too many. */
-static ALWAYS_INLINE int choose_slots(const Surface *s, size_t vertex, Scratch *w, Fitted *fitted)
+static ALWAYS_INLINE int choose_slots(const Surface *s, size_t slots, size_t vertex, const Scratch *w, Fitted *fitted)
 {
-    const size_t slots = (size_t)s->slots;
     const double *weights = s->weights + vertex * slots;
     const int32_t *joints = s->joints + vertex * slots;
+    const Pair *along = w->frame.along;
     size_t count = 0;
     for (size_t k = 0; k < slots; k++) {
         const int32_t joint = w->named[k];
@@ -1482,79 +1664,47 @@ static ALWAYS_INLINE int choose_slots(const Surface *s, size_t vertex, Scratch *
             continue;
         if (count == MOST_FITTED || k > UINT8_MAX)
             return 0;
-        for (int side = 0; side < 2; side++)
-            fitted->given[count][side] = dot(w->gradients[k], w->frame.tangents[side]);
+        const Vector gradient = w->gradients[k];
+        fitted->given[count] = add_pairs(add_pairs(scaled(gradient.x, along[0]), scaled(gradient.y, along[1])),
+                                         scaled(gradient.z, along[2]));
         fitted->presence[count] = presence;
+        fitted->joints[count] = joint;
         fitted->slots[count++] = (uint8_t)k;
     }
-    if (count < 2)
-        return 0;
     fitted->unknowns = count - 1;
     fitted->reach = fitted->tilts = 0.0;
-    for (size_t i = 0; i < count; i++)
-        node_of(s, w->named[fitted->slots[i]], w)->members |= UINT64_C(1) << i;
-    return 1;
+    return count >= 2;
 }
 
-/* Add what the turn of one joint says to the normal equations of the slots. */
-static ALWAYS_INLINE void add_turn(const Surface *s, Vector position, const Node *node, Fitted *fitted, Scratch *w)
+/* The turn of a node. It parts the slots if it moves some against the last one, about a pivot. */
+static Climb climb_from(const Surface *s, const Node *node, size_t unknowns)
 {
-    const double *pivot = s->pivots + 3 * (size_t)node->joint, *turn = node->turn;
-    if (!isfinite(pivot[0]) || !isfinite(pivot[1]) || !isfinite(pivot[2]))
-        return;
+    const double *pivot = s->pivots + 3 * (size_t)node->joint;
+    Climb climb = {.pivot = {pivot[0], pivot[1], pivot[2]}, .members = node->members};
     /* Where it carries the last slot it moves the others the other way. */
-    const size_t unknowns = fitted->unknowns;
     int carries = node->members >> unknowns & 1;
-    uint64_t moved = (carries ? ~node->members : node->members) & ((UINT64_C(1) << unknowns) - 1);
-    if (!moved)
-        return;
-    double sign = carries ? -1.0 : 1.0;
-    Vector lever = minus(position, (Vector){pivot[0], pivot[1], pivot[2]}), tilt = cross(lever, w->frame.normal);
-    double reach = dot(lever, lever), wanted[2];
-    fitted->reach += reach;
-    double length = dot(tilt, tilt), pull = s->fit.stiffness * reach, square = length + pull;
-    for (int n = 0; n < 2; n++) {
-        const double *arm = turn + ARMS + 3 * n, *spin = turn + SPINS + 3 * n;
-        Vector r = plus(cross(lever, (Vector){arm[0], arm[1], arm[2]}), (Vector){spin[0], spin[1], spin[2]});
-        wanted[n] = dot(tilt, r);
-    }
-    double mask[MOST_FITTED], given[2] = {0.0, 0.0}; /* branches here would be guessed wrongly half of the time */
-    for (size_t i = 0; i <= unknowns; i++) {
-        double carried = (double)(node->members >> i & 1);
-        given[0] += carried * fitted->given[i][0];
-        given[1] += carried * fitted->given[i][1];
-        mask[i] = (double)(moved >> i & 1);
-    }
-    double off[2] = {length * given[0] - wanted[0], length * given[1] - wanted[1]};
-    fitted->tilts += length > 0.0 ? (off[0] * off[0] + off[1] * off[1]) / length : 0.0;
-    wanted[0] = sign * (wanted[0] + pull * given[0]);
-    wanted[1] = sign * (wanted[1] + pull * given[1]);
-    for (size_t i = 0; i < unknowns; i++) {
-        w->right[2 * i] += mask[i] * wanted[0];
-        w->right[2 * i + 1] += mask[i] * wanted[1];
-        for (size_t k = 0; k <= i; k++)
-            w->matrix[i * MOST_FITTED + k] += mask[i] * mask[k] * square;
-    }
+    climb.sign = carries ? -1.0 : 1.0;
+    climb.moved = (carries ? ~node->members : node->members) & ((UINT64_C(1) << unknowns) - 1);
+    climb.parts = climb.moved && isfinite(climb.pivot[0]) && isfinite(climb.pivot[1]) && isfinite(climb.pivot[2]);
+    return climb;
 }
 
 /* Go through all joints whose turns part the joints around a vertex, from the lowest up. Returns 0 where there are
    too many. */
-static ALWAYS_INLINE int gather_turns(const Surface *s, Vector position, Fitted *fitted, Scratch *w)
+static int climb_up(const Surface *s, Scratch *w)
 {
-    for (size_t i = 0; i < fitted->unknowns; i++) {
-        w->right[2 * i] = w->right[2 * i + 1] = 0.0;
-        memset(w->matrix + i * MOST_FITTED, 0, (i + 1) * sizeof *w->matrix);
-    }
+    Way *way = &w->way;
     size_t left = w->node_count;
-    for (int turning = 0; left > 1; turning++) {
+    for (way->climbs = 0; left > 1; way->climbs++) {
         Node *lowest = NULL;
         for (size_t n = 0; n < w->node_count; n++)
             if (!w->nodes[n].done && w->nodes[n].joint != NO_JOINT &&
                 (lowest == NULL || w->nodes[n].rank > lowest->rank))
                 lowest = &w->nodes[n];
-        if (lowest == NULL || turning == MOST_TURNS)
+        if (lowest == NULL || way->climbs == MOST_TURNS)
             return 0;
-        add_turn(s, position, lowest, fitted, w);
+        Climb *climb = &way->climb[way->climbs];
+        *climb = climb_from(s, lowest, way->fittings - 1);
         int32_t parent = s->parents[lowest->joint], rank = lowest->rank;
         if (parent < 0 || parent >= s->joint_count || s->ranks[parent] >= rank)
             parent = NO_JOINT;
@@ -1563,54 +1713,156 @@ static ALWAYS_INLINE int gather_turns(const Surface *s, Vector position, Fitted 
         Node *above = node_of(s, parent, w);
         left -= w->node_count == before;
         above->members |= lowest->members;
-        for (int m = 0; m < TURN; m++)
-            above->turn[m] += lowest->turn[m];
+        climb->node = (size_t)(lowest - w->nodes), climb->above = (size_t)(above - w->nodes);
     }
     return 1;
 }
 
-/* Solve the normal equations of `count` slots, by the factors L D Lt in place of the matrix; `right` becomes the
-   solution. Returns 0 where it is not finite. */
-static ALWAYS_INLINE int solve_some(size_t count, double *matrix, double (*right)[2])
+static void plan_way(const Surface *s, size_t turnings, const Fitted *fitted, Scratch *w)
 {
-    double finite = 0.0;
-    for (size_t i = 0; i < count; i++) {
-        double *row = matrix + i * MOST_FITTED, diagonal = row[i];
+    Way *way = &w->way;
+    way->turnings = turnings, way->fittings = fitted->unknowns + 1;
+    w->node_count = 0;
+    for (size_t n = 0; n < turnings; n++) {
+        way->turning[n] = w->met[w->turning[n]];
+        way->sources[n] = (size_t)(node_of(s, way->turning[n], w) - w->nodes);
+    }
+    for (size_t i = 0; i < way->fittings; i++) {
+        way->fitted[i] = fitted->joints[i];
+        node_of(s, fitted->joints[i], w)->members |= UINT64_C(1) << i;
+    }
+    way->ends = climb_up(s, w);
+    way->nodes = w->node_count;
+    close_nodes(s, w);
+}
+
+/* Find the way of the turns of a vertex up the rig. It was found already if the latest vertex had the same joints. */
+static ALWAYS_INLINE const Way *find_way(const Surface *s, size_t turnings, const Fitted *fitted, Scratch *w)
+{
+    Way *way = &w->way;
+    const size_t fittings = fitted->unknowns + 1;
+    int same = way->turnings == turnings && way->fittings == fittings;
+    for (size_t n = 0; same && n < turnings; n++)
+        same = way->turning[n] == w->met[w->turning[n]];
+    for (size_t i = 0; same && i < fittings; i++)
+        same = way->fitted[i] == fitted->joints[i];
+    if (!same)
+        plan_way(s, turnings, fitted, w);
+    return way;
+}
+
+/* Bring the turns of the joints around a class to their nodes. */
+static ALWAYS_INLINE void place_turns(const Way *way, Scratch *w)
+{
+    size_t begun = 0;
+    for (size_t n = 0; n < way->turnings; n++) {
+        const double *turn = w->turns + w->turning[n] * TURN;
+        double *carried = w->carried + way->sources[n] * TURN;
+        if (way->sources[n] == begun) {
+            memcpy(carried, turn, TURN * sizeof *turn);
+            begun++;
+        } else {
+            for (int m = 0; m < TURN; m++)
+                carried[m] += turn[m];
+        }
+    }
+    memset(w->carried + begun * TURN, 0, (way->nodes - begun) * TURN * sizeof *w->carried);
+}
+
+/* Up to this number of slots, one of them for the last, the fit has copies without loops. */
+enum { FEW_FITTED = 4 };
+
+/* Bit i of a mask as a number. Branches here would be guessed wrongly half of the time. */
+static ALWAYS_INLINE double bit_of(uint64_t mask, size_t i, size_t unknowns)
+{
+    static const double few[1 << FEW_FITTED][FEW_FITTED] = {
+        {0, 0, 0, 0}, {1, 0, 0, 0}, {0, 1, 0, 0}, {1, 1, 0, 0}, {0, 0, 1, 0}, {1, 0, 1, 0}, {0, 1, 1, 0}, {1, 1, 1, 0},
+        {0, 0, 0, 1}, {1, 0, 0, 1}, {0, 1, 0, 1}, {1, 1, 0, 1}, {0, 0, 1, 1}, {1, 0, 1, 1}, {0, 1, 1, 1}, {1, 1, 1, 1},
+    };
+    return unknowns < FEW_FITTED ? few[mask % (1 << FEW_FITTED)][i] : (double)(mask >> i & 1);
+}
+
+/* The normal equations of some slots. Rows of the matrix are `stride` apart. */
+typedef struct {
+    double *matrix;
+    Pair *right;
+    size_t unknowns, stride;
+} Equations;
+
+/* Add what the turn of one joint says to the normal equations of the slots. */
+static ALWAYS_INLINE void add_turn(const Surface *s, Vector position, const Climb *climb, const double turn[TURN],
+                                   const RingFrame *frame, Fitted *fitted, Equations e)
+{
+    Vector lever = minus(position, (Vector){climb->pivot[0], climb->pivot[1], climb->pivot[2]});
+    Vector tilt = cross(lever, frame->normal);
+    double reach = dot(lever, lever), length = dot(tilt, tilt), pull = s->fit.stiffness * reach, square = length + pull;
+    fitted->reach += reach;
+    const Pair x = load_pair(turn + ARMS), y = load_pair(turn + ARMS + 2), z = load_pair(turn + ARMS + 4);
+    const Pair moved[3] = {
+        add_pairs(subtract_pairs(scaled(lever.y, z), scaled(lever.z, y)), load_pair(turn + SPINS)),
+        add_pairs(subtract_pairs(scaled(lever.z, x), scaled(lever.x, z)), load_pair(turn + SPINS + 2)),
+        add_pairs(subtract_pairs(scaled(lever.x, y), scaled(lever.y, x)), load_pair(turn + SPINS + 4)),
+    };
+    Pair wanted = add_pairs(add_pairs(scaled(tilt.x, moved[0]), scaled(tilt.y, moved[1])), scaled(tilt.z, moved[2]));
+    Pair given = both(0.0);
+    for (size_t i = 0; i <= e.unknowns; i++)
+        given = add_pairs(given, scaled(bit_of(climb->members, i, e.unknowns), fitted->given[i]));
+    Pair off = subtract_pairs(scaled(length, given), wanted), squared = multiply_pairs(off, off);
+    fitted->tilts += length > 0.0 ? (part(squared, 0) + part(squared, 1)) / length : 0.0;
+    wanted = scaled(climb->sign, add_pairs(wanted, scaled(pull, given)));
+    for (size_t i = 0; i < e.unknowns; i++) {
+        const double mask = bit_of(climb->moved, i, e.unknowns);
+        e.right[i] = add_pairs(e.right[i], scaled(mask, wanted));
+        for (size_t k = 0; k <= i; k++)
+            e.matrix[i * e.stride + k] += mask * bit_of(climb->moved, k, e.unknowns) * square;
+    }
+}
+
+/* Sum up the turns along the way. */
+static ALWAYS_INLINE void gather_turns(const Surface *s, Vector position, const Way *way, Fitted *fitted, Equations e,
+                                       Scratch *w)
+{
+    for (size_t i = 0; i < e.unknowns; i++) {
+        e.right[i] = both(0.0);
+        for (size_t k = 0; k <= i; k++)
+            e.matrix[i * e.stride + k] = 0.0;
+    }
+    for (size_t n = 0; n < way->climbs; n++) {
+        const Climb *climb = &way->climb[n];
+        const double *turn = w->carried + climb->node * TURN;
+        double *above = w->carried + climb->above * TURN;
+        if (climb->parts)
+            add_turn(s, position, climb, turn, &w->frame, fitted, e);
+        for (int m = 0; m < TURN; m += AT_ONCE)
+            store(above + m, add(load(above + m), load(turn + m)));
+    }
+}
+
+/* Solve the normal equations, by the factors L D Lt in place of the matrix. The right side becomes the solution.
+   Returns 0 where it is not finite. */
+static ALWAYS_INLINE int solve(Equations e)
+{
+    Pair finite = both(0.0);
+    for (size_t i = 0; i < e.unknowns; i++) {
+        double *row = e.matrix + i * e.stride, diagonal = row[i];
         for (size_t k = 1; k < i; k++) /* row[k] is L[i][k] D[k] until the row is done */
             for (size_t n = 0; n < k; n++)
-                row[k] -= row[n] * matrix[k * MOST_FITTED + n];
+                row[k] -= row[n] * e.matrix[k * e.stride + n];
         for (size_t k = 0; k < i; k++) {
-            double factor = row[k] * matrix[k * MOST_FITTED + k]; /* the diagonal holds 1 / D */
+            double factor = row[k] * e.matrix[k * e.stride + k]; /* the diagonal holds 1 / D */
             diagonal -= factor * row[k];
             row[k] = factor;
-            right[i][0] -= factor * right[k][0];
-            right[i][1] -= factor * right[k][1];
+            e.right[i] = subtract_pairs(e.right[i], scaled(factor, e.right[k]));
         }
         row[i] = 1.0 / diagonal;
     }
-    for (size_t i = count; i-- > 0;)
-        for (int side = 0; side < 2; side++) {
-            right[i][side] *= matrix[i * MOST_FITTED + i];
-            for (size_t n = i + 1; n < count; n++)
-                right[i][side] -= matrix[n * MOST_FITTED + i] * right[n][side];
-            finite += right[i][side] * 0.0;
-        }
-    return finite == 0.0;
-}
-
-/* Copies for the usual counts, without loops. */
-static ALWAYS_INLINE int solve(size_t count, double *matrix, double (*right)[2])
-{
-    switch (count) {
-    case 1:
-        return solve_some(1, matrix, right);
-    case 2:
-        return solve_some(2, matrix, right);
-    case 3:
-        return solve_some(3, matrix, right);
-    default:
-        return solve_some(count, matrix, right);
+    for (size_t i = e.unknowns; i-- > 0;) {
+        e.right[i] = scaled(e.matrix[i * e.stride + i], e.right[i]);
+        for (size_t n = i + 1; n < e.unknowns; n++)
+            e.right[i] = subtract_pairs(e.right[i], scaled(e.matrix[n * e.stride + i], e.right[n]));
+        finite = add_pairs(finite, scaled(0.0, e.right[i]));
     }
+    return part(finite, 0) + part(finite, 1) == 0.0;
 }
 
 /* The pull of one slot to its gradient. It is strong where the joint is hardly there. */
@@ -1622,41 +1874,69 @@ static ALWAYS_INLINE double pull_of(const Surface *s, const Fitted *fitted, size
 
 /* Move the gradients of the fitted slots, in the plane of the class's tangents, to the solution of the least
    squares. */
-static ALWAYS_INLINE void move_gradients(const Surface *s, const Fitted *fitted, Scratch *w)
+static ALWAYS_INLINE void move_gradients(const Surface *s, const Fitted *fitted, Equations e, Scratch *w)
 {
     const Vector *tangents = w->frame.tangents;
-    const size_t unknowns = fitted->unknowns;
-    double(*right)[2] = (double(*)[2])w->right, last = pull_of(s, fitted, unknowns);
+    const size_t unknowns = e.unknowns;
+    double last = pull_of(s, fitted, unknowns);
     for (size_t i = 0; i < unknowns; i++) {
         double pull = pull_of(s, fitted, i);
         for (size_t k = 0; k <= i; k++)
-            w->matrix[i * MOST_FITTED + k] += k == i ? last + pull : last;
-        for (int side = 0; side < 2; side++)
-            right[i][side] += pull * fitted->given[i][side] - last * fitted->given[unknowns][side];
+            e.matrix[i * e.stride + k] += k == i ? last + pull : last;
+        e.right[i] = add_pairs(
+            e.right[i], subtract_pairs(scaled(pull, fitted->given[i]), scaled(last, fitted->given[unknowns])));
     }
-    if (!solve(unknowns, w->matrix, right))
+    if (!solve(e))
         return;
     double share = fitted->tilts / (fitted->tilts + w->frame.doubt * w->frame.doubt);
-    right[unknowns][0] = right[unknowns][1] = 0.0;
-    for (size_t i = 0; i < unknowns; i++) {
-        right[unknowns][0] -= right[i][0];
-        right[unknowns][1] -= right[i][1];
-    }
+    e.right[unknowns] = both(0.0);
+    for (size_t i = 0; i < unknowns; i++)
+        e.right[unknowns] = subtract_pairs(e.right[unknowns], e.right[i]);
     for (size_t i = 0; i <= unknowns; i++) {
         Vector *gradient = &w->gradients[fitted->slots[i]];
-        *gradient = plus(*gradient, plus(times(tangents[0], share * (right[i][0] - fitted->given[i][0])),
-                                         times(tangents[1], share * (right[i][1] - fitted->given[i][1]))));
+        Pair by = scaled(share, subtract_pairs(e.right[i], fitted->given[i]));
+        *gradient = plus(*gradient, plus(times(tangents[0], part(by, 0)), times(tangents[1], part(by, 1))));
     }
 }
 
+/* Fit the gradients of some unknowns. */
+static ALWAYS_INLINE void fit_unknowns(const Surface *s, size_t unknowns, Vector position, const Way *way,
+                                       Fitted *fitted, Scratch *w)
+{
+    double few[(FEW_FITTED - 1) * (FEW_FITTED - 1)];
+    Pair right[MOST_FITTED];
+    Equations e = {few, right, unknowns, FEW_FITTED - 1};
+    if (unknowns >= FEW_FITTED)
+        e.matrix = w->matrix, e.stride = MOST_FITTED;
+    gather_turns(s, position, way, fitted, e, w);
+    if (fitted->reach > 0.0)
+        move_gradients(s, fitted, e, w);
+}
+
 /* Fit the gradients by slot of one vertex to the rig. */
-static ALWAYS_INLINE void fit_vertex(const Surface *s, size_t vertex, const ClassGradients *found, Vector position, Scratch *w)
+FOR_PROCESSORS
+static void fit_vertex(const Surface *s, size_t vertex, size_t turnings, const Vector *position, Scratch *w)
 {
     Fitted fitted;
-    open_nodes(s, found->used, w);
-    if (choose_slots(s, vertex, w, &fitted) && gather_turns(s, position, &fitted, w) && fitted.reach > 0.0)
-        move_gradients(s, &fitted, w);
-    close_nodes(s, w);
+    if (!(s->slots == 4 ? choose_slots(s, 4, vertex, w, &fitted) : choose_slots(s, (size_t)s->slots, vertex, w, &fitted)))
+        return;
+    const Way *way = find_way(s, turnings, &fitted, w);
+    if (!way->ends)
+        return;
+    place_turns(way, w);
+    switch (fitted.unknowns) {
+    case 1:
+        fit_unknowns(s, 1, *position, way, &fitted, w);
+        break;
+    case 2:
+        fit_unknowns(s, 2, *position, way, &fitted, w);
+        break;
+    case 3:
+        fit_unknowns(s, 3, *position, way, &fitted, w);
+        break;
+    default:
+        fit_unknowns(s, fitted.unknowns, *position, way, &fitted, w);
+    }
 }
 
 /* Write alpha and beta of one vertex as project does, with gradients fitted to the rig. */
@@ -1681,8 +1961,10 @@ static ALWAYS_INLINE double project_fitted(const Surface *s, Shape shape, size_t
         else
             unheld += entry->magnitude;
     }
-    if (w->frame.sound)
-        fit_vertex(s, vertex, found, row3(s->positions, shape.wide, vertex), w);
+    if (w->frame.sound) {
+        const Vector position = row3(s->positions, shape.wide, vertex);
+        fit_vertex(s, vertex, found->turnings, &position, w);
+    }
     for (size_t k = 1; k < slots; k++) {
         out->alpha[vertex * (slots - 1) + k - 1] = (float)dot(w->gradients[k], t);
         out->beta[vertex * (slots - 1) + k - 1] = (float)dot(w->gradients[k], b);
@@ -1716,13 +1998,13 @@ typedef struct {
 static ALWAYS_INLINE ClassGradients find_gradients(Work *work, Shape shape, Members corners, Members vertices)
 {
     const Surface *s = work->surface;
-    ClassGradients found = {0, 0, 0, 0.0, 0};
+    ClassGradients found = {0, 0, 0, 0, 0.0};
     work->scratch.frame.sound = 0;
     if (corners.count == 0)
         return found;
     double total;
-    int32_t used = sum_corners(s, shape, vertices.first[0], corners, &work->scratch, &total);
-    found.used = used;
+    int32_t used = sum_corners(s, shape, corners, vertices, &work->scratch, &total);
+    found.turnings = work->scratch.frame.sound ? find_turning(used, &work->scratch) : 0;
     found.entries = make_entries(&work->scratch, used, total, &found.magnitude);
     found.foreign = find_foreign(s, found.entries, found.magnitude, &work->scratch);
     found.capacity = found.foreign && s->adopts ? shared_capacity(s, vertices) : 0;
