@@ -757,14 +757,27 @@ typedef struct {
     size_t slots;
 } Shape;
 
+enum { AT_ONCE = 4, X1 = 0, Y1, Z1, X2, Y2, Z2, COMPONENTS };
+
+/* What a weight adds to the turn of the two tangents of a class, as in rig_fit.RingTurns: pairs of numbers, first
+   the arms, then the spins, by axis. */
+enum { ARMS = 0, SPINS = 6, TURN = 12 };
+
+/* A neighbour of a class: the edge to it, and the arms that a weight of 1 there adds. If it has the joints of the
+   class it is alike, and has the differences of the weights of four slots. */
+typedef struct {
+    double edge[4]; /* x, y, z, 0 */
+    double differences[AT_ONCE], arms[SPINS];
+    uint32_t vertex;
+    int alike;
+} Neighbour;
+
 /* Some corners of a class at once, component by component. Edges lead to the two other corners of the triangle,
    the vertices `ends`. The sum multiplies the differences of weights along the edges by coefficients. share is the
    corner's weight in the mean (see corner.py). */
-enum { AT_ONCE = 4, X1 = 0, Y1, Z1, X2, Y2, Z2, COMPONENTS };
-
 typedef struct {
     uint32_t ends[AT_ONCE][2];
-    uint16_t places[2][AT_ONCE]; /* in the ring, if there is one, by end */
+    Neighbour *neighbours[2][AT_ONCE]; /* by end: the ends in the ring, if there is one */
     Four edges[COMPONENTS];
     double coefficients[COMPONENTS][AT_ONCE], share[AT_ONCE];
 } Corners;
@@ -782,19 +795,6 @@ typedef struct {
     Four share, along[2][2];
 } Block;
 
-/* What a weight adds to the turn of the two tangents of a class, as in rig_fit.RingTurns: pairs of numbers, first
-   the arms, then the spins, by axis. */
-enum { ARMS = 0, SPINS = 6, TURN = 12 };
-
-/* A neighbour of a class: the edge to it, and the arms that a weight of 1 there adds. If it has the joints of the
-   class it is alike, and has the differences of the weights of four slots. */
-typedef struct {
-    double edge[4]; /* x, y, z, 0 */
-    double differences[AT_ONCE], arms[SPINS];
-    uint32_t vertex;
-    int alike;
-} Neighbour;
-
 /* Neighbours among which the next one is looked for; one that is met again later stands twice. */
 enum { LOOKED_BACK = 16 };
 
@@ -803,6 +803,13 @@ enum { PLACES = 64 };
 
 /* Corners of which a class is fitted at most, and joints that turn around one vertex or are fitted there. */
 enum { MOST_CORNERS = 4096, MOST_TURNS = 128, MOST_FITTED = 64 };
+
+/* The vertex whose normal was normalised last, and whether the normal had a direction. */
+typedef struct {
+    size_t vertex;
+    Vector unit;
+    int known, directed;
+} Latest;
 
 /* The frame of a class, in which its turns are measured, and the weight of its corners. */
 typedef struct {
@@ -819,28 +826,31 @@ typedef struct {
     int32_t joint; /* NO_JOINT: above all roots */
     int32_t rank;
     uint64_t members;
+    size_t row; /* of the turns */
     int done;
 } Node;
 
-/* The turn of one node, and the node above it, which is given what it carries. */
+/* The turn of one node, and the node above it, which is given what it carries. Both are rows of the turns. */
 typedef struct {
     size_t node, above;
-    int parts; /* whether it parts the slots: with a turn that does not, nothing else happens */
+    int parts; /* whether it parts the slots: if it does not, nothing else happens */
     double sign, pivot[3];
     uint64_t members, moved; /* the slots that it carries, and those that it moves, each as a bit */
 } Climb;
 
 /* The way of some turns up the rig. It depends on joints only, and the next vertex often has the same ones. */
 typedef struct {
-    int32_t *turning;             /* the joints around the class that turn: the nodes `sources` begin with them */
-    size_t *sources;              /* by turning joint */
+    int32_t *turning, *numbers;  /* the joints around the class that turn, and their local numbers */
     size_t turnings;
-    int32_t fitted[MOST_FITTED];  /* the joints of the slots that are fitted */
+    int32_t fitted[MOST_FITTED]; /* the joints of the slots that are fitted */
     size_t fittings;
-    int ends;                     /* 0: there are too many turns */
-    size_t nodes, climbs;
-    Climb climb[MOST_TURNS];      /* from the lowest node up */
+    int ends;                    /* 0: there are too many turns */
+    size_t spares, climbs;       /* spares: rows of nodes that have no turn of their own */
+    Climb *climb;                /* from the lowest node up; MOST_TURNS, and one by slot */
 } Way;
+
+/* Rows of nodes without a turn of their own: those of fitted slots, and those above all others. */
+enum { MOST_SPARES = MOST_FITTED + MOST_TURNS };
 
 /* A joint whose weight varies around the class, and its local number. */
 typedef struct {
@@ -861,14 +871,17 @@ typedef struct {
     Entry *entries;
     Entry **foreign;
     int32_t *named; /* by slot: the joint whose gradient it carries */
+    Latest latest;
     int stray;      /* an index was out of range at its use */
     /* Only with a rig: */
     void *block_room;  /* what blocks was cut out of, aligned as vectors must be */
     Block *blocks;     /* all corners of a class */
     Neighbour *ring;   /* the ends of these corners */
     size_t neighbours;
+    int varies;        /* whether the weights of the ring do */
     uint16_t places[PLACES]; /* by the last digits of a vertex: where it may stand in the ring */
-    double *turns;     /* by local number, TURN each */
+    double *turns;     /* by local number, then spare rows: TURN each */
+    size_t room;       /* the first spare row */
     RingFrame frame;
     Vector *gradients; /* by slot */
     double *shares;    /* by slot: of the gradients' lengths */
@@ -876,7 +889,7 @@ typedef struct {
     Node *nodes;
     int32_t *node_of;  /* by joint: its node, -1 elsewhere */
     size_t node_count;
-    double *carried;   /* by node: its turn, TURN each */
+    double *kept;      /* the turns of a class while those of one of its vertices are carried up */
     Way way;
     double *matrix;    /* MOST_FITTED squared */
 } Scratch;
@@ -886,7 +899,7 @@ static void free_scratch(Scratch *w)
     free(w->local), free(w->met), free(w->seen), free(w->own), free(w->x), free(w->y), free(w->z);
     free(w->entries), free(w->foreign), free(w->named);
     free(w->block_room), free(w->ring), free(w->turns), free(w->gradients), free(w->shares), free(w->nodes), free(w->node_of);
-    free(w->turning), free(w->carried), free(w->way.turning), free(w->way.sources), free(w->matrix);
+    free(w->turning), free(w->kept), free(w->way.turning), free(w->way.numbers), free(w->way.climb), free(w->matrix);
 }
 
 static Status allocate_fit(Scratch *w, const Surface *s)
@@ -895,18 +908,20 @@ static Status allocate_fit(Scratch *w, const Surface *s)
     w->block_room = malloc((MOST_CORNERS / AT_ONCE + 1) * sizeof *w->blocks);
     w->blocks = (Block *)(((uintptr_t)w->block_room + sizeof(Four) - 1) / sizeof(Four) * sizeof(Four));
     w->ring = malloc(2 * MOST_CORNERS * sizeof *w->ring);
-    w->turns = malloc(room * TURN * sizeof *w->turns);
+    w->room = room;
+    w->turns = malloc((room + MOST_SPARES) * TURN * sizeof *w->turns);
     w->gradients = malloc((size_t)s->slots * sizeof *w->gradients);
     w->shares = malloc((size_t)s->slots * sizeof *w->shares);
     w->nodes = malloc((joints + 1) * sizeof *w->nodes);
     w->node_of = malloc((joints + 1) * sizeof *w->node_of);
     w->matrix = malloc(MOST_FITTED * MOST_FITTED * sizeof *w->matrix);
     w->turning = malloc(room * sizeof *w->turning);
-    w->carried = malloc((joints + 1) * TURN * sizeof *w->carried);
+    w->kept = malloc(room * TURN * sizeof *w->kept);
     w->way.turning = malloc(room * sizeof *w->way.turning);
-    w->way.sources = malloc(room * sizeof *w->way.sources);
+    w->way.numbers = malloc(room * sizeof *w->way.numbers);
+    w->way.climb = malloc((MOST_TURNS + (size_t)s->slots) * sizeof *w->way.climb);
     if (!w->block_room || !w->ring || !w->turns || !w->gradients || !w->shares || !w->nodes || !w->node_of || !w->matrix ||
-        !w->turning || !w->carried || !w->way.turning || !w->way.sources)
+        !w->turning || !w->kept || !w->way.turning || !w->way.numbers || !w->way.climb)
         return NO_MEMORY;
     memset(w->node_of, 0xFF, (joints + 1) * sizeof *w->node_of);
     return DONE;
@@ -1105,9 +1120,9 @@ static ALWAYS_INLINE Four finish_block(Shape shape, Block *block, size_t some, W
     return angle;
 }
 
-static ALWAYS_INLINE void frame_from_normal(Vector normal, Vector *tangent, Vector *bitangent);
+static ALWAYS_INLINE void frame_from_unit(Vector normal, Vector *tangent, Vector *bitangent);
 
-/* A normal as the shader normalises it, in float32. Returns whether it has a direction. */
+/* A normal as the shader normalises it, in float32 (twin: frames.unit_normals). Returns whether it has a direction. */
 static ALWAYS_INLINE int unit_normal(Vector normal, Vector *unit)
 {
     double length = sqrt(dot(normal, normal));
@@ -1116,6 +1131,16 @@ static ALWAYS_INLINE int unit_normal(Vector normal, Vector *unit)
     *unit = sound ? (Vector){(float)(normal.x / length), (float)(normal.y / length), (float)(normal.z / length)}
                   : (Vector){0.0, 0.0, 1.0};
     return sound;
+}
+
+/* The normal of a vertex as the shader normalises it. Most vertices are asked for twice in a row. */
+static ALWAYS_INLINE Vector unit_of(const Surface *s, size_t vertex, Latest *latest)
+{
+    if (vertex != latest->vertex || !latest->known) {
+        latest->directed = unit_normal(row3(s->normals, s->wide_normals, vertex), &latest->unit);
+        latest->vertex = vertex, latest->known = 1;
+    }
+    return latest->unit;
 }
 
 /* Work out the leverage of both tangents from the derivatives of the positions along them. */
@@ -1137,19 +1162,24 @@ static ALWAYS_INLINE void find_leverage(RingFrame *f, const Vector derivatives[2
 
 /* The sum of the unit normals at the corners of a class, of any length. It depends neither on the order of the
    vertices nor on how often one is stored. */
-static ALWAYS_INLINE Vector sum_normals(const Surface *s, Members corners, Members vertices)
+static ALWAYS_INLINE Vector sum_normals(const Surface *s, Members corners, Members vertices, Latest *latest)
 {
-    Vector sum = {0.0, 0.0, 0.0}, unit = sum;
-    size_t latest = SIZE_MAX;
+    Four sums = all(0.0), unit = all(0.0);
     for (size_t n = 0; n < corners.count; n++) {
-        size_t vertex = vertices.count == 1 ? vertices.first[0] : s->triangles[3 * (size_t)(corners.first[n] >> 2) + (corners.first[n] & 3)];
+        size_t vertex = vertices.first[0];
+        if (vertices.count > 1)
+            vertex = s->triangles[3 * (size_t)(corners.first[n] >> 2) + (corners.first[n] & 3)];
         if (vertex >= (size_t)s->vertices)
-            continue; /* find_edges notes what has changed since the check */
-        if (vertex != latest && !unit_normal(row3(s->normals, s->wide_normals, vertex), &unit))
-            unit = (Vector){0.0, 0.0, 0.0};
-        latest = vertex;
-        sum = plus(sum, unit);
+            continue; /* find_ends notes what has changed since the check */
+        if (n == 0 || vertices.count > 1) {
+            Vector found = unit_of(s, vertex, latest);
+            unit = latest->directed ? four(found.x, found.y, found.z, 0.0) : all(0.0);
+        }
+        sums = add(sums, unit);
     }
+    double each[AT_ONCE];
+    store(each, sums);
+    const Vector sum = {each[0], each[1], each[2]};
     double least = s->fit.flat * (double)corners.count;
     return dot(sum, sum) > least * least ? sum : (Vector){0.0, 0.0, 0.0};
 }
@@ -1168,9 +1198,9 @@ static ALWAYS_INLINE void measure_ring(const Surface *s, Shape shape, Members ar
 {
     RingFrame *f = &w->frame;
     const size_t corners = around.count;
-    Vector given = sum_normals(s, around, vertices);
+    Vector given = sum_normals(s, around, vertices, &w->latest);
     f->sound = unit_normal(given, &f->normal);
-    frame_from_normal(given, &f->tangents[0], &f->tangents[1]);
+    frame_from_unit(f->normal, &f->tangents[0], &f->tangents[1]);
     const Vector *t = f->tangents;
     f->along[0] = pair(t[0].x, t[1].x), f->along[1] = pair(t[0].y, t[1].y), f->along[2] = pair(t[0].z, t[1].z);
     f->total = total;
@@ -1243,56 +1273,58 @@ static ALWAYS_INLINE void find_arms(const Surface *s, const Block *block, int en
     turn_over(found, arms);
 }
 
-/* The place of a vertex in the ring: that behind its end where the vertex does not stand among the last ones. */
-static ALWAYS_INLINE size_t place_of(uint32_t vertex, const Scratch *w)
+/* The place of a vertex in a ring: `count`, behind its end, where the vertex does not stand among the last ones. */
+static ALWAYS_INLINE size_t place_of(uint32_t vertex, const Neighbour *ring, size_t count, const uint16_t *places)
 {
-    const size_t count = w->neighbours, place = w->places[vertex % PLACES];
+    const size_t place = places[vertex % PLACES];
     if (place >= count)
         return count;
-    const uint32_t held = w->ring[place].vertex;
+    const uint32_t held = ring[place].vertex;
     if (held == vertex && place + LOOKED_BACK >= count)
         return place;
     /* Every vertex of this class has left its place in the table, or a later one with the same last digits has. */
     if (held % PLACES == vertex % PLACES)
         for (size_t n = count; n-- > 0 && n + LOOKED_BACK >= count;)
-            if (w->ring[n].vertex == vertex)
+            if (ring[n].vertex == vertex)
                 return n;
     return count;
 }
 
-/* Find the ends of some corners of a class in its ring, and add those that are not there. Write the edges. Returns
-   whether the weights of the ring vary, as far as it is known. */
-static ALWAYS_INLINE int find_neighbours(const Surface *s, Shape shape, size_t vertex, size_t some, int varies,
-                                         Corners *c, Scratch *w)
+/* Find the ends of some corners of a class in its ring, and add those that are not there. Write the edges. */
+static ALWAYS_INLINE void find_neighbours(const Surface *s, Shape shape, size_t vertex, size_t some, Corners *c,
+                                          Scratch *w)
 {
     const size_t slots = shape.slots;
     const double *here = s->weights + vertex * slots;
     const Four origin = row4(s->positions, shape.wide, vertex);
+    Neighbour *const ring = w->ring;
+    size_t count = w->neighbours;
     for (int end = 0; end < 2; end++) {
         const double *edges[AT_ONCE];
         for (size_t n = 0; n < some; n++) {
             const uint32_t there = c->ends[n][end];
-            const size_t place = place_of(there, w);
-            Neighbour *found = &w->ring[place];
-            w->places[there % PLACES] = c->places[end][n] = (uint16_t)place;
+            const size_t place = place_of(there, ring, count, w->places);
+            Neighbour *found = c->neighbours[end][n] = &ring[place];
+            w->places[there % PLACES] = (uint16_t)place;
             edges[n] = found->edge;
-            if (place < w->neighbours)
+            if (place < count)
                 continue;
-            w->neighbours++;
+            count++;
             const double *weights = s->weights + there * slots;
             found->vertex = there;
             found->alike = slots == 4 && same_joints(s, slots, vertex, there);
             store(found->edge, subtract(row4(s->positions, shape.wide, there), origin));
-            memset(found->arms, 0, sizeof found->arms);
+            store(found->arms, all(0.0));
+            store_pair(found->arms + 4, both(0.0));
             if (found->alike)
                 store(found->differences, subtract(load(weights), load(here)));
-            varies = varies || !found->alike || memcmp(weights, here, slots * sizeof *here) != 0;
+            w->varies = w->varies || !found->alike || memcmp(weights, here, slots * sizeof *here) != 0;
         }
         for (size_t n = some; n < AT_ONCE; n++)
             edges[n] = edges[0];
         turn_rows(edges, c->edges + 3 * end);
     }
-    return varies;
+    w->neighbours = count;
 }
 
 /* Add the arms of all corners to the neighbours at their ends. */
@@ -1305,7 +1337,7 @@ static ALWAYS_INLINE void add_arms(const Surface *s, size_t corners, Scratch *w)
             double arms[AT_ONCE][SPINS];
             find_arms(s, block, end, &w->frame, arms);
             for (size_t n = 0; n < some; n++) {
-                double *sum = w->ring[block->corners.places[end][n]].arms;
+                double *sum = block->corners.neighbours[end][n]->arms;
                 store(sum, add(load(sum), load(arms[n])));
                 store_pair(sum + 4, add_pairs(load_pair(sum + 4), load_pair(arms[n] + 4)));
             }
@@ -1406,8 +1438,7 @@ static ALWAYS_INLINE int32_t sum_corners(const Surface *s, Shape shape, Members 
     Four own = slots == 4 ? load(here) : none;
     *total = 0.0;
     const int rings = shape.fits && corners.count <= MOST_CORNERS;
-    int varies = 0;
-    w->neighbours = 0;
+    w->neighbours = 0, w->varies = 0;
     for (size_t from = 0; from < corners.count; from += AT_ONCE) {
         size_t some = corners.count - from < AT_ONCE ? corners.count - from : AT_ONCE;
         Corners passing, *c = &passing;
@@ -1416,16 +1447,16 @@ static ALWAYS_INLINE int32_t sum_corners(const Surface *s, Shape shape, Members 
             c = &w->blocks[from / AT_ONCE].corners, facets = &w->blocks[from / AT_ONCE].facets;
         find_ends(s, (Members){corners.first + from, some}, c, w);
         if (rings)
-            varies = find_neighbours(s, shape, vertex, some, varies, c, w);
+            find_neighbours(s, shape, vertex, some, c, w);
         else
             find_edges(s, shape, origin, (Members){corners.first + from, some}, c);
         weigh_corners(c, s->weighting, facets);
         for (size_t n = 0; n < some; n++)
             for (int end = 0; end < 2; end++) {
-                size_t there = c->ends[n][end];
+                const size_t there = c->ends[n][end];
                 const double(*component)[AT_ONCE] = c->coefficients + 3 * end;
                 Vector by = {component[X1][n], component[Y1][n], component[Z1][n]};
-                const Neighbour *known = rings ? &w->ring[c->places[end][n]] : NULL;
+                const Neighbour *known = rings ? c->neighbours[end][n] : NULL;
                 if (slots == 4 && (known ? known->alike : same_joints(s, slots, vertex, there))) {
                     Four difference =
                         known ? load(known->differences) : subtract(load(s->weights + there * slots), own);
@@ -1445,7 +1476,7 @@ static ALWAYS_INLINE int32_t sum_corners(const Surface *s, Shape shape, Members 
     }
     if (shape.fits) {
         w->frame.sound = 0;
-        if (varies)
+        if (w->varies)
             sum_turns(s, shape, corners, vertices, used, *total, w);
     }
     for (int32_t n = 0; n < used; n++)
@@ -1468,6 +1499,7 @@ typedef struct {
     size_t entries, foreign;
     size_t capacity; /* joints that each of the class's vertices may adopt */
     size_t turnings; /* joints that turn */
+    int32_t used;    /* local numbers */
     double magnitude;
 } ClassGradients;
 
@@ -1537,16 +1569,11 @@ static inline int name_slots(const Surface *s, size_t vertex, const ClassGradien
     return moved > 0;
 }
 
-/* The frame of Duff et al. 2017 around a normal of any length, in float32 and in this order of operations:
-   shaders get the same bits (twins: frames.unit_normals, frames.frame_from_normal). */
-static ALWAYS_INLINE void frame_from_normal(Vector normal, Vector *tangent, Vector *bitangent)
+/* The frame of Duff et al. 2017 around a unit normal, in float32 and in this order of operations: shaders get the
+   same bits (twin: frames.frame_from_normal). */
+static ALWAYS_INLINE void frame_from_unit(Vector normal, Vector *tangent, Vector *bitangent)
 {
-    double length = sqrt(dot(normal, normal));
-    int sound = isfinite(normal.x) && isfinite(normal.y) && isfinite(normal.z) &&
-                (normal.x != 0.0 || normal.y != 0.0 || normal.z != 0.0);
-    float x = sound ? (float)(normal.x / length) : 0.0f;
-    float y = sound ? (float)(normal.y / length) : 0.0f;
-    float z = sound ? (float)(normal.z / length) : 1.0f;
+    float x = (float)normal.x, y = (float)normal.y, z = (float)normal.z;
     float sign = z >= 0.0f ? 1.0f : -1.0f;
     float a = -1.0f / (sign + z);
     float b = (x * y) * a;
@@ -1556,13 +1583,14 @@ static ALWAYS_INLINE void frame_from_normal(Vector normal, Vector *tangent, Vect
 }
 
 /* The tangent and the bitangent of a vertex. */
-static ALWAYS_INLINE void find_frame(const Surface *s, size_t vertex, Vector *tangent, Vector *bitangent)
+static ALWAYS_INLINE void find_frame(const Surface *s, size_t vertex, Latest *latest, Vector *tangent,
+                                     Vector *bitangent)
 {
     if (s->tangents) {
         *tangent = row3(s->tangents, s->wide_frame, vertex);
         *bitangent = row3(s->bitangents, s->wide_frame, vertex);
     } else {
-        frame_from_normal(row3(s->normals, s->wide_normals, vertex), tangent, bitangent);
+        frame_from_unit(unit_of(s, vertex, latest), tangent, bitangent);
     }
 }
 
@@ -1575,7 +1603,7 @@ static ALWAYS_INLINE double project(const Surface *s, size_t slots, size_t verte
                                     const Baked *out, Scratch *w)
 {
     Vector t, b;
-    find_frame(s, vertex, &t, &b);
+    find_frame(s, vertex, &w->latest, &t, &b);
     float *alpha = out->alpha + vertex * (slots - 1), *beta = out->beta + vertex * (slots - 1);
     double unheld = 0.0;
     memset(alpha, 0, (slots - 1) * sizeof *alpha);
@@ -1599,15 +1627,24 @@ static ALWAYS_INLINE double project(const Surface *s, size_t slots, size_t verte
 
 /* ---- Fitting one vertex (twin: rig_fit.fitted) --------------------------------------------------------- */
 
-/* The node of a joint, made where there is none; NO_JOINT stands above all roots. */
-static Node *node_of(const Surface *s, int32_t joint, Scratch *w)
+/* The node of a joint, made with a row where there is none; NO_JOINT stands above all roots. */
+static Node *node_of(const Surface *s, int32_t joint, size_t row, Scratch *w)
 {
     int32_t *place = &w->node_of[joint == NO_JOINT ? s->joint_count : joint];
     if (*place < 0) {
         *place = (int32_t)w->node_count++;
-        w->nodes[*place] = (Node){joint, joint == NO_JOINT ? -1 : s->ranks[joint], 0, 0};
+        w->nodes[*place] = (Node){joint, joint == NO_JOINT ? -1 : s->ranks[joint], 0, row, 0};
     }
     return &w->nodes[*place];
+}
+
+/* The node of a joint, made with a spare row where there is none. */
+static Node *spare_node_of(const Surface *s, int32_t joint, Scratch *w)
+{
+    size_t before = w->node_count;
+    Node *node = node_of(s, joint, w->room + w->way.spares, w);
+    w->way.spares += w->node_count - before;
+    return node;
 }
 
 static void close_nodes(const Surface *s, Scratch *w)
@@ -1620,11 +1657,15 @@ static void close_nodes(const Surface *s, Scratch *w)
 /* Whether a turn is anything but zeros. Their bits are zeros but for the sign. */
 static ALWAYS_INLINE int turns_at_all(const double turn[TURN])
 {
-    uint64_t words[TURN], any[AT_ONCE];
-    memcpy(words, turn, sizeof words);
-    for (int m = 0; m < AT_ONCE; m++)
-        any[m] = words[m] | words[AT_ONCE + m] | words[2 * AT_ONCE + m];
+#if defined(__GNUC__)
+    Words any = (Words)load(turn) | (Words)load(turn + AT_ONCE) | (Words)load(turn + 2 * AT_ONCE);
     return (any[0] | any[1] | any[2] | any[3]) << 1 != 0;
+#else
+    int turns = 0;
+    for (int m = 0; m < TURN; m++)
+        turns |= turn[m] != 0.0;
+    return turns;
+#endif
 }
 
 /* List the joints around a class that turn. Return their number. */
@@ -1695,44 +1736,48 @@ static int climb_up(const Surface *s, Scratch *w)
 {
     Way *way = &w->way;
     size_t left = w->node_count;
-    for (way->climbs = 0; left > 1; way->climbs++) {
+    for (int turn = 0; left > 1; turn++) {
         Node *lowest = NULL;
         for (size_t n = 0; n < w->node_count; n++)
             if (!w->nodes[n].done && w->nodes[n].joint != NO_JOINT &&
                 (lowest == NULL || w->nodes[n].rank > lowest->rank))
                 lowest = &w->nodes[n];
-        if (lowest == NULL || way->climbs == MOST_TURNS)
+        if (lowest == NULL || turn == MOST_TURNS)
             return 0;
-        Climb *climb = &way->climb[way->climbs];
+        Climb *climb = &way->climb[way->climbs++];
         *climb = climb_from(s, lowest, way->fittings - 1);
         int32_t parent = s->parents[lowest->joint], rank = lowest->rank;
         if (parent < 0 || parent >= s->joint_count || s->ranks[parent] >= rank)
             parent = NO_JOINT;
         lowest->done = 1;
         size_t before = w->node_count;
-        Node *above = node_of(s, parent, w);
+        Node *above = spare_node_of(s, parent, w);
         left -= w->node_count == before;
         above->members |= lowest->members;
-        climb->node = (size_t)(lowest - w->nodes), climb->above = (size_t)(above - w->nodes);
+        climb->node = lowest->row, climb->above = above->row;
     }
     return 1;
 }
 
+/* Write the way of the turns of a vertex up the rig. */
 static void plan_way(const Surface *s, size_t turnings, const Fitted *fitted, Scratch *w)
 {
     Way *way = &w->way;
     way->turnings = turnings, way->fittings = fitted->unknowns + 1;
+    way->spares = way->climbs = 0;
     w->node_count = 0;
     for (size_t n = 0; n < turnings; n++) {
-        way->turning[n] = w->met[w->turning[n]];
-        way->sources[n] = (size_t)(node_of(s, way->turning[n], w) - w->nodes);
+        size_t row = (size_t)(way->numbers[n] = w->turning[n]);
+        way->turning[n] = w->met[row];
+        Node *node = node_of(s, way->turning[n], row, w);
+        if (node->row != row) /* two slots have the same joint */
+            way->climb[way->climbs++] = (Climb){.node = row, .above = node->row};
     }
     for (size_t i = 0; i < way->fittings; i++) {
         way->fitted[i] = fitted->joints[i];
-        node_of(s, fitted->joints[i], w)->members |= UINT64_C(1) << i;
+        spare_node_of(s, fitted->joints[i], w)->members |= UINT64_C(1) << i;
     }
     way->ends = climb_up(s, w);
-    way->nodes = w->node_count;
     close_nodes(s, w);
 }
 
@@ -1743,30 +1788,12 @@ static ALWAYS_INLINE const Way *find_way(const Surface *s, size_t turnings, cons
     const size_t fittings = fitted->unknowns + 1;
     int same = way->turnings == turnings && way->fittings == fittings;
     for (size_t n = 0; same && n < turnings; n++)
-        same = way->turning[n] == w->met[w->turning[n]];
+        same = way->numbers[n] == w->turning[n] && way->turning[n] == w->met[w->turning[n]];
     for (size_t i = 0; same && i < fittings; i++)
         same = way->fitted[i] == fitted->joints[i];
     if (!same)
         plan_way(s, turnings, fitted, w);
     return way;
-}
-
-/* Bring the turns of the joints around a class to their nodes. */
-static ALWAYS_INLINE void place_turns(const Way *way, Scratch *w)
-{
-    size_t begun = 0;
-    for (size_t n = 0; n < way->turnings; n++) {
-        const double *turn = w->turns + w->turning[n] * TURN;
-        double *carried = w->carried + way->sources[n] * TURN;
-        if (way->sources[n] == begun) {
-            memcpy(carried, turn, TURN * sizeof *turn);
-            begun++;
-        } else {
-            for (int m = 0; m < TURN; m++)
-                carried[m] += turn[m];
-        }
-    }
-    memset(w->carried + begun * TURN, 0, (way->nodes - begun) * TURN * sizeof *w->carried);
 }
 
 /* Up to this number of slots, one of them for the last, the fit has copies without loops. */
@@ -1818,7 +1845,7 @@ static ALWAYS_INLINE void add_turn(const Surface *s, Vector position, const Clim
     }
 }
 
-/* Sum up the turns along the way. */
+/* Sum up the turns along the way, in place. */
 static ALWAYS_INLINE void gather_turns(const Surface *s, Vector position, const Way *way, Fitted *fitted, Equations e,
                                        Scratch *w)
 {
@@ -1827,10 +1854,11 @@ static ALWAYS_INLINE void gather_turns(const Surface *s, Vector position, const 
         for (size_t k = 0; k <= i; k++)
             e.matrix[i * e.stride + k] = 0.0;
     }
+    memset(w->turns + w->room * TURN, 0, way->spares * TURN * sizeof *w->turns);
     for (size_t n = 0; n < way->climbs; n++) {
         const Climb *climb = &way->climb[n];
-        const double *turn = w->carried + climb->node * TURN;
-        double *above = w->carried + climb->above * TURN;
+        const double *turn = w->turns + climb->node * TURN;
+        double *above = w->turns + climb->above * TURN;
         if (climb->parts)
             add_turn(s, position, climb, turn, &w->frame, fitted, e);
         for (int m = 0; m < TURN; m += AT_ONCE)
@@ -1923,7 +1951,6 @@ static void fit_vertex(const Surface *s, size_t vertex, size_t turnings, const V
     const Way *way = find_way(s, turnings, &fitted, w);
     if (!way->ends)
         return;
-    place_turns(way, w);
     switch (fitted.unknowns) {
     case 1:
         fit_unknowns(s, 1, *position, way, &fitted, w);
@@ -1939,13 +1966,14 @@ static void fit_vertex(const Surface *s, size_t vertex, size_t turnings, const V
     }
 }
 
-/* Write alpha and beta of one vertex as project does, with gradients fitted to the rig. */
-static ALWAYS_INLINE double project_fitted(const Surface *s, Shape shape, size_t vertex, const ClassGradients *found,
-                                           const Baked *out, Scratch *w)
+/* Write alpha and beta of one vertex as project does, with gradients fitted to the rig. The turns are kept unless
+   it is the last vertex of its class. */
+static ALWAYS_INLINE double project_fitted(const Surface *s, Shape shape, size_t vertex, int last,
+                                           const ClassGradients *found, const Baked *out, Scratch *w)
 {
     const size_t slots = shape.slots;
     Vector t, b;
-    find_frame(s, vertex, &t, &b);
+    find_frame(s, vertex, &w->latest, &t, &b);
     double unheld = 0.0;
     memset(w->gradients, 0, slots * sizeof *w->gradients);
     memset(w->shares, 0, slots * sizeof *w->shares);
@@ -1963,7 +1991,12 @@ static ALWAYS_INLINE double project_fitted(const Surface *s, Shape shape, size_t
     }
     if (w->frame.sound) {
         const Vector position = row3(s->positions, shape.wide, vertex);
+        const size_t size = (size_t)found->used * TURN * sizeof *w->turns;
+        if (!last)
+            memcpy(w->kept, w->turns, size);
         fit_vertex(s, vertex, found->turnings, &position, w);
+        if (!last)
+            memcpy(w->turns, w->kept, size);
     }
     for (size_t k = 1; k < slots; k++) {
         out->alpha[vertex * (slots - 1) + k - 1] = (float)dot(w->gradients[k], t);
@@ -1998,12 +2031,13 @@ typedef struct {
 static ALWAYS_INLINE ClassGradients find_gradients(Work *work, Shape shape, Members corners, Members vertices)
 {
     const Surface *s = work->surface;
-    ClassGradients found = {0, 0, 0, 0, 0.0};
+    ClassGradients found = {0, 0, 0, 0, 0, 0.0};
     work->scratch.frame.sound = 0;
     if (corners.count == 0)
         return found;
     double total;
     int32_t used = sum_corners(s, shape, corners, vertices, &work->scratch, &total);
+    found.used = used;
     found.turnings = work->scratch.frame.sound ? find_turning(used, &work->scratch) : 0;
     found.entries = make_entries(&work->scratch, used, total, &found.magnitude);
     found.foreign = find_foreign(s, found.entries, found.magnitude, &work->scratch);
@@ -2012,7 +2046,7 @@ static ALWAYS_INLINE ClassGradients find_gradients(Work *work, Shape shape, Memb
 }
 
 /* Write all results of one vertex of a class. */
-static ALWAYS_INLINE void write_vertex(Work *work, Shape shape, size_t vertex, Placing placing,
+static ALWAYS_INLINE void write_vertex(Work *work, Shape shape, size_t vertex, Placing placing, int last,
                                        const ClassGradients *found)
 {
     const Surface *s = work->surface;
@@ -2025,7 +2059,7 @@ static ALWAYS_INLINE void write_vertex(Work *work, Shape shape, size_t vertex, P
     if (placing == AS_NAMED)
         sums->adopting += name_slots(s, vertex, found, w, out->adopted + vertex * shape.slots);
     sums->magnitude += found->magnitude;
-    sums->unheld += shape.fits ? project_fitted(s, shape, vertex, found, out, w)
+    sums->unheld += shape.fits ? project_fitted(s, shape, vertex, last, found, out, w)
                                : project(s, shape.slots, vertex, found->entries, placing, out, w);
     int overflows = 0;
     for (size_t f = 0; f < found->foreign; f++)
@@ -2051,7 +2085,7 @@ static ALWAYS_INLINE Status bake_classes(Work *work, Shape shape)
         for (size_t n = 0; n < own.count; n++) {
             int adopts_nothing = found.foreign == 0 || found.capacity == 0;
             Placing placing = n == 0 && adopts_nothing && !shape.fits ? AS_NUMBERED : AS_NAMED;
-            write_vertex(work, shape, own.first[n], placing, &found);
+            write_vertex(work, shape, own.first[n], placing, n + 1 == own.count, &found);
         }
     }
     return work->scratch.stray ? STRAY_INDEX : DONE;
