@@ -15,6 +15,7 @@ from skinbake.gradients.normal_lean import lean_notices
 from skinbake.gradients.weight_sums import weight_sum_notices
 from skinbake.lighting.baked_views import BakedView, baked_views, gathered_together, is_baked
 from skinbake.lighting.measured import Lighting, VerifyOptions
+from skinbake.lighting.operator import GradientOperator
 from skinbake.lighting.staleness import fits_begun, freshness_check, mesh_operator
 from skinbake.report.verify import Check, FileVerdict
 from skinbake.threads import Threads, thread_count
@@ -50,13 +51,7 @@ def verify_document(document: Document, options: VerifyOptions) -> FileVerdict:
         notices += weight_sum_notices(view.now, view.source.place)
         notices += lean_notices(view.now, view.source.place)
     surfaces = gathered_together(document, views)
-    with Threads(thread_count()) as threads:
-        with stage("freshness"):
-            fits = fits_begun(document, surfaces, threads)
-        with stage("gradient operator"):
-            operators = [mesh_operator(document, surface) for surface in surfaces]
-        with stage("freshness"):
-            fresh = freshness_check(document, surfaces, operators, fits)
+    operators, fresh = _operators_and_freshness(document, surfaces)
     lighting = Lighting(document, options)
     verdict = lighting.measured(surfaces, operators)
     if fresh.outcome == "passed":
@@ -64,6 +59,18 @@ def verify_document(document: Document, options: VerifyOptions) -> FileVerdict:
             notices += worse_lighting(document, views, verdict, options)
     checks = (structure, fresh, *verdict.checks)
     return replace(verdict, checks=checks, notices=(*notices, *verdict.notices))
+
+
+def _operators_and_freshness(
+    document: Document, surfaces: Sequence[Sequence[BakedView]]
+) -> tuple[list[GradientOperator], Check]:
+    with Threads(thread_count()) as threads:
+        with stage("freshness"):
+            fits = fits_begun(document, surfaces, threads)
+        with stage("gradient operator"):
+            operators = [mesh_operator(document, surface) for surface in surfaces]
+        with stage("freshness"):
+            return operators, freshness_check(document, surfaces, operators, fits)
 
 
 def _sorted_out(document: Document) -> tuple[list[PrimitiveSource], list[Notice], list[Notice]]:

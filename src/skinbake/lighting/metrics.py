@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from skinbake.geometry.blocks import blocks
 from skinbake.geometry.skinned import Float32Array, Float64Array, FloatArray, IntArray
 from skinbake.skinning.components import cross, dot, minus
 
@@ -13,11 +14,13 @@ from skinbake.skinning.components import cross, dot, minus
 def vertex_areas(positions: FloatArray, triangles: IntArray) -> Float64Array:
     """Return the area around each vertex, a third of each of its triangles: (V,) float64, squared unit."""
     axes = np.ascontiguousarray(np.asarray(positions, dtype=np.float64).T)
-    corners = np.ascontiguousarray(triangles.T, dtype=np.intp)
-    first, second, third = (tuple(axis[corner] for axis in axes) for corner in corners)
+    doubled = np.empty(len(triangles))
     with np.errstate(invalid="ignore", over="ignore"):
-        normal = cross(minus(second, first), minus(third, first))
-        doubled = np.sqrt(dot(normal, normal))
+        for rows in blocks(len(triangles)):
+            corners = np.ascontiguousarray(triangles[rows].T, dtype=np.intp)
+            first, second, third = (tuple(axis[corner] for axis in axes) for corner in corners)
+            normal = cross(minus(second, first), minus(third, first))
+            doubled[rows] = np.sqrt(dot(normal, normal))
     shares = np.where(np.isfinite(doubled), doubled, 0.0) / 6.0
     corner_shares = np.repeat(shares, 3)
     return np.bincount(triangles.ravel(), corner_shares, minlength=len(positions)).astype(np.float64)
