@@ -261,6 +261,7 @@ static ALWAYS_INLINE Pair pair(double a, double b) { return (Pair){a, b}; }
 static ALWAYS_INLINE Pair add_pairs(Pair a, Pair b) { return a + b; }
 static ALWAYS_INLINE Pair subtract_pairs(Pair a, Pair b) { return a - b; }
 static ALWAYS_INLINE Pair multiply_pairs(Pair a, Pair b) { return a * b; }
+static ALWAYS_INLINE Pair divide_pairs(Pair a, Pair b) { return a / b; }
 static ALWAYS_INLINE double part(Pair a, int n) { return a[n]; }
 #else
 typedef struct {
@@ -270,6 +271,7 @@ static ALWAYS_INLINE Pair pair(double a, double b) { return (Pair){{a, b}}; }
 static ALWAYS_INLINE Pair add_pairs(Pair a, Pair b) { return pair(a.of[0] + b.of[0], a.of[1] + b.of[1]); }
 static ALWAYS_INLINE Pair subtract_pairs(Pair a, Pair b) { return pair(a.of[0] - b.of[0], a.of[1] - b.of[1]); }
 static ALWAYS_INLINE Pair multiply_pairs(Pair a, Pair b) { return pair(a.of[0] * b.of[0], a.of[1] * b.of[1]); }
+static ALWAYS_INLINE Pair divide_pairs(Pair a, Pair b) { return pair(a.of[0] / b.of[0], a.of[1] / b.of[1]); }
 static ALWAYS_INLINE double part(Pair a, int n) { return a.of[n]; }
 #endif
 static ALWAYS_INLINE Pair both(double a) { return pair(a, a); }
@@ -290,6 +292,34 @@ static ALWAYS_INLINE Four load(const double *from)
 }
 static ALWAYS_INLINE void store(double *to, Four values) { memcpy(to, &values, sizeof values); }
 static ALWAYS_INLINE Four join(Pair a, Pair b) { return four(part(a, 0), part(a, 1), part(b, 0), part(b, 1)); }
+
+/* A vector for each of the two tangents of a class. */
+typedef struct {
+    Pair x, y, z;
+} Vectors;
+static ALWAYS_INLINE Vectors twice(Vector v) { return (Vectors){both(v.x), both(v.y), both(v.z)}; }
+static ALWAYS_INLINE Vectors load_vectors(const double *from)
+{
+    return (Vectors){load_pair(from), load_pair(from + 2), load_pair(from + 4)};
+}
+static ALWAYS_INLINE Vectors plus_each(Vectors a, Vectors b)
+{
+    return (Vectors){add_pairs(a.x, b.x), add_pairs(a.y, b.y), add_pairs(a.z, b.z)};
+}
+static ALWAYS_INLINE Vectors times_each(Vectors a, Pair by)
+{
+    return (Vectors){multiply_pairs(a.x, by), multiply_pairs(a.y, by), multiply_pairs(a.z, by)};
+}
+static ALWAYS_INLINE Pair dots(Vectors a, Vectors b)
+{
+    return add_pairs(add_pairs(multiply_pairs(a.x, b.x), multiply_pairs(a.y, b.y)), multiply_pairs(a.z, b.z));
+}
+static ALWAYS_INLINE Vectors crosses(Vectors a, Vectors b)
+{
+    return (Vectors){subtract_pairs(multiply_pairs(a.y, b.z), multiply_pairs(a.z, b.y)),
+                     subtract_pairs(multiply_pairs(a.z, b.x), multiply_pairs(a.x, b.z)),
+                     subtract_pairs(multiply_pairs(a.x, b.y), multiply_pairs(a.y, b.x))};
+}
 
 #if defined(__clang__) || (defined(__GNUC__) && __GNUC__ >= 12)
 #define HAS_SHUFFLES
@@ -814,8 +844,8 @@ typedef struct {
 /* The frame of a class, in which its turns are measured, and the weight of its corners. */
 typedef struct {
     Vector normal, tangents[2];
-    Pair along[3];         /* the tangents, by axis */
-    Vector leverage[2][2]; /* see rig_fit._leverage: by tangent, then by derivative */
+    Vectors along;         /* the tangents */
+    Vectors leverage[2];   /* see rig_fit._leverage: by derivative */
     double total, facing;
     double doubt; /* the tilt for each radian of a turn of which the fit takes half */
     int sound;
@@ -886,6 +916,7 @@ typedef struct {
     Vector *gradients; /* by slot */
     double *shares;    /* by slot: of the gradients' lengths */
     int32_t *turning;  /* the local numbers of the joints that turn */
+    int known_turnings; /* whether the way is one of these */
     Node *nodes;
     int32_t *node_of;  /* by joint: its node, -1 elsewhere */
     size_t node_count;
@@ -1100,9 +1131,10 @@ static ALWAYS_INLINE Four angle_of(Shape shape, Four sine, Four cosine, Four len
 static ALWAYS_INLINE Four finish_block(Shape shape, Block *block, size_t some, Weighting weighting,
                                        const Vector tangents[2])
 {
+    static const double present[AT_ONCE][AT_ONCE] = {{1, 0, 0, 0}, {1, 1, 0, 0}, {1, 1, 1, 0}, {1, 1, 1, 1}};
     const Corners *c = &block->corners;
     Facets *facets = &block->facets;
-    Four shrink = divide(all(1.0), facets->area), there = four(1.0, some > 1, some > 2, some > 3);
+    Four shrink = divide(all(1.0), facets->area), there = load(present[some < AT_ONCE ? some - 1 : AT_ONCE - 1]);
     Four angle = multiply(there, angle_of(shape, facets->area, facets->dots, root(facets->lengths)));
     /* With Max's weights, 1 / share is |e1|^2 |e2|^2 / |e1 x e2|. */
     block->share = weighting == BY_MAX ? multiply(angle, multiply(facets->lengths, shrink))
@@ -1151,13 +1183,14 @@ static ALWAYS_INLINE void find_leverage(RingFrame *f, const Vector derivatives[2
     f->sound &= area > flat * sqrt(dot(a, a)) * sqrt(dot(b, b)) && f->facing > flat;
     if (!f->sound)
         return;
-    Vector unit = times(c, 1.0 / area), lean = minus(f->normal, times(unit, 0.5 * dot(unit, f->normal)));
-    for (int n = 0; n < 2; n++) {
-        Vector t = f->tangents[n], q = times(lean, dot(t, unit) / area);
-        double by_a = dot(cross(t, b), c) / (area * area), by_b = dot(cross(a, t), c) / (area * area);
-        f->leverage[n][0] = plus(times(f->normal, by_a), cross(b, q));
-        f->leverage[n][1] = plus(times(f->normal, by_b), cross(q, a));
-    }
+    const Vector unit = times(c, 1.0 / area), lean = minus(f->normal, times(unit, 0.5 * dot(unit, f->normal)));
+    const Vectors t = f->along, normal = twice(f->normal);
+    const Vectors q = times_each(twice(lean), divide_pairs(dots(t, twice(unit)), both(area)));
+    const Pair squared = both(area * area);
+    const Pair by_a = divide_pairs(dots(crosses(t, twice(b)), twice(c)), squared);
+    const Pair by_b = divide_pairs(dots(crosses(twice(a), t), twice(c)), squared);
+    f->leverage[0] = plus_each(times_each(normal, by_a), crosses(twice(b), q));
+    f->leverage[1] = plus_each(times_each(normal, by_b), crosses(q, twice(a)));
 }
 
 /* The sum of the unit normals at the corners of a class, of any length. It depends neither on the order of the
@@ -1202,7 +1235,7 @@ static ALWAYS_INLINE void measure_ring(const Surface *s, Shape shape, Members ar
     f->sound = unit_normal(given, &f->normal);
     frame_from_unit(f->normal, &f->tangents[0], &f->tangents[1]);
     const Vector *t = f->tangents;
-    f->along[0] = pair(t[0].x, t[1].x), f->along[1] = pair(t[0].y, t[1].y), f->along[2] = pair(t[0].z, t[1].z);
+    f->along = (Vectors){pair(t[0].x, t[1].x), pair(t[0].y, t[1].y), pair(t[0].z, t[1].z)};
     f->total = total;
     Four none = all(0.0), angles = none, faces[3] = {none, none, none}, sums[2][3] = {{none, none, none}, {none, none, none}};
     for (size_t from = 0; from < corners; from += AT_ONCE) {
@@ -1261,13 +1294,13 @@ static ALWAYS_INLINE void find_arms(const Surface *s, const Block *block, int en
     Four share = multiply(block->share, all((1.0 - s->fit.by_tangents) / f->facing));
     Four by_a = multiply(by[0], mean), by_b = multiply(by[1], mean), found[SPINS];
     for (int n = 0; n < 2; n++) {
-        const Vector *u = f->leverage[n];
+        const Vectors *u = f->leverage;
         Four by_faces = multiply(by[n], share);
-        found[n] = add(add(multiply(by_a, all(u[0].x)), multiply(by_b, all(u[1].x))),
+        found[n] = add(add(multiply(by_a, all(part(u[0].x, n))), multiply(by_b, all(part(u[1].x, n)))),
                        multiply(by_faces, normal[0]));
-        found[2 + n] = add(add(multiply(by_a, all(u[0].y)), multiply(by_b, all(u[1].y))),
+        found[2 + n] = add(add(multiply(by_a, all(part(u[0].y, n))), multiply(by_b, all(part(u[1].y, n)))),
                            multiply(by_faces, normal[1]));
-        found[4 + n] = add(add(multiply(by_a, all(u[0].z)), multiply(by_b, all(u[1].z))),
+        found[4 + n] = add(add(multiply(by_a, all(part(u[0].z, n))), multiply(by_b, all(part(u[1].z, n)))),
                            multiply(by_faces, normal[2]));
     }
     turn_over(found, arms);
@@ -1348,12 +1381,12 @@ static ALWAYS_INLINE void add_arms(const Surface *s, size_t corners, Scratch *w)
 /* The turn that a weight of 1 at a neighbour adds: its arms, and their spins around the edge. */
 static ALWAYS_INLINE void find_turn(const Neighbour *neighbour, Four turn[TURN / AT_ONCE])
 {
-    const double *edge = neighbour->edge, *arms = neighbour->arms + ARMS;
-    const Pair x = load_pair(arms), y = load_pair(arms + 2), z = load_pair(arms + 4);
-    turn[0] = load(arms);
-    turn[1] = join(z, subtract_pairs(scaled(edge[1], z), scaled(edge[2], y)));
-    turn[2] = join(subtract_pairs(scaled(edge[2], x), scaled(edge[0], z)),
-                   subtract_pairs(scaled(edge[0], y), scaled(edge[1], x)));
+    const double *edge = neighbour->edge;
+    const Vectors arms = load_vectors(neighbour->arms);
+    const Vectors spins = crosses(twice((Vector){edge[0], edge[1], edge[2]}), arms);
+    turn[0] = load(neighbour->arms);
+    turn[1] = join(arms.z, spins.x);
+    turn[2] = join(spins.y, spins.z);
 }
 
 /* Add turns x (weight there - weight here) for every joint that either vertex has; as add_differences does. */
@@ -1456,10 +1489,9 @@ static ALWAYS_INLINE int32_t sum_corners(const Surface *s, Shape shape, Members 
                 const size_t there = c->ends[n][end];
                 const double(*component)[AT_ONCE] = c->coefficients + 3 * end;
                 Vector by = {component[X1][n], component[Y1][n], component[Z1][n]};
-                const Neighbour *known = rings ? c->neighbours[end][n] : NULL;
-                if (slots == 4 && (known ? known->alike : same_joints(s, slots, vertex, there))) {
-                    Four difference =
-                        known ? load(known->differences) : subtract(load(s->weights + there * slots), own);
+                if (slots == 4 && (shape.fits && rings ? c->neighbours[end][n]->alike : same_joints(s, slots, vertex, there))) {
+                    Four difference = shape.fits && rings ? load(c->neighbours[end][n]->differences)
+                                            : subtract(load(s->weights + there * slots), own);
                     x = add(x, multiply(four(by.x, by.x, by.x, by.x), difference));
                     y = add(y, multiply(four(by.y, by.y, by.y, by.y), difference));
                     z = add(z, multiply(four(by.z, by.z, by.z, by.z), difference));
@@ -1668,13 +1700,18 @@ static ALWAYS_INLINE int turns_at_all(const double turn[TURN])
 #endif
 }
 
-/* List the joints around a class that turn. Return their number. */
+/* List the joints around a class that turn. Tell whether the way begins with them. Return their number. */
 static ALWAYS_INLINE size_t find_turning(int32_t used, Scratch *w)
 {
+    const Way *way = &w->way;
     size_t count = 0;
+    int known = 1;
     for (int32_t n = 0; n < used; n++)
-        if (w->met[n] >= 0 && turns_at_all(w->turns + n * TURN))
+        if (w->met[n] >= 0 && turns_at_all(w->turns + n * TURN)) {
+            known = known && count < way->turnings && way->numbers[count] == n && way->turning[count] == w->met[n];
             w->turning[count++] = n;
+        }
+    w->known_turnings = known && count == way->turnings;
     return count;
 }
 
@@ -1694,7 +1731,6 @@ static ALWAYS_INLINE int choose_slots(const Surface *s, size_t slots, size_t ver
 {
     const double *weights = s->weights + vertex * slots;
     const int32_t *joints = s->joints + vertex * slots;
-    const Pair *along = w->frame.along;
     size_t count = 0;
     for (size_t k = 0; k < slots; k++) {
         const int32_t joint = w->named[k];
@@ -1705,9 +1741,7 @@ static ALWAYS_INLINE int choose_slots(const Surface *s, size_t slots, size_t ver
             continue;
         if (count == MOST_FITTED || k > UINT8_MAX)
             return 0;
-        const Vector gradient = w->gradients[k];
-        fitted->given[count] = add_pairs(add_pairs(scaled(gradient.x, along[0]), scaled(gradient.y, along[1])),
-                                         scaled(gradient.z, along[2]));
+        fitted->given[count] = dots(twice(w->gradients[k]), w->frame.along);
         fitted->presence[count] = presence;
         fitted->joints[count] = joint;
         fitted->slots[count++] = (uint8_t)k;
@@ -1777,6 +1811,7 @@ static void plan_way(const Surface *s, size_t turnings, const Fitted *fitted, Sc
         way->fitted[i] = fitted->joints[i];
         spare_node_of(s, fitted->joints[i], w)->members |= UINT64_C(1) << i;
     }
+    w->known_turnings = 1;
     way->ends = climb_up(s, w);
     close_nodes(s, w);
 }
@@ -1786,9 +1821,7 @@ static ALWAYS_INLINE const Way *find_way(const Surface *s, size_t turnings, cons
 {
     Way *way = &w->way;
     const size_t fittings = fitted->unknowns + 1;
-    int same = way->turnings == turnings && way->fittings == fittings;
-    for (size_t n = 0; same && n < turnings; n++)
-        same = way->numbers[n] == w->turning[n] && way->turning[n] == w->met[w->turning[n]];
+    int same = w->known_turnings && way->fittings == fittings;
     for (size_t i = 0; same && i < fittings; i++)
         same = way->fitted[i] == fitted->joints[i];
     if (!same)
@@ -1824,13 +1857,8 @@ static ALWAYS_INLINE void add_turn(const Surface *s, Vector position, const Clim
     Vector tilt = cross(lever, frame->normal);
     double reach = dot(lever, lever), length = dot(tilt, tilt), pull = s->fit.stiffness * reach, square = length + pull;
     fitted->reach += reach;
-    const Pair x = load_pair(turn + ARMS), y = load_pair(turn + ARMS + 2), z = load_pair(turn + ARMS + 4);
-    const Pair moved[3] = {
-        add_pairs(subtract_pairs(scaled(lever.y, z), scaled(lever.z, y)), load_pair(turn + SPINS)),
-        add_pairs(subtract_pairs(scaled(lever.z, x), scaled(lever.x, z)), load_pair(turn + SPINS + 2)),
-        add_pairs(subtract_pairs(scaled(lever.x, y), scaled(lever.y, x)), load_pair(turn + SPINS + 4)),
-    };
-    Pair wanted = add_pairs(add_pairs(scaled(tilt.x, moved[0]), scaled(tilt.y, moved[1])), scaled(tilt.z, moved[2]));
+    const Vectors arms = load_vectors(turn + ARMS), spins = load_vectors(turn + SPINS);
+    Pair wanted = dots(twice(tilt), plus_each(crosses(twice(lever), arms), spins));
     Pair given = both(0.0);
     for (size_t i = 0; i <= e.unknowns; i++)
         given = add_pairs(given, scaled(bit_of(climb->members, i, e.unknowns), fitted->given[i]));
