@@ -789,8 +789,8 @@ typedef struct {
 
 enum { AT_ONCE = 4, X1 = 0, Y1, Z1, X2, Y2, Z2, COMPONENTS };
 
-/* What a weight adds to the turn of the two tangents of a class, as in rig_fit.RingTurns: pairs of numbers, first
-   the arms, then the spins, by axis. */
+/* What a weight adds to the turn of the two tangents of a class, as in rig_fit.RingTurns: the arms by axis, then
+   the spins by axis, each a number for both tangents. */
 enum { ARMS = 0, SPINS = 6, TURN = 12 };
 
 /* A neighbour of a class: the edge to it, and the arms that a weight of 1 there adds. If it has the joints of the
@@ -868,13 +868,14 @@ typedef struct {
     uint64_t members, moved; /* the slots that it carries, and those that it moves, each as a bit */
 } Climb;
 
-/* The way of some turns up the rig. It depends on joints only, and the next vertex often has the same ones. */
+/* The way of the turns around a vertex up the rig. It depends on joints only, and the next vertex often has the
+   same ones. */
 typedef struct {
     int32_t *turning, *numbers;  /* the joints around the class that turn, and their local numbers */
     size_t turnings;
     int32_t fitted[MOST_FITTED]; /* the joints of the slots that are fitted */
     size_t fittings;
-    int ends;                    /* 0: there are too many turns */
+    int ends;                    /* 0: there are too many turns, and no fit */
     size_t spares, climbs;       /* spares: rows of nodes that have no turn of their own */
     Climb *climb;                /* from the lowest node up; MOST_TURNS, and one by slot */
 } Way;
@@ -916,7 +917,7 @@ typedef struct {
     Vector *gradients; /* by slot */
     double *shares;    /* by slot: of the gradients' lengths */
     int32_t *turning;  /* the local numbers of the joints that turn */
-    int known_turnings; /* whether the way is one of these */
+    int known_turnings; /* whether the way is that of these joints */
     Node *nodes;
     int32_t *node_of;  /* by joint: its node, -1 elsewhere */
     size_t node_count;
@@ -929,8 +930,9 @@ static void free_scratch(Scratch *w)
 {
     free(w->local), free(w->met), free(w->seen), free(w->own), free(w->x), free(w->y), free(w->z);
     free(w->entries), free(w->foreign), free(w->named);
-    free(w->block_room), free(w->ring), free(w->turns), free(w->gradients), free(w->shares), free(w->nodes), free(w->node_of);
-    free(w->turning), free(w->kept), free(w->way.turning), free(w->way.numbers), free(w->way.climb), free(w->matrix);
+    free(w->block_room), free(w->ring), free(w->turns), free(w->gradients), free(w->shares), free(w->nodes);
+    free(w->node_of), free(w->turning), free(w->kept), free(w->way.turning), free(w->way.numbers), free(w->way.climb);
+    free(w->matrix);
 }
 
 static Status allocate_fit(Scratch *w, const Surface *s)
@@ -951,8 +953,8 @@ static Status allocate_fit(Scratch *w, const Surface *s)
     w->way.turning = malloc(room * sizeof *w->way.turning);
     w->way.numbers = malloc(room * sizeof *w->way.numbers);
     w->way.climb = malloc((MOST_TURNS + (size_t)s->slots) * sizeof *w->way.climb);
-    if (!w->block_room || !w->ring || !w->turns || !w->gradients || !w->shares || !w->nodes || !w->node_of || !w->matrix ||
-        !w->turning || !w->kept || !w->way.turning || !w->way.numbers || !w->way.climb)
+    if (!w->block_room || !w->ring || !w->turns || !w->gradients || !w->shares || !w->nodes || !w->node_of ||
+        !w->turning || !w->kept || !w->way.turning || !w->way.numbers || !w->way.climb || !w->matrix)
         return NO_MEMORY;
     memset(w->node_of, 0xFF, (joints + 1) * sizeof *w->node_of);
     return DONE;
@@ -1489,9 +1491,10 @@ static ALWAYS_INLINE int32_t sum_corners(const Surface *s, Shape shape, Members 
                 const size_t there = c->ends[n][end];
                 const double(*component)[AT_ONCE] = c->coefficients + 3 * end;
                 Vector by = {component[X1][n], component[Y1][n], component[Z1][n]};
-                if (slots == 4 && (shape.fits && rings ? c->neighbours[end][n]->alike : same_joints(s, slots, vertex, there))) {
-                    Four difference = shape.fits && rings ? load(c->neighbours[end][n]->differences)
-                                            : subtract(load(s->weights + there * slots), own);
+                const Neighbour *known = rings ? c->neighbours[end][n] : NULL;
+                if (slots == 4 && (rings ? known->alike : same_joints(s, slots, vertex, there))) {
+                    Four difference =
+                        rings ? load(known->differences) : subtract(load(s->weights + there * slots), own);
                     x = add(x, multiply(four(by.x, by.x, by.x, by.x), difference));
                     y = add(y, multiply(four(by.y, by.y, by.y, by.y), difference));
                     z = add(z, multiply(four(by.z, by.z, by.z, by.z), difference));
@@ -1974,7 +1977,9 @@ FOR_PROCESSORS
 static void fit_vertex(const Surface *s, size_t vertex, size_t turnings, const Vector *position, Scratch *w)
 {
     Fitted fitted;
-    if (!(s->slots == 4 ? choose_slots(s, 4, vertex, w, &fitted) : choose_slots(s, (size_t)s->slots, vertex, w, &fitted)))
+    int chosen = s->slots == 4 ? choose_slots(s, 4, vertex, w, &fitted)
+                               : choose_slots(s, (size_t)s->slots, vertex, w, &fitted);
+    if (!chosen)
         return;
     const Way *way = find_way(s, turnings, &fitted, w);
     if (!way->ends)
