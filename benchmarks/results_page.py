@@ -259,7 +259,7 @@ def notes(rows: Json) -> str:
         "the pass takes 2,165 instructions a vertex, 2.9 reads past the largest cache, and 7.7 wrong "
         "branches: 0.33 s for a million on one core of 2.4 GHz are 2.7 instructions a cycle. 0.06 s would "
         "allow at most 576 instructions a vertex, at four a cycle. The fit to the rig, not timed here, takes "
-        "6,400 more.",
+        "4,000 more.",
         f"verify has a grid in random poses: no real character at hand has {verify['vertices']:,} vertices. "
         "The peer computes where vertices go and the moved surface's normals, a part of what verify does.",
         f"Single calls are timed for {files['single_calls']} of the {files['files']:,} files, and scaled.",
