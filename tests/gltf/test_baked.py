@@ -109,6 +109,7 @@ class TestEveryFixture:
                 "creaseAngle": 15.0,
                 "neighbours": "adopt",
                 "gradients": "rig",
+                "fit": 1,
                 "alpha": [f"_SKINBAKE_ALPHA_{n}" for n in range(sets)],
                 "beta": [f"_SKINBAKE_BETA_{n}" for n in range(sets)],
             }
