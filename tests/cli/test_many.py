@@ -595,6 +595,7 @@ def test_a_killed_worker_costs_no_file(
     assert victim not in group(process.pid)
 
 
+@pytest.mark.slow
 @LINUX
 def test_a_command_that_is_killed_leaves_no_worker_behind(
     running: Callable[..., subprocess.Popen[bytes]], tmp_path: Path

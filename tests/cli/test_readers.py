@@ -62,6 +62,7 @@ def test_nobody_reads_the_error_either(arguments: list[str]) -> None:
     assert without_reader(*arguments, stream="stderr").returncode == 141
 
 
+@pytest.mark.slow
 def test_what_was_begun_is_whole(tmp_path: Path) -> None:
     process = without_reader("bake", SEAM, "-o", str(tmp_path / "out.glb"))
     assert process.returncode == 141

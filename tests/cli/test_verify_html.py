@@ -37,6 +37,7 @@ def rows(page: Path) -> list[tuple[str, str, str | None]]:
     return [(Path(name).name, outcome, link or None) for link, name, outcome in found]
 
 
+@pytest.mark.slow
 def test_one_file_gives_its_page_with_limits_and_verdict(tmp_path: Path) -> None:
     bake(TUBE, tmp_path / "tube.glb")
     page = tmp_path / "report.html"

@@ -71,6 +71,7 @@ def test_who_kills_twice_is_lost_and_nobody_else(by: signal.Signals, tmp_path: P
         assert ("SIGKILL" if by == signal.SIGKILL else "exit code") in lost[number][2]
 
 
+@pytest.mark.slow
 @POSIX
 def test_a_suspect_is_tried_again_alone(tmp_path: Path) -> None:
     found = outcomes(DeadlyOnce((7,), signal.SIGKILL, tmp_path), 40)
@@ -169,6 +170,7 @@ def limited(work: Any, jobs: Sequence[Any], limits: Limits, workers: int = 2) ->
         return dict(results)
 
 
+@pytest.mark.slow
 @POSIX
 def test_who_takes_too_long_is_told_to_stop_and_lost_alone(tmp_path: Path) -> None:
     start = time.monotonic()

@@ -403,6 +403,7 @@ class TestStandardStreams:
         command = [sys.executable, "-m", "skinbake", *arguments]
         return subprocess.run(command, input=data, capture_output=True, check=False)
 
+    @pytest.mark.slow
     def test_a_glb_flows_through(self, tmp_path: Path) -> None:
         process = self.run("bake", "-", "-o", "-", data=(FOLDER / "seam.glb").read_bytes())
         bake(FOLDER / "seam.glb", tmp_path / "baked.glb")
@@ -429,6 +430,7 @@ class TestStandardStreams:
         assert after.has_attribute(ALPHA)
         assert b"1 image is a file" in process.stderr
 
+    @pytest.mark.slow
     def test_stdin_goes_into_a_file_of_either_kind(self, tmp_path: Path) -> None:
         data = (FOLDER / "seam.glb").read_bytes()
         for name in ("out.glb", "out.gltf"):

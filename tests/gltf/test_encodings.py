@@ -208,6 +208,7 @@ def test_primitives_share_one_scale_although_their_own_differ(tmp_path: Path) ->
     assert math.isclose(np.float32(noted[0]), noted[0], rel_tol=0.0)  # a shader's constant loses nothing
 
 
+@pytest.mark.slow
 def test_the_validator_finds_nothing(tmp_path: Path) -> None:
     written = []
     for encoding in SCALED:

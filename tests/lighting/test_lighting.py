@@ -46,6 +46,7 @@ def figures(path: Path, *options: str) -> dict[str, Any]:
     return found
 
 
+@pytest.mark.slow
 @corpus.needed
 def test_the_figures_are_those_of_a_straightforward_computation(tmp_path: Path) -> None:
     path = baked(source(CESIUM_MAN), tmp_path)
@@ -67,6 +68,7 @@ def test_the_figures_are_those_of_a_straightforward_computation(tmp_path: Path) 
     assert found["gain"] == pytest.approx(found["approximated"]["mean"] / found["accurate"]["mean"])
 
 
+@pytest.mark.slow
 @corpus.needed
 def test_the_worst_sample_is_where_it_says(tmp_path: Path) -> None:
     path = baked(source(CESIUM_MAN), tmp_path)
@@ -237,6 +239,7 @@ def test_a_limit_that_is_exceeded_fails(tmp_path: Path, options: dict[str, Any],
     assert not verdict.passed
 
 
+@pytest.mark.slow
 def test_limits_that_are_kept_pass(tmp_path: Path) -> None:
     path = baked(source("bent_tube.glb"), tmp_path, gradients="surface")
     verdict = measured(path, max_mean_error=0.15, max_p95_error=0.45, min_gain=24.0)

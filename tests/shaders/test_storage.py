@@ -112,6 +112,7 @@ def entry(text: str, prepared: list[str], names: list[str], words: int) -> str:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "storage", "influences"),
     [

@@ -100,12 +100,14 @@ class TestKhronos:
 
 
 class TestGltfTransform:
+    @pytest.mark.slow
     def test_rewrites_a_model(self, tmp_path: Path) -> None:
         target = tmp_path / "quantised.glb"
         process = gltf_transform.run(["quantize", TUBE, target])
         assert process.returncode == 0, process.stderr
         assert read(target).stored_attribute("POSITION").dtype == np.int16
 
+    @pytest.mark.slow
     def test_reports_failure_by_its_exit_code(self, tmp_path: Path) -> None:
         process = gltf_transform.run(["quantize", tmp_path / "nowhere.glb", tmp_path / "out.glb"])
         assert process.returncode != 0
