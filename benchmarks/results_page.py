@@ -255,11 +255,9 @@ def notes(rows: Json) -> str:
         "meshoptimizer's generateTangents is timed inside its process too, on one thread. It gives each "
         "corner of a triangle a tangent along the texture coordinates and its sign, nothing of joints. "
         "skinbake's pass makes tangents from the normals, and the gradients of each vertex's joints.",
-        "The gradients wait for little but arithmetic. By `valgrind --tool=cachegrind` on 100,000 vertices "
-        "the pass takes 2,165 instructions a vertex, 2.9 reads past the largest cache, and 7.7 wrong "
-        "branches: 0.33 s for a million on one core of 2.4 GHz are 2.7 instructions a cycle. 0.06 s would "
-        "allow at most 576 instructions a vertex, at four a cycle. The fit to the rig, not timed here, takes "
-        "4,000 more.",
+        "The gradients wait for little but arithmetic. By `valgrind --tool=callgrind` on 100,000 vertices "
+        "the pass takes 2,394 instructions a vertex. 0.06 s for a million on one core of 2.4 GHz would allow "
+        "at most 576, at four a cycle. The fit to the rig, not timed here, takes 4,000 more.",
         f"verify has a grid in random poses: no real character at hand has {verify['vertices']:,} vertices. "
         "The peer computes where vertices go and the moved surface's normals, a part of what verify does.",
         f"Single calls are timed for {files['single_calls']} of the {files['files']:,} files, and scaled.",
