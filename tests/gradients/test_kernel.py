@@ -150,12 +150,16 @@ def rigged_meshes_of(path: Path) -> list[tuple[list[SkinnedPrimitive], Rig]]:
     ]
 
 
+def with_rig(surface: Surface, rig: Rig) -> Surface:
+    return replace(surface, rig=rig.with_joints(int(surface.field.joints.max()) + 1))
+
+
 def assert_fits_agree(
     primitives: Sequence[SkinnedPrimitive], rig: Rig, weighting: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Compare α and β fitted by both paths; they must differ from the surface's."""
     plain = surface_of(primitives)
-    surface = replace(plain, rig=rig.with_joints(int(plain.field.joints.max()) + 1))
+    surface = with_rig(plain, rig)
     for adopt in (True, False):
         compiled, whole = both(monkeypatch, partial(bake, surface, weighting, adopt))
         found, expected = (np.hstack([slots.alpha, slots.beta]) for slots in (compiled, whole))
@@ -585,6 +589,21 @@ def test_both_paths_ignore_what_has_no_area_without_a_warning(
     # Warnings are errors in this suite: a division by an area of zero would not pass.
     table = assert_paths_agree([degenerate()], weighting, monkeypatch)
     assert not table[-1].any()
+
+
+@pytest.mark.parametrize("name", ["bent_tube.glb", CESIUM_MAN])
+def test_both_paths_fit_around_what_has_no_area(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    [(primitives, rig)] = rigged_meshes_of(path_of(name))
+    whole, *rest = primitives
+    unused, collapsed = whole.triangles[10, 0], whole.triangles[20, 1]
+    triangles = whole.triangles[(whole.triangles != unused).all(axis=1)].copy()
+    triangles[(triangles == collapsed).any(axis=1)] = collapsed
+    broken = [replace(whole, triangles=triangles), *rest]
+    assert_fits_agree(broken, rig, "max", monkeypatch)
+    slots = bake(with_rig(surface_of(broken), rig))
+    table = np.hstack([slots.alpha, slots.beta])
+    assert np.isfinite(table).all()
+    assert not table[[unused, collapsed]].any()
 
 
 def empty(vertices: int) -> SkinnedPrimitive:

@@ -91,7 +91,7 @@ def ring_turns(surface: Surface, *, weighting: str) -> RingTurns:
         lengths = np.linalg.norm(derivatives, axis=2)
         sound = area > FLAT * lengths[:, 0] * lengths[:, 1]
         sound &= (facing > FLAT) & directed
-        doubts = _doubts(facing / angles)
+        doubts = _doubts(np.where(angles > 0.0, facing / angles, 0.0))
     keys, values = [], []
     joint_count = int(surface.field.joints.max(initial=0)) + 1
     for corners in corners_of(surface.positions, surface.triangles, weighting):
