@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from contextlib import suppress
 from pathlib import Path
 
 from skinbake.errors import OutputError, Place
@@ -32,4 +33,6 @@ def write_example(target: str, *, sync: bool = True) -> int:
 
 
 def _holds(path: Path, data: bytes) -> bool:
-    return path.is_file() and path.stat().st_size == len(data) and path.read_bytes() == data
+    with suppress(OSError):  # a file that cannot be read is another one
+        return path.is_file() and path.stat().st_size == len(data) and path.read_bytes() == data
+    return False
