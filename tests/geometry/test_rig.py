@@ -7,7 +7,7 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from skinbake.geometry.rig import NO_PARENT, Lineage, Rig
+from skinbake.geometry.rig import LONG_CHAIN, NO_CHAIN, NO_PARENT, Lineage, Rig
 
 
 def rig_of(parents: list[int]) -> Rig:
@@ -80,6 +80,24 @@ def test_ways_up_are_as_long_as_asked(parents: list[int]) -> None:
     assert list(zip(rows.tolist(), passed.tolist(), strict=True)) == expected
 
 
+def test_long_chains_have_one_number(parents: list[int]) -> None:
+    runs: dict[int, list[int]] = {}
+    for joint in range(len(parents)):
+        first = joint
+        while parents[first] != NO_PARENT and parents.count(parents[first]) == 1:
+            first = parents[first]
+        runs.setdefault(first, []).append(joint)
+    expected = {joint: first for first, run in runs.items() if len(run) >= LONG_CHAIN for joint in run}
+    found = rig_of(parents).chains.tolist()
+    assert found == [expected.get(joint, NO_CHAIN) for joint in range(len(parents))]
+
+
+def test_some_of_these_rigs_have_long_chains() -> None:
+    found = [set(rig_of(random_parents(seed)).chains.tolist()) for seed in SEEDS]
+    assert any(len(chains - {NO_CHAIN}) > 1 for chains in found)
+    assert any(chains == {NO_CHAIN} for chains in found)
+
+
 def test_a_long_chain_takes_little_memory() -> None:
     """A hostile skin may have a chain of all its joints. A mask of all pairs would take 400 MB here."""
     count = 20_000
@@ -89,6 +107,7 @@ def test_a_long_chain_takes_little_memory() -> None:
         lineage = Lineage(rig)
         lowest = lineage.lowest_above(np.array([0, 0]), np.array([count - 1, count - 9]), 1)
         assert (rig.ranks == np.arange(count)).all()
+        assert (rig.chains == 0).all()
         assert tracemalloc.get_traced_memory()[1] < 32 << 20
     finally:
         tracemalloc.stop()

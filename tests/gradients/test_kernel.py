@@ -100,6 +100,11 @@ def dense(slots: SurfaceSlots) -> npt.NDArray[np.int64]:
     return adopted
 
 
+def assert_zeros_have_no_sign(*tables: FloatArray) -> None:
+    """Arrays of equal numbers must be equal in bits, because a file stores them once."""
+    assert not any(np.signbit(table[table == 0.0]).any() for table in tables)
+
+
 def assert_paths_agree(
     primitives: Sequence[SkinnedPrimitive], weighting: str, monkeypatch: pytest.MonkeyPatch
 ) -> Float64Array:
@@ -118,6 +123,7 @@ def assert_paths_agree(
         same = (np.sort(dense(compiled), axis=1) == np.sort(dense(plain), axis=1)).all(axis=1)
         assert np.count_nonzero(~same) <= len(same) // 1000
         placed = (dense(compiled) == dense(plain)).all(axis=1)
+        assert_zeros_have_no_sign(found, expected)
         off = np.abs(found - expected)[placed]
         assert off.max(initial=0.0) <= 2e-7 * np.abs(expected).max(initial=0.0)
         assert np.array_equal(compiled.counts[:, :2], plain.counts[:, :2])
@@ -165,6 +171,7 @@ def assert_fits_agree(
         found, expected = (np.hstack([slots.alpha, slots.beta]) for slots in (compiled, whole))
         # Gradients as large that the order of a sum decides which is adopted may change places.
         placed = (dense(compiled) == dense(whole)).all(axis=1)
+        assert_zeros_have_no_sign(found, expected)
         assert np.count_nonzero(~placed) <= len(placed) // 100
         off = np.abs(found - expected)[placed]
         assert off.max(initial=0.0) <= 1e-5 * np.abs(expected).max(initial=0.0)
@@ -337,12 +344,14 @@ class TestArguments:
             "parents": np.array([-1, 0, 1, 0], dtype=np.int32),
             "ranks": np.arange(4, dtype=np.int32),
             "pivots": np.zeros((4, 3)),
+            "chains": np.full(4, -1, dtype=np.int32),
             "class_count": 3,
             "weighting": _kernel.BY_MAX,
             "adopts": True,
             "negligible": 1e-4,
             "by_tangents": 0.55,
             "stiffness": 0.1,
+            "together": 10.0,
             "doubt": 0.01,
             "smooth": 0.2,
             "most_doubt": 4.0,
@@ -392,6 +401,8 @@ class TestArguments:
             ("pivots", np.zeros((4, 3), dtype=np.float32), TypeError),
             ("pivots", np.zeros((4, 2)), ValueError),
             ("pivots", np.zeros((5, 3)), ValueError),
+            ("chains", np.zeros(4), TypeError),
+            ("chains", np.zeros(3, dtype=np.int32), ValueError),
             ("joints", np.full((3, 4), 4, dtype=np.int32), ValueError),  # the rig has four joints
         ],
     )
@@ -463,6 +474,7 @@ class TestArguments:
             "beta": np.zeros((3, 1), dtype=np.float32),
             "adopted": np.zeros((3, 2), dtype=np.int32),
             "pivots": np.array([[0.3, 0.2, -1.0], [0.1, 0.4, -2.0]]),
+            "chains": np.zeros(2, dtype=np.int32),
         }
 
     def test_a_surface_without_vertices_has_no_classes(self) -> None:
@@ -481,7 +493,7 @@ class TestArguments:
             _kernel.normalise_influences(joints, weights, free, 0.99, 1e-3, 2.0**-30)
 
 
-KEPT = ("ends", "sums", "parents", "ranks", "pivots")
+KEPT = ("ends", "sums", "parents", "ranks", "pivots", "chains")
 """Arguments that have other lengths than vertices and triangles."""
 
 RACE = """
@@ -493,10 +505,10 @@ positions = chance.normal(size=(V, 3)).astype(np.float32)
 triangles = chance.integers(0, V, (2 * V, 3)).astype(np.uint32)
 joints = chance.integers(0, 30, (V, S)).astype(np.int32)
 parents, ranks = np.arange(-1, 29, dtype=np.int32), np.arange(30, dtype=np.int32)
-pivots = chance.normal(size=(30, 3))
+pivots, chains = chance.normal(size=(30, 3)), np.zeros(30, np.int32)
 weights, free = chance.random((V, S)), np.zeros((V, S), np.bool_)
 classes, ends = (np.arange(V) // 2).astype(np.int32), np.array([V // 2, V], np.uint64)
-kept = [array.copy() for array in (triangles, joints, classes, ends, parents, ranks)]
+kept = [array.copy() for array in (triangles, joints, classes, ends, parents, ranks, chains)]
 going = True
 
 def spoil():
@@ -508,11 +520,12 @@ def spoil():
         ends[:] = 2**60
         parents[chance.integers(30)] = chance.choice([2**31 - 1, -7, 0, 29])
         ranks[chance.integers(30)] = chance.choice([2**31 - 1, -7, 0, 29])
+        chains[chance.integers(30)] = chance.choice([2**31 - 1, -7, 0, -1])
 
 grouped = _kernel.group_surface(triangles, joints, weights, classes, V // 2)
 
 for turn in range(8):
-    for array, before in zip((triangles, joints, classes, ends, parents, ranks), kept):
+    for array, before in zip((triangles, joints, classes, ends, parents, ranks, chains), kept):
         array[...] = before
     alpha = np.empty((V, S - 1), np.float32)
     frames = np.zeros((0, 3), np.float32)
@@ -523,10 +536,10 @@ for turn in range(8):
             positions=positions, triangles=triangles, joints=joints, weights=weights, free=free,
             classes=classes, normals=positions, tangents=frames, bitangents=frames, alpha=alpha,
             beta=alpha.copy(), adopted=np.zeros((V, S), np.int32), ends=ends, sums=np.zeros((2, 4)),
-            parents=parents, ranks=ranks, pivots=pivots, class_count=V // 2,
+            parents=parents, ranks=ranks, pivots=pivots, chains=chains, class_count=V // 2,
             weighting=_kernel.BY_ANGLE, adopts=True, negligible=1e-4, by_tangents=0.55, stiffness=0.1,
-            doubt=0.01, smooth=0.2, most_doubt=4.0, even=1e-4, faint=0.1, unfelt=1e-6, flat=1e-6,
-            grouped=grouped if turn % 2 else None, first=0, last=V // 2)
+            together=10.0, doubt=0.01, smooth=0.2, most_doubt=4.0, even=1e-4, faint=0.1, unfelt=1e-6,
+            flat=1e-6, grouped=grouped if turn % 2 else None, first=0, last=V // 2)
     except (IndexError, ValueError):
         pass
     going = False

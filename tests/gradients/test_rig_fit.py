@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import pytest
@@ -11,9 +11,18 @@ from skinbake.geometry.frames import frame_from_normal, unit_normals
 from skinbake.geometry.rig import NO_PARENT, Rig
 from skinbake.geometry.skinned import BakedPrimitive, Float64Array, SkinnedPrimitive
 from skinbake.gradients.baker import BakeSettings, bake_mesh
-from skinbake.gradients.surface import BY_TANGENTS, DOUBT, EVEN, FAINT, MOST_DOUBT, SMOOTH, STIFFNESS
+from skinbake.gradients.surface import (
+    BY_TANGENTS,
+    DOUBT,
+    EVEN,
+    FAINT,
+    MOST_DOUBT,
+    SMOOTH,
+    STIFFNESS,
+    TOGETHER,
+)
 from skinbake.lighting.operator import GradientOperator, gradient_operator
-from tests.gradients.tubes import SETTINGS, corner_angles, tube, weighted_normals
+from tests.gradients.tubes import BRANCHES, CHAIN, SETTINGS, corner_angles, tube, weighted_normals
 from tests.support.kernels import use_numpy
 
 TURN = 1e-5
@@ -37,9 +46,12 @@ def _kernel(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> 
 class TestOracle:
     """A generic solver, over turns of each joint about each axis, measured on the deformed mesh."""
 
+    @pytest.mark.parametrize("parents", [BRANCHES[:4], CHAIN], ids=["branches", "chain"])
     @pytest.mark.parametrize("seed", [3, 4])
-    def test_closed_form_is_the_least_squares_over_small_turns(self, seed: int) -> None:
-        primitive, rig = tube(seed=seed)
+    def test_closed_form_is_the_least_squares_over_small_turns(
+        self, seed: int, parents: Sequence[int]
+    ) -> None:
+        primitive, rig = tube(seed=seed, slots=len(parents), parents=parents)
         baked = fitted(primitive, rig)
         expected = sampled_fit(primitive, rig)
         for found, wanted in zip((baked.alpha, baked.beta), expected, strict=True):
@@ -145,6 +157,8 @@ def solved(
     The first slot takes minus the sum, so a row for all slots loses the first one's number from each other.
     """
     result = np.zeros((len(base), base.shape[1] - 1))
+    # The chain of the test's rig has all its joints, one after the other.
+    chains = [range(len(CHAIN))] if rig.parents.tolist() == list(CHAIN) else []
     for vertex, joints in enumerate(primitive.joints):
         levers = primitive.positions[vertex].astype(np.float64) - rig.pivots
         squares = (levers**2).sum(axis=1)
@@ -152,8 +166,14 @@ def solved(
         pulls = [np.sqrt(STIFFNESS * squares[joint]) * carried[joint, joints] for joint in parting]
         more = EVEN + np.maximum((FAINT / presence[vertex]) ** 2, 1.0) - 1.0
         pulls += list(np.diag(np.sqrt(STIFFNESS * squares[parting].sum() * more)))
-        matrix = np.array([row[1:] - row[0] for row in pulls])
-        right = np.array([row @ base[vertex] for row in pulls])
+        matrix = [row[1:] - row[0] for row in pulls]
+        right = [row @ base[vertex] for row in pulls]
+        for chain in chains:
+            curl = [joint for joint in chain if joint in parting]
+            for axis in range(3 if len(curl) > 1 else 0):
+                rows = [3 * joint + axis for joint in curl]
+                matrix.append(np.sqrt(TOGETHER) * columns[vertex, rows].sum(axis=0))
+                right.append(-np.sqrt(TOGETHER) * slopes[vertex, rows].sum())
         result[vertex] = np.linalg.lstsq(
             np.concatenate([columns[vertex], matrix]), np.concatenate([-slopes[vertex], right]), rcond=None
         )[0]

@@ -1,6 +1,8 @@
-"""A coarse tube with a branching rig, for the fits."""
+"""A coarse tube with a rig, for the fits."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -12,8 +14,16 @@ from skinbake.gradients.baker import BakeSettings
 SETTINGS = BakeSettings(frame=FrameChoice.NORMAL)
 
 
-def tube(rings: int = 9, around: int = 8, joints: int = 4, seed: int = 3) -> tuple[SkinnedPrimitive, Rig]:
-    """Return a coarse tube along z with uneven radii and random smooth weights, and a rig that branches."""
+BRANCHES = (NO_PARENT, 0, 1, 1, 0, 4)
+
+CHAIN = (NO_PARENT, 0, 1, 2, 3, 4, 5)
+
+
+def tube(
+    rings: int = 9, around: int = 8, seed: int = 3, slots: int = 4, parents: Sequence[int] = BRANCHES[:4]
+) -> tuple[SkinnedPrimitive, Rig]:
+    """Return a coarse tube along z with uneven radii and random smooth weights, and a rig."""
+    joints = len(parents)
     random = np.random.default_rng(seed)
     angle = np.tile(np.arange(around) / around * 2.0 * np.pi, rings)
     height = np.repeat(np.linspace(-2.0, 2.0, rings), around)
@@ -31,7 +41,7 @@ def tube(rings: int = 9, around: int = 8, joints: int = 4, seed: int = 3) -> tup
         np.arange(joints) + 0.9 * height[:, None] + 0.4 * random.normal(size=(len(angle), joints))
     )
     weights = np.exp(logits) / np.exp(logits).sum(axis=1, keepdims=True)
-    order = np.argsort(-weights, axis=1)[:, :4]
+    order = np.argsort(-weights, axis=1)[:, :slots]
     primitive = SkinnedPrimitive(
         positions=positions.astype(np.float32),
         normals=weighted_normals(positions, triangles, corner_angles(positions, triangles)).astype(
@@ -42,8 +52,7 @@ def tube(rings: int = 9, around: int = 8, joints: int = 4, seed: int = 3) -> tup
         weights=np.take_along_axis(weights, order, axis=1),
         triangles=triangles.astype(np.uint32),
     )
-    parents = np.array([NO_PARENT, 0, 1, 1, 0, 4][:joints], dtype=np.int32)
-    return primitive, Rig(parents, random.normal(scale=1.5, size=(joints, 3)))
+    return primitive, Rig(np.array(parents, dtype=np.int32), random.normal(scale=1.5, size=(joints, 3)))
 
 
 def corner_angles(points: Float64Array, triangles: IntArray) -> Float64Array:

@@ -21,7 +21,7 @@ from skinbake.lighting.operator import GradientOperator, true_operator
 from skinbake.lighting.pose_fit import STIFFNESS, FitPoses, fitted_to_poses, tilts
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.surface import RestSurface
-from tests.gradients.tubes import SETTINGS, tube
+from tests.gradients.tubes import BRANCHES, SETTINGS, tube
 from tests.support.replay import replay
 
 
@@ -88,7 +88,7 @@ def true_normals(operator: GradientOperator, surface: RestSurface, matrices: Flo
 
 @pytest.mark.parametrize("angles", [(25.0,), (2.0, 40.0)])
 def test_the_fit_is_that_of_a_generic_solver(angles: Sequence[float]) -> None:
-    primitive, rig = tube(joints=6)
+    primitive, rig = tube(parents=BRANCHES)
     surface = surface_of(primitive, rig)
     groups = [FitPoses(turned(rig, 12, angle, 5), 0.9 - 0.8 * number) for number, angle in enumerate(angles)]
     operator = true_operator([primitive])

@@ -11,6 +11,14 @@ from skinbake.geometry.skinned import BoolArray, Float64Array, IntArray
 
 NO_PARENT = -1
 
+NO_CHAIN = -1
+
+LONG_CHAIN = 6
+"""The joints of a chain from which on they curl together, as those of tails, tentacles and ropes do.
+
+Limbs, fingers and spines of characters are shorter chains: they end where a joint carries several others.
+"""
+
 
 @dataclass(frozen=True, slots=True)
 class Rig:
@@ -43,6 +51,21 @@ class Rig:
             depths += np.where(held, depths[above], 0).astype(np.int32)
             above = np.where(held, above[above], NO_PARENT)
         return depths
+
+    @property
+    def chains(self) -> npt.NDArray[np.int32]:
+        """Return the first joint (J,) of the long chain to which each joint belongs, −1 for none.
+
+        A chain goes on where a joint carries exactly one other.
+        """
+        held = self.parents != NO_PARENT
+        children = np.bincount(self.parents[held], minlength=len(self.parents))
+        goes_on = held & (children[self.parents] == 1)
+        first = np.where(goes_on, self.parents, np.arange(len(self.parents), dtype=np.int32))
+        while not np.array_equal(first, further := first[first]):
+            first = further
+        lengths = np.bincount(first, minlength=len(first))
+        return np.where(lengths[first] >= LONG_CHAIN, first, NO_CHAIN).astype(np.int32)
 
     def with_joints(self, count: int) -> Rig:
         """Return the rig with at least so many joints. Further joints stand apart, and do not turn."""

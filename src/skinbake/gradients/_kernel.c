@@ -37,6 +37,7 @@
 #endif
 
 #define NO_JOINT (-1)
+#define NO_CHAIN (-1)
 
 /* The weights of corners in the mean (see corner.py). The module has constants of these names. */
 typedef enum { BY_MAX, BY_ANGLE, BY_AREA, BY_ANGLE_AREA, WEIGHTINGS } Weighting;
@@ -642,7 +643,7 @@ done:
 
 /* How gradients are fitted to a rig (rig_fit.py has the same names). */
 typedef struct {
-    double by_tangents, stiffness, doubt, smooth, most_doubt, even, faint, unfelt, flat; /* as in surface.py */
+    double by_tangents, stiffness, together, doubt, smooth, most_doubt, even, faint, unfelt, flat; /* as in surface.py */
 } FitSettings;
 
 /* The surface to bake: V vertices with K slots each, T triangles, C weld classes. Rows as in the twins. */
@@ -660,6 +661,7 @@ typedef struct {
     double negligible;
     const int32_t *parents, *ranks; /* (J,) of the rig to fit to, NULL for none; see rig.py */
     const double *pivots;           /* (J, 3), NaN where a joint does not turn */
+    const int32_t *chains;          /* (J,): a long chain's number, the same for all its joints, or NO_CHAIN */
     Py_ssize_t rig_joints;
     FitSettings fit;
 } Surface;
@@ -866,7 +868,15 @@ typedef struct {
     int parts; /* whether it parts the slots: if it does not, nothing else happens */
     double sign, pivot[3];
     uint64_t members, moved; /* the slots that it carries, and those that it moves, each as a bit */
+    int32_t chain;
+    size_t curl; /* the number of its curl from 1 on, 0 for none */
 } Climb;
+
+/* All joints of a long chain that part the slots turn alike: what that tilts, by slot, and should tilt, by axis. */
+typedef struct {
+    Vector moved[MOST_FITTED];
+    Vectors wanted;
+} Curl;
 
 /* The way of the turns around a vertex up the rig. It depends on joints only, and the next vertex often has the
    same ones. */
@@ -877,11 +887,15 @@ typedef struct {
     size_t fittings;
     int ends;                    /* 0: there are too many turns, and no fit */
     size_t spares, climbs;       /* spares: rows of nodes that have no turn of their own */
+    size_t curls;
     Climb *climb;                /* from the lowest node up; MOST_TURNS, and one by slot */
 } Way;
 
 /* Rows of nodes without a turn of their own: those of fitted slots, and those above all others. */
 enum { MOST_SPARES = MOST_FITTED + MOST_TURNS };
+
+/* A curl has at least two turns. */
+enum { MOST_CURLS = MOST_TURNS / 2 };
 
 /* A joint whose weight varies around the class, and its local number. */
 typedef struct {
@@ -924,6 +938,7 @@ typedef struct {
     double *kept;      /* the turns of a class while those of one of its vertices are carried up */
     Way way;
     double *matrix;    /* MOST_FITTED squared */
+    Curl *curls;
 } Scratch;
 
 static void free_scratch(Scratch *w)
@@ -932,7 +947,7 @@ static void free_scratch(Scratch *w)
     free(w->entries), free(w->foreign), free(w->named);
     free(w->block_room), free(w->ring), free(w->turns), free(w->gradients), free(w->shares), free(w->nodes);
     free(w->node_of), free(w->turning), free(w->kept), free(w->way.turning), free(w->way.numbers), free(w->way.climb);
-    free(w->matrix);
+    free(w->matrix), free(w->curls);
 }
 
 static Status allocate_fit(Scratch *w, const Surface *s)
@@ -948,13 +963,14 @@ static Status allocate_fit(Scratch *w, const Surface *s)
     w->nodes = malloc((joints + 1) * sizeof *w->nodes);
     w->node_of = malloc((joints + 1) * sizeof *w->node_of);
     w->matrix = malloc(MOST_FITTED * MOST_FITTED * sizeof *w->matrix);
+    w->curls = malloc(MOST_CURLS * sizeof *w->curls);
     w->turning = malloc(room * sizeof *w->turning);
     w->kept = malloc(room * TURN * sizeof *w->kept);
     w->way.turning = malloc(room * sizeof *w->way.turning);
     w->way.numbers = malloc(room * sizeof *w->way.numbers);
     w->way.climb = malloc((MOST_TURNS + (size_t)s->slots) * sizeof *w->way.climb);
     if (!w->block_room || !w->ring || !w->turns || !w->gradients || !w->shares || !w->nodes || !w->node_of ||
-        !w->turning || !w->kept || !w->way.turning || !w->way.numbers || !w->way.climb || !w->matrix)
+        !w->turning || !w->kept || !w->way.turning || !w->way.numbers || !w->way.climb || !w->matrix || !w->curls)
         return NO_MEMORY;
     memset(w->node_of, 0xFF, (joints + 1) * sizeof *w->node_of);
     return DONE;
@@ -1629,6 +1645,9 @@ static ALWAYS_INLINE void find_frame(const Surface *s, size_t vertex, Latest *la
     }
 }
 
+/* A number as it is stored. A zero has no sign, so that arrays of equal numbers have equal bits. */
+static ALWAYS_INLINE float stored(double value) { return (float)value + 0.0f; }
+
 /* The slots that a vertex's gradients go to: by `named`, or by the local numbers. The local numbers hold for a
    class's first vertex if it adopts nothing. */
 typedef enum { AS_NAMED, AS_NUMBERED } Placing;
@@ -1653,8 +1672,8 @@ static ALWAYS_INLINE double project(const Surface *s, size_t slots, size_t verte
         if (!entry->held) {
             unheld += entry->magnitude;
         } else if (slot > 0) {
-            alpha[slot - 1] = (float)dot(entry->gradient, t);
-            beta[slot - 1] = (float)dot(entry->gradient, b);
+            alpha[slot - 1] = stored(dot(entry->gradient, t));
+            beta[slot - 1] = stored(dot(entry->gradient, b));
         }
     }
     return unheld;
@@ -1759,6 +1778,7 @@ static Climb climb_from(const Surface *s, const Node *node, size_t unknowns)
 {
     const double *pivot = s->pivots + 3 * (size_t)node->joint;
     Climb climb = {.pivot = {pivot[0], pivot[1], pivot[2]}, .members = node->members};
+    climb.chain = s->chains[node->joint];
     /* Where it carries the last slot it moves the others the other way. */
     int carries = node->members >> unknowns & 1;
     climb.sign = carries ? -1.0 : 1.0;
@@ -1796,6 +1816,25 @@ static int climb_up(const Surface *s, Scratch *w)
     return 1;
 }
 
+/* Number the curls: the long chains of which several joints part the slots. */
+static void number_curls(Way *way)
+{
+    way->curls = 0;
+    for (size_t n = 0; n < way->climbs; n++) {
+        Climb *climb = &way->climb[n];
+        if (!climb->parts || climb->chain == NO_CHAIN)
+            continue;
+        for (size_t m = 0; m < n && !climb->curl; m++) {
+            Climb *lower = &way->climb[m];
+            if (!lower->parts || lower->chain != climb->chain)
+                continue;
+            if (!lower->curl)
+                lower->curl = ++way->curls;
+            climb->curl = lower->curl;
+        }
+    }
+}
+
 /* Write the way of the turns of a vertex up the rig. */
 static void plan_way(const Surface *s, size_t turnings, const Fitted *fitted, Scratch *w)
 {
@@ -1816,6 +1855,7 @@ static void plan_way(const Surface *s, size_t turnings, const Fitted *fitted, Sc
     }
     w->known_turnings = 1;
     way->ends = climb_up(s, w);
+    number_curls(way);
     close_nodes(s, w);
 }
 
@@ -1852,16 +1892,17 @@ typedef struct {
     size_t unknowns, stride;
 } Equations;
 
-/* Add what the turn of one joint says to the normal equations of the slots. */
+/* Add what the turn of one joint says to the normal equations of the slots, and to its curl. */
 static ALWAYS_INLINE void add_turn(const Surface *s, Vector position, const Climb *climb, const double turn[TURN],
-                                   const RingFrame *frame, Fitted *fitted, Equations e)
+                                   const RingFrame *frame, Fitted *fitted, Equations e, Curl *curls)
 {
     Vector lever = minus(position, (Vector){climb->pivot[0], climb->pivot[1], climb->pivot[2]});
     Vector tilt = cross(lever, frame->normal);
     double reach = dot(lever, lever), length = dot(tilt, tilt), pull = s->fit.stiffness * reach, square = length + pull;
     fitted->reach += reach;
     const Vectors arms = load_vectors(turn + ARMS), spins = load_vectors(turn + SPINS);
-    Pair wanted = dots(twice(tilt), plus_each(crosses(twice(lever), arms), spins));
+    const Vectors turned = plus_each(crosses(twice(lever), arms), spins);
+    Pair wanted = dots(twice(tilt), turned);
     Pair given = both(0.0);
     for (size_t i = 0; i <= e.unknowns; i++)
         given = add_pairs(given, scaled(bit_of(climb->members, i, e.unknowns), fitted->given[i]));
@@ -1874,6 +1915,24 @@ static ALWAYS_INLINE void add_turn(const Surface *s, Vector position, const Clim
         for (size_t k = 0; k <= i; k++)
             e.matrix[i * e.stride + k] += mask * bit_of(climb->moved, k, e.unknowns) * square;
     }
+    if (climb->curl) {
+        Curl *curl = &curls[climb->curl - 1];
+        curl->wanted = plus_each(curl->wanted, turned);
+        for (size_t i = 0; i < e.unknowns; i++)
+            curl->moved[i] = plus(curl->moved[i], times(tilt, climb->sign * bit_of(climb->moved, i, e.unknowns)));
+    }
+}
+
+/* Add what the curls say to the normal equations of the slots. */
+static ALWAYS_INLINE void add_curls(const Surface *s, const Curl *curls, size_t count, Equations e)
+{
+    for (const Curl *curl = curls; curl < curls + count; curl++)
+        for (size_t i = 0; i < e.unknowns; i++) {
+            const Vector moved = times(curl->moved[i], s->fit.together);
+            e.right[i] = add_pairs(e.right[i], dots(twice(moved), curl->wanted));
+            for (size_t k = 0; k <= i; k++)
+                e.matrix[i * e.stride + k] += dot(moved, curl->moved[k]);
+        }
 }
 
 /* Sum up the turns along the way, in place. */
@@ -1886,15 +1945,17 @@ static ALWAYS_INLINE void gather_turns(const Surface *s, Vector position, const 
             e.matrix[i * e.stride + k] = 0.0;
     }
     memset(w->turns + w->room * TURN, 0, way->spares * TURN * sizeof *w->turns);
+    memset(w->curls, 0, way->curls * sizeof *w->curls);
     for (size_t n = 0; n < way->climbs; n++) {
         const Climb *climb = &way->climb[n];
         const double *turn = w->turns + climb->node * TURN;
         double *above = w->turns + climb->above * TURN;
         if (climb->parts)
-            add_turn(s, position, climb, turn, &w->frame, fitted, e);
+            add_turn(s, position, climb, turn, &w->frame, fitted, e, w->curls);
         for (int m = 0; m < TURN; m += AT_ONCE)
             store(above + m, add(load(above + m), load(turn + m)));
     }
+    add_curls(s, w->curls, way->curls, e);
 }
 
 /* Solve the normal equations, by the factors L D Lt in place of the matrix. The right side becomes the solution.
@@ -2032,8 +2093,8 @@ static ALWAYS_INLINE double project_fitted(const Surface *s, Shape shape, size_t
             memcpy(w->turns, w->kept, size);
     }
     for (size_t k = 1; k < slots; k++) {
-        out->alpha[vertex * (slots - 1) + k - 1] = (float)dot(w->gradients[k], t);
-        out->beta[vertex * (slots - 1) + k - 1] = (float)dot(w->gradients[k], b);
+        out->alpha[vertex * (slots - 1) + k - 1] = stored(dot(w->gradients[k], t));
+        out->beta[vertex * (slots - 1) + k - 1] = stored(dot(w->gradients[k], b));
     }
     return unheld;
 }
@@ -2192,7 +2253,7 @@ static int check_rig(Surface *s)
 }
 
 enum { POSITIONS, TRIANGLES, JOINTS, WEIGHTS, UNUSED, CLASSES, NORMALS, TANGENTS, BITANGENTS, ALPHA, BETA, ADOPTED,
-       ENDS, SUMS, PARENTS, RANKS, PIVOTS, ARRAYS };
+       ENDS, SUMS, PARENTS, RANKS, PIVOTS, CHAINS, ARRAYS };
 
 static const Requirement surface_arrays[ARRAYS] = {
     [POSITIONS] = {"positions", "fd", AXIS_V, AXIS_3, READ},
@@ -2212,6 +2273,7 @@ static const Requirement surface_arrays[ARRAYS] = {
     [PARENTS] = {"parents", "i", AXIS_J, AXIS_1, READ},
     [RANKS] = {"ranks", "i", AXIS_J, AXIS_1, READ},
     [PIVOTS] = {"pivots", "d", AXIS_J, AXIS_3, READ},
+    [CHAINS] = {"chains", "i", AXIS_J, AXIS_1, READ},
 };
 
 /* The classes to bake: those of `grouped` from first up to last, or all if it is None. */
@@ -2225,20 +2287,21 @@ static int read_surface(PyObject *args, PyObject *keywords, Array *a, Surface *s
 {
     static char *names[] = {"positions", "triangles", "joints", "weights", "free", "classes", "normals", "tangents",
                             "bitangents", "alpha", "beta", "adopted", "ends", "sums", "parents", "ranks", "pivots",
-                            "class_count", "weighting", "adopts", "negligible", "by_tangents", "stiffness", "doubt",
-                            "smooth", "most_doubt",
-                            "even", "faint", "unfelt", "flat", "grouped", "first", "last", NULL};
+                            "chains", "class_count", "weighting", "adopts", "negligible", "by_tangents", "stiffness",
+                            "together", "doubt", "smooth", "most_doubt", "even", "faint", "unfelt", "flat",
+                            "grouped", "first", "last", NULL};
     PyObject *o[ARRAYS];
     Py_ssize_t class_count;
     int weighting, adopts;
     double negligible;
     FitSettings fit;
-    if (!PyArg_ParseTupleAndKeywords(args, keywords, "$OOOOOOOOOOOOOOOOOnipddddddddddOnn", names, &o[POSITIONS], &o[TRIANGLES],
-                                     &o[JOINTS], &o[WEIGHTS], &o[UNUSED], &o[CLASSES], &o[NORMALS], &o[TANGENTS],
+    if (!PyArg_ParseTupleAndKeywords(args, keywords, "$OOOOOOOOOOOOOOOOOOnipdddddddddddOnn", names,
+                                     &o[POSITIONS], &o[TRIANGLES], &o[JOINTS], &o[WEIGHTS], &o[UNUSED], &o[CLASSES], &o[NORMALS], &o[TANGENTS],
                                      &o[BITANGENTS], &o[ALPHA], &o[BETA], &o[ADOPTED], &o[ENDS], &o[SUMS],
-                                     &o[PARENTS], &o[RANKS], &o[PIVOTS], &class_count, &weighting, &adopts,
-                                     &negligible, &fit.by_tangents, &fit.stiffness, &fit.doubt, &fit.smooth, &fit.most_doubt,
-                                     &fit.even, &fit.faint, &fit.unfelt, &fit.flat, &part->grouped, &part->first, &part->last))
+                                     &o[PARENTS], &o[RANKS], &o[PIVOTS], &o[CHAINS], &class_count, &weighting, &adopts,
+                                     &negligible, &fit.by_tangents, &fit.stiffness, &fit.together, &fit.doubt,
+                                     &fit.smooth, &fit.most_doubt, &fit.even, &fit.faint, &fit.unfelt, &fit.flat,
+                                     &part->grouped, &part->first, &part->last))
         return -1;
     if (read_arrays(o, surface_arrays, ARRAYS, 2, a) < 0)
         return -1;
@@ -2275,6 +2338,7 @@ static int read_surface(PyObject *args, PyObject *keywords, Array *a, Surface *s
         .parents = a[PARENTS].rows ? a[PARENTS].buffer.buf : NULL,
         .ranks = a[RANKS].buffer.buf,
         .pivots = a[PIVOTS].buffer.buf,
+        .chains = a[CHAINS].buffer.buf,
         .rig_joints = a[PARENTS].rows,
         .fit = fit,
     };

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 
 from skinbake.geometry.frames import frame_from_normal, unit_normals
-from skinbake.geometry.skinned import Float64Array
+from skinbake.geometry.skinned import Float32Array, Float64Array, FloatArray
 from skinbake.geometry.triangles import mark_proper
 from skinbake.gradients.field import NO_JOINT, WeightDefects, WeightField
 from skinbake.gradients.labels import Labels, bit_patterns, number_as_met
@@ -142,9 +143,15 @@ def _bake_parts(surface: Surface, *, weighting: str, adopt: bool) -> SurfaceSlot
     adopted = np.concatenate([part.adopted for part in parts])
     adopting = np.flatnonzero((adopted != NO_JOINT).any(axis=1))
     return SurfaceSlots(
-        alpha=np.concatenate([part.alpha[:, 1:] for part in parts]).astype(np.float32),
-        beta=np.concatenate([part.beta[:, 1:] for part in parts]).astype(np.float32),
+        alpha=_stored([part.alpha for part in parts]),
+        beta=_stored([part.beta for part in parts]),
         adopting=adopting,
         adopted=adopted[adopting],
         counts=np.array(counts),
     )
+
+
+def _stored(parts: Sequence[FloatArray]) -> Float32Array:
+    """Return the derivatives (V, K − 1) of all slots but the first as they are stored: no zero has a sign."""
+    return np.concatenate([part[:, 1:] for part in parts]).astype(np.float32) + np.float32(0.0)
+

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from skinbake.geometry.frames import frame_from_normal, has_direction, unit_normals
-from skinbake.geometry.rig import Lineage, Rig
+from skinbake.geometry.rig import NO_CHAIN, Lineage, Rig
 from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray, IntArray
 from skinbake.gradients.field import NO_JOINT, WeightField
 from skinbake.gradients.surface import (
@@ -25,6 +25,7 @@ from skinbake.gradients.surface import (
     MOST_DOUBT,
     SMOOTH,
     STIFFNESS,
+    TOGETHER,
     UNFELT,
     Surface,
 )
@@ -242,8 +243,9 @@ class _Pairs:
     """The pairs (N,) of a vertex and a joint whose turn parts the joints around the vertex.
 
     arms, spins (N, 2, 3) are the sums over all joints that the turning joint carries. carries (N, K) tells
-    which slots it carries. named (V, K) are the fitted joints of the slots, −1 for the others, and last (V,)
-    is the last slot of them, which takes minus the sum of the others.
+    which slots it carries. chains (N,) is the long chain of the turning joint, −1 for none. named (V, K) are
+    the fitted joints of the slots, −1 for the others, and last (V,) is the last slot of them, which takes
+    minus the sum of the others.
     """
 
     vertices: IntArray
@@ -251,6 +253,7 @@ class _Pairs:
     arms: Float64Array
     spins: Float64Array
     carries: BoolArray
+    chains: IntArray
     named: IntArray
     last: IntArray
 
@@ -282,6 +285,7 @@ def _turning_pairs(vertices: FittedVertices, named: IntArray, turns: RingTurns, 
         arms=both[:, :2],
         spins=both[:, 2:],
         carries=lineage.carries(turning[:, None], named[at]) & (named[at] >= 0),
+        chains=rig.chains[turning],
         named=named,
         last=named.shape[1] - 1 - (named >= 0)[:, ::-1].argmax(axis=1),
     )
@@ -328,7 +332,8 @@ def _normal_equations(
     """Sum up, over all turning joints, what tilts a tangent along the normal, by slot and as it should be.
 
     The turn of a joint moves the slots that it carries. Their gradients follow it, and each turn by itself
-    pulls their sum to that of the surface's gradients. given (V, K, 2) are these, presence is (V, K).
+    pulls their sum to that of the surface's gradients, given (V, K, 2). presence is (V, K). The joints of a
+    long chain turn all alike, too.
     """
     at, classes = pairs.vertices, vertices.classes[pairs.vertices]
     count, slots = pairs.named.shape
@@ -352,6 +357,9 @@ def _normal_equations(
     matrix, right = np.zeros((count, slots, slots)), np.zeros((count, slots, 2))
     np.add.at(matrix, at, sides[:, :, None] * sides[:, None, :] * squares[:, None, None])
     np.add.at(right, at, sides[:, :, None] * aims[:, None, :])
+    curling, moved, aimed = _curls(pairs, sides[:, :, None] * tilt[:, None], wanted)
+    np.add.at(matrix, curling, TOGETHER * np.einsum("mki,mli->mkl", moved, moved))
+    np.add.at(right, curling, TOGETHER * np.einsum("mki,mti->mkt", moved, aimed))
     reach = np.bincount(at, levers, count)
     with np.errstate(divide="ignore"):
         more = np.maximum(np.square(FAINT / presence), 1.0) - 1.0
@@ -362,3 +370,23 @@ def _normal_equations(
     right += pull[:, :, None] * given - (pull[last][:, None] * given[last])[:, None]
     solvable = turns.sound[vertices.classes] & (reach > 0.0)
     return _NormalEquations(matrix, right, tilts.astype(np.float64), unknowns, solvable)
+
+
+def _curls(
+    pairs: _Pairs, moved: Float64Array, aimed: Float64Array
+) -> tuple[IntArray, Float64Array, Float64Array]:
+    """Sum up the pairs of each vertex and long chain: by slot (M, K, 3) and as it should be (M, 2, 3).
+
+    The sums hold if all joints of the chain turn alike. Return the vertices (M,) too. A chain of which one
+    joint alone parts the slots is left out.
+    """
+    rows = np.flatnonzero((pairs.chains != NO_CHAIN) & moved.any(axis=(1, 2)))
+    size = int(pairs.chains.max(initial=0)) + 1
+    keys, place, counts = np.unique(
+        pairs.vertices[rows] * size + pairs.chains[rows], return_inverse=True, return_counts=True
+    )
+    several = counts > 1
+    sums = [np.zeros((len(keys), *values.shape[1:])) for values in (moved, aimed)]
+    for total, values in zip(sums, (moved, aimed), strict=True):
+        np.add.at(total, place, values[rows])
+    return keys[several] // size, sums[0][several], sums[1][several]

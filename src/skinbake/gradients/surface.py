@@ -19,6 +19,9 @@ that is less than 0.01°.
 STIFFNESS = 0.12
 """The share of a turn's squared lever that pulls the fitted gradients to the surface's gradients."""
 
+TOGETHER = 10.0
+"""How much more it counts that all joints of a long chain turn alike than that one joint turns by itself."""
+
 BY_TANGENTS = 0.55
 """The part of verify's truth by tangents in the normal that the fit follows. That by triangles has the rest.
 
