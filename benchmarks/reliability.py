@@ -24,7 +24,8 @@ Line = dict[str, Any]
 WORDS = {
     "commands": "`skinbake` with damaged models, by every command and `--compress` way",
     "branches": "the same, with branches counted",
-    "native kernel": "compiled loops, under AddressSanitizer and UndefinedBehaviorSanitizer",
+    "native kernel": "compiled loops of bake, under AddressSanitizer and UndefinedBehaviorSanitizer",
+    "native loops": "compiled loops of verify, under both",
     "native decoders": "Draco and meshopt decoders as `skinbake` calls them, under both",
     "hostile": "every command on files that once broke a promise",
     "hostile, sanitized": "the same, under AddressSanitizer",

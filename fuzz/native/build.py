@@ -17,8 +17,7 @@ FLAGS = (
     "-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-Wno-psabi",
 )  # fmt: skip
 
-
-LOOPS = Path("gradients", "_kernel.c")
+LOOPS = (Path("gradients", "_kernel.c"), Path("lighting", "_loops.c"))
 
 
 class NoCompilerError(Exception):
@@ -32,14 +31,20 @@ def build() -> Path:
     """
     package = BUILD / "skinbake"
     source = REPOSITORY / "src" / "skinbake"
-    recipe = hashlib.sha256(" ".join([COMPILER, *FLAGS]).encode() + (source / LOOPS).read_bytes())
-    compiled = BUILD / f"{recipe.hexdigest()[:16]}.so"
-    if not compiled.exists():
-        _compile(source / LOOPS, compiled)
+    compiled = {loops: _compiled(source / loops) for loops in LOOPS}
     shutil.rmtree(package, ignore_errors=True)
     shutil.copytree(source, package, ignore=shutil.ignore_patterns("*.so", "*.pyd", "__pycache__"))
-    shutil.copy(compiled, package / "gradients" / "_kernel.abi3.so")
+    for loops, library in compiled.items():
+        shutil.copy(library, package / loops.with_suffix(".abi3.so"))
     return BUILD
+
+
+def _compiled(source: Path) -> Path:
+    recipe = hashlib.sha256(" ".join([COMPILER, *FLAGS]).encode() + source.read_bytes())
+    compiled = BUILD / f"{recipe.hexdigest()[:16]}.so"
+    if not compiled.exists():
+        _compile(source, compiled)
+    return compiled
 
 
 def _compile(source: Path, target: Path) -> None:

@@ -9,9 +9,9 @@ import sys
 import time
 from pathlib import Path
 
-from fuzz.native import decoders, kernel
+from fuzz.native import decoders, kernel, loops
 
-KINDS = {"kernel": kernel.executions, "decoders": decoders.executions}
+KINDS = {"kernel": kernel.executions, "loops": loops.executions, "decoders": decoders.executions}
 NOTE = struct.Struct("<QQ")
 """The content of the note: the seed at work, and the executions done."""
 

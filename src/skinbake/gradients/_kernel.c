@@ -1713,7 +1713,7 @@ static ALWAYS_INLINE int turns_at_all(const double turn[TURN])
 {
 #if defined(__GNUC__)
     Words any = (Words)load(turn) | (Words)load(turn + AT_ONCE) | (Words)load(turn + 2 * AT_ONCE);
-    return (any[0] | any[1] | any[2] | any[3]) << 1 != 0;
+    return (uint64_t)(any[0] | any[1] | any[2] | any[3]) << 1 != 0;
 #else
     int turns = 0;
     for (int m = 0; m < TURN; m++)
