@@ -212,9 +212,9 @@ class Runner:
             is_given = f"../{path}" in case.files
             if Path(path).name.startswith(".skinbake-") and path.endswith(".tmp") and not is_given:
                 finds.append(Find("leftover", case.arguments[0], path))
-        for path in written:
-            if SECRET in Path(path).read_bytes():
-                finds.append(Find("secret", case.arguments[0], path))
+        finds += [
+            Find("secret", case.arguments[0], path) for path in written if SECRET in Path(path).read_bytes()
+        ]
         given = {f"in/{name}" for name in case.files}
         before = {f"out/{name[7:]}": data for name, data in case.files.items() if name.startswith("../out/")}
         made = [

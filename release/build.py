@@ -44,6 +44,7 @@ def _run(module: str, *arguments: str, **variables: str) -> None:
 
 
 def main() -> None:
+    """Build into dist/, list the files, and fail if one of them is not as it should be."""
     built = build(TARGET)
     for path in built:
         print(f"{path.relative_to(REPOSITORY)}: {path.stat().st_size:,} bytes")

@@ -83,6 +83,7 @@ def try_one(python: Path, archive: Path, folder: Path, *, compiled: bool) -> dic
 
 
 def main() -> None:
+    """Try each file of dist/ with each Python."""
     archives = sorted(path for path in TARGET.glob("skinbake-*") if path.suffix in {".gz", ".whl"})
     found = pythons()
     if not archives or not found:

@@ -51,8 +51,7 @@ def test_every_wgsl_text_compiles(implementation: webgpu.Implementation) -> None
 
 @pytest.mark.parametrize("version", VERSIONS)
 def test_texts_can_be_included_together(version: str) -> None:
-    """The same text twice, two counts of influences, two methods, two frames, with and without a cap,
-    every storage, the ways that a frame is carried along."""
+    """The same text twice, and texts that differ: influences, methods, frames, caps, storages, morphs."""
     custom_first = sorted(STORED, key=lambda storage: storage.get("layout") != "custom")  # they end at 8
     storages = [replace(BASE, influences=5 + count, **storage) for count, storage in enumerate(custom_first)]
     morphs = [
