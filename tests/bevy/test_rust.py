@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import shutil
 import subprocess
 from pathlib import Path
 
@@ -12,7 +11,7 @@ import pytest
 from skinbake.choices import Frame
 from skinbake.shaders.choices import ShaderChoices
 from tests.bevy.running import WESL, chosen
-from tests.support.strictness import missing_tool
+from tests.support.tools import required_program
 from tests.support.whole_fields import shader_text
 
 STUB = Path(__file__).parent / "stub"
@@ -92,9 +91,7 @@ def _example(text: str) -> list[str]:
 
 def _rustc(folder: Path, *arguments: str | Path) -> None:
     """Compile with the crates of a folder, into it unless an argument says otherwise."""
-    rustc = shutil.which("rustc")
-    if rustc is None:
-        missing_tool("rustc is not installed (Debian package rustc)")
+    rustc = required_program("rustc", "rustc")
     out: list[str | Path] = [] if "--out-dir" in arguments else ["--out-dir", folder]
     command = [rustc, "--edition=2021", "-L", folder, *out, *arguments]
     process = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT_SECONDS, check=False)

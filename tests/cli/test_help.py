@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import re
 import shlex
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -16,7 +15,6 @@ import pytest
 from skinbake.cli.help import GROUPS, Helpful, grouped, manual
 from skinbake.cli.main import COMMANDS, main
 from tests.support.command_line import invoke
-from tests.support.strictness import missing_tool
 from tests.support.tools import required_program
 
 TOP = click.Context(main, info_name="skinbake")
@@ -86,9 +84,7 @@ def test_the_script_of_a_shell_completes(shell: str, tmp_path: Path) -> None:
     command = [sys.executable, "-c", "from skinbake.cli.main import entry_point; entry_point()"]
     made = subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout
     assert f"_SKINBAKE_COMPLETE={shell}_complete" in made
-    program = shutil.which(shell)
-    if program is None:
-        missing_tool(f"{shell} is not installed; its script was made")
+    program = required_program(shell)
     if shell != "bash":
         subprocess.run([program, "-n"], input=made, text=True, check=True)
         return

@@ -107,8 +107,8 @@ def test_a_file_that_takes_too_long_is_given_up_and_others_go_on(tmp_path: Path)
     assert f"{slow}: not verified: it took longer than 0.05 s (--timeout)".encode() in result.stderr
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="a pipe that is a process's input")
 @pytest.mark.slow
+@POSIX
 def test_a_bake_that_is_given_up_leaves_nothing(tmp_path: Path) -> None:
     """A buffer of many megabytes takes longer than a hundredth of a second to bake."""
     source = crowd(tmp_path / "in.glb", 400, 12)

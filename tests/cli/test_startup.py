@@ -16,7 +16,7 @@ import pytest
 import skinbake
 from skinbake.cli.main import COMMANDS
 from skinbake.format.metadata import VERSION
-from tests.support.command_line import invoke, run
+from tests.support.command_line import LINUX, invoke, run
 from tests.support.models import FOLDER, edited
 from tests.support.strictness import missing_tool
 from tests.support.tools import required_program
@@ -201,13 +201,12 @@ os.execv(sys.executable, [sys.executable, *sys.argv[1:]])
 # Children of a shell's background job ignore Ctrl-C; this one is to hear it.
 
 
+@LINUX
 @pytest.mark.slow
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_an_interrupt_ends_without_a_traceback_or_a_file(
     number: signal.Signals, code: int, tmp_path: Path
 ) -> None:
-    if sys.platform != "linux":
-        pytest.skip("needs the signals of POSIX and /proc")
     process = subprocess.Popen(
         [sys.executable, "-c", HEARING, "-m", "skinbake", "bake", "-", "-o", str(tmp_path / "out.glb")],
         stdin=subprocess.PIPE,

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-from tests.support.strictness import missing_tool
+from tests.support.tools import required_program
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 SECONDS = 300
@@ -34,8 +33,7 @@ def run(folder: Path, *arguments: str) -> tuple[subprocess.CompletedProcess[str]
 
 
 def require_compiler() -> None:
-    if shutil.which(os.environ.get("CC", "gcc")) is None:
-        missing_tool("a C compiler is not installed")
+    required_program(os.environ.get("CC", "gcc"))
 
 
 @pytest.mark.slow

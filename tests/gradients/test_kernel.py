@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import runpy
-import shutil
 import subprocess
 import sys
 import sysconfig
@@ -54,6 +53,7 @@ from tests.support.baked_arrays import (
 from tests.support.kernels import use_numpy
 from tests.support.strictness import missing_tool
 from tests.support.surfaces import analytic_surface
+from tests.support.tools import required_program
 
 if not kernel.IS_COMPILED:
     missing_tool("skinbake was installed without its compiled loops")
@@ -285,9 +285,7 @@ def test_the_kernels_frame_from_normals_is_the_contracts_bit_by_bit() -> None:
 def test_without_any_optimisation_the_bits_are_the_same(
     name: str, weighting: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    compiler = shutil.which("cc")
-    if compiler is None:
-        missing_tool("there is no C compiler")
+    compiler = required_program("cc")
     library = tmp_path / "_kernel.so"
     headers = f"-I{sysconfig.get_path('include')}"
     plain = [compiler, "-std=c11", "-O0", "-ffp-contract=off", "-w", "-shared", "-fPIC", headers]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import runpy
-import shutil
 import subprocess
 import sys
 import sysconfig
@@ -27,6 +26,7 @@ from tests.support.baked_files import verify
 from tests.support.models import FOLDER, baked
 from tests.support.strictness import missing_tool
 from tests.support.surfaces import analytic_surface
+from tests.support.tools import required_program
 
 if not kernel.IS_COMPILED:
     missing_tool("skinbake was installed without its compiled loops")
@@ -298,9 +298,7 @@ def test_the_environment_can_ask_for_numpy(monkeypatch: pytest.MonkeyPatch) -> N
 def test_without_any_optimisation_the_bits_are_the_same(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    compiler = shutil.which("cc")
-    if compiler is None:
-        missing_tool("there is no C compiler")
+    compiler = required_program("cc")
     library = tmp_path / "_loops.so"
     headers = f"-I{sysconfig.get_path('include')}"
     plain = [compiler, "-std=c11", "-O0", "-ffp-contract=off", "-w", "-shared", "-fPIC", headers]

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import os
 import re
-import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -15,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.strictness import missing_tool
+from tests.support.tools import required_program
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 COUNT = 20_000
@@ -62,9 +61,7 @@ def world(tmp_path: Path) -> Path:
 
 def watched(world: Path, count: int) -> Path:
     """Let the stranger work under the watch; return the log."""
-    strace = shutil.which("strace")
-    if strace is None:
-        missing_tool("strace is not installed")
+    strace = required_program("strace")
     log = world.parent / "calls.log"
     calls = ",".join((*OPENS, *CHANGES))
     command = [

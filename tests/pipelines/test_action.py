@@ -14,6 +14,7 @@ import pytest
 from tests.pipelines.programs import environment_with_skinbake
 from tests.support.models import FOLDER
 from tests.support.strictness import missing_tool
+from tests.support.tools import required_program
 
 try:
     import yaml
@@ -44,9 +45,7 @@ class Runner:
 
     def step(self, name: str, **given: str) -> Ran:
         """Run a step with some inputs, the others by default."""
-        bash = shutil.which("bash")
-        if bash is None:
-            missing_tool("bash is not installed")
+        bash = required_program("bash")
         step = next(step for step in STEPS if step.get("name") == name)
         inputs = {key: str(one.get("default", "")) for key, one in ACTION["inputs"].items()}
         inputs |= {key.replace("_", "-"): value for key, value in given.items()}

@@ -15,6 +15,7 @@ from tests.pipelines.programs import environment_with_skinbake
 from tests.support.command_line import invoke
 from tests.support.models import FOLDER
 from tests.support.strictness import missing_tool
+from tests.support.tools import required_program
 
 HOOKS = Path(__file__).parents[2] / ".pre-commit-hooks.yaml"
 
@@ -86,8 +87,7 @@ class Commits:
 def commits(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Commits]:
     if find_spec("pre_commit") is None:
         missing_tool("pre-commit is not installed; the extra dev has it")
-    if shutil.which("git") is None:
-        missing_tool("git is not installed")
+    required_program("git")
     yield Commits(tmp_path_factory.mktemp("commits"))
 
 

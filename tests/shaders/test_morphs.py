@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib
 import itertools
 import re
-import shutil
 import subprocess
 from dataclasses import replace
 from pathlib import Path
@@ -36,6 +35,7 @@ from tests.support.morphed_files import morphed as with_targets
 from tests.support.morphed_files import with_tangents
 from tests.support.replay import replay
 from tests.support.strictness import missing_tool
+from tests.support.tools import required_program
 from tests.support.whole_fields import shader_text
 
 KINDS = [
@@ -122,9 +122,7 @@ def run(language: Language, text: str, code: str, rows: Float32Array, folder: Pa
 
 
 def spirv(text: str, stage: str, folder: Path) -> bytes:
-    validator = shutil.which("glslangValidator")
-    if validator is None:
-        missing_tool("glslangValidator is not installed")
+    validator = required_program("glslangValidator", "glslang-tools")
     (folder / f"shader.{stage}").write_text(text)
     command = [validator, "-V", f"shader.{stage}", "-o", "shader.spv"]
     result = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
@@ -315,9 +313,7 @@ def call_of(language: Language, text: str) -> str:
     "version", [*(pytest.param(old, marks=pytest.mark.slow) for old in ("300 es", "330")), "450"]
 )
 def test_every_algorithm_compiles_as_glsl(version: str, tmp_path: Path) -> None:
-    validator = shutil.which("glslangValidator")
-    if validator is None:
-        missing_tool("glslangValidator is not installed")
+    validator = required_program("glslangValidator", "glslang-tools")
     files = []
     for (method, lighting), (frame, morphs) in itertools.product(ALGORITHMS, KINDS):
         text = shader_text(choices(Language.GLSL, frame, morphs, method=method, lighting=lighting))

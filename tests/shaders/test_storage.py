@@ -25,6 +25,7 @@ from tests.support.command_line import invoke
 from tests.support.gltf_reading import GltfFile, read
 from tests.support.models import FOLDER, bake, baked, note, sheet, write_model
 from tests.support.strictness import missing_tool
+from tests.support.tools import required_program
 from tests.support.whole_fields import shader_text
 
 PACKED8, SNORM16 = GradientFormat(Encoding.PACKED8), GradientFormat(Encoding.SNORM16)
@@ -182,7 +183,7 @@ def test_it_assembles_what_the_texture_coordinates_hold(name: str, influences: i
 def test_glsl_compiles_with_its_own_example(
     light: tuple[Method, Lighting], storage: dict[str, Any], influences: int, tmp_path: Path
 ) -> None:
-    compiler = shutil.which("glslangValidator") or missing_tool("glslangValidator is needed to compile GLSL")
+    compiler = required_program("glslangValidator", "glslang-tools")
     method, lighting = light
     choices = ShaderChoices(
         GLSL, method, lighting, influences, attributes=None, scale=2.5 if influences == 8 else None, **storage

@@ -5,13 +5,12 @@ Debian packages glslang-tools and spirv-tools.
 
 from __future__ import annotations
 
-import shutil
 import subprocess
 import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from tests.support.strictness import missing_tool
+from tests.support.tools import required_program
 
 COMPILER, VALIDATOR, DISASSEMBLER = "glslangValidator", "spirv-val", "spirv-dis"
 TIMEOUT_SECONDS = 300
@@ -19,7 +18,7 @@ TIMEOUT_SECONDS = 300
 
 def require_compiler() -> str:
     """Return the path of glslangValidator; else skip, or fail under SKINBAKE_STRICT=1."""
-    return _required(COMPILER, "glslang-tools")
+    return required_program(COMPILER, "glslang-tools")
 
 
 def complaints(shaders: Mapping[str, str]) -> dict[str, str]:
@@ -73,7 +72,7 @@ def invalid(module: bytes) -> str:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "shader.spv"
         path.write_bytes(module)
-        process = _run([_required(VALIDATOR, "spirv-tools"), "--target-env", "vulkan1.0", str(path)])
+        process = _run([required_program(VALIDATOR, "spirv-tools"), "--target-env", "vulkan1.0", str(path)])
     return process.stdout + process.stderr if process.returncode else ""
 
 
@@ -83,17 +82,10 @@ def disassembly(module: bytes) -> str:
         path = Path(folder) / "shader.spv"
         path.write_bytes(module)
         options = ["--raw-id", "--no-header", "--no-indent"]
-        process = _run([_required(DISASSEMBLER, "spirv-tools"), *options, str(path)])
+        process = _run([required_program(DISASSEMBLER, "spirv-tools"), *options, str(path)])
     if process.returncode != 0:
         raise ValueError(process.stderr)
     return process.stdout
-
-
-def _required(tool: str, package: str) -> str:
-    path = shutil.which(tool)
-    if path is None:
-        missing_tool(f"{tool} is not installed (Debian package {package})")
-    return path
 
 
 def _run(command: Sequence[str], given: str | None = None) -> subprocess.CompletedProcess[str]:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import atexit
 import json
-import shutil
 import subprocess
 import tempfile
 import threading
@@ -17,6 +16,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from tests.support.strictness import missing_tool
+from tests.support.tools import required_program
 
 SUPPORT = Path(__file__).resolve().parent
 INSTALL_COMMAND = "npm ci --prefix tests/support"
@@ -33,9 +33,7 @@ def require_node(*packages: str) -> str:
 
     Skips the test with a reason where something is missing, or fails it under SKINBAKE_STRICT=1.
     """
-    node = shutil.which("node")
-    if node is None:
-        missing_tool("node is not installed")
+    node = required_program("node")
     absent = [package for package in packages if not (package_folder(package) / "package.json").is_file()]
     if absent:
         missing_tool(f"{', '.join(absent)} not installed: run `{INSTALL_COMMAND}`")

@@ -48,12 +48,16 @@ def failure_of(require: Callable[[], str]) -> str:
     return str(caught.value)
 
 
+def modules_that_have(pattern: re.Pattern[str], names: str, least: int) -> list[str]:
+    """Return the names of the modules of tests/ whose text a pattern finds, of at least so many."""
+    modules = sorted(Path(corpus.REPOSITORY, "tests").rglob(names))
+    assert len(modules) >= least
+    return [module.name for module in modules if pattern.search(module.read_text(encoding="utf-8"))]
+
+
 def test_no_test_module_imports_another() -> None:
     """Common code lies in tests/support, so that any module can be run, moved or removed alone."""
-    modules = sorted(Path(corpus.REPOSITORY, "tests").rglob("test_*.py"))
-    assert len(modules) > 90
-    found = [module.name for module in modules if IMPORT_OF_A_TEST.search(module.read_text(encoding="utf-8"))]
-    assert found == []
+    assert modules_that_have(IMPORT_OF_A_TEST, "test_*.py", least=90) == []
     assert IMPORT_OF_A_TEST.search("from tests.cli.test_json import BAKE")
     assert IMPORT_OF_A_TEST.search("    from tests.cli import running, test_json")
     assert not IMPORT_OF_A_TEST.search("from tests.support.models import FOLDER")
@@ -115,10 +119,7 @@ class TestGltfTransform:
 
 def test_no_test_skips_for_a_missing_tool_by_itself() -> None:
     """``missing_tool`` does it, and fails a strict run."""
-    modules = sorted(Path(corpus.REPOSITORY, "tests").glob("*/*.py"))
-    assert len(modules) > 150
-    found = [module.name for module in modules if SKIP_BY_ITSELF.search(module.read_text(encoding="utf-8"))]
-    assert found == []
+    assert modules_that_have(SKIP_BY_ITSELF, "*.py", least=150) == []
     assert SKIP_BY_ITSELF.search('        pytest.skip("groff is not installed")')
     assert SKIP_BY_ITSELF.search('pty = pytest.importorskip("pty")')
 

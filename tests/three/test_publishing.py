@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.support.node import package_folder, require_node, run_program
-from tests.support.strictness import missing_tool
+from tests.support.tools import required_program
 from tests.three.write_package import FOLDER
 
 USE = """
@@ -47,9 +47,7 @@ def run(*command: str, folder: Path) -> str:
 def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """An empty project into which the packed package is installed beside three.js."""
     require_node("three")
-    npm = shutil.which("npm")
-    if npm is None:
-        missing_tool("npm is not installed")
+    npm = required_program("npm")
     folder = tmp_path_factory.mktemp("project")
     run(npm, "pack", str(FOLDER), "--pack-destination", str(folder), folder=folder)
     (packed,) = folder.glob("*.tgz")
