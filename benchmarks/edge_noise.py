@@ -130,7 +130,7 @@ def error_fields(
         errors[at], valid[at] = block.errors, block.valid
 
     rest = [rest_surface(view) for view in views]
-    with np.errstate(all="ignore"):
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # as verify measures
         morphing = morphing_of(document, views, poses)
         lighting_errors(operator, rest, poses.joint_matrices, method, record, morphing=morphing)
     return fields

@@ -150,7 +150,7 @@ def _surface_frames(
 ) -> npt.NDArray[np.float64]:
     """Return the surface frames (V, 3, 3), axes in columns, NaN for a vertex without one."""
     sums = np.zeros_like(positions)
-    with np.errstate(invalid="ignore", divide="ignore"):
+    with np.errstate(invalid="ignore", divide="ignore"):  # of a triangle without an area
         for turn in range(3):
             here, one, other = (positions[corner] for corner in np.roll(triangles, -turn, axis=1).T)
             normal = np.cross(one - here, other - here)

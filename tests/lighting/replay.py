@@ -80,5 +80,5 @@ def _normals(primitive: StoredPrimitive, matrices: Array) -> Array:
     normals = np.cross(frame[0], frame[1])
     if primitive.frame == "tangent" and arrays.tangents is not None:
         normals *= arrays.tangents[:, 3:]
-    with np.errstate(invalid="ignore", divide="ignore"):
+    with np.errstate(invalid="ignore"):  # a normal of zeros is NaN
         return np.asarray(normals / np.linalg.norm(normals, axis=1, keepdims=True))

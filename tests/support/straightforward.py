@@ -201,6 +201,6 @@ def unit(vectors: Array) -> Array:
 
 def degrees(first: Array, second: Array) -> Array:
     """Angles by the arccos, which is good enough for degrees; NaN where a normal is missing."""
-    with np.errstate(invalid="ignore", divide="ignore"):
+    with np.errstate(invalid="ignore"):
         angles: Array = np.degrees(np.arccos(np.clip((unit(first) * unit(second)).sum(axis=1), -1, 1)))
     return angles

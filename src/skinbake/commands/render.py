@@ -123,7 +123,8 @@ def render_file(
     if not views:
         raise InputError("nothing in it is baked soundly: run skinbake verify", document.place)
     suffix = Path(target).suffix.lower()
-    with np.errstate(all="ignore"):  # what is too large is refused, and what is no number is not drawn
+    # What is too large is refused, and what is no number is not drawn.
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         pictures, pose, missing = _pictures(document, views, options, moves=suffix in MOVING)
     data = encoded(pictures, suffix)
     write_file([data], target, sync=sync)
@@ -165,7 +166,7 @@ def small_picture(document: Document) -> bytes | None:
         draws = list(_draws(document, sound_views(document)))
         clip = _clip(document, None)
         times = np.zeros(1) if clip is None else np.array([(clip.start + clip.duration) / 2])
-        with np.errstate(all="ignore"):  # what is no number is not drawn
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # what is no number is not drawn
             found = [part for draw in draws for part in _still(draw, _posed(document, draw, clip, times))]
     except SkinbakeError:
         return None

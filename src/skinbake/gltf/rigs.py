@@ -85,10 +85,9 @@ def _joint_parents(skeleton: Skeleton) -> npt.NDArray[np.int32]:
 def _pivots(inverse_bind: Float64Array) -> Float64Array:
     """Return the origins of the joints in mesh space (J, 3), NaN for a matrix that cannot be inverted."""
     pivots = np.full((len(inverse_bind), 3), np.nan)
-    with np.errstate(all="ignore"):
-        usable = np.flatnonzero(np.isfinite(inverse_bind).all(axis=(1, 2)))
-        usable = usable[np.linalg.det(inverse_bind[usable, :3, :3]) != 0.0]
-        linear, moved = inverse_bind[usable, :3, :3], inverse_bind[usable, :3, 3:]
-        pivots[usable] = -np.linalg.solve(linear, moved)[..., 0]
+    usable = np.flatnonzero(np.isfinite(inverse_bind).all(axis=(1, 2)))
+    usable = usable[np.linalg.det(inverse_bind[usable, :3, :3]) != 0.0]
+    linear, moved = inverse_bind[usable, :3, :3], inverse_bind[usable, :3, 3:]
+    pivots[usable] = -np.linalg.solve(linear, moved)[..., 0]
     pivots[~np.isfinite(pivots).all(axis=1)] = np.nan
     return pivots

@@ -139,8 +139,7 @@ def _leans(primitive: SkinnedPrimitive, rows: IntArray, labels: IntArray | None)
     planes = np.zeros((int(numbers.max(initial=0)) + 1, 3))
     for axis in range(3):
         planes[:, axis] = np.bincount(corners.T.ravel(), (shares * cross[:, axis]).ravel(), len(planes))
-    with np.errstate(invalid="ignore"):
-        return np.asarray(np.degrees(np.arccos(_cosines(planes[numbers[own]], primitive.normals[rows]))))
+    return np.asarray(np.degrees(np.arccos(_cosines(planes[numbers[own]], primitive.normals[rows]))))
 
 
 def _sides(primitive: SkinnedPrimitive, triangles: IntArray) -> Float64Array:

@@ -85,7 +85,7 @@ def ring_turns(surface: Surface, *, weighting: str) -> RingTurns:
         for _, edges, coefficients in corners.ends():
             along = np.einsum("cti,ci->ct", tangents[at], coefficients)
             derivatives += _summed(at, along[:, :, None] * edges[:, None, :], count)
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore"):  # a class without an area is not sound
         derivatives /= total[:, None, None]
         leverage, area = _leverage(derivatives, tangents, normals)
         facing = np.linalg.norm(faces, axis=1)
@@ -98,7 +98,7 @@ def ring_turns(surface: Surface, *, weighting: str) -> RingTurns:
     for corners in corners_of(surface.positions, surface.triangles, weighting):
         at = classes[corners.origin]
         for neighbour, edges, coefficients in corners.ends():
-            with np.errstate(divide="ignore", invalid="ignore"):
+            with np.errstate(divide="ignore", invalid="ignore"):  # likewise
                 along = np.einsum("cti,ci->ct", tangents[at], coefficients)
                 by_tangents = np.einsum("cd,ctdi->cti", along / total[at, None], leverage[at])
                 share = corners.angles / corners.weight / facing[at]
@@ -226,7 +226,7 @@ def _presence(vertices: FittedVertices, gradients: VertexGradients) -> Float64Ar
     row, slot = np.nonzero(vertices.named[owner] == gradients.joints[entry, None])
     weights = vertices.field.weights * (vertices.named == vertices.field.joints)
     presence = np.where(vertices.named >= 0, weights, 0.0)
-    with np.errstate(invalid="ignore"):
+    with np.errstate(invalid="ignore"):  # gradients of zero have no shares: NaN, which cannot be fitted
         presence[owner[row], slot] += (lengths / total[owner])[row]
     return presence
 
@@ -361,7 +361,7 @@ def _normal_equations(
     np.add.at(matrix, curling, TOGETHER * np.einsum("mki,mli->mkl", moved, moved))
     np.add.at(right, curling, TOGETHER * np.einsum("mki,mti->mkt", moved, aimed))
     reach = np.bincount(at, levers, count)
-    with np.errstate(divide="ignore"):
+    with np.errstate(divide="ignore"):  # a slot that has no presence is not named
         more = np.maximum(np.square(FAINT / presence), 1.0) - 1.0
     pull = STIFFNESS * reach[:, None] * (EVEN + np.where(pairs.named >= 0, more, 0.0))
     last = np.arange(count), pairs.last

@@ -263,7 +263,8 @@ class _Chunk:
         deformed = np.empty((3, len(self.truths.operator.positions), self.at.stop - self.at.start))
 
         def place(block: _Block) -> None:
-            with np.errstate(all="ignore"):
+            # A position may be past all numbers.
+            with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
                 deformed[:, block.part] = self.skinned[block.surface].positions(self.at, block.rows)
 
         for _ in threads.each(place, self.truths.pieces):
@@ -281,7 +282,7 @@ class _Chunk:
 
         The truth by triangles skips algorithm 2.
         """
-        with np.errstate(all="ignore"):
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # what has no normal gets NaN
             side = None if self.sides is None else self.sides[:, block.part]
             steps = tuple(self.algorithms.values())
             found = self.skinned[block.surface].normals(steps, self.at, block.rows)
@@ -426,7 +427,7 @@ def compared_normals(direct: Vector, accurate: Vector) -> tuple[FloatArray, Floa
 
     Both are float32 (V, P). All blocks of a chunk are kept until its last block is there.
     """
-    with np.errstate(all="ignore"):
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # likewise
         ratio = squared_sine(direct, accurate) / np.square(cosine(direct, accurate))
         length = np.sqrt(cosine(accurate, accurate))
         return ratio.astype(np.float32), length.astype(np.float32)

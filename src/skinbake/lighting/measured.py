@@ -151,9 +151,8 @@ class Lighting:
             check = Check("lighting", "failed", (problem,))
             return FileVerdict(self._document.name, (check,), without_dqs=reason)
         self._total = sum(len(draw.poses.clips) for draw in drawn) * len(methods)
-        with np.errstate(
-            over="ignore", invalid="ignore", divide="ignore"
-        ):  # figures are checked to be finite
+        # The figures are checked to be finite.
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             for method in methods:
                 self._expect(method, drawn)
                 for draw in drawn:
@@ -415,6 +414,7 @@ def _strain(draw: _Draw) -> tuple[float, str]:
     reach = stretches[..., 0] * extent + np.abs(matrices[..., :3, 3]).max(axis=-1)
     largest = (stretches[..., 0] + reach * slope).max(axis=0)
     least = stretches[..., 2].min(axis=0)
+    # A joint that scales by 0 strains without limit.
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         too_large, too_small = largest / np.median(largest), np.median(least) / least
         strain = float(largest.max() / least.min())

@@ -15,7 +15,7 @@ def vertex_areas(positions: FloatArray, triangles: IntArray) -> Float64Array:
     """Return the area around each vertex, a third of each of its triangles: (V,) float64, squared unit."""
     axes = np.ascontiguousarray(np.asarray(positions, dtype=np.float64).T)
     doubled = np.empty(len(triangles))
-    with np.errstate(invalid="ignore", over="ignore"):
+    with np.errstate(invalid="ignore", over="ignore"):  # what is not finite counts as no area
         for rows in blocks(len(triangles)):
             corners = np.ascontiguousarray(triangles[rows].T, dtype=np.intp)
             first, second, third = (tuple(axis[corner] for axis in axes) for corner in corners)
@@ -28,7 +28,7 @@ def vertex_areas(positions: FloatArray, triangles: IntArray) -> Float64Array:
 
 def angles_between(measured: Sequence[FloatArray], expected: Sequence[FloatArray]) -> Float64Array:
     """Return the result of ``angular_errors`` for vectors given by their three components (...)."""
-    with np.errstate(all="ignore"):
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # of a vector of zeros, or too long
         # atan2 takes twice as long as atan. The ratio of two zeros is NaN, as wanted.
         ratio: Float64Array = np.sqrt(squared_sine(measured, expected)) / cosine(measured, expected)
         angles: Float64Array = np.arctan(ratio)
@@ -39,7 +39,7 @@ def angles_between(measured: Sequence[FloatArray], expected: Sequence[FloatArray
 
 def unit_vectors(vector: Sequence[FloatArray]) -> list[FloatArray]:
     """Return unit vectors by components; NaN for a vector that is zero, not finite or too long to square."""
-    with np.errstate(all="ignore"):
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # likewise
         square = cosine(vector, vector)
         square[square == np.inf] = np.nan
         reciprocal = 1.0 / np.sqrt(square)
@@ -52,7 +52,8 @@ def angles_of_units(measured: Sequence[FloatArray], expected: Sequence[FloatArra
     It is twice the arctangent of half a chord over the rest of the diameter. It is as exact near 0° and 180°
     as ``angles_between``, and cheaper if one vector is compared with several.
     """
-    with np.errstate(all="ignore"):
+    # Opposite vectors, or a NaN or infinity in place of a unit.
+    with np.errstate(invalid="ignore", divide="ignore"):
         chord: Float64Array = np.square(measured[0] - expected[0])
         chord += np.square(measured[1] - expected[1])
         chord += np.square(measured[2] - expected[2])

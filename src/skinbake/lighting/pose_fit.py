@@ -72,7 +72,8 @@ def fitted_to_poses(
     surfaces are in the operator's order. A joint that has neither weight nor gradient at a vertex gets none.
     A vertex without true normals keeps its gradients.
     """
-    with np.errstate(all="ignore"):
+    # A vertex without true normals has NaN on the way.
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         fitted = [_LeastSquares.of(surface) for surface in surfaces]
         for group in groups:
             systems = [_LeastSquares.of(surface) for surface in surfaces]
@@ -89,7 +90,7 @@ def tilts(
 ) -> list[Float64Array]:
     """Return by how much the tangents of each primitive leave the true surface: (V,), mean squared sines."""
     found = [np.zeros(len(surface.positions)) for surface in surfaces]
-    with np.errstate(all="ignore"):
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # likewise
         for group in groups:
             share = group.share / sum(each.share for each in groups)
             for seen in _seen(operator, surfaces, group):

@@ -99,7 +99,7 @@ def perpendicular(normals: FloatArray) -> tuple[Float64Array, Float64Array]:
     They are NaN if n0 is zero or not finite.
     """
     wide = np.asarray(normals, dtype=np.float64)
-    with np.errstate(all="ignore"):
+    with np.errstate(invalid="ignore"):  # a normal that is zero or not finite
         axis = np.eye(3)[np.abs(wide).argmin(axis=1)]
         tangents = np.cross(axis, wide)
         tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
@@ -117,7 +117,7 @@ def _measured(
     components = np.ascontiguousarray(np.asarray(positions, dtype=np.float64).T)[:, :, None]
     count = len(positions)
     coefficients, areas, valid = np.zeros((3, count)), np.zeros(count), np.zeros(count, dtype=np.bool_)
-    with np.errstate(all="ignore"):
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # what is not finite is not valid
         for part, derivatives in zip(parts, along, strict=True):
             a, b = posed_tangents(derivatives, components)
             c = cross(a, b)
@@ -140,7 +140,7 @@ def tangent_normals(
     block. All arrays are stored vertex by vertex.
     """
     along_a, along_b, along_c = rest.coefficients[:, part]
-    with np.errstate(all="ignore"):
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # what is not finite is not sound
         a, b = tangents
         c = cross(a, b)
         aa, ab, bb, square = dot(a, a), dot(a, b), dot(b, b), dot(c, c)
@@ -161,7 +161,7 @@ def tangent_normals(
 
 def unit_or_nan(vector: Vector, sound: BoolArray) -> tuple[Vector, BoolArray]:
     """Return unit vectors, NaN if they are not sound or have no length, and a mask of the others."""
-    with np.errstate(all="ignore"):
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # likewise
         length = 1.0 / np.sqrt(dot(vector, vector))
         found = scaled(length, vector)
         sound = sound & np.isfinite(found[0])

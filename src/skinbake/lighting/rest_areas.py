@@ -37,7 +37,7 @@ class RestAreas:
         weights = normalised_weights(primitive.weights, joints)
         positions = primitive.positions.astype(np.float64)
         posed = np.zeros_like(positions)
-        with np.errstate(over="ignore", invalid="ignore"):
+        with np.errstate(over="ignore", invalid="ignore"):  # past all numbers: the matrices alone decide
             for rows in blocks(len(posed)):
                 for joint, weight in zip(joints[rows].T, weights[rows].T, strict=True):
                     matrices = self._matrices[joint, :3]

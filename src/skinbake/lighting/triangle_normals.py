@@ -77,7 +77,7 @@ def sums_of_classes(operator: GradientOperator, positions: Float64Array, part: s
 def _corner_normals(operator: GradientOperator, positions: Float64Array, corners: IntArray) -> Vector:
     """Return angle × unit normal of the triangles at some of their corners: components (N, P)."""
     first, second, third = operator.triangles[corners // 3].T
-    with np.errstate(all="ignore"):
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # what is not finite is not sound
         e1 = tuple(component[second] - component[first] for component in positions)
         e2 = tuple(component[third] - component[first] for component in positions)
         aa, ab = dot(e1, e1), dot(e1, e2)
@@ -133,7 +133,7 @@ def carried_normals(
     components = np.ascontiguousarray(np.asarray(positions, dtype=np.float64).T)[:, :, None]
     sums = vertex_normals(operator, components, classes)
     coefficients = np.full((3, len(positions)), np.nan)
-    with np.errstate(all="ignore"):
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # what has no frame gets NaN
         for part, derivatives in zip(rest.parts, rest.tangents, strict=True):
             tangent = posed_tangent(derivatives[0], components)
             frame = _frame(tangent, block_sums(operator.classes, sums, part))
@@ -169,7 +169,7 @@ def triangle_normals(
     sides (P, B) is −1 if the joints mirror a vertex, because the triangles' normals point inside there.
     """
     by_t, by_s, by_n = carried.coefficients[:, part]
-    with np.errstate(all="ignore"):
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # likewise
         t, s, n = _frame(tangent, sums)
         if sides is not None:
             by_n = by_n * sides

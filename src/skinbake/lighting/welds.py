@@ -108,7 +108,7 @@ def _close_pairs(
     """List the pairs (N, 2) at one place whose normals differ by at most ``angle`` radians."""
     counts = np.bincount(places, minlength=len(places))
     shared = np.flatnonzero(counts[places] > 1)
-    with np.errstate(invalid="ignore", divide="ignore"):
+    with np.errstate(invalid="ignore", divide="ignore"):  # a normal of zeros has no direction
         # The scaling comes before the squaring, so that a normal of any finite length has a direction.
         scaled = normals[shared] / np.abs(normals[shared]).max(axis=1, initial=0.0, keepdims=True)
         units = scaled / np.linalg.norm(scaled, axis=1, keepdims=True)

@@ -37,7 +37,8 @@ def thumbnail(surfaces: list[Posed], camera: Camera) -> bytes:
     grey = np.zeros(width * height)
     depths = np.full(width * height, np.inf)
     towards = camera.axes(YAW)[2]
-    with np.errstate(all="ignore"):  # positions may be of any size; what overflows lies outside the picture
+    # Positions may be of any size; what overflows lies outside the picture.
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         for surface in surfaces:
             places = _on_screen(surface.positions, matrix, (width, height))
             for pixels, depth, triangles, shares in _fragments(places, surface.triangles, (width, height)):

@@ -203,7 +203,7 @@ def _of_type(
         return values
     if largest is not None and dtype.kind != "f" and np.any(values != np.rint(values)):
         values = np.rint(values.astype(np.float64) * largest)  # Draco's "normalized" signed integers
-    with np.errstate(invalid="ignore", over="ignore"):
+    with np.errstate(invalid="ignore", over="ignore"):  # what does not fit is refused below
         cast = values.astype(dtype)
     if not np.array_equal(cast.astype(np.float64), values.astype(np.float64)):
         raise InputError(

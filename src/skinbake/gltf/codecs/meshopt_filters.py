@@ -31,7 +31,7 @@ def unfiltered(rows: npt.NDArray[np.uint8], name: str) -> npt.NDArray[np.uint8]:
 
 def _rounded(values: Values, dtype: np.dtype[Any]) -> Values:
     """Round halves away from zero, as C does."""
-    with np.errstate(invalid="ignore"):
+    with np.errstate(invalid="ignore"):  # a colour whose alpha is 0 may be past all integers
         return np.asarray(np.trunc(values + np.copysign(HALF, values)).astype(np.int64).astype(dtype))
 
 
@@ -42,7 +42,7 @@ def _octahedral(stored: Values) -> Values:
     fold = np.minimum(z, np.float32(0))
     x, y = x + np.where(x >= 0, fold, -fold), y + np.where(y >= 0, fold, -fold)
     result = stored.copy()
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore"):  # a vector of zeros has no length
         scale = np.float32(np.iinfo(stored.dtype).max) / np.sqrt(x * x + y * y + z * z)
         for column, part in enumerate((x, y, z)):
             result[:, column] = _rounded(np.nan_to_num(part * scale), stored.dtype)
@@ -66,7 +66,7 @@ def _quaternions(stored: Values) -> Values:
 def _exponential(stored: npt.NDArray[np.int32]) -> npt.NDArray[np.float32]:
     """Return floats; the highest byte is the exponent of 2, the other three the mantissa, both signed."""
     mantissas = ((stored << 8) >> 8).astype(np.float32)
-    with np.errstate(over="ignore", under="ignore"):
+    with np.errstate(over="ignore"):  # infinity is what such an exponent means
         return np.asarray(np.ldexp(mantissas, stored >> 24), dtype="<f4")
 
 
@@ -84,7 +84,7 @@ def _colours(stored: Values) -> Values:
         ((alpha << 1) & one) | (alpha & 1),
     )
     dtype = np.dtype(f"<u{stored.dtype.itemsize}")
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore"):  # an alpha of 0 means no scale
         scale = np.float32(np.iinfo(dtype).max) / one.astype(np.float32)
         columns = [_rounded(np.nan_to_num(part.astype(np.float32) * scale), dtype) for part in parts]
     return np.stack(columns, axis=1)
