@@ -15,7 +15,7 @@ from tests.support import corpus
 from tests.support.baked_files import CESIUM_MAN, source, verify
 from tests.support.command_line import document, invoke, run
 from tests.support.gltf_reading import read
-from tests.support.models import Change, copied, note, rewritten
+from tests.support.models import Change, copied, edited, note, rewritten
 
 pytestmark = pytest.mark.slow
 
@@ -180,6 +180,18 @@ def test_nodes_without_a_partner_are_told(tmp_path: Path) -> None:
     result = invoke("bake", other, "--dry-run", "--json", "--gradients", "poses", "--fit-poses", walk)
     codes = [notice["code"] for notice in document(result)["files"][0]["warnings"]]
     assert {"fit-poses-unmatched", "fit-poses-random"} <= set(codes)
+
+
+def test_inverse_bind_matrices_of_zeros_are_baked_with_a_notice(tmp_path: Path) -> None:
+    """An accessor without a buffer view is zeros. All poses are zeros too, and none moves anything."""
+
+    def without_view(content: Any) -> None:
+        del content["accessors"][content["skins"][0]["inverseBindMatrices"]]["bufferView"]
+
+    path = edited(CLIP, tmp_path, without_view)
+    result = invoke("bake", path, "-o", tmp_path / "out.glb", "--gradients", "poses")
+    assert result.exit_code == 0, result.stderr
+    assert "no inverse bind matrix of the skin can be inverted" in result.stderr
 
 
 def test_a_file_without_clips_is_fitted_to_random_poses_with_a_notice(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -60,6 +61,14 @@ class TestOracle:
     def test_it_is_not_the_gradient(self) -> None:
         primitive, rig = tube()
         assert np.abs(fitted(primitive, rig).alpha - fitted(primitive, None).alpha).max() > 0.05
+
+
+@pytest.mark.usefixtures("_kernel")
+def test_a_mesh_without_an_area_has_no_gradients() -> None:
+    primitive, rig = tube()
+    baked = fitted(replace(primitive, positions=np.zeros_like(primitive.positions)), rig)
+    assert not baked.alpha.any()
+    assert not baked.beta.any()
 
 
 def sampled_fit(primitive: SkinnedPrimitive, rig: Rig) -> tuple[Float64Array, Float64Array]:

@@ -8,6 +8,7 @@ pass over the vertices; this module is the definition.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -138,7 +139,7 @@ def _normals_of_classes(surface: Surface, classes: IntArray, count: int) -> tupl
 
 def _summed(at: IntArray, values: Float64Array, count: int) -> Float64Array:
     """Sum rows of values (N, …) by their class."""
-    flat = values.reshape(len(values), -1)
+    flat = values.reshape(len(values), math.prod(values.shape[1:]))
     sums = summed_rows(at, flat, count)
     return sums.reshape(count, *values.shape[1:])
 

@@ -213,7 +213,7 @@ def _fingerprint(groups: Sequence[FitPoses]) -> tuple[float, ...]:
     A digest would change when a tool writes a matrix as translation, rotation and scale.
     """
     values = np.concatenate([group.joint_matrices.ravel() for group in groups])
-    length = float(np.linalg.norm(values))
+    length = float(np.linalg.norm(values)) or 1.0  # inverse bind matrices may be zero
     steps = np.arange(1, len(values) + 1)
     found = [float(values @ np.cos(number * steps)) / length for number in range(1, FINGERS + 1)]
     return tuple(round(value, 9) for value in found)
