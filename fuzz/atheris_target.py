@@ -21,7 +21,7 @@ def tolerant(target: Callable[[bytes], object]) -> Callable[[bytes], None]:
     from skinbake.errors import SkinbakeError
 
     def run(data: bytes) -> None:
-        with suppress(SkinbakeError):
+        with suppress(SkinbakeError):  # a refusal is an answer
             target(data)
 
     return run

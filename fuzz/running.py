@@ -133,7 +133,7 @@ class Runner:
         finally:
             self._watcher.watch = None
             for stream in streams:
-                with contextlib.suppress(ValueError, OSError):
+                with contextlib.suppress(ValueError, OSError):  # the command may have closed it
                     stream.flush()
             sys.argv, sys.stdin, sys.stdout, sys.stderr = before
             logging.getLogger().handlers.clear()  # what -v has set up writes to a stream that is gone
@@ -173,7 +173,7 @@ class Runner:
                 path.parent.mkdir(parents=True, exist_ok=True)
             path.write_bytes(data)
         for name, target in case.links.items():
-            with contextlib.suppress(FileExistsError):
+            with contextlib.suppress(FileExistsError):  # a file of the case has the name
                 Path("in", name).symlink_to(target)
 
     # What must hold of every run

@@ -19,7 +19,7 @@ def load() -> Callable[[bytes], object]:
         if resources.is_data_uri(uri):
             resources.decode_data_uri(uri, Place("fuzz"))
         else:
-            with suppress(RefusedError):
+            with suppress(RefusedError):  # a refusal is an answer
                 spots(uri, "/models", Bounds("/models"))
 
     return target

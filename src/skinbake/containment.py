@@ -259,7 +259,7 @@ def _made_up() -> frozenset[int]:
     """Return the devices of file systems whose files the kernel generates when they are read."""
     devices = set()
     for folder in ("/proc", "/sys") if sys.platform.startswith("linux") else ():
-        with suppress(OSError):
+        with suppress(OSError):  # it may not be mounted
             found = os.stat(folder)
             if found.st_dev != os.stat("/").st_dev:
                 devices.add(found.st_dev)

@@ -65,10 +65,9 @@ def cluster(
         yield found
     finally:
         for process in (*found.workers, scheduler):
-            with suppress(ProcessLookupError):
-                os.killpg(
-                    process.pid, signal.SIGKILL
-                )  # a nanny's worker too; asked to end, they take their time
+            # A nanny's worker too. Asked to end, they take their time.
+            with suppress(ProcessLookupError):  # it has ended by itself
+                os.killpg(process.pid, signal.SIGKILL)
             process.wait()
 
 

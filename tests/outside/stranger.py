@@ -53,7 +53,7 @@ def work(source: Path, target: Path, within: Within) -> None:
         lambda: inspect_file(str(source), within.bounds),
         lambda: strip_file(str(source), str(target.with_name("stripped.gltf")), bounds=within.bounds),
     ):
-        with suppress(SkinbakeError):
+        with suppress(SkinbakeError):  # a refusal opens nothing outside either
             command()
 
 

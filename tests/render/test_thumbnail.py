@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import warnings
 from pathlib import Path
 from typing import Any
 
@@ -98,6 +97,4 @@ def test_tangents_that_are_far_too_long_cause_no_warning(tmp_path: Path) -> None
     file = Editable(baked(FOLDER / "mirrored_tangent.glb", tmp_path, "tangent"))
     file.array("TANGENT")[:, :3] = 3e38
     document = read_document(str(file.write(tmp_path / "long.glb")))
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        assert render.small_picture(document) is not None
+    assert render.small_picture(document) is not None  # a warning fails every test

@@ -182,6 +182,6 @@ def _is_mentioned(path: str) -> bool:
         return False
     from skinbake.containment import open_regular
 
-    with suppress(OSError, ValueError), os.fdopen(open_regular(path), "rb") as file:
+    with suppress(OSError), os.fdopen(open_regular(path), "rb") as file:
         return MENTION.search(file.read(LARGEST_CONFIG)) is not None
     return False

@@ -187,7 +187,7 @@ def _settled(stream: object) -> bool:
     try:
         stream.flush()
     except (OSError, ValueError) as error:
-        with suppress(OSError):
+        with suppress(OSError):  # a stream without a descriptor has nothing to flush at exit
             os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
         return not isinstance(error, BrokenPipeError)
     return True

@@ -198,7 +198,7 @@ class Summary:
 
     def _fail(self, error: OSError) -> None:
         self.failed, file, self._file = True, self._file, None
-        with suppress(OSError):
+        with suppress(OSError):  # closing writes again what could not be written
             if file is not None:
                 file.close()
         self._say.error(OutputError(f"cannot be written: {error.strerror}", Place(str(self._path))))

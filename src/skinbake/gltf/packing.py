@@ -146,7 +146,7 @@ def _with_buffers(document: Document, chunk: _Chunk, *, files: bool) -> JsonObje
     buffers, moved = document.objects("buffers"), {0: 0}
     for number, buffer in enumerate(buffers):
         if _is_wanted(buffer.get("uri"), files=files) and not meshopt.is_fallback(buffer, document.place):
-            with suppress(InputError):
+            with suppress(InputError):  # a buffer that cannot be read stays where it is
                 moved[number] = chunk.add(document.buffer(number))
     if len(moved) == 1:
         return {"buffers": buffers}

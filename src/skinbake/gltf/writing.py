@@ -256,19 +256,19 @@ class _Begun:
         with interrupts_put_off():
             self.take_names_back()
             for folder, name in self.temporary:
-                with suppress(OSError):
+                with suppress(OSError):  # it has its final name, or is gone
                     os.unlink(folder.name(name), dir_fd=folder.descriptor)
             for parts in reversed(self.below):
                 with suppress(OSError), beneath(self.root, parts[:-1]) as parent:
                     os.rmdir(parent.name(parts[-1]), dir_fd=parent.descriptor)
             for path in reversed(self.above):
-                with suppress(OSError):
+                with suppress(OSError):  # another process has put a file there
                     os.rmdir(path)
 
     def take_names_back(self) -> None:
         """Remove the files whose names were new."""
         for folder, name in self.created:
-            with suppress(OSError):
+            with suppress(OSError):  # another process has removed it
                 os.unlink(folder.name(name), dir_fd=folder.descriptor)
         self.created.clear()
 
@@ -534,7 +534,7 @@ def _lock(descriptor: int) -> None:
 
 def _unlock(descriptor: int) -> None:
     if sys.platform != "win32":
-        with suppress(OSError):
+        with suppress(OSError):  # a file system without locks
             fcntl.flock(descriptor, fcntl.LOCK_UN)
 
 
@@ -585,7 +585,7 @@ def _is_dead(process: int, started: int) -> bool:
 
 def _collect(folder: Folder) -> None:
     """Remove temporary files of ended processes, once for each folder, because there may be many files."""
-    with suppress(OSError):
+    with suppress(OSError):  # such files do no harm
         found = os.stat(folder.path if folder.descriptor is None else folder.descriptor)
         if (found.st_dev, found.st_ino) in _looked_through:
             return

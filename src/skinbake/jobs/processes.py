@@ -429,7 +429,7 @@ def _limit_memory(size: int) -> None:
     wanted = {resource.RLIMIT_AS: used + size + BASE, resource.RLIMIT_CORE: 0}
     for kind, limit in wanted.items():
         _, hard = resource.getrlimit(kind)
-        with suppress(OSError, ValueError):
+        with suppress(OSError, ValueError):  # a system that has no such limit
             resource.setrlimit(kind, (limit if hard == resource.RLIM_INFINITY else min(limit, hard), hard))
 
 

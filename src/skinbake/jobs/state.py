@@ -305,7 +305,7 @@ class State:
             return head
 
     def _remember(self, record: bytes) -> None:
-        with suppress(ValueError, KeyError, TypeError, RecursionError):
+        with suppress(ValueError, KeyError, TypeError, RecursionError):  # a damaged line is no record
             key = json.loads(record)["key"]
             if isinstance(key, str):
                 self._records[key] = record
@@ -330,7 +330,7 @@ def _named_files(document: Document) -> Iterable[Spot]:
     """Return the places to which the document's URIs may lead in its bounds, each once."""
     found: dict[str, Spot] = {}
     for named in named_files(document):
-        with suppress(RefusedError):
+        with suppress(RefusedError):  # out of bounds
             for spot in spots(named.uri, os.fspath(document.folder), document.bounds):
                 found[spot.path] = spot
     return found.values()

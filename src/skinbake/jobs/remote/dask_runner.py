@@ -98,8 +98,9 @@ class DaskRunner:
     def close(self) -> None:
         """Leave the cluster. Jobs that have not begun there are forgotten."""
         if self._client is not None:
+            # A scheduler that has gone away causes warnings, and exceptions of many types.
             with suppress(Exception), warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # about a scheduler that has gone away
+                warnings.simplefilter("ignore")
                 self._client.close(timeout=CONNECT_SECONDS)
             self._client = None
 
@@ -297,7 +298,7 @@ class _Flight(Generic[ResultT]):
         found: list[str | Told] = []
         if not self._under_way:
             return []
-        with suppress(queue.Empty):
+        with suppress(queue.Empty):  # no more have ended
             found.append(self._ended.get(timeout=LOOK_SECONDS))
             while len(found) < BATCH:
                 found.append(self._ended.get_nowait())
@@ -346,7 +347,7 @@ class _Flight(Generic[ResultT]):
         try:
             outcome: _Outcome[ResultT] = future.result()
             return outcome
-        except Exception as error:
+        except Exception as error:  # a task may raise anything, as may its worker
             return error
 
     def _done(
@@ -395,7 +396,7 @@ def _client(address: str) -> Client:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # about versions; ``connect`` reports the ones that matter
             return Client(address, timeout=CONNECT_SECONDS, set_as_default=False, name="skinbake")
-    except Exception as error:
+    except Exception as error:  # an address, TLS and the network fail by exceptions of any type
         text = str(error).partition("\n")[0] or type(error).__name__
         raise InputError(f"no Dask scheduler answers: {text}", Place(address)) from error
 

@@ -94,7 +94,7 @@ class UrlStorage:
             self._filesystem.put_file(str(content), temporary)
             self._rename(temporary, path)
         except BaseException:
-            with suppress(Exception):
+            with suppress(Exception):  # the first exception is the one to tell
                 self._filesystem.rm_file(temporary)
             raise
 
