@@ -111,3 +111,14 @@ def test_what_was_not_rescaled_or_re_sorted_is_not_said_to_be() -> None:
 
 def test_no_vertex_at_all_agrees() -> None:
     assert compared(entries(count=0), entries(count=0)).agrees
+
+
+def test_a_vertex_past_float32_differs_and_hides_no_other() -> None:
+    stored = entries()
+    alpha, beta = (values.copy() for values in stored)
+    alpha[0, 0], beta[1, 1] = np.inf, np.nan
+    alpha[2] *= 1.5
+    comparison = compared(stored, (alpha, beta))
+    assert comparison.differing == 3
+    assert comparison.worst == 0
+    assert comparison.factors is None

@@ -74,13 +74,14 @@ def compare(
     reach (V,), in the same unit, is the largest possible derivative of a weight at each vertex. If a weight
     is constant, both sides are rounding, and only reach shows it. rounding (V, 2), in the same unit, is the
     largest change that an encoding may have made to a stored α, and to a stored β. Differences up to it are
-    allowed.
+    allowed. A vertex whose recomputed α or β float32 cannot hold differs from anything.
     """
     given, wanted = (np.stack(pair, axis=2).astype(np.float64) for pair in (stored, expected))
-    wanted = all_slots(wanted)
+    known = np.asarray(np.isfinite(wanted).all(axis=(1, 2)))
+    wanted = all_slots(np.where(known[:, None, None], wanted, 0.0))
     scale = _scales(wanted, reach)
     allowed = np.zeros((len(given), 1, 2)) if rounding is None else np.asarray(rounding)[:, None]
-    difference = _distance(given, wanted[:, 1:], allowed) / scale
+    difference = np.where(known, _distance(given, wanted[:, 1:], allowed) / scale, np.inf)
     differing = difference > tolerance
     factors, reordered, rescaled, resorted = None, False, None, False
     if differing.any():
@@ -118,7 +119,7 @@ class _Cause:
     def explains(self, left: Float64Array) -> bool:
         """Tell whether the rest (V,) is small at most vertices, and at most of the differing vertices."""
         allowed = np.maximum(self.tolerance, EXPLAINED * self.difference)
-        explained = left <= allowed * self.scale
+        explained = (left <= allowed * self.scale) & np.isfinite(self.difference)
         return bool(explained[self.differing].mean() >= MOST and explained.mean() >= MOST)
 
 
