@@ -154,4 +154,3 @@ def _bake_parts(surface: Surface, *, weighting: str, adopt: bool) -> SurfaceSlot
 def _stored(parts: Sequence[FloatArray]) -> Float32Array:
     """Return the derivatives (V, K − 1) of all slots but the first as they are stored: no zero has a sign."""
     return np.concatenate([part[:, 1:] for part in parts]).astype(np.float32) + np.float32(0.0)
-
