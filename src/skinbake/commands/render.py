@@ -36,6 +36,7 @@ from skinbake.lighting.morphing import morphing_of
 from skinbake.lighting.operator import TRUE_CREASE_ANGLE, gradient_operator
 from skinbake.lighting.poses import PoseSet, draws_of
 from skinbake.lighting.rest_surfaces import rest_surface
+from skinbake.render.captions import captioned
 from skinbake.render.files import MILLISECONDS, MOVING, encoded
 from skinbake.render.materials import CLAY, WHITE, Material, Materials
 from skinbake.render.studio import Look, Picture, Studio, placed
@@ -153,7 +154,10 @@ def _pictures(
     studio = Studio(subjects, placed(some, list(map(float, yaws))))
     errors = _errors(draws, posed) if options.look.mode == "error" else None
     shots = _shots(draws, posed, errors, options, len(times))
-    pictures = [studio.picture(shot, options.sides, options.look) for shot in shots]
+    pictures = [
+        captioned(studio.picture(shot, options.sides, options.look), options.sides, options.look)
+        for shot in shots
+    ]
     return pictures, pose, materials.notices()
 
 
