@@ -82,17 +82,15 @@ def test_so_is_an_output_by_another_name(command: str, kind: str, model: Path, t
 
 @pytest.mark.parametrize("kind", LINKS)
 @pytest.mark.parametrize(
-    ("arguments", "code"),
+    "arguments",
     [
-        (["shader", "--lang", "glsl", "--for", "{model}", "-o", "{link}"], 4),
-        (["verify", "{model}", "--junit", "{link}"], 2),
-        (["verify", "{model}", "--summary", "{link}"], 2),
-        (["bake", "{model}", "--dry-run", "--summary", "{link}"], 2),
+        ["shader", "--lang", "glsl", "--for", "{model}", "-o", "{link}"],
+        ["verify", "{model}", "--junit", "{link}"],
+        ["verify", "{model}", "--summary", "{link}"],
+        ["bake", "{model}", "--dry-run", "--summary", "{link}"],
     ],
 )
-def test_a_file_that_an_input_consists_of_is_refused(
-    arguments: list[str], code: int, kind: str, tmp_path: Path
-) -> None:
+def test_a_file_that_an_input_consists_of_is_refused(arguments: list[str], kind: str, tmp_path: Path) -> None:
     source = copied(SHARED, tmp_path / "in")
     baked = source.with_name("baked.gltf")
     bake(source, baked)
@@ -100,7 +98,7 @@ def test_a_file_that_an_input_consists_of_is_refused(
     LINKS[kind](source.parent / SHARED_BIN, link)
     before = contents(tmp_path)
     result = invoke(*(argument.format(model=baked, link=link) for argument in arguments))
-    assert result.exit_code == code, result.stderr
+    assert result.exit_code == 2, result.stderr
     assert contents(tmp_path) == before
 
 

@@ -92,6 +92,51 @@ def test_the_baked_file_is_not_overwritten_with_its_shader(tmp_path: Path) -> No
     assert file.read_bytes() == before
 
 
+@pytest.mark.parametrize("name", ["other.glb", "OTHER.GLTF", "new.vrm"])
+@pytest.mark.parametrize("source", [[], ["--for"]])
+def test_no_model_is_overwritten_with_a_shader(tmp_path: Path, name: str, source: list[str]) -> None:
+    other = tmp_path / name
+    if name != "new.vrm":
+        other.write_text("{}")
+    before = [(path, path.read_bytes()) for path in tmp_path.iterdir()]
+    result = invoke("shader", "--lang", "glsl", *(x for s in source for x in (s, SEAM)), "-o", other)
+    assert result.exit_code == 2
+    assert f"{other} is the name of a model" in result.stderr
+    assert [(path, path.read_bytes()) for path in tmp_path.iterdir()] == before
+
+
+def test_nor_is_one_by_a_link(tmp_path: Path) -> None:
+    model, link = tmp_path / "hero.gltf", tmp_path / "skinbake.glsl"
+    model.write_text("{}")
+    link.symlink_to(model)
+    result = invoke("shader", "--lang", "glsl", "-o", link)
+    assert result.exit_code == 2
+    assert f"{link} is the name of a model" in result.stderr
+    assert model.read_text() == "{}"
+
+
+@pytest.mark.parametrize(
+    "content",
+    [b"\x89PNG\r\n\x1a\n", bytes(64), "α".encode("utf-16")],
+    ids=["picture", "zeros", "other encoding"],
+)
+def test_a_target_that_is_not_text_is_kept(tmp_path: Path, content: bytes) -> None:
+    target = tmp_path / "hero"
+    target.write_bytes(content)
+    result = invoke("shader", "--lang", "glsl", "-o", target)
+    assert result.exit_code == 2
+    assert f"{target} exists and is not text" in result.stderr
+    assert target.read_bytes() == content
+
+
+@pytest.mark.parametrize("content", ["", "x" * 4095 + "α"], ids=["empty", "a letter at the border"])
+def test_a_target_that_is_text_is_replaced(tmp_path: Path, content: str) -> None:
+    target = tmp_path / "skinbake.glsl"
+    target.write_text(content, encoding="utf-8")
+    assert invoke("shader", "--lang", "glsl", "--frame", "normal", "-o", target).exit_code == 0
+    assert target.read_text(encoding="utf-8").startswith("//")
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

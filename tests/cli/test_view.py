@@ -63,6 +63,9 @@ def test_the_page_names_nothing_on_the_network(tmp_path: Path) -> None:
     ("arguments", "code", "words"),
     [
         (["{tube}", "-o", "page.glb"], exit_codes.USAGE, "page.glb is the name of a model"),
+        (["{tube}", "-o", "page.png"], exit_codes.USAGE, "page.png: expected a name that ends in .html or"),
+        (["{tube}", "-o", "page"], exit_codes.USAGE, "page: expected a name that ends in .html or .htm"),
+        (["{tube}", "-o", "{folder}"], exit_codes.USAGE, "is a folder"),
         (["model.obj"], exit_codes.USAGE, "OBJ is not glTF: OBJ has no skin"),
         (["{folder}/none.glb", "-o", "{folder}/page.html"], exit_codes.INPUT, "cannot be read"),
         (["{tube}", "-o", "{tube}/page.html"], exit_codes.OUTPUT, "is a file, not a folder"),
@@ -77,6 +80,19 @@ def test_it_refuses(tmp_path: Path, arguments: list[str], code: int, words: str)
     assert result.exit_code == code
     assert words in " ".join(result.stderr.split())
     assert files(tmp_path) == {}
+
+
+def test_a_page_that_links_to_a_model_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "hero.gltf").write_text("{}")
+    (tmp_path / "page.html").symlink_to(tmp_path / "hero.gltf")
+    result = invoke("view", TUBE, "-o", tmp_path / "page.html")
+    assert result.exit_code == exit_codes.USAGE
+    assert "page.html is the name of a model" in result.stderr
+    assert (tmp_path / "hero.gltf").read_text() == "{}"
+
+
+def test_the_short_suffix_is_one_of_a_page_too(tmp_path: Path) -> None:
+    assert invoke("view", TUBE, "-o", tmp_path / "page.HTM").exit_code == exit_codes.OK
 
 
 def test_a_file_without_anything_skinned_is_an_input_error(tmp_path: Path) -> None:

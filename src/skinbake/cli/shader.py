@@ -19,7 +19,7 @@ from skinbake.cli.console import (
 )
 from skinbake.cli.help import Helpful
 from skinbake.cli.names import STDIO, check_readable_suffix
-from skinbake.cli.targets import check_named, sync_option
+from skinbake.cli.targets import check_named, check_text_target, sync_option
 from skinbake.containment import Bounds
 from skinbake.errors import printable
 from skinbake.shaders.text import targets
@@ -130,6 +130,7 @@ def command(source: str | None, output: str, **given: Any) -> None:
         check_readable_suffix(source)
         if STDIO not in {output, source} and _is(source, output):
             raise click.UsageError(f"{output} is the baked file itself")
+    check_text_target(output)
     # The text may be the result on stdout, so everything else goes to stderr.
     say = console(given, results_on_stderr=True)
     from skinbake.commands.shader import shader, write_shader

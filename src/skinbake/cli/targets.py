@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import os
 import re
 import stat
@@ -45,6 +46,38 @@ def check_named(target: str, instead: str = "name the file") -> None:
     is_folder = os.path.isdir(path)  # noqa: PTH112  # pathlib fails for long names
     if target != STDIO and (is_folder or target.endswith(("/", os.sep))):
         raise click.UsageError(f"{target} is a folder: {instead}")
+
+
+def check_text_target(target: str) -> None:
+    """Raise click.UsageError if text would replace a model, through links too, or a file that is not text."""
+    if target == STDIO:
+        return
+    if is_model_name(target):
+        raise click.UsageError(f"{target} is the name of a model; name the file of the shader code")
+    if _identity(target) is not None and not _begins_as_text(str(on_disk(target))):
+        raise click.UsageError(f"{target} exists and is not text; choose another name")
+
+
+def is_model_name(path: str) -> bool:
+    """Tell whether a name, or the name of the file that it links to, has the suffix of a model."""
+    try:
+        linked = canonical(path)
+    except (OSError, ValueError):
+        linked = path  # the write will report the reason
+    return any(name.lower().endswith(SUFFIXES) for name in (path, linked))
+
+
+def _begins_as_text(path: str) -> bool:
+    """Tell whether the beginning of a file is UTF-8 without a zero byte."""
+    try:
+        with Path(path).open("rb") as file:
+            head = file.read(4096)
+        codecs.getincrementaldecoder("utf-8")().decode(head)  # the last character may be cut
+    except UnicodeDecodeError:
+        return False
+    except OSError:
+        return True  # the write will report the reason
+    return b"\0" not in head
 
 
 def check_read(option: str, paths: Iterable[str], targets: Iterable[str | None]) -> None:
@@ -160,7 +193,7 @@ def check_reports(reports: Mapping[str, str | None], output: str | None, sources
         if path is None:
             continue
         keys = _keys(path)
-        if path.lower().endswith(SUFFIXES) or (keys and str(keys[0]).lower().endswith(SUFFIXES)):
+        if is_model_name(path):
             raise click.UsageError(f"{option}: {path} is the name of a model")
         for key in keys:
             if key in taken:

@@ -10,11 +10,13 @@ from skinbake.cli.console import console, ended_by_errors, message_options, outs
 from skinbake.cli.help import Helpful
 from skinbake.cli.limits import memory_option
 from skinbake.cli.names import STDIO, check_readable_suffix
-from skinbake.cli.targets import check_named, sync_option
+from skinbake.cli.targets import check_named, is_model_name, sync_option
 from skinbake.containment import Bounds
 from skinbake.errors import printable
-from skinbake.urls import SUFFIXES
 from skinbake.wording import counted
+
+PAGES = (".html", ".htm")
+"""The suffixes of a page."""
 
 
 @click.command(
@@ -27,7 +29,10 @@ from skinbake.wording import counted
 )
 @click.argument("source", metavar="FILE")
 @click.option(
-    "-o", "--output", metavar="PAGE", help="Write the page to a file (.html), or - for stdout, and end."
+    "-o",
+    "--output",
+    metavar="PAGE",
+    help="Write the page to a file (.html or .htm), or - for stdout, and end.",
 )
 @click.option(
     "--port",
@@ -48,10 +53,8 @@ def command(source: str, output: str | None, **given: Any) -> None:
     memory. Without -o the page is served to this machine only, until Ctrl-C.
     """
     check_readable_suffix(source)
-    if output is not None and output != STDIO and output.lower().endswith(SUFFIXES):
-        raise click.UsageError(f"{output} is the name of a model; name the page .html")
     if output is not None:
-        check_named(output)
+        _check_page(output)
     if output is not None and (given["port"] or given["no_browser"]):
         raise click.UsageError("--port and --no-browser are for a page that is served; -o writes it instead")
     say = console(given, results_on_stderr=output == STDIO)
@@ -71,6 +74,17 @@ def command(source: str, output: str | None, **given: Any) -> None:
         say.result(
             f"{printable(source)} -> {printable(str(output))}: {counted(len(result.page), 'byte')}{how}"
         )
+
+
+def _check_page(output: str) -> None:
+    """Raise click.UsageError if a page's name is that of another kind of file, or of a folder."""
+    check_named(output)
+    if output == STDIO:
+        return
+    if is_model_name(output):
+        raise click.UsageError(f"{output} is the name of a model; name the page .html")
+    if not output.lower().endswith(PAGES):
+        raise click.UsageError(f"{output}: expected a name that ends in {' or '.join(PAGES)}, or -")
 
 
 def _serve(page: bytes, given: dict[str, Any], tell: Any) -> None:
