@@ -193,7 +193,8 @@ def verify(
     baseline, cap
         As ``--baseline`` and ``--cap``.
     max_mean_error, max_p95_error, min_gain
-        Limits of the accurate lighting, in degrees and as a factor. None sets no limit.
+        Limits of the accurate lighting, in degrees and as a factor. None sets no limit. A skinned file that
+        is not baked meets none.
     truth
         ``tangents`` or ``triangles``: the true normals for the limits. None: both (docs/lighting.md).
     require_baked, warnings_as_errors

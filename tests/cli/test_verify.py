@@ -101,6 +101,31 @@ def test_quiet_prints_errors_only(good: Path, bad: Path) -> None:
     assert json.loads(run("-q", "--json", bad).stdout)["exit_code"] == 1
 
 
+def test_text_says_not_baked_instead_of_passed(good: Path) -> None:
+    plain = source("seam.glb")
+    result = run(plain)
+    assert result.exit_code == 0
+    assert f"{plain}: not baked\n  structure  skipped  nothing in it is baked" in result.stdout
+    assert "passed" not in result.output
+    several = run(plain, good, "--samples", "2", "-v")
+    assert "2 files: 2 passed (1 not baked)" in several.stderr
+
+
+def test_a_limit_says_that_a_file_is_not_baked(tmp_path: Path) -> None:
+    plain = source("seam.glb")
+    result = run(plain, "--min-gain", "1.5", "--junit", tmp_path / "report.xml")
+    message = "it is not baked, so it cannot meet --min-gain: run skinbake bake first"
+    assert result.exit_code == 1
+    assert f"{plain}: FAILED" in result.stdout
+    assert f"  limits     failed  {message}" in result.stdout
+    assert f"error: {plain}: {message}" in result.stderr
+    assert "warning" not in result.stderr
+    suite = ElementTree.parse(tmp_path / "report.xml").getroot()[0]
+    assert (suite.get("failures"), suite.get("skipped")) == ("1", "1")
+    assert [case.get("name") for case in suite if case.find("failure") is not None] == ["limits"]
+    assert [message in str(failure.get("message")) for failure in suite.iter("failure")] == [True]
+
+
 def test_stdin_is_a_glb_called_dash(good: Path, bad: Path) -> None:
     assert run("-", data=good.read_bytes()).exit_code == 0
     result = run("--json", "-", data=bad.read_bytes())

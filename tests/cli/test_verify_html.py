@@ -31,7 +31,7 @@ def rows(page: Path) -> list[tuple[str, str, str | None]]:
     text = page.read_text(encoding="utf-8")
     found = re.findall(
         r'<tr><td class="file">(?:<a href="([^"]*)">)?<(?:img|span) class="picture"[^>]*>(?:</span>)?'
-        r'<span class="name">([^<]*)</span>(?:</a>)?</td><td data-value="(\w+)">',
+        r'<span class="name">([^<]*)</span>(?:</a>)?</td><td data-value="([\w ]+)">',
         text,
     )
     return [(Path(name).name, outcome, link or None) for link, name, outcome in found]
@@ -44,7 +44,7 @@ def test_one_file_gives_its_page_with_limits_and_verdict(tmp_path: Path) -> None
     result = invoke("verify", tmp_path / "tube.glb", "--html", page, "--max-mean-error", "0.01")
     assert result.exit_code == exit_codes.VERIFICATION
     told = given(page)
-    assert told["passed"] is False
+    assert told["outcome"] == "failed"
     assert told["limits"] == ["mean error at most 0.01°"]
     (failed,) = (check for check in told["checks"] if check["outcome"] == "failed")
     assert failed["name"] == "limits"
@@ -90,9 +90,21 @@ def test_several_files_give_an_index_with_the_worst_first(tmp_path: Path) -> Non
     assert "not a GLB" in text
 
 
+def test_files_that_are_not_baked_say_so(tmp_path: Path) -> None:
+    page = tmp_path / "all.html"
+    for options, outcome, summary in (
+        ([], "not baked", "2 files, 2 not baked<"),
+        (["--min-gain", "1"], "failed", "2 files, 2 failed<"),
+    ):
+        invoke("verify", TUBE, SEAM, "--html", page, *options)
+        assert [told for _, told, _ in rows(page)] == [outcome, outcome]
+        assert summary in page.read_text(encoding="utf-8")
+        assert given(tmp_path / str(rows(page)[0][2]))["outcome"] == outcome
+
+
 def test_names_are_text_in_the_index() -> None:
     name = "<img src=x onerror=alert(1)>\"'&.glb"
-    page = index([Listed(name=name, link='x".html', passed=False, remark="<script>1</script>")], ["<b>"])
+    page = index([Listed(name=name, link='x".html', outcome="failed", remark="<script>1</script>")], ["<b>"])
     text = page.decode()
     assert "<img" not in text.replace('<img class="picture"', "")
     assert text.count("<script") == 1
@@ -131,5 +143,5 @@ def test_a_file_that_is_not_baked_has_a_page_all_the_same(tmp_path: Path) -> Non
     result = invoke("verify", TUBE, "--require-baked", "--html", tmp_path / "report.html")
     assert result.exit_code == exit_codes.VERIFICATION
     told = given(tmp_path / "report.html")
-    assert told["passed"] is False
+    assert told["outcome"] == "failed"
     assert told["figures"] is None

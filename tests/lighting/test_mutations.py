@@ -511,6 +511,43 @@ def test_an_unbaked_file_passes_unless_it_must_be_baked(tmp_path: Path) -> None:
     assert verify(path, "--warnings-as-errors").exit_code == 1
 
 
+LIMITS = (
+    (["--min-gain", "0"], "--min-gain"),
+    (["--max-mean-error", "180"], "--max-mean-error"),
+    (["--max-p95-error", "180"], "--max-p95-error"),
+    (["--max-mean-error", "180", "--min-gain", "0"], "--max-mean-error and --min-gain"),
+)
+"""Limits that any baked file meets, and their names in a message."""
+
+
+@pytest.mark.parametrize(("options", "named"), LIMITS)
+def test_an_unbaked_file_meets_no_limit(options: list[str], named: str) -> None:
+    answer = verify(source("bent_tube.glb"), *options)
+    assert (answer.exit_code, answer.failed) == (1, ["limits"])
+    (problem,) = answer.problems("limits")
+    assert problem["code"] == "not-baked"
+    assert problem["message"] == (f"it is not baked, so it cannot meet {named}: run skinbake bake first")
+    assert answer.file["warnings"] == []
+    assert answer.file["passed"] is False
+
+
+def test_one_without_normals_meets_none_either(tmp_path: Path) -> None:
+    model = Editable(source("bent_tube.glb"))
+    del model.primitive()["attributes"]["NORMAL"]
+    path = model.write(tmp_path / HERE)
+    answer = verify(path, "--min-gain", "0")
+    assert (answer.exit_code, answer.failed) == (1, ["limits"])
+    (problem,) = answer.problems("limits")
+    assert "run skinbake bake --generate-normals first" in problem["message"]
+    assert [notice["code"] for notice in answer.file["warnings"]] == ["no-normals"]
+
+
+def test_skinned_points_have_no_lighting_to_limit(tmp_path: Path) -> None:
+    model = Editable(source("bent_tube.glb"))
+    model.primitive()["mode"] = 0
+    assert verify(model.write(tmp_path / HERE), "--min-gain", "0").exit_code == 0
+
+
 def test_a_file_without_skins_passes_unless_it_must_be_baked(tmp_path: Path) -> None:
     model = Editable(source("bent_tube.glb"))
     del model.content["skins"], model.content["nodes"][0]["skin"]
@@ -518,6 +555,7 @@ def test_a_file_without_skins_passes_unless_it_must_be_baked(tmp_path: Path) -> 
         node.pop("skin", None)
     path = model.write(tmp_path / HERE)
     assert verify(path).exit_code == 0
+    assert verify(path, "--min-gain", "9", "--max-mean-error", "0").exit_code == 0
     assert verify(path, "--require-baked").exit_code == 1
     (tmp_path / "empty.gltf").write_text(json.dumps({"asset": {"version": "2.0"}}))
     assert verify(tmp_path / "empty.gltf").exit_code == 0

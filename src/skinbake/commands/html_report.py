@@ -86,7 +86,7 @@ def _listed(verdict: FileVerdict, link: str | None, picture: bytes | None) -> Li
         name=verdict.input,
         link=link,
         picture=picture,
-        passed=verdict.passed,
+        outcome=verdict.outcome,
         remark=remark,
         standard=figures["approximated"].mean if figures else None,
         accurate=figures["accurate"].mean if figures else None,

@@ -39,7 +39,7 @@ def verify_document(document: Document, options: VerifyOptions) -> FileVerdict:
     with stage("read"):
         wanted, lost, notices = _sorted_out(document)
     if not lost and not any(is_baked(document, entry) for entry in wanted):
-        return _unbaked(document, options, notices, bakeable=bool(wanted))
+        return _unbaked(document, options, notices, wanted)
     with stage("read"):
         views, problems = baked_views(document, wanted)
     problems = [*lost, *problems]
@@ -107,18 +107,24 @@ def _lost(notice: Notice) -> Notice:
 
 
 def _unbaked(
-    document: Document, options: VerifyOptions, notices: list[Notice], *, bakeable: bool
+    document: Document, options: VerifyOptions, notices: list[Notice], wanted: Sequence[PrimitiveSource]
 ) -> FileVerdict:
+    """Return the verdict for a file without a bake. Limits are for those that draw a skinned surface."""
     missing = Notice("not-baked", "nothing in it is baked", document.place)
+    needs_normals = any(notice.code == "no-normals" for notice in notices)
     if options.require_baked:
         advice = (
-            "run skinbake bake"
-            if bakeable
-            else "nothing in it can be baked; --require-baked is for characters"
+            "run skinbake bake" if wanted else "nothing in it can be baked; --require-baked is for characters"
         )
         problem = replace(missing, message=f"nothing in it is baked: {advice}")
         return FileVerdict(document.name, (Check("structure", "failed", (problem,)),), notices=tuple(notices))
     check = Check("structure", "skipped", (), "nothing in it is baked")
+    if options.limits and (wanted or needs_normals):
+        command = "skinbake bake" if wanted else "skinbake bake --generate-normals"
+        limits = " and ".join(options.limits)
+        message = f"it is not baked, so it cannot meet {limits}: run {command} first"
+        failed = Check("limits", "failed", (replace(missing, message=message),), message)
+        return FileVerdict(document.name, (check, failed), notices=tuple(notices))
     return FileVerdict(document.name, (check,), notices=(*notices, missing))
 
 

@@ -220,7 +220,7 @@ def _findings(verdict: FileVerdict) -> dict[str, Any]:
         "by_triangles": told["normals_by_triangles"],
         "primitives": told["primitives"],
         "poses": told["poses"],
-        "passed": verdict.passed,
+        "outcome": verdict.outcome,
         "checks": [
             {
                 "name": check.name,

@@ -86,6 +86,16 @@ class VerifyOptions:
     baseline: Baseline = Baseline.BLENDED
     truth: Truth | None = None
 
+    @property
+    def limits(self) -> list[str]:
+        """Return the options of the limits that are set."""
+        given = {
+            "--max-mean-error": self.max_mean_error,
+            "--max-p95-error": self.max_p95_error,
+            "--min-gain": self.min_gain,
+        }
+        return [option for option, limit in given.items() if limit is not None]
+
 
 @dataclass(frozen=True, slots=True)
 class _Draw:

@@ -27,11 +27,15 @@ STRIP_OUTCOMES = ("stripped", "unchanged", "failed")
 
 @dataclass(slots=True)
 class Totals:
-    """Counts of files by outcome, in the order of the report; files is their number."""
+    """Counts of files by outcome, in the order of the report; files is their number.
+
+    ``not_baked`` is the number of files that passed ``verify`` only because nothing in them is baked.
+    """
 
     files: int
     outcomes: tuple[str, ...]
     counts: Counter[str] = field(default_factory=Counter)
+    not_baked: int = 0
     failures: list[str] = field(default_factory=list)
     timings: dict[str, float] = field(default_factory=dict)
 
@@ -52,6 +56,7 @@ class Totals:
         elif not verdict.passed:
             self._add("failed", f"{verdict.input}: {_problem(verdict)}", verdict.timings)
         else:
+            self.not_baked += verdict.found_no_bake
             self._add("up-to-date" if verdict.up_to_date else "passed", "", verdict.timings)
 
     def add_inspected(self, result: FileSummary) -> None:
@@ -106,6 +111,8 @@ def closing_line(totals: Totals, seconds: float, *, interrupted: bool = False) -
         for outcome in totals.outcomes
         if totals.counts[outcome]
     ]
+    if totals.not_baked:
+        parts[0] += f" ({totals.not_baked:,} not baked)"
     which = counted(totals.files, "file")
     if interrupted:
         which = f"interrupted after {totals.done:,} of {which}"

@@ -123,6 +123,18 @@ class FileVerdict:
         """Tell whether the file was read and no check failed."""
         return self.error is None and all(check.outcome != "failed" for check in self.checks)
 
+    @property
+    def found_no_bake(self) -> bool:
+        """Tell whether the file passed only because nothing in it is baked, so that nothing was checked."""
+        return self.passed and bool(self.checks) and all(one.outcome == "skipped" for one in self.checks)
+
+    @property
+    def outcome(self) -> str:
+        """Return the outcome in words: passed, failed, or not baked."""
+        if not self.passed:
+            return "failed"
+        return "not baked" if self.found_no_bake else "passed"
+
 
 def gain(figures: dict[str, ErrorFigures]) -> float | None:
     """Return the standard mean error divided by the accurate one, None if the latter is rounding."""
@@ -135,7 +147,7 @@ def as_text(verdict: FileVerdict) -> str:
     """Return the verdict as a short aligned table."""
     if verdict.up_to_date:
         return f"{printable(verdict.input)}: passed before, up to date"
-    lines = [f"{printable(verdict.input)}: {'passed' if verdict.passed else 'FAILED'}"]
+    lines = [f"{printable(verdict.input)}: {'FAILED' if not verdict.passed else verdict.outcome}"]
     width = max((len(check.name) for check in verdict.checks), default=0)
     for check in verdict.checks:
         remark = f"  {printable(check.remark)}" if check.remark else ""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import html
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -17,13 +18,13 @@ class Listed:
     """One file of the index: its name, the link to its page and a small PNG (None: it has none), its figures.
 
     standard and accurate are mean errors in degrees, gain is their ratio; None if they were not measured.
-    remark says why a file failed, or why it has no figures.
+    outcome is passed, failed, or not baked. remark says why a file failed, or why it has no figures.
     """
 
     name: str
     link: str | None
     picture: bytes | None = None
-    passed: bool
+    outcome: str
     remark: str = ""
     standard: float | None = None
     accurate: float | None = None
@@ -32,11 +33,12 @@ class Listed:
 
 def index(files: Sequence[Listed], limits: Sequence[str]) -> bytes:
     """Return the index as UTF-8: files with the smallest gain first."""
-    failed = sum(not one.passed for one in files)
-    count = counted(len(files), "file")
+    outcomes = Counter(one.outcome for one in files)
+    parts = [f"{outcomes[word]:,} {word}" for word in ("not baked", "failed") if outcomes[word]]
+    summary = ", ".join([counted(len(files), "file"), *(parts or ["all passed"])])
     values = {
         "version": html.escape(__version__),
-        "summary": f"{count}, {failed:,} failed" if failed else f"{count}, all passed",
+        "summary": summary,
         "limits": html.escape(f"Limits: {', '.join(limits)}." if limits else "No limits were asked for."),
         "rows": "\n".join(map(_row, sorted(files, key=_order))),
     }
@@ -44,18 +46,18 @@ def index(files: Sequence[Listed], limits: Sequence[str]) -> bytes:
 
 
 def _order(one: Listed) -> tuple[bool, float, str]:
-    return one.passed, 0.0 if one.gain is None else one.gain, one.name
+    return one.outcome != "failed", 0.0 if one.gain is None else one.gain, one.name
 
 
 def _row(one: Listed) -> str:
     name = html.escape(one.name)
     words = f'{_picture(one.picture)}<span class="name">{name}</span>'
     shown = words if one.link is None else f'<a href="{html.escape(one.link)}">{words}</a>'
-    outcome = "passed" if one.passed else "failed"
+    style = one.outcome.replace(" ", "-")
     remark = f" {html.escape(one.remark)}" if one.remark else ""
     cells = [
         f'<td class="file">{shown}</td>',
-        f'<td data-value="{outcome}"><span class="{outcome}">{outcome}</span>{remark}</td>',
+        f'<td data-value="{one.outcome}"><span class="{style}">{one.outcome}</span>{remark}</td>',
         _number("Standard", one.standard, "{:.2f}°"),
         _number("Accurate", one.accurate, "{:.2f}°"),
         _number("Gain", one.gain, "{:.3g}×"),

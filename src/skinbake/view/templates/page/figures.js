@@ -57,9 +57,9 @@ function tableOf(figures, triangles) {
 export function showNotes(byId, given) {
     const checks = given.checks ?? [];
     byId.limits.textContent = given.limits?.length ? `Limits: ${given.limits.join(', ')}.` : '';
-    byId.verdict.textContent = given.limits ? (given.passed ? 'passed' : 'failed') : '';
+    byId.verdict.textContent = given.limits ? given.outcome : '';
     if (given.limits) byId.checks.parentElement.prepend(byId.checks); // A report begins with its verdict.
-    byId.verdict.className = `outcome is-${given.passed ? 'passed' : 'failed'}`;
+    byId.verdict.className = `outcome is-${given.outcome}`;
     showPrimitives(byId, given.primitives ?? []);
     byId.checks.hidden = !checks.length;
     byId['checks-list'].replaceChildren(
