@@ -5,6 +5,7 @@ The members are strings, spelt as a user types them and as the metadata of a bak
 
 from __future__ import annotations
 
+import os
 from enum import StrEnum
 from typing import TypeVar
 
@@ -36,6 +37,16 @@ def member_of(kind: type[MemberT], value: str, name: str) -> MemberT:
         return kind(value)
     except ValueError as error:
         raise ChoiceError(f"{option_of(name)} {value}: expected one of {', '.join(kind)}") from error
+
+
+def numpy_asked_for() -> bool:
+    """Tell whether the environment asks for numpy instead of compiled loops. Raises ChoiceError."""
+    asked = os.environ.get("SKINBAKE_KERNEL", "")
+    if asked not in {"", "numpy"}:
+        raise ChoiceError(
+            f'SKINBAKE_KERNEL is "{asked}" in the environment: expected numpy, or nothing for compiled loops'
+        )
+    return asked == "numpy"
 
 
 def option_of(name: str) -> str:

@@ -242,6 +242,24 @@ def test_a_name_cannot_forge_lines_or_colours(tmp_path: Path) -> None:
     assert "\x1b" not in result.stderr
 
 
+@pytest.mark.slow
+def test_verbose_says_that_no_loops_are_compiled() -> None:
+    for asked, code, words in (
+        ("numpy", 0, "without its compiled loops (SKINBAKE_KERNEL asks for numpy)"),
+        ("nump", 2, 'error: SKINBAKE_KERNEL is "nump" in the environment: expected numpy, or nothing'),
+    ):
+        result = subprocess.run(
+            [sys.executable, "-m", "skinbake", "bake", "-v", str(FOLDER / "seam.glb"), "--dry-run"],
+            env={**os.environ, "SKINBAKE_KERNEL": asked},
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert result.returncode == code, result.stderr
+        assert words in result.stderr
+    assert len(result.stderr.splitlines()) == 1
+
+
 class TestInspect:
     def test_it_says_what_is_skinned_and_what_is_baked(self, tmp_path: Path) -> None:
         before = invoke("inspect", FOLDER / "two_primitives.glb").stdout

@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from skinbake.errors import ChoiceError
 from skinbake.geometry.rig import Rig
 from skinbake.geometry.skinned import BakedPrimitive, Float64Array, FloatArray, SkinnedPrimitive
 from skinbake.gltf.document import read_document
@@ -317,6 +318,14 @@ def test_the_environment_can_ask_for_numpy(monkeypatch: pytest.MonkeyPatch) -> N
     chosen = runpy.run_path(kernel.__file__)
     assert not chosen["IS_COMPILED"]
     assert all(chosen[name] is getattr(by_numpy, name) for name in kernel.__all__)
+    monkeypatch.setenv("SKINBAKE_KERNEL", "")
+    assert runpy.run_path(kernel.__file__)["IS_COMPILED"]
+
+
+def test_the_environment_cannot_ask_for_anything_else(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SKINBAKE_KERNEL", "nump")
+    with pytest.raises(ChoiceError, match='SKINBAKE_KERNEL is "nump" in the environment: expected numpy'):
+        runpy.run_path(kernel.__file__)
 
 
 class TestArguments:

@@ -202,6 +202,8 @@ def command(ctx: click.Context, inputs: tuple[str, ...], **given: Unpack[Given])
     tools that reorder influences or quantise positions falsify α and β.
     """
     clock = Clock()
+    # Before the modules that log how they were installed.
+    say = console(given, results_on_stderr=given.get("output") == STDIO)
     found = expanded(inputs, but=given.get("out_dir"))
     targets, notes_at = targets_of(found, given), state_path(given)
     _check_pack(given, [target for _, target in targets])
@@ -213,7 +215,6 @@ def command(ctx: click.Context, inputs: tuple[str, ...], **given: Unpack[Given])
     sets = option_sets(ctx, given, [entry.source for entry, _ in targets])
     bakers = sets.each(_baker)
     check_read("--fit-poses", clip_files, (target for _, target in targets))
-    say = console(given, results_on_stderr=output == STDIO)
     from skinbake.jobs.bake import MODULES, SECONDS_A_BYTE, SECONDS_A_FILE, Bake, BakeOptions
 
     options = [BakeOptions(baker, pack=given.get("pack", False)) for baker in bakers]

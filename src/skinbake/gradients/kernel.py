@@ -8,12 +8,12 @@ result within rounding. ``SKINBAKE_KERNEL=numpy`` in the environment selects the
 
 from __future__ import annotations
 
-import os
+from skinbake.choices import numpy_asked_for
 
 __all__ = ["bake_surface", "label_equal_rows", "mark_proper", "normalise_influences"]
 
 try:
-    if os.environ.get("SKINBAKE_KERNEL") == "numpy":
+    if numpy_asked_for():
         raise ImportError("SKINBAKE_KERNEL asks for numpy")
     from skinbake.gradients.by_loops import (
         bake_surface,

@@ -8,7 +8,8 @@ several times more slowly, if the package was installed without a compiler.
 from __future__ import annotations
 
 import logging
-import os
+
+from skinbake.choices import numpy_asked_for
 
 __all__ = [
     "angles",
@@ -23,7 +24,7 @@ __all__ = [
 logger = logging.getLogger(__name__)
 
 try:
-    if os.environ.get("SKINBAKE_KERNEL") == "numpy":
+    if numpy_asked_for():
         raise ImportError("SKINBAKE_KERNEL asks for numpy")
     from skinbake.lighting.by_loops import (
         angles,
