@@ -36,7 +36,7 @@ def test_what_is_held_is_limited_and_can_be_let_go() -> None:
     with budget.passing():
         budget.claim(90, "a part", HERE)
     budget.claim(100, "another", HERE)
-    with pytest.raises(InputError, match=r"x.glb: one more would take 1 bytes, .*101 bytes.*--max-memory"):
+    with pytest.raises(InputError, match=r"x.glb: one more would take 1 byte, .*101 bytes.*: raise --max"):
         budget.claim(1, "one more", HERE)
 
 
@@ -55,7 +55,7 @@ def test_zeros_count_once_an_accessor() -> None:
     for _ in range(3):
         budget.claim_zeros(budgets.ZEROS_FREE // 2, 7, HERE)
     budget.claim_zeros(budgets.ZEROS_FREE // 2, 8, HERE)
-    with pytest.raises(InputError, match="accessor 9 has no buffer view and claims 1 bytes of zeros"):
+    with pytest.raises(InputError, match="accessor 9 has no buffer view and claims 1 byte of zeros"):
         budget.claim_zeros(1, 9, HERE)
 
 
@@ -87,6 +87,8 @@ def test_the_default_is_a_share_of_what_the_control_group_allows(tmp_path: Path)
 @pytest.mark.parametrize(
     ("size", "text"),
     [
+        (0, "0 bytes"),
+        (1, "1 byte"),
         (7, "7 bytes"),
         (1536, "1.5 KiB"),
         (1000 << 10, "1000 KiB"),
@@ -242,7 +244,7 @@ def test_max_memory_bounds_what_a_child_takes(
     path = crowd(tmp_path / "crowd.glb", 150, 110)
     code, peak, said = taken(*command(path), "--max-memory", f"{limit}M")
     assert code == 3
-    assert f"The limit is {limit} MiB (--max-memory)" in said
+    assert f"The limit is {limit} MiB: raise --max-memory" in said
     assert peak < (limit + 80) * MIB
 
 

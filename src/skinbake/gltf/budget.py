@@ -98,6 +98,8 @@ def group_limits(groups: Path = GROUPS, root: Path = GROUP_ROOT) -> Iterator[int
 
 def shown(size: int) -> str:
     """Return a number of bytes in a readable unit."""
+    if size == 1:
+        return "1 byte"
     units = ("bytes", "KiB", "MiB", "GiB", "TiB")
     scale = min(max(size.bit_length() - 1, 0) // 10, len(units) - 1)
     return f"{size / (1 << 10 * scale):.4g} {units[scale]}" if size < 1 << 50 else "over 1,024 TiB"
@@ -151,7 +153,7 @@ class Budget:
         if self.held > self.limit:
             raise InputError(
                 f"{what} would take {shown(size)}, so the file would take {shown(self.held)} in "
-                f"all. The limit is {shown(self.limit)} (--max-memory)",
+                f"all. The limit is {shown(self.limit)}: raise --max-memory",
                 place,
             )
 
