@@ -151,9 +151,18 @@ class Lighting(StrEnum):
     """The computation of the normal: algorithms 1 and 4, 2, 3 and 5, and 6."""
 
     APPROXIMATED = "approximated"
+    """The paper's name of the lighting that verify, view and render call ``STANDARD``."""
     DIRECT = "direct"
     ACCURATE = "accurate"
     EXACT = "exact"
+
+    @classmethod
+    def _missing_(cls, value: object) -> Lighting | None:
+        return cls.APPROXIMATED if value == STANDARD else None
+
+
+STANDARD = "standard"
+"""Another name of ``Lighting.APPROXIMATED``."""
 
 
 class Baseline(StrEnum):

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from skinbake.choices import Encoding, Frame, Language, Layout, Lighting, Method, Morphs
+from skinbake.choices import STANDARD, Encoding, Frame, Language, Layout, Lighting, Method, Morphs
 from skinbake.cli.console import (
     Words,
     console,
@@ -54,9 +54,9 @@ PUBLISHED_CAP = 0.9
 )
 @click.option(
     "--lighting",
-    type=one_of(Lighting),
-    help="approximated (as in common engines), direct (LBS only), accurate, exact (DQS only). By "
-    "default accurate for LBS, exact for DQS.",
+    type=Words([STANDARD, *(lighting.value for lighting in Lighting)]),
+    help="standard or approximated (the same: that of common engines), direct (LBS only), accurate, "
+    "exact (DQS only). By default accurate for LBS, exact for DQS.",
 )
 @click.option(
     "--influences",
