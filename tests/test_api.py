@@ -77,6 +77,8 @@ def test_results_are_the_entries_of_json(tmp_path: Path) -> None:
     verdict = skinbake.verify(baked, poses="random", samples=3, methods=["lbs"], max_mean_error=0.001)
     assert not verdict["passed"]
     assert json.loads(json.dumps(verdict)) == entry
+    plural = skinbake.verify(baked, poses="animations", samples=2, methods=["lbs"])
+    assert plural["poses"] == "2 poses of 1 clip (0.958 s)"
     assert json.loads(json.dumps(skinbake.inspect(baked))) == document(invoke("inspect", baked, "--json"))
 
 

@@ -186,11 +186,15 @@ class Truth(StrEnum):
 
 
 class PoseKind(StrEnum):
-    """The source of the poses of a lighting measurement."""
+    """The source of the poses of a lighting measurement; ``animations`` is ``animation`` too."""
 
     ANIMATION = "animation"
     RANDOM = "random"
     REST = "rest"
+
+    @classmethod
+    def _missing_(cls, value: object) -> PoseKind | None:
+        return cls.ANIMATION if value == f"{cls.ANIMATION}s" else None
 
 
 class Language(StrEnum):

@@ -83,7 +83,7 @@ def test_two_bakes_are_the_same_bytes_also_by_workers(tmp_path: Path) -> None:
     folder = tmp_path / "in"
     for name in (CLIP, "seam.glb"):
         copied(name, folder)
-    options = ("--gradients", "poses", "--fit-poses", "random:9", "--fit-poses", "animations")
+    options = ("--gradients", "poses", "--fit-poses", "random:9", "--fit-poses", "animation")
     result = invoke("bake", folder, "--out-dir", tmp_path / "out", "-q", "--jobs", "2", *options)
     assert result.exit_code == 0, result.stderr
     assert (tmp_path / "out" / CLIP).read_bytes() == one.read_bytes()
@@ -209,7 +209,7 @@ def test_a_file_without_clips_is_fitted_to_random_poses_with_a_notice(tmp_path: 
         (["--fit-poses", "animations"], "--fit-poses needs --gradients poses"),
         (["--gradients", "poses", "--fit-poses", "random:"], "expected random:N"),
         (["--gradients", "poses", "--fit-poses", "random:0"], "expected random:N"),
-        (["--gradients", "poses", "--fit-poses", "animation"], "expected random:N"),
+        (["--gradients", "poses", "--fit-poses", "animate"], "expected random:N"),
         (["--gradients", "poses", "--fit-poses", "random:10001"], "expected random:N"),
     ],
 )

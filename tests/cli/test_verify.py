@@ -89,6 +89,14 @@ def test_json_is_pure_and_as_documented(tmp_path: Path, name: str, options: list
     assert unbaked.exit_code == 3
 
 
+def test_animations_are_meant_by_their_plural_too(tmp_path: Path) -> None:
+    path = baked(source("bent_tube.glb"), tmp_path)
+    options = ("--samples", "2", "--method", "lbs", "--json")
+    found = [run("--poses", word, *options, path).stdout for word in ("animation", "animations")]
+    assert json.loads(found[0])["files"][0]["poses"] == "2 poses of 1 clip (0.958 s)"
+    assert found[0] == found[1]
+
+
 def test_quiet_prints_errors_only(good: Path, bad: Path) -> None:
     assert run("-q", good).output == ""
     result = run("-q", bad)
@@ -182,6 +190,8 @@ def test_junit_that_cannot_be_written_exits_4(good: Path, bad: Path, tmp_path: P
         ["--poses", "dance", "a.glb"],
         ["--poses", "random:0", "a.glb"],
         ["--poses", "random:x", "a.glb"],
+        ["--poses", "random:", "a.glb"],
+        ["--poses", "animations:2", "a.glb"],
         ["--poses", "rest:3", "a.glb"],
         ["--samples", "0", "a.glb"],
         ["--angle", "181", "a.glb"],

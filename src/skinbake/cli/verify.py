@@ -52,12 +52,16 @@ class VerifyGiven(Given):
 
 
 def _poses(ctx: click.Context, param: click.Parameter, value: str) -> tuple[PoseKind, int | None]:
-    kind, _, number = value.partition(":")
-    if kind not in [*PoseKind] or (number and kind != PoseKind.RANDOM):
+    word, colon, number = value.partition(":")
+    try:
+        kind = PoseKind(word)
+    except ValueError:
+        kind = None
+    if kind is None or (colon and kind is not PoseKind.RANDOM):
         raise click.BadParameter("must be animation, rest, random or random:N")
-    if number and not (number.isdecimal() and int(number) > 0):
+    if colon and not (number.isdecimal() and int(number) > 0):
         raise click.BadParameter("N of random:N must be a positive number")
-    return PoseKind(kind), int(number) if number else None
+    return kind, int(number) if number else None
 
 
 @click.command(
@@ -82,7 +86,7 @@ def _poses(ctx: click.Context, param: click.Parameter, value: str) -> tuple[Pose
     show_default=True,
     callback=_poses,
     metavar="WHICH",
-    help="animation (the file's own clips), random:N, or rest.",
+    help="animation (the file's own clips), random or random:N, or rest.",
 )
 @click.option(
     "--samples",

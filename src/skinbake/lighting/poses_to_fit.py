@@ -114,8 +114,10 @@ PoseSource: TypeAlias = "str | ClipFile"
 
 def pose_source(value: PoseSource) -> PoseSource:
     """Return what a value of ``--fit-poses`` stands for. Raises ChoiceError, and InputError for a file."""
-    if isinstance(value, ClipFile) or value == ANIMATIONS:
+    if isinstance(value, ClipFile):
         return value
+    if value in {ANIMATIONS, PoseKind.ANIMATION}:
+        return ANIMATIONS
     kind, colon, count = value.partition(":")
     if kind != RANDOM and Path(value).suffix:
         return _clip_file(value)
