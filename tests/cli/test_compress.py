@@ -51,6 +51,30 @@ def test_the_options_reach_the_file(tmp_path: Path) -> None:
     assert invoke("verify", tmp_path / "coarse.glb", "--poses", "rest").exit_code == 0
 
 
+def test_a_level_without_compression_is_told(tmp_path: Path) -> None:
+    plain, packed = tmp_path / "plain.glb", tmp_path / "packed.glb"
+    invoke("bake", TUBE, "-o", plain)
+    for options, codes in (
+        (["--compress-level", "3"], ["level-ignored"]),
+        (["--compress-level", "3", "--compress", "meshopt"], []),
+        ([], []),
+    ):
+        result = invoke("bake", TUBE, "-o", packed, "--json", *options)
+        assert [notice["code"] for notice in document(result)["files"][0]["warnings"]] == codes
+        if codes:
+            assert packed.read_bytes() == plain.read_bytes()
+
+
+@pytest.mark.parametrize("scheme", ["draco", "meshopt"])
+def test_a_level_is_for_the_additions_to_a_compressed_file(scheme: str, tmp_path: Path) -> None:
+    invoke("bake", TUBE, "-o", tmp_path / "baked.glb", "--compress", scheme)
+    invoke("strip", tmp_path / "baked.glb", "-o", tmp_path / "packed.glb")
+    packed = tmp_path / "packed.glb"
+    result = invoke("bake", packed, "--dry-run", "--json", "--compress-level", "0")
+    assert "level-ignored" not in [notice["code"] for notice in document(result)["files"][0]["warnings"]]
+    assert document(result)["files"][0]["status"] == "baked"
+
+
 def test_draco_that_grows_a_file_says_the_factor_and_the_remedy(tmp_path: Path) -> None:
     result = invoke("bake", TUBE, "-o", tmp_path / "a.glb", "--compress", "draco", "--json")
     (notice,) = document(result)["files"][0]["warnings"]

@@ -148,7 +148,7 @@ if TYPE_CHECKING:
     type=click.IntRange(*RANGES["compress_level"]),
     metavar="N",
     help="Effort: 0 (fast) to 10 (small), for meshopt 0 to 3. It changes little in Draco. Each codec "
-    "has its own default.",
+    "has its own default. Without --compress it is for α and β of compressed files.",
 )
 @click.option(
     "--position-bits",

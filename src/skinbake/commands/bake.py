@@ -26,7 +26,7 @@ from skinbake.choices import (
 )
 from skinbake.containment import OWN_FOLDERS, Within
 from skinbake.errors import ChoiceError, InputError, Notice, Place, noticed
-from skinbake.format.attribute_store import stored_otherwise
+from skinbake.format.attribute_store import level_ignored, stored_otherwise
 from skinbake.format.baked import AttributeNames, Baked, with_baked, with_scale
 from skinbake.format.encodings import vertex_bytes
 from skinbake.format.growth import draco_growth
@@ -195,7 +195,11 @@ class Baker:
             cost, unmeasured = _encoding_cost(document, bakes, storage)
         unfitted = [notice for aim in aims for notice in aim.notices]
         notices = [*kept, *reasons, *apart, *unfitted, *(notice for bake in bakes for notice in bake.notices)]
-        notices += [*stored_otherwise(document, sources), *unmeasured]
+        notices += [
+            *stored_otherwise(document, sources),
+            *level_ignored(document, sources, level),
+            *unmeasured,
+        ]
         if self.compress is Scheme.DRACO:
             notices += draco_growth(given, written)
         primitives = tuple(

@@ -55,6 +55,20 @@ def store_for(
     return _PlainStore(additions, Packed(name, chosen, beside))
 
 
+def level_ignored(document: Document, sources: Sequence[PrimitiveSource], level: int | None) -> list[Notice]:
+    """Return a notice if a level of ``--compress-level`` was given, and no primitive is compressed."""
+    if level is None or any(
+        draco.extension_of(source.json) is not None or meshopt_of(document, source) is not None
+        for source in sources
+    ):
+        return []
+    message = (
+        "--compress-level has no effect, because nothing that is baked is compressed: --compress draco or "
+        "--compress meshopt compresses it"
+    )
+    return [Notice("level-ignored", message, document.place)]
+
+
 def stored_otherwise(document: Document, sources: Sequence[PrimitiveSource]) -> list[Notice]:
     """Return a notice if the storage of primitives must differ from that in ``document``."""
     compressed = [source for source in sources if draco.extension_of(source.json) is not None]
