@@ -188,7 +188,8 @@ def verify(
     methods
         ``lbs``, ``dqs`` or both. If empty: LBS, and DQS if all joints are rigid.
     poses, samples, angle, seed
-        ``animation`` samples each clip of the file ``samples`` times. ``random`` takes ``samples`` poses and
+        ``animation`` samples each clip of the file ``samples`` times, its two ends included (in a loop they
+        are one pose), and takes 24 random poses if there is no clip. ``random`` takes ``samples`` poses and
         turns each joint by at most ``angle`` degrees. ``rest`` takes the rest pose.
     baseline, cap
         As ``--baseline`` and ``--cap``.

@@ -97,6 +97,15 @@ def test_animations_are_meant_by_their_plural_too(tmp_path: Path) -> None:
     assert found[0] == found[1]
 
 
+def test_samples_are_of_clips(good: Path) -> None:
+    told = [
+        json.loads(run("--json", good, *given).stdout)["files"][0]["poses"]
+        for given in ([], ["--samples", "5"])
+    ]
+    assert told[0] == told[1]
+    assert told[0].startswith("24 random poses")
+
+
 def test_quiet_prints_errors_only(good: Path, bad: Path) -> None:
     assert run("-q", good).output == ""
     result = run("-q", bad)

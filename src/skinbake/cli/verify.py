@@ -91,7 +91,9 @@ def _poses(ctx: click.Context, param: click.Parameter, value: str) -> tuple[Pose
 @click.option(
     "--samples",
     type=click.IntRange(1),
-    help="Poses of each clip; by default about 60 in all, at least 3 for each clip.",
+    help="Poses of each clip, evenly from its first moment to its last, which are the same pose in a loop: "
+    "take 3 or more. By default about 60 in all, at least 3 for each clip. A file without clips has 24 "
+    "random poses; --poses random:N gives another number.",
 )
 @click.option(
     "--angle",
