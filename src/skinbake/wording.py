@@ -72,10 +72,20 @@ def meant_file(path: str) -> str:
     return _question(others[found] for found in nearest(meant.stem, others))
 
 
+def _folders_beside(path: str) -> list[str]:
+    """Return the names of the folders in the folder of a path, as far as they can be read."""
+    with suppress(OSError, ValueError), os.scandir(Path(path).parent) as entries:
+        return sorted(entry.name for entry in islice(entries, MOST_NAMES) if entry.is_dir())
+    return []
+
+
 def not_gltf(path: str) -> str:
-    """Say that a name is no glTF file, and how to get one from a known format."""
+    """Say that a name is no glTF file, and how to get one from a known format, or from a near name."""
     suffix = Path(path).suffix.lower()
     way = OTHER_FORMATS.get(ALIASES.get(suffix, suffix))
-    if way is None:
-        return f"expected a name that ends in {', '.join(SUFFIXES)}, or -"
-    return f"{suffix[1:].upper()} is not glTF: {way}"
+    if way is not None:
+        return f"{suffix[1:].upper()} is not glTF: {way}"
+    if path and not suffix and not os.path.lexists(path):
+        meant = did_you_mean(Path(path).name, _folders_beside(path)) or meant_file(path)
+        return f"no such file or folder; {meant}" if meant else "no such file or folder"
+    return f"expected a name that ends in {', '.join(SUFFIXES)}, or -"

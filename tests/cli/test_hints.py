@@ -118,6 +118,31 @@ def test_a_folder_for_a_file_says_what_to_use(name: str, tmp_path: Path) -> None
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_mistyped_folder_is_asked_about(tmp_path: Path) -> None:
+    (tmp_path / "build").mkdir()
+    shutil.copyfile(SEAM, tmp_path / "knight.glb")
+    for name, question in (
+        ("buid", "no such file or folder; did you mean 'build'?"),
+        ("knigth", "no such file or folder; did you mean 'knight.glb'?"),
+        ("zebra", "no such file or folder"),
+    ):
+        for command in (["bake", "--dry-run"], ["verify"], ["inspect"], ["view"]):
+            code, text = said(*command, tmp_path / name)
+            assert (code, text.endswith(f"{name}: {question}")) == (2, True)
+    code, text = said("inspect", SEAM, tmp_path / "buid")
+    assert (code, "buid: no such file or folder; did you mean 'build'?" in text) == (3, True)
+
+
+@pytest.mark.parametrize(
+    "command", [["view"], ["render", "-o", "a.png"], ["cost"], ["shader", "--lang", "glsl", "--for"]]
+)
+@pytest.mark.parametrize("name", ["build", "pack.glb"])
+def test_a_folder_for_one_file_says_so(command: list[str], name: str, tmp_path: Path) -> None:
+    (tmp_path / name).mkdir()
+    code, text = said(*command, tmp_path / name)
+    assert (code, text.endswith(f"{name} is a folder: name one file in it")) == (2, True)
+
+
 def test_counts_are_singular_and_plural() -> None:
     assert [counted(n, "vertex", "vertices") for n in (0, 1, 2, 1000)] == [
         "0 vertices",

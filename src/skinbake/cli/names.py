@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import click
@@ -19,6 +20,8 @@ LARGEST_CONFIG = 1 << 20
 
 
 def check_readable_suffix(source: str) -> None:
-    """Raise click.UsageError if an input's name does not show its kind of file."""
+    """Raise click.UsageError if an input's name does not show its kind of file, or is that of a folder."""
+    if os.path.isdir(source):  # noqa: PTH112  # pathlib fails for long names
+        raise click.UsageError(f"{source} is a folder: name one file in it")
     if source != STDIO and Path(source).suffix.lower() not in SUFFIXES:
         raise click.UsageError(f"{source}: {not_gltf(source)}")
