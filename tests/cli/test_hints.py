@@ -143,6 +143,37 @@ def test_a_folder_for_one_file_says_so(command: list[str], name: str, tmp_path: 
     assert (code, text.endswith(f"{name} is a folder: name one file in it")) == (2, True)
 
 
+@pytest.mark.parametrize("command", ["bake", "strip"])
+def test_an_output_without_its_option_is_seen(command: str, tmp_path: Path) -> None:
+    own = shutil.copyfile(SEAM, tmp_path / "hero.glb")
+    missing = "give one of -o/--output, --out-dir and --in-place"
+    for name, option in (("out.glb", "-o"), ("build", "--out-dir")):
+        path = tmp_path / name
+        advice = f"{missing}; {path} was taken for a second input: write {option} {path}"
+        code, text = said(command, own, path)
+        assert (code, text.endswith(advice)) == (2, True)
+    # Neither is an output: a file that exists, a further one of several, a pattern, another format.
+    for names in (["hero.glb"], ["a.glb", "b.glb"], ["*.glb"], ["out.txt"]):
+        code, text = said(command, own, *(tmp_path / name for name in names))
+        assert (code, text.endswith(missing)) == (2, True)
+    assert [path.name for path in tmp_path.iterdir()] == ["hero.glb"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["shader", "--lang", "glsl", "b/a.glb"], "unexpected argument b/a.glb; write --for b/a.glb"),
+        (["shader", "--lang", "glsl", "hero"], "unexpected argument hero"),
+        (["view", "hero.glb", "hero.html"], "unexpected argument hero.html; write -o hero.html"),
+        (["view", "hero.glb", "other.glb"], "unexpected argument other.glb"),
+        (["cost", "hero.glb", "a.glb", "b.glb"], "unexpected arguments a.glb b.glb"),
+    ],
+)
+def test_a_name_too_many_says_its_option(arguments: list[str], message: str) -> None:
+    code, text = said(*arguments)
+    assert (code, text.endswith(f"Error: {message}")) == (2, True)
+
+
 def test_counts_are_singular_and_plural() -> None:
     assert [counted(n, "vertex", "vertices") for n in (0, 1, 2, 1000)] == [
         "0 vertices",

@@ -81,17 +81,41 @@ class PathName(click.types.StringParamType):
 class Helpful(click.Command):
     """A command whose help has its options in groups, and whose options a configuration file can set.
 
-    ``examples`` end the help, one a line.
+    ``examples`` end the help, one a line. ``second`` is the option that a user means by a name more than the
+    command takes, and the suffixes of such names.
     """
 
-    def __init__(self, *arguments: Any, examples: tuple[str, ...] = (), **options: Any) -> None:
-        """Take the examples besides the parameters of click."""
-        self.examples = examples
+    def __init__(
+        self,
+        *arguments: Any,
+        examples: tuple[str, ...] = (),
+        second: tuple[str, tuple[str, ...]] | None = None,
+        **options: Any,
+    ) -> None:
+        """Take the examples and the option of a second name besides the parameters of click."""
+        self.examples, self._second = examples, second
         super().__init__(*arguments, **options)
         self.params += config_options()
         for param in self.params:
             if param.type is click.STRING and (param.metavar or "").strip("[].") in PATHS:
                 param.type = PathName("dir" if param.metavar == "DIR" else "file")
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Parse the arguments. A name too many is answered with the option that it may be meant for."""
+        ctx.allow_extra_args = True
+        left = super().parse_args(ctx, args)
+        ctx.allow_extra_args = False
+        if left and not ctx.resilient_parsing:
+            ctx.fail(self._unexpected(left))
+        return left
+
+    def _unexpected(self, names: list[str]) -> str:
+        """Return the message for names that the command does not take."""
+        message = f"unexpected {'argument' if len(names) == 1 else 'arguments'} {' '.join(names)}"
+        if self._second is None or len(names) > 1:
+            return message
+        option, suffixes = self._second
+        return f"{message}; write {option} {names[0]}" if names[0].lower().endswith(suffixes) else message
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command. -v and errors tell of the options that come from a configuration file."""

@@ -23,6 +23,7 @@ from skinbake.cli.targets import check_named, check_text_target, sync_option
 from skinbake.containment import Bounds
 from skinbake.errors import printable
 from skinbake.shaders.text import targets
+from skinbake.urls import SUFFIXES
 
 if TYPE_CHECKING:
     from skinbake.commands.shader import ShaderRequest
@@ -34,6 +35,7 @@ PUBLISHED_CAP = 0.9
 @click.command(
     "shader",
     cls=Helpful,
+    second=("--for", SUFFIXES),
     examples=(
         "skinbake shader --lang glsl --for build/hero.glb -o skinbake.glsl",
         "skinbake shader --target three --for build/hero.glb",

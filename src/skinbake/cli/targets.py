@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from skinbake.cli.console import Command
-from skinbake.cli.inputs import Input
+from skinbake.cli.inputs import MAGIC, Input
 from skinbake.cli.names import STDIO
 from skinbake.containment import Bounds, Within
 from skinbake.urls import SUFFIXES, canonical, is_url, join_url, on_disk
@@ -104,7 +104,7 @@ def targets_of(inputs: list[Input], given: Mapping[str, Any]) -> list[tuple[Inpu
     """Return (input, output) pairs. Raises click.UsageError for a combination without a meaning."""
     chosen = [name for name in ("output", "out_dir", "in_place") if given[name]]
     if len(chosen) > 1 or (not chosen and not given.get("dry_run")):
-        raise click.UsageError("give one of -o/--output, --out-dir and --in-place")
+        raise click.UsageError("give one of -o/--output, --out-dir and --in-place" + _meant_output(inputs))
     if given["output"]:
         if len(inputs) > 1:
             raise click.UsageError("-o takes one input; use --out-dir for several")
@@ -120,6 +120,21 @@ def targets_of(inputs: list[Input], given: Mapping[str, Any]) -> list[tuple[Inpu
     if given["out_dir"]:
         return list(pair_up(inputs, given["out_dir"]))
     return [(entry, None) for entry in inputs]
+
+
+def _meant_output(inputs: Sequence[Input]) -> str:
+    """Return the advice for a second name that stands for no file yet: it may be meant as the output."""
+    if len(inputs) != 2 or STDIO in {entry.source for entry in inputs}:
+        return ""
+    last = inputs[1]
+    path = on_disk(last.source)
+    if path is None or last.searched is not None or not MAGIC.isdisjoint(path) or os.path.lexists(path):
+        return ""
+    suffix = Path(path).suffix.lower()
+    if suffix and suffix not in SUFFIXES:
+        return ""
+    option = "-o" if suffix else "--out-dir"
+    return f"; {last.source} was taken for a second input: write {option} {last.source}"
 
 
 def jobs_of(

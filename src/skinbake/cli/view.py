@@ -22,6 +22,7 @@ PAGES = (".html", ".htm")
 @click.command(
     "view",
     cls=Helpful,
+    second=("-o", (".html", ".htm")),
     examples=(
         "skinbake view hero.glb",
         "skinbake view hero.glb -o build/hero.html",
