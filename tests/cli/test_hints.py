@@ -174,6 +174,25 @@ def test_a_name_too_many_says_its_option(arguments: list[str], message: str) -> 
     assert (code, text.endswith(f"Error: {message}")) == (2, True)
 
 
+@pytest.mark.parametrize(
+    ("arguments", "name"),
+    [
+        (["bake", "-hero.glb", "-o", "o.glb"], "-hero.glb"),
+        (["verify", "-Zoo.GLB"], "-Zoo.GLB"),
+        (["inspect", "--hero.vrm"], "--hero.vrm"),
+        (["bake", "-ohero.glb", "-e"], None),
+        (["bake", "a.glb", "-e", "-o", "o.glb"], None),
+        (["bake", "--in-palce", "-q"], None),
+    ],
+)
+def test_a_name_with_a_dash_is_not_an_option(arguments: list[str], name: str | None) -> None:
+    code, text = said(*arguments)
+    assert code == 2
+    assert "No such option" in text
+    assert ("A name that begins with - is written" in text) == (name is not None)
+    assert name is None or text.endswith(f" ./{name}")
+
+
 def test_counts_are_singular_and_plural() -> None:
     assert [counted(n, "vertex", "vertices") for n in (0, 1, 2, 1000)] == [
         "0 vertices",

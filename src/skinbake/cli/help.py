@@ -10,6 +10,7 @@ from click.shell_completion import CompletionItem
 
 from skinbake.cli.chosen_config import config_options, configured_in
 from skinbake.errors import printable
+from skinbake.urls import SUFFIXES
 from skinbake.version import __version__
 
 GROUPS = {
@@ -102,12 +103,35 @@ class Helpful(click.Command):
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Parse the arguments. A name too many is answered with the option that it may be meant for."""
-        ctx.allow_extra_args = True
-        left = super().parse_args(ctx, args)
+        ctx.allow_extra_args, given = True, list(args)
+        try:
+            left = super().parse_args(ctx, args)
+        except click.NoSuchOption as error:
+            dashed = self._dashed(given, error.option_name)
+            if dashed is not None:
+                ctx.fail(f"{error.message} A name that begins with - is written ./{dashed}")
+            raise
         ctx.allow_extra_args = False
         if left and not ctx.resilient_parsing:
             ctx.fail(self._unexpected(left))
         return left
+
+    def _dashed(self, given: list[str], unknown: str) -> str | None:
+        """Return the name of a model that was read as the unknown option, or None if there is none.
+
+        ``-hero.glb`` is read as the options -h, -e … ``-ohero.glb`` is -o and its value.
+        """
+        valued = {
+            name
+            for param in self.params
+            if isinstance(param, click.Option) and not param.is_flag and not param.count
+            for name in param.opts
+        }
+        for name in given:
+            is_meant = name[:2] not in valued and unknown.strip("-") in name
+            if name.startswith("-") and name.lower().endswith(SUFFIXES) and is_meant:
+                return name
+        return None
 
     def _unexpected(self, names: list[str]) -> str:
         """Return the message for names that the command does not take."""
