@@ -193,6 +193,23 @@ def test_a_name_with_a_dash_is_not_an_option(arguments: list[str], name: str | N
     assert name is None or text.endswith(f" ./{name}")
 
 
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["verify", "x.glb", "--min-gain", "1,5"], "'--min-gain': expected a number like 1.5, found '1,5'"),
+        (["verify", "x.glb", "--timeout", "1min"], "expected a number like 1.5, found '1min'"),
+        (["bake", "x.glb", "--crease-angle", "15°"], "expected a number like 1.5, found '15°'"),
+        (["shader", "--cap", "x"], "expected a number like 1.5, found 'x'"),
+        (["cost", "--influences", "four"], "expected a whole number like 4, found 'four'"),
+        (["bake", "x.glb", "--position-bits", "12.5"], "expected a whole number like 4, found '12.5'"),
+        (["view", "x.glb", "--port", "http"], "expected a whole number like 4, found 'http'"),
+    ],
+)
+def test_a_number_is_asked_for_in_plain_words(arguments: list[str], message: str) -> None:
+    code, text = said(*arguments)
+    assert (code, text.endswith(message)) == (2, True)
+
+
 def test_counts_are_singular_and_plural() -> None:
     assert [counted(n, "vertex", "vertices") for n in (0, 1, 2, 1000)] == [
         "0 vertices",

@@ -145,6 +145,35 @@ class Words(click.Choice[str]):
         return f"{message} {meant[0].upper()}{meant[1:]}" if meant else message
 
 
+def _is_written(value: Any, number: type[int] | type[float]) -> bool:
+    """Tell whether a value of an option is written as a number is."""
+    try:
+        number(value)
+    except ValueError:
+        return False
+    return True
+
+
+class Number(click.FloatRange):
+    """The type of an option whose value is a number. It says how a number is written."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the number, or fail."""
+        if not _is_written(value, float):
+            self.fail(f"expected a number like 1.5, found {value!r}", param, ctx)
+        return super().convert(value, param, ctx)
+
+
+class WholeNumber(click.IntRange):
+    """The type of an option whose value is a whole number. It says so."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the number, or fail."""
+        if not _is_written(value, int):
+            self.fail(f"expected a whole number like 4, found {value!r}", param, ctx)
+        return super().convert(value, param, ctx)
+
+
 def one_of(choices: type[StrEnum]) -> Words:
     """Return the type of an option whose values are the members of an enumeration."""
     return Words([choice.value for choice in choices])

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from skinbake.cli.console import Command, finite
+from skinbake.cli.console import Command, Number, finite
 from skinbake.cli.names import STDIO
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ def limit_options(command: Command) -> Command:
         ),
         click.option(
             "--timeout",
-            type=click.FloatRange(0, min_open=True),
+            type=Number(0, min_open=True),
             callback=finite,
             metavar="SECONDS",
             help="Give up a file that takes longer.",

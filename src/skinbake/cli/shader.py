@@ -9,6 +9,8 @@ import click
 
 from skinbake.choices import STANDARD, Encoding, Frame, Language, Layout, Lighting, Method, Morphs
 from skinbake.cli.console import (
+    Number,
+    WholeNumber,
     Words,
     console,
     ended_by_errors,
@@ -62,7 +64,7 @@ PUBLISHED_CAP = 0.9
 )
 @click.option(
     "--influences",
-    type=click.IntRange(1, 64),
+    type=WholeNumber(1, 64),
     metavar="N",
     help="Influences per vertex, 1 to 64; by default those of --for, else 4.",
 )
@@ -73,7 +75,7 @@ PUBLISHED_CAP = 0.9
 )
 @click.option(
     "--cap",
-    type=click.FloatRange(0, min_open=True),
+    type=Number(0, min_open=True),
     callback=finite,
     is_flag=False,
     flag_value=PUBLISHED_CAP,

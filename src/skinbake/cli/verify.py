@@ -11,7 +11,16 @@ import click
 from skinbake.choices import Baseline, Method, PoseKind, Truth
 from skinbake.cli import exit_codes
 from skinbake.cli.chosen_config import option_sets
-from skinbake.cli.console import Console, console, finite, message_options, one_of, outside_option
+from skinbake.cli.console import (
+    Console,
+    Number,
+    WholeNumber,
+    console,
+    finite,
+    message_options,
+    one_of,
+    outside_option,
+)
 from skinbake.cli.given import Given
 from skinbake.cli.help import Helpful
 from skinbake.cli.inputs import expanded
@@ -90,14 +99,14 @@ def _poses(ctx: click.Context, param: click.Parameter, value: str) -> tuple[Pose
 )
 @click.option(
     "--samples",
-    type=click.IntRange(1),
+    type=WholeNumber(1),
     help="Poses of each clip, evenly from its first moment to its last, which are the same pose in a loop: "
     "take 3 or more. By default about 60 in all, at least 3 for each clip. A file without clips has 24 "
     "random poses; --poses random:N gives another number.",
 )
 @click.option(
     "--angle",
-    type=click.FloatRange(0, 180),
+    type=Number(0, 180),
     callback=finite,
     default=30.0,
     show_default=True,
@@ -114,27 +123,27 @@ def _poses(ctx: click.Context, param: click.Parameter, value: str) -> tuple[Pose
 )
 @click.option(
     "--cap",
-    type=click.FloatRange(0, min_open=True),
+    type=Number(0, min_open=True),
     callback=finite,
     help="Limit the correction of a tangent to this share of it (0.9 in the authors' demo); off by default.",
 )
 @click.option(
     "--max-mean-error",
-    type=click.FloatRange(0),
+    type=Number(0),
     callback=finite,
     metavar="DEG",
     help="Fail if the mean error is larger.",
 )
 @click.option(
     "--max-p95-error",
-    type=click.FloatRange(0),
+    type=Number(0),
     callback=finite,
     metavar="DEG",
     help="Fail if the 95th percentile of the error is larger.",
 )
 @click.option(
     "--min-gain",
-    type=click.FloatRange(0),
+    type=Number(0),
     callback=finite,
     metavar="X",
     help="Fail if the gain over standard lighting is smaller.",

@@ -6,7 +6,7 @@ from typing import Any
 
 import click
 
-from skinbake.cli.console import console, ended_by_errors, message_options, outside_option
+from skinbake.cli.console import WholeNumber, console, ended_by_errors, message_options, outside_option
 from skinbake.cli.help import Helpful
 from skinbake.cli.limits import memory_option
 from skinbake.cli.names import STDIO, check_readable_suffix
@@ -37,7 +37,7 @@ PAGES = (".html", ".htm")
 )
 @click.option(
     "--port",
-    type=click.IntRange(0, 65535),
+    type=WholeNumber(0, 65535),
     default=0,
     metavar="P",
     help="Port on this machine; by default any free one.",
