@@ -49,10 +49,15 @@ def test_what_cannot_be_opened_is_an_input_error_that_names_it(tmp_path: Path, n
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "cannot be parsed"),
-        ("{", "cannot be parsed"),
-        (b"\xff\xfe{}", "cannot be parsed"),
-        (f"{{{ASSET}}} trailing", "cannot be parsed"),
+        ("", "it is empty"),
+        ("{", "cannot be parsed: it ends too early; the file may be cut short"),
+        (f'{{{ASSET}, "a": "b', "cannot be parsed: it ends too early"),
+        (f'{{{ASSET}, "a":\n', "cannot be parsed: it ends too early"),
+        (b"{\xe9}", "cannot be parsed: its byte 1 is 0xe9, which is not UTF-8 text"),
+        (f"{{{ASSET}}}\n trailing", "cannot be parsed: line 2, column 2: expected nothing after the last"),
+        (f'{{{ASSET},\n "a": nul}}', "line 2, column 7: expected a value"),
+        (f'{{{ASSET} "a": 1}}', "line 1, column 30: expected ',' delimiter"),
+        (f'{{{ASSET}, "a": "\t"}}', "line 1, column 37: a control character in a text"),
         (f'{{{ASSET}, "a": NaN}}', "NaN is not valid JSON"),
         (f'{{{ASSET}, "a": -Infinity}}', "-Infinity is not valid JSON"),
         (f'{{{ASSET}, "a": {"[" * 100_000}{"]" * 100_000}}}', "cannot be parsed"),
@@ -70,6 +75,27 @@ def test_what_is_no_gltf_is_refused(text: str | bytes, message: str) -> None:
     with pytest.raises(InputError, match=message) as caught:
         parse(text)
     assert str(caught.value).startswith("model.gltf: ")
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        (b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR", "this is not glTF, but a PNG picture"),
+        (b"\xff\xd8\xff\xe0\0\x10JFIF\0", "a JPEG picture"),
+        (b"Kaydara FBX Binary  \0\x1a\0", "FBX: Blender exports it as glTF"),
+        (b"; FBX 7.3.0 project file\n", "FBX: Blender exports it as glTF"),
+        (b"BLENDER-v300REND", "a file of Blender: export it"),
+        (b"PK\x03\x04\x14\0\0\0\x08\0", "a ZIP archive: unpack it"),
+        (b"version https://git-lfs.github.com/spec/v1\n", "fetch it with git lfs pull"),
+        (b"<!DOCTYPE html>\n<html>", "a web page or XML"),
+        ('{"asset": {}}'.encode("utf-16"), "text in UTF-16"),
+    ],
+)
+def test_a_file_of_another_kind_is_named(data: bytes, message: str) -> None:
+    for parse_one, name in ((parse_gltf, "model.gltf"), (parse_glb, "model.glb")):
+        with pytest.raises(InputError, match=message) as caught:
+            parse_one(data, name, Path())
+        assert str(caught.value).startswith(f"{name}: ")
 
 
 @pytest.mark.parametrize("version", ["1.0", "1.1", "3.0", "", "20"])

@@ -54,7 +54,8 @@ def test_unknown_chunks_and_trailing_bytes_are_kept() -> None:
 @pytest.mark.parametrize(
     ("data", "message"),
     [
-        (b"", "0 bytes"),
+        (b"", "it is empty"),
+        (b'\xef\xbb\xbf {"asset": {}}', r"this is JSON text, not a GLB: name it \.gltf"),
         (b"glTF\x02\0\0\0", "8 bytes"),
         (packed([JSON], magic=b"gltf"), "does not begin with 'glTF'"),
         (b'{"asset": {"version": "2.0"}}', r"name it \.gltf"),

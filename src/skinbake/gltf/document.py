@@ -11,6 +11,7 @@ import os
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from json import JSONDecodeError
 from pathlib import Path
 from typing import Any
 
@@ -20,11 +21,19 @@ from skinbake.errors import InputError, Place, UnsupportedFeatureError
 from skinbake.gltf import json_access, json_text, resources
 from skinbake.gltf.budget import Budget
 from skinbake.gltf.glb import Bytes, GlbChunks, split_glb
+from skinbake.gltf.other_kinds import refuse_other_kind
 from skinbake.wording import meant_file
 
 GLB_SUFFIXES = (".glb", ".vrm")
 GLTF_SUFFIX = ".gltf"
 STDIO = "-"
+
+JSON_FAULTS = {
+    "Expecting value": "expected a value",
+    "Extra data": "expected nothing after the last brace",
+    "Invalid control character at": "a control character in a text",
+}
+"""Faults of a JSON text that Python's parser words for programmers."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -200,6 +209,7 @@ def parse_gltf(data: Bytes, name: str, folder: Path, bounds: Bounds = BESIDE) ->
     """Return the document in the text of a ``.gltf`` file; InputError if it is none."""
     if data[:4] == b"glTF":
         raise InputError("this is a GLB container; name it .glb instead", Place(name))
+    refuse_other_kind(data, Place(name))
     budget = Budget(backed=len(data))
     return Document(
         name=name,
@@ -218,11 +228,23 @@ def _parse_json(data: bytes, budget: Budget, place: Place) -> json_access.JsonOb
     try:
         root = json_text.parsed(data.decode("utf-8-sig"))
     except ValueError as error:
-        raise InputError(f"its JSON cannot be parsed: {error}", place) from error
+        raise InputError(f"its JSON cannot be parsed: {_fault(error)}", place) from error
     if not isinstance(root, dict):
         raise InputError("its JSON is not an object", place)
     _check_version(json_access.member(root, "asset", place), place)
     return root
+
+
+def _fault(error: ValueError) -> str:
+    """Return why a text is no JSON, and where."""
+    if isinstance(error, UnicodeDecodeError):
+        return f"its byte {error.start} is {error.object[error.start]:#04x}, which is not UTF-8 text"
+    if not isinstance(error, JSONDecodeError):
+        return str(error)
+    if not error.doc[error.pos :].strip() or error.msg.startswith("Unterminated string"):
+        return "it ends too early; the file may be cut short"
+    found = JSON_FAULTS.get(error.msg) or error.msg.replace("Expecting", "expected")
+    return f"line {error.lineno}, column {error.colno}: {found}"
 
 
 def _parsed_size(data: bytes) -> int:

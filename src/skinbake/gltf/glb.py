@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import NamedTuple, TypeAlias
 
 from skinbake.errors import InputError, OutputError, Place, UnsupportedFeatureError
+from skinbake.gltf.other_kinds import refuse_other_kind
 from skinbake.wording import counted
 
 Bytes: TypeAlias = bytes | memoryview
@@ -39,21 +40,27 @@ def split_glb(data: Bytes, place: Place) -> GlbChunks:
     UnsupportedFeatureError for a container version other than 2.
     """
     view = memoryview(data)
+    refuse_other_kind(view, place)
     if len(view) < HEADER.size:
         raise InputError(
             f"not a GLB: it has {counted(len(view), 'byte')}, fewer than the 12 bytes of the header", place
         )
     magic, version, length = HEADER.unpack_from(view)
     if magic != MAGIC:
-        raise InputError(
-            "not a GLB: it does not begin with 'glTF'; if it is JSON, name it .gltf instead", place
-        )
+        raise InputError(_not_glb(bytes(view[:32])), place)
     if version != 2:
         raise UnsupportedFeatureError(f"GLB container version {version}; only version 2 is supported", place)
     if length > len(view):
         raise InputError(f"the GLB is cut short: its header says {length} bytes, it has {len(view)}", place)
     json_chunk, binary, others = _sorted_chunks(_chunks(view[:length], place), place)
     return GlbChunks(json_chunk, binary, others, view[length:])
+
+
+def _not_glb(head: bytes) -> str:
+    """Return the reason why a file is no GLB, from its first bytes."""
+    if head.removeprefix(b"\xef\xbb\xbf").lstrip().startswith(b"{"):
+        return "this is JSON text, not a GLB: name it .gltf instead"
+    return "not a GLB: it does not begin with 'glTF'"
 
 
 def _chunks(view: memoryview, place: Place) -> list[tuple[int, memoryview]]:

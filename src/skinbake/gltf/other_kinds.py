@@ -1,0 +1,33 @@
+"""Files of other kinds under the name of a glTF file, by their first bytes."""
+
+from __future__ import annotations
+
+from skinbake.errors import InputError, Place
+from skinbake.wording import OTHER_FORMATS
+
+FIRST_BYTES = (
+    (b"\x89PNG", "a PNG picture"),
+    (b"\xff\xd8\xff", "a JPEG picture"),
+    (b"\xabKTX ", "a KTX picture"),
+    (b"RIFF", "a RIFF file, like a WebP picture"),
+    (b"PK\x03\x04", "a ZIP archive: unpack it"),
+    (b"\x1f\x8b", "a gzip archive: unpack it"),
+    (b"Kaydara FBX Binary", f"FBX: {OTHER_FORMATS['.fbx']}"),
+    (b"; FBX", f"FBX: {OTHER_FORMATS['.fbx']}"),
+    (b"BLENDER", f"a file of Blender: {OTHER_FORMATS['.blend']}"),
+    (b"version https://git-lfs", "the pointer that Git LFS left in its place: fetch it with git lfs pull"),
+    (b"<", "a web page or XML"),
+    (b"\xff\xfe", "text in UTF-16: save it as UTF-8"),
+    (b"\xfe\xff", "text in UTF-16: save it as UTF-8"),
+)
+"""The beginning of files that take the place of a model by mistake, and their kind in words."""
+
+
+def refuse_other_kind(data: bytes | memoryview, place: Place) -> None:
+    """Raise InputError if a file is empty, or is of another kind by its first bytes."""
+    if not len(data):
+        raise InputError("it is empty", place)
+    head = bytes(data[:32])
+    for first, kind in FIRST_BYTES:
+        if head.startswith(first):
+            raise InputError(f"this is not glTF, but {kind}", place)
