@@ -324,7 +324,7 @@ def test_targets_that_do_not_move_are_not_read() -> None:
             "mesh 0: its primitives have 1 and 2 morph targets",
         ),
         (lambda json: json["meshes"][0]["primitives"][0].update(targets={}), '"targets" must be an array'),
-        (lambda json: json["nodes"][1].update(mesh=4), "refers to entry 4"),
+        (lambda json: json["nodes"][1].update(mesh=4), 'node 1: "mesh" is 4, but the file has 1 mesh'),
     ],
 )
 def test_broken_animations_of_weights_are_refused(

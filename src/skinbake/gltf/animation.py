@@ -173,7 +173,10 @@ def _read_skeleton(document: Document, skin_index: int) -> Skeleton:
     listed = skin.get("joints")
     if not isinstance(listed, list) or not listed:
         raise InputError(f"skin {skin_index} has no joints", place)
-    joints = [index({"joint": joint}, "joint", len(nodes), place) for joint in listed]
+    owner = f"skin {skin_index}"
+    joints = [
+        index({"joint": joint}, "joint", len(nodes), place, owner=owner, kind="node") for joint in listed
+    ]
     parents = _parents(document)
     order = _ancestors_first([joint for joint in joints if joint is not None], parents, place)
     document.budget.claim(
@@ -181,19 +184,19 @@ def _read_skeleton(document: Document, skin_index: int) -> Skeleton:
     )
     where = {node: position for position, node in enumerate(order)}
     matrices = {
-        position: _numbers(nodes[node], "matrix", np.eye(4).ravel(), place).reshape(4, 4).T
+        position: _numbers(nodes, node, "matrix", np.eye(4).ravel(), place).reshape(4, 4).T
         for position, node in enumerate(order)
         if "matrix" in nodes[node]
     }
-    rotations = np.stack([_numbers(nodes[n], "rotation", np.array([0.0, 0, 0, 1]), place) for n in order])
+    rotations = np.stack([_numbers(nodes, n, "rotation", np.array([0.0, 0, 0, 1]), place) for n in order])
     return Skeleton(
         nodes=tuple(order),
         parents=tuple(where[parents[node]] if node in parents else -1 for node in order),
-        translations=np.stack([_numbers(nodes[n], "translation", np.zeros(3), place) for n in order]),
+        translations=np.stack([_numbers(nodes, n, "translation", np.zeros(3), place) for n in order]),
         rotations=poses.normalised(rotations[:, [3, 0, 1, 2]]),
-        scales=np.stack([_numbers(nodes[n], "scale", np.ones(3), place) for n in order]),
+        scales=np.stack([_numbers(nodes, n, "scale", np.ones(3), place) for n in order]),
         joints=np.array([where[joint] for joint in joints if joint is not None]),
-        inverse_bind=_inverse_bind(document, skin, len(joints)),
+        inverse_bind=_inverse_bind(document, skin_index, len(joints)),
         matrices=matrices,
     )
 
@@ -214,8 +217,9 @@ def _read_parents(document: Document) -> dict[int, int]:
         children = node.get("children", [])
         if not isinstance(children, list):
             raise InputError(f"node {number} has children that are not an array", document.place)
+        owner = f"node {number}"
         for child in children:
-            position = index({"child": child}, "child", len(nodes), document.place)
+            position = index({"child": child}, "child", len(nodes), document.place, owner=owner, kind="node")
             if position is not None and parents.setdefault(position, number) != number:
                 raise InputError(f"node {position} has two parents", document.place)
     return parents
@@ -235,18 +239,21 @@ def _ancestors_first(joints: Sequence[int], parents: dict[int, int], place: Plac
     return list(order)
 
 
-def _numbers(node: JsonObject, key: str, default: Float64Array, place: Place) -> Float64Array:
-    value = node.get(key)
+def _numbers(
+    nodes: list[JsonObject], number: int, key: str, default: Float64Array, place: Place
+) -> Float64Array:
+    value = nodes[number].get(key)
     if value is None:
         return default
     if not isinstance(value, list) or len(value) != len(default) or not all(map(is_number, value)):
-        raise InputError(f'a node\'s "{key}" must be {len(default)} numbers', place)
+        raise InputError(f'node {number}: "{key}" must be {len(default)} numbers', place)
     return np.array(value, dtype=np.float64)
 
 
-def _inverse_bind(document: Document, skin: JsonObject, count: int) -> Float64Array:
-    place = document.place
-    number = index(skin, "inverseBindMatrices", len(document.objects("accessors")), place)
+def _inverse_bind(document: Document, skin_index: int, count: int) -> Float64Array:
+    skin, place, owner = document.objects("skins")[skin_index], document.place, f"skin {skin_index}"
+    accessors = document.objects("accessors")
+    number = index(skin, "inverseBindMatrices", len(accessors), place, owner=owner, kind="accessor")
     if number is None:
         return np.broadcast_to(np.eye(4), (count, 4, 4))
     values = _wide(document, number, place)

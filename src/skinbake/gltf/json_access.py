@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any, TypeAlias, TypeGuard
 
 from skinbake.errors import InputError, Place
+from skinbake.wording import counted
 
 JsonObject: TypeAlias = dict[str, Any]
 
@@ -34,9 +35,18 @@ def member(parent: Mapping[str, Any], key: str, place: Place) -> JsonObject:
 
 
 def integer(
-    parent: Mapping[str, Any], key: str, place: Place, *, default: int | None = None, minimum: int = 0
+    parent: Mapping[str, Any],
+    key: str,
+    place: Place,
+    *,
+    default: int | None = None,
+    minimum: int = 0,
+    owner: str = "",
 ) -> int:
-    """Return the integer under ``key``; InputError if it is missing without default, or out of range."""
+    """Return the integer under ``key``; InputError if it is missing without default, or out of range.
+
+    ``owner`` names the parent in messages, if the place does not tell it.
+    """
     value = parent.get(key, default)
     if type(value) is int and value >= minimum:
         return value
@@ -45,18 +55,32 @@ def integer(
     if isinstance(value, float) and value.is_integer():
         value = int(value)  # some exporters write 3.0
     if isinstance(value, bool) or not isinstance(value, int) or value < minimum:
-        raise InputError(f'"{key}" must be an integer of at least {minimum}, found {shown(value)}', place)
+        message = f'"{key}" must be an integer of at least {minimum}, found {shown(value)}'
+        raise InputError(_of(owner, message), place)
     return value
 
 
-def index(parent: Mapping[str, Any], key: str, length: int, place: Place) -> int | None:
-    """Return the index under ``key`` into an array of ``length``, None if there is none."""
+def index(
+    parent: Mapping[str, Any], key: str, length: int, place: Place, *, owner: str = "", kind: str = ""
+) -> int | None:
+    """Return the index under ``key`` into an array of ``length``, None if there is none.
+
+    ``owner`` is as for ``integer``. ``kind`` is the name of an entry, if the array is that of the whole file.
+    """
     if key not in parent:
         return None
-    value = integer(parent, key, place)
+    value = integer(parent, key, place, owner=owner)
     if value >= length:
-        raise InputError(f'"{key}" refers to entry {value} of an array of {length}', place)
+        message = f'"{key}" refers to entry {value} of an array of {length}'
+        if kind:
+            plural = kind + ("es" if kind.endswith("sh") else "s")
+            message = f'"{key}" is {value}, but the file has {counted(length, kind, plural)}'
+        raise InputError(_of(owner, message), place)
     return value
+
+
+def _of(owner: str, message: str) -> str:
+    return f"{owner}: {message}" if owner else message
 
 
 def names(parent: Mapping[str, Any], key: str, place: Place) -> list[str]:

@@ -47,7 +47,8 @@ def target_count(document: Document, mesh: int) -> int:
 def skinned_target_count(document: Document, node: int) -> int:
     """Return the number of morph targets of the mesh that a node draws with a skin; 0 without one."""
     content = document.objects("nodes")[node]
-    mesh = index(content, "mesh", len(document.objects("meshes")), document.place)
+    count = len(document.objects("meshes"))
+    mesh = index(content, "mesh", count, document.place, owner=f"node {node}", kind="mesh")
     return 0 if mesh is None or "skin" not in content else target_count(document, mesh)
 
 

@@ -130,10 +130,12 @@ def _whole(value: object) -> int | None:
 def _joint_counts(document: Document) -> dict[int, int]:
     skins, meshes = document.objects("skins"), document.objects("meshes")
     counts: dict[int, int] = {}
-    drawing = [node for node in document.objects("nodes") if "mesh" in node or "skin" in node]
-    for node in drawing:
-        mesh = index(node, "mesh", len(meshes), document.place)
-        skin = index(node, "skin", len(skins), document.place)
+    for number, node in enumerate(document.objects("nodes")):
+        if "mesh" not in node and "skin" not in node:
+            continue
+        owner = f"node {number}"
+        mesh = index(node, "mesh", len(meshes), document.place, owner=owner, kind="mesh")
+        skin = index(node, "skin", len(skins), document.place, owner=owner, kind="skin")
         if mesh is None or skin is None:
             continue
         joints = skins[skin].get("joints")
