@@ -42,6 +42,15 @@ def test_every_option_is_in_one_group_and_examples_end_the_help(name: str) -> No
 
 
 @pytest.mark.parametrize("name", COMMANDS)
+def test_the_help_of_an_option_names_only_options_of_its_command(name: str) -> None:
+    command, ctx = command_of(name)
+    own = {opt for param in command.get_params(ctx) for opt in param.opts}
+    for param in command.get_params(ctx):
+        if isinstance(param, click.Option):
+            assert set(re.findall(r"(?<!\S)--[a-z][a-z-]+", param.help or "")) <= own, param.name
+
+
+@pytest.mark.parametrize("name", COMMANDS)
 def test_the_examples_are_commands(name: str) -> None:
     """click takes each of them; nothing is run."""
     command, _ = command_of(name)

@@ -381,14 +381,19 @@ def test_a_dry_run_tells_and_keeps_nothing(baking: Baking) -> None:
 
 class TestTheStateFile:
     def test_it_needs_a_place(self, models: Path, tmp_path: Path) -> None:
-        for arguments in (
-            ["bake", models / "seam.glb", "-o", tmp_path / "a.glb"],
-            ["bake", models, "--in-place"],
-            ["verify", models],
+        needed, folder = (
+            "--skip-unchanged needs --state FILE, to keep its notes in",
+            "--out-dir it needs none",
+        )
+        for arguments, has_folder in (
+            (["bake", models / "seam.glb", "-o", tmp_path / "a.glb"], True),
+            (["bake", models, "--in-place"], True),
+            (["verify", models], False),
         ):
             result = invoke(*map(str, arguments), "--skip-unchanged")
             assert result.exit_code == 2
-            assert "--skip-unchanged needs --state FILE" in result.stderr
+            assert needed in result.stderr
+            assert (folder in result.stderr) == has_folder
         result = invoke("bake", models, "--out-dir", tmp_path / "o", "--state", tmp_path / "state")
         assert (result.exit_code, "--state is for --skip-unchanged" in result.stderr) == (2, True)
 

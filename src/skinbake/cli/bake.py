@@ -29,7 +29,16 @@ from skinbake.cli.depfile import OPTION, check_depfile, clip_files_read, depfile
 from skinbake.cli.help import Helpful
 from skinbake.cli.inputs import expanded
 from skinbake.cli.limits import limit_options
-from skinbake.cli.many import Clock, Reporting, many_options, notes_of, run_of, state_path, work_through
+from skinbake.cli.many import (
+    STATE_NAME,
+    Clock,
+    Reporting,
+    many_options,
+    notes_of,
+    run_of,
+    state_path,
+    work_through,
+)
 from skinbake.cli.names import STDIO
 from skinbake.cli.remote import cluster_option
 from skinbake.cli.targets import check_read, check_reports, in_turns, jobs_of, target_options, targets_of
@@ -187,7 +196,7 @@ if TYPE_CHECKING:
     "--warnings-as-errors", is_flag=True, help="Fail (exit 3) and write nothing if there are warnings."
 )
 @depfile_option
-@many_options
+@many_options(f"The file for the notes of --skip-unchanged; by default {STATE_NAME} in --out-dir.")
 @limit_options
 @cluster_option
 @outside_option

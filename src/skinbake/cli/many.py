@@ -59,14 +59,10 @@ def _threads(ctx: click.Context, param: click.Parameter, value: str) -> int | No
     return int(value)
 
 
-def many_options(command: Command) -> Command:
-    """Add the options for many files."""
-    for option in (
-        click.option(
-            "--state",
-            metavar="FILE",
-            help=f"Where --skip-unchanged keeps its notes; in --out-dir: {STATE_NAME}.",
-        ),
+def many_options(state: str) -> Callable[[Command], Command]:
+    """Return what adds the options for many files. ``state`` is the help of --state."""
+    options = (
+        click.option("--state", metavar="FILE", help=state),
         click.option(
             "--skip-unchanged",
             is_flag=True,
@@ -80,9 +76,14 @@ def many_options(command: Command) -> Command:
             metavar="N",
             help="Threads for the work on a file; auto: the usable cores, divided by --jobs.",
         ),
-    ):
-        command = option(command)
-    return jobs_options(command)
+    )
+
+    def add(command: Command) -> Command:
+        for option in options:
+            command = option(command)
+        return jobs_options(command)
+
+    return add
 
 
 def jobs_options(command: Command) -> Command:
@@ -121,9 +122,8 @@ def state_path(given: Given) -> str | None:
     out_dir = given.get("out_dir")
     if out_dir:
         return str(Path(out_dir, STATE_NAME))
-    raise click.UsageError(
-        "--skip-unchanged needs --state FILE to keep its notes in; only --out-dir has a place"
-    )
+    instead = "; with --out-dir it needs none" if "out_dir" in given else ""
+    raise click.UsageError(f"--skip-unchanged needs --state FILE, to keep its notes in{instead}")
 
 
 class Clock:

@@ -163,7 +163,7 @@ def _poses(ctx: click.Context, param: click.Parameter, value: str) -> tuple[Pose
     help="Also write a page that shows the file and its results; for several files an index, and their "
     "pages in a folder of its name.",
 )
-@many_options
+@many_options("The file for the notes of --skip-unchanged.")
 @limit_options
 @cluster_option
 @outside_option
