@@ -82,6 +82,30 @@ def test_one_table_names_every_option() -> None:
     assert missing <= {"--help"}
 
 
+def test_the_rows_of_shared_options_name_the_commands_that_have_them() -> None:
+    context = click.Context(main)
+    names = main.list_commands(context)
+    having: dict[str, set[str]] = {}
+    for name in names:
+        command = main.get_command(context, name)
+        assert command is not None
+        for parameter in command.params:
+            for option in parameter.opts if isinstance(parameter, click.Option) else ():
+                having.setdefault(option, set()).add(name)
+    who, found = "", 0
+    for first, rest in re.findall(
+        r"^\|(?: ([^|]+?))? \| (.*)$", text(REFERENCE / "options.md"), re.MULTILINE
+    ):
+        who = first or who
+        listed = set(re.findall(r"`([a-z]+)`", who))
+        if who.startswith("all"):
+            listed = set(names) - listed
+        for option in re.findall(r"`(-[-a-z]+)", rest.split(" | ")[0]) if len(listed) > 1 else ():
+            assert having[option] == listed, option
+            found += 1
+    assert found == 20
+
+
 def test_the_readme_takes_two_minutes() -> None:
     assert len(text(REPOSITORY / "README.md").split()) < 900
 
