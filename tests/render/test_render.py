@@ -125,12 +125,18 @@ def test_a_turntable_turns_one_pose(tmp_path: Path) -> None:
         assert np.abs(np.asarray(image.convert("RGB"), np.float64) - first).max() > 60
 
 
+def test_the_help_tells_the_bounds_of_the_size() -> None:
+    assert "from 16 to 2048" in " ".join(invoke("render", "--help").stdout.split())
+
+
 @pytest.mark.parametrize(
     ("options", "code", "words"),
     [
         (["-o", "picture.jpg"], exit_codes.USAGE, "expected a name that ends in .png, .webp, .gif"),
         (["-o", "picture.png", "--turntable"], exit_codes.USAGE, "--turntable needs a name that ends in"),
         (["-o", "picture.png", "--size", "9x9"], exit_codes.USAGE, "must be like 960x600"),
+        (["-o", "picture.png", "--size", "2049x16"], exit_codes.USAGE, "each side from 16 to 2048"),
+        (["-o", "picture.png", "--size", "2048x15"], exit_codes.USAGE, "each side from 16 to 2048"),
         (["-o", "picture.png", "--size", "large"], exit_codes.USAGE, "must be like 960x600"),
         (["-o", "picture.png", "--time", "nan"], exit_codes.USAGE, "must be a finite number"),
         (["-o", "picture.png", "--clip", "jump"], exit_codes.USAGE, "the file has no such clip; it has bend"),

@@ -18,14 +18,14 @@ from skinbake.errors import printable
 
 SUFFIXES = (".png", ".webp", ".gif")
 MOVING = (".webp", ".gif")
-LARGEST = 2048
+SMALLEST, LARGEST = 16, 2048
 
 
 def _size(ctx: click.Context, param: click.Parameter, value: str) -> tuple[int, int]:
     found = re.fullmatch(r"(\d{1,5})x(\d{1,5})", value)
     size = (int(found[1]), int(found[2])) if found else (0, 0)
-    if not all(16 <= side <= LARGEST for side in size):
-        raise click.BadParameter(f"must be like 960x600, each side from 16 to {LARGEST}")
+    if not all(SMALLEST <= side <= LARGEST for side in size):
+        raise click.BadParameter(f"must be like 960x600, each side from {SMALLEST} to {LARGEST}")
     return size
 
 
@@ -67,7 +67,14 @@ def _size(ctx: click.Context, param: click.Parameter, value: str) -> tuple[int, 
 @click.option("--split", is_flag=True, help="Standard lighting on the left, accurate lighting on the right.")
 @click.option("--clay", is_flag=True, help="Without the colours and images of the materials.")
 @click.option("--turntable", is_flag=True, help="Turn the camera once around the model (.webp, .gif).")
-@click.option("--size", default="960x600", show_default=True, callback=_size, metavar="WxH", help="Pixels.")
+@click.option(
+    "--size",
+    default="960x600",
+    show_default=True,
+    callback=_size,
+    metavar="WxH",
+    help=f"Width and height in pixels, each from {SMALLEST} to {LARGEST}.",
+)
 @outside_option
 @sync_option
 @memory_option
