@@ -497,6 +497,11 @@ class TestCommand:
             "./heroes/knight.glb": "float32",
             "./heroes/crowd/pawn.glb": "packed8",
         }
+        # verify reads the outputs, which have the same overrides.
+        printed = invoke("config", "--changed", "build/heroes/knight.glb").stdout
+        assert re.search(
+            r"^build/heroes/knight.glb: verify\n(?:  .*\n)*  min-gain +3 ", printed, re.MULTILINE
+        )
 
     def test_the_same_in_the_project_s_file(self, project: Path) -> None:
         blocks = re.findall(r"```toml\n(.*?)```", PAGE.read_text("utf-8"), re.DOTALL)
