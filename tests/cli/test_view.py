@@ -15,8 +15,11 @@ import pytest
 
 from fixtures.make_fixtures import FOLDER
 from skinbake.cli import exit_codes
+from skinbake.commands.view import baked_in_memory
+from skinbake.gltf.document import read_document
 from skinbake.gltf.json_access import JsonObject
 from tests.support.command_line import LINUX, invoke
+from tests.support.compressed import draco_twin
 from tests.support.models import bake, edited, sheet, write_model
 
 TUBE = FOLDER / "bent_tube.glb"
@@ -37,6 +40,17 @@ def test_a_file_that_is_not_baked_is_baked_in_memory_only(tmp_path: Path) -> Non
     page = after.pop("page.html").decode()
     assert after == before
     assert "This page baked it in memory" in page
+
+
+@pytest.mark.slow
+def test_the_storage_of_a_bake_in_memory_is_no_news(tmp_path: Path) -> None:
+    source = draco_twin(TUBE, tmp_path / "tube.glb", sequential=False)
+    assert "sequential method" in invoke("bake", source, "--dry-run").stderr
+    result = invoke("view", source, "-o", tmp_path / "page.html")
+    assert (result.exit_code, result.stderr) == (0, "")
+    assert "sequential method" not in (tmp_path / "page.html").read_text(encoding="utf-8")
+    _, notices = baked_in_memory(read_document(str(source)))  # as render does
+    assert notices == ()
 
 
 def test_a_baked_file_is_shown_as_it_is(tmp_path: Path) -> None:

@@ -37,6 +37,10 @@ PNG, JPEG, WEBP = b"\x89PNG", b"\xff\xd8\xff", b"RIFF"
 IMAGES = {PNG: "image/png", JPEG: "image/jpeg", WEBP: "image/webp"}
 
 
+OF_STORAGE = {"draco-sequential"}
+"""The notices of a bake that speak only of the bytes of its output."""
+
+
 @dataclass(frozen=True, slots=True)
 class ViewResult:
     """The page, whether the file was baked in memory for it, and the assumptions made."""
@@ -105,7 +109,10 @@ def sound_views(document: Document) -> list[BakedView]:
 
 
 def baked_in_memory(document: Document) -> tuple[Document, tuple[Notice, ...]]:
-    """Bake a document with the defaults. Raises InputError if nothing in it can be baked."""
+    """Bake a document with the defaults. Raises InputError if nothing in it can be baked.
+
+    The notices are those on α and β. Nothing is stored, so those on storage are left out.
+    """
     plain, _, _ = stripped(document)
     made = Baker(generate_normals=True).bake_document(plain)
     if not made.primitives:
@@ -113,7 +120,7 @@ def baked_in_memory(document: Document) -> tuple[Document, tuple[Notice, ...]]:
         raise InputError(
             f"nothing in it can be shown: {reasons or 'nothing in it is skinned'}", document.place
         )
-    return made.document, made.notices
+    return made.document, tuple(notice for notice in made.notices if notice.code not in OF_STORAGE)
 
 
 def _other_gradients(document: Document, views: Sequence[BakedView]) -> Iterator[OtherGradients]:
