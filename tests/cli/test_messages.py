@@ -36,7 +36,8 @@ def test_warnings_name_file_mesh_and_primitive_and_are_aggregated(warned: Path) 
         f'warning: {warned}: mesh 0 "sheet", primitive 0: skipped: it has no NORMAL; '
         "--generate-normals adds smooth ones",
         f'warning: {warned}: mesh 0 "sheet", primitive 1: the weights of 20 vertices do not sum to 1 (0.5): '
-        "a shader corrects the normals there 2 times; normalise the weights, and bake again",
+        "in a shader the correction of the normals is 100 % too strong there; normalise the weights, and "
+        "bake again",
     ]
 
 

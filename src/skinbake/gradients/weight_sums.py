@@ -22,13 +22,22 @@ def weight_sum_notices(primitive: SkinnedPrimitive, place: Place) -> list[Notice
     if not len(off):
         return []
     low, high = float(off.min()), float(off.max())
-    bounds, factors = _span(low, high), _span(1.0 / high, 1.0 / low)
     vertices = one_or_many(len(off), "1 vertex", "{} vertices")
+    sums_told = _span(low, high)
+    up_to = "up to " if "…" in sums_told else ""
+    parts = [f"{up_to}{_percent(1.0 / low - 1.0)} too strong"] if low < 1.0 else []
+    parts += [f"{up_to}{_percent(1.0 - 1.0 / high)} too weak"] if high > 1.0 else []
     message = (
-        f"the weights of {vertices} do not sum to 1 ({bounds}): a shader corrects the normals there "
-        f"{factors} times; normalise the weights, and bake again"
+        f"the weights of {vertices} do not sum to 1 ({sums_told}): in a shader the correction of the "
+        f"normals is {' or '.join(parts)} there; normalise the weights, and bake again"
     )
     return [Notice("weights-sum", message, place, len(off))]
+
+
+def _percent(share: float) -> str:
+    """Return a share in percent, with a digit after the point if it is small."""
+    percent = 100.0 * share
+    return f"{percent:.1f} %" if percent < 1.0 else f"{percent:,.0f} %"
 
 
 def _span(low: float, high: float) -> str:

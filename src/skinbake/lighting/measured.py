@@ -404,9 +404,10 @@ def _mirrored(drawn: Sequence[_Draw]) -> Iterator[Notice]:
             counts[id(poses)] = int(np.count_nonzero(mirrors.any(axis=0)))
         count = counts[id(poses)]
         if count:
+            mirrors = counted(count, "joint mirrors", "joints mirror")
             message = (
-                f"{counted(count, 'joint mirrors', 'joints mirror')} (negative determinant): t' × b' points "
-                "inside there, and the shader must turn it round"
+                f"{mirrors} the surface (negative determinant): write the shader with --for this file, or "
+                "with --mirrored-joints, so that normals stay outside"
             )
             yield Notice("joints-mirror", message, replace(draw.views[0].source.place, primitive=None), count)
 
