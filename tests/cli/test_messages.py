@@ -79,7 +79,7 @@ def test_a_short_line_keeps_what_was_lost_and_what_was_asked_for(tmp_path: Path)
         "bake", FOLDER / "foreign_joints.glb", FOLDER / "two_sets.glb", "--dry-run", "--neighbours", "drop"
     )
     assert re.search(
-        r"foreign_joints.glb \(dry run\): baked: .* \d+\.\d% of the gradient lost", result.stdout
+        r"foreign_joints.glb \(dry run\): baked: .* \d+\.\d% of the gradient left out", result.stdout
     )
     result = invoke(
         "bake", FOLDER / "two_sets.glb", FOLDER / "seam.glb", "--dry-run", "--limit-influences", "4"
@@ -161,8 +161,26 @@ def test_the_closing_line_tells_what_was_lost(tmp_path: Path) -> None:
     weights = np.full((20, 4), 0.25, np.float32)
     path = write_model(tmp_path / "full.glb", [sheet(JOINTS_0=joints, WEIGHTS_0=weights)], joints=40)
     result = invoke("bake", path, "--dry-run")
-    assert "20 vertices left out some joints of their neighbours (" in result.stdout
-    assert "% of the gradient lost)" in result.stdout
+    told = r"20 vertices left out some joints of their neighbours \((\d+\.\d\d)% of the gradient(.*)\)"
+    found = re.search(told, result.stdout)
+    assert found is not None
+    assert (float(found[1]) > 5, found[2]) == (True, "; try --neighbours extend")
+    short = invoke("bake", path, SEAM, "--dry-run").stdout.splitlines()[0]
+    assert short.endswith("% of the gradient left out; try --neighbours extend")
+    # The remedy leaves out less, and is not named again.
+    result = invoke("bake", path, "--dry-run", "--neighbours", "extend")
+    assert "try --neighbours" not in result.stdout
+    remedied = re.search(told, result.stdout)
+    assert remedied is None or float(remedied[1]) < float(found[1])
+
+
+def test_a_small_share_that_is_left_out_asks_for_nothing() -> None:
+    result = invoke("bake", FOLDER / "two_sets.glb", "--dry-run", "--neighbours", "drop")
+    found = re.search(
+        r"left out some joints of their neighbours \((.*)% of the gradient(.*?)\)", result.stdout
+    )
+    assert found is not None
+    assert (0 < float(found[1]) < 5, found[2]) == (True, "")
 
 
 def test_one_line_closes_each_file(tmp_path: Path) -> None:

@@ -16,6 +16,9 @@ SCHEMA = "skinbake.bake/1"
 SHOWN_LOSS = 0.0005
 """The share of the gradient from which a short line tells its loss."""
 
+BAD_LOSS = 0.05
+"""The share of the gradient from which its loss is bad, as the pages tell users."""
+
 SEEN = 0.0001
 """Below this angle in degrees, the exact value does not matter."""
 
@@ -143,7 +146,7 @@ def short_line(result: FileResult, *, dry_run: bool) -> str:
     parts += [f"{result.skipped:,} skipped"] if result.skipped else []
     parts += [_limited(costs)] if (costs := [count.limited for count in counts if count.limited]) else []
     lost = _lost(counts)
-    parts += [f"{lost:.1%} of the gradient lost"] if lost >= SHOWN_LOSS else []
+    parts += [f"{lost:.1%} of the gradient left out{_remedy(counts)}"] if lost >= SHOWN_LOSS else []
     parts += [counted(len(result.notices), "warning")] if result.notices else []
     return f"{_where(result, dry_run=dry_run)}: {', '.join(parts)}"
 
@@ -182,7 +185,7 @@ def closing_line(result: FileResult, *, dry_run: bool) -> str:
     if overflowing:
         parts.append(
             f"{counted(overflowing, 'vertex', 'vertices')} left out some joints of their neighbours "
-            f"({_lost(counts):.2%} of the gradient lost)"
+            f"({_lost(counts):.2%} of the gradient{_remedy(counts)})"
         )
     degenerate = sum(count.degenerate_triangles for count in counts)
     if degenerate:
@@ -200,7 +203,7 @@ def detail_lines(result: FileResult) -> Iterator[str]:
             f"{counted(count.triangles, 'triangle')}, {counted(count.influences, 'slot')}, "
             f"frame from {count.frame}, "
             f"{counted(count.adopting_vertices, 'vertex', 'vertices')} adopting, "
-            f"{count.overflowing_vertices:,} overflowing, {count.lost_gradient:.2%} of the gradient lost, "
+            f"{count.overflowing_vertices:,} leaving joints out ({count.lost_gradient:.2%} of the gradient), "
             f"{counted(count.added_bytes, 'byte')}"
         )
 
@@ -260,6 +263,13 @@ def _lost(counts: Sequence[BakedCounts]) -> float:
     """Return the lost share of all gradients of all primitives together."""
     whole = sum(count.gradient for count in counts)
     return sum(count.lost_gradient * count.gradient for count in counts) / whole if whole else 0.0
+
+
+def _remedy(counts: Sequence[BakedCounts]) -> str:
+    """Return the option that may help if much of the gradient is left out, unless the bake has used it."""
+    if _lost(counts) < BAD_LOSS or any(count.extended for count in counts):
+        return ""
+    return "; try --neighbours extend"
 
 
 def as_json(
