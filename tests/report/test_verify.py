@@ -119,6 +119,50 @@ def test_gain_is_a_ratio_of_means_unless_the_error_is_rounding() -> None:
     assert "gain" not in as_text(replace(PASSED, normals=lit(accurate=1e-6), by_triangles=lit(accurate=1e-6)))
 
 
+NOTHING = "  Nothing bends in these poses: standard lighting is right already."
+
+
+@pytest.mark.parametrize(
+    ("tangents", "triangles", "line"),
+    [
+        ((4.0, 1.0), (5.0, 2.0), None),
+        ((4.0, 3.0), (6.0, 5.0), None),
+        (
+            (4.0, 1.0),
+            (5.5, 5.0),
+            "  Little to win: the LBS gain is 1.10x, under 1.2. Leave the file unbaked.",
+        ),
+        (
+            (5.0, 4.5),
+            (5.0, 1.0),
+            "  Little to win: the LBS gain is 1.11x, under 1.2. Leave the file unbaked.",
+        ),
+        ((1e-6, 1e-6), (1e-5, 1e-6), NOTHING),
+        ((1.0, 1e-6), (1.0, 1e-6), None),
+    ],
+)
+def test_the_text_says_if_there_is_little_to_win(
+    tangents: tuple[float, float], triangles: tuple[float, float], line: str | None
+) -> None:
+    """Under a gain of 1.2 by the worse truth, the README says to leave the file unbaked."""
+    found = replace(PASSED, normals=lit(*tangents), by_triangles=without_direct(lit(*triangles)))
+    told = [one for one in as_text(found).splitlines() if "Little" in one or "Nothing" in one]
+    assert told == ([] if line is None else [line])
+
+
+def test_little_to_win_is_not_said_of_an_unsound_bake_or_beside_other_advice() -> None:
+    little = replace(PASSED, normals=lit(4.0, 3.9), by_triangles=without_direct(lit(4.0, 3.9)))
+    stale = replace(little, checks=(Check("freshness", "failed"),))
+    worse = replace(little, notices=(Notice("lighting-worse", "bake so", PLACE),))
+    missed = replace(little, checks=(Check("limits", "failed"),))
+    assert [text.count("Little to win") for text in map(as_text, (little, stale, worse, missed))] == [
+        1,
+        0,
+        0,
+        1,
+    ]
+
+
 def test_the_table_is_aligned_and_says_what_it_means() -> None:
     lines = as_text(PASSED).splitlines()
     assert lines[0] == "hero.glb: passed"

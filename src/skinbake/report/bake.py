@@ -172,6 +172,8 @@ def closing_line(result: FileResult, *, dry_run: bool) -> str:
     parts += _encoding_text(result.encoding, counts)
     if result.skipped:
         parts.append(f"{counted(result.skipped, 'skinned primitive')} skipped")
+    if counts and not any(count.gradient for count in counts):
+        parts.append("no weight changes along the surface, so there is nothing to correct")
     costs = [count.limited for count in counts if count.limited]
     if costs:
         parts.append(_limited(costs))

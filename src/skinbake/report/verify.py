@@ -25,6 +25,9 @@ SHOWN_LIGHTINGS = {"approximated": "standard", "accurate": "accurate", "exact": 
 ROUNDING = 1e-4
 """Below this angle in degrees, a mean error is float32 rounding, and dividing by it is meaningless."""
 
+LITTLE = 1.2
+"""The gain under which a bake is not worth its bytes, by the worse truth."""
+
 XML_DECLARATION = '<?xml version="1.0" encoding="UTF-8"?>\n'
 """Written by hand: ElementTree would name the locale's encoding, but the file is written in UTF-8."""
 
@@ -159,7 +162,31 @@ def as_text(verdict: FileVerdict) -> str:
         lines.append(f"  Angle in degrees between each method's normals and the true ones, over {over}.")
     if verdict.without_dqs:
         lines.append(f"  Dual quaternions left out: {printable(verdict.without_dqs)}.")
+    lines += _little_to_win(verdict)
     return "\n".join(lines)
+
+
+def _little_to_win(verdict: FileVerdict) -> list[str]:
+    """Return a line if the poses show nothing, or hardly anything, for α/β to correct.
+
+    It says nothing of a bake that failed a check, or if a warning has the advice for its worst primitives.
+    """
+    unsound = any(check.outcome == "failed" and check.name != "limits" for check in verdict.checks)
+    advised = any(notice.code == "lighting-worse" for notice in verdict.notices)
+    found = [
+        (method, figures) for normals in verdict.by_truth.values() for method, figures in normals.items()
+    ]
+    if unsound or advised or not found:
+        return []
+    method = found[0][0]
+    errors = [figures[one].mean for _, figures in found for one in SHOWN_LIGHTINGS if one in figures]
+    if max(errors) < ROUNDING:
+        return ["  Nothing bends in these poses: standard lighting is right already."]
+    gains = [factor for of, figures in found if of == method and (factor := gain(figures)) is not None]
+    if not gains or round(min(gains), 2) >= LITTLE:
+        return []
+    least = f"the {method.upper()} gain is {min(gains):.2f}x, under {LITTLE}"
+    return [f"  Little to win: {least}. Leave the file unbaked."]
 
 
 def _table(normals: Normals, by_triangles: Normals) -> Iterator[str]:
