@@ -20,6 +20,8 @@ MENDED = {
     "hang-verify-f87844af": BUSY,
     "hang-verify-gltf-json-text": BUSY,
     "hang-verify-lighting-threads": BUSY,
+    "native-kernel-left-shift-of-negative-value": "the bits of a number were shifted with its sign: "
+    "tests/fuzz/test_runs.py",
     "over-bounds-or-undocumented": "each pose was morphed twice: tests/lighting/test_morphs.py",
     "twice-code-3-over-the-N-KiB": "no fault: the second bake was held to the first one's --max-memory",
     "twice-other-bytes-in-accessors": f"a sparse accessor over Draco; a view into padding: {FINDS}",

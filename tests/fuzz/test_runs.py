@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from fuzz.native.build import build, environment
 from tests.support.tools import required_program
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -72,3 +73,20 @@ def test_the_compiled_loops_and_decoders_are_clean(tmp_path: Path) -> None:
     assert process.returncode == 0, process.stdout + process.stderr
     assert [line["kind"] for line in lines] == ["native kernel", "native loops", "native decoders"]
     assert all(isinstance(line["executions"], int) and line["executions"] > 0 for line in lines)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="sanitizers are loaded by LD_PRELOAD")
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [15])  # bits of a negative number were shifted
+def test_former_finds_of_the_compiled_loops_stay_mended(seed: int) -> None:
+    require_compiler()
+    build()
+    process = subprocess.run(
+        [sys.executable, "-m", "fuzz.native.work", "kernel", str(seed)],
+        env=environment(),
+        cwd=REPOSITORY,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert process.returncode == 0, process.stderr
