@@ -140,4 +140,5 @@ def _notice(place: Place, factor: float, tried: Sequence[tuple[Remedy, dict[Plac
         return Notice("lighting-worse", f"{found}With {remedy.words} it is {best:.2f}: bake so", place)
     words = ", ".join(remedy.words for remedy, _ in tried)
     helped = f"No option that was tried helps ({words}): " if tried else ""
-    return Notice("lighting-worse", f"{found}{helped}light it the standard way, without α/β", place)
+    way = "light it the standard way (in skinbake-three: lighting(mesh, 'standard'))"
+    return Notice("lighting-worse", f"{found}{helped}{way}", place)
