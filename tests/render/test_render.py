@@ -13,12 +13,13 @@ from PIL import Image
 from fixtures.make_fixtures import FOLDER
 from skinbake.cli import exit_codes
 from skinbake.commands import render
+from skinbake.gltf.json_access import JsonObject
 from skinbake.render.studio import MODES, Studio
 from skinbake.render.subject import YAW, Camera, Subject
 from skinbake.skinning.algorithms import Algorithm
 from tests.support.characters import Array, baked
 from tests.support.command_line import invoke
-from tests.support.models import sheet, write_model
+from tests.support.models import edited, sheet, write_model
 from tests.support.rasterised import eroded, fragments
 from tests.support.webgpu import NAGA
 
@@ -123,6 +124,23 @@ def test_a_turntable_turns_one_pose(tmp_path: Path) -> None:
         first = np.asarray(image.convert("RGB"), np.float64)
         image.seek(20)
         assert np.abs(np.asarray(image.convert("RGB"), np.float64) - first).max() > 60
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("device")
+def test_meshes_without_a_skin_are_counted(tmp_path: Path) -> None:
+    def add_props(content: JsonObject) -> None:
+        (primitive,) = content["meshes"][0]["primitives"]
+        bare = {name: number for name, number in primitive["attributes"].items() if name[-2:] != "_0"}
+        for mesh in (1, 2):
+            content["meshes"].append({"primitives": [{**primitive, "attributes": bare}]})
+            content["nodes"] += [{"mesh": mesh}, {"mesh": mesh}]
+
+    path = edited("bent_tube.glb", tmp_path, add_props)
+    for source, words in ((path, "2 meshes without a skin are left out of the picture"), (TUBE, "")):
+        result = invoke("render", source, "-o", tmp_path / "a.png", "--size", "64x48", "--time", "0.5")
+        assert (result.exit_code, "without a skin" in result.stderr) == (0, bool(words))
+        assert words in result.stderr
 
 
 def test_the_help_tells_the_bounds_of_the_size() -> None:

@@ -45,6 +45,7 @@ from skinbake.render.thumbnail import Posed, thumbnail
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.run import Skinning
 from skinbake.skinning.surface import Options, RestSurface
+from skinbake.wording import one_or_many
 
 MOST = 1e15
 """The largest coordinate of a picture: squares of lengths then stay floats, as on the page."""
@@ -129,7 +130,18 @@ def render_file(
         pictures, pose, missing = _pictures(document, views, options, moves=suffix in MOVING)
     data = encoded(pictures, suffix)
     write_file([data], target, sync=sync)
-    return RenderResult(data, len(pictures), pose, (*notices, *missing))
+    return RenderResult(data, len(pictures), pose, (*notices, *missing, *_not_skinned(document)))
+
+
+def _not_skinned(document: Document) -> list[Notice]:
+    """Return a notice if nodes draw meshes without a skin: no picture has them."""
+    nodes = [node for node in document.objects("nodes") if "mesh" in node]
+    skinned = {node["mesh"] for node in nodes if "skin" in node}
+    count = len({node["mesh"] for node in nodes} - skinned)
+    if not count:
+        return []
+    message = one_or_many(count, "1 mesh without a skin is", "{} meshes without a skin are")
+    return [Notice("not-skinned", f"{message} left out of the picture", document.place, count)]
 
 
 def _pictures(
