@@ -6,6 +6,7 @@ every command too.
 
 from __future__ import annotations
 
+import base64
 import hashlib
 import struct
 import subprocess
@@ -20,7 +21,7 @@ import meshopt
 import numpy as np
 
 from fuzz.cases import Case
-from fuzz.models import GLB, GLTF, JsonObject, Model, glb, read_model
+from fuzz.models import GLB, GLTF, WRAPPED, JsonObject, Model, glb, read_model
 from fuzz.seeds import edgebreaker_twin, filtered_twin
 
 FIXTURES = Path(__file__).resolve().parents[1] / "fixtures"
@@ -42,7 +43,7 @@ UNDER_COMMANDS: tuple[tuple[str, ...], ...] = (
 
 def aimed_cases(models: Sequence[Model]) -> list[Case]:
     """Return the cases; ``models`` are those that are damaged, among them the directed ones."""
-    found = [*_directed(models), *_edits(), *_streams(), *_beside(), *_containers(), *_places()]
+    found = [*_directed(models), *_edits(), *_streams(), *_beside(), *_pictures(), *_containers(), *_places()]
     return [
         Case(-1 - number, case.arguments, case.files, case.links, case.stdin, case.plain, case.about)
         for number, case in enumerate(found)
@@ -502,6 +503,79 @@ def _beside() -> Iterator[Case]:
     yield _case("a far buffer for stdout", outside, ("bake", "in/m.glb", "-o", "-"))
     itself = _with_images("x.gltf").packed(GLTF)[1]
     yield _case("its own picture", {**itself, "x.gltf": b"{}"}, ("bake", "in/m.gltf", "-o", "in/x.gltf"))
+
+
+def _textured(images: Sequence[JsonObject], texture: JsonObject | None = None) -> Model:
+    """Return the sheet with a texture of its colours; None: a texture past the end."""
+
+    def change(model: Model) -> None:
+        model.json["images"] = list(images)
+        model.json["textures"] = [] if texture is None else [texture]
+        model.json["materials"] = [{"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}]
+        _primitive(model)["material"] = 0
+        places = np.zeros((VERTICES, 2), np.float32)
+        _primitive(model)["attributes"]["TEXCOORD_0"] = _added(model, places, "VEC2", 5126)
+
+    return _changed(change)
+
+
+def _pictures() -> Iterator[Case]:
+    """Yield cases of images that are drawn, packed, or named in a depfile."""
+    drawn, render = {"source": 0}, ("render", "in/m.glb", "-o", "out/m.png", "--size", "16x16")
+    picture, within = {"uri": "tex.png"}, {"bufferView": 0, "mimeType": "image/png"}
+    webp, inner = "EXT_texture_webp", f"data:image/png;base64,{base64.b64encode(PICTURE).decode()}"
+    textures: list[tuple[str, JsonObject, JsonObject | None]] = [
+        ("no such texture", picture, None),
+        ("a file", picture, drawn),
+        ("WebP", picture, {"extensions": {webp: drawn}}),
+        ("WebP without an image", picture, {**drawn, "extensions": {webp: {}}}),
+        ("KTX2 alone", picture, {"extensions": {"KHR_texture_basisu": drawn}}),
+        ("no image", picture, {}),
+        ("a view", within, drawn),
+        ("a data: URI", {"uri": inner}, drawn),
+        ("neither", {}, drawn),
+    ]
+    for about, image, texture in textures:
+        yield _case(f"texture: {about}", {**_files(_textured([image], texture)), "tex.png": PICTURE}, render)
+    yield from _packed_pictures(inner)
+    names = _files(_with_images("tex.png", "gone.png", "../up.png"))
+    depfile = ("-o", "out/m.glb", "--depfile", "out/m.d")
+    for about, more in (("depfile", ()), ("depfile, packed", ("--pack",))):
+        yield _case(about, {**names, "tex.png": PICTURE}, ("bake", "in/m.glb", *depfile, *more))
+    own = {"../out/own.glb": names["m.glb"], "../out/tex.png": PICTURE}
+    yield _case("depfile, same folder", own, ("bake", "out/own.glb", *depfile))
+    above = {"sub/m.glb": _files(_with_images("../tex.png"))["m.glb"], "tex.png": PICTURE}
+    yield _case("depfile, allowed", above, ("bake", "in/sub/m.glb", *depfile, "--allow-outside", "in"))
+
+
+def _packed_pictures(inner: str) -> Iterator[Case]:
+    """Yield cases of ``--pack``."""
+    pack = (*TO_GLB, "--pack")
+    contents = {"tex.png": PICTURE, "w": b"RIFF\0\0\0\0WEBPVP8 ", "none": b"", "odd": b"what is it?"}
+    images = _with_images(
+        "tex.png", "tex.png", "w", "none", "odd", "gone.png", "../up.png", "/up.png", inner, "data:x"
+    )
+    for about, arguments in {
+        "elsewhere": pack,
+        "in place": ("bake", "in/m.glb", "--in-place", "--pack"),
+        "on stdout": ("bake", "in/m.glb", "-o", "-", "--pack"),
+        "as glTF": ("bake", "in/m.glb", "-o", "out/m.gltf", "--pack"),
+    }.items():
+        yield _case(f"packed {about}", {**_files(images), **contents}, arguments)
+    yield _case("nothing to pack", _files(_sheet()), pack)
+    to_glb = ("bake", "in/m.gltf", "-o", "out/m.glb", "--pack")
+    yield _case("packed meshopt", filtered_twin(_sheet(), "EXT").packed(GLTF)[1], to_glb)
+    lost = _changed(lambda m: m.json["bufferViews"].append({"buffer": 7, "byteLength": 1}))
+    yield _case("a view of no buffer", lost.packed(WRAPPED)[1], pack)
+    folder = {"../out/m.glb/x": b"kept"}
+    yield _case(
+        "a folder in its place", {**_files(_sheet()), **folder}, ("bake", "in/m.glb", "--out-dir", "out")
+    )
+    yield _case("one byte", _files(_sheet()), (*TO_GLB, "--max-memory", "1"))
+
+
+def _files(model: Model) -> dict[str, bytes]:
+    return model.packed(GLB)[1]
 
 
 def _first_buffer(model: Model) -> None:

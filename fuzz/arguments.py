@@ -12,7 +12,17 @@ BAKE: Group = (
     (0.25, [["--weighting", way] for way in ("angle", "area", "angle-area", "max")]),
     (0.15, [["--crease-angle", angle] for angle in ("0", "1e-9", "90", "180")]),
     (0.25, [["--weld", "skin"]]),
-    (0.25, [["--neighbours", "drop"]]),
+    (0.25, [["--neighbours", "drop"], ["--neighbours", "extend"]]),
+    (
+        0.25,
+        [
+            ["--gradients", "surface"],
+            ["--gradients", "poses"],
+            ["--gradients", "poses", "--fit-poses", "random:2"],
+        ],
+    ),
+    (0.1, [["--pack"]]),
+    (0.06, [["--depfile", "out/m.d"]]),
     (0.3, [["--frame", "tangent"], ["--frame", "normal"]]),
     (0.04, [["--limit-influences", "4"], ["--limit-influences", "8"]]),
     (0.3, [["--generate-normals"]]),
@@ -56,8 +66,14 @@ VERIFY: Group = (
     (0.2, [["--json"], ["-v"], ["-q"]]),
 )
 SHADER: Group = (
-    (0.9, [["--lang", "glsl"], ["--lang", "wgsl"]]),
-    (0.5, [["--target", target] for target in ("plain", "three", "bevy", "bevy-wesl", "godot", "babylon")]),
+    (0.9, [["--lang", "glsl"], ["--lang", "wgsl"], ["--lang", "hlsl"]]),
+    (
+        0.5,
+        [
+            ["--target", target]
+            for target in ("plain", "three", "bevy", "bevy-wesl", "godot", "babylon", "playcanvas")
+        ],
+    ),
     (0.3, [["--method", "dqs"]]),
     (0.2, [["--frame", "tangent"], ["--frame", "normal"]]),
     (0.2, [["--influences", "8"], ["--influences", "4"]]),

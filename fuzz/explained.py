@@ -21,7 +21,7 @@ BY_SYSTEM = frozenset((WINDOWS, OTHER_SYSTEM, ROOT, LIMITS))
 EXPLAINED: dict[tuple[str, str, str], str] = {
     (
         "animation.py",
-        "read_skeleton",
+        "_read_skeleton",
         'if not isinstance(listed, list) or not listed: -> raise InputError(f"skin {skin_index} has no joints", place)',
     ): BEFORE + "tests/gltf/test_animation.py",
     (
@@ -29,6 +29,11 @@ EXPLAINED: dict[tuple[str, str, str], str] = {
         "_found",
         "if error.errno == errno.EACCES: -> place = Place(str(self._document.folder / uri))",
     ): ROOT,
+    (
+        "container.py",
+        "for_target",
+        'if pack: -> raise OutputError("--pack needs a .glb or .vrm: a .gltf has no binary chunk", Place(target))',
+    ): BEFORE + "tests/gltf/test_packing.py",
     ("budget.py", "claim", "if self.spent > max(FREE, RATIO * self.backed): -> raise InputError("): LARGE,
     ("budget.py", "claim_welding", "if self.welded > most: -> raise InputError("): COPIES,
     (

@@ -29,7 +29,7 @@ from fuzz.watching import Watch, Watcher, package
 DOCUMENTED = {0, 1, 2, 3, 4}
 CPU_SECONDS = 10.0
 MEMORY_KIB = 512 * 1024
-REPORTS = {"out/state.jsonl", "out/summary.jsonl", "out/junit.xml", "out/report.html"}
+REPORTS = {"out/state.jsonl", "out/summary.jsonl", "out/junit.xml", "out/report.html", "out/m.d"}
 SCRIPTS = ((4, 4), (1, 1))
 """The script elements of a page, and of an index: begun and ended. A name in a model must add none."""
 
@@ -365,7 +365,7 @@ def _without_targets(arguments: Sequence[str]) -> list[str]:
     for word in arguments[2:]:
         if skip:
             skip = False
-        elif word in {"-o", "--out-dir", "--summary", "--state", "--color", "--max-memory"}:
+        elif word in {"-o", "--out-dir", "--summary", "--state", "--depfile", "--color", "--max-memory"}:
             skip = True
         elif word not in {"--in-place", "--json", "--timings", "--skip-unchanged", "-v", "-vv", "-q"}:
             options.append(word)

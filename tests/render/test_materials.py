@@ -201,7 +201,10 @@ def huge() -> bytes:
     ("content", "words"),
     [
         ({"images": [{"uri": "gone.png"}], "textures": [{"source": 0}]}, "gone.png"),
-        ({"images": [{"uri": "data:,no%20picture"}], "textures": [{"source": 0}]}, "cannot be decoded"),
+        (
+            {"images": [{"uri": "data:,no%20picture"}], "textures": [{"source": 0}]},
+            "cannot be decoded: it is damaged, or no PNG, JPEG or WEBP",
+        ),
         (
             {
                 "images": [{"uri": "data:;base64," + base64.b64encode(huge()).decode()}],

@@ -118,7 +118,7 @@ class Materials:
 
 def decoded(data: Bytes, document: Document) -> Levels:
     """Return the levels of a PNG, JPEG or WebP. Raises InputError if it is none, or too large."""
-    from PIL import Image
+    from PIL import Image, UnidentifiedImageError
 
     place = document.place
     try:
@@ -131,6 +131,10 @@ def decoded(data: Bytes, document: Document) -> Levels:
                 found = image.convert("RGBA")
     except InputError:
         raise
+    except UnidentifiedImageError as error:
+        kinds = f"{', '.join(FORMATS[:-1])} or {FORMATS[-1]}"
+        message = f"an image cannot be decoded: it is damaged, or no {kinds}"
+        raise InputError(message, place) from error
     except Exception as error:  # decoders raise what their formats' readers raise: of any class
         raise InputError(f"an image cannot be decoded ({error})", place) from error
     levels = [found]
