@@ -18,7 +18,7 @@ from skinbake.gltf.rigs import rig_digest
 from tests.support.command_line import invoke
 from tests.support.compressed import draco_twin
 from tests.support.gltf_reading import read
-from tests.support.models import bake, edited, sheet, write_model
+from tests.support.models import FOLDER, bake, baked, edited, rewritten, sheet, write_model
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 SIGNALLING = 0x7F800001
@@ -207,3 +207,14 @@ def test_a_pivot_beyond_float32_is_no_warning(tmp_path: Path) -> None:
     result = invoke("bake", source, "-o", tmp_path / "out.glb")
     assert result.exit_code == 0, result.output
     assert "Warning" not in result.stderr
+
+
+def test_the_page_of_a_baked_model_that_lost_its_normals_has_no_picture_of_it(tmp_path: Path) -> None:
+    lost = tmp_path / "lost.glb"
+    model = baked(FOLDER / "bent_tube.glb", lost)
+    del model.content["meshes"][0]["primitives"][0]["attributes"]["NORMAL"]
+    rewritten(model, lost)
+    result = invoke("verify", lost, "--html", tmp_path / "page.html")
+    assert result.exit_code == 1
+    assert "it has no NORMAL" in result.stderr
+    assert (tmp_path / "page.html").read_bytes().startswith(b"<!doctype html>")

@@ -22,7 +22,7 @@ from skinbake.gltf.document import STDIO, Document, read_document
 from skinbake.gltf.images import images_missing, texture_image
 from skinbake.gltf.json_access import JsonObject
 from skinbake.gltf.output import plan_output, refuse_own_input
-from skinbake.gltf.primitives import skinned_sources
+from skinbake.gltf.primitives import reason_to_skip, skinned_sources
 from skinbake.gltf.resources import is_data_uri, read_resource
 from skinbake.gltf.writing import write_file, write_stdout
 from skinbake.lighting.baked_views import BakedView, baked_views, is_baked
@@ -104,7 +104,12 @@ def write_page(result: ViewResult, target: str, *, sync: bool = True) -> None:
 def sound_views(document: Document) -> list[BakedView]:
     """Return the baked primitives of a document whose structure is sound."""
     sources, _ = skinned_sources(document)
-    views, _ = baked_views(document, [source for source in sources if is_baked(document, source)])
+    sound = [
+        source
+        for source in sources
+        if is_baked(document, source) and reason_to_skip(document, source, generate_normals=False) is None
+    ]
+    views, _ = baked_views(document, sound)
     return views
 
 
