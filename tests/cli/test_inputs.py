@@ -213,7 +213,7 @@ def two_of_one_name(tmp_path: Path) -> list[Path]:
     return made
 
 
-@pytest.mark.parametrize("jobs", ["1", "2"])
+@pytest.mark.parametrize("jobs", ["1", pytest.param("2", marks=pytest.mark.slow)])
 def test_files_beside_of_one_name_stay_apart_whoever_is_first(
     jobs: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

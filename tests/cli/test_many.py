@@ -237,6 +237,7 @@ def summary_of(path: Path, schema: dict[str, Any]) -> tuple[list[dict[str, Any]]
     return lines[:-1], lines[-1]
 
 
+@pytest.mark.slow
 class TestSummary:
     @pytest.mark.parametrize("jobs", ["1", "2"])
     def test_bake(self, jobs: str, mixed: Path, tmp_path: Path, workers: list[int]) -> None:

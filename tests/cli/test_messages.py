@@ -244,6 +244,7 @@ def test_colour_follows_the_option(
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo terminal")
+@pytest.mark.slow
 @pytest.mark.parametrize("no_color", ["", "1"])
 def test_colour_goes_to_terminals_only_and_not_against_no_color(no_color: str, warned: Path) -> None:
     import pty
