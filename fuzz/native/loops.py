@@ -15,8 +15,8 @@ def executions(seed: int) -> int:
 
     random = np.random.default_rng(seed)
     with np.errstate(over="ignore", invalid="ignore"):  # special values are cast to other types
-        calls = [*_blends(_loops, random), *_normals(_loops, random), *_errors(_loops, random)]
-        return varied(calls, random)
+        of_loops = _blends, _turns, _normals, _errors
+        return varied([call for calls in of_loops for call in calls(_loops, random)], random)
 
 
 def _size(random: np.random.Generator, *further: int) -> int:
@@ -48,6 +48,34 @@ def _blends(loops: Any, random: np.random.Generator) -> list[Call]:
     return [
         (loops.blend, {**blend, "out": np.empty((forms, 3, vertices, poses))}, False),
         (loops.blended_normals, crossed, False),
+    ]
+
+
+def _turns(loops: Any, random: np.random.Generator) -> list[Call]:
+    """Return the loops of dual quaternions."""
+    vertices, joints, poses = (_size(random, 40) for _ in range(3))
+    slots = int(random.choice([0, 1, 2, 4, 9]))
+    first = int(random.integers(0, 3))
+    moved = {
+        "motions": floats(random, (8, joints, first + poses), "f8"),
+        "scales": floats(random, (first + poses,), "f8") if random.random() < 0.5 else None,
+        "joints": _places(random, (vertices, slots), joints),
+        "weights": floats(random, (vertices, slots), "f8"),
+        "positions": floats(random, (vertices, 3), "f8"),
+        "out": np.empty((3, vertices, poses)),
+    }
+    turned = {
+        **moved,
+        "out": np.empty((3, 3, vertices, poses)),
+        "frame": floats(random, (3, 3, vertices), "f8"),
+        "alpha": floats(random, (vertices, max(slots - 1, 0)), "f8"),
+        "beta": floats(random, (vertices, max(slots - 1, 0)), "f8"),
+        "handedness": floats(random, (vertices,), "f8"),
+        "first": first,
+    }
+    return [
+        (loops.dqs_positions, {**moved, "first": first}, False),
+        (loops.dqs_normals, turned, False),
     ]
 
 

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import sysconfig
 from collections.abc import Callable
+from dataclasses import replace
 from importlib.machinery import ExtensionFileLoader
 from importlib.util import module_from_spec, spec_from_loader
 from pathlib import Path
@@ -23,6 +24,8 @@ from skinbake.lighting.influences import Int32Array
 from skinbake.lighting.operator import GradientOperator, gradient_operator
 from skinbake.lighting.reference import RestFrames, rest_frames
 from skinbake.lighting.triangle_normals import ClassBlock, ClassSums, carried_normals, class_blocks
+from skinbake.skinning.run import Skinning
+from skinbake.skinning.surface import Options, RestSurface
 from tests.support.baked_files import verify
 from tests.support.models import FOLDER, baked
 from tests.support.strictness import missing_tool
@@ -112,6 +115,70 @@ def test_blended_normals_are_those_of_numpy(poses: int, slots: int) -> None:
     np.testing.assert_allclose(found[:, sound] * determinants, expected, rtol=1e-6, atol=1e-6)
     numpys = by_numpy.blended_normals(entries, columns, table, normals)[:, sound]
     np.testing.assert_allclose(found[:, sound] * determinants, numpys * determinants, rtol=1e-6, atol=1e-9)
+
+
+def moved_by_dqs(poses: int, slots: int, *, scaled: bool, cap: float | None = None) -> Skinning:
+    """Return 23 vertices of random frames and numbers under random motions; some slots hold nothing."""
+    rng = np.random.default_rng(poses + slots)
+    frames = np.linalg.qr(rng.normal(size=(23, 3, 3))).Q
+    weights = rng.random((23, slots)) * (rng.random((23, slots)) < 0.8)
+    weights[:, 0] += 0.1
+    alpha, beta = rng.normal(size=(2, 23, slots - 1)) * (rng.random((23, slots - 1)) < 0.8)
+    rest = RestSurface(
+        positions=rng.normal(size=(23, 3)),
+        normals=frames[:, 0],
+        tangents=frames[:, 1],
+        bitangents=frames[:, 2],
+        joints=rng.integers(0, 9, (23, slots)),
+        weights=weights / weights.sum(axis=1, keepdims=True),
+        alpha=alpha,
+        beta=beta,
+    )
+    turns = np.linalg.qr(rng.normal(size=(poses, 9, 3, 3))).Q
+    matrices = np.tile(np.eye(4), (poses, 9, 1, 1))
+    matrices[..., :3, :3] = turns * np.linalg.det(turns)[..., None, None]
+    if scaled:
+        matrices[..., :3, :3] *= rng.uniform(0.1, 3.0, (poses, 1, 1, 1))
+    matrices[..., :3, 3] = rng.normal(size=(poses, 9, 3))
+    return Skinning.of(rest, matrices, dual_quaternions=True, options=Options(cap=cap))
+
+
+@pytest.mark.parametrize("scaled", [False, True])
+@pytest.mark.parametrize("slots", [1, 2, 4, 8])
+@pytest.mark.parametrize("poses", [1, 3, 4, 31, 32, 33, 70])
+def test_dual_quaternions_are_those_of_numpy(poses: int, slots: int, scaled: bool) -> None:
+    skinning = moved_by_dqs(poses, slots, scaled=scaled)
+    for pose in (slice(0, poses), slice(poses // 3, max(poses - 1, 1))):
+        for part in (slice(0, 23), slice(3, 20), slice(5, 5)):
+            shape = 3, part.stop - part.start, pose.stop - pose.start
+            moved = by_loops.dqs_positions(skinning, pose, part)
+            assert moved.shape == shape
+            expected = by_numpy.dqs_positions(skinning, pose, part)
+            np.testing.assert_allclose(moved, expected, rtol=1e-12, atol=1e-13)
+            normals = by_loops.dqs_normals(skinning, pose, part)
+            assert normals.shape == (3, *shape)
+            expected = by_numpy.dqs_normals(skinning, pose, part)
+            size = np.abs(expected).max(axis=1, keepdims=True)
+            np.testing.assert_allclose(normals / size, expected / size, rtol=0, atol=1e-11)
+
+
+def test_dual_quaternions_that_cancel_out_leave_the_vertex() -> None:
+    skinning = moved_by_dqs(5, 1, scaled=False)
+    still = replace(skinning.vertices, rest=replace(skinning.vertices.rest, weights=np.zeros((23, 1))))
+    nowhere = replace(skinning, vertices=still)
+    for operations in (by_loops, by_numpy):
+        moved = operations.dqs_positions(nowhere, slice(0, 5), slice(0, 23))
+        assert np.allclose(moved, still.rest.positions.T[:, :, None], rtol=1e-14)
+        normals = operations.dqs_normals(nowhere, slice(0, 5), slice(0, 23))
+        assert np.allclose(np.abs(np.einsum("aivp,vi->avp", normals, still.rest.normals)), 1.0)
+
+
+def test_a_limited_correction_is_that_of_numpy() -> None:
+    limited, free = (moved_by_dqs(9, 4, scaled=False, cap=cap) for cap in (0.3, None))
+    here = slice(0, 9), slice(0, 23)
+    found = by_loops.dqs_normals(limited, *here)
+    assert np.array_equal(found, by_numpy.dqs_normals(limited, *here))
+    assert not np.allclose(found, by_loops.dqs_normals(free, *here), rtol=1e-3)
 
 
 @pytest.mark.parametrize("weighting", list(Weighting))
@@ -325,7 +392,10 @@ def test_without_any_optimisation_the_bits_are_the_same(
         errors = by_loops.angles(vectors, normals)
         counted = by_loops.count_errors(errors[0].T, np.ones(part.stop - part.start), exist[0].T, 20.0)
         sums = by_loops.class_sums(mesh.operator, mesh.deformed, ClassBlock.of(mesh.operator, part))
-        return [normals, exist, errors, sums, counted.tail, counted.total, counted.largest]
+        skinning = moved_by_dqs(45, 4, scaled=True)
+        here = skinning, slice(0, 45), slice(0, 23)
+        moved = [by_loops.dqs_positions(*here), by_loops.dqs_normals(*here)]
+        return [*moved, normals, exist, errors, sums, counted.tail, counted.total, counted.largest]
 
     expected = results()
     monkeypatch.setattr(by_loops, "_loops", other)
@@ -352,6 +422,28 @@ class TestArguments:
         np.zeros((6, 3, 7)),
         np.zeros((5, 3)),
         np.zeros((3, 5, 7)),
+    )
+    MOVED: tuple[Any, ...] = (
+        np.zeros((8, 6, 7)),
+        None,
+        np.zeros((5, 3), np.int32),
+        np.zeros((5, 3)),
+        np.zeros((5, 3)),
+        np.zeros((3, 5, 4)),
+        3,
+    )
+    TURNED: tuple[Any, ...] = (
+        np.zeros((8, 6, 7)),
+        np.zeros(7),
+        np.zeros((5, 3), np.int32),
+        np.zeros((5, 3)),
+        np.zeros((5, 3)),
+        np.zeros((3, 3, 5, 4)),
+        np.zeros((3, 3, 5)),
+        np.ones((5, 2)),
+        np.zeros((5, 2)),
+        np.ones(5),
+        3,
     )
     ROWS: tuple[Any, ...] = (
         np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]]),
@@ -423,6 +515,28 @@ class TestArguments:
         (_loops.blended_normals, FORMS, 3, np.zeros((4, 3)), ValueError),
         (_loops.blended_normals, FORMS, 3, np.zeros((5, 3), np.float32), TypeError),
         (_loops.blended_normals, FORMS, 4, np.zeros((3, 5, 8)), ValueError),
+        (_loops.dqs_positions, MOVED, 0, np.zeros((7, 6, 7)), ValueError),
+        (_loops.dqs_positions, MOVED, 0, np.zeros((8, 0, 7)), IndexError),
+        (_loops.dqs_positions, MOVED, 0, np.zeros((8, 6, 6)), ValueError),
+        (_loops.dqs_positions, MOVED, 1, np.zeros(6), ValueError),
+        (_loops.dqs_positions, MOVED, 2, np.full((5, 3), 6, np.int32), IndexError),
+        (_loops.dqs_positions, MOVED, 2, np.full((5, 3), -1, np.int32), IndexError),
+        (_loops.dqs_positions, MOVED, 3, np.zeros((5, 4)), ValueError),
+        (_loops.dqs_positions, MOVED, 4, np.zeros((5, 3), np.float32), TypeError),
+        (_loops.dqs_positions, MOVED, 5, np.zeros((3, 5, 5)), ValueError),
+        (_loops.dqs_positions, MOVED, 6, 4, ValueError),
+        (_loops.dqs_positions, MOVED, 6, -1, ValueError),
+        (_loops.dqs_normals, TURNED, 0, np.zeros((8, 6, 6)), ValueError),
+        (_loops.dqs_normals, TURNED, 1, np.zeros(6), ValueError),
+        (_loops.dqs_normals, TURNED, 2, np.array([[0, 1, 6]] * 5, np.int32), IndexError),
+        (_loops.dqs_normals, TURNED, 2, np.array([[0, -1, 0]] * 5, np.int32), IndexError),
+        (_loops.dqs_normals, TURNED, 3, np.zeros((4, 3)), ValueError),
+        (_loops.dqs_normals, TURNED, 5, np.zeros((3, 5, 4)), ValueError),
+        (_loops.dqs_normals, TURNED, 6, np.zeros((3, 3, 4)), ValueError),
+        (_loops.dqs_normals, TURNED, 7, np.zeros((5, 3)), ValueError),
+        (_loops.dqs_normals, TURNED, 8, np.zeros((4, 2)), ValueError),
+        (_loops.dqs_normals, TURNED, 9, np.ones(4), ValueError),
+        (_loops.dqs_normals, TURNED, 10, 4, ValueError),
         (_loops.gradient_rows, ROWS, 1, np.array([[0, 1, 2], [1, 3, 4]], np.int32), IndexError),
         (_loops.gradient_rows, ROWS, 1, np.array([[0, 1, 2], [1, -1, 2]], np.int32), IndexError),
         (_loops.gradient_rows, ROWS, 2, int32(0, 1, 3, 6, 5, 4), IndexError),
@@ -540,6 +654,9 @@ for turn in range(12):
         _loops.blended_normals(
             np.ones((3, V, 7)), columns.reshape(V, 7), positions.reshape(V, 3, P), np.ones((V, 3)),
             np.zeros((3, V, P)))
+        _loops.dqs_normals(
+            np.ones((8, V, 9)), None, columns.reshape(V, 7), np.ones((V, 7)), np.ones((V, 3)),
+            np.zeros((3, 3, V, 9)), np.ones((3, 3, V)), np.ones((V, 6)), np.ones((V, 6)), np.ones(V), 0)
     except (IndexError, ValueError):
         pass
     going = False

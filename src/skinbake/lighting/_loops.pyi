@@ -28,6 +28,42 @@ def blended_normals(
     det M is 0. entries are (F, B, W).
     """
 
+def dqs_positions(
+    motions: Float64Array,
+    scales: Float64Array | None,
+    joints: npt.NDArray[np.int32],
+    weights: Float64Array,
+    positions: Float64Array,
+    out: Float64Array,
+    first: int,
+    /,
+) -> None:
+    """Fill out (3, B, P) with the positions by dual quaternions, in P poses from ``first`` on.
+
+    motions (8, J, Q) are dual quaternions in Q poses, scales (Q,) the scale of each pose. joints and weights
+    (B, K). positions (B, 3).
+    """
+
+def dqs_normals(
+    motions: Float64Array,
+    scales: Float64Array | None,
+    joints: npt.NDArray[np.int32],
+    weights: Float64Array,
+    positions: Float64Array,
+    out: Float64Array,
+    frame: Float64Array,
+    alpha: Float64Array,
+    beta: Float64Array,
+    handedness: Float64Array,
+    first: int,
+    /,
+) -> None:
+    """Fill out (3, 3, B, P) with the normals of algorithms 4, 5 and 6, in P poses from ``first`` on.
+
+    frame (3, 3, B) has the components of normals, tangents and bitangents. alpha and beta (B, K − 1).
+    handedness (B,) is 1 or −1. The other arguments are those of ``dqs_positions``.
+    """
+
 def gradient_rows(
     positions: Float64Array,
     triangles: npt.NDArray[np.int32],

@@ -349,12 +349,13 @@ class SteppedSurface:
 
     def positions(self, pose: slice, part: slice) -> Float64Array:
         """Return the positions of a block: (3, V, P)."""
-        position = self._skinning.positions(pose, part)
-        return np.stack([component.T for component in position])
+        return kernel.dqs_positions(self._skinning, pose, part)
 
     def normals(self, algorithms: Sequence[Algorithm], pose: slice, part: slice) -> list[Vector]:
         """Return the normals that algorithms 4–6 give a block."""
-        return [posed.normal for posed in self._skinning.run(algorithms, pose, part)]
+        normals = kernel.dqs_normals(self._skinning, pose, part)
+        found = zip(METHODS["dqs"].values(), normals, strict=True)
+        return [tuple(axis.T for axis in normal) for algorithm, normal in found if algorithm in algorithms]
 
 
 def _joined(surfaces: Sequence[RestSurface], name: str) -> FloatArray:

@@ -6,8 +6,10 @@ The same operations in numpy, ``by_numpy``, describe the results.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TypeAlias
 
 import numpy as np
+import numpy.typing as npt
 from numpy.typing import DTypeLike
 
 from skinbake.choices import Weighting
@@ -19,6 +21,8 @@ from skinbake.lighting.reference import FLAT_FRAME, RestFrames
 from skinbake.lighting.sparse_rows import SparseRows
 from skinbake.lighting.triangle_normals import FLAT_TRIANGLE, ClassBlock, ClassSums
 from skinbake.skinning.components import Vector
+from skinbake.skinning.run import Skinning
+from skinbake.skinning.surface import RestSurface
 
 
 def blend(entries: Float64Array, columns: IntArray, table: Float64Array) -> Float64Array:
@@ -41,6 +45,50 @@ def blended_normals(
         out,
     )
     return out
+
+
+def dqs_positions(skinning: Skinning, pose: slice, part: slice) -> Float64Array:
+    """Return p' by dual quaternions for some vertices: (3, B, P)."""
+    rest = skinning.vertices.rest.rows(part)
+    out = np.empty((3, len(rest.joints), pose.stop - pose.start))
+    _loops.dqs_positions(*_moved_by_dqs(skinning, rest), out, pose.start)
+    return out
+
+
+def dqs_normals(skinning: Skinning, pose: slice, part: slice) -> Float64Array:
+    """Return the normals of algorithms 4–6 for some vertices: (3, 3, B, P). They are not of unit length."""
+    if skinning.options.cap is not None:
+        return by_numpy.dqs_normals(skinning, pose, part)
+    rest = skinning.vertices.rest.rows(part)
+    out = np.empty((3, 3, len(rest.joints), pose.stop - pose.start))
+    frame = [vectors.T for vectors in (rest.normals, rest.tangents, rest.bitangents)]
+    _loops.dqs_normals(
+        *_moved_by_dqs(skinning, rest),
+        out,
+        np.ascontiguousarray(frame, dtype=np.float64),
+        np.ascontiguousarray(rest.alpha, dtype=np.float64),
+        np.ascontiguousarray(rest.beta, dtype=np.float64),
+        np.ascontiguousarray(rest.handedness(), dtype=np.float64),
+        pose.start,
+    )
+    return out
+
+
+_Moved: TypeAlias = tuple[
+    Float64Array, Float64Array | None, npt.NDArray[np.int32], Float64Array, Float64Array
+]
+
+
+def _moved_by_dqs(skinning: Skinning, rest: RestSurface) -> _Moved:
+    """Return motions, scales, joints, weights and positions, in the types that the loops read."""
+    table, scale = skinning.motions.table, skinning.motions.scale
+    return (
+        np.ascontiguousarray(table, dtype=np.float64),
+        None if scale is None else np.ascontiguousarray(scale, dtype=np.float64),
+        np.ascontiguousarray(rest.joints, dtype=np.int32),
+        np.ascontiguousarray(rest.weights, dtype=np.float64),
+        np.ascontiguousarray(rest.positions, dtype=np.float64),
+    )
 
 
 def gradient_rows(operator: GradientOperator, part: slice, directions: Sequence[FloatArray]) -> SparseRows:

@@ -20,7 +20,9 @@ from skinbake.lighting.triangle_normals import (
     sums_of_classes,
     triangle_normals,
 )
+from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.components import Rows, Vector, cofactors, cross, dot, linear, quotient, scaled
+from skinbake.skinning.run import Skinning
 
 __all__ = [
     "angles",
@@ -28,6 +30,8 @@ __all__ = [
     "blended_normals",
     "class_sums",
     "count_errors",
+    "dqs_normals",
+    "dqs_positions",
     "gradient_rows",
     "true_normals",
 ]
@@ -66,6 +70,17 @@ def blended_normals(
     turned = cofactors(rows)
     reciprocal = quotient(1.0, dot(rows[0], turned[0]))
     return np.stack(scaled(reciprocal, linear(turned, tuple(normals.T[:, :, None]))))
+
+
+def dqs_positions(skinning: Skinning, pose: slice, part: slice) -> Float64Array:
+    """Return p' by dual quaternions for some vertices: (3, B, P)."""
+    return np.stack([component.T for component in skinning.positions(pose, part)])
+
+
+def dqs_normals(skinning: Skinning, pose: slice, part: slice) -> Float64Array:
+    """Return the normals of algorithms 4–6 for some vertices: (3, 3, B, P). They are not of unit length."""
+    found = skinning.run(list(Algorithm)[3:], pose, part)
+    return np.stack([np.stack([component.T for component in posed.normal]) for posed in found])
 
 
 def _sparse(entries: Float64Array, columns: IntArray, table: Float64Array) -> Float64Array:

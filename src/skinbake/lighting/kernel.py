@@ -17,6 +17,8 @@ __all__ = [
     "blended_normals",
     "class_sums",
     "count_errors",
+    "dqs_normals",
+    "dqs_positions",
     "gradient_rows",
     "true_normals",
 ]
@@ -32,6 +34,8 @@ try:
         blended_normals,
         class_sums,
         count_errors,
+        dqs_normals,
+        dqs_positions,
         gradient_rows,
         true_normals,
     )
@@ -43,6 +47,8 @@ except ImportError as error:
         blended_normals,
         class_sums,
         count_errors,
+        dqs_normals,
+        dqs_positions,
         gradient_rows,
         true_normals,
     )
