@@ -155,8 +155,10 @@ def verify(plan: Plan, folder: Path) -> Json:
     baked = folder / "baked.glb"
     run([*SKINBAKE, "bake", "-q", new_grid(plan.verified, folder), "-o", baked])
     poses = str(plan.poses)
+    both: Command = [*SKINBAKE, "verify", "-q", baked, "--poses", f"random:{poses}"]
     commands: dict[str, Command] = {
-        "verify": [*SKINBAKE, "verify", "-q", baked, "--method", "lbs", "--poses", f"random:{poses}"],
+        "both methods": both,
+        "LBS": [*both, "--method", "lbs"],
         "libigl": [*SCRIPT, "benchmarks.libigl_normals", str(plan.verified), poses],
     }
     return {"vertices": plan.verified, "poses": plan.poses, "runs": in_turn(commands, plan.rounds)}
@@ -169,7 +171,7 @@ def speedup(plan: Plan, folder: Path) -> Json:
     baked = folder / "baked.glb"
     run([*SKINBAKE, "bake", "-q", new_grid(plan.verified, folder), "-o", baked])
     poses = f"random:{plan.poses}"
-    verified: Command = [*SKINBAKE, "verify", "-q", baked, "--method", "lbs", "--poses", poses, "--threads"]
+    verified: Command = [*SKINBAKE, "verify", "-q", baked, "--poses", poses, "--threads"]
     cases = {f"verify {plan.verified:,} vertices, {plan.poses} poses": verified}
     for vertices in dict.fromkeys((plan.grid, plan.largest)):
         if has_room(vertices, folder):

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
-from benchmarks.import_cost import Budget, least, over, table, times
+from benchmarks.import_cost import Budget, cases, least, over, table, times
 
 SAID = """import time: self [us] | cumulative | imported package
 import time:       300 |        300 |   numpy.core
@@ -39,3 +41,12 @@ def test_the_list_names_what_help_imports() -> None:
     assert any(
         line.split()[0] == "skinbake" and line.split()[2] == "ms" for line in table("--help", found)[1:]
     )
+
+
+@pytest.mark.slow
+def test_each_command_imports_as_few_modules_as_its_budget_has(tmp_path: Path) -> None:
+    for case in cases(tmp_path):
+        excesses = over(case.budget, least(case.arguments, 1))
+        assert [excess for excess in excesses if "modules" in excess and "take" not in excess] == [], (
+            case.name
+        )

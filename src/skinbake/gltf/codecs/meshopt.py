@@ -13,7 +13,6 @@ import numpy as np
 import numpy.typing as npt
 
 from skinbake.errors import InputError, Place
-from skinbake.gltf.codecs.meshopt_filters import unfiltered
 from skinbake.gltf.json_access import JsonObject, integer, member, text
 
 KHRONOS, VENDOR = "KHR_meshopt_compression", "EXT_meshopt_compression"
@@ -105,6 +104,8 @@ def decoded(data: memoryview, packing: Packing, what: str, place: Place) -> memo
     streams of real files, the decoder never read past the end and never crashed: it checks every length.
     """
     import meshopt
+
+    from skinbake.gltf.codecs.meshopt_filters import unfiltered
 
     mode: Any = packing.mode
     try:
