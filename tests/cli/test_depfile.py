@@ -193,6 +193,7 @@ class TestRefused:
         assert result.exit_code == 4
         assert "cannot stand in a depfile" in " ".join(result.stderr.split())
         assert not Path("a.d").exists()
+        assert not Path("out").exists(), "the name was known before the bake"
 
     def test_a_depfile_that_cannot_be_written(self, here: Path) -> None:
         Path("file").touch()

@@ -217,7 +217,7 @@ def command(ctx: click.Context, inputs: tuple[str, ...], **given: Unpack[Given])
     targets, notes_at = targets_of(found, given), state_path(given)
     _check_pack(given, [target for _, target in targets])
     output = given.get("output")
-    depfile_at = check_depfile(given, ((entry.source, target) for entry, target in targets))
+    depfile_at = check_depfile(given, ((entry.source, target) for entry, target in targets), say)
     reports = {"--summary": given["summary"], "--state": notes_at, OPTION: given.get("depfile")}
     clip_files = [source for source in given.get("fit_poses", ()) if Path(source).is_file()]
     check_reports(reports, output, [*(entry.source for entry in found), *clip_files])

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from skinbake.cli import exit_codes
-from skinbake.cli.console import Command
+from skinbake.cli.console import Command, ended_by_errors
 from skinbake.cli.names import STDIO
 from skinbake.cli.writing import write_report
 from skinbake.errors import InputError, SkinbakeError
@@ -34,17 +34,19 @@ def depfile_option(command: Command) -> Command:
     )(command)
 
 
-def check_depfile(given: Given, targets: Iterable[tuple[str, str | None]]) -> str | None:
+def check_depfile(given: Given, targets: Iterable[tuple[str, str | None]], say: Console) -> str | None:
     """Return the path of the depfile, None if there is none to write.
 
     ``targets`` are the sources and the targets. Raises click.UsageError if a rule would not name two files of
-    this machine.
+    this machine. Ends the run if a name cannot stand in a rule: nothing is written yet.
     """
     path = given.get("depfile")
     if path is None:
         return None
     if given["dask"]:
         raise click.UsageError(f"{OPTION} names files of this machine, --dask uses a cluster: give only one")
+    from skinbake.report.depfile import depfile
+
     for source, target in targets:
         if STDIO in {source, target} or is_url(source) or is_url(target or ""):
             raise click.UsageError(f"{OPTION} needs files as inputs and outputs, not - and no URLs")
@@ -52,6 +54,8 @@ def check_depfile(given: Given, targets: Iterable[tuple[str, str | None]]) -> st
             raise click.UsageError(
                 f"{OPTION}: with --in-place each file would depend on itself; name an output"
             )
+        with ended_by_errors(say):
+            depfile([] if target is None else [(target, [source])])
     return None if given.get("dry_run") else path
 
 

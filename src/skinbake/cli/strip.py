@@ -55,10 +55,10 @@ def command(inputs: tuple[str, ...], **some: Unpack[Given]) -> None:
     clock, given = Clock(), alone(some)
     found = expanded(inputs, but=given.get("out_dir"))
     targets, output = targets_of(found, given), given.get("output")
-    depfile_at = check_depfile(given, ((entry.source, target) for entry, target in targets))
+    say = console(given, results_on_stderr=output == STDIO)
+    depfile_at = check_depfile(given, ((entry.source, target) for entry, target in targets), say)
     reports = {"--summary": given["summary"], OPTION: given.get("depfile")}
     check_reports(reports, output, (entry.source for entry in found))
-    say = console(given, results_on_stderr=output == STDIO)
     from skinbake.jobs.strip import MODULES, SECONDS_A_BYTE, SECONDS_A_FILE, Strip
 
     write = depfile_writer(depfile_at, given, say)

@@ -5,18 +5,20 @@ from __future__ import annotations
 from skinbake.errors import InputError, Place
 from skinbake.wording import OTHER_FORMATS
 
+_TAKE_THE_MODEL = "take the model that it belongs to"
+
 FIRST_BYTES = (
-    (b"\x89PNG", "a PNG picture"),
-    (b"\xff\xd8\xff", "a JPEG picture"),
-    (b"\xabKTX ", "a KTX picture"),
-    (b"RIFF", "a RIFF file, like a WebP picture"),
+    (b"\x89PNG", f"a PNG picture: {_TAKE_THE_MODEL}"),
+    (b"\xff\xd8\xff", f"a JPEG picture: {_TAKE_THE_MODEL}"),
+    (b"\xabKTX ", f"a KTX picture: {_TAKE_THE_MODEL}"),
+    (b"RIFF", f"a RIFF file, like a WebP picture: {_TAKE_THE_MODEL}"),
     (b"PK\x03\x04", "a ZIP archive: unpack it"),
     (b"\x1f\x8b", "a gzip archive: unpack it"),
     (b"Kaydara FBX Binary", f"FBX: {OTHER_FORMATS['.fbx']}"),
     (b"; FBX", f"FBX: {OTHER_FORMATS['.fbx']}"),
     (b"BLENDER", f"a file of Blender: {OTHER_FORMATS['.blend']}"),
     (b"version https://git-lfs", "the pointer that Git LFS left in its place: fetch it with git lfs pull"),
-    (b"<", "a web page or XML"),
+    (b"<", "a web page or XML: if it was downloaded, the server may have answered with an error"),
     (b"\xff\xfe", "text in UTF-16: save it as UTF-8"),
     (b"\xfe\xff", "text in UTF-16: save it as UTF-8"),
 )
@@ -26,7 +28,7 @@ FIRST_BYTES = (
 def refuse_other_kind(data: bytes | memoryview, place: Place) -> None:
     """Raise InputError if a file is empty, or is of another kind by its first bytes."""
     if not len(data):
-        raise InputError("it is empty", place)
+        raise InputError("it is empty: an export or a download may have stopped; write it again", place)
     head = bytes(data[:32])
     for first, kind in FIRST_BYTES:
         if head.startswith(first):
