@@ -177,7 +177,23 @@ def _errors(loops: Any, random: np.random.Generator) -> list[Call]:
         "weights": floats(random, (vertices,), "f8"),
         "valid": random.random((vertices, poses)) < 0.9 if random.random() < 0.5 else None,
         "tail": np.empty(vertices * poses, "f4"),
-        "tail_rows": np.empty(vertices * poses, "i4"),
+        "tail_weights": np.empty(vertices * poses),
         "least": float(random.choice([1.0, *SPECIAL])),
     }
-    return [(loops.angles, angles, False), (loops.count_errors, counted, False)]
+    count = _size(random, 300)
+    kept = {
+        "values": floats(random, (count,), "f4"),
+        "weights": floats(random, (count,), "f8"),
+        "least": float(random.choice([1.0, *SPECIAL])),
+    }
+    binned = {
+        **{name: kept[name] for name in ("values", "weights")},
+        "bins": np.zeros(int(random.choice([0, 100, 16384]))),
+        "shift": int(random.choice([17, 17, 0, 31, 40])),
+    }
+    return [
+        (loops.angles, angles, False),
+        (loops.count_errors, counted, False),
+        (loops.keep_at_least, kept, False),
+        (loops.add_to_bins, binned, False),
+    ]

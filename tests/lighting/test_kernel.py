@@ -20,6 +20,7 @@ from skinbake.choices import Weighting
 from skinbake.errors import ChoiceError
 from skinbake.geometry.skinned import Float64Array
 from skinbake.lighting import by_numpy, kernel, triangle_normals
+from skinbake.lighting.counted import BIN_SHIFT, BINS
 from skinbake.lighting.influences import Int32Array
 from skinbake.lighting.operator import GradientOperator, gradient_operator
 from skinbake.lighting.reference import RestFrames, rest_frames
@@ -311,6 +312,28 @@ def test_the_first_of_the_largest_errors_is_found(seed: int) -> None:
         assert (found.pose, found.vertex) == divmod(int(first), len(errors))
 
 
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_the_tail_is_that_of_numpy(dtype: type[np.floating]) -> None:
+    rng = np.random.default_rng(4)
+    values = rng.gamma(1.0, 3.0, 500).astype(dtype)
+    values[::50] = np.nan
+    values[7], values[8], values[9] = np.inf, 1e-30, 0.0
+    weights = rng.random(500)
+    for least in (0.0, 2.0, float(values[3]), 1e9):
+        found, plain = ((values.copy(), weights.copy()) for _ in range(2))
+        kept = by_loops.keep_at_least(*found, least)
+        assert kept == by_numpy.keep_at_least(*plain, least) == np.count_nonzero(values >= least)
+        for ours, numpys, whole in zip(found, plain, (values, weights), strict=True):
+            assert np.array_equal(ours[:kept], numpys[:kept])
+            assert np.array_equal(ours[:kept], whole[values >= least])
+    sound = np.isfinite(values)
+    bins, expected = np.zeros(BINS), np.zeros(BINS)
+    by_loops.add_to_bins(values[sound], weights[sound], bins)
+    by_numpy.add_to_bins(values[sound], weights[sound], expected)
+    assert np.array_equal(bins, expected)
+    assert bins.sum() == pytest.approx(weights[sound].sum())
+
+
 def test_errors_of_float64_are_counted_too() -> None:
     errors, weights, _ = errors_to_count(0)
     wide = by_loops.count_errors(errors.T.astype(np.float64), weights, None, 1.0)
@@ -491,9 +514,11 @@ class TestArguments:
         np.ones(2),
         np.ones((2, 7), np.bool_),
         np.zeros(14, np.float32),
-        np.zeros(14, np.int32),
+        np.zeros(14),
         0.0,
     )
+    KEPT: tuple[Any, ...] = (np.zeros(5, np.float32), np.ones(5), 0.5)
+    BINNED: tuple[Any, ...] = (np.ones(5, np.float32), np.ones(5), np.zeros(BINS), BIN_SHIFT)
 
     CASES: tuple[tuple[Callable[..., Any], tuple[Any, ...], int, Any, type[Exception]], ...] = (
         (_loops.blend, BLEND, 1, np.full((5, 4), 6, np.int32), IndexError),
@@ -579,8 +604,17 @@ class TestArguments:
         (_loops.count_errors, COUNT, 1, np.ones(3), ValueError),
         (_loops.count_errors, COUNT, 2, np.ones((7, 2), np.bool_), ValueError),
         (_loops.count_errors, COUNT, 3, np.zeros(13, np.float32), ValueError),
-        (_loops.count_errors, COUNT, 4, np.zeros(15, np.int32), ValueError),
+        (_loops.count_errors, COUNT, 4, np.zeros(15), ValueError),
         (_loops.count_errors, COUNT, 0, np.zeros((2, 7)), TypeError),
+        (_loops.keep_at_least, KEPT, 0, np.zeros(4, np.float32), ValueError),
+        (_loops.keep_at_least, KEPT, 0, np.zeros(5), TypeError),
+        (_loops.keep_at_least, KEPT, 1, np.zeros(10)[::2], ValueError),
+        (_loops.add_to_bins, BINNED, 0, np.zeros(4, np.float32), ValueError),
+        (_loops.add_to_bins, BINNED, 0, np.zeros(5), TypeError),
+        (_loops.add_to_bins, BINNED, 2, np.zeros(9), IndexError),
+        (_loops.add_to_bins, BINNED, 2, np.zeros(BINS, np.float32), TypeError),
+        (_loops.add_to_bins, BINNED, 3, 32, ValueError),
+        (_loops.add_to_bins, BINNED, 3, -1, ValueError),
     )
 
     def test_these_are_right(self) -> None:

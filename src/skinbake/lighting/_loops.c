@@ -1504,14 +1504,14 @@ done:
 
 /* ---- Counting errors (twin: by_numpy.count_errors) ----------------------------------------------------- */
 
-enum { ERRORS, WEIGHTS, COUNTED, TAIL, TAIL_ROWS, COUNT_ARRAYS };
+enum { ERRORS, WEIGHTS, COUNTED, TAIL, TAIL_WEIGHTS, COUNT_ARRAYS };
 
 static const Requirement count_arrays[COUNT_ARRAYS] = {
     [ERRORS] = {"errors", "f", "BP", READ},
     [WEIGHTS] = {"weights", "d", "B", READ},
     [COUNTED] = {"valid", "?", "BP", OR_NONE},
     [TAIL] = {"tail", "f", "N", WRITTEN},
-    [TAIL_ROWS] = {"tail_rows", "i", "N", WRITTEN},
+    [TAIL_WEIGHTS] = {"tail_weights", "d", "N", WRITTEN},
 };
 
 typedef struct {
@@ -1519,7 +1519,7 @@ typedef struct {
     const double *weights;
     const char *valid;
     float *tail;
-    int32_t *tail_rows;
+    double *tail_weights;
     Py_ssize_t block, poses;
     float least; /* smaller errors cannot be in the tail */
 } Counting;
@@ -1542,17 +1542,18 @@ static ALWAYS_INLINE void count_one(const Counting *c, Counted *n, float error, 
         n->largest = value, n->pose = pose, n->vertex = row;
     if (value >= c->least) {
         c->tail[n->kept] = value;
-        c->tail_rows[n->kept++] = (int32_t)row;
+        c->tail_weights[n->kept++] = c->weights[row];
     }
 }
 
 /* Keep the errors of a row that may be in the tail: without a branch, since one in twenty is. */
 static ALWAYS_INLINE void keep_tail(const Counting *c, Counted *n, const float *errors, Py_ssize_t row)
 {
+    const double weight = c->weights[row];
     Py_ssize_t kept = n->kept;
     for (Py_ssize_t p = 0; p < c->poses; p++) {
         c->tail[kept] = errors[p];
-        c->tail_rows[kept] = (int32_t)row;
+        c->tail_weights[kept] = weight;
         kept += errors[p] >= c->least;
     }
     n->kept = kept;
@@ -1638,15 +1639,15 @@ static PyObject *count_errors(PyObject *Py_UNUSED(module), PyObject *args)
     Py_ssize_t sizes[26];
     float least_kept;
     memset(a, 0, sizeof a);
-    if (!PyArg_ParseTuple(args, "OOOOOf", &o[ERRORS], &o[WEIGHTS], &o[COUNTED], &o[TAIL], &o[TAIL_ROWS], &least_kept))
+    if (!PyArg_ParseTuple(args, "OOOOOf", &o[ERRORS], &o[WEIGHTS], &o[COUNTED], &o[TAIL], &o[TAIL_WEIGHTS], &least_kept))
         return NULL;
     if (read_arrays(o, count_arrays, COUNT_ARRAYS, a, sizes) < 0)
         goto done;
-    if (SIZE('N') < SIZE('B') * SIZE('P') || SIZE('B') > INT32_MAX) {
+    if (SIZE('N') < SIZE('B') * SIZE('P')) {
         PyErr_SetString(PyExc_ValueError, "the tail has no room for all errors");
         goto done;
     }
-    const Counting work = {DATA(ERRORS), DATA(WEIGHTS), DATA(COUNTED), DATA(TAIL), DATA(TAIL_ROWS), SIZE('B'),
+    const Counting work = {DATA(ERRORS), DATA(WEIGHTS), DATA(COUNTED), DATA(TAIL), DATA(TAIL_WEIGHTS), SIZE('B'),
                            SIZE('P'),    least_kept};
     Counted n;
     Py_BEGIN_ALLOW_THREADS
@@ -1655,6 +1656,90 @@ static PyObject *count_errors(PyObject *Py_UNUSED(module), PyObject *args)
     result = Py_BuildValue("nnnddfnn", n.samples, n.undefined, n.kept, n.weight, n.sum, n.largest, n.pose, n.vertex);
 done:
     release_arrays(a, COUNT_ARRAYS);
+    return result;
+}
+
+/* ---- The tail of the errors (twins: by_numpy.keep_at_least, by_numpy.add_to_bins) ----------------------- */
+
+enum { VALUES, VALUE_WEIGHTS, KEPT_ARRAYS, BINS = KEPT_ARRAYS, BINNED_ARRAYS };
+
+static const Requirement kept_arrays[KEPT_ARRAYS] = {
+    [VALUES] = {"values", "f", "N", WRITTEN},
+    [VALUE_WEIGHTS] = {"weights", "d", "N", WRITTEN},
+};
+
+static const Requirement binned_arrays[BINNED_ARRAYS] = {
+    [VALUES] = {"values", "f", "N", READ},
+    [VALUE_WEIGHTS] = {"weights", "d", "N", READ},
+    [BINS] = {"bins", "d", "M", WRITTEN},
+};
+
+static PyObject *keep_at_least(PyObject *Py_UNUSED(module), PyObject *args)
+{
+    PyObject *o[KEPT_ARRAYS], *result = NULL;
+    Array a[KEPT_ARRAYS];
+    Py_ssize_t sizes[26], kept = 0;
+    double wanted;
+    memset(a, 0, sizeof a);
+    if (!PyArg_ParseTuple(args, "OOd", &o[VALUES], &o[VALUE_WEIGHTS], &wanted))
+        return NULL;
+    if (read_arrays(o, kept_arrays, KEPT_ARRAYS, a, sizes) < 0)
+        goto done;
+    float *values = DATA(VALUES);
+    double *weights = DATA(VALUE_WEIGHTS);
+    Py_BEGIN_ALLOW_THREADS
+    for (Py_ssize_t n = 0; n < SIZE('N'); n++) {
+        const float value = values[n];
+        values[kept] = value, weights[kept] = weights[n];
+        kept += value >= wanted;
+    }
+    Py_END_ALLOW_THREADS
+    result = PyLong_FromSsize_t(kept);
+done:
+    release_arrays(a, KEPT_ARRAYS);
+    return result;
+}
+
+/* Add each weight to the bin of its value. Return 1 for a value beyond the last bin. */
+static int fill_bins(const float *values, const double *weights, Py_ssize_t count, double *bins, Py_ssize_t size,
+                     int shift)
+{
+    for (Py_ssize_t n = 0; n < count; n++) {
+        uint32_t bits;
+        memcpy(&bits, &values[n], sizeof bits);
+        const Py_ssize_t bin = (Py_ssize_t)((bits & INT32_MAX) >> shift);
+        if (bin >= size)
+            return 1;
+        bins[bin] += weights[n];
+    }
+    return 0;
+}
+
+static PyObject *add_to_bins(PyObject *Py_UNUSED(module), PyObject *args)
+{
+    PyObject *o[BINNED_ARRAYS], *result = NULL;
+    Array a[BINNED_ARRAYS];
+    Py_ssize_t sizes[26];
+    int shift;
+    memset(a, 0, sizeof a);
+    if (!PyArg_ParseTuple(args, "OOOi", &o[VALUES], &o[VALUE_WEIGHTS], &o[BINS], &shift))
+        return NULL;
+    if (read_arrays(o, binned_arrays, BINNED_ARRAYS, a, sizes) < 0)
+        goto done;
+    if (shift < 0 || shift > 31) {
+        PyErr_SetString(PyExc_ValueError, "a float has 32 bits to shift");
+        goto done;
+    }
+    const float *values = DATA(VALUES);
+    const double *weights = DATA(VALUE_WEIGHTS);
+    double *bins = DATA(BINS);
+    int stray;
+    Py_BEGIN_ALLOW_THREADS
+    stray = fill_bins(values, weights, SIZE('N'), bins, SIZE('M'), shift);
+    Py_END_ALLOW_THREADS
+    result = none_unless(stray);
+done:
+    release_arrays(a, BINNED_ARRAYS);
     return result;
 }
 
@@ -1673,7 +1758,10 @@ static PyMethodDef functions[] = {
     {"true_normals", true_normals, METH_VARARGS, "true_normals(...): fill normals and exist; see _loops.pyi."},
     {"angles", angles, METH_VARARGS, "angles(x, y, z, expected, angles): fill angles, in degrees."},
     {"count_errors", count_errors, METH_VARARGS,
-     "count_errors(errors, weights, valid, tail, tail_rows, least): fill the tail; return counts and sums."},
+     "count_errors(errors, weights, valid, tail, tail_weights, least): fill the tail; return counts and sums."},
+    {"keep_at_least", keep_at_least, METH_VARARGS,
+     "keep_at_least(values, weights, least): move the values of at least least to the front; return how many."},
+    {"add_to_bins", add_to_bins, METH_VARARGS, "add_to_bins(values, weights, bins, shift): add the weights to bins."},
     {NULL, NULL, 0, NULL},
 };
 

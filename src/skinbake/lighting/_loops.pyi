@@ -139,12 +139,18 @@ def count_errors(
     weights: Float64Array,
     valid: BoolArray | None,
     tail: Float32Array,
-    tail_rows: npt.NDArray[np.int32],
+    tail_weights: Float64Array,
     least: float,
     /,
 ) -> tuple[int, int, int, float, float, float, int, int]:
-    """Count errors (B, P) with weights (B,), and fill tail and tail_rows with those of at least ``least``.
+    """Count errors (B, P) with weights (B,), and fill tail and its weights with those of at least ``least``.
 
     Return samples, undefined ones, the length of the tail, the counted weight, the weighted sum, the largest
     error (−1: none), its pose and its row.
     """
+
+def keep_at_least(values: Float32Array, weights: Float64Array, least: float, /) -> int:
+    """Move values (N,) of at least ``least`` to the front, and their weights. Return their number."""
+
+def add_to_bins(values: Float32Array, weights: Float64Array, bins: Float64Array, shift: int, /) -> None:
+    """Add weights (N,) to the bins that the bits of values (N,), without their sign, name after a shift."""

@@ -15,7 +15,7 @@ from numpy.typing import DTypeLike
 from skinbake.choices import Weighting
 from skinbake.geometry.skinned import BoolArray, Float32Array, Float64Array, FloatArray, IntArray
 from skinbake.lighting import _loops, by_numpy
-from skinbake.lighting.counted import CountedErrors
+from skinbake.lighting.counted import BIN_SHIFT, CountedErrors
 from skinbake.lighting.operator import GradientOperator
 from skinbake.lighting.reference import FLAT_FRAME, RestFrames
 from skinbake.lighting.sparse_rows import SparseRows
@@ -183,10 +183,10 @@ def count_errors(
     if errors.dtype != np.float32:
         return by_numpy.count_errors(errors, weights, valid, least)
     rows = np.ascontiguousarray(errors.T)
-    tail, tail_rows = np.empty(rows.size, dtype=np.float32), np.empty(rows.size, dtype=np.int32)
+    tail, tail_weights = np.empty(rows.size, dtype=np.float32), np.empty(rows.size)
     exist = None if valid is None else np.ascontiguousarray(valid.T)
     samples, undefined, kept, weight, total, largest, pose, row = _loops.count_errors(
-        rows, weights, exist, tail, tail_rows, least
+        rows, weights, exist, tail, tail_weights, least
     )
     return CountedErrors(
         samples=samples,
@@ -197,5 +197,17 @@ def count_errors(
         pose=pose,
         vertex=row,
         tail=tail[:kept].copy(),
-        tail_weights=weights[tail_rows[:kept]],
+        tail_weights=tail_weights[:kept].copy(),
     )
+
+
+def keep_at_least(values: FloatArray, weights: Float64Array, least: float) -> int:
+    """Move values (N,) of at least ``least`` to the front, with their weights. Return their number."""
+    if values.dtype != np.float32:
+        return by_numpy.keep_at_least(values, weights, least)
+    return _loops.keep_at_least(values, weights, least)
+
+
+def add_to_bins(values: FloatArray, weights: Float64Array, bins: Float64Array) -> None:
+    """Add the weights (N,) of values (N,) to their bins."""
+    _loops.add_to_bins(np.asarray(values, dtype=np.float32), weights, bins, BIN_SHIFT)

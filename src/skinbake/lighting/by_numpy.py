@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import DTypeLike
 
 from skinbake.geometry.skinned import BoolArray, Float32Array, Float64Array, FloatArray, IntArray
-from skinbake.lighting.counted import CountedErrors
+from skinbake.lighting.counted import CountedErrors, bin_of
 from skinbake.lighting.metrics import angles_of_units, unit_vectors
 from skinbake.lighting.operator import GradientOperator, weights_of_corners
 from skinbake.lighting.reference import RestFrames, posed_tangents, tangent_normals
@@ -25,6 +25,7 @@ from skinbake.skinning.components import Rows, Vector, cofactors, cross, dot, li
 from skinbake.skinning.run import Skinning
 
 __all__ = [
+    "add_to_bins",
     "angles",
     "blend",
     "blended_normals",
@@ -33,6 +34,7 @@ __all__ = [
     "dqs_normals",
     "dqs_positions",
     "gradient_rows",
+    "keep_at_least",
     "true_normals",
 ]
 
@@ -211,3 +213,15 @@ def count_errors(
         tail=by_vertex.ravel()[kept],
         tail_weights=positive[kept // max(1, len(errors))],
     )
+
+
+def keep_at_least(values: FloatArray, weights: Float64Array, least: float) -> int:
+    """Move values (N,) of at least ``least`` to the front, with their weights. Return their number."""
+    chosen = np.flatnonzero(values >= least)
+    values[: len(chosen)], weights[: len(chosen)] = values[chosen], weights[chosen]
+    return len(chosen)
+
+
+def add_to_bins(values: FloatArray, weights: Float64Array, bins: Float64Array) -> None:
+    """Add the weights (N,) of values (N,) to their bins."""
+    bins += np.bincount(bin_of(values), weights, minlength=len(bins))

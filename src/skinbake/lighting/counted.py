@@ -4,7 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from skinbake.geometry.skinned import Float64Array, FloatArray
+from skinbake.lighting.influences import Int32Array
+
+BIN_SHIFT = 17
+"""The bits of a positive float32 that its bin ignores."""
+
+BINS = 1 << (31 - BIN_SHIFT)
+"""The number of bins of errors: 64 to each power of two."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,3 +35,8 @@ class CountedErrors:
     vertex: int
     tail: FloatArray
     tail_weights: Float64Array
+
+
+def bin_of(values: FloatArray) -> Int32Array:
+    """Return the bin of each value: the exponent and the first bits of its float32."""
+    return np.abs(values).astype(np.float32).view(np.int32) >> BIN_SHIFT

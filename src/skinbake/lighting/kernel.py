@@ -12,6 +12,7 @@ import logging
 from skinbake.choices import numpy_asked_for
 
 __all__ = [
+    "add_to_bins",
     "angles",
     "blend",
     "blended_normals",
@@ -20,6 +21,7 @@ __all__ = [
     "dqs_normals",
     "dqs_positions",
     "gradient_rows",
+    "keep_at_least",
     "true_normals",
 ]
 
@@ -29,6 +31,7 @@ try:
     if numpy_asked_for():
         raise ImportError("SKINBAKE_KERNEL asks for numpy")
     from skinbake.lighting.by_loops import (
+        add_to_bins,
         angles,
         blend,
         blended_normals,
@@ -37,11 +40,13 @@ try:
         dqs_normals,
         dqs_positions,
         gradient_rows,
+        keep_at_least,
         true_normals,
     )
 except ImportError as error:
     logger.info("without its compiled loops (%s): verify takes several times as long", error)
     from skinbake.lighting.by_numpy import (
+        add_to_bins,
         angles,
         blend,
         blended_normals,
@@ -50,6 +55,7 @@ except ImportError as error:
         dqs_normals,
         dqs_positions,
         gradient_rows,
+        keep_at_least,
         true_normals,
     )
 

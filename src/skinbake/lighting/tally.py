@@ -9,20 +9,15 @@ import numpy as np
 
 from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray
 from skinbake.lighting import kernel
-from skinbake.lighting.counted import CountedErrors
-from skinbake.lighting.influences import Int32Array
+from skinbake.lighting.counted import BIN_SHIFT, BINS, CountedErrors, bin_of
 
 _SHARES = (0.95, 0.99)
 
 # The number of samples that a tail gathers before it is shortened for the first time.
 _TAIL = 1 << 16
 
-# The number of samples that wait for their bins. To sum up the bins takes as long as to fill in so many.
+# The number of samples that wait for their bins: to sum up the bins takes as long as to fill in so many.
 _WAITING = 1 << 15
-
-# The bits of a positive float32 that its bin ignores, and the number of bins: 64 to each power of two.
-_SHIFT = 17
-_BINS = 1 << (31 - _SHIFT)
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,8 +96,7 @@ class ErrorTally:
             if self._worst is None or found.largest > self._worst[0] or worst[1:] < self._worst[1:]:
                 self._worst = worst
         # Fewer errors are needed now than when the block was counted, which several threads may do early.
-        chosen = found.tail >= max(self._tail.least, 0.0)
-        self._tail.add(found.tail[chosen], found.tail_weights[chosen])
+        self._tail.add(found.tail, found.tail_weights)
 
     def summary(self) -> ErrorSummary | None:
         """Summarise the counted errors; None if there are none. No more can be added afterwards."""
@@ -134,55 +128,64 @@ class _Tail:
     def __init__(self, needed: float) -> None:
         self._needed = needed
         self.least = 0.0
-        self._values: list[FloatArray] = []
-        self._weights: list[Float64Array] = []
+        self._values: FloatArray = np.empty(0, dtype=np.float32)
+        self._weights: Float64Array = np.empty(0)
         self._count, self._limit = 0, _TAIL
         self._bins: Float64Array | None = None
-        self._noted, self._waiting = 0, 0
+        self._noted = 0
 
     def add(self, errors: FloatArray, weights: Float64Array) -> None:
-        """Take the errors (N,), all of at least ``least``, that may be in the tail, and their weights."""
-        self._values.append(errors)
-        self._weights.append(weights)
-        self._count += len(errors)
-        self._waiting += len(errors)
-        if self._count > self._limit or (self._bins is not None and self._waiting > _WAITING):
+        """Take errors (N,) that may be in the tail, and their weights."""
+        first, end = self._count, self._count + len(errors)
+        self._make_room(end, errors.dtype)
+        self._values[first:end], self._weights[first:end] = errors, weights
+        self._count += self._kept(first, end)
+        if self._count > self._limit or (self._bins is not None and self._count - self._noted > _WAITING):
             self._note()
         if self._count > self._limit:
             self._shorten()
 
+    def _make_room(self, count: int, dtype: np.dtype[np.floating]) -> None:
+        """Have room for so many values of a type."""
+        dtype = np.result_type(self._values, dtype) if self._count else dtype
+        if count <= len(self._values) and dtype == self._values.dtype:
+            return
+        room = max(count, 2 * len(self._values))
+        values, weights = np.empty(room, dtype=dtype), np.empty(room)
+        values[: self._count] = self._values[: self._count]
+        weights[: self._count] = self._weights[: self._count]
+        self._values, self._weights = values, weights
+
+    def _kept(self, first: int, end: int) -> int:
+        """Drop the values below ``least`` from a part, and return how many are left."""
+        return kernel.keep_at_least(self._values[first:end], self._weights[first:end], self.least)
+
     def _note(self) -> None:
-        """Add the waiting values to their bins, and raise ``least`` while enough weight stays above it."""
+        """Add the new values to their bins, and raise ``least`` while enough weight stays above it."""
         if self._bins is None:
-            self._bins = np.zeros(_BINS)
-        values, weights = (
-            np.concatenate([*parts[self._noted :], parts[0][:0]]) for parts in (self._values, self._weights)
-        )
-        self._noted, self._waiting = len(self._values), 0
-        self._bins += np.bincount(_bin_of(values), weights, minlength=_BINS)
+            self._bins = np.zeros(BINS)
+        new = slice(self._noted, self._count)
+        kernel.add_to_bins(self._values[new], self._weights[new], self._bins)
+        self._noted = self._count
         above = np.cumsum(self._bins[::-1])
         place = int(np.searchsorted(above, self._needed))
-        if place < _BINS:
+        if place < BINS:
             # float64 values may be a little below the float32 that named their bin.
-            edge = np.array([(_BINS - 1 - place) << _SHIFT], dtype=np.int32).view(np.float32)[0]
+            edge = np.array([(BINS - 1 - place) << BIN_SHIFT], dtype=np.int32).view(np.float32)[0]
             self.least = float(edge) * (1.0 - 1e-6)
 
     def _shorten(self) -> None:
         """Drop the values below ``least``."""
-        values, weights = np.concatenate(self._values), np.concatenate(self._weights)
-        chosen = values >= self.least
-        self._values, self._weights = [values[chosen]], [weights[chosen]]
-        self._noted = 1
-        self._count = len(self._values[0])
+        self._count = self._noted = self._kept(0, self._count)
         self._limit = max(_TAIL, 2 * self._count)
 
     def percentiles(self, weight: float) -> list[float]:
         """Invert the cumulative weight of all values that were added, ``weight`` in total."""
         if self._bins is not None:
             self._note()
-        values, weights = np.concatenate(self._values), np.concatenate(self._weights)
-        places = _bin_of(values)
-        in_bins = np.bincount(places, weights, minlength=_BINS) if self._bins is None else self._bins
+        values, weights = self._values[: self._count], self._weights[: self._count]
+        places = bin_of(values)
+        in_bins = np.bincount(places, weights, minlength=BINS) if self._bins is None else self._bins
         below = max(0.0, weight - float(in_bins.sum()))
         cumulative = below + np.cumsum(in_bins)
 
@@ -199,8 +202,3 @@ class _Tail:
             ordered, sums = in_order(min(int(np.searchsorted(cumulative, wanted)), int(places.max())))
             found.append(float(ordered[min(int(np.searchsorted(sums, wanted)), len(ordered) - 1)]))
         return found
-
-
-def _bin_of(values: FloatArray) -> Int32Array:
-    """Return the bin of each value: the exponent and the first bits of its float32."""
-    return np.abs(values).astype(np.float32).view(np.int32) >> _SHIFT
