@@ -16,6 +16,9 @@ _SHARES = (0.95, 0.99)
 # The number of samples that a tail gathers before it is shortened for the first time.
 _TAIL = 1 << 16
 
+# The room of a tail, in multiples of the values that are needed. Less room takes more time.
+_ROOM = 1.25
+
 # The number of samples that wait for their bins: to sum up the bins takes as long as to fill in so many.
 _WAITING = 1 << 15
 
@@ -150,7 +153,7 @@ class _Tail:
         dtype = np.result_type(self._values, dtype) if self._count else dtype
         if count <= len(self._values) and dtype == self._values.dtype:
             return
-        room = max(count, 2 * len(self._values))
+        room = max(count, int(_ROOM * len(self._values)))
         values, weights = np.empty(room, dtype=dtype), np.empty(room)
         values[: self._count] = self._values[: self._count]
         weights[: self._count] = self._weights[: self._count]
@@ -177,7 +180,7 @@ class _Tail:
     def _shorten(self) -> None:
         """Drop the values below ``least``."""
         self._count = self._noted = self._kept(0, self._count)
-        self._limit = max(_TAIL, 2 * self._count)
+        self._limit = max(_TAIL, int(_ROOM * self._count))
 
     def percentiles(self, weight: float) -> list[float]:
         """Invert the cumulative weight of all values that were added, ``weight`` in total."""
