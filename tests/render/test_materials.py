@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import io
 import struct
 import zlib
 from pathlib import Path
@@ -24,6 +23,7 @@ from tests.support.characters import Array
 from tests.support.command_line import invoke
 from tests.support.models import edited, sheet, write_model
 from tests.support.morphed_files import morphed, warped
+from tests.support.textured import image
 from tests.support.webgpu import NAGA
 
 SIZE = "160x120"
@@ -34,13 +34,6 @@ TUBE = "bent_tube.glb"
 def device() -> None:
     """Skip where no device draws."""
     NAGA.require()
-
-
-def image(*rows: list[tuple[int, int, int]]) -> dict[str, str]:
-    """Return a glTF image that holds the pixels of these rows as PNG."""
-    data = io.BytesIO()
-    Image.fromarray(np.array(rows, np.uint8)).save(data, "PNG")
-    return {"uri": "data:image/png;base64," + base64.b64encode(data.getvalue()).decode()}
 
 
 def drawn(path: Path, *options: str) -> Array:

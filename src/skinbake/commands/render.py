@@ -282,6 +282,8 @@ def _posed(document: Document, draw: _Draw, clip: Clip | None, times: Float64Arr
 def _subject(document: Document, number: int, draw: _Draw, view: BakedView, material: Material) -> Subject:
     at_rest = draw.skeleton.joint_matrices({}, None, 1)[0, :, :3, :3]
     count = len(view.now.positions)
+    texcoords = _texcoords(document, view, material, count)
+    material = material.with_images(texcoords)
     colours = None if material.is_plain else _attribute(document, view, "COLOR_0", (3, 4), count)
     if colours is not None and material.base == CLAY:
         material = replace(material, base=WHITE)
@@ -290,11 +292,23 @@ def _subject(document: Document, number: int, draw: _Draw, view: BakedView, mate
         triangles=view.now.triangles,
         pose_set=number,
         material=material,
-        texcoords=_attribute(document, view, "TEXCOORD_0", (2,), count) if material.images else None,
+        texcoords=texcoords,
         colours=colours,
         is_mirrored=bool((np.linalg.det(at_rest) < 0).any()),
         has_tangents=view.metadata["frame"] == Frame.TANGENT,
     )
+
+
+def _texcoords(document: Document, view: BakedView, material: Material, count: int) -> dict[str, FloatArray]:
+    """Return the texture coordinates (V, 2) of each image that lies on a set which the primitive has."""
+    ours = {*view.metadata["alpha"], *view.metadata["beta"]}  # they may be stored as such sets
+    found: dict[str, FloatArray] = {}
+    for use, placement in material.placements.items():
+        name = f"TEXCOORD_{placement.texcoord}"
+        own = None if name in ours else _attribute(document, view, name, (2,), count)
+        if own is not None:
+            found[use] = placement.placed(own)
+    return found
 
 
 def _attribute(

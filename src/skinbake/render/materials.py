@@ -1,17 +1,18 @@
-"""What a picture shows of a material: its factors, and the levels of its images (glTF 2.0, §3.9)."""
+"""What a picture shows of a material: its factors, its images, and where they lie (glTF 2.0, §3.9)."""
 
 from __future__ import annotations
 
 import io
 import warnings
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Container, Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from skinbake.errors import InputError, Notice
+from skinbake.geometry.skinned import FloatArray
 from skinbake.gltf.document import Document
 from skinbake.gltf.glb import Bytes
 from skinbake.gltf.images import image_bytes, images_missing, texture_image
@@ -30,18 +31,39 @@ LARGEST = 2048
 """Pixels along a side of an image. Larger ones are scaled down; a picture has no more itself."""
 
 FORMATS = ("PNG", "JPEG", "WEBP")
+TRANSFORM = "KHR_texture_transform"
+BLACK = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Placement:
+    """Where an image lies on a primitive: the set of texture coordinates, and what moves them.
+
+    offset and scale are in (u, v). rotation is in radians, from v to u.
+    """
+
+    texcoord: int = 0
+    offset: tuple[float, ...] = (0.0, 0.0)
+    rotation: float = 0.0
+    scale: tuple[float, ...] = (1.0, 1.0)
+
+    def placed(self, coordinates: FloatArray) -> FloatArray:
+        """Return texture coordinates (V, 2) scaled, then turned, then moved."""
+        cosine, sine = np.cos(self.rotation), np.sin(self.rotation)
+        turned = np.array([[cosine, sine], [-sine, cosine]])
+        return np.asarray(coordinates * self.scale @ turned.T + self.offset)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Material:
-    """Linear factors, and images by use: ``base``, ``normal``, ``emissive``.
+    """Linear factors, and images by use: ``base``, ``normal``, ``emissive``; and where each of them lies.
 
     Alpha under cutoff is not drawn; 0 draws all. is_double: it is seen from behind too. is_plain: colours of
     vertices are not drawn either.
     """
 
     base: tuple[float, ...] = CLAY
-    emissive: tuple[float, ...] = (0.0, 0.0, 0.0)
+    emissive: tuple[float, ...] = BLACK
     roughness: float = CLAY_ROUGHNESS
     normal_scale: float = 1.0
     cutoff: float = 0.0
@@ -49,6 +71,17 @@ class Material:
     is_double: bool = False
     is_plain: bool = False
     images: Mapping[str, Levels] = field(default_factory=dict)
+    placements: Mapping[str, Placement] = field(default_factory=dict)
+
+    def with_images(self, uses: Container[str]) -> Material:
+        """Return it without the images of other uses, and without the factors that belong to these."""
+        lost = {use for use in self.images if use not in uses}
+        return replace(
+            self,
+            base=CLAY if "base" in lost else self.base,
+            emissive=BLACK if "emissive" in lost else self.emissive,
+            images={use: levels for use, levels in self.images.items() if use not in lost},
+        )
 
 
 class Materials:
@@ -86,24 +119,25 @@ class Materials:
         }
         images = {use: levels for use, info in named.items() if (levels := self._image(info)) is not None}
         base = _numbers(pbr, "baseColorFactor", WHITE if "base" in images else CLAY)
-        emissive = _numbers(content, "emissiveFactor", (0.0, 0.0, 0.0))
+        emissive = _numbers(content, "emissiveFactor", BLACK)
         mode = content.get("alphaMode")
         return Material(
             # A factor that belongs to an image says little without it.
             base=CLAY if named["base"] and "base" not in images else base,
-            emissive=(0.0, 0.0, 0.0) if named["emissive"] and "emissive" not in images else emissive,
+            emissive=BLACK if named["emissive"] and "emissive" not in images else emissive,
             roughness=float(np.clip(_number(pbr, "roughnessFactor", 1.0), *ROUGHNESS)),
             normal_scale=_number(named["normal"], "scale", 1.0),
             cutoff=_number(content, "alphaCutoff", 0.5) if mode == "MASK" else 0.0,
             is_blended=mode == "BLEND",
             is_double=content.get("doubleSided") is True,
             images=images,
+            placements={use: _placement(named[use]) for use in images},
         )
 
     def _image(self, info: dict[str, Any]) -> Levels | None:
         """Return the image that a texture info names; None without one, or if it cannot be shown."""
         texture = reference(info.get("index"))
-        if texture is None or info.get("texCoord", 0) != 0:
+        if texture is None:
             return None
         if texture not in self._images:
             self._images[texture] = None
@@ -114,6 +148,18 @@ class Materials:
             except InputError as error:
                 self._lost.append(error.message)
         return self._images[texture]
+
+
+def _placement(info: dict[str, Any]) -> Placement:
+    """Return where a texture info puts its image. Values of other types are as if they were not there."""
+    told = _object(_object(info.get("extensions")).get(TRANSFORM))
+    sets = (reference(holder.get("texCoord")) for holder in (told, info))
+    return Placement(
+        texcoord=next((number for number in sets if number is not None and number >= 0), 0),
+        offset=_numbers(told, "offset", (0.0, 0.0)),
+        rotation=_number(told, "rotation", 0.0),
+        scale=_numbers(told, "scale", (1.0, 1.0)),
+    )
 
 
 def decoded(data: Bytes, document: Document) -> Levels:

@@ -17,8 +17,9 @@ struct Varying {
     @location(2) error: vec2<f32>,
     @location(3) tangent: vec3<f32>,
     @location(4) bitangent: vec3<f32>,
-    @location(5) texcoord: vec2<f32>,
-    @location(6) color: vec4<f32>,
+    @location(5) texcoords: vec4<f32>, // of the base colour's image, and of the normal map
+    @location(6) glow_texcoord: vec2<f32>,
+    @location(7) color: vec4<f32>,
 }
 const HAS_NORMAL_MAP = 1u;
 const HAS_TANGENTS = 2u;
@@ -39,7 +40,7 @@ fn vertex(@builtin(vertex_index) index: u32) -> Varying {
     let frame = skinbake_Frame(row[1].xyz, row[2].xyz, row[3].xyz, row[2].w);
     let v = skinbake_CALL;
     return Varying(scene.projected * vec4<f32>(v.position, 1.0), v.position, normalize(v.normal),
-        vec2<f32>(row[0].w, row[1].w), v.tangent, v.bitangent, row[4].xy, row[5]);
+        vec2<f32>(row[0].w, row[1].w), v.tangent, v.bitangent, row[4], row[5].xy, row[6]);
 }
 
 fn linear(c: vec3<f32>) -> vec3<f32> { return pow(c, vec3<f32>(2.2)); }
@@ -85,13 +86,13 @@ fn heat(share: f32) -> vec3<f32> {
 @fragment
 fn fragment(in: Varying, @builtin(front_facing) is_front: bool) -> @location(0) vec4<f32> {
     // Derivatives and samples stand before every branch, as WGSL wants. y goes down here, and up in glTF's frame.
-    let texel = textureSample(base_map, smooth_sampler, in.texcoord);
-    let slope = textureSample(normal_map, smooth_sampler, in.texcoord).rgb;
-    let glow = textureSample(emissive_map, smooth_sampler, in.texcoord).rgb;
+    let texel = textureSample(base_map, smooth_sampler, in.texcoords.xy);
+    let slope = textureSample(normal_map, smooth_sampler, in.texcoords.zw).rgb;
+    let glow = textureSample(emissive_map, smooth_sampler, in.glow_texcoord).rgb;
     let px = dpdx(in.place);
     let py = -dpdy(in.place);
-    let ux = dpdx(in.texcoord);
-    let uy = -dpdy(in.texcoord);
+    let ux = dpdx(in.texcoords.zw);
+    let uy = -dpdy(in.texcoords.zw);
     var n = normalize(in.normal);
     if ((scene.flags & IS_TURNED) != 0u && !is_front) {
         n = -n;

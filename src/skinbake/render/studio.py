@@ -263,7 +263,7 @@ def shader(lighting: str, slots: int, mirrored: bool) -> str:
         mirrored_joints=mirrored and lighting == "accurate",
     )
     sets = range(choices.influence_sets)
-    first = 6
+    first = 7
     joints = [f"joints[u32(row[{first + number}].{c})]" for number in sets for c in "xyzw"][:slots]
     weights = [f"row[{first + len(sets) + number}]" for number in sets]
     slopes = [
@@ -290,7 +290,7 @@ def _rows(subject: Subject, rest: RestSurface, errors: tuple[Any, Any] | None) -
     count, slots = rest.joints.shape
     padded = 4 * -(-slots // 4)
     degrees, known = (np.zeros(count), np.zeros(count)) if errors is None else errors
-    texcoords = np.zeros((count, 2)) if subject.texcoords is None else subject.texcoords
+    base, normal, emissive = (subject.texcoords.get(use, np.zeros((count, 2))) for use in IMAGES)
     colours = np.ones((count, 4)) if subject.colours is None else subject.colours
 
     def wide(values: npt.NDArray[Any]) -> list[npt.NDArray[Any]]:
@@ -306,7 +306,8 @@ def _rows(subject: Subject, rest: RestSurface, errors: tuple[Any, Any] | None) -
         np.column_stack([rest.normals, known]),
         np.column_stack([rest.tangents, _handedness(rest)]),
         np.column_stack([rest.bitangents, np.zeros(count)]),
-        np.pad(texcoords, ((0, 0), (0, 2))),
+        np.column_stack([base, normal]),
+        np.pad(emissive, ((0, 0), (0, 2))),
         colours,
         *wide(rest.joints),
         *wide(rest.weights),

@@ -20,16 +20,17 @@ FILLED = 0.84
 class Subject:
     """One primitive under one skin.
 
-    triangles (T, 3). texcoords (V, 2) and colours (V, 4) are None if they are not drawn. is_mirrored: joints
-    mirror the surface. has_tangents: its frame is that of TANGENT, to which normal maps belong. pose_set is
-    the number of its joint matrices among those of a ``Shot``.
+    triangles (T, 3). texcoords (V, 2) are those of each image of the material, by its use. colours (V, 4) are
+    None if they are not drawn. is_mirrored: joints mirror the surface. has_tangents: its frame is that of
+    TANGENT, to which normal maps belong. pose_set is the number of its joint matrices among those of a
+    ``Shot``.
     """
 
     rest: RestSurface
     triangles: IntArray
     pose_set: int
     material: Material = field(default_factory=Material)
-    texcoords: FloatArray | None = None
+    texcoords: Mapping[str, FloatArray] = field(default_factory=dict)
     colours: FloatArray | None = None
     is_mirrored: bool = False
     has_tangents: bool = False

@@ -43,7 +43,7 @@ export async function readModel(bytes, name, files = new Map()) {
     model.clips = model.clips.filter((clip) => clip.channels.length);
     model.materials = list(json.materials);
     model.images = new Map();
-    for (const { index } of model.materials.flatMap(shownTextures)) if (index !== undefined) readImage(model, index);
+    for (const [, { index }] of model.materials.flatMap(shownTextures)) if (index !== undefined) readImage(model, index);
     return model;
 }
 
@@ -230,7 +230,6 @@ function readPrimitive({ source, json, skins, nodes }, mesh, index, isSkinned) {
         positions,
         normals: given ? unitNormals(given) : smoothNormals(positions, triangles),
         tangents: optional('TANGENT')?.array ?? null,
-        texcoords: optional('TEXCOORD_0')?.array ?? null,
         colors: optional('COLOR_0'),
         triangles,
         material: one.material,
@@ -247,6 +246,7 @@ function readPrimitive({ source, json, skins, nodes }, mesh, index, isSkinned) {
         readInfluences(source, attributes, primitive, fewest);
         readGradients(source, json, one, primitive);
     }
+    readTexcoords(source, attributes, list(json.materials)[one.material], primitive);
     return primitive;
 }
 
@@ -346,6 +346,47 @@ function readGradients(source, json, one, primitive) {
     };
 }
 
+// The texture coordinates of the material's images: each array once, and by use its number among them.
+function readTexcoords(source, attributes, material, primitive) {
+    const { metadata, count } = primitive;
+    const ours = metadata ? [...metadata.alpha, ...metadata.beta] : []; // They may be stored as such sets.
+    const keys = [];
+    Object.assign(primitive, { texcoords: [], texcoordOf: {} });
+    for (const [use, info] of shownTextures(material)) {
+        const { set, transform } = placement(info);
+        const name = `TEXCOORD_${set}`;
+        if (attributes[name] === undefined || ours.includes(name)) continue;
+        const { array, size } = source.floats(attributes[name]);
+        if (size !== 2 || array.length !== 2 * count) continue;
+        const key = [set, ...transform].join();
+        if (!keys.includes(key)) primitive.texcoords[keys.push(key) - 1] = transformed(array, transform);
+        primitive.texcoordOf[use] = keys.indexOf(key);
+    }
+}
+
+// Where a texture info puts its image: the set of texture coordinates, and the rows of what moves them
+// (KHR_texture_transform): scale, then rotation, then offset. Values of other types are as if they were not there.
+function placement(info) {
+    const told = info.extensions?.KHR_texture_transform ?? {};
+    const isNumber = (value) => typeof value === 'number' && Number.isFinite(Math.fround(value));
+    const isPair = (value) => Array.isArray(value) && value.length === 2 && value.every(isNumber);
+    const set = [told.texCoord, info.texCoord, 0].find((value) => Number.isInteger(value) && value >= 0);
+    const [x, y] = isPair(told.offset) ? told.offset : [0, 0];
+    const [sx, sy] = isPair(told.scale) ? told.scale : [1, 1];
+    const angle = isNumber(told.rotation) ? told.rotation : 0;
+    const [c, s] = [Math.cos(angle), Math.sin(angle)];
+    return { set, transform: [c * sx, s * sy, x, -s * sx, c * sy, y] };
+}
+
+function transformed(array, [a, b, x, c, d, y]) {
+    const found = new Float32Array(array.length);
+    for (let i = 0; i < array.length; i += 2) {
+        found[i] = a * array[i] + b * array[i + 1] + x;
+        found[i + 1] = c * array[i] + d * array[i + 1] + y;
+    }
+    return found;
+}
+
 function metadataOfAccessor(json, one) {
     const owner = Object.values(one.attributes).find((number) => json.accessors[number].extras?.skinbake);
     return owner === undefined ? undefined : json.accessors[owner].extras.skinbake;
@@ -390,9 +431,11 @@ function readClip(source, animation, number, nodes) {
     };
 }
 
-// The textures of a material that are drawn.
-function shownTextures({ pbrMetallicRoughness: pbr, normalTexture, emissiveTexture }) {
-    return [pbr?.baseColorTexture, normalTexture, emissiveTexture].filter(Boolean);
+// The textures of a material that are drawn, by use.
+export function shownTextures(material) {
+    const { pbrMetallicRoughness: pbr, normalTexture, emissiveTexture } = material ?? {};
+    const every = { base: pbr?.baseColorTexture, normal: normalTexture, emissive: emissiveTexture };
+    return Object.entries(every).filter(([, info]) => info);
 }
 
 // The image of a texture. It is decoded once, beside the page; null if it is missing or cannot be decoded.

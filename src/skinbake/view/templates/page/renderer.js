@@ -1,8 +1,8 @@
 // Draw a model in WebGL 2: each half of the canvas with its own lighting, and read normals back.
 
-import { readImage } from './reader.js';
+import { readImage, shownTextures } from './reader.js';
 import {
-    fragmentText, GROUND_FRAGMENT_TEXT, GROUND_VERTEX_TEXT, LOCATIONS, RIGID_TEXT, textName, vertexText,
+    fragmentText, GROUND_FRAGMENT_TEXT, GROUND_VERTEX_TEXT, LOCATIONS, RIGID_TEXT, TEXCOORDS, textName, vertexText,
 } from './shading.js';
 
 const CAPTURED = ['v_position', 'v_normal'];
@@ -56,8 +56,8 @@ export class Renderer {
     prepare(lightings, mode, isTextured) {
         return lightings.flatMap((lighting) =>
             this.parts.map((part) => {
-                const { names } = this.shownMaterial(part, isTextured && mode === 'shaded', 'expected');
-                const { name, texts } = this.chosen(part, lighting, mode, names);
+                const { has } = this.shownMaterial(part, isTextured && mode === 'shaded', 'expected');
+                const { name, texts } = this.chosen(part, lighting, mode, has);
                 return this.started(name, texts);
             })
         );
@@ -82,11 +82,13 @@ export class Renderer {
     geometry(primitive) {
         const { gl } = this;
         const indices = this.buffer(primitive.triangles, gl.ELEMENT_ARRAY_BUFFER);
+        const [first, second, third] = primitive.texcoords;
         const shared = [
             ['position', this.buffer(primitive.positions), 3],
             ['normal', this.buffer(primitive.normals), 3],
             ['tangent', primitive.tangents && this.buffer(primitive.tangents), 4],
-            ['texcoord', primitive.texcoords && this.buffer(primitive.texcoords), 2],
+            ['texcoord', first && this.buffer(second ? pairedVectors(first, second) : first), second ? 4 : 2],
+            ['further_texcoord', third && this.buffer(third), 2],
             ['color', primitive.colors && this.buffer(primitive.colors.array), primitive.colors?.size],
             ['morphed_normal', primitive.targets.length ? this.buffer(primitive.normals.slice()) : null, 3],
             ['morphed_tangent', primitive.targets.length && primitive.tangents ? this.buffer(withoutHandedness(primitive.tangents)) : null, 3],
@@ -107,11 +109,13 @@ export class Renderer {
         gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, indices);
         for (const [name, buffer, size] of shared) if (buffer) this.attribute(name, buffer, size);
         const { joints, weights } = gradients?.joints ? gradients : primitive;
-        joints.forEach((set, number) => {
-            gl.bindBuffer(gl.ARRAY_BUFFER, this.buffer(set));
-            gl.enableVertexAttribArray(LOCATIONS[`joints_${number}`]);
-            gl.vertexAttribIPointer(LOCATIONS[`joints_${number}`], 4, gl.UNSIGNED_SHORT, 0, 0);
-            this.attribute(`weights_${number}`, this.buffer(weights[number]), 4);
+        if (joints.length) {
+            gl.bindBuffer(gl.ARRAY_BUFFER, this.buffer(joints.length > 1 ? pairedJoints(joints) : joints[0]));
+            gl.enableVertexAttribArray(LOCATIONS.joints);
+            gl.vertexAttribIPointer(LOCATIONS.joints, 4, joints.length > 1 ? gl.UNSIGNED_INT : gl.UNSIGNED_SHORT, 0, 0);
+        }
+        weights.forEach((set, number) => {
+            this.attribute(`weights_${number}`, this.buffer(set), 4);
             for (const kind of gradients ? ['alpha', 'beta'] : []) {
                 const { array: values, size, type, normalized } = gradients[kind][number];
                 this.attribute(`${kind}_${number}`, this.buffer(values), size, type, normalized);
@@ -151,33 +155,26 @@ export class Renderer {
     }
 
     material(material) {
-        const { pbrMetallicRoughness: pbr = {}, normalTexture, emissiveTexture } = material;
+        const { pbrMetallicRoughness: pbr = {}, normalTexture } = material;
         const made = {
             maps: {},
             expected: {},
-            base: pbr.baseColorTexture ? CLAY : pbr.baseColorFactor ?? [1, 1, 1, 1],
+            named: shownTextures(material).map(([name]) => name),
+            base: pbr.baseColorFactor ?? [1, 1, 1, 1],
             isUncoloured: !pbr.baseColorTexture && !pbr.baseColorFactor,
-            emissive: emissiveTexture ? [0, 0, 0] : material.emissiveFactor ?? [0, 0, 0],
+            emissive: material.emissiveFactor ?? [0, 0, 0],
             roughness: Math.min(Math.max(pbr.roughnessFactor ?? 1, 0.3), 0.8),
             normalScale: normalTexture?.scale ?? 1,
             cutoff: material.alphaMode === 'MASK' ? material.alphaCutoff ?? 0.5 : 0,
             isBlended: material.alphaMode === 'BLEND',
             isDouble: material.doubleSided === true,
         };
-        // An image that is missing or cannot be decoded is left out, with the factor that belongs to it.
-        const load = async (name, info, factors) => {
-            if (!info || (info.texCoord ?? 0) !== 0) return;
+        const load = async ([name, { index }]) => {
             made.expected[name] = true;
-            const image = await readImage(this.model, info.index);
-            if (!image) return;
-            made.maps[name] = this.texture(image);
-            Object.assign(made, factors);
+            const image = await readImage(this.model, index);
+            if (image) made.maps[name] = this.texture(image);
         };
-        made.loading = Promise.all([
-            load('base', pbr.baseColorTexture, { base: pbr.baseColorFactor ?? [1, 1, 1, 1] }),
-            load('normal', normalTexture, {}),
-            load('emissive', emissiveTexture, { emissive: material.emissiveFactor ?? [0, 0, 0] }),
-        ]);
+        made.loading = Promise.all(shownTextures(material).map(load));
         return made;
     }
 
@@ -247,10 +244,10 @@ export class Renderer {
     }
 
     // The program's name and texts, the vertex array and the gradients with which a lighting draws a part.
-    chosen(part, lighting, mode, maps) {
+    chosen(part, lighting, mode, has) {
         const { primitive } = part;
-        const shading = [mode, ...maps].join(' ');
-        const fragment = () => fragmentText(mode, maps);
+        const shading = [mode, ...has].join(' ');
+        const fragment = () => fragmentText(mode, has);
         if (part.skin === undefined || !primitive.joints.length) {
             return { name: `rigid ${shading}`, texts: () => [RIGID_TEXT, fragment()], array: part.arrays[''], gradients: null };
         }
@@ -315,9 +312,9 @@ export class Renderer {
         gl.bufferSubData(gl.ARRAY_BUFFER, 0, values);
     }
 
-    bound(part, lighting, projected, mode, maps) {
+    bound(part, lighting, projected, mode, has) {
         const { gl } = this;
-        const { name, texts, array, gradients, isDual } = this.chosen(part, lighting, mode, maps);
+        const { name, texts, array, gradients, isDual } = this.chosen(part, lighting, mode, has);
         const { program, places } = this.program(name, texts);
         const { method, isTrue } = LIGHTINGS[lighting];
         gl.useProgram(program);
@@ -362,7 +359,7 @@ export class Renderer {
             gl.scissor(left, 0, right - left, height);
             for (const part of [...opaque, ...blended]) {
                 const shown = this.shownMaterial(part, isTextured && mode === 'shaded');
-                const places = this.bound(part, lighting, projected, mode, shown.names);
+                const places = this.bound(part, lighting, projected, mode, shown.has);
                 gl.uniform3fv(places.eye, eye);
                 gl.uniform3fv(places.light, light);
                 gl.uniform1f(places.legend, legend);
@@ -397,15 +394,16 @@ export class Renderer {
         gl.disable(gl.BLEND);
     }
 
-    // What is shown of a part's material: its images and colours, by the names that the shading has for them.
+    // What is shown of a part's material: its images, and what the shading has to know of it.
     shownMaterial({ primitive }, isTextured, kind = 'maps') {
         const own = this.materials[primitive.material];
         const isPlain = !isTextured || !own;
-        const maps = isPlain || !primitive.texcoords ? {} : own[kind];
-        const names = Object.keys(maps).sort();
-        if (!isPlain && primitive.colors) names.push('colors');
-        if (maps.normal && primitive.metadata?.frame === 'tangent') names.push('tangents');
-        return { own, isPlain, maps, names };
+        const { texcoordOf } = primitive;
+        const maps = Object.fromEntries(Object.entries(isPlain ? {} : own[kind]).filter(([name]) => name in texcoordOf));
+        const has = Object.keys(maps).sort().map((name) => `${name.toUpperCase()}_TEXCOORD ${TEXCOORDS[texcoordOf[name]]}`);
+        if (!isPlain && primitive.colors) has.push('HAS_COLORS');
+        if (maps.normal && primitive.metadata?.frame === 'tangent') has.push('HAS_TANGENTS');
+        return { own, isPlain, maps, has };
     }
 
     setMaterial(part, places, { own, isPlain, maps }) {
@@ -416,9 +414,11 @@ export class Renderer {
             gl.uniform1i(places[`${name}_map`], 1 + i);
         });
         gl.uniform1i(places.is_turned, Number(own?.isDouble === true && !this.isMirrored));
-        const isClay = isPlain || (own.isUncoloured && !part.primitive.colors);
+        // An image that is missing or cannot be shown is left out, with the factor that belongs to it.
+        const isLost = (name) => isPlain || (own.named.includes(name) && !maps[name]);
+        const isClay = isLost('base') || (own.isUncoloured && !part.primitive.colors);
         gl.uniform4fv(places.base_factor, isClay ? CLAY : own.base);
-        gl.uniform3fv(places.emissive_factor, isPlain ? [0, 0, 0] : own.emissive);
+        gl.uniform3fv(places.emissive_factor, isLost('emissive') ? [0, 0, 0] : own.emissive);
         gl.uniform1f(places.roughness, isPlain ? 0.42 : own.roughness);
         gl.uniform1f(places.normal_scale, own?.normalScale ?? 1);
         gl.uniform1f(places.cutoff, isPlain ? 0 : own.cutoff);
@@ -470,6 +470,18 @@ export const pause = (milliseconds) => new Promise((done) => setTimeout(done, mi
 function morphsOf({ targets, tangents }, frame) {
     if (!targets.length) return 'none';
     return frame === 'tangent' && tangents && targets.some((target) => target.tangents) ? 'tangent' : 'normal';
+}
+
+// Two arrays of vectors of two numbers, as vectors of four.
+function pairedVectors(first, second) {
+    const found = new Float32Array(2 * first.length);
+    for (let i = 0; i < found.length; i++) found[i] = (i & 2 ? second : first)[((i >> 2) << 1) | (i & 1)];
+    return found;
+}
+
+// Joints of two sets in one array: WebGL 2 has no attributes for more.
+function pairedJoints([first, second]) {
+    return Uint32Array.from(first, (joint, i) => joint | (second[i] << 16));
 }
 
 function withoutHandedness(tangents) {

@@ -1,9 +1,12 @@
 // The programs of the page: what skinbake shader has written, called once for each vertex, and its shading.
 
 export const LOCATIONS = {
-    position: 0, normal: 1, tangent: 2, texcoord: 3, joints_0: 4, weights_0: 5, alpha_0: 6, beta_0: 7,
-    joints_1: 8, weights_1: 9, alpha_1: 10, beta_1: 11, truth: 12, morphed_normal: 13, morphed_tangent: 14, color: 15,
+    position: 0, normal: 1, tangent: 2, texcoord: 3, joints: 4, weights_0: 5, alpha_0: 6, beta_0: 7,
+    further_texcoord: 8, weights_1: 9, alpha_1: 10, beta_1: 11, truth: 12, morphed_normal: 13, morphed_tangent: 14, color: 15,
 };
+
+// Where fragments find the texture coordinates of an image, by their number among those of its primitive.
+export const TEXCOORDS = ['v_texcoord.xy', 'v_texcoord.zw', 'v_further_texcoord'];
 
 // The name under which the page holds a text of skinbake shader.
 export function textName({ stem, sets, frame, storage, morphs, mirrored }) {
@@ -13,7 +16,8 @@ export function textName({ stem, sets, frame, storage, morphs, mirrored }) {
 
 // What vertices hand to fragments.
 const VARYINGS = [
-    'vec3 v_position', 'vec3 v_normal', 'vec3 v_tangent', 'vec3 v_bitangent', 'vec2 v_texcoord', 'vec4 v_color', 'vec2 v_error',
+    'vec3 v_position', 'vec3 v_normal', 'vec3 v_tangent', 'vec3 v_bitangent', 'vec4 v_texcoord', 'vec2 v_further_texcoord',
+    'vec4 v_color', 'vec2 v_error',
 ];
 const varyings = (direction) => VARYINGS.map((one) => `${direction} ${one};`).join('\n');
 
@@ -23,9 +27,10 @@ export function vertexText(text, choices) {
     const isDual = stem === 'dqs_exact';
     const reads = stem !== 'lbs_approximated';
     const [type, make, name] = isDual ? ['mat2x4', 'motion', 'Q'] : ['mat4', 'motion', 'M'];
-    const slots = numbers.flatMap((set) => ['x', 'y', 'z', 'w'].map((c) => `${make}(int(joints_${set}.${c}))`));
+    // An attribute holds the joints of both sets: the second one's in the upper halves of its integers.
+    const slots = numbers.flatMap((set) => ['x', 'y', 'z', 'w'].map((c) => `${make}(int(joints.${c} >> ${16 * set}u & 65535u))`));
     const lists = (kind) => numbers.map((set) => `${kind}_${set}`);
-    const inputs = lists('in uvec4 joints').concat(lists('in vec4 weights'), reads ? lists('in vec4 stored_alpha').concat(lists('in vec4 stored_beta')) : []);
+    const inputs = lists('in vec4 weights').concat(reads ? lists('in vec4 stored_alpha').concat(lists('in vec4 stored_beta')) : []);
     const decoded = (kind, set) => {
         if (storage === 'float32') return `stored_${kind}_${set}${set ? '' : '.xyz'}`;
         if (set === 0) return `skinbake_decoded(stored_${kind}_0, storage_scale)`;
@@ -46,7 +51,9 @@ ${text}
 in vec3 position;
 in vec3 normal;
 in vec4 tangent;
-in vec2 texcoord;
+in vec4 texcoord;
+in vec2 further_texcoord;
+in uvec4 joints;
 in vec4 color;
 in vec4 truth;
 in vec3 morphed_normal;
@@ -80,6 +87,7 @@ void main()
     v_tangent = v.tangent;
     v_bitangent = v.bitangent;
     v_texcoord = texcoord;
+    v_further_texcoord = further_texcoord;
     v_color = color;
     v_error = vec2(degrees(atan(length(cross(v_normal, truth.xyz)), dot(v_normal, truth.xyz))) * truth.w, truth.w);
     gl_Position = projected * vec4(v_position, 1.0);
@@ -92,7 +100,8 @@ export const RIGID_TEXT = `#version 300 es
 precision highp float;
 in vec3 position;
 in vec3 normal;
-in vec2 texcoord;
+in vec4 texcoord;
+in vec2 further_texcoord;
 in vec4 color;
 uniform mat4 projected;
 uniform mat4 placed;
@@ -105,15 +114,17 @@ void main()
     v_normal = normalize(transpose(inverse(linear)) * normal);
     v_tangent = v_bitangent = vec3(0.0);
     v_texcoord = texcoord;
+    v_further_texcoord = further_texcoord;
     v_color = color;
     v_error = vec2(0.0);
     gl_Position = projected * vec4(v_position, 1.0);
 }
 `;
 
-// The shading of one mode. maps are the images that a material has; software renderers run every branch.
-export function fragmentText(mode, maps) {
-    const defined = [`MODE_${mode}`, ...maps.map((name) => `HAS_${name}`)].map((name) => `#define ${name.toUpperCase()}\n`);
+// The shading of one mode. has defines what a material has, with the texture coordinates of its images; software
+// renderers run every branch.
+export function fragmentText(mode, has) {
+    const defined = [`MODE_${mode.toUpperCase()}`, ...has].map((one) => `#define ${one}\n`);
     return `#version 300 es\nprecision highp float;\n${defined.join('')}${FRAGMENT_TEXT}`;
 }
 
@@ -137,16 +148,17 @@ out vec4 result;
 
 vec3 linear(vec3 c) { return pow(c, vec3(2.2)); }
 
+#ifdef NORMAL_TEXCOORD
 vec3 mapped(vec3 n)
 {
-    vec3 m = texture(normal_map, v_texcoord).xyz * 2.0 - 1.0;
+    vec3 m = texture(normal_map, NORMAL_TEXCOORD).xyz * 2.0 - 1.0;
     m.xy *= normal_scale;
 #ifdef HAS_TANGENTS
     return normalize(normalize(v_tangent) * m.x + normalize(v_bitangent) * m.y + n * m.z);
 #else
     // The frame of the texture coordinates, from what changes between pixels.
     vec3 px = dFdx(v_position), py = dFdy(v_position);
-    vec2 ux = dFdx(v_texcoord), uy = dFdy(v_texcoord);
+    vec2 ux = dFdx(NORMAL_TEXCOORD), uy = dFdy(NORMAL_TEXCOORD);
     vec3 a = cross(py, n), c = cross(n, px);
     vec3 t = a * ux.x + c * uy.x;
     vec3 b = a * ux.y + c * uy.y;
@@ -154,6 +166,7 @@ vec3 mapped(vec3 n)
     return normalize(t * (m.x * size) + b * (m.y * size) + n * m.z);
 #endif
 }
+#endif
 
 vec3 shaded(vec3 n, vec3 v, vec3 base)
 {
@@ -182,8 +195,8 @@ void main()
 #ifdef HAS_COLORS
     base *= v_color;
 #endif
-#ifdef HAS_BASE
-    vec4 texel = texture(base_map, v_texcoord);
+#ifdef BASE_TEXCOORD
+    vec4 texel = texture(base_map, BASE_TEXCOORD);
     base *= vec4(linear(texel.rgb), texel.a);
 #endif
     if (base.a < cutoff) discard;
@@ -193,12 +206,12 @@ void main()
     vec3 color;
     float alpha = 1.0;
 #ifdef MODE_SHADED
-#ifdef HAS_NORMAL
+#ifdef NORMAL_TEXCOORD
     n = mapped(n);
 #endif
     color = shaded(n, v, base.rgb);
-#ifdef HAS_EMISSIVE
-    color += emissive_factor * linear(texture(emissive_map, v_texcoord).rgb);
+#ifdef EMISSIVE_TEXCOORD
+    color += emissive_factor * linear(texture(emissive_map, EMISSIVE_TEXCOORD).rgb);
 #else
     color += emissive_factor;
 #endif
