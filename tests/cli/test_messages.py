@@ -57,8 +57,8 @@ def test_the_closing_line_counts(warned: Path, tmp_path: Path) -> None:
     # The weights are the same everywhere: α and β are both zero, and 20 zeros of VEC3 are stored once.
     assert line == (
         f"{warned} -> {tmp_path / 'out.glb'}: baked: 1 primitive, 20 vertices, frame from normal, "
-        "240 bytes added, 1 skinned primitive skipped, no weight changes along the surface, so there is "
-        "nothing to correct, 2 warnings"
+        "240 bytes added, 1 skinned primitive skipped, no weight changes along the surface, "
+        "so all α/β are 0, 2 warnings"
     )
 
 
@@ -175,15 +175,15 @@ def test_the_closing_line_tells_what_was_lost(tmp_path: Path) -> None:
     assert remedied is None or float(remedied[1]) < float(found[1])
 
 
-def test_a_rigid_mesh_has_nothing_to_correct(tmp_path: Path) -> None:
+def test_of_a_rigid_mesh_it_is_said_that_no_weight_changes(tmp_path: Path) -> None:
     """All vertices follow one joint, so standard lighting is right in every pose."""
     joints, weights = np.zeros((20, 4), np.uint8), np.tile(np.array([1, 0, 0, 0], np.float32), (20, 1))
     path = write_model(tmp_path / "rigid.glb", [sheet(JOINTS_0=joints, WEIGHTS_0=weights)])
     result = invoke("bake", path, "-o", tmp_path / "out.glb")
-    assert result.stdout.endswith(", no weight changes along the surface, so there is nothing to correct\n")
+    assert result.stdout.endswith(", no weight changes along the surface, so all α/β are 0\n")
     text = invoke("verify", tmp_path / "out.glb", "--poses", "random:2").stdout
     assert text.endswith("\n  Nothing bends in these poses: standard lighting is right already.\n")
-    assert "nothing to correct" not in invoke("bake", SEAM, "--dry-run").stdout
+    assert "all α/β are 0" not in invoke("bake", SEAM, "--dry-run").stdout
 
 
 def test_a_small_share_that_is_left_out_asks_for_nothing() -> None:

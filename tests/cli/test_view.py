@@ -139,7 +139,7 @@ def test_a_missing_image_is_said_and_left_out(tmp_path: Path) -> None:
     path = write_model(tmp_path / "sheet.glb", [sheet()], change=with_image)
     result = invoke("view", path, "-o", tmp_path / "page.html")
     assert result.exit_code == 0
-    assert "shown without this image" in result.stderr
+    assert "The page is without this image" in result.stderr
     (tmp_path / "skin.png").write_bytes(b"\x89PNG and so on")
     assert invoke("view", path, "-o", tmp_path / "page.html").stderr == ""
 
@@ -169,7 +169,7 @@ def test_images_in_ktx2_and_influences_that_are_too_many_are_said(tmp_path: Path
     result = invoke("view", path, "-o", tmp_path / "page.html")
     assert result.exit_code == 0
     said = " ".join(result.stderr.split())
-    assert "texture 0 is in KTX2, which is not decoded: it is shown without this image" in said
+    assert "texture 0 is in KTX2, which is not decoded. The page is without this image" in said
     assert "it has up to 12 influences for a vertex, and a page draws 8" in said
     eight = sheet(**{name: array for name, array in twelve.attributes.items() if name[-1] in "01"})
     assert "WEIGHTS_2" not in eight.attributes

@@ -156,7 +156,7 @@ def test_a_buffer_outside_is_refused_where_nothing_reads_it(
     assert f'its buffer "{uri}" is not read: ' in result.stderr
     if uri in REFUSED:
         assert REFUSED[uri] in result.stderr
-        assert "No option changes that: name the file by a relative path" in result.stderr
+        assert "No option changes that: in the document, name the file by a relative path" in result.stderr
     else:
         assert "--allow-outside DIR" in result.stderr
         allowed = invoke(command, source, "-o", goal, "--allow-outside", tmp_path)

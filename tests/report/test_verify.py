@@ -153,14 +153,11 @@ def test_the_text_says_if_there_is_little_to_win(
 def test_little_to_win_is_not_said_of_an_unsound_bake_or_beside_other_advice() -> None:
     little = replace(PASSED, normals=lit(4.0, 3.9), by_triangles=without_direct(lit(4.0, 3.9)))
     stale = replace(little, checks=(Check("freshness", "failed"),))
-    worse = replace(little, notices=(Notice("lighting-worse", "bake so", PLACE),))
+    advised = replace(little, notices=(Notice("lighting-worse", "With --x it is 1.50: bake so", PLACE),))
+    worse = replace(little, notices=(Notice("lighting-worse", "No option that was tried helps", PLACE),))
     missed = replace(little, checks=(Check("limits", "failed"),))
-    assert [text.count("Little to win") for text in map(as_text, (little, stale, worse, missed))] == [
-        1,
-        0,
-        0,
-        1,
-    ]
+    texts = map(as_text, (little, stale, advised, worse, missed))
+    assert [text.count("Little to win") for text in texts] == [1, 0, 0, 1, 1]
 
 
 def test_the_table_is_aligned_and_says_what_it_means() -> None:

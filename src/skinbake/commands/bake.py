@@ -48,6 +48,7 @@ from skinbake.gltf.primitives import (
     read_primitive,
     reason_to_skip,
     skinned_sources,
+    why_nothing,
 )
 from skinbake.gltf.rigs import fitting_rig, rig_digest
 from skinbake.gltf.writing import version_of
@@ -160,7 +161,7 @@ class Baker:
         made = self.bake_document(prepared)
         if made.primitives:
             return made, made.document, [*undone, *moved, *made.notices]
-        reason = "none of its skinned primitives can be baked" if made.skipped else "nothing in it is skinned"
+        reason = "none of its skinned primitives can be baked" if made.skipped else why_nothing(document)
         if self.require_baked:
             raise InputError(f"{reason} (--require-baked)", document.place)
         result, moved = (document, []) if target is None else for_target(document, target, pack=pack)

@@ -14,7 +14,7 @@ from skinbake.containment import BESIDE, Bounds
 from skinbake.gltf.document import read_document
 from skinbake.gltf.writing import write_file, write_files
 from skinbake.lighting.measured import VerifyOptions
-from skinbake.report.verify import FileVerdict, gain
+from skinbake.report.verify import FileVerdict, by_worse_truth, gain
 from skinbake.view.index import Listed, index
 
 UNSAFE = re.compile("[^A-Za-z0-9._-]+")
@@ -76,8 +76,7 @@ def write_report(
 
 def _listed(verdict: FileVerdict, link: str | None, picture: bytes | None) -> Listed:
     """Return the entry of a file in the index."""
-    normals = verdict.normals or {}
-    figures = normals.get("lbs") or normals.get("dqs") or {}
+    figures = by_worse_truth(verdict)
     problems = [problem.message for check in verdict.checks for problem in check.problems]
     remark = str(verdict.error.message) if verdict.error else "; ".join(problems[:1])
     if verdict.up_to_date:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from skinbake.choices import FrameChoice, Gradients, Neighbours, Weld
 from skinbake.errors import InputError, Notice, Place
@@ -14,7 +14,7 @@ from skinbake.lighting.baked_views import BakedView, baked_views, gathered_toget
 from skinbake.lighting.expected import noted_kind, noted_sources
 from skinbake.lighting.measured import Lighting, VerifyOptions
 from skinbake.lighting.staleness import mesh_operator
-from skinbake.report.verify import FileVerdict, gain
+from skinbake.report.verify import BAKE_SO, LITTLE, FileVerdict, gain
 
 if TYPE_CHECKING:
     from skinbake.commands.bake import Baker
@@ -60,31 +60,39 @@ def worse_lighting(
 ) -> list[Notice]:
     """Return a notice for each primitive whose lighting α/β make worse, with an option that was tried.
 
-    A remedy is named if it brings the gain to 1 at that primitive, by all methods and truths. Trying the
-    remedies takes as long as measuring the file four more times. A file without such primitives takes no
-    extra time.
+    A remedy is named if it brings the gain to 1 at that primitive, by all methods and truths. It is advised
+    if it brings ``LITTLE``. Trying the remedies takes as long as measuring the file four more times. A file
+    without such primitives takes no extra time.
     """
-    gains = {place: factor for place, factor in _gains(verdict).items() if factor < WORSE}
+    gains = {place: least for place, least in _gains(verdict).items() if least.factor < WORSE}
     if not gains:
         return []
     tried = list(_tried(document, views, options))
-    return [_notice(place, factor, tried) for place, factor in gains.items()]
+    return [_notice(place, least, tried) for place, least in gains.items()]
 
 
-def _gains(verdict: FileVerdict) -> dict[Place, float]:
+class _Gain(NamedTuple):
+    """A gain, and the skinning method that has it."""
+
+    factor: float
+    method: str
+
+
+def _gains(verdict: FileVerdict) -> dict[Place, _Gain]:
     """Return the least gain of each primitive by any method and truth."""
-    found: dict[Place, float] = {}
+    found: dict[Place, _Gain] = {}
     for place, normals in (*verdict.primitives, *verdict.primitives_by_triangles):
-        for figures in normals.values():
+        for method, figures in normals.items():
             factor = gain(figures)
             if factor is not None:
-                found[place] = min(factor, found.get(place, factor))
+                own = _Gain(factor, method)
+                found[place] = min(own, found.get(place, own), key=lambda one: one.factor)
     return found
 
 
 def _tried(
     document: Document, views: Sequence[BakedView], options: VerifyOptions
-) -> Iterator[tuple[Remedy, dict[Place, float]]]:
+) -> Iterator[tuple[Remedy, dict[Place, _Gain]]]:
     """Yield each remedy that can be tried, and the gains under it."""
     from skinbake.format.strip import stripped  # most files need no remedy
 
@@ -132,13 +140,16 @@ def _measured(document: Document, options: VerifyOptions) -> FileVerdict:
     return lighting.measured(surfaces, operators)
 
 
-def _notice(place: Place, factor: float, tried: Sequence[tuple[Remedy, dict[Place, float]]]) -> Notice:
-    better = [(gains[place], remedy) for remedy, gains in tried if gains.get(place, 0.0) >= WORSE]
-    found = f"α/β make its lighting worse: the gain is {factor:.2f}. "
-    if better:
-        best, remedy = max(better, key=lambda one: one[0])
-        return Notice("lighting-worse", f"{found}With {remedy.words} it is {best:.2f}: bake so", place)
-    words = ", ".join(remedy.words for remedy, _ in tried)
-    helped = f"No option that was tried helps ({words}): " if tried else ""
+def _notice(place: Place, least: _Gain, tried: Sequence[tuple[Remedy, dict[Place, _Gain]]]) -> Notice:
+    better = [(gains[place].factor, remedy) for remedy, gains in tried if place in gains]
+    best, remedy = max(better, key=lambda one: one[0], default=(0.0, None))
+    message = f"α/β make its lighting worse: the {least.method.upper()} gain is {least.factor:.2f}. "
+    if remedy is not None and best >= WORSE:
+        message += f"With {remedy.words} it is {best:.2f}"
+        if round(best, 2) >= LITTLE:
+            return Notice("lighting-worse", f"{message}: {BAKE_SO}", place)
+        message += ", which is little: "
+    elif tried:
+        message += f"No option that was tried helps ({', '.join(remedy.words for remedy, _ in tried)}): "
     way = "light it the standard way (in skinbake-three: lighting(mesh, 'standard'))"
-    return Notice("lighting-worse", f"{found}{helped}{way}", place)
+    return Notice("lighting-worse", message + way, place)

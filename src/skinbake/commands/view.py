@@ -22,7 +22,7 @@ from skinbake.gltf.document import STDIO, Document, read_document
 from skinbake.gltf.images import images_missing, texture_image
 from skinbake.gltf.json_access import JsonObject
 from skinbake.gltf.output import plan_output, refuse_own_input
-from skinbake.gltf.primitives import reason_to_skip, skinned_sources
+from skinbake.gltf.primitives import reason_to_skip, skinned_sources, why_nothing
 from skinbake.gltf.resources import is_data_uri, read_resource
 from skinbake.gltf.writing import write_file, write_stdout
 from skinbake.lighting.baked_views import BakedView, baked_views, is_baked
@@ -122,10 +122,20 @@ def baked_in_memory(document: Document) -> tuple[Document, tuple[Notice, ...]]:
     made = Baker(generate_normals=True).bake_document(plain)
     if not made.primitives:
         reasons = "; ".join(notice.message for notice in made.notices)
-        raise InputError(
-            f"nothing in it can be shown: {reasons or 'nothing in it is skinned'}", document.place
-        )
-    return made.document, tuple(notice for notice in made.notices if notice.code not in OF_STORAGE)
+        raise InputError(f"nothing in it can be shown: {reasons or why_nothing(document)}", document.place)
+    notices = [notice for notice in made.notices if notice.code not in OF_STORAGE]
+    return made.document, (*_generated(document), *notices)
+
+
+def _generated(document: Document) -> list[Notice]:
+    """Return a notice for each primitive that has no normals of its own."""
+    message = "it has no NORMAL: smooth normals are generated here, and in a bake with --generate-normals"
+    return [
+        Notice("normals-generated", message, source.place)
+        for source in skinned_sources(document)[0]
+        if "NORMAL" not in source.attributes
+        and reason_to_skip(document, source, generate_normals=True) is None
+    ]
 
 
 def _other_gradients(document: Document, views: Sequence[BakedView]) -> Iterator[OtherGradients]:
@@ -183,7 +193,7 @@ def _with_images(document: Document) -> tuple[Document, list[Notice]]:
             images[number] = {**kept, **held[uri]}
             continue
         try:
-            data = bytes(read_resource(uri, document.folder, document.bounds, document.place))
+            data = bytes(read_resource(uri, document.folder, document.bounds, document.place, of="image"))
             document.budget.claim(2 * len(data), "holding its images in a page", document.place)
         except InputError as error:
             lost.append(error.message)

@@ -48,14 +48,14 @@ def image_bytes(document: Document, image: int) -> Bytes:
         raise InputError(f"image {image} names neither a buffer view nor a file", document.place)
     if is_data_uri(uri):
         return decode_data_uri(uri, document.place)
-    return read_resource(uri, document.folder, document.bounds, document.place)
+    return read_resource(uri, document.folder, document.bounds, document.place, of="image")
 
 
 def images_missing(reasons: Sequence[str], made: str, place: Place) -> list[Notice]:
     """Return a notice on images that are left out of a page or a picture, if there are any."""
     if not reasons:
         return []
-    message = f"{reasons[0]}: it is shown without this image"
+    message = f"{reasons[0]}. The {made} is without this image"
     if len(reasons) > 1:
-        message = f"{len(reasons)} images are left out of the {made}, the first because {message}"
+        message = f"{len(reasons)} images are left out of the {made}. Of the first: {reasons[0]}"
     return [Notice("images-missing", message, place, len(reasons))]

@@ -108,6 +108,13 @@ def skinned_sources(document: Document) -> tuple[list[PrimitiveSource], list[Not
     return sources, notices
 
 
+def why_nothing(document: Document) -> str:
+    """Return why a document without skinned primitives has none: a clause for messages."""
+    if document.objects("skins"):
+        return "it has a skin, but no mesh that is drawn with one"
+    return "nothing in it is skinned"
+
+
 def _element_count(source: PrimitiveSource, counts: Sequence[int]) -> int:
     """Return the number of a primitive's vertices and triangles, as far as its JSON is sound.
 

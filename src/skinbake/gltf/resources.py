@@ -135,8 +135,8 @@ def is_there(uri: str, folder: Path, bounds: Bounds) -> bool:
     return True
 
 
-def read_resource(uri: str, folder: Path, bounds: Bounds, place: Place) -> Bytes:
-    """Return the bytes of a buffer's URI.
+def read_resource(uri: str, folder: Path, bounds: Bounds, place: Place, *, of: str = "buffer") -> Bytes:
+    """Return the bytes of the URI of a buffer, or of what ``of`` says.
 
     Raises InputError if the file is missing or unreadable, if the data URI is malformed, or if the document
     may not read the URI: a model must not read arbitrary files or the network.
@@ -148,29 +148,29 @@ def read_resource(uri: str, folder: Path, bounds: Bounds, place: Place) -> Bytes
         finally:
             os.close(descriptor)
     except OutsideError as error:
-        raise outside(uri, str(error), place) from error
+        raise outside(uri, str(error), place, of=of) from error
     except RefusedError as error:
-        raise refused(uri, str(error), place) from error
+        raise refused(uri, str(error), place, of=of) from error
     except OSError as error:
         if error.errno == errno.EXDEV:
-            raise outside(uri, "a link on the way leads out of its folder", place) from error
+            raise outside(uri, "a link on the way leads out of its folder", place, of=of) from error
         raise InputError(f'cannot read "{shortened(uri)}" beside it: {error.strerror}', place) from error
 
 
-def outside(uri: str, why: str, place: Place) -> InputError:
-    """Return the error for a buffer outside the folders that a document may read."""
+def outside(uri: str, why: str, place: Place, *, of: str = "buffer") -> InputError:
+    """Return the error for a buffer, or another file, outside the folders that a document may read."""
     return InputError(
-        f'its buffer "{shortened(uri)}" is not read: {why}. To read the file, give its folder '
+        f'its {of} "{shortened(uri)}" is not read: {why}. To read the file, give its folder '
         "with --allow-outside DIR",
         place,
     )
 
 
-def refused(uri: str, why: str, place: Place) -> InputError:
-    """Return the error of a buffer whose URI is never opened, even if a file is there."""
+def refused(uri: str, why: str, place: Place, *, of: str = "buffer") -> InputError:
+    """Return the error of a buffer, or another file, whose URI is never opened, even if a file is there."""
     return InputError(
-        f'its buffer "{shortened(uri)}" is not read: {why}. No option changes that: name the file by a '
-        "relative path",
+        f'its {of} "{shortened(uri)}" is not read: {why}. No option changes that: in the document, name the '
+        "file by a relative path with forward slashes",
         place,
     )
 

@@ -102,7 +102,9 @@ def lean_notices(primitive: SkinnedPrimitive, place: Place) -> list[Notice]:
     lean = normal_lean(primitive)
     if lean.is_plain:
         return []
-    found, of = (round(number * lean.vertices) for number in (lean.far, lean.looked_at))
+    found, of = (
+        min(round(number * lean.vertices), len(primitive.normals)) for number in (lean.far, lean.looked_at)
+    )
     about = "about " if lean.vertices > 1 else ""
     message = (
         f"normals lean over {FAR:.0f}° from the surface at {about}{found:,} of "
@@ -115,7 +117,10 @@ def lean_notices(primitive: SkinnedPrimitive, place: Place) -> list[Notice]:
 def _advice(lean: NormalLean) -> str:
     if lean.degrees > 180.0 - FAR and 2 * lean.far > lean.looked_at:
         return "Normals and triangles face opposite ways: turn the one or the other"
-    return "Make normals anew in the modelling tool, or remove them and bake with --generate-normals"
+    return (
+        "Make normals anew in the modelling tool, and the normal map that belongs to them. Without a normal "
+        "map: remove the normals and bake with --generate-normals"
+    )
 
 
 def _leans(primitive: SkinnedPrimitive, rows: IntArray, labels: IntArray | None) -> Float64Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -27,6 +28,9 @@ ROUNDING = 1e-4
 
 LITTLE = 1.2
 """The gain under which a bake is not worth its bytes, by the worse truth."""
+
+BAKE_SO = "bake so"
+"""The last words of a warning that advises another bake, which was tried."""
 
 XML_DECLARATION = '<?xml version="1.0" encoding="UTF-8"?>\n'
 """Written by hand: ElementTree would name the locale's encoding, but the file is written in UTF-8."""
@@ -146,6 +150,12 @@ def gain(figures: dict[str, ErrorFigures]) -> float | None:
     return figures["approximated"].mean / figures["accurate"].mean
 
 
+def by_worse_truth(verdict: FileVerdict) -> dict[str, ErrorFigures]:
+    """Return the figures of the first method by the truth with the smaller gain; empty without figures."""
+    every = [next(iter(normals.values())) for normals in verdict.by_truth.values() if normals]
+    return min(every, key=lambda figures: gain(figures) or math.inf, default={})
+
+
 def as_text(verdict: FileVerdict) -> str:
     """Return the verdict as a short aligned table."""
     if verdict.up_to_date:
@@ -169,10 +179,12 @@ def as_text(verdict: FileVerdict) -> str:
 def _little_to_win(verdict: FileVerdict) -> list[str]:
     """Return a line if the poses show nothing, or hardly anything, for α/β to correct.
 
-    It says nothing of a bake that failed a check, or if a warning has the advice for its worst primitives.
+    It says nothing of a bake that failed a check, or if a warning advises another bake.
     """
     unsound = any(check.outcome == "failed" and check.name != "limits" for check in verdict.checks)
-    advised = any(notice.code == "lighting-worse" for notice in verdict.notices)
+    advised = any(
+        notice.code == "lighting-worse" and notice.message.endswith(BAKE_SO) for notice in verdict.notices
+    )
     found = [
         (method, figures) for normals in verdict.by_truth.values() for method, figures in normals.items()
     ]

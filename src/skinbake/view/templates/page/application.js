@@ -421,10 +421,13 @@ function spread(next) {
 
 function factsOf(model) {
     const primitives = [...model.primitives.values()].filter(Boolean);
-    const count = primitives.reduce((sum, { count }) => sum + count, 0);
+    const [count, skinned] = [primitives, primitives.filter(({ joints }) => joints.length)].map((some) =>
+        some.reduce((sum, { count }) => sum + count, 0)
+    );
     const baked = primitives.find(({ metadata }) => metadata)?.metadata;
     const how = baked ? `${baked.frame} frame, ${baked.encoding ?? 'float32'}` : 'not baked';
-    return `${count.toLocaleString('en')} vertices, ${how}`;
+    const all = `${count.toLocaleString('en')} vertices`;
+    return `${all}${skinned < count ? `, ${skinned.toLocaleString('en')} of them skinned` : ''}, ${how}`;
 }
 
 // Put the other kind of α and β beside the one that the file holds.

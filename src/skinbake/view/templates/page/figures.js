@@ -9,21 +9,31 @@ const ROWS = [
 
 export function showFigures(byId, given) {
     const { figures, by_triangles: triangles, poses } = given;
-    const factor = figures?.lbs?.gain ?? figures?.dqs?.gain;
-    byId.headline.hidden = !factor;
+    const [least, other] = byGain(figures, triangles);
+    byId.headline.hidden = !least;
     byId.table.parentElement.hidden = !figures;
     if (!figures) return;
-    if (factor) {
-        byId.gain.textContent = `${factor.toPrecision(3)}×`;
-        const of = figures.lbs ?? figures.dqs;
+    if (least) {
+        byId.gain.textContent = times(least.gain);
         byId['gain-words'].textContent =
-            (factor < 1
+            (least.gain < 1
                 ? 'Accurate lighting is not nearer to the true normals of this file than standard lighting: '
                 : 'Accurate lighting is that much nearer to the true normals than standard lighting: ') +
-            `${degrees(of.accurate.mean)} instead of ${degrees(of.approximated.mean)} in the mean.`;
+            `${degrees(least.accurate.mean)} instead of ${degrees(least.approximated.mean)} in the mean, ${least.truth}.` +
+            (other ? ` It is ${times(other.gain)} ${other.truth}.` : '');
     }
     byId.table.replaceChildren(tableOf(figures, triangles));
     byId['table-words'].textContent = `By skinbake verify, over ${poses}. Two truths, found in two ways.`;
+}
+
+// The figures of the first method by both truths, the smaller gain first: that one counts.
+function byGain(figures, triangles) {
+    return [
+        { truth: 'by tangents', ...(figures?.lbs ?? figures?.dqs) },
+        { truth: 'by triangles', ...(triangles?.lbs ?? triangles?.dqs) },
+    ]
+        .filter(({ gain }) => gain)
+        .sort((a, b) => a.gain - b.gain);
 }
 
 function tableOf(figures, triangles) {
@@ -85,9 +95,9 @@ function showPrimitives(byId, primitives) {
     const head = element('thead');
     head.append(row('th', ['', 'standard', 'accurate', 'gain']));
     const body = element('tbody');
-    for (const { mesh, mesh_name: name, primitive, normals } of rows) {
-        const { approximated, accurate, gain } = normals.lbs ?? normals.dqs;
-        const line = row('td', [approximated.mean.toFixed(2), accurate.mean.toFixed(2), gain ? `${gain.toPrecision(3)}×` : '—']);
+    for (const { mesh, mesh_name: name, primitive, normals, normals_by_triangles: triangles } of rows) {
+        const { approximated, accurate, gain } = byGain(normals, triangles)[0] ?? normals.lbs ?? normals.dqs;
+        const line = row('td', [approximated.mean.toFixed(2), accurate.mean.toFixed(2), gain ? times(gain) : '—']);
         const title = element('th', `${name ?? `mesh ${mesh}`}, ${primitive}`);
         title.scope = 'row';
         line.prepend(title);
@@ -97,6 +107,7 @@ function showPrimitives(byId, primitives) {
     byId['primitives-table'].replaceChildren(table);
 }
 
+const times = (gain) => `${gain.toPrecision(3)}×`;
 export const degrees = (value) => (value < 10 ? `${value.toFixed(2)}°` : `${value.toFixed(1)}°`);
 
 function row(kind, texts) {
