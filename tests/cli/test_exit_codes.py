@@ -110,7 +110,7 @@ class TestBake:
     def test_nothing_skinned_is_said_differently(self, tmp_path: Path) -> None:
         path = edited("seam.glb", tmp_path, lambda content: content["nodes"][0].pop("skin"))
         result = invoke("bake", path, "-o", tmp_path / "out.glb")
-        assert "passed through unchanged: nothing in it is skinned" in result.stderr
+        assert "passed through unchanged: it has a skin, but no mesh that is drawn with one" in result.stderr
 
     def test_nothing_to_bake_is_3_where_it_is_required(self, tmp_path: Path) -> None:
         path = write_model(tmp_path / "bare.glb", [sheet(NORMAL=None)])
