@@ -40,6 +40,10 @@ BLOCK_SAMPLES = 1 << 16
 """Vertices × poses in work at a time. A block of 2¹⁴ is no faster alone, and threads wait for each other."""
 
 
+BLOCK_VERTICES = 1 << 13
+"""The most vertices in work at a time. With few poses, what is made of each vertex would take more memory."""
+
+
 def chunks(vertices: int, poses: int) -> list[slice]:
     """Cut the poses of so many vertices into chunks."""
     size = max(CHUNK_POSES, CHUNK_SAMPLES // max(vertices, 1))
@@ -50,7 +54,7 @@ def chunks(vertices: int, poses: int) -> list[slice]:
 
 def blocks(vertices: slice, poses: int) -> list[slice]:
     """Cut vertices into blocks, for chunks of so many poses."""
-    size = max(1, BLOCK_SAMPLES // max(poses, 1))
+    size = max(1, min(BLOCK_SAMPLES // max(poses, 1), BLOCK_VERTICES))
     return [
         slice(start, min(start + size, vertices.stop)) for start in range(vertices.start, vertices.stop, size)
     ]
