@@ -144,6 +144,20 @@ def test_a_missing_image_is_said_and_left_out(tmp_path: Path) -> None:
     assert invoke("view", path, "-o", tmp_path / "page.html").stderr == ""
 
 
+def test_what_bake_and_verify_both_say_is_said_once(tmp_path: Path) -> None:
+    path = write_model(tmp_path / "half.glb", [sheet(WEIGHTS_0=np.full((20, 4), 0.125, np.float32))])
+    said = invoke("view", path, "-o", tmp_path / "page.html").stderr
+    assert said.count("do not sum to 1") == 1
+    page = (tmp_path / "page.html").read_text(encoding="utf-8")
+    assert page.count("do not sum to 1") == 1
+
+
+def test_normals_that_were_generated_are_said(tmp_path: Path) -> None:
+    path = write_model(tmp_path / "bare.glb", [sheet(NORMAL=None)])
+    said = invoke("view", path, "-o", tmp_path / "page.html").stderr
+    assert said.count("it has no NORMAL: smooth normals are generated here") == 1
+
+
 def test_an_image_that_is_named_often_is_held_once(tmp_path: Path) -> None:
     def with_images(content: JsonObject) -> None:
         content["images"] = [{"uri": "skin.png"}] * 200

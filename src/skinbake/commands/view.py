@@ -66,8 +66,9 @@ def view_file(source: str, target: str | None = None, bounds: Bounds = BESIDE) -
         document, notices = baked_in_memory(document)
     verdict = verify_document(document, VerifyOptions())
     notes = [] if was_baked else ["The file was not baked. This page baked it in memory, with the defaults."]
-    made, missing = page_of(document, replace(verdict, notices=(*notices, *verdict.notices)), notes)
-    return ViewResult(made, was_baked, (*notices, *missing, *verdict.notices))
+    told = tuple(dict.fromkeys((*notices, *verdict.notices)))  # bake and verify say some things alike
+    made, missing = page_of(document, replace(verdict, notices=told), notes)
+    return ViewResult(made, was_baked, (*missing, *told))
 
 
 def page_of(
