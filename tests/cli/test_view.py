@@ -144,6 +144,16 @@ def test_a_missing_image_is_said_and_left_out(tmp_path: Path) -> None:
     assert invoke("view", path, "-o", tmp_path / "page.html").stderr == ""
 
 
+def test_an_image_that_may_not_be_read_is_called_an_image(tmp_path: Path) -> None:
+    def with_image(content: JsonObject) -> None:
+        content["images"] = [{"uri": "a\\b.png"}]
+
+    path = write_model(tmp_path / "sheet.glb", [sheet()], change=with_image)
+    said = " ".join(invoke("view", path, "-o", tmp_path / "page.html").stderr.split())
+    assert 'its image "a\\b.png" is not read: it holds a backslash' in said
+    assert said.endswith("The page is without this image")
+
+
 def test_what_bake_and_verify_both_say_is_said_once(tmp_path: Path) -> None:
     path = write_model(tmp_path / "half.glb", [sheet(WEIGHTS_0=np.full((20, 4), 0.125, np.float32))])
     said = invoke("view", path, "-o", tmp_path / "page.html").stderr

@@ -18,6 +18,7 @@ from skinbake.report.verify import (
     as_json,
     as_junit,
     as_text,
+    by_worse_truth,
     gain,
 )
 from tests.support.schemas import VERIFY
@@ -148,6 +149,18 @@ def test_the_text_says_if_there_is_little_to_win(
     found = replace(PASSED, normals=lit(*tangents), by_triangles=without_direct(lit(*triangles)))
     told = [one for one in as_text(found).splitlines() if "Little" in one or "Nothing" in one]
     assert told == ([] if line is None else [line])
+
+
+@pytest.mark.parametrize(
+    ("tangents", "triangles", "worse"),
+    [((4.0, 1.0), (5.0, 2.0), 5.0), ((4.0, 3.0), (6.0, 1.0), 4.0), ((4.0, 2.0), (1.0, 1e-6), 4.0)],
+)
+def test_the_truth_with_the_smaller_gain_counts(
+    tangents: tuple[float, float], triangles: tuple[float, float], worse: float
+) -> None:
+    found = replace(PASSED, normals=lit(*tangents), by_triangles=without_direct(lit(*triangles)))
+    assert by_worse_truth(found)["approximated"].mean == worse
+    assert by_worse_truth(replace(PASSED, normals=None, by_triangles=None)) == {}
 
 
 def test_little_to_win_is_not_said_of_an_unsound_bake_or_beside_other_advice() -> None:

@@ -354,8 +354,8 @@ class SteppedSurface:
     def normals(self, algorithms: Sequence[Algorithm], pose: slice, part: slice) -> list[Vector]:
         """Return the normals that algorithms 4–6 give a block."""
         normals = kernel.dqs_normals(self._skinning, pose, part)
-        found = zip(METHODS["dqs"].values(), normals, strict=True)
-        return [tuple(axis.T for axis in normal) for algorithm, normal in found if algorithm in algorithms]
+        chosen = (normals[algorithm - Algorithm.DQS_APPROXIMATED] for algorithm in algorithms)
+        return [tuple(axis.T for axis in normal) for normal in chosen]
 
 
 def _joined(surfaces: Sequence[RestSurface], name: str) -> FloatArray:

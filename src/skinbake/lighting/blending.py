@@ -39,7 +39,6 @@ CHUNK_POSES = 4
 BLOCK_SAMPLES = 1 << 16
 """Vertices × poses in work at a time. A block of 2¹⁴ is no faster alone, and threads wait for each other."""
 
-
 BLOCK_VERTICES = 1 << 13
 """The most vertices in work at a time. With few poses, what is made of each vertex would take more memory."""
 

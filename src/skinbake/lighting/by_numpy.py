@@ -81,7 +81,8 @@ def dqs_positions(skinning: Skinning, pose: slice, part: slice) -> Float64Array:
 
 def dqs_normals(skinning: Skinning, pose: slice, part: slice) -> Float64Array:
     """Return the normals of algorithms 4–6 for some vertices: (3, 3, B, P). They are not of unit length."""
-    found = skinning.run(list(Algorithm)[3:], pose, part)
+    algorithms = [algorithm for algorithm in Algorithm if algorithm.uses_dual_quaternions]
+    found = skinning.run(algorithms, pose, part)
     return np.stack([np.stack([component.T for component in posed.normal]) for posed in found])
 
 
