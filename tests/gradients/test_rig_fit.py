@@ -58,6 +58,17 @@ class TestOracle:
         for found, wanted in zip((baked.alpha, baked.beta), expected, strict=True):
             assert np.abs(found - wanted).max() < 1e-6 * np.abs(wanted).max()
 
+    def test_a_joint_that_tilts_nothing_curls_with_its_chain(self) -> None:
+        # The pivot of a joint lies on the normal of a vertex, so its turns leave that normal's tangents there.
+        primitive, rig = tube(slots=len(CHAIN), parents=CHAIN)
+        vertex = 20
+        normal = unit_normals(primitive.normals)[vertex].astype(np.float64)
+        rig.pivots[2] = primitive.positions[vertex] - normal
+        baked = fitted(primitive, rig)
+        expected = sampled_fit(primitive, rig)
+        for found, wanted in zip((baked.alpha, baked.beta), expected, strict=True):
+            assert np.abs(found - wanted)[vertex].max() < 1e-6 * np.abs(wanted).max()
+
     def test_it_is_not_the_gradient(self) -> None:
         primitive, rig = tube()
         assert np.abs(fitted(primitive, rig).alpha - fitted(primitive, None).alpha).max() > 0.05

@@ -344,12 +344,13 @@ def _normal_equations(
     sides = np.where(unknowns[at], pairs.carries.astype(np.float64) - carries_last[:, None], 0.0)
     tilt = np.cross(pairs.levers, turns.normals[classes])
     wanted = np.cross(pairs.levers[:, None], pairs.arms) + pairs.spins
-    levers = np.einsum("ni,ni->n", pairs.levers, pairs.levers) * sides.any(axis=1)
+    parts = sides.any(axis=1)
+    levers = np.einsum("ni,ni->n", pairs.levers, pairs.levers) * parts
     lengths = np.einsum("ni,ni->n", tilt, tilt)
     carried = np.einsum("nk,nkt->nt", pairs.carries, given[at])
     aims = np.einsum("ni,nti->nt", tilt, wanted)
     off = lengths[:, None] * carried - aims
-    turned = sides.any(axis=1) & (lengths > 0.0)
+    turned = parts & (lengths > 0.0)
     tilts = np.bincount(at[turned], (off * off).sum(axis=1)[turned] / lengths[turned], count).astype(
         np.float64
     )
@@ -358,7 +359,7 @@ def _normal_equations(
     matrix, right = np.zeros((count, slots, slots)), np.zeros((count, slots, 2))
     np.add.at(matrix, at, sides[:, :, None] * sides[:, None, :] * squares[:, None, None])
     np.add.at(right, at, sides[:, :, None] * aims[:, None, :])
-    curling, moved, aimed = _curls(pairs, sides[:, :, None] * tilt[:, None], wanted)
+    curling, moved, aimed = _curls(pairs, parts, sides[:, :, None] * tilt[:, None], wanted)
     np.add.at(matrix, curling, TOGETHER * np.einsum("mki,mli->mkl", moved, moved))
     np.add.at(right, curling, TOGETHER * np.einsum("mki,mti->mkt", moved, aimed))
     reach = np.bincount(at, levers, count)
@@ -374,14 +375,14 @@ def _normal_equations(
 
 
 def _curls(
-    pairs: _Pairs, moved: Float64Array, aimed: Float64Array
+    pairs: _Pairs, parts: BoolArray, moved: Float64Array, aimed: Float64Array
 ) -> tuple[IntArray, Float64Array, Float64Array]:
     """Sum up the pairs of each vertex and long chain: by slot (M, K, 3) and as it should be (M, 2, 3).
 
-    The sums hold if all joints of the chain turn alike. Return the vertices (M,) too. A chain of which one
-    joint alone parts the slots is left out.
+    parts (N,) tells which pairs part the slots. The sums hold if all joints of the chain turn alike. Return
+    the vertices (M,) too. A chain of which one joint alone parts the slots is left out.
     """
-    rows = np.flatnonzero((pairs.chains != NO_CHAIN) & moved.any(axis=(1, 2)))
+    rows = np.flatnonzero((pairs.chains != NO_CHAIN) & parts)
     size = int(pairs.chains.max(initial=0)) + 1
     keys, place, counts = np.unique(
         pairs.vertices[rows] * size + pairs.chains[rows], return_inverse=True, return_counts=True
