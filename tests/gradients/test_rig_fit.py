@@ -59,7 +59,7 @@ class TestOracle:
             assert np.abs(found - wanted).max() < 1e-6 * np.abs(wanted).max()
 
     def test_a_joint_that_tilts_nothing_curls_with_its_chain(self) -> None:
-        # The pivot of a joint lies on the normal of a vertex, so its turns leave that normal's tangents there.
+        # The pivot of a joint lies on the normal of a vertex, and its turns tilt no tangent there.
         primitive, rig = tube(slots=len(CHAIN), parents=CHAIN)
         vertex = 20
         normal = unit_normals(primitive.normals)[vertex].astype(np.float64)
