@@ -344,7 +344,7 @@ def _normal_equations(
     sides = np.where(unknowns[at], pairs.carries.astype(np.float64) - carries_last[:, None], 0.0)
     tilt = np.cross(pairs.levers, turns.normals[classes])
     wanted = np.cross(pairs.levers[:, None], pairs.arms) + pairs.spins
-    parts = sides.any(axis=1)
+    parts: BoolArray = np.asarray(sides.any(axis=1))
     levers = np.einsum("ni,ni->n", pairs.levers, pairs.levers) * parts
     lengths = np.einsum("ni,ni->n", tilt, tilt)
     carried = np.einsum("nk,nkt->nt", pairs.carries, given[at])
