@@ -356,7 +356,7 @@ class TestArguments:
             "weighting": _kernel.BY_MAX,
             "adopts": True,
             "negligible": 1e-4,
-            "by_tangents": 0.55,
+            "missing": 15.0,
             "stiffness": 0.1,
             "together": 10.0,
             "doubt": 0.01,
@@ -544,7 +544,7 @@ for turn in range(8):
             classes=classes, normals=positions, tangents=frames, bitangents=frames, alpha=alpha,
             beta=alpha.copy(), adopted=np.zeros((V, S), np.int32), ends=ends, sums=np.zeros((2, 4)),
             parents=parents, ranks=ranks, pivots=pivots, chains=chains, class_count=V // 2,
-            weighting=_kernel.BY_ANGLE, adopts=True, negligible=1e-4, by_tangents=0.55, stiffness=0.1,
+            weighting=_kernel.BY_ANGLE, adopts=True, negligible=1e-4, missing=15.0, stiffness=0.1,
             together=10.0, doubt=0.01, smooth=0.2, most_doubt=4.0, even=1e-4, faint=0.1, unfelt=1e-6,
             flat=1e-6, grouped=grouped if turn % 2 else None, first=0, last=V // 2)
     except (IndexError, ValueError):

@@ -13,17 +13,17 @@ from skinbake.geometry.rig import NO_PARENT, Rig
 from skinbake.geometry.skinned import BakedPrimitive, Float64Array, SkinnedPrimitive
 from skinbake.gradients.baker import BakeSettings, bake_mesh
 from skinbake.gradients.surface import (
-    BY_TANGENTS,
     DOUBT,
     EVEN,
     FAINT,
+    MISSING,
     MOST_DOUBT,
     SMOOTH,
     STIFFNESS,
     TOGETHER,
 )
 from skinbake.lighting.operator import GradientOperator, gradient_operator
-from tests.gradients.tubes import BRANCHES, CHAIN, SETTINGS, corner_angles, tube, weighted_normals
+from tests.gradients.tubes import BRANCHES, CHAIN, SETTINGS, tube
 from tests.support.kernels import use_numpy
 
 TURN = 1e-5
@@ -49,10 +49,11 @@ class TestOracle:
 
     @pytest.mark.parametrize("parents", [BRANCHES[:4], CHAIN], ids=["branches", "chain"])
     @pytest.mark.parametrize("seed", [3, 4])
+    @pytest.mark.parametrize("slots", [None, 3], ids=["all", "three"])
     def test_closed_form_is_the_least_squares_over_small_turns(
-        self, seed: int, parents: Sequence[int]
+        self, seed: int, slots: int | None, parents: Sequence[int]
     ) -> None:
-        primitive, rig = tube(seed=seed, slots=len(parents), parents=parents)
+        primitive, rig = tube(seed=seed, slots=slots or len(parents), parents=parents)
         baked = fitted(primitive, rig)
         expected = sampled_fit(primitive, rig)
         for found, wanted in zip((baked.alpha, baked.beta), expected, strict=True):
@@ -89,50 +90,72 @@ def sampled_fit(primitive: SkinnedPrimitive, rig: Rig) -> tuple[Float64Array, Fl
     n0 = unit_normals(primitive.normals)
     t0, b0 = (axis.astype(np.float64) for axis in frame_from_normal(n0))
     operator = gradient_operator([primitive], crease_angle_degrees=15.0)
-    truths = (
-        tangent_truth(operator, positions, n0.astype(np.float64), t0, b0),
-        triangle_truth(operator, positions, n0.astype(np.float64)),
-    )
-    parts = [BY_TANGENTS, 1.0 - BY_TANGENTS]
+    true_normals = tangent_truth(root_derivatives(primitive), positions, n0.astype(np.float64), t0, b0)
     carried = carries(rig)
     samples = [(joint, axis) for joint in range(len(rig.parents)) for axis in np.eye(3)]
-    rows = {"alpha": [], "beta": []}  # type: dict[str, list[tuple[Float64Array, Float64Array]]]
+    rows: dict[str, list[list[Float64Array]]] = {"alpha": [], "beta": []}
     for joint, axis in samples:
         ahead, back = (pose(primitive, rig, carried[joint], joint, axis, turn) for turn in (TURN, -TURN))
         for name, rest in (("alpha", t0), ("beta", b0)):
-            # The tilt of the tangent without α, and of each α, along the mean of both true normals.
-            slope, column = [], []
+            # The tilt of the tangent without α, and of each α, along the true normal.
+            slope, column, lift = [], [], []
             for matrices, sign in ((ahead, 1.0), (back, -1.0)):
                 deformed = np.einsum("vk,vkij,vj->vi", primitive.weights, matrices, homogeneous(positions))
-                normal = np.average([truth(deformed) for truth in truths], axis=0, weights=parts)
+                normal = true_normals(deformed)
                 turned = np.einsum("vk,vkij,vj->vi", primitive.weights, matrices[..., :3], rest)
                 moved = np.einsum("vkij,vj->vki", matrices, homogeneous(positions))
                 levers = moved[:, 1:] - moved[:, :1]
                 slope.append(sign * np.einsum("vi,vi->v", turned, normal))
                 column.append(sign * np.einsum("vki,vi->vk", levers, normal))
-            rows[name].append((sum(slope) / (2 * TURN), sum(column) / (2 * TURN)))
-    presence = presences(primitive, operator)
+                lift.append(sign * np.einsum("vki,vi->vk", moved, n0))
+            rows[name].append([sum(parts) / (2 * TURN) for parts in (slope, column, lift)])
+    whole = gradients_of_joints(primitive, operator)
     found, given, tilts = [], [], np.zeros(len(positions))
-    for name, base in (("alpha", surface.alpha), ("beta", surface.beta)):
-        whole = np.concatenate([-base.sum(axis=1, keepdims=True), base], axis=1).astype(np.float64)
-        slopes = np.stack([row[0] for row in rows[name]], axis=1)
-        columns = np.stack([row[1] for row in rows[name]], axis=1)
-        found.append(solved(primitive, rig, carried, presence, whole, slopes, columns))
+    for name, base, axis in (("alpha", surface.alpha, t0), ("beta", surface.beta, b0)):
+        along = np.einsum("vji,vi->vj", whole, axis)
+        own = np.take_along_axis(along, primitive.joints.astype(np.int64), axis=1)
+        slopes, columns, lifts = (np.stack(parts, axis=1) for parts in zip(*rows[name], strict=True))
+        found.append(solved(primitive, rig, carried, whole, own, slopes, columns))
         given.append(base)
-        tilts += squared_tilts(slopes + np.einsum("vsk,vk->vs", columns, base), columns)
-    share = (tilts / (tilts + doubts(operator, positions) ** 2))[:, None]
+        tilts += squared_tilts(slopes + np.einsum("vsk,vk->vs", lifts, own), columns)
+    share = (tilts / (tilts + doubts(primitive) ** 2))[:, None]
     alpha, beta = (base + share * (fit - base) for base, fit in zip(given, found, strict=True))
     return alpha, beta
 
 
-def doubts(operator: GradientOperator, positions: Float64Array) -> Float64Array:
+def doubts(primitive: SkinnedPrimitive) -> Float64Array:
     """Return the tilt of which a fit takes half, (V,): larger where the normals of the triangles agree."""
-    triangles = operator.triangles.astype(np.int64)
-    angles = corner_angles(positions, triangles)
-    mean = np.linalg.norm(weighted_normals(positions, triangles, angles), axis=1)
-    around = np.bincount(triangles.ravel(), angles.ravel(), len(positions))
-    spread = 1.0 - mean / around
+    faces, lengths = np.zeros(primitive.positions.shape), np.zeros(len(primitive.positions))
+    for triangle in primitive.triangles:
+        p, q, r = primitive.positions[triangle].astype(np.float64)
+        face = np.cross(q - p, r - p)
+        faces[triangle] += face
+        lengths[triangle] += np.linalg.norm(face)
+    spread = 1.0 - np.linalg.norm(faces, axis=1) / lengths
     return np.asarray([DOUBT * min(max((SMOOTH / one) ** 3, 1.0), MOST_DOUBT) for one in spread.tolist()])
+
+
+def root_derivatives(primitive: SkinnedPrimitive) -> Float64Array:
+    """Return the derivatives (3, V, V) of a function at each vertex by its value at each: a weighted mean.
+
+    A triangle has the gradient that a plane through its three values has. At a corner of the angle θ between
+    edges of lengths a and b it weighs sin θ / √(a b).
+    """
+    count = len(primitive.positions)
+    sums, weights = np.zeros((3, count, count)), np.zeros(count)
+    for triangle in primitive.triangles.astype(np.int64):
+        for corner in range(3):
+            here, *others = np.roll(triangle, -corner)
+            edges = (primitive.positions[others] - primitive.positions[here]).astype(np.float64)
+            lengths = np.linalg.norm(edges, axis=1)
+            cosine = edges[0] @ edges[1] / lengths.prod()
+            weight = np.sqrt((1.0 - cosine**2) / lengths.prod())
+            gradient = np.linalg.pinv(edges)
+            sums[:, here, others] += weight * gradient
+            sums[:, here, here] -= weight * gradient.sum(axis=1)
+            weights[here] += weight
+    found: Float64Array = sums / weights[:, None]
+    return found
 
 
 def squared_tilts(tilts: Float64Array, columns: Float64Array) -> Float64Array:
@@ -152,22 +175,20 @@ def squared_tilts(tilts: Float64Array, columns: Float64Array) -> Float64Array:
     return found
 
 
-def presences(primitive: SkinnedPrimitive, operator: GradientOperator) -> Float64Array:
-    """Return each slot's weight (V, K), plus its joint's share of the lengths of the weights' gradients."""
+def gradients_of_joints(primitive: SkinnedPrimitive, operator: GradientOperator) -> Float64Array:
+    """Return the gradients (V, J, 3) of the weights of all joints."""
     joints, count = primitive.joints.astype(np.int64), len(primitive.joints)
     whole = np.zeros((count, joints.max() + 1))
     np.put_along_axis(whole, joints, primitive.weights, axis=1)
     axes = [operator.along(np.tile(axis, (count, 1))) @ whole for axis in np.eye(3)]
-    lengths = np.linalg.norm(axes, axis=0)
-    share: Float64Array = lengths / lengths.sum(axis=1, keepdims=True)
-    return primitive.weights + np.take_along_axis(share, joints, axis=1)
+    return np.stack(axes, axis=2)
 
 
 def solved(
     primitive: SkinnedPrimitive,
     rig: Rig,
     carried: Float64Array,
-    presence: Float64Array,
+    gradients: Float64Array,
     base: Float64Array,
     slopes: Float64Array,
     columns: Float64Array,
@@ -176,6 +197,10 @@ def solved(
 
     The first slot takes minus the sum, so a row for all slots loses the first one's number from each other.
     """
+    lengths = np.linalg.norm(gradients, axis=2)
+    lengths /= lengths.sum(axis=1, keepdims=True)
+    shares = np.take_along_axis(lengths, primitive.joints.astype(np.int64), axis=1)
+    presence, missing = primitive.weights + shares, 1.0 - shares.sum(axis=1)
     result = np.zeros((len(base), base.shape[1] - 1))
     # The chain of the test's rig has all its joints, one after the other.
     chains = [range(len(CHAIN))] if rig.parents.tolist() == list(CHAIN) else []
@@ -183,9 +208,10 @@ def solved(
         levers = primitive.positions[vertex].astype(np.float64) - rig.pivots
         squares = (levers**2).sum(axis=1)
         parting = [joint for joint in range(len(levers)) if 0 < carried[joint, joints].sum() < len(joints)]
-        pulls = [np.sqrt(STIFFNESS * squares[joint]) * carried[joint, joints] for joint in parting]
+        stiffness = STIFFNESS * (1.0 + MISSING * missing[vertex])
+        pulls = [np.sqrt(stiffness * squares[joint]) * carried[joint, joints] for joint in parting]
         more = EVEN + np.maximum((FAINT / presence[vertex]) ** 2, 1.0) - 1.0
-        pulls += list(np.diag(np.sqrt(STIFFNESS * squares[parting].sum() * more)))
+        pulls += list(np.diag(np.sqrt(stiffness * squares[parting].sum() * more)))
         matrix = [row[1:] - row[0] for row in pulls]
         right = [row @ base[vertex] for row in pulls]
         for chain in chains:
@@ -229,10 +255,10 @@ def pose(
 
 
 def tangent_truth(
-    operator: GradientOperator, rest: Float64Array, n0: Float64Array, t0: Float64Array, b0: Float64Array
+    derivatives: Float64Array, rest: Float64Array, n0: Float64Array, t0: Float64Array, b0: Float64Array
 ) -> Normals:
     """Return the normal that the derivatives of the positions carry along, not normalised to first order."""
-    along, across = operator.along(t0), operator.along(b0)
+    along, across = (np.einsum("ui,iuv->uv", axis, derivatives) for axis in (t0, b0))
 
     def columns(points: Float64Array, area: Float64Array | None) -> Float64Array:
         a, b = along @ points, across @ points
@@ -248,19 +274,5 @@ def tangent_truth(
         carried = np.linalg.inv(columns(points, area) @ np.linalg.inv(first))
         found: Float64Array = np.einsum("vji,vj->vi", carried, n0)
         return found
-
-    return normals
-
-
-def triangle_truth(operator: GradientOperator, rest: Float64Array, n0: Float64Array) -> Normals:
-    """Return the authored normal with the change of the one weighted by the angles of the rest pose."""
-    triangles = operator.triangles.astype(np.int64)
-    angles = corner_angles(rest, triangles)
-    first = weighted_normals(rest, triangles, angles)
-    length = np.linalg.norm(first, axis=1, keepdims=True)
-
-    def normals(points: Float64Array) -> Float64Array:
-        tilt: Float64Array = (weighted_normals(points, triangles, angles) - first) / length
-        return n0 + tilt
 
     return normals

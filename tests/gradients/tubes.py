@@ -42,6 +42,7 @@ def tube(
     )
     weights = np.exp(logits) / np.exp(logits).sum(axis=1, keepdims=True)
     order = np.argsort(-weights, axis=1)[:, :slots]
+    kept = np.take_along_axis(weights, order, axis=1)
     primitive = SkinnedPrimitive(
         positions=positions.astype(np.float32),
         normals=weighted_normals(positions, triangles, corner_angles(positions, triangles)).astype(
@@ -49,7 +50,7 @@ def tube(
         ),
         tangents=None,
         joints=order.astype(np.uint16),
-        weights=np.take_along_axis(weights, order, axis=1),
+        weights=kept / kept.sum(axis=1, keepdims=True),
         triangles=triangles.astype(np.uint32),
     )
     return primitive, Rig(np.array(parents, dtype=np.int32), random.normal(scale=1.5, size=(joints, 3)))

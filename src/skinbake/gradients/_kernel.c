@@ -643,7 +643,7 @@ done:
 
 /* How gradients are fitted to a rig (rig_fit.py has the same names). */
 typedef struct {
-    double by_tangents, stiffness, together, doubt, smooth, most_doubt, even, faint, unfelt, flat; /* as in surface.py */
+    double missing, stiffness, together, doubt, smooth, most_doubt, even, faint, unfelt, flat; /* as in surface.py */
 } FitSettings;
 
 /* The surface to bake: V vertices with K slots each, T triangles, C weld classes. Rows as in the twins. */
@@ -795,11 +795,15 @@ enum { AT_ONCE = 4, X1 = 0, Y1, Z1, X2, Y2, Z2, COMPONENTS };
    the spins by axis, each a number for both tangents. */
 enum { ARMS = 0, SPINS = 6, TURN = 12 };
 
-/* A neighbour of a class: the edge to it, and the arms that a weight of 1 there adds. If it has the joints of the
-   class it is alike, and has the differences of the weights of four slots. */
+/* What a weight of 1 at a neighbour adds: to the sum of gradients by axis, then to the derivatives along the two
+   tangents that the fit follows. */
+enum { GRADIENT = 0, ALONG = 3, ADDED = 6 };
+
+/* A neighbour of a class: the edge to it, and what it adds. If it has the joints of the class it is alike, and has
+   the differences of the weights of four slots. */
 typedef struct {
     double edge[4]; /* x, y, z, 0 */
-    double differences[AT_ONCE], arms[SPINS];
+    double differences[AT_ONCE], added[ADDED];
     uint32_t vertex;
     int alike;
 } Neighbour;
@@ -814,18 +818,10 @@ typedef struct {
     double coefficients[COMPONENTS][AT_ONCE], share[AT_ONCE];
 } Corners;
 
-/* The triangles of some corners: e1 x e2, its length, e1 . e2, and |e1|^2 |e2|^2. */
+/* The triangles of some corners: e1 x e2, its length, and |e1|^2 |e2|^2. */
 typedef struct {
-    Four normal[3], area, dots, lengths;
+    Four normal[3], area, lengths;
 } Facets;
-
-/* Some corners, their triangles with unit normals, their angles by their weights, and their coefficients along the
-   class's tangents: by end, then by tangent. Places that are left over have coefficients of zero. */
-typedef struct {
-    Corners corners;
-    Facets facets;
-    Four share, along[2][2];
-} Block;
 
 /* Neighbours among which the next one is looked for; one that is met again later stands twice. */
 enum { LOOKED_BACK = 16 };
@@ -848,7 +844,6 @@ typedef struct {
     Vector normal, tangents[2];
     Vectors along;         /* the tangents */
     Vectors leverage[2];   /* see rig_fit._leverage: by derivative */
-    double total, facing;
     double doubt; /* the tilt for each radian of a turn of which the fit takes half */
     int sound;
 } RingFrame;
@@ -919,8 +914,8 @@ typedef struct {
     Latest latest;
     int stray;      /* an index was out of range at its use */
     /* Only with a rig: */
-    void *block_room;  /* what blocks was cut out of, aligned as vectors must be */
-    Block *blocks;     /* all corners of a class */
+    void *corner_room; /* what corners was cut out of, aligned as vectors must be */
+    Corners *corners;  /* all corners of a class */
     Neighbour *ring;   /* the ends of these corners */
     size_t neighbours;
     int varies;        /* whether the weights of the ring do */
@@ -945,7 +940,7 @@ static void free_scratch(Scratch *w)
 {
     free(w->local), free(w->met), free(w->seen), free(w->own), free(w->x), free(w->y), free(w->z);
     free(w->entries), free(w->foreign), free(w->named);
-    free(w->block_room), free(w->ring), free(w->turns), free(w->gradients), free(w->shares), free(w->nodes);
+    free(w->corner_room), free(w->ring), free(w->turns), free(w->gradients), free(w->shares), free(w->nodes);
     free(w->node_of), free(w->turning), free(w->kept), free(w->way.turning), free(w->way.numbers), free(w->way.climb);
     free(w->matrix), free(w->curls);
 }
@@ -953,8 +948,8 @@ static void free_scratch(Scratch *w)
 static Status allocate_fit(Scratch *w, const Surface *s)
 {
     size_t joints = (size_t)s->joint_count, room = joints + (size_t)s->slots;
-    w->block_room = malloc((MOST_CORNERS / AT_ONCE + 1) * sizeof *w->blocks);
-    w->blocks = (Block *)(((uintptr_t)w->block_room + sizeof(Four) - 1) / sizeof(Four) * sizeof(Four));
+    w->corner_room = malloc((MOST_CORNERS / AT_ONCE + 1) * sizeof *w->corners);
+    w->corners = (Corners *)(((uintptr_t)w->corner_room + sizeof(Four) - 1) / sizeof(Four) * sizeof(Four));
     w->ring = malloc(2 * MOST_CORNERS * sizeof *w->ring);
     w->room = room;
     w->turns = malloc((room + MOST_SPARES) * TURN * sizeof *w->turns);
@@ -969,7 +964,7 @@ static Status allocate_fit(Scratch *w, const Surface *s)
     w->way.turning = malloc(room * sizeof *w->way.turning);
     w->way.numbers = malloc(room * sizeof *w->way.numbers);
     w->way.climb = malloc((MOST_TURNS + (size_t)s->slots) * sizeof *w->way.climb);
-    if (!w->block_room || !w->ring || !w->turns || !w->gradients || !w->shares || !w->nodes || !w->node_of ||
+    if (!w->corner_room || !w->ring || !w->turns || !w->gradients || !w->shares || !w->nodes || !w->node_of ||
         !w->turning || !w->kept || !w->way.turning || !w->way.numbers || !w->way.climb || !w->matrix || !w->curls)
         return NO_MEMORY;
     memset(w->node_of, 0xFF, (joints + 1) * sizeof *w->node_of);
@@ -1046,7 +1041,7 @@ static ALWAYS_INLINE void weigh_corners(Corners *c, Weighting weighting, Facets 
     Four squared_area2 = four_dot(normal, normal), dots = four_dot(e1, e2);
     Four squared1 = four_dot(e1, e1), squared2 = four_dot(e2, e2), area2 = root(squared_area2), scale;
     if (facets != NULL)
-        *facets = (Facets){{normal[0], normal[1], normal[2]}, area2, dots, multiply(squared1, squared2)};
+        *facets = (Facets){{normal[0], normal[1], normal[2]}, area2, multiply(squared1, squared2)};
     if (weighting == BY_MAX) { /* 1 / (|e1|^2 |e2|^2) times |e1 x e2| */
         scale = divide(four(1.0, 1.0, 1.0, 1.0), multiply(multiply(area2, squared1), squared2));
         store(c->share, multiply(squared_area2, scale));
@@ -1129,47 +1124,6 @@ static ALWAYS_INLINE Vector sums_of(const Four *values)
     return (Vector){sum_of(values[0]), sum_of(values[1]), sum_of(values[2])};
 }
 
-/* The angle from its sine and cosine, both times the same length: Abramowitz and Stegun 4.4.49 for the arc tangent
-   of half of it, right to 4e-8. */
-static ALWAYS_INLINE Four angle_of(Shape shape, Four sine, Four cosine, Four length)
-{
-    /* The root of the square is the magnitude, unless the square is out of range. That takes positions in float64. */
-    Four magnitude = shape.wide ? root(multiply(cosine, cosine)) : magnitudes(cosine);
-    Four half = divide(sine, add(length, magnitude)), square = multiply(half, half);
-    static const double terms[] = {0.0028662257, -0.0161657367, 0.0429096138, -0.0752896400,
-                                   0.1065626393, -0.1420889944, 0.1999355085, -0.3333314528};
-    Four sum = all(terms[0]);
-    for (int n = 1; n < 8; n++)
-        sum = add(multiply(sum, square), all(terms[n]));
-    Four acute = multiply(all(2.0), multiply(half, add(multiply(sum, square), all(1.0))));
-    return where_negative(cosine, subtract(all(3.14159265358979323846), acute), acute);
-}
-
-/* Work out the rest of a block of `some` corners. Returns their angles, zero in places that are left over. */
-static ALWAYS_INLINE Four finish_block(Shape shape, Block *block, size_t some, Weighting weighting,
-                                       const Vector tangents[2])
-{
-    static const double present[AT_ONCE][AT_ONCE] = {{1, 0, 0, 0}, {1, 1, 0, 0}, {1, 1, 1, 0}, {1, 1, 1, 1}};
-    const Corners *c = &block->corners;
-    Facets *facets = &block->facets;
-    Four shrink = divide(all(1.0), facets->area), there = load(present[some < AT_ONCE ? some - 1 : AT_ONCE - 1]);
-    Four angle = multiply(there, angle_of(shape, facets->area, facets->dots, root(facets->lengths)));
-    /* With Max's weights, 1 / share is |e1|^2 |e2|^2 / |e1 x e2|. */
-    block->share = weighting == BY_MAX ? multiply(angle, multiply(facets->lengths, shrink))
-                                       : divide(angle, load(c->share));
-    for (int axis = 0; axis < 3; axis++)
-        facets->normal[axis] = multiply(facets->normal[axis], shrink);
-    for (int end = 0; end < 2; end++)
-        for (int n = 0; n < 2; n++) {
-            const double(*component)[AT_ONCE] = c->coefficients + 3 * end;
-            Four along = add(add(multiply(load(component[X1]), all(tangents[n].x)),
-                                 multiply(load(component[Y1]), all(tangents[n].y))),
-                             multiply(load(component[Z1]), all(tangents[n].z)));
-            block->along[end][n] = multiply(there, along);
-        }
-    return angle;
-}
-
 static ALWAYS_INLINE void frame_from_unit(Vector normal, Vector *tangent, Vector *bitangent);
 
 /* A normal as the shader normalises it, in float32 (twin: frames.unit_normals). Returns whether it has a direction. */
@@ -1198,7 +1152,7 @@ static ALWAYS_INLINE void find_leverage(RingFrame *f, const Vector derivatives[2
 {
     Vector a = derivatives[0], b = derivatives[1], c = cross(a, b);
     double area = sqrt(dot(c, c));
-    f->sound &= area > flat * sqrt(dot(a, a)) * sqrt(dot(b, b)) && f->facing > flat;
+    f->sound &= area > flat * sqrt(dot(a, a)) * sqrt(dot(b, b));
     if (!f->sound)
         return;
     const Vector unit = times(c, 1.0 / area), lean = minus(f->normal, times(unit, 0.5 * dot(unit, f->normal)));
@@ -1243,40 +1197,8 @@ static ALWAYS_INLINE double doubt_of(const Surface *s, double alignment)
     return s->fit.doubt * (cube < 1.0 ? 1.0 : cube < s->fit.most_doubt ? cube : s->fit.most_doubt);
 }
 
-/* Measure the frame of a class from its corners, which stand in the blocks. */
-static ALWAYS_INLINE void measure_ring(const Surface *s, Shape shape, Members around, Members vertices, double total,
-                                       Scratch *w)
-{
-    RingFrame *f = &w->frame;
-    const size_t corners = around.count;
-    Vector given = sum_normals(s, around, vertices, &w->latest);
-    f->sound = unit_normal(given, &f->normal);
-    frame_from_unit(f->normal, &f->tangents[0], &f->tangents[1]);
-    const Vector *t = f->tangents;
-    f->along = (Vectors){pair(t[0].x, t[1].x), pair(t[0].y, t[1].y), pair(t[0].z, t[1].z)};
-    f->total = total;
-    Four none = all(0.0), angles = none, faces[3] = {none, none, none}, sums[2][3] = {{none, none, none}, {none, none, none}};
-    for (size_t from = 0; from < corners; from += AT_ONCE) {
-        Block *block = w->blocks + from / AT_ONCE;
-        Four angle = finish_block(shape, block, corners - from, s->weighting, f->tangents);
-        angles = add(angles, angle);
-        for (int axis = 0; axis < 3; axis++) {
-            faces[axis] = add(faces[axis], multiply(block->facets.normal[axis], angle));
-            for (int n = 0; n < 2; n++)
-                for (int end = 0; end < 2; end++)
-                    sums[n][axis] = add(sums[n][axis], multiply(block->along[end][n],
-                                                                block->corners.edges[3 * end + axis]));
-        }
-    }
-    Vector facing = sums_of(faces);
-    f->facing = sqrt(dot(facing, facing));
-    f->doubt = doubt_of(s, f->facing / sum_of(angles));
-    const Vector derivatives[2] = {times(sums_of(sums[0]), 1.0 / total), times(sums_of(sums[1]), 1.0 / total)};
-    find_leverage(f, derivatives, s->fit.flat);
-}
-
 /* Write six numbers of four corners by corner. */
-static ALWAYS_INLINE void turn_over(const Four numbers[6], double by_corner[AT_ONCE][6])
+static ALWAYS_INLINE void turn_over(const Four numbers[ADDED], double by_corner[AT_ONCE][ADDED])
 {
 #if defined(HAS_SHUFFLES)
     Four low = __builtin_shufflevector(numbers[0], numbers[1], 0, 4, 2, 6);  /* of corners 0 and 2 */
@@ -1301,27 +1223,6 @@ static ALWAYS_INLINE void turn_over(const Four numbers[6], double by_corner[AT_O
             by_corner[n][m] = each[n];
     }
 #endif
-}
-
-/* Write the arms that a weight of 1 at one end of four corners adds. */
-static ALWAYS_INLINE void find_arms(const Surface *s, const Block *block, int end, const RingFrame *f,
-                                    double arms[AT_ONCE][SPINS])
-{
-    const Four *by = block->along[end], *normal = block->facets.normal;
-    Four mean = all(s->fit.by_tangents / f->total);
-    Four share = multiply(block->share, all((1.0 - s->fit.by_tangents) / f->facing));
-    Four by_a = multiply(by[0], mean), by_b = multiply(by[1], mean), found[SPINS];
-    for (int n = 0; n < 2; n++) {
-        const Vectors *u = f->leverage;
-        Four by_faces = multiply(by[n], share);
-        found[n] = add(add(multiply(by_a, all(part(u[0].x, n))), multiply(by_b, all(part(u[1].x, n)))),
-                       multiply(by_faces, normal[0]));
-        found[2 + n] = add(add(multiply(by_a, all(part(u[0].y, n))), multiply(by_b, all(part(u[1].y, n)))),
-                           multiply(by_faces, normal[1]));
-        found[4 + n] = add(add(multiply(by_a, all(part(u[0].z, n))), multiply(by_b, all(part(u[1].z, n)))),
-                           multiply(by_faces, normal[2]));
-    }
-    turn_over(found, arms);
 }
 
 /* The place of a vertex in a ring: `count`, behind its end, where the vertex does not stand among the last ones. */
@@ -1365,8 +1266,7 @@ static ALWAYS_INLINE void find_neighbours(const Surface *s, Shape shape, size_t 
             found->vertex = there;
             found->alike = slots == 4 && same_joints(s, slots, vertex, there);
             store(found->edge, subtract(row4(s->positions, shape.wide, there), origin));
-            store(found->arms, all(0.0));
-            store_pair(found->arms + 4, both(0.0));
+            memset(found->added, 0, sizeof found->added);
             if (found->alike)
                 store(found->differences, subtract(load(weights), load(here)));
             w->varies = w->varies || !found->alike || memcmp(weights, here, slots * sizeof *here) != 0;
@@ -1378,92 +1278,212 @@ static ALWAYS_INLINE void find_neighbours(const Surface *s, Shape shape, size_t 
     w->neighbours = count;
 }
 
-/* Add the arms of all corners to the neighbours at their ends. */
-static ALWAYS_INLINE void add_arms(const Surface *s, size_t corners, Scratch *w)
+/* Sums over some corners of a class: the weights of both means, and the normals and sizes of the triangles. */
+typedef struct {
+    double weight;
+    Four root_weight, normal[3], area;
+} CornerSums;
+
+/* Add what some corners say to the neighbours at their ends, and to the sums. The derivatives that the fit follows
+   are means with the weights ROOT of corner.py: 1 / (|e1| |e2|)^1.5 times A2. */
+static ALWAYS_INLINE void add_corners(const Surface *s, Corners *c, size_t some, const Vector tangents[2],
+                                      CornerSums *sums)
 {
-    for (size_t from = 0; from < corners; from += AT_ONCE) {
-        size_t some = corners - from < AT_ONCE ? corners - from : AT_ONCE;
-        const Block *block = w->blocks + from / AT_ONCE;
-        for (int end = 0; end < 2; end++) {
-            double arms[AT_ONCE][SPINS];
-            find_arms(s, block, end, &w->frame, arms);
-            for (size_t n = 0; n < some; n++) {
-                double *sum = block->corners.neighbours[end][n]->arms;
-                store(sum, add(load(sum), load(arms[n])));
-                store_pair(sum + 4, add_pairs(load_pair(sum + 4), load_pair(arms[n] + 4)));
-            }
+    static const double present[AT_ONCE][AT_ONCE] = {{1, 0, 0, 0}, {1, 1, 0, 0}, {1, 1, 1, 0}, {1, 1, 1, 1}};
+    Facets facets;
+    weigh_corners(c, s->weighting, &facets);
+    const Four there = load(present[some < AT_ONCE ? some - 1 : AT_ONCE - 1]);
+    const Four length = root(facets.lengths), half_root = root(length);
+    /* The weight of the root over that of the bake: with Max's weights, the root of the lengths. */
+    const Four factor = s->weighting == BY_MAX ? half_root
+                                               : divide(divide(facets.area, multiply(length, half_root)), load(c->share));
+    sums->root_weight = add(sums->root_weight, multiply(there, multiply(factor, load(c->share))));
+    sums->area = add(sums->area, multiply(there, facets.area));
+    for (int axis = 0; axis < 3; axis++)
+        sums->normal[axis] = add(sums->normal[axis], multiply(there, facets.normal[axis]));
+    for (size_t n = 0; n < some; n++)
+        sums->weight += c->share[n];
+    for (int end = 0; end < 2; end++) {
+        const double(*component)[AT_ONCE] = c->coefficients + 3 * end;
+        Four numbers[ADDED] = {load(component[X1]), load(component[Y1]), load(component[Z1])};
+        for (int n = 0; n < 2; n++)
+            numbers[ALONG + n] = multiply(factor, add(add(multiply(numbers[0], all(tangents[n].x)),
+                                                          multiply(numbers[1], all(tangents[n].y))),
+                                                      multiply(numbers[2], all(tangents[n].z))));
+        numbers[ADDED - 1] = all(0.0);
+        double by_corner[AT_ONCE][ADDED];
+        turn_over(numbers, by_corner);
+        for (size_t n = 0; n < some; n++) {
+            double *sum = c->neighbours[end][n]->added;
+            store(sum, add(load(sum), load(by_corner[n])));
+            store_pair(sum + AT_ONCE, add_pairs(load_pair(sum + AT_ONCE), load_pair(by_corner[n] + AT_ONCE)));
         }
     }
 }
 
-/* The turn that a weight of 1 at a neighbour adds: its arms, and their spins around the edge. */
-static ALWAYS_INLINE void find_turn(const Neighbour *neighbour, Four turn[TURN / AT_ONCE])
-{
-    const double *edge = neighbour->edge;
-    const Vectors arms = load_vectors(neighbour->arms);
-    const Vectors spins = crosses(twice((Vector){edge[0], edge[1], edge[2]}), arms);
-    turn[0] = load(neighbour->arms);
-    turn[1] = join(arms.z, spins.x);
-    turn[2] = join(spins.y, spins.z);
-}
+/* What a neighbour adds to the turns of a joint, times the difference of the joint's weight: the edge times each
+   derivative, by axis, and the derivatives. It becomes a turn by find_turn. */
+enum { BY_EDGE = 0, BY_ITSELF = 6, PRODUCTS = 8 };
 
-/* Add turns x (weight there - weight here) for every joint that either vertex has; as add_differences does. */
-static ALWAYS_INLINE void add_turns(const Surface *s, size_t neighbour, const Four turn[TURN / AT_ONCE], Scratch *w)
+/* Add what a neighbour says for every joint that it or the class has; as add_differences does. Return the number of
+   local numbers in use. */
+static ALWAYS_INLINE int32_t add_neighbour(const Surface *s, const Neighbour *neighbour,
+                                           const double products[PRODUCTS], int32_t used, Scratch *w)
 {
-    double by[TURN];
-    for (int m = 0; m < TURN / AT_ONCE; m++)
-        store(by + AT_ONCE * m, turn[m]);
+    const double *by = neighbour->added + GRADIENT;
+    const int32_t before = used;
+    used = add_differences(s, neighbour->vertex, (Vector){by[0], by[1], by[2]}, used, w);
+    for (int32_t n = before; n < used; n++)
+        memset(w->turns + n * TURN, 0, TURN * sizeof *w->turns);
     const int32_t slots = (int32_t)s->slots;
-    const int32_t *there = s->joints + neighbour * (size_t)slots;
-    const double *weight = s->weights + neighbour * (size_t)slots;
-    w->visit++;
+    const int32_t *there = s->joints + neighbour->vertex * (size_t)slots;
+    const double *weight = s->weights + neighbour->vertex * (size_t)slots;
     for (int32_t k = 0; k < slots; k++) {
         const int32_t joint = there[k];
         if (weight[k] == 0.0 || (size_t)(uint32_t)joint >= (size_t)s->joint_count || w->local[joint] < 0)
             continue; /* add_differences has noted a stray joint, and numbered all others */
         int32_t number = w->local[joint];
-        w->seen[number] = w->visit;
         double difference = number < slots ? weight[k] - w->own[number] : weight[k];
-        for (int n = 0; n < TURN; n++)
-            w->turns[number * TURN + n] += by[n] * difference;
+        for (int m = 0; m < PRODUCTS; m++)
+            w->turns[number * TURN + m] += products[m] * difference;
     }
     for (int32_t k = 0; k < slots; k++)
         if (w->seen[k] != w->visit && w->own[k] != 0.0)
-            for (int n = 0; n < TURN; n++)
-                w->turns[k * TURN + n] -= by[n] * w->own[k];
+            for (int m = 0; m < PRODUCTS; m++)
+                w->turns[k * TURN + m] -= products[m] * w->own[k];
+    return used;
 }
 
-/* Measure the frame of a class, and sum up its turns for every joint met. The corners stand in the blocks, their
-   ends in the ring. */
-static ALWAYS_INLINE void sum_turns(const Surface *s, Shape shape, Members corners, Members vertices, int32_t used,
-                                    double total, Scratch *w)
+/* Turn the sums of products of one joint into its turn of both tangents, in place. */
+static ALWAYS_INLINE void find_turn(const RingFrame *f, double shrink, double turn[TURN])
 {
-    measure_ring(s, shape, corners, vertices, total, w);
-    if (!w->frame.sound)
-        return;
-    add_arms(s, corners.count, w);
+    const Vectors edges = load_vectors(turn + BY_EDGE), *u = f->leverage;
+    const Pair along = scaled(shrink, load_pair(turn + BY_ITSELF));
+    const Vectors by_a = twice((Vector){part(edges.x, 0), part(edges.y, 0), part(edges.z, 0)});
+    const Vectors by_b = twice((Vector){part(edges.x, 1), part(edges.y, 1), part(edges.z, 1)});
+    const Vectors arms = plus_each(times_each(u[0], both(part(along, 0))), times_each(u[1], both(part(along, 1))));
+    const Vectors spins = times_each(plus_each(crosses(by_a, u[0]), crosses(by_b, u[1])), both(shrink));
+    store(turn, join(arms.x, arms.y));
+    store(turn + AT_ONCE, join(arms.z, spins.x));
+    store(turn + 2 * AT_ONCE, join(spins.y, spins.z));
+}
+
+/* Measure the frame of a class, and sum up gradients and turns over its corners for every joint met. Return the
+   number of local numbers in use, and the weight of all corners as `total`. */
+static ALWAYS_INLINE int32_t sum_ring(const Surface *s, Shape shape, Members corners, Members vertices, int32_t used,
+                                      double *total, Scratch *w)
+{
+    const size_t slots = shape.slots;
+    RingFrame *f = &w->frame;
+    Vector given = sum_normals(s, corners, vertices, &w->latest);
+    f->sound = unit_normal(given, &f->normal);
+    frame_from_unit(f->normal, &f->tangents[0], &f->tangents[1]);
+    const Vector *t = f->tangents;
+    f->along = (Vectors){pair(t[0].x, t[1].x), pair(t[0].y, t[1].y), pair(t[0].z, t[1].z)};
+    const Four none = all(0.0);
+    CornerSums sums = {0.0, none, {none, none, none}, none};
+    for (size_t from = 0; from < corners.count; from += AT_ONCE) {
+        size_t some = corners.count - from < AT_ONCE ? corners.count - from : AT_ONCE;
+        add_corners(s, w->corners + from / AT_ONCE, some, t, &sums);
+    }
+    *total = sums.weight;
     memset(w->turns, 0, (size_t)used * TURN * sizeof *w->turns);
-    Four sums[AT_ONCE][TURN / AT_ONCE]; /* by slot */
-    for (int k = 0; k < AT_ONCE; k++)
-        for (int m = 0; m < TURN / AT_ONCE; m++)
-            sums[k][m] = all(0.0);
+    Vectors derivatives = twice((Vector){0.0, 0.0, 0.0});
+    Four gradients[3] = {none, none, none}, products[PRODUCTS]; /* of the usual four slots */
+    for (int m = 0; m < PRODUCTS; m++)
+        products[m] = none;
     for (size_t n = 0; n < w->neighbours; n++) {
         const Neighbour *neighbour = &w->ring[n];
-        Four turn[TURN / AT_ONCE];
-        find_turn(neighbour, turn);
-        if (shape.slots == 4 && neighbour->alike) {
-            for (int k = 0; k < AT_ONCE; k++)
-                for (int m = 0; m < TURN / AT_ONCE; m++)
-                    sums[k][m] = add(sums[k][m], multiply(turn[m], all(neighbour->differences[k])));
-        } else {
-            add_turns(s, neighbour->vertex, turn, w);
-        }
+        const Pair along = load_pair(neighbour->added + ALONG);
+        const double *edge = neighbour->edge;
+        const Vectors product = {scaled(edge[0], along), scaled(edge[1], along), scaled(edge[2], along)};
+        derivatives = plus_each(derivatives, product);
+        double each[PRODUCTS];
+        store(each, join(product.x, product.y));
+        store(each + AT_ONCE, join(product.z, along));
+        if (slots == 4 && neighbour->alike) {
+            const Four difference = load(neighbour->differences);
+            for (int axis = 0; axis < 3; axis++)
+                gradients[axis] = add(gradients[axis], multiply(all(neighbour->added[GRADIENT + axis]), difference));
+            for (int m = 0; m < PRODUCTS; m++)
+                products[m] = add(products[m], multiply(all(each[m]), difference));
+        } else
+            used = add_neighbour(s, neighbour, each, used, w);
     }
-    for (int k = 0; shape.slots == 4 && k < AT_ONCE; k++)
-        for (int m = 0; m < TURN / AT_ONCE; m++) {
-            double *to = w->turns + k * TURN + AT_ONCE * m;
-            store(to, add(load(to), sums[k][m]));
-        }
+    if (slots == 4) {
+        double *to[3] = {w->x, w->y, w->z}, by_slot[PRODUCTS][AT_ONCE];
+        for (int axis = 0; axis < 3; axis++)
+            store(to[axis], add(load(to[axis]), gradients[axis]));
+        for (int m = 0; m < PRODUCTS; m++)
+            store(by_slot[m], products[m]);
+        for (int k = 0; k < AT_ONCE; k++)
+            for (int m = 0; m < PRODUCTS; m++)
+                w->turns[k * TURN + m] += by_slot[m][k];
+    }
+    const double shrink = 1.0 / sum_of(sums.root_weight), areas = sum_of(sums.area);
+    const Vector facing = sums_of(sums.normal), a = {part(derivatives.x, 0), part(derivatives.y, 0), part(derivatives.z, 0)};
+    const Vector b = {part(derivatives.x, 1), part(derivatives.y, 1), part(derivatives.z, 1)};
+    const double alignment = sqrt(dot(facing, facing)) / areas;
+    f->doubt = doubt_of(s, alignment);
+    f->sound &= alignment > s->fit.flat;
+    find_leverage(f, (const Vector[2]){times(a, shrink), times(b, shrink)}, s->fit.flat);
+    for (int32_t n = 0; f->sound && n < used; n++)
+        if (w->met[n] >= 0)
+            find_turn(f, shrink, w->turns + n * TURN);
+    return used;
+}
+
+/* Sum up gradients over all corners, for every joint met. Return the number of local numbers in use, and the weight
+   of all corners as `total`. */
+static ALWAYS_INLINE int32_t sum_gradients(const Surface *s, Shape shape, Members corners, size_t vertex, int32_t used,
+                                           double *total, Scratch *w)
+{
+    const size_t slots = shape.slots;
+    Vector origin = row3(s->positions, shape.wide, vertex);
+    Four none = four(0.0, 0.0, 0.0, 0.0), x = none, y = none, z = none; /* sums of the usual four slots */
+    Four own = slots == 4 ? load(s->weights + vertex * slots) : none;
+    *total = 0.0;
+    for (size_t from = 0; from < corners.count; from += AT_ONCE) {
+        const Members some = {corners.first + from, corners.count - from < AT_ONCE ? corners.count - from : AT_ONCE};
+        Corners c;
+        find_ends(s, some, &c, w);
+        find_edges(s, shape, origin, some, &c);
+        weigh_corners(&c, s->weighting, NULL);
+        for (size_t n = 0; n < some.count; n++)
+            for (int end = 0; end < 2; end++) {
+                const size_t there = c.ends[n][end];
+                const double(*component)[AT_ONCE] = c.coefficients + 3 * end;
+                Vector by = {component[X1][n], component[Y1][n], component[Z1][n]};
+                if (slots == 4 && same_joints(s, slots, vertex, there)) {
+                    Four difference = subtract(load(s->weights + there * slots), own);
+                    x = add(x, multiply(four(by.x, by.x, by.x, by.x), difference));
+                    y = add(y, multiply(four(by.y, by.y, by.y, by.y), difference));
+                    z = add(z, multiply(four(by.z, by.z, by.z, by.z), difference));
+                } else
+                    used = add_differences(s, there, by, used, w);
+            }
+        for (size_t n = 0; n < some.count; n++)
+            *total += c.share[n];
+    }
+    if (slots == 4) {
+        store(w->x, add(load(w->x), x));
+        store(w->y, add(load(w->y), y));
+        store(w->z, add(load(w->z), z));
+    }
+    return used;
+}
+
+/* Find the corners of a class and its ring. Return whether the weights vary there. */
+static ALWAYS_INLINE int find_ring(const Surface *s, Shape shape, Members corners, size_t vertex, Scratch *w)
+{
+    w->neighbours = 0, w->varies = 0;
+    for (size_t from = 0; from < corners.count; from += AT_ONCE) {
+        size_t some = corners.count - from < AT_ONCE ? corners.count - from : AT_ONCE;
+        Corners *c = w->corners + from / AT_ONCE;
+        find_ends(s, (Members){corners.first + from, some}, c, w);
+        find_neighbours(s, shape, vertex, some, c, w);
+    }
+    return w->varies;
 }
 
 /* Sum over all corners, for every joint met. Return the number of local numbers in use, and the weight of all
@@ -1483,53 +1503,11 @@ static ALWAYS_INLINE int32_t sum_corners(const Surface *s, Shape shape, Members 
         if (w->met[k] >= 0)
             w->local[w->met[k]] = (int32_t)k;
     }
-    Vector origin = row3(s->positions, shape.wide, vertex);
-    const double *here = s->weights + vertex * slots;
-    Four none = four(0.0, 0.0, 0.0, 0.0), x = none, y = none, z = none; /* sums of the usual four slots */
-    Four own = slots == 4 ? load(here) : none;
-    *total = 0.0;
-    const int rings = shape.fits && corners.count <= MOST_CORNERS;
-    w->neighbours = 0, w->varies = 0;
-    for (size_t from = 0; from < corners.count; from += AT_ONCE) {
-        size_t some = corners.count - from < AT_ONCE ? corners.count - from : AT_ONCE;
-        Corners passing, *c = &passing;
-        Facets *facets = NULL;
-        if (rings)
-            c = &w->blocks[from / AT_ONCE].corners, facets = &w->blocks[from / AT_ONCE].facets;
-        find_ends(s, (Members){corners.first + from, some}, c, w);
-        if (rings)
-            find_neighbours(s, shape, vertex, some, c, w);
-        else
-            find_edges(s, shape, origin, (Members){corners.first + from, some}, c);
-        weigh_corners(c, s->weighting, facets);
-        for (size_t n = 0; n < some; n++)
-            for (int end = 0; end < 2; end++) {
-                const size_t there = c->ends[n][end];
-                const double(*component)[AT_ONCE] = c->coefficients + 3 * end;
-                Vector by = {component[X1][n], component[Y1][n], component[Z1][n]};
-                const Neighbour *known = rings ? c->neighbours[end][n] : NULL;
-                if (slots == 4 && (rings ? known->alike : same_joints(s, slots, vertex, there))) {
-                    Four difference =
-                        rings ? load(known->differences) : subtract(load(s->weights + there * slots), own);
-                    x = add(x, multiply(four(by.x, by.x, by.x, by.x), difference));
-                    y = add(y, multiply(four(by.y, by.y, by.y, by.y), difference));
-                    z = add(z, multiply(four(by.z, by.z, by.z, by.z), difference));
-                } else
-                    used = add_differences(s, there, by, used, w);
-            }
-        for (size_t n = 0; n < some; n++)
-            *total += c->share[n];
-    }
-    if (slots == 4) {
-        store(w->x, add(load(w->x), x));
-        store(w->y, add(load(w->y), y));
-        store(w->z, add(load(w->z), z));
-    }
-    if (shape.fits) {
-        w->frame.sound = 0;
-        if (w->varies)
-            sum_turns(s, shape, corners, vertices, used, *total, w);
-    }
+    *total = 1.0;
+    if (!shape.fits || corners.count > MOST_CORNERS)
+        used = sum_gradients(s, shape, corners, vertex, used, total, w);
+    else if (find_ring(s, shape, corners, vertex, w))
+        used = sum_ring(s, shape, corners, vertices, used, total, w);
     for (int32_t n = 0; n < used; n++)
         if (w->met[n] >= 0)
             w->local[w->met[n]] = -1;
@@ -1744,6 +1722,7 @@ typedef struct {
     int32_t joints[MOST_FITTED];
     double presence[MOST_FITTED]; /* the weight and the share of the gradient of each slot's joint, added */
     Pair given[MOST_FITTED];      /* the surface's gradients along the class's tangents */
+    double stiffness;             /* the share of a turn's squared lever that pulls to the surface's gradients */
     double reach;                 /* the squared levers of all turns that part the slots, added */
     double tilts; /* the squared tilts that these turns by a radian give to both tangents, added */
 } Fitted;
@@ -1898,7 +1877,7 @@ static ALWAYS_INLINE void add_turn(const Surface *s, Vector position, const Clim
 {
     Vector lever = minus(position, (Vector){climb->pivot[0], climb->pivot[1], climb->pivot[2]});
     Vector tilt = cross(lever, frame->normal);
-    double reach = dot(lever, lever), length = dot(tilt, tilt), pull = s->fit.stiffness * reach, square = length + pull;
+    double reach = dot(lever, lever), length = dot(tilt, tilt), pull = fitted->stiffness * reach, square = length + pull;
     fitted->reach += reach;
     const Vectors arms = load_vectors(turn + ARMS), spins = load_vectors(turn + SPINS);
     const Vectors turned = plus_each(crosses(twice(lever), arms), spins);
@@ -1989,7 +1968,7 @@ static ALWAYS_INLINE int solve(Equations e)
 static ALWAYS_INLINE double pull_of(const Surface *s, const Fitted *fitted, size_t slot)
 {
     double faint = s->fit.faint / fitted->presence[slot], more = faint > 1.0 ? faint * faint - 1.0 : 0.0;
-    return s->fit.stiffness * fitted->reach * (s->fit.even + more);
+    return fitted->stiffness * fitted->reach * (s->fit.even + more);
 }
 
 /* Move the gradients of the fitted slots, in the plane of the class's tangents, to the solution of the least
@@ -2033,11 +2012,13 @@ static ALWAYS_INLINE void fit_unknowns(const Surface *s, size_t unknowns, Vector
         move_gradients(s, fitted, e, w);
 }
 
-/* Fit the gradients by slot of one vertex to the rig. */
+/* Fit the gradients by slot of one vertex to the rig. No slot has the joints of the share `missing` of them. */
 FOR_PROCESSORS
-static void fit_vertex(const Surface *s, size_t vertex, size_t turnings, const Vector *position, Scratch *w)
+static void fit_vertex(const Surface *s, size_t vertex, size_t turnings, double missing, const Vector *position,
+                       Scratch *w)
 {
     Fitted fitted;
+    fitted.stiffness = s->fit.stiffness * (1.0 + s->fit.missing * missing);
     int chosen = s->slots == 4 ? choose_slots(s, 4, vertex, w, &fitted)
                                : choose_slots(s, (size_t)s->slots, vertex, w, &fitted);
     if (!chosen)
@@ -2088,7 +2069,7 @@ static ALWAYS_INLINE double project_fitted(const Surface *s, Shape shape, size_t
         const size_t size = (size_t)found->used * TURN * sizeof *w->turns;
         if (!last)
             memcpy(w->kept, w->turns, size);
-        fit_vertex(s, vertex, found->turnings, &position, w);
+        fit_vertex(s, vertex, found->turnings, unheld * whole, &position, w);
         if (!last)
             memcpy(w->turns, w->kept, size);
     }
@@ -2287,7 +2268,7 @@ static int read_surface(PyObject *args, PyObject *keywords, Array *a, Surface *s
 {
     static char *names[] = {"positions", "triangles", "joints", "weights", "free", "classes", "normals", "tangents",
                             "bitangents", "alpha", "beta", "adopted", "ends", "sums", "parents", "ranks", "pivots",
-                            "chains", "class_count", "weighting", "adopts", "negligible", "by_tangents", "stiffness",
+                            "chains", "class_count", "weighting", "adopts", "negligible", "missing", "stiffness",
                             "together", "doubt", "smooth", "most_doubt", "even", "faint", "unfelt", "flat",
                             "grouped", "first", "last", NULL};
     PyObject *o[ARRAYS];
@@ -2299,7 +2280,7 @@ static int read_surface(PyObject *args, PyObject *keywords, Array *a, Surface *s
                                      &o[POSITIONS], &o[TRIANGLES], &o[JOINTS], &o[WEIGHTS], &o[UNUSED], &o[CLASSES], &o[NORMALS], &o[TANGENTS],
                                      &o[BITANGENTS], &o[ALPHA], &o[BETA], &o[ADOPTED], &o[ENDS], &o[SUMS],
                                      &o[PARENTS], &o[RANKS], &o[PIVOTS], &o[CHAINS], &class_count, &weighting, &adopts,
-                                     &negligible, &fit.by_tangents, &fit.stiffness, &fit.together, &fit.doubt,
+                                     &negligible, &fit.missing, &fit.stiffness, &fit.together, &fit.doubt,
                                      &fit.smooth, &fit.most_doubt, &fit.even, &fit.faint, &fit.unfelt, &fit.flat,
                                      &part->grouped, &part->first, &part->last))
         return -1;

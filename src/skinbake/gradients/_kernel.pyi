@@ -90,7 +90,7 @@ def bake_surface(
     weighting: int,
     adopts: bool,
     negligible: float,
-    by_tangents: float,
+    missing: float,
     stiffness: float,
     together: float,
     doubt: float,

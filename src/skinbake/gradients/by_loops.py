@@ -19,11 +19,11 @@ from skinbake.gradients import _kernel
 from skinbake.gradients.field import WeightDefects, WeightField
 from skinbake.gradients.labels import Labels
 from skinbake.gradients.surface import (
-    BY_TANGENTS,
     DOUBT,
     EVEN,
     FAINT,
     FLAT,
+    MISSING,
     MOST_DOUBT,
     NEGLIGIBLE,
     SMOOTH,
@@ -131,7 +131,7 @@ def bake_surface(surface: Surface, *, weighting: str, adopt: bool) -> SurfaceSlo
         weighting=WEIGHTINGS[weighting],
         adopts=adopt,
         negligible=NEGLIGIBLE,
-        by_tangents=BY_TANGENTS,
+        missing=MISSING,
         stiffness=STIFFNESS,
         together=TOGETHER,
         doubt=DOUBT,

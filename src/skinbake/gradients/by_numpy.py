@@ -117,7 +117,7 @@ def _bake_parts(surface: Surface, *, weighting: str, adopt: bool) -> SurfaceSlot
     gradients = weight_gradients(surface.positions, surface.triangles, field, classes, weighting=weighting)
     capacity = shared_capacity(field, classes) if adopt else None
     tangents, bitangents = surface.frame or frame_from_normal(unit_normals(surface.normals))
-    turns = None if surface.rig is None else ring_turns(surface, weighting=weighting)
+    turns = None if surface.rig is None else ring_turns(surface)
     parts, counts, start = [], [], 0
     for end in surface.ends:
         rows = slice(start, end)

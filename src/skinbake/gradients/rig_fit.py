@@ -16,13 +16,14 @@ import numpy as np
 from skinbake.geometry.frames import frame_from_normal, has_direction, unit_normals
 from skinbake.geometry.rig import NO_CHAIN, Lineage, Rig
 from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray, IntArray
+from skinbake.gradients.corner import ROOT
 from skinbake.gradients.field import NO_JOINT, WeightField
 from skinbake.gradients.surface import (
-    BY_TANGENTS,
     DOUBT,
     EVEN,
     FAINT,
     FLAT,
+    MISSING,
     MOST_DOUBT,
     SMOOTH,
     STIFFNESS,
@@ -66,55 +67,48 @@ class RingTurns:
     doubts: Float64Array
 
 
-def ring_turns(surface: Surface, *, weighting: str) -> RingTurns:
-    """Return the turns of all classes of a surface. weighting is a key of ``corner.WEIGHTINGS``.
+def ring_turns(surface: Surface) -> RingTurns:
+    """Return the turns of all classes of a surface.
 
-    The turn is the mean of those of two normals of the deformed mesh: the normal across the two derivatives
-    of the positions, and the angle-weighted mean of the triangles' normals.
+    The turn is that of the normal across the two derivatives of the positions. These are means over the
+    triangles, with the weights ROOT of corner.py: between those of both truths of verify.
     """
     classes = surface.classes.astype(np.int64)
     count = int(classes.max(initial=-1)) + 1
     normals, directed = _normals_of_classes(surface, classes, count)
     tangents = np.stack(frame_from_normal(normals.astype(np.float32)), axis=1).astype(np.float64)
-    total, derivatives, faces = np.zeros(count), np.zeros((count, 2, 3)), np.zeros((count, 3))
-    angles = np.zeros(count)
-    for corners in corners_of(surface.positions, surface.triangles, weighting):
+    total, areas = np.zeros(count), np.zeros(count)
+    derivatives, faces = np.zeros((count, 2, 3)), np.zeros((count, 3))
+    keys, values = [], []
+    joint_count = int(surface.field.joints.max(initial=0)) + 1
+    for corners in corners_of(surface.positions, surface.triangles, ROOT):
         at = classes[corners.origin]
         total += np.bincount(at, corners.weight, count)
-        faces += _summed(at, corners.angles[:, None] * corners.normals, count)
-        angles += np.bincount(at, corners.angles, count)
-        for _, edges, coefficients in corners.ends():
+        areas += np.bincount(at, np.linalg.norm(corners.faces, axis=1), count)
+        faces += _summed(at, corners.faces, count)
+        for neighbour, edges, coefficients in corners.ends():
             along = np.einsum("cti,ci->ct", tangents[at], coefficients)
-            derivatives += _summed(at, along[:, :, None] * edges[:, None, :], count)
+            products = along[:, :, None] * edges[:, None, :]
+            derivatives += _summed(at, products, count)
+            corner, joints, difference = corner_differences(surface.field, corners.origin, neighbour)
+            added = np.concatenate([along, products.reshape(-1, 6)], axis=1)
+            keys.append(at[corner] * joint_count + joints)
+            values.append(added[corner] * difference[:, None])
     with np.errstate(divide="ignore", invalid="ignore"):  # a class without an area is not sound
         derivatives /= total[:, None, None]
         leverage, area = _leverage(derivatives, tangents, normals)
-        facing = np.linalg.norm(faces, axis=1)
         lengths = np.linalg.norm(derivatives, axis=2)
-        sound = area > FLAT * lengths[:, 0] * lengths[:, 1]
-        sound &= (facing > FLAT) & directed
-        doubts = _doubts(np.where(angles > 0.0, facing / angles, 0.0))
-    keys, values = [], []
-    joint_count = int(surface.field.joints.max(initial=0)) + 1
-    for corners in corners_of(surface.positions, surface.triangles, weighting):
-        at = classes[corners.origin]
-        for neighbour, edges, coefficients in corners.ends():
-            with np.errstate(divide="ignore", invalid="ignore"):  # likewise
-                along = np.einsum("cti,ci->ct", tangents[at], coefficients)
-                by_tangents = np.einsum("cd,ctdi->cti", along / total[at, None], leverage[at])
-                share = corners.angles / corners.weight / facing[at]
-                by_faces = (along * share[:, None])[:, :, None] * corners.normals[:, None, :]
-                arms = np.where(
-                    sound[at, None, None], BY_TANGENTS * by_tangents + (1.0 - BY_TANGENTS) * by_faces, 0.0
-                )
-            corner, joints, difference = corner_differences(surface.field, corners.origin, neighbour)
-            arms = arms[corner] * difference[:, None, None]
-            spins = np.cross(edges[corner, None, :], arms)
-            keys.append(at[corner] * joint_count + joints)
-            values.append(np.concatenate([arms, spins], axis=1).reshape(-1, 12))
+        alignment = np.where(areas > 0.0, np.linalg.norm(faces, axis=1) / areas, 0.0)
+    sound = (area > FLAT * lengths[:, 0] * lengths[:, 1]) & (alignment > FLAT) & directed
     offsets, joints, sums = summed_by_key(keys, values, joint_count, count)
-    both = sums.reshape(-1, 4, 3)
-    return RingTurns(offsets, joints, both[:, :2], both[:, 2:], normals, tangents, sound, doubts)
+    owner = np.repeat(np.arange(count), np.diff(offsets))
+    with np.errstate(divide="ignore", invalid="ignore"):  # likewise
+        sums = np.where(sound[owner, None], sums / total[owner, None], 0.0)
+    along, products = sums[:, :2], sums[:, 2:].reshape(-1, 2, 3)
+    levers = np.where(sound[owner, None, None, None], leverage[owner], 0.0)
+    arms = np.einsum("ed,etdi->eti", along, levers)
+    spins = np.cross(products[:, None], levers).sum(axis=2)
+    return RingTurns(offsets, joints, arms, spins, normals, tangents, sound, _doubts(alignment))
 
 
 def _doubts(alignment: Float64Array) -> Float64Array:
@@ -193,11 +187,12 @@ def fitted(
 
     The fitted gradients of a vertex sum to 0. A vertex that cannot be fitted keeps its α and β.
     """
-    presence = _presence(vertices, gradients)
+    presence, missing = _presence(vertices, gradients)
     named = np.where(_can_be_fitted(presence), vertices.named, NO_JOINT)
     given = _gradients_of_slots(vertices, gradients, turns)
     pairs = _turning_pairs(vertices, named, turns, rig)
-    system = _normal_equations(vertices, turns, pairs, given, presence)
+    stiffness = STIFFNESS * (1.0 + MISSING * missing)
+    system = _normal_equations(vertices, turns, pairs, given, presence, stiffness)
     counts = np.count_nonzero(system.unknowns, axis=1)
     change = np.zeros_like(given)
     for count in np.unique(counts):
@@ -219,8 +214,11 @@ def fitted(
     return vertices.alpha + along[0], vertices.beta + along[1]
 
 
-def _presence(vertices: FittedVertices, gradients: VertexGradients) -> Float64Array:
-    """Return the presence of the joint of each slot, (V, K): its weight, and its share of the gradients."""
+def _presence(vertices: FittedVertices, gradients: VertexGradients) -> tuple[Float64Array, Float64Array]:
+    """Return the presence of the joint of each slot, (V, K): its weight, and its share of the gradients.
+
+    Return the share of the gradients whose joints no slot has, too: (V,).
+    """
     owner, entry = _entries(gradients.offsets, vertices.classes)
     lengths = np.linalg.norm(gradients.gradients[entry], axis=1)
     total = np.bincount(owner, lengths, len(vertices.classes))
@@ -228,8 +226,11 @@ def _presence(vertices: FittedVertices, gradients: VertexGradients) -> Float64Ar
     weights = vertices.field.weights * (vertices.named == vertices.field.joints)
     presence = np.where(vertices.named >= 0, weights, 0.0)
     with np.errstate(invalid="ignore"):  # gradients of zero have no shares: NaN, which cannot be fitted
-        presence[owner[row], slot] += (lengths / total[owner])[row]
-    return presence
+        shares = lengths / total[owner]
+        presence[owner[row], slot] += shares[row]
+    missing = (vertices.named[owner] != gradients.joints[entry, None]).all(axis=1)
+    missing_share = np.bincount(owner, np.where(missing, shares, 0.0), len(vertices.classes))
+    return presence, missing_share.astype(np.float64)
 
 
 def _can_be_fitted(presence: Float64Array) -> BoolArray:
@@ -328,13 +329,18 @@ class _NormalEquations:
 
 
 def _normal_equations(
-    vertices: FittedVertices, turns: RingTurns, pairs: _Pairs, given: Float64Array, presence: Float64Array
+    vertices: FittedVertices,
+    turns: RingTurns,
+    pairs: _Pairs,
+    given: Float64Array,
+    presence: Float64Array,
+    stiffness: Float64Array,
 ) -> _NormalEquations:
     """Sum up, over all turning joints, what tilts a tangent along the normal, by slot and as it should be.
 
     The turn of a joint moves the slots that it carries. Their gradients follow it, and each turn by itself
-    pulls their sum to that of the surface's gradients, given (V, K, 2). presence is (V, K). The joints of a
-    long chain turn all alike, too.
+    pulls their sum to that of the surface's gradients, given (V, K, 2). presence is (V, K), stiffness (V,).
+    The joints of a long chain turn all alike, too.
     """
     at, classes = pairs.vertices, vertices.classes[pairs.vertices]
     count, slots = pairs.named.shape
@@ -354,8 +360,9 @@ def _normal_equations(
     tilts = np.bincount(at[turned], (off * off).sum(axis=1)[turned] / lengths[turned], count).astype(
         np.float64
     )
-    squares = lengths + STIFFNESS * levers
-    aims += STIFFNESS * levers[:, None] * carried
+    pulls = stiffness[at] * levers
+    squares = lengths + pulls
+    aims += pulls[:, None] * carried
     matrix, right = np.zeros((count, slots, slots)), np.zeros((count, slots, 2))
     np.add.at(matrix, at, sides[:, :, None] * sides[:, None, :] * squares[:, None, None])
     np.add.at(right, at, sides[:, :, None] * aims[:, None, :])
@@ -365,7 +372,7 @@ def _normal_equations(
     reach = np.bincount(at, levers, count)
     with np.errstate(divide="ignore"):  # a slot that has no presence is not named
         more = np.maximum(np.square(FAINT / presence), 1.0) - 1.0
-    pull = STIFFNESS * reach[:, None] * (EVEN + np.where(pairs.named >= 0, more, 0.0))
+    pull = (stiffness * reach)[:, None] * (EVEN + np.where(pairs.named >= 0, more, 0.0))
     last = np.arange(count), pairs.last
     matrix += pull[last][:, None, None]
     matrix[:, np.arange(slots), np.arange(slots)] += pull

@@ -22,10 +22,11 @@ STIFFNESS = 0.12
 TOGETHER = 10.0
 """How much more it counts that all joints of a long chain turn alike than that one joint turns by itself."""
 
-BY_TANGENTS = 0.55
-"""The part of verify's truth by tangents in the normal that the fit follows. That by triangles has the rest.
+MISSING = 15.0
+"""How much STIFFNESS grows with the share of a vertex's gradients whose joints have no slot there.
 
-With halves most of the error that is left is by tangents. With more, some real models get worse by triangles.
+The fit would let other joints stand in for them, by how far they would carry the missing ones. These others
+do not turn as the missing ones do.
 """
 
 DOUBT = 0.01
@@ -38,7 +39,7 @@ follow them this closely. Of a tilt e, the fit takes the share e² / (e² + doub
 SMOOTH, MOST_DOUBT = 0.2, 4.0
 """The spread of the triangles' normals below which a surface is smooth, and how much the doubt grows there.
 
-The spread of a class is 1 − |Σ angle × normal| / Σ angle. At a spread s the doubt is (SMOOTH / s)³ times
+The spread of a class is 1 − |Σ area × normal| / Σ area. At a spread s the doubt is (SMOOTH / s)³ times
 DOUBT, but at least DOUBT, and at most MOST_DOUBT times it. Triangles that lie nearly in one plane stand for a
 smooth surface, and the gradient follows that surface better than they do.
 """

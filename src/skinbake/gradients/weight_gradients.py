@@ -50,7 +50,7 @@ def weight_gradients(
     total = np.zeros(count)
     keys, vectors = [], []
     joint_count = int(field.joints.max(initial=0)) + 1
-    for corners in corners_of(positions, triangles, weighting):
+    for corners in corners_of(positions, triangles, WEIGHTINGS[weighting]):
         total += np.bincount(classes[corners.origin], corners.weight, count)
         for neighbour, _, coefficients in corners.ends():
             corner, joints, difference = corner_differences(field, corners.origin, neighbour)
@@ -67,8 +67,7 @@ class Corners:
 
     origin, first and second (T,) are its vertex and the two others. edges (2, T, 3) lead to these. weight
     (T,) is the corner's weight in the mean, coefficients (2, T, 3) the weight times the gradients of both
-    hats. normals (T, 3) are the unit normals of the triangles, angles (T,) their angles at the corner, in
-    radians.
+    hats. faces (T, 3) are the normals of the triangles, as long as twice their areas.
     """
 
     origin: IntArray
@@ -77,26 +76,25 @@ class Corners:
     edges: Float64Array
     weight: Float64Array
     coefficients: Float64Array
-    normals: Float64Array
-    angles: Float64Array
+    faces: Float64Array
 
     def ends(self) -> Iterator[tuple[IntArray, Float64Array, Float64Array]]:
         """Return both ends: the other vertex, the edge to it, and the coefficients."""
         yield from zip((self.first, self.second), self.edges, self.coefficients, strict=True)
 
 
-def corners_of(positions: FloatArray, triangles: IntArray, weighting: str) -> Iterator[Corners]:
-    """Return all first corners of the triangles, then all second ones, then all third ones."""
+def corners_of(positions: FloatArray, triangles: IntArray, weighting: int) -> Iterator[Corners]:
+    """Return all first corners of the triangles, then all second ones, then all third ones.
+
+    weighting is one of those of corner.py.
+    """
     points = positions.astype(np.float64)
     for turn in range(3):
         origin, first, second = np.roll(triangles, -turn, axis=1).T
         edges = np.stack([points[first] - points[origin], points[second] - points[origin]])
-        weight, c1, c2 = corner_coefficients(tuple(edges[0].T), tuple(edges[1].T), WEIGHTINGS[weighting])
-        normals = np.cross(edges[0], edges[1])
-        areas = np.linalg.norm(normals, axis=1)
-        angles = np.arctan2(areas, np.einsum("ti,ti->t", *edges))
+        weight, c1, c2 = corner_coefficients(tuple(edges[0].T), tuple(edges[1].T), weighting)
         coefficients = np.stack([np.stack(c1, axis=1), np.stack(c2, axis=1)])
-        yield Corners(origin, first, second, edges, weight, coefficients, normals / areas[:, None], angles)
+        yield Corners(origin, first, second, edges, weight, coefficients, np.cross(*edges))
 
 
 def corner_differences(
