@@ -1090,10 +1090,10 @@ typedef struct {
     double flat; /* a triangle with a larger cotangent is a line or a point */
 } Sums;
 
-/* A triangle in up to FACE_STRIP poses: its normal, its doubled area, the products of the edges at its corners.
-   One without an area has a normal of zero, and any angle. */
+/* A triangle in up to FACE_STRIP poses: its unit normal, and the cotangents of its angles. One without an area has a
+   normal of zero, and any angle. */
 typedef struct {
-    FaceStrip x, y, z, area, reciprocal, along[3];
+    FaceStrip x, y, z, cotangents[3];
 } Face;
 
 static ALWAYS_INLINE void measure_face(Components origin, Components second, Components third, double flat,
@@ -1104,33 +1104,30 @@ static ALWAYS_INLINE void measure_face(Components origin, Components second, Com
         const Vector e1 = minus(vector_at(second, p), here), e2 = minus(vector_at(third, p), here);
         const Vector normal = cross(e1, e2);
         const double aa = dot(e1, e1), ab = dot(e1, e2), bb = dot(e2, e2);
-        const double area = sqrt(dot(normal, normal)), reciprocal = 1.0 / area;
+        const double reciprocal = 1.0 / sqrt(dot(normal, normal));
         const int sound = (fabs(ab * reciprocal) < flat) & (fabs((aa - ab) * reciprocal) < flat);
-        face->x[p] = sound ? normal.x : 0.0;
-        face->y[p] = sound ? normal.y : 0.0;
-        face->z[p] = sound ? normal.z : 0.0;
-        face->area[p] = sound ? area : 1.0;
-        face->reciprocal[p] = sound ? reciprocal : 0.0;
-        face->along[0][p] = sound ? ab : 0.0;
-        face->along[1][p] = sound ? aa - ab : 0.0;
-        face->along[2][p] = sound ? bb - ab : 0.0;
+        face->x[p] = sound ? normal.x * reciprocal : 0.0;
+        face->y[p] = sound ? normal.y * reciprocal : 0.0;
+        face->z[p] = sound ? normal.z * reciprocal : 0.0;
+        face->cotangents[0][p] = sound ? ab * reciprocal : 0.0;
+        face->cotangents[1][p] = sound ? (aa - ab) * reciprocal : 0.0;
+        face->cotangents[2][p] = sound ? (bb - ab) * reciprocal : 0.0;
     }
 }
 
 /* Add angle × unit normal of a triangle at one of its corners. */
-static ALWAYS_INLINE void add_corner(const Face *face, const double *along, Py_ssize_t count, double *restrict x,
+static ALWAYS_INLINE void add_corner(const Face *face, const double *cotangents, Py_ssize_t count, double *restrict x,
                                      double *restrict y, double *restrict z)
 {
     for (Py_ssize_t p = 0; p < count; p++) {
-        const double area = face->area[p], beside = fabs(along[p]);
-        const int steep = area > beside;
-        const double acute = arctangent(steep ? beside : area, steep ? area : beside);
+        const double cotangent = fabs(cotangents[p]);
+        const int steep = cotangent < 1.0;
+        const double acute = arctangent(steep ? cotangent : 1.0, steep ? 1.0 : cotangent);
         const double upright = steep ? HALF - acute : acute;
-        const double angle = along[p] < 0.0 ? 2.0 * HALF - upright : upright;
-        const double factor = angle * face->reciprocal[p];
-        x[p] += factor * face->x[p];
-        y[p] += factor * face->y[p];
-        z[p] += factor * face->z[p];
+        const double angle = cotangents[p] < 0.0 ? 2.0 * HALF - upright : upright;
+        x[p] += angle * face->x[p];
+        y[p] += angle * face->y[p];
+        z[p] += angle * face->z[p];
     }
 }
 
@@ -1154,7 +1151,7 @@ static ALWAYS_INLINE int add_face(const Sums *s, int32_t triangle, Py_ssize_t fi
     for (int corner = 0; corner < 3; corner++)
         if (rows[corner] >= 0 && rows[corner] < s->class_count) {
             double *total = s->totals + rows[corner] * s->width;
-            add_corner(&face, face.along[corner], count, total, total + apart, total + 2 * apart);
+            add_corner(&face, face.cotangents[corner], count, total, total + apart, total + 2 * apart);
         }
     return 0;
 }
