@@ -298,6 +298,7 @@ static ALWAYS_INLINE Four join(Pair a, Pair b) { return four(part(a, 0), part(a,
 typedef struct {
     Pair x, y, z;
 } Vectors;
+static ALWAYS_INLINE Vector one_of(Vectors v, int n) { return (Vector){part(v.x, n), part(v.y, n), part(v.z, n)}; }
 static ALWAYS_INLINE Vectors twice(Vector v) { return (Vectors){both(v.x), both(v.y), both(v.z)}; }
 static ALWAYS_INLINE Vectors load_vectors(const double *from)
 {
@@ -1295,9 +1296,9 @@ static ALWAYS_INLINE void add_corners(const Surface *s, Corners *c, size_t some,
     const Four there = load(present[some < AT_ONCE ? some - 1 : AT_ONCE - 1]);
     const Four length = root(facets.lengths), half_root = root(length);
     /* The weight of the root over that of the bake: with Max's weights, the root of the lengths. */
-    const Four factor = s->weighting == BY_MAX ? half_root
-                                               : divide(divide(facets.area, multiply(length, half_root)), load(c->share));
-    sums->root_weight = add(sums->root_weight, multiply(there, multiply(factor, load(c->share))));
+    const Four share = load(c->share), rooted = divide(facets.area, multiply(length, half_root));
+    const Four factor = s->weighting == BY_MAX ? half_root : divide(rooted, share);
+    sums->root_weight = add(sums->root_weight, multiply(there, multiply(factor, share)));
     sums->area = add(sums->area, multiply(there, facets.area));
     for (int axis = 0; axis < 3; axis++)
         sums->normal[axis] = add(sums->normal[axis], multiply(there, facets.normal[axis]));
@@ -1359,8 +1360,7 @@ static ALWAYS_INLINE void find_turn(const RingFrame *f, double shrink, double tu
 {
     const Vectors edges = load_vectors(turn + BY_EDGE), *u = f->leverage;
     const Pair along = scaled(shrink, load_pair(turn + BY_ITSELF));
-    const Vectors by_a = twice((Vector){part(edges.x, 0), part(edges.y, 0), part(edges.z, 0)});
-    const Vectors by_b = twice((Vector){part(edges.x, 1), part(edges.y, 1), part(edges.z, 1)});
+    const Vectors by_a = twice(one_of(edges, 0)), by_b = twice(one_of(edges, 1));
     const Vectors arms = plus_each(times_each(u[0], both(part(along, 0))), times_each(u[1], both(part(along, 1))));
     const Vectors spins = times_each(plus_each(crosses(by_a, u[0]), crosses(by_b, u[1])), both(shrink));
     store(turn, join(arms.x, arms.y));
@@ -1368,28 +1368,38 @@ static ALWAYS_INLINE void find_turn(const RingFrame *f, double shrink, double tu
     store(turn + 2 * AT_ONCE, join(spins.y, spins.z));
 }
 
-/* Measure the frame of a class, and sum up gradients and turns over its corners for every joint met. Return the
-   number of local numbers in use, and the weight of all corners as `total`. */
-static ALWAYS_INLINE int32_t sum_ring(const Surface *s, Shape shape, Members corners, Members vertices, int32_t used,
-                                      double *total, Scratch *w)
+/* The normal of a class and its tangents. */
+static ALWAYS_INLINE void begin_frame(const Surface *s, Members corners, Members vertices, Scratch *w)
 {
-    const size_t slots = shape.slots;
     RingFrame *f = &w->frame;
     Vector given = sum_normals(s, corners, vertices, &w->latest);
     f->sound = unit_normal(given, &f->normal);
     frame_from_unit(f->normal, &f->tangents[0], &f->tangents[1]);
     const Vector *t = f->tangents;
     f->along = (Vectors){pair(t[0].x, t[1].x), pair(t[0].y, t[1].y), pair(t[0].z, t[1].z)};
+}
+
+/* The rest of the frame, from the sums over the corners and over the ring. */
+static ALWAYS_INLINE void end_frame(const Surface *s, const CornerSums *sums, Vectors derivatives, double shrink,
+                                    RingFrame *f)
+{
+    const Vector facing = sums_of(sums->normal);
+    const double alignment = sqrt(dot(facing, facing)) / sum_of(sums->area);
+    f->doubt = doubt_of(s, alignment);
+    f->sound &= alignment > s->fit.flat;
+    const Vector means[2] = {times(one_of(derivatives, 0), shrink), times(one_of(derivatives, 1), shrink)};
+    find_leverage(f, means, s->fit.flat);
+}
+
+/* Add gradients and products over the ring of a class for every joint met. Return the number of local numbers in
+   use, and the derivatives of the positions. */
+static ALWAYS_INLINE int32_t sum_ring(const Surface *s, Shape shape, int32_t used, Vectors *derivatives, Scratch *w)
+{
+    const size_t slots = shape.slots;
     const Four none = all(0.0);
-    CornerSums sums = {0.0, none, {none, none, none}, none};
-    for (size_t from = 0; from < corners.count; from += AT_ONCE) {
-        size_t some = corners.count - from < AT_ONCE ? corners.count - from : AT_ONCE;
-        add_corners(s, w->corners + from / AT_ONCE, some, t, &sums);
-    }
-    *total = sums.weight;
-    memset(w->turns, 0, (size_t)used * TURN * sizeof *w->turns);
-    Vectors derivatives = twice((Vector){0.0, 0.0, 0.0});
     Four gradients[3] = {none, none, none}, products[PRODUCTS]; /* of the usual four slots */
+    memset(w->turns, 0, (size_t)used * TURN * sizeof *w->turns);
+    *derivatives = twice((Vector){0.0, 0.0, 0.0});
     for (int m = 0; m < PRODUCTS; m++)
         products[m] = none;
     for (size_t n = 0; n < w->neighbours; n++) {
@@ -1397,7 +1407,7 @@ static ALWAYS_INLINE int32_t sum_ring(const Surface *s, Shape shape, Members cor
         const Pair along = load_pair(neighbour->added + ALONG);
         const double *edge = neighbour->edge;
         const Vectors product = {scaled(edge[0], along), scaled(edge[1], along), scaled(edge[2], along)};
-        derivatives = plus_each(derivatives, product);
+        *derivatives = plus_each(*derivatives, product);
         double each[PRODUCTS];
         store(each, join(product.x, product.y));
         store(each + AT_ONCE, join(product.z, along));
@@ -1420,16 +1430,30 @@ static ALWAYS_INLINE int32_t sum_ring(const Surface *s, Shape shape, Members cor
             for (int m = 0; m < PRODUCTS; m++)
                 w->turns[k * TURN + m] += by_slot[m][k];
     }
-    const double shrink = 1.0 / sum_of(sums.root_weight), areas = sum_of(sums.area);
-    const Vector facing = sums_of(sums.normal), a = {part(derivatives.x, 0), part(derivatives.y, 0), part(derivatives.z, 0)};
-    const Vector b = {part(derivatives.x, 1), part(derivatives.y, 1), part(derivatives.z, 1)};
-    const double alignment = sqrt(dot(facing, facing)) / areas;
-    f->doubt = doubt_of(s, alignment);
-    f->sound &= alignment > s->fit.flat;
-    find_leverage(f, (const Vector[2]){times(a, shrink), times(b, shrink)}, s->fit.flat);
+    return used;
+}
+
+/* Measure the frame of a class, whose ring was found, and sum up gradients and turns for every joint met. Return the
+   number of local numbers in use, and the weight of all corners as `total`. */
+static ALWAYS_INLINE int32_t sum_turns(const Surface *s, Shape shape, Members corners, Members vertices, int32_t used,
+                                       double *total, Scratch *w)
+{
+    RingFrame *f = &w->frame;
+    const Four none = all(0.0);
+    CornerSums sums = {0.0, none, {none, none, none}, none};
+    Vectors derivatives;
+    begin_frame(s, corners, vertices, w);
+    for (size_t from = 0; from < corners.count; from += AT_ONCE) {
+        size_t some = corners.count - from < AT_ONCE ? corners.count - from : AT_ONCE;
+        add_corners(s, w->corners + from / AT_ONCE, some, f->tangents, &sums);
+    }
+    used = sum_ring(s, shape, used, &derivatives, w);
+    const double shrink = 1.0 / sum_of(sums.root_weight);
+    end_frame(s, &sums, derivatives, shrink, f);
     for (int32_t n = 0; f->sound && n < used; n++)
         if (w->met[n] >= 0)
             find_turn(f, shrink, w->turns + n * TURN);
+    *total = sums.weight;
     return used;
 }
 
@@ -1507,7 +1531,7 @@ static ALWAYS_INLINE int32_t sum_corners(const Surface *s, Shape shape, Members 
     if (!shape.fits || corners.count > MOST_CORNERS)
         used = sum_gradients(s, shape, corners, vertex, used, total, w);
     else if (find_ring(s, shape, corners, vertex, w))
-        used = sum_ring(s, shape, corners, vertices, used, total, w);
+        used = sum_turns(s, shape, corners, vertices, used, total, w);
     for (int32_t n = 0; n < used; n++)
         if (w->met[n] >= 0)
             w->local[w->met[n]] = -1;
@@ -1872,12 +1896,13 @@ typedef struct {
 } Equations;
 
 /* Add what the turn of one joint says to the normal equations of the slots, and to its curl. */
-static ALWAYS_INLINE void add_turn(const Surface *s, Vector position, const Climb *climb, const double turn[TURN],
+static ALWAYS_INLINE void add_turn(Vector position, const Climb *climb, const double turn[TURN],
                                    const RingFrame *frame, Fitted *fitted, Equations e, Curl *curls)
 {
     Vector lever = minus(position, (Vector){climb->pivot[0], climb->pivot[1], climb->pivot[2]});
     Vector tilt = cross(lever, frame->normal);
-    double reach = dot(lever, lever), length = dot(tilt, tilt), pull = fitted->stiffness * reach, square = length + pull;
+    double reach = dot(lever, lever), length = dot(tilt, tilt);
+    double pull = fitted->stiffness * reach, square = length + pull;
     fitted->reach += reach;
     const Vectors arms = load_vectors(turn + ARMS), spins = load_vectors(turn + SPINS);
     const Vectors turned = plus_each(crosses(twice(lever), arms), spins);
@@ -1930,7 +1955,7 @@ static ALWAYS_INLINE void gather_turns(const Surface *s, Vector position, const 
         const double *turn = w->turns + climb->node * TURN;
         double *above = w->turns + climb->above * TURN;
         if (climb->parts)
-            add_turn(s, position, climb, turn, &w->frame, fitted, e, w->curls);
+            add_turn(position, climb, turn, &w->frame, fitted, e, w->curls);
         for (int m = 0; m < TURN; m += AT_ONCE)
             store(above + m, add(load(above + m), load(turn + m)));
     }
