@@ -48,8 +48,8 @@ paper's gradients beside them, also in poses of other kinds.
 A smooth surface has one normal at each point. A mesh has flat triangles, and the normal at a vertex is an
 agreement about them. The authored normals of the rest pose are such an agreement. Animation files store no
 normals for the other poses. So verify finds true normals itself, in two ways that have little in common. Both
-look only at the places of the vertices before and after skinning, never at α and β. (The fit of α and β aims between both
-truths, for small turns, and at no pose of the tables.) At rest both give the authored normal itself.
+look only at the places of the vertices before and after skinning, never at α and β. (The fit of α and β aims
+between both, for small turns, and at no pose of the tables.) At rest both give the authored normal itself.
 
 - **By tangents.** Two tangents are measured at each vertex, at rest and in the pose. A tangent is the change
   of the position along the triangles around the vertex, averaged with Max's weights (1999). The map from the

@@ -76,7 +76,7 @@ ERRORS = """## What they are off by
 Mean angles in degrees between the normals that the compute pass returned and the true normals, by tangents /
 by triangles ([both truths](lighting.md#true-normals)), over the characters' own clips, weighted by rest area.
 A recompute follows the same rule as the truth by triangles. So its figure by triangles says little. No way
-follows the rule of the truth by tangents. But the fit of α and β aims between both truths, for small turns of the
+follows the rule of the truth by tangents. But the fit of α and β aims between both, for small turns of the
 rig, and at no pose of these clips.
 """
 
