@@ -626,6 +626,50 @@ def test_both_paths_fit_around_what_has_no_area(name: str, monkeypatch: pytest.M
     assert not table[[unused, collapsed]].any()
 
 
+def fan(rim: Float64Array, hub: Float64Array) -> tuple[SkinnedPrimitive, Rig]:
+    """Return a flat fan around a hub, vertex 0, with its rim's weights (R, 4), and a rig of four joints."""
+    count = len(rim)
+    angles = np.arange(count) / count * 2.0 * np.pi
+    circle = np.round(np.stack([np.cos(angles), np.sin(angles), np.zeros(count)], axis=1), 6)
+    beside = 1 + (np.arange(count) + 1) % count
+    primitive = SkinnedPrimitive(
+        np.concatenate([np.zeros((1, 3)), circle]).astype(np.float32),
+        np.tile(np.array([0, 0, 1], dtype=np.float32), (count + 1, 1)),
+        None,
+        np.tile([0, 1, 2, 3], (count + 1, 1)),
+        np.concatenate([hub[None], rim]),
+        np.stack([np.zeros(count, dtype=np.int64), 1 + np.arange(count), beside], axis=1),
+    )
+    pivots = np.random.default_rng(8).normal(size=(4, 3))
+    return primitive, Rig(np.array([-1, 0, 1, 2], dtype=np.int32), pivots)
+
+
+def test_both_paths_fit_where_gradients_cancel(monkeypatch: pytest.MonkeyPatch) -> None:
+    rim, hub = np.tile([0.25, 0.125, 0.25, 0.375], (4, 1)), np.array([0.125, 0.25, 0.125, 0.5])
+    primitive, rig = fan(rim, hub)
+    assert not bake(surface_of([primitive])).alpha[0].any()
+    compiled, whole = both(monkeypatch, partial(bake, with_rig(surface_of([primitive]), rig)))
+    assert np.abs(compiled.alpha[0]).max() > 0.01
+    assert compiled.alpha[0] == pytest.approx(whole.alpha[0], rel=1e-5)
+    # As where they nearly cancel.
+    rim[0] += [2.0**-30, 0.0, 0.0, -(2.0**-30)]
+    near = bake(with_rig(surface_of([fan(rim, hub)[0]]), rig))
+    assert compiled.alpha[0] == pytest.approx(near.alpha[0], rel=1e-5)
+
+
+@pytest.mark.parametrize(("corners", "fits"), [(4096, True), (4097, False)])
+def test_both_paths_leave_points_with_very_many_corners(
+    corners: int, fits: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    weights = np.random.default_rng(7).random((corners + 1, 4)) + 0.1
+    weights /= weights.sum(axis=1, keepdims=True)
+    primitive, rig = fan(weights[1:], weights[0])
+    plain = surface_of([primitive])
+    compiled, whole = both(monkeypatch, partial(bake, with_rig(plain, rig)))
+    assert compiled.alpha[0] == pytest.approx(whole.alpha[0], rel=1e-4)
+    assert (compiled.alpha[0] != pytest.approx(bake(plain).alpha[0], rel=1e-3)) == fits
+
+
 def empty(vertices: int) -> SkinnedPrimitive:
     return SkinnedPrimitive(
         np.zeros((vertices, 3), dtype=np.float32),

@@ -90,7 +90,9 @@ def sampled_fit(primitive: SkinnedPrimitive, rig: Rig) -> tuple[Float64Array, Fl
     n0 = unit_normals(primitive.normals)
     t0, b0 = (axis.astype(np.float64) for axis in frame_from_normal(n0))
     operator = gradient_operator([primitive], crease_angle_degrees=15.0)
-    true_normals = tangent_truth(root_derivatives(primitive), positions, n0.astype(np.float64), t0, b0)
+    true_normals = normal_of_derivatives(
+        root_derivatives(primitive), positions, n0.astype(np.float64), t0, b0
+    )
     carried = carries(rig)
     samples = [(joint, axis) for joint in range(len(rig.parents)) for axis in np.eye(3)]
     rows: dict[str, list[list[Float64Array]]] = {"alpha": [], "beta": []}
@@ -254,7 +256,7 @@ def pose(
     return np.where(carried[primitive.joints][..., None, None] > 0.0, moved, still)
 
 
-def tangent_truth(
+def normal_of_derivatives(
     derivatives: Float64Array, rest: Float64Array, n0: Float64Array, t0: Float64Array, b0: Float64Array
 ) -> Normals:
     """Return the normal that the derivatives of the positions carry along, not normalised to first order."""

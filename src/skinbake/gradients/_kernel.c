@@ -227,12 +227,6 @@ static ALWAYS_INLINE Four multiply(Four a, Four b) { return a * b; }
 static ALWAYS_INLINE Four divide(Four a, Four b) { return a / b; }
 static ALWAYS_INLINE Four root(Four a) { return four(sqrt(a[0]), sqrt(a[1]), sqrt(a[2]), sqrt(a[3])); }
 typedef int64_t Words __attribute__((vector_size(32)));
-static ALWAYS_INLINE Four magnitudes(Four a) { return (Four)((Words)a & INT64_MAX); }
-static ALWAYS_INLINE Four where_negative(Four a, Four then, Four otherwise)
-{
-    Words negative = a < 0.0;
-    return (Four)((negative & (Words)then) | (~negative & (Words)otherwise));
-}
 #else
 typedef struct {
     double of[4];
@@ -248,11 +242,6 @@ static ALWAYS_INLINE Four subtract(Four a, Four b) { EACH(a.of[n] - b.of[n]); }
 static ALWAYS_INLINE Four multiply(Four a, Four b) { EACH(a.of[n] * b.of[n]); }
 static ALWAYS_INLINE Four divide(Four a, Four b) { EACH(a.of[n] / b.of[n]); }
 static ALWAYS_INLINE Four root(Four a) { EACH(sqrt(a.of[n])); }
-static ALWAYS_INLINE Four magnitudes(Four a) { EACH(fabs(a.of[n])); }
-static ALWAYS_INLINE Four where_negative(Four a, Four then, Four otherwise)
-{
-    EACH(a.of[n] < 0.0 ? then.of[n] : otherwise.of[n]);
-}
 #endif
 
 /* A number for each of the two tangents of a class. */
@@ -797,7 +786,7 @@ enum { AT_ONCE = 4, X1 = 0, Y1, Z1, X2, Y2, Z2, COMPONENTS };
 enum { ARMS = 0, SPINS = 6, TURN = 12 };
 
 /* What a weight of 1 at a neighbour adds: to the sum of gradients by axis, then to the derivatives along the two
-   tangents that the fit follows. */
+   tangents that the fit follows. A zero fills the last place. */
 enum { GRADIENT = 0, ALONG = 3, ADDED = 6 };
 
 /* A neighbour of a class: the edge to it, and what it adds. If it has the joints of the class it is alike, and has
@@ -840,7 +829,7 @@ typedef struct {
     int known, directed;
 } Latest;
 
-/* The frame of a class, in which its turns are measured, and the weight of its corners. */
+/* The frame of a class, in which its turns are measured. */
 typedef struct {
     Vector normal, tangents[2];
     Vectors along;         /* the tangents */
@@ -1295,7 +1284,7 @@ static ALWAYS_INLINE void add_corners(const Surface *s, Corners *c, size_t some,
     weigh_corners(c, s->weighting, &facets);
     const Four there = load(present[some < AT_ONCE ? some - 1 : AT_ONCE - 1]);
     const Four length = root(facets.lengths), half_root = root(length);
-    /* The weight of the root over that of the bake: with Max's weights, the root of the lengths. */
+    /* The weight of the root over that of the bake: with Max's weights, the root of |e1| |e2|. */
     const Four share = load(c->share), rooted = divide(facets.area, multiply(length, half_root));
     const Four factor = s->weighting == BY_MAX ? half_root : divide(rooted, share);
     sums->root_weight = add(sums->root_weight, multiply(there, multiply(factor, share)));
@@ -1322,8 +1311,8 @@ static ALWAYS_INLINE void add_corners(const Surface *s, Corners *c, size_t some,
     }
 }
 
-/* What a neighbour adds to the turns of a joint, times the difference of the joint's weight: the edge times each
-   derivative, by axis, and the derivatives. It becomes a turn by find_turn. */
+/* What a neighbour adds to the turns of a joint, times the difference of the joint's weight: the edge times its
+   coefficient along each tangent, by axis, then both coefficients. find_turn makes a turn of the sums. */
 enum { BY_EDGE = 0, BY_ITSELF = 6, PRODUCTS = 8 };
 
 /* Add what a neighbour says for every joint that it or the class has; as add_differences does. Return the number of
@@ -1392,7 +1381,7 @@ static ALWAYS_INLINE void end_frame(const Surface *s, const CornerSums *sums, Ve
 }
 
 /* Add gradients and products over the ring of a class for every joint met. Return the number of local numbers in
-   use, and the derivatives of the positions. */
+   use, and the sums of the derivatives of the positions. */
 static ALWAYS_INLINE int32_t sum_ring(const Surface *s, Shape shape, int32_t used, Vectors *derivatives, Scratch *w)
 {
     const size_t slots = shape.slots;
@@ -2077,7 +2066,7 @@ static ALWAYS_INLINE double project_fitted(const Surface *s, Shape shape, size_t
     double unheld = 0.0;
     memset(w->gradients, 0, slots * sizeof *w->gradients);
     memset(w->shares, 0, slots * sizeof *w->shares);
-    double whole = 1.0 / found->magnitude;
+    const double whole = found->magnitude > 0.0 ? 1.0 / found->magnitude : 0.0; /* sums that cancel have no shares */
     for (size_t n = 0; n < found->entries; n++) {
         Entry *entry = &w->entries[n];
         size_t slot = 0;

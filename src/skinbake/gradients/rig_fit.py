@@ -39,6 +39,9 @@ from skinbake.gradients.weight_gradients import (
     summed_rows,
 )
 
+MOST_CORNERS = 4096
+"""The corners of triangles at one point. With more of them, its vertices keep their gradients."""
+
 MOST_TURNS = 128
 """The joints that part those around a vertex. With more of them, the vertex keeps its gradients."""
 
@@ -98,8 +101,9 @@ def ring_turns(surface: Surface) -> RingTurns:
         derivatives /= total[:, None, None]
         leverage, area = _leverage(derivatives, tangents, normals)
         lengths = np.linalg.norm(derivatives, axis=2)
-        alignment = np.where(areas > 0.0, np.linalg.norm(faces, axis=1) / areas, 0.0)
+        alignment = np.nan_to_num(np.linalg.norm(faces, axis=1) / areas)
     sound = (area > FLAT * lengths[:, 0] * lengths[:, 1]) & (alignment > FLAT) & directed
+    sound &= np.bincount(classes[surface.triangles.ravel()], minlength=count) <= MOST_CORNERS
     offsets, joints, sums = summed_by_key(keys, values, joint_count, count)
     owner = np.repeat(np.arange(count), np.diff(offsets))
     with np.errstate(divide="ignore", invalid="ignore"):  # likewise
@@ -225,9 +229,9 @@ def _presence(vertices: FittedVertices, gradients: VertexGradients) -> tuple[Flo
     row, slot = np.nonzero(vertices.named[owner] == gradients.joints[entry, None])
     weights = vertices.field.weights * (vertices.named == vertices.field.joints)
     presence = np.where(vertices.named >= 0, weights, 0.0)
-    with np.errstate(invalid="ignore"):  # gradients of zero have no shares: NaN, which cannot be fitted
-        shares = lengths / total[owner]
-        presence[owner[row], slot] += shares[row]
+    whole = total[owner]
+    shares = np.divide(lengths, whole, out=np.zeros_like(lengths), where=whole > 0.0)
+    presence[owner[row], slot] += shares[row]
     missing = (vertices.named[owner] != gradients.joints[entry, None]).all(axis=1)
     missing_share = np.bincount(owner, np.where(missing, shares, 0.0), len(vertices.classes))
     return presence, missing_share.astype(np.float64)

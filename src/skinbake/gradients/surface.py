@@ -25,8 +25,8 @@ TOGETHER = 10.0
 MISSING = 15.0
 """How much STIFFNESS grows with the share of a vertex's gradients whose joints have no slot there.
 
-The fit would let other joints stand in for them, by how far they would carry the missing ones. These others
-do not turn as the missing ones do.
+The fit would let another joint stand in for a missing one, because both turn when their parent does. In clips
+they turn differently.
 """
 
 DOUBT = 0.01
