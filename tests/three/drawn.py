@@ -71,18 +71,6 @@ def expected(
     return character.expected(algorithm, placement).normals
 
 
-def uncertainty(character: Character, world: list[float]) -> Array:
-    """Return how far each normal turns, in degrees, where joint matrices are rounded to float32."""
-    placement = dataclasses.replace(Placement(), world=np.array(world).reshape(4, 4).T)
-    matrices = character.matrices(placement)
-    random = np.random.default_rng(3)
-    roundings = 1 + 2.0**-24 * random.choice([-1, 1], (32, *matrices.shape))
-    exact, *changed = replay(
-        Algorithm.LBS_ACCURATE, character.rest, np.concatenate([matrices[None], matrices * roundings])
-    ).normals
-    return np.asarray(np.max([angles(one, exact) for one in changed], axis=0))
-
-
 def in_clip_space(character: Character, found: dict[str, Any], algorithm: Algorithm) -> Array:
     """Return where a camera of the page has the vertices (V, 4)."""
     world, view, projection = (

@@ -32,7 +32,6 @@ from tests.three.drawn import (
     largest,
     rotation,
     shadow_is_of,
-    uncertainty,
     vectors,
     with_morphs,
 )
@@ -75,16 +74,10 @@ def test_every_normal_is_that_of_the_replay(
     assert np.percentile(angles(vectors(drawn), standard[: len(vectors(drawn))]), 99) > 100 * DEGREES
 
 
-def test_where_weights_jump_the_normal_is_as_float32_has_it(stage: ThreeStage) -> None:
-    """Four of the mantis's 6,243 vertices stand at slivers across which a weight falls from 1 to 0."""
+def test_where_weights_jump_across_slivers_every_normal_is_that_of_the_replay(stage: ThreeStage) -> None:
     character = stage.character(corpus.model("RobotMantis/animated_robot_mantis.glb"), Pose(0, 0.4))
     found = stage.normals(character)
-    errors = angles(vectors(found["draws"][0]), expected(character, found["world"]))
-    allowed = uncertainty(character, found["world"])
-    jumps = allowed > DEGREES
-    assert jumps.sum() == 4
-    assert errors[~jumps].max() < DEGREES
-    assert (errors[jumps] < allowed[jumps]).all()
+    assert largest(found["draws"][0], expected(character, found["world"])) < DEGREES
 
 
 def test_three_vrm_loads_a_character_beside_the_plugin(stage: ThreeStage) -> None:
