@@ -13,7 +13,7 @@ from fixtures.make_fixtures import FOLDER
 from skinbake.choices import Layout
 from skinbake.format.layouts import GradientFormat
 from skinbake.gltf.document import read_document
-from skinbake.render.materials import Materials, Placement
+from skinbake.render.materials import Materials, Placement, Sampling
 from tests.support import corpus, textured
 from tests.support.baked_files import Editable, JsonObject
 from tests.support.baking import bake_file
@@ -104,6 +104,48 @@ def test_a_character_of_gltfpack_looks_as_before(tmp_path: Path) -> None:
     apart, before = (np.abs(one - wanted)[covered].mean() for one in (found, garbled))
     assert apart < 2
     assert before > 10 * apart
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("device")
+@pytest.mark.parametrize("offset", [1, -1])
+@pytest.mark.parametrize("name", textured.SAMPLERS)
+def test_an_image_goes_on_beyond_its_edges_as_its_sampler_says(
+    tmp_path: Path, name: str, offset: int
+) -> None:
+    path, wanted = textured.beyond(tmp_path, name, offset)
+    assert textured.quarters_seen(drawn(path)) == wanted
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("device")
+def test_pixels_keep_their_edges_where_the_sampler_says_nearest(tmp_path: Path) -> None:
+    path, sampler = tmp_path / "a.glb", {"magFilter": 9728}
+    assert textured.share_of_pure(drawn(textured.quartered(path, {}, sampler, size=1))) > 0.9
+    assert textured.share_of_pure(drawn(textured.quartered(path, {}, size=1))) < 0.6
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"samplers": 5},
+        {"samplers": [5]},
+        {"samplers": []},
+        {"textures": [{"source": 0, "sampler": -1}]},
+        {"textures": [{"source": 0, "sampler": "0"}]},
+    ],
+    ids=str,
+)
+def test_a_sampler_that_is_none_is_as_usual(tmp_path: Path, change: JsonObject) -> None:
+    def broken(content: JsonObject) -> None:
+        info = {"index": 0}
+        content["materials"] = [{"pbrMetallicRoughness": {"baseColorTexture": info}}]
+        content["images"] = [textured.image([(1, 2, 3)])]
+        content["textures"], content["samplers"] = [{"source": 0, "sampler": 0}], [{"wrapS": 33071}]
+        content.update(change)
+
+    document = read_document(str(write_model(tmp_path / "sheet.glb", [sheet()], change=broken)))
+    assert Materials(document).of({"material": 0}, in_clay=False).samplings["base"] == Sampling()
 
 
 def placement(folder: Path, info: object) -> Placement:

@@ -51,6 +51,18 @@ EXAMPLE = {"offset": [0, 1], "rotation": 1.57079632679, "scale": [0.5, 0.5]}
 QUARTER, TURNED = ((RED, GREEN), (BLUE, YELLOW)), ((BLUE, RED), (YELLOW, GREEN))
 """That quarter by rows, before and after. The other quarters are of another colour."""
 
+REPEAT, CLAMP, MIRROR = 10497, 33071, 33648
+SAMPLERS: dict[str, tuple[JsonObject, int, int]] = {
+    "no sampler": ({}, REPEAT, REPEAT),
+    "repeat": ({"wrapS": REPEAT, "wrapT": REPEAT}, REPEAT, REPEAT),
+    "clamp": ({"wrapS": CLAMP, "wrapT": CLAMP}, CLAMP, CLAMP),
+    "mirror": ({"wrapS": MIRROR, "wrapT": MIRROR}, MIRROR, MIRROR),
+    "clamp and repeat": ({"wrapS": CLAMP, "wrapT": REPEAT}, CLAMP, REPEAT),
+    "mirror and clamp": ({"wrapS": MIRROR, "wrapT": CLAMP}, MIRROR, CLAMP),
+    "no number of glTF": ({"wrapS": 33069, "wrapT": "33071", "magFilter": [9728]}, REPEAT, REPEAT),
+}
+"""By name: a sampler, and what an image does along u and v beyond its edges."""
+
 
 def image(*rows: npt.ArrayLike) -> dict[str, str]:
     """Return a glTF image that holds the pixels (W, 3) of these rows as PNG."""
@@ -152,8 +164,13 @@ def packed(source: Path, target: Path) -> Editable:
     return Editable(target)
 
 
-def quartered(path: Path, transform: JsonObject) -> Path:
-    """Write a flat sheet that does not move and glows in the colours of an image with this transform."""
+def quartered(
+    path: Path, transform: JsonObject, sampler: JsonObject | None = None, size: int | None = None
+) -> Path:
+    """Write a flat sheet that does not move and glows in the colours of an image with this transform.
+
+    With a size, the image has no pixels but those of QUARTER: so many of each colour along a side.
+    """
     flat = sheet().attributes["POSITION"] * [1, 1, 0]
     count = len(flat)
     low, high = flat.min(axis=0)[:2], flat.max(axis=0)[:2]
@@ -166,6 +183,8 @@ def quartered(path: Path, transform: JsonObject) -> Path:
     }
     pixels = np.tile(np.array(CYAN), (64, 64, 1))
     pixels[32:, :32] = np.repeat(np.repeat(QUARTER, 16, axis=0), 16, axis=1)
+    if size is not None:
+        pixels = np.repeat(np.repeat(QUARTER, size, axis=0), size, axis=1)
     still = np.array([0, 1, *[0, 0, 0, 1] * 2], "<f4").tobytes()
 
     def change(content: JsonObject) -> None:
@@ -175,6 +194,8 @@ def quartered(path: Path, transform: JsonObject) -> Path:
             {"pbrMetallicRoughness": black, "emissiveTexture": info, "emissiveFactor": [1, 1, 1]}
         ]
         content["images"], content["textures"] = [image(*pixels)], [{"source": 0}]
+        if sampler:
+            content["samplers"], content["textures"] = [{}, sampler], [{"source": 0, "sampler": 1}]
         uri = "data:application/octet-stream;base64," + base64.b64encode(still).decode()
         content["buffers"].append({"uri": uri, "byteLength": len(still)})
         view, accessor = len(content["bufferViews"]), len(content["accessors"])
@@ -198,7 +219,31 @@ def quartered(path: Path, transform: JsonObject) -> Path:
     return write_model(path, [sheet(**attributes)], change=change)
 
 
-def quarters_seen(picture: npt.NDArray[Any]) -> tuple[tuple[tuple[int, ...], ...], ...]:
+Quarters = tuple[tuple[tuple[int, ...], ...], ...]
+
+
+def beyond(folder: Path, name: str, offset: int) -> tuple[Path, Quarters]:
+    """Write a sheet on which an image of four quarters is moved by its own size, by an offset of 1 or −1.
+
+    Return the quarters that it shows.
+    """
+    sampler, *wraps = SAMPLERS[name]
+    path = quartered(folder / "beyond.glb", {"offset": [offset, offset]}, sampler, size=32)
+    last = int(offset > 0)
+    columns, rows = ({REPEAT: [0, 1], CLAMP: [last, last], MIRROR: [1, 0]}[wrap] for wrap in wraps)
+    return path, tuple(tuple(QUARTER[row][column] for column in columns) for row in rows)
+
+
+def share_of_pure(picture: npt.NDArray[Any]) -> float:
+    """Return the share of what glows in a picture (H, W, 3) that has one of the four colours alone."""
+    glowing = picture[np.ptp(picture, axis=-1) > 60].astype(np.float64)
+    tones = glowing / glowing.max(axis=1, keepdims=True) * 255
+    known = np.array([RED, GREEN, BLUE, YELLOW])
+    apart = np.abs(tones[:, None] - known).max(axis=2).min(axis=1)
+    return float((apart < 60).mean())
+
+
+def quarters_seen(picture: npt.NDArray[Any]) -> Quarters:
     """Return the colours of the quarters of what glows in a picture (H, W, 3), by rows: the nearest known."""
     rows, columns = (np.ptp(picture, axis=-1) > 120).nonzero()
     known = (RED, GREEN, BLUE, YELLOW, CYAN)

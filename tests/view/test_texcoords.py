@@ -124,6 +124,23 @@ def test_a_normal_map_leans_along_its_own_coordinates(browsing: browser.Page, tm
     assert np.abs(found - wanted).max() <= LEVELS
 
 
+@pytest.mark.parametrize("offset", [1, -1])
+@pytest.mark.parametrize("name", textured.SAMPLERS)
+def test_an_image_goes_on_beyond_its_edges_as_its_sampler_says(
+    browsing: browser.Page, tmp_path: Path, name: str, offset: int
+) -> None:
+    path, wanted = textured.beyond(tmp_path, name, offset)
+    assert textured.quarters_seen(drawn(browsing, path)) == wanted
+
+
+def test_pixels_keep_their_edges_where_the_sampler_says_nearest(
+    browsing: browser.Page, tmp_path: Path
+) -> None:
+    path, sampler = tmp_path / "a.glb", {"magFilter": 9728}
+    assert textured.share_of_pure(drawn(browsing, textured.quartered(path, {}, sampler, size=1))) > 0.9
+    assert textured.share_of_pure(drawn(browsing, textured.quartered(path, {}, size=1))) < 0.6
+
+
 def test_the_example_of_the_specification_shows_a_quarter_turned_clockwise(
     browsing: browser.Page, tmp_path: Path
 ) -> None:

@@ -54,9 +54,22 @@ class Placement:
         return np.asarray(coordinates * self.scale @ turned.T + self.offset)
 
 
+@dataclass(frozen=True, slots=True)
+class Sampling:
+    """How an image goes on beyond its edges, along u and v, and how it is magnified: in WebGPU's words."""
+
+    wraps: tuple[str, str] = ("repeat", "repeat")
+    magnified: str = "linear"
+
+
+WRAPS = {10497: "repeat", 33071: "clamp-to-edge", 33648: "mirror-repeat"}
+NEAREST = 9728
+"""The numbers of a glTF sampler."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Material:
-    """Linear factors, and images by use: ``base``, ``normal``, ``emissive``; and where each of them lies.
+    """Linear factors, and images by use: ``base``, ``normal``, ``emissive``; where and how they lie.
 
     Alpha under cutoff is not drawn; 0 draws all. is_double: it is seen from behind too. is_plain: colours of
     vertices are not drawn either.
@@ -72,6 +85,7 @@ class Material:
     is_plain: bool = False
     images: Mapping[str, Levels] = field(default_factory=dict)
     placements: Mapping[str, Placement] = field(default_factory=dict)
+    samplings: Mapping[str, Sampling] = field(default_factory=dict)
 
     def with_images(self, uses: Container[str]) -> Material:
         """Return it without the images of other uses, and without the factors that belong to these."""
@@ -132,6 +146,7 @@ class Materials:
             is_double=content.get("doubleSided") is True,
             images=images,
             placements={use: _placement(named[use]) for use in images},
+            samplings={use: self._sampling(named[use]) for use in images},
         )
 
     def _image(self, info: dict[str, Any]) -> Levels | None:
@@ -148,6 +163,14 @@ class Materials:
             except InputError as error:
                 self._lost.append(error.message)
         return self._images[texture]
+
+    def _sampling(self, info: dict[str, Any]) -> Sampling:
+        """Return how the image of a texture info is read. What is no number of glTF is as usual."""
+        texture = _listed(self._document.json, "textures", info.get("index"))
+        sampler = _listed(self._document.json, "samplers", texture.get("sampler"))
+        wrap_u, wrap_v = (WRAPS.get(reference(sampler.get(key)) or 0, "repeat") for key in ("wrapS", "wrapT"))
+        is_nearest = reference(sampler.get("magFilter")) == NEAREST
+        return Sampling((wrap_u, wrap_v), "nearest" if is_nearest else "linear")
 
 
 def _placement(info: dict[str, Any]) -> Placement:
@@ -189,6 +212,14 @@ def decoded(data: Bytes, document: Document) -> Levels:
         half = max(1, width // 2), max(1, height // 2)
         levels.append(levels[-1].resize(half, Image.Resampling.BOX))
     return tuple(np.asarray(level, np.uint8) for level in levels)
+
+
+def _listed(parent: JsonObject, key: str, number: object) -> dict[str, Any]:
+    """Return an object of a list of the file, an empty one if it is not there."""
+    objects, place = parent.get(key), reference(number)
+    if not isinstance(objects, list) or place is None or not 0 <= place < len(objects):
+        return {}
+    return _object(objects[place])
 
 
 def _object(value: object) -> dict[str, Any]:

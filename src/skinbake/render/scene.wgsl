@@ -28,10 +28,12 @@ const IS_BLENDED = 8u;
 @group(0) @binding(0) var<storage, read> joints: array<mat4x4<f32>>;
 @group(0) @binding(1) var<storage, read> rows: array<array<vec4<f32>, ROW>>;
 @group(0) @binding(2) var<uniform> scene: Scene;
-@group(0) @binding(3) var smooth_sampler: sampler;
-@group(0) @binding(4) var base_map: texture_2d<f32>;
-@group(0) @binding(5) var normal_map: texture_2d<f32>;
-@group(0) @binding(6) var emissive_map: texture_2d<f32>;
+@group(0) @binding(3) var base_sampler: sampler;
+@group(0) @binding(4) var normal_sampler: sampler;
+@group(0) @binding(5) var emissive_sampler: sampler;
+@group(0) @binding(6) var base_map: texture_2d<f32>;
+@group(0) @binding(7) var normal_map: texture_2d<f32>;
+@group(0) @binding(8) var emissive_map: texture_2d<f32>;
 
 @vertex
 fn vertex(@builtin(vertex_index) index: u32) -> Varying {
@@ -86,9 +88,9 @@ fn heat(share: f32) -> vec3<f32> {
 @fragment
 fn fragment(in: Varying, @builtin(front_facing) is_front: bool) -> @location(0) vec4<f32> {
     // Derivatives and samples stand before every branch, as WGSL wants. y goes down here, and up in glTF's frame.
-    let texel = textureSample(base_map, smooth_sampler, in.texcoords.xy);
-    let slope = textureSample(normal_map, smooth_sampler, in.texcoords.zw).rgb;
-    let glow = textureSample(emissive_map, smooth_sampler, in.glow_texcoord).rgb;
+    let texel = textureSample(base_map, base_sampler, in.texcoords.xy);
+    let slope = textureSample(normal_map, normal_sampler, in.texcoords.zw).rgb;
+    let glow = textureSample(emissive_map, emissive_sampler, in.glow_texcoord).rgb;
     let px = dpdx(in.place);
     let py = -dpdy(in.place);
     let ux = dpdx(in.texcoords.zw);

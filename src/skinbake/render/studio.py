@@ -15,7 +15,7 @@ import numpy.typing as npt
 from skinbake.choices import Frame, Language, Lighting
 from skinbake.errors import Place, UnsupportedFeatureError
 from skinbake.geometry.skinned import Float64Array
-from skinbake.render.materials import Levels
+from skinbake.render.materials import Levels, Sampling
 from skinbake.render.subject import Camera, Shot, Subject
 from skinbake.shaders.choices import ShaderChoices
 from skinbake.shaders.text import shader_made
@@ -70,13 +70,7 @@ class Studio:
             for subject in subjects
         ]
         self._images: dict[int, Any] = {}
-        self._smooth = self._device.create_sampler(
-            address_mode_u="repeat",
-            address_mode_v="repeat",
-            mag_filter="linear",
-            min_filter="linear",
-            mipmap_filter="linear",
-        )
+        self._samplers: dict[Sampling, Any] = {}
 
     def picture(self, shot: Shot, sides: Sequence[str], look: Look) -> Picture:
         """Return one picture (H, W, 3). With two lightings, the model is drawn twice, side by side."""
@@ -124,8 +118,10 @@ class Studio:
             self._rows(number, shot, lighting),
             self._buffer(self._scene(subject, shot, look), _usage("UNIFORM")),
         )
-        views = (self._image(subject.material.images.get(use), use).create_view() for use in IMAGES)
-        bound = [*({"buffer": buffer} for buffer in buffers), self._smooth, *views]
+        material = subject.material
+        samplers = (self._sampler(material.samplings.get(use, Sampling())) for use in IMAGES)
+        views = (self._image(material.images.get(use), use).create_view() for use in IMAGES)
+        bound = [*({"buffer": buffer} for buffer in buffers), *samplers, *views]
         step.set_pipeline(pipeline)
         group = self._device.create_bind_group(
             layout=pipeline.get_bind_group_layout(0),
@@ -165,6 +161,18 @@ class Studio:
         modes = np.array([MODES.index(look.mode), sum(flag << n for n, flag in enumerate(flags))], np.uint32)
         others = np.array([look.legend, material.normal_scale, material.cutoff, 0, 0, 0], np.float32)
         return floats + modes.tobytes() + others.tobytes()
+
+    def _sampler(self, sampling: Sampling) -> Any:
+        """Return the sampler that reads images in one way."""
+        if sampling not in self._samplers:
+            self._samplers[sampling] = self._device.create_sampler(
+                address_mode_u=sampling.wraps[0],
+                address_mode_v=sampling.wraps[1],
+                mag_filter=sampling.magnified,
+                min_filter="linear",
+                mipmap_filter="linear",
+            )
+        return self._samplers[sampling]
 
     def _image(self, levels: Levels | None, use: str) -> Any:
         """Return the texture of an image, or of the one pixel that stands for none."""

@@ -438,6 +438,16 @@ export function shownTextures(material) {
     return Object.entries(every).filter(([, info]) => info);
 }
 
+const [NEAREST, LINEAR, REPEAT, CLAMP_TO_EDGE, MIRRORED_REPEAT] = [9728, 9729, 10497, 33071, 33648];
+
+// How the image of a texture is read beyond its edges and between its pixels, in the numbers of glTF, which are WebGL's.
+// What is missing or no such number is as usual.
+export function samplingOf({ json }, texture) {
+    const { wrapS, wrapT, magFilter } = json.samplers?.[json.textures?.[texture]?.sampler] ?? {};
+    const known = (wrap) => [CLAMP_TO_EDGE, MIRRORED_REPEAT].includes(wrap) ? wrap : REPEAT;
+    return { wraps: [known(wrapS), known(wrapT)], magnified: magFilter === NEAREST ? NEAREST : LINEAR };
+}
+
 // The image of a texture. It is decoded once, beside the page; null if it is missing or cannot be decoded.
 export function readImage(model, texture) {
     if (!model.images.has(texture)) model.images.set(texture, decodedImage(model, texture).catch(() => null));

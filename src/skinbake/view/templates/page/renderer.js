@@ -1,6 +1,6 @@
 // Draw a model in WebGL 2: each half of the canvas with its own lighting, and read normals back.
 
-import { readImage, shownTextures } from './reader.js';
+import { readImage, samplingOf, shownTextures } from './reader.js';
 import {
     fragmentText, GROUND_FRAGMENT_TEXT, GROUND_VERTEX_TEXT, LOCATIONS, RIGID_TEXT, TEXCOORDS, textName, vertexText,
 } from './shading.js';
@@ -172,13 +172,13 @@ export class Renderer {
         const load = async ([name, { index }]) => {
             made.expected[name] = true;
             const image = await readImage(this.model, index);
-            if (image) made.maps[name] = this.texture(image);
+            if (image) made.maps[name] = this.texture(image, samplingOf(this.model, index));
         };
         made.loading = Promise.all(shownTextures(material).map(load));
         return made;
     }
 
-    texture(image) {
+    texture(image, { wraps, magnified }) {
         const { gl } = this;
         const texture = gl.createTexture();
         this.textures.push(texture);
@@ -186,6 +186,9 @@ export class Renderer {
         gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA, gl.RGBA, gl.UNSIGNED_BYTE, image);
         gl.generateMipmap(gl.TEXTURE_2D);
         gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.LINEAR_MIPMAP_LINEAR);
+        gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAG_FILTER, magnified);
+        gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_WRAP_S, wraps[0]);
+        gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_WRAP_T, wraps[1]);
         return texture;
     }
 
