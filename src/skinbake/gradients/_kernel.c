@@ -1315,10 +1315,17 @@ static ALWAYS_INLINE void add_corners(const Surface *s, Corners *c, size_t some,
    coefficient along each tangent, by axis, then both coefficients. find_turn makes a turn of the sums. */
 enum { BY_EDGE = 0, BY_ITSELF = 6, PRODUCTS = 8 };
 
+/* Add a difference of weights times the products of a neighbour to those of one joint. */
+static ALWAYS_INLINE void add_products(double *to, const Four products[PRODUCTS / AT_ONCE], double difference)
+{
+    for (int m = 0; m < PRODUCTS / AT_ONCE; m++)
+        store(to + AT_ONCE * m, add(load(to + AT_ONCE * m), multiply(products[m], all(difference))));
+}
+
 /* Add what a neighbour says for every joint that it or the class has; as add_differences does. Return the number of
    local numbers in use. */
 static ALWAYS_INLINE int32_t add_neighbour(const Surface *s, const Neighbour *neighbour,
-                                           const double products[PRODUCTS], int32_t used, Scratch *w)
+                                           const Four products[PRODUCTS / AT_ONCE], int32_t used, Scratch *w)
 {
     const double *by = neighbour->added + GRADIENT;
     const int32_t before = used;
@@ -1334,13 +1341,11 @@ static ALWAYS_INLINE int32_t add_neighbour(const Surface *s, const Neighbour *ne
             continue; /* add_differences has noted a stray joint, and numbered all others */
         int32_t number = w->local[joint];
         double difference = number < slots ? weight[k] - w->own[number] : weight[k];
-        for (int m = 0; m < PRODUCTS; m++)
-            w->turns[number * TURN + m] += products[m] * difference;
+        add_products(w->turns + number * TURN, products, difference);
     }
     for (int32_t k = 0; k < slots; k++)
         if (w->seen[k] != w->visit && w->own[k] != 0.0)
-            for (int m = 0; m < PRODUCTS; m++)
-                w->turns[k * TURN + m] -= products[m] * w->own[k];
+            add_products(w->turns + k * TURN, products, -w->own[k]);
     return used;
 }
 
@@ -1386,38 +1391,35 @@ static ALWAYS_INLINE int32_t sum_ring(const Surface *s, Shape shape, int32_t use
 {
     const size_t slots = shape.slots;
     const Four none = all(0.0);
-    Four gradients[3] = {none, none, none}, products[PRODUCTS]; /* of the usual four slots */
+    Four gradients[3] = {none, none, none}, sums[AT_ONCE][PRODUCTS / AT_ONCE]; /* of the usual four slots */
     memset(w->turns, 0, (size_t)used * TURN * sizeof *w->turns);
     *derivatives = twice((Vector){0.0, 0.0, 0.0});
-    for (int m = 0; m < PRODUCTS; m++)
-        products[m] = none;
+    for (int k = 0; k < AT_ONCE; k++)
+        for (int m = 0; m < PRODUCTS / AT_ONCE; m++)
+            sums[k][m] = none;
     for (size_t n = 0; n < w->neighbours; n++) {
         const Neighbour *neighbour = &w->ring[n];
         const Pair along = load_pair(neighbour->added + ALONG);
         const double *edge = neighbour->edge;
         const Vectors product = {scaled(edge[0], along), scaled(edge[1], along), scaled(edge[2], along)};
         *derivatives = plus_each(*derivatives, product);
-        double each[PRODUCTS];
-        store(each, join(product.x, product.y));
-        store(each + AT_ONCE, join(product.z, along));
+        const Four products[PRODUCTS / AT_ONCE] = {join(product.x, product.y), join(product.z, along)};
         if (slots == 4 && neighbour->alike) {
             const Four difference = load(neighbour->differences);
             for (int axis = 0; axis < 3; axis++)
                 gradients[axis] = add(gradients[axis], multiply(all(neighbour->added[GRADIENT + axis]), difference));
-            for (int m = 0; m < PRODUCTS; m++)
-                products[m] = add(products[m], multiply(all(each[m]), difference));
+            for (int k = 0; k < AT_ONCE; k++)
+                for (int m = 0; m < PRODUCTS / AT_ONCE; m++)
+                    sums[k][m] = add(sums[k][m], multiply(products[m], all(neighbour->differences[k])));
         } else
-            used = add_neighbour(s, neighbour, each, used, w);
+            used = add_neighbour(s, neighbour, products, used, w);
     }
     if (slots == 4) {
-        double *to[3] = {w->x, w->y, w->z}, by_slot[PRODUCTS][AT_ONCE];
+        double *to[3] = {w->x, w->y, w->z};
         for (int axis = 0; axis < 3; axis++)
             store(to[axis], add(load(to[axis]), gradients[axis]));
-        for (int m = 0; m < PRODUCTS; m++)
-            store(by_slot[m], products[m]);
         for (int k = 0; k < AT_ONCE; k++)
-            for (int m = 0; m < PRODUCTS; m++)
-                w->turns[k * TURN + m] += by_slot[m][k];
+            add_products(w->turns + k * TURN, sums[k], 1.0);
     }
     return used;
 }
