@@ -108,7 +108,7 @@ def bake_surface(surface: Surface, *, weighting: str, adopt: bool) -> SurfaceSlo
 
     With ``adopt``, joints of neighbours that vary around a vertex move into its free slots.
     """
-    with np.errstate(over="ignore", invalid="ignore"):  # the compiled loops overflow without a warning too
+    with np.errstate(over="ignore", invalid="ignore"):  # the compiled loops do not warn of NaN either
         return _bake_parts(surface, weighting=weighting, adopt=adopt)
 
 

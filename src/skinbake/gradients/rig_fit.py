@@ -97,17 +97,16 @@ def ring_turns(surface: Surface) -> RingTurns:
             added = np.concatenate([along, products.reshape(-1, 6)], axis=1)
             keys.append(at[corner] * joint_count + joints)
             values.append(added[corner] * difference[:, None])
-    with np.errstate(divide="ignore", invalid="ignore"):  # a class without an area is not sound
-        derivatives /= total[:, None, None]
-        leverage, area = _leverage(derivatives, tangents, normals)
-        lengths = np.linalg.norm(derivatives, axis=2)
-        alignment = np.nan_to_num(np.linalg.norm(faces, axis=1) / areas)
+    # In a class without an area all of this is NaN, and it is not sound.
+    derivatives /= total[:, None, None]
+    leverage, area = _leverage(derivatives, tangents, normals)
+    lengths = np.linalg.norm(derivatives, axis=2)
+    alignment = np.nan_to_num(np.linalg.norm(faces, axis=1) / areas)
     sound = (area > FLAT * lengths[:, 0] * lengths[:, 1]) & (alignment > FLAT) & directed
     sound &= np.bincount(classes[surface.triangles.ravel()], minlength=count) <= MOST_CORNERS
     offsets, joints, sums = summed_by_key(keys, values, joint_count, count)
     owner = np.repeat(np.arange(count), np.diff(offsets))
-    with np.errstate(divide="ignore", invalid="ignore"):  # likewise
-        sums = np.where(sound[owner, None], sums / total[owner, None], 0.0)
+    sums = np.where(sound[owner, None], sums / total[owner, None], 0.0)
     along, products = sums[:, :2], sums[:, 2:].reshape(-1, 2, 3)
     levers = np.where(sound[owner, None, None, None], leverage[owner], 0.0)
     arms = np.einsum("ed,etdi->eti", along, levers)

@@ -109,16 +109,15 @@ class Materials:
 
     def of(self, primitive: JsonObject, *, in_clay: bool) -> Material:
         """Return a primitive's material; in clay only its sides count. A missing or broken one is clay."""
-        found = reference(primitive.get("material"))
-        materials = self._document.json.get("materials")
-        if found is None or not isinstance(materials, list) or not 0 <= found < len(materials):
+        number = reference(primitive.get("material"))
+        content = _listed(self._document.json, "materials", number)
+        if number is None or content is None:
             return Material(is_plain=in_clay)
-        content = _object(materials[found])
         if in_clay:
             return Material(is_double=content.get("doubleSided") is True, is_plain=True)
-        if found not in self._made:
-            self._made[found] = self._read(content)
-        return self._made[found]
+        if number not in self._made:
+            self._made[number] = self._read(content)
+        return self._made[number]
 
     def notices(self) -> list[Notice]:
         """Return a notice if images were left out."""
@@ -166,8 +165,8 @@ class Materials:
 
     def _sampling(self, info: dict[str, Any]) -> Sampling:
         """Return how the image of a texture info is read. What is no number of glTF is as usual."""
-        texture = _listed(self._document.json, "textures", info.get("index"))
-        sampler = _listed(self._document.json, "samplers", texture.get("sampler"))
+        texture = _listed(self._document.json, "textures", info.get("index")) or {}
+        sampler = _listed(self._document.json, "samplers", texture.get("sampler")) or {}
         wrap_u, wrap_v = (WRAPS.get(reference(sampler.get(key)) or 0, "repeat") for key in ("wrapS", "wrapT"))
         is_nearest = reference(sampler.get("magFilter")) == NEAREST
         return Sampling((wrap_u, wrap_v), "nearest" if is_nearest else "linear")
@@ -214,11 +213,11 @@ def decoded(data: Bytes, document: Document) -> Levels:
     return tuple(np.asarray(level, np.uint8) for level in levels)
 
 
-def _listed(parent: JsonObject, key: str, number: object) -> dict[str, Any]:
-    """Return an object of a list of the file, an empty one if it is not there."""
+def _listed(parent: JsonObject, key: str, number: object) -> dict[str, Any] | None:
+    """Return an object of a list of the file, None if there is no such place in it."""
     objects, place = parent.get(key), reference(number)
     if not isinstance(objects, list) or place is None or not 0 <= place < len(objects):
-        return {}
+        return None
     return _object(objects[place])
 
 
