@@ -118,6 +118,11 @@ class Threads:
         while waiting:
             yield waiting.popleft().result()
 
+    def done(self, work: Callable[[Item], None], items: Iterable[Item]) -> None:
+        """Do ``work`` for each item. It puts its result where it belongs."""
+        for _ in self.each(work, items):
+            pass
+
 
 def _by_one_thread(work: Callable[[], Result]) -> Result:
     with threads_limited(1):  # another thread does not know how many were asked for

@@ -11,6 +11,7 @@ from PIL import Image
 
 from fixtures.make_fixtures import FOLDER
 from skinbake.choices import Layout
+from skinbake.commands.view import sound_views, unplaced
 from skinbake.format.layouts import GradientFormat
 from skinbake.gltf.document import read_document
 from skinbake.render.materials import Materials, Placement, Sampling
@@ -32,6 +33,12 @@ LEVELS = 3
 def device() -> None:
     """Skip where no device draws."""
     NAGA.require()
+
+
+def baked_by_hand(folder: Path) -> Path:
+    target = folder / "baked.glb"
+    assert bake_file(placed_by_hand(TUBE, folder / "hand.glb"), target).status == "baked"
+    return target
 
 
 def drawn(path: Path, *options: str) -> Array:
@@ -86,6 +93,29 @@ def test_an_image_on_a_set_that_is_not_there_is_left_out_with_its_factor(tmp_pat
         textured.set_material(file.content, {use: {"texCoord": number} for use in USES})
         found = drawn(file.write(tmp_path / "lost.glb"), "--lighting", "standard")
         assert np.abs(found - wanted).max() <= LEVELS
+
+
+@pytest.mark.parametrize("number", [1, 9])
+def test_an_image_that_is_left_out_is_told_of(tmp_path: Path, number: int) -> None:
+    plain = tmp_path / "plain.glb"
+    assert bake_file(TUBE, plain, storage=GradientFormat(layout=Layout.TEXCOORD)).status == "baked"
+    file = Editable(plain)
+    textured.set_material(file.content, {use: {"texCoord": number} for use in USES})
+    document = read_document(str(file.write(tmp_path / "lost.glb")))
+    (view,) = sound_views(document)
+    (notice,) = unplaced(document, view, "picture")
+    assert notice.code == "images-unplaced"
+    assert notice.message == (
+        f"its material puts an image on TEXCOORD_{number}, which the primitive does not have. "
+        "The picture shows the primitive without it"
+    )
+    assert notice.place == view.source.place
+
+
+def test_an_image_that_is_drawn_is_not_told_of(tmp_path: Path) -> None:
+    document = read_document(str(baked_by_hand(tmp_path)))
+    for view in sound_views(document):
+        assert unplaced(document, view, "page") == []
 
 
 @pytest.mark.slow

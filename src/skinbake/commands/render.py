@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from skinbake.choices import Frame, Truth, Weighting
-from skinbake.commands.view import baked_in_memory, sound_views
+from skinbake.commands.view import baked_in_memory, sound_views, unplaced
 from skinbake.containment import BESIDE, Bounds
 from skinbake.errors import ChoiceError, InputError, Notice, SkinbakeError, printable
 from skinbake.geometry.skinned import Float32Array, Float64Array, FloatArray
@@ -170,7 +170,11 @@ def _pictures(
         captioned(studio.picture(shot, options.sides, options.look), options.sides, options.look)
         for shot in shots
     ]
-    return pictures, pose, materials.notices()
+    missing = materials.notices()
+    if not in_clay:
+        drawn = (view for draw in draws for view in draw.views)
+        missing += [notice for view in drawn for notice in unplaced(document, view, "picture")]
+    return pictures, pose, missing
 
 
 def small_picture(document: Document) -> bytes | None:

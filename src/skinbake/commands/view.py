@@ -19,7 +19,7 @@ from skinbake.format.strip import stripped
 from skinbake.gltf.codecs.recode import Compression, recoded
 from skinbake.gltf.container import for_target
 from skinbake.gltf.document import STDIO, Document, read_document
-from skinbake.gltf.images import images_missing, texture_image
+from skinbake.gltf.images import images_missing, images_unplaced, texture_image
 from skinbake.gltf.json_access import JsonObject
 from skinbake.gltf.output import plan_output, refuse_own_input
 from skinbake.gltf.primitives import reason_to_skip, skinned_sources, why_nothing
@@ -82,7 +82,9 @@ def page_of(
         others = list(_other_gradients(document, sound_views(document)))
     with stage("page"):
         glb, missing = _self_contained(document)
-        missing += _not_drawn(document, sound_views(document))
+        views = sound_views(document)
+        missing += [notice for view in views for notice in unplaced(document, view, "page")]
+        missing += _not_drawn(document, views)
         told = [*notes, *map(_sentence, (*missing, *verdict.notices))]
         name = "stdin" if document.place.file == "<stdin>" else PurePath(document.name).name
         findings = {**_findings(verdict), "notes": told, "limits": limits}
@@ -221,6 +223,14 @@ def _unread_textures(document: Document) -> Iterator[str]:
             texture_image(document, number)
         except InputError as error:
             yield error.message
+
+
+def unplaced(document: Document, view: BakedView, made: str) -> list[Notice]:
+    """Return a notice if an image of a primitive has no texture coordinates there."""
+    ours = {*view.metadata["alpha"], *view.metadata["beta"]}  # they may be stored as such sets
+    return images_unplaced(
+        document, view.source.json, set(view.source.attributes) - ours, made, view.source.place
+    )
 
 
 def _not_drawn(document: Document, views: Sequence[BakedView]) -> list[Notice]:

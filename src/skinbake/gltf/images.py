@@ -2,16 +2,57 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
+from typing import Any
 
 from skinbake.errors import InputError, Notice, Place
 from skinbake.gltf.document import Document
 from skinbake.gltf.glb import Bytes
-from skinbake.gltf.json_access import JsonObject, index, member, text
+from skinbake.gltf.json_access import JsonObject, index, member, reference, text
 from skinbake.gltf.resources import decode_data_uri, is_data_uri, read_resource
 from skinbake.gltf.views import view_bytes
 
 WEBP, KTX2 = "EXT_texture_webp", "KHR_texture_basisu"
+TRANSFORM = "KHR_texture_transform"
+
+
+def shown_textures(material: JsonObject) -> dict[str, JsonObject]:
+    """Return the texture infos that a page or a picture shows, by use; empty where a use has none.
+
+    Members of other types are as if they were not there.
+    """
+    pbr = _object(material.get("pbrMetallicRoughness"))
+    return {
+        "base": _object(pbr.get("baseColorTexture")),
+        "normal": _object(material.get("normalTexture")),
+        "emissive": _object(material.get("emissiveTexture")),
+    }
+
+
+def texcoord_set(info: JsonObject) -> int:
+    """Return the number of the texture coordinates on which a texture info puts its image."""
+    told = _object(_object(info.get("extensions")).get(TRANSFORM))
+    sets = (reference(holder.get("texCoord")) for holder in (told, info))
+    return next((number for number in sets if number is not None and number >= 0), 0)
+
+
+def images_unplaced(
+    document: Document, primitive: JsonObject, has: Container[str], made: str, place: Place
+) -> list[Notice]:
+    """Return a notice if a primitive lacks the texture coordinates of an image that its material shows.
+
+    has are the names of its texture coordinates.
+    """
+    number, materials = reference(primitive.get("material")), document.json.get("materials")
+    if number is None or not isinstance(materials, list) or not 0 <= number < len(materials):
+        return []
+    infos = shown_textures(_object(materials[number])).values()
+    named = {f"TEXCOORD_{texcoord_set(info)}" for info in infos if reference(info.get("index")) is not None}
+    missing = sorted(name for name in named if name not in has)
+    if not missing:
+        return []
+    message = f"its material puts an image on {' and '.join(missing)}, which the primitive does not have"
+    return [Notice("images-unplaced", f"{message}. The {made} shows the primitive without it", place)]
 
 
 def texture_image(document: Document, texture: int) -> int | None:
@@ -59,3 +100,7 @@ def images_missing(reasons: Sequence[str], made: str, place: Place) -> list[Noti
     if len(reasons) > 1:
         message = f"{len(reasons)} images are left out of the {made}. Of the first: {reasons[0]}"
     return [Notice("images-missing", message, place, len(reasons))]
+
+
+def _object(value: object) -> dict[str, Any]:
+    return value if isinstance(value, dict) else {}

@@ -1090,12 +1090,23 @@ typedef struct {
     double flat; /* a triangle with a larger cotangent is a line or a point */
 } Sums;
 
-/* A triangle in up to FACE_STRIP poses: its unit normal, and the cotangents of its angles. One without an area has a
-   normal of zero, and any angle. */
+/* A triangle in up to FACE_STRIP poses: its unit normal, and its angles. One without an area has a normal of zero,
+   and any angles. */
 typedef struct {
-    FaceStrip x, y, z, cotangents[3];
+    FaceStrip x, y, z, angles[3];
 } Face;
 
+/* Return the angle of a cotangent. */
+static ALWAYS_INLINE double angle_of(double signed_cotangent)
+{
+    const double cotangent = fabs(signed_cotangent);
+    const int steep = cotangent < 1.0;
+    const double acute = arctangent(steep ? cotangent : 1.0, steep ? 1.0 : cotangent);
+    const double upright = steep ? HALF - acute : acute;
+    return signed_cotangent < 0.0 ? 2.0 * HALF - upright : upright;
+}
+
+/* Measure a triangle. The third angle is what the other two leave of π, to the same absolute rounding. */
 static ALWAYS_INLINE void measure_face(Components origin, Components second, Components third, double flat,
                                        Py_ssize_t count, Face *face)
 {
@@ -1103,31 +1114,28 @@ static ALWAYS_INLINE void measure_face(Components origin, Components second, Com
         const Vector here = vector_at(origin, p);
         const Vector e1 = minus(vector_at(second, p), here), e2 = minus(vector_at(third, p), here);
         const Vector normal = cross(e1, e2);
-        const double aa = dot(e1, e1), ab = dot(e1, e2), bb = dot(e2, e2);
+        const double aa = dot(e1, e1), ab = dot(e1, e2);
         const double reciprocal = 1.0 / sqrt(dot(normal, normal));
         const int sound = (fabs(ab * reciprocal) < flat) & (fabs((aa - ab) * reciprocal) < flat);
+        const double at_first = angle_of(sound ? ab * reciprocal : 0.0);
+        const double at_second = angle_of(sound ? (aa - ab) * reciprocal : 0.0);
         face->x[p] = sound ? normal.x * reciprocal : 0.0;
         face->y[p] = sound ? normal.y * reciprocal : 0.0;
         face->z[p] = sound ? normal.z * reciprocal : 0.0;
-        face->cotangents[0][p] = sound ? ab * reciprocal : 0.0;
-        face->cotangents[1][p] = sound ? (aa - ab) * reciprocal : 0.0;
-        face->cotangents[2][p] = sound ? (bb - ab) * reciprocal : 0.0;
+        face->angles[0][p] = at_first;
+        face->angles[1][p] = at_second;
+        face->angles[2][p] = 2.0 * HALF - at_first - at_second;
     }
 }
 
 /* Add angle × unit normal of a triangle at one of its corners. */
-static ALWAYS_INLINE void add_corner(const Face *face, const double *cotangents, Py_ssize_t count, double *restrict x,
+static ALWAYS_INLINE void add_corner(const Face *face, const double *angles, Py_ssize_t count, double *restrict x,
                                      double *restrict y, double *restrict z)
 {
     for (Py_ssize_t p = 0; p < count; p++) {
-        const double cotangent = fabs(cotangents[p]);
-        const int steep = cotangent < 1.0;
-        const double acute = arctangent(steep ? cotangent : 1.0, steep ? 1.0 : cotangent);
-        const double upright = steep ? HALF - acute : acute;
-        const double angle = cotangents[p] < 0.0 ? 2.0 * HALF - upright : upright;
-        x[p] += angle * face->x[p];
-        y[p] += angle * face->y[p];
-        z[p] += angle * face->z[p];
+        x[p] += angles[p] * face->x[p];
+        y[p] += angles[p] * face->y[p];
+        z[p] += angles[p] * face->z[p];
     }
 }
 
@@ -1151,7 +1159,7 @@ static ALWAYS_INLINE int add_face(const Sums *s, int32_t triangle, Py_ssize_t fi
     for (int corner = 0; corner < 3; corner++)
         if (rows[corner] >= 0 && rows[corner] < s->class_count) {
             double *total = s->totals + rows[corner] * s->width;
-            add_corner(&face, face.cotangents[corner], count, total, total + apart, total + 2 * apart);
+            add_corner(&face, face.angles[corner], count, total, total + apart, total + 2 * apart);
         }
     return 0;
 }

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import DTypeLike
 
 from skinbake.choices import Truth
 from skinbake.geometry import dual_quaternions
@@ -138,6 +140,7 @@ def lighting_errors(  # noqa: PLR0913  # five arguments are optional, and by key
     sides = sides_of(surfaces, joint_matrices)
     # Algorithm 2 is only compared with algorithm 3. In millions of vertices × poses, a sample is enough.
     stride = -(-vertices * poses // IDENTITY_SAMPLES) if method == "lbs" and not morphing else 1
+    memory = ChunkMemory()
     with Threads(thread_count()) as threads:
         for number, pose in enumerate(parts):
             if morphing or not skinned:
@@ -151,9 +154,9 @@ def lighting_errors(  # noqa: PLR0913  # five arguments are optional, and by key
                 del algorithms["direct"]
             chunk = _Chunk(own_truth, skinned, algorithms, pose, at, None if sides is None else sides[pose])
             with stage("positions"):
-                deformed = chunk.positions(threads)
+                deformed = chunk.positions(threads, memory)
             with stage("truths"):
-                sums = chunk.truths.sums(deformed, threads)
+                sums = chunk.truths.sums(deformed, threads, memory)
             with stage("normals"):
                 work = partial(chunk.measured, deformed, sums, count)
                 found = threads.each(work, truth.pieces)
@@ -163,8 +166,6 @@ def lighting_errors(  # noqa: PLR0913  # five arguments are optional, and by key
                     if identity is not None:
                         identity.take(compared)
                     advance((pose.stop - pose.start) * (piece.part.stop - piece.part.start) / vertices)
-            # The positions of the next chunk need the memory.
-            del deformed, sums, work
             if identity is not None:
                 identity.close()
     return 0.0 if identity is None else identity.largest
@@ -224,14 +225,19 @@ class Truths:
         carried = self.carried and carried_normals(self.operator, frames, positions, normals, self.classes)
         return replace(self, frames=frames, carried=carried)
 
-    def sums(self, deformed: Float64Array, threads: Threads) -> ClassSums | None:
+    def sums(
+        self, deformed: Float64Array, threads: Threads, memory: ChunkMemory | None = None
+    ) -> ClassSums | None:
         """Return the sums of the truth by triangles for all deformed positions (3, V, P) at once."""
         if self.carried is None:
             return None
-        total = np.empty((3, len(self.operator.ends) - 1, deformed.shape[2]), dtype=np.float32)
-        found = threads.each(partial(kernel.class_sums, self.operator, deformed), self.classes)
-        for block, values in zip(self.classes, found, strict=True):
-            total[:, block.part] = values
+        shape = 3, len(self.operator.ends) - 1, deformed.shape[2]
+        total = (memory or ChunkMemory()).array("sums", shape, np.float32)
+
+        def sum_up(block: ClassBlock) -> None:
+            total[:, block.part] = kernel.class_sums(self.operator, deformed, block)
+
+        threads.done(sum_up, self.classes)
         return ClassSums(self.carried, self.operator.classes, total)
 
     def normals(
@@ -241,6 +247,21 @@ class Truths:
         normals, exist = kernel.true_normals(self.frames, number, deformed, sides, sums)
         chosen = [number for number, truth in enumerate(Truth) if truth in self.names]
         return normals[chosen[0] : chosen[-1] + 1], exist[chosen[0] : chosen[-1] + 1]
+
+
+class ChunkMemory:
+    """Large arrays that each chunk of poses fills anew. The system would clear fresh memory first."""
+
+    def __init__(self) -> None:
+        self._arrays: dict[str, Any] = {}
+
+    def array(self, name: str, shape: tuple[int, ...], dtype: DTypeLike) -> Any:
+        """Return an array, its values arbitrary. The last one of this name must be in use no more."""
+        size = math.prod(shape)
+        if name not in self._arrays or len(self._arrays[name]) < size:
+            self._arrays.pop(name, None)
+            self._arrays[name] = np.empty(size, dtype)
+        return self._arrays[name][:size].reshape(shape)
 
 
 _Compared = tuple[FloatArray, FloatArray] | None
@@ -258,17 +279,17 @@ class _Chunk:
     at: slice
     sides: Float64Array | None
 
-    def positions(self, threads: Threads) -> Float64Array:
+    def positions(self, threads: Threads, memory: ChunkMemory) -> Float64Array:
         """Return the positions of all vertices: (3, V, P)."""
-        deformed = np.empty((3, len(self.truths.operator.positions), self.at.stop - self.at.start))
+        shape = 3, len(self.truths.operator.positions), self.at.stop - self.at.start
+        deformed: Float64Array = memory.array("positions", shape, np.float64)
 
         def place(block: _Block) -> None:
             # A position may be past all numbers.
             with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
                 deformed[:, block.part] = self.skinned[block.surface].positions(self.at, block.rows)
 
-        for _ in threads.each(place, self.truths.pieces):
-            pass
+        threads.done(place, self.truths.pieces)
         return deformed
 
     def measured(

@@ -15,7 +15,14 @@ from skinbake.errors import InputError, Notice
 from skinbake.geometry.skinned import FloatArray
 from skinbake.gltf.document import Document
 from skinbake.gltf.glb import Bytes
-from skinbake.gltf.images import image_bytes, images_missing, texture_image
+from skinbake.gltf.images import (
+    TRANSFORM,
+    image_bytes,
+    images_missing,
+    shown_textures,
+    texcoord_set,
+    texture_image,
+)
 from skinbake.gltf.json_access import JsonObject, is_number, reference
 
 Levels = tuple[npt.NDArray[np.uint8], ...]
@@ -31,7 +38,6 @@ LARGEST = 2048
 """Pixels along a side of an image. Larger ones are scaled down; a picture has no more itself."""
 
 FORMATS = ("PNG", "JPEG", "WEBP")
-TRANSFORM = "KHR_texture_transform"
 BLACK = (0.0, 0.0, 0.0)
 
 
@@ -125,11 +131,7 @@ class Materials:
 
     def _read(self, content: dict[str, Any]) -> Material:
         pbr = _object(content.get("pbrMetallicRoughness"))
-        named = {
-            "base": _object(pbr.get("baseColorTexture")),
-            "normal": _object(content.get("normalTexture")),
-            "emissive": _object(content.get("emissiveTexture")),
-        }
+        named = shown_textures(content)
         images = {use: levels for use, info in named.items() if (levels := self._image(info)) is not None}
         base = _numbers(pbr, "baseColorFactor", WHITE if "base" in images else CLAY)
         emissive = _numbers(content, "emissiveFactor", BLACK)
@@ -175,9 +177,8 @@ class Materials:
 def _placement(info: dict[str, Any]) -> Placement:
     """Return where a texture info puts its image. Values of other types are as if they were not there."""
     told = _object(_object(info.get("extensions")).get(TRANSFORM))
-    sets = (reference(holder.get("texCoord")) for holder in (told, info))
     return Placement(
-        texcoord=next((number for number in sets if number is not None and number >= 0), 0),
+        texcoord=texcoord_set(info),
         offset=_numbers(told, "offset", (0.0, 0.0)),
         rotation=_number(told, "rotation", 0.0),
         scale=_numbers(told, "scale", (1.0, 1.0)),
