@@ -37,7 +37,7 @@ KINDS = {
 }
 
 HELD_BACK = 47
-"""The poses of all clips together. The fit takes 61, so that they share the clips' ends only."""
+"""The poses of all clips together, from end to end. The fit takes others: none at an end of a clip."""
 
 
 @dataclass(frozen=True)

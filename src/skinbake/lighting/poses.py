@@ -47,13 +47,20 @@ class PoseRequest:
     """The requested poses.
 
     samples is the number of samples of each clip (None: SHARED_SAMPLES for all), or the number of random
-    poses. angle is the largest random rotation of a joint, in radians.
+    poses. angle is the largest random rotation of a joint, in radians. offset is where a sample lies in each
+    of N equal parts of a clip, from 0 to 1. None: samples go from the clip's first moment to its last.
     """
 
     kind: PoseKind = PoseKind.ANIMATION
     samples: int | None = None
     angle: float = float(np.radians(30.0))
     seed: int = 0
+    offset: float | None = None
+
+    @property
+    def random_count(self) -> int:
+        """Return the number of random poses, also of those that replace clips."""
+        return (self.samples if self.kind is PoseKind.RANDOM else None) or FALLBACK_POSES
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,6 +111,12 @@ def draws_of(document: Document, mesh: int, clips: Sequence[Clip]) -> list[tuple
     return list(draws.values())
 
 
+def joint_clips(document: Document, skin: int, clips: Sequence[Clip]) -> list[Clip]:
+    """Return the clips that move the joints of a skin or their ancestors, with the channels that do."""
+    nodes = set(read_skeleton(document, skin).nodes)
+    return [clip for clip in (_only(nodes, None, clip) for clip in clips) if clip.channels]
+
+
 def pose_set(
     document: Document, skin: int, clips: Sequence[Clip], request: PoseRequest, node: int | None = None
 ) -> PoseSet:
@@ -123,7 +136,7 @@ def pose_set(
             weights = None if morphs is None else morphs.resting[None]
             poses = PoseSet(names, rest_pose(skeleton), ("rest pose",), (None,), weights)
         elif request.kind is PoseKind.ANIMATION and any(_moves_joints(clip) for clip in moving):
-            poses = _sampled(skeleton, morphs, moving, request.samples, names)
+            poses = _sampled(skeleton, morphs, moving, request, names)
         else:
             poses = _random(skeleton, morphs, request, names)
     _check_range(poses, skin, document.place)
@@ -149,7 +162,7 @@ def _claim(
     """Count the memory of the poses: matrices of all nodes for a while, of the joints permanently."""
     clips = [clip for clip in moving if request.kind is PoseKind.ANIMATION]
     each = _samples_of_each(request.samples, clips) if clips else 0
-    fallback = 1 if request.kind is PoseKind.REST else request.samples or FALLBACK_POSES
+    fallback = 1 if request.kind is PoseKind.REST else request.random_count
     poses = each * len(clips) or fallback
     channels = max((len(clip.channels) for clip in clips), default=0)
     budget, place = document.budget, document.place
@@ -202,13 +215,13 @@ def _sampled(
     skeleton: Skeleton,
     morphs: _Morphs | None,
     clips: Sequence[Clip],
-    samples: int | None,
+    request: PoseRequest,
     joint_names: tuple[str, ...],
 ) -> PoseSet:
-    each = _samples_of_each(samples, clips)
+    each = _samples_of_each(request.samples, clips)
     matrices, weights, names, times = [], [], [], []
     for clip in clips:
-        at = np.linspace(clip.start, clip.duration, each)
+        at = _moments(clip, each, request.offset)
         matrices.append(clip_poses(skeleton, clip, at))
         if morphs is not None:
             weights.append(clip_weights(morphs.node, clip, at, morphs.resting))
@@ -218,10 +231,17 @@ def _sampled(
     return PoseSet(joint_names, np.concatenate(matrices), tuple(names), tuple(times), morph_weights)
 
 
+def _moments(clip: Clip, count: int, offset: float | None) -> Float64Array:
+    """Return the times of a clip's samples, as ``PoseRequest`` says."""
+    if offset is None:
+        return np.linspace(clip.start, clip.duration, count)
+    return clip.start + (clip.duration - clip.start) * (np.arange(count) + offset) / count
+
+
 def _random(
     skeleton: Skeleton, morphs: _Morphs | None, request: PoseRequest, joint_names: tuple[str, ...]
 ) -> PoseSet:
-    count = (request.samples if request.kind is PoseKind.RANDOM else None) or FALLBACK_POSES
+    count = request.random_count
     matrices = random_poses(skeleton, count, angle=request.angle, seed=request.seed)
     weights = None if morphs is None else random_weights(morphs.resting, count, MORPHS_AT_ONCE, request.seed)
     names = tuple(f"random pose {number}" for number in range(count))

@@ -15,16 +15,25 @@ from skinbake.errors import ChoiceError, InputError, Notice, Place
 from skinbake.gltf.animation import MORPH_WEIGHTS, Channel, Clip, read_clips
 from skinbake.gltf.document import Document, read_document
 from skinbake.lighting.pose_fit import FitPoses
-from skinbake.lighting.poses import PoseRequest, PoseSet, pose_set, skins_of
+from skinbake.lighting.poses import PoseRequest, PoseSet, joint_clips, pose_set, skins_of
 from skinbake.wording import counted
 
 ANIMATIONS, RANDOM = "animations", "random"
 
-CLIP_POSES = 61
-"""The poses of all clips together. It is odd, so that no pose of ``verify`` is among them but the ends."""
+CLIP_POSES, LEAST_CLIP_POSES = 61, 3
+"""The poses of all clips together, and of each clip at least."""
+
+BETWEEN = 0.382
+"""Where the fit samples a clip: at this share of each of N equal parts.
+
+``verify`` samples from the first moment to the last. It needs a multiple of 500 samples to meet one of these.
+"""
 
 RANDOM_POSES, RANDOM_ANGLE, RANDOM_SEED = 60, float(np.radians(45.0)), 2014
 """The random poses that go with clips. A fit to clips alone lights all other poses worse."""
+
+LEAST_RANDOM_POSES = 4
+"""The random poses of each skin at least, if no number was asked for."""
 
 CLIP_SHARE = 0.95
 """The share of the clips in the fit. The random poses have the rest."""
@@ -151,28 +160,61 @@ class FoundPoses:
 
 
 def poses_to_fit(document: Document, mesh: int, sources: Sequence[PoseSource], place: Place) -> FoundPoses:
-    """Return the poses of all skins that draw a mesh.
+    """Return the poses of all skins that draw a mesh. They are made once for all meshes of the same skins.
 
     Clips have CLIP_SHARE of the fit if there are any. Raises InputError if a clip or a skin is broken.
     """
     clips, notices = _clips(document, sources, place)
-    asked = [int(str(one).partition(":")[2]) for one in sources if is_random(one)]
-    count = max(asked, default=RANDOM_POSES)
     skins = skins_of(document, mesh)
-    each = max(3, CLIP_POSES // max(1, len(clips) * len(skins)))
-    sampled = PoseRequest(samples=each)
-    by_clips = [pose_set(document, skin, clips, sampled) for skin in skins] if clips else []
-    by_clips = [poses for poses in by_clips if poses.times[0] is not None]  # else it is random already
-    request = PoseRequest(PoseKind.RANDOM, max(4, count // len(skins)), RANDOM_ANGLE, RANDOM_SEED)
-    at_random = [pose_set(document, skin, clips, request) for skin in skins]
-    if not by_clips and any(not is_random(one) for one in sources):
-        message = f"no clip moves its joints: α/β are fitted to {counted(count, 'random pose')}"
+    known: dict[object, _Poses] = document.derived.setdefault("poses to fit", {})
+    key = tuple(skins), tuple(map(str, sources))
+    if key not in known:
+        known[key] = _Poses.of(document, skins, clips, sources)
+    found = known[key]
+    if not found.has_clips and any(not is_random(one) for one in sources):
+        message = f"no clip moves its joints: α/β are fitted to {counted(found.random, 'random pose')}"
         notices.append(Notice("fit-poses-random", message, place))
-    share = CLIP_SHARE if by_clips else 0.0
-    joints = max(poses.joint_matrices.shape[1] for poses in [*by_clips, *at_random])
-    parts = ((by_clips, share), (at_random, 1.0 - share))
-    groups = tuple(_group(sets, joints, part) for sets, part in parts if sets)
-    return FoundPoses(groups, _fingerprint(groups), tuple(notices))
+    return FoundPoses(found.groups, found.fingerprint, tuple(notices))
+
+
+@dataclass(frozen=True, slots=True)
+class _Poses:
+    """The poses of some skins by groups, their fingerprint, whether clips are among them, random ones."""
+
+    groups: tuple[FitPoses, ...]
+    fingerprint: tuple[float, ...]
+    has_clips: bool
+    random: int
+
+    @classmethod
+    def of(
+        cls, document: Document, skins: Sequence[int], clips: Sequence[Clip], sources: Sequence[PoseSource]
+    ) -> _Poses:
+        """Sample the clips that move the skins, and draw random poses."""
+        moving = {skin: own for skin in skins if (own := joint_clips(document, skin, clips))}
+        each = max(LEAST_CLIP_POSES, CLIP_POSES // max(1, sum(map(len, moving.values()))))
+        sampled = PoseRequest(samples=each, offset=BETWEEN)
+        by_clips = [pose_set(document, skin, own, sampled) for skin, own in moving.items()]
+        at_random = [
+            pose_set(document, skin, (), PoseRequest(PoseKind.RANDOM, count, RANDOM_ANGLE, RANDOM_SEED))
+            for skin, count in zip(skins, _random_counts(sources, len(skins)), strict=True)
+            if count
+        ]
+        share = CLIP_SHARE if by_clips else 0.0
+        joints = max(poses.joint_matrices.shape[1] for poses in [*by_clips, *at_random])
+        parts = ((by_clips, share), (at_random, 1.0 - share))
+        groups = tuple(_group(sets, joints, part) for sets, part in parts if sets)
+        random = sum(len(poses.clips) for poses in at_random)
+        return cls(groups, _fingerprint(groups), bool(by_clips), random)
+
+
+def _random_counts(sources: Sequence[PoseSource], skins: int) -> list[int]:
+    """Return the number of random poses of each skin: in all as many as asked for."""
+    asked = [int(str(one).partition(":")[2]) for one in sources if is_random(one)]
+    if not asked:
+        return [max(LEAST_RANDOM_POSES, RANDOM_POSES // skins)] * skins
+    each, left = divmod(max(asked), skins)
+    return [each + (number < left) for number in range(skins)]
 
 
 def is_random(source: PoseSource) -> bool:
