@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import doctest
+import inspect
 import json
+import math
 import pathlib
 import subprocess
 import sys
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +20,10 @@ import pytest
 import skinbake
 from fixtures.make_fixtures import FOLDER
 from skinbake import api
+from skinbake.choices import BAKE_RANGES, VERIFY_RANGES
+from skinbake.cli import bake, verify
+from skinbake.cli.configured import OF_A_BAKE, OF_A_CHECK
+from skinbake.commands.bake import Baker
 from tests.support import corpus
 from tests.support.command_line import document, invoke
 from tests.support.gltf_reading import read
@@ -116,12 +123,13 @@ def test_options_reach_the_bake(tmp_path: Path) -> None:
         ({"crease_angle": 181.0}, "--crease-angle 181.0: expected a number from 0 to 180"),
         ({"crease_angle": float("nan")}, "--crease-angle nan: expected a number from 0 to 180"),
         ({"limit_influences": 6}, "--limit-influences 6: expected a multiple of 4"),
-        ({"limit_influences": 0}, "--limit-influences 0: expected a number at least 4"),
+        ({"limit_influences": 0}, "--limit-influences 0: expected a whole number of at least 4"),
+        ({"limit_influences": 4.0}, "--limit-influences 4.0: expected a whole number of at least 4"),
         ({"alpha_name": "ALPHA_{set}"}, "--alpha-name ALPHA_{set}: expected a name that begins with"),
         ({"layout": "custom", "beta_name": "_B{set}"}, "--beta-name needs --layout attributes"),
         ({"layout": "texcoord", "encoding": "packed8"}, "--layout texcoord needs --encoding float32"),
         ({"position_bits": 12}, "need --compress draco"),
-        ({"compress": "draco", "normal_bits": 1}, "--normal-bits 1: expected a number from 2 to 24"),
+        ({"compress": "draco", "normal_bits": 1}, "--normal-bits 1: expected a whole number from 2 to 24"),
         ({"compress": "meshopt", "compress_level": 4}, "--compress-level of meshopt is at most 3"),
     ],
 )
@@ -132,6 +140,70 @@ def test_options_that_make_no_sense_are_refused(
         skinbake.bake(TUBE, tmp_path / "out.glb", **options)
     assert message in str(caught.value)
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"min_gain": math.nan}, "--min-gain nan: expected a number of at least 0"),
+        ({"min_gain": -1}, "--min-gain -1: expected a number of at least 0"),
+        ({"max_mean_error": math.inf}, "--max-mean-error inf: expected a number of at least 0"),
+        ({"max_p95_error": "1"}, "--max-p95-error 1: expected a number of at least 0"),
+        ({"cap": 0}, "--cap 0: expected a number above 0"),
+        ({"cap": math.nan}, "--cap nan: expected a number above 0"),
+        ({"samples": 0}, "--samples 0: expected a whole number of at least 1"),
+        ({"samples": 2.5}, "--samples 2.5: expected a whole number of at least 1"),
+        ({"seed": -1}, "--seed -1: expected a whole number of at least 0"),
+        ({"angle": math.nan}, "--angle nan: expected a number from 0 to 180"),
+        ({"angle": 181}, "--angle 181: expected a number from 0 to 180"),
+        ({"poses": "dance"}, "--poses dance: expected animation, random, random:N with N of at least 1, or"),
+        ({"poses": "random:0"}, "--poses random:0: expected animation"),
+        ({"poses": "rest:3"}, "--poses rest:3: expected animation"),
+        ({"truth": "mine"}, "--truth mine: expected one of tangents, triangles"),
+    ],
+)
+def test_verify_refuses_values_that_do_not_exist(options: dict[str, Any], message: str) -> None:
+    """NaN as a limit would pass, because no comparison with it is true."""
+    with pytest.raises(skinbake.ChoiceError) as caught:
+        skinbake.verify(TUBE, **options)
+    assert message in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{"poses": "random:3"}, {"samples": np.int64(4)}, {"cap": np.float32(0.9)}, {"seed": 10**400}],
+    ids=str,
+)
+def test_verify_takes_numbers_of_any_type(options: dict[str, Any], tmp_path: Path) -> None:
+    skinbake.bake(TUBE, tmp_path / "out.glb")
+    assert skinbake.verify(tmp_path / "out.glb", methods=["lbs"], **options)["passed"]
+
+
+@pytest.mark.parametrize("angle", [math.nan, -5.0, 1e9])
+def test_arrays_have_the_same_crease_angles_as_files(angle: float) -> None:
+    square = [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]
+    weights = [[1, 0], [0, 1], [0, 1], [1, 0]]
+    with pytest.raises(skinbake.ChoiceError, match="expected a number from 0 to 180"):
+        skinbake.weight_gradients(
+            square, [[0, 0, 1]] * 4, [[0, 1, 2]], [[0, 1]] * 4, weights, crease_angle=angle
+        )
+
+
+def test_every_list_of_options_names_the_same() -> None:
+    """The options of a bake and of a check stand in several places, and their defaults in two."""
+    baker = {entry.name: entry.default for entry in fields(Baker)}
+    assert set(baker) == OF_A_BAKE == set(api.BakeOptions.__annotations__)
+    assert set(BAKE_RANGES) <= set(baker)
+    checks = {
+        name: entry.default
+        for name, entry in inspect.signature(skinbake.verify).parameters.items()
+        if name not in {"source", "allow_outside", "threads"}
+    }
+    assert set(checks) == OF_A_CHECK
+    assert set(VERIFY_RANGES) <= set(checks)
+    for command, defaults in ((bake.command, baker), (verify.command, checks)):
+        given = command.make_context("skinbake", ["a.glb"], resilient_parsing=True).params
+        assert {name: given[name] for name in defaults} == defaults
 
 
 def test_an_unknown_keyword_is_a_type_error(tmp_path: Path) -> None:

@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from skinbake.choices import (
+    BAKE_RANGES,
     Baseline,
     Encoding,
     FrameChoice,
@@ -27,6 +28,7 @@ from skinbake.choices import (
     Truth,
     Weighting,
     Weld,
+    check_range,
     member_of,
 )
 from skinbake.containment import Bounds, Within
@@ -189,8 +191,9 @@ def verify(
         ``lbs``, ``dqs`` or both. If empty: LBS, and DQS if all joints are rigid.
     poses, samples, angle, seed
         ``animation`` samples each clip of the file ``samples`` times, its two ends included (in a loop they
-        are one pose), and takes 24 random poses if there is no clip. ``random`` takes ``samples`` poses and
-        turns each joint by at most ``angle`` degrees. ``rest`` takes the rest pose.
+        are one pose), and takes 24 random poses if there is no clip. ``random`` takes ``samples`` poses,
+        ``random:8`` takes 8. Each turns each joint by at most ``angle`` degrees. ``rest`` takes the rest
+        pose.
     baseline, cap
         As ``--baseline`` and ``--cap``.
     max_mean_error, max_p95_error, min_gain
@@ -227,21 +230,22 @@ def verify(
     """
     from skinbake.commands.verify import verify_file
     from skinbake.lighting.measured import VerifyOptions
-    from skinbake.lighting.poses import PoseRequest
     from skinbake.report.verify import file_json
 
-    request = PoseRequest(member_of(PoseKind, poses, "poses"), samples, math.radians(angle), seed)
-    options = VerifyOptions(
-        methods=tuple(dict.fromkeys(member_of(Method, method, "method") for method in methods)),
-        poses=request,
+    options = VerifyOptions.of(
+        methods=methods,
+        poses=poses,
+        samples=samples,
+        angle=angle,
+        seed=seed,
+        baseline=baseline,
+        cap=cap,
         max_mean_error=max_mean_error,
         max_p95_error=max_p95_error,
         min_gain=min_gain,
-        truth=None if truth is None else member_of(Truth, truth, "truth"),
+        truth=truth,
         require_baked=require_baked,
         warnings_as_errors=warnings_as_errors,
-        cap=cap,
-        baseline=member_of(Baseline, baseline, "baseline"),
     )
     with threads_limited(_thread_count(threads)):
         return file_json(verify_file(os.fspath(source), options, bounds=_bounds(allow_outside)))
@@ -454,6 +458,7 @@ def weight_gradients(
     from skinbake.gradients.assumptions import check_finite
     from skinbake.gradients.baker import BakeSettings, ChosenFrame, bake_mesh, frame_vectors
 
+    check_range("crease_angle", crease_angle, BAKE_RANGES["crease_angle"])
     settings = BakeSettings(
         member_of(Weighting, weighting, "weighting"),
         math.radians(crease_angle),

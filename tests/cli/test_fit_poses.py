@@ -55,7 +55,7 @@ def scaled(path: Path, attribute: str, factor: float, name: str, *, first: int =
 
 
 def mean(path: Path) -> float:
-    """Return the mean error in degrees of accurate lighting, in poses that no fit here takes: it samples inside a clip."""
+    """Return the mean error in degrees of accurate lighting, in poses that no fit here takes."""
     found: dict[str, Any] = skinbake.verify(path, methods=["lbs"], samples=34)
     return float(found["normals"]["lbs"]["accurate"]["mean"])
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from skinbake.choices import (
-    RANGES,
+    BAKE_RANGES,
     Encoding,
     FrameChoice,
     Gradients,
@@ -24,7 +24,7 @@ from skinbake.choices import (
 )
 from skinbake.cli import exit_codes
 from skinbake.cli.chosen_config import config_files, option_sets
-from skinbake.cli.console import Number, WholeNumber, console, finite, message_options, one_of, outside_option
+from skinbake.cli.console import console, finite, in_range, message_options, one_of, outside_option
 from skinbake.cli.depfile import OPTION, check_depfile, clip_files_read, depfile_option, depfile_writer
 from skinbake.cli.help import Helpful
 from skinbake.cli.inputs import expanded
@@ -96,7 +96,7 @@ if TYPE_CHECKING:
 )
 @click.option(
     "--crease-angle",
-    type=Number(*RANGES["crease_angle"]),
+    type=in_range(BAKE_RANGES["crease_angle"]),
     default=15.0,
     show_default=True,
     callback=finite,
@@ -128,7 +128,7 @@ if TYPE_CHECKING:
 )
 @click.option(
     "--limit-influences",
-    type=WholeNumber(*RANGES["limit_influences"]),
+    type=in_range(BAKE_RANGES["limit_influences"]),
     metavar="N",
     help="Keep the N largest influences of each vertex, N a multiple of 4, and print the cost.",
 )
@@ -154,26 +154,26 @@ if TYPE_CHECKING:
 )
 @click.option(
     "--compress-level",
-    type=WholeNumber(*RANGES["compress_level"]),
+    type=in_range(BAKE_RANGES["compress_level"]),
     metavar="N",
     help="Effort: 0 (fast) to 10 (small), for meshopt 0 to 3. It changes little in Draco. Each codec "
     "has its own default. Without --compress it is for α and β of compressed files.",
 )
 @click.option(
     "--position-bits",
-    type=WholeNumber(*RANGES["position_bits"]),
+    type=in_range(BAKE_RANGES["position_bits"]),
     metavar="N",
     help="Quantise POSITION before baking, with --compress draco.",
 )
 @click.option(
     "--normal-bits",
-    type=WholeNumber(*RANGES["normal_bits"]),
+    type=in_range(BAKE_RANGES["normal_bits"]),
     metavar="N",
     help="Quantise NORMAL in the same way.",
 )
 @click.option(
     "--texcoord-bits",
-    type=WholeNumber(*RANGES["texcoord_bits"]),
+    type=in_range(BAKE_RANGES["texcoord_bits"]),
     metavar="N",
     help="Quantise TEXCOORD_0 in the same way.",
 )

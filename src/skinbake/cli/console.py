@@ -15,6 +15,7 @@ from typing import Any, TypeVar
 
 import click
 
+from skinbake.choices import Range
 from skinbake.cli import exit_codes
 from skinbake.cli.terminal import fitted, width_of, with_colours
 from skinbake.errors import (
@@ -172,6 +173,12 @@ class WholeNumber(click.IntRange):
         if not _is_written(value, int):
             self.fail(f"expected a whole number like 4, found {value!r}", param, ctx)
         return super().convert(value, param, ctx)
+
+
+def in_range(numbers: Range) -> Number | WholeNumber:
+    """Return the type of an option whose values are these numbers."""
+    kind = WholeNumber if numbers.is_whole else Number
+    return kind(numbers.least, numbers.most, min_open=numbers.is_open)
 
 
 def one_of(choices: type[StrEnum]) -> Words:

@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from skinbake.choices import Baseline, Method, PoseKind, Truth
+from skinbake.choices import POSES_EXPECTED, VERIFY_RANGES, Baseline, Method, PoseKind, Truth, pose_choice
 from skinbake.cli import exit_codes
 from skinbake.cli.chosen_config import option_sets
+from skinbake.cli.configured import OF_A_CHECK
 from skinbake.cli.console import (
     Console,
-    Number,
-    WholeNumber,
     console,
     finite,
+    in_range,
     message_options,
     one_of,
     outside_option,
@@ -31,7 +31,7 @@ from skinbake.cli.remote import cluster_option
 from skinbake.cli.targets import check_reports
 from skinbake.cli.writing import write_report
 from skinbake.containment import Bounds, Within
-from skinbake.errors import SkinbakeError
+from skinbake.errors import ChoiceError, SkinbakeError
 from skinbake.urls import is_url
 
 if TYPE_CHECKING:
@@ -45,7 +45,7 @@ class VerifyGiven(Given):
     """The options of verify, as click gives them."""
 
     methods: tuple[str, ...]
-    poses: tuple[PoseKind, int | None]
+    poses: str
     samples: int | None
     angle: float
     seed: int
@@ -60,17 +60,12 @@ class VerifyGiven(Given):
     truth: str | None
 
 
-def _poses(ctx: click.Context, param: click.Parameter, value: str) -> tuple[PoseKind, int | None]:
-    word, colon, number = value.partition(":")
+def _poses(ctx: click.Context, param: click.Parameter, value: str) -> str:
     try:
-        kind = PoseKind(word)
-    except ValueError:
-        kind = None
-    if kind is None or (colon and kind is not PoseKind.RANDOM):
-        raise click.BadParameter("must be animation, rest, random or random:N")
-    if colon and not (number.isdecimal() and int(number) > 0):
-        raise click.BadParameter("N of random:N must be a positive number")
-    return kind, int(number) if number else None
+        pose_choice(value)
+    except ChoiceError as error:
+        raise click.BadParameter(f"expected {POSES_EXPECTED}, found {value!r}") from error
+    return value
 
 
 @click.command(
@@ -99,21 +94,27 @@ def _poses(ctx: click.Context, param: click.Parameter, value: str) -> tuple[Pose
 )
 @click.option(
     "--samples",
-    type=WholeNumber(1),
+    type=in_range(VERIFY_RANGES["samples"]),
     help="Poses of each clip, evenly from its first moment to its last, which are the same pose in a loop: "
     "take 3 or more. By default about 60 in all, at least 3 for each clip. A file without clips has 24 "
     "random poses; --poses random:N gives another number.",
 )
 @click.option(
     "--angle",
-    type=Number(0, 180),
+    type=in_range(VERIFY_RANGES["angle"]),
     callback=finite,
     default=30.0,
     show_default=True,
     metavar="DEG",
     help="Largest rotation of a joint in random poses.",
 )
-@click.option("--seed", type=int, default=0, show_default=True, help="Seed of random poses.")
+@click.option(
+    "--seed",
+    type=in_range(VERIFY_RANGES["seed"]),
+    default=0,
+    show_default=True,
+    help="Seed of random poses.",
+)
 @click.option(
     "--baseline",
     type=one_of(Baseline),
@@ -123,27 +124,27 @@ def _poses(ctx: click.Context, param: click.Parameter, value: str) -> tuple[Pose
 )
 @click.option(
     "--cap",
-    type=Number(0, min_open=True),
+    type=in_range(VERIFY_RANGES["cap"]),
     callback=finite,
     help="Limit the correction of a tangent to this share of it (0.9 in the authors' demo); off by default.",
 )
 @click.option(
     "--max-mean-error",
-    type=Number(0),
+    type=in_range(VERIFY_RANGES["max_mean_error"]),
     callback=finite,
     metavar="DEG",
     help="Fail if the mean error is larger.",
 )
 @click.option(
     "--max-p95-error",
-    type=Number(0),
+    type=in_range(VERIFY_RANGES["max_p95_error"]),
     callback=finite,
     metavar="DEG",
     help="Fail if the 95th percentile of the error is larger.",
 )
 @click.option(
     "--min-gain",
-    type=Number(0),
+    type=in_range(VERIFY_RANGES["min_gain"]),
     callback=finite,
     metavar="X",
     help="Fail if the gain over standard lighting is smaller.",
@@ -284,21 +285,6 @@ def _code(verdict: FileVerdict) -> int:
 
 def _options(given: Mapping[str, Any]) -> VerifyOptions:
     """Return the VerifyOptions of the command line."""
-    import math
-
     from skinbake.lighting.measured import VerifyOptions
-    from skinbake.lighting.poses import PoseRequest
 
-    kind, count = given["poses"]
-    return VerifyOptions(
-        methods=tuple(dict.fromkeys(given["methods"])),
-        poses=PoseRequest(kind, count or given["samples"], math.radians(given["angle"]), given["seed"]),
-        max_mean_error=given["max_mean_error"],
-        max_p95_error=given["max_p95_error"],
-        min_gain=given["min_gain"],
-        require_baked=given["require_baked"],
-        warnings_as_errors=given["warnings_as_errors"],
-        cap=given["cap"],
-        baseline=Baseline(given["baseline"]),
-        truth=None if given["truth"] is None else Truth(given["truth"]),
-    )
+    return VerifyOptions.of(**{name: given[name] for name in OF_A_CHECK})

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from skinbake.choices import (
-    RANGES,
+    BAKE_RANGES,
     SLOTS_PER_SET,
     Encoding,
     FrameChoice,
@@ -21,6 +21,7 @@ from skinbake.choices import (
     Scheme,
     Weighting,
     Weld,
+    check_range,
     member_of,
     option_of,
 )
@@ -108,6 +109,10 @@ class Baker:
         _check_ranges(self)
         _check_names(self)
         _check_compression(self)
+
+    def with_gradients(self, kind: Gradients) -> Baker:
+        """Return a baker of another kind of gradients. Only gradients fitted to poses have poses."""
+        return replace(self, gradients=kind, fit_poses=self.fit_poses if kind is Gradients.POSES else ())
 
     def bake_file(
         self, source: str, target: str | None, writing: Writing = AS_USUAL, within: Within = OWN_FOLDERS
@@ -397,11 +402,8 @@ def _pose_sources(baker: Baker) -> tuple[PoseSource, ...]:
 
 
 def _check_ranges(baker: Baker) -> None:
-    for name, (least, most) in RANGES.items():
-        value = getattr(baker, name)
-        if value is not None and not least <= value <= (math.inf if most is None else most):
-            bound = f"at least {least}" if most is None else f"from {least} to {most}"
-            raise ChoiceError(f"{option_of(name)} {value}: expected a number {bound}")
+    for name, numbers in BAKE_RANGES.items():
+        check_range(name, getattr(baker, name), numbers)
     if baker.limit_influences is not None and baker.neighbours is Neighbours.EXTEND:
         raise ChoiceError("--limit-influences contradicts --neighbours extend, which adds influences")
     if (baker.limit_influences or 0) % SLOTS_PER_SET:

@@ -34,11 +34,8 @@ class Remedy:
 
     def applied(self, baker: Baker) -> Baker:
         """Return a baker with the options of the remedy."""
-        gradients = baker.gradients if self.gradients is None else self.gradients
         return replace(
-            baker,
-            gradients=gradients,
-            fit_poses=baker.fit_poses if gradients is Gradients.POSES else (),
+            baker if self.gradients is None else baker.with_gradients(self.gradients),
             neighbours=baker.neighbours if self.neighbours is None else self.neighbours,
             crease_angle=baker.crease_angle if self.crease_angle is None else self.crease_angle,
         )

@@ -14,7 +14,7 @@ from skinbake.commands.bake import Baker
 from skinbake.commands.remedies import noted_baker
 from skinbake.commands.verify import verify_document
 from skinbake.containment import BESIDE, Bounds
-from skinbake.errors import InputError, Notice, SkinbakeError
+from skinbake.errors import InputError, Notice
 from skinbake.format.strip import stripped
 from skinbake.gltf.codecs.recode import Compression, recoded
 from skinbake.gltf.container import for_target
@@ -151,9 +151,9 @@ def _other_gradients(document: Document, views: Sequence[BakedView]) -> Iterator
     kind = Gradients.RIG if noted_kind(views[0]) is Gradients.SURFACE else Gradients.SURFACE
     try:
         plain, _, _ = stripped(document)
-        made = replace(noted_baker(views[0]), gradients=kind).bake_document(plain)
+        made = noted_baker(views[0]).with_gradients(kind).bake_document(plain)
         others = {view.source.place: view for view in sound_views(made.document)}
-    except SkinbakeError:
+    except InputError:
         return
     for view in views:
         other = others.get(view.source.place)

@@ -3,13 +3,23 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 
-from skinbake.choices import Baseline, Truth
+from skinbake.choices import (
+    VERIFY_RANGES,
+    Baseline,
+    Method,
+    PoseKind,
+    Truth,
+    check_range,
+    member_of,
+    pose_choice,
+)
 from skinbake.errors import InputError, Notice, Place
 from skinbake.geometry.skinned import Float64Array
 from skinbake.gltf.animation import read_clips
@@ -85,6 +95,36 @@ class VerifyOptions:
     cap: float | None = None
     baseline: Baseline = Baseline.BLENDED
     truth: Truth | None = None
+
+    @classmethod
+    def of(
+        cls,
+        *,
+        methods: Iterable[Method | str] = (),
+        poses: str = PoseKind.ANIMATION,
+        samples: int | None = None,
+        angle: float = 30.0,
+        seed: int = 0,
+        baseline: Baseline | str = Baseline.BLENDED,
+        truth: Truth | str | None = None,
+        **others: Any,
+    ) -> VerifyOptions:
+        """Return the options that the words and numbers of a user stand for; others are fields.
+
+        poses is ``animation``, ``random``, ``random:N`` or ``rest``. angle is in degrees. Raises ChoiceError
+        for a value that does not exist.
+        """
+        numbers = {"samples": samples, "angle": angle, "seed": seed, **others}
+        for name, allowed in VERIFY_RANGES.items():
+            check_range(name, numbers.get(name), allowed)
+        kind, count = pose_choice(poses)
+        return cls(
+            methods=tuple(dict.fromkeys(member_of(Method, method, "method") for method in methods)),
+            poses=PoseRequest(kind, count or samples, math.radians(angle), seed),
+            baseline=member_of(Baseline, baseline, "baseline"),
+            truth=None if truth is None else member_of(Truth, truth, "truth"),
+            **others,
+        )
 
     @property
     def limits(self) -> list[str]:
