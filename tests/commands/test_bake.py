@@ -10,7 +10,7 @@ import pytest
 
 from fixtures.make_fixtures import FOLDER
 from skinbake.choices import Encoding
-from skinbake.commands import bake
+from skinbake.commands import surface_bake
 from skinbake.format.layouts import GradientFormat
 from skinbake.gradients import baker
 from tests.support.baking import bake_file
@@ -38,7 +38,7 @@ def test_a_surface_is_baked_once_and_once_more_for_the_cost_of_a_limit(
         calls.append(len(primitives))
         return original(primitives, *how)
 
-    monkeypatch.setattr(bake, "bake_mesh", counted)
+    monkeypatch.setattr(surface_bake, "bake_mesh", counted)
     result = bake_file(str(FOLDER / "two_sets.glb"), str(tmp_path / "out.glb"), **options)
     assert result.status == "baked"
     assert len(calls) == bakes

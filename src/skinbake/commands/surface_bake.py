@@ -1,0 +1,297 @@
+"""The bake of one surface: the primitives whose gradients are computed together."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+from skinbake.choices import SLOTS_PER_SET, Encoding, FrameChoice, Gradients
+from skinbake.errors import Notice
+from skinbake.format.baked import Baked
+from skinbake.format.encodings import vertex_bytes
+from skinbake.geometry.rig import Rig
+from skinbake.geometry.skinned import BakedPrimitive, SkinnedPrimitive
+from skinbake.gltf.document import Document
+from skinbake.gltf.json_access import JsonObject
+from skinbake.gltf.primitives import PrimitiveSource, has_float_tangents, read_influences, read_primitive
+from skinbake.gltf.rigs import fitting_rig, rig_digest
+from skinbake.gradients.assumptions import assumptions, check_finite
+from skinbake.gradients.baker import BakeFindings, BakeSettings, bake_mesh
+from skinbake.gradients.normal_lean import lean_notices
+from skinbake.gradients.normals import with_smooth_normals
+from skinbake.gradients.tangents import with_straight_tangents
+from skinbake.report.bake import BakedCounts, ExtensionCost, LimitCost
+from skinbake.timing import stage
+from skinbake.version import FIT
+
+if TYPE_CHECKING:
+    from skinbake.format.extension import Extended
+    from skinbake.lighting.limit_cost import Limited
+    from skinbake.lighting.poses_to_fit import FoundPoses, PoseSource
+    from skinbake.lighting.unwritten import UnwrittenBake
+
+BYTES_A_VERTEX, BYTES_A_SLOT, BYTES_A_TRIANGLE = 128, 48, 24
+"""The approximate memory of a bake, at most."""
+
+
+@dataclass(frozen=True, slots=True)
+class Aim:
+    """The rig and the poses to which a surface is fitted, None for none, and notices about them.
+
+    pose_names are the sources of the poses, as the metadata names them.
+    """
+
+    rig: Rig | None = None
+    poses: FoundPoses | None = None
+    pose_names: Sequence[str] = ()
+    notices: Sequence[Notice] = ()
+
+    @classmethod
+    def of(
+        cls,
+        document: Document,
+        sources: Sequence[PrimitiveSource],
+        kind: Gradients,
+        fit_poses: Sequence[PoseSource],
+    ) -> Aim:
+        """Return what the primitives of a surface are fitted to for a kind of gradients."""
+        if kind is Gradients.SURFACE:
+            return cls()
+        with stage("rig"):
+            rig, notices = fitting_rig(document, sources[0])
+        if kind is Gradients.RIG:
+            return cls(rig, notices=notices)
+        from skinbake.lighting.poses_to_fit import poses_to_fit  # it poses: half a second of imports
+
+        with stage("poses"):
+            found = poses_to_fit(document, sources[0].mesh, fit_poses, sources[0].place)
+        names = [source if isinstance(source, str) else source.name for source in fit_poses]
+        return cls(rig, found, names, [*notices, *found.notices])
+
+    @property
+    def noted(self) -> JsonObject:
+        """Return what the metadata says of the fit."""
+        noted: JsonObject = {}
+        if self.rig is not None:
+            noted = {"gradients": "rig", "fit": FIT, "rig": rig_digest(self.rig)}
+        if self.poses is not None:
+            noted |= {
+                "gradients": "poses",
+                "fit": FIT,
+                "poses": {"from": list(self.pose_names), "fingerprint": list(self.poses.fingerprint)},
+            }
+        return noted
+
+
+@dataclass(frozen=True, slots=True)
+class SurfaceBake:
+    """The primitives of one surface, with their arrays as they are baked, and the options of the gradients.
+
+    Each method returns the bakes of all primitives. It raises InputError if α or β are not finite.
+    """
+
+    document: Document
+    sources: Sequence[PrimitiveSource]
+    primitives: Sequence[SkinnedPrimitive]
+    settings: BakeSettings
+    aim: Aim
+
+    @classmethod
+    def of(
+        cls, document: Document, sources: Sequence[PrimitiveSource], settings: BakeSettings, aim: Aim
+    ) -> SurfaceBake:
+        """Read the arrays of a surface. Raises InputError if they cannot be read, or take too much memory."""
+        with stage("arrays"):
+            primitives = with_smooth_normals(_read(document, sources))
+            if settings.frame is not FrameChoice.NORMAL:
+                primitives = _straight(document, sources, primitives)
+        return cls(document, sources, primitives, settings, aim)
+
+    def plain(self) -> list[PrimitiveBake]:
+        """Bake with the influences of the file."""
+        return _finite(self._bakes(self.primitives))
+
+    def limited(self, count: int) -> list[PrimitiveBake]:
+        """Bake with at most ``count`` influences a vertex, and measure the cost."""
+        from skinbake.lighting.limit_cost import limit_costs, limited  # it replays: half a second of imports
+
+        pairs = list(zip(self.sources, self.primitives, strict=True))
+        with stage("limit"):
+            parts = [limited(self.document, *pair, count) for pair in pairs]
+        bakes = _finite(self._bakes(self._changed(parts)))
+        if not any(parts):
+            return bakes
+        with stage("limit"):
+            before = self._bakes(self.primitives)
+            costs = limit_costs(self.document, unwritten(before), unwritten(bakes), parts)
+        return [
+            replace(bake, limited=part, limit_cost=cost)
+            for bake, part, cost in zip(bakes, parts, costs, strict=True)
+        ]
+
+    def extended(self) -> list[PrimitiveBake]:
+        """Bake with a further influence set where free slots are too few."""
+        from skinbake.format.extension import extended  # few bakes ask for it
+
+        tried = bake_mesh(self.primitives, self.settings)
+        parts = [
+            extended(
+                one, read_influences(self.document, source, len(one.positions)), found.overflowing_vertices
+            )
+            if found.overflowing_vertices
+            else None
+            for source, one, (_, found) in zip(self.sources, self.primitives, tried, strict=True)
+        ]
+        bakes = _finite(self._bakes(self._changed(parts)))
+        return [replace(bake, extended=part) for bake, part in zip(bakes, parts, strict=True)]
+
+    def _changed(self, parts: Sequence[Limited | None] | Sequence[Extended | None]) -> list[SkinnedPrimitive]:
+        """Return the primitives with other influences, where a part has such."""
+        return [part.primitive if part else one for part, one in zip(parts, self.primitives, strict=True)]
+
+    def _bakes(self, primitives: Sequence[SkinnedPrimitive]) -> list[PrimitiveBake]:
+        outcomes = bake_mesh(primitives, self.settings, self.aim.rig)
+        noted = self.aim.noted
+        bakes = [
+            PrimitiveBake(source, primitive, *outcome, fitted=noted)
+            for source, primitive, outcome in zip(self.sources, primitives, outcomes, strict=True)
+        ]
+        return bakes if self.aim.poses is None else _fitted_to_poses(self.document, bakes, self.aim.poses)
+
+
+@dataclass(frozen=True, slots=True)
+class PrimitiveBake:
+    """One primitive: the arrays that were baked, the result, the findings, and the loss by a limit.
+
+    fitted is what the metadata says of the fit, nothing for the gradients of the surface.
+    """
+
+    source: PrimitiveSource
+    primitive: SkinnedPrimitive
+    result: BakedPrimitive
+    findings: BakeFindings
+    limited: Limited | None = None
+    limit_cost: LimitCost | None = None
+    fitted: JsonObject = field(default_factory=dict)
+    extended: Extended | None = None
+
+    @property
+    def notices(self) -> list[Notice]:
+        """Return the assumptions made, and signs of errors in the model."""
+        source, given = self.source, self.primitive
+        assumed = assumptions(
+            given,
+            self.result,
+            self.findings,
+            source.joint_count,
+            source.place,
+            fitted=bool(self.fitted),
+        )
+        return [*assumed, *lean_notices(given, source.place)]
+
+    def to_store(self, settings: JsonObject) -> Baked:
+        """Return the data to write. settings is noted in the metadata."""
+        changed = self.limited or self.extended
+        influences = changed.stored if changed else None
+        return Baked(self.source, self.primitive, self.result, {**settings, **self.fitted}, influences)
+
+    def counts(self, encoding: Encoding, added_bytes: int) -> BakedCounts:
+        """Return the numbers of the report."""
+        influences = self.primitive.joints.shape[1]
+        return BakedCounts(
+            vertices=len(self.primitive.positions),
+            triangles=len(self.primitive.triangles),
+            degenerate_triangles=self.findings.degenerate_triangles,
+            influences=influences,
+            gradients=self.fitted.get("gradients", str(Gradients.SURFACE)),
+            frame=str(self.result.frame),
+            generated_normals="NORMAL" not in self.source.attributes,
+            adopting_vertices=self.findings.adopting_vertices,
+            overflowing_vertices=self.findings.overflowing_vertices,
+            gradient=self.findings.magnitude,
+            lost_gradient=self.findings.lost,
+            added_bytes=added_bytes,
+            bytes_per_vertex=vertex_bytes(encoding, influences),
+            limited=self.limit_cost,
+            extended=None if self.extended is None else _extension_cost(self.extended, encoding),
+        )
+
+
+def _fitted_to_poses(
+    document: Document, bakes: Sequence[PrimitiveBake], found: FoundPoses
+) -> list[PrimitiveBake]:
+    """Return the bakes of one surface with α and β fitted to poses."""
+    from skinbake.lighting.operator import true_operator
+    from skinbake.lighting.pose_fit import fit_size, fitted_to_poses
+
+    for bake in bakes:
+        document.budget.claim(fit_size(*bake.primitive.joints.shape), "fitting it", bake.source.place)
+    operator = true_operator(
+        [bake.primitive for bake in bakes],
+        claim=lambda size: document.budget.claim_welding(size, bakes[0].source.place),
+    )
+    surfaces = [bake.rest_surface() for bake in unwritten(bakes)]
+    with stage("fit"):
+        slots = fitted_to_poses(operator, surfaces, found.groups)
+    return [
+        replace(bake, result=bake.result.with_slots(alpha, beta))
+        for bake, (alpha, beta) in zip(bakes, slots, strict=True)
+    ]
+
+
+def _extension_cost(part: Extended, encoding: Encoding) -> ExtensionCost:
+    """Return the price of an influence set more."""
+    from skinbake.skinning.algorithms import Algorithm
+    from skinbake.skinning.counting import multiply_adds
+
+    after = part.primitive.joints.shape[1]
+    before, added = after - SLOTS_PER_SET, part.stored[-1]
+    stored = SLOTS_PER_SET * (added.joints.values.itemsize + added.weights.values.itemsize)
+    work = [sum(multiply_adds(Algorithm.LBS_ACCURATE, count).values()) for count in (before, after)]
+    return ExtensionCost(
+        influences=after,
+        vertices=part.vertices,
+        bytes=stored + vertex_bytes(encoding, after) - vertex_bytes(encoding, before),
+        multiply_adds=work[1] - work[0],
+    )
+
+
+def _finite(bakes: list[PrimitiveBake]) -> list[PrimitiveBake]:
+    """Return the bakes. Raises InputError if α or β of one are not finite."""
+    for bake in bakes:
+        check_finite(bake.primitive, bake.result, bake.source.place)
+    return bakes
+
+
+def unwritten(bakes: Sequence[PrimitiveBake]) -> list[UnwrittenBake]:
+    """Return the bakes as a replay reads them, before anything is written."""
+    from skinbake.lighting.unwritten import UnwrittenBake
+
+    return [UnwrittenBake(bake.source, bake.primitive, bake.result) for bake in bakes]
+
+
+def _straight(
+    document: Document, sources: Sequence[PrimitiveSource], primitives: Sequence[SkinnedPrimitive]
+) -> list[SkinnedPrimitive]:
+    """Return the primitives with the tangents of few leaning vertices straightened, if they are floats."""
+    return [
+        with_straight_tangents(primitive) if has_float_tangents(document, source) else primitive
+        for source, primitive in zip(sources, primitives, strict=True)
+    ]
+
+
+def _read(document: Document, sources: Sequence[PrimitiveSource]) -> list[SkinnedPrimitive]:
+    """Return the arrays of primitives. First check for each that its bake does not take too much memory."""
+    found: list[SkinnedPrimitive] = []
+    vertices, widest = 0, 0
+    for source in sources:
+        primitive = read_primitive(document, source)
+        found.append(primitive)
+        # All parts of one surface have as many slots as its widest primitive.
+        count, width = primitive.joints.shape
+        slots = max(width, widest) * (vertices + count) - widest * vertices
+        vertices, widest = vertices + count, max(width, widest)
+        size = BYTES_A_VERTEX * count + BYTES_A_SLOT * slots + BYTES_A_TRIANGLE * len(primitive.triangles)
+        document.budget.claim(size, "baking it", source.place)
+    return found
