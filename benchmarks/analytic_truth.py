@@ -39,13 +39,13 @@ from skinbake.gltf.animation import read_clips
 from skinbake.gltf.document import read_document
 from skinbake.gltf.primitives import skinned_sources
 from skinbake.gradients.baker import BakeSettings, bake_mesh
-from skinbake.lighting.angles import Truths
 from skinbake.lighting.baked_views import baked_views
 from skinbake.lighting.influences import normalised_weights
 from skinbake.lighting.metrics import vertex_areas
 from skinbake.lighting.operator import gradient_operator
 from skinbake.lighting.poses import PoseRequest, pose_set
 from skinbake.lighting.rest_surfaces import rest_surface
+from skinbake.lighting.truths import Truths
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.surface import RestSurface
 from skinbake.threads import Threads

@@ -22,13 +22,14 @@ from skinbake.geometry.dual_quaternions import rigid_motions
 from skinbake.gltf.animation import read_clips
 from skinbake.gltf.document import read_document
 from skinbake.gltf.primitives import skinned_sources
-from skinbake.lighting.angles import Truths, truths_at_rest
+from skinbake.lighting.angles import truths_at_rest
 from skinbake.lighting.baked_views import baked_views, whole_surfaces
 from skinbake.lighting.before_adoption import before_adoption
 from skinbake.lighting.operator import GradientOperator, true_operator
 from skinbake.lighting.poses import PoseRequest, draws_of, pose_set
 from skinbake.lighting.rest_areas import RestAreas
 from skinbake.lighting.rest_surfaces import rest_surface
+from skinbake.lighting.truths import Truths
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.surface import RestSurface
 from skinbake.threads import Threads

@@ -15,8 +15,8 @@ from skinbake.gltf.animation import read_clips
 from skinbake.gltf.document import read_document
 from skinbake.gradients.baker import BakeSettings
 from skinbake.lighting import measured
-from skinbake.lighting.angles import Truths
 from skinbake.lighting.poses import PoseRequest, draws_of, pose_set
+from skinbake.lighting.truths import Truths
 from skinbake.skinning.surface import RestSurface
 from tests.support.baked_files import Editable, baked, source, verify
 from tests.support.morphed_files import morphed, with_tangents

@@ -16,9 +16,9 @@ from skinbake.geometry.rig import NO_PARENT, Rig
 from skinbake.geometry.skinned import Float64Array, FloatArray, SkinnedPrimitive
 from skinbake.gradients.baker import bake_mesh
 from skinbake.gradients.surface import EVEN, FAINT
-from skinbake.lighting.angles import Truths
 from skinbake.lighting.operator import GradientOperator, true_operator
 from skinbake.lighting.pose_fit import STIFFNESS, FitPoses, fitted_to_poses, tilts
+from skinbake.lighting.truths import Truths
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.surface import RestSurface
 from tests.gradients.tubes import BRANCHES, SETTINGS, tube

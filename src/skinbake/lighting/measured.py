@@ -25,18 +25,17 @@ from skinbake.geometry.skinned import Float64Array
 from skinbake.gltf.animation import read_clips
 from skinbake.gltf.document import Document
 from skinbake.lighting.angles import (
-    IDENTITY_TOLERANCE,
     METHODS,
     NOT_MEASURED,
     MeasuredBlock,
     Morphing,
-    Truths,
     lighting_errors,
     not_rigid_joints,
     truths_at_rest,
 )
 from skinbake.lighting.baked_views import BakedView, whole_surfaces
 from skinbake.lighting.before_adoption import before_adoption
+from skinbake.lighting.identity import IDENTITY_TOLERANCE
 from skinbake.lighting.metrics import total_area
 from skinbake.lighting.morphing import morph_count, morphing_of
 from skinbake.lighting.operator import (
@@ -49,6 +48,7 @@ from skinbake.lighting.poses import SHARED_SAMPLES, PoseRequest, PoseSet, descri
 from skinbake.lighting.rest_areas import RestAreas
 from skinbake.lighting.rest_surfaces import rest_surface
 from skinbake.lighting.tally import ErrorTally
+from skinbake.lighting.truths import Truths
 from skinbake.report.verify import (
     Check,
     ErrorFigures,

@@ -22,9 +22,10 @@ import numpy as np
 from skinbake.choices import Truth
 from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray, IntArray
 from skinbake.gradients.surface import EVEN, FAINT, UNFELT
-from skinbake.lighting.angles import Truths, sides_of
+from skinbake.lighting.angles import sides_of
 from skinbake.lighting.blending import BlendedSurface, chunks
 from skinbake.lighting.operator import GradientOperator
+from skinbake.lighting.truths import Truths
 from skinbake.skinning.surface import Options, RestSurface, all_slots
 from skinbake.threads import Threads, thread_count
 

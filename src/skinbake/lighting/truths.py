@@ -1,0 +1,138 @@
+"""The true normals of one mesh in many poses, by both truths, block by block.
+
+``reference`` has the truth by tangents, ``triangle_normals`` the truth by triangles. This module measures the
+mesh at rest for both, and cuts its vertices into blocks.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import DTypeLike
+
+from skinbake.choices import Truth
+from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray
+from skinbake.lighting import kernel
+from skinbake.lighting.blending import blocks
+from skinbake.lighting.operator import GradientOperator
+from skinbake.lighting.reference import RestFrames, morphed_frames, rest_frames
+from skinbake.lighting.triangle_normals import (
+    CarriedNormals,
+    ClassBlock,
+    ClassSums,
+    carried_normals,
+    class_blocks,
+)
+from skinbake.skinning.surface import RestSurface
+from skinbake.threads import Threads
+
+
+@dataclass(frozen=True, slots=True)
+class Truths:
+    """The data of one mesh that both truths need: blocks of vertices and of weld classes, the rest pose.
+
+    names are one or both of ``Truth``, in the order of ``Truth``.
+    """
+
+    operator: GradientOperator
+    names: Sequence[str]
+    pieces: Sequence[VertexBlock]
+    classes: Sequence[ClassBlock]
+    frames: RestFrames
+    carried: CarriedNormals | None
+
+    @classmethod
+    def of(
+        cls, operator: GradientOperator, surfaces: Sequence[RestSurface], poses: int, names: Sequence[str]
+    ) -> Truths:
+        """Measure a mesh at rest, for chunks of so many poses."""
+        pieces = _vertex_blocks(operator.slices, poses)
+        positions, normals = (_joined(surfaces, name) for name in ("positions", "normals"))
+        parts = tuple(piece.part for piece in pieces)
+        frames = rest_frames(operator, positions, normals, parts=parts)
+        classes: list[ClassBlock] = []
+        carried = None
+        if Truth.TRIANGLES in names:
+            classes = class_blocks(operator)
+            carried = carried_normals(operator, frames, positions, normals, classes)
+        return cls(operator, names, pieces, classes, frames, carried)
+
+    def moved(self, surfaces: Sequence[RestSurface]) -> Truths:
+        """Measure the mesh under morph targets, before skinning."""
+        positions, normals = (_joined(surfaces, name) for name in ("positions", "normals"))
+        frames = morphed_frames(self.frames, positions, normals)
+        carried = self.carried and carried_normals(self.operator, frames, positions, normals, self.classes)
+        return replace(self, frames=frames, carried=carried)
+
+    def sums(
+        self, deformed: Float64Array, threads: Threads, memory: ChunkMemory | None = None
+    ) -> ClassSums | None:
+        """Return the sums of the truth by triangles for all deformed positions (3, V, P) at once."""
+        if self.carried is None:
+            return None
+        shape = 3, len(self.operator.ends) - 1, deformed.shape[2]
+        total = (memory or ChunkMemory()).array("sums", shape, np.float32)
+
+        def sum_up(block: ClassBlock) -> None:
+            total[:, block.part] = kernel.class_sums(self.operator, deformed, block)
+
+        threads.done(sum_up, self.classes)
+        return ClassSums(self.carried, self.operator.classes, total)
+
+    def normals(
+        self, number: int, deformed: Float64Array, sums: ClassSums | None, sides: Float64Array | None
+    ) -> tuple[Float64Array, BoolArray]:
+        """Return a block's unit normals (U, 3, B, P) by each truth of ``names``, and where they exist."""
+        normals, exist = kernel.true_normals(self.frames, number, deformed, sides, sums)
+        # These are all truths in the order of Truth, or the first one alone if there are no sums.
+        first = tuple(Truth).index(Truth(self.names[0]))
+        named = slice(first, first + len(self.names))
+        return normals[named], exist[named]
+
+
+class ChunkMemory:
+    """Large arrays that each chunk of poses fills anew. The system would clear fresh memory first."""
+
+    def __init__(self) -> None:
+        self._arrays: dict[str, Any] = {}
+
+    def array(self, name: str, shape: tuple[int, ...], dtype: DTypeLike) -> Any:
+        """Return an array, its values arbitrary. The last one of this name must be in use no more."""
+        size = math.prod(shape)
+        if name not in self._arrays or len(self._arrays[name]) < size:
+            self._arrays.pop(name, None)
+            self._arrays[name] = np.empty(size, dtype)
+        return self._arrays[name][:size].reshape(shape)
+
+
+@dataclass(frozen=True, slots=True)
+class VertexBlock:
+    """Some vertices: the numbers of block and primitive, the rows in the primitive, the part of the mesh."""
+
+    number: int
+    surface: int
+    rows: slice
+    part: slice
+
+
+def _vertex_blocks(slices: Sequence[slice], poses: int) -> list[VertexBlock]:
+    """Cut the vertices of all primitives, each at its slice of the mesh, for chunks of so many poses."""
+    pieces = [
+        (surface, here.start, part) for surface, here in enumerate(slices) for part in blocks(here, poses)
+    ]
+    return [
+        VertexBlock(number, surface, slice(part.start - start, part.stop - start), part)
+        for number, (surface, start, part) in enumerate(pieces)
+    ]
+
+
+def _joined(surfaces: Sequence[RestSurface], name: str) -> FloatArray:
+    """Return one array of all primitives, their vertices concatenated. A single one is not copied."""
+    if len(surfaces) == 1:
+        only: FloatArray = getattr(surfaces[0], name)
+        return only
+    return np.concatenate([getattr(surface, name) for surface in surfaces])
