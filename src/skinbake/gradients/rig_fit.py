@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 
@@ -339,49 +340,131 @@ def _normal_equations(
     presence: Float64Array,
     stiffness: Float64Array,
 ) -> _NormalEquations:
-    """Sum up, over all turning joints, what tilts a tangent along the normal, by slot and as it should be.
+    """Sum up the terms that docs/fitted.md minimises over α, by vertex.
 
-    The turn of a joint moves the slots that it carries. Their gradients follow it, and each turn by itself
-    pulls their sum to that of the surface's gradients, given (V, K, 2). presence is (V, K), stiffness (V,).
-    The joints of a long chain turn all alike, too.
+    given (V, K, 2) are the surface's gradients, ∇. presence (V, K) is q, and stiffness (V,) is λ. The letters
+    here and below are those of that page.
     """
-    at, classes = pairs.vertices, vertices.classes[pairs.vertices]
     count, slots = pairs.named.shape
-    carries_last = pairs.carries[np.arange(len(at)), pairs.last[at]]
     unknowns = pairs.named >= 0
     unknowns[np.arange(count), pairs.last] = False
-    sides = np.where(unknowns[at], pairs.carries.astype(np.float64) - carries_last[:, None], 0.0)
-    tilt = np.cross(pairs.levers, turns.normals[classes])
-    wanted = np.cross(pairs.levers[:, None], pairs.arms) + pairs.spins
-    parts: BoolArray = np.asarray(sides.any(axis=1))
-    levers = np.einsum("ni,ni->n", pairs.levers, pairs.levers) * parts
-    lengths = np.einsum("ni,ni->n", tilt, tilt)
-    carried = np.einsum("nk,nkt->nt", pairs.carries, given[at])
-    aims = np.einsum("ni,nti->nt", tilt, wanted)
-    off = lengths[:, None] * carried - aims
-    turned = parts & (lengths > 0.0)
-    tilts = np.bincount(at[turned], (off * off).sum(axis=1)[turned] / lengths[turned], count).astype(
-        np.float64
+    effects = _effects_of_turns(pairs, unknowns, turns.normals[vertices.classes], given)
+    reach = np.bincount(pairs.vertices, effects.squared_levers, count)
+    sums = np.zeros((count, slots, slots)), np.zeros((count, slots, 2))
+    # Sums of floats depend on the order of these lines.
+    _add_turns(sums, pairs, effects, stiffness)
+    _add_chains(sums, pairs, effects)
+    _add_pulls_of_slots(sums, pairs, given, presence, stiffness * reach)
+    tilts = _tilts_of_surface(pairs, effects, count)
+    solvable = turns.sound[vertices.classes] & (reach > 0.0)
+    return _NormalEquations(*sums, tilts, unknowns, solvable)
+
+
+@dataclass(frozen=True, slots=True)
+class _TurnEffects:
+    """What the turn of each of N pairs does to the two tangents of its vertex, and what it should do.
+
+    - tilt (N, 3) is x × n. A turn by ω tilts a tangent along the normal by ω · tilt ᾱ.
+    - wanted (N, 2, 3) is r. A turn by ω should tilt the tangents by ω · wanted.
+    - signs (N, K) are 1, −1 or 0. ᾱ is the sum of signs × α over the slots.
+    - carried (N, 2) is ∇̄, which is ᾱ by the surface's gradients.
+    - parts (N,) tells whether the turn parts the fitted joints. If not, all signs are 0.
+    - squared_levers (N,) are |x|², or 0 if the turn does not part them.
+    """
+
+    signs: Float64Array
+    tilt: Float64Array
+    wanted: Float64Array
+    carried: Float64Array
+    parts: BoolArray
+    squared_levers: Float64Array
+
+    @property
+    def squares(self) -> Float64Array:
+        """Return |tilt|² (N,), the factor of ᾱ² in |R|²."""
+        return np.asarray(np.einsum("ni,ni->n", self.tilt, self.tilt))
+
+    @property
+    def aims(self) -> Float64Array:
+        """Return tilt · wanted (N, 2). |R|² is least if ᾱ |tilt|² equals it."""
+        return np.asarray(np.einsum("ni,nti->nt", self.tilt, self.wanted))
+
+
+def _effects_of_turns(
+    pairs: _Pairs, unknowns: BoolArray, normals: Float64Array, given: Float64Array
+) -> _TurnEffects:
+    """Return the effects of all pairs, from the normals (V, 3) of the vertices' classes.
+
+    unknowns (V, K) are all fitted slots but the last. α of the last one is minus the sum of the others. So a
+    turn that carries the last slot takes 1 from the sign of every unknown.
+    """
+    at = pairs.vertices
+    carries_last = pairs.carries[np.arange(len(at)), pairs.last[at]]
+    signs = np.where(unknowns[at], pairs.carries.astype(np.float64) - carries_last[:, None], 0.0)
+    parts: BoolArray = np.asarray(signs.any(axis=1))
+    return _TurnEffects(
+        signs=signs,
+        tilt=np.cross(pairs.levers, normals[at]),
+        wanted=np.cross(pairs.levers[:, None], pairs.arms) + pairs.spins,
+        carried=np.einsum("nk,nkt->nt", pairs.carries, given[at]),
+        parts=parts,
+        squared_levers=np.einsum("ni,ni->n", pairs.levers, pairs.levers) * parts,
     )
-    pulls = stiffness[at] * levers
-    squares = lengths + pulls
-    aims += pulls[:, None] * carried
-    matrix, right = np.zeros((count, slots, slots)), np.zeros((count, slots, 2))
-    np.add.at(matrix, at, sides[:, :, None] * sides[:, None, :] * squares[:, None, None])
-    np.add.at(right, at, sides[:, :, None] * aims[:, None, :])
-    curling, moved, aimed = _curls(pairs, parts, sides[:, :, None] * tilt[:, None], wanted)
-    np.add.at(matrix, curling, TOGETHER * np.einsum("mki,mli->mkl", moved, moved))
-    np.add.at(right, curling, TOGETHER * np.einsum("mki,mti->mkt", moved, aimed))
-    reach = np.bincount(at, levers, count)
+
+
+_Sums: TypeAlias = tuple[Float64Array, Float64Array]
+"""The matrix (V, K, K) and the right side (V, K, 2) of the normal equations, to be added to."""
+
+
+def _add_turns(sums: _Sums, pairs: _Pairs, effects: _TurnEffects, stiffness: Float64Array) -> None:
+    """Add Σ_j |R_j|² + λ Σ_j |x_j|² (ᾱ_j − ∇̄_j)², the residuals and pulls of single turns."""
+    matrix, right = sums
+    at, signs = pairs.vertices, effects.signs
+    pulls = stiffness[at] * effects.squared_levers
+    squares = effects.squares + pulls
+    aims = effects.aims + pulls[:, None] * effects.carried
+    np.add.at(matrix, at, signs[:, :, None] * signs[:, None, :] * squares[:, None, None])
+    np.add.at(right, at, signs[:, :, None] * aims[:, None, :])
+
+
+def _add_chains(sums: _Sums, pairs: _Pairs, effects: _TurnEffects) -> None:
+    """Add 10 Σ_C |Σ_{j ∈ C} R_j|², the residuals of long chains whose joints turn alike."""
+    matrix, right = sums
+    moved_by_turns = effects.signs[:, :, None] * effects.tilt[:, None]
+    at, moved, wanted = _curls(pairs, effects.parts, moved_by_turns, effects.wanted)
+    np.add.at(matrix, at, TOGETHER * np.einsum("mki,mli->mkl", moved, moved))
+    np.add.at(right, at, TOGETHER * np.einsum("mki,mti->mkt", moved, wanted))
+
+
+def _add_pulls_of_slots(
+    sums: _Sums, pairs: _Pairs, given: Float64Array, presence: Float64Array, strength: Float64Array
+) -> None:
+    """Add λ X Σ_i f_i (α_i − ∇_i)², the pull of each slot to the surface's gradient. strength (V,) is λ X.
+
+    α of the last slot is minus the sum of the unknowns. So its pull is on all of them.
+    """
+    matrix, right = sums
+    count, slots = pairs.named.shape
     with np.errstate(divide="ignore"):  # a slot that has no presence is not named
         more = np.maximum(np.square(FAINT / presence), 1.0) - 1.0
-    pull = (stiffness * reach)[:, None] * (EVEN + np.where(pairs.named >= 0, more, 0.0))
+    pull = strength[:, None] * (EVEN + np.where(pairs.named >= 0, more, 0.0))
     last = np.arange(count), pairs.last
     matrix += pull[last][:, None, None]
     matrix[:, np.arange(slots), np.arange(slots)] += pull
     right += pull[:, :, None] * given - (pull[last][:, None] * given[last])[:, None]
-    solvable = turns.sound[vertices.classes] & (reach > 0.0)
-    return _NormalEquations(matrix, right, tilts.astype(np.float64), unknowns, solvable)
+
+
+def _tilts_of_surface(pairs: _Pairs, effects: _TurnEffects, count: int) -> Float64Array:
+    """Return e² (V,), from the tilts that remain with the surface's gradients.
+
+    The tilt that a turn by a radian leaves is R · tilt / |tilt|. e² is the sum of its squares, over all turns
+    and both tangents.
+    """
+    squares = effects.squares
+    off = squares[:, None] * effects.carried - effects.aims
+    turned = effects.parts & (squares > 0.0)
+    tilts = (off * off).sum(axis=1)[turned] / squares[turned]
+    return np.asarray(np.bincount(pairs.vertices[turned], tilts, count), dtype=np.float64)
 
 
 def _curls(
