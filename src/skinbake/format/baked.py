@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -25,6 +25,9 @@ from skinbake.gltf.json_access import JsonObject
 from skinbake.gltf.primitives import PrimitiveSource, StoredInfluences, read_influences, side_by_side
 from skinbake.timing import stage
 from skinbake.version import __version__
+
+_NamedArray: TypeAlias = tuple[str, npt.NDArray[Any]]
+"""The name and the values of an attribute."""
 
 
 class AttributeNames(NamedTuple):
@@ -97,7 +100,12 @@ def with_scale(storage: GradientFormat, results: Iterable[BakedPrimitive]) -> Gr
 def _written(
     document: Document, store: AttributeStore, item: Baked, names: AttributeNames, storage: GradientFormat
 ) -> JsonObject:
-    """Return the JSON of the primitive with all additions of bake."""
+    """Return the JSON of the primitive with all additions of bake.
+
+    The functions that it calls change ``attributes`` and ``note``, which is the metadata. The note goes into
+    the extras of the primitive. If another program's data is there, it goes into those of the first accessor
+    of α and β.
+    """
     attributes = dict(item.source.attributes)
     note: JsonObject = {
         "version": metadata.VERSION,
@@ -106,32 +114,65 @@ def _written(
         "influences": item.primitive.joints.shape[1],
         **item.settings,
     }
+    _add_normal(store, item, attributes, note)
+    _add_tangent(document, store, item, attributes, note)
+    stored = _add_influences(document, store, item, attributes, note)
+    with stage("digests"):
+        note["digest"] = metadata.digests(stored, item.result.frame)
+    note["alpha"], note["beta"], gradients = _stored(item, names, storage)
+    note |= storage.noted
+    if metadata.POSES in note:
+        note[metadata.POSES] = {**note[metadata.POSES], "slots": metadata.slots_digest(dict(gradients))}
+    if item.source.json.get("extras") == {}:
+        note["keepExtras"] = True
+    beside = _has_foreign_extras(item.source.json)
+    _add_gradients(store, item, storage, gradients, attributes, extras={KEY: note} if beside else None)
+    written = {**item.source.json, "attributes": attributes}
+    return written if beside else _with_note(written, note)
+
+
+def _add_normal(store: AttributeStore, item: Baked, attributes: dict[str, Any], note: JsonObject) -> None:
+    """Add a NORMAL to a primitive that has none, and note that it is generated."""
     if "NORMAL" not in attributes:
         attributes["NORMAL"] = store.add("NORMAL", item.primitive.normals.astype(np.float32))
         note["generated"] = ["NORMAL"]
-    primitive = item.primitive
-    if primitive.straightened and primitive.straightened.vertices and primitive.tangents is not None:
-        number = int(attributes["TANGENT"])
-        before = read_accessor(document, number, item.source.place.at("TANGENT")).decoded()
-        note[metadata.STRAIGHTENED] = {"TANGENT": number, "digest": metadata.tangent_digest(before)}
-        attributes["TANGENT"] = store.add("TANGENT", primitive.tangents)
+
+
+def _add_tangent(
+    document: Document, store: AttributeStore, item: Baked, attributes: dict[str, Any], note: JsonObject
+) -> None:
+    """Replace a TANGENT of which the bake straightened some vectors, and note the former one."""
+    straightened, tangents = item.primitive.straightened, item.primitive.tangents
+    if not straightened or not straightened.vertices or tangents is None:
+        return
+    former = int(attributes["TANGENT"])
+    before = read_accessor(document, former, item.source.place.at("TANGENT")).decoded()
+    note[metadata.STRAIGHTENED] = {"TANGENT": former, "digest": metadata.tangent_digest(before)}
+    attributes["TANGENT"] = store.add("TANGENT", tangents)
+
+
+def _add_influences(
+    document: Document, store: AttributeStore, item: Baked, attributes: dict[str, Any], note: JsonObject
+) -> SkinnedPrimitive:
+    """Store the influences of the bake if they are not those of the file. Return the arrays as stored."""
     if item.limited is not None:
         note[metadata.FORMER_ATTRIBUTES] = list(item.source.attributes)
-    if item.result.adopts or item.limited is not None:
-        primitive = _replace_influences(document, store, item, attributes, note)
-    with stage("digests"):
-        note["digest"] = metadata.digests(primitive, item.result.frame)
-    note["alpha"], note["beta"], arrays = _stored(item, names, storage)
-    note |= storage.noted
-    if metadata.POSES in note:
-        note[metadata.POSES] = {**note[metadata.POSES], "slots": metadata.slots_digest(dict(arrays))}
-    extras = item.source.json.get("extras")
-    # A null is data of another program too, and so is a member of our name without our version.
-    beside = "extras" in item.source.json and (not isinstance(extras, dict) or KEY in extras)
-    if extras == {}:
-        note["keepExtras"] = True
-    for number, (name, values) in enumerate(arrays):
-        own = {KEY: note} if beside and number == 0 else None
+    elif not item.result.adopts:
+        return item.primitive
+    return _replace_influences(document, store, item, attributes, note)
+
+
+def _add_gradients(
+    store: AttributeStore,
+    item: Baked,
+    storage: GradientFormat,
+    gradients: Sequence[_NamedArray],
+    attributes: dict[str, Any],
+    *,
+    extras: JsonObject | None,
+) -> None:
+    """Add the attributes of α and β. The first one's accessor gets the extras."""
+    for name, values in gradients:
         if name in attributes:
             raise InputError(
                 f"it already has an attribute {name}, but no metadata of skinbake (another tool may "
@@ -139,16 +180,28 @@ def _written(
                 f"choose other names with {_choice_of_names(storage)}",
                 item.source.place,
             )
-        attributes[name] = store.add(name, values, normalized=storage.encoding.is_scaled, extras=own)
-    written = {**item.source.json, "attributes": attributes}
-    if not beside:
-        written["extras"] = {**(extras or {}), KEY: note}
-    return written
+        attributes[name] = store.add(name, values, normalized=storage.encoding.is_scaled, extras=extras)
+        extras = None
+
+
+def _has_foreign_extras(primitive: JsonObject) -> bool:
+    """Tell whether another program's data takes the place of the metadata in the extras of a primitive.
+
+    A value that is no object is such data, and null is one. So is a member of our name, because no earlier
+    bake is in the document.
+    """
+    extras = primitive.get("extras", {})
+    return not isinstance(extras, dict) or KEY in extras
+
+
+def _with_note(primitive: JsonObject, note: JsonObject) -> JsonObject:
+    """Return the JSON of a primitive with the metadata in its extras."""
+    return {**primitive, "extras": {**primitive.get("extras", {}), KEY: note}}
 
 
 def _stored(
     item: Baked, names: AttributeNames, storage: GradientFormat
-) -> tuple[list[str], list[str], list[tuple[str, npt.NDArray[Any]]]]:
+) -> tuple[list[str], list[str], list[_NamedArray]]:
     """Return the names of α's and of β's attributes, and every array with its name, in file order."""
     result = item.result
     if storage.layout is Layout.TEXCOORD:
