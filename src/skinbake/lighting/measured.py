@@ -357,7 +357,25 @@ class Lighting:
 
     def _verdict(self, drawn: Sequence[_Draw], without_dqs: str | None) -> FileVerdict:
         by_truth = {truth: self._figures(self._whole, truth) for truth in Truth}
-        normals = by_truth[Truth.TANGENTS]
+        self._refuse_overflow(by_truth)
+        primitives = {
+            truth: tuple((place, self._figures(tallies, truth)) for place, tallies in self._by_place.items())
+            for truth in Truth
+        }
+        seconds = sum(clip.duration - clip.start for clip in self._clips)
+        return FileVerdict(
+            self._document.name,
+            tuple(self._checks(by_truth, drawn)),
+            by_truth[Truth.TANGENTS],
+            primitives[Truth.TANGENTS],
+            described(self._options.poses, [draw.poses for draw in drawn], seconds),
+            without_dqs,
+            by_triangles=by_truth[Truth.TRIANGLES],
+            primitives_by_triangles=primitives[Truth.TRIANGLES],
+        )
+
+    def _refuse_overflow(self, by_truth: Mapping[Truth, Normals]) -> None:
+        """Raise InputError if a figure is not finite."""
         found = [
             figures
             for by_method in by_truth.values()
@@ -370,32 +388,17 @@ class Lighting:
                 "scale the model down",
                 self._document.place,
             )
-        poses = [draw.poses for draw in drawn]
-        seconds = sum(clip.duration - clip.start for clip in self._clips)
-        identity = self._identity_check(drawn)
-        checks = [identity] if "lbs" in normals else []
+
+    def _checks(self, by_truth: Mapping[Truth, Normals], drawn: Sequence[_Draw]) -> Iterator[Check]:
+        """Yield the checks of the lighting. One that does not apply is left out."""
+        normals = by_truth[Truth.TANGENTS]
+        if "lbs" in normals:
+            yield self._identity_check(drawn)
         if not normals:
-            checks.append(
-                Check("lighting", "skipped", (), "there is no true normal at any vertex in these poses")
-            )
-        asked = (self._options.max_mean_error, self._options.max_p95_error, self._options.min_gain)
-        if any(limit is not None for limit in asked):
+            yield Check("lighting", "skipped", (), "there is no true normal at any vertex in these poses")
+        if self._options.limits:
             held = {truth: by_truth[truth] for truth in Truth if self._options.truth in {None, truth}}
-            checks.append(_limits_check(held, self._options, self._document.place))
-        by_tangents, by_triangles = (
-            tuple((place, self._figures(tallies, truth)) for place, tallies in self._by_place.items())
-            for truth in Truth
-        )
-        return FileVerdict(
-            self._document.name,
-            tuple(checks),
-            normals,
-            by_tangents,
-            described(self._options.poses, poses, seconds),
-            without_dqs,
-            by_triangles=by_truth[Truth.TRIANGLES],
-            primitives_by_triangles=by_triangles,
-        )
+            yield _limits_check(held, self._options, self._document.place)
 
     def _figures(self, tallies: _Tallies, truth: str) -> Normals:
         """Return the figures by one truth, by method and lighting. All poses weigh the same."""
