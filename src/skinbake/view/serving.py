@@ -32,7 +32,8 @@ def _handler(page: bytes) -> type[http.server.BaseHTTPRequestHandler]:
     class Handler(http.server.BaseHTTPRequestHandler):
         def do_GET(self) -> None:
             # Another site may let its name point here. Its pages then ask with that name.
-            host = self.headers.get("Host", "").rpartition(":")[0]
+            # Browsers leave the port out if it is 80.
+            host = self.headers.get("Host", "").partition(":")[0]
             if self.path != "/" or host not in {HOST, "localhost"}:
                 self.send_error(404)
                 return
