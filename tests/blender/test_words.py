@@ -90,6 +90,31 @@ def test_a_measurement_that_fails_keeps_the_bake(tmp_path: Path, monkeypatch: py
     assert outcome.lines[-1] == baking.Line("WARNING", "baked, but not measured: no memory is left")
 
 
+def test_a_measurement_says_the_smaller_gain_of_the_verdict(tmp_path: Path) -> None:
+    outcome = baked("bent_tube.glb", tmp_path, measure=True)
+    verdict = skinbake.verify(tmp_path / "bent_tube.glb", methods=["lbs"])
+    assert outcome.gain == min(verdict[kind]["lbs"]["gain"] for kind in ("normals", "normals_by_triangles"))
+    assert f", gain {outcome.gain:.1f}x, over 60 poses of 1 clip" in outcome.lines[-1].text
+
+
+def test_a_measurement_says_that_nothing_bends(tmp_path: Path) -> None:
+    # All vertices follow one joint alone, so each pose moves the tube as a whole.
+    file = Editable(FOLDER / "bent_tube.glb")
+    file.array("WEIGHTS_0")[:] = [1.0, 0.0, 0.0, 0.0]
+    outcome = baking.bake_export(str(file.write(tmp_path / "rigid.glb")), {}, measure=True)
+    assert (outcome.status, outcome.gain) == ("baked", None)
+    said = outcome.lines[-1].text
+    assert said.startswith("nothing bends: standard normals are right already, over ")
+
+
+def test_an_exact_correction_has_errors_and_no_gain() -> None:
+    # The gain of a verdict is null if the mean error of accurate lighting is only rounding.
+    lbs = {"approximated": {"mean": 3.25}, "accurate": {"mean": 2e-6}, "gain": None}
+    lines, gain = baking._figures({"normals": {"lbs": lbs}, "normals_by_triangles": {}, "poses": "2 poses"})
+    assert gain is None
+    assert [line.text for line in lines] == ["error of normals 3.25° -> 0.00°, over 2 poses"]
+
+
 def test_a_refused_option_keeps_the_export(tmp_path: Path) -> None:
     outcome = baked("bent_tube.glb", tmp_path, limit_influences=3)
     assert (outcome.status, [line.level for line in outcome.lines]) == ("failed", ["ERROR"])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import traceback
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -30,6 +31,9 @@ HINTS = {
 }
 """By the code of a notice of skinbake: what to do in Blender."""
 
+SHOWN = 0.005
+"""A mean error in degrees below this value is shown as 0.00°."""
+
 
 @dataclass(frozen=True, slots=True)
 class Line:
@@ -44,7 +48,8 @@ class Outcome:
     """The result of one export.
 
     gain is the mean error of standard lighting divided by that of accurate lighting, by that one of the two
-    true normals of ``skinbake verify`` that shows less of it. None: it was not measured.
+    true normals of ``skinbake verify`` that shows less of it. None: it was not measured, or the accurate
+    error is only rounding, for example if nothing bends.
     """
 
     path: str
@@ -134,15 +139,14 @@ def _figures(verdict: Mapping[str, Any]) -> tuple[tuple[Line, ...], float | None
     truths = [verdict[kind]["lbs"] for kind in ("normals", "normals_by_triangles") if verdict[kind]]
     if not truths:
         return (), None
-    lbs = min(truths, key=_gain)
+    lbs = min(truths, key=lambda found: math.inf if found["gain"] is None else found["gain"])
     standard, accurate = lbs["approximated"]["mean"], lbs["accurate"]["mean"]
-    text = f"error of normals {standard:.2f}° -> {accurate:.2f}°, gain {_gain(lbs):.1f}x"
-    return (Line("INFO", f"{text}, over {verdict['poses']}"),), _gain(lbs)
-
-
-def _gain(lbs: Mapping[str, Any]) -> float:
-    standard, accurate = lbs["approximated"]["mean"], lbs["accurate"]["mean"]
-    return float(standard / accurate) if accurate > 0.0 else 1.0
+    if lbs["gain"] is None and max(found["approximated"]["mean"] for found in truths) < SHOWN:
+        text = "nothing bends: standard normals are right already"
+    else:
+        gain = "" if lbs["gain"] is None else f", gain {lbs['gain']:.1f}x"
+        text = f"error of normals {standard:.2f}° -> {accurate:.2f}°{gain}"
+    return (Line("INFO", f"{text}, over {verdict['poses']}"),), lbs["gain"]
 
 
 def _warnings(notices: Iterable[Mapping[str, Any]]) -> tuple[Line, ...]:

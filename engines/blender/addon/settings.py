@@ -63,7 +63,7 @@ class BakeOutcome(bpy.types.PropertyGroup):
     """The outcome of the last export: ``window_manager.skinbake``. It is not saved.
 
     status is ``baked``, ``unchanged`` or ``failed``, and empty before the first export. A gain of 0 was not
-    measured.
+    measured, or nothing bends.
     """
 
     path: StringProperty()
