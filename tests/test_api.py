@@ -293,6 +293,20 @@ class TestArrays:
         gradient = alpha * found.tangents + beta * found.bitangents
         assert np.abs(gradient - [0.3, 0.4, 0.0]).max() < 1e-5
 
+    @pytest.mark.parametrize("length", [1e-300, 1e-200, 1e200, 1e300])
+    def test_normals_have_any_length(self, length: float) -> None:
+        """The weight of joint 1 is x along a plane through the y axis, on which x grows by 0.8 a unit."""
+        points = np.array([[0, 0, 0], [0.8, 0, -0.6], [0.8, 1, -0.6], [0, 1, 0]])
+        found = skinbake.weight_gradients(
+            points,
+            np.tile([0.6 * length, 0.0, 0.8 * length], (4, 1)),
+            [[0, 1, 2], [0, 2, 3]],
+            [[0, 1]] * 4,
+            np.column_stack([1 - points[:, 0], points[:, 0]]),
+        )
+        gradient = found.alpha * found.tangents + found.beta * found.bitangents
+        assert np.abs(gradient - [0.64, 0.0, -0.48]).max() < 1e-6
+
     @pytest.mark.parametrize("neighbours", ["drop", "adopt"])
     @pytest.mark.parametrize("name", ["seam.glb", "foreign_joints.glb", "mirrored_tangent.glb"])
     def test_arrays_give_what_a_file_gives(self, name: str, neighbours: str, tmp_path: Path) -> None:

@@ -115,6 +115,23 @@ def test_normals_of_any_length_become_unit_and_those_of_none_point_along_z(dtype
     assert unit_vectors(np.array([[0.0, 3.0, 4.0]], dtype=dtype)) == pytest.approx(np.array([[0, 0.6, 0.8]]))
 
 
+@pytest.mark.parametrize("length", [1e-300, 1e-200, 1e-160, 1e-145, 1e154, 1e200, 1e300])
+def test_lengths_whose_squares_are_no_floats_change_no_direction(length: float) -> None:
+    directions = sphere(200, seed=3)
+    found = unit_vectors(directions.astype(np.float64) * length)
+    # The directions are unit to a rounding of float32. Their smallest components underflow in part.
+    assert np.abs(np.linalg.norm(found, axis=1) - 1.0).max() < 1e-15
+    assert np.abs(found - directions).max() < 2e-7
+
+
+def test_an_extreme_vector_changes_no_bit_of_the_others() -> None:
+    usual = np.random.default_rng(4).normal(size=(50, 3))
+    extreme = np.array([[3e200, 0.0, 4e200], [0.0, -5e-324, 0.0], [0.0, 0.0, 0.0], [np.inf, 0.0, 1.0]])
+    found = unit_vectors(np.concatenate([usual, extreme]))
+    assert found[:50].tobytes() == unit_vectors(usual).tobytes()
+    assert found[50:] == pytest.approx(np.array([[0.6, 0, 0.8], [0, -1, 0], [0, 0, 1], [0, 0, 1]]), abs=1e-15)
+
+
 @pytest.mark.parametrize("handedness", [1.0, -1.0])
 def test_the_bitangent_follows_the_handedness_of_tangent(handedness: float) -> None:
     normals = np.array([[0, 0, 1], [0, 1, 0]], dtype=np.float32)

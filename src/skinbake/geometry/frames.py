@@ -13,17 +13,31 @@ ALONG = 1e-3
 HUGE = 1e30
 """A length of a tangent from which float32 cannot hold what is made of it."""
 
+TINY_SQUARE = 1e-280
+"""A squared length below which underflow may have taken digits. No float32 vector has one, except zero."""
+
 
 def unit_vectors(vectors: FloatArray) -> Float64Array:
-    """Return vectors (V, 3) normalised, float64; a vector without a finite length becomes (0, 0, 1)."""
+    """Return vectors (V, 3) normalised, float64; a vector without a direction becomes (0, 0, 1)."""
     with np.errstate(invalid="ignore"):  # a signalling NaN
         wide = vectors.astype(np.float64)
-    x, y, z = wide.T
-    length = np.sqrt(x * x + y * y + z * z)[:, None]
-    sound = has_direction(vectors)[:, None]
+    sound = has_direction(vectors)
+    square = _squared_lengths(wide)
+    extreme = sound & ~((square >= TINY_SQUARE) & np.isfinite(square))
+    if extreme.any():
+        wide[extreme] /= np.abs(wide[extreme]).max(axis=1, keepdims=True)
+        square[extreme] = _squared_lengths(wide[extreme])
+    length, sound = np.sqrt(square)[:, None], sound[:, None]
     if sound.all():
         return np.asarray(wide / length)
     return np.where(sound, wide / np.where(sound, length, 1.0), [0.0, 0.0, 1.0])
+
+
+def _squared_lengths(vectors: Float64Array) -> Float64Array:
+    """Return the squared lengths (V,) of vectors (V, 3); inf if a square is too large for a float."""
+    x, y, z = vectors.T
+    with np.errstate(over="ignore"):
+        return np.asarray(x * x + y * y + z * z)
 
 
 def has_direction(vectors: FloatArray) -> BoolArray:
@@ -39,7 +53,7 @@ def without_direction(vectors: FloatArray) -> int:
 
 
 def unit_normals(normals: FloatArray) -> Float32Array:
-    """Return NORMAL (V, 3) normalised, float32; a normal without a finite length becomes (0, 0, 1)."""
+    """Return NORMAL (V, 3) normalised, float32; a normal without a direction becomes (0, 0, 1)."""
     return unit_vectors(normals).astype(np.float32)
 
 

@@ -1119,9 +1119,16 @@ static ALWAYS_INLINE void frame_from_unit(Vector normal, Vector *tangent, Vector
 /* A normal as the shader normalises it, in float32 (twin: frames.unit_normals). Returns whether it has a direction. */
 static ALWAYS_INLINE int unit_normal(Vector normal, Vector *unit)
 {
-    double length = sqrt(dot(normal, normal));
+    const double tiny_square = 1e-280; /* frames.TINY_SQUARE */
     int sound = isfinite(normal.x) && isfinite(normal.y) && isfinite(normal.z) &&
                 (normal.x != 0.0 || normal.y != 0.0 || normal.z != 0.0);
+    double square = dot(normal, normal);
+    if (sound && !(square >= tiny_square && isfinite(square))) {
+        double largest = fmax(fmax(fabs(normal.x), fabs(normal.y)), fabs(normal.z));
+        normal = (Vector){normal.x / largest, normal.y / largest, normal.z / largest};
+        square = dot(normal, normal);
+    }
+    double length = sqrt(square);
     *unit = sound ? (Vector){(float)(normal.x / length), (float)(normal.y / length), (float)(normal.z / length)}
                   : (Vector){0.0, 0.0, 1.0};
     return sound;
