@@ -312,7 +312,7 @@ def _rows(subject: Subject, rest: RestSurface, errors: tuple[Any, Any] | None) -
     parts = [
         np.column_stack([rest.positions, degrees]),
         np.column_stack([rest.normals, known]),
-        np.column_stack([rest.tangents, _handedness(rest)]),
+        np.column_stack([rest.tangents, rest.handedness()]),
         np.column_stack([rest.bitangents, np.zeros(count)]),
         np.column_stack([base, normal]),
         np.pad(emissive, ((0, 0), (0, 2))),
@@ -323,12 +323,6 @@ def _rows(subject: Subject, rest: RestSurface, errors: tuple[Any, Any] | None) -
         *slopes(rest.beta),
     ]
     return np.stack(parts, axis=1).astype(np.float32).tobytes()
-
-
-def _handedness(rest: RestSurface) -> npt.NDArray[Any]:
-    """Return 1 or −1 (V,): the side of t0 × b0 on which n0 is."""
-    side = np.einsum("vi,vi->v", np.cross(rest.tangents, rest.bitangents), rest.normals)
-    return np.where(side < 0, -1.0, 1.0)
 
 
 def _attachments(many: Any, target: Any, depth: Any) -> dict[str, Any]:
