@@ -24,8 +24,8 @@ from skinbake.gltf.document import read_document
 from skinbake.gltf.primitives import skinned_sources
 from skinbake.lighting.angles import truths_at_rest
 from skinbake.lighting.baked_views import baked_views, whole_surfaces
-from skinbake.lighting.before_adoption import before_adoption
-from skinbake.lighting.operator import GradientOperator, true_operator
+from skinbake.lighting.before_adoption import true_operator_of
+from skinbake.lighting.operator import GradientOperator
 from skinbake.lighting.poses import PoseRequest, draws_of, pose_set
 from skinbake.lighting.rest_areas import RestAreas
 from skinbake.lighting.rest_surfaces import rest_surface
@@ -69,7 +69,7 @@ class Character:
             return cls(
                 path.parent.name,
                 rest_surface(view),
-                true_operator(before_adoption(document, [view])),
+                true_operator_of(document, [view]),
                 poses.joint_matrices,
                 RestAreas(document, skin).of(view.now),
             )

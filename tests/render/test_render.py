@@ -13,12 +13,17 @@ from PIL import Image
 from fixtures.make_fixtures import FOLDER
 from skinbake.cli import exit_codes
 from skinbake.commands import render
+from skinbake.errors import InputError
+from skinbake.gltf import budget
 from skinbake.gltf.json_access import JsonObject
-from skinbake.render.studio import MODES, Studio
+from skinbake.lighting.operator import GradientOperator
+from skinbake.render.studio import MODES, Look, Studio
 from skinbake.render.subject import YAW, Camera, Subject
 from skinbake.skinning.algorithms import Algorithm
 from tests.support.characters import Array, baked
 from tests.support.command_line import invoke
+from tests.support.cutting import cut_into_meshes, halved
+from tests.support.gltf_reading import read
 from tests.support.models import edited, sheet, write_model
 from tests.support.rasterised import eroded, fragments
 from tests.support.webgpu import NAGA
@@ -180,6 +185,58 @@ def test_a_model_that_is_too_large_is_refused(tmp_path: Path) -> None:
     assert result.exit_code == exit_codes.INPUT
     assert "its positions are too large for a renderer" in result.stderr
     assert not (tmp_path / "picture.png").exists()
+
+
+class Undrawn:
+    """A studio without a device: errors are measured, and nothing is drawn."""
+
+    def __init__(self, subjects: Sequence[Subject], camera: Camera) -> None:
+        pass
+
+    def picture(self, *arguments: object) -> None:
+        raise InputError("enough")
+
+
+def measure_errors(path: Path, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Measure the errors that a picture of a file would show. It ends with InputError."""
+    monkeypatch.setattr(render, "Studio", Undrawn)
+    render.render_file(str(path), str(folder / "a.png"), render.RenderOptions(Look(64, 48, "error")))
+
+
+def test_welding_counts_to_the_memory_of_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(budget, "WELDING_FREE", 0)
+    monkeypatch.setattr(budget, "WELDING_RATIO", 0)
+    with pytest.raises(InputError, match="its vertices have so many copies at one place"):
+        measure_errors(FOLDER / "seam.glb", tmp_path, monkeypatch)
+
+
+def test_a_surface_is_welded_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The search for the worst pose needs the welded surface, and so does the picture of this pose."""
+    claimed: list[int] = []
+    monkeypatch.setattr(budget.Budget, "claim_welding", lambda self, size, place: claimed.append(size))
+    with pytest.raises(InputError, match="enough"):
+        measure_errors(TUBE, tmp_path, monkeypatch)
+    assert len(claimed) == 1
+
+
+@pytest.mark.parametrize("name", ["weights_u8.glb", "weights_u16.glb"])
+def test_slots_that_integer_weights_adopt_tear_no_surface_apart(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    """Two meshes hold the vertices of one. Their copies adopt other joints, and so their weights differ."""
+    operators: list[GradientOperator] = []
+
+    def kept(operator: GradientOperator, *arguments: object, **others: object) -> None:
+        operators.append(operator)
+
+    monkeypatch.setattr(render, "lighting_errors", kept)
+    cut = cut_into_meshes(halved(FOLDER / name, tmp_path / "half.glb"), tmp_path / "cut.glb")
+    with pytest.raises(InputError, match="enough"):
+        measure_errors(cut, tmp_path, monkeypatch)
+    vertices = len(read(FOLDER / name).attribute("POSITION"))
+    (operator,) = {id(one): one for one in operators}.values()
+    assert operator.counts == (vertices, vertices)
+    assert len(np.unique(operator.classes)) == vertices
 
 
 def test_without_its_extra_it_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

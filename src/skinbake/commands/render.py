@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from skinbake.choices import Frame, Truth, Weighting
+from skinbake.choices import Frame, Truth
 from skinbake.commands.view import baked_in_memory, sound_views, unplaced
 from skinbake.containment import BESIDE, Bounds
 from skinbake.errors import ChoiceError, InputError, Notice, SkinbakeError, printable
@@ -31,9 +32,10 @@ from skinbake.gltf.output import refuse_own_input
 from skinbake.gltf.writing import write_file
 from skinbake.lighting.angles import MeasuredBlock, Morphing, lighting_errors, truths_at_rest
 from skinbake.lighting.baked_views import BakedView, whole_surfaces
+from skinbake.lighting.before_adoption import true_operator_of
 from skinbake.lighting.metrics import vertex_areas
 from skinbake.lighting.morphing import morphing_of
-from skinbake.lighting.operator import TRUE_CREASE_ANGLE, gradient_operator
+from skinbake.lighting.operator import GradientOperator
 from skinbake.lighting.poses import PoseSet, draws_of
 from skinbake.lighting.rest_surfaces import rest_surface
 from skinbake.render.captions import captioned
@@ -87,12 +89,16 @@ class RenderResult:
 
 @dataclass(frozen=True, slots=True)
 class _Draw:
-    """A surface as one skin draws it: its primitives; with morph targets, the node that has their weights."""
+    """A surface as one skin draws it: its primitives; with morph targets, the node that has their weights.
+
+    operator builds the operator of the truths at its first call, once for all draws of the surface.
+    """
 
     views: Sequence[BakedView]
     rest: Sequence[RestSurface]
     skeleton: Skeleton
     node: int | None
+    operator: Callable[[], GradientOperator]
 
 
 @dataclass(frozen=True, slots=True)
@@ -211,8 +217,10 @@ def _still(draw: _Draw, posed: _Posed) -> Iterator[Posed]:
 def _draws(document: Document, views: Sequence[BakedView]) -> Iterator[_Draw]:
     clips = read_clips(document)
     for group in whole_surfaces(document, views):
+        operator = cache(partial(true_operator_of, document, group))
         for skin, node in draws_of(document, group[0].source.mesh, clips):
-            yield _Draw(group, [rest_surface(view) for view in group], read_skeleton(document, skin), node)
+            rest = [rest_surface(view) for view in group]
+            yield _Draw(group, rest, read_skeleton(document, skin), node, operator)
 
 
 def _clip(document: Document, asked: str | None) -> Clip | None:
@@ -354,11 +362,7 @@ def _errors(draws: Sequence[_Draw], posed: Sequence[_Posed]) -> list[dict[str, F
     found: list[dict[str, Float32Array]] = []
     for draw, one in zip(draws, posed, strict=True):
         count = len(one.matrices)
-        operator = gradient_operator(
-            [view.now for view in draw.views],
-            weighting=Weighting.MAX,
-            crease_angle_degrees=TRUE_CREASE_ANGLE,
-        )
+        operator = draw.operator()
         own = [
             {name: np.zeros((2, count, len(rest.positions)), np.float32) for name in NAMES}
             for rest in draw.rest

@@ -12,6 +12,7 @@ from skinbake.geometry.skinned import Float64Array, FloatArray, IntArray, Skinne
 from skinbake.gltf.document import Document
 from skinbake.lighting.baked_views import BakedView
 from skinbake.lighting.expected import given_weights
+from skinbake.lighting.operator import GradientOperator, true_operator
 
 NO_PAYMENT = 1e-7
 """Below this weight, the share that adopted slots took is rounding: 2⁻³⁰ each, if weights are FLOAT."""
@@ -30,6 +31,18 @@ def before_adoption(document: Document, views: Sequence[BakedView]) -> list[Skin
         replace(view.now, weights=returned(view.now.weights, own, view.now.joints))
         for view, own in zip(views, given, strict=True)
     ]
+
+
+def true_operator_of(document: Document, views: Sequence[BakedView]) -> GradientOperator:
+    """Build the operator of the truths for one surface, with the weights from before the bake.
+
+    The settings of the bake do not change it. The memory that welding adds counts to the document's budget.
+    Raises InputError if it is too much for the file.
+    """
+    return true_operator(
+        before_adoption(document, views),
+        claim=lambda size: document.budget.claim_welding(size, views[0].source.place),
+    )
 
 
 def returned(weights: FloatArray, given: Float64Array, joints: IntArray) -> Float64Array:

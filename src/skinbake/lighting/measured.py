@@ -34,16 +34,11 @@ from skinbake.lighting.angles import (
     truths_at_rest,
 )
 from skinbake.lighting.baked_views import BakedView, whole_surfaces
-from skinbake.lighting.before_adoption import before_adoption
+from skinbake.lighting.before_adoption import true_operator_of
 from skinbake.lighting.identity import IDENTITY_TOLERANCE
 from skinbake.lighting.metrics import total_area
 from skinbake.lighting.morphing import morph_count, morphing_of
-from skinbake.lighting.operator import (
-    TRUE_CREASE_ANGLE,
-    TRUE_WEIGHTING,
-    GradientOperator,
-    true_operator,
-)
+from skinbake.lighting.operator import TRUE_CREASE_ANGLE, TRUE_WEIGHTING, GradientOperator
 from skinbake.lighting.poses import SHARED_SAMPLES, PoseRequest, PoseSet, described, draws_of, pose_set
 from skinbake.lighting.rest_areas import RestAreas
 from skinbake.lighting.rest_surfaces import rest_surface
@@ -182,8 +177,8 @@ class Lighting:
     ) -> FileVerdict:
         """Return a verdict with the lighting checks and figures.
 
-        operators have the settings of the bakes. The truths use them only if they have no operators of their
-        own.
+        operators have the settings of the bakes. The truths reuse an operator if the bake had the same
+        surface, and the truths' weighting and crease angle. Otherwise they build their own.
         """
         with stage("gradient operator"):
             whole = whole_surfaces(self._document, [view for views in meshes for view in views])
@@ -431,10 +426,7 @@ def _true_operator(
     usual = noted["weighting"] == TRUE_WEIGHTING and math.isclose(noted["creaseAngle"], TRUE_CREASE_ANGLE)
     if operator is not None and usual:
         return operator
-    return true_operator(
-        before_adoption(document, views),
-        claim=lambda size: document.budget.claim_welding(size, views[0].source.place),
-    )
+    return true_operator_of(document, views)
 
 
 def _mirrored(drawn: Sequence[_Draw]) -> Iterator[Notice]:
