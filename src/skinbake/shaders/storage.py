@@ -102,7 +102,7 @@ def _assembled(choices: ShaderChoices) -> list[Assembled]:
                     type=f"vec{len(places)}",
                     slots=f"slots {first} to {last}",
                     params=tuple(f"pair_{pair}" for pair in pairs),
-                    names=tuple(_ascii(choices.pair_names[pair - 1]) for pair in pairs),
+                    names=tuple(ascii_name(choices.pair_names[pair - 1]) for pair in pairs),
                     numbers=f"{pairs[0]} to {pairs[-1]}",
                     components=tuple(f"pair_{pair + 1}.{'xy'[place]}" for pair, place in places),
                 )
@@ -115,7 +115,7 @@ def _pairs(choices: ShaderChoices, assembled: list[Assembled]) -> list[Pair]:
     others = len(choices.pair_names)
     row = [f"{kind} of slot {slot}" for kind in KINDS for slot in range(1, others + 1)]
     return [
-        Pair(_ascii(name), f"{row[2 * at]}, {row[2 * at + 1]}" if f"pair_{at + 1}" in read else "")
+        Pair(ascii_name(name), f"{row[2 * at]}, {row[2 * at + 1]}" if f"pair_{at + 1}" in read else "")
         for at, name in enumerate(choices.pair_names)
     ]
 
@@ -138,5 +138,6 @@ def _preparations(choices: ShaderChoices, assembled: list[Assembled]) -> list[Pr
     return found
 
 
-def _ascii(name: str) -> str:
+def ascii_name(name: str) -> str:
+    """Return a name from a file as printable ASCII, because it must not end the comment that holds it."""
     return printable(name).encode("ascii", "backslashreplace").decode()

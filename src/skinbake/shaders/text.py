@@ -16,9 +16,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from skinbake.choices import SLOTS_PER_SET, Encoding, Frame, Language, Layout, Lighting, Method, Morphs
-from skinbake.errors import ChoiceError, printable
+from skinbake.errors import ChoiceError
 from skinbake.shaders.choices import ShaderChoices
-from skinbake.shaders.storage import storage_context, storage_parts
+from skinbake.shaders.storage import ascii_name, storage_context, storage_parts
 from skinbake.version import __version__
 
 if TYPE_CHECKING:
@@ -225,7 +225,7 @@ def _context(choices: ShaderChoices) -> dict[str, Any]:
     return {
         "version": __version__,
         "command": command_line(choices),
-        "file": _ascii(choices.attributes.file) if choices.attributes else "",
+        "file": ascii_name(choices.attributes.file) if choices.attributes else "",
         "language": str(choices.language),
         "method": str(choices.method),
         "method_name": METHOD_NAMES[choices.method],
@@ -282,7 +282,7 @@ def command_line(choices: ShaderChoices) -> str:
     if choices.target != "plain":
         words.append(f"--target {choices.target}")
     if choices.attributes is not None:
-        words.append(f"--for {shlex.quote(_ascii(choices.attributes.file))}")
+        words.append(f"--for {shlex.quote(ascii_name(choices.attributes.file))}")
     return " ".join(words)
 
 
@@ -306,8 +306,8 @@ def _sets(choices: ShaderChoices) -> list[InfluenceSet]:
                 number,
                 _slot_words(first, last),
                 _slot_words(max(first, 1), last),
-                _ascii(names.alpha[number]) if names else _usual_name(choices, "ALPHA", number),
-                _ascii(names.beta[number]) if names else _usual_name(choices, "BETA", number),
+                ascii_name(names.alpha[number]) if names else _usual_name(choices, "ALPHA", number),
+                ascii_name(names.beta[number]) if names else _usual_name(choices, "BETA", number),
             )
         )
     return found
@@ -317,11 +317,6 @@ def _usual_name(choices: ShaderChoices, kind: str, number: int) -> str:
     if choices.layout == "custom":
         return f"_CUSTOM{2 * number + (kind == 'BETA')}"
     return f"_SKINBAKE_{kind}_{number}"
-
-
-def _ascii(name: str) -> str:
-    """Return a name from a file as printable ASCII, because it must not end the comment that holds it."""
-    return printable(name).encode("ascii", "backslashreplace").decode()
 
 
 def _slot_words(first: int, last: int) -> str:
