@@ -20,11 +20,6 @@ BY_SYSTEM = frozenset((WINDOWS, OTHER_SYSTEM, ROOT, LIMITS))
 
 EXPLAINED: dict[tuple[str, str, str], str] = {
     (
-        "animation.py",
-        "_read_skeleton",
-        'if not isinstance(listed, list) or not listed: -> raise InputError(f"skin {skin_index} has no joints", place)',
-    ): BEFORE + "tests/gltf/test_animation.py",
-    (
         "beside.py",
         "_found",
         "if error.errno == errno.EACCES: -> place = Place(str(self._document.folder / uri))",

@@ -13,7 +13,7 @@ from skinbake.geometry import poses
 from skinbake.geometry.skinned import Float64Array
 from skinbake.gltf.accessors import read_accessor
 from skinbake.gltf.document import Document
-from skinbake.gltf.json_access import JsonObject, index, is_number, member, objects, text
+from skinbake.gltf.json_access import JsonObject, index, is_number, joints_of, member, objects, text
 
 PATHS = {"translation": 3, "rotation": 4, "scale": 3}
 MORPH_WEIGHTS = "weights"
@@ -170,12 +170,10 @@ def read_skeleton(document: Document, skin_index: int) -> Skeleton:
 def _read_skeleton(document: Document, skin_index: int) -> Skeleton:
     skin, place = document.objects("skins")[skin_index], document.place
     nodes = document.objects("nodes")
-    listed = skin.get("joints")
-    if not isinstance(listed, list) or not listed:
-        raise InputError(f"skin {skin_index} has no joints", place)
     owner = f"skin {skin_index}"
     joints = [
-        index({"joint": joint}, "joint", len(nodes), place, owner=owner, kind="node") for joint in listed
+        index({"joint": joint}, "joint", len(nodes), place, owner=owner, kind="node")
+        for joint in joints_of(skin, skin_index, place)
     ]
     parents = _parents(document)
     order = _ancestors_first([joint for joint in joints if joint is not None], parents, place)

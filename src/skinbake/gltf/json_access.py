@@ -93,6 +93,14 @@ def names(parent: Mapping[str, Any], key: str, place: Place) -> list[str]:
     return value
 
 
+def joints_of(skin: Mapping[str, Any], number: int, place: Place) -> list[Any]:
+    """Return the joints that a skin lists, which are not checked to be nodes. InputError if it has none."""
+    joints = skin.get("joints")
+    if not isinstance(joints, list) or not joints:
+        raise InputError(f"skin {number} has no joints", place)
+    return joints
+
+
 def every_object(root: object) -> Iterator[JsonObject]:
     """Yield the objects in a value, itself included, at any depth."""
     left = [root]

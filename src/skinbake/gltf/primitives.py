@@ -16,7 +16,7 @@ from skinbake.gltf.accessors import StoredArray, element_count, read_accessor
 from skinbake.gltf.codecs import draco
 from skinbake.gltf.document import Document
 from skinbake.gltf.formats import COMPONENT_NAMES
-from skinbake.gltf.json_access import JsonObject, index, integer, member, objects, text
+from skinbake.gltf.json_access import JsonObject, index, integer, joints_of, member, objects, text
 
 FLOAT = ("f4", False)
 NORMALISED_SIGNED = (("i1", True), ("i2", True))
@@ -145,10 +145,8 @@ def _joint_counts(document: Document) -> dict[int, int]:
         skin = index(node, "skin", len(skins), document.place, owner=owner, kind="skin")
         if mesh is None or skin is None:
             continue
-        joints = skins[skin].get("joints")
-        if not isinstance(joints, list) or not joints:
-            raise InputError(f"skin {skin} has no joints", document.place)
-        counts[mesh] = min(counts.get(mesh, len(joints)), len(joints))
+        joint_count = len(joints_of(skins[skin], skin, document.place))
+        counts[mesh] = min(counts.get(mesh, joint_count), joint_count)
     return counts
 
 
