@@ -9,7 +9,6 @@ where a model does not verify.
 from __future__ import annotations
 
 import argparse
-import os
 import platform
 import sys
 from collections.abc import Iterable, Iterator
@@ -29,6 +28,7 @@ from skinbake.jobs.work import Job
 from skinbake.lighting.measured import VerifyOptions
 from skinbake.lighting.poses import PoseRequest
 from skinbake.report.verify import ErrorFigures, FileVerdict, gain
+from tests.support.corpus_folder import find_corpus
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 DEFAULT_OUTPUT = REPOSITORY / "docs" / "lighting.md"
@@ -137,8 +137,9 @@ def main() -> int:
 
 def corpus_folders() -> list[Path]:
     """Return the corpus's folders of valid models, none where it is not here."""
-    told = os.environ.get("SKINBAKE_CORPUS")
-    corpus = Path(told) if told else REPOSITORY.parent / "shared" / "corpus"
+    corpus = find_corpus()
+    if corpus is None:
+        return []
     return [corpus / name for name in CORPUS_FOLDERS if (corpus / name).is_dir()]
 
 

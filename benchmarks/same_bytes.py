@@ -18,7 +18,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from tests.support.corpus import find_corpus
+from tests.support.corpus_folder import find_corpus
 
 OPTIONS: tuple[tuple[str, ...], ...] = (
     (),

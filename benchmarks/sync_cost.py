@@ -16,7 +16,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from benchmarks.skinned_grid import grid_of, write_grid
-from tests.support.corpus import find_corpus
+from tests.support.corpus_folder import find_corpus
 
 RUNS = 5
 SMALL_FILES = 1000

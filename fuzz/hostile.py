@@ -24,7 +24,7 @@ from pathlib import Path
 
 from fuzz.log import LOG, note
 from fuzz.native.build import REPOSITORY, build, environment
-from tests.support.corpus import find_corpus
+from tests.support.corpus_folder import find_corpus
 
 DOCUMENTED = {0, 1, 2, 3, 4}
 SECONDS, MEBIBYTES = 1.0, 512

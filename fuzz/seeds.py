@@ -7,7 +7,6 @@ vertices, the triangles among them, and a few key frames.
 from __future__ import annotations
 
 import json
-import os
 import subprocess
 import sys
 import tempfile
@@ -20,8 +19,8 @@ import numpy.typing as npt
 
 from fuzz.directed import directed_seeds
 from fuzz.models import COMPONENT_COUNTS, GLB, JsonObject, Model, read_model, span
+from tests.support.corpus_folder import REPOSITORY, find_corpus
 
-REPOSITORY = Path(__file__).resolve().parents[1]
 MOST_BYTES = 20_000
 VERTICES, FRAMES = 24, 3
 
@@ -42,13 +41,6 @@ BAKES: tuple[tuple[str, ...], ...] = (
 """The ways in which models are baked for the corpus: what they store differs."""
 
 
-def corpus_folder() -> Path | None:
-    """Return the folder of real models, None where it is not."""
-    told = os.environ.get("SKINBAKE_CORPUS")
-    folder = Path(told) if told else REPOSITORY.parent / "shared" / "corpus"
-    return folder if (folder / "public" / "ATTRIBUTION.tsv").is_file() else None
-
-
 def plain_seeds() -> list[Model]:
     """Return the models that nothing was baked into, small ones as they are."""
     models = [_small(read_model(path)) for path in sorted((REPOSITORY / "fixtures").glob("*.gl[bt]*"))]
@@ -57,7 +49,7 @@ def plain_seeds() -> list[Model]:
         for path in sorted((REPOSITORY / "fixtures").glob("*.gl[bt]*"))
         if path.stat().st_size < MOST_BYTES
     ]
-    corpus = corpus_folder()
+    corpus = find_corpus()
     for path in [] if corpus is None else sorted(corpus.rglob("*")):
         if path.suffix in {".glb", ".gltf", ".vrm"} and not {"invalid", "hostile"} & set(path.parts):
             found = _read_small(path)

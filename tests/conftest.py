@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, TypeVar
 
 import pytest
 
-from tests.support.corpus import NOT_HERE, find_corpus
+from tests.support.corpus import NOT_HERE
+from tests.support.corpus_folder import find_corpus
 from tests.support.strictness import is_strict
 
 if TYPE_CHECKING:  # it imports numpy

@@ -19,7 +19,7 @@ from benchmarks.processes import MIB
 from benchmarks.results import OUTPUT, updated
 from benchmarks.results_page import lines, page
 from fixtures.make_fixtures import FOLDER
-from tests.support import corpus
+from tests.support import corpus, corpus_folder
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 TIMEOUT_SECONDS = 600
@@ -74,7 +74,7 @@ def table(text: str) -> list[list[str]]:
 
 def character() -> str:
     """Return the row's name: it bakes a real character, or a fixture where the corpus is not here."""
-    here = corpus.find_corpus() is not None
+    here = corpus_folder.find_corpus() is not None
     model = corpus.model("CesiumMan/CesiumMan.glb") if here else FOLDER / "bent_tube.glb"
     return f"bake {model.name}, {model.stat().st_size / 1e6:.2f} MB"
 

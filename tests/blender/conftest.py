@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from tests.blender.running import Session, run_once
-from tests.support import corpus
+from tests.support import corpus, corpus_folder
 
 MODELS = ("CesiumMan/CesiumMan.glb", "Alien/Alien_Scolitex.gltf")
 
@@ -23,5 +23,5 @@ def session(tmp_path_factory: pytest.TempPathFactory, worker_id: str) -> Session
     """Return the results of Blender, with the characters of the corpus where it is."""
     base = tmp_path_factory.getbasetemp()
     shared = (base if worker_id == "master" else base.parent) / "blender"
-    models = [corpus.model(name) for name in MODELS] if corpus.find_corpus() else []
+    models = [corpus.model(name) for name in MODELS] if corpus_folder.find_corpus() else []
     return run_once(shared, models)

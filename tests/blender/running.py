@@ -16,7 +16,7 @@ from types import ModuleType
 from typing import Any
 
 from engines.blender.build import ADDON, build
-from tests.support.corpus import REPOSITORY
+from tests.support.corpus_folder import REPOSITORY
 from tests.support.strictness import missing_tool
 
 SCRIPT = Path(__file__).parent / "in_blender.py"

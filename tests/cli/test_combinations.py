@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from tests.support.command_line import invoke
-from tests.support.corpus import find_corpus
+from tests.support.corpus_folder import find_corpus
 from tests.support.gltf_reading import read
 from tests.support.models import FOLDER
 

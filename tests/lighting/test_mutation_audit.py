@@ -23,7 +23,7 @@ from skinbake.lighting.measured import VerifyOptions
 from skinbake.lighting.poses import PoseRequest
 from tests.lighting.mutations import HARMFUL, HARMLESS, Mutation, mutated
 from tests.lighting.replay import accurate_normals, largest_angle
-from tests.support import corpus, gltf_transform
+from tests.support import corpus, corpus_folder, gltf_transform
 from tests.support.baked_files import CESIUM_MAN, baked, source
 
 pytestmark = pytest.mark.slow
@@ -87,7 +87,7 @@ def gradients(request: pytest.FixtureRequest) -> Gradients:
 @pytest.fixture(scope="module")
 def bakes(tmp_path_factory: pytest.TempPathFactory, gradients: Gradients) -> dict[str, Path]:
     names = list(FIXTURES)
-    if corpus.find_corpus() is not None:
+    if corpus_folder.find_corpus() is not None:
         names += [CESIUM_MAN]
     return {
         name: baked(source(name), tmp_path_factory.mktemp("baked"), gradients=gradients) for name in names
@@ -159,7 +159,7 @@ def table(outcomes: Sequence[Outcome]) -> str:
 def test_twenty_tools_leave_the_lighting_and_pass(tmp_path: Path, gradients: Gradients) -> None:
     gltf_transform.require_node()
     names = ["bent_tube.glb", "foreign_joints.glb", "seam.glb", "weights_u16.glb", "weights_u8.glb"]
-    if corpus.find_corpus() is not None:
+    if corpus_folder.find_corpus() is not None:
         names += MODELS
     if gradients is Gradients.SURFACE:
         names = names[::2]

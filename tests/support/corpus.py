@@ -1,34 +1,27 @@
-"""Find the corpus of real models, which is not part of this repository.
+"""The models of the corpus, which is not part of this repository.
 
-It is looked for at SKINBAKE_CORPUS, else at ../shared/corpus beside the repository. Without it the tests
-that need it are skipped, in a strict run too: it is data, not a tool. At module level `needed` and
-`parameters` keep the other tests of the module running; every other function here skips the whole module.
+``corpus_folder`` finds it. Without it the tests that need it are skipped, in a strict run too: it is data,
+not a tool. At module level `needed` and `parameters` keep the other tests of the module running; every other
+function here skips the whole module.
 """
 
 from __future__ import annotations
 
 import csv
-import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 import pytest
 
+from tests.support.corpus_folder import find_corpus
+
 if TYPE_CHECKING:
     from pytest import ParameterSet
 
-REPOSITORY = Path(__file__).resolve().parents[2]
 NOT_HERE = "the corpus of real models is not here: set SKINBAKE_CORPUS"
 
 Item = TypeVar("Item", Path, tuple[Path, str])
-
-
-def find_corpus() -> Path | None:
-    """Return the corpus folder, or None where it is not."""
-    told = os.environ.get("SKINBAKE_CORPUS")
-    folder = Path(told) if told else REPOSITORY.parent / "shared" / "corpus"
-    return folder if (folder / "public" / "ATTRIBUTION.tsv").is_file() else None
 
 
 needed = pytest.mark.skipif(find_corpus() is None, reason=NOT_HERE)

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from fixtures.make_fixtures import FOLDER
-from tests.support import corpus, gltf_transform, khronos, node
+from tests.support import corpus, corpus_folder, gltf_transform, khronos, node
 from tests.support.gltf_reading import DRACO, MESHOPT, read
 from tests.support.khronos import Finding, Report
 from tests.support.tools import required_program
@@ -50,7 +50,7 @@ def failure_of(require: Callable[[], str]) -> str:
 
 def modules_that_have(pattern: re.Pattern[str], names: str, least: int) -> list[str]:
     """Return the names of the modules of tests/ whose text a pattern finds, of at least so many."""
-    modules = sorted(Path(corpus.REPOSITORY, "tests").rglob(names))
+    modules = sorted(Path(corpus_folder.REPOSITORY, "tests").rglob(names))
     assert len(modules) >= least
     return [module.name for module in modules if pattern.search(module.read_text(encoding="utf-8"))]
 
