@@ -9,9 +9,10 @@ import numpy as np
 
 from skinbake.geometry.skinned import Float64Array, FloatArray
 from skinbake.lighting.blending import blended_blocks
-from skinbake.lighting.metrics import angles_between, cosine, total_area
+from skinbake.lighting.metrics import angles_between, total_area
 from skinbake.lighting.tally import ErrorTally
 from skinbake.skinning.algorithms import Algorithm
+from skinbake.skinning.components import dot
 from skinbake.skinning.surface import RestSurface
 
 
@@ -50,7 +51,7 @@ def added_error(surfaces: Iterable[EncodedSurface]) -> AddedError | None:
         exact = replace(item.surface, alpha=item.alpha, beta=item.beta)
         for pose, part, blended in blended_blocks((item.surface, exact), item.joint_matrices):
             stored, unrounded = (one.normals((Algorithm.LBS_ACCURATE,), pose, part)[0] for one in blended)
-            square = cosine(unrounded, unrounded)
+            square = dot(unrounded, unrounded)
             angles = angles_between(stored, unrounded).astype(np.float32)
             tally.add(angles, item.areas[part], valid=(square > 0.0) & np.isfinite(square))
     summary = tally.summary()

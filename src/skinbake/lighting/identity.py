@@ -11,7 +11,7 @@ from typing import TypeAlias
 import numpy as np
 
 from skinbake.geometry.skinned import FloatArray
-from skinbake.lighting.metrics import cosine, squared_sine
+from skinbake.lighting.metrics import squared_cross
 from skinbake.skinning.components import Vector, cross, dot, scaled
 from skinbake.skinning.surface import RestSurface
 
@@ -54,8 +54,8 @@ def compared_normals(direct: Vector, accurate: Vector) -> Compared:
     Both are float32 (V, P). All blocks of a chunk are kept until its last block is there.
     """
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # a fold may have no normal
-        ratio = squared_sine(direct, accurate) / np.square(cosine(direct, accurate))
-        length = np.sqrt(cosine(accurate, accurate))
+        ratio = squared_cross(direct, accurate) / np.square(dot(direct, accurate))
+        length = np.sqrt(dot(accurate, accurate))
         return ratio.astype(np.float32), length.astype(np.float32)
 
 

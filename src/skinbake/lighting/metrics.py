@@ -8,7 +8,7 @@ import numpy as np
 
 from skinbake.geometry.blocks import blocks
 from skinbake.geometry.skinned import Float32Array, Float64Array, FloatArray, IntArray
-from skinbake.skinning.components import cross, dot, minus
+from skinbake.skinning.components import Vector, cross, dot, minus
 
 
 def vertex_areas(positions: FloatArray, triangles: IntArray) -> Float64Array:
@@ -26,21 +26,24 @@ def vertex_areas(positions: FloatArray, triangles: IntArray) -> Float64Array:
     return np.bincount(triangles.ravel(), corner_shares, minlength=len(positions)).astype(np.float64)
 
 
-def angles_between(measured: Sequence[FloatArray], expected: Sequence[FloatArray]) -> Float64Array:
-    """Return the result of ``angular_errors`` for vectors given by their three components (...)."""
+def angles_between(measured: Vector, expected: Vector) -> Float64Array:
+    """Return the angles in degrees, (…) float64, between vectors of any length, by components (…).
+
+    An angle is NaN if one of its vectors has no direction, or is too long to square.
+    """
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # of a vector of zeros, or too long
         # atan2 takes twice as long as atan. The ratio of two zeros is NaN, as wanted.
-        ratio: Float64Array = np.sqrt(squared_sine(measured, expected)) / cosine(measured, expected)
+        ratio: Float64Array = np.sqrt(squared_cross(measured, expected)) / dot(measured, expected)
         angles: Float64Array = np.arctan(ratio)
         angles *= 180.0 / np.pi
         angles += 180.0 * np.signbit(ratio)
     return angles
 
 
-def unit_vectors(vector: Sequence[FloatArray]) -> list[FloatArray]:
+def unit_vectors(vector: Vector) -> list[FloatArray]:
     """Return unit vectors by components; NaN for a vector that is zero, not finite or too long to square."""
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # likewise
-        square = cosine(vector, vector)
+        square = dot(vector, vector)
         square[square == np.inf] = np.nan
         reciprocal = 1.0 / np.sqrt(square)
         return [reciprocal * component for component in vector]
@@ -64,20 +67,12 @@ def angles_of_units(measured: Sequence[FloatArray], expected: Sequence[FloatArra
     return angles
 
 
-def squared_sine(a: Sequence[FloatArray], b: Sequence[FloatArray]) -> Float64Array:
-    """Return |a × b|² of vectors given by their components."""
+def squared_cross(a: Vector, b: Vector) -> Float64Array:
+    """Return |a × b|² of vectors of any length, given by their components."""
     (x, y, z), (u, v, w) = a, b
     total: Float64Array = np.square(y * w - z * v)
     total += np.square(z * u - x * w)
     total += np.square(x * v - y * u)
-    return total
-
-
-def cosine(a: Sequence[FloatArray], b: Sequence[FloatArray]) -> Float64Array:
-    """Return a · b of vectors given by their components."""
-    total: Float64Array = a[0] * b[0]
-    total += a[1] * b[1]
-    total += a[2] * b[2]
     return total
 
 
