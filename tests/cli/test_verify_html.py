@@ -11,6 +11,7 @@ import pytest
 
 from fixtures.make_fixtures import FOLDER
 from skinbake.cli import exit_codes
+from skinbake.commands import html_report
 from skinbake.view.index import Listed, index
 from tests.support.command_line import invoke
 from tests.support.models import bake
@@ -52,6 +53,20 @@ def test_one_file_gives_its_page_with_limits_and_verdict(tmp_path: Path) -> None
     wanted = json.loads(invoke("verify", tmp_path / "tube.glb", "--json").stdout)["files"][0]
     assert told["figures"] == wanted["normals"]
     assert [path.name for path in tmp_path.iterdir() if path.is_dir()] == []
+
+
+def test_the_page_of_one_file_takes_no_small_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Only an index shows small pictures."""
+    drawn: list[object] = []
+    monkeypatch.setattr(html_report, "small_picture", drawn.append)
+    bake(SEAM, tmp_path / "seam.glb")
+    page = tmp_path / "report.html"
+    result = invoke("verify", tmp_path / "seam.glb", "--poses", "rest", "--html", page)
+    assert result.exit_code == exit_codes.OK
+    assert given(page)["outcome"] == "passed"
+    assert drawn == []
+    invoke("verify", tmp_path / "seam.glb", SEAM, "--poses", "rest", "--html", page)
+    assert len(drawn) == 2
 
 
 def test_the_page_of_a_plain_view_has_no_limits(tmp_path: Path) -> None:

@@ -10,8 +10,8 @@ from urllib.parse import quote
 
 from skinbake.commands.render import small_picture
 from skinbake.commands.view import page_of
-from skinbake.containment import BESIDE, Bounds
-from skinbake.gltf.document import read_document
+from skinbake.containment import Bounds
+from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.writing import write_file, write_files
 from skinbake.lighting.measured import VerifyOptions
 from skinbake.report.verify import FileVerdict, by_worse_truth, gain
@@ -21,19 +21,9 @@ UNSAFE = re.compile("[^A-Za-z0-9._-]+")
 """The characters of a file's name that its page's name does not have."""
 
 
-def report_page(verdict: FileVerdict, options: VerifyOptions, bounds: Bounds = BESIDE) -> bytes:
-    """Return the page of a file that was verified, with its verdict and the limits that it was held to.
-
-    Raises InputError if the file cannot be read any more.
-    """
-    return _made(verdict, options, bounds)[0]
-
-
-def _made(verdict: FileVerdict, options: VerifyOptions, bounds: Bounds) -> tuple[bytes, bytes | None]:
-    """Return the page of a file, and a small picture of it, None if it cannot be drawn."""
-    document = read_document(verdict.input, bounds)
-    page, _ = page_of(document, verdict, [], limits=limits_in_words(options))
-    return page, small_picture(document)
+def _page(document: Document, verdict: FileVerdict, options: VerifyOptions) -> bytes:
+    """Return the page of a file that was verified, with its verdict and the limits that it was held to."""
+    return page_of(document, verdict, [], limits=limits_in_words(options))[0]
 
 
 def write_report(
@@ -51,11 +41,9 @@ def write_report(
     Raises SkinbakeError; the files that were written before stay.
     """
     if len(verdicts) == 1 and verdicts[0].error is None and not verdicts[0].up_to_date:
-        write_file(
-            [report_page(verdicts[0], options[verdicts[0].input], bounds(verdicts[0].input))],
-            target,
-            sync=sync,
-        )
+        source = verdicts[0].input
+        document = read_document(source, bounds(source))
+        write_file([_page(document, verdicts[0], options[source])], target, sync=sync)
         return
     folder = Path(os.path.realpath(target)).with_suffix("")
     if folder.suffix or folder == Path(os.path.realpath(target)):
@@ -65,8 +53,9 @@ def write_report(
         link = picture = None
         if verdict.error is None and not verdict.up_to_date:
             name = f"{number:04}-{UNSAFE.sub('_', PurePath(verdict.input).stem)[:80]}.html"
-            made, picture = _made(verdict, options[verdict.input], bounds(verdict.input))
-            write_files(folder, {folder / name: [made]}, str(folder / name), sync=sync)
+            document = read_document(verdict.input, bounds(verdict.input))
+            page, picture = _page(document, verdict, options[verdict.input]), small_picture(document)
+            write_files(folder, {folder / name: [page]}, str(folder / name), sync=sync)
             link = f"{quote(folder.name)}/{name}"
         listed.append(_listed(verdict, link, picture))
     limits = [limits_in_words(options[verdict.input]) for verdict in verdicts]
