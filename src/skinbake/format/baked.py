@@ -46,15 +46,15 @@ class AttributeNames(NamedTuple):
 class Baked:
     """One primitive to write: its place, its input arrays, the result, and the settings.
 
-    The metadata holds the settings as they are. limited are the new influence sets of the primitive, if it
-    has fewer than the file, or more; its arrays then belong to them.
+    The metadata holds the settings as they are. replaced_sets are the influence sets that replace those
+    of the file, if the bake has fewer or more of them. The arrays of the primitive then belong to them.
     """
 
     source: PrimitiveSource
     primitive: SkinnedPrimitive
     result: BakedPrimitive
     settings: JsonObject
-    limited: Sequence[StoredInfluences] | None = None
+    replaced_sets: Sequence[StoredInfluences] | None = None
 
 
 def with_baked(
@@ -155,7 +155,7 @@ def _add_influences(
     document: Document, store: AttributeStore, item: Baked, attributes: dict[str, Any], note: JsonObject
 ) -> SkinnedPrimitive:
     """Store the influences of the bake if they are not those of the file. Return the arrays as stored."""
-    if item.limited is not None:
+    if item.replaced_sets is not None:
         note[metadata.FORMER_ATTRIBUTES] = list(item.source.attributes)
     elif not item.result.adopts:
         return item.primitive
@@ -238,7 +238,7 @@ def _replace_influences(
     Attributes of sets that a limit leaves out are removed. Those of further sets are added.
     """
     before = read_influences(document, item.source, len(item.primitive.positions))
-    after = with_adopted(item.limited or before, item.result.adopting, item.result.adopted)
+    after = with_adopted(item.replaced_sets or before, item.result.adopting, item.result.adopted)
     former: dict[str, int] = {}
     for number, old in enumerate(before):
         new = after[number] if number < len(after) else None
