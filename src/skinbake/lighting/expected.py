@@ -84,8 +84,8 @@ def _former_weights(document: Document, view: BakedView) -> FloatArray | None:
     )
 
 
-def _before_adoption(document: Document, view: BakedView) -> SkinnedPrimitive:
-    """Return a primitive without those weights, which belong to no surface that was fitted."""
+def _without_given_weights(document: Document, view: BakedView) -> SkinnedPrimitive:
+    """Return the primitive without the weights that bake gave to adopted slots (``given_weights``)."""
     weights = np.asarray(view.now.weights, dtype=np.float64) - given_weights(document, view)
     return view.now.with_influences(view.now.joints, weights)
 
@@ -115,7 +115,7 @@ def rig_fit(document: Document, views: Sequence[BakedView], weighting: Weighting
     if rig is None:
         return None
     crease_angle = float(np.radians(views[0].metadata["creaseAngle"]))
-    primitives = [_before_adoption(document, view) for view in views]
+    primitives = [_without_given_weights(document, view) for view in views]
     tangents = np.concatenate([np.asarray(view.tangents, dtype=np.float64) for view in views])
     bitangents = np.concatenate([np.asarray(view.bitangents, dtype=np.float64) for view in views])
 
@@ -139,7 +139,7 @@ def posed_slots(document: Document, views: Sequence[BakedView], slots: Expected)
 
     found = noted_poses(document, views[0])
     return fitted_to_poses(
-        true_operator([_before_adoption(document, view) for view in views]),
+        true_operator([_without_given_weights(document, view) for view in views]),
         surfaces_of(document, views, slots),
         found.groups,
     )
@@ -148,7 +148,7 @@ def posed_slots(document: Document, views: Sequence[BakedView], slots: Expected)
 def surfaces_of(document: Document, views: Sequence[BakedView], slots: Expected) -> list[RestSurface]:
     """Return the views as a replay reads them, without the weights of adoption, and with other α and β."""
     return [
-        rest_surface(replace(view, now=_before_adoption(document, view), alpha=alpha, beta=beta))
+        rest_surface(replace(view, now=_without_given_weights(document, view), alpha=alpha, beta=beta))
         for view, (alpha, beta) in zip(views, slots, strict=True)
     ]
 

@@ -33,7 +33,10 @@ from skinbake.wording import counted
 BAKE_LAST = "Bake last: run skinbake bake on the file that the last tool wrote"
 
 FITTED_PAYMENT = 4.0
-"""The factor by which a fit may enlarge the effect of that share. No file of the corpus needs more than 1."""
+"""The factor by which a fit may enlarge the effect of the weight that adopted slots took.
+
+No file of the corpus needs more than 1.
+"""
 
 EDITED_ALONE = {
     "POSITION": "its vertices moved",
