@@ -58,8 +58,8 @@ def worse_lighting(
     """Return a notice for each primitive whose lighting α/β make worse, with an option that was tried.
 
     A remedy is named if it brings the gain to 1 at that primitive, by all methods and truths. It is advised
-    if it brings ``LITTLE``. Trying the remedies takes as long as measuring the file four more times. A file
-    without such primitives takes no extra time.
+    if it brings ``LITTLE``. The file is baked and measured once more for each remedy that differs from its
+    own settings, so at most five times. A file without such primitives takes no extra time.
     """
     gains = {place: least for place, least in _gains(verdict).items() if least.factor < WORSE}
     if not gains:

@@ -43,7 +43,10 @@ OF_STORAGE = {"draco-sequential"}
 
 @dataclass(frozen=True, slots=True)
 class ViewResult:
-    """The page, whether the file was baked in memory for it, and the assumptions made."""
+    """The page of a file, and the assumptions made.
+
+    was_baked: the file held a bake already. If not, it was baked in memory.
+    """
 
     page: bytes
     was_baked: bool

@@ -147,7 +147,7 @@ def _leverage(
 ) -> tuple[Float64Array, Float64Array]:
     """Return u of F along the tangents (C, 2, 2, 3), and the area between the derivatives (C,).
 
-    F maps the derivatives a, b and ĉ of the rest positions to those of the deformed ones (§7). If a turns by
+    F maps the derivatives a, b and ĉ of the rest positions to those of the deformed ones. If a turns by
     ω × A and b by ω × B, then n0 · dF(ω) t0 = ω · (A × u[0] + B × u[1]) for the first tangent.
     """
     a, b = derivatives[:, 0], derivatives[:, 1]

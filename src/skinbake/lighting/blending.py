@@ -1,8 +1,8 @@
 """Linear blend skinning in matrix form, for many poses at once, as far as it is linear in joint matrices.
 
 Algorithms 1–3 (Tarini et al. 2014, supplement, §1–3) are linear in the joint matrices until they take a
-product of two posed vectors. ``replay.lbs`` has them line by line. With p̃ = (p, 1), each intermediate vector
-before that product has one form:
+product of two posed vectors. ``skinning.lbs`` has them line by line. With p̃ = (p, 1), each intermediate
+vector before that product has one form:
 
     F(u, c) = Σ w[s] M[s] u + Σ c[s] M[s] p̃
 
