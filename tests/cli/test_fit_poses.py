@@ -200,6 +200,7 @@ def test_a_file_without_clips_is_fitted_to_random_poses_with_a_notice(tmp_path: 
     assert "no clip moves its joints: α/β are fitted to 60 random poses" in result.stderr
     assert verify(tmp_path / "baked.glb").exit_code == 0
     result = invoke("bake", still, "--dry-run", "--gradients", "poses", "--fit-poses", "random:8")
+    assert result.exit_code == exit_codes.OK
     assert "random poses" not in result.stderr
 
 
