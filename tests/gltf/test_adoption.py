@@ -16,7 +16,6 @@ from skinbake.gltf.accessors import StoredArray
 from skinbake.gltf.animation import random_poses, read_skeleton
 from skinbake.gltf.document import read_document
 from skinbake.gltf.primitives import StoredInfluences
-from skinbake.gradients.baker import BakeSettings
 from tests.support.baked_arrays import (
     AFRAME_HAND,
     CESIUM_MAN,
@@ -28,7 +27,7 @@ from tests.support.baked_arrays import (
     bake_to,
     path_of,
 )
-from tests.support.baking import bake_file
+from tests.support.baking import bake_file, bake_settings
 from tests.support.gltf_reading import read
 
 FLOAT_FILES = ["foreign_joints.glb", CESIUM_MAN, TREX, MANTIS, PBR_TEST, AFRAME_HAND]
@@ -229,7 +228,7 @@ def test_no_pose_moves_a_vertex_beyond_the_stated_bound(name: str, tmp_path: Pat
 @pytest.mark.parametrize("name", ["foreign_joints.glb", HAND_U8])
 def test_without_adoption_the_influences_stay_the_files_own(name: str, tmp_path: Path) -> None:
     source, target = path_of(name), tmp_path / "dropped.glb"
-    settings = BakeSettings(neighbours=Neighbours.DROP)
+    settings = bake_settings(neighbours=Neighbours.DROP)
     assert bake_file(str(source), str(target), settings=settings).status == "baked"
     before, after = read(source), read(target)
     for place in primitives_of(target):

@@ -25,9 +25,8 @@ from skinbake.gltf.additions import Additions
 from skinbake.gltf.codecs.recode import Compression
 from skinbake.gltf.document import read_document
 from skinbake.gltf.resources import encode_data_uri
-from skinbake.gradients.baker import BakeSettings
 from tests.support.baked_files import verify
-from tests.support.baking import bake_file
+from tests.support.baking import bake_file, bake_settings
 from tests.support.gltf_reading import GltfFile, read
 from tests.support.models import (
     FIXTURES,
@@ -130,7 +129,7 @@ class TestEveryFixture:
         assert contents(once) == contents(twice)
 
     def test_an_earlier_bake_leaves_no_trace(self, name: str, tmp_path: Path) -> None:
-        other = BakeSettings(
+        other = bake_settings(
             weighting=Weighting.AREA, crease_angle=0.0, neighbours=Neighbours.DROP, frame=FrameChoice.NORMAL
         )
         odd = target_of(FOLDER / name, tmp_path / "odd")
@@ -366,7 +365,7 @@ class TestFrames:
     def test_tangents_are_used_where_they_are_orthonormal(self, tmp_path: Path) -> None:
         source = FOLDER / "mirrored_tangent.glb"
         auto, forced, normal = (
-            baked(source, tmp_path / f"{frame}.glb", settings=BakeSettings(frame=frame))
+            baked(source, tmp_path / f"{frame}.glb", settings=bake_settings(frame=frame))
             for frame in FrameChoice
         )
         assert (note(auto.content) or {})["frame"] == "tangent"
@@ -414,7 +413,7 @@ class TestFrames:
 
     def test_a_leaning_tangent_is_used_where_it_is_asked_for(self, tmp_path: Path) -> None:
         path = write_model(tmp_path / "sheet.glb", [leaning(1.0)])
-        result = bake(path, tmp_path / "baked.glb", settings=BakeSettings(frame=FrameChoice.TANGENT))
+        result = bake(path, tmp_path / "baked.glb", settings=bake_settings(frame=FrameChoice.TANGENT))
         (notice,) = result.notices
         assert notice.code == "tangents-skewed"
         assert "as asked" in notice.message
@@ -422,7 +421,7 @@ class TestFrames:
 
     def test_a_primitive_without_tangents_is_skipped_where_they_are_asked_for(self, tmp_path: Path) -> None:
         result = bake(
-            FOLDER / "seam.glb", tmp_path / "a.glb", settings=BakeSettings(frame=FrameChoice.TANGENT)
+            FOLDER / "seam.glb", tmp_path / "a.glb", settings=bake_settings(frame=FrameChoice.TANGENT)
         )
         assert [notice.code for notice in result.notices] == ["no-tangents", "nothing-baked"]
         assert result.status == "unchanged"
@@ -520,7 +519,7 @@ class TestInfluences:
         assert (old.argmax(axis=1)[adopting] == change.argmin(axis=1)[adopting]).all()
 
     def test_eight_bit_weights_without_a_change_stay(self, tmp_path: Path) -> None:
-        settings = BakeSettings(neighbours=Neighbours.DROP)
+        settings = bake_settings(neighbours=Neighbours.DROP)
         before = read(FOLDER / "weights_u8.glb")
         after = baked(FOLDER / "weights_u8.glb", tmp_path / "baked.glb", settings=settings)
         assert attributes_of(after)["WEIGHTS_0"] == attributes_of(before)["WEIGHTS_0"]

@@ -29,7 +29,7 @@ from skinbake.gltf.primitives import skinned_sources
 from skinbake.lighting.measured import VerifyOptions
 from skinbake.lighting.poses import PoseRequest
 from tests.support import corpus, khronos
-from tests.support.baking import bake_file
+from tests.support.baking import bake_file, bake_settings
 from tests.support.compressed import EXT, KHR, content_of, draco_twin, meshopt_twin
 from tests.support.decoders import read_plain, read_plain_many
 from tests.support.gltf_reading import DRACO, MESHOPT, GltfFile, read
@@ -525,10 +525,8 @@ def test_real_twins_have_the_same_gradients_within_their_quantisation(
     Nine of ten vertices agree within the tolerance, relative to the mesh's steep gradients; at the others
     rounding has moved one of several copies, or a sliver of a triangle, past what edges allow.
     """
-    from skinbake.gradients.baker import BakeSettings
-
     for target, path in (("ours", name), ("theirs", original)):
-        settings = BakeSettings(neighbours=Neighbours.DROP, frame=FrameChoice.NORMAL)
+        settings = bake_settings(neighbours=Neighbours.DROP, frame=FrameChoice.NORMAL)
         # α and β of the surface: a fit follows the triangles, which positions that were rounded turn.
         bake(corpus.model(path), tmp_path / f"{target}.glb", settings=settings, gradients="surface")
     models = read_plain_many([tmp_path / "ours.glb", tmp_path / "theirs.glb"])
@@ -582,7 +580,7 @@ def _written_plain(source: Path, folder: Path) -> Path:
 def test_what_bake_decoded_is_what_others_decode_of_its_output(name: str, tmp_path: Path) -> None:
     """Every attribute of before, and α/β: the reference decoder on the input and on the output."""
     source = corpus.model(name)
-    bake(source, tmp_path / "baked.glb", settings=_dropping())
+    bake(source, tmp_path / "baked.glb", settings=bake_settings(neighbours=Neighbours.DROP))
     models = read_plain_many([source, tmp_path / "baked.glb"])
     before, after = models[source], models[tmp_path / "baked.glb"]
     count = 0
@@ -593,12 +591,6 @@ def test_what_bake_decoded_is_what_others_decode_of_its_output(name: str, tmp_pa
         assert np.array_equal(after.triangles(mesh, number), before.triangles(mesh, number))
         count += note(after.content, mesh, number) is not None
     assert count >= 1
-
-
-def _dropping() -> Any:
-    from skinbake.gradients.baker import BakeSettings
-
-    return BakeSettings(neighbours=Neighbours.DROP)
 
 
 @pytest.mark.parametrize("kind", ["draco", EXT])

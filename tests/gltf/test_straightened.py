@@ -12,10 +12,10 @@ from skinbake.commands.inspect import inspect_file
 from skinbake.commands.strip import strip_file
 from skinbake.commands.verify import verify_file
 from skinbake.geometry import frames
-from skinbake.gradients.baker import BakeSettings
 from skinbake.lighting.measured import VerifyOptions
 from skinbake.lighting.poses import PoseRequest
 from skinbake.report.bake import FileResult
+from tests.support.baking import bake_settings
 from tests.support.compressed import draco_twin, meshopt_twin
 from tests.support.corpus import model
 from tests.support.gltf_reading import GltfFile, read
@@ -131,7 +131,7 @@ def test_where_many_lean_the_frame_is_that_of_the_normals(tmp_path: Path) -> Non
 
 def test_the_normal_frame_leaves_tangents_alone(tmp_path: Path) -> None:
     path = leaning(SOURCE, tmp_path / "skewed.glb", 10.0, [VERTEX])
-    result = bake(path, tmp_path / "baked.glb", settings=BakeSettings(frame=FrameChoice.NORMAL))
+    result = bake(path, tmp_path / "baked.glb", settings=bake_settings(frame=FrameChoice.NORMAL))
     assert result.notices == ()
     assert (tangents_of(read(tmp_path / "baked.glb")) == tangents_of(read(path))).all()
 

@@ -18,8 +18,7 @@ from skinbake.commands.strip import strip_file
 from skinbake.errors import InputError
 from skinbake.format.baked import AttributeNames
 from skinbake.format.layouts import GradientFormat
-from skinbake.gradients.baker import BakeSettings
-from tests.support.baking import bake_file
+from tests.support.baking import bake_file, bake_settings
 from tests.support.gltf_reading import GltfFile, read
 from tests.support.models import (
     FIXTURES,
@@ -44,7 +43,7 @@ OPTIONS: list[dict[str, Any]] = [
     {},
     {"names": AttributeNames("_A{set}", "_B{set}")},
     {
-        "settings": BakeSettings(
+        "settings": bake_settings(
             weighting=Weighting.ANGLE, neighbours=Neighbours.DROP, frame=FrameChoice.NORMAL
         )
     },

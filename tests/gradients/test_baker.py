@@ -9,8 +9,9 @@ import pytest
 
 from skinbake.choices import FrameChoice
 from skinbake.geometry.skinned import SkinnedPrimitive
-from skinbake.gradients.baker import BakeSettings, bake_mesh
+from skinbake.gradients.baker import bake_mesh
 from tests.support.baked_arrays import bake_one, meshes_of, path_of
+from tests.support.baking import bake_settings
 from tests.support.whole_fields import rest_frame
 
 
@@ -45,7 +46,7 @@ def test_alpha_and_beta_are_along_the_files_tangent_and_its_bitangent() -> None:
 
 def test_alpha_and_beta_are_along_the_normals_own_frame_where_asked() -> None:
     # The frame of +Z is X, Y.
-    baked, findings = bake_one(square(), BakeSettings(frame=FrameChoice.NORMAL))
+    baked, findings = bake_one(square(), bake_settings(frame=FrameChoice.NORMAL))
     assert baked.frame == "normal"
     assert baked.alpha[:, 0].tolist() == [1.0] * 4
     assert baked.beta[:, 0].tolist() == [0.0] * 4
@@ -74,7 +75,7 @@ def test_a_tangent_that_leans_by_more_than_a_tenth_of_a_degree_is_not_used(
 
 
 def test_a_leaning_tangent_is_used_where_asked_and_counted_all_the_same() -> None:
-    baked, findings = bake_one(square(lean=30.0), BakeSettings(frame=FrameChoice.TANGENT))
+    baked, findings = bake_one(square(lean=30.0), bake_settings(frame=FrameChoice.TANGENT))
     assert baked.frame == "tangent"
     assert (findings.bad_tangents, round(findings.tangent_deviation, 9)) == (1, 30.0)
 
@@ -109,7 +110,7 @@ def test_findings_count_zero_normals_and_triangles_without_area_by_primitive() -
     second = replace(
         square(), tangents=None, normals=np.array([[0, 0, 1], [0, 0, 0], [0, 0, 0], [0, 0, 1.0]])
     )
-    [(_, one), (_, other)] = bake_mesh([first, second], BakeSettings())
+    [(_, one), (_, other)] = bake_mesh([first, second], bake_settings())
     assert (one.degenerate_triangles, one.zero_normals) == (2, 0)
     assert (other.degenerate_triangles, other.zero_normals) == (0, 2)
 
@@ -129,7 +130,7 @@ def test_bake_leaves_its_input_alone() -> None:
     primitives = meshes_of(path_of("foreign_joints.glb"))[0]
     fields = ("positions", "normals", "joints", "weights", "triangles")
     copies = [[getattr(part, name).copy() for name in fields] for part in primitives]
-    bake_mesh(primitives, BakeSettings())
+    bake_mesh(primitives, bake_settings())
     for part, before in zip(primitives, copies, strict=True):
         for name, values in zip(fields, before, strict=True):
             assert np.array_equal(getattr(part, name), values)

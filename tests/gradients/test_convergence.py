@@ -9,11 +9,11 @@ import pytest
 
 from skinbake.choices import Weighting
 from skinbake.geometry.skinned import Float64Array
-from skinbake.gradients.baker import BakeSettings
 from skinbake.lighting.metrics import vertex_areas
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.surface import RestSurface
 from tests.support.baked_arrays import bake_one
+from tests.support.baking import bake_settings
 from tests.support.replay import replay
 from tests.support.surfaces import MILD, STRONG, AnalyticSurface, Triangulation, analytic_surface, bends
 from tests.support.whole_fields import angular_errors, rest_frame
@@ -25,7 +25,7 @@ def normals_of(
     surface: AnalyticSurface, poses: Float64Array, weighting: Weighting, algorithm: Algorithm
 ) -> Float64Array:
     primitive = surface.primitive
-    settings = BakeSettings(weighting=weighting)
+    settings = bake_settings(weighting=weighting)
     baked, _ = bake_one(primitive, settings)
     frame = rest_frame(primitive, settings.frame)
     rest = RestSurface(

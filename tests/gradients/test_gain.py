@@ -20,6 +20,7 @@ from skinbake.lighting.reference import rest_frames
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.surface import RestSurface
 from tests.support.baked_arrays import BARBARIAN, CESIUM_MAN, MANNEQUINY, meshes_of, path_of
+from tests.support.baking import bake_settings
 from tests.support.replay import replay
 from tests.support.whole_fields import angular_errors, reference_normals, rest_frame
 
@@ -123,7 +124,7 @@ def mean_errors(name: str, matrices: Sequence[Float64Array], settings: BakeSetti
 def test_accurate_normals_have_at_most_half_of_the_standard_ones_error(
     name: str, pose: Callable[[str], list[Float64Array]]
 ) -> None:
-    standard, accurate = mean_errors(name, pose(name), BakeSettings())
+    standard, accurate = mean_errors(name, pose(name), bake_settings())
     assert standard > 0.5
     assert accurate <= 0.5 * standard
 
@@ -132,14 +133,14 @@ def test_accurate_normals_have_at_most_half_of_the_standard_ones_error(
 def test_adoption_takes_error_off_real_animations(name: str) -> None:
     # 1.94° → 1.84° and 0.58° → 0.55°, measured.
     poses = animated(name)
-    _, adopted = mean_errors(name, poses, BakeSettings())
-    _, dropped = mean_errors(name, poses, BakeSettings(neighbours=Neighbours.DROP))
+    _, adopted = mean_errors(name, poses, bake_settings())
+    _, dropped = mean_errors(name, poses, bake_settings(neighbours=Neighbours.DROP))
     assert adopted < 0.96 * dropped
 
 
 def test_max_weights_beat_the_published_weighting_on_a_real_animation() -> None:
     # 1.84° against 2.44°, measured.
     poses = animated(CESIUM_MAN)
-    _, best = mean_errors(CESIUM_MAN, poses, BakeSettings())
-    _, published = mean_errors(CESIUM_MAN, poses, BakeSettings(weighting=Weighting.ANGLE_AREA))
+    _, best = mean_errors(CESIUM_MAN, poses, bake_settings())
+    _, published = mean_errors(CESIUM_MAN, poses, bake_settings(weighting=Weighting.ANGLE_AREA))
     assert best < 0.8 * published

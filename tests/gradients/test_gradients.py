@@ -11,7 +11,6 @@ import pytest
 
 from skinbake.choices import Gradients, Weighting
 from skinbake.geometry.skinned import FloatArray, SkinnedPrimitive
-from skinbake.gradients.baker import BakeSettings
 from skinbake.lighting.operator import expected_alpha_beta, gradient_operator
 from tests.support.baked_arrays import (
     AFRAME_HAND,
@@ -33,6 +32,7 @@ from tests.support.baked_arrays import (
     meshes_of,
     path_of,
 )
+from tests.support.baking import bake_settings
 from tests.support.surfaces import flat_triangulation
 
 WEIGHTINGS = tuple(Weighting)
@@ -75,7 +75,7 @@ def relative_deviation(
 
 def assert_agrees(name: str, folder: Path, weighting: Weighting = Weighting.MAX) -> None:
     """Bake to a file, read it back, and compare every primitive with the operator."""
-    target = bake_to(name, folder, BakeSettings(weighting=weighting), Gradients.SURFACE)
+    target = bake_to(name, folder, bake_settings(weighting=weighting), Gradients.SURFACE)
     originals = meshes_of(path_of(name))
     varies = False
     for number, stored in baked_meshes_of(target).items():
@@ -111,7 +111,7 @@ def test_a_model_with_eight_influences_agrees_under_every_weighting(
 
 
 def test_another_crease_angle_changes_the_gradients_as_it_changes_the_operator(tmp_path: Path) -> None:
-    target = bake_to("hard_edge.glb", tmp_path, BakeSettings(crease_angle=np.pi / 2), Gradients.SURFACE)
+    target = bake_to("hard_edge.glb", tmp_path, bake_settings(crease_angle=np.pi / 2), Gradients.SURFACE)
     [stored] = baked_meshes_of(target)[0]
     across = gradient_operator([stored.arrays], crease_angle_degrees=90.0)
     [(alpha, _)] = expected_alpha_beta(across, [stored.arrays], [stored.rest_frame])
@@ -138,7 +138,7 @@ def test_linear_weights_on_a_plane_are_exact(weighting: Weighting) -> None:
         weights,
         triangles,
     )
-    baked, findings = bake_one(primitive, BakeSettings(weighting=weighting))
+    baked, findings = bake_one(primitive, bake_settings(weighting=weighting))
     assert baked.frame == "tangent"
     # t0 and b0 are the plane's own axes, so α and β are the slopes. Half a unit of the last place of float32
     # is 6e-9 here; n0, and with it b0, is float32 as well. Slivers of random triangles add 1e-13.

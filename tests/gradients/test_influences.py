@@ -9,11 +9,10 @@ import pytest
 
 from skinbake.choices import Neighbours
 from skinbake.geometry.skinned import SkinnedPrimitive
-from skinbake.gradients.baker import BakeSettings
 from skinbake.gradients.field import NO_JOINT, WeightDefects, WeightField
 from skinbake.gradients.influences import weight_field
 from tests.support.baked_arrays import AFRAME_HAND, ELF, MANTIS, TREX, bake_one, meshes_of, path_of
-from tests.support.baking import bake_file
+from tests.support.baking import bake_file, bake_settings
 from tests.support.gltf_reading import read
 
 FINE = WeightDefects(negative=0, all_zero=0, not_normalised=0, repeated_joint=0)
@@ -220,7 +219,7 @@ def test_a_repeated_joints_gradient_stands_in_one_slot(slots: tuple[int, int]) -
     weights[:, 0] = [1.0, 0.25, 0.5]
     weights[1, first], weights[1, second] = 0.5, 0.25
     weights[2, second] = 0.5
-    baked, findings = bake_one(triangle([1, 5, 5, 5], weights), BakeSettings(neighbours=Neighbours.DROP))
+    baked, findings = bake_one(triangle([1, 5, 5, 5], weights), bake_settings(neighbours=Neighbours.DROP))
     carried = [1, 1, second]
     expected = np.zeros((3, 3))
     expected[np.arange(3), np.array(carried) - 1] = 0.75

@@ -26,7 +26,6 @@ from skinbake.gltf.rigs import rig_of_mesh
 from skinbake.gradients import by_numpy, kernel
 from skinbake.gradients.baker import (
     BakeFindings,
-    BakeSettings,
     bake_mesh,
     chosen_frame,
     frame_vectors,
@@ -51,6 +50,7 @@ from tests.support.baked_arrays import (
     meshes_of,
     path_of,
 )
+from tests.support.baking import bake_settings
 from tests.support.kernels import use_numpy
 from tests.support.strictness import missing_tool
 from tests.support.surfaces import analytic_surface
@@ -686,7 +686,7 @@ def test_a_mesh_without_any_area_has_alpha_zero(
     faces: list[list[int]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     flat = replace(empty(3), triangles=np.array(faces, dtype=np.int64).reshape(-1, 3))
-    for [(found, numbers)] in both(monkeypatch, lambda: bake_mesh([flat], BakeSettings())):
+    for [(found, numbers)] in both(monkeypatch, lambda: bake_mesh([flat], bake_settings())):
         assert found.alpha.tolist() == np.zeros((3, 3)).tolist()
         assert numbers.degenerate_triangles == len(faces)
         assert numbers.lost == 0.0
@@ -699,7 +699,7 @@ def test_both_paths_bake_the_same_file(name: str, monkeypatch: pytest.MonkeyPatc
         return [
             outcome
             for primitives in meshes_of(path_of(name)).values()
-            for outcome in bake_mesh(primitives, BakeSettings())
+            for outcome in bake_mesh(primitives, bake_settings())
         ]
 
     def joints(outcome: BakedPrimitive) -> list[list[int]]:

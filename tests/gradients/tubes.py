@@ -9,9 +9,9 @@ import numpy as np
 from skinbake.choices import FrameChoice
 from skinbake.geometry.rig import NO_PARENT, Rig
 from skinbake.geometry.skinned import Float64Array, IntArray, SkinnedPrimitive
-from skinbake.gradients.baker import BakeSettings
+from tests.support.baking import bake_settings
 
-SETTINGS = BakeSettings(frame=FrameChoice.NORMAL)
+SETTINGS = bake_settings(frame=FrameChoice.NORMAL)
 
 
 BRANCHES = (NO_PARENT, 0, 1, 1, 0, 4)

@@ -32,6 +32,7 @@ from skinbake.skinning.components import Vector
 from skinbake.skinning.surface import RestSurface
 from tests.support import analytic, corpus, gltf_reading
 from tests.support.baked_files import CESIUM_MAN, Editable, baked, source, verify
+from tests.support.baking import bake_settings
 from tests.support.replay import replay
 from tests.support.straightforward import Character, degrees
 
@@ -254,10 +255,10 @@ def test_limits_that_are_kept_pass(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "settings",
     [
-        BakeSettings(weighting=Weighting.ANGLE),
-        BakeSettings(crease_angle=math.radians(60.0)),
-        BakeSettings(neighbours=Neighbours.DROP),
-        BakeSettings(frame=FrameChoice.NORMAL),
+        bake_settings(weighting=Weighting.ANGLE),
+        bake_settings(crease_angle=math.radians(60.0)),
+        bake_settings(neighbours=Neighbours.DROP),
+        bake_settings(frame=FrameChoice.NORMAL),
     ],
     ids=["weighting", "crease angle", "neighbours", "frame"],
 )
@@ -268,7 +269,7 @@ def test_standard_lighting_does_not_depend_on_how_it_was_baked(
     """With the bake's own weighting, CesiumMan's standard error was 4.51 or 4.31 degrees."""
     plain, other = (
         measured(baked(source(name), folder(tmp_path / which), how), poses=PoseRequest(PoseKind.RANDOM, 5))
-        for which, how in (("plain", BakeSettings()), ("other", settings))
+        for which, how in (("plain", bake_settings()), ("other", settings))
     )
     assert len(plain.by_truth) == 2
     for truth, normals in plain.by_truth.items():
@@ -487,7 +488,7 @@ def mesh_gradient_errors(bend: str, *algorithms: Algorithm) -> list[float]:
     weights = np.column_stack([surface.weights, np.zeros(len(surface.u))])
     triangles = analytic.triangles(columns, rows)
     primitive = SkinnedPrimitive(surface.positions, surface.normals, None, joints, weights, triangles)
-    ((made, _),) = bake_mesh([primitive], BakeSettings())
+    ((made, _),) = bake_mesh([primitive], bake_settings())
     tangents, bitangents = duff_frame(surface.normals)
     rest = RestSurface(
         surface.positions, surface.normals, tangents, bitangents, joints, weights, made.alpha, made.beta

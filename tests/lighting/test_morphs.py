@@ -13,12 +13,12 @@ import pytest
 from skinbake.choices import FrameChoice, PoseKind
 from skinbake.gltf.animation import read_clips
 from skinbake.gltf.document import read_document
-from skinbake.gradients.baker import BakeSettings
 from skinbake.lighting import measured
 from skinbake.lighting.poses import PoseRequest, draws_of, pose_set
 from skinbake.lighting.truths import Truths
 from skinbake.skinning.surface import RestSurface
 from tests.support.baked_files import Editable, baked, source, verify
+from tests.support.baking import bake_settings
 from tests.support.morphed_files import morphed, with_tangents
 from tests.support.straightforward import Character, duff, unit
 
@@ -156,7 +156,7 @@ def test_both_methods_share_the_morphed_surfaces_if_these_are_small(
 @pytest.mark.slow
 def test_the_morphed_fixture_is_better_lit_in_either_frame(tmp_path: Path) -> None:
     for frame in (FrameChoice.TANGENT, FrameChoice.NORMAL):
-        path = baked(source("morphed_sheet.glb"), tmp_path, BakeSettings(frame=frame))
+        path = baked(source("morphed_sheet.glb"), tmp_path, bake_settings(frame=frame))
         answer = verify(path)
         assert answer.exit_code == 0, answer.messages
         assert answer.file["morphs"] == {"targets": 2, "moving": 2}
@@ -173,7 +173,7 @@ def test_targets_of_tangents_carry_the_tangent_frame(tmp_path: Path) -> None:
 
 
 def test_targets_of_tangents_do_not_touch_the_normal_frame(tmp_path: Path) -> None:
-    path = baked(source("mirrored_tangent.glb"), tmp_path, BakeSettings(frame=FrameChoice.NORMAL))
+    path = baked(source("mirrored_tangent.glb"), tmp_path, bake_settings(frame=FrameChoice.NORMAL))
     path = morphed(path, tmp_path / "moved.glb", targets=1)
     before = lbs(path)
     assert lbs(with_tangents(path, 0.8)) == before

@@ -12,7 +12,6 @@ import pytest
 
 from skinbake.choices import FrameChoice, PoseKind, Weighting
 from skinbake.format.metadata import array_digest
-from skinbake.gradients.baker import BakeSettings
 from skinbake.jobs.file_work import FileWork
 from skinbake.jobs.verify import Verify
 from skinbake.jobs.work import Job
@@ -20,6 +19,7 @@ from skinbake.lighting.measured import VerifyOptions
 from skinbake.lighting.poses import PoseRequest
 from tests.support import corpus, gltf_reading
 from tests.support.baked_files import CESIUM_MAN, Editable, baked, source, verify
+from tests.support.baking import bake_settings
 
 HERE = "here.glb"
 FEW = ("--poses", "random:2", "--method", "lbs")
@@ -305,7 +305,7 @@ def test_an_untouched_copy_is_fresh(bakes: Callable[[str], Path], tmp_path: Path
 @pytest.mark.parametrize("weighting", [Weighting.ANGLE, Weighting.AREA, Weighting.ANGLE_AREA])
 @pytest.mark.parametrize("name", MODELS)
 def test_another_weighting_declared_as_max_is_stale(tmp_path: Path, name: str, weighting: Weighting) -> None:
-    path = baked(source(name), tmp_path, BakeSettings(weighting=weighting))
+    path = baked(source(name), tmp_path, bake_settings(weighting=weighting))
     assert verify(path, *FEW).exit_code == 0
     model = Editable(path)
     model.metadata()["weighting"] = "max"
@@ -419,7 +419,7 @@ def test_a_skewed_rest_frame_fails(tmp_path: Path) -> None:
     skewed = model.write(tmp_path / "skewed.glb")
     folder = tmp_path / "baked"
     folder.mkdir()
-    answer = verify(baked(skewed, folder, BakeSettings(frame=FrameChoice.TANGENT)), *FEW)
+    answer = verify(baked(skewed, folder, bake_settings(frame=FrameChoice.TANGENT)), *FEW)
     assert (answer.exit_code, answer.failed) == (1, ["structure"])
     (problem,) = answer.problems("structure")
     assert problem["code"] == "tangents-skewed"

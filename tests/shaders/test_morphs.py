@@ -22,7 +22,6 @@ from skinbake.errors import ChoiceError
 from skinbake.geometry.frames import frame_from_normal
 from skinbake.geometry.morphs import carried_by_normal, carried_by_tangent, morphed_normals
 from skinbake.geometry.skinned import Float32Array
-from skinbake.gradients.baker import BakeSettings
 from skinbake.shaders.choices import ALGORITHMS, ShaderChoices
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.morphs import morphed
@@ -31,6 +30,7 @@ from tests.shaders.combinations import usage
 from tests.support import analytic, glslang, morphing
 from tests.support.analytic_rest import rest_surface, sample
 from tests.support.baked_files import baked, source
+from tests.support.baking import bake_settings
 from tests.support.morphed_files import morphed as with_targets
 from tests.support.morphed_files import with_tangents
 from tests.support.replay import replay
@@ -350,7 +350,7 @@ def test_a_file_says_what_its_frames_follow(tmp_path: Path) -> None:
 
 
 def test_targets_of_tangents_do_not_matter_to_the_normal_frame(tmp_path: Path) -> None:
-    path = baked(source("mirrored_tangent.glb"), tmp_path, BakeSettings(frame=FrameChoice.NORMAL))
+    path = baked(source("mirrored_tangent.glb"), tmp_path, bake_settings(frame=FrameChoice.NORMAL))
     assert for_file(with_tangents(with_targets(path, tmp_path / "moved.glb"), 0.2)).morphs is Morphs.NORMAL
 
 

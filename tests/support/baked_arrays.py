@@ -15,7 +15,7 @@ from skinbake.geometry import frames
 from skinbake.geometry.skinned import BakedPrimitive, Float64Array, FloatArray, SkinnedPrimitive
 from skinbake.gradients.baker import BakeFindings, BakeSettings, bake_mesh
 from tests.support import corpus
-from tests.support.baking import bake_file
+from tests.support.baking import bake_file, bake_settings
 from tests.support.gltf_reading import GltfFile, read
 
 CESIUM_MAN = "CesiumMan/CesiumMan.glb"
@@ -66,7 +66,7 @@ def bake_to(
     """Bake a fixture or a corpus model into a folder and return the written file."""
     source = path_of(name)
     target = folder / source.name
-    how = settings or BakeSettings()
+    how = settings or bake_settings()
     result = bake_file(str(source), str(target), settings=how, gradients=gradients)
     assert result.status == "baked", result.notices
     return target
@@ -130,7 +130,7 @@ def bake_one(
     primitive: SkinnedPrimitive, settings: BakeSettings | None = None
 ) -> tuple[BakedPrimitive, BakeFindings]:
     """Bake a mesh of one primitive."""
-    [result] = bake_mesh([primitive], settings or BakeSettings())
+    [result] = bake_mesh([primitive], settings or bake_settings())
     return result
 
 

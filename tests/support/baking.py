@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,11 @@ from skinbake.jobs.bake import Bake
 from skinbake.report.bake import FileResult
 
 WRITING = {entry.name for entry in fields(Writing)}
+
+
+def bake_settings(**changes: Any) -> BakeSettings:
+    """Return the settings of a bake without options, with some changed; crease_angle is in radians."""
+    return replace(Baker().settings, **changes)
 
 
 def baker_of(

@@ -25,10 +25,10 @@ from skinbake.timing import stage
 class BakeSettings:
     """The settings of a bake. crease_angle is in radians; others are as on the command line."""
 
-    weighting: Weighting = Weighting.MAX
-    crease_angle: float = float(np.radians(15.0))
-    neighbours: Neighbours = Neighbours.ADOPT
-    frame: FrameChoice = FrameChoice.AUTO
+    weighting: Weighting
+    crease_angle: float
+    neighbours: Neighbours
+    frame: FrameChoice
 
 
 @dataclass(frozen=True, slots=True)
