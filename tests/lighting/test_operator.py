@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -349,6 +350,24 @@ def test_a_slot_without_weight_gets_the_gradient_of_the_joint_it_names() -> None
 
 
 # Invariance
+
+
+def test_very_many_slots_take_little_memory() -> None:
+    """64 sets that repeat one: tables of all pairs of slots, or of slots by entries, would take 200 MB."""
+    surface = analytic_surface(1500, "random")
+    few = surface.primitive
+    alpha, beta = alpha_beta(surface)
+    many = few.with_influences(np.tile(few.joints, (1, 64)), np.tile(few.weights, (1, 64)) / 64.0)
+    operator = gradient_operator([few])
+    tracemalloc.start()
+    [found] = expected_alpha_beta(operator, [many], [(surface.tangents, surface.bitangents)])
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 6 * found[0].nbytes + 2 * found[1].nbytes + 64e6
+    for wide, narrow in zip(found, (alpha, beta), strict=True):
+        width = narrow.shape[1]
+        np.testing.assert_allclose(wide[:, :width], narrow, rtol=1e-9, atol=1e-9)
+        assert not wide[:, few.joints.shape[1] :].any()
 
 
 def test_the_order_of_vertices_and_triangles_changes_nothing() -> None:

@@ -20,6 +20,7 @@ from skinbake.lighting.operator import GradientOperator
 from skinbake.render.studio import MODES, Look, Studio
 from skinbake.render.subject import YAW, Camera, Subject
 from skinbake.skinning.algorithms import Algorithm
+from tests.support.baked_files import Editable
 from tests.support.characters import Array, baked
 from tests.support.command_line import invoke
 from tests.support.cutting import cut_into_meshes, halved
@@ -175,6 +176,21 @@ def test_it_refuses(
     assert result.exit_code == code
     assert words in " ".join(result.stderr.split())
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_shader_that_would_be_compiled_for_a_minute_is_refused(tmp_path: Path) -> None:
+    file = Editable(TUBE)
+    attributes = file.primitive()["attributes"]
+    for number in range(1, 17):
+        for kind in ("JOINTS", "WEIGHTS"):
+            attributes[f"{kind}_{number}"] = attributes[f"{kind}_0"]
+    many = file.write(tmp_path / "many.glb")
+    result = invoke("render", many, "-o", tmp_path / "out.png", "--size", "64x64")
+    assert result.exit_code == exit_codes.INPUT
+    assert "it has up to 68 influences for a vertex, and a picture draws 64: bake it with" in " ".join(
+        result.stderr.split()
+    )
+    assert not (tmp_path / "out.png").exists()
 
 
 def test_a_model_that_is_too_large_is_refused(tmp_path: Path) -> None:

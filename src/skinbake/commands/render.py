@@ -55,6 +55,9 @@ MOST = 1e15
 SEARCHED = 25
 """The poses of a clip among which the one with the worst standard lighting is chosen."""
 
+MOST_INFLUENCES = 64
+"""The most influences of a vertex that are drawn. Drivers compile a shader of 256 for a minute."""
+
 MOST_PICTURES = 120
 RANDOM_ANGLE = float(np.radians(30.0))
 NAMES = {"standard": "approximated", "accurate": "accurate"}
@@ -130,6 +133,7 @@ def render_file(
         views = sound_views(document)
     if not views:
         raise InputError("nothing in it is baked soundly: run skinbake verify", document.place)
+    _check_influences(views)
     suffix = Path(target).suffix.lower()
     # What is too large is refused, and what is no number is not drawn.
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
@@ -137,6 +141,18 @@ def render_file(
     data = encoded(pictures, suffix)
     write_file([data], target, sync=sync)
     return RenderResult(data, len(pictures), pose, (*notices, *missing, *_not_skinned(document)))
+
+
+def _check_influences(views: Sequence[BakedView]) -> None:
+    """Raise InputError for more influences than a shader is compiled for in some seconds."""
+    for view in views:
+        count = view.now.joints.shape[1]
+        if count > MOST_INFLUENCES:
+            raise InputError(
+                f"it has up to {count} influences for a vertex, and a picture draws {MOST_INFLUENCES}: "
+                "bake it with --limit-influences 8",
+                view.source.place,
+            )
 
 
 def _not_skinned(document: Document) -> list[Notice]:

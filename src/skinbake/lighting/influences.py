@@ -7,6 +7,7 @@ weight, a joint is twice at one vertex, or weights are negative.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
@@ -21,6 +22,9 @@ from skinbake.geometry.skinned import (
     IntArray,
     SkinnedPrimitive,
 )
+
+PAIRS = 1 << 22
+"""The pairs of slots that are compared at a time."""
 
 Int32Array: TypeAlias = npt.NDArray[np.int32]
 Int64Array: TypeAlias = npt.NDArray[np.int64]
@@ -66,6 +70,39 @@ def joint_weights(primitives: Sequence[SkinnedPrimitive]) -> tuple[Int64Array, F
     return joints, weights
 
 
+@dataclass(frozen=True, slots=True)
+class JointField:
+    """The weights of all vertices that are not 0: those of vertex v from starts[v] to starts[v + 1].
+
+    starts are (V + 1,), joints and weights are (N,). Joints are below joint_count, also those that slots name
+    at the weight 0.
+    """
+
+    starts: Int64Array
+    joints: Int64Array
+    weights: Float64Array
+    joint_count: int
+
+    @classmethod
+    def of_surface(
+        cls, primitives: Sequence[SkinnedPrimitive], named: Sequence[SkinnedPrimitive]
+    ) -> JointField:
+        """Return the weights of some primitives. ``named`` are primitives that may name further joints."""
+        joints, weights = joint_weights(primitives)
+        held = weights != 0.0
+        starts = np.concatenate([[0], np.cumsum(np.count_nonzero(held, axis=1))])
+        most = max((int(one.joints.max(initial=0)) for one in (*primitives, *named)), default=0)
+        return cls(starts, joints[held], weights[held], most + 1)
+
+    def of(self, vertices: IntArray) -> tuple[Int64Array, Int64Array, Float64Array]:
+        """Return the weights at some vertices (E,): each one's place among them, its joint, and its value."""
+        counts = self.starts[vertices + 1] - self.starts[vertices]
+        places = np.repeat(np.arange(len(vertices)), counts)
+        before = np.cumsum(counts) - counts
+        at = np.arange(len(places)) - np.repeat(before - self.starts[vertices], counts)
+        return places, self.joints[at], self.weights[at]
+
+
 def influence_keys(primitives: Sequence[SkinnedPrimitive]) -> tuple[Int64Array, Float32Array]:
     """Write each vertex's influences in one canonical way.
 
@@ -84,11 +121,16 @@ def influence_keys(primitives: Sequence[SkinnedPrimitive]) -> tuple[Int64Array, 
 
 def carrying_slots(primitive: SkinnedPrimitive) -> BoolArray:
     """Mark, (V, K), the one slot of each joint that carries its gradient."""
-    joints = primitive.joints
-    positive = normalised_weights(primitive.weights, joints) > 0.0
-    earlier = np.tril(np.ones((joints.shape[1],) * 2, dtype=bool), -1)
-    mine, other = positive[:, :, None], positive[:, None, :]
-    outranks = (other & ~mine) | ((other == mine) & earlier)
-    same = joints[:, :, None] == joints[:, None, :]
-    carries: BoolArray = ~(same & outranks).any(axis=2)
+    count, width = primitive.joints.shape
+    carries = np.ones((count, width), dtype=np.bool_)
+    earlier = np.tril(np.ones((width, width), dtype=bool), -1)
+    step = max(1, PAIRS // max(width * width, 1))
+    for start in range(0, count, step):
+        rows = slice(start, start + step)
+        joints = primitive.joints[rows]
+        positive = normalised_weights(primitive.weights[rows], joints) > 0.0
+        mine, other = positive[:, :, None], positive[:, None, :]
+        outranks = (other & ~mine) | ((other == mine) & earlier)
+        same = joints[:, :, None] == joints[:, None, :]
+        carries[rows] = ~(same & outranks).any(axis=2)
     return carries

@@ -17,7 +17,7 @@ import numpy as np
 from skinbake.choices import Weighting
 from skinbake.errors import InputError
 from skinbake.geometry.skinned import Float64Array, FloatArray, IntArray, SkinnedPrimitive
-from skinbake.lighting.influences import Int32Array, Int64Array, carrying_slots, joint_weights
+from skinbake.lighting.influences import Int32Array, Int64Array, JointField, carrying_slots
 from skinbake.lighting.sparse_rows import SparseRows
 from skinbake.lighting.welds import weld_classes
 from skinbake.skinning.components import Vector, cross, dot, minus, scaled
@@ -36,6 +36,9 @@ ROWS = 1 << 13
 
 CORNERS = 1 << 16
 """The number of triangle corners that are looked at for these rows. A vertex may have thousands of copies."""
+
+TABLE_CELLS = 1 << 21
+"""The rows × joints whose derivatives are summed up at a time: 16 MiB."""
 
 TRUE_WEIGHTING = Weighting.MAX
 TRUE_CREASE_ANGLE = 15.0
@@ -241,7 +244,7 @@ def expected_alpha_beta(
     come from other slots than the stored ones. ``named`` are then the same primitives with the joints that
     the slots name now.
     """
-    field = joint_weights(primitives)
+    field = JointField.of_surface(primitives, named or primitives)
     result = []
     for primitive, rows, frame in zip(named or primitives, operator.slices, frames, strict=True):
         carries = carrying_slots(primitive)
@@ -258,21 +261,24 @@ def expected_alpha_beta(
     return result
 
 
-def _derivatives_of_joints(
-    derivatives: SparseRows, field: tuple[Int64Array, Float64Array], named: IntArray
-) -> Float64Array:
-    """Return the derivatives (B, K) of the weights of the joints that B rows name, by ``joint_weights``."""
+def _derivatives_of_joints(derivatives: SparseRows, field: JointField, named: IntArray) -> Float64Array:
+    """Return the derivatives (B, K) of the weights of the joints that B rows name.
+
+    The weights of all joints near some rows are summed up in one table (rows, joints). So the work grows with
+    the influences, not with their square.
+    """
     owners, columns = derivatives.owners(), derivatives.columns[derivatives.entries]
     values = derivatives.values[derivatives.entries]
-    joints, weights = (array[columns] for array in field)
+    count, width = len(named), field.joint_count
     found = np.zeros(named.shape)
-    for slot in range(named.shape[1]):
-        own = named[owners, slot]
-        shares = np.zeros(len(owners))
-        for other in range(joints.shape[1]):
-            shares += np.where(joints[:, other] == own, weights[:, other], 0.0)
-        near = np.flatnonzero(shares)
-        found[:, slot] = np.bincount(owners[near], values[near] * shares[near], minlength=len(named))
+    step = max(1, TABLE_CELLS // max(width, 1))
+    for start in range(0, count, step):
+        rows = slice(start, min(start + step, count))
+        first, last = np.searchsorted(owners, (rows.start, rows.stop))
+        entries, joints, weights = field.of(columns[first:last])
+        cells = (owners[first:last][entries] - start) * width + joints
+        table = np.bincount(cells, values[first:last][entries] * weights, (rows.stop - start) * width)
+        found[rows] = np.take_along_axis(table.reshape(-1, width), named[rows].astype(np.int64), axis=1)
     return found
 
 
