@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import errno
+import json
 import os
+import shutil
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path, PurePosixPath, PureWindowsPath
 
 import pytest
 
+from fixtures.make_fixtures import FOLDER
 from skinbake import containment
 from skinbake.containment import (
     NOWHERE,
@@ -24,6 +27,7 @@ from skinbake.containment import (
     spots,
 )
 from tests.outside.names import uris
+from tests.support.command_line import invoke
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="links need rights there")
 
@@ -207,3 +211,36 @@ class TestBounds:
         home, other = tmp_path / "a" / "b", tmp_path / "out"
         home.mkdir(parents=True)
         assert moved_uri("../tex/h%20e.png", str(home), str(other)) == "../a/tex/h%20e.png"
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("inspect", "{file}"),
+        ("cost", "{file}"),
+        ("verify", "{file}"),
+        ("shader", "--lang", "glsl", "--for", "{file}"),
+        ("render", "{file}", "-o", "{dir}/out.png"),
+        ("view", "{file}", "-o", "{dir}/out.html"),
+        ("strip", "{file}", "-o", "{dir}/out.gltf"),
+        ("bake", "{file}", "-o", "{dir}/out.gltf"),
+    ],
+    ids=lambda command: command[0],
+)
+@pytest.mark.parametrize("uri", ["/etc/passwd", "../secret.bin"])
+def test_every_command_refuses_a_buffer_outside_that_nothing_needs(
+    tmp_path: Path, command: tuple[str, ...], uri: str
+) -> None:
+    """Several commands read no buffer of a file without a bake, or not all of them."""
+    folder = tmp_path / "models"
+    folder.mkdir()
+    for path in FOLDER.glob("shared*"):
+        shutil.copy(path, folder)
+    model = folder / "shared_accessors.gltf"
+    content = json.loads(model.read_text())
+    content["buffers"].append({"uri": uri, "byteLength": 4})
+    model.write_text(json.dumps(content))
+    result = invoke(*(word.format(file=model, dir=folder) for word in command))
+    assert result.exit_code == 3
+    assert f'its buffer "{uri}" is not read' in " ".join(result.stderr.split())
+    assert not list(folder.glob("out.*"))

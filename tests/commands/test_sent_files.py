@@ -133,7 +133,9 @@ def test_a_dry_run_writes_nothing(tmp_path: Path) -> None:
 def test_an_image_that_is_the_target_is_refused(tmp_path: Path) -> None:
     name = write_library(tmp_path / "lib")[-1]
     source = tmp_path / "lib" / name
-    source.write_text(source.read_text().replace("maps/wood.png", "wood.glb"))
+    content = source.read_text().replace("maps/wood.png", "wood.glb")
+    source.write_text(content.replace("../common/motion.bin", "motion.bin"))
+    (tmp_path / "lib/common/motion.bin").rename(source.parent / "motion.bin")
     (source.parent / "maps/wood.png").rename(source.parent / "wood.glb")
     before = tree(tmp_path)
     result = elsewhere(baking(), Job(str(source), f"{source.parent}/wood.glb"))

@@ -299,10 +299,11 @@ def test_a_target_that_is_the_input_is_refused() -> None:
 def test_a_target_that_the_input_consists_of_is_refused(tmp_path: Path) -> None:
     write_library(tmp_path / "lib")
     content = (tmp_path / "lib/props/crate.gltf").read_text().replace("maps/wood.png", "wood.glb")
+    content = content.replace("../common/motion.bin", "motion.bin")
     upload_one("s3://b/lib/crate.gltf", content.encode())
     upload_one("s3://b/lib/crate #1.bin", (tmp_path / "lib/props/crate #1.bin").read_bytes())
     upload_one("s3://b/lib/wood.glb", b"wood")
-    upload_one("s3://b/common/motion.bin", b"motion")
+    upload_one("s3://b/lib/motion.bin", b"motion")
     before = stored("s3://b")
     result = bake_one("s3://b/lib/crate.gltf", "s3://b/lib/wood.glb")
     assert str(result.error) == "s3://b/lib/wood.glb: it is a file of the input"

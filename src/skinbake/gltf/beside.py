@@ -18,14 +18,13 @@ from skinbake.containment import (
     path_uri,
     relative_names,
     spot_of,
-    spots,
 )
 from skinbake.errors import Notice, OutputError, Place
 from skinbake.gltf.additions import content_digest
 from skinbake.gltf.document import Document
 from skinbake.gltf.glb import Bytes
 from skinbake.gltf.json_access import JsonObject
-from skinbake.gltf.resources import FileContent, find, is_data_uri, listed, outside, refused, shortened
+from skinbake.gltf.resources import FileContent, find, is_data_uri, listed, outside, shortened
 from skinbake.gltf.writing import Signature, signature_of
 
 
@@ -186,23 +185,6 @@ def _same(first: Iterable[Bytes], second: Iterable[Bytes]) -> bool:
     if first is second or first == second:
         return True
     return content_digest(first) == content_digest(second)
-
-
-def refuse_buffers_outside(document: Document) -> None:
-    """Raise InputError where a buffer's URI leads nowhere that may be read; nothing is opened.
-
-    The rule holds for a document that passes through too: an output must not name such a file.
-    """
-    for entry in document.objects("buffers"):
-        uri = entry.get("uri")
-        if not isinstance(uri, str) or is_data_uri(uri) or uri in document.new_files:
-            continue
-        try:
-            spots(uri, os.fspath(document.folder), document.bounds)
-        except OutsideError as error:
-            raise outside(uri, str(error), document.place) from error
-        except RefusedError as error:
-            raise refused(uri, str(error), document.place) from error
 
 
 def named_files(document: Document) -> Iterator[NamedFile]:

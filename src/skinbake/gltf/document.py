@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from skinbake import containment
-from skinbake.containment import BESIDE, NOWHERE, Bounds, RefusedError, relative_names
+from skinbake.containment import BESIDE, NOWHERE, Bounds, OutsideError, RefusedError, relative_names
 from skinbake.errors import InputError, Place, UnsupportedFeatureError
 from skinbake.gltf import json_access, json_text, resources
 from skinbake.gltf.budget import Budget
@@ -140,8 +140,15 @@ def read_document(path: str, bounds: Bounds = BESIDE) -> Document:
     ``bounds`` are the folders of the files that it may name. The default is its own folder and the folders
     below. If the bounds have a root, the file itself is opened from there, and no link leads out. A document
     from standard input may only name files in the allowed folders. Buffers of a ``.gltf`` are read when they
-    are first needed. Raises InputError if the file cannot be read or is not glTF 2.
+    are first needed. Raises InputError if the file cannot be read or is not glTF 2, and if a buffer is not
+    within the bounds.
     """
+    document = _parsed(path, bounds)
+    refuse_buffers_outside(document)
+    return document
+
+
+def _parsed(path: str, bounds: Bounds) -> Document:
     if path == STDIO:
         return parse_glb(_read_stdin(), "<stdin>", Path(), bounds._replace(root=NOWHERE))
     file = Path(path)
@@ -150,6 +157,24 @@ def read_document(path: str, bounds: Bounds = BESIDE) -> Document:
         raise InputError("expected a file named .glb, .gltf or .vrm", Place(path))
     parse = parse_gltf if suffix == GLTF_SUFFIX else parse_glb
     return parse(read_named(path, bounds.root), path, file.parent, bounds)
+
+
+def refuse_buffers_outside(document: Document) -> None:
+    """Raise InputError where a buffer's URI leads nowhere that may be read; nothing is opened.
+
+    The rule holds for a document that nothing is read of, and for one that passes through: an output must not
+    name such a file.
+    """
+    for entry in document.objects("buffers"):
+        uri = entry.get("uri")
+        if not isinstance(uri, str) or resources.is_data_uri(uri) or uri in document.new_files:
+            continue
+        try:
+            containment.spots(uri, os.fspath(document.folder), document.bounds)
+        except OutsideError as error:
+            raise resources.outside(uri, str(error), document.place) from error
+        except RefusedError as error:
+            raise resources.refused(uri, str(error), document.place) from error
 
 
 def read_named(path: str, root: str | None) -> Bytes:

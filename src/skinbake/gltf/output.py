@@ -10,8 +10,8 @@ from pathlib import Path
 from skinbake.containment import OutsideError, RefusedError, below, relative_names, spot_of
 from skinbake.errors import InputError, Notice, OutputError, Place
 from skinbake.gltf import json_text
-from skinbake.gltf.beside import Beside, named_files, refuse_buffers_outside
-from skinbake.gltf.document import STDIO, Document
+from skinbake.gltf.beside import Beside, named_files
+from skinbake.gltf.document import STDIO, Document, refuse_buffers_outside
 from skinbake.gltf.glb import Bytes, join_glb
 from skinbake.gltf.resources import find
 from skinbake.gltf.writing import Signature, TakenError, Version, check_target, write_files, write_stdout
