@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -58,13 +58,15 @@ def worse_lighting(
     """Return a notice for each primitive whose lighting α/β make worse, with an option that was tried.
 
     A remedy is named if it brings the gain to 1 at that primitive, by all methods and truths. It is advised
-    if it brings ``LITTLE``. The file is baked and measured once more for each remedy that differs from its
-    own settings, so at most five times. A file without such primitives takes no extra time.
+    if it brings ``LITTLE``. The file is baked once more for each remedy that differs from its own settings,
+    so at most five times, and the surfaces with such primitives are measured. A file without them takes no
+    extra time.
     """
     gains = {place: least for place, least in _gains(verdict).items() if least.factor < WORSE}
     if not gains:
         return []
-    tried = list(_tried(document, views, options))
+    meshes = {place.mesh for place in gains}
+    tried = list(_tried(document, views, options, meshes))
     return [_notice(place, least, tried) for place, least in gains.items()]
 
 
@@ -88,9 +90,9 @@ def _gains(verdict: FileVerdict) -> dict[Place, _Gain]:
 
 
 def _tried(
-    document: Document, views: Sequence[BakedView], options: VerifyOptions
+    document: Document, views: Sequence[BakedView], options: VerifyOptions, meshes: Container[int | None]
 ) -> Iterator[tuple[Remedy, dict[Place, _Gain]]]:
-    """Yield each remedy that can be tried, and the gains under it."""
+    """Yield each remedy that can be tried, and the gains under it on the surfaces of some meshes."""
     from skinbake.format.strip import stripped  # most files need no remedy
 
     baker = noted_baker(views[0])
@@ -101,7 +103,8 @@ def _tried(
             continue
         try:
             with document.budget.passing():
-                yield remedy, _gains(_measured(changed.bake_document(plain).document, options))
+                made = changed.bake_document(plain).document
+                yield remedy, _gains(_measured(made, options, meshes))
         except InputError:
             continue  # an option that cannot be baked is no remedy
 
@@ -128,10 +131,15 @@ def _noted_neighbours(noted: Mapping[str, Any]) -> Neighbours:
     return Neighbours(known) if known in list(Neighbours) else Neighbours.ADOPT
 
 
-def _measured(document: Document, options: VerifyOptions) -> FileVerdict:
+def _measured(document: Document, options: VerifyOptions, meshes: Container[int | None]) -> FileVerdict:
+    """Measure the surfaces that some meshes belong to."""
     sources = [source for source in skinned_sources(document)[0] if is_baked(document, source)]
     views, _ = baked_views(document, sources)
-    surfaces = gathered_together(document, views)
+    surfaces = [
+        surface
+        for surface in gathered_together(document, views)
+        if any(view.source.mesh in meshes for view in surface)
+    ]
     operators = [mesh_operator(document, surface) for surface in surfaces]
     lighting = Lighting(document, replace(options, min_gain=None))
     return lighting.measured(surfaces, operators)

@@ -16,6 +16,9 @@ _SHARES = (0.95, 0.99)
 # The number of samples that a tail gathers before it is shortened for the first time.
 _TAIL = 1 << 16
 
+# The number of samples below which it takes less time to sort all of them than to fill their bins.
+_FEW = 1 << 12
+
 # The room of a tail, in multiples of the values that are needed. Less room takes more time.
 _ROOM = 1.25
 
@@ -187,6 +190,11 @@ class _Tail:
         if self._bins is not None:
             self._note()
         values, weights = self._values[: self._count], self._weights[: self._count]
+        if self._bins is None and len(values) < _FEW:
+            order = np.argsort(values)
+            sums: Float64Array = np.cumsum(weights[order])
+            sums += max(0.0, weight - float(sums[-1]))
+            return [_at(values[order], sums, share * weight) for share in _SHARES]
         places = bin_of(values)
         in_bins = np.bincount(places, weights, minlength=BINS) if self._bins is None else self._bins
         below = max(0.0, weight - float(in_bins.sum()))
@@ -198,10 +206,19 @@ class _Tail:
             order = inside[np.argsort(values[inside])]
             return values[order], (cumulative[own - 1] if own else below) + np.cumsum(weights[order])
 
-        found = []
-        for share in _SHARES:
-            # Rounding may leave a sum a few units below its own share. That must not push a percentile up.
-            wanted = share * weight * (1.0 - 1e-9)
-            ordered, sums = in_order(min(int(np.searchsorted(cumulative, wanted)), int(places.max())))
-            found.append(float(ordered[min(int(np.searchsorted(sums, wanted)), len(ordered) - 1)]))
-        return found
+        wanted = [share * weight for share in _SHARES]
+        owners = [min(_place_of(cumulative, one), int(places.max())) for one in wanted]
+        return [_at(*in_order(own), one) for own, one in zip(owners, wanted, strict=True)]
+
+
+def _place_of(sums: Float64Array, weight: float) -> int:
+    """Return the place of the first sum that is at least a weight.
+
+    Rounding may leave a sum a few units below its own share. That must not push a percentile up.
+    """
+    return int(np.searchsorted(sums, weight * (1.0 - 1e-9)))
+
+
+def _at(ordered: FloatArray, sums: Float64Array, weight: float) -> float:
+    """Return the first value whose sum is at least a weight, the last one if none is."""
+    return float(ordered[min(_place_of(sums, weight), len(ordered) - 1)])
