@@ -331,7 +331,7 @@ def _edit(changed: Sequence[str]) -> str:
         return EDITED_ALONE["POSITION"]
     if set(changed) <= {"JOINTS", "WEIGHTS"}:
         return EDITED_ALONE["WEIGHTS"]
-    return "the mesh simplified or edited" if "indices" in changed else "the mesh edited"
+    return "the mesh simplified, quantised or edited" if "indices" in changed else "the mesh edited"
 
 
 def _listed(words: Sequence[str]) -> str:

@@ -192,13 +192,13 @@ class _Tail:
         values, weights = self._values[: self._count], self._weights[: self._count]
         if self._bins is None and len(values) < _FEW:
             order = np.argsort(values)
-            sums: Float64Array = np.cumsum(weights[order])
+            sums = np.cumsum(weights[order], dtype=np.float64)
             sums += max(0.0, weight - float(sums[-1]))
             return [_at(values[order], sums, share * weight) for share in _SHARES]
         places = bin_of(values)
         in_bins = np.bincount(places, weights, minlength=BINS) if self._bins is None else self._bins
         below = max(0.0, weight - float(in_bins.sum()))
-        cumulative = below + np.cumsum(in_bins)
+        cumulative = below + np.cumsum(in_bins, dtype=np.float64)
 
         @cache  # two percentiles may be in one bin
         def in_order(own: int) -> tuple[FloatArray, Float64Array]:
