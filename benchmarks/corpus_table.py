@@ -62,25 +62,25 @@ No option of bake changes these ways: the weighting of triangles, the crease ang
 verify's own. All meshes that the same skins draw are one surface, with or without `--weld`, unless they have
 morph targets. Only options that change the drawn surface change the truths. `--limit-influences` moves
 vertices. `--generate-normals` makes other normals under another `--weld`. Slots of integer weights that adopt
-a joint take one unit each from the largest weight, which moves the standard error by less than a thousandth
-of itself. Errors are weighted by the area around each vertex in the rest pose, in the scene's unit. So a
-quantised mesh counts as much as its float twin.
+a joint take one unit each from the largest weight, which hardly moves the standard error. Errors are weighted
+by the area around each vertex in the rest pose, in the scene's unit. So a quantised mesh counts as much as
+its float twin.
 
 Each truth has an error of its own. It cannot be seen on a real model, but on a surface that has a formula.
 The table shows a tube of three joints, bent in eight steps. Its figures are mean angles in degrees: standard
 and accurate lighting (algorithms 1 and 3) against the formula; accurate lighting against each truth, as
 verify measures it; and each truth against the formula. Where weights are smooth, accurate lighting is nearer
-to the formula than either truth. There verify reports three quarters of its real error by tangents, and 1.6
-to 1.8 times as much by triangles. Where weights change within an edge (steep), or have kinks, the mesh is too
-coarse to follow the formula. All three share that error, and verify reports less than the real one: by
-tangents, under a half of it on the kinked tube of 768 vertices, and an eighth on that of 12,028. A difference
-says nothing if it is smaller than the distance between the two truths.
+to the formula than either truth. There verify reports about twice its real error by tangents, and about
+three times by triangles.
 
-The table is of bake's default, `--gradients rig`. With `surface` the kinked tube of 768 vertices has 0.56° by
-tangents and 1.04° against the formula. In its largest bend alone it has 0.79° and 1.84°. `python -m
-benchmarks.analytic_truth --gradients surface` prints all. A former audit found 1.03° and 3.83° on a kinked
-tube of as many vertices. Its bends and the places of its kinks are not known. Ramps of 0.1 instead of 0.35,
-in the largest bend alone, have 1.69° and 4.05° here.
+Where weights change within an edge (steep), or have kinks, the mesh is too coarse to follow the formula. All
+three share a part of that error, and verify does not see this part. By tangents it reports less than the real
+error: on the kinked tubes under a half of it from 768 vertices on, and an eighth at 12,028. By triangles it
+reports less than the real error on the kinked tubes, and more on the steep ones. A difference says nothing if
+it is smaller than the distance between the two truths.
+
+The table is of bake's default, `--gradients rig`. `python -m benchmarks.analytic_truth --gradients surface`
+prints the same table for the gradients of the surface.
 
 {analytic}
 
