@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
@@ -123,16 +124,18 @@ def lit_by(document: Document) -> dict[str, Lit]:
 
 def figures(models: Sequence[Model]) -> Iterator[str]:
     """Yield the lines of the page's part."""
-    yield f"The mean of `rig` / `surface` over {len(models)} models, by tangents / by triangles, the largest"
-    yield "ratio of a model, and the same ratio on tubes with smooth weights, against the formula:\n"
+    cases = sum(len(model.surface) for model in models) * len(Truth)
+    yield f"`rig` / `surface`: the mean over {len(models)} models in each set of poses, by tangents / by"
+    yield f"triangles; the largest of all {cases} cases; the cases where `rig` is worse than standard"
+    yield "lighting; and on two tubes with smooth weights, against the formula:\n"
     tubes = [grown(KINDS["smooth"], *size, gradients=Gradients.SURFACE) for size in TUBES]
-    heads = [*POSES, "largest", *(f"tube of {tube.vertices}" for tube in tubes)]
+    heads = [*POSES, "largest", "worse than standard", *(f"tube of {tube.vertices}" for tube in tubes)]
     yield f"| the fit with | {' | '.join(heads)} |"
     yield f"|---|{'--:|' * len(heads)}"
     for name, constants in RULES.items():
         print(f"{name} ...", file=sys.stderr, flush=True)
         with changed(constants):
-            ratios = ratios_of(models)
+            ratios, lost = ratios_of(models)
             fitted = [grown(KINDS["smooth"], *size, gradients=Gradients.RIG) for size in TUBES]
         cells = [
             " / ".join(
@@ -143,21 +146,31 @@ def figures(models: Sequence[Model]) -> Iterator[str]:
         ]
         largest, worst = max((max(of.values()), model) for model, of in ratios.items())
         cells.append(f"{largest:.2f}, {worst}")
+        cells.append(f"{sum(lost.values())}: {', '.join(lost)}" if lost else "none")
         cells += [f"{rig.accurate / plain.accurate:.2f}" for rig, plain in zip(fitted, tubes, strict=True)]
         yield f"| {name} | {' | '.join(cells)} |"
 
 
-def ratios_of(models: Sequence[Model]) -> dict[str, dict[tuple[str, str], float]]:
-    """Return the error that the fit leaves of that of the surface's gradients, by model, poses and truth."""
+def ratios_of(models: Sequence[Model]) -> tuple[dict[str, dict[tuple[str, str], float]], Counter[str]]:
+    """Return the error that the fit leaves of that of the surface's gradients, by model, poses and truth.
+
+    Also return by model the number of cases in which the fit leaves more than standard lighting has.
+    """
     found: dict[str, dict[tuple[str, str], float]] = {}
+    lost: Counter[str] = Counter()
     for model in models:
         lit = lit_by(baked(model.path, Gradients.RIG))
+        cases = [(poses, truth) for poses in model.surface for truth in Truth]
         found[model.name] = {
-            (poses, truth): lit[poses].mean(truth) / before.mean(truth)
-            for poses, before in model.surface.items()
-            for truth in Truth
+            (poses, truth): lit[poses].mean(truth) / model.surface[poses].mean(truth)
+            for poses, truth in cases
         }
-    return found
+        worse = sum(
+            lit[poses].mean(truth) > lit[poses].mean(truth, lighting="approximated") for poses, truth in cases
+        )
+        if worse:
+            lost[model.name] = worse
+    return found, lost
 
 
 @contextmanager
