@@ -18,7 +18,7 @@ PAGE = REPOSITORY / "docs" / "install.md"
 BEGIN, END = "<!-- sizes: begin -->\n", "<!-- sizes: end -->\n"
 
 PURPOSES = {
-    "scipy": "`verify`: products with sparse matrices. `bake` where it measures poses",
+    "scipy": "where the loops are not compiled: products with sparse matrices. Else only for crowded meshes",
     "numpy": "every array",
     "rich": "the progress bar, with pygments, markdown-it-py and mdurl",
     "setuptools": "likewise, up to Python 3.11",
