@@ -44,6 +44,9 @@ WARM = (
 NOTICEABLE = 0.5
 """Seconds of a processor. The growth of a shorter time cannot be seen."""
 
+PNG_MAGIC, NAMED_BYTES = b"\x89PNG\r\n\x1a\n", 1 << 16
+"""How a PNG begins, and the bytes of an image that is named often."""
+
 PATIENCE = 60
 """Seconds of a processor after which a child is given up."""
 
@@ -56,7 +59,8 @@ EXPLAINED = (
     "bytes has bounds of its own ([Bounds](reference/limits.md#bounds)). Primitives that share vertices "
     "(`shared_accessors`, `draco_views`) count at each use, copies of a vertex (`fan`, `crowd`, "
     "`own_triangles`) with the neighbours of all copies, and clips (`many_clips`) with all vertices. Up to "
-    "these bounds, such a file may grow faster than its bytes; beyond them it is refused at once."
+    "these bounds, such a file may grow faster than its bytes; beyond them it is refused at once. The images "
+    "of `named_images` all name one file of 64 KiB beside the model, which `bake --pack` brings in once."
 )
 
 Content = dict[str, Any]
@@ -69,6 +73,7 @@ class Scene:
 
     def __init__(self) -> None:
         self.data = bytearray()
+        self.beside: dict[str, bytes] = {}
         self.json: Content = {
             "asset": {"version": "2.0"},
             "bufferViews": [],
@@ -121,7 +126,9 @@ class Scene:
         return self
 
     def written(self, path: Path) -> Path:
-        """Write the GLB."""
+        """Write the GLB, and the files beside it that it names."""
+        for name, content in self.beside.items():
+            path.with_name(name).write_bytes(content)
         self.json["buffers"] = [{"byteLength": len(self.data)}]
         path.write_bytes(pack_glb(self.json, bytes(self.data)))
         return path
@@ -319,6 +326,17 @@ def many_views(size: int) -> Scene:
     return scene.draw(primitives)
 
 
+def named_images(size: int) -> Scene:
+    """Make many textures, each of an image of its own, which all name one file."""
+    scene = Scene()
+    scene.draw([scene.surface(3)])
+    scene.beside["a.png"] = PNG_MAGIC.ljust(NAMED_BYTES, b"\0")
+    count = size // 32
+    scene.json["images"] = [{"uri": "a.png"}] * count
+    scene.json["textures"] = [{"source": image} for image in range(count)]
+    return scene
+
+
 FAMILIES: dict[str, Callable[[int], Scene]] = {
     made.__name__: made
     for made in (
@@ -338,6 +356,7 @@ FAMILIES: dict[str, Callable[[int], Scene]] = {
         sparse_targets,
         draco_views,
         many_views,
+        named_images,
     )
 }
 
@@ -347,6 +366,9 @@ COMMANDS = {
     "strip": ["strip", "{baked}", "-o", "{other}"],
     "inspect": ["inspect", "{source}"],
 }
+
+MORE_COMMANDS = {"named_images": {"bake --pack": ["bake", "--pack", "{source}", "-o", "{other}"]}}
+"""Commands for one family only."""
 
 
 @dataclass(frozen=True)
@@ -398,13 +420,14 @@ def table(families: list[str], smallest: int) -> Iterator[str]:
     yield "|---|" + "---|" * SIZES + "---|"
     with tempfile.TemporaryDirectory() as folder:
         for family in families:
-            found: dict[str, list[Run]] = {name: [] for name in COMMANDS}
+            commands = COMMANDS | MORE_COMMANDS.get(family, {})
+            found: dict[str, list[Run]] = {name: [] for name in commands}
             for step in range(SIZES):
                 paths = {name: Path(folder, f"{name}.glb") for name in ("source", "baked", "other")}
                 for path in paths.values():
                     path.unlink(missing_ok=True)
                 FAMILIES[family](smallest << 10 + step).written(paths["source"])
-                for name, command in COMMANDS.items():
+                for name, command in commands.items():
                     there = name not in {"verify", "strip"} or paths["baked"].exists()
                     kept = paths if there else {**paths, "baked": paths["source"]}
                     found[name].append(run([part.format(**kept) for part in command]))
