@@ -168,11 +168,15 @@ def table(rows: dict[str, Row]) -> Iterator[str]:
 
 
 def largest(rows: dict[str, Row]) -> Iterator[str]:
-    """Yield what the worst of all models are, by encoding and bytes."""
-    yield (
-        f"The largest angles by which normals turn, over all {len(rows)} models of the corpus that can be "
-        "baked:"
-    )
+    """Yield what the worst of all models are, by encoding and bytes, and which are not measured."""
+    still = [name for name, row in rows.items() if any(row[encoding].turned is None for encoding in SCALED)]
+    if still:
+        yield (
+            f"Of the corpus, {counted(len(rows), 'model')} can be baked. `bake` measures no angle on "
+            f"{', '.join(still)}: no triangle of it has an area, or no joint of it can be posed."
+        )
+        yield ""
+    yield f"The largest angles by which normals turn, over {len(rows) - len(still)} models:"
     yield ""
     for encoding in SCALED:
         for bytes_ in sorted({row[encoding].size for row in rows.values()}):
