@@ -176,7 +176,7 @@ def largest(rows: dict[str, Row]) -> Iterator[str]:
             f"{', '.join(still)}: no triangle of it has an area, or no joint of it can be posed."
         )
         yield ""
-    yield f"The largest angles by which normals turn, over {len(rows) - len(still)} models:"
+    yield f"The largest angles by which normals turn, over {counted(len(rows) - len(still), 'model')}:"
     yield ""
     for encoding in SCALED:
         for bytes_ in sorted({row[encoding].size for row in rows.values()}):
