@@ -22,7 +22,7 @@ from skinbake.lighting.truths import ChunkMemory, Truths, VertexBlock
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.components import Vector, scaled
 from skinbake.skinning.morphs import morphed
-from skinbake.skinning.run import Skinning
+from skinbake.skinning.run import Skinning, joints_in_use
 from skinbake.skinning.surface import Options, RestSurface
 from skinbake.threads import Threads, thread_count
 from skinbake.timing import stage
@@ -103,9 +103,7 @@ class MeasuredBlock:
 
 def not_rigid_joints(surfaces: Sequence[RestSurface], joint_matrices: Float64Array) -> list[int]:
     """Return the joints in use that dual quaternions cannot represent, in joint matrices (P, J, 4, 4)."""
-    in_use = np.zeros(joint_matrices.shape[1], dtype=np.bool_)
-    for surface in surfaces:
-        in_use |= surface.joints_in_use(len(in_use))
+    in_use = joints_in_use(surfaces, joint_matrices.shape[1])
     return [int(joint) for joint in dual_quaternions.not_rigid_joints(joint_matrices, in_use)]
 
 
@@ -218,7 +216,12 @@ class _PosedMesh:
             )
 
     def _skinned(self, surfaces: Sequence[RestSurface], joint_matrices: Float64Array) -> list[_Skinned]:
-        return [_skinned(surface, joint_matrices, self.method, self.options) for surface in surfaces]
+        if self.method == "dqs":
+            return [SteppedSurface(one) for one in Skinning.of_mesh(surfaces, joint_matrices, self.options)]
+        return [
+            BlendedSurface(surface, joint_matrices, self.options, direct=partial(surface_for_direct, surface))
+            for surface in surfaces
+        ]
 
 
 @dataclass(frozen=True, slots=True)
@@ -302,17 +305,11 @@ class _Skinned(Protocol):
         """Return the normals that algorithms give a block."""
 
 
-def _skinned(surface: RestSurface, joint_matrices: Float64Array, method: str, options: Options) -> _Skinned:
-    if method == "lbs":
-        return BlendedSurface(surface, joint_matrices, options, direct=partial(surface_for_direct, surface))
-    return SteppedSurface(surface, joint_matrices, options)
-
-
 class SteppedSurface:
     """A rest surface under dual quaternions, as in algorithms 4–6: the counterpart of ``BlendedSurface``."""
 
-    def __init__(self, rest: RestSurface, joint_matrices: Float64Array, options: Options) -> None:
-        self._skinning = Skinning.of(rest, joint_matrices, dual_quaternions=True, options=options)
+    def __init__(self, skinning: Skinning) -> None:
+        self._skinning = skinning
 
     def positions(self, pose: slice, part: slice) -> Float64Array:
         """Return the positions of a block: (3, V, P)."""

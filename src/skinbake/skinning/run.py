@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from skinbake.errors import UnsupportedFeatureError
 from skinbake.geometry.dual_quaternions import RIGID_TOLERANCE, rigid_motions
-from skinbake.geometry.skinned import FloatArray
+from skinbake.geometry.skinned import BoolArray, FloatArray
 from skinbake.skinning import dqs
 from skinbake.skinning.algorithms import STEPS, Algorithm
 from skinbake.skinning.components import PosedVertex, RestVertex, Rows, Vector
@@ -49,11 +49,22 @@ class Skinning:
         UnsupportedFeatureError (ask ``rigid_motions`` beforehand).
         """
         motions = (
-            _rigid_motions(rest, joint_matrices, tolerance, dtype)
+            _rigid_motions([rest], joint_matrices, tolerance, dtype)
             if dual_quaternions
             else _matrices(joint_matrices, dtype)
         )
         return cls(_Vertices(rest, dtype), motions, options or Options())
+
+    @classmethod
+    def of_mesh(
+        cls, surfaces: Sequence[RestSurface], joint_matrices: FloatArray, options: Options
+    ) -> list[Skinning]:
+        """Prepare the primitives of one mesh for algorithms 4–6. They share their dual quaternions and scale.
+
+        Raises UnsupportedFeatureError as ``of`` does.
+        """
+        motions = _rigid_motions(surfaces, joint_matrices, RIGID_TOLERANCE, np.float64)
+        return [cls(_Vertices(rest, np.float64), motions, options) for rest in surfaces]
 
     def run(self, algorithms: Sequence[Algorithm], pose: slice, part: slice) -> list[PosedVertex]:
         """Return the result of an algorithm for a block of poses and vertices, as components (P, V)."""
@@ -69,6 +80,14 @@ class Skinning:
     def _block(self, pose: slice, part: slice, *, gradients: bool) -> RestVertex:
         scale = self.motions.scale
         return self.vertices.block(part, None if scale is None else scale[pose], gradients=gradients)
+
+
+def joints_in_use(surfaces: Sequence[RestSurface], count: int) -> BoolArray:
+    """Mark the joints (J,) that carry weight on one of the surfaces, of so many joints."""
+    in_use = np.zeros(count, dtype=np.bool_)
+    for surface in surfaces:
+        in_use |= surface.joints_in_use(count)
+    return in_use
 
 
 def _ignore_line(number: int) -> None:
@@ -107,12 +126,11 @@ def _matrices(joint_matrices: FloatArray, dtype: npt.DTypeLike) -> _Motions:
 
 
 def _rigid_motions(
-    rest: RestSurface, joint_matrices: FloatArray, tolerance: float, dtype: npt.DTypeLike
+    surfaces: Sequence[RestSurface], joint_matrices: FloatArray, tolerance: float, dtype: npt.DTypeLike
 ) -> _Motions:
-    """Convert joint matrices to dual quaternions."""
-    motions = rigid_motions(
-        joint_matrices, tolerance=tolerance, in_use=rest.joints_in_use(joint_matrices.shape[1])
-    )
+    """Convert joint matrices to dual quaternions, for all joints that one of the surfaces uses."""
+    in_use = joints_in_use(surfaces, joint_matrices.shape[1])
+    motions = rigid_motions(joint_matrices, tolerance=tolerance, in_use=in_use)
     if not motions.is_rigid:
         found = ", ".join(str(joint) for joint in motions.not_rigid[:8])
         more = f" and {motions.not_rigid.size - 8} more" if motions.not_rigid.size > 8 else ""
