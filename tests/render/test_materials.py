@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import struct
 import zlib
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from PIL import Image
 
 from fixtures.make_fixtures import FOLDER
 from skinbake.gltf.document import read_document
-from skinbake.render.materials import CLAY, Materials
+from skinbake.render.materials import CLAY, Materials, decoded
 from skinbake.render.studio import Studio
 from skinbake.render.subject import Shot
 from tests.support.baked_files import Editable
@@ -188,6 +189,58 @@ def huge() -> bytes:
     """Return the head of a PNG of 200,000 × 200,000 pixels."""
     head = b"IHDR" + struct.pack(">IIBBBBB", 200_000, 200_000, 8, 2, 0, 0, 0)
     return b"\x89PNG\r\n\x1a\n" + struct.pack(">I", 13) + head + struct.pack(">I", zlib.crc32(head))
+
+
+def png_of_16_bits(colour: int, rows: Sequence[Sequence[int]], key: Sequence[int]) -> bytes:
+    """Return a PNG of a colour type, of rows of samples, and with a transparent colour if there is one."""
+    width = len(rows[0]) // {0: 1, 2: 3, 4: 2, 6: 4}[colour]
+    lines = b"".join(b"\0" + struct.pack(f">{len(row)}H", *row) for row in rows)
+    chunks = [(b"IHDR", struct.pack(">IIBBBBB", width, len(rows), 16, colour, 0, 0, 0))]
+    chunks += [(b"tRNS", struct.pack(f">{len(key)}H", *key))] if key else []
+    chunks += [(b"IDAT", zlib.compress(lines)), (b"IEND", b"")]
+    return b"\x89PNG\r\n\x1a\n" + b"".join(
+        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+        for kind, data in chunks
+    )
+
+
+GREYS = [[0, 0x1234, 0x1334], [0x80FF, 0xFF00, 0xFFFF]]
+COLOURS = [[0x1234, 0x80FF, 0xFF00, 0, 0, 0], [0xFFFF, 0x7F00, 0x0100, 0x1234, 0x80FF, 0xFE00]]
+
+
+@pytest.mark.parametrize(
+    ("colour", "rows", "key"),
+    [
+        (0, GREYS, []),
+        (0, GREYS, [0x1234]),
+        (0, GREYS, [0]),
+        (2, COLOURS, []),
+        (2, COLOURS, [0x1234, 0x80FF, 0xFF00]),
+        (4, [[0, 0xFFFF, 0x1234, 0x80FF], [0x8080, 0x7F00, 0xFFFF, 0]], []),
+        (6, [[0x1234, 0x80FF, 0xFF00, 0x4001], [0, 0xFFFF, 0x7F00, 0xFFFF]], []),
+    ],
+)
+def test_a_png_of_16_bits_is_scaled_to_8(
+    tmp_path: Path, colour: int, rows: list[list[int]], key: list[int]
+) -> None:
+    """A sample v stands for v / 65535: in 8 bits for 255 times that, up to one step by the way of rounding."""
+    document = read_document(str(write_model(tmp_path / "sheet.glb", [sheet()])))
+    found = decoded(png_of_16_bits(colour, rows, key), document)[0].astype(int)
+    each = {0: 1, 2: 3, 4: 2, 6: 4}[colour]
+    for line, row in zip(found, rows, strict=True):
+        pixels = [row[start : start + each] for start in range(0, len(row), each)]
+        for pixel, raw in zip(line, pixels, strict=True):
+            shades = raw[:3] if each >= 3 else raw[:1] * 3
+            alpha = raw[-1] if each in {2, 4} else 0 if raw == key else 0xFFFF
+            assert np.abs(pixel - np.array([*shades, alpha]) * 255 / 65535).max() < 1.0, raw
+
+
+def test_a_wide_grey_png_of_16_bits_is_made_smaller_after_it_is_scaled(tmp_path: Path) -> None:
+    document = read_document(str(write_model(tmp_path / "sheet.glb", [sheet()])))
+    data = png_of_16_bits(0, [[0x4000] * 4096] * 2, [])
+    levels = decoded(data, document)
+    assert levels[0].shape == (1, 2048, 4)
+    assert (levels[0] == [64, 64, 64, 255]).all()
 
 
 @pytest.mark.parametrize(

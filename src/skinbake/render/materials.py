@@ -6,7 +6,7 @@ import io
 import warnings
 from collections.abc import Container, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -25,6 +25,9 @@ from skinbake.gltf.images import (
 )
 from skinbake.gltf.json_access import JsonObject, is_number, reference
 
+if TYPE_CHECKING:
+    from PIL.Image import Image as Picture
+
 Levels = tuple[npt.NDArray[np.uint8], ...]
 """An image (H, W, 4), then each half as large as the one before, down to one pixel."""
 
@@ -38,6 +41,9 @@ LARGEST = 2048
 """Pixels along a side of an image. Larger ones are scaled down; a picture has no more itself."""
 
 FORMATS = ("PNG", "JPEG", "WEBP")
+PNG_DEPTH = 24
+"""The place of the byte of a PNG that holds the bits of a sample."""
+
 BLACK = (0.0, 0.0, 0.0)
 
 
@@ -195,9 +201,12 @@ def decoded(data: Bytes, document: Document) -> Levels:
             warnings.simplefilter("error")  # Pillow warns of images that are far too large, and of odd ones
             with Image.open(io.BytesIO(data), formats=FORMATS) as image:
                 width, height = image.size
-                document.budget.claim(8 * width * height, f"an image of {width:,} × {height:,} pixels", place)
-                image.thumbnail((LARGEST, LARGEST))
-                found = image.convert("RGBA")
+                is_deep = image.format == "PNG" and data[PNG_DEPTH] == 16
+                size = (16 if is_deep else 8) * width * height
+                document.budget.claim(size, f"an image of {width:,} × {height:,} pixels", place)
+                shallow = _shallow(image) if is_deep else image
+                shallow.thumbnail((LARGEST, LARGEST))
+                found = shallow.convert("RGBA")
     except InputError:
         raise
     except UnidentifiedImageError as error:
@@ -212,6 +221,26 @@ def decoded(data: Bytes, document: Document) -> Levels:
         half = max(1, width // 2), max(1, height // 2)
         levels.append(levels[-1].resize(half, Image.Resampling.BOX))
     return tuple(np.asarray(level, np.uint8) for level in levels)
+
+
+def _shallow(image: Picture) -> Picture:
+    """Return a PNG of 16 bits a sample in RGBA with 8 bits, its transparent colour with alpha 0.
+
+    Pillow gives grey alone with all its bits. Of colours it gives the high bytes: by these they are compared
+    with the transparent one.
+    """
+    from PIL import Image
+
+    key = image.info.get("transparency")
+    if not image.mode.startswith("I"):
+        if key is not None:
+            image.info["transparency"] = tuple(value >> 8 for value in key)
+        return image.convert("RGBA")
+    samples = np.asarray(image)
+    scaled = ((np.arange(2**16) + 128) // 257).astype(np.uint8)
+    grey = Image.fromarray(scaled[samples])
+    alpha = Image.fromarray(np.where(samples == key, np.uint8(0), np.uint8(255)))
+    return Image.merge("RGBA", (grey, grey, grey, alpha))
 
 
 def _listed(parent: JsonObject, key: str, number: object) -> dict[str, Any] | None:
