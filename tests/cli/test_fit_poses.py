@@ -182,6 +182,35 @@ def test_nodes_without_a_partner_are_told(tmp_path: Path) -> None:
     assert {"fit-poses-unmatched", "fit-poses-random"} <= set(codes)
 
 
+def test_clips_of_another_file_that_move_no_joint_are_named(tmp_path: Path) -> None:
+    """The advice to take the file's own clips is given where these move the skin, and only there."""
+    (tmp_path / "lent").mkdir()
+    walk = named(copied(CLIP, tmp_path / "lent"))
+    own = copied(CLIP, tmp_path)
+    still = changed(own, without_clips, "still.glb")
+
+    def move_another_node(content: Any) -> None:
+        content["nodes"].append({"name": "door"})
+        for channel in content["animations"][0]["channels"]:
+            channel["target"]["node"] = len(content["nodes"]) - 1
+
+    other = changed(own, move_another_node, "door.glb")
+
+    def break_clips(content: Any) -> None:
+        content["animations"][0]["samplers"][0]["interpolation"] = "CUBE"
+
+    broken = changed(own, break_clips, "broken.glb")
+    for path, has_own in ((own, True), (still, False), (other, False), (broken, False)):
+        result = invoke("bake", path, "--dry-run", "--gradients", "poses", "--fit-poses", walk)
+        assert result.exit_code == exit_codes.OK
+        wanted = f"no clip of {walk.name} moves its joints: α/β are fitted to 60 random poses"
+        assert wanted in result.stderr, path
+        assert ("; --fit-poses animations takes its own clips" in result.stderr) is has_own, path
+    both = ("--fit-poses", walk, "--fit-poses", "animations")
+    result = invoke("bake", still, "--dry-run", "--gradients", "poses", *both)
+    assert "no clip moves its joints" in result.stderr
+
+
 def test_inverse_bind_matrices_of_zeros_are_baked_with_a_notice(tmp_path: Path) -> None:
     """An accessor without a buffer view is zeros. All poses are zeros too, and none moves anything."""
 

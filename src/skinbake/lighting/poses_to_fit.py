@@ -172,9 +172,28 @@ def poses_to_fit(document: Document, mesh: int, sources: Sequence[PoseSource], p
         known[key] = _Poses.of(document, skins, clips, sources)
     found = known[key]
     if not found.has_clips and any(not is_random(one) for one in sources):
-        message = f"no clip moves its joints: α/β are fitted to {counted(found.random, 'random pose')}"
+        random = f"α/β are fitted to {counted(found.random, 'random pose')}"
+        message = f"{_no_clip(sources)} moves its joints: {random}{_own_clips(document, skins, sources)}"
         notices.append(Notice("fit-poses-random", message, place))
     return FoundPoses(found.groups, found.fingerprint, tuple(notices))
+
+
+def _no_clip(sources: Sequence[PoseSource]) -> str:
+    """Return words for the clips that were searched for one that moves the joints."""
+    files = [source.name for source in sources if isinstance(source, ClipFile)]
+    return "no clip" if ANIMATIONS in sources or not files else f"no clip of {' or '.join(files)}"
+
+
+def _own_clips(document: Document, skins: Sequence[int], sources: Sequence[PoseSource]) -> str:
+    """Return advice if the clips of the document move the skins, and were not asked for."""
+    if ANIMATIONS in sources:
+        return ""
+    try:
+        clips = read_clips(document)
+        is_moved = any(joint_clips(document, skin, clips) for skin in skins)
+    except InputError:  # broken clips that nobody asked for
+        return ""
+    return f"; --fit-poses {ANIMATIONS} takes its own clips" if is_moved else ""
 
 
 @dataclass(frozen=True, slots=True)
