@@ -25,7 +25,8 @@ MENDED = {
     "tests/fuzz/test_runs.py",
     "over-bounds-or-undocumented": "each pose was morphed twice: tests/lighting/test_morphs.py",
     "twice-code-3-over-the-N-KiB": "no fault: the second bake was held to the first one's --max-memory",
-    "written-bake-code-4": "no fault: a name that no depfile can hold is found after the bake",
+    "written-bake-code-4": "no fault: the name of a buffer or an image that no depfile can hold is found "
+    "after the bake",
     "twice-other-bytes-in-accessors": f"a sparse accessor over Draco; a view into padding: {FINDS}",
     "twice-other-bytes-in-images": f"the URI of a missing image was reworded: {FINDS}",
     "twice-other-bytes-in-meshes": f"a sparse accessor over a Draco stream: {FINDS}",

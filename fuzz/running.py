@@ -225,7 +225,9 @@ class Runner:
         gone = [path for path in before if path not in written]
         if gone:
             finds.append(Find("written", f"{case.arguments[0]} removes", str(gone)))
-        no_depfile = "cannot stand in a depfile" in outcome.stderr  # it is written after the outputs
+        no_depfile = (
+            "cannot stand in a depfile" in outcome.stderr
+        )  # found after the bake for a buffer or an image
         failed = outcome.code != 0 and case.arguments[1:2] != ("in",) and not no_depfile
         if (
             failed

@@ -195,6 +195,16 @@ class TestRefused:
         assert not Path("a.d").exists()
         assert not Path("out").exists(), "the name was known before the bake"
 
+    def test_the_name_of_a_buffer_that_no_rule_can_hold(self, here: Path) -> None:
+        """It is known only after the bake: the outputs are written, as the documentation says."""
+        edited(SHARED, here / "art", lambda content: content["buffers"][0].update(uri="a=b.bin"))
+        (here / "art" / SHARED_BIN).rename(here / "art" / "a=b.bin")
+        result = invoke("bake", f"art/{SHARED}", "-o", "a.glb", "--depfile", "a.d")
+        assert result.exit_code == 4
+        assert "a=b.bin: its name cannot stand in a depfile" in " ".join(result.stderr.split())
+        assert Path("a.glb").exists()
+        assert not Path("a.d").exists()
+
     def test_a_depfile_that_cannot_be_written(self, here: Path) -> None:
         Path("file").touch()
         result = invoke("bake", "art/hero.gltf", "-o", "a.glb", "--depfile", "file/a.d")
