@@ -546,6 +546,57 @@ class TestCommand:
         assert refused(text, "config") == "skinbake.toml:2: verify.min-gain: true: expected a number"
         assert invoke("bake", "a.glb", "--dry-run").exit_code == 0
 
+    @pytest.mark.parametrize(
+        ("text", "said"),
+        [
+            (
+                '[bake]\nlimit-influences = 4\nneighbours = "extend"\n',
+                "skinbake.toml:2: bake.limit-influences: --limit-influences contradicts --neighbours extend",
+            ),
+            ("[bake]\nposition-bits = 12\n", "skinbake.toml:2: bake.position-bits: --position-bits, "),
+            (
+                '[bake]\nneighbours = "extend"\n[[overrides]]\nfiles = ["none/*"]\n'
+                "bake.limit-influences = 4\n",
+                "skinbake.toml:4: overrides[0]: --limit-influences contradicts --neighbours extend",
+            ),
+            ('[shader]\nlighting = "exact"\n', "skinbake.toml:1: shader: --method lbs has no exact lighting"),
+            (
+                '[shader]\nmorphs = "tangent"\nframe = "normal"\n',
+                "skinbake.toml:2: shader.morphs: --morphs tangent needs --frame tangent",
+            ),
+        ],
+    )
+    def test_options_that_contradict_each_other(self, text: str, said: str, project: Path) -> None:
+        assert refused(text, "config").startswith(said)
+
+    def test_overrides_that_contradict_each_other_for_a_file(self, project: Path) -> None:
+        text = (
+            '[[overrides]]\nfiles = ["a.*"]\nbake.neighbours = "extend"\n'
+            '[[overrides]]\nfiles = ["*.glb"]\nbake.limit-influences = 4\n'
+        )
+        said = "skinbake.toml:2: overrides[0], skinbake.toml:5: overrides[1]: --limit-influences contradicts"
+        assert refused(text, "config", "a.glb").startswith(said)
+        assert invoke("config").exit_code == 0
+        assert invoke("config", "heroes/knight.glb").exit_code == 0
+
+    @pytest.mark.parametrize(
+        "text",
+        [
+            '[shader]\nmorphs = "tangent"\n',  # --for has the frame
+            '[shader]\ntarget = "three"\n',  # --lang is given on the command line
+            '[shader]\nlayout = "custom"\nencoding = "snorm16"\n',
+            '[bake]\nneighbours = "extend"\n'
+            '[[overrides]]\nfiles = ["heroes/**"]\nbake.neighbours = "adopt"\n'
+            '[[overrides]]\nfiles = ["heroes/crowd/*"]\nbake.limit-influences = 4\n',
+        ],
+    )
+    def test_options_that_go_together_with_others_are_no_contradiction(
+        self, text: str, project: Path
+    ) -> None:
+        Path("skinbake.toml").write_text(text, encoding="utf-8")
+        result = invoke("config", "heroes/crowd/pawn.glb")
+        assert result.exit_code == 0, result.stderr
+
     def test_an_input_that_is_not_there(self, project: Path) -> None:
         result = invoke("config", "a.glb", "none/*.glb")
         assert result.exit_code == 3

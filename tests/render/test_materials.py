@@ -223,7 +223,7 @@ COLOURS = [[0x1234, 0x80FF, 0xFF00, 0, 0, 0], [0xFFFF, 0x7F00, 0x0100, 0x1234, 0
 def test_a_png_of_16_bits_is_scaled_to_8(
     tmp_path: Path, colour: int, rows: list[list[int]], key: list[int]
 ) -> None:
-    """A sample v stands for v / 65535: in 8 bits for 255 times that, up to one step by the way of rounding."""
+    """A sample v stands for v / 65535: in 8 bits for 255 times that, up to one step."""
     document = read_document(str(write_model(tmp_path / "sheet.glb", [sheet()])))
     found = decoded(png_of_16_bits(colour, rows, key), document)[0].astype(int)
     each = {0: 1, 2: 3, 4: 2, 6: 4}[colour]

@@ -222,7 +222,7 @@ def command(ctx: click.Context, inputs: tuple[str, ...], **given: Unpack[Given])
     clip_files = [source for source in given.get("fit_poses", ()) if Path(source).is_file()]
     check_reports(reports, output, [*(entry.source for entry in found), *clip_files])
     sets = option_sets(ctx, given, [entry.source for entry, _ in targets])
-    bakers = sets.each(_baker)
+    bakers = sets.each(baker_of)
     check_read("--fit-poses", clip_files, (target for _, target in targets))
     from skinbake.jobs.bake import MODULES, SECONDS_A_BYTE, SECONDS_A_FILE, Bake, BakeOptions
 
@@ -291,7 +291,7 @@ def _check_pack(given: Given, targets: Sequence[str | None]) -> None:
             )
 
 
-def _baker(given: Mapping[str, Any]) -> Baker:
+def baker_of(given: Mapping[str, Any]) -> Baker:
     """Return a baker with the options of the command line. Raises click.UsageError if they contradict."""
     from skinbake.commands.bake import Baker
 

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import click
 
 from skinbake.cli import exit_codes
 from skinbake.cli.chosen_config import configured_in, searched_folders
+from skinbake.cli.configuration import ConfigurationError
 from skinbake.cli.configured import (
     PER_FILE,
     Configured,
@@ -21,7 +22,7 @@ from skinbake.cli.configured import (
 from skinbake.cli.console import console, message_options
 from skinbake.cli.help import Helpful
 from skinbake.cli.inputs import expanded
-from skinbake.errors import InputError, Place
+from skinbake.errors import ChoiceError, InputError, Place
 from skinbake.report.config import ConfigResult, Options, OptionValue, as_json, as_text
 
 VARIABLES = {"threads": "OMP_NUM_THREADS", "color": "NO_COLOR"}
@@ -61,13 +62,14 @@ def command(ctx: click.Context, /, inputs: tuple[str, ...], **given: Any) -> Non
     sys.exit(code)
 
 
-def _result(ctx: click.Context, sources: list[str]) -> ConfigResult:
+def _result(ctx: click.Context, sources: Sequence[str]) -> ConfigResult:
     configured = configured_in(ctx)
     contexts = {str(one.command.name): one for one in _contexts(ctx)}
     by_command: dict[str, Configured | None] = {
         name: None if configured is None else configured_options(configured.configuration, one)
         for name, one in contexts.items()
     }
+    _refuse_contradictions(contexts, by_command, sources)
     folders = list(searched_folders())
 
     def options(name: str, source: str | None) -> Options:
@@ -84,6 +86,51 @@ def _result(ctx: click.Context, sources: list[str]) -> ConfigResult:
         {name: options(name, None) for name in contexts},
         {source: {name: options(name, source) for name in PER_FILE} for source in sources},
     )
+
+
+def _refuse_contradictions(
+    contexts: Mapping[str, click.Context], by_command: Mapping[str, Configured | None], sources: Sequence[str]
+) -> None:
+    """Raise ConfigurationError if options contradict each other, in a table or for one of the sources."""
+    from skinbake.cli.bake import baker_of
+    from skinbake.cli.shader import check_together
+
+    checks: dict[str, Callable[[Mapping[str, Any]], object]] = {"bake": baker_of, "shader": check_together}
+    for name, check in checks.items():
+        configured = by_command[name]
+        if configured is None:
+            continue
+        refusal = _Refusal(configured, contexts[name], check)
+        if configured.settings and (message := refusal.of(())):
+            configured.configuration.refuse(configured.keys_in(message) or (name,), message)
+        chosen = {configured.overrides_of(source) for source in sources}
+        alone = {(number,) for number, one in enumerate(configured.overrides) if one.settings}
+        for numbers in sorted(chosen | alone):
+            message = refusal.of(numbers)
+            # An override may rely on those before it, which often are for its files too.
+            if message and (numbers in chosen or refusal.of(range(numbers[0] + 1))):
+                raise ConfigurationError(f"{configured.origin_of(numbers)}: {message}")
+
+
+class _Refusal:
+    """The check of a command's options with those of overrides."""
+
+    def __init__(
+        self, configured: Configured, ctx: click.Context, check: Callable[[Mapping[str, Any]], object]
+    ) -> None:
+        values = {name: setting.value for name, setting in configured.settings.items()}
+        command = ctx.command.make_context(
+            ctx.info_name, [], ctx.parent, resilient_parsing=True, default_map=values
+        )
+        self._configured, self._given, self._check = configured, command.params, check
+
+    def of(self, overrides: Iterable[int]) -> str:
+        """Return why the options are refused with those of overrides, empty if they are not."""
+        try:
+            self._check({**self._given, **self._configured.given_by(overrides)})
+        except (ChoiceError, click.UsageError) as error:
+            return error.message
+        return ""
 
 
 def _contexts(ctx: click.Context) -> Iterator[click.Context]:

@@ -120,14 +120,25 @@ class Configured:
         options = ", ".join(str(setting.keys[-1]) for setting in self.settings.values())
         return f"{self.configuration.name} sets {options}" if options else self.configuration.name
 
+    def keys_in(self, message: str) -> Keys | None:
+        """Return the keys of the first option in an error that comes from the file, or None without one."""
+        return next((setting.keys for setting in self._named_in(message)), None)
+
     def explained(self, message: str) -> str:
         """Return an error with the places of the options in it that come from the file."""
         places = [
             f"{self.configuration.place(setting.keys)} sets {setting.keys[-1]}"
-            for setting in self.settings.values()
-            if re.search(rf"--{re.escape(str(setting.keys[-1]))}\b", message)
+            for setting in self._named_in(message)
         ]
         return f"{message} ({', '.join(places)}; --no-config leaves it out)" if places else message
+
+    def _named_in(self, message: str) -> Iterable[Setting]:
+        """Return the settings of the options that an error names."""
+        return (
+            setting
+            for setting in self.settings.values()
+            if re.search(rf"--{re.escape(str(setting.keys[-1]))}\b", message)
+        )
 
 
 def configured_by(paths: Iterable[str], ctx: click.Context) -> Configured | None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,7 +25,7 @@ from skinbake.cli.help import Helpful
 from skinbake.cli.names import STDIO, check_readable_suffix
 from skinbake.cli.targets import check_named, check_text_target, sync_option
 from skinbake.containment import Bounds
-from skinbake.errors import printable
+from skinbake.errors import ChoiceError, printable
 from skinbake.shaders.text import targets
 from skinbake.urls import SUFFIXES
 
@@ -147,7 +149,24 @@ def command(source: str | None, output: str, **given: Any) -> None:
         say.result(f"{printable(output)}: {result.choices.words}")
 
 
-def _request(given: dict[str, Any]) -> ShaderRequest:
+def check_together(given: Mapping[str, Any]) -> None:
+    """Raise ChoiceError if options contradict each other, whichever language and file come with them."""
+    from skinbake.commands.shader import check_request
+
+    languages = [given["language"]] if given["language"] else targets()[given["target"]]
+    frames = [given["frame"]] if given["frame"] else list(Frame)
+    errors = []
+    for language, frame in product(languages, frames):
+        try:
+            check_request(_request({**given, "language": language, "frame": frame}))
+        except ChoiceError as error:
+            errors.append(error)
+        else:
+            return
+    raise errors[0]
+
+
+def _request(given: Mapping[str, Any]) -> ShaderRequest:
     from skinbake.commands.shader import ShaderRequest
 
     return ShaderRequest(

@@ -90,10 +90,15 @@ def shader(
 def _contradicts_itself(request: ShaderRequest) -> bool:
     """Tell whether a refused request is itself at fault: it is refused for the usual kind of file too."""
     try:
-        shader_made(replace(_choices(request)[0], scale=1.0))
+        check_request(request)
     except ChoiceError:
         return True
     return False
+
+
+def check_request(request: ShaderRequest) -> None:
+    """Raise ChoiceError if a request is refused for the usual kind of file."""
+    shader_made(replace(_choices(request)[0], scale=1.0))
 
 
 def write_shader(result: ShaderResult, target: str, *, sync: bool = True) -> None:
