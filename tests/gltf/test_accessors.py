@@ -246,8 +246,8 @@ REJECTIONS: list[tuple[tuple[str | int, ...], str, Any, str]] = [
     (INDICES, "componentType", 5122, "not unsigned integers"),
     (INDICES, "componentType", 5126, "not unsigned integers"),
     (INDICES, "bufferView", 9, '"bufferView" refers to entry 9'),
-    (INDICES, "byteOffset", 1, "1 elements need 5 bytes of buffer view 1"),
-    (VALUES, "byteOffset", 4, "1 elements need 8 bytes of buffer view 2"),
+    (INDICES, "byteOffset", 1, "1 element needs 5 bytes of buffer view 1"),
+    (VALUES, "byteOffset", 4, "1 element needs 8 bytes of buffer view 2"),
     (VALUES, "bufferView", 2.5, '"bufferView" must be'),
     (INDEX_VIEW, "byteOffset", 44, "a sparse accessor replaces element 327685, but it has only 6"),
 ]

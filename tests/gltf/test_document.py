@@ -122,6 +122,7 @@ def test_a_top_level_array_of_anything_but_objects_is_refused(value: str) -> Non
     [
         ({"byteLength": 4}, "no URI and there is no BIN chunk"),
         ({"byteLength": 5, "uri": "data:;base64,AAAAAA=="}, "declares 5 bytes, but only 4 are there"),
+        ({"byteLength": 5, "uri": "data:;base64,AA=="}, "declares 5 bytes, but only 1 is there"),
         ({"byteLength": 0, "uri": "data:;base64,AAAAAA=="}, '"byteLength" must be'),
         ({"uri": "data:;base64,AAAAAA=="}, '"byteLength" must be'),
         ({"byteLength": True, "uri": "data:;base64,AAAAAA=="}, '"byteLength" must be'),

@@ -144,7 +144,7 @@ BROKEN: list[tuple[str, Callable[[bytes], bytes], str]] = [
         with_counts(209, 112),
         "declares 112 vertices and 627 indices, but its accessors declare 112",
     ),
-    ("more vertices", with_counts(208, 1 << 31), "declares 2147483648 vertices and 624 indices"),
+    ("more vertices", with_counts(208, 1 << 31), "declares 2,147,483,648 vertices and 624 indices"),
     ("fewer vertices", with_counts(208, 111), "declares 111 vertices"),
     ("an endless number", lambda data: data[:11] + b"\xff" * 8 + data[19:], "a number that does not end"),
     (
@@ -350,6 +350,8 @@ class TestEncoder:
         ("change", "message"),
         [
             ({"POSITION": np.zeros((8, 2), np.float32)}, "POSITION: it has 2 components, 3 are needed"),
+            ({"POSITION": np.zeros((8, 1), np.float32)}, "POSITION: it has 1 component, 3 are needed"),
+            ({"TEXCOORD_0": np.zeros((1, 2), np.float32)}, "TEXCOORD_0: it has 1 element, POSITION has 8"),
             ({"POSITION": np.zeros((3, 3), np.float32)}, "JOINTS_0: it has 8 elements, POSITION has 3"),
             ({"TEXCOORD_0": np.zeros((7, 2), np.float32)}, "TEXCOORD_0: it has 7 elements, POSITION has 8"),
             (None, "indices: index 8 is too large for 8 vertices"),

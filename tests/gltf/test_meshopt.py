@@ -143,10 +143,10 @@ def lie(content: JsonObject) -> None:
 
 WRONG: list[tuple[Callable[[JsonObject], Any], str]] = [
     (shorten, "cannot be decoded: Malformed buffer data"),
-    (lie, "bytes for 268435456 elements of 12 bytes, but its codec needs at least 3145728"),
-    (edit(count=111), "that is 1332 bytes, but its byteLength is 1344"),
+    (lie, "bytes for 268,435,456 elements of 12 bytes, but its codec needs at least 3,145,728"),
+    (edit(count=111), "that is 1,332 bytes, but its byteLength is 1344"),
     (edit(count=0), '"count" must be an integer of at least 1'),
-    (edit(byteStride=16), "that is 1792 bytes, but its byteLength is 1344"),
+    (edit(byteStride=16), "that is 1,792 bytes, but its byteLength is 1344"),
     (edit(byteStride=6, count=224), "which contradict each other"),
     (edit(byteStride=336, count=4), "which contradict each other"),
     (edit(mode="TRIANGLES"), "mode 'TRIANGLES', filter 'NONE', byteStride 12, count 112, which contradict"),

@@ -141,6 +141,12 @@ def test_a_joint_past_the_skin_may_stand_at_weight_zero(tmp_path: Path) -> None:
         primitive_of(path)
 
 
+def test_a_skin_of_one_joint_is_told_in_the_singular(tmp_path: Path) -> None:
+    path = write_model(tmp_path / "sheet.glb", [sheet()], joints=1)
+    with pytest.raises(InputError, match=r"but the skin has only 1 joint\. The number"):
+        primitive_of(path)
+
+
 def test_a_skin_needs_no_inverse_bind_matrices(tmp_path: Path) -> None:
     path = edited("seam.glb", tmp_path, lambda content: content["skins"][0].pop("inverseBindMatrices"))
     assert len(primitive_of(path).positions) == 198
@@ -186,8 +192,9 @@ WRONG_ARRAYS: list[tuple[dict[str, AnyArray | None], str]] = [
     ({"WEIGHTS_0": constant(-np.inf, F4)}, "WEIGHTS_0: its weights are not all finite"),
     ({"NORMAL": constant(1, F4, columns=3, rows=19)}, "NORMAL: it has 19 elements, POSITION has 20"),
     ({"JOINTS_0": constant(0, U8, rows=21)}, "JOINTS_0: it has 21 elements, POSITION has 20"),
-    ({"TANGENT": constant(1, F4, rows=1)}, "TANGENT: it has 1 elements, POSITION has 20"),
+    ({"TANGENT": constant(1, F4, rows=1)}, "TANGENT: it has 1 element, POSITION has 20"),
     ({"POSITION": constant(0, F4, columns=2)}, "POSITION: it has 2 components, 3 are needed"),
+    ({"POSITION": constant(0, F4, columns=1)}, "POSITION: it has 1 component, 3 are needed"),
     ({"NORMAL": constant(0, F4)}, "NORMAL: it has 4 components, 3 are needed"),
     ({"TANGENT": constant(1, F4, columns=3)}, "TANGENT: it has 3 components, 4 are needed"),
     ({"JOINTS_0": constant(0, U16, columns=2)}, "JOINTS_0: it has 2 components, 4 are needed"),

@@ -14,6 +14,7 @@ from skinbake.gltf.document import Document
 from skinbake.gltf.formats import COMPONENT_NAMES, COMPONENTS, MATRIX_ROWS, component_dtype
 from skinbake.gltf.json_access import JsonObject, index, integer, member, shown
 from skinbake.gltf.views import view_bytes
+from skinbake.wording import counted, one_or_many
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,12 +141,15 @@ def _view_array(
     stride = integer(view, "byteStride", place, default=element, minimum=1)
     if stride < element:
         raise InputError(
-            f"buffer view {view_index} has byteStride {stride} for elements of {element} bytes", place
+            f"buffer view {view_index} has byteStride {stride} for elements of {counted(element, 'byte')}",
+            place,
         )
     end = offset + stride * (count - 1) + element
     if end > len(data):
         raise InputError(
-            f"{count} elements need {end} bytes of buffer view {view_index}, which has {len(data)}", place
+            f"{one_or_many(count, '1 element needs', '{} elements need')} {counted(end, 'byte')} of "
+            f"buffer view {view_index}, which has {len(data):,}",
+            place,
         )
     # The stride of a single element may be larger than any address.
     return np.ndarray(
@@ -172,7 +176,8 @@ def _substituted(
     positions = _view_array(document, index_view, offsets[0], (dtype, 1, count), place)[:, 0].astype(np.int64)
     if positions.max() >= len(dense):
         raise InputError(
-            f"a sparse accessor replaces element {positions.max()}, but it has only {len(dense)} elements",
+            f"a sparse accessor replaces element {positions.max()}, but it has only "
+            f"{counted(len(dense), 'element')}",
             place,
         )
     document.budget.claim(dense.nbytes, "its sparse accessor", place)

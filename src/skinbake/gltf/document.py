@@ -22,7 +22,7 @@ from skinbake.gltf import json_access, json_text, resources
 from skinbake.gltf.budget import Budget
 from skinbake.gltf.glb import Bytes, GlbChunks, split_glb
 from skinbake.gltf.other_kinds import refuse_other_kind
-from skinbake.wording import meant_file
+from skinbake.wording import counted, meant_file, one_or_many
 
 GLB_SUFFIXES = (".glb", ".vrm")
 GLTF_SUFFIX = ".gltf"
@@ -112,7 +112,8 @@ class Document:
             raise InputError(f"buffer {index} has no URI and there is no BIN chunk that holds it", self.place)
         if len(data) < length:
             raise InputError(
-                f"buffer {index} is cut short: it declares {length} bytes, but only {len(data)} are there",
+                f"buffer {index} is cut short: it declares {counted(length, 'byte')}, but only "
+                f"{one_or_many(len(data), '1 is', '{} are')} there",
                 self.place,
             )
         return memoryview(data)[:length]

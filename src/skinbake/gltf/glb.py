@@ -51,7 +51,9 @@ def split_glb(data: Bytes, place: Place) -> GlbChunks:
     if version != 2:
         raise UnsupportedFeatureError(f"GLB container version {version}; only version 2 is supported", place)
     if length > len(view):
-        raise InputError(f"the GLB is cut short: its header says {length} bytes, it has {len(view)}", place)
+        raise InputError(
+            f"the GLB is cut short: its header says {length:,} bytes, it has {len(view):,}", place
+        )
     json_chunk, binary, others = _sorted_chunks(_chunks(view[:length], place), place)
     return GlbChunks(json_chunk, binary, others, view[length:])
 
@@ -74,7 +76,7 @@ def _chunks(view: memoryview, place: Place) -> list[tuple[int, memoryview]]:
         if length % 4 or start + length > len(view):
             raise InputError(
                 f"the GLB chunk at byte {offset} has length {length}: "
-                f"not a multiple of 4, or more than the {len(view) - start} bytes left",
+                f"not a multiple of 4, or more than the {counted(len(view) - start, 'byte')} left",
                 place,
             )
         chunks.append((kind, view[start : start + length]))

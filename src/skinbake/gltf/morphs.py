@@ -11,6 +11,7 @@ from skinbake.gltf.accessors import element_count, read_accessor
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject, index, is_number, objects, text
 from skinbake.gltf.primitives import FLOAT, NORMALISED_SIGNED, PrimitiveSource
+from skinbake.wording import counted
 
 FORMATS: dict[str, tuple[tuple[str, bool], ...]] = {
     "POSITION": (FLOAT, *((kind, flag) for kind in ("i1", "i2") for flag in (False, True))),
@@ -73,7 +74,8 @@ def _numbers(owner: JsonObject, count: int, called: str, place: Place) -> Float6
     if value is None:
         return np.zeros(count)
     if not isinstance(value, list) or not all(map(is_number, value)) or len(value) != count:
-        raise InputError(f'"weights" of {called} must be {count} numbers, one for each morph target', place)
+        numbers = counted(count, "number")
+        raise InputError(f'"weights" of {called} must be {numbers}, one for each morph target', place)
     return np.array(value, dtype=np.float64)
 
 
@@ -116,7 +118,7 @@ def _differences(
     if (name, accessor) not in read:
         declared = element_count(document, accessor, place)
         if declared != count:
-            raise InputError(f"it has {declared} elements, POSITION has {count}", place)
+            raise InputError(f"it has {counted(declared, 'element')}, POSITION has {count:,}", place)
         with document.budget.passing():
             read[name, accessor] = _moved_rows(document, accessor, name, place)
         kept = read[name, accessor]
@@ -128,7 +130,7 @@ def _moved_rows(document: Document, accessor: int, name: str, place: Place) -> D
     """Return the differences in an accessor that are not 0."""
     stored = read_accessor(document, accessor, place)
     if stored.values.shape[1] != 3:
-        raise InputError(f"it has {stored.values.shape[1]} components, 3 are needed", place)
+        raise InputError(f"it has {counted(stored.values.shape[1], 'component')}, 3 are needed", place)
     if (stored.values.dtype.str[1:], stored.normalized) not in FORMATS[name]:
         kind = f"{'normalised ' if stored.normalized else ''}{stored.values.dtype.name}"
         raise InputError(f"differences must be {EXPECTED[name]}, found {kind}", place)

@@ -17,6 +17,7 @@ from skinbake.gltf.codecs import draco
 from skinbake.gltf.document import Document
 from skinbake.gltf.formats import COMPONENT_NAMES
 from skinbake.gltf.json_access import JsonObject, index, integer, joints_of, member, objects, text
+from skinbake.wording import counted
 
 FLOAT = ("f4", False)
 NORMALISED_SIGNED = (("i1", True), ("i2", True))
@@ -283,7 +284,9 @@ def read_indices(document: Document, source: PrimitiveSource) -> IntArray:
         raise InputError("indices must be scalars of an unsigned integer type", place)
     indices: IntArray = stored[:, 0]  # type: ignore[assignment]  # unsigned: checked above
     if indices.max() >= count:
-        raise InputError(f"index {indices.max()} is too large for {count} vertices", place)
+        raise InputError(
+            f"index {indices.max()} is too large for {counted(count, 'vertex', 'vertices')}", place
+        )
     return indices
 
 
@@ -302,7 +305,7 @@ def _stored(
     number = _accessor_index(document, source, attribute)
     declared = element_count(document, number, place)
     if count is not None and declared != count:
-        raise InputError(f"it has {declared} elements, POSITION has {count}", place)
+        raise InputError(f"it has {counted(declared, 'element')}, POSITION has {count:,}", place)
     stored = read_accessor(document, number, place)
     check_format(stored, attribute, components, place)
     return stored
@@ -311,7 +314,8 @@ def _stored(
 def check_format(stored: StoredArray, attribute: str, components: int, place: Place) -> None:
     """Raise InputError if glTF does not allow these components or this type for an attribute."""
     if stored.values.shape[1] != components:
-        raise InputError(f"it has {stored.values.shape[1]} components, {components} are needed", place)
+        found = counted(stored.values.shape[1], "component")
+        raise InputError(f"it has {found}, {components} are needed", place)
     family = attribute.split("_", maxsplit=1)[0]
     if (stored.values.dtype.str[1:], stored.normalized) not in FORMATS[family]:
         kind = f"{'normalised ' if stored.normalized else ''}{stored.values.dtype.name}"
@@ -334,7 +338,7 @@ def _check_joints(joints: IntArray, weights: FloatArray, source: PrimitiveSource
         vertex, slot = np.argwhere(outside)[0]
         raise InputError(
             f"vertex {vertex} has a weight for joint {joints[vertex, slot]}, but the skin has only "
-            f"{source.joint_count} joints. The number of such vertices is "
-            f"{np.count_nonzero(outside.any(axis=1))}",
+            f"{counted(source.joint_count, 'joint')}. The number of such vertices is "
+            f"{np.count_nonzero(outside.any(axis=1)):,}",
             source.place.at(f"JOINTS_{slot // 4}"),
         )

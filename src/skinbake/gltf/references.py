@@ -15,6 +15,7 @@ from skinbake.gltf.json_access import (
     reference,
     values_of,
 )
+from skinbake.wording import counted
 
 VIEW = "bufferView"
 
@@ -82,8 +83,9 @@ def refuse_dangling(root: JsonObject, key: str, added: int, place: Place) -> Non
     count = len(entries) if isinstance(entries, list) else 0
     wrong = [number for number in used if count <= number < count + added]
     if wrong:
+        has = counted(count, "entry", "entries")
         raise InputError(
-            f'a reference names entry {min(wrong)} of "{key}", which has only {count} entries. '
+            f'a reference names entry {min(wrong)} of "{key}", which has only {has}. '
             "The entries that bake adds must not become its target: correct the reference first",
             place,
         )

@@ -20,6 +20,7 @@ from skinbake.gltf.document import Document
 from skinbake.gltf.formats import COMPONENTS, component_dtype
 from skinbake.gltf.json_access import JsonObject, entries_of, index, integer, member, reference
 from skinbake.gltf.views import view_bytes
+from skinbake.wording import counted
 
 if TYPE_CHECKING:
     from skinbake.gltf.codecs.draco_stream import DracoMesh
@@ -195,8 +196,8 @@ def _of_type(
     dtype, components, count = shape
     if values.shape != (count, components):
         raise InputError(
-            f"its Draco stream holds {values.shape[0]} elements of {values.shape[1]} components, "
-            f"but the accessor declares {count} of {components}",
+            f"its Draco stream holds {counted(values.shape[0], 'element')} of "
+            f"{counted(values.shape[1], 'component')}, but the accessor declares {count:,} of {components}",
             place,
         )
     if values.dtype == dtype:
@@ -254,7 +255,9 @@ def declared(
         count = integer(accessors[number], "count", place.at(name), minimum=1)
         if vertices not in {0, count}:
             raise InputError(
-                f"it has {count} elements, but other attributes of its Draco stream have {vertices}", place
+                f"it has {counted(count, 'element')}, but other attributes of its Draco stream have "
+                f"{vertices:,}",
+                place,
             )
         vertices, size = count, size + count * _element_size(accessors[number])
     corners = index(primitive, "indices", len(accessors), place.at("indices"))

@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from skinbake.errors import InputError, Place, UnsupportedFeatureError
+from skinbake.wording import counted
 
 MAGIC = b"DRACO"
 VERSION = (2, 2)
@@ -117,8 +118,8 @@ def _values(entry: Mapping[str, Any], number: int, vertices: int, place: Place) 
     found = 0 if values is None else len(values)
     if found != vertices:
         raise InputError(
-            f"its Draco stream holds {found} elements of attribute {number}, but its accessors "
-            f"declare {vertices}",
+            f"its Draco stream holds {counted(found, 'element')} of attribute {number}, but its accessors "
+            f"declare {vertices:,}",
             place,
         )
     return np.asarray(values)
@@ -130,8 +131,8 @@ def _check_counts(counts: Counts, length: int, declared: tuple[int, int, int], p
     too_many = counts.vertices > vertices if counts.method == EDGEBREAKER else counts.vertices != vertices
     if 3 * counts.faces != corners or too_many:
         raise InputError(
-            f"its Draco stream declares {counts.vertices} vertices and {3 * counts.faces} indices, "
-            f"but its accessors declare {vertices} and {corners}",
+            f"its Draco stream declares {counted(counts.vertices, 'vertex', 'vertices')} and "
+            f"{3 * counts.faces:,} indices, but its accessors declare {vertices:,} and {corners:,}",
             place,
         )
     if size > max(EXPANSION * length, SMALL):
@@ -299,12 +300,15 @@ def encode(
 def _check_arrays(arrays: Mapping[str, npt.NDArray[Any]], faces: npt.NDArray[Any], place: Place) -> None:
     count, components = arrays["POSITION"].shape
     if components != 3:
-        raise InputError(f"it has {components} components, 3 are needed", place.at("POSITION"))
+        raise InputError(f"it has {counted(components, 'component')}, 3 are needed", place.at("POSITION"))
     for name, values in arrays.items():
         if len(values) != count:
-            raise InputError(f"it has {len(values)} elements, POSITION has {count}", place.at(name))
+            raise InputError(
+                f"it has {counted(len(values), 'element')}, POSITION has {count:,}", place.at(name)
+            )
     if faces.size and faces.max() >= count:
-        raise InputError(f"index {faces.max()} is too large for {count} vertices", place.at("indices"))
+        vertices = counted(count, "vertex", "vertices")
+        raise InputError(f"index {faces.max()} is too large for {vertices}", place.at("indices"))
 
 
 def reason_against_bits(name: str, values: npt.NDArray[Any]) -> str | None:
@@ -313,7 +317,7 @@ def reason_against_bits(name: str, values: npt.NDArray[Any]) -> str | None:
     if values.dtype.kind != "f":
         return "it is of integers"
     if components is None or values.shape[1] != components:
-        return f"it has {values.shape[1]} components, not {components}"
+        return f"it has {counted(values.shape[1], 'component')}, not {components}"
     if not np.isfinite(values).all():
         return "it holds a not-a-number or an infinite one"
     # Draco computes with the extent in float32, and crashes if it overflows.

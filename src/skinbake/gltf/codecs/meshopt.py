@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from skinbake.errors import InputError, Place
 from skinbake.gltf.json_access import JsonObject, integer, member, text
+from skinbake.wording import counted
 
 KHRONOS, VENDOR = "KHR_meshopt_compression", "EXT_meshopt_compression"
 EXTENSIONS = (KHRONOS, VENDOR)
@@ -82,7 +83,9 @@ def packing(view: JsonObject, name: str, what: str, place: Place) -> Packing:
         raise InputError(f"{found}, which contradict each other", place)
     length = integer(view, "byteLength", place, minimum=1)
     if count * stride != length:
-        raise InputError(f"{found}: that is {count * stride} bytes, but its byteLength is {length}", place)
+        raise InputError(
+            f"{found}: that is {counted(count * stride, 'byte')}, but its byteLength is {length}", place
+        )
     return Packing(str(mode), chosen, count, stride)
 
 
@@ -91,8 +94,8 @@ def check_length(data: memoryview, packing: Packing, what: str, place: Place) ->
     least = packing.count * packing.stride // EXPANSION if packing.mode == ATTRIBUTES else packing.count // 3
     if len(data) < least:
         raise InputError(
-            f"{what} has {len(data)} bytes for {packing.count} elements of {packing.stride} bytes, "
-            f"but its codec needs at least {least}",
+            f"{what} has {counted(len(data), 'byte')} for {counted(packing.count, 'element')} of "
+            f"{counted(packing.stride, 'byte')}, but its codec needs at least {least:,}",
             place,
         )
 
