@@ -371,8 +371,11 @@ def _sampler(json: JsonObject) -> JsonObject:
         (lambda json: _sampler(json).pop("input"), "lacks its input or output"),
         (lambda json: _sampler(json).pop("output"), "lacks its input or output"),
         (lambda json: _sampler(json).update(interpolation="BEZIER"), "unknown interpolation 'BEZIER'"),
-        (lambda json: _sampler(json).update(interpolation="CUBICSPLINE"), "needs 9 finite outputs"),
-        (lambda json: _sampler(json).update(output=0), "needs 3 finite outputs of 4 components"),
+        (
+            lambda json: _sampler(json).update(interpolation="CUBICSPLINE"),
+            "needs 9 outputs of 4 components, found 3 of 4",
+        ),
+        (lambda json: _sampler(json).update(output=0), "needs 3 outputs of 4 components, found"),
         (lambda json: _sampler(json).update(output=77), "refers to entry 77"),
         (lambda json: json["animations"][0]["channels"][0].update(sampler=5), "refers to entry 5"),
         (
@@ -381,7 +384,7 @@ def _sampler(json: JsonObject) -> JsonObject:
         ),
         (
             lambda json: json["animations"][0]["channels"][0]["target"].update(path="scale"),
-            "3 finite outputs of 3 components",
+            "3 outputs of 3 components, found 3 of 4",
         ),
     ],
 )
@@ -390,11 +393,40 @@ def test_a_broken_animation_is_refused(change: Callable[[JsonObject], object], m
         clips_of(edited(change))
 
 
-def test_outputs_must_be_finite() -> None:
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize(
+    ("path", "components", "words"),
+    [
+        ("rotation", 4, "a rotation of its keys is not a finite number"),
+        ("translation", 3, "a translation of its keys is not a finite number"),
+        ("scale", 3, "a scale of its keys is not a finite number"),
+    ],
+)
+def test_outputs_must_be_finite_and_the_clip_and_the_node_are_named(
+    path: str, components: int, words: str, value: float
+) -> None:
     builder = arm()
-    animate(builder, values=[[0.0, 0, 0, 1], [np.nan, 0, 0, 1], [0, 0, 0, 1]])
-    with pytest.raises(InputError, match="finite"):
+    values = np.ones((3, components))
+    values[1, 2] = value
+    animate(builder, path=path, values=values)
+    builder.json["animations"][0]["name"] = "walk"
+    builder.json["nodes"][3]["name"] = "hip"
+    with pytest.raises(InputError) as raised:
         clips_of(builder)
+    assert raised.value.message == f'clip "walk", node "hip": {words}'
+    del builder.json["animations"][0]["name"], builder.json["nodes"][3]["name"]
+    with pytest.raises(InputError) as raised:
+        clips_of(builder)
+    assert raised.value.message == f'clip "animation 0", node 3: {words}'
+
+
+def test_a_sampler_of_the_wrong_size_is_told_with_its_clip_and_node() -> None:
+    with pytest.raises(InputError) as raised:
+        clips_of(edited(lambda json: json["animations"][0]["channels"][0]["target"].update(path="scale")))
+    assert raised.value.message.startswith('clip "animation 0", node ')
+    assert raised.value.message.endswith(
+        ": its sampler for scale needs 3 outputs of 3 components, found 3 of 4 components"
+    )
 
 
 def test_skins_that_say_the_same_share_their_joints(tmp_path: Path) -> None:

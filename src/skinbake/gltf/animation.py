@@ -14,6 +14,7 @@ from skinbake.geometry.skinned import Float64Array
 from skinbake.gltf.accessors import read_accessor
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject, index, is_number, joints_of, member, objects, text
+from skinbake.wording import counted
 
 PATHS = {"translation": 3, "rotation": 4, "scale": 3}
 MORPH_WEIGHTS = "weights"
@@ -268,13 +269,13 @@ def read_clips(document: Document) -> list[Clip]:
     for number, animation in enumerate(document.objects("animations")):
         place = document.place
         samplers = objects(animation, "samplers", place)
+        name = text(animation, "name", place) or f"animation {number}"
         channels = []
         for channel in objects(animation, "channels", place):
-            found = _channel(document, samplers, channel, times, outputs)
+            found = _channel(document, name, samplers, channel, times, outputs)
             if found is not None:
                 channels.append(found)
         if channels:
-            name = text(animation, "name", place) or f"animation {number}"
             start = min(float(channel.times[0]) for channel in channels)
             duration = max(float(channel.times[-1]) for channel in channels)
             clips.append(Clip(name, duration, tuple(channels), start))
@@ -289,6 +290,7 @@ def _morph_count(document: Document, node: int) -> int | None:
 
 def _channel(
     document: Document,
+    clip: str,
     samplers: list[JsonObject],
     channel: JsonObject,
     known: dict[int, Float64Array],
@@ -322,9 +324,13 @@ def _channel(
     each = 3 if method == poses.CUBICSPLINE else 1
     use = (output, path, each * len(times), components)
     if use not in outputs:
-        check = _key_weights if path == MORPH_WEIGHTS else _key_values
-        by_key = check(_wide(document, output, place), each * len(times), components, path, place)
-        outputs[use] = by_key.reshape(-1, 3, components) if each == 3 else by_key
+        values = _wide(document, output, place)
+        fault = _fault(values, each * len(times), components, path)
+        if fault is not None:
+            raise InputError(f'clip "{clip}", {_called(document, node)}: {fault}', place)
+        by_key = values[:, [3, 0, 1, 2]] if path == "rotation" else values
+        shape = (-1, 3, components) if each == 3 else (-1, components)
+        outputs[use] = by_key.reshape(shape)
     return Channel(node, path, method, times, outputs[use])
 
 
@@ -345,24 +351,25 @@ def _key_times(document: Document, number: int, place: Place) -> Float64Array:
     return times[:, 0]
 
 
-def _key_values(values: Float64Array, count: int, components: int, path: str, place: Place) -> Float64Array:
-    """Return a sampler's output (count, C), rotations with w first."""
-    if values.shape != (count, components) or not np.isfinite(values).all():
-        raise InputError(
-            f"an animation sampler for {path} needs {count} finite outputs of {components} "
-            f"components, found {values.shape[0]} of {values.shape[1]}",
-            place,
-        )
-    return values[:, [3, 0, 1, 2]] if path == "rotation" else values
+def _fault(values: Float64Array, count: int, components: int, path: str) -> str | None:
+    """Return why the outputs of a sampler cannot be those of so many keys; None if they can.
+
+    The file stores morph weights as scalars, key by key.
+    """
+    if path == MORPH_WEIGHTS:
+        shape, needed = (count * components, 1), counted(count * components, "scalar")
+        path = f"the weights of {counted(components, 'morph target')}"
+        each = "a morph weight"
+    else:
+        shape, needed = (count, components), f"{counted(count, 'output')} of {components} components"
+        each = f"a {path}"
+    if values.shape != shape:
+        found = f"{len(values):,} of {counted(values.shape[1], 'component')}"
+        return f"its sampler for {path} needs {needed}, found {found}"
+    return None if np.isfinite(values).all() else f"{each} of its keys is not a finite number"
 
 
-def _key_weights(values: Float64Array, count: int, components: int, path: str, place: Place) -> Float64Array:
-    """Return the morph weights of a sampler (count, C); the file stores them as scalars, key by key."""
-    if values.shape != (count * components, 1) or not np.isfinite(values).all():
-        targets = f"{components} morph target{'s' if components > 1 else ''}"
-        raise InputError(
-            f"an animation sampler for {path} of {targets} needs {count * components} "
-            f"finite scalars, found {values.shape[0]} of {values.shape[1]} components",
-            place,
-        )
-    return values.reshape(count, components)
+def _called(document: Document, node: int) -> str:
+    """Return the name of a node, or its number if it has none."""
+    name = document.objects("nodes")[node].get("name")
+    return f'node "{name}"' if isinstance(name, str) and name else f"node {node}"
