@@ -17,7 +17,7 @@ import pytest
 
 from skinbake import containment
 from skinbake.commands.strip import strip_file
-from skinbake.errors import OutputError
+from skinbake.errors import InputError, OutputError
 from skinbake.gltf import replacing
 from skinbake.gltf.document import read_document
 from skinbake.gltf.output import plan_output
@@ -361,3 +361,24 @@ class TestOrder:
         planned = plan_output(read_document(str(source)), str(target))
         assert {path.name for path in planned.files} == {"model.gltf", SHARED_BIN, "a.png"}
         assert tree(target.parent.parent) == before
+
+
+@pytest.mark.parametrize(
+    ("extras", "pointer"),
+    [
+        ('{"far": 1E400}', "/extras/far"),
+        ('{"a/b": [0, {"c~d": -1E999}], "later": 1E400}', "/extras/a~1b/1/c~0d"),
+        ("[[], {}, [1.5, 1E400]]", "/extras/2/1"),
+        (f"{'[' * 4000}1E400{']' * 4000}", "/extras" + "/0" * 4000),
+    ],
+)
+def test_a_number_past_all_floats_is_named(extras: str, pointer: str, tmp_path: Path) -> None:
+    path = copied(SHARED, tmp_path)
+    text = path.read_text(encoding="utf-8").rstrip().removesuffix("}")
+    path.write_text(f'{text}, "extras": {extras}}}', encoding="utf-8")
+    with pytest.raises(InputError) as raised:
+        bake_file(str(path), str(tmp_path / "out.gltf"))
+    assert raised.value.message == (
+        f"its JSON cannot be written back: {pointer} is a number too large for any float"
+    )
+    assert not (tmp_path / "out.gltf").exists()

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import gc
 import json
+import math
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -123,6 +124,26 @@ def written(value: Any, *, indent: str | None, ascii_only: bool) -> str:
         return json.dumps(value, indent=indent, separators=separators, **options)
     except RecursionError:
         return "".join(_pieces(value, json.JSONEncoder(**options)))
+
+
+def not_finite(value: Any) -> Iterator[str]:
+    """Yield the JSON pointer (RFC 6901) of each number in a value that is not finite, in order.
+
+    The parser makes infinity of 1E400.
+    """
+    left: list[Iterator[tuple[Any, Any]]] = [iter([("", value)])]  # entries to come
+    keys: list[Any] = []  # those of the arrays and objects that are open
+    while left:
+        for key, entry in left[-1]:
+            if isinstance(entry, dict | list):
+                keys.append(key)
+                left.append(iter(entry.items() if isinstance(entry, dict) else enumerate(entry)))
+                break
+            if isinstance(entry, float) and not math.isfinite(entry):
+                yield "/".join(str(one).replace("~", "~0").replace("/", "~1") for one in (*keys, key))
+        else:
+            left.pop()
+            del keys[-1:]
 
 
 def _pieces(value: Any, encoder: json.JSONEncoder) -> Iterator[str]:

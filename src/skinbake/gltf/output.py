@@ -173,8 +173,10 @@ def _json_bytes(document: Document) -> bytes:
             return _ended(json_text.written(root, indent=indent, ascii_only=False)).encode("utf-8")
         except UnicodeEncodeError:
             return _ended(json_text.written(root, indent=indent, ascii_only=True)).encode("ascii")
-    except ValueError as error:  # numbers past a double's range
-        raise InputError(f"its JSON cannot be written back: {error}", document.place) from error
+    except ValueError as error:
+        where = next(json_text.not_finite(root))
+        message = f"its JSON cannot be written back: {where} is a number too large for any float"
+        raise InputError(message, document.place) from error
 
 
 def _ended(text: str) -> str:
