@@ -318,3 +318,22 @@ class TestInspect:
 
         path = edited("seam.glb", tmp_path, add)
         assert "_MAT3 MAT3 FLOAT" in invoke("inspect", path).stdout
+
+
+@pytest.mark.parametrize(
+    ("rows", "told"),
+    [
+        (slice(None), "20 vertices have a NORMAL without a direction: taken as (0, 0, 1); remove NORMAL and "
+         "bake with --generate-normals"),
+        (slice(1), "1 vertex has a NORMAL without a direction: taken as (0, 0, 1)"),
+        (slice(1, None), "19 vertices have a NORMAL without a direction: taken as (0, 0, 1)"),
+    ],
+)  # fmt: skip
+def test_normals_without_any_direction_are_better_made_anew(rows: slice, told: str, tmp_path: Path) -> None:
+    normals = np.tile(np.array([0, 0, 1], np.float32), (20, 1))
+    normals[rows] = 0
+    path = write_model(tmp_path / "sheet.glb", [sheet(NORMAL=normals)])
+    lines = invoke("bake", path, "--dry-run").stderr.splitlines()
+    assert [line for line in lines if "without a direction" in line] == [
+        f'warning: {path}: mesh 0 "sheet", primitive 0: {told}'
+    ]

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fixtures import make_fixtures
 from skinbake.choices import FrameChoice
 from skinbake.commands.inspect import inspect_file
 from skinbake.commands.strip import strip_file
@@ -20,7 +21,7 @@ from tests.support.compressed import draco_twin, meshopt_twin
 from tests.support.corpus import model
 from tests.support.gltf_reading import GltfFile, read
 from tests.support.khronos import new_findings, validate
-from tests.support.models import FOLDER, bake, note, rewritten
+from tests.support.models import FOLDER, Part, bake, note, rewritten, write_model
 
 SOURCE = FOLDER / "mirrored_tangent.glb"
 VERTEX = 70
@@ -161,3 +162,77 @@ def test_a_character_is_lit_as_if_its_tangent_were_sound(degrees: float, tmp_pat
         assert verdict.passed
         means.append((verdict.normals or {})["lbs"]["accurate"].mean)
     assert means[1] == pytest.approx(means[0], abs=1e-6)
+
+
+def handed(source: Path, target: Path, values: dict[int, float]) -> Path:
+    """Copy a GLB with other w of TANGENT at some vertices of its first primitive."""
+    tangents = tangents_of(read(source))
+    change = {vertex: np.array([*tangents[vertex, :3], w]) for vertex, w in values.items()}
+    return with_tangents(source, target, change)
+
+
+@pytest.mark.parametrize("w", [0.0, 0.5, -2.0, np.nan])
+def test_a_handedness_that_is_none_is_told_as_that(w: float, tmp_path: Path) -> None:
+    path = handed(SOURCE, tmp_path / "odd.glb", {VERTEX: w})
+    ((count, message),) = straightening(bake(path, tmp_path / "baked.glb"))
+    assert (count, message) == (
+        1,
+        f"at vertex {VERTEX} w of TANGENT is neither 1 nor −1: the output has w = 1 there, and strip "
+        "restores the former; --frame normal leaves it",
+    )
+
+
+def test_tangents_that_lean_and_those_without_a_handedness_are_counted_apart(tmp_path: Path) -> None:
+    path = large(tmp_path / "large.glb")
+    path = leaning(path, tmp_path / "skewed.glb", 10.0, [3, 8])
+    path = handed(path, tmp_path / "both.glb", {5: 0.0, 11: 0.0, 8: 0.0})
+    ((count, message),) = straightening(bake(path, tmp_path / "baked.glb"))
+    assert (count, message) == (
+        4,
+        "at vertex 3 TANGENT is not orthogonal to NORMAL (10° off), and at 3 vertices, first at vertex 5, w "
+        "of TANGENT is neither 1 nor −1: the output has an orthogonal one with w = 1 or −1 there, and strip "
+        "restores the former; --frame normal leaves it",
+    )
+
+
+def large(path: Path) -> Path:
+    """Write a flat sheet of 900 vertices with tangents along x."""
+    x, y, triangles = make_fixtures.grid(np.linspace(-1, 1, 30), np.linspace(-1, 1, 30))
+    joints, weights = make_fixtures.influences(make_fixtures.sheet_weights(x, y, 2))
+    attributes: dict[str, np.ndarray] = {
+        "POSITION": np.stack([x, y, 0 * x], axis=1).astype(np.float32),
+        "NORMAL": np.tile(np.array([0, 0, 1], np.float32), (len(x), 1)),
+        "TANGENT": np.tile(np.array([1, 0, 0, 1], np.float32), (len(x), 1)),
+        "JOINTS_0": joints.astype(np.uint8),
+        "WEIGHTS_0": weights.astype(np.float32),
+    }
+    return write_model(path, [Part(attributes, triangles)])
+
+
+@pytest.mark.parametrize(
+    ("unhanded", "leans", "words"),
+    [
+        (20, 0, "at 20 vertices w of TANGENT is neither 1 nor −1: the frame is taken from NORMAL instead"),
+        (
+            20,
+            3,
+            "at 23 vertices TANGENT × bitangent leans more than 0.1° from NORMAL (up to 180°; at 20 of them "
+            "because w of TANGENT is neither 1 nor −1): the frame is taken from NORMAL instead",
+        ),
+        (
+            0,
+            20,
+            "at 20 vertices TANGENT × bitangent leans more than 0.1° from NORMAL (up to 10°): the frame is "
+            "taken from NORMAL instead",
+        ),
+    ],
+)
+def test_many_tangents_without_a_handedness_are_told_apart_too(
+    unhanded: int, leans: int, words: str, tmp_path: Path
+) -> None:
+    path = leaning(large(tmp_path / "large.glb"), tmp_path / "skewed.glb", 10.0, list(range(leans)))
+    path = handed(path, tmp_path / "both.glb", dict.fromkeys(range(leans, leans + unhanded), 0.0))
+    result = bake(path, tmp_path / "baked.glb")
+    assert [(one.message, one.count) for one in result.notices if one.code == "tangents-skewed"] == [
+        (words, unhanded + leans)
+    ]

@@ -20,10 +20,14 @@ BoolArray: TypeAlias = npt.NDArray[np.bool_]
 
 @dataclass(frozen=True, slots=True)
 class Straightened:
-    """The vertices whose tangents were straightened, and the largest lean of any before that, in degrees."""
+    """The vertices whose tangents were straightened, and the largest lean of any before that, in degrees.
+
+    unhanded are those of them whose w was neither 1 nor −1. They do not count for the lean.
+    """
 
     vertices: tuple[int, ...]
     lean: float
+    unhanded: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

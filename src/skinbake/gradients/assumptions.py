@@ -43,6 +43,7 @@ def assumptions(
     count = len(primitive.positions)
     coarse = 0 if fitted or findings.adopting_vertices <= COARSE * count else findings.adopting_vertices
     consequence = "used all the same, as asked" if forced else "the frame is taken from NORMAL instead"
+    all_zero = findings.zero_normals == count
     table = [
         ("weights-negative", weights.negative, "{vertices} {have} negative weights: taken as 0"),
         (
@@ -63,8 +64,7 @@ def assumptions(
         (
             "tangents-skewed",
             findings.bad_tangents,
-            f"at {{vertices}} TANGENT × bitangent leans more than {TANGENT_TOLERANCE}° from NORMAL "
-            f"(up to {findings.tangent_deviation:.3g}°): {consequence}",
+            f"at {{vertices}} {_skewed(findings)}: {consequence}",
         ),
         (
             "lighting-doubtful",
@@ -75,7 +75,8 @@ def assumptions(
         (
             "normals-zero",
             findings.zero_normals,
-            "{vertices} {have} a NORMAL without a direction: taken as (0, 0, 1)",
+            "{vertices} {have} a NORMAL without a direction: taken as (0, 0, 1)"
+            + ("; remove NORMAL and bake with --generate-normals" if all_zero else ""),
         ),
     ]
     sums = weight_sum_notices(primitive, place) if weights.not_normalised else []
@@ -91,17 +92,46 @@ def _straightened(primitive: SkinnedPrimitive, place: Place) -> list[Notice]:
     found = primitive.straightened
     if found is None or not found.vertices:
         return []
-    count, first = len(found.vertices), found.vertices[0]
-    message = one_or_many(
-        count,
-        f"at vertex {first} TANGENT is not orthogonal to NORMAL ({found.lean:.3g}° off)",
-        f"at {{}} vertices, first at vertex {first}, TANGENT is not orthogonal to NORMAL "
-        f"(up to {found.lean:.3g}° off)",
+    skewed = sorted(set(found.vertices) - set(found.unhanded))
+    parts = []
+    if skewed:
+        parts.append(
+            one_or_many(
+                len(skewed),
+                f"at vertex {skewed[0]} TANGENT is not orthogonal to NORMAL ({found.lean:.3g}° off)",
+                f"at {{}} vertices, first at vertex {skewed[0]}, TANGENT is not orthogonal to NORMAL "
+                f"(up to {found.lean:.3g}° off)",
+            )
+        )
+    if found.unhanded:
+        first = found.unhanded[0]
+        parts.append(
+            one_or_many(
+                len(found.unhanded),
+                f"at vertex {first} w of TANGENT is neither 1 nor −1",
+                f"at {{}} vertices, first at vertex {first}, w of TANGENT is neither 1 nor −1",
+            )
+        )
+    sound = "an orthogonal one" if skewed else "w = 1"
+    if len(parts) > 1:
+        sound += " with w = 1 or −1"
+    message = (
+        f"{', and '.join(parts)}: the output has {sound} there, and strip restores the former; "
+        "--frame normal leaves it"
     )
-    message += (
-        ": the output has an orthogonal one there, and strip restores the former; --frame normal leaves it"
+    return [Notice("tangents-straightened", message, place, len(found.vertices))]
+
+
+def _skewed(findings: BakeFindings) -> str:
+    """Return what is wrong with tangents that cannot serve as they are."""
+    handed = "w of TANGENT is neither 1 nor −1"
+    if findings.unhanded == findings.bad_tangents:
+        return handed
+    among = f"; at {findings.unhanded:,} of them because {handed}" if findings.unhanded else ""
+    return (
+        f"TANGENT × bitangent leans more than {TANGENT_TOLERANCE}° from NORMAL "
+        f"(up to {findings.tangent_deviation:.3g}°{among})"
     )
-    return [Notice("tangents-straightened", message, place, count)]
 
 
 def _of_vertices(text: str, count: int) -> str:

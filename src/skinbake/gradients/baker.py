@@ -16,7 +16,7 @@ from skinbake.gradients import kernel
 from skinbake.gradients.field import WeightDefects, WeightField, concatenate_fields
 from skinbake.gradients.influences import weight_field
 from skinbake.gradients.surface import Surface, SurfaceSlots
-from skinbake.gradients.tangents import leaning
+from skinbake.gradients.tangents import leaning, unhanded
 from skinbake.gradients.weld import weld
 from skinbake.timing import stage
 
@@ -36,7 +36,8 @@ class BakeFindings:
     """The findings of baking one primitive, in numbers.
 
     tangent_deviation is the largest angle in degrees between t0 × b0 and n0, 0 without TANGENT. bad_tangents
-    is the number of vertices that exceed TANGENT_TOLERANCE. magnitude is the summed length of the gradients,
+    is the number of vertices that exceed TANGENT_TOLERANCE, unhanded that of those among them at which
+    TANGENT.w is neither 1 nor −1. magnitude is the summed length of the gradients,
     in 1 / length unit. lost is the share of it that no slot holds.
     """
 
@@ -45,6 +46,7 @@ class BakeFindings:
     zero_normals: int
     tangent_deviation: float
     bad_tangents: int
+    unhanded: int
     adopting_vertices: int
     overflowing_vertices: int
     magnitude: float
@@ -80,6 +82,7 @@ def bake_mesh(
             zero_normals=frames.without_direction(primitive.normals),
             tangent_deviation=choice.deviation,
             bad_tangents=choice.deviating,
+            unhanded=choice.unhanded,
             adopting_vertices=int(adopting),
             overflowing_vertices=int(overflowing),
             magnitude=magnitude,
@@ -189,6 +192,7 @@ class ChosenFrame:
     kind: str
     deviation: float = 0.0
     deviating: int = 0
+    unhanded: int = 0
 
 
 def chosen_frame(primitive: SkinnedPrimitive, choice: str) -> ChosenFrame:
@@ -202,7 +206,8 @@ def chosen_frame(primitive: SkinnedPrimitive, choice: str) -> ChosenFrame:
         return ChosenFrame(Frame.TANGENT, primitive.straightened.lean)
     deviation, vertices = leaning(primitive, primitive.tangents)
     fits = choice == Frame.TANGENT or not vertices
-    return ChosenFrame(Frame.TANGENT if fits else Frame.NORMAL, deviation, len(vertices))
+    wrong = len(unhanded(primitive.tangents, vertices))
+    return ChosenFrame(Frame.TANGENT if fits else Frame.NORMAL, deviation, len(vertices), wrong)
 
 
 def frame_vectors(primitive: SkinnedPrimitive, choice: ChosenFrame) -> tuple[FloatArray, FloatArray]:

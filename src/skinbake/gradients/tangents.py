@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -50,5 +51,17 @@ def with_straight_tangents(primitive: SkinnedPrimitive) -> SkinnedPrimitive:
         return replace(primitive, straightened=Straightened((), lean))
     tangents = primitive.tangents.copy()
     normals = frames.unit_normals(primitive.normals[vertices])
+    angles = frames.tangent_deviation(normals, tangents[vertices])
     tangents[vertices] = frames.straightened(normals, tangents[vertices])
-    return replace(primitive, tangents=tangents, straightened=Straightened(tuple(vertices), lean))
+    wrong = unhanded(primitive.tangents, vertices)
+    lean = float(angles[~np.isin(vertices, wrong)].max(initial=0.0))
+    found = Straightened(tuple(vertices), lean, tuple(wrong))
+    return replace(primitive, tangents=tangents, straightened=found)
+
+
+def unhanded(tangents: FloatArray, vertices: Sequence[int]) -> list[int]:
+    """Return those of some vertices at which TANGENT.w is neither 1 nor −1."""
+    rows = np.asarray(vertices, dtype=np.int64)
+    with np.errstate(invalid="ignore"):  # a signalling NaN
+        found: list[int] = rows[np.abs(tangents[rows, 3]) != 1.0].tolist()
+    return found
