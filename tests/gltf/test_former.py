@@ -62,7 +62,24 @@ def test_a_note_that_names_the_adopted_accessors_themselves_is_not_believed(tmp_
 
     path = edited("foreign_joints.glb", tmp_path, change)
     result = strip_file(str(path), str(tmp_path / "stripped.glb"))
+    (told,) = (notice.message for notice in result.notices if notice.code == "adopted-kept")
+    assert told.endswith("A bake takes them for the file's own: bake from the source instead")
+
+
+def test_a_bake_takes_adopted_joints_that_stay_for_the_file_s_own(tmp_path: Path) -> None:
+    """That is what its notice says: a strip of the next bake brings them back."""
+    first = tmp_path / "first.glb"
+    bake_file(str(FOLDER / "foreign_joints.glb"), str(first))
+    model = read(first)
+    del model.primitive(0)["extras"]["skinbake"]["formerDigest"]
+    result = bake_file(str(rewritten(model, tmp_path / "cut.glb")), str(tmp_path / "again.glb"))
     assert "adopted-kept" in [notice.code for notice in result.notices]
+    assert strip_file(str(tmp_path / "again.glb"), str(tmp_path / "back.glb")).notices == ()
+    source, back = (
+        np.count_nonzero(read(path).stored_attribute("WEIGHTS_0"))
+        for path in (FOLDER / "foreign_joints.glb", tmp_path / "back.glb")
+    )
+    assert back > source
 
 
 def test_indices_written_as_floats_change_nothing(tmp_path: Path) -> None:

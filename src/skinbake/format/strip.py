@@ -117,7 +117,8 @@ def _restored(
         return written, [*notices, Notice("limited-kept", message, place)]
     message = (
         "another tool has removed or edited the influences from before the bake: joints that bake "
-        "adopted stay, with weights too small to see"
+        "adopted stay, with weights too small to see. A bake takes them for the file's own: bake from the "
+        "source instead"
     )
     return written, [*notices, Notice("adopted-kept", message, place)]
 
