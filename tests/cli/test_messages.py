@@ -16,7 +16,7 @@ from fixtures.builder import JsonObject
 from skinbake.cli.terminal import with_colours
 from skinbake.errors import Place
 from skinbake.report.bake import BakedCounts, FileResult, closing_line, detail_lines, short_line
-from tests.support.command_line import invoke, run
+from tests.support.command_line import document, invoke, run
 from tests.support.models import FIXTURES, FOLDER, bake, edited, sheet, write_model
 
 SEAM = FOLDER / "seam.glb"
@@ -36,8 +36,8 @@ def test_warnings_name_file_mesh_and_primitive_and_are_aggregated(warned: Path) 
         f'warning: {warned}: mesh 0 "sheet", primitive 0: skipped: it has no NORMAL; '
         "--generate-normals adds smooth ones",
         f'warning: {warned}: mesh 0 "sheet", primitive 1: the weights of 20 vertices do not sum to 1 (0.5): '
-        "in a shader the correction of the normals is 100 % too strong there; normalise the weights, and "
-        "bake again",
+        "in a shader the correction of the normals is 100 % too strong there; normalise the weights "
+        "before the bake",
     ]
 
 
@@ -337,3 +337,52 @@ def test_normals_without_any_direction_are_better_made_anew(rows: slice, told: s
     assert [line for line in lines if "without a direction" in line] == [
         f'warning: {path}: mesh 0 "sheet", primitive 0: {told}'
     ]
+
+
+@pytest.mark.parametrize(
+    ("sets", "told"),
+    [
+        (["JOINTS_2", "WEIGHTS_2"], "it has JOINTS_2 and no JOINTS_1: sets after the gap are not read"),
+        (
+            ["JOINTS_10", "WEIGHTS_10", "WEIGHTS_3", "JOINTS_3"],
+            "it has JOINTS_3 and no JOINTS_1: sets after the gap are not read",
+        ),
+        (["WEIGHTS_1"], "it has WEIGHTS_1 and no JOINTS_1: sets after the gap are not read"),
+        (["JOINTS_1", "WEIGHTS_1"], None),
+        (["_JOINTS_2", "JOINTS_02", "JOINTS_x"], None),
+    ],
+)
+@pytest.mark.parametrize("command", [("bake", "--dry-run"), ("inspect",), ("verify",)])
+def test_influence_sets_after_a_gap_are_told(
+    command: tuple[str, ...], sets: list[str], told: str | None, tmp_path: Path
+) -> None:
+    def add(content: JsonObject) -> None:
+        attributes = content["meshes"][0]["primitives"][0]["attributes"]
+        attributes.update({name: attributes[f"{name.strip('_').partition('_')[0]}_0"] for name in sets})
+
+    path = edited("seam.glb", tmp_path, add)
+    found = document(invoke(*command, path, "--json"))
+    warnings = (found["files"][0] if "files" in found else found)["warnings"]
+    messages = [one["message"] for one in warnings if one["code"] == "sets-after-gap"]
+    assert messages == ([] if told is None else [told])
+
+
+@pytest.mark.parametrize("target", ["page.html", "picture.png"])
+def test_what_cannot_be_shown_is_told_in_one_sentence(target: str, tmp_path: Path) -> None:
+    def lose(content: JsonObject) -> None:
+        del content["meshes"][0]["primitives"][0]["attributes"]["POSITION"]
+
+    path = edited("seam.glb", tmp_path, lose)
+    command = "view" if target.endswith(".html") else "render"
+    result = invoke(command, path, "-o", tmp_path / target)
+    assert result.exit_code == 3
+    assert result.stderr.strip() == f"error: {path}: nothing in it can be shown: it has no POSITION"
+
+
+def test_json_on_stdin_is_told_from_a_file_of_json() -> None:
+    data = b'{"asset": {"version": "2.0"}}'
+    process = run("bake", "-", "-o", "-", stdin=data)
+    assert process.returncode == 3
+    assert process.stderr.decode().splitlines()[0] == (
+        "error: <stdin>: this is JSON text, not a GLB: - takes a GLB only; give a .gltf file by its name"
+    )

@@ -19,6 +19,7 @@ from skinbake.format.strip import stripped
 from skinbake.gltf.codecs.recode import Compression, recoded
 from skinbake.gltf.container import for_target
 from skinbake.gltf.document import STDIO, Document, read_document
+from skinbake.gltf.glb import STDIN
 from skinbake.gltf.images import images_missing, images_unplaced, texture_image
 from skinbake.gltf.json_access import JsonObject
 from skinbake.gltf.output import plan_output, refuse_own_input
@@ -36,6 +37,9 @@ from skinbake.view.texts import INFLUENCES
 PNG, JPEG, WEBP = b"\x89PNG", b"\xff\xd8\xff", b"RIFF"
 IMAGES = {PNG: "image/png", JPEG: "image/jpeg", WEBP: "image/webp"}
 
+
+SKIPPED = "skipped: "
+"""The beginning of the notices that say why a primitive is left out."""
 
 OF_STORAGE = {"draco-sequential"}
 """The notices of a bake that speak only of the bytes of its output."""
@@ -89,7 +93,7 @@ def page_of(
         missing += [notice for view in views for notice in unplaced(document, view, "page")]
         missing += _not_drawn(document, views)
         told = [*notes, *map(_sentence, (*missing, *verdict.notices))]
-        name = "stdin" if document.place.file == "<stdin>" else PurePath(document.name).name
+        name = "stdin" if document.place.file == STDIN else PurePath(document.name).name
         findings = {**_findings(verdict), "notes": told, "limits": limits}
         return page(Shown(name=name, glb=glb, others=others, findings=findings)), missing
 
@@ -127,7 +131,8 @@ def baked_in_memory(document: Document) -> tuple[Document, tuple[Notice, ...]]:
     plain, _, _ = stripped(document)
     made = Baker(generate_normals=True).bake_document(plain)
     if not made.primitives:
-        reasons = "; ".join(notice.message for notice in made.notices)
+        skipped = (notice for notice in made.notices if notice.message.startswith(SKIPPED))
+        reasons = "; ".join(notice.message.removeprefix(SKIPPED) for notice in skipped)
         raise InputError(f"nothing in it can be shown: {reasons or why_nothing(document)}", document.place)
     notices = [notice for notice in made.notices if notice.code not in OF_STORAGE]
     return made.document, (*_generated(document), *notices)

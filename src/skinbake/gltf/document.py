@@ -20,7 +20,7 @@ from skinbake.containment import BESIDE, NOWHERE, Bounds, OutsideError, RefusedE
 from skinbake.errors import InputError, Place, UnsupportedFeatureError
 from skinbake.gltf import json_access, json_text, resources
 from skinbake.gltf.budget import Budget
-from skinbake.gltf.glb import Bytes, GlbChunks, split_glb
+from skinbake.gltf.glb import STDIN, Bytes, GlbChunks, split_glb
 from skinbake.gltf.other_kinds import refuse_other_kind
 from skinbake.wording import counted, meant_file, one_or_many
 
@@ -151,7 +151,7 @@ def read_document(path: str, bounds: Bounds = BESIDE) -> Document:
 
 def _parsed(path: str, bounds: Bounds) -> Document:
     if path == STDIO:
-        return parse_glb(_read_stdin(), "<stdin>", Path(), bounds._replace(root=NOWHERE))
+        return parse_glb(_read_stdin(), STDIN, Path(), bounds._replace(root=NOWHERE))
     file = Path(path)
     suffix = file.suffix.lower()
     if suffix != GLTF_SUFFIX and suffix not in GLB_SUFFIXES:
@@ -209,7 +209,7 @@ def _read_stdin() -> bytes:
         return sys.stdin.buffer.read()
     except (AttributeError, OSError) as error:  # AttributeError: stdin is closed
         raise InputError(
-            f"cannot be read: {getattr(error, 'strerror', None) or 'it is closed'}", Place("<stdin>")
+            f"cannot be read: {getattr(error, 'strerror', None) or 'it is closed'}", Place(STDIN)
         ) from error
 
 

@@ -19,6 +19,9 @@ HEADER = struct.Struct("<4sII")
 CHUNK_HEADER = struct.Struct("<II")
 MAX_LENGTH = 2**32 - 1
 
+STDIN = "<stdin>"
+"""The name of a document from standard input."""
+
 
 class GlbChunks(NamedTuple):
     """The chunks of one GLB, in file order; ``binary`` is None without a BIN chunk.
@@ -47,7 +50,7 @@ def split_glb(data: Bytes, place: Place) -> GlbChunks:
         )
     magic, version, length = HEADER.unpack_from(view)
     if magic != MAGIC:
-        raise InputError(_not_glb(bytes(view[:32])), place)
+        raise InputError(_not_glb(bytes(view[:32]), place), place)
     if version != 2:
         raise UnsupportedFeatureError(f"GLB container version {version}; only version 2 is supported", place)
     if length > len(view):
@@ -58,10 +61,11 @@ def split_glb(data: Bytes, place: Place) -> GlbChunks:
     return GlbChunks(json_chunk, binary, others, view[length:])
 
 
-def _not_glb(head: bytes) -> str:
+def _not_glb(head: bytes, place: Place) -> str:
     """Return the reason why a file is no GLB, from its first bytes."""
     if head.removeprefix(b"\xef\xbb\xbf").lstrip().startswith(b"{"):
-        return "this is JSON text, not a GLB: name it .gltf instead"
+        piped = "- takes a GLB only; give a .gltf file by its name"
+        return f"this is JSON text, not a GLB: {piped if place.file == STDIN else 'name it .gltf instead'}"
     return "not a GLB: it does not begin with 'glTF'"
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import cast
@@ -41,6 +42,9 @@ EXPECTED = {
     "JOINTS": "joints must be unsigned bytes or shorts",
 }
 
+
+SET = re.compile(r"(?:JOINTS|WEIGHTS)_(0|[1-9]\d{0,8})", re.ASCII)
+"""The name of an attribute that holds influences."""
 
 MOST_SETS = 64
 """The most influence sets of a primitive: each slot of a vertex is compared with all others of it."""
@@ -96,6 +100,7 @@ def skinned_sources(document: Document) -> tuple[list[PrimitiveSource], list[Not
         has_joints = "JOINTS_0" in source.attributes
         if source.mesh in joint_counts and has_joints:
             sources.append(source)
+            notices += _sets_after_gap(source)
         elif has_joints:
             notices.append(
                 Notice("no-skin", "skipped: it has joints, but no node gives its mesh a skin", source.place)
@@ -107,6 +112,17 @@ def skinned_sources(document: Document) -> tuple[list[PrimitiveSource], list[Not
     counts = [_whole(element.get("count")) or 0 for element in document.objects("accessors")]
     document.budget.check_elements(sum(_element_count(one, counts) for one in sources), document.place)
     return sources, notices
+
+
+def _sets_after_gap(source: PrimitiveSource) -> list[Notice]:
+    """Return a notice if a primitive has influences that are not read: a set before them is missing."""
+    read = source.influence_sets
+    found = (SET.fullmatch(name) for name in source.attributes)
+    unread = sorted((int(one[1]), one[0]) for one in found if one is not None and int(one[1]) >= read)
+    if not unread:
+        return []
+    message = f"it has {unread[0][1]} and no JOINTS_{read}: sets after the gap are not read"
+    return [Notice("sets-after-gap", message, source.place)]
 
 
 def why_nothing(document: Document) -> str:

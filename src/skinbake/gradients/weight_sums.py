@@ -29,7 +29,7 @@ def weight_sum_notices(primitive: SkinnedPrimitive, place: Place) -> list[Notice
     parts += [f"{up_to}{_percent(1.0 - 1.0 / high)} too weak"] if high > 1.0 else []
     message = (
         f"the weights of {vertices} do not sum to 1 ({sums_told}): in a shader the correction of the "
-        f"normals is {' or '.join(parts)} there; normalise the weights, and bake again"
+        f"normals is {' or '.join(parts)} there; normalise the weights before the bake"
     )
     return [Notice("weights-sum", message, place, len(off))]
 
