@@ -11,7 +11,7 @@ import pytest
 import skinbake
 from skinbake.cli import exit_codes
 from tests.support import corpus, khronos
-from tests.support.baked_files import CESIUM_MAN, source, verify
+from tests.support.baked_files import CESIUM_MAN, Editable, source, verify
 from tests.support.command_line import document, invoke
 from tests.support.gltf_reading import read
 from tests.support.models import baked, rewritten, stripped
@@ -119,3 +119,16 @@ def test_it_lights_a_character_better(tmp_path: Path) -> None:
         skinbake.bake(corpus.model(CESIUM_MAN), path, neighbours=kind, gradients="surface")
         found[kind] = skinbake.verify(path, methods=["lbs"])["normals"]["lbs"]["accurate"]["mean"]
     assert found["extend"] < 0.7 * found["adopt"]
+
+
+def test_no_set_is_added_where_it_would_close_a_gap(tmp_path: Path) -> None:
+    """The sets after a gap are not read. A new set before them would make them count."""
+    file = Editable(source(FULL))
+    attributes = file.primitive()["attributes"]
+    for kind in ("JOINTS", "WEIGHTS"):
+        attributes[f"{kind}_3"] = attributes[f"{kind}_1"]
+    gap = file.write(tmp_path / "gap.glb")
+    found = document(invoke("bake", gap, "-o", tmp_path / "out.glb", "--json", "--neighbours", "extend"))
+    counts = found["files"][0]["primitives"][0]
+    assert (counts["extended"], counts["influences"], counts["overflowing_vertices"]) == (None, 8, 6)
+    assert verify(tmp_path / "out.glb").failed == []

@@ -139,7 +139,7 @@ class SurfaceBake:
             extended(
                 one, read_influences(self.document, source, len(one.positions)), found.overflowing_vertices
             )
-            if found.overflowing_vertices
+            if found.overflowing_vertices and not source.unread_sets  # a set more would close the gap
             else None
             for source, one, (_, found) in zip(self.sources, self.primitives, tried, strict=True)
         ]

@@ -78,6 +78,15 @@ class PrimitiveSource:
             count += 1
         return count
 
+    @property
+    def unread_sets(self) -> list[str]:
+        """Return the attributes of influence sets that are not read, because a set before them is missing."""
+        read = self.influence_sets
+        found = (SET.fullmatch(name) for name in self.attributes)
+        return [
+            name for number, name in sorted((int(one[1]), one[0]) for one in found if one) if number >= read
+        ]
+
 
 @dataclass(frozen=True, slots=True)
 class StoredInfluences:
@@ -116,12 +125,10 @@ def skinned_sources(document: Document) -> tuple[list[PrimitiveSource], list[Not
 
 def _sets_after_gap(source: PrimitiveSource) -> list[Notice]:
     """Return a notice if a primitive has influences that are not read: a set before them is missing."""
-    read = source.influence_sets
-    found = (SET.fullmatch(name) for name in source.attributes)
-    unread = sorted((int(one[1]), one[0]) for one in found if one is not None and int(one[1]) >= read)
+    unread = source.unread_sets
     if not unread:
         return []
-    message = f"it has {unread[0][1]} and no JOINTS_{read}: sets after the gap are not read"
+    message = f"it has {unread[0]} and no JOINTS_{source.influence_sets}: sets after the gap are not read"
     return [Notice("sets-after-gap", message, source.place)]
 
 
