@@ -261,3 +261,14 @@ def test_without_its_extra_it_says_what_to_install(tmp_path: Path, monkeypatch: 
     assert result.exit_code == exit_codes.INPUT
     assert "pip install 'skinbake[render]'" in result.stderr
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.slow
+def test_two_halves_have_the_whole_width(tmp_path: Path) -> None:
+    """Of an odd width, a pixel was lost."""
+    NAGA.require()
+    target = tmp_path / "odd.png"
+    result = invoke("render", TUBE, "-o", target, "--size", "301x200", "--split", "--time", "0.4")
+    assert result.exit_code == 0, result.output
+    with Image.open(target) as picture:
+        assert picture.size == (301, 200)

@@ -178,3 +178,58 @@ def test_a_file_that_is_not_baked_has_standard_lighting_only(browsing: browser.P
     take(browsing, TUBE)
     options = browsing.call("(() => [...right.options].map(({ value, disabled }) => [value, disabled]))")
     assert [value for value, disabled in options if not disabled] == ["standard", "truth"]
+
+
+def test_a_file_without_skins_is_shown_at_rest(browsing: browser.Page, tmp_path: Path) -> None:
+    file = Editable(TUBE)
+    for name in ("skins", "animations"):
+        del file.content[name]
+    for node in file.content["nodes"]:
+        node.pop("skin", None)
+    take(browsing, file.write(tmp_path / "still.glb"))
+    assert browsing.call("(() => application.isShown)")
+    assert browsing.call("(() => document.getElementById('message').textContent)") == ""
+    assert browsing.call("(() => application.scene.clips.map(({ name }) => name))") == ["Rest pose"]
+    found = normals(browsing, "standard", clip=0, time=0.0)
+    assert np.isfinite(found).all()
+    assert browsing.messages() == []
+
+
+def test_the_file_that_was_dropped_last_is_shown(browsing: browser.Page, tmp_path: Path) -> None:
+    """The first one takes longer to read."""
+    names = ["slow.glb", "quick.glb"]
+    texts = [base64.b64encode(TUBE.read_bytes()).decode() for _ in names]
+    title = browsing.call(
+        "(async (names, texts) => { "
+        "const bytes = (text) => Uint8Array.from(atob(text), (c) => c.charCodeAt(0)); "
+        "const files = texts.map((text, i) => ({ name: names[i], arrayBuffer: () => new Promise((done) => "
+        "setTimeout(() => done(bytes(text).buffer), i ? 0 : 400)) })); "
+        "await Promise.all(files.map((file) => application.take([file]))); return document.title; })",
+        names,
+        texts,
+    )
+    assert title == "quick.glb – skinbake"
+    assert browsing.call("(() => document.getElementById('message').textContent)") == ""
+
+
+def test_the_former_model_comes_back_if_another_one_cannot_be_shown(
+    browsing: browser.Page, tmp_path: Path
+) -> None:
+    take(browsing, baked(TUBE, tmp_path))
+    before = browsing.call("(() => document.title)")
+    browsing.call(
+        "(() => { const { scene } = application; const show = scene.show.bind(scene); "
+        "scene.show = (model) => { scene.show = show; show(model); throw new Error('no memory'); }; })"
+    )
+    take(browsing, copied("seam.glb", tmp_path))
+    assert browsing.call("(() => document.getElementById('message').textContent)") == (
+        "seam.glb cannot be shown: no memory"
+    )
+    assert browsing.call("(() => [application.isShown, document.title])") == [True, before]
+
+
+def test_what_changes_while_it_plays_is_not_read_aloud(browsing: browser.Page) -> None:
+    live = browsing.call(
+        "(() => [...document.querySelectorAll('output')].map((one) => one.getAttribute('aria-live')))"
+    )
+    assert live == ["off"] * len(live) and len(live) == 3

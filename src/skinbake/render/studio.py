@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from tempfile import gettempdir
 from typing import Any
@@ -74,10 +75,15 @@ class Studio:
 
     def picture(self, shot: Shot, sides: Sequence[str], look: Look) -> Picture:
         """Return one picture (H, W, 3). With two lightings, the model is drawn twice, side by side."""
-        part = replace(look, width=look.width // len(sides))
-        found = np.concatenate([self._drawn(shot, lighting, part) for lighting in sides], axis=1)
-        if len(sides) > 1:
-            found[:, part.width - 1 : part.width + 1] = 255
+        edges = [look.width * number // len(sides) for number in range(len(sides) + 1)]
+        widths = [end - start for start, end in pairwise(edges)]
+        parts = [
+            self._drawn(shot, lighting, replace(look, width=width))
+            for lighting, width in zip(sides, widths, strict=True)
+        ]
+        found = np.concatenate(parts, axis=1)
+        for edge in edges[1:-1]:
+            found[:, edge - 1 : edge + 1] = 255
         return found
 
     def _drawn(self, shot: Shot, lighting: str, look: Look) -> Picture:

@@ -51,7 +51,10 @@ class Application {
         byId.right.addEventListener('change', () => this.chooseSides());
         byId.home.addEventListener('click', () => this.goHome());
         byId.worst.addEventListener('click', () => this.focusWorst());
-        byId.open.addEventListener('change', () => this.take([...byId.open.files]));
+        byId.open.addEventListener('change', () => {
+            this.take([...byId.open.files]);
+            byId.open.value = ''; // A file may be baked anew and chosen again.
+        });
         for (const name of Object.keys(KINDS)) byId[name].addEventListener('change', () => this.changed());
         for (const radio of document.querySelectorAll('input[name=mode]')) {
             radio.addEventListener('change', () => this.setMode(radio.value));
@@ -99,14 +102,20 @@ class Application {
     }
 
     // Show a file that was dropped or chosen, with the files beside it.
+    // If another one is taken before it is read, that one is shown. If it cannot be shown, the former one is.
     async take(files) {
         const main = files.find(({ name }) => /\.(glb|gltf|vrm)$/i.test(name));
         if (!main) return this.tell('Expected a .glb, .gltf or .vrm file.');
+        const own = (this.taken = {});
+        const { former } = this;
         try {
             const model = await readModel(new Uint8Array(await main.arrayBuffer()), main.name, new Map(files.map((file) => [file.name, file])));
+            if (this.taken !== own) return;
             await this.show(model, { name: main.name });
-            this.tell('');
+            if (this.taken === own) this.tell('');
         } catch (error) {
+            if (this.taken !== own) return;
+            if (!this.isShown && former) await this.show(...former);
             this.tell(`${main.name} cannot be shown: ${error.message}`);
         }
     }
@@ -121,6 +130,7 @@ class Application {
         this.stopMeasuring();
         this.isShown = false;
         this.given = given;
+        const own = (this.showing = {});
         const loading = this.scene.show(model);
         loading.then(() => this.changed());
         byId.name.textContent = given.name;
@@ -139,8 +149,11 @@ class Application {
         this.camera.frame(middle, radius);
         this.choose(this.scene.clips[0]);
         await Promise.race([loading, pause(PATIENCE)]);
+        if (this.showing !== own) return;
         this.draw();
         await this.renderer.finished(); // All else begins when the model is seen.
+        if (this.showing !== own) return;
+        this.former = [model, given];
         this.isShown = true;
         this.firstFrame = performance.now();
         this.measure(this.clip);

@@ -5,6 +5,7 @@ import { poseAt, randomClip, rigidMotions } from './poses.js';
 import { LIGHTINGS } from './renderer.js';
 import { joined, skinned, Surface } from './truth.js';
 
+const STILL = { name: 'Rest pose', start: 0, end: 0, channels: [] }; // Of a file in which nothing moves.
 const BOUNDING = 20_000; // Vertices that place the camera.
 
 export class Scene {
@@ -18,14 +19,14 @@ export class Scene {
         const rest = poseAt(model, { channels: [] }, 0);
         const moving = movingNodes(model);
         const clips = model.clips.filter((clip) => clip.channels.some(({ node, path }) => path === 'weights' || moving.has(node)));
-        const clip = clips[0] ?? randomClip(model);
+        const clip = clips[0] ?? (model.skins.length ? randomClip(model) : STILL);
         const middle = poseAt(model, clip, (clip.start + clip.end) / 2);
         const isMirrored = [rest, middle].some((pose) => pose.skins.flat().some((matrix) => determinant(matrix) < 0));
         const loading = this.renderer.setModel(model, isMirrored);
         Object.assign(this, { model, surfaces: undefined, known: new Map(), morphed: new Map() });
         this.parts = this.renderer.parts;
         this.usedJoints = model.skins.map((_, skin) => usedJoints(this.parts.filter((part) => part.skin === skin)));
-        this.clips = model.skins.length ? [...clips, randomClip(model)] : clips;
+        this.clips = model.skins.length ? [...clips, randomClip(model)] : clips.length ? clips : [STILL];
         this.pose(clip, clip.start);
         return loading;
     }
