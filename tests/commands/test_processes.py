@@ -23,6 +23,7 @@ from tests.commands.works import (
     Deadly,
     DeadlyOnce,
     Deaf,
+    Echoing,
     Hungry,
     Raising,
     Slow,
@@ -208,6 +209,18 @@ def test_with_a_limit_of_memory_each_job_has_a_process_of_its_own() -> None:
     crashed = limited(Crashing(), range(5), Limits(memory=1 << 30))
     assert [number for number, result in crashed.items() if result[0] == "lost"] == [3]
     assert "SIGSEGV" in crashed[3][2]
+
+
+def test_large_jobs_and_results_do_not_wait_for_each_other() -> None:
+    """The parent sent a quick worker more than a pipe holds, while the worker sent back as much."""
+    jobs = [b"a", b"b", *(bytes(500_000) for _ in range(3)), b"c"]
+    with closing(Processes(1, limits=Limits(seconds=60.0)).run(Echoing(), jobs)) as results:
+        signal.alarm(60)
+        try:
+            found = dict(results)
+        finally:
+            signal.alarm(0)
+    assert found == dict(enumerate(jobs))
 
 
 def test_large_jobs_begin_first_and_all_are_done_once() -> None:

@@ -28,6 +28,16 @@ class Work:
 
 
 @dataclass(frozen=True)
+class Echoing(Work):
+    """Returns the job itself; a large one after a while."""
+
+    def __call__(self, job: Any) -> Any:
+        if len(job) > 1000:
+            time.sleep(0.3)
+        return job
+
+
+@dataclass(frozen=True)
 class Deadly(Work):
     """Dies of the signal on the jobs that are in ``on``, after a while.
 

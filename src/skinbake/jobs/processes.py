@@ -39,6 +39,13 @@ WINDOW = 4096
 QUICK = 0.05
 """Seconds: a worker that needs less time for a job is sent the next job before it asks."""
 
+AHEAD_BYTES = 1 << 14
+"""The largest job that is sent ahead. A pipe holds some more.
+
+While a worker sends a large result, it reads nothing. To send it more than the pipe holds would take for
+ever.
+"""
+
 TOLD_AFTER, TOLD_EVERY = 0.5, 0.25
 """The seconds after which a worker first tells of a file, and between two words of it."""
 
@@ -217,7 +224,8 @@ class _Pool(Generic[JobT, ReturnT]):
             self._workers.append(_started(self._context, self._work, self._limits))
         if self._suspects:  # tried again alone
             if not any(worker.sent for worker in self._workers):
-                self._send(self._workers[0], self._suspects.popleft())
+                suspect = self._suspects.popleft()
+                self._send(self._workers[0], suspect, self._packed(suspect))
             return
         if any(self._deaths.get(number) for worker in self._workers for number in worker.sent):
             return
@@ -227,7 +235,11 @@ class _Pool(Generic[JobT, ReturnT]):
                     number = self._next_number()
                     if number is None:
                         return
-                    self._send(worker, number)
+                    job = self._packed(number)
+                    if worker.sent and len(job) > AHEAD_BYTES:
+                        self._back.appendleft(number)
+                        return
+                    self._send(worker, number, job)
 
     def _next_number(self) -> int | None:
         if self._back:
@@ -241,12 +253,16 @@ class _Pool(Generic[JobT, ReturnT]):
         self._next += 1
         return self._next - 1
 
-    def _send(self, worker: _Worker, number: int) -> None:
+    def _packed(self, number: int) -> bytes:
+        """Return a job as it goes to a worker."""
+        return bytes(ForkingPickler.dumps((number, self._jobs[number])))
+
+    def _send(self, worker: _Worker, number: int, job: bytes) -> None:
         if not worker.sent:
             worker.begun = time.monotonic()
         worker.sent.append(number)
         with suppress(OSError):  # the worker has died: its pipe reports that next
-            worker.connection.send((number, self._jobs[number]))
+            worker.connection.send_bytes(job)
 
     def _finished(self, worker: _Worker, number: int, result: ReturnT, seconds: float) -> tuple[int, ReturnT]:
         worker.sent.remove(number)

@@ -7,6 +7,7 @@ limit holds while the stream is decoded.
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -148,8 +149,12 @@ def _memory_limit(size: int) -> Iterator[None]:
     """Make allocations of the block fail past ``size`` bytes; no limit if the system has none.
 
     The code of Draco then throws std::bad_alloc, which arrives as MemoryError. Only Linux reports the memory
-    of a process and enforces the limit.
+    of a process and enforces the limit. It would hold for all threads of the process, so a program with
+    several threads gets none: there the counts of the stream are the only bound.
     """
+    if threading.active_count() > 1:
+        yield
+        return
     try:
         import resource
 
