@@ -179,6 +179,26 @@ def test_other_options_are_another_bake(options: list[str], baking: Baking) -> N
     assert baking()["seam.glb"] == "up-to-date"
 
 
+def test_a_folder_that_may_be_read_too_is_another_bake(tmp_path: Path) -> None:
+    """A picture outside stays a file. The notice names the option that packs it."""
+    folder = tmp_path / "models"
+    path = copied("seam.glb", folder)
+    (tmp_path / "pictures").mkdir()
+    (tmp_path / "pictures" / "red.png").write_bytes(b"\x89PNG\r\n\x1a\n" + bytes(5000))
+    model = read(path)
+    model.content["images"] = [{"uri": "../pictures/red.png"}]
+    path.unlink()
+    rewritten(model, path)
+    baking = Baking(folder, tmp_path / "out")
+    assert baking("--pack") == {"seam.glb": "baked"}
+    assert baking("--pack") == {"seam.glb": "up-to-date"}
+    before = (tmp_path / "out" / "seam.glb").stat().st_size
+    allowed = ("--pack", "--allow-outside", tmp_path / "pictures")
+    assert baking(*allowed) == {"seam.glb": "baked"}
+    assert (tmp_path / "out" / "seam.glb").stat().st_size > before + 4000
+    assert baking(*allowed) == {"seam.glb": "up-to-date"}
+
+
 def test_another_version_is_another_bake(baking: Baking, monkeypatch: pytest.MonkeyPatch) -> None:
     baking()
     monkeypatch.setattr(state, "__version__", "0.1.1")

@@ -103,7 +103,7 @@ class FileWork(Generic[ResultT]):
         from skinbake.jobs import state  # only --skip-unchanged needs it
 
         with stage("state"):
-            if job.known is not None and recipe.still_holds(job.known, job.source, job.target):
+            if job.known is not None and recipe.still_holds(job.known, job.source, job.target, job.within):
                 return command.up_to_date(job)
             before = state.seen(job.source, job.within.bounds)
         result = command.result_of(job, traced=True)
@@ -119,7 +119,7 @@ def _record(
     """Return the record of a file that was just done, or None if anything is in doubt."""
     try:
         found = command.evidence(job, result, before)
-        return None if found is None else recipe.record(job.source, job.target, *found)
+        return None if found is None else recipe.record(job.source, job.target, *found, job.within)
     except (OSError, ValueError):
         return None
 

@@ -19,9 +19,20 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO
 
-from skinbake.containment import BESIDE, Bounds, RefusedError, Spot, flush, open_beneath, open_regular, spots
+from skinbake.containment import (
+    BESIDE,
+    OWN_FOLDERS,
+    Bounds,
+    RefusedError,
+    Spot,
+    Within,
+    flush,
+    open_beneath,
+    open_regular,
+    spots,
+)
 from skinbake.errors import InputError, Notice, OutputError, Place, SkinbakeError
 from skinbake.gltf.beside import named_files
 from skinbake.gltf.digests import DIGITS, digest_of
@@ -59,6 +70,9 @@ DAMAGED = "the first line of this state file is damaged: a new one begins, and e
 
 DIGEST = re.compile(f"[0-9a-f]{{{DIGITS}}}")
 
+HEADING = ("key", "how", "from", "within")
+"""The members of a record that must be those of the present run."""
+
 Digests = dict[str, str | None]
 """The digest of each file by absolute path, or None if there is no file."""
 
@@ -94,8 +108,8 @@ class Seen:
 class Recipe:
     """A command with its options and code, and the folder from which paths in records start.
 
-    ``roots`` are the folders in which inputs were searched. A record may name files below these, and below
-    the folders of its source and target, but no others.
+    ``roots`` are the folders in which inputs were searched. A record may name files below these, below the
+    folders of its source and target, and below those that the user allowed, but no others.
     """
 
     command: str
@@ -111,21 +125,24 @@ class Recipe:
         """Return the key of a file's records: the command, and the file that it makes (verify: reads)."""
         return f"{self.command} {self._relative(_absolute(path))}"
 
-    def still_holds(self, record: bytes, source: str, target: str | None) -> bool:
+    def still_holds(
+        self, record: bytes, source: str, target: str | None, within: Within = OWN_FOLDERS
+    ) -> bool:
         """Tell whether a record describes the files as they are now; False if in doubt.
 
         A record may be forged. Only files of this run are opened. A record that does not mention the source,
-        or the target, is not valid.
+        or the target, is not valid. Neither is one of a run that might read and write in other folders.
         """
         try:
             note = json.loads(record)
-            if (note["key"], note["how"], note["from"]) != self._heading(source, target):
+            if {name: note[name] for name in HEADING} != self._heading(source, target, within):
                 return False
             read, made = dict(note["read"]), dict(note["made"])
             sides = [(read, source)] if target is None else [(read, source), (made, target)]
             if any(DIGEST.fullmatch(side[self._relative(_absolute(path))]) is None for side, path in sides):
                 return False
             roots = [*self.roots, *(os.path.dirname(_absolute(path)) for _, path in sides)]
+            roots += map(os.path.realpath, within.bounds.allowed)
             found = {**made, **read}
             return all(found[path] == digest for path, digest in made.items()) and all(
                 self._is_so(path, digest, roots) for path, digest in found.items()
@@ -139,20 +156,36 @@ class Recipe:
         below = any(whole.startswith(root.rstrip(os.sep) + os.sep) for root in roots)
         return below and _digest(whole) == digest
 
-    def record(self, source: str, target: str | None, read: Digests, made: Digests) -> bytes:
+    def record(
+        self,
+        source: str,
+        target: str | None,
+        read: Digests,
+        made: Digests,
+        within: Within = OWN_FOLDERS,
+    ) -> bytes:
         """Return the record, one line, that the files ``made`` came from the files ``read``."""
-        key, how, origin = self._heading(source, target)
         note = {
-            "key": key,
-            "how": how,
-            "from": origin,
+            **self._heading(source, target, within),
             "read": {self._relative(path): digest for path, digest in read.items()},
             "made": {self._relative(path): digest for path, digest in made.items()},
         }
         return json.dumps(note).encode("ascii") + b"\n"
 
-    def _heading(self, source: str, target: str | None) -> tuple[str, str, str]:
-        return self.key(target or source), self.how, self._relative(_absolute(source))
+    def _heading(self, source: str, target: str | None, within: Within) -> dict[str, Any]:
+        return {
+            "key": self.key(target or source),
+            "how": self.how,
+            "from": self._relative(_absolute(source)),
+            "within": [
+                self._folder(within.bounds.root),
+                sorted(map(self._folder, within.bounds.allowed)),
+                self._folder(within.output),
+            ],
+        }
+
+    def _folder(self, path: str | None) -> str:
+        return "" if path is None else self._relative(_absolute(path))
 
     def _relative(self, path: str) -> str:
         try:
