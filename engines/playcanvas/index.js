@@ -18,12 +18,14 @@ import {
     ADDRESS_CLAMP_TO_EDGE,
     FILTER_NEAREST,
     LitMaterial,
+    Mat4,
     PIXELFORMAT_RGBA32F,
     SHADERLANGUAGE_GLSL,
     SHADERLANGUAGE_WGSL,
     ShaderChunks,
     StandardMaterial,
     Texture,
+    Vec3,
 } from 'playcanvas';
 
 const METHOD = 'lbs';
@@ -35,6 +37,7 @@ const bakes = new WeakMap(); // Mesh -> { problem, values, stride, method, textu
 const watched = new Map(); // Application -> { stop }
 const standard = new WeakSet(); // mesh instances that lighting() has switched
 const problems = new WeakMap(); // material -> why it cannot have the chunks, or empty
+const uneven = new WeakMap(); // mesh instance -> why its joints do not suit dual quaternions, or empty
 const told = new WeakMap(); // mesh instance -> messages
 
 /**
@@ -128,6 +131,7 @@ function found(instance) {
     if (standard.has(instance)) return ['standard', 'lighting() has switched it'];
     const problem = problemOfMaterial(instance.material) || problems.get(instance.material);
     if (problem) return ['standard', problem];
+    if (bake.method === 'dqs' && uneven.get(instance)) return ['standard', uneven.get(instance)];
     const programs = [...instance._shaderCache.values()].map(({ shader }) => shader.definition.vshader ?? '');
     const lit = programs.filter((text) => text.includes('vNormalW'));
     const isLit = instance.getParameter(CONSTANTS) !== undefined;
@@ -164,33 +168,40 @@ function watch(app) {
 
 function lightAll(app, kept) {
     for (const instance of kept.instances) if (!instance.mesh) kept.instances.delete(instance);
-    for (const layer of app.scene.layers.layerList) {
-        for (const instance of layer.meshInstances) if (instance.skinInstance) light(app, kept, instance);
-        for (const instance of layer.shadowCasters) if (instance.skinInstance) light(app, kept, instance);
-    }
+    const layers = app.scene.layers.layerList;
+    const drawn = new Set(layers.flatMap(({ meshInstances, shadowCasters }) => [...meshInstances,
+            ...shadowCasters]));
+    for (const instance of drawn) if (instance.skinInstance) light(app, kept, instance);
 }
 
 const CONSTANTS = 'skinbakeConstants';
 const DATA = 'skinbakeData';
+const STRETCH = 'skinbakeStretch';
+const NO_STRETCH = [1, 0, 0, 0, 1, 0, 0, 0, 1];
 
 function light(app, kept, instance) {
     const bake = bakes.get(instance.mesh);
     if (!bake) return;
     const { material } = instance;
-    const problem = bake.problem || problemOfMaterial(material) || prepare(app, kept, material);
+    const isDual = !bake.problem && bake.method === 'dqs';
+    const joints = isDual ? jointsOf(instance, bake.used) : { problem: '', stretch: NO_STRETCH };
+    if (isDual) uneven.set(instance, joints.problem);
+    const problem = bake.problem || problemOfMaterial(material) || prepare(app, kept,
+            material) || joints.problem;
     if (problem) tell(instance, problem);
     if (problem || standard.has(instance)) {
         withoutParameters(instance);
         kept.instances.delete(instance);
         return;
     }
+    if (isDual) instance.setParameter(STRETCH, joints.stretch);
     if (kept.instances.has(instance) && instance.getParameter(CONSTANTS)) return;
     if (!bake.texture) {
         bake.texture = dataTexture(app.graphicsDevice, bake.values, bake.stride);
         kept.bakes.add(bake);
         freeWith(instance.mesh, bake, kept);
     }
-    instance.setParameter(CONSTANTS, [bake.stride, bake.method === 'dqs' ? 1 : 0, 0, 0]);
+    instance.setParameter(CONSTANTS, [bake.stride, isDual ? 1 : 0, 0, 0]);
     instance.setParameter(DATA, bake.texture);
     kept.instances.add(instance);
 }
@@ -198,6 +209,7 @@ function light(app, kept, instance) {
 function withoutParameters(instance) {
     instance.deleteParameter(CONSTANTS);
     instance.deleteParameter(DATA);
+    instance.deleteParameter(STRETCH);
 }
 
 function freeWith(mesh, bake, kept) {
@@ -251,6 +263,7 @@ function prepare(app, kept, material) {
     kept.nothing ??= dataTexture(app.graphicsDevice, new Float32Array(4), 1);
     material.setParameter(CONSTANTS, [0, 0, 0, 0]);
     material.setParameter(DATA, kept.nothing);
+    material.setParameter(STRETCH, NO_STRETCH);
     for (const [language, chunks] of texts) {
         for (const [name, text] of Object.entries(chunks)) material.getShaderChunks(language).set(name, text);
     }
@@ -294,6 +307,7 @@ function withoutChunks(material) {
     }
     material.deleteParameter(CONSTANTS);
     material.deleteParameter(DATA);
+    material.deleteParameter(STRETCH);
     material.update();
 }
 
@@ -314,6 +328,56 @@ function warnOfOthers({ name, type, resource }) {
             console.warn(`skinbake: "${mesh}" has PlayCanvas's standard lighting: ${reason}`);
         }
     }
+}
+// Dual quaternions need rigid joints. In the space of the skeleton's parent, a joint's matrix may be a rigid motion
+// after a linear map that all joints have in common, for example a scale or a mirror. The map is the stretch.
+
+const RIGID = 1e-3; // the largest entry of |Q^T Q - 1|, as in skinbake
+
+const matrix = new Mat4();
+const toParent = new Mat4();
+const unstretched = new Mat4();
+const axes = [new Vec3(), new Vec3(), new Vec3()];
+const normal = new Vec3();
+
+// Return the stretch of the joints in use, nine numbers column by column, or why they are not rigid.
+function jointsOf({ skinInstance: { bones, skin } }, used) {
+    const joints = (used ?? [...bones.keys()]).filter((joint) => joint < bones.length);
+    if (!joints.length) return { problem: '', stretch: NO_STRETCH }; // the skeleton is not there yet
+    const { parent } = topOf(bones, bones[joints[0]]);
+    toParent.copy(parent ? parent.getWorldTransform() : Mat4.IDENTITY).invert();
+    let stretch = null;
+    for (const joint of joints) {
+        matrix.mul2(toParent, bones[joint].getWorldTransform()).mul(skin.inverseBindPose[joint]);
+        matrix.data.fill(0, 12, 15);
+        if (!stretch) {
+            const size = Math.cbrt(Math.abs(determinantOf(matrix)));
+            stretch = [0, 1, 2, 4, 5, 6, 8, 9, 10].map((at) => matrix.data[at] / size);
+            unstretched.copy(matrix).invert();
+        }
+        if (isRotation(matrix.mul(unstretched))) continue;
+        const name = bones[joint].name;
+        const problem = `its joint "${name}" is scaled otherwise than other joints: load it with the method lbs`;
+        return { problem, stretch: NO_STRETCH };
+    }
+    return { problem: '', stretch };
+}
+
+function topOf(bones, bone) {
+    let top = bone;
+    for (let node = bone.parent; node; node = node.parent) if (bones.includes(node)) top = node;
+    return top;
+}
+
+function determinantOf(one) {
+    const [x, y, z] = [one.getX(axes[0]), one.getY(axes[1]), one.getZ(axes[2])];
+    return normal.cross(x, y).dot(z);
+}
+
+function isRotation(one) {
+    const isPositive = determinantOf(one) > 0;
+    const isOne = (i, j) => Math.abs(axes[i].dot(axes[j]) - (i === j ? 1 : 0)) <= RIGID;
+    return isPositive && axes.every((_, i) => axes.every((__, j) => isOne(i, j)));
 }
 // PlayCanvas gives shaders no attributes of other names. So alpha, beta and TANGENT are read from the buffer views
 // when the file is loaded, decoded, and put into a texture.
@@ -376,7 +440,14 @@ function bakeOf(gltf, primitive, metadata, views, method) {
         values.set(beta.subarray(3 * vertex, 3 * vertex + 3), at + 4);
         if (tangents) values.set(tangents.subarray(4 * vertex, 4 * vertex + 4), at + 8);
     }
-    return { problem: '', values, stride, method, texture: null };
+    const used = method === 'dqs' ? jointsInUse(read('JOINTS_0'), read('WEIGHTS_0')) : null;
+    return { problem: '', values, stride, method, used, texture: null };
+}
+
+// The joints that move a vertex, or that are the first one of a vertex. Null where the arrays are not at hand.
+function jointsInUse(joints, weights) {
+    if (!joints || !weights) return null;
+    return [...new Set(joints.filter((_, index) => index % 4 === 0 || weights[index] > 0))];
 }
 
 function problemOf({ accessors }, { attributes, extensions }, metadata) {
@@ -466,6 +537,7 @@ const GLSL = {
         text: /* glsl */ `
 uniform vec4 skinbakeConstants; // texels of each vertex: 2 normal, 3 tangent frame; 1 for dual quaternions
 uniform highp sampler2D skinbakeData; // alpha, beta, TANGENT
+uniform mat3 skinbakeStretch; // by which joints differ from rigid ones, for dual quaternions
 
 #ifndef SKINBAKE_VERTEX
 #define SKINBAKE_VERTEX
@@ -684,33 +756,57 @@ vec4 skinbake_weights()
     return sum > 0.0 ? vertex_boneWeights / sum : vec4(1.0, 0.0, 0.0, 0.0);
 }
 
-mat2x4 skinbake_motion(mat4 M, float scale)
+// Each joint is L Q X: Q is rigid, L and X are common to all joints. X is the uniform, up to a rotation and a scale.
+// The joints relative to the first one, X M[0]^-1 M[i] X^-1, are rigid too. L is not needed.
+struct skinbake_Relation
 {
-    return skinbake_dual_quaternion(mat4(M[0] / scale, M[1] / scale, M[2] / scale, M[3]));
+    mat3 stretch; // X
+    mat3 outer; // M[0] X^-1, without its translation
+    mat2x4 motions[4];
+};
+
+skinbake_Relation skinbake_related(mat4 M[4])
+{
+    skinbake_Relation found;
+    found.stretch = skinbakeStretch;
+    mat3 unstretched = inverse(found.stretch);
+    found.outer = mat3(M[0]) * unstretched;
+    mat3 inner = inverse(found.outer);
+    for (int i = 0; i < 4; i++) {
+        mat4 motion = mat4(inner * mat3(M[i]) * unstretched);
+        motion[3].xyz = inner * (M[i][3].xyz - M[0][3].xyz);
+        found.motions[i] = skinbake_dual_quaternion(motion);
+    }
+    return found;
 }
 
-// Joints with a common scale: it is divided out of them.
 skinbake_Vertex skinbake_turned(vec3 p, skinbake_Frame frame, mat4 M[4], vec3 alpha, vec3 beta)
 {
-    float scale = length(M[0][0].xyz);
-    frame.tangent *= scale;
-    frame.bitangent *= scale;
-    mat2x4 Q[4] = mat2x4[4](
-        skinbake_motion(M[0], scale), skinbake_motion(M[1], scale),
-        skinbake_motion(M[2], scale), skinbake_motion(M[3], scale));
-    return skinbake_dqs_exact(scale * p, frame, Q, skinbake_weights(), alpha, beta);
+    skinbake_Relation joints = skinbake_related(M);
+    frame.tangent = joints.stretch * frame.tangent;
+    frame.bitangent = joints.stretch * frame.bitangent;
+    skinbake_Vertex v = skinbake_dqs_exact(
+        joints.stretch * p, frame, joints.motions, skinbake_weights(), alpha, beta);
+    v.position = joints.outer * v.position + M[0][3].xyz;
+    v.tangent = joints.outer * v.tangent;
+    v.bitangent = joints.outer * v.bitangent;
+    v.normal = frame.handedness * cross(v.tangent, v.bitangent);
+    return v;
 }
 
-// Dual quaternions move a vertex rigidly: by this matrix.
+// Relative to the first joint, dual quaternions move a vertex rigidly.
 mat4 getSkinMatrix(const in vec4 indices, const in vec4 weights)
 {
     if (!skinbake_isBaked() || !skinbake_hasDualQuaternions()) return skinbake_usualSkinMatrix(indices,
             weights);
     mat4 M[4] = skinbake_joints();
+    skinbake_Relation joints = skinbake_related(M);
     skinbake_Frame frame = skinbake_Frame(vec3(0.0), vec3(1.0, 0.0, 0.0), vec3(0.0, 1.0, 0.0), 1.0);
-    skinbake_Vertex v = skinbake_turned(vec3(0.0), frame, M, vec3(0.0), vec3(0.0));
-    vec3 z = cross(v.tangent, v.bitangent) / length(v.tangent);
-    return mat4(vec4(v.tangent, 0.0), vec4(v.bitangent, 0.0), vec4(z, 0.0), vec4(v.position, 1.0));
+    skinbake_Vertex v = skinbake_dqs_exact(
+        vec3(0.0), frame, joints.motions, skinbake_weights(), vec3(0.0), vec3(0.0));
+    mat4 found = mat4(joints.outer * mat3(v.tangent, v.bitangent, v.normal) * joints.stretch);
+    found[3].xyz = joints.outer * v.position + M[0][3].xyz;
+    return found;
 }
 `,
     },
@@ -739,7 +835,9 @@ vec3 skinbake_normal()
     }
     mat3 world = mat3(matrix_model);
     mat3 cofactors = mat3(cross(world[1], world[2]), cross(world[2], world[0]), cross(world[0], world[1]));
-    vec3 normal = normalize((cofactors * v.normal) * (determinant(world) < 0.0 ? -1.0 : 1.0));
+    // The mesh's node may mirror, which its joints undo.
+    float side = determinant(world) * determinant(mat3(M[0])) < 0.0 ? -1.0 : 1.0;
+    vec3 normal = normalize((cofactors * v.normal) * side);
     // PlayCanvas multiplies TANGENT by this matrix. TANGENT lies in the plane of the frame at rest.
     dNormalMatrix = world * (outerProduct(v.tangent, rest.tangent / dot(rest.tangent, rest.tangent))
             + outerProduct(v.bitangent, rest.bitangent / dot(rest.bitangent, rest.bitangent)));
@@ -765,6 +863,7 @@ const WGSL = {
         usual: [/fn\s+getSkinMatrix\s*\(/, 'fn skinbake_usualSkinMatrix('],
         text: /* wgsl */ `
 uniform skinbakeConstants: vec4f;
+uniform skinbakeStretch: mat3x3f;
 var skinbakeData: texture_2d<uff>;
 
 // A skinned vertex. Its vectors have any length. tangent and bitangent are the images of t0 and b0.
@@ -947,27 +1046,66 @@ fn skinbake_weights() -> vec4f {
     return select(vec4f(1.0, 0.0, 0.0, 0.0), vertex_boneWeights / sum, sum > 0.0);
 }
 
-fn skinbake_motion(M: mat4x4f, scale: f32) -> mat2x4f {
-    return skinbake_dual_quaternion(mat4x4f(M[0] / scale, M[1] / scale, M[2] / scale, M[3]));
+fn skinbake_linear(M: mat4x4f) -> mat3x3f {
+    return mat3x3f(M[0].xyz, M[1].xyz, M[2].xyz);
+}
+
+fn skinbake_cofactors(M: mat3x3f) -> mat3x3f {
+    return mat3x3f(cross(M[1], M[2]), cross(M[2], M[0]), cross(M[0], M[1]));
+}
+
+fn skinbake_inverse(M: mat3x3f) -> mat3x3f {
+    return transpose(skinbake_cofactors(M)) * (1.0 / determinant(M));
+}
+
+fn skinbake_placed(M: mat3x3f, translation: vec3f) -> mat4x4f {
+    return mat4x4f(vec4f(M[0], 0.0), vec4f(M[1], 0.0), vec4f(M[2], 0.0), vec4f(translation, 1.0));
+}
+
+// As in GLSL.
+struct skinbake_Relation {
+    stretch: mat3x3f,
+    outer: mat3x3f,
+    motions: array<mat2x4f, 4>,
+}
+
+fn skinbake_related(given: array<mat4x4f, 4>) -> skinbake_Relation {
+    var M = given;
+    var found: skinbake_Relation;
+    found.stretch = uniform.skinbakeStretch;
+    let unstretched = skinbake_inverse(found.stretch);
+    found.outer = skinbake_linear(M[0]) * unstretched;
+    let inner = skinbake_inverse(found.outer);
+    for (var i = 0; i < 4; i++) {
+        let linear = inner * skinbake_linear(M[i]) * unstretched;
+        let translation = inner * (M[i][3].xyz - M[0][3].xyz);
+        found.motions[i] = skinbake_dual_quaternion(skinbake_placed(linear, translation));
+    }
+    return found;
 }
 
 fn skinbake_turned(p: vec3f, rest: skinbake_Frame, M: array<mat4x4f, 4>, alpha: vec3f,
         beta: vec3f) -> skinbake_Vertex {
-    let scale = length(M[0][0].xyz);
-    let frame = skinbake_Frame(rest.normal, scale * rest.tangent, scale * rest.bitangent, rest.handedness);
-    let Q = array<mat2x4f, 4>(
-        skinbake_motion(M[0], scale), skinbake_motion(M[1], scale),
-        skinbake_motion(M[2], scale), skinbake_motion(M[3], scale));
-    return skinbake_dqs_exact(scale * p, frame, Q, skinbake_weights(), alpha, beta);
+    let joints = skinbake_related(M);
+    let tangent = joints.stretch * rest.tangent;
+    let frame = skinbake_Frame(rest.normal, tangent, joints.stretch * rest.bitangent, rest.handedness);
+    var v = skinbake_dqs_exact(joints.stretch * p, frame, joints.motions, skinbake_weights(), alpha, beta);
+    v.position = joints.outer * v.position + M[0][3].xyz;
+    v.tangent = joints.outer * v.tangent;
+    v.bitangent = joints.outer * v.bitangent;
+    v.normal = rest.handedness * cross(v.tangent, v.bitangent);
+    return v;
 }
 
 fn getSkinMatrix(indices: vec4f, weights: vec4f) -> mat4x4f {
     if (!skinbake_isBaked() || !skinbake_hasDualQuaternions()) { return skinbake_usualSkinMatrix(indices,
             weights); }
+    let M = skinbake_joints();
+    let joints = skinbake_related(M);
     let frame = skinbake_Frame(vec3f(0.0), vec3f(1.0, 0.0, 0.0), vec3f(0.0, 1.0, 0.0), 1.0);
-    let v = skinbake_turned(vec3f(0.0), frame, skinbake_joints(), vec3f(0.0), vec3f(0.0));
-    let z = cross(v.tangent, v.bitangent) / length(v.tangent);
-    return mat4x4f(vec4f(v.tangent, 0.0), vec4f(v.bitangent, 0.0), vec4f(z, 0.0), vec4f(v.position, 1.0));
+    let v = skinbake_dqs_exact(vec3f(0.0), frame, joints.motions, skinbake_weights(), vec3f(0.0), vec3f(0.0));
+    let linear = joints.outer * mat3x3f(v.tangent, v.bitangent, v.normal) * joints.stretch;
+    return skinbake_placed(linear, joints.outer * v.position + M[0][3].xyz);
 }
 `,
     },
@@ -1006,10 +1144,9 @@ fn skinbake_normal() -> vec3f {
     } else {
         v = skinbake_lbs_accurate(p, frame, M, skinbake_weights(), alpha, beta);
     }
-    let model = skinbake_model();
-    let world = mat3x3f(model[0].xyz, model[1].xyz, model[2].xyz);
-    let cofactors = mat3x3f(cross(world[1], world[2]), cross(world[2], world[0]), cross(world[0], world[1]));
-    let normal = normalize((cofactors * v.normal) * select(1.0, -1.0, determinant(world) < 0.0));
+    let world = skinbake_linear(skinbake_model());
+    let isMirrored = determinant(world) * determinant(skinbake_linear(M[0])) < 0.0;
+    let normal = normalize((skinbake_cofactors(world) * v.normal) * select(1.0, -1.0, isMirrored));
     dNormalMatrix = world * (skinbake_outer(v.tangent, rest.tangent / dot(rest.tangent, rest.tangent))
             + skinbake_outer(v.bitangent, rest.bitangent / dot(rest.bitangent, rest.bitangent)));
 #ifndef TANGENTS

@@ -69,6 +69,12 @@ function pose(instance, { turned = [] }, morphs) {
     morphs.forEach((weight, index) => instance.morphInstance.setWeight(index, weight));
 }
 
+function place(node, { position, angles, scale }) {
+    node.setLocalPosition(...position);
+    node.setLocalEulerAngles(...angles);
+    node.setLocalScale(...scale);
+}
+
 const VERTEX = {
     [pc.SHADERLANGUAGE_GLSL]: `
         gl_Position = vec4(2.0 * (float(gl_VertexID % ${WIDTH}) + 0.5) / ${WIDTH}.0 - 1.0,
@@ -133,18 +139,14 @@ async function read({ app, camera }, instance, varying, look) {
 
 // Load a character, change it as a page might, draw it, and return what its vertex shader hands on.
 export async function draw(options) {
-    const { backend = 'webgl2', change = '', mapped = false, morphs = [], root = null, shadows = false, varyings = ['vNormalW'] } = options;
+    const { backend = 'webgl2', change = '', mapped = false, morphs = [], node = null, root = null, shadows = false, varyings = ['vNormalW'] } = options;
     const one = await application(backend);
     const { app } = one;
     one.sun.castShadows = shadows;
     const asset = await loaded(app, options);
     let entity = asset.resource.instantiateRenderEntity();
     const parent = new pc.Entity();
-    if (root) {
-        parent.setLocalPosition(...root.position);
-        parent.setLocalEulerAngles(...root.angles);
-        parent.setLocalScale(...root.scale);
-    }
+    if (root) place(parent, root);
     app.root.addChild(parent);
     parent.addChild(entity);
     const changed = await CHANGES[change](one, entity);
@@ -155,6 +157,7 @@ export async function draw(options) {
     }
     for (const instance of skinned(entity)) {
         pose(instance, options.pose ?? {}, morphs);
+        if (node) place(instance.node, node);
         instance.cull = false;
         if (mapped) map(app, instance.material);
     }
@@ -216,6 +219,9 @@ const CHANGES = {
     },
     'a shader of its own': (_, entity) => {
         for (const instance of skinned(entity)) instance.material = new pc.ShaderMaterial(SHADER);
+    },
+    'a scaled joint': (_, entity) => {
+        for (const { skinInstance } of skinned(entity)) skinInstance.bones.at(-1).setLocalScale(1, 1.1, 1);
     },
     disposed: ({ app }) => {
         app.render();

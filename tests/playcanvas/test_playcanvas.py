@@ -18,7 +18,7 @@ from skinbake.choices import Encoding, Layout, Scheme
 from skinbake.format.layouts import GradientFormat
 from skinbake.skinning.algorithms import Algorithm
 from tests.playcanvas.write_package import FOLDER as PACKAGE
-from tests.support import browser, corpus
+from tests.support import browser, corpus, gltf_reading
 from tests.support.baked_files import Editable
 from tests.support.baking import bake_file
 from tests.support.characters import AS_USUAL, Array, Character, Normals, Placement, Pose, angles, baked
@@ -165,6 +165,89 @@ def test_dual_quaternions_move_normals_positions_and_shadows(stage: DrawingStage
     # Of the forward pass and of the shadow map.
     assert len(found["programs"]) >= 2
     assert all(found["programs"])
+
+
+STRETCHED = {"position": [1, 2, 3], "angles": [0, 0, 0], "scale": [1, 2, 1]}
+REFLECTED = {"position": [0, 0, 0], "angles": [30, 0, 10], "scale": [-1, 1, 1]}
+LARGER = {"position": [0, 1, 0], "angles": [0, 50, 0], "scale": [3, 3, 3]}
+LEFT_HAND = "AFrameHands/leftHandLow.glb"
+
+
+@pytest.mark.parametrize("method", ["lbs", "dqs"])
+@pytest.mark.parametrize(
+    ("node", "root", "backend"),
+    [
+        (STRETCHED, None, "webgl2"),
+        (STRETCHED, FLIPPED, "webgpu"),
+        (REFLECTED, None, "webgl2"),
+        (REFLECTED, TURNED, "webgpu"),
+        (None, REFLECTED, "webgl2"),
+        (None, TURNED, "webgl2"),
+        (None, LARGER, "webgpu"),
+        (LARGER, STRETCHED, "webgl2"),
+    ],
+)
+def test_only_the_root_moves_a_skinned_mesh(
+    stage: DrawingStage,
+    method: str,
+    node: dict[str, Any] | None,
+    root: dict[str, Any] | None,
+    backend: str,
+) -> None:
+    """glTF ignores the transform of the mesh's own node. The root moves what the joints have posed."""
+    require_backend(stage, backend)
+    character = stage.character(MIRRORED, RANDOM, "tangent")
+    algorithm = Algorithm.DQS_EXACT if method == "dqs" else Algorithm.LBS_ACCURATE
+    varyings = ["vPositionW", "vNormalW", "vTangentW"]
+    found = stage.draw(
+        character, backend=backend, method=method, node=node, root=root, mapped=True, varyings=varyings
+    )
+    matrix = np.array(found["root"]).reshape(4, 4).T
+    posed = replay(algorithm, character.rest, character.joints[None])
+    positions = posed.positions[0] @ matrix[:3, :3].T + matrix[:3, 3]
+    wanted = character.expected(algorithm, dataclasses.replace(Placement(), root=matrix, world=matrix))
+    assert np.abs(vectors(found["values"][0]) - positions).max() < 1e-5 * np.ptp(positions)
+    assert largest(found["values"][1], wanted.normals) < DEGREES
+    assert largest(found["values"][2], wanted.tangents) < DEGREES
+    assert found["report"] == [["accurate", ""]]
+
+
+@pytest.mark.parametrize("method", ["lbs", "dqs"])
+def test_joints_may_all_mirror(stage: DrawingStage, method: str) -> None:
+    """The hand is a rigid motion of its mirror image. Its normals are on PlayCanvas's own side."""
+    character = stage.character(corpus.model(LEFT_HAND), RANDOM)
+    mirror = np.diag([-1.0, 1.0, 1.0, 1.0])
+    sides = {name: getattr(character.rest, name) * (-1, 1, 1) for name in MOVED}
+    rest = dataclasses.replace(character.rest, **sides)
+    algorithm = Algorithm.DQS_EXACT if method == "dqs" else Algorithm.LBS_ACCURATE
+    posed = replay(algorithm, rest, (character.joints @ mirror)[None])
+    found = stage.draw(character, method=method, varyings=["vPositionW", "vNormalW"])
+    # PlayCanvas's own positions of vertices without weights are lost.
+    weighted = gltf_reading.read(character.path).influences()[1].sum(axis=1) > 0
+    distances = np.abs(vectors(found["values"][0]) - posed.positions[0]).max(axis=1)
+    assert distances[weighted].max() < 1e-5 * np.ptp(posed.positions)
+    assert largest(found["values"][1], posed.normals[0]) < DEGREES
+    assert found["report"] == [["accurate", ""]]
+
+
+MOVED = ("positions", "normals", "tangents", "bitangents")
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_a_scaled_joint_keeps_a_mesh_from_dual_quaternions(stage: DrawingStage, backend: str) -> None:
+    require_backend(stage, backend)
+    options = {**stage.character(TUBE, RANDOM).told(Placement()), "backend": backend}
+    options["change"] = "a scaled joint"
+    found = stage.page.call("draw", {**options, "method": "dqs", "varyings": ["vPositionW", "vNormalW"]})
+    ((lighting, reason),) = found["report"]
+    assert lighting == "standard"
+    assert reason.endswith("is scaled otherwise than other joints: load it with the method lbs")
+    (message,) = stage.messages()
+    assert reason in message
+    options |= {"plugin": False, "url": options["url"] + "?without"}
+    usual = stage.page.call("draw", {**options, "varyings": ["vPositionW", "vNormalW"]})
+    assert "was loaded without skinbakeOptions()" in stage.messages()[0]
+    assert found["values"] == usual["values"]
 
 
 @pytest.mark.parametrize(

@@ -5,6 +5,7 @@ const bakes = new WeakMap(); // Mesh -> { problem, values, stride, method, textu
 const watched = new Map(); // Application -> { stop }
 const standard = new WeakSet(); // mesh instances that lighting() has switched
 const problems = new WeakMap(); // material -> why it cannot have the chunks, or empty
+const uneven = new WeakMap(); // mesh instance -> why its joints do not suit dual quaternions, or empty
 const told = new WeakMap(); // mesh instance -> messages
 
 /**
@@ -98,6 +99,7 @@ function found(instance) {
     if (standard.has(instance)) return ['standard', 'lighting() has switched it'];
     const problem = problemOfMaterial(instance.material) || problems.get(instance.material);
     if (problem) return ['standard', problem];
+    if (bake.method === 'dqs' && uneven.get(instance)) return ['standard', uneven.get(instance)];
     const programs = [...instance._shaderCache.values()].map(({ shader }) => shader.definition.vshader ?? '');
     const lit = programs.filter((text) => text.includes('vNormalW'));
     const isLit = instance.getParameter(CONSTANTS) !== undefined;
@@ -134,33 +136,38 @@ function watch(app) {
 
 function lightAll(app, kept) {
     for (const instance of kept.instances) if (!instance.mesh) kept.instances.delete(instance);
-    for (const layer of app.scene.layers.layerList) {
-        for (const instance of layer.meshInstances) if (instance.skinInstance) light(app, kept, instance);
-        for (const instance of layer.shadowCasters) if (instance.skinInstance) light(app, kept, instance);
-    }
+    const layers = app.scene.layers.layerList;
+    const drawn = new Set(layers.flatMap(({ meshInstances, shadowCasters }) => [...meshInstances, ...shadowCasters]));
+    for (const instance of drawn) if (instance.skinInstance) light(app, kept, instance);
 }
 
 const CONSTANTS = 'skinbakeConstants';
 const DATA = 'skinbakeData';
+const STRETCH = 'skinbakeStretch';
+const NO_STRETCH = [1, 0, 0, 0, 1, 0, 0, 0, 1];
 
 function light(app, kept, instance) {
     const bake = bakes.get(instance.mesh);
     if (!bake) return;
     const { material } = instance;
-    const problem = bake.problem || problemOfMaterial(material) || prepare(app, kept, material);
+    const isDual = !bake.problem && bake.method === 'dqs';
+    const joints = isDual ? jointsOf(instance, bake.used) : { problem: '', stretch: NO_STRETCH };
+    if (isDual) uneven.set(instance, joints.problem);
+    const problem = bake.problem || problemOfMaterial(material) || prepare(app, kept, material) || joints.problem;
     if (problem) tell(instance, problem);
     if (problem || standard.has(instance)) {
         withoutParameters(instance);
         kept.instances.delete(instance);
         return;
     }
+    if (isDual) instance.setParameter(STRETCH, joints.stretch);
     if (kept.instances.has(instance) && instance.getParameter(CONSTANTS)) return;
     if (!bake.texture) {
         bake.texture = dataTexture(app.graphicsDevice, bake.values, bake.stride);
         kept.bakes.add(bake);
         freeWith(instance.mesh, bake, kept);
     }
-    instance.setParameter(CONSTANTS, [bake.stride, bake.method === 'dqs' ? 1 : 0, 0, 0]);
+    instance.setParameter(CONSTANTS, [bake.stride, isDual ? 1 : 0, 0, 0]);
     instance.setParameter(DATA, bake.texture);
     kept.instances.add(instance);
 }
@@ -168,6 +175,7 @@ function light(app, kept, instance) {
 function withoutParameters(instance) {
     instance.deleteParameter(CONSTANTS);
     instance.deleteParameter(DATA);
+    instance.deleteParameter(STRETCH);
 }
 
 function freeWith(mesh, bake, kept) {
@@ -221,6 +229,7 @@ function prepare(app, kept, material) {
     kept.nothing ??= dataTexture(app.graphicsDevice, new Float32Array(4), 1);
     material.setParameter(CONSTANTS, [0, 0, 0, 0]);
     material.setParameter(DATA, kept.nothing);
+    material.setParameter(STRETCH, NO_STRETCH);
     for (const [language, chunks] of texts) {
         for (const [name, text] of Object.entries(chunks)) material.getShaderChunks(language).set(name, text);
     }
@@ -263,6 +272,7 @@ function withoutChunks(material) {
     }
     material.deleteParameter(CONSTANTS);
     material.deleteParameter(DATA);
+    material.deleteParameter(STRETCH);
     material.update();
 }
 

@@ -5,6 +5,7 @@ const GLSL = {
         text: /* glsl */ `
 uniform vec4 skinbakeConstants; // texels of each vertex: 2 normal, 3 tangent frame; 1 for dual quaternions
 uniform highp sampler2D skinbakeData; // alpha, beta, TANGENT
+uniform mat3 skinbakeStretch; // by which joints differ from rigid ones, for dual quaternions
 
 @{ glsl | replace("\\", "\\\\") | replace("`", "\\`") | replace("${", "\\${") }
 
@@ -46,32 +47,56 @@ vec4 skinbake_weights()
     return sum > 0.0 ? vertex_boneWeights / sum : vec4(1.0, 0.0, 0.0, 0.0);
 }
 
-mat2x4 skinbake_motion(mat4 M, float scale)
+// Each joint is L Q X: Q is rigid, L and X are common to all joints. X is the uniform, up to a rotation and a scale.
+// The joints relative to the first one, X M[0]^-1 M[i] X^-1, are rigid too. L is not needed.
+struct skinbake_Relation
 {
-    return skinbake_dual_quaternion(mat4(M[0] / scale, M[1] / scale, M[2] / scale, M[3]));
+    mat3 stretch; // X
+    mat3 outer; // M[0] X^-1, without its translation
+    mat2x4 motions[4];
+};
+
+skinbake_Relation skinbake_related(mat4 M[4])
+{
+    skinbake_Relation found;
+    found.stretch = skinbakeStretch;
+    mat3 unstretched = inverse(found.stretch);
+    found.outer = mat3(M[0]) * unstretched;
+    mat3 inner = inverse(found.outer);
+    for (int i = 0; i < 4; i++) {
+        mat4 motion = mat4(inner * mat3(M[i]) * unstretched);
+        motion[3].xyz = inner * (M[i][3].xyz - M[0][3].xyz);
+        found.motions[i] = skinbake_dual_quaternion(motion);
+    }
+    return found;
 }
 
-// Joints with a common scale: it is divided out of them.
 skinbake_Vertex skinbake_turned(vec3 p, skinbake_Frame frame, mat4 M[4], vec3 alpha, vec3 beta)
 {
-    float scale = length(M[0][0].xyz);
-    frame.tangent *= scale;
-    frame.bitangent *= scale;
-    mat2x4 Q[4] = mat2x4[4](
-        skinbake_motion(M[0], scale), skinbake_motion(M[1], scale),
-        skinbake_motion(M[2], scale), skinbake_motion(M[3], scale));
-    return skinbake_dqs_exact(scale * p, frame, Q, skinbake_weights(), alpha, beta);
+    skinbake_Relation joints = skinbake_related(M);
+    frame.tangent = joints.stretch * frame.tangent;
+    frame.bitangent = joints.stretch * frame.bitangent;
+    skinbake_Vertex v = skinbake_dqs_exact(
+        joints.stretch * p, frame, joints.motions, skinbake_weights(), alpha, beta);
+    v.position = joints.outer * v.position + M[0][3].xyz;
+    v.tangent = joints.outer * v.tangent;
+    v.bitangent = joints.outer * v.bitangent;
+    v.normal = frame.handedness * cross(v.tangent, v.bitangent);
+    return v;
 }
 
-// Dual quaternions move a vertex rigidly: by this matrix.
+// Relative to the first joint, dual quaternions move a vertex rigidly.
 mat4 getSkinMatrix(const in vec4 indices, const in vec4 weights)
 {
     if (!skinbake_isBaked() || !skinbake_hasDualQuaternions()) return skinbake_usualSkinMatrix(indices, weights);
     mat4 M[4] = skinbake_joints();
+    skinbake_Relation joints = skinbake_related(M);
     skinbake_Frame frame = skinbake_Frame(vec3(0.0), vec3(1.0, 0.0, 0.0), vec3(0.0, 1.0, 0.0), 1.0);
-    skinbake_Vertex v = skinbake_turned(vec3(0.0), frame, M, vec3(0.0), vec3(0.0));
-    vec3 z = cross(v.tangent, v.bitangent) / length(v.tangent);
-    return mat4(vec4(v.tangent, 0.0), vec4(v.bitangent, 0.0), vec4(z, 0.0), vec4(v.position, 1.0));
+    skinbake_Vertex v = skinbake_dqs_exact(
+        vec3(0.0), frame, joints.motions, skinbake_weights(), vec3(0.0), vec3(0.0));
+    mat4 found = mat4(joints.outer * mat3(v.tangent, v.bitangent, v.normal) * joints.stretch);
+    found[3].xyz = joints.outer * v.position + M[0][3].xyz;
+    return found;
 }
 `,
     },
@@ -104,7 +129,9 @@ vec3 skinbake_normal()
     }
     mat3 world = mat3(matrix_model);
     mat3 cofactors = mat3(cross(world[1], world[2]), cross(world[2], world[0]), cross(world[0], world[1]));
-    vec3 normal = normalize((cofactors * v.normal) * (determinant(world) < 0.0 ? -1.0 : 1.0));
+    // The mesh's node may mirror, which its joints undo.
+    float side = determinant(world) * determinant(mat3(M[0])) < 0.0 ? -1.0 : 1.0;
+    vec3 normal = normalize((cofactors * v.normal) * side);
     // PlayCanvas multiplies TANGENT by this matrix. TANGENT lies in the plane of the frame at rest.
     dNormalMatrix = world * (outerProduct(v.tangent, rest.tangent / dot(rest.tangent, rest.tangent))
             + outerProduct(v.bitangent, rest.bitangent / dot(rest.bitangent, rest.bitangent)));

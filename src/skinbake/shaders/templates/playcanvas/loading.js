@@ -59,7 +59,14 @@ function bakeOf(gltf, primitive, metadata, views, method) {
         values.set(beta.subarray(3 * vertex, 3 * vertex + 3), at + 4);
         if (tangents) values.set(tangents.subarray(4 * vertex, 4 * vertex + 4), at + 8);
     }
-    return { problem: '', values, stride, method, texture: null };
+    const used = method === 'dqs' ? jointsInUse(read('JOINTS_0'), read('WEIGHTS_0')) : null;
+    return { problem: '', values, stride, method, used, texture: null };
+}
+
+// The joints that move a vertex, or that are the first one of a vertex. Null where the arrays are not at hand.
+function jointsInUse(joints, weights) {
+    if (!joints || !weights) return null;
+    return [...new Set(joints.filter((_, index) => index % 4 === 0 || weights[index] > 0))];
 }
 
 function problemOf({ accessors }, { attributes, extensions }, metadata) {

@@ -3,6 +3,7 @@ const WGSL = {
         usual: [/fn\s+getSkinMatrix\s*\(/, 'fn skinbake_usualSkinMatrix('],
         text: /* wgsl */ `
 uniform skinbakeConstants: vec4f;
+uniform skinbakeStretch: mat3x3f;
 var skinbakeData: texture_2d<uff>;
 
 @{ wgsl | replace("fn skinbake_frame(n: vec3<f32>, tangent", "fn skinbake_tangent_frame(n: vec3<f32>, tangent") | replace("\\", "\\\\") | replace("`", "\\`") | replace("${", "\\${") }
@@ -37,25 +38,64 @@ fn skinbake_weights() -> vec4f {
     return select(vec4f(1.0, 0.0, 0.0, 0.0), vertex_boneWeights / sum, sum > 0.0);
 }
 
-fn skinbake_motion(M: mat4x4f, scale: f32) -> mat2x4f {
-    return skinbake_dual_quaternion(mat4x4f(M[0] / scale, M[1] / scale, M[2] / scale, M[3]));
+fn skinbake_linear(M: mat4x4f) -> mat3x3f {
+    return mat3x3f(M[0].xyz, M[1].xyz, M[2].xyz);
+}
+
+fn skinbake_cofactors(M: mat3x3f) -> mat3x3f {
+    return mat3x3f(cross(M[1], M[2]), cross(M[2], M[0]), cross(M[0], M[1]));
+}
+
+fn skinbake_inverse(M: mat3x3f) -> mat3x3f {
+    return transpose(skinbake_cofactors(M)) * (1.0 / determinant(M));
+}
+
+fn skinbake_placed(M: mat3x3f, translation: vec3f) -> mat4x4f {
+    return mat4x4f(vec4f(M[0], 0.0), vec4f(M[1], 0.0), vec4f(M[2], 0.0), vec4f(translation, 1.0));
+}
+
+// As in GLSL.
+struct skinbake_Relation {
+    stretch: mat3x3f,
+    outer: mat3x3f,
+    motions: array<mat2x4f, 4>,
+}
+
+fn skinbake_related(given: array<mat4x4f, 4>) -> skinbake_Relation {
+    var M = given;
+    var found: skinbake_Relation;
+    found.stretch = uniform.skinbakeStretch;
+    let unstretched = skinbake_inverse(found.stretch);
+    found.outer = skinbake_linear(M[0]) * unstretched;
+    let inner = skinbake_inverse(found.outer);
+    for (var i = 0; i < 4; i++) {
+        let linear = inner * skinbake_linear(M[i]) * unstretched;
+        let translation = inner * (M[i][3].xyz - M[0][3].xyz);
+        found.motions[i] = skinbake_dual_quaternion(skinbake_placed(linear, translation));
+    }
+    return found;
 }
 
 fn skinbake_turned(p: vec3f, rest: skinbake_Frame, M: array<mat4x4f, 4>, alpha: vec3f, beta: vec3f) -> skinbake_Vertex {
-    let scale = length(M[0][0].xyz);
-    let frame = skinbake_Frame(rest.normal, scale * rest.tangent, scale * rest.bitangent, rest.handedness);
-    let Q = array<mat2x4f, 4>(
-        skinbake_motion(M[0], scale), skinbake_motion(M[1], scale),
-        skinbake_motion(M[2], scale), skinbake_motion(M[3], scale));
-    return skinbake_dqs_exact(scale * p, frame, Q, skinbake_weights(), alpha, beta);
+    let joints = skinbake_related(M);
+    let tangent = joints.stretch * rest.tangent;
+    let frame = skinbake_Frame(rest.normal, tangent, joints.stretch * rest.bitangent, rest.handedness);
+    var v = skinbake_dqs_exact(joints.stretch * p, frame, joints.motions, skinbake_weights(), alpha, beta);
+    v.position = joints.outer * v.position + M[0][3].xyz;
+    v.tangent = joints.outer * v.tangent;
+    v.bitangent = joints.outer * v.bitangent;
+    v.normal = rest.handedness * cross(v.tangent, v.bitangent);
+    return v;
 }
 
 fn getSkinMatrix(indices: vec4f, weights: vec4f) -> mat4x4f {
     if (!skinbake_isBaked() || !skinbake_hasDualQuaternions()) { return skinbake_usualSkinMatrix(indices, weights); }
+    let M = skinbake_joints();
+    let joints = skinbake_related(M);
     let frame = skinbake_Frame(vec3f(0.0), vec3f(1.0, 0.0, 0.0), vec3f(0.0, 1.0, 0.0), 1.0);
-    let v = skinbake_turned(vec3f(0.0), frame, skinbake_joints(), vec3f(0.0), vec3f(0.0));
-    let z = cross(v.tangent, v.bitangent) / length(v.tangent);
-    return mat4x4f(vec4f(v.tangent, 0.0), vec4f(v.bitangent, 0.0), vec4f(z, 0.0), vec4f(v.position, 1.0));
+    let v = skinbake_dqs_exact(vec3f(0.0), frame, joints.motions, skinbake_weights(), vec3f(0.0), vec3f(0.0));
+    let linear = joints.outer * mat3x3f(v.tangent, v.bitangent, v.normal) * joints.stretch;
+    return skinbake_placed(linear, joints.outer * v.position + M[0][3].xyz);
 }
 `,
     },
@@ -98,10 +138,9 @@ fn skinbake_normal() -> vec3f {
         v = skinbake_lbs_accurate(p, frame, M, skinbake_weights(), alpha, beta);
 //% endif
     }
-    let model = skinbake_model();
-    let world = mat3x3f(model[0].xyz, model[1].xyz, model[2].xyz);
-    let cofactors = mat3x3f(cross(world[1], world[2]), cross(world[2], world[0]), cross(world[0], world[1]));
-    let normal = normalize((cofactors * v.normal) * select(1.0, -1.0, determinant(world) < 0.0));
+    let world = skinbake_linear(skinbake_model());
+    let isMirrored = determinant(world) * determinant(skinbake_linear(M[0])) < 0.0;
+    let normal = normalize((skinbake_cofactors(world) * v.normal) * select(1.0, -1.0, isMirrored));
     dNormalMatrix = world * (skinbake_outer(v.tangent, rest.tangent / dot(rest.tangent, rest.tangent))
             + skinbake_outer(v.bitangent, rest.bitangent / dot(rest.bitangent, rest.bitangent)));
 #ifndef TANGENTS

@@ -35,17 +35,21 @@ import {
     ADDRESS_CLAMP_TO_EDGE,
     FILTER_NEAREST,
     LitMaterial,
+    Mat4,
     PIXELFORMAT_RGBA32F,
     SHADERLANGUAGE_GLSL,
     SHADERLANGUAGE_WGSL,
     ShaderChunks,
     StandardMaterial,
     Texture,
+    Vec3,
 } from 'playcanvas';
 
 const METHOD = '@{ method }';
 
 //% include "playcanvas/core.js"
+
+//% include "playcanvas/joints.js"
 
 //% include "playcanvas/loading.js"
 
