@@ -147,9 +147,40 @@ function skinned(root) {
     return instances.filter(({ skinInstance }) => skinInstance);
 }
 
+// A set that keeps nothing alive.
+class LooseSet {
+    #references = new Set();
+    #referenceOf = new WeakMap();
+    #collected = new FinalizationRegistry((reference) => this.#references.delete(reference));
+
+    has(member) {
+        return this.#referenceOf.has(member);
+    }
+
+    add(member) {
+        if (this.has(member)) return;
+        const reference = new WeakRef(member);
+        this.#references.add(reference);
+        this.#referenceOf.set(member, reference);
+        this.#collected.register(member, reference);
+    }
+
+    delete(member) {
+        this.#references.delete(this.#referenceOf.get(member));
+        this.#referenceOf.delete(member);
+    }
+
+    *[Symbol.iterator]() {
+        for (const reference of this.#references) {
+            const member = reference.deref();
+            if (member) yield member;
+        }
+    }
+}
+
 function watch(app) {
     if (watched.has(app)) return;
-    const kept = { materials: new Set(), bakes: new Set(), instances: new Set() };
+    const kept = { materials: new LooseSet(), bakes: new Set(), instances: new LooseSet() };
     const before = () => lightAll(app, kept);
     const after = (asset) => warnOfOthers(asset);
     app.on('prerender', before);
@@ -158,8 +189,8 @@ function watch(app) {
     kept.stop = () => {
         app.off('prerender', before);
         app.assets.off('load', after);
-        kept.instances.forEach(withoutParameters);
-        kept.materials.forEach(withoutChunks);
+        for (const instance of kept.instances) withoutParameters(instance);
+        for (const material of kept.materials) withoutChunks(material);
         kept.bakes.forEach(free);
         kept.nothing?.destroy();
     };

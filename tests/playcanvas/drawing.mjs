@@ -254,6 +254,36 @@ export async function told(options) {
     return report;
 }
 
+// Load, draw and unload a file a few times, and return how many of its materials are still in memory.
+export async function remaining({ url }) {
+    const { app } = await application('webgl2');
+    const materials = [];
+    for (let time = 0; time < 3; time++) materials.push(await unloaded(app, url));
+    app.render();
+    for (let time = 0; time < 5; time++) {
+        gc();
+        await new Promise((resolve) => setTimeout(resolve, 20));
+    }
+    return materials.filter((material) => material.deref()).length;
+}
+
+async function unloaded(app, url) {
+    const asset = await loaded(app, { url });
+    const entity = asset.resource.instantiateRenderEntity();
+    app.root.addChild(entity);
+    app.render();
+    const { lighting } = skinbake.skinbakeReport(entity).meshes[0];
+    if (lighting !== 'accurate') throw new Error(lighting);
+    const material = new WeakRef(skinned(entity)[0].material);
+    entity.destroy();
+    const parts = [...asset.resource.materials, ...asset.resource.renders];
+    app.assets.remove(asset);
+    asset.unload();
+    for (const part of parts) part.unload();
+    return material;
+}
+
 window.told = told;
+window.remaining = remaining;
 window.draw = draw;
 window.backend = backend;

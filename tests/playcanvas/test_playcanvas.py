@@ -86,7 +86,8 @@ def opened(tmp_path_factory: pytest.TempPathFactory) -> Iterator[DrawingStage]:
     folders = {"playcanvas": package_folder("playcanvas"), "draco": package_folder("draco3dgltf")}
     folders |= {"tests": Path(__file__).resolve().parent, "package": PACKAGE}
     folder = tmp_path_factory.mktemp("playcanvas")
-    with opened_page(PAGE, folder, folders, browser.PRESENTING) as (page, models):
+    arguments = [*browser.PRESENTING, "--js-flags=--expose-gc"]
+    with opened_page(PAGE, folder, folders, arguments) as (page, models):
         yield DrawingStage(page, models)
 
 
@@ -272,6 +273,12 @@ def test_without_it_a_mesh_has_the_engine_s_own_normals(
     wanted = expected(character, found, Algorithm.LBS_APPROXIMATED).normals
     assert largest(found["values"][0], wanted) < DEGREES
     assert found["report"][0][0] != "accurate"
+
+
+def test_materials_of_unloaded_files_do_not_stay_in_memory(stage: DrawingStage) -> None:
+    path = stage.models / "unloaded.glb"
+    path.write_bytes(baked(TUBE, stage.models).read_bytes())
+    assert stage.call("remaining", {"url": f"/models/{path.name}"}) == 0
 
 
 class TestMessages:
