@@ -51,7 +51,7 @@ const told = new WeakMap(); // mesh instance -> messages
 export function skinbakeOptions(app, { method = METHOD } = {}, others = {}) {
     if (method !== 'lbs' && method !== 'dqs') throw new Error(`skinbake: method ${method} is neither lbs nor dqs`);
     watch(app);
-    const views = new Map();
+    const views = new WeakMap(); // of files that are being loaded: buffer view -> bytes
     return {
         ...others,
         bufferView: {
@@ -440,7 +440,7 @@ function takeBakes(gltf, { renders }, views, method) {
             }
         }
     }
-    views.clear();
+    for (const description of gltf.bufferViews ?? []) views.delete(description);
 }
 
 // Where extras of the primitive were not an object, bake has put the metadata into those of alpha's accessor.

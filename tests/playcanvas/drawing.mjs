@@ -46,6 +46,10 @@ function loaded(app, { url, method, plugin = true }) {
     // PlayCanvas keeps morph targets in half floats otherwise.
     const others = { morphPreferHighPrecision: true };
     const options = plugin ? skinbake.skinbakeOptions(app, { method }, others) : others;
+    return started(app, url, options);
+}
+
+function started(app, url, options) {
     const asset = new pc.Asset(url, 'container', { url, filename: url.split('/').pop() }, null, options);
     app.assets.add(asset);
     return new Promise((resolve, reject) => {
@@ -283,7 +287,32 @@ async function unloaded(app, url) {
     return material;
 }
 
+// Load two files by one object of options. The second one begins and ends while the first waits for its texture.
+export async function together({ urls: [slow, quick] }) {
+    const { app } = await application('webgl2');
+    const waiting = {};
+    const processAsync = (_, __, done) => {
+        waiting.end = () => done(null, null);
+        waiting.begin();
+    };
+    const begun = new Promise((resolve) => (waiting.begin = resolve));
+    const options = skinbake.skinbakeOptions(app, {}, { texture: { processAsync } });
+    const first = started(app, slow, options);
+    await begun;
+    const second = await started(app, quick, options);
+    waiting.end();
+    return [await first, second].map((asset) => {
+        const entity = asset.resource.instantiateRenderEntity();
+        app.root.addChild(entity);
+        app.render();
+        const report = skinbake.skinbakeReport(entity).meshes.map(({ lighting, reason }) => [lighting, reason]);
+        entity.destroy();
+        return report;
+    });
+}
+
 window.told = told;
+window.together = together;
 window.remaining = remaining;
 window.draw = draw;
 window.backend = backend;

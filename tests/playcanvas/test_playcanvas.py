@@ -275,6 +275,30 @@ def test_without_it_a_mesh_has_the_engine_s_own_normals(
     assert found["report"][0][0] != "accurate"
 
 
+def test_files_may_share_one_object_of_options(stage: DrawingStage) -> None:
+    slow = textured(stage.models)
+    (stage.models / "quick.glb").write_bytes(baked(TUBE, stage.models).read_bytes())
+    reports = stage.call("together", {"urls": [f"/models/{slow.name}", "/models/quick.glb"]})
+    assert reports == [[["accurate", ""]]] * 2
+
+
+PIXEL = (
+    "iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAYAAAAfFcSJAAAADUlEQVR42mNk+M9QDwADhgGAWjR9awAAAABJRU5ErkJggg=="
+)
+"""An image, as base64."""
+
+
+def textured(folder: Path) -> Path:
+    """Write the tube, baked, with a texture."""
+    file = Editable(baked(TUBE, folder))
+    file.content["images"] = [{"uri": f"data:image/png;base64,{PIXEL}"}]
+    file.content["textures"] = [{"source": 0}]
+    material = {"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}
+    file.content["materials"] = [material]
+    file.primitive()["material"] = 0
+    return file.write(folder / "textured.glb")
+
+
 def test_materials_of_unloaded_files_do_not_stay_in_memory(stage: DrawingStage) -> None:
     path = stage.models / "unloaded.glb"
     path.write_bytes(baked(TUBE, stage.models).read_bytes())

@@ -19,7 +19,7 @@ const told = new WeakMap(); // mesh instance -> messages
 export function skinbakeOptions(app, { method = METHOD } = {}, others = {}) {
     if (method !== 'lbs' && method !== 'dqs') throw new Error(`skinbake: method ${method} is neither lbs nor dqs`);
     watch(app);
-    const views = new Map();
+    const views = new WeakMap(); // of files that are being loaded: buffer view -> bytes
     return {
         ...others,
         bufferView: {

@@ -28,7 +28,7 @@ function takeBakes(gltf, { renders }, views, method) {
             }
         }
     }
-    views.clear();
+    for (const description of gltf.bufferViews ?? []) views.delete(description);
 }
 
 // Where extras of the primitive were not an object, bake has put the metadata into those of alpha's accessor.
