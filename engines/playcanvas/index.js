@@ -38,6 +38,7 @@ const watched = new Map(); // Application -> { stop }
 const standard = new WeakSet(); // mesh instances that lighting() has switched
 const problems = new WeakMap(); // material -> why it cannot have the chunks, or empty
 const uneven = new WeakMap(); // mesh instance -> why its joints do not suit dual quaternions, or empty
+const ownChunks = new Map(); // a chunk with ours -> the material's own one, undefined if it had none
 const told = new WeakMap(); // mesh instance -> messages
 
 /**
@@ -324,7 +325,12 @@ function chunksFor(device, material) {
             // The copy of a material has them already.
             const isOurs = current.includes('skinbake');
             if (!isOurs && !signature.test(current)) return null;
-            chunks[name] = isOurs ? current : `${current.replace(signature, renamed)}${text}`;
+            if (isOurs) {
+                chunks[name] = current;
+                continue;
+            }
+            chunks[name] = `${current.replace(signature, renamed)}${text}`;
+            ownChunks.set(chunks[name], own);
         }
         texts.push([language, chunks]);
     }
@@ -334,7 +340,12 @@ function chunksFor(device, material) {
 function withoutChunks(material) {
     if (!isPrepared(material)) return;
     for (const language of [SHADERLANGUAGE_GLSL, SHADERLANGUAGE_WGSL]) {
-        for (const name of Object.keys(GLSL)) material.getShaderChunks(language).delete(name);
+        const chunks = material.getShaderChunks(language);
+        for (const name of Object.keys(GLSL)) {
+            const own = ownChunks.get(chunks.get(name));
+            if (own === undefined) chunks.delete(name);
+            else chunks.set(name, own);
+        }
     }
     material.deleteParameter(CONSTANTS);
     material.deleteParameter(DATA);

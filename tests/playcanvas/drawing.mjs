@@ -311,7 +311,32 @@ export async function together({ urls: [slow, quick] }) {
     });
 }
 
+// What dispose() leaves of a material's own chunk, and of that of the material's copy.
+export async function disposed({ url }) {
+    const { app } = await application('webgl2');
+    const asset = await loaded(app, { url });
+    const entity = asset.resource.instantiateRenderEntity();
+    app.root.addChild(entity);
+    const [instance] = skinned(entity);
+    const chunksOf = (material) => material.getShaderChunks(pc.SHADERLANGUAGE_GLSL);
+    const usual = pc.ShaderChunks.get(app.graphicsDevice, pc.SHADERLANGUAGE_GLSL).get('normalVS');
+    const own = `${usual}// the application's own\n`;
+    const { material } = instance;
+    chunksOf(material).set('normalVS', own);
+    material.update();
+    app.render();
+    instance.material = material.clone();
+    app.render();
+    const lit = [material, instance.material].map((one) => chunksOf(one).get('normalVS').includes('skinbake'));
+    skinbake.dispose(app);
+    const kept = [material, instance.material].map((one) => chunksOf(one).get('normalVS') === own);
+    const others = [material, instance.material].map((one) => chunksOf(one).has('skinVS'));
+    entity.destroy();
+    return { lit, kept, others };
+}
+
 window.told = told;
+window.disposed = disposed;
 window.together = together;
 window.remaining = remaining;
 window.draw = draw;

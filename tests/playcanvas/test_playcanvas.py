@@ -275,6 +275,13 @@ def test_without_it_a_mesh_has_the_engine_s_own_normals(
     assert found["report"][0][0] != "accurate"
 
 
+def test_dispose_leaves_the_chunks_of_the_application(stage: DrawingStage) -> None:
+    path = stage.models / "chunk.glb"
+    path.write_bytes(baked(TUBE, stage.models).read_bytes())
+    found = stage.call("disposed", {"url": f"/models/{path.name}"})
+    assert found == {"lit": [True, True], "kept": [True, True], "others": [False, False]}
+
+
 def test_files_may_share_one_object_of_options(stage: DrawingStage) -> None:
     slow = textured(stage.models)
     (stage.models / "quick.glb").write_bytes(baked(TUBE, stage.models).read_bytes())
