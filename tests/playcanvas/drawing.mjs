@@ -335,7 +335,14 @@ export async function disposed({ url }) {
     return { lit, kept, others };
 }
 
+// Load a file by two methods, without unloading it in between.
+export async function twice({ url, methods }) {
+    const { app } = await application('webgl2');
+    for (const method of methods) await loaded(app, { url, method });
+}
+
 window.told = told;
+window.twice = twice;
 window.disposed = disposed;
 window.together = together;
 window.remaining = remaining;

@@ -289,9 +289,7 @@ def test_files_may_share_one_object_of_options(stage: DrawingStage) -> None:
     assert reports == [[["accurate", ""]]] * 2
 
 
-PIXEL = (
-    "iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAYAAAAfFcSJAAAADUlEQVR42mNk+M9QDwADhgGAWjR9awAAAABJRU5ErkJggg=="
-)
+PIXEL = "iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAYAAAAfFcSJAAAADUlEQVR42mNk+M9QDwADhgGAWjR9awAAAABJRU5ErkJggg=="
 """An image, as base64."""
 
 
@@ -364,6 +362,17 @@ class TestMessages:
         file.primitive()["attributes"]["_SKINBAKE_BETA_0"] = file.primitive()["attributes"]["WEIGHTS_0"]
         _, (message,) = stage.told(file.write(stage.models / "damaged.glb"))
         assert "its attribute _SKINBAKE_BETA_0 is VEC4, not VEC3" in message
+
+    def test_another_method_for_the_same_url(self, stage: DrawingStage) -> None:
+        """PlayCanvas keeps what a URL has given, and calls no hooks."""
+        for name, methods in (("same", ["lbs", "lbs"]), ("other", ["lbs", "dqs"])):
+            path = stage.models / f"{name}.glb"
+            path.write_bytes(baked(TUBE, stage.models).read_bytes())
+            stage.page.call("twice", {"url": f"/models/{path.name}", "methods": methods})
+        (message,) = stage.messages()
+        assert message.startswith("skinbake: ")
+        assert "is drawn by lbs, not by dqs" in message
+        assert '"/models/other.glb" comes from PlayCanvas\'s cache' in message
 
     def test_a_mesh_that_is_not_baked_is_not_told_of(self, stage: DrawingStage) -> None:
         path = stage.models / "plain.glb"

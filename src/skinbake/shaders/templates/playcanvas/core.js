@@ -3,6 +3,7 @@
 
 const bakes = new WeakMap(); // Mesh -> { problem, values, stride, method, texture }
 const watched = new Map(); // Application -> { stop }
+const methods = new WeakMap(); // hooks of skinbakeOptions() -> method
 const standard = new WeakSet(); // mesh instances that lighting() has switched
 const problems = new WeakMap(); // material -> why it cannot have the chunks, or empty
 const uneven = new WeakMap(); // mesh instance -> why its joints do not suit dual quaternions, or empty
@@ -21,7 +22,7 @@ export function skinbakeOptions(app, { method = METHOD } = {}, others = {}) {
     if (method !== 'lbs' && method !== 'dqs') throw new Error(`skinbake: method ${method} is neither lbs nor dqs`);
     watch(app);
     const views = new WeakMap(); // of files that are being loaded: buffer view -> bytes
-    return {
+    const options = {
         ...others,
         bufferView: {
             ...others.bufferView,
@@ -38,6 +39,8 @@ export function skinbakeOptions(app, { method = METHOD } = {}, others = {}) {
             },
         },
     };
+    methods.set(options.global, method);
+    return options;
 }
 
 /**
@@ -151,7 +154,7 @@ function watch(app) {
     if (watched.has(app)) return;
     const kept = { materials: new LooseSet(), bakes: new Set(), instances: new LooseSet() };
     const before = () => lightAll(app, kept);
-    const after = (asset) => warnOfOthers(asset);
+    const after = (asset) => warnOf(asset);
     app.on('prerender', before);
     app.assets.on('load', after);
     app.once('destroy', () => dispose(app));
@@ -325,12 +328,20 @@ function tell(instance, reason) {
     console.warn(`skinbake: "${instance.node.name}" has PlayCanvas's standard lighting: ${reason}`);
 }
 
-// An asset that was loaded without the options, in an application that uses them.
-function warnOfOthers({ name, type, resource }) {
+// An asset that was loaded without the options, in an application that uses them. Or one that PlayCanvas has taken from
+// its cache of URLs, loaded before by the other method.
+function warnOf({ name, type, resource, options }) {
     const { gltf, renders = [] } = (type === 'container' && resource?.data) || {};
     for (const [number, { primitives, name: mesh = number }] of (gltf?.meshes ?? []).entries()) {
         if (!primitives.some((primitive) => metadataOf(gltf, primitive))) continue;
-        if (renders[number]?.meshes?.every((made) => !bakes.has(made))) {
+        const made = (renders[number]?.meshes ?? []).map((one) => bakes.get(one));
+        const wanted = methods.get(options?.global);
+        const other = made.find((bake) => bake?.method && wanted && bake.method !== wanted);
+        if (other) {
+            const reason = `its asset "${name}" comes from PlayCanvas's cache, where it was loaded before`;
+            console.warn(`skinbake: "${mesh}" is drawn by ${other.method}, not by ${wanted}: ${reason}`);
+        }
+        if (renders[number]?.meshes && made.every((bake) => !bake)) {
             const reason = `its asset "${name}" was loaded without skinbakeOptions()`;
             console.warn(`skinbake: "${mesh}" has PlayCanvas's standard lighting: ${reason}`);
         }
