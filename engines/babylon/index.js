@@ -934,7 +934,8 @@ const NOT_DRAWN = { lighting: 'not drawn', reason: 'it has not been drawn yet' }
 // Return what a part of a mesh was last drawn with, read from the program that drew it.
 function drawnWith(mesh, subMesh) {
     const problem = obstacle(mesh, subMesh.materialDefines ?? {});
-    if (problem) return { lighting: 'standard', reason: problem };
+    const isSwitched = problem === SWITCHED;
+    if (problem && !isSwitched) return { lighting: 'standard', reason: problem };
     const material = subMesh.getMaterial();
     const { effect } = subMesh;
     const isPending = material instanceof PushMaterial && !isEquipped(material);
@@ -942,6 +943,7 @@ function drawnWith(mesh, subMesh) {
     const reads = (name) => effect.getAttributeLocationByName(name) >= 0;
     if (reads(kindsOf(0)[0])) return ACCURATE;
     if (!reads(VertexBuffer.NormalKind)) return UNLIT;
+    if (isSwitched) return { lighting: 'standard', reason: SWITCHED };
     const kind = material.getClassName();
     return { lighting: 'standard', reason: `its ${kind} "${material.name}" takes no material plugins` };
 }
@@ -983,8 +985,17 @@ export function lighting(root, which) {
     for (const mesh of sourcesOf(root)) {
         if (which === 'standard') state.standard.add(mesh);
         else state.standard.delete(mesh);
-        materialsOf(mesh).forEach((material) => material.markAsDirty(Material.AttributesDirtyFlag));
+        for (const subMesh of mesh.subMeshes ?? []) renew(subMesh);
     }
+}
+
+// Let Babylon.js choose the program anew. It does not look at a frozen material again while there is one.
+function renew(subMesh) {
+    const material = subMesh.getMaterial();
+    if (!material) return;
+    const isBlocked = material.blockDirtyMechanism || material.getScene().blockMaterialDirtyMechanism;
+    if (material.isFrozen || isBlocked) subMesh.resetDrawCache();
+    else material.markAsDirty(Material.AttributesDirtyFlag);
 }
 
 function sourcesOf(root) {

@@ -168,6 +168,12 @@ const CHANGES = {
     },
 };
 
+const BLOCKS = {
+    frozen: ({ mesh }) => mesh.material.freeze(),
+    'blocked in the scene': ({ scene }) => (scene.blockMaterialDirtyMechanism = true),
+    'blocked in the material': ({ mesh }) => (mesh.material.blockDirtyMechanism = true),
+};
+
 const PLACES = [Matrix.RotationY(1), Matrix.Scaling(1, -2, 0.5).multiply(Matrix.RotationX(2))];
 
 const MANY = {
@@ -265,6 +271,31 @@ const api = {
             found[name] = { draws: await draw(stage.scene), report: told(stage.scene.meshes.filter((one) => one.isEnabled())) };
         }
         return found;
+    },
+
+    // The normals by either lighting, of materials that Babylon.js does not look at again.
+    async switched({ url, pose, kind }) {
+        const { scene, mesh } = await load({ url, pose });
+        const found = {};
+        await ready(scene);
+        frame(scene);
+        BLOCKS[kind]({ scene, mesh });
+        for (const which of ['standard', 'accurate']) {
+            skinbake.lighting(scene, which);
+            found[which] = { before: told(scene), draws: await draw(scene), report: told(scene) };
+        }
+        return found;
+    },
+
+    // What is told of a switched mesh before its next frame, and after it.
+    async early({ url, pose }) {
+        const { scene } = await load({ url, pose });
+        await ready(scene);
+        frame(scene);
+        skinbake.lighting(scene, 'standard');
+        const before = told(scene);
+        await draw(scene);
+        return { before, after: told(scene) };
     },
 
     // A file that is loaded into a container and put into the scene twice.

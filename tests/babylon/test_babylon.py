@@ -257,6 +257,27 @@ def test_standard_lighting_is_babylon_s_own(
     assert found["report"] == report
 
 
+@pytest.mark.parametrize("kind", ["frozen", "blocked in the scene", "blocked in the material"])
+def test_lighting_switches_materials_that_babylon_does_not_look_at_again(stage: Stage, kind: str) -> None:
+    character = stage.character(TUBE, BENT)
+    found = stage.call("switched", {**character.told(Placement()), "kind": kind})
+    switched = [["standard", "lighting() has switched it"]]
+    not_drawn = [["not drawn", "it has not been drawn yet"]]
+    standard, accurate = found["standard"], found["accurate"]
+    assert largest(standard["draws"][0], expected(character, Algorithm.LBS_APPROXIMATED)) < DEGREES
+    assert standard["report"] == switched
+    assert largest(accurate["draws"][0], expected(character)) < DEGREES
+    assert accurate["report"] == RIGHT
+    assert [standard["before"], accurate["before"]] == [not_drawn, not_drawn]
+
+
+def test_a_report_is_of_the_program_that_drew(stage: Stage) -> None:
+    """Until the next frame, that is the one before ``lighting``."""
+    character = stage.character(TUBE, BENT)
+    found = stage.call("early", character.told(Placement()))
+    assert found == {"before": RIGHT, "after": [["standard", "lighting() has switched it"]]}
+
+
 def test_the_light_of_an_environment_sees_the_accurate_normals(stage: Stage) -> None:
     """Babylon.js computes it in the vertex shader, before a plugin can correct the normal."""
     character = stage.character(TUBE, BENT)
