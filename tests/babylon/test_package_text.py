@@ -43,8 +43,14 @@ def test_the_package_asks_for_the_version_of_babylon_that_is_tested() -> None:
     ("changes", "reason"),
     [
         ({"method": Method.DQS, "lighting": Lighting.EXACT}, "Babylon.js blends joint matrices"),
-        ({"lighting": Lighting.APPROXIMATED}, "approximated lighting is Babylon.js's own"),
-        ({"lighting": Lighting.DIRECT}, "use --lighting accurate"),
+        (
+            {"lighting": Lighting.APPROXIMATED},
+            "--target babylon: use --lighting accurate; approximated lighting is Babylon.js's own",
+        ),
+        (
+            {"lighting": Lighting.DIRECT},
+            "its module corrects normals by the accurate algorithm only; use --lighting accurate",
+        ),
         ({"influences": 12}, "bake with --limit-influences 8"),
         ({"influences": 2}, "use --influences 4"),
     ],

@@ -1,5 +1,7 @@
 //% if method != "lbs"
 //%   set _ = refuse("--target babylon: Babylon.js blends joint matrices; use --method lbs")
+//% elif lighting == "direct"
+//%   set _ = refuse("--target babylon: its module corrects normals by the accurate algorithm only; use --lighting accurate")
 //% elif lighting != "accurate"
 //%   set _ = refuse("--target babylon: use --lighting accurate; approximated lighting is Babylon.js's own")
 //% elif influences > 8
