@@ -833,6 +833,12 @@ skinbake_Relation skinbake_related(mat4 M[4])
     return found;
 }
 
+// Joints undo a mirror of the mesh's node. Then they turn the cross product of tangent and bitangent round.
+float skinbake_side(mat4 M[4])
+{
+    return determinant(mat3(M[0])) < 0.0 ? -1.0 : 1.0;
+}
+
 skinbake_Vertex skinbake_turned(vec3 p, skinbake_Frame frame, mat4 M[4], vec3 alpha, vec3 beta)
 {
     skinbake_Relation joints = skinbake_related(M);
@@ -843,7 +849,7 @@ skinbake_Vertex skinbake_turned(vec3 p, skinbake_Frame frame, mat4 M[4], vec3 al
     v.position = joints.outer * v.position + M[0][3].xyz;
     v.tangent = joints.outer * v.tangent;
     v.bitangent = joints.outer * v.bitangent;
-    v.normal = frame.handedness * cross(v.tangent, v.bitangent);
+    v.normal = frame.handedness * skinbake_side(M) * cross(v.tangent, v.bitangent);
     return v;
 }
 
@@ -885,12 +891,11 @@ vec3 skinbake_normal()
         v = skinbake_turned(p, frame, M, alpha, beta);
     } else {
         v = skinbake_lbs_accurate(p, frame, M, skinbake_weights(), alpha, beta);
+        v.normal *= skinbake_side(M);
     }
     mat3 world = mat3(matrix_model);
     mat3 cofactors = mat3(cross(world[1], world[2]), cross(world[2], world[0]), cross(world[0], world[1]));
-    // The mesh's node may mirror, which its joints undo.
-    float side = determinant(world) * determinant(mat3(M[0])) < 0.0 ? -1.0 : 1.0;
-    vec3 normal = normalize((cofactors * v.normal) * side);
+    vec3 normal = normalize((cofactors * v.normal) * (determinant(world) < 0.0 ? -1.0 : 1.0));
     // PlayCanvas multiplies TANGENT by this matrix. TANGENT lies in the plane of the frame at rest.
     dNormalMatrix = world * (outerProduct(v.tangent, rest.tangent / dot(rest.tangent, rest.tangent))
             + outerProduct(v.bitangent, rest.bitangent / dot(rest.bitangent, rest.bitangent)));
@@ -1137,6 +1142,10 @@ fn skinbake_related(given: array<mat4x4f, 4>) -> skinbake_Relation {
     return found;
 }
 
+fn skinbake_side(M: array<mat4x4f, 4>) -> f32 {
+    return select(1.0, -1.0, determinant(skinbake_linear(M[0])) < 0.0);
+}
+
 fn skinbake_turned(p: vec3f, rest: skinbake_Frame, M: array<mat4x4f, 4>, alpha: vec3f,
         beta: vec3f) -> skinbake_Vertex {
     let joints = skinbake_related(M);
@@ -1146,7 +1155,7 @@ fn skinbake_turned(p: vec3f, rest: skinbake_Frame, M: array<mat4x4f, 4>, alpha: 
     v.position = joints.outer * v.position + M[0][3].xyz;
     v.tangent = joints.outer * v.tangent;
     v.bitangent = joints.outer * v.bitangent;
-    v.normal = rest.handedness * cross(v.tangent, v.bitangent);
+    v.normal = rest.handedness * skinbake_side(M) * cross(v.tangent, v.bitangent);
     return v;
 }
 
@@ -1196,10 +1205,11 @@ fn skinbake_normal() -> vec3f {
         v = skinbake_turned(p, frame, M, alpha, beta);
     } else {
         v = skinbake_lbs_accurate(p, frame, M, skinbake_weights(), alpha, beta);
+        v.normal *= skinbake_side(M);
     }
     let world = skinbake_linear(skinbake_model());
-    let isMirrored = determinant(world) * determinant(skinbake_linear(M[0])) < 0.0;
-    let normal = normalize((skinbake_cofactors(world) * v.normal) * select(1.0, -1.0, isMirrored));
+    let normal = normalize((skinbake_cofactors(world) * v.normal) * select(1.0, -1.0,
+            determinant(world) < 0.0));
     dNormalMatrix = world * (skinbake_outer(v.tangent, rest.tangent / dot(rest.tangent, rest.tangent))
             + skinbake_outer(v.bitangent, rest.bitangent / dot(rest.bitangent, rest.bitangent)));
 #ifndef TANGENTS

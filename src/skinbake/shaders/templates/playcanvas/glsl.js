@@ -71,6 +71,12 @@ skinbake_Relation skinbake_related(mat4 M[4])
     return found;
 }
 
+// Joints undo a mirror of the mesh's node. Then they turn the cross product of tangent and bitangent round.
+float skinbake_side(mat4 M[4])
+{
+    return determinant(mat3(M[0])) < 0.0 ? -1.0 : 1.0;
+}
+
 skinbake_Vertex skinbake_turned(vec3 p, skinbake_Frame frame, mat4 M[4], vec3 alpha, vec3 beta)
 {
     skinbake_Relation joints = skinbake_related(M);
@@ -81,7 +87,7 @@ skinbake_Vertex skinbake_turned(vec3 p, skinbake_Frame frame, mat4 M[4], vec3 al
     v.position = joints.outer * v.position + M[0][3].xyz;
     v.tangent = joints.outer * v.tangent;
     v.bitangent = joints.outer * v.bitangent;
-    v.normal = frame.handedness * cross(v.tangent, v.bitangent);
+    v.normal = frame.handedness * skinbake_side(M) * cross(v.tangent, v.bitangent);
     return v;
 }
 
@@ -125,13 +131,12 @@ vec3 skinbake_normal()
         v = skinbake_lbs_direct(p, frame, M, skinbake_weights(), skinbake_gradients(frame, alpha, beta));
 //% else
         v = skinbake_lbs_accurate(p, frame, M, skinbake_weights(), alpha, beta);
+        v.normal *= skinbake_side(M);
 //% endif
     }
     mat3 world = mat3(matrix_model);
     mat3 cofactors = mat3(cross(world[1], world[2]), cross(world[2], world[0]), cross(world[0], world[1]));
-    // The mesh's node may mirror, which its joints undo.
-    float side = determinant(world) * determinant(mat3(M[0])) < 0.0 ? -1.0 : 1.0;
-    vec3 normal = normalize((cofactors * v.normal) * side);
+    vec3 normal = normalize((cofactors * v.normal) * (determinant(world) < 0.0 ? -1.0 : 1.0));
     // PlayCanvas multiplies TANGENT by this matrix. TANGENT lies in the plane of the frame at rest.
     dNormalMatrix = world * (outerProduct(v.tangent, rest.tangent / dot(rest.tangent, rest.tangent))
             + outerProduct(v.bitangent, rest.bitangent / dot(rest.bitangent, rest.bitangent)));

@@ -76,6 +76,10 @@ fn skinbake_related(given: array<mat4x4f, 4>) -> skinbake_Relation {
     return found;
 }
 
+fn skinbake_side(M: array<mat4x4f, 4>) -> f32 {
+    return select(1.0, -1.0, determinant(skinbake_linear(M[0])) < 0.0);
+}
+
 fn skinbake_turned(p: vec3f, rest: skinbake_Frame, M: array<mat4x4f, 4>, alpha: vec3f, beta: vec3f) -> skinbake_Vertex {
     let joints = skinbake_related(M);
     let tangent = joints.stretch * rest.tangent;
@@ -84,7 +88,7 @@ fn skinbake_turned(p: vec3f, rest: skinbake_Frame, M: array<mat4x4f, 4>, alpha: 
     v.position = joints.outer * v.position + M[0][3].xyz;
     v.tangent = joints.outer * v.tangent;
     v.bitangent = joints.outer * v.bitangent;
-    v.normal = rest.handedness * cross(v.tangent, v.bitangent);
+    v.normal = rest.handedness * skinbake_side(M) * cross(v.tangent, v.bitangent);
     return v;
 }
 
@@ -136,11 +140,11 @@ fn skinbake_normal() -> vec3f {
         v = skinbake_lbs_direct(p, frame, M, skinbake_weights(), skinbake_gradients(frame, alpha, beta));
 //% else
         v = skinbake_lbs_accurate(p, frame, M, skinbake_weights(), alpha, beta);
+        v.normal *= skinbake_side(M);
 //% endif
     }
     let world = skinbake_linear(skinbake_model());
-    let isMirrored = determinant(world) * determinant(skinbake_linear(M[0])) < 0.0;
-    let normal = normalize((skinbake_cofactors(world) * v.normal) * select(1.0, -1.0, isMirrored));
+    let normal = normalize((skinbake_cofactors(world) * v.normal) * select(1.0, -1.0, determinant(world) < 0.0));
     dNormalMatrix = world * (skinbake_outer(v.tangent, rest.tangent / dot(rest.tangent, rest.tangent))
             + skinbake_outer(v.bitangent, rest.bitangent / dot(rest.bitangent, rest.bitangent)));
 #ifndef TANGENTS
