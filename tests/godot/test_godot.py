@@ -74,6 +74,32 @@ STORAGES = [
 ]
 
 
+EMISSIVE: dict[str, object] = {"emission_enabled": True}
+SCALED_UV2: dict[str, object] = {**EMISSIVE, "emission_on_uv2": True, "uv2_scale": "Vector3(3, 2, 1)"}
+OCCLUDED: dict[str, object] = {"ao_light_affect": 1.0, "ao_enabled": True}
+ORM: dict[str, object] = {"class": "ORMMaterial3D"}
+SEEN: list[dict[str, object]] = [
+    {"shading_mode": 2},
+    {**EMISSIVE, "emission_texture": None, "emission_operator": 1},
+    {**SCALED_UV2, "detail_uv_layer": 1},
+    {"depth_test": 1},
+    {"shadow_to_opacity": True},
+    {"fov_override": 100.0, "use_fov_override": True},
+]
+"""Properties of materials. The last of each changes the picture."""
+UNSEEN: list[dict[str, object]] = [
+    {"vertex_color_use_as_albedo": True, "shading_mode": 0, "vertex_color_is_srgb": True},
+    SCALED_UV2,
+    {**ORM, "metallic_specular": 1.0},
+    {**ORM, **OCCLUDED, "ao_on_uv2": True},
+]
+"""The last changes nothing in the Compatibility renderer."""
+
+
+def worded(properties: dict[str, object]) -> str:
+    return ", ".join(f"{name} {value}" for name, value in properties.items())
+
+
 def named(storage: GradientFormat) -> str:
     return f"{storage.encoding} {storage.layout}"
 
@@ -399,6 +425,58 @@ def test_standard_materials_look_as_before(stage: Stage) -> None:
         assert np.ptp(pictures[material, True]) > 50
         assert difference.max() <= 2
     assert np.abs(pictures["rich", True] - pictures["plain", True]).mean() > 2
+
+
+@pytest.fixture(scope="module")
+def sheet(stage: Stage) -> Path:
+    """Return a baked sheet with tangents, two sets of texture coordinates, and vertex colours."""
+    file = Editable(MIRRORED)
+    attributes = file.primitive()["attributes"]
+    coordinates = file.array("TEXCOORD_0").copy()
+    positions = file.array("POSITION").copy()
+    colours = np.clip(np.insert(0.5 + 0.4 * positions, 3, 0.9, axis=1), 0.0, 1.0)
+    attributes["TEXCOORD_1"] = file.add((0.8 * coordinates[:, ::-1] + 0.1).astype(np.float32))
+    attributes["COLOR_0"] = file.add(colours.astype(np.float32))
+    return baked(file.write(stage.models / "sheet.glb"), stage.models)
+
+
+@pytest.fixture(scope="module")
+def own_pictures() -> dict[str, Array]:
+    """Return the pictures of Godot's own materials that were drawn so far, by what was asked for."""
+    return {}
+
+
+@pytest.mark.parametrize("properties", SEEN + UNSEEN, ids=worded)
+def test_a_property_of_standard_materials_does_what_it_does_in_godot_s_own(
+    stage: Stage, sheet: Path, own_pictures: dict[str, Array], properties: dict[str, object]
+) -> None:
+    """The picture shows the last property: otherwise the comparison would say nothing."""
+    *others, _last = properties.items()
+    conditions = {
+        "url": f"/models/{sheet.name}",
+        "pose": {},
+        "isRigid": True,
+        "isLit": True,
+        "isShadowed": True,
+        "isFurnished": True,
+        "isPictured": True,
+    }
+
+    def own(properties: dict[str, object]) -> Array:
+        options = {**conditions, "properties": properties, "isStandard": True}
+        key = worded(options)
+        if key not in own_pictures:
+            own_pictures[key] = pixels(stage.shown(options))
+        return own_pictures[key]
+
+    found = stage.shown({**conditions, "properties": properties})
+    assert {entry["lighting"] for entry in found["report"]} == {"accurate"}
+    assert (difference(own(properties), own(dict(others))) > 4) == (properties in SEEN)
+    assert difference(own(properties), pixels(found)) <= 2
+
+
+def difference(one: Array, other: Array) -> float:
+    return float(np.abs(one - other).max())
 
 
 def pixels(found: dict[str, Any]) -> Array:

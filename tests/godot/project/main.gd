@@ -32,13 +32,32 @@ const CHOICES := {
 	"disable_receive_shadows": [true],
 	"disable_ambient_light": [true],
 	"disable_fog": [true],
+	"alpha_antialiasing_mode": [1, 2],
+	"depth_test": [1],
+	"detail_uv_layer": [1],
+	"disable_specular_occlusion": [true],
+	"use_z_clip_scale": [true],
+	"use_fov_override": [true],
 }
+## Where a material has textures.
+const TEXTURES := [
+	BaseMaterial3D.TEXTURE_ALBEDO,
+	BaseMaterial3D.TEXTURE_METALLIC,
+	BaseMaterial3D.TEXTURE_ROUGHNESS,
+	BaseMaterial3D.TEXTURE_EMISSION,
+	BaseMaterial3D.TEXTURE_NORMAL,
+	BaseMaterial3D.TEXTURE_RIM,
+	BaseMaterial3D.TEXTURE_CLEARCOAT,
+	BaseMaterial3D.TEXTURE_AMBIENT_OCCLUSION,
+	BaseMaterial3D.TEXTURE_ORM,
+]
 
 var _callbacks: Array[JavaScriptObject] = []
 var _scene: Node3D
 var _joints := PackedStringArray()
 var _camera := Camera3D.new()
 var _light := DirectionalLight3D.new()
+var _furniture: Array[Node] = []
 var _window := JavaScriptBridge.get_interface("window")
 
 
@@ -78,6 +97,8 @@ func _show(asked: Dictionary) -> Dictionary:
 	if asked.has("material"):
 		for mesh: MeshInstance3D in meshes:
 			mesh.set_surface_override_material(0, call("_" + asked.material))
+	if asked.has("properties"):
+		meshes[0].set_surface_override_material(0, _varied(asked.properties))
 	if asked.has("change"):
 		call("_" + asked.change, meshes[0])
 	add_child(_scene)
@@ -94,16 +115,60 @@ func _show(asked: Dictionary) -> Dictionary:
 			meshes[0].skin = null
 			meshes[0].skeleton = NodePath()
 	_pose(asked)
+	if asked.get("isFurnished", false):
+		_scene.rotation.y = 0.8
 	# The camera is not turned, so that normals before it are normals in the world.
 	var bounds: AABB = meshes[0].global_transform * meshes[0].get_aabb()
 	_camera.position = bounds.get_center() + Vector3(0.0, 0.0, 0.8 * bounds.size.length())
 	_light.visible = asked.get("isLit", false)
 	_light.shadow_enabled = asked.get("isShadowed", false)
+	_furnish(asked.get("isFurnished", false))
 	return {
 		"report": _scene.get_node("Skinbake").report,
 		"world": _matrix(meshes[0].global_transform),
 		"skinned": meshes.map(func(mesh: MeshInstance3D) -> bool: return mesh.skin != null),
 	}
+
+
+## What the modes of materials act on: walls before and behind the mesh, ambient light and fog.
+func _furnish(is_furnished: bool) -> void:
+	_light.light_energy = 1.5 if is_furnished else 0.5
+	_light.directional_shadow_max_distance = 6.0 if is_furnished else 100.0
+	for node in _furniture:
+		node.queue_free()
+	_furniture.clear()
+	if not is_furnished:
+		return
+	# The wall in front is drawn before the mesh, and the one behind it after the mesh.
+	_add_wall(Vector3(0.3, 0.2, 0.7), Vector2(0.3, 0.8), Color(0.2, 0.6, 0.3), -1)
+	_add_wall(Vector3(0.0, 0.0, -1.5), Vector2(8.0, 8.0), Color(0.7, 0.4, 0.2, 0.5), 1)
+	var world := WorldEnvironment.new()
+	world.environment = Environment.new()
+	world.environment.background_mode = Environment.BG_COLOR
+	world.environment.background_color = Color(0.3, 0.4, 0.5)
+	world.environment.ambient_light_source = Environment.AMBIENT_SOURCE_COLOR
+	world.environment.ambient_light_color = Color(0.8, 0.7, 0.6)
+	world.environment.fog_enabled = true
+	world.environment.fog_density = 0.05
+	_furniture.append(world)
+	add_child(world)
+
+
+func _add_wall(position: Vector3, size: Vector2, colour: Color, priority: int) -> void:
+	var wall := MeshInstance3D.new()
+	var quad := QuadMesh.new()
+	quad.size = size
+	wall.mesh = quad
+	wall.position = position
+	var material := StandardMaterial3D.new()
+	material.albedo_color = colour
+	material.shading_mode = BaseMaterial3D.SHADING_MODE_UNSHADED
+	if colour.a < 1.0:
+		material.transparency = BaseMaterial3D.TRANSPARENCY_ALPHA
+	material.render_priority = priority
+	wall.material_override = material
+	_furniture.append(wall)
+	add_child(wall)
 
 
 func _names_of_joints(state: GLTFState) -> PackedStringArray:
@@ -147,6 +212,26 @@ func _scattering() -> StandardMaterial3D:
 	return material
 
 
+## A material with a texture for all features, none of which is on, and with the properties asked for. Strings are
+## values as Godot writes them.
+func _varied(properties: Dictionary) -> BaseMaterial3D:
+	var material: BaseMaterial3D = ClassDB.instantiate(properties.get("class", "StandardMaterial3D"))
+	material.albedo_color = Color(0.9, 0.8, 0.7, 0.8)
+	material.metallic = 0.3
+	material.roughness = 0.6
+	material.emission = Color(0.5, 0.2, 0.1)
+	for texture: BaseMaterial3D.TextureParam in TEXTURES:
+		material.set_texture(texture, _texture(texture + 1))
+	for name: String in properties:
+		if name == "class":
+			continue
+		var value: Variant = properties[name]
+		value = str_to_var(value) if value is String else type_convert(value, typeof(material.get(name)))
+		material.set(name, value)
+		assert_equal(material.get(name), value)
+	return material
+
+
 ## What a user, or the import, may have done to a mesh that the add-on cannot serve then.
 func _override(mesh: MeshInstance3D) -> void:
 	mesh.material_override = _plain()
@@ -176,6 +261,8 @@ func _vary(mesh: MeshInstance3D) -> void:
 			var material := StandardMaterial3D.new()
 			material.emission_enabled = name.begins_with("emission")
 			material.ao_enabled = name.begins_with("ao")
+			if name.begins_with("alpha"):
+				material.transparency = BaseMaterial3D.TRANSPARENCY_ALPHA_HASH
 			material.set(name, value)
 			assert_equal(material.get(name), value)
 			_copy(mesh, material)
@@ -250,6 +337,7 @@ static func _texture(seed: int) -> ImageTexture:
 	for pixel in 64:
 		var value := fmod(0.37 * pixel * seed, 1.0)
 		image.set_pixel(pixel % 8, pixel / 8, Color(0.5 + 0.2 * value, value, 1.0 - 0.5 * value, 0.3 + 0.7 * value))
+	image.generate_mipmaps()
 	return ImageTexture.create_from_image(image)
 
 

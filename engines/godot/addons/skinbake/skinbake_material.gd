@@ -33,6 +33,11 @@ const MODES := {
 	BaseMaterial3D.FLAG_DONT_RECEIVE_SHADOWS: "shadows_disabled",
 	BaseMaterial3D.FLAG_DISABLE_AMBIENT_LIGHT: "ambient_light_disabled",
 	BaseMaterial3D.FLAG_DISABLE_FOG: "fog_disabled",
+	BaseMaterial3D.FLAG_DISABLE_SPECULAR_OCCLUSION: "specular_occlusion_disabled",
+}
+const ALPHA_ANTIALIASING: Dictionary[BaseMaterial3D.AlphaAntiAliasing, String] = {
+	BaseMaterial3D.ALPHA_ANTIALIASING_ALPHA_TO_COVERAGE: "alpha_to_coverage",
+	BaseMaterial3D.ALPHA_ANTIALIASING_ALPHA_TO_COVERAGE_AND_TO_ONE: "alpha_to_coverage_and_one",
 }
 const FILTERS := [
 	"filter_nearest", "filter_linear", "filter_nearest_mipmap", "filter_linear_mipmap",
@@ -149,10 +154,23 @@ static func _modes(material: BaseMaterial3D) -> PackedStringArray:
 		found.append("unshaded")
 	elif material.shading_mode == BaseMaterial3D.SHADING_MODE_PER_VERTEX:
 		found.append("vertex_lighting")
+	if material.depth_test == BaseMaterial3D.DEPTH_TEST_INVERTED and not material.no_depth_test:
+		found.append("depth_test_inverted")
+	if _antialiases_alpha(material):
+		found.append(ALPHA_ANTIALIASING[material.alpha_antialiasing_mode])
 	for flag: BaseMaterial3D.Flags in MODES:
 		if material.get_flag(flag):
 			found.append(MODES[flag])
 	return found
+
+
+static func _antialiases_alpha(material: BaseMaterial3D) -> bool:
+	return (
+		material.alpha_antialiasing_mode != BaseMaterial3D.ALPHA_ANTIALIASING_OFF
+		and material.transparency in [
+			BaseMaterial3D.TRANSPARENCY_ALPHA_SCISSOR, BaseMaterial3D.TRANSPARENCY_ALPHA_HASH,
+		]
+	)
 
 
 static func _defines(material: BaseMaterial3D) -> PackedStringArray:
@@ -176,10 +194,21 @@ static func _defines(material: BaseMaterial3D) -> PackedStringArray:
 		[BaseMaterial3D.FLAG_SRGB_VERTEX_COLOR, "VERTEX_COLOUR_SRGB"],
 		[BaseMaterial3D.FLAG_ALBEDO_TEXTURE_FORCE_SRGB, "ALBEDO_SRGB"],
 		[BaseMaterial3D.FLAG_EMISSION_ON_UV2, "EMISSIVE_ON_UV2"],
-		[BaseMaterial3D.FLAG_AO_ON_UV2, "OCCLUDED_ON_UV2"],
+		[BaseMaterial3D.FLAG_USE_Z_CLIP_SCALE, "Z_CLIP_SCALED"],
+		[BaseMaterial3D.FLAG_USE_FOV_OVERRIDE, "FOV_OVERRIDDEN"],
 	]:
 		if material.get_flag(flag[0]):
 			found.append(flag[1])
+	# The ORM texture is on UV, whatever the flag says.
+	if material.get_flag(BaseMaterial3D.FLAG_AO_ON_UV2) and not material is ORMMaterial3D:
+		found.append("OCCLUDED_ON_UV2")
+	# Godot scales UV2 for the detail layer alone, whether it is on or not.
+	if material.detail_uv_layer == BaseMaterial3D.DETAIL_UV_2:
+		found.append("UV2_SCALED")
+	if material.shading_mode == BaseMaterial3D.SHADING_MODE_PER_VERTEX:
+		found.append("VERTEX_LIT")
+	if _antialiases_alpha(material):
+		found.append("ALPHA_ANTIALIASED")
 	if material.grow:
 		found.append("GROWN")
 	match material.transparency:
@@ -189,6 +218,8 @@ static func _defines(material: BaseMaterial3D) -> PackedStringArray:
 			found.append_array(["TRANSPARENT", "HASHED"])
 		BaseMaterial3D.TRANSPARENCY_ALPHA, BaseMaterial3D.TRANSPARENCY_ALPHA_DEPTH_PRE_PASS:
 			found.append("TRANSPARENT")
+		_ when material.shadow_to_opacity:
+			found.append("TRANSPARENT")
 	return found
 
 
@@ -196,13 +227,17 @@ static func _defines(material: BaseMaterial3D) -> PackedStringArray:
 static func _set_parameters(made: ShaderMaterial, material: BaseMaterial3D) -> void:
 	for name: StringName in [
 		&"metallic", &"roughness", &"normal_scale", &"rim", &"rim_tint", &"clearcoat", &"clearcoat_roughness",
-		&"ao_light_affect", &"alpha_scissor_threshold", &"alpha_hash_scale", &"grow_amount",
-		&"uv1_scale", &"uv1_offset", &"uv2_scale", &"uv2_offset", &"emission",
+		&"ao_light_affect", &"alpha_scissor_threshold", &"alpha_hash_scale", &"alpha_antialiasing_edge",
+		&"uv1_scale", &"uv1_offset", &"uv2_scale", &"uv2_offset", &"emission", &"z_clip_scale", &"fov_override",
 	]:
 		made.set_shader_parameter(name, material.get(name))
 	made.set_shader_parameter(&"albedo", material.albedo_color)
 	made.set_shader_parameter(&"specular", material.metallic_specular)
+	made.set_shader_parameter(&"grow", material.grow_amount)
 	made.set_shader_parameter(&"emission_energy", material.emission_energy_multiplier)
+	if material.albedo_texture != null:
+		var size := Vector2i(material.albedo_texture.get_width(), material.albedo_texture.get_height())
+		made.set_shader_parameter(&"albedo_texture_size", size)
 	for kind: Array in [
 		[BaseMaterial3D.TEXTURE_ALBEDO, &"texture_albedo"],
 		[BaseMaterial3D.TEXTURE_METALLIC, &"texture_metallic"],
@@ -227,3 +262,4 @@ static func _set_parameters(made: ShaderMaterial, material: BaseMaterial3D) -> v
 		made.set_shader_parameter(&"metallic_texture_channel", CHANNELS[2])
 		made.set_shader_parameter(&"roughness", 1.0)
 		made.set_shader_parameter(&"metallic", 1.0)
+		made.set_shader_parameter(&"specular", 0.5)
