@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import hashlib
 import json
 import os
 import struct
@@ -291,6 +292,41 @@ class TestAnotherFolder:
         assert image is not None
         assert image.startswith("skin%20a-")
         assert (tmp_path / "out" / image.replace("%20", " ")).read_bytes() == PNG + b"skin a.png"
+
+    @pytest.mark.parametrize("there", [None, b"the old output", PNG + b"out.gltf"])
+    def test_an_image_with_the_name_of_the_target_gets_another_name(
+        self, there: bytes | None, tmp_path: Path
+    ) -> None:
+        source = with_image(tmp_path / "in", "out.gltf", "out.gltf")
+        (tmp_path / "out").mkdir()
+        if there is not None:
+            (tmp_path / "out" / "out.gltf").write_bytes(there)
+        after = baked(source, tmp_path / "out" / "out.gltf")
+        (image,) = uris(after.content, "images")
+        digest = hashlib.sha256(PNG + b"out.gltf").hexdigest()[:16]
+        assert image == f"out-{digest}.gltf"
+        assert (tmp_path / "out" / image).read_bytes() == PNG + b"out.gltf"
+        assert_buffers_kept(read(source), after)
+        once = names(tmp_path / "out")
+        assert uris(baked(source, tmp_path / "out" / "out.gltf").content, "images") == [image]
+        assert names(tmp_path / "out") == once
+
+    @pytest.mark.skipif(sys.platform == "win32", reason="links need a privilege there")
+    def test_a_link_to_the_target_does_not_serve(self, tmp_path: Path) -> None:
+        source = with_image(tmp_path / "in", "skin.png", "skin.png")
+        (tmp_path / "out").mkdir()
+        (tmp_path / "out" / "model.gltf").write_bytes(PNG + b"skin.png")
+        (tmp_path / "out" / "skin.png").symlink_to("model.gltf")
+        after = baked(source, tmp_path / "out" / "model.gltf")
+        (image,) = uris(after.content, "images")
+        assert (tmp_path / "out" / str(image)).read_bytes() == PNG + b"skin.png"
+
+    def test_a_literal_name_is_encoded_if_its_decoded_form_is_the_target(self, tmp_path: Path) -> None:
+        source = with_image(tmp_path / "in", "a%20b.gltf", "a%20b.gltf")
+        (tmp_path / "out").mkdir()
+        after = baked(source, tmp_path / "out" / "a b.gltf")
+        assert uris(after.content, "images") == ["a%2520b.gltf"]
+        assert (tmp_path / "out" / "a%20b.gltf").read_bytes() == PNG + b"a%20b.gltf"
 
     def test_existing_files_of_the_same_content_serve(self, tmp_path: Path) -> None:
         source = with_image(tmp_path / "in", "skin.png", "skin.png")

@@ -41,10 +41,13 @@ class _LinkedOutError(Exception):
 
 
 class Beside:
-    """The files that a document names, on their way to the folder of the target."""
+    """The files that a document names, on their way to the folder of the target.
 
-    def __init__(self, document: Document, folder: Path, root: Path) -> None:
-        self._document, self._folder, self._root = document, folder, root
+    ``target`` is a path without links. No file gets the name of the target.
+    """
+
+    def __init__(self, document: Document, target: Path, root: Path) -> None:
+        self._document, self._target, self._folder, self._root = document, target, target.parent, root
         self._home = Path(os.path.realpath(document.folder))
         self._files: dict[Path, Iterable[Bytes]] = {}
         self._serving: dict[Path, Signature] = {}
@@ -131,7 +134,7 @@ class Beside:
         else:
             self._serving[path] = before if free == name else signature_of(path)
         meant = relative_names(uri)[0]  # the literal name is tried if this one does not exist
-        stays = free == name and (name == meant or not os.path.lexists(self._path(meant)))
+        stays = free == name and (name == meant or not self._will_exist(meant))
         return uri if stays else path_uri(free)
 
     def _free_name(self, name: str, pieces: Iterable[Bytes]) -> str:
@@ -148,14 +151,28 @@ class Beside:
         return other
 
     def _occupied(self, name: str, pieces: Iterable[Bytes]) -> bool:
-        """Tell whether another file has a name in the target's folder; no link is followed out of it."""
+        """Tell whether another file, or the target, has a name in the target's folder.
+
+        A link that leads out of the folder is not opened.
+        """
         path = self._path(name)
+        if self._is_target(path):
+            return True
         if not os.path.lexists(path):
             return False
         try:
             return not _same(FileContent(spot_of(path, os.fspath(self._root))), pieces)
         except OSError:
             return True
+
+    def _will_exist(self, name: str) -> bool:
+        """Tell whether a name in the target's folder is that of an existing file, or of the target."""
+        path = self._path(name)
+        return os.path.lexists(path) or self._is_target(path)
+
+    def _is_target(self, path: str) -> bool:
+        """Tell whether a path, all links followed, is the target."""
+        return Path(os.path.realpath(path)) == self._target
 
     def _notices(self) -> list[Notice]:
         place, told, found = self._document.place, self._document.told, []

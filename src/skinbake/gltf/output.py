@@ -91,7 +91,8 @@ def plan_output(document: Document, target: str, *, root: str | None = None) -> 
     The suffix of the target must match the container. ``root`` is the folder that nothing is written outside
     of; the default is the folder of the target. Files that a relative URI names are copied under their
     relative path, if the target is in another folder and that path is below the root. An existing file is not
-    changed: if it has the same content it serves, otherwise the copy has another name and the URI follows.
+    changed: if it has the same content it serves, otherwise the copy has another name and the URI follows. A
+    copy that would have the name of the target has another name too.
     Other URIs are rewritten so that they still lead to the same file. A document that was not edited is
     written with the bytes that were read. The folder of the target is made if it is missing. Raises
     OutputError if the target cannot be written, and InputError if a buffer is outside the bounds of the
@@ -107,7 +108,7 @@ def plan_output(document: Document, target: str, *, root: str | None = None) -> 
     try:
         path, base = _place_of(target, root)
         check_target(path, target)
-        written, beside, serving, notices = Beside(document, path.parent, base).planned()
+        written, beside, serving, notices = Beside(document, path, base).planned()
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise OutputError(f"cannot be written: {reason}", Place(target)) from error
