@@ -156,13 +156,36 @@ def test_an_image_has_one_notice_which_says_that_it_is_not_copied_either(tmp_pat
     assert (tmp_path / "out" / "odd.xyz").exists()
 
 
-def test_a_missing_buffer_keeps_its_notice(tmp_path: Path) -> None:
+@pytest.mark.parametrize("moves", [False, True])
+def test_a_missing_buffer_is_named_once(moves: bool, tmp_path: Path) -> None:
     source = with_files(tmp_path / "in", {}, a="no.png")
     model = read(source)
-    model.content["buffers"].append({"uri": "unused.bin", "byteLength": 4})
+    model.content["buffers"] += [{"uri": uri, "byteLength": 4} for uri in ("gone.bin", "lost.bin")]
     rewritten(model, source)
-    _, notices = packed(source, tmp_path / "out" / "hero.glb")
-    assert sorted(notices) == ["file-missing", "image-not-packed"]
+    target = tmp_path / ("out" if moves else "in") / "hero.glb"
+    (file,) = document(invoke("bake", source, "-o", target, "--pack", "--json"))["files"]
+    why = "cannot be read: No such file or directory" + (". It cannot be copied either" if moves else "")
+    assert [(notice["code"], notice["count"], notice["message"]) for notice in file["warnings"]] == [
+        ("buffer-not-packed", 2, f'2 buffers stay files: "gone.bin" {why}. The others are lost.bin'),
+        ("image-not-packed", 1, f'1 image stays a file: "no.png" {why}'),
+    ]
+    assert [buffer.get("uri") for buffer in read(target).content["buffers"]] == [None, "gone.bin", "lost.bin"]
+    assert invoke("bake", source, "-o", target, "--pack", "--warnings-as-errors").exit_code == 3
+
+
+def test_a_buffer_that_is_cut_short_is_named_and_copied(tmp_path: Path) -> None:
+    source = with_files(tmp_path / "in", {"short.bin": b"123"})
+    model = read(source)
+    model.content["buffers"].append({"uri": "short.bin", "byteLength": 4})
+    rewritten(model, source)
+    result = invoke("bake", source, "-o", tmp_path / "out" / "hero.glb", "--pack", "--json")
+    (notice,) = document(result)["files"][0]["warnings"]
+    assert notice["code"] == "buffer-not-packed"
+    assert notice["message"] == (
+        '1 buffer stays a file: "short.bin" is not packed: buffer 2 is cut short: it declares 4 bytes, but '
+        "only 3 are there"
+    )
+    assert (tmp_path / "out" / "short.bin").read_bytes() == b"123"
 
 
 def test_a_glb_with_buffers_in_files_gets_a_chunk(tmp_path: Path) -> None:

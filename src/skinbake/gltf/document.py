@@ -44,7 +44,7 @@ class Document:
     - ``folder`` is the folder where its relative URIs start, ``bounds`` the folders where they may lead.
     - ``is_glb`` tells the container. ``binary`` is the BIN chunk in pieces, None without such a chunk.
     - ``new_files`` are files that must be written beside it, by relative URI.
-    - ``told`` are URIs of images that stay files. A notice says so, and what becomes of them.
+    - ``told`` are URIs of buffers and images that stay files. A notice says so, and what becomes of them.
     - ``other_chunks`` and ``trailing`` are further contents of a GLB.
     - ``raw`` is the text or the container as read, None after an edit.
     - ``derived`` holds results of decoders, each under its own key, so that nothing is decoded twice.

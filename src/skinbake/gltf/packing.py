@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, TypeGuard
 
 from skinbake.containment import OutsideError, RefusedError, is_relative
 from skinbake.errors import InputError, Notice, Place
@@ -44,23 +43,29 @@ class _Chunk:
         return start
 
 
-Kind = Literal["outside", "refused", "unreadable", "unknown"]
+What = Literal["buffer", "image"]
+Kind = Literal["outside", "refused", "unreadable", "unknown", "broken"]
 
 FATES: dict[Kind, str] = {
     "outside": ". It is not copied either, and the output refers to the same place",
     "refused": ". Its URI stays as it is",
     "unreadable": ". It cannot be copied either",
     "unknown": "",
+    "broken": "",
 }
-"""What becomes of an image that stays a file if the output is in another folder. Most are copied."""
+"""What becomes of a file that stays outside if the output is in another folder. Most are copied."""
+
+CODES: dict[What, str] = {"buffer": "buffer-not-packed", "image": "image-not-packed"}
+"""The code of the notice on files that stay outside."""
 
 
 class _Left(NamedTuple):
-    """An image that stays a file, and why. Images of one kind share a notice."""
+    """A buffer or an image that stays a file, and why. Those of one kind share a notice."""
 
     uri: str
     kind: Kind
     why: str
+    what: What
 
 
 class _StaysError(Exception):
@@ -83,32 +88,32 @@ def packed(document: Document, *, buffer_files: bool = False) -> Document:
 
 
 def packed_with_files(document: Document, *, moves: bool) -> tuple[Document, list[Notice]]:
-    """Return a GLB with all buffers and images in its BIN chunk, and notices on images that stay outside.
+    """Return a GLB with all buffers and images in its BIN chunk, and notices on those that stay outside.
 
     It gets a BIN chunk if it has none and needs one. The bytes of images are not changed. An image stays
-    outside if it may not be read, is missing, or has an unknown format. If the document ``moves`` to another
-    folder, the notices say what becomes of these images there. Raises InputError for files that take more
-    memory than the budget of the document.
+    outside if it may not be read, is missing, or has an unknown format. A buffer stays outside if it is
+    missing or too short. If the document ``moves`` to another folder, the notices say what becomes of these
+    files there. Raises InputError for images that take more memory than the budget of the document.
     """
     prepared = document if document.has_binary_buffer else _with_empty_chunk(document)
     inside, left = _with_all(prepared, buffer_files=True, image_files=True)
     if inside is prepared:
         inside = document
     if moves and left:
-        inside = replace(inside, told=frozenset(image.uri for image in left))
-    kinds = dict.fromkeys(image.kind for image in left)
-    alike = [[image for image in left if image.kind == kind] for kind in kinds]
-    return inside, [_not_packed(images, document.place, moves=moves) for images in alike]
+        inside = replace(inside, told=frozenset(file.uri for file in left))
+    kinds = dict.fromkeys((file.what, file.kind) for file in left)
+    alike = [[file for file in left if (file.what, file.kind) == kind] for kind in kinds]
+    return inside, [_not_packed(files, document.place, moves=moves) for files in alike]
 
 
 def _not_packed(left: Sequence[_Left], place: Place, *, moves: bool) -> Notice:
-    """Return the notice on images of one kind that stay files."""
-    uri, kind, why = left[0]
+    """Return the notice on buffers, or images, of one kind that stay files."""
+    uri, kind, why, what = left[0]
     said = f'"{shortened(uri)}" {why}{FATES[kind] if moves else ""}'
-    others = list(dict.fromkeys(image.uri for image in left if image.uri != uri))
+    others = list(dict.fromkeys(file.uri for file in left if file.uri != uri))
     also = f". The others are {listed(others)}" if others else ""
-    message = f"{one_or_many(len(left), '1 image stays a file', '{} images stay files')}: {said}{also}"
-    return Notice("image-not-packed", message, place, len(left))
+    stay = one_or_many(len(left), f"1 {what} stays a file", f"{{}} {what}s stay files")
+    return Notice(CODES[what], f"{stay}: {said}{also}", place, len(left))
 
 
 def _with_empty_chunk(document: Document) -> Document:
@@ -122,11 +127,13 @@ def _with_empty_chunk(document: Document) -> Document:
 
 
 def _with_all(document: Document, *, buffer_files: bool, image_files: bool) -> tuple[Document, list[_Left]]:
-    """Return the document with its data in the chunk, and the images that stay files."""
+    """Return the document with its data in the chunk, and the buffers and images that stay files."""
     chunk = _Chunk(list(document.binary or ()))
     before = chunk.length
-    root = {**document.json, **_with_buffers(document, chunk, files=buffer_files)}
-    images, views, left = _with_images(document, chunk, len(root.get("bufferViews", ())), files=image_files)
+    changed, left = _with_buffers(document, chunk, files=buffer_files)
+    root = {**document.json, **changed}
+    images, views, loose = _with_images(document, chunk, len(root.get("bufferViews", ())), files=image_files)
+    left += loose
     if chunk.length == before:
         return document, left
     if views:
@@ -137,24 +144,37 @@ def _with_all(document: Document, *, buffer_files: bool, image_files: bool) -> t
     return document.edited(json=root, binary=pieces), left
 
 
-def _is_wanted(uri: object, *, files: bool) -> bool:
+def _is_wanted(uri: object, *, files: bool) -> TypeGuard[str]:
     return isinstance(uri, str) and (is_data_uri(uri) or (files and is_relative(uri)))
 
 
-def _with_buffers(document: Document, chunk: _Chunk, *, files: bool) -> JsonObject:
-    """Move buffers into the chunk, and return the members that change."""
-    buffers, moved = document.objects("buffers"), {0: 0}
+def _with_buffers(document: Document, chunk: _Chunk, *, files: bool) -> tuple[JsonObject, list[_Left]]:
+    """Move buffers into the chunk. Return the members that change, and the buffers that stay files."""
+    buffers, moved, left = document.objects("buffers"), {0: 0}, list[_Left]()
     for number, buffer in enumerate(buffers):
-        if _is_wanted(buffer.get("uri"), files=files) and not meshopt.is_fallback(buffer, document.place):
-            with suppress(InputError):  # a buffer that cannot be read stays where it is
-                moved[number] = chunk.add(document.buffer(number))
+        uri = buffer.get("uri")
+        if not _is_wanted(uri, files=files) or meshopt.is_fallback(buffer, document.place):
+            continue
+        try:
+            moved[number] = chunk.add(document.buffer(number))
+        except InputError as error:  # a buffer that cannot be read stays where it is
+            if not is_data_uri(uri):
+                left.append(_left_buffer(uri, error))
     if len(moved) == 1:
-        return {"buffers": buffers}
+        return {"buffers": buffers}, left
     kept = [number for number in range(len(buffers)) if number == 0 or number not in moved]
     places = {number: (position, 0) for position, number in enumerate(kept)}
     places |= {number: (0, start) for number, start in moved.items()}
     views = [_moved_view(view, places, document) for view in document.objects("bufferViews")]
-    return {"buffers": [buffers[number] for number in kept], "bufferViews": views}
+    return {"buffers": [buffers[number] for number in kept], "bufferViews": views}, left
+
+
+def _left_buffer(uri: str, error: InputError) -> _Left:
+    """Return a buffer that stays a file, because of an error in reading it."""
+    cause = error.__cause__
+    if isinstance(cause, OSError):
+        return _Left(uri, "unreadable", f"cannot be read: {cause.strerror}", "buffer")
+    return _Left(uri, "broken", f"is not packed: {error.message}", "buffer")
 
 
 def _moved_view(view: JsonObject, places: dict[int, tuple[int, int]], document: Document) -> JsonObject:
@@ -189,10 +209,10 @@ def _with_images(
     known: dict[str, tuple[int, str]] = {}
     for image in document.objects("images"):
         uri = image.get("uri")
-        if not isinstance(uri, str) or not _is_wanted(uri, files=files):
+        if not _is_wanted(uri, files=files):
             images.append(image)
             if files and isinstance(uri, str):
-                left.append(_Left(uri, "refused", "is not a relative path"))
+                left.append(_Left(uri, "refused", "is not a relative path", "image"))
             continue
         if uri not in known:
             try:
@@ -201,7 +221,7 @@ def _with_images(
             except _StaysError as reason:
                 images.append(image)
                 if not is_data_uri(uri):
-                    left.append(_Left(uri, reason.kind, str(reason)))
+                    left.append(_Left(uri, reason.kind, str(reason), "image"))
                 continue
             added.append({"buffer": 0, "byteOffset": chunk.add(data), "byteLength": len(data)})
             known[uri] = views + len(added) - 1, kind
