@@ -18,6 +18,7 @@ import pytest
 from fixtures.builder import JsonObject, pack_glb
 from skinbake.commands.strip import strip_file
 from skinbake.errors import OutputError
+from skinbake.gltf.beside import files_of_extensions
 from tests.support.baking import bake_file
 from tests.support.gltf_reading import GltfFile, read
 from tests.support.khronos import validate
@@ -412,6 +413,69 @@ class TestAnotherFolder:
         (tmp_path / "out").mkdir()
         strip_file(str(source), str(tmp_path / "out" / "model.gltf"))
         assert names(tmp_path / "out") == ["model.gltf", SHARED_BIN, "skin.png"]
+
+
+class TestFilesOfExtensions:
+    """Files that only extensions name stay where they are, and a notice says so."""
+
+    @staticmethod
+    def source(folder: Path) -> Path:
+        def change(content: JsonObject) -> None:
+            sounds: list[JsonObject] = [
+                {"uri": "step.mp3"},
+                {"uri": "data:audio/mpeg;base64,AA=="},
+                {"uri": "step.mp3"},
+            ]
+            sounds += [{"uri": "https://example.org/a.mp3", "extras": {"uri": "note.txt"}}, {"uri": 3}]
+            content["nodes"][0]["extensions"] = {"EXT_lights_ies": {"light": {"uri": "lamps/a%20b.ies"}}}
+            content["extensions"] = {"KHR_audio_emitter": {"audio": sounds}, "X": {"b": [{"uri": "x"}]}}
+            content["extensions"]["Y"] = {"uri": "y"}
+            content["extras"] = {"uri": "mine.txt", "extensions": {"X": {"uri": "mine too.txt"}}}
+            content["asset"]["uri"] = "no reference"
+
+        return edited("seam.glb", folder, change)
+
+    @pytest.mark.parametrize(
+        ("target", "pack", "what"),
+        [
+            ("out/hero.glb", False, "not copied"),
+            ("out/hero.gltf", False, "not copied"),
+            ("out/hero.glb", True, "neither packed nor copied"),
+            ("in/hero.glb", True, "not packed"),
+            ("in/hero.glb", False, None),
+        ],
+    )
+    def test_they_are_named_if_they_do_not_come_along(
+        self, target: str, pack: bool, what: str | None, tmp_path: Path
+    ) -> None:
+        source = self.source(tmp_path / "in")
+        before = read(source).content
+        (tmp_path / "in" / "step.mp3").write_bytes(b"sound")
+        result = bake(source, tmp_path / target, pack=pack)
+        told = [(notice.code, notice.count, notice.message) for notice in result.notices]
+        first = "lamps/a%20b.ies, step.mp3, x"
+        message = f"4 files that its extensions name are {what}, and their URIs stay as they are: {first}, …"
+        assert told == ([("uri-not-copied", 4, message)] if what else [])
+        after = read(tmp_path / target).content
+        assert all(after[key] == before[key] for key in ("extensions", "extras"))
+        assert not (tmp_path / "out" / "step.mp3").exists()
+
+    def test_they_are_found_at_any_depth(self) -> None:
+        deep: JsonObject = {"uri": "deep.bin"}
+        for _ in range(10_000):
+            deep = {"inner": [deep]}
+        assert files_of_extensions({"extensions": {"X": deep}}) == ["deep.bin"]
+
+    def test_strip_names_them_too(self, tmp_path: Path) -> None:
+        content = {"X": {"uri": "x.txt"}}
+        source = edited("seam.glb", tmp_path / "in", lambda model: model.update(extensions=content))
+        bake(source, source)
+        (tmp_path / "out").mkdir()
+        (notice,) = strip_file(str(source), str(tmp_path / "out" / "seam.glb")).notices
+        assert (notice.code, notice.message) == (
+            "uri-not-copied",
+            "1 file that its extensions name is not copied, and its URI stays as it is: x.txt",
+        )
 
 
 class TestSameFolder:

@@ -14,6 +14,7 @@ from skinbake.containment import (
     RefusedError,
     Spot,
     below,
+    is_relative,
     moved_uri,
     path_uri,
     relative_names,
@@ -211,6 +212,27 @@ def named_files(document: Document) -> Iterator[NamedFile]:
             uri = entry.get("uri")
             if isinstance(uri, str) and not is_data_uri(uri) and not _is_on_the_network(uri):
                 yield NamedFile(array, number, uri)
+
+
+def files_of_extensions(root: JsonObject) -> list[str]:
+    """Return the relative URIs that extensions of a document name, in its order, each once.
+
+    They are the members ``uri`` at any depth of an object ``extensions``. ``extras`` do not count.
+    """
+    found: dict[str, None] = {}
+    left: list[tuple[object, bool]] = [(root, False)]
+    while left:
+        node, inside = left.pop()
+        inner: list[tuple[object, bool]] = []
+        if isinstance(node, dict):
+            uri = node.get("uri")
+            if inside and isinstance(uri, str) and not is_data_uri(uri) and is_relative(uri):
+                found[uri] = None
+            inner = [(child, inside or key == "extensions") for key, child in node.items() if key != "extras"]
+        elif isinstance(node, list):
+            inner = [(child, inside) for child in node]
+        left += [entry for entry in reversed(inner) if isinstance(entry[0], dict | list)]
+    return list(found)
 
 
 def is_elsewhere(document: Document, target: str) -> bool:

@@ -9,7 +9,7 @@ from pathlib import Path
 from skinbake.containment import RefusedError, is_relative, path_uri, relative_names
 from skinbake.errors import Notice, OutputError, Place
 from skinbake.gltf import resources
-from skinbake.gltf.beside import is_elsewhere
+from skinbake.gltf.beside import files_of_extensions, is_elsewhere
 from skinbake.gltf.codecs import meshopt
 from skinbake.gltf.document import GLB_SUFFIXES, STDIO, Document
 from skinbake.gltf.glb import Bytes
@@ -27,11 +27,19 @@ def for_target(document: Document, target: str, *, pack: bool = False) -> tuple[
     URIs go there too. Further buffers stay where they are. On standard output they go into the chunk, or
     become data: URIs if the document was a GLB before. If a GLB becomes a ``.gltf``, its BIN chunk becomes a
     file named after the target.
+
+    The files that extensions name are neither packed nor copied; a notice names them.
     """
+    moves = target != STDIO and is_elsewhere(document, target)
+    converted, notices = _converted(document, target, pack=pack, moves=moves)
+    return converted, [*notices, *_not_copied(document, pack=pack, moves=moves)]
+
+
+def _converted(document: Document, target: str, *, pack: bool, moves: bool) -> tuple[Document, list[Notice]]:
+    """Return the document in the container of the target, and notices on what stays outside or is lost."""
     if is_glb_name(target):
         glb, notices = document, list[Notice]()
         if pack:
-            moves = target != STDIO and is_elsewhere(document, target)
             glb, notices = packed_with_files(glb if glb.is_glb else _as_glb(glb), moves=moves)
         elif not document.is_glb:
             glb = packed(_as_glb(document), buffer_files=target == STDIO)
@@ -39,6 +47,19 @@ def for_target(document: Document, target: str, *, pack: bool = False) -> tuple[
     if pack:
         raise OutputError("--pack needs a .glb or .vrm: a .gltf has no binary chunk", Place(target))
     return _as_gltf(document, Path(target).stem) if document.is_glb else (document, [])
+
+
+def _not_copied(document: Document, *, pack: bool, moves: bool) -> Iterator[Notice]:
+    """Yield a notice on the files that extensions name, if the document moves or is packed."""
+    uris = files_of_extensions(document.json) if pack or moves else []
+    if uris:
+        files = one_or_many(
+            len(uris), "1 file that its extensions name is", "{} files that its extensions name are"
+        )
+        what = ("neither packed nor copied" if moves else "not packed") if pack else "not copied"
+        stay = one_or_many(len(uris), "its URI stays as it is", "their URIs stay as they are")
+        message = f"{files} {what}, and {stay}: {resources.listed(uris)}"
+        yield Notice("uri-not-copied", message, document.place, len(uris))
 
 
 def is_glb_name(target: str) -> bool:
