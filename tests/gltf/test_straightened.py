@@ -110,6 +110,22 @@ def test_strip_brings_the_former_tangents_back(twin: object, tmp_path: Path) -> 
     assert (tmp_path / "again.glb").read_bytes() == (tmp_path / "baked.glb").read_bytes()
 
 
+def test_an_accessor_number_with_a_point_means_the_same(tmp_path: Path) -> None:
+    path = leaning(SOURCE, tmp_path / "skewed.glb", 10.0, [VERTEX])
+    file = read(path)
+    attributes = file.primitive(0)["attributes"]
+    attributes["TANGENT"] = float(attributes["TANGENT"])
+    pointed = rewritten(file, tmp_path / "pointed.glb")
+    assert f'"TANGENT":{attributes["TANGENT"]}'.encode() in pointed.read_bytes().replace(b" ", b"")
+    results = [bake(source, tmp_path / f"baked_{source.name}") for source in (path, pointed)]
+    assert straightening(results[0]) == straightening(results[1]) != []
+    expected, found = (read(tmp_path / f"baked_{source.name}") for source in (path, pointed))
+    assert (found.content, found.binary_chunk) == (expected.content, expected.binary_chunk)
+    assert inspect_file(str(pointed)).primitives[0].frame == "tangent"
+    strip_file(str(tmp_path / "baked_pointed.glb"), str(tmp_path / "back.glb"))
+    assert read(tmp_path / "back.glb").content == read(path).content
+
+
 def test_edited_tangents_stay_and_it_is_said(tmp_path: Path) -> None:
     path = leaning(SOURCE, tmp_path / "skewed.glb", 10.0, [VERTEX])
     bake(path, tmp_path / "baked.glb")

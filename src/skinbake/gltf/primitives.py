@@ -223,9 +223,10 @@ def _triangle_count(document: Document, source: PrimitiveSource, mode: int) -> i
 
 
 def has_float_tangents(document: Document, source: PrimitiveSource) -> bool:
-    """Tell whether a primitive stores TANGENT as floats."""
-    number, accessors = source.attributes.get("TANGENT"), document.objects("accessors")
-    if not isinstance(number, int) or not 0 <= number < len(accessors):
+    """Tell whether a primitive stores TANGENT as floats; InputError if it names no accessor."""
+    accessors = document.objects("accessors")
+    number = index(source.attributes, "TANGENT", len(accessors), source.place)
+    if number is None:
         return False
     kind = accessors[number].get("componentType")
     return isinstance(kind, int) and COMPONENT_NAMES.get(kind) == "FLOAT"
