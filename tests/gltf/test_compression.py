@@ -192,6 +192,92 @@ class TestEveryCompressionIntoEvery:
                 assert ours.tobytes() == theirs.tobytes()
 
 
+MATRICES = {"MAT2": (5126, 16), "MAT3": (5121, 12)}
+"""The component type and the bytes of an element. Columns are padded to 4 bytes (glTF §3.6.2.4)."""
+
+
+class TestMatricesOfApplications:
+    """Attributes of type MAT2 and MAT3 have only names of applications, and nothing here reads them."""
+
+    @staticmethod
+    def source(kind: str, path: Path) -> tuple[Path, bytes]:
+        """Write a fixture with such an attribute. Return it, and the bytes of the attribute."""
+        model = read(FOLDER / "bent_tube.glb")
+        code, size = MATRICES[kind]
+        content, data = model.content, model.binary_chunk or b""
+        data += bytes(-len(data) % 4)
+        count = content["accessors"][model.primitive(0)["attributes"]["POSITION"]]["count"]
+        matrices = np.random.default_rng(1).integers(0, 60, count * size).astype(np.uint8).tobytes()
+        view = {"buffer": 0, "byteOffset": len(data), "byteLength": len(matrices), "byteStride": size}
+        content["bufferViews"].append(view)
+        content["buffers"][0]["byteLength"] = len(data + matrices)
+        number = len(content["bufferViews"]) - 1
+        content["accessors"].append(
+            {"bufferView": number, "componentType": code, "count": count, "type": kind}
+        )
+        model.primitive(0)["attributes"]["_FRAME"] = len(content["accessors"]) - 1
+        return rewritten(GltfFile(path, content, data + matrices), path), matrices
+
+    @staticmethod
+    def matrices_in(model: GltfFile) -> bytes:
+        accessor = model.content["accessors"][model.primitive(0)["attributes"]["_FRAME"]]
+        view = model.content["bufferViews"][accessor["bufferView"]]
+        assert "extensions" not in view
+        return bytes(model.buffer(view["buffer"])[view["byteOffset"] :][: view["byteLength"]])
+
+    @pytest.mark.parametrize("kind", MATRICES)
+    def test_meshopt_leaves_them_as_they_are(self, kind: str, tmp_path: Path) -> None:
+        path, matrices = self.source(kind, tmp_path / "source.glb")
+        result = bake(path, tmp_path / "out.glb", **compress(Scheme.MESHOPT))
+        assert result.notices == ()
+        after = read(tmp_path / "out.glb")
+        assert self.matrices_in(after) == matrices
+        views = after.content["bufferViews"]
+        for name, number in after.primitive(0)["attributes"].items():
+            view = views[after.content["accessors"][number]["bufferView"]]
+            assert ("extensions" in view) == (name != "_FRAME"), name
+        bake(FOLDER / "bent_tube.glb", tmp_path / "plain.glb")
+        found, plain = read_plain(tmp_path / "out.glb"), read(tmp_path / "plain.glb")
+        for name in ("POSITION", ALPHA, BETA):
+            assert found.stored_attribute(name).tobytes() == plain.stored_attribute(name).tobytes()
+        bake(tmp_path / "out.glb", tmp_path / "again.glb", **compress(Scheme.MESHOPT))
+        assert (tmp_path / "again.glb").read_bytes() == (tmp_path / "out.glb").read_bytes()
+
+    @pytest.mark.parametrize("kind", MATRICES)
+    def test_a_primitive_with_them_is_not_put_into_draco(self, kind: str, tmp_path: Path) -> None:
+        path, matrices = self.source(kind, tmp_path / "source.glb")
+        result = bake(path, tmp_path / "out.glb", **compress(Scheme.DRACO))
+        assert [(notice.code, notice.message) for notice in result.notices] == [
+            (
+                "not-compressed",
+                f"left as it is, not put into Draco: its _FRAME has the type {kind}, which is not stored in "
+                "Draco",
+            )
+        ]
+        assert names_of(read(tmp_path / "out.glb").content) == set()
+        assert self.matrices_in(read(tmp_path / "out.glb")) == matrices
+
+    @pytest.mark.parametrize("kind", MATRICES)
+    def test_bounds_of_compressed_ones_are_left_when_they_are_decoded(
+        self, kind: str, tmp_path: Path
+    ) -> None:
+        path, matrices = self.source(kind, tmp_path / "source.glb")
+        components = {"MAT2": 4, "MAT3": 9}[kind]
+        bounds = {"min": [0] * components, "max": [99] * components}
+        model = read(path)
+        accessor = model.content["accessors"][-1]
+        declared = accessor | bounds
+        accessor |= {"type": f"VEC{MATRICES[kind][1] // 4}", "componentType": 5126}  # as many bytes
+
+        def change(content: JsonObject) -> None:
+            content["accessors"][-1] |= declared
+
+        packed = meshopt_twin(rewritten(model, path), tmp_path / "packed.glb", change=change)
+        assert "extensions" in read(packed).content["bufferViews"][declared["bufferView"]]
+        bake(packed, tmp_path / "out.glb", **compress(Scheme.NONE))
+        assert self.matrices_in(read(tmp_path / "out.glb")) == matrices
+
+
 def test_the_rest_of_the_file_is_left_alone(tmp_path: Path) -> None:
     """A primitive that is not skinned keeps its compressed bytes under every scheme but none."""
     path = corpus.model("barbarian-draco-edgebreaker.glb")

@@ -88,6 +88,15 @@ def described(document: Document, number: int, place: Place) -> tuple[str, int]:
     return f"{kind} {name}{suffix}", size * integer(accessor, "count", place, minimum=1)
 
 
+def is_small_matrix(accessor: JsonObject) -> bool:
+    """Tell whether an accessor has the type of matrices that are not read: MAT2 or MAT3.
+
+    Only attributes of applications have it. The columns are aligned to 4 bytes.
+    """
+    kind = accessor.get("type")
+    return isinstance(kind, str) and kind in MATRIX_ROWS and kind not in COMPONENTS
+
+
 def element_count(document: Document, number: int, place: Place) -> int:
     """Return the declared number of elements of an accessor, without reading its data."""
     return integer(document.objects("accessors")[number], "count", place, minimum=1)

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from skinbake.choices import Scheme
 from skinbake.errors import InputError, Notice, Place
 from skinbake.geometry.triangles import TRIANGLES
-from skinbake.gltf.accessors import read_accessor
+from skinbake.gltf.accessors import is_small_matrix, read_accessor
 from skinbake.gltf.additions import Additions, Packed
 from skinbake.gltf.codecs import draco, meshopt
 from skinbake.gltf.document import Document
@@ -177,7 +177,9 @@ def _decompress(recoder: _Recoder) -> None:
         recoder.set_view(number, {**kept, **data, **({"extensions": others} if others else {})})
         opened.add(number)
     for number, accessor in enumerate(document.objects("accessors")):
-        if number not in done and reference(accessor.get("bufferView")) in opened and "min" in accessor:
+        if number in done or is_small_matrix(accessor):
+            continue
+        if reference(accessor.get("bufferView")) in opened and "min" in accessor:
             values = read_accessor(document, number, document.place).values
             recoder.accessors[number] = {**accessor, **_bounds(accessor, values)}
 
@@ -244,7 +246,8 @@ def _into_meshopt(
             recoder.require(name)
             _leave_draco(recoder, source.place, source.json, packed, done)
         for number, is_index in _accessors_of(document, source):
-            if number not in done and not _is_packed(document, number, source.place):
+            stays = not is_index and is_small_matrix(recoder.accessors[number])
+            if number not in done and not stays and not _is_packed(document, number, source.place):
                 recoder.require(name)
                 _pack(recoder, number, packed, source if is_index else None, source.place)
             done.add(number)
@@ -327,12 +330,20 @@ def _reason_against_draco(
     accessors = document.objects("accessors")
     for name in chosen:
         number = index(source.attributes, name, len(accessors), source.place)
-        if number is None:
-            continue
-        if accessors[number].get("componentType") in SIGNED and name != "POSITION":
-            return f"its {name} are signed integers, which the encoder cannot store"
-        if accessors[number].get("componentType") == UNSIGNED_INT:
-            return f"its {name} has 32-bit integers, for which Draco would need gigabytes of memory"
+        reason = None if number is None else _reason_against_type(name, accessors[number])
+        if reason is not None:
+            return reason
+    return None
+
+
+def _reason_against_type(name: str, accessor: JsonObject) -> str | None:
+    """Return the reason why an attribute cannot be written to Draco because of its type, None if it can."""
+    if is_small_matrix(accessor):
+        return f"its {name} has the type {accessor['type']}, which is not stored in Draco"
+    if accessor.get("componentType") in SIGNED and name != "POSITION":
+        return f"its {name} are signed integers, which the encoder cannot store"
+    if accessor.get("componentType") == UNSIGNED_INT:
+        return f"its {name} has 32-bit integers, for which Draco would need gigabytes of memory"
     return None
 
 
