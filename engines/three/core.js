@@ -317,10 +317,17 @@ const HOOKS = {
 
 // A method that acts, and calls what is assigned to it.
 function hook(inherited, act) {
+    const running = new WeakSet(); // An assigned method may call the one that was there before.
     const calling = (assigned) =>
         function (...parameters) {
-            assigned.apply(this, parameters);
-            act.apply(this, parameters);
+            if (running.has(this)) return assigned.apply(this, parameters);
+            running.add(this);
+            try {
+                assigned.apply(this, parameters);
+            } finally {
+                running.delete(this);
+            }
+            return act.apply(this, parameters);
         };
     const usual = calling(inherited);
     const assigned = new WeakMap();

@@ -267,6 +267,30 @@ const api = {
         return { draws, world: mesh.matrixWorld.toArray() };
     },
 
+    // The version of a material after each frame, where a later hook calls the one that was there before.
+    async chained(options) {
+        const renderer = await rendererOf('webgl');
+        const { scene: model } = await load(options);
+        const scene = new THREE.Scene();
+        scene.add(model);
+        const [mesh] = skinnedMeshes(model);
+        const before = mesh.onAfterRender;
+        let calls = 0;
+        mesh.onAfterRender = function (...parameters) {
+            before.apply(this, parameters);
+            calls++;
+        };
+        const report = skinbake.applySkinbake(scene);
+        const versions = [];
+        for (let frame = 0; frame < 5; frame++) {
+            renderer.render(scene, new THREE.PerspectiveCamera());
+            versions.push(mesh.material.version);
+        }
+        const reported = report.meshes.map((one) => [one.lighting, one.reason]);
+        skinbake.dispose(scene);
+        return { versions, calls, report: reported };
+    },
+
     // Where a shadow's draw puts vertices, in clip space, and the cameras of the frame.
     async shadows(options) {
         const renderer = await rendererOf('webgpu');

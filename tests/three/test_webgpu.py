@@ -194,6 +194,13 @@ def test_shadows_follow_the_method(stage: ThreeStage, method: str) -> None:
     assert blended == [method == "lbs", method == "dqs"]
 
 
+def test_a_hook_that_calls_the_one_before_leaves_the_material_alone(stage: ThreeStage) -> None:
+    found = stage.call("chained", stage.character(TUBE, BENT).told(Placement()))
+    assert found["calls"] == 5
+    assert len(set(found["versions"])) == 1
+    assert found["report"] == [["accurate", ""]]
+
+
 def test_node_materials_of_webgl_renderer_need_both_modules(stage: ThreeStage) -> None:
     character = stage.character(TUBE, BENT)
     found = stage.page.call("handled", character.told(Placement()))
