@@ -15,7 +15,7 @@ const state = (globalThis[Symbol.for('skinbake.three')] ??= {
     geometries: new WeakMap(), // geometry -> { problem, constants }
     methods: new WeakMap(),
             // metadata -> method, of geometries that were asked for: their clones have them too
-    meshes: new WeakMap(), // mesh -> Map of material -> { program, lighting, reason, repaired }
+    meshes: new WeakMap(), // mesh -> WeakMap of material -> { program, lighting, reason, repaired }
     standard: new WeakSet(), // meshes that lighting() has switched
     told: new WeakMap(), // mesh -> messages
     passed: new WeakSet(), // geometries that were not asked for: they are told of once
@@ -117,7 +117,7 @@ class MeshReport {
         const problem = strangeness(this.mesh) || (state.geometries.get(this.mesh.geometry)?.problem ?? NOT_BAKED);
         if (problem) return ['standard', problem];
         if (state.standard.has(this.mesh)) return ['standard', 'lighting() has switched it'];
-        const drawn = state.meshes.get(this.mesh) ?? new Map();
+        const drawn = state.meshes.get(this.mesh) ?? new WeakMap();
         const found = [this.mesh.material].flat().map((material) => drawn.get(material));
         const standard = found.find((one) => one?.lighting === 'standard');
         if (standard) return ['standard', standard.reason];
@@ -388,7 +388,7 @@ function afterDraw(renderer, scene, camera, geometry, material) {
     if (!adopted || adopted.problem) return;
     show(this, geometry, adopted);
     if (state.standard.has(this) || !isIntact(geometry, adopted)) return;
-    const drawn = state.meshes.get(this) ?? state.meshes.set(this, new Map()).get(this);
+    const drawn = state.meshes.get(this) ?? state.meshes.set(this, new WeakMap()).get(this);
     const backend = state.backends.get(renderer.isWebGLRenderer ? 'webgl' : 'webgpu');
     const before = drawn.get(material);
     const found = backend?.verify(renderer, this, material, before) ?? UNSERVED;

@@ -384,6 +384,27 @@ const api = {
         return { draws, world, view: seen.matrixWorldInverse.toArray(), projection: seen.projectionMatrix.toArray() };
     },
 
+    // How many of the materials that a mesh was drawn with are still held, after they were disposed of.
+    async swapped({ count, ...options }) {
+        const { scene: model } = await load(options);
+        const scene = new THREE.Scene();
+        scene.add(model);
+        const [mesh] = skinnedMeshes(model);
+        const held = [];
+        for (let number = 0; number < count; number++) {
+            const material = new THREE.MeshLambertMaterial();
+            mesh.material.dispose();
+            mesh.material = material;
+            held.push(new WeakRef(material));
+            await draw(scene, 1);
+        }
+        await new Promise((resolve) => setTimeout(resolve, 0)); // A WeakRef holds its target until the task ends.
+        gc();
+        const left = held.filter((one) => one.deref()).length;
+        skinbake.dispose(scene);
+        return left;
+    },
+
     // Names of attributes that GLTFExporter writes of a character that is lit accurately.
     async exported(options) {
         const { scene } = await load(options);

@@ -55,7 +55,8 @@ def opened(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ThreeStage]:
     require_node("three", "@pixiv/three-vrm")
     folders = {"three": package_folder("three"), "vrm": package_folder("@pixiv/three-vrm")}
     folders |= {"tests": Path(__file__).resolve().parent, "package": PACKAGE}
-    with opened_page(PAGE, tmp_path_factory.mktemp("package"), folders) as (page, models):
+    folder, arguments = tmp_path_factory.mktemp("package"), ["--js-flags=--expose-gc"]
+    with opened_page(PAGE, folder, folders, arguments) as (page, models):
         yield ThreeStage(page, models)
 
 
@@ -256,6 +257,11 @@ def test_shadows_follow_the_method(stage: ThreeStage, method: str) -> None:
     found = stage.call("shadows", {**character.told(Placement()), "method": method})
     blended = [shadow_is_of(character, found, one) for one in (Algorithm.LBS_ACCURATE, Algorithm.DQS_EXACT)]
     assert blended == [method == "lbs", method == "dqs"]
+
+
+def test_materials_that_a_mesh_no_longer_has_are_not_held(stage: ThreeStage) -> None:
+    told = stage.character(TUBE, BENT).told(Placement())
+    assert stage.call("swapped", {**told, "count": 20}) <= 2
 
 
 def test_metadata_of_an_accessor_is_found(stage: ThreeStage) -> None:
