@@ -19,7 +19,7 @@ const state = (globalThis[Symbol.for('skinbake.three')] ??= {
     standard: new WeakSet(), // meshes that lighting() has switched
     told: new WeakMap(), // mesh -> messages
     passed: new WeakSet(), // geometries that were not asked for: they are told of once
-    backends: new Map(), // name -> { install, uninstall, verify }
+    backends: new Map(), // name -> { install, uninstall, verify, renew }
     count: 0,
 });
 
@@ -404,8 +404,11 @@ const UNSERVED = {
         'WebGPURenderer needs skinbake-three/webgpu',
 };
 
-function beforeShadow(renderer, object, camera, shadowCamera, geometry) {
-    hide(renderer, this, geometry, state.geometries.get(geometry));
+// All meshes share the material of shadows, and dual quaternions move them too.
+function beforeShadow(renderer, object, camera, shadowCamera, geometry, material) {
+    const adopted = state.geometries.get(geometry);
+    hide(renderer, this, geometry, adopted);
+    if (renderer.isWebGLRenderer && adopted?.method === 'dqs') state.backends.get('webgl')?.renew(material);
 }
 
 function afterShadow(renderer, object, camera, shadowCamera, geometry) {

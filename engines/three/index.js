@@ -16,7 +16,7 @@
 // Basis, Revisited", JCGT 6(1), 2017.
 
 import { BufferAttribute, InstancedBufferAttribute, ShaderChunk, SkinnedMesh } from 'three';
-import { apply, applyToAll, serve } from './core.js';
+import { apply, applyToAll, DUAL, serve } from './core.js';
 
 export { dispose, lighting } from './core.js';
 
@@ -437,18 +437,26 @@ function restoreChunks() {
     Object.assign(ShaderChunk, usual);
 }
 
+// The program of a material may be from before the chunks were changed. Then this define gives it another one.
+function renew(material) {
+    if (material.defines?.SKINBAKE === changes) return;
+    material.defines = { ...material.defines, SKINBAKE: changes };
+    material.needsUpdate = true;
+}
+
 // Look at the program that drew a mesh: the compiler drops attributes that nothing reads.
 function verifyProgram(renderer, mesh, material, before) {
     const program = renderer.properties.get(material).currentProgram;
-    if (before?.program === program) return before;
+    const isDual = mesh.geometry.hasAttribute(DUAL);
+    if (before?.program === program && before.isDual === isDual) return before;
     const attributes = program?.getAttributes() ?? {};
-    const found = { program, lighting: 'accurate', reason: '', repaired: before?.repaired };
+    const found = { program, isDual, lighting: 'accurate', reason: '', repaired: before?.repaired };
     if (attributes.morphSkinbakeAlpha) return found;
-    if (!attributes.normal) return { ...found, lighting: 'unlit' };
+    // Dual quaternions move the positions of unlit meshes too.
+    const isUpToDate = !isDual || attributes.morphSkinbakeStorage;
+    if (!attributes.normal && isUpToDate) return { ...found, lighting: 'unlit' };
     if (!before?.repaired && !material.isRawShaderMaterial) {
-        // It may be from before the chunks were changed. Then this define gives it a program of its own.
-        material.defines = { ...material.defines, SKINBAKE: changes };
-        material.needsUpdate = true;
+        renew(material);
         return { ...found, lighting: 'not drawn', repaired: true };
     }
     const remedy = material.isNodeMaterial ? ": call applySkinbake of 'skinbake-three/webgpu' too" : '';
@@ -457,6 +465,7 @@ function verifyProgram(renderer, mesh, material, before) {
 }
 
 function serveWebGL() {
-    const backend = { text: CHUNKED, install: changeChunks, uninstall: restoreChunks, verify: verifyProgram };
+    const backend = { text: CHUNKED, install: changeChunks, uninstall: restoreChunks, verify: verifyProgram,
+            renew };
     serve('webgl', backend, { BufferAttribute, InstancedBufferAttribute, SkinnedMesh });
 }

@@ -26,16 +26,26 @@ async function load({ url, pose = {}, plugin = true, vrm = false, method, morphs
 }
 
 // Draw until hooks have done their work, then once more, recorded.
-async function draw(scene, frames = 3) {
+async function draw(scene, frames = 3, by = renderer) {
     for (let frame = 0; frame < frames; frame++) {
-        renderer.render(scene, camera);
+        by.render(scene, camera);
         await null;
     }
     CAPTURE.draws = [];
     CAPTURE.on = true;
-    renderer.render(scene, camera);
+    by.render(scene, camera);
     CAPTURE.on = false;
     return CAPTURE.draws;
+}
+
+const recorder = new THREE.WebGLRenderer({ antialias: false });
+
+// Draw so that positions in clip space are recorded.
+async function drawPositions(scene) {
+    CAPTURE.names = ['gl_Position'];
+    const [{ values }] = await draw(scene, 3, recorder);
+    CAPTURE.names = ['vNormal'];
+    return base64(values);
 }
 
 const told = (reports) => reports.map(({ lighting, reason }) => [lighting, reason]);
@@ -382,6 +392,58 @@ const api = {
         const seen = light.shadow.camera;
         skinbake.dispose(scene);
         return { draws, world, view: seen.matrixWorldInverse.toArray(), projection: seen.projectionMatrix.toArray() };
+    },
+
+    // Whether the programs of shadows know dual quaternions, where other characters cast shadows first.
+    async lateShadows({ light: kind, custom, ...options }) {
+        const by = new THREE.WebGLRenderer();
+        by.shadowMap.enabled = true;
+        CAPTURE.names = ['gl_Position'];
+        const light = new THREE[kind]();
+        light.position.set(1, 2, 3);
+        light.castShadow = true;
+        const scene = new THREE.Scene();
+        scene.add(light);
+        const materials = { customDepthMaterial: new THREE.MeshDepthMaterial(), customDistanceMaterial: new THREE.MeshDistanceMaterial() };
+        const add = ({ scene: model }) => {
+            for (const mesh of skinnedMeshes(scene.add(model))) {
+                Object.assign(mesh, { castShadow: true, receiveShadow: true }, custom ? materials : {});
+            }
+            return model;
+        };
+        const first = add(await load({ ...options, plugin: false }));
+        await draw(scene, 3, by);
+        first.removeFromParent();
+        add(await load(options));
+        const draws = (await draw(scene, 3, by)).filter(({ text }) => !text.includes('vNormal;'));
+        const programs = by.info.programs.length;
+        await draw(scene, 3, by);
+        const more = by.info.programs.length - programs;
+        CAPTURE.names = ['vNormal'];
+        skinbake.dispose(scene);
+        by.dispose();
+        return { known: draws.map(({ text }) => text.includes('skinbake_turned')), more };
+    },
+
+    // Positions of an unlit material: of one that was drawn by other methods before, and of a new one.
+    async unlit(options) {
+        const found = [];
+        for (const earlier of [['none'], ['none', 'lbs'], []]) {
+            const { scene: model } = await load({ ...options, plugin: false });
+            const scene = new THREE.Scene();
+            scene.add(model);
+            const [mesh] = skinnedMeshes(model);
+            mesh.material = new THREE.MeshDepthMaterial();
+            for (const method of earlier) {
+                if (method !== 'none') skinbake.applySkinbake(scene, { method });
+                await drawPositions(scene);
+            }
+            const report = skinbake.applySkinbake(scene, { method: 'dqs' });
+            found.push({ position: await drawPositions(scene), report: told(report.meshes) });
+            skinbake.dispose(scene);
+            mesh.material.dispose(); // With its program, which the next one would have.
+        }
+        return found;
     },
 
     // How many of the materials that a mesh was drawn with are still held, after they were disposed of.

@@ -259,6 +259,24 @@ def test_shadows_follow_the_method(stage: ThreeStage, method: str) -> None:
     assert blended == [method == "lbs", method == "dqs"]
 
 
+@pytest.mark.parametrize("custom", [False, True])
+@pytest.mark.parametrize("light", ["DirectionalLight", "PointLight"])
+def test_shadows_follow_the_method_where_others_cast_them_before(
+    stage: ThreeStage, light: str, custom: bool
+) -> None:
+    told = stage.character(TUBE, BENT).told(Placement())
+    found = stage.call("lateShadows", {**told, "method": "dqs", "light": light, "custom": custom})
+    assert found["known"]
+    assert all(found["known"])
+    assert found["more"] == 0
+
+
+def test_an_unlit_material_that_was_drawn_before_follows_the_method(stage: ThreeStage) -> None:
+    drawn, switched, new = stage.call("unlit", stage.character(TUBE, BENT).told(Placement()))
+    assert drawn == switched == new
+    assert new["report"] == [["unlit", "its materials read no normals"]]
+
+
 def test_materials_that_a_mesh_no_longer_has_are_not_held(stage: ThreeStage) -> None:
     told = stage.character(TUBE, BENT).told(Placement())
     assert stage.call("swapped", {**told, "count": 20}) <= 2
