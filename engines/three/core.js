@@ -12,7 +12,7 @@ const ENCODINGS = { packed8: Int8Array, snorm16: Int16Array };
 
 // Copies of this module on one page share what they know.
 const state = (globalThis[Symbol.for('skinbake.three')] ??= {
-    geometries: new WeakMap(), // geometry -> { problem, constants }
+    geometries: new WeakMap(), // geometry -> { problem, constants, unfit }
     methods: new WeakMap(),
             // metadata -> method, of geometries that were asked for: their clones have them too
     meshes: new WeakMap(), // mesh -> WeakMap of material -> { program, lighting, reason, repaired }
@@ -42,7 +42,9 @@ function takeUp(mesh, method) {
     takeOwnHooks(mesh);
     const { skinbake } = mesh.geometry.userData;
     if (isObject(skinbake)) state.methods.set(skinbake, method);
-    return adopt(mesh.geometry, method).problem;
+    const { problem, unfit } = adopt(mesh.geometry, method);
+    unfit?.delete(mesh);
+    return problem;
 }
 
 /**
@@ -117,6 +119,8 @@ class MeshReport {
         const problem = strangeness(this.mesh) || (state.geometries.get(this.mesh.geometry)?.problem ?? NOT_BAKED);
         if (problem) return ['standard', problem];
         if (state.standard.has(this.mesh)) return ['standard', 'lighting() has switched it'];
+        const unfit = state.geometries.get(this.mesh.geometry).unfit.get(this.mesh);
+        if (unfit) return ['standard', unfit];
         const drawn = state.meshes.get(this.mesh) ?? new WeakMap();
         const found = [this.mesh.material].flat().map((material) => drawn.get(material));
         const standard = found.find((one) => one?.lighting === 'standard');
@@ -206,7 +210,56 @@ function madeOf(geometry, method) {
     define(attributes, STORAGE, storage, true);
     // Nothing reads it: WebGPURenderer makes other programs for geometries that have attributes of other names.
     if (method === 'dqs') define(attributes, DUAL, storage, true);
-    return { problem: '', sources, method, constants };
+    const joints = method === 'dqs' ? jointsOf(attributes) : [];
+    return { problem: '', sources, method, constants, joints, unfit: new WeakMap() };
+}
+
+// Return the indices of the joints that move a vertex, and of those in slot 0: the shader starts from them.
+function jointsOf({ skinIndex, skinWeight }) {
+    const joints = new Set();
+    const count = skinIndex && skinWeight ? skinIndex.count : 0;
+    for (let vertex = 0; vertex < count; vertex++) {
+        for (let slot = 0; slot < 4; slot++) {
+            const isUsed = slot === 0 || skinWeight.getComponent(vertex, slot) > 0;
+            if (isUsed) joints.add(skinIndex.getComponent(vertex, slot));
+        }
+    }
+    return [...joints];
+}
+
+// Whether a mesh with a baked geometry is drawn as three.js does. Once a pose does not suit dual quaternions, it
+// stays so until applySkinbake is called again.
+function isStandard(mesh, { joints, unfit }) {
+    if (state.standard.has(mesh) || unfit.has(mesh)) return true;
+    const bone = firstDistorted(mesh.skeleton, joints);
+    if (!bone) return false;
+    const rule = 'is not rigid up to one transform common to all joints, which dual quaternions need';
+    const reason = `its joint "${bone.name}" ${rule}: use the method lbs`;
+    unfit.set(mesh, reason);
+    tell(mesh, reason);
+    return true;
+}
+
+const RIGID = 2e-3; // skinbake verify has 1e-3 from the common scale, so two joints have twice that between them.
+
+// Return the first bone whose motion is not rigid, seen from another one. Bones without extent, as of a hidden
+// character, say nothing.
+function firstDistorted({ bones, boneInverses }, joints) {
+    const used = joints.filter((joint) => bones[joint]);
+    const motion = used.length > 0 ? bones[used[0]].matrixWorld.clone() : undefined;
+    const motionOf = (joint) => motion.multiplyMatrices(bones[joint].matrixWorld, boneInverses[joint]);
+    const reference = used.find((joint) => motionOf(joint).determinant() !== 0);
+    if (reference === undefined) return undefined;
+    const back = motionOf(reference).clone().invert();
+    return bones[used.find((joint) => !isRigid(motionOf(joint).premultiply(back)))];
+}
+
+function isRigid(motion) {
+    const [ax, ay, az, , bx, by, bz, , cx, cy, cz] = motion.elements;
+    const squares = [ax * ax + ay * ay + az * az, bx * bx + by * by + bz * bz, cx * cx + cy * cy + cz * cz];
+    const products = [ax * bx + ay * by + az * bz, bx * cx + by * cy + bz * cz, cx * ax + cy * ay + cz * az];
+    const deviations = [...squares.map((square) => square - 1), ...products];
+    return deviations.every((deviation) => Math.abs(deviation) <= RIGID) && motion.determinant() > 0;
 }
 
 // One element for all vertices and instances. Where the attributes say how many instances there are, one for each
@@ -387,7 +440,7 @@ function afterDraw(renderer, scene, camera, geometry, material) {
     const adopted = state.geometries.get(geometry);
     if (!adopted || adopted.problem) return;
     show(this, geometry, adopted);
-    if (state.standard.has(this) || !isIntact(geometry, adopted)) return;
+    if (state.standard.has(this) || adopted.unfit.has(this) || !isIntact(geometry, adopted)) return;
     const drawn = state.meshes.get(this) ?? state.meshes.set(this, new WeakMap()).get(this);
     const backend = state.backends.get(renderer.isWebGLRenderer ? 'webgl' : 'webgpu');
     const before = drawn.get(material);
@@ -418,7 +471,7 @@ function afterShadow(renderer, object, camera, shadowCamera, geometry) {
 // WebGLRenderer draws a mesh without these constants as three.js does.
 function hide(renderer, mesh, geometry, adopted) {
     if (!adopted || adopted.problem || adopted.hidden) return;
-    if (!state.standard.has(mesh) || !renderer.isWebGLRenderer) return;
+    if (!renderer.isWebGLRenderer || !isStandard(mesh, adopted)) return;
     adopted.hidden = geometry.attributes[STORAGE];
     delete geometry.attributes[STORAGE];
 }
@@ -428,4 +481,4 @@ function show(mesh, geometry, adopted) {
     define(geometry.attributes, STORAGE, adopted.hidden, true);
     adopted.hidden = undefined;
 }
-export { apply, applyToAll, dispose, DUAL, isBaked, lighting, serve, state };
+export { apply, applyToAll, dispose, DUAL, isBaked, isStandard, lighting, serve, state };

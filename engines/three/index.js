@@ -322,21 +322,30 @@ skinbake_Vertex skinbake_dqs_exact(vec3 p, skinbake_Frame frame, mat2x4 Q[4], ve
     return v;
 }
 
-mat2x4 skinbake_motion(mat4 M, float scale)
+mat2x4 skinbake_motion(mat4 M, mat3 back, vec3 origin)
 {
-    return skinbake_dual_quaternion(mat4(M[0] / scale, M[1] / scale, M[2] / scale, M[3]));
+    mat3 turn = back * mat3(M);
+    vec3 shift = back * (M[3].xyz - origin);
+    return skinbake_dual_quaternion(mat4(vec4(turn[0], 0.0), vec4(turn[1], 0.0), vec4(turn[2], 0.0),
+            vec4(shift, 1.0)));
 }
 
-// Joints with a common scale: it is divided out of them.
+// A parent of the skeleton may scale, shear or mirror all joints alike. The motions that inverse(M[0]) leaves are
+// rigid even so. They are blended, and M[0] moves the result: for rigid joints that is the same blend.
 skinbake_Vertex skinbake_turned(vec3 p, skinbake_Frame frame, mat4 M[4], vec3 alpha, vec3 beta)
 {
-    float scale = length(M[0][0].xyz);
-    frame.tangent *= scale;
-    frame.bitangent *= scale;
+    mat3 first = mat3(M[0]);
+    mat3 back = inverse(first);
+    vec3 origin = M[0][3].xyz;
     mat2x4 Q[4] = mat2x4[4](
-        skinbake_motion(M[0], scale), skinbake_motion(M[1], scale),
-        skinbake_motion(M[2], scale), skinbake_motion(M[3], scale));
-    return skinbake_dqs_exact(scale * p, frame, Q, skinWeight, alpha, beta);
+        mat2x4(vec4(0.0, 0.0, 0.0, 1.0), vec4(0.0)), skinbake_motion(M[1], back, origin),
+        skinbake_motion(M[2], back, origin), skinbake_motion(M[3], back, origin));
+    skinbake_Vertex v = skinbake_dqs_exact(p, frame, Q, skinWeight, alpha, beta);
+    v.position = first * v.position + origin;
+    v.tangent = first * v.tangent;
+    v.bitangent = first * v.bitangent;
+    v.normal = frame.handedness * cross(v.tangent, v.bitangent);
+    return v;
 }
 
 #endif

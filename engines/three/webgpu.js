@@ -39,7 +39,7 @@ import {
     vec3,
     vec4,
 } from 'three/tsl';
-import { apply, applyToAll, DUAL, isBaked, serve, state } from './core.js';
+import { apply, applyToAll, DUAL, isBaked, isStandard, serve, state } from './core.js';
 
 export { dispose, lighting } from './core.js';
 
@@ -83,8 +83,9 @@ let usual;
 // Scale; frame: 2 normal, 3 tangent.
 function constantsOf(object, isDual) {
     asked.set(object, isDual);
-    const { constants, problem = true } = state.geometries.get(object.geometry) ?? {};
-    return problem || state.standard.has(object) ? OFF : new Vector4().fromArray(constants);
+    const adopted = state.geometries.get(object.geometry);
+    if (!adopted || adopted.problem || isStandard(object, adopted)) return OFF;
+    return new Vector4().fromArray(adopted.constants);
 }
 
 // three.js morphs and skins in this method, for every material. Here it is told that both are done, so that
@@ -223,11 +224,21 @@ function blended({ position, tangent, bitangent }, { M, weights, alpha, beta }) 
     return { tangent: along(tangent, alpha), bitangent: along(bitangent, beta) };
 }
 
-// The frame moves by the derivative of the blended motion: algorithm 6 of skinbake. Joints have a common scale.
-function dualQuaternions({ position, tangent, bitangent }, { M, weights, alpha, beta }) {
-    const scale = M[0].element(0).xyz.length().toVar();
-    const p = position.mul(scale).toVar();
-    const Q = M.map((matrix) => dualQuaternion(matrix, scale));
+// The frame moves by the derivative of the blended motion: algorithm 6 of skinbake. A parent of the skeleton may
+// scale, shear or mirror all joints alike. The motions that the inverse of M[0] leaves are rigid even so. They are
+// blended, and M[0] moves the result: for rigid joints that is the same blend.
+function dualQuaternions({ position: p, tangent, bitangent }, { M, weights, alpha, beta }) {
+    const columns = (matrix) => [0, 1, 2, 3].map((column) => matrix.element(column).xyz);
+    const [a, b, c, origin] = columns(M[0]).map((column) => column.toVar());
+    const cofactors = [cross(b, c), cross(c, a), cross(a, b)].map((column) => column.toVar());
+    const determinant = dot(a, cofactors[0]).toVar();
+    const back = (vector) => vec3(...cofactors.map((column) => dot(column, vector))).div(determinant).toVar();
+    const forth = (vector) => a.mul(vector.x).add(b.mul(vector.y)).add(c.mul(vector.z)).toVar();
+    const others = M.slice(1).map((matrix) => {
+        const [x, y, z, shift] = columns(matrix);
+        return dualQuaternion(back(x), back(y), back(z), back(shift.sub(origin)));
+    });
+    const Q = [{ real: vec4(0, 0, 0, 1), dual: vec4(0) }, ...others];
     const w = parts(weights);
     const near = Q.map(({ real, dual }, slot) => {
         const sign = select(dot(real, Q[0].real).lessThan(0), float(-1), float(1)).toVar();
@@ -242,14 +253,13 @@ function dualQuaternions({ position, tangent, bitangent }, { M, weights, alpha, 
     const i = p.mul(mix.real.w).add(mix.dual.xyz).add(cross(mix.real.xyz, p)).toVar();
     const shift = mix.dual.xyz.mul(mix.real.w).sub(mix.real.xyz.mul(mix.dual.w));
     const delta = shift.add(cross(mix.real.xyz, i)).mul(k).toVar();
-    const along = (vector, slopes) => {
-        const others = near.slice(1).map((one) => ({
+    const along = (t, slopes) => {
+        const differences = near.slice(1).map((one) => ({
             real: one.real.sub(near[0].real),
             dual: one.dual.sub(near[0].dual),
         }));
-        const real = sum(others.map((one, slot) => one.real.mul(parts(slopes)[slot]))).toVar();
-        const dual = sum(others.map((one, slot) => one.dual.mul(parts(slopes)[slot]))).toVar();
-        const t = vector.mul(scale).toVar();
+        const real = sum(differences.map((one, slot) => one.real.mul(parts(slopes)[slot]))).toVar();
+        const dual = sum(differences.map((one, slot) => one.dual.mul(parts(slopes)[slot]))).toVar();
         const di = sum([
             t.mul(mix.real.w),
             dual.xyz,
@@ -262,13 +272,14 @@ function dualQuaternions({ position, tangent, bitangent }, { M, weights, alpha, 
             .sub(mix.real.xyz.mul(dual.w))
             .sub(real.xyz.mul(mix.dual.w))
             .sub(delta.mul(dot(mix.real, real)));
-        return t.add(dh.mul(k)).toVar();
+        return forth(t.add(dh.mul(k)).toVar());
     };
-    return { position: p.add(delta), tangent: along(tangent, alpha), bitangent: along(bitangent, beta) };
+    const moved = forth(p.add(delta).toVar()).add(origin);
+    return { position: moved, tangent: along(tangent, alpha), bitangent: along(bitangent, beta) };
 }
 
-function dualQuaternion(matrix, scale) {
-    const [a, b, c] = [0, 1, 2].map((column) => matrix.element(column).xyz.div(scale).toVar());
+// Of the rotation with columns a, b, c, then the shift t.
+function dualQuaternion(a, b, c, t) {
     const d = vec3(a.x, b.y, c.z).toVar();
     const squares = vec4(
         d.x.sub(d.y).sub(d.z),
@@ -292,7 +303,6 @@ function dualQuaternion(matrix, scale) {
         });
     }
     real.assign(normalize(real));
-    const t = matrix.element(3).xyz.toVar();
     const dual = vec4(cross(t, real.xyz).add(t.mul(real.w)), dot(t, real.xyz).negate()).mul(0.5).toVar();
     return { real, dual };
 }

@@ -9,7 +9,7 @@ import * as SkeletonUtils from 'three/addons/utils/SkeletonUtils.js';
 import { MToonMaterial, VRMLoaderPlugin, VRMUtils } from '@pixiv/three-vrm';
 import * as skinbake from 'skinbake-three';
 import { base64 } from '/support/base64.mjs';
-import { posed, skinnedMeshes } from './posed.mjs';
+import { parented, posed, skinnedMeshes, stretch } from './posed.mjs';
 
 const renderer = new THREE.WebGLRenderer({ antialias: false });
 renderer.setSize(64, 64);
@@ -392,6 +392,50 @@ const api = {
         const seen = light.shadow.camera;
         skinbake.dispose(scene);
         return { draws, world, view: seen.matrixWorldInverse.toArray(), projection: seen.projectionMatrix.toArray() };
+    },
+
+    // A character below a parent with any matrix; if asked for, its mesh elsewhere, with the matrix other.
+    async parented(options) {
+        const { scene: model } = await load(options);
+        const scene = new THREE.Scene();
+        const mesh = parented(scene, model, options);
+        mesh.material = new THREE.MeshNormalMaterial({ side: THREE.DoubleSide });
+        const position = await drawPositions(scene);
+        const [normal] = (await draw(scene)).map(({ values }) => base64(values));
+        const report = told(skinbake.applySkinbake(scene, options).meshes);
+        const found = { position, normal, report, world: mesh.matrixWorld.toArray() };
+        skinbake.dispose(scene);
+        const { matrixWorldInverse, projectionMatrix } = camera;
+        return { ...found, view: matrixWorldInverse.toArray(), projection: projectionMatrix.toArray() };
+    },
+
+    // Normals with a joint of its own scale, of three.js alone too; then with the scale undone, before and after
+    // applySkinbake.
+    async stretched(options) {
+        const found = [];
+        const scene = new THREE.Scene();
+        let report;
+        const look = async () => {
+            const draws = (await draw(scene)).map(({ values }) => base64(values));
+            found.push({ draws, report: report ? told(report.meshes) : [] });
+        };
+        const { scene: plain } = await load({ ...options, plugin: false });
+        stretch(scene.add(plain), true);
+        await look();
+        plain.removeFromParent();
+        const { scene: model, userData } = await load(options);
+        report = userData.skinbake;
+        stretch(scene.add(model), true);
+        await look();
+        stretch(scene, false);
+        await look();
+        skinbake.applySkinbake(scene, options);
+        await look();
+        const world = skinnedMeshes(model)[0].matrixWorld.toArray();
+        model.scale.setScalar(0);
+        await look();
+        skinbake.dispose(scene);
+        return { found, world };
     },
 
     // Whether the programs of shadows know dual quaternions, where other characters cast shadows first.

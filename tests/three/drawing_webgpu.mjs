@@ -11,7 +11,7 @@ import { WebGLNodesHandler } from 'three/addons/tsl/WebGLNodesHandler.js';
 import * as chunks from 'skinbake-three';
 import * as skinbake from 'skinbake-three/webgpu';
 import { base64 } from '/support/base64.mjs';
-import { posed, skinnedMeshes } from './posed.mjs';
+import { parented, posed, skinnedMeshes, stretch } from './posed.mjs';
 
 CAPTURE.names = ['v_normalViewGeometry'];
 
@@ -54,7 +54,7 @@ async function draw(renderer, scene, camera) {
     for (const one of capture.draws) read.push(await WEBGPU_CAPTURE.read(one));
     return read
         .filter(({ name }) => name)
-        .map(({ varying }) => ({ values: varying.filter((_, index) => index % 4 < 3) }));
+        .map(({ varying, position }) => ({ values: varying.filter((_, index) => index % 4 < 3), position }));
 }
 
 // What applications do after the first frames.
@@ -265,6 +265,61 @@ const api = {
         skinbake.dispose(scene);
         renderer.dispose();
         return { draws, world: mesh.matrixWorld.toArray() };
+    },
+
+    // A character below a parent with any matrix; if asked for, its mesh elsewhere, with the matrix other.
+    async parented({ backend, ...options }) {
+        const { scene: model } = await load(options);
+        const scene = new THREE.Scene();
+        const mesh = parented(scene, model, options);
+        mesh.material = new THREE.MeshNormalMaterial({ side: THREE.DoubleSide });
+        const camera = new THREE.PerspectiveCamera();
+        const found = {};
+        for (const [name, output] of Object.entries({ position: 'gl_Position', normal: 'v_normalViewGeometry' })) {
+            CAPTURE.names = [output];
+            const renderer = new THREE.WebGPURenderer({ forceWebGL: backend === 'webgl' });
+            renderer.setSize(SIZE, SIZE);
+            await renderer.init();
+            const [drawn] = await draw(renderer, scene, camera);
+            found[name] = base64((output === 'gl_Position' && drawn.position) || drawn.values);
+            renderer.dispose();
+        }
+        CAPTURE.names = ['v_normalViewGeometry'];
+        const report = skinbake.applySkinbake(scene, options).meshes.map((one) => [one.lighting, one.reason]);
+        const { matrixWorldInverse, projectionMatrix } = camera;
+        const world = mesh.matrixWorld.toArray();
+        skinbake.dispose(scene);
+        return { ...found, report, world, view: matrixWorldInverse.toArray(), projection: projectionMatrix.toArray() };
+    },
+
+    // Normals with a joint of its own scale, of three.js alone too; then with the scale undone, before and after
+    // applySkinbake.
+    async stretched({ backend, ...options }) {
+        const renderer = await rendererOf(backend);
+        const camera = new THREE.PerspectiveCamera();
+        const found = [];
+        const scene = new THREE.Scene();
+        let report;
+        const look = async () => {
+            await new Promise(requestAnimationFrame); // Joints are moved once for each of them.
+            const draws = (await draw(renderer, scene, camera)).map(({ values }) => base64(values));
+            found.push({ draws, report: (report?.meshes ?? []).map((one) => [one.lighting, one.reason]) });
+        };
+        const { scene: plain } = await load({ ...options, plugin: false });
+        stretch(scene.add(plain), true);
+        await look();
+        plain.removeFromParent();
+        const { scene: model, userData } = await load(options);
+        report = userData.skinbake;
+        stretch(scene.add(model), true);
+        await look();
+        stretch(scene, false);
+        await look();
+        skinbake.applySkinbake(scene, options);
+        await look();
+        const world = skinnedMeshes(model)[0].matrixWorld.toArray();
+        skinbake.dispose(scene);
+        return { found, world };
     },
 
     // The version of a material after each frame, where a later hook calls the one that was there before.

@@ -15,12 +15,26 @@ from skinbake.choices import Encoding, Layout
 from skinbake.format.layouts import GradientFormat
 from skinbake.skinning.algorithms import Algorithm
 from tests.support.baked_files import Editable
-from tests.support.characters import AS_USUAL, Array, Character, Placement, Pose, angles
+from tests.support.characters import (
+    AS_USUAL,
+    Array,
+    Character,
+    Placement,
+    Pose,
+    angles,
+    column_by_column,
+)
 from tests.support.replay import replay
 from tests.support.stage import Stage
 
 DEGREES = 0.01
 """Between the browser and the replay: three.js has bone matrices, and we all else, in float32."""
+CLIP = 2e-5
+"""Of clip coordinates that are a few units."""
+STRETCHED = (
+    'its joint "tube_joint1" is not rigid up to one transform common to all joints, which dual quaternions '
+    "need: use the method lbs"
+)
 TUBE = FOLDER / "bent_tube.glb"
 MIRRORED = FOLDER / "mirrored_tangent.glb"
 BENT = Pose(clip=0, time=0.45)
@@ -93,6 +107,61 @@ def rotation(angle: float) -> Array:
     """Return the rotation (3, 3) about y."""
     sine, cosine = np.sin(angle), np.cos(angle)
     return np.array([[cosine, 0, sine], [0, 1, 0], [-sine, 0, cosine]])
+
+
+def scaled(x: float, y: float, z: float) -> Array:
+    return np.diag([x, y, z, 1.0])
+
+
+def turned(angle: float) -> Array:
+    matrix = np.eye(4)
+    matrix[:3, :3] = rotation(angle)
+    return matrix
+
+
+SKEWED = turned(0.7) @ scaled(1, 2, 0.6) @ turned(-1.9) @ scaled(-1, 1.2, 1)
+PLACED = turned(1.1) @ scaled(1.3, 0.8, 1)
+PLACED[:3, 3] = (0.4, -0.3, -0.6)
+PARENTS = [
+    pytest.param(root, other, False, id=f"{name}, {'apart' if other is not None else 'below'}")
+    for name, root in {
+        "as it is": scaled(1, 1, 1),
+        "mirrored": scaled(-1, 1, 1),
+        "stretched": scaled(1, 2, 1),
+        "larger": scaled(2, 2, 2),
+        "skewed": SKEWED,
+    }.items()
+    for other in (None, PLACED)
+]
+PARENTS += [pytest.param(SKEWED, PLACED, True, id="skewed, detached")]
+
+
+def deviations_below(
+    character: Character, found: dict[str, Any], root: Array, common: Array | None = None
+) -> tuple[float, float]:
+    """Return a character's largest errors below a parent: of clip coordinates, and of normals in degrees.
+
+    It is skinned in its own space by rigid joints, then moved as a whole. ``common`` (4, 4) is what its
+    joints have in common besides.
+    """
+    whole = root if common is None else root @ common
+    joints = character.joints if common is None else np.linalg.inv(common) @ character.joints
+    own = replay(Algorithm.DQS_EXACT, character.rest, joints[None])
+    world, view, projection = (
+        np.array(found[key]).reshape(4, 4).T for key in ("world", "view", "projection")
+    )
+    points = np.insert(own.positions[0], 3, 1, axis=1) @ (projection @ view @ whole).T
+    drawn = np.frombuffer(base64.b64decode(found["position"]), "<f4").reshape(-1, 4)
+    # The cross product of the two tangents points inside where the mesh itself does not know of a mirror.
+    side = np.sign(np.linalg.det(whole) * np.linalg.det(world))
+    normals = side * own.normals[0] @ np.linalg.inv(whole[:3, :3])
+    return float(np.abs(drawn - points[: len(drawn)]).max()), largest(found["normal"], normals)
+
+
+def placed_by(root: Array, other: Array | None, *, detached: bool) -> dict[str, Any]:
+    """Return what the pages' ``parented`` needs."""
+    told = {"method": "dqs", "root": column_by_column(root), "detached": detached}
+    return told if other is None else told | {"other": column_by_column(other)}
 
 
 def largest(found: str, wanted: Array) -> float:

@@ -27,3 +27,25 @@ export function posed({ scene, animations }, pose, morphs) {
     }
     return meshes;
 }
+
+// Put a model below a parent with the matrix root. With the matrix other, its mesh goes below another parent with that
+// matrix; detached is a bind mode. Return the mesh.
+export function parented(scene, model, { root, other, detached }) {
+    const below = (matrix, child) => {
+        const parent = new THREE.Group();
+        parent.matrixAutoUpdate = false;
+        parent.matrix.fromArray(matrix);
+        scene.add(parent.add(child));
+    };
+    below(root, model);
+    const [mesh] = skinnedMeshes(model);
+    if (other) below(other, mesh);
+    if (detached) mesh.bindMode = THREE.DetachedBindMode;
+    return mesh;
+}
+
+// Give the last joint but one a scale of its own, or take it away.
+export function stretch(root, isStretched) {
+    const { bones } = skinnedMeshes(root)[0].skeleton;
+    bones.at(-2).scale.set(1, isStretched ? 1.3 : 1, 1);
+}

@@ -16,21 +16,27 @@ from skinbake.format.layouts import GradientFormat
 from skinbake.skinning.algorithms import Algorithm
 from tests.support import corpus, gltf_reading, gltf_transform
 from tests.support.baked_files import Editable
-from tests.support.characters import AS_USUAL, Character, Placement, Pose, angles, baked
+from tests.support.characters import AS_USUAL, Array, Character, Placement, Pose, angles, baked
 from tests.support.node import package_folder, require_node
 from tests.support.stage import opened_page, page_of
 from tests.three.drawn import (
     BENT,
     CHARACTERS,
+    CLIP,
     DEGREES,
     MIRRORED,
+    PARENTS,
     RANDOM,
     STORAGES,
+    STRETCHED,
     TUBE,
     ThreeStage,
+    deviations_below,
     expected,
     largest,
+    placed_by,
     rotation,
+    scaled,
     shadow_is_of,
     vectors,
     with_morphs,
@@ -146,6 +152,45 @@ def test_dual_quaternions_have_algorithm_6(
     character = stage.character(fixture or corpus.model(model or ""), pose)
     found = stage.normals(character, method="dqs")
     assert largest(found["draws"][0], expected(character, found["world"], Algorithm.DQS_EXACT)) < DEGREES
+
+
+@pytest.mark.parametrize(("root", "other", "detached"), PARENTS)
+def test_a_parent_moves_dual_quaternions_as_a_whole(
+    stage: ThreeStage, root: Array, other: Array | None, detached: bool
+) -> None:
+    character = stage.character(TUBE, BENT)
+    placed = placed_by(root, other, detached=detached)
+    found = stage.call("parented", {**character.told(Placement()), **placed})
+    before = np.array(found["world"]).reshape(4, 4).T if detached else np.eye(4)
+    position, normal = deviations_below(character, found, before @ root)
+    assert position < CLIP
+    assert normal < DEGREES
+    assert found["report"] == [["accurate", ""]]
+
+
+def test_joints_that_are_all_mirrored_have_dual_quaternions(stage: ThreeStage) -> None:
+    character = stage.character(corpus.model("AFrameHands/leftHandLow.glb"), Pose(0, 0.05))
+    placed = placed_by(np.eye(4), None, detached=False)
+    found = stage.call("parented", {**character.told(Placement()), **placed})
+    position, normal = deviations_below(character, found, np.eye(4), scaled(-1, 1, 1))
+    assert position < CLIP
+    assert normal < DEGREES
+    assert found["report"] == [["accurate", ""]]
+
+
+def test_joints_that_are_not_rigid_are_drawn_as_three_js_does_and_told_of(stage: ThreeStage) -> None:
+    character = stage.character(TUBE, BENT)
+    told = {**character.told(Placement()), "method": "dqs"}
+    found = stage.page.call("stretched", told)
+    assert stage.messages() == [f'skinbake: "tube" has three.js\'s standard lighting: {STRETCHED}']
+    plain, stretched, undone, again, hidden = found["found"]
+    assert stretched["draws"] == plain["draws"]
+    own = expected(character, found["world"], Algorithm.LBS_APPROXIMATED)
+    assert largest(undone["draws"][0], own) < DEGREES
+    assert largest(again["draws"][0], expected(character, found["world"], Algorithm.DQS_EXACT)) < DEGREES
+    reports = [one["report"] for one in (stretched, undone, again, hidden)]
+    standard, accurate = [["standard", STRETCHED]], [["accurate", ""]]
+    assert reports == [standard, standard, accurate, accurate]
 
 
 @pytest.mark.parametrize("when", ["before", "after"])

@@ -280,6 +280,26 @@ class TestPlacement:
         direct = stage.vertices(character, for_frame("normal", Lighting.DIRECT), Placement(root, bind))
         assert deviation(direct.values[0], outside) < TOLERANCE
 
+    @pytest.mark.parametrize("bind", [IDENTITY, FLIPPED], ids=["", "flipped bind"])
+    @pytest.mark.parametrize("root", [IDENTITY, PLACED @ FLIPPED], ids=["", "flipped root"])
+    def test_mirrored_joints_turn_the_normal_outside_for_dual_quaternions_too(
+        self, stage: ModuleStage, bind: Array, root: Array
+    ) -> None:
+        character = stage.character(TUBE, BENT)
+        inside, outside = (
+            stage.vertices(
+                character,
+                dataclasses.replace(CHOICES, mirrored_joints=mirrored),
+                Placement(root, bind),
+                method="dqs",
+            ).values[0]
+            for mirrored in (False, True)
+        )
+        side = 1.0 if bind is IDENTITY else -1.0
+        assert deviation(outside, side * inside) < TOLERANCE
+        linear = character.expected(Algorithm.LBS_DIRECT, Placement(root, bind, root)).normals
+        assert np.all((outside * linear).sum(axis=1) > 0)
+
     def test_an_instance_is_placed_after_skinning(self, stage: ModuleStage) -> None:
         character = stage.character(TUBE, BENT)
         found = stage.vertices(character, CHOICES, instance=column_by_column(SKEWED))

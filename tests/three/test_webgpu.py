@@ -17,20 +17,25 @@ import pytest
 from skinbake.format.layouts import GradientFormat
 from skinbake.skinning.algorithms import Algorithm
 from tests.support import corpus
-from tests.support.characters import Character, Placement, Pose, angles, baked
+from tests.support.characters import Array, Character, Placement, Pose, angles, baked
 from tests.support.node import package_folder, require_node
 from tests.support.stage import opened_page, page_of, require_backend
 from tests.three.drawn import (
     BENT,
     CHARACTERS,
+    CLIP,
     DEGREES,
     MIRRORED,
+    PARENTS,
     RANDOM,
     STORAGES,
+    STRETCHED,
     TUBE,
     ThreeStage,
+    deviations_below,
     expected,
     largest,
+    placed_by,
     rotation,
     shadow_is_of,
     with_morphs,
@@ -192,6 +197,40 @@ def test_shadows_follow_the_method(stage: ThreeStage, method: str) -> None:
     found = stage.call("shadows", {**character.told(Placement()), "method": method})
     blended = [shadow_is_of(character, found, one) for one in (Algorithm.LBS_ACCURATE, Algorithm.DQS_EXACT)]
     assert blended == [method == "lbs", method == "dqs"]
+
+
+@pytest.mark.parametrize(("root", "other", "detached"), PARENTS)
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_a_parent_moves_dual_quaternions_as_a_whole(
+    stage: ThreeStage, root: Array, other: Array | None, detached: bool, backend: str
+) -> None:
+    require_backend(stage, backend)
+    character = stage.character(TUBE, BENT)
+    placed = placed_by(root, other, detached=detached)
+    found = stage.call("parented", {**character.told(Placement()), **placed, "backend": backend})
+    before = np.array(found["world"]).reshape(4, 4).T if detached else np.eye(4)
+    position, normal = deviations_below(character, found, before @ root)
+    assert position < CLIP
+    assert normal < DEGREES
+    assert found["report"] == [["accurate", ""]]
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_joints_that_are_not_rigid_are_drawn_as_three_js_does_and_told_of(
+    stage: ThreeStage, backend: str
+) -> None:
+    require_backend(stage, backend)
+    character = stage.character(TUBE, BENT)
+    told = {**character.told(Placement()), "method": "dqs", "backend": backend}
+    found = stage.page.call("stretched", told)
+    assert stage.messages() == [f'skinbake: "tube" has three.js\'s standard lighting: {STRETCHED}']
+    plain, stretched, undone, again = found["found"]
+    assert stretched["draws"] == plain["draws"]
+    own = expected(character, found["world"], Algorithm.LBS_APPROXIMATED)
+    assert largest(undone["draws"][0], own) < DEGREES
+    assert largest(again["draws"][0], expected(character, found["world"], Algorithm.DQS_EXACT)) < DEGREES
+    reports = [one["report"] for one in (stretched, undone, again)]
+    assert reports == [[["standard", STRETCHED]], [["standard", STRETCHED]], [["accurate", ""]]]
 
 
 def test_a_hook_that_calls_the_one_before_leaves_the_material_alone(stage: ThreeStage) -> None:
