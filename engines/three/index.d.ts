@@ -1,7 +1,10 @@
 import type { Object3D, SkinnedMesh } from 'three';
 import type { GLTF, GLTFLoaderPlugin, GLTFParser } from 'three/addons/loaders/GLTFLoader.js';
 
-/** The lighting that a mesh was last drawn with. `unlit`: its materials read no normals. */
+/**
+ * The lighting that a mesh was last drawn with. `unlit`: its materials read no normals, as MeshDepthMaterial. Only
+ * WebGLRenderer reports it; WebGPURenderer reports `accurate` for such a mesh.
+ */
 export type DrawnLighting = 'accurate' | 'standard' | 'unlit' | 'not drawn';
 
 export interface SkinbakeOptions {
