@@ -255,11 +255,21 @@ function firstDistorted({ bones, boneInverses }, joints) {
 }
 
 function isRigid(motion) {
-    const [ax, ay, az, , bx, by, bz, , cx, cy, cz] = motion.elements;
-    const squares = [ax * ax + ay * ay + az * az, bx * bx + by * by + bz * bz, cx * cx + cy * cy + cz * cz];
-    const products = [ax * bx + ay * by + az * bz, bx * cx + by * cy + bz * cz, cx * ax + cy * ay + cz * az];
-    const deviations = [...squares.map((square) => square - 1), ...products];
-    return deviations.every((deviation) => Math.abs(deviation) <= RIGID) && motion.determinant() > 0;
+    const { elements } = motion;
+    return (
+        hasProduct(elements, 0, 0, 1) &&
+        hasProduct(elements, 4, 4, 1) &&
+        hasProduct(elements, 8, 8, 1) &&
+        hasProduct(elements, 0, 4, 0) &&
+        hasProduct(elements, 4, 8, 0) &&
+        hasProduct(elements, 8, 0, 0) &&
+        motion.determinant() > 0
+    );
+}
+
+// Whether two columns of a matrix have a dot product.
+function hasProduct(e, a, b, product) {
+    return Math.abs(e[a] * e[b] + e[a + 1] * e[b + 1] + e[a + 2] * e[b + 2] - product) <= RIGID;
 }
 
 // One element for all vertices and instances. Where the attributes say how many instances there are, one for each
