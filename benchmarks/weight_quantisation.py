@@ -25,7 +25,7 @@ from fixtures import make_fixtures
 from skinbake.geometry import frames
 from skinbake.geometry.skinned import BoolArray, Float64Array, IntArray, SkinnedPrimitive
 from skinbake.geometry.triangles import mark_proper, smooth_normals
-from skinbake.gltf.animation import read_clips
+from skinbake.gltf.animation import read_clips, skins_of
 from skinbake.gltf.document import read_document
 from skinbake.gltf.primitives import PrimitiveSource, read_primitive, reason_to_skip, skinned_sources
 from skinbake.gradients.field import concatenate_fields
@@ -37,7 +37,7 @@ from skinbake.gradients.weld import weld
 from skinbake.lighting.influences import normalised_weights
 from skinbake.lighting.metrics import vertex_areas
 from skinbake.lighting.operator import gradient_operator
-from skinbake.lighting.poses import PoseRequest, pose_set, skins_of
+from skinbake.lighting.poses import PoseRequest, pose_set
 from skinbake.lighting.reference import rest_frames
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.surface import RestSurface

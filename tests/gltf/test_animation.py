@@ -13,9 +13,12 @@ from scipy.spatial.transform import Rotation, Slerp
 from fixtures.make_fixtures import FOLDER
 from skinbake.errors import InputError
 from skinbake.geometry.skinned import Float64Array
+from skinbake.gltf import animation, rigs
 from skinbake.gltf.animation import clip_poses, random_poses, read_clips, read_skeleton, rest_pose
 from skinbake.gltf.document import Document, read_document
+from skinbake.gltf.rigs import rig_of_mesh
 from tests.support import corpus, models
+from tests.support.calls import count_calls
 from tests.support.gltf_reading import GltfFile, JsonObject, read
 from tests.support.small_documents import Builder, animate
 
@@ -439,3 +442,49 @@ def test_skins_that_say_the_same_share_their_joints(tmp_path: Path) -> None:
     one, same, other = (read_skeleton(document, skin) for skin in range(3))
     assert same is one
     assert other.joints.tolist() != one.joints.tolist()
+
+
+def test_joints_that_are_written_otherwise_are_the_same(tmp_path: Path) -> None:
+    def copy_skin(root: JsonObject) -> None:
+        (first,) = root["skins"]
+        root["skins"] = [first, {**first, "joints": [float(joint) for joint in first["joints"]]}]
+
+    document = read_document(str(models.edited("bent_tube.glb", tmp_path, copy_skin)))
+    assert read_skeleton(document, 0) is read_skeleton(document, 1)
+
+
+def test_a_broken_skin_is_read_once_and_refused_each_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    document = edited(lambda json: json["skins"][0]["joints"].append("4")).document()
+    calls = count_calls(monkeypatch, animation, "joints_of")
+    for _ in range(3):
+        with pytest.raises(InputError, match='skin 0: "joint" must be an integer'):
+            read_skeleton(document, 0)
+    assert len(calls) == 1
+
+
+def test_a_joint_that_is_nested_deep_is_refused() -> None:
+    nested: list[object] = []
+    for _ in range(5000):
+        nested = [nested]
+    document = arm().document()
+    document.objects("skins")[0]["joints"].append(nested)
+    with pytest.raises(InputError, match="must be an integer of at least 0, found an array nested very deep"):
+        read_skeleton(document, 0)
+
+
+def test_the_rig_of_many_meshes_is_made_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def draw_copies(root: JsonObject) -> None:
+        drawing = next(node for node in root["nodes"] if "skin" in node)
+        root["meshes"] += [root["meshes"][0]] * 5
+        root["nodes"] += [{**drawing, "mesh": mesh} for mesh in range(1, 6)]
+        root["skins"].append({**root["skins"][0], "joints": root["skins"][0]["joints"][::-1]})
+        root["nodes"].append({**drawing, "mesh": 5, "skin": 1})
+
+    document = read_document(str(models.edited("bent_tube.glb", tmp_path, draw_copies)))
+    parents = count_calls(monkeypatch, rigs, "_joint_parents")
+    node_skins = count_calls(monkeypatch, animation, "reference")
+    found = [rig_of_mesh(document, mesh) for mesh in range(6)]
+    assert [others for _, others in found] == [0, 0, 0, 0, 0, 1]
+    assert len({id(rig) for rig, _ in found}) == 1
+    assert len(parents) == 2  # one for each skin
+    assert len(node_skins) == 2 * len(document.objects("nodes"))

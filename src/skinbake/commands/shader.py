@@ -13,7 +13,7 @@ from skinbake.choices import Encoding, Frame, Language, Layout, Lighting, Method
 from skinbake.containment import BESIDE, Bounds
 from skinbake.errors import ChoiceError, InputError, Notice, Place
 from skinbake.format.metadata import slot_names
-from skinbake.gltf.animation import read_clips
+from skinbake.gltf.animation import read_clips, skins_of
 from skinbake.gltf.document import STDIO, Document, read_document
 from skinbake.gltf.output import refuse_own_input
 from skinbake.gltf.primitives import reason_to_skip, skinned_sources
@@ -23,7 +23,7 @@ from skinbake.lighting.angles import not_rigid_joints
 from skinbake.lighting.baked_views import BakedView, baked_views, is_baked
 from skinbake.lighting.measured import without_dqs
 from skinbake.lighting.morphing import carrier
-from skinbake.lighting.poses import PoseRequest, PoseSet, pose_set, skins_of
+from skinbake.lighting.poses import PoseRequest, PoseSet, pose_set
 from skinbake.lighting.rest_surfaces import rest_surface
 from skinbake.lighting.staleness import refuse_stale
 from skinbake.shaders.choices import BEST, AttributeText, ShaderChoices

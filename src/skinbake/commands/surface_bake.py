@@ -15,7 +15,7 @@ from skinbake.geometry.skinned import BakedPrimitive, SkinnedPrimitive
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject
 from skinbake.gltf.primitives import PrimitiveSource, has_float_tangents, read_influences, read_primitive
-from skinbake.gltf.rigs import fitting_rig, rig_digest
+from skinbake.gltf.rigs import fitting_rig
 from skinbake.gradients.assumptions import assumptions, check_finite
 from skinbake.gradients.baker import BakeFindings, BakeSettings, bake_mesh
 from skinbake.gradients.normal_lean import lean_notices
@@ -74,7 +74,7 @@ class Aim:
         """Return what the metadata says of the fit."""
         noted: JsonObject = {}
         if self.rig is not None:
-            noted = {"gradients": "rig", "fit": FIT, "rig": rig_digest(self.rig)}
+            noted = {"gradients": "rig", "fit": FIT, "rig": self.rig.digest}
         if self.poses is not None:
             noted |= {
                 "gradients": "poses",

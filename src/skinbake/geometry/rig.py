@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -20,7 +22,7 @@ Limbs, fingers and spines of characters are shorter chains: they end where a joi
 """
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Rig:
     """The hierarchy of J joints, in mesh space.
 
@@ -66,6 +68,15 @@ class Rig:
             first = further
         lengths = np.bincount(first, minlength=len(first))
         return np.where(lengths[first] >= LONG_CHAIN, first, NO_CHAIN).astype(np.int32)
+
+    @cached_property
+    def digest(self) -> str:
+        """Return a short digest of the rig. float32 decides, so that a tool may write its matrices again."""
+        state = hashlib.sha256(self.parents.astype("<i4").tobytes())
+        with np.errstate(over="ignore"):  # a matrix that is nearly singular has its pivot past all floats
+            pivots = self.pivots.astype("<f4")
+        state.update((pivots + np.float32(0.0)).tobytes())
+        return state.hexdigest()[:16]
 
     def with_joints(self, count: int) -> Rig:
         """Return the rig with at least so many joints. Further joints stand apart, and do not turn."""

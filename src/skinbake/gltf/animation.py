@@ -13,7 +13,16 @@ from skinbake.geometry import poses
 from skinbake.geometry.skinned import Float64Array
 from skinbake.gltf.accessors import read_accessor
 from skinbake.gltf.document import Document
-from skinbake.gltf.json_access import JsonObject, index, is_number, joints_of, member, objects, text
+from skinbake.gltf.json_access import (
+    JsonObject,
+    index,
+    is_number,
+    joints_of,
+    member,
+    objects,
+    reference,
+    text,
+)
 from skinbake.wording import counted
 
 PATHS = {"translation": 3, "rotation": 4, "scale": 3}
@@ -155,29 +164,69 @@ def _at(channel: Channel, at: Float64Array) -> Float64Array:
     )
 
 
+def skins_of(document: Document, mesh: int) -> list[int]:
+    """Return the skins with which nodes draw a mesh, in the nodes' order. All nodes are read once."""
+    known: dict[int, dict[int, None]] = document.derived.setdefault("skins by mesh", {})
+    if not known:
+        for node in document.objects("nodes"):
+            # Some exporters write 3.0. The reader of the primitives has checked that these are indices.
+            drawn, skin = reference(node.get("mesh")), reference(node.get("skin"))
+            if drawn is not None and skin is not None:
+                known.setdefault(drawn, {})[skin] = None
+    return list(known.get(mesh, ()))
+
+
 def read_skeleton(document: Document, skin_index: int) -> Skeleton:
     """Return the joints of a skin with their ancestors. Skins that say the same share them.
 
-    Raises InputError if the hierarchy or the matrices are broken.
+    Raises InputError if the hierarchy or the matrices are broken. A broken skin too is read only once.
     """
-    skin = document.objects("skins")[skin_index]
-    known: dict[str, Skeleton] = document.derived.setdefault("skeletons", {})
-    key = repr((skin.get("joints"), skin.get("inverseBindMatrices")))
+    known: dict[int, Skeleton | InputError] = document.derived.setdefault("skeletons by skin", {})
+    if skin_index not in known:
+        try:
+            known[skin_index] = _shared_skeleton(document, skin_index)
+        except InputError as error:
+            known[skin_index] = error
+    found = known[skin_index]
+    if isinstance(found, InputError):
+        raise found.with_traceback(None)
+    return found
+
+
+def _shared_skeleton(document: Document, skin_index: int) -> Skeleton:
+    """Return the skeleton of a skin, which is read once for all skins that say the same."""
+    joints, matrices = _listed_joints(document, skin_index), _matrices_of(document, skin_index)
+    known: dict[object, Skeleton] = document.derived.setdefault("skeletons", {})
+    key = tuple(joints), matrices
     if key not in known:
-        known[key] = _read_skeleton(document, skin_index)
+        known[key] = _read_skeleton(document, skin_index, joints, matrices)
     return known[key]
 
 
-def _read_skeleton(document: Document, skin_index: int) -> Skeleton:
-    skin, place = document.objects("skins")[skin_index], document.place
-    nodes = document.objects("nodes")
-    owner = f"skin {skin_index}"
+def _listed_joints(document: Document, skin_index: int) -> list[int]:
+    """Return the nodes that a skin lists as its joints."""
+    skin, place, owner = document.objects("skins")[skin_index], document.place, f"skin {skin_index}"
+    count = len(document.objects("nodes"))
     joints = [
-        index({"joint": joint}, "joint", len(nodes), place, owner=owner, kind="node")
+        index({"joint": joint}, "joint", count, place, owner=owner, kind="node")
         for joint in joints_of(skin, skin_index, place)
     ]
+    return [joint for joint in joints if joint is not None]
+
+
+def _matrices_of(document: Document, skin_index: int) -> int | None:
+    """Return the accessor of the inverse bind matrices of a skin, None if it has none."""
+    skin, owner = document.objects("skins")[skin_index], f"skin {skin_index}"
+    count = len(document.objects("accessors"))
+    return index(skin, "inverseBindMatrices", count, document.place, owner=owner, kind="accessor")
+
+
+def _read_skeleton(
+    document: Document, skin_index: int, joints: Sequence[int], matrices_in: int | None
+) -> Skeleton:
+    place, nodes = document.place, document.objects("nodes")
     parents = _parents(document)
-    order = _ancestors_first([joint for joint in joints if joint is not None], parents, place)
+    order = _ancestors_first(joints, parents, place)
     document.budget.claim(
         BYTES_A_NODE * len(order), f"the joints of skin {skin_index} and those above", place
     )
@@ -194,8 +243,8 @@ def _read_skeleton(document: Document, skin_index: int) -> Skeleton:
         translations=np.stack([_numbers(nodes, n, "translation", np.zeros(3), place) for n in order]),
         rotations=poses.normalised(rotations[:, [3, 0, 1, 2]]),
         scales=np.stack([_numbers(nodes, n, "scale", np.ones(3), place) for n in order]),
-        joints=np.array([where[joint] for joint in joints if joint is not None]),
-        inverse_bind=_inverse_bind(document, skin_index, len(joints)),
+        joints=np.array([where[joint] for joint in joints]),
+        inverse_bind=_inverse_bind(document, matrices_in, len(joints)),
         matrices=matrices,
     )
 
@@ -249,10 +298,9 @@ def _numbers(
     return np.array(value, dtype=np.float64)
 
 
-def _inverse_bind(document: Document, skin_index: int, count: int) -> Float64Array:
-    skin, place, owner = document.objects("skins")[skin_index], document.place, f"skin {skin_index}"
-    accessors = document.objects("accessors")
-    number = index(skin, "inverseBindMatrices", len(accessors), place, owner=owner, kind="accessor")
+def _inverse_bind(document: Document, number: int | None, count: int) -> Float64Array:
+    """Return the inverse bind matrices (J, 4, 4) in an accessor."""
+    place = document.place
     if number is None:
         return np.broadcast_to(np.eye(4), (count, 4, 4))
     values = _wide(document, number, place)

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import hashlib
-
 import numpy as np
 import numpy.typing as npt
 
 from skinbake.errors import InputError, Notice
 from skinbake.geometry.rig import NO_PARENT, Rig
 from skinbake.geometry.skinned import Float64Array
-from skinbake.gltf.animation import Skeleton, read_skeleton
+from skinbake.gltf.animation import Skeleton, read_skeleton, skins_of
 from skinbake.gltf.document import Document
 from skinbake.gltf.primitives import PrimitiveSource
 
@@ -46,23 +44,18 @@ def rig_of_mesh(document: Document, mesh: int) -> tuple[Rig, int]:
     A node that is listed twice carries itself. Joints whose inverse bind matrix is singular have no pivot.
     Raises InputError if the nodes form a circle, or if a matrix cannot be read.
     """
-    skins = {
-        int(node["skin"]): None
-        for node in document.objects("nodes")
-        if node.get("mesh") == mesh and "skin" in node
-    }
-    skeletons = {id(one): one for one in (read_skeleton(document, skin) for skin in skins)}
-    first, *others = (Rig(_joint_parents(one), _pivots(one.inverse_bind)) for one in skeletons.values())
-    return first, len({rig_digest(rig) for rig in others} - {rig_digest(first)})
+    skeletons = {id(one): one for one in (read_skeleton(document, skin) for skin in skins_of(document, mesh))}
+    first, *others = (_rig_of(document, skeleton) for skeleton in skeletons.values())
+    return first, len({rig.digest for rig in others} - {first.digest})
 
 
-def rig_digest(rig: Rig) -> str:
-    """Return a short digest of a rig. float32 decides, so that a tool may write its matrices again."""
-    state = hashlib.sha256(rig.parents.astype("<i4").tobytes())
-    with np.errstate(over="ignore"):  # a matrix that is nearly singular has its pivot past all floats
-        pivots = rig.pivots.astype("<f4")
-    state.update((pivots + np.float32(0.0)).tobytes())
-    return state.hexdigest()[:16]
+def _rig_of(document: Document, skeleton: Skeleton) -> Rig:
+    """Return the rig of a skeleton of the document, which is made once for all meshes."""
+    known: dict[int, Rig] = document.derived.setdefault("rigs", {})
+    key = id(skeleton)  # the document keeps its skeletons
+    if key not in known:
+        known[key] = Rig(_joint_parents(skeleton), _pivots(skeleton.inverse_bind))
+    return known[key]
 
 
 def _joint_parents(skeleton: Skeleton) -> npt.NDArray[np.int32]:

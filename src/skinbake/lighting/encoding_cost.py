@@ -9,10 +9,10 @@ import numpy as np
 
 from skinbake.format.encodings import rounded
 from skinbake.format.layouts import GradientFormat
-from skinbake.gltf.animation import read_clips
+from skinbake.gltf.animation import read_clips, skins_of
 from skinbake.gltf.document import Document
 from skinbake.lighting.encoding import AddedError, EncodedSurface, added_error
-from skinbake.lighting.poses import PoseRequest, PoseSet, pose_set, skins_of
+from skinbake.lighting.poses import PoseRequest, PoseSet, pose_set
 from skinbake.lighting.rest_areas import RestAreas
 from skinbake.lighting.unwritten import UnwrittenBake
 

@@ -9,13 +9,13 @@ import numpy as np
 
 from skinbake.format.limit import with_limit
 from skinbake.geometry.skinned import Float64Array, FloatArray, SkinnedPrimitive
-from skinbake.gltf.animation import read_clips
+from skinbake.gltf.animation import read_clips, skins_of
 from skinbake.gltf.document import Document
 from skinbake.gltf.primitives import PrimitiveSource, StoredInfluences, read_influences
 from skinbake.gradients.limit import limited_slots
 from skinbake.lighting.blending import blended_blocks
 from skinbake.lighting.metrics import angles_between, total_area
-from skinbake.lighting.poses import PoseRequest, PoseSet, described, pose_set, skins_of
+from skinbake.lighting.poses import PoseRequest, PoseSet, described, pose_set
 from skinbake.lighting.rest_areas import RestAreas
 from skinbake.lighting.tally import ErrorTally
 from skinbake.lighting.unwritten import UnwrittenBake

@@ -23,6 +23,7 @@ from skinbake.gltf.animation import (
     random_poses,
     read_skeleton,
     rest_pose,
+    skins_of,
 )
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import MOST
@@ -82,17 +83,6 @@ class PoseSet:
         """Return the morph targets that have a weight other than 0 in any pose."""
         weights = self.morph_weights
         return [] if weights is None else [int(target) for target in np.flatnonzero(weights.any(axis=0))]
-
-
-def skins_of(document: Document, mesh: int) -> list[int]:
-    """Return the skins with which nodes draw a mesh, in the nodes' order."""
-    # Some exporters write 3.0. The reader of the primitives has checked that these are indices.
-    skins = {
-        int(node["skin"]): None
-        for node in document.objects("nodes")
-        if node.get("mesh") == mesh and "skin" in node
-    }
-    return list(skins)
 
 
 def draws_of(document: Document, mesh: int, clips: Sequence[Clip]) -> list[tuple[int, int | None]]:

@@ -12,10 +12,10 @@ import numpy as np
 
 from skinbake.choices import PoseKind
 from skinbake.errors import ChoiceError, InputError, Notice, Place
-from skinbake.gltf.animation import MORPH_WEIGHTS, Channel, Clip, read_clips
+from skinbake.gltf.animation import MORPH_WEIGHTS, Channel, Clip, read_clips, skins_of
 from skinbake.gltf.document import Document, read_document
 from skinbake.lighting.pose_fit import FitPoses
-from skinbake.lighting.poses import PoseRequest, PoseSet, joint_clips, pose_set, skins_of
+from skinbake.lighting.poses import PoseRequest, PoseSet, joint_clips, pose_set
 from skinbake.wording import counted
 
 ANIMATIONS, RANDOM = "animations", "random"

@@ -11,7 +11,7 @@ from skinbake.errors import Notice
 from skinbake.format.metadata import POSES, slot_names, slots_digest
 from skinbake.gltf.accessors import read_accessor
 from skinbake.gltf.document import Document
-from skinbake.gltf.rigs import fitting_rig, rig_digest
+from skinbake.gltf.rigs import fitting_rig
 from skinbake.lighting.baked_views import BakedView
 from skinbake.lighting.expected import noted_kind, noted_poses, surface_slots, surfaces_of
 from skinbake.lighting.metrics import vertex_areas
@@ -40,7 +40,7 @@ def rig_changed(document: Document, view: BakedView) -> bool:
     if noted_kind(view) is Gradients.SURFACE or "rig" not in view.metadata:
         return False
     rig, _ = fitting_rig(document, view.source)
-    return rig is None or rig_digest(rig) != view.metadata.get("rig")
+    return rig is None or rig.digest != view.metadata.get("rig")
 
 
 def problems_without_poses(
