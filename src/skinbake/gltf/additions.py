@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from skinbake.geometry.blocks import blocks
 from skinbake.gltf import resources
 from skinbake.gltf.codecs import meshopt
 from skinbake.gltf.document import Document
@@ -21,7 +20,7 @@ from skinbake.gltf.references import check_views, refuse_dangling
 ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963
 
 SAMPLED = 64
-"""The elements by which arrays are told apart, at least. Of those that agree, all bytes are compared."""
+"""The elements by which arrays are told apart, at least. Where they agree, digests tell arrays apart."""
 
 BUFFER_LENGTH = "bufferByteLength"
 BUFFER_ADDED = "bufferAdded"
@@ -38,6 +37,31 @@ class Packed(NamedTuple):
     name: str
     level: int
     beside: bool
+
+
+class _Alike:
+    """The accessors of arrays that agree in the sampled elements.
+
+    A single array has no digest: most samples belong to one array only. From the second array on, the digests
+    of all bytes tell the arrays apart, so that no two arrays are compared.
+    """
+
+    def __init__(self) -> None:
+        self._single: npt.NDArray[Any] | None = None
+        self._accessors: dict[bytes, list[int]] = {}
+
+    def equal_to(self, data: npt.NDArray[Any]) -> list[int]:
+        """Return the accessors of the arrays that are equal to a contiguous array, bit for bit.
+
+        The caller appends to the list the accessor that it adds.
+        """
+        if not self._accessors:
+            self._single = data
+            return self._accessors.setdefault(b"", [])
+        if self._single is not None:
+            self._accessors = {_digest(self._single): self._accessors[b""]}
+            self._single = None
+        return self._accessors.setdefault(_digest(data), [])
 
 
 class Additions:
@@ -59,7 +83,7 @@ class Additions:
         self._length = 0
         self._fallback_length = 0
         self._fallback_name = ""
-        self._shared: dict[tuple[Any, ...], list[tuple[npt.NDArray[Any], int]]] = {}
+        self._shared: dict[tuple[Any, ...], _Alike] = {}
         self._streams: dict[bytes, int] = {}
         buffers = document.objects("buffers")
         self._into_binary = document.has_binary_buffer
@@ -89,19 +113,13 @@ class Additions:
         """
         data = np.ascontiguousarray(values)
         key = data.dtype.str, data.shape, normalized, packed, _sampled(data)
-        like_it = self._shared.setdefault(key, [])
-        twin = None
-        if extras is None:
-            for before, number in like_it:
-                if _same_bytes(before, data):
-                    if number not in apart_from:
-                        return number
-                    twin = number
-        view = self._add_attribute(data, packed) if twin is None else self._add_view_like_that_of(twin)
-        number = self._add_accessor({"bufferView": view}, data, normalized, extras)
-        if extras is None:
-            like_it.append((data, number))
-        return number
+        equal = [] if extras is not None else self._shared.setdefault(key, _Alike()).equal_to(data)
+        for number in equal:
+            if number not in apart_from:
+                return number
+        view = self._add_view_like_that_of(equal[-1]) if equal else self._add_attribute(data, packed)
+        equal.append(self._add_accessor({"bufferView": view}, data, normalized, extras))
+        return equal[-1]
 
     def add_inside(
         self, values: npt.NDArray[Any], *, normalized: bool = False, extras: JsonObject | None = None
@@ -258,11 +276,9 @@ def _sampled(values: npt.NDArray[Any]) -> bytes:
     return values[::step].tobytes()
 
 
-def _same_bytes(first: npt.NDArray[Any], second: npt.NDArray[Any]) -> bool:
-    """Tell whether two contiguous arrays of one type and shape are equal bit for bit."""
-    return all(
-        np.array_equal(first[rows].view(np.uint8), second[rows].view(np.uint8)) for rows in blocks(len(first))
-    )
+def _digest(data: npt.NDArray[Any]) -> bytes:
+    """Return the digest of all bytes of a contiguous array."""
+    return hashlib.sha256(data.data).digest()
 
 
 def content_digest(pieces: Iterable[Bytes]) -> str:
