@@ -28,10 +28,17 @@ EXPECTED = {
 
 
 def target_count(document: Document, mesh: int) -> int:
-    """Return the number of morph targets of a mesh.
+    """Return the number of morph targets of a mesh. They are counted once.
 
     Primitives without targets do not count. Raises InputError if the others have different numbers.
     """
+    known: dict[int, int] = document.derived.setdefault("target counts", {})
+    if mesh not in known:
+        known[mesh] = _counted_targets(document, mesh)
+    return known[mesh]
+
+
+def _counted_targets(document: Document, mesh: int) -> int:
     content = document.objects("meshes")[mesh]
     place = Place(document.name, mesh, text(content, "name", document.place))
     primitives = objects(content, "primitives", place)
