@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from pathlib import Path
+from random import Random
 from typing import Any
 
 import pytest
 
 from fixtures.builder import JsonObject
 from skinbake.errors import InputError
-from skinbake.gltf.document import read_document
+from skinbake.gltf import skin_groups
+from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.skin_groups import meshes_of_one_skin
 from tests.support.cutting import cut_into_meshes
 from tests.support.gltf_reading import read
 from tests.support.models import FOLDER, edited, rewritten
+from tests.support.small_documents import Builder
 
 
 def cut(folder: Path, change: Any = None, *, own_skins: bool = False) -> Path:
@@ -97,3 +100,55 @@ def test_a_skin_that_cannot_be_read_is_an_error(tmp_path: Path) -> None:
     path = edited("seam.glb", tmp_path, lambda content: content["skins"][0].update(inverseBindMatrices=10**6))
     with pytest.raises(InputError, match="inverseBindMatrices"):
         meshes_of_one_skin(read_document(str(path)), [0])
+
+
+def drawn(skins: list[list[int]], draws: list[list[int]]) -> Document:
+    """Return a document of skins, each a list of joints, and of meshes, each with the skins that draw it."""
+    builder = Builder()
+    nodes: list[JsonObject] = [{} for _ in range(1 + max(max(joints) for joints in skins))]
+    nodes += [{"mesh": mesh, "skin": skin} for mesh, by in enumerate(draws) for skin in by]
+    builder.json |= {"nodes": nodes, "skins": [{"joints": joints} for joints in skins]}
+    builder.json["meshes"] = [{"primitives": []} for _ in draws]
+    return builder.document()
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_groups_apart_are_those_of_which_a_pair_shares_a_joint(seed: int) -> None:
+    random = Random(seed)
+    nodes = random.choice((4, 12, 30))
+    skins = [random.sample(range(nodes), random.randint(1, 3)) for _ in range(8)]
+    draws = [random.sample(range(8), random.randint(1, 2)) for _ in range(6)]
+    by_joints = [frozenset(tuple(skins[skin]) for skin in by) for by in draws]
+    first = [mesh for mesh, joints in enumerate(by_joints) if joints not in by_joints[:mesh]]
+    moved = {mesh: {node for joints in by_joints[mesh] for node in joints} for mesh in first}
+    expected = [mesh for mesh in first if any(moved[mesh] & moved[other] for other in first if other != mesh)]
+    found, notices = meshes_of_one_skin(drawn(skins, draws), range(6))
+    assert [group[0] for group in found] == first
+    assert [notice.count for notice in notices] == ([len(expected)] if expected else [])
+    for notice in notices:
+        assert notice.message.endswith(f"begin with meshes {', '.join(map(str, expected))}")
+
+
+def test_the_joints_of_many_groups_are_not_compared_by_pairs(monkeypatch: pytest.MonkeyPatch) -> None:
+    compared = 0
+
+    class Joint(int):
+        """A node that counts how often it is found equal to another or not."""
+
+        def __eq__(self, other: object) -> bool:
+            nonlocal compared
+            compared += 1
+            return int(self) == other
+
+        def __hash__(self) -> int:
+            return int(self)
+
+    def joints_of(document: Document, skin: int) -> list[Joint]:
+        return [Joint(node) for node in document.objects("skins")[skin]["joints"]]
+
+    monkeypatch.setattr(skin_groups, "_joints", joints_of)
+    count = 20
+    skins = [[(node + skin) % count for node in range(count)] for skin in range(count)]
+    _, (notice,) = meshes_of_one_skin(drawn(skins, [[skin] for skin in range(count)]), range(count))
+    assert notice.count == count
+    assert compared <= 4 * count * count  # joints in all skins: count²; by pairs of groups it is count³

@@ -10,6 +10,9 @@ from skinbake.gltf.document import Document
 
 Skins = frozenset[int]
 
+SEVERAL = -1
+"""Stands for more than one group of meshes."""
+
 
 def meshes_of_one_skin(document: Document, meshes: Iterable[int]) -> tuple[list[list[int]], list[Notice]]:
     """Return the given meshes in groups that the same skins draw, and a notice on separate meshes.
@@ -60,16 +63,26 @@ def _joints(document: Document, skin: int) -> Sequence[int]:
     return [int(node) for node in document.objects("skins")[skin]["joints"]]
 
 
+def _owners(owned: Iterable[tuple[Iterable[int], int]]) -> dict[int, int]:
+    """Return the owner of each entry, SEVERAL if it has more than one; given are entries with their owner."""
+    owners: dict[int, int] = {}
+    for entries, owner in owned:
+        for entry in entries:
+            if owners.setdefault(entry, owner) != owner:
+                owners[entry] = SEVERAL
+    return owners
+
+
 def _kept_apart(document: Document, groups: dict[Skins, list[int]]) -> list[Notice]:
-    """Return a notice if joints of one group also move another one."""
-    moved = {skins: {node for skin in skins for node in _joints(document, skin)} for skins in groups}
-    apart = [
-        meshes[0]
-        for skins, meshes in groups.items()
-        for other in groups
-        if other is not skins and moved[skins] & moved[other]
-    ]
-    concerned = dict.fromkeys(apart)
+    """Return a notice if joints of one group also move another one.
+
+    Each joint of each skin is read once, so that many groups of many joints take no longer than reading them.
+    """
+    group_of = _owners((skins, number) for number, skins in enumerate(groups))
+    joints = {skin: _joints(document, skin) for skin in group_of}
+    moved_by = _owners((joints[skin], group) for skin, group in group_of.items())
+    of_several = {skin for skin in joints if any(moved_by[node] == SEVERAL for node in joints[skin])}
+    concerned = [meshes[0] for skins, meshes in groups.items() if not skins.isdisjoint(of_several)]
     if not concerned:
         return []
     message = (
