@@ -166,12 +166,12 @@ EXPLAINED: dict[tuple[str, str, str], str] = {
     (
         "codecs/draco_stream.py",
         "_check_arrays",
-        'if components != 3: -> raise InputError(f"it has {components} components, 3 are needed", place.at("POSITION"))',
+        'if components != 3: -> raise InputError(f"it has {counted(components, \'component\')}, 3 are needed", place.at("POSITION"))',
     ): BEFORE + "tests/gltf/test_draco.py",
     (
         "codecs/draco_stream.py",
         "_check_arrays",
-        'if faces.size and faces.max() >= count: -> raise InputError(f"index {faces.max()} is too large for {count} vertices", place.at("indices"))',
+        'if faces.size and faces.max() >= count: -> vertices = counted(count, "vertex", "vertices")',
     ): BEFORE + "tests/gltf/test_draco.py",
     (
         "compaction.py",
