@@ -457,7 +457,7 @@ class TestTerminal:
             shutil.copyfile(FOLDER / "seam.glb", tmp_path / name)
         baked = [tmp_path / name for name in names[2:]]
         assert invoke("bake", *baked, "--in-place").exit_code == 0
-        found = self.shown("verify", tmp_path, "--method", "lbs", "--poses", "random:300", "--jobs", jobs)
+        found = self.shown("verify", tmp_path, "--method", "lbs", "--poses", "random:1500", "--jobs", jobs)
         text = "".join(part for _, part in found)
         assert "0/8" in text
         assert "8/8" in text
