@@ -19,6 +19,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
+from benchmarks.marked import write_between
 from fixtures.make_fixtures import (
     ELBOW_DEGREES,
     TUBE_JOINTS,
@@ -245,9 +246,7 @@ def main() -> None:
     print(table)
     if options.gradients is not Gradients.RIG:
         return  # the page has the default
-    text = options.output.read_text(encoding="utf-8")
-    before, rest = text.split(START)
-    options.output.write_text(f"{before}{START}\n{table}\n{END}{rest.split(END)[1]}", encoding="utf-8")
+    write_between(options.output, START, END, table)
 
 
 if __name__ == "__main__":

@@ -14,6 +14,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from benchmarks.corpus_table import REPOSITORY, corpus_folders
+from benchmarks.marked import write_between
 from skinbake.choices import Lighting, Method, Neighbours
 from skinbake.commands.bake import Baker
 from skinbake.commands.verify import verify_document
@@ -37,9 +38,7 @@ def main() -> int:
     paths = {path.name: path for path in sorted(folders[0].rglob("*"))}
     text = "\n".join(table([paths[name] for name in CHARACTERS]))
     print(text)
-    page = options.output.read_text(encoding="utf-8")
-    before, rest = page.split(START)
-    options.output.write_text(f"{before}{START}\n{text}\n{END}{rest.split(END)[1]}", encoding="utf-8")
+    write_between(options.output, START, END, text)
     return 0
 
 

@@ -24,6 +24,7 @@ from benchmarks.analytic_truth import KINDS, grown
 from benchmarks.corpus_table import SUFFIXES, corpus_folders, told_apart
 from benchmarks.edge_noise import Lit, measured
 from benchmarks.fitted_gradients import BENDS, CLIPS, DEFAULT_OUTPUT, FEWEST, POSES
+from benchmarks.marked import write_between
 from skinbake.choices import Gradients, Truth
 from skinbake.commands.bake import Baker
 from skinbake.errors import SkinbakeError
@@ -80,9 +81,7 @@ def main() -> int:
         return 3
     paths = sorted(path for path in folder.rglob("*") if path.suffix.lower() in SUFFIXES)
     text = "\n".join(figures(list(models_of(paths))))
-    page = options.output.read_text(encoding="utf-8")
-    before, rest = page.split(START)
-    options.output.write_text(f"{before}{START}\n{text}\n{END}{rest.split(END)[1]}", encoding="utf-8")
+    write_between(options.output, START, END, text)
     return 0
 
 

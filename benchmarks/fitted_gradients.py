@@ -21,6 +21,7 @@ import numpy as np
 from benchmarks.analytic_truth import KINDS, SIZES, grown
 from benchmarks.corpus_table import REPOSITORY, SUFFIXES, corpus_folders, told_apart
 from benchmarks.edge_noise import Lit, measured
+from benchmarks.marked import write_between
 from skinbake.choices import Gradients, PoseKind, Truth
 from skinbake.commands.bake import Baker
 from skinbake.errors import SkinbakeError
@@ -89,9 +90,7 @@ def main() -> int:
         return 3
     paths = sorted(path for path in folder.rglob("*") if path.suffix.lower() in SUFFIXES)
     text = "\n".join(figures(list(without_twins(models_of(paths)))))
-    page = options.output.read_text(encoding="utf-8")
-    before, rest = page.split(START)
-    options.output.write_text(f"{before}{START}\n{text}\n{END}{rest.split(END)[1]}", encoding="utf-8")
+    write_between(options.output, START, END, text)
     return 0
 
 

@@ -22,6 +22,7 @@ import numpy as np
 
 from benchmarks.corpus_table import REPOSITORY, corpus_folders
 from benchmarks.edge_noise import error_fields
+from benchmarks.marked import write_between
 from skinbake.choices import FrameChoice, Lighting, Truth
 from skinbake.commands import surface_bake
 from skinbake.commands.bake import Baker
@@ -57,9 +58,7 @@ def main() -> int:
         return 3
     text = "\n".join(table(source))
     print(text)
-    page = options.output.read_text(encoding="utf-8")
-    before, rest = page.split(START)
-    options.output.write_text(f"{before}{START}\n{text}\n{END}{rest.split(END)[1]}", encoding="utf-8")
+    write_between(options.output, START, END, text)
     return 0
 
 

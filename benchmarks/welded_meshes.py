@@ -15,6 +15,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from benchmarks.corpus_table import REPOSITORY, corpus_folders
+from benchmarks.marked import write_between
 from skinbake.choices import Gradients, Lighting, Method, Weld
 from skinbake.commands.bake import Baker
 from skinbake.commands.verify import verify_document
@@ -47,9 +48,7 @@ def main() -> int:
     paths = {path.name: path for folder in reversed(folders) for path in sorted(folder.rglob("*"))}
     text = "\n".join(table(paths))
     print(text)
-    page = options.output.read_text(encoding="utf-8")
-    before, rest = page.split(START)
-    options.output.write_text(f"{before}{START}\n{text}\n{END}{rest.split(END)[1]}", encoding="utf-8")
+    write_between(options.output, START, END, text)
     return 0
 
 
