@@ -1,0 +1,32 @@
+"""The benchmark that takes one truth out of verify."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import skinbake
+from benchmarks.skinned_grid import grid_of, write_grid
+from benchmarks.truth_cost import only, timed
+from skinbake.choices import Truth
+
+FIGURES = {Truth.TANGENTS: "normals", Truth.TRIANGLES: "normals_by_triangles"}
+
+
+def test_one_truth_is_taken_out_and_the_other_measures_the_same(tmp_path: Path) -> None:
+    grid, baked = tmp_path / "grid.glb", tmp_path / "baked.glb"
+    write_grid(grid, grid_of(64))
+    skinbake.bake(grid, baked)
+
+    def verified() -> dict[str, Any]:
+        return skinbake.verify(baked, methods=["lbs"], poses="random", samples=3)
+
+    whole = verified()
+    for truth, other in zip(Truth, reversed(Truth), strict=True):
+        with only([truth]), timed() as spent:
+            alone = verified()
+        assert alone[FIGURES[truth]] == whole[FIGURES[truth]]
+        assert not alone[FIGURES[other]]
+        assert len(spent) == 1
+        assert spent[0] > 0
+    assert verified() == whole
