@@ -676,7 +676,8 @@ typedef struct {
 } Groups;
 
 /* While the GIL is released, another thread may write to the arrays. So every index is checked at its use, on the
-   value that is used. The checks of earlier loops do not count. STRAY_INDEX means an index out of range. */
+   value that is used. The checks of earlier loops do not count. STRAY_INDEX means an index out of range. Members of
+   groups are zeros at first: if classes change between counting and filling, a member may never be written. */
 
 /* The class of a vertex; class_count if there is no such vertex or class. */
 static ALWAYS_INLINE size_t class_of(const Surface *s, size_t vertex)
@@ -690,7 +691,7 @@ static Status group_corners(const Surface *s, Groups *groups)
 {
     size_t corners = 3 * (size_t)s->triangle_count, classes = (size_t)s->class_count;
     groups->start = calloc(classes + 2, sizeof *groups->start);
-    groups->members = malloc((corners + 1) * sizeof *groups->members);
+    groups->members = calloc(corners + 1, sizeof *groups->members);
     if (!groups->start || !groups->members)
         return NO_MEMORY;
     uint32_t *next = groups->start + 1; /* one ahead: filling moves every start to its place */
@@ -722,7 +723,7 @@ static Status group_vertices(const Surface *s, Groups *groups)
     if (v == vertices && classes == vertices)
         return DONE;
     groups->start = calloc(classes + 2, sizeof *groups->start);
-    groups->members = malloc((vertices + 1) * sizeof *groups->members);
+    groups->members = calloc(vertices + 1, sizeof *groups->members);
     if (!groups->start || !groups->members)
         return NO_MEMORY;
     uint32_t *next = groups->start + 1;
