@@ -689,6 +689,26 @@ def test_both_paths_leave_points_with_very_many_corners(
     assert (compiled.alpha[0] != pytest.approx(bake(plain).alpha[0], rel=1e-3)) == fits
 
 
+@pytest.mark.parametrize("far", [1e100, 1e200])
+def test_both_paths_leave_gradients_where_levers_overflow(
+    far: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A joint whose inverse bind matrix is nearly singular has its pivot that far away."""
+    weights = np.random.default_rng(7).random((9, 4)) + 0.1
+    primitive, rig = fan(weights[1:], weights[0])
+    plain, whole = surface_of([primitive]), bake(surface_of([primitive]))
+    fit = bake(with_rig(plain, rig))
+    # The root carries all joints around a vertex, so its pivot does not matter.
+    rig.pivots[0] *= far
+    for slots in both(monkeypatch, partial(bake, with_rig(plain, rig))):
+        assert slots.alpha == pytest.approx(fit.alpha, rel=1e-5)
+        assert slots.alpha != pytest.approx(whole.alpha, rel=1e-3)
+    rig.pivots[2] *= far
+    for slots in both(monkeypatch, partial(bake, with_rig(plain, rig))):
+        assert slots.alpha == pytest.approx(whole.alpha, rel=1e-5)
+        assert slots.beta == pytest.approx(whole.beta, rel=1e-5)
+
+
 def empty(vertices: int) -> SkinnedPrimitive:
     return SkinnedPrimitive(
         np.zeros((vertices, 3), dtype=np.float32),

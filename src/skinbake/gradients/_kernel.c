@@ -2032,7 +2032,7 @@ static ALWAYS_INLINE void fit_unknowns(const Surface *s, size_t unknowns, Vector
     if (unknowns >= FEW_FITTED)
         e.matrix = w->matrix, e.stride = MOST_FITTED;
     gather_turns(s, position, way, fitted, e, w);
-    if (fitted->reach > 0.0)
+    if (fitted->reach > 0.0 && isfinite(fitted->tilts)) /* where levers are very long the tilts overflow */
         move_gradients(s, fitted, e, w);
 }
 

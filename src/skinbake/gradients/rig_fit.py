@@ -211,8 +211,9 @@ def fitted(
         change[here[fits], slots[fits]] = (values - given[here, slots])[fits]
         last = rows[fits], pairs.last[rows[fits]]
         change[last] = -values[fits].sum(axis=1) - given[last]
+    tilts = np.where(system.solvable, system.tilts, 0.0)
     doubts = turns.doubts[vertices.classes]
-    change *= (system.tilts / (system.tilts + doubts * doubts))[:, None, None]
+    change *= (tilts / (tilts + doubts * doubts))[:, None, None]
     moved = np.einsum("vkt,vti->vki", change, turns.tangents[vertices.classes])
     along = [np.einsum("vki,vi->vk", moved, axis) for axis in vertices.frame]
     return vertices.alpha + along[0], vertices.beta + along[1]
@@ -246,7 +247,7 @@ def _can_be_fitted(presence: Float64Array) -> BoolArray:
 
 @dataclass(frozen=True, slots=True)
 class _Pairs:
-    """The pairs (N,) of a vertex and a joint whose turn parts the joints around the vertex.
+    """The pairs (N,) of a vertex and a joint whose turn parts the fitted joints of the vertex.
 
     arms, spins (N, 2, 3) are the sums over all joints that the turning joint carries. carries (N, K) tells
     which slots it carries. chains (N,) is the long chain of the turning joint, −1 for none. named (V, K) are
@@ -282,15 +283,18 @@ def _turning_pairs(vertices: FittedVertices, named: IntArray, turns: RingTurns, 
     keys, place = np.unique(vertex[repeated] * size + above, return_inverse=True)
     sums = summed_rows(place, values[repeated], len(keys))
     at, turning = np.divmod(keys, size)
-    parting = np.bincount(at, minlength=count)[at] <= MOST_TURNS
+    fitted_at = named[at] >= 0
+    carries = lineage.carries(turning[:, None], named[at]) & fitted_at
+    parting = carries.any(axis=1) & (carries != fitted_at).any(axis=1)
     parting &= np.isfinite(rig.pivots[turning]).all(axis=1)
+    parting &= np.bincount(at, minlength=count)[at] <= MOST_TURNS
     at, turning, both = at[parting], turning[parting], sums[parting].reshape(-1, 4, 3)
     return _Pairs(
         vertices=at,
         levers=vertices.positions[at].astype(np.float64) - rig.pivots[turning],
         arms=both[:, :2],
         spins=both[:, 2:],
-        carries=lineage.carries(turning[:, None], named[at]) & (named[at] >= 0),
+        carries=carries[parting],
         chains=rig.chains[turning],
         named=named,
         last=named.shape[1] - 1 - (named >= 0)[:, ::-1].argmax(axis=1),
@@ -356,7 +360,8 @@ def _normal_equations(
     _add_chains(sums, pairs, effects)
     _add_pulls_of_slots(sums, pairs, given, presence, stiffness * reach)
     tilts = _tilts_of_surface(pairs, effects, count)
-    solvable = turns.sound[vertices.classes] & (reach > 0.0)
+    # Where levers are very long, the tilts overflow.
+    solvable = turns.sound[vertices.classes] & (reach > 0.0) & np.isfinite(tilts)
     return _NormalEquations(*sums, tilts, unknowns, solvable)
 
 
@@ -368,15 +373,13 @@ class _TurnEffects:
     - wanted (N, 2, 3) is r. A turn by ω should tilt the tangents by ω · wanted.
     - signs (N, K) are 1, −1 or 0. ᾱ is the sum of signs × α over the slots.
     - carried (N, 2) is ∇̄, which is ᾱ by the surface's gradients.
-    - parts (N,) tells whether the turn parts the fitted joints. If not, all signs are 0.
-    - squared_levers (N,) are |x|², or 0 if the turn does not part them.
+    - squared_levers (N,) are |x|².
     """
 
     signs: Float64Array
     tilt: Float64Array
     wanted: Float64Array
     carried: Float64Array
-    parts: BoolArray
     squared_levers: Float64Array
 
     @property
@@ -401,14 +404,12 @@ def _effects_of_turns(
     at = pairs.vertices
     carries_last = pairs.carries[np.arange(len(at)), pairs.last[at]]
     signs = np.where(unknowns[at], pairs.carries.astype(np.float64) - carries_last[:, None], 0.0)
-    parts: BoolArray = np.asarray(signs.any(axis=1))
     return _TurnEffects(
         signs=signs,
         tilt=np.cross(pairs.levers, normals[at]),
         wanted=np.cross(pairs.levers[:, None], pairs.arms) + pairs.spins,
         carried=np.einsum("nk,nkt->nt", pairs.carries, given[at]),
-        parts=parts,
-        squared_levers=np.einsum("ni,ni->n", pairs.levers, pairs.levers) * parts,
+        squared_levers=np.einsum("ni,ni->n", pairs.levers, pairs.levers),
     )
 
 
@@ -431,7 +432,7 @@ def _add_chains(sums: _Sums, pairs: _Pairs, effects: _TurnEffects) -> None:
     """Add 10 Σ_C |Σ_{j ∈ C} R_j|², the residuals of long chains whose joints turn alike."""
     matrix, right = sums
     moved_by_turns = effects.signs[:, :, None] * effects.tilt[:, None]
-    at, moved, wanted = _curls(pairs, effects.parts, moved_by_turns, effects.wanted)
+    at, moved, wanted = _curls(pairs, moved_by_turns, effects.wanted)
     np.add.at(matrix, at, TOGETHER * np.einsum("mki,mli->mkl", moved, moved))
     np.add.at(right, at, TOGETHER * np.einsum("mki,mti->mkt", moved, wanted))
 
@@ -462,20 +463,20 @@ def _tilts_of_surface(pairs: _Pairs, effects: _TurnEffects, count: int) -> Float
     """
     squares = effects.squares
     off = squares[:, None] * effects.carried - effects.aims
-    turned = effects.parts & (squares > 0.0)
+    turned = squares > 0.0
     tilts = (off * off).sum(axis=1)[turned] / squares[turned]
     return np.asarray(np.bincount(pairs.vertices[turned], tilts, count), dtype=np.float64)
 
 
 def _curls(
-    pairs: _Pairs, parts: BoolArray, moved: Float64Array, aimed: Float64Array
+    pairs: _Pairs, moved: Float64Array, aimed: Float64Array
 ) -> tuple[IntArray, Float64Array, Float64Array]:
     """Sum up the pairs of each vertex and long chain: by slot (M, K, 3) and as it should be (M, 2, 3).
 
-    parts (N,) tells which pairs part the slots. The sums hold if all joints of the chain turn alike. Return
-    the vertices (M,) too. A chain of which one joint alone parts the slots is left out.
+    The sums hold if all joints of the chain turn alike. Return the vertices (M,) too. A chain of which one
+    joint alone parts the fitted joints is left out.
     """
-    rows = np.flatnonzero((pairs.chains != NO_CHAIN) & parts)
+    rows = np.flatnonzero(pairs.chains != NO_CHAIN)
     size = int(pairs.chains.max(initial=0)) + 1
     keys, place, counts = np.unique(
         pairs.vertices[rows] * size + pairs.chains[rows], return_inverse=True, return_counts=True
