@@ -709,6 +709,20 @@ def test_both_paths_leave_gradients_where_levers_overflow(
         assert slots.beta == pytest.approx(whole.beta, rel=1e-5)
 
 
+def test_both_paths_fit_in_any_slots(monkeypatch: pytest.MonkeyPatch) -> None:
+    weights = np.random.default_rng(7).random((9, 4)) + 0.1
+    primitive, rig = fan(weights[1:], weights[0])
+    few = bake(with_rig(surface_of([primitive]), rig))
+    before, after = (np.zeros((9, count), dtype=primitive.joints.dtype) for count in (254, 42))
+    many = replace(
+        primitive,
+        joints=np.hstack([before, primitive.joints, after]),
+        weights=np.hstack([before, primitive.weights, after]),
+    )
+    for slots in both(monkeypatch, partial(bake, with_rig(surface_of([many]), rig))):
+        assert slots.alpha[:, 254:257] == pytest.approx(few.alpha, rel=1e-5)
+
+
 def empty(vertices: int) -> SkinnedPrimitive:
     return SkinnedPrimitive(
         np.zeros((vertices, 3), dtype=np.float32),

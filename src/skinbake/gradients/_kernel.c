@@ -1741,7 +1741,7 @@ static ALWAYS_INLINE size_t find_turning(int32_t used, Scratch *w)
 /* The slots of a vertex that are fitted. The last of them takes what the others, the unknowns, leave. */
 typedef struct {
     size_t unknowns;
-    uint8_t slots[MOST_FITTED];
+    size_t slots[MOST_FITTED];
     int32_t joints[MOST_FITTED];
     double presence[MOST_FITTED]; /* the weight and the share of the gradient of each slot's joint, added */
     Pair given[MOST_FITTED];      /* the surface's gradients along the class's tangents */
@@ -1763,12 +1763,12 @@ static ALWAYS_INLINE int choose_slots(const Surface *s, size_t slots, size_t ver
         double presence = w->shares[k] + (joints[k] == joint ? weights[k] : 0.0);
         if (!(presence > s->fit.unfelt))
             continue;
-        if (count == MOST_FITTED || k > UINT8_MAX)
+        if (count == MOST_FITTED)
             return 0;
         fitted->given[count] = dots(twice(w->gradients[k]), w->frame.along);
         fitted->presence[count] = presence;
         fitted->joints[count] = joint;
-        fitted->slots[count++] = (uint8_t)k;
+        fitted->slots[count++] = k;
     }
     fitted->unknowns = count - 1;
     fitted->reach = fitted->tilts = 0.0;
