@@ -833,9 +833,9 @@ typedef struct {
 /* The frame of a class, in which its turns are measured. */
 typedef struct {
     Vector normal, tangents[2];
-    Vectors along;         /* the tangents */
-    Vectors leverage[2];   /* see rig_fit._leverage: by derivative */
-    double doubt; /* the tilt for each radian of a turn of which the fit takes half */
+    Vectors along;       /* the tangents */
+    Vectors leverage[2]; /* see rig_fit._leverage: by derivative */
+    double doubt;        /* the tilt for each radian of a turn of which the fit takes half */
     int sound;
 } RingFrame;
 
@@ -858,7 +858,8 @@ typedef struct {
     size_t curl; /* the number of its curl from 1 on, 0 for none */
 } Climb;
 
-/* All joints of a long chain that part the slots turn alike: what that tilts, by slot, and should tilt, by axis. */
+/* All joints of a long chain that part the slots turn alike. `moved` is how that tilts the tangents for each unit of
+   a slot's gradient, and `wanted` how it should tilt them, as in rig_fit._curls. */
 typedef struct {
     Vector moved[MOST_FITTED];
     Vectors wanted;
@@ -1894,33 +1895,34 @@ typedef struct {
     size_t unknowns, stride;
 } Equations;
 
-/* Add what the turn of one joint says to the normal equations of the slots, and to its curl. */
+/* Add what the turn of one joint says to the normal equations of the slots, and to its curl. The names are those of
+   rig_fit._TurnEffects. */
 static ALWAYS_INLINE void add_turn(Vector position, const Climb *climb, const double turn[TURN],
                                    const RingFrame *frame, Fitted *fitted, Equations e, Curl *curls)
 {
-    Vector lever = minus(position, (Vector){climb->pivot[0], climb->pivot[1], climb->pivot[2]});
-    Vector tilt = cross(lever, frame->normal);
-    double reach = dot(lever, lever), length = dot(tilt, tilt);
-    double pull = fitted->stiffness * reach, square = length + pull;
-    fitted->reach += reach;
+    const Vector lever = minus(position, (Vector){climb->pivot[0], climb->pivot[1], climb->pivot[2]});
+    const Vector tilt = cross(lever, frame->normal);
+    const double squared_lever = dot(lever, lever), square = dot(tilt, tilt);
+    const double pull = fitted->stiffness * squared_lever;
     const Vectors arms = load_vectors(turn + ARMS), spins = load_vectors(turn + SPINS);
-    const Vectors turned = plus_each(crosses(twice(lever), arms), spins);
-    Pair wanted = dots(twice(tilt), turned);
-    Pair given = both(0.0);
+    const Vectors wanted = plus_each(crosses(twice(lever), arms), spins);
+    const Pair aims = dots(twice(tilt), wanted);
+    Pair carried = both(0.0);
     for (size_t i = 0; i <= e.unknowns; i++)
-        given = add_pairs(given, scaled(bit_of(climb->members, i, e.unknowns), fitted->given[i]));
-    Pair off = subtract_pairs(scaled(length, given), wanted), squared = multiply_pairs(off, off);
-    fitted->tilts += length > 0.0 ? (part(squared, 0) + part(squared, 1)) / length : 0.0;
-    wanted = scaled(climb->sign, add_pairs(wanted, scaled(pull, given)));
+        carried = add_pairs(carried, scaled(bit_of(climb->members, i, e.unknowns), fitted->given[i]));
+    const Pair off = subtract_pairs(scaled(square, carried), aims), squared_off = multiply_pairs(off, off);
+    fitted->tilts += square > 0.0 ? (part(squared_off, 0) + part(squared_off, 1)) / square : 0.0;
+    fitted->reach += squared_lever;
+    const Pair right = scaled(climb->sign, add_pairs(aims, scaled(pull, carried)));
     for (size_t i = 0; i < e.unknowns; i++) {
         const double mask = bit_of(climb->moved, i, e.unknowns);
-        e.right[i] = add_pairs(e.right[i], scaled(mask, wanted));
+        e.right[i] = add_pairs(e.right[i], scaled(mask, right));
         for (size_t k = 0; k <= i; k++)
-            e.matrix[i * e.stride + k] += mask * bit_of(climb->moved, k, e.unknowns) * square;
+            e.matrix[i * e.stride + k] += mask * bit_of(climb->moved, k, e.unknowns) * (square + pull);
     }
     if (climb->curl) {
         Curl *curl = &curls[climb->curl - 1];
-        curl->wanted = plus_each(curl->wanted, turned);
+        curl->wanted = plus_each(curl->wanted, wanted);
         for (size_t i = 0; i < e.unknowns; i++)
             curl->moved[i] = plus(curl->moved[i], times(tilt, climb->sign * bit_of(climb->moved, i, e.unknowns)));
     }
@@ -1938,7 +1940,7 @@ static ALWAYS_INLINE void add_curls(const Surface *s, const Curl *curls, size_t 
         }
 }
 
-/* Sum up the turns along the way, in place. */
+/* Sum up the turns along the way, in place, and what they say to the normal equations of the slots. */
 static ALWAYS_INLINE void gather_turns(const Surface *s, Vector position, const Way *way, Fitted *fitted, Equations e,
                                        Scratch *w)
 {
@@ -2036,7 +2038,8 @@ static ALWAYS_INLINE void fit_unknowns(const Surface *s, size_t unknowns, Vector
         move_gradients(s, fitted, e, w);
 }
 
-/* Fit the gradients by slot of one vertex to the rig. No slot has the joints of the share `missing` of them. */
+/* Fit the gradients by slot of one vertex to the rig. `missing` is the share of the gradients whose joints have no
+   slot. */
 FOR_PROCESSORS
 static void fit_vertex(const Surface *s, size_t vertex, size_t turnings, double missing, const Vector *position,
                        Scratch *w)

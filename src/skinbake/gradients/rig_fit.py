@@ -469,12 +469,14 @@ def _tilts_of_surface(pairs: _Pairs, effects: _TurnEffects, count: int) -> Float
 
 
 def _curls(
-    pairs: _Pairs, moved: Float64Array, aimed: Float64Array
+    pairs: _Pairs, moved: Float64Array, wanted: Float64Array
 ) -> tuple[IntArray, Float64Array, Float64Array]:
-    """Sum up the pairs of each vertex and long chain: by slot (M, K, 3) and as it should be (M, 2, 3).
+    """Sum up the pairs of each vertex and long chain.
 
-    The sums hold if all joints of the chain turn alike. Return the vertices (M,) too. A chain of which one
-    joint alone parts the fitted joints is left out.
+    moved (N, K, 3) is how a turn tilts the tangents for each unit of a slot's gradient, and wanted (N, 2, 3)
+    how it should tilt them. Return the vertices (M,), and both sums, (M, K, 3) and (M, 2, 3). The sums hold
+    if all joints of the chain turn alike. A chain of which one joint alone parts the fitted joints is left
+    out.
     """
     rows = np.flatnonzero(pairs.chains != NO_CHAIN)
     size = int(pairs.chains.max(initial=0)) + 1
@@ -482,7 +484,7 @@ def _curls(
         pairs.vertices[rows] * size + pairs.chains[rows], return_inverse=True, return_counts=True
     )
     several = counts > 1
-    sums = [np.zeros((len(keys), *values.shape[1:])) for values in (moved, aimed)]
-    for total, values in zip(sums, (moved, aimed), strict=True):
+    sums = [np.zeros((len(keys), *values.shape[1:])) for values in (moved, wanted)]
+    for total, values in zip(sums, (moved, wanted), strict=True):
         np.add.at(total, place, values[rows])
     return keys[several] // size, sums[0][several], sums[1][several]
