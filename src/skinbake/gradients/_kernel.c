@@ -2147,6 +2147,20 @@ static ALWAYS_INLINE ClassGradients find_gradients(Work *work, Shape shape, Memb
     return found;
 }
 
+/* The primitive of a vertex: the first one that ends after it. */
+static ALWAYS_INLINE size_t primitive_of(const Baked *out, size_t vertex)
+{
+    size_t least = 0, most = out->primitives - 1;
+    while (least < most) {
+        const size_t middle = least + (most - least) / 2;
+        if (vertex < out->ends[middle])
+            most = middle;
+        else
+            least = middle + 1;
+    }
+    return least;
+}
+
 /* Write all results of one vertex of a class. */
 static ALWAYS_INLINE void write_vertex(Work *work, Shape shape, size_t vertex, Placing placing, int last,
                                        const ClassGradients *found)
@@ -2154,10 +2168,7 @@ static ALWAYS_INLINE void write_vertex(Work *work, Shape shape, size_t vertex, P
     const Surface *s = work->surface;
     const Baked *out = work->out;
     Scratch *w = &work->scratch;
-    size_t primitive = 0;
-    while (primitive + 1 < out->primitives && vertex >= out->ends[primitive])
-        primitive++;
-    Sums *sums = out->sums + primitive;
+    Sums *sums = out->sums + primitive_of(out, vertex);
     if (placing == AS_NAMED)
         sums->adopting += name_slots(s, vertex, found, w, out->adopted + vertex * shape.slots);
     sums->magnitude += found->magnitude;
