@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import signal
 import sys
@@ -191,6 +192,65 @@ def test_who_does_not_stop_is_killed(monkeypatch: pytest.MonkeyPatch) -> None:
     assert time.monotonic() - start < 30
     assert found[1] == ("lost", 1, "it took longer than 0.5 s (--timeout)")
     assert [found[number][0] for number in (0, 2, 3, 4, 5)] == [0, 4, 6, 8, 10]
+
+
+@POSIX
+def test_who_is_done_in_time_is_not_given_up_while_the_caller_is_away() -> None:
+    """A caller that prints to a slow reader takes longer than the limit, and finds late what was done."""
+    found = {}
+    with closing(Processes(2, limits=Limits(seconds=1.0)).run(Work(), range(12))) as results:
+        for number, result in results:
+            found[number] = result
+            if number in {2, 7}:
+                time.sleep(1.3)
+    assert {number: result[0] for number, result in found.items()} == {n: 2 * n for n in range(12)}
+    assert len({pid for _, pid in found.values()}) == 2, "no worker was told to stop"
+
+
+@POSIX
+def test_a_worker_that_was_told_to_stop_gets_no_other_job(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A job may be done at the very moment at which its worker is told to stop."""
+    heard, deaths = processes._Pool._finished, []
+
+    def finished(pool: Any, worker: Any, number: int, *rest: Any) -> Any:
+        deaths.append(pool._deaths)
+        if number == 3:
+            worker.late = time.monotonic()
+            worker.process.terminate()
+        return heard(pool, worker, number, *rest)
+
+    monkeypatch.setattr(processes._Pool, "_finished", finished)
+    found = limited(Work(), range(12), Limits(seconds=60.0), workers=1)
+    assert {number: result[0] for number, result in found.items()} == {n: 2 * n for n in range(12)}
+    assert [found[number][1] == found[3][1] for number in (2, 11)] == [True, False]
+    assert deaths[-1] == {}, "no job is suspected of having killed it"
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+def test_fewer_workers_do_where_the_system_allows_no_more() -> None:
+    import resource
+
+    before = resource.getrlimit(resource.RLIMIT_NOFILE)
+    free = processes.SPARE_DESCRIPTORS + 10
+    resource.setrlimit(resource.RLIMIT_NOFILE, (len(list(Path("/proc/self/fd").iterdir())) + free, before[1]))
+    try:
+        found = outcomes(Work(), 200, workers=100)
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, before)
+    assert {number: result[0] for number, result in found.items()} == {n: 2 * n for n in range(200)}
+    assert len({pid for _, pid in found.values()}) < 100
+
+
+@pytest.mark.parametrize("error", [OSError(errno.EAGAIN, "Resource temporarily unavailable"), EOFError()])
+def test_a_system_that_allows_no_worker_ends_the_run(
+    error: Exception, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refused(*arguments: object) -> object:
+        raise error
+
+    monkeypatch.setattr(processes, "_started", refused)
+    with pytest.raises(SkinbakeError, match=r"cannot be started \(.*(unavailable|no more).*: try --jobs 1"):
+        outcomes(Work(), 4)
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux holds to the limit")

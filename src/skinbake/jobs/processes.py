@@ -15,7 +15,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
-from contextlib import contextmanager, nullcontext, suppress
+from contextlib import ExitStack, contextmanager, nullcontext, suppress
 from dataclasses import dataclass, field
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
@@ -61,6 +61,9 @@ BASE = 1 << 30
 ATTEMPTS = 2
 """The number of times that a job is tried if its worker dies."""
 
+SPARE_DESCRIPTORS = 32
+"""The number of files that this process can still open when it starts a further worker."""
+
 ENVIRONMENT = {
     **dict.fromkeys(
         ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"), "1"
@@ -73,6 +76,9 @@ ENVIRONMENT = {
 Linear algebra uses one thread, because the processes are the parallelism. glibc keeps memory from one file to
 the next: fresh pages for the arrays of each file take a quarter of the work on small files.
 """
+
+
+logger = logging.getLogger(__name__)
 
 
 @dataclass(eq=False, slots=True)
@@ -189,7 +195,11 @@ class _Pool(Generic[JobT, ReturnT]):
         return max(0.0, min(ends) - time.monotonic()) if ends else None
 
     def _stop_late(self) -> None:
-        """Tell a worker to stop if its job takes too long, and kill it if it does not stop."""
+        """Tell a worker to stop if its job takes too long, and kill it if it does not stop.
+
+        This process may have been away for longer than that, for example while nobody read its output. A
+        worker whose message waits in the pipe is heard first.
+        """
         seconds, now = self._limits.seconds, time.monotonic()
         if seconds is None:
             return
@@ -199,7 +209,7 @@ class _Pool(Generic[JobT, ReturnT]):
             if worker.late is not None:
                 if now >= worker.late + GRACE:
                     worker.process.kill()
-            elif now >= worker.begun + seconds:
+            elif now >= worker.begun + seconds and not wait([worker.connection], 0):
                 worker.late = now
                 worker.process.terminate()
 
@@ -220,8 +230,7 @@ class _Pool(Generic[JobT, ReturnT]):
 
     def _hand_out(self) -> None:
         """Start the missing workers, and send jobs to workers that have too few."""
-        while len(self._workers) < min(self._size, self._unfinished):
-            self._workers.append(_started(self._context, self._work, self._limits))
+        self._start_workers()
         if self._suspects:  # tried again alone
             if not any(worker.sent for worker in self._workers):
                 suspect = self._suspects.popleft()
@@ -240,6 +249,22 @@ class _Pool(Generic[JobT, ReturnT]):
                         self._back.appendleft(number)
                         return
                     self._send(worker, number, job)
+
+    def _start_workers(self) -> None:
+        """Start the missing workers. If the system allows no more processes or files, go on with fewer."""
+        while len(self._workers) < min(self._size, self._unfinished):
+            try:
+                if self._workers:
+                    _check_descriptors()
+                worker = _started(self._context, self._work, self._limits)
+            except (OSError, EOFError) as error:  # EOFError: the server that forks workers could not
+                reason = getattr(error, "strerror", None) or "the system allows no more processes"
+                if not self._workers:
+                    raise SkinbakeError(_not_started(reason)) from error
+                self._size = len(self._workers)
+                logger.info("no more than %d workers: %s", self._size, reason)
+            else:
+                self._workers.append(worker)
 
     def _next_number(self) -> int | None:
         if self._back:
@@ -267,8 +292,8 @@ class _Pool(Generic[JobT, ReturnT]):
     def _finished(self, worker: _Worker, number: int, result: ReturnT, seconds: float) -> tuple[int, ReturnT]:
         worker.sent.remove(number)
         worker.is_quick = seconds < QUICK
-        worker.begun, worker.late = time.monotonic(), None
-        if self._is_isolated:
+        worker.begun = time.monotonic()
+        if self._is_isolated or worker.late is not None:  # it was told to stop just before it was done
             self._retire(worker)
         self._close_file(number)
         return number, result
@@ -279,8 +304,9 @@ class _Pool(Generic[JobT, ReturnT]):
         return self._limits.memory is not None
 
     def _retire(self, worker: _Worker) -> None:
-        """Release a worker that has done its job. It sees its pipe close."""
+        """Release a worker that has done its job. It sees its pipe close. Jobs sent ahead go back."""
         self._workers.remove(worker)
+        self._back.extendleft(reversed(worker.sent))
         worker.connection.close()
         self._retired = [process for process in self._retired if process.is_alive()]
         self._retired.append(worker.process)
@@ -301,7 +327,7 @@ class _Pool(Generic[JobT, ReturnT]):
         if not worker.is_warm:
             self._stillborn += 1
             if self._stillborn >= ATTEMPTS * self._size:
-                raise SkinbakeError(f"worker processes cannot be started ({how}): try --jobs 1")
+                raise SkinbakeError(_not_started(how))
             self._back.extendleft(reversed(worker.sent))
             return
         if not worker.sent:
@@ -322,6 +348,10 @@ class _Pool(Generic[JobT, ReturnT]):
         yield number, self._work.lost(self._jobs[number], reason)
 
 
+def _not_started(why: str) -> str:
+    return f"worker processes cannot be started ({why}): try --jobs 1"
+
+
 def _cause_of_death(process: BaseProcess) -> str:
     code = process.exitcode
     if code is None or code >= 0:
@@ -340,6 +370,16 @@ def _context(modules: Sequence[str]) -> SpawnContext | ForkServerContext:
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(list(modules))
     return context
+
+
+def _check_descriptors() -> None:
+    """Raise OSError if this process can open few more files: the pipes of a worker, reports, outputs.
+
+    A start that fails midway would also end the server that forks workers.
+    """
+    with ExitStack() as held:
+        for _ in range(SPARE_DESCRIPTORS):
+            held.enter_context(Path(os.devnull).open("rb"))
 
 
 def _started(context: SpawnContext | ForkServerContext, work: Work[JobT, ReturnT], limits: Limits) -> _Worker:
