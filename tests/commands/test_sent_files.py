@@ -64,6 +64,21 @@ def test_in_place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert tree(tmp_path / "away") == tree(tmp_path / "here")
 
 
+def test_in_place_a_file_that_was_saved_meanwhile_stays(tmp_path: Path) -> None:
+    name = write_library(tmp_path)[0]
+    path = tmp_path / name
+    job = Job(str(path), str(path))
+    sending = WorkWithFiles(baking(), Writing())
+    packed = sending.with_files(job)
+    assert not isinstance(packed, DoneHere)
+    returned = sending.result_there(packed, None)
+    path.write_bytes(b"saved by another program")
+    error = sending.result_here(job, returned).error
+    assert isinstance(error, OutputError)
+    assert "another program has saved it since it was read, so it is not replaced" in error.message
+    assert path.read_bytes() == b"saved by another program"
+
+
 def test_between_the_disk_and_a_storage(tmp_path: Path) -> None:
     name = write_library(tmp_path / "lib")[0]
     upload(tmp_path / "lib", "memory://shipping/lib")

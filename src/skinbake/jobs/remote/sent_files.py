@@ -10,7 +10,7 @@ from __future__ import annotations
 import errno
 import os
 import posixpath
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Generic
@@ -18,9 +18,10 @@ from typing import Generic
 from skinbake.containment import Bounds, RefusedError, below, spot_of
 from skinbake.errors import ChoiceError, InputError, OutputError, Place, noticed
 from skinbake.gltf.document import STDIO, Document, read_named
+from skinbake.gltf.glb import Bytes
 from skinbake.gltf.output import Writing, plan_output
 from skinbake.gltf.resources import FileContent, find, read_open_file
-from skinbake.gltf.writing import TakenError
+from skinbake.gltf.writing import TakenError, Version, version_of
 from skinbake.jobs.boundary import survived
 from skinbake.jobs.remote.staging import End, Staging, needed, resources_of
 from skinbake.jobs.work import Job, ResultT, Work
@@ -69,10 +70,14 @@ class SentFiles:
 
 @dataclass(frozen=True, slots=True)
 class JobWithFiles:
-    """A job with the files that it needs, or None if all of them have URLs."""
+    """A job with the files that it needs, or None if all of them have URLs.
+
+    ``replaces`` is the source as it was before it was read, if the target replaces it.
+    """
 
     job: Job
     files: SentFiles | None
+    replaces: Version | None = None
 
     @property
     def size(self) -> int:
@@ -82,11 +87,15 @@ class JobWithFiles:
 
 @dataclass(frozen=True, slots=True)
 class ResultWithFiles(Generic[ResultT]):
-    """A job's result, and the files that were made of it, by names relative to ``base``."""
+    """A job's result, and the files that were made of it, by names relative to ``base``.
+
+    ``replaces`` is that of the job.
+    """
 
     result: ResultT
     base: str
     made: dict[str, bytes]
+    replaces: Version | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,7 +122,9 @@ class WorkWithFiles(Generic[ResultT]):
             return DoneHere(self.work(job))
 
         def gathered() -> JobWithFiles | DoneHere[ResultT]:
-            return JobWithFiles(job, _sent_files(job, pack=self.writing.pack))
+            in_place = job.source == job.target and not is_url(job.source)
+            replaces = version_of(job.source) if in_place else None
+            return JobWithFiles(job, _sent_files(job, pack=self.writing.pack), replaces)
 
         return survived(gathered, lambda error: DoneHere(self.work.failed(job, error)), job.source)
 
@@ -126,7 +137,7 @@ class WorkWithFiles(Generic[ResultT]):
         result = self.work(replace(sent.job, elsewhere=Staging(files, workspace)))
         if files is None:
             return ResultWithFiles(result, "", {})
-        return ResultWithFiles(result, files.base, files.made)
+        return ResultWithFiles(result, files.base, files.made, sent.replaces)
 
     def result_here(self, job: Job, returned: ResultWithFiles[ResultT]) -> ResultT:
         """Write the files that were made, and return the job's result."""
@@ -158,9 +169,9 @@ class WorkWithFiles(Generic[ResultT]):
             files = _files_to_write(returned, target, planned.root)
             try:
                 if files is not None:
-                    replace(planned, files={**files, path: [_last(returned.made)]}, again=None).write(
-                        sync=writing.sync
-                    )
+                    files[path] = [_last(returned.made)]
+                    whole = replace(planned, files=files, replaces=returned.replaces, again=None)
+                    whole.write(sync=writing.sync)
                     return result
             except TakenError:  # another file got the name meanwhile
                 pass
@@ -175,9 +186,9 @@ def _last(made: dict[str, bytes]) -> bytes:
 
 def _files_to_write(
     returned: ResultWithFiles[ResultT], target: str, root: Path
-) -> dict[Path, Sequence[bytes]] | None:
+) -> dict[Path, Iterable[Bytes]] | None:
     """Return the files beside the target that are not there yet, or None if another file has a name."""
-    files: dict[Path, Sequence[bytes]] = {}
+    files: dict[Path, Iterable[Bytes]] = {}
     *beside, _ = returned.made.items()
     for name, data in beside:
         path = Path(os.path.normpath(Path(returned.base, name)))
