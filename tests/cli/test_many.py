@@ -11,7 +11,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,9 @@ import pytest
 from benchmarks.skinned_grid import grid_of, write_grid
 from skinbake import threads
 from skinbake.choices import PoseKind
+from skinbake.cli.console import Console
+from skinbake.cli.many import Run, _told
+from skinbake.cli.progress import Progress
 from skinbake.commands.bake import Baker
 from skinbake.errors import InputError, OutputError, Place, SkinbakeError
 from skinbake.jobs import processes
@@ -29,7 +32,7 @@ from skinbake.jobs.verify import Verify
 from skinbake.jobs.work import Job
 from skinbake.lighting.measured import VerifyOptions
 from skinbake.lighting.poses import PoseRequest
-from skinbake.timing import stage
+from skinbake.timing import Told, stage
 from tests.support.baking import bake_work
 from tests.support.command_line import LINUX, document, invoke, run
 from tests.support.models import FIXTURES, FOLDER, SHARED_BIN, sheet, write_model
@@ -407,6 +410,40 @@ class TestProgress:
         lines = [line for line in result.stderr.splitlines() if line.startswith("files: ")]
         last = "files: 29 of 30, 0.967/s, 1 s left"
         assert lines == ["files: 9 of 30, 0.9/s, 23 s left", "files: 19 of 30, 0.95/s, 12 s left", last]
+
+    def test_a_file_counts_as_done_before_the_slow_ones_in_front_of_it(self) -> None:
+        events: list[tuple[str, str]] = []
+
+        class Bar(Progress):
+            def finish(self, source: str) -> None:
+                events.append(("done", source))
+
+        class Backwards:
+            def run(self, work: Any, jobs: Any) -> Generator[tuple[int, Any], None, None]:
+                for number in (2, 1, 0):
+                    yield number, jobs[number].source
+
+        jobs = [Job(f"{name}.glb") for name in "abc"]
+        run: Run[Any] = Run(jobs, Backwards(), FileWork(bake_work()), 0.0)
+        bar = Bar(Console(0, color=False), len(jobs))
+        found = list(_told(run, lambda result: events.append(("told", result)), bar))
+        assert found == [job.source for job in jobs]
+        assert events == [*(("done", name) for name in reversed(found)), *(("told", name) for name in found)]
+
+    @pytest.mark.usefixtures("terminal")
+    def test_only_files_in_work_have_a_bar(self, capsys: pytest.CaptureFixture[str]) -> None:
+        said: list[str] = []
+        with Progress(Console(0, color=False), 3) as bar:
+            bar.hear(Told("slow.glb", "rig", 1, 9))
+            bar.hear(Told("quick.glb", "rig", 8, 9))
+            assert "quick.glb" in capsys.readouterr().err
+            bar.finish("quick.glb")
+            picture = capsys.readouterr().err
+            bar.print(lambda: said.append("slow.glb: baked"))
+            assert said, "it does not wait for another file"
+        assert "1/3" in picture
+        assert "slow.glb" in picture
+        assert "quick.glb" not in picture.rpartition("1/3")[2]
 
 
 @pytest.fixture(scope="module")

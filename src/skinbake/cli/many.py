@@ -431,8 +431,15 @@ def _told(
     """Yield the results in order as they come, each reported above the bar. Closing it ends the work."""
     from skinbake.jobs.runners import in_order
 
-    with closing(in_order(run.runner.run(run.work, run.jobs))) as results:
-        for job, result in zip(run.jobs, results, strict=True):
+    with closing(in_order(_counted(run, progress))) as results:
+        for _, result in zip(run.jobs, results, strict=True):
             progress.print(partial(tell, result))
             yield result
-            progress.finish(job.source)
+
+
+def _counted(run: Run[ResultT], progress: Progress) -> Generator[tuple[int, ResultT], None, None]:
+    """Yield the number and the result of each job as it is done, in any order. Closing it ends the work."""
+    with closing(run.runner.run(run.work, run.jobs)) as results:
+        for number, result in results:
+            progress.finish(run.jobs[number].source)
+            yield number, result

@@ -54,10 +54,12 @@ class Progress:
 
     def print(self, action: Callable[[], None]) -> None:
         """Print a message without disturbing the bars: now, or together with messages that follow soon."""
-        if self._bar is None:
+        if self._bar is None or self._is_log:
             action()
-        else:
-            self._held.append(action)
+            return
+        self._held.append(action)
+        if self._total > 1:
+            self._show(at_once=False)
 
     def hear(self, told: Told) -> None:
         """Note the progress of the work on one file."""
@@ -69,7 +71,7 @@ class Progress:
         self._show(at_once=begins or 0 < told.total == told.done)
 
     def finish(self, source: str) -> None:
-        """Note that a file is done."""
+        """Note that a file is done, though its result may have to wait for those before it."""
         self._done += 1
         self._working.pop(source, None)
         if self._total > 1:
