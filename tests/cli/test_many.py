@@ -527,6 +527,8 @@ os.execv(sys.executable, [sys.executable, *sys.argv[1:]])
 """
 # Children of a shell's background job ignore Ctrl-C; this one is to hear it.
 
+NOHUP = HEARING.replace("SIGINT, signal.SIG_DFL", "SIGHUP, signal.SIG_IGN")
+
 
 def wait_for(condition: Callable[[], Any], seconds: float = 60.0) -> Any:
     end = time.monotonic() + seconds
@@ -562,10 +564,10 @@ def running(grids: Path, tmp_path: Path) -> Iterator[Callable[..., subprocess.Po
     """Start bakes of the grids into out/, in a process group of their own; kill what is left at the end."""
     started = []
 
-    def start(*options: str) -> subprocess.Popen[bytes]:
+    def start(*options: str, by: str = HEARING) -> subprocess.Popen[bytes]:
         command = ["-m", "skinbake", "bake", str(grids), "--out-dir", str(tmp_path / "out"), "--jobs", "2"]
         process = subprocess.Popen(
-            [sys.executable, "-c", HEARING, *command, *options],
+            [sys.executable, "-c", by, *command, *options],
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             start_new_session=True,
@@ -593,6 +595,8 @@ def made(folder: Path) -> list[Path]:
         ("command", signal.SIGTERM, 143),
         pytest.param("command", signal.SIGINT, 130, marks=pytest.mark.slow),
         pytest.param("group", signal.SIGTERM, 143, marks=pytest.mark.slow),
+        pytest.param("group", signal.SIGHUP, 129, marks=pytest.mark.slow),
+        pytest.param("command", signal.SIGHUP, 129, marks=pytest.mark.slow),
     ],
 )
 def test_an_interrupt_ends_all_and_leaves_whole_files_only(
@@ -619,6 +623,19 @@ def test_an_interrupt_ends_all_and_leaves_whole_files_only(
     expected = tmp_path / "one.glb"
     invoke("bake", grids / "d0" / "00.glb", "-o", expected)
     assert {path.read_bytes() for path in done} == {expected.read_bytes()}
+
+
+@pytest.mark.slow
+@LINUX
+def test_the_end_of_a_terminal_may_be_ignored(
+    running: Callable[..., subprocess.Popen[bytes]], tmp_path: Path
+) -> None:
+    process = running("--json", by=NOHUP)
+    wait_for(lambda: made(tmp_path / "out"))
+    os.killpg(process.pid, signal.SIGHUP)
+    out, errors = process.communicate(timeout=120)
+    assert (process.returncode, errors.count(b"Traceback")) == (0, 0), errors
+    assert [file["status"] for file in json.loads(out)["files"]] == ["baked"] * FILES
 
 
 @pytest.mark.slow

@@ -203,7 +203,9 @@ os.execv(sys.executable, [sys.executable, *sys.argv[1:]])
 
 @LINUX
 @pytest.mark.slow
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+@pytest.mark.parametrize(
+    ("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129)]
+)
 def test_an_interrupt_ends_without_a_traceback_or_a_file(
     number: signal.Signals, code: int, tmp_path: Path
 ) -> None:

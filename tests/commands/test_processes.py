@@ -61,7 +61,7 @@ def test_no_more_workers_than_jobs() -> None:
 
 @pytest.mark.slow
 @POSIX
-@pytest.mark.parametrize("by", [signal.SIGKILL, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("by", [signal.SIGKILL, signal.SIGTERM, signal.SIGHUP])
 def test_who_kills_twice_is_lost_and_nobody_else(by: signal.Signals, tmp_path: Path) -> None:
     found = outcomes(Deadly((7, 20), by, tmp_path), 40)
     lost = {number: result for number, result in found.items() if result[0] == "lost"}

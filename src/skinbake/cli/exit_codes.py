@@ -12,11 +12,11 @@ VERIFICATION = 1
 USAGE = 2
 INPUT = 3
 OUTPUT = 4
-INTERRUPTED = 130
-"""The code after Ctrl-C, as in shells."""
+SIGNALLED = 128
+"""A signal's number is added to this: 129 for SIGHUP, 143 for SIGTERM."""
 
-TERMINATED = 143
-"""The code after SIGTERM, as in shells."""
+INTERRUPTED = SIGNALLED + signal.SIGINT
+"""The code after Ctrl-C."""
 
 READER_GONE = 141
 """The code of a command that SIGPIPE ends, as in shells."""
@@ -34,5 +34,5 @@ def of_error(error: SkinbakeError | None) -> int:
 
 
 def of_signal(received: Sequence[int]) -> int:
-    """Return the exit code of a command that these signals have ended. The first signal counts."""
-    return TERMINATED if received and received[0] == signal.SIGTERM else INTERRUPTED
+    """Return the exit code of a command that these signals have ended, as in shells. The first one counts."""
+    return SIGNALLED + received[0] if received else INTERRUPTED

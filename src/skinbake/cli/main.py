@@ -17,6 +17,7 @@ import click
 
 from skinbake.cli import exit_codes
 from skinbake.errors import SkinbakeError, printable_lines
+from skinbake.signals import ENDING
 from skinbake.version import FILE_FORMAT, __version__
 
 COMMANDS = {
@@ -92,7 +93,8 @@ def _readers_may_leave() -> Iterator[None]:
     cls=LazyGroup,
     context_settings={"help_option_names": ["-h", "--help"]},
     epilog="Exit codes: 0 fine, 1 verification failed, 2 usage, 3 input cannot be read or is invalid, "
-    "4 output cannot be written, 130 Ctrl-C, 141 the reader of stdout has left, 143 SIGTERM. "
+    "4 output cannot be written, 129 the terminal was closed, 130 Ctrl-C, 141 the reader of stdout has "
+    "left, 143 SIGTERM. "
     "With several files the worst is returned.",
 )
 @click.version_option(
@@ -159,11 +161,11 @@ def _said(text: str, code: int) -> int:
 
 
 class _Stopped(KeyboardInterrupt):
-    """Ctrl-C or SIGTERM. KeyboardInterrupt itself kills Python once it has left an exec, even if caught."""
+    """A signal of ``ENDING``. KeyboardInterrupt itself kills Python once it left an exec, even if caught."""
 
 
 def _watch_for_signals() -> list[int]:
-    """Return a list that receives Ctrl-C and SIGTERM before they are raised as exceptions."""
+    """Return a list that receives the signals that end the work before they are raised as exceptions."""
     received: list[int] = []
 
     def note(signum: int, frame: object) -> None:
@@ -171,10 +173,8 @@ def _watch_for_signals() -> list[int]:
         raise _Stopped
 
     if current_thread() is main_thread():
-        for number, usual in (
-            (signal.SIGINT, signal.default_int_handler),
-            (signal.SIGTERM, signal.SIG_DFL),
-        ):
+        for number in ENDING:
+            usual = signal.default_int_handler if number == signal.SIGINT else signal.SIG_DFL
             if signal.getsignal(number) == usual:  # otherwise the signal is to be ignored
                 signal.signal(number, note)
     return received

@@ -28,6 +28,7 @@ from skinbake.containment import BY_DESCRIPTOR, Folder, beneath, check_regular, 
 from skinbake.errors import OutputError, Place, ReaderGoneError
 from skinbake.gltf.glb import Bytes
 from skinbake.gltf.replacing import StuckError, replaced
+from skinbake.signals import ENDING
 
 if sys.platform != "win32":
     import fcntl
@@ -467,7 +468,7 @@ def _sync_folders(begun: _Begun) -> None:
 
 @contextmanager
 def interrupts_put_off() -> Iterator[None]:
-    """Delay Ctrl-C and SIGTERM until the end of the block, so that the clean-up knows all new files.
+    """Delay the signals that end the work until the block is done, so that the clean-up knows all new files.
 
     This uses Python's handlers, not a signal mask. A mask holds for one thread, and numpy has more threads.
     Handlers run only in the main thread.
@@ -478,7 +479,7 @@ def interrupts_put_off() -> Iterator[None]:
     late: list[int] = []
     before = {
         number: handler
-        for number in (signal.SIGINT, signal.SIGTERM)
+        for number in ENDING
         if (handler := signal.getsignal(number)) not in {None, signal.SIG_IGN}
     }
     try:

@@ -28,6 +28,7 @@ from skinbake.errors import SkinbakeError
 from skinbake.jobs.boundary import survived
 from skinbake.jobs.logs import log_to_stderr
 from skinbake.jobs.work import JobT, ReturnT, Work
+from skinbake.signals import ENDING
 from skinbake.timing import Told, heard, is_heard, tell
 
 if TYPE_CHECKING:
@@ -416,11 +417,11 @@ def _quiet_start() -> Iterator[None]:
 
 @contextmanager
 def _no_interrupts() -> Iterator[None]:
-    """Delay Ctrl-C and SIGTERM until the block is done."""
+    """Delay the signals that end the work until the block is done."""
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, ENDING)
     try:
         yield
     finally:
@@ -505,14 +506,18 @@ def _message(work: Work[JobT, ReturnT], number: int, job: JobT) -> bytes:
 
 
 def _hear_signals(stopped: threading.Event) -> None:
-    """Let SIGINT and SIGTERM end the work like Ctrl-C. The job in work is undone on the way out."""
+    """Let the signals that end the work raise an exception. The job in work is undone on the way out.
+
+    A SIGHUP that is to be ignored, as after ``nohup``, stays ignored.
+    """
 
     def stop(signum: int, frame: object) -> None:
         if not stopped.is_set():  # a second signal must not disturb the tidying up
             stopped.set()
             raise KeyboardInterrupt
 
-    signal.signal(signal.SIGINT, stop)
-    signal.signal(signal.SIGTERM, stop)
+    for number in ENDING:
+        if number in {signal.SIGINT, signal.SIGTERM} or signal.getsignal(number) == signal.SIG_DFL:
+            signal.signal(number, stop)
     if hasattr(signal, "pthread_sigmask"):
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT, signal.SIGTERM})
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDING)
