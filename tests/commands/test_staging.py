@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import re
 import shutil
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -17,6 +20,7 @@ from skinbake.containment import OWN_FOLDERS, Bounds, Within
 from skinbake.errors import InputError, OutputError
 from skinbake.jobs import verify
 from skinbake.jobs.file_work import FileWork
+from skinbake.jobs.remote import staging
 from skinbake.jobs.remote.staging import Staging
 from skinbake.jobs.remote.storages import expand_url
 from skinbake.jobs.work import Job
@@ -326,6 +330,31 @@ def test_uris_lead_out_of_neither_the_bucket_nor_the_private_folder(uri: str, tm
     assert f'its buffer "{uri}" is not read: it leads out of s3://b/' in str(result.error)
     assert tree(tmp_path) == before
     assert list(stored("s3://b")) == ["crate.gltf"]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="needs /proc")
+def test_a_folder_of_a_process_that_was_killed_is_removed_by_the_next(tmp_path: Path) -> None:
+    script = (
+        "import os, sys; from skinbake.jobs.remote.staging import _PrivateFolder; "
+        "folder = _PrivateFolder(sys.argv[1]); open(folder.root / 'fetched.glb', 'w').close(); "
+        "print(folder.root, flush=True); sys.stdin.read(); os._exit(9)"
+    )
+    started = [
+        subprocess.Popen(
+            [sys.executable, "-c", script, str(tmp_path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+        )
+        for _ in range(2)
+    ]
+    killed, living = (Path(os.fsdecode(one.stdout.readline().strip())) for one in started if one.stdout)
+    started[0].communicate()
+    other = tmp_path / "skinbake-of-another"
+    other.mkdir()
+    assert (killed / "fetched.glb").exists()
+    staging._remove_abandoned.cache_clear()
+    with staging._PrivateFolder(str(tmp_path)) as own:
+        assert sorted(tmp_path.iterdir()) == sorted([living, other, own.root])
+    started[1].communicate()
+    assert sorted(tmp_path.iterdir()) == sorted([living, other])
 
 
 def test_a_dry_run_stores_nothing() -> None:

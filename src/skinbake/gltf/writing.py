@@ -20,13 +20,14 @@ import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, nullcontext, suppress
 from dataclasses import dataclass, field
-from functools import lru_cache, partial
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
 from skinbake.containment import BY_DESCRIPTOR, Folder, beneath, check_regular, flush
 from skinbake.errors import OutputError, Place, ReaderGoneError
 from skinbake.gltf.glb import Bytes
+from skinbake.gltf.ownership import OWNER, has_ended, owner
 from skinbake.gltf.replacing import StuckError, replaced
 from skinbake.signals import ENDING
 
@@ -58,8 +59,8 @@ SHORT = 1 << 20
 NO_LINKS = frozenset({errno.EPERM, errno.EOPNOTSUPP, errno.ENOSYS, errno.EMLINK, errno.EACCES, errno.EINVAL})
 """Error codes of systems that cannot give a file a second name."""
 
-TEMPORARY = re.compile(r"\.skinbake-(?:([0-9a-f]{8})_([0-9a-f]+)_([0-9a-f]+)_)?[0-9a-f]{12}\.tmp")
-"""Names of temporary files: kernel, process and its start time, if they are known."""
+TEMPORARY = re.compile(rf"\.skinbake-(?:{OWNER})?[0-9a-f]{{12}}\.tmp")
+"""Names of temporary files: their owner, if it is known, and a random part."""
 
 REMEMBERED = 4096
 """Number of folders that a process remembers as cleaned of abandoned files."""
@@ -541,47 +542,7 @@ def _unlock(descriptor: int) -> None:
 
 def temporary_name() -> str:
     """Return a name for a temporary file that identifies its process."""
-    return f".skinbake-{_owner(os.getpid())}{secrets.token_hex(6)}.tmp"
-
-
-@lru_cache(maxsize=1)
-def _owner(process: int) -> str:
-    kernel, (_, started) = _kernel(), _process(process)
-    return f"{kernel}_{process:x}_{started:x}_" if kernel and started else ""
-
-
-@lru_cache(maxsize=1)
-def _kernel() -> str:
-    """Return an identity of this running system among all that may share a folder; empty if unknown.
-
-    Containers on one system count processes separately. Their namespace identifies them.
-    """
-    try:
-        boot = Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
-        return hashlib.sha256(f"{boot} {os.readlink('/proc/self/ns/pid')}".encode()).hexdigest()[:8]
-    except (OSError, ValueError):
-        return ""
-
-
-def _process(process: int) -> tuple[str, int]:
-    """Return the state of a process and its start time in ticks; empty and 0 if unknown."""
-    try:
-        fields = Path(f"/proc/{process}/stat").read_bytes().rpartition(b")")[2].split()
-        return fields[0].decode("ascii"), int(fields[19])
-    except (OSError, ValueError, IndexError):
-        return "", 0
-
-
-def _is_dead(process: int, started: int) -> bool:
-    """Tell whether a process of this system has ended; False if in doubt."""
-    try:
-        os.kill(process, 0)
-    except ProcessLookupError:
-        return True
-    except (OSError, OverflowError):
-        pass
-    state, now_started = _process(process)
-    return state in {"Z", "X"} or now_started not in {0, started}
+    return f".skinbake-{owner(os.getpid())}{secrets.token_hex(6)}.tmp"
 
 
 def _collect(folder: Folder) -> None:
@@ -605,7 +566,7 @@ def _is_left_behind(entry: os.DirEntry[str]) -> bool:
     match = TEMPORARY.fullmatch(entry.name)
     if match is None or not entry.is_file(follow_symlinks=False):
         return False
-    kernel, process, started = match.groups()
-    if kernel and kernel == _kernel():
-        return _is_dead(int(process, 16), int(started, 16))
+    is_dead = has_ended(match)
+    if is_dead is not None:
+        return is_dead
     return time.time() - entry.stat(follow_symlinks=False).st_mtime > ABANDONED

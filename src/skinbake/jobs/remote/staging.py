@@ -12,8 +12,11 @@ import errno
 import os
 import posixpath
 import re
+import shutil
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, fields, is_dataclass, replace
+from functools import lru_cache
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Protocol, TypeVar, cast
 
@@ -29,6 +32,7 @@ from skinbake.containment import (
 from skinbake.errors import InputError, OutputError, Place, SkinbakeError, noticed
 from skinbake.gltf.beside import NamedFile, named_files
 from skinbake.gltf.document import GLB_SUFFIXES, STDIO, read_document
+from skinbake.gltf.ownership import OWNER, has_ended, owner
 from skinbake.gltf.resources import is_there
 from skinbake.jobs.remote.storages import Storage, located, reading, writing
 from skinbake.jobs.work import Makes, ResultT
@@ -42,6 +46,10 @@ T = TypeVar("T")
 
 ATTEMPTS = 8
 """The number of times that a file is made if the files beside its target have changed."""
+
+
+PRIVATE = re.compile(rf"skinbake-{OWNER}\w{{8}}")
+"""The names of private folders whose owner is known."""
 
 
 class RemoteDisk(Storage, Protocol):
@@ -312,10 +320,10 @@ class _PrivateFolder:
     def __init__(self, workspace: str | None) -> None:
         import tempfile
 
-        self._folder = tempfile.TemporaryDirectory(
-            prefix="skinbake-", dir=workspace, ignore_cleanup_errors=True
-        )
-        self._root = Path(os.path.realpath(self._folder.name))
+        _remove_abandoned(workspace or tempfile.gettempdir())
+        prefix = f"skinbake-{owner(os.getpid())}"
+        self._folder = tempfile.TemporaryDirectory(prefix=prefix, dir=workspace, ignore_cleanup_errors=True)
+        self.root = Path(os.path.realpath(self._folder.name))
         self._storages: list[Storage] = []
 
     def __enter__(self) -> _PrivateFolder:
@@ -327,7 +335,7 @@ class _PrivateFolder:
     def _mirror(self, storage: Storage) -> Path:
         if storage not in self._storages:
             self._storages.append(storage)
-        return self._root / str(self._storages.index(storage))
+        return self.root / str(self._storages.index(storage))
 
     def path_of(self, storage: Storage, name: str) -> Path:
         """Return the local path for a name of the storage. Raises InputError if it would be elsewhere."""
@@ -432,7 +440,7 @@ class _PrivateFolder:
         """Return a function that replaces the paths in a text by the user's names."""
         names = {path: end.given for end, path in ends if end is not None and path is not None}
         for number, storage in enumerate(self._storages):
-            mirror = str(self._root / str(number))
+            mirror = str(self.root / str(number))
             names[mirror + os.sep] = names[mirror] = storage.public_name("")
         changed = sorted((path for path in names if names[path] != path), key=len, reverse=True)
 
@@ -442,6 +450,18 @@ class _PrivateFolder:
             return re.sub("|".join(map(re.escape, changed)), lambda match: names[match.group()], text)
 
         return named
+
+
+@lru_cache(maxsize=1)
+def _remove_abandoned(workspace: str) -> None:
+    """Remove the private folders of ended processes, for example of a worker that was killed."""
+    with suppress(OSError), os.scandir(workspace) as entries:  # such folders do no harm
+        for entry in entries:
+            found = PRIVATE.fullmatch(entry.name)
+            if found is None or not entry.is_dir(follow_symlinks=False) or not has_ended(found):
+                continue
+            if entry.stat(follow_symlinks=False).st_uid == os.getuid():
+                shutil.rmtree(entry.path, ignore_errors=True)
 
 
 def _named(call: Callable[[], T], naming: Callable[[str], str]) -> T:

@@ -1,0 +1,64 @@
+"""Names of temporary files that say which process made them. So later processes can remove what it left."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+from functools import lru_cache
+from pathlib import Path
+
+OWNER = r"([0-9a-f]{8})_([0-9a-f]+)_([0-9a-f]+)_"
+"""The pattern of ``owner``. Its groups are the kernel, the process, and the start time of the process."""
+
+
+@lru_cache(maxsize=1)
+def owner(process: int) -> str:
+    """Return the beginning of a name that tells of a process; empty if the system does not identify it."""
+    kernel, (_, started) = _kernel(), _process(process)
+    return f"{kernel}_{process:x}_{started:x}_" if kernel and started else ""
+
+
+def has_ended(found: re.Match[str]) -> bool | None:
+    """Tell whether the process in a name, by the groups of ``OWNER``, has ended; False if in doubt.
+
+    None if the name does not tell, or tells of a process of another system.
+    """
+    kernel, process, started = found.groups()
+    if not kernel or kernel != _kernel():
+        return None
+    return _is_dead(int(process, 16), int(started, 16))
+
+
+@lru_cache(maxsize=1)
+def _kernel() -> str:
+    """Return an identity of this running system among all that may share a folder; empty if unknown.
+
+    Containers on one system count processes separately. Their namespace identifies them.
+    """
+    try:
+        boot = Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
+        return hashlib.sha256(f"{boot} {Path('/proc/self/ns/pid').readlink()}".encode()).hexdigest()[:8]
+    except (OSError, ValueError):
+        return ""
+
+
+def _process(process: int) -> tuple[str, int]:
+    """Return the state of a process and its start time in ticks; empty and 0 if unknown."""
+    try:
+        fields = Path(f"/proc/{process}/stat").read_bytes().rpartition(b")")[2].split()
+        return fields[0].decode("ascii"), int(fields[19])
+    except (OSError, ValueError, IndexError):
+        return "", 0
+
+
+def _is_dead(process: int, started: int) -> bool:
+    """Tell whether a process of this system has ended; False if in doubt."""
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return True
+    except (OSError, OverflowError):
+        pass
+    state, now_started = _process(process)
+    return state in {"Z", "X"} or now_started not in {0, started}
