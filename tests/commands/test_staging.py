@@ -15,10 +15,12 @@ import pytest
 
 from skinbake.choices import Encoding
 from skinbake.cli import exit_codes
+from skinbake.commands.bake import Baker
 from skinbake.commands.verify import verify_file
 from skinbake.containment import OWN_FOLDERS, Bounds, Within
 from skinbake.errors import InputError, OutputError
 from skinbake.jobs import verify
+from skinbake.jobs.bake import Bake
 from skinbake.jobs.file_work import FileWork
 from skinbake.jobs.remote import staging
 from skinbake.jobs.remote.staging import Staging
@@ -330,6 +332,24 @@ def test_uris_lead_out_of_neither_the_bucket_nor_the_private_folder(uri: str, tm
     assert f'its buffer "{uri}" is not read: it leads out of s3://b/' in str(result.error)
     assert tree(tmp_path) == before
     assert list(stored("s3://b")) == ["crate.gltf"]
+
+
+def test_in_place_a_file_that_was_saved_meanwhile_stays(tmp_path: Path) -> None:
+    name = write_library(tmp_path / "lib")[0]
+    upload(tmp_path / "lib", "memory://saved/lib")
+    url = f"memory://saved/lib/{name}"
+    files, path = url_to_fs(url)
+
+    class Saving(Baker):
+        def bake_file(self, *arguments: Any) -> FileResult:
+            result = super().bake_file(*arguments)
+            files.pipe_file(path, b"saved by another program")
+            return result
+
+    result = FileWork(Bake(Saving()))(Job(url, url))
+    assert isinstance(result.error, OutputError)
+    assert "another program has saved it since it was read, so it is not replaced" in result.error.message
+    assert stored("memory://saved/lib")[name] == b"saved by another program"
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="needs /proc")

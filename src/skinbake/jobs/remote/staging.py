@@ -34,6 +34,7 @@ from skinbake.gltf.beside import NamedFile, named_files
 from skinbake.gltf.document import GLB_SUFFIXES, STDIO, read_document
 from skinbake.gltf.ownership import OWNER, has_ended, owner
 from skinbake.gltf.resources import is_there
+from skinbake.gltf.writing import SAVED_ANEW
 from skinbake.jobs.remote.storages import Storage, located, reading, writing
 from skinbake.jobs.work import Makes, ResultT
 from skinbake.timing import stage
@@ -206,6 +207,7 @@ def _attempt(
             for name in taken:
                 folder.fetch_file(target.storage, name)
     before = folder.files_of(target)
+    as_read = folder.kept(path) if target is not None and _one_file(source, target) else None
     is_stored = target is not None and target.storage is not None
     output = within.output if target is None else folder.output_of(target, within.output)
     how = replace(how, sync=how.sync and not is_stored)
@@ -215,17 +217,25 @@ def _attempt(
     if target is None or target.storage is None or not written:
         return result, frozenset()
     with noticed(result.notices):
-        return result, _stored(folder, target.storage, target, written)
+        return result, _stored(folder, target.storage, target, written, as_read)
 
 
-def _stored(folder: _PrivateFolder, storage: Storage, target: End, written: list[str]) -> frozenset[str]:
-    """Store the written files, the target last. If other files have their names, store none; return these."""
+def _stored(
+    folder: _PrivateFolder, storage: Storage, target: End, written: list[str], as_read: Path | None
+) -> frozenset[str]:
+    """Store the written files, the target last. If other files have their names, store none; return these.
+
+    ``as_read`` has the content of the source, if the target replaces it. Raises OutputError if the source has
+    other content by now.
+    """
     beside = [name for name in written if name != target.name]
     with writing(target.given), stage("store"):
         there = {name for name in beside if storage.has_file(name)}
         clashing = {name for name in there if not storage.has_content(name, folder.path_of(storage, name))}
         if clashing:
             return frozenset(clashing)
+        if as_read is not None and not storage.has_content(target.name, as_read):
+            raise OutputError(SAVED_ANEW, Place(target.given))
         # If the target fails, these stay: the bake of another file may have found them already.
         for name in beside:
             if name not in there:
@@ -421,6 +431,15 @@ class _PrivateFolder:
         elif storage.has_file(name):
             path.touch()
         return path.is_file()
+
+    def kept(self, path: str) -> Path:
+        """Return a second name for a fetched file, which stays as it is when the file is replaced."""
+        second = self.root / "as-read"
+        try:
+            os.link(path, second)
+        except OSError:  # a file system without second names
+            shutil.copyfile(path, second)
+        return second
 
     def files_of(self, end: End | None) -> dict[str, tuple[int, int, int]]:
         """Return the names in an end's mirror, each with values that change when the file is written."""
