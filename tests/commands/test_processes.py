@@ -253,6 +253,22 @@ def test_a_system_that_allows_no_worker_ends_the_run(
         outcomes(Work(), 4)
 
 
+def test_a_start_that_fails_once_is_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The system kills the server that forks workers, and the next start brings up another."""
+    started, calls = processes._started, []
+
+    def fails_first(*arguments: Any) -> Any:
+        calls.append(arguments)
+        if len(calls) == 1:
+            raise EOFError
+        return started(*arguments)
+
+    monkeypatch.setattr(processes, "_started", fails_first)
+    found = outcomes(Work(), 40)
+    assert {number: result[0] for number, result in found.items()} == {n: 2 * n for n in range(40)}
+    assert len(calls) == 3
+
+
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux holds to the limit")
 def test_a_worker_has_no_more_memory_than_its_limit() -> None:
     size = 64 << 20

@@ -60,7 +60,10 @@ BASE = 1 << 30
 """Bytes of addresses that a worker has besides its limit: for code, stacks and mapped files."""
 
 ATTEMPTS = 2
-"""The number of times that a job is tried if its worker dies."""
+"""The number of times that a job is tried if its worker dies, and that the start of a worker is tried."""
+
+PAUSE = 0.1
+"""The seconds before the start of a worker is tried again. The system has removed a dead server by then."""
 
 SPARE_DESCRIPTORS = 32
 """The number of files that this process can still open when it starts a further worker."""
@@ -252,13 +255,21 @@ class _Pool(Generic[JobT, ReturnT]):
                     self._send(worker, number, job)
 
     def _start_workers(self) -> None:
-        """Start the missing workers. If the system allows no more processes or files, go on with fewer."""
+        """Start the missing workers. If the system allows no more processes or files, go on with fewer.
+
+        A start is tried again, because the server that forks workers may just have been killed.
+        """
+        failures = 0
         while len(self._workers) < min(self._size, self._unfinished):
             try:
                 if self._workers:
                     _check_descriptors()
                 worker = _started(self._context, self._work, self._limits)
-            except (OSError, EOFError) as error:  # EOFError: the server that forks workers could not
+            except (OSError, EOFError) as error:  # EOFError: the server has died
+                failures += 1
+                if failures < ATTEMPTS:
+                    time.sleep(PAUSE)
+                    continue
                 reason = getattr(error, "strerror", None) or "the system allows no more processes"
                 if not self._workers:
                     raise SkinbakeError(_not_started(reason)) from error
@@ -266,6 +277,7 @@ class _Pool(Generic[JobT, ReturnT]):
                 logger.info("no more than %d workers: %s", self._size, reason)
             else:
                 self._workers.append(worker)
+                failures = 0
 
     def _next_number(self) -> int | None:
         if self._back:
