@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from skinbake.cli.limits import _size
+from skinbake.cli.limits import _size, memory_of_each
+from skinbake.gltf.budget import machine_memory
 from tests.support.command_line import call, invoke, run
 from tests.support.models import FOLDER, baked, crowd
 
@@ -23,7 +25,7 @@ def test_sizes_are_read(text: str, size: int) -> None:
     assert _size(None, None, text) == size  # type: ignore[arg-type]  # it looks at neither
 
 
-@pytest.mark.parametrize("text", ["", "0", "M", "-1", "2X", "1e9", "nan", "0.1"])
+@pytest.mark.parametrize("text", ["", "0", "M", "-1", "2X", "1e9", "nan", "0.1", "9" * 400])
 def test_what_is_no_size_is_a_usage_error(text: str) -> None:
     result = invoke("inspect", SEAM, "--max-memory", text)
     assert result.exit_code == 2
@@ -70,6 +72,12 @@ def test_what_cannot_be_another_process_s_work_is_refused(
     result = invoke(*arguments, *option)
     assert result.exit_code == 2
     assert f"{option[0]} {said}" in result.stderr
+
+
+def test_memory_is_shared_by_the_processes_that_there_are() -> None:
+    given: Any = {"max_memory": None, "dask": None, "jobs": 1000, "isolate": False}
+    for files, share in ((1, 4), (4, 4), (10, 10), (5000, 1000)):
+        assert memory_of_each(given, ["a.glb"] * files) == machine_memory() // share
 
 
 @pytest.mark.parametrize("seconds", ["0", "-1", "nan", "inf"])

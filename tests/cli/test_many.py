@@ -113,7 +113,7 @@ def test_few_small_files_start_no_process(
         invoke("bake", *models, "--out-dir", tmp_path, "--jobs", "2")
 
 
-@pytest.mark.parametrize("value", ["-1", "many", "1.5", ""])
+@pytest.mark.parametrize("value", ["-1", "many", "1.5", "", "9" * 5000])
 def test_jobs_is_a_number_or_auto(value: str) -> None:
     result = invoke("bake", FOLDER / "seam.glb", "--dry-run", "--jobs", value)
     assert result.exit_code == 2

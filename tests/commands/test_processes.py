@@ -278,6 +278,13 @@ def test_a_worker_has_no_more_memory_than_its_limit() -> None:
 
 
 @POSIX
+@pytest.mark.parametrize("limits", [Limits(seconds=1e300), Limits(memory=1 << 70)])
+def test_limits_beyond_what_the_system_counts_are_none(limits: Limits) -> None:
+    found = limited(Work(), range(3), limits)
+    assert {number: result[0] for number, result in found.items()} == {0: 0, 1: 2, 2: 4}
+
+
+@POSIX
 def test_with_a_limit_of_memory_each_job_has_a_process_of_its_own() -> None:
     found = limited(Work(), range(6), Limits(memory=1 << 30))
     assert {number: result[0] for number, result in found.items()} == {n: 2 * n for n in range(6)}

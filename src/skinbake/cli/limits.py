@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -22,10 +23,10 @@ def _size(ctx: click.Context, param: click.Parameter, value: str | None) -> int 
     if value is None:
         return None
     found = SIZE.fullmatch(value.strip())
-    size = int(float(found[1]) * 1024 ** " KMGT".index(found[2].upper() or " ")) if found else 0
-    if size < 1:
+    size = float(found[1]) * 1024 ** " KMGT".index(found[2].upper() or " ") if found else 0.0
+    if not 1 <= size < math.inf:
         raise click.BadParameter("must be a size in bytes, or like 512M or 2G")
-    return size
+    return int(size)
 
 
 def memory_option(command: Command) -> Command:
@@ -77,14 +78,14 @@ def worker_limits(given: Given, sources: Sequence[str]) -> Limits | None:
         raise click.UsageError(f"{named[0]} needs files, not - for stdin or stdout")
     from skinbake.jobs.processes import Limits
 
-    return Limits(given["timeout"], memory_of_each(given) if given["isolate"] else None)
+    return Limits(given["timeout"], memory_of_each(given, sources) if given["isolate"] else None)
 
 
-def memory_of_each(given: Given) -> int | None:
-    """Return the memory that a file may take, or None for the default of one file at a time."""
+def memory_of_each(given: Given, sources: Sequence[str]) -> int | None:
+    """Return the memory that each source may take, or None for the default of one file at a time."""
     if given["max_memory"] or given["dask"] or (given["jobs"] == 1 and not given["isolate"]):
         return given["max_memory"]
     from skinbake.gltf.budget import default_limit
     from skinbake.threads import usable_cores
 
-    return default_limit(given["jobs"] or usable_cores())
+    return default_limit(min(given["jobs"] or usable_cores(), len(sources)))

@@ -46,7 +46,7 @@ ResultT_contra = TypeVar("ResultT_contra", bound="Result", contravariant=True)
 def _jobs(ctx: click.Context, param: click.Parameter, value: str) -> int:
     if value == "auto":
         return 0
-    if not value.isdecimal():
+    if not (value.isdecimal() and len(value) < 9):
         raise click.BadParameter("must be a number of processes, 0 or auto")
     return int(value)
 
@@ -306,7 +306,7 @@ def run_of(
 
     sources = [job.source for job in jobs]
     runner: Runner[Job, ResultT] = runner_of(given, sources, turns, modules, guess, say)
-    memory, threads = memory_of_each(given), threads_of_each(given, sources)
+    memory, threads = memory_of_each(given, sources), threads_of_each(given, sources)
     works = [
         FileWork(command, recipe, given["timings"], memory, threads)
         for command, recipe in zip(commands, recipes, strict=True)

@@ -56,6 +56,9 @@ PATIENCE = 10.0
 GRACE = 3.0
 """The seconds that a worker has to stop if its file took too long. C loops do not notice the signal."""
 
+LONGEST_WAIT = 3600.0
+"""The seconds of one wait for messages. The system's call takes no more than some weeks."""
+
 BASE = 1 << 30
 """Bytes of addresses that a worker has besides its limit: for code, stacks and mapped files."""
 
@@ -196,7 +199,7 @@ class _Pool(Generic[JobT, ReturnT]):
             for worker in self._workers
             if worker.sent and worker.is_warm
         ]
-        return max(0.0, min(ends) - time.monotonic()) if ends else None
+        return min(LONGEST_WAIT, max(0.0, min(ends) - time.monotonic())) if ends else None
 
     def _stop_late(self) -> None:
         """Tell a worker to stop if its job takes too long, and kill it if it does not stop.
@@ -498,7 +501,7 @@ def _limit_memory(size: int) -> None:
     wanted = {resource.RLIMIT_AS: used + size + BASE, resource.RLIMIT_CORE: 0}
     for kind, limit in wanted.items():
         _, hard = resource.getrlimit(kind)
-        with suppress(OSError, ValueError):  # a system that has no such limit
+        with suppress(OSError, ValueError, OverflowError):  # a system that has no such limit
             resource.setrlimit(kind, (limit if hard == resource.RLIM_INFINITY else min(limit, hard), hard))
 
 
