@@ -625,6 +625,37 @@ def test_an_interrupt_ends_all_and_leaves_whole_files_only(
     assert {path.read_bytes() for path in done} == {expected.read_bytes()}
 
 
+OWNING = """
+import fcntl, os, sys, termios
+fcntl.ioctl(0, termios.TIOCSCTTY, 0)
+os.execv(sys.executable, [sys.executable, *sys.argv[1:]])
+"""
+# A command that is started from a terminal hears of its end.
+
+
+@pytest.mark.slow
+@LINUX
+@pytest.mark.parametrize("jobs", ["1", "2"])
+def test_a_terminal_that_is_closed_ends_all(jobs: str, grids: Path, tmp_path: Path) -> None:
+    leader, follower = os.openpty()
+    command = ["-m", "skinbake", "bake", str(grids), "--out-dir", str(tmp_path / "out"), "--jobs", jobs]
+    process = subprocess.Popen(
+        [sys.executable, "-c", OWNING, *command],
+        stdin=follower,
+        stdout=follower,
+        stderr=follower,
+        start_new_session=True,
+    )
+    os.close(follower)
+    while len(made(tmp_path / "out")) < 3:
+        os.read(leader, 100_000)
+    os.close(leader)
+    assert process.wait(30) == 129
+    wait_for(lambda: not group(process.pid), 10)
+    assert 3 <= len(made(tmp_path / "out")) < FILES
+    assert [path.name for path in (tmp_path / "out").rglob(".*")] == []
+
+
 @pytest.mark.slow
 @LINUX
 def test_the_end_of_a_terminal_may_be_ignored(

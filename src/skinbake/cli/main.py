@@ -132,15 +132,15 @@ def _code(received: list[int]) -> int:
         return _said(text.getvalue().removesuffix("\n"), error.exit_code)
     except (click.Abort, KeyboardInterrupt):
         return exit_codes.of_signal(received)
-    except SkinbakeError as error:
-        return _said(f"error: {error}", exit_codes.of_error(error))
     except Exception as error:
-        # During an import, Ctrl-C becomes an ImportError.
-        return exit_codes.of_signal(received) if received else _defect(error)
+        # A signal becomes an ImportError during an import. A closed terminal takes no last words.
+        return exit_codes.of_signal(received) if received else _failed(error)
 
 
-def _defect(error: Exception) -> int:
-    """Report a defect of skinbake, and return its exit code."""
+def _failed(error: Exception) -> int:
+    """Report an error, which may be a defect of skinbake, and return the exit code."""
+    if isinstance(error, SkinbakeError):
+        return _said(f"error: {error}", exit_codes.of_error(error))
     import logging  # it takes a sixth of the time of --help
 
     logging.getLogger(__name__).debug("where it failed", exc_info=True)
