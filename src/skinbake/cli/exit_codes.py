@@ -12,11 +12,14 @@ VERIFICATION = 1
 USAGE = 2
 INPUT = 3
 OUTPUT = 4
-SIGNALLED = 128
-"""A signal's number is added to this: 129 for SIGHUP, 143 for SIGTERM."""
+HUNG_UP = 129
+"""The code after SIGHUP, as in shells."""
 
-INTERRUPTED = SIGNALLED + signal.SIGINT
-"""The code after Ctrl-C."""
+INTERRUPTED = 130
+"""The code after Ctrl-C, as in shells."""
+
+TERMINATED = 143
+"""The code after SIGTERM, as in shells."""
 
 READER_GONE = 141
 """The code of a command that SIGPIPE ends, as in shells."""
@@ -34,5 +37,6 @@ def of_error(error: SkinbakeError | None) -> int:
 
 
 def of_signal(received: Sequence[int]) -> int:
-    """Return the exit code of a command that these signals have ended, as in shells. The first one counts."""
-    return SIGNALLED + received[0] if received else INTERRUPTED
+    """Return the exit code of a command that these signals have ended. The first signal counts."""
+    name = signal.Signals(received[0]).name if received else ""
+    return {"SIGTERM": TERMINATED, "SIGHUP": HUNG_UP}.get(name, INTERRUPTED)
