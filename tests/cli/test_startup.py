@@ -202,6 +202,17 @@ os.execv(sys.executable, [sys.executable, *sys.argv[1:]])
 
 
 @LINUX
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_at_exit_needs_no_traceback(number: signal.Signals) -> None:
+    script = (
+        "import atexit, os, sys; from skinbake.cli.main import entry_point; "
+        f"atexit.register(os.kill, os.getpid(), {int(number)}); sys.argv[1:] = ['--version']; entry_point()"
+    )
+    process = subprocess.run([sys.executable, "-c", HEARING, "-c", script], capture_output=True, check=False)
+    assert (process.returncode, process.stderr) == (-number, b"")
+
+
+@LINUX
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129)]

@@ -114,6 +114,7 @@ def entry_point() -> None:
             stream.reconfigure(errors="backslashreplace")  # α on a terminal without Greek letters
     received = _watch_for_signals()
     code = _code(received)
+    _end_at_once_by_signals()
     for stream in (sys.stdout, sys.stderr):
         if not _settled(stream):
             code = exit_codes.READER_GONE
@@ -178,6 +179,14 @@ def _watch_for_signals() -> list[int]:
             if signal.getsignal(number) == usual:  # otherwise the signal is to be ignored
                 signal.signal(number, note)
     return received
+
+
+def _end_at_once_by_signals() -> None:
+    """Have further signals end the process without a word. At exit nothing is left to undo."""
+    if current_thread() is main_thread():
+        for number in ENDING:
+            if signal.getsignal(number) != signal.SIG_IGN:
+                signal.signal(number, signal.SIG_DFL)
 
 
 def _settled(stream: object) -> bool:
