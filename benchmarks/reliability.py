@@ -115,8 +115,8 @@ def _coverage(lines: Sequence[Line]) -> list[str]:
     share = 100 * last["covered"] / last["branches"]
     by = f"{last['executions']:,} runs of commands from seed {last['seed']}"
     by += f" and {last['faults']:,} faults" if last.get("faults") else ""
-    reached = f"{last['covered']} of {last['branches']} branches of src/skinbake/gltf ({share:.1f} %)"
-    text = f"{reached} are reached by {by}."
+    counts = f"{last['covered']} of {last['branches']} branches"
+    text = f"{counts} of src/skinbake/files and src/skinbake/gltf ({share:.1f} %) are reached by {by}."
     if last.get("explained"):
         why = "names another way to reach it, or the reason why nothing can."
         text += f" For each of {last['explained']} others, [fuzz/explained.py](../fuzz/explained.py) {why}"

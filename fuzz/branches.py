@@ -24,7 +24,7 @@ from fuzz.aimed import aimed_cases
 from fuzz.batches import FINDS, Plan, run_all
 from fuzz.explained import BY_SYSTEM, EXPLAINED
 from fuzz.log import LOG, note
-from fuzz.measuring import PACKAGE, REPOSITORY, measured, measurement
+from fuzz.measuring import PACKAGES, REPOSITORY, SOURCE, measured, measurement
 from fuzz.seeds import all_seeds
 
 Branch = tuple[str, str, str]
@@ -137,7 +137,7 @@ def branches(report: Mapping[str, Any]) -> tuple[dict[Branch, str], dict[Branch,
     for file, content in sorted(report["files"].items()):
         text = Path(REPOSITORY, file).read_text(encoding="utf-8")
         source, functions = text.splitlines(), _functions(ast.parse(text))
-        name = Path(file).as_posix().partition(f"{PACKAGE}/")[2]
+        name = Path(file).as_posix().partition(f"{SOURCE}/")[2]
         known = [(*arc, reached) for key, reached in KEYS for arc in content[key]]
         times: Counter[Branch] = Counter()
         for start, end, reached in sorted(known):
@@ -166,7 +166,8 @@ def judged(
 ) -> tuple[list[str], list[str]]:
     """Return what to print, and what is wrong: branches without an explanation, explanations without one."""
     count = len(reached) + len(missed)
-    lines = [f"{len(reached)} of {count} branches of {PACKAGE} reached: {100 * len(reached) / count:.1f} %"]
+    parts = " and ".join(f"{SOURCE}/{package}" for package in PACKAGES)
+    lines = [f"{len(reached)} of {count} branches of {parts} reached: {100 * len(reached) / count:.1f} %"]
     known = [branch for branch in missed if branch in explained]
     lines += [f"{len(known)} missed, and why:"] if known else []
     lines += [f"  {missed[branch]}: {branch[2]}   # {explained[branch]}" for branch in known]

@@ -1,4 +1,4 @@
-"""Which branches of skinbake's readers a child takes: measured in it, kept in a folder."""
+"""Which branches of skinbake's readers and writers a child takes: measured in it, kept in a folder."""
 
 from __future__ import annotations
 
@@ -11,18 +11,19 @@ if TYPE_CHECKING:
     import coverage
 
 REPOSITORY = Path(__file__).resolve().parents[1]
-PACKAGE = "src/skinbake/gltf"
+SOURCE = "src/skinbake"
+PACKAGES = ("files", "gltf")
+"""The parts of skinbake that read and write files."""
 
 Result = TypeVar("Result")
 
 
 def measurement(file: Path) -> coverage.Coverage:
-    """Return a measurement of the readers' branches, to be saved in a file."""
+    """Return a measurement of the branches of these parts, to be saved in a file."""
     import coverage
 
-    return coverage.Coverage(
-        data_file=str(file), branch=True, include=[f"{REPOSITORY}/{PACKAGE}/*"], config_file=False
-    )
+    measured = [f"{REPOSITORY}/{SOURCE}/{package}/*" for package in PACKAGES]
+    return coverage.Coverage(data_file=str(file), branch=True, include=measured, config_file=False)
 
 
 def measured(work: Callable[[], Result], folder: Path) -> Result:

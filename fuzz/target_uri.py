@@ -10,8 +10,8 @@ from fuzz.atheris_target import fuzz
 
 def load() -> Callable[[bytes], object]:
     """Return the target."""
-    from skinbake.containment import Bounds, RefusedError, spots
     from skinbake.errors import Place
+    from skinbake.files.bounds import Bounds, RefusedError, spots
     from skinbake.gltf import resources
 
     def target(data: bytes) -> None:

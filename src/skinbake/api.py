@@ -31,8 +31,8 @@ from skinbake.choices import (
     check_range,
     member_of,
 )
-from skinbake.containment import Bounds, Within
 from skinbake.errors import ChoiceError
+from skinbake.files.bounds import Bounds, Within
 from skinbake.geometry.skinned import Float32Array, IntArray, SkinnedPrimitive
 from skinbake.threads import LARGEST, threads_limited
 

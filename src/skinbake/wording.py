@@ -8,7 +8,7 @@ from contextlib import suppress
 from itertools import islice
 from pathlib import Path
 
-from skinbake.urls import SUFFIXES
+from skinbake.files.urls import SUFFIXES
 
 MOST_NAMES = 10_000
 """The number of names of a folder that are compared with a mistyped one."""

@@ -32,7 +32,7 @@ def test_the_page_adds_up_what_the_logs_have(tmp_path: Path) -> None:
     text = page(read_logs(logs))
     assert "by every command and `--compress` way | 2,000 | 1.00 | 2 | 2 |" in text
     assert "| bake | 1,500 | 400 |" in text
-    assert "194 of 200 branches of src/skinbake/gltf (97.0 %)" in text
+    assert "194 of 200 branches of src/skinbake/files and src/skinbake/gltf (97.0 %)" in text
     assert "91 runs of commands from seed 4 and 1,200 faults. For each of 6 others" in text
     assert "| a/m.glb | 3 3 0 | 0.4 | 60 | 3 3 1 |" in text
     assert "| kill | 4 |" in text

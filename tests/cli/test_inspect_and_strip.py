@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from skinbake.gltf import writing
+from skinbake.files import writing
 from tests.support.command_line import document, invoke
 from tests.support.gltf_reading import read
 from tests.support.models import FIXTURES, FOLDER, SHARED_BIN, bake, rewritten

@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 
 from skinbake.commands.verify import verify_file
-from skinbake.containment import Bounds, Within
 from skinbake.errors import ChoiceError, InputError, OutputError
+from skinbake.files.bounds import Bounds, Within
 from skinbake.gltf.output import Writing
 from skinbake.jobs.remote.sent_files import DoneHere, WorkWithFiles
 from skinbake.jobs.work import Job

@@ -17,8 +17,9 @@ from skinbake.choices import Encoding
 from skinbake.cli import exit_codes
 from skinbake.commands.bake import Baker
 from skinbake.commands.verify import verify_file
-from skinbake.containment import OWN_FOLDERS, Bounds, Within
 from skinbake.errors import InputError, OutputError
+from skinbake.files.bounds import OWN_FOLDERS, Bounds, Within
+from skinbake.files.urls import is_url, join_url
 from skinbake.jobs import verify
 from skinbake.jobs.bake import Bake
 from skinbake.jobs.file_work import FileWork
@@ -30,7 +31,6 @@ from skinbake.lighting.measured import VerifyOptions
 from skinbake.report.bake import FileResult
 from skinbake.report.verify import FileVerdict
 from skinbake.timing import Told, heard
-from skinbake.urls import is_url, join_url
 from tests.support.baking import bake_file, bake_work
 from tests.support.libraries import (
     Torn,

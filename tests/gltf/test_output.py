@@ -15,10 +15,10 @@ from typing import Any
 
 import pytest
 
-from skinbake import containment
 from skinbake.commands.strip import strip_file
 from skinbake.errors import InputError, OutputError
-from skinbake.gltf import replacing
+from skinbake.files import folders, replacing
+from skinbake.files.bounds import Spot
 from skinbake.gltf.document import read_document
 from skinbake.gltf.output import plan_output
 from tests.support.baking import bake_file
@@ -278,14 +278,14 @@ class TestTargets:
         self, source: Path, target: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         before = tree(target.parent)
-        original = containment.open_beneath
+        original = folders.open_beneath
 
-        def open_beneath(spot: containment.Spot) -> int:
+        def open_beneath(spot: Spot) -> int:
             if spot.name.endswith(".png"):
                 raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
             return original(spot)
 
-        monkeypatch.setattr(containment, "open_beneath", open_beneath)
+        monkeypatch.setattr("skinbake.gltf.resources.open_beneath", open_beneath)
         assert "a.png: cannot be copied: Permission denied" in str(write(source, target))
         assert tree(target.parent) == before
 

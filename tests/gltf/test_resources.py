@@ -9,8 +9,8 @@ from urllib.parse import unquote
 
 import pytest
 
-from skinbake.containment import BESIDE, Bounds, is_relative, path_uri
 from skinbake.errors import InputError, Place
+from skinbake.files.bounds import BESIDE, Bounds, is_relative, path_uri
 from skinbake.gltf.resources import decode_data_uri, encode_data_uri, read_resource
 
 HERE = Place("model.gltf")

@@ -15,8 +15,8 @@ from pathlib import Path
 from skinbake.commands.inspect import inspect_file
 from skinbake.commands.strip import strip_file
 from skinbake.commands.verify import verify_file
-from skinbake.containment import Bounds, Within
 from skinbake.errors import SkinbakeError
+from skinbake.files.bounds import Bounds, Within
 from skinbake.jobs import state
 from skinbake.lighting.measured import VerifyOptions
 from tests.outside.names import likely_uris, uris

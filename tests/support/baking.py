@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from skinbake.commands.bake import Baker
-from skinbake.containment import OWN_FOLDERS, Within
+from skinbake.files.bounds import OWN_FOLDERS, Within
 from skinbake.format.baked import AttributeNames
 from skinbake.format.layouts import GradientFormat
 from skinbake.gltf.codecs.recode import Compression

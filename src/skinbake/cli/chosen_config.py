@@ -180,7 +180,7 @@ def _is_mentioned(path: str) -> bool:
     """Tell whether a file of a Python project may have options of skinbake."""
     if not os.path.lexists(path):
         return False
-    from skinbake.containment import open_regular
+    from skinbake.files.folders import open_regular
 
     with suppress(OSError), os.fdopen(open_regular(path), "rb") as file:
         return MENTION.search(file.read(LARGEST_CONFIG)) is not None

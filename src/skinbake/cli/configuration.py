@@ -14,7 +14,7 @@ import click
 
 from skinbake.cli import exit_codes
 from skinbake.cli.names import LARGEST_CONFIG, SHARED_CONFIG
-from skinbake.containment import open_regular
+from skinbake.files.folders import open_regular
 
 MOST_TRIES = 100
 """The number of lines that are tried to find the one of a message."""

@@ -13,7 +13,7 @@ import click
 
 from skinbake.cli.configuration import Configuration, Keys, read_configuration, spelt
 from skinbake.cli.names import STDIO
-from skinbake.urls import on_disk
+from skinbake.files.urls import on_disk
 from skinbake.wording import did_you_mean
 
 # A line for each name would take a page.

@@ -10,7 +10,7 @@ from skinbake.cli.console import WholeNumber, console, ended_by_errors, message_
 from skinbake.cli.help import Helpful
 from skinbake.cli.limits import memory_option
 from skinbake.cli.names import check_readable_suffix
-from skinbake.containment import Bounds
+from skinbake.files.bounds import Bounds
 
 if TYPE_CHECKING:
     from skinbake.report.cost import CostResult

@@ -14,7 +14,7 @@ from skinbake.cli.console import Command, ended_by_errors
 from skinbake.cli.names import STDIO
 from skinbake.cli.writing import write_report
 from skinbake.errors import InputError, SkinbakeError
-from skinbake.urls import is_url
+from skinbake.files.urls import is_url
 
 if TYPE_CHECKING:
     from skinbake.cli.console import Console

@@ -10,7 +10,7 @@ from click.shell_completion import CompletionItem
 
 from skinbake.cli.chosen_config import config_options, configured_in
 from skinbake.errors import printable
-from skinbake.urls import SUFFIXES
+from skinbake.files.urls import SUFFIXES
 from skinbake.version import __version__
 
 GROUPS = {

@@ -13,7 +13,7 @@ import click
 from skinbake.cli.names import STDIO, check_readable_suffix
 from skinbake.cli.remote import behind
 from skinbake.errors import InputError
-from skinbake.urls import SUFFIXES, is_url, on_disk
+from skinbake.files.urls import SUFFIXES, is_url, on_disk
 from skinbake.wording import not_gltf
 
 MAGIC = frozenset("*?[")

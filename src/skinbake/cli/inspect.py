@@ -15,7 +15,7 @@ from skinbake.cli.inputs import expanded, is_one_file
 from skinbake.cli.limits import limit_options
 from skinbake.cli.many import Clock, Notes, Reporting, jobs_options, of_one, run_of, work_through
 from skinbake.cli.targets import check_reports
-from skinbake.containment import Bounds, Within
+from skinbake.files.bounds import Bounds, Within
 
 if TYPE_CHECKING:
     from typing import Unpack

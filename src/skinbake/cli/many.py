@@ -19,8 +19,8 @@ from skinbake.cli.limits import memory_of_each
 from skinbake.cli.progress import Progress
 from skinbake.cli.runners import LONG, runner_of, seconds_of, threads_of_each
 from skinbake.cli.targets import sync_option
-from skinbake.containment import flush
 from skinbake.errors import OutputError, Place
+from skinbake.files.folders import flush
 from skinbake.threads import LARGEST
 from skinbake.timing import heard
 

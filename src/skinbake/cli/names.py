@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from skinbake.urls import SUFFIXES
+from skinbake.files.urls import SUFFIXES
 from skinbake.wording import not_gltf
 
 STDIO = "-"

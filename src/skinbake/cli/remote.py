@@ -12,7 +12,7 @@ from skinbake.cli.console import Command, Console
 from skinbake.cli.names import STDIO
 from skinbake.cli.writing import writing_of
 from skinbake.errors import InputError, Place
-from skinbake.urls import is_url, join_url
+from skinbake.files.urls import is_url, join_url
 
 if TYPE_CHECKING:
     from skinbake.cli.given import Given

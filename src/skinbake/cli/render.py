@@ -13,8 +13,8 @@ from skinbake.cli.help import Helpful
 from skinbake.cli.limits import memory_option
 from skinbake.cli.names import check_readable_suffix
 from skinbake.cli.targets import check_named, sync_option
-from skinbake.containment import Bounds
 from skinbake.errors import printable
+from skinbake.files.bounds import Bounds
 
 SUFFIXES = (".png", ".webp", ".gif")
 MOVING = (".webp", ".gif")

@@ -24,10 +24,10 @@ from skinbake.cli.console import (
 from skinbake.cli.help import Helpful
 from skinbake.cli.names import STDIO, check_readable_suffix
 from skinbake.cli.targets import check_named, check_text_target, sync_option
-from skinbake.containment import Bounds
 from skinbake.errors import ChoiceError, printable
+from skinbake.files.bounds import Bounds
+from skinbake.files.urls import SUFFIXES
 from skinbake.shaders.text import targets
-from skinbake.urls import SUFFIXES
 
 if TYPE_CHECKING:
     from skinbake.commands.shader import ShaderRequest

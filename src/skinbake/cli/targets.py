@@ -16,8 +16,8 @@ import click
 from skinbake.cli.console import Command
 from skinbake.cli.inputs import MAGIC, Input
 from skinbake.cli.names import STDIO
-from skinbake.containment import Bounds, Within
-from skinbake.urls import SUFFIXES, canonical, is_url, join_url, on_disk
+from skinbake.files.bounds import Bounds, Within
+from skinbake.files.urls import SUFFIXES, canonical, is_url, join_url, on_disk
 
 if TYPE_CHECKING:
     from skinbake.cli.given import Given

@@ -30,9 +30,9 @@ from skinbake.cli.names import STDIO
 from skinbake.cli.remote import cluster_option
 from skinbake.cli.targets import check_reports
 from skinbake.cli.writing import write_report
-from skinbake.containment import Bounds, Within
 from skinbake.errors import ChoiceError, SkinbakeError
-from skinbake.urls import is_url
+from skinbake.files.bounds import Bounds, Within
+from skinbake.files.urls import is_url
 
 if TYPE_CHECKING:
     from typing import Unpack

@@ -11,8 +11,8 @@ from skinbake.cli.help import Helpful
 from skinbake.cli.limits import memory_option
 from skinbake.cli.names import STDIO, check_readable_suffix
 from skinbake.cli.targets import check_named, is_model_name, sync_option
-from skinbake.containment import Bounds
 from skinbake.errors import printable
+from skinbake.files.bounds import Bounds
 from skinbake.wording import counted
 
 PAGES = (".html", ".htm")

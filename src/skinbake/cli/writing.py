@@ -28,7 +28,7 @@ def writing_of(given: Given) -> Writing:
 
 def write_report(path: str, text: str, say: Console, *, sync: bool) -> int:
     """Write the file of a report, whole or not at all. Return the exit code."""
-    from skinbake.gltf.writing import write_file
+    from skinbake.files.writing import write_file
 
     data, file = text.encode("utf-8", "surrogateescape"), Path(path)
     try:

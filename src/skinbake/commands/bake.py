@@ -21,8 +21,10 @@ from skinbake.choices import (
 )
 from skinbake.commands.bake_options import ENUMERATIONS, check_options, pose_sources
 from skinbake.commands.surface_bake import Aim, PrimitiveBake, SurfaceBake, unwritten
-from skinbake.containment import OWN_FOLDERS, Within
 from skinbake.errors import InputError, Notice, Place, noticed
+from skinbake.files.bounds import OWN_FOLDERS, Within
+from skinbake.files.digests import digests_of
+from skinbake.files.versions import version_of
 from skinbake.format.attribute_store import level_ignored, stored_otherwise
 from skinbake.format.baked import AttributeNames, with_baked, with_scale
 from skinbake.format.growth import draco_growth
@@ -31,7 +33,6 @@ from skinbake.format.strip import stripped
 from skinbake.gltf.beside import files_read
 from skinbake.gltf.codecs import draco
 from skinbake.gltf.container import for_target
-from skinbake.gltf.digests import digests_of
 from skinbake.gltf.document import STDIO, Document, read_document
 from skinbake.gltf.json_access import JsonObject
 from skinbake.gltf.output import AS_USUAL, Writing, plan_output, refuse_own_input
@@ -41,7 +42,6 @@ from skinbake.gltf.primitives import (
     skinned_sources,
     why_nothing,
 )
-from skinbake.gltf.writing import version_of
 from skinbake.gradients.baker import BakeSettings
 from skinbake.report.bake import BakedCounts, EncodingCost, FileResult
 from skinbake.timing import stage

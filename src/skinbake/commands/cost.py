@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from skinbake.choices import Layout
-from skinbake.containment import BESIDE, Bounds
 from skinbake.errors import Notice
+from skinbake.files.bounds import BESIDE, Bounds
 from skinbake.format.metadata import read_metadata, slot_names
 from skinbake.geometry.skinned import SkinnedPrimitive
 from skinbake.gltf.accessors import read_accessor

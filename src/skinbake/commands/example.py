@@ -7,7 +7,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from skinbake.errors import OutputError, Place
-from skinbake.gltf.writing import write_file, write_stdout
+from skinbake.files.writing import write_file, write_stdout
 
 MODEL = Path(__file__).resolve().parents[1] / "example" / "arm.glb"
 """A tube of two joints that bends, with one animation: the fixture ``bent_tube.glb``."""

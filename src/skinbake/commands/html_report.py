@@ -10,9 +10,9 @@ from urllib.parse import quote
 
 from skinbake.commands.render import small_picture
 from skinbake.commands.view import page_of
-from skinbake.containment import Bounds
+from skinbake.files.bounds import Bounds
+from skinbake.files.writing import write_file, write_files
 from skinbake.gltf.document import Document, read_document
-from skinbake.gltf.writing import write_file, write_files
 from skinbake.lighting.measured import VerifyOptions
 from skinbake.report.verify import FileVerdict, by_worse_truth, gain
 from skinbake.view.index import Listed, index

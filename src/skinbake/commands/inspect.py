@@ -7,7 +7,7 @@ from dataclasses import asdict
 import numpy as np
 
 from skinbake.choices import FrameChoice
-from skinbake.containment import BESIDE, Bounds
+from skinbake.files.bounds import BESIDE, Bounds
 from skinbake.format.attribute_store import meshopt_of
 from skinbake.format.metadata import changed_arrays, read_metadata, slot_names
 from skinbake.geometry.skinned import SkinnedPrimitive

@@ -12,8 +12,9 @@ import numpy as np
 
 from skinbake.choices import Frame, Truth
 from skinbake.commands.view import baked_in_memory, sound_views, unplaced
-from skinbake.containment import BESIDE, Bounds
 from skinbake.errors import ChoiceError, InputError, Notice, SkinbakeError, printable
+from skinbake.files.bounds import BESIDE, Bounds
+from skinbake.files.writing import write_file
 from skinbake.geometry.skinned import Float32Array, Float64Array, FloatArray
 from skinbake.gltf.accessors import read_accessor
 from skinbake.gltf.animation import (
@@ -29,7 +30,6 @@ from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.json_access import reference
 from skinbake.gltf.morphs import resting_weights, target_count
 from skinbake.gltf.output import refuse_own_input
-from skinbake.gltf.writing import write_file
 from skinbake.lighting.angles import MeasuredBlock, Morphing, lighting_errors, truths_at_rest
 from skinbake.lighting.baked_views import BakedView, whole_surfaces
 from skinbake.lighting.before_adoption import true_operator_of

@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 
 from skinbake.choices import Encoding, Frame, Language, Layout, Lighting, Method, Morphs
-from skinbake.containment import BESIDE, Bounds
 from skinbake.errors import ChoiceError, InputError, Notice, Place
+from skinbake.files.bounds import BESIDE, Bounds
+from skinbake.files.writing import write_file, write_stdout
 from skinbake.format.metadata import slot_names
 from skinbake.gltf.animation import read_clips, skins_of
 from skinbake.gltf.document import STDIO, Document, read_document
 from skinbake.gltf.output import refuse_own_input
 from skinbake.gltf.primitives import reason_to_skip, skinned_sources
-from skinbake.gltf.writing import write_file, write_stdout
 from skinbake.gradients.weight_sums import weight_sum_notices
 from skinbake.lighting.angles import not_rigid_joints
 from skinbake.lighting.baked_views import BakedView, baked_views, is_baked

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from skinbake.containment import BESIDE, Bounds
 from skinbake.errors import InputError, Notice, Place, noticed
+from skinbake.files.bounds import BESIDE, Bounds
+from skinbake.files.versions import version_of
 from skinbake.format.strip import stripped
 from skinbake.gltf.beside import files_read
 from skinbake.gltf.container import for_target
 from skinbake.gltf.document import STDIO, read_document
 from skinbake.gltf.output import plan_output, refuse_own_input
-from skinbake.gltf.writing import version_of
 from skinbake.report.strip import StripResult
 from skinbake.timing import stage
 

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from skinbake.commands.remedies import worse_lighting
-from skinbake.containment import BESIDE, Bounds
 from skinbake.errors import Notice
+from skinbake.files.bounds import BESIDE, Bounds
 from skinbake.format.metadata import read_metadata
 from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.primitives import PrimitiveSource, reason_to_skip, skinned_sources

@@ -13,8 +13,9 @@ from skinbake.choices import Gradients, Scheme
 from skinbake.commands.bake import Baker
 from skinbake.commands.remedies import noted_baker
 from skinbake.commands.verify import verify_document
-from skinbake.containment import BESIDE, Bounds
 from skinbake.errors import InputError, Notice
+from skinbake.files.bounds import BESIDE, Bounds
+from skinbake.files.writing import write_file, write_stdout
 from skinbake.format.strip import stripped
 from skinbake.gltf.codecs.recode import Compression, recoded
 from skinbake.gltf.container import for_target
@@ -25,7 +26,6 @@ from skinbake.gltf.json_access import JsonObject
 from skinbake.gltf.output import plan_output, refuse_own_input
 from skinbake.gltf.primitives import reason_to_skip, skinned_sources, why_nothing
 from skinbake.gltf.resources import is_data_uri, read_resource
-from skinbake.gltf.writing import write_file, write_stdout
 from skinbake.lighting.baked_views import BakedView, baked_views, is_baked
 from skinbake.lighting.expected import noted_kind
 from skinbake.lighting.measured import VerifyOptions

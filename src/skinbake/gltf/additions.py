@@ -9,11 +9,11 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from skinbake.files import Bytes
 from skinbake.gltf import resources
 from skinbake.gltf.codecs import meshopt
 from skinbake.gltf.document import Document
 from skinbake.gltf.formats import COMPONENT_CODES, TYPES
-from skinbake.gltf.glb import Bytes
 from skinbake.gltf.json_access import JsonObject, integer
 from skinbake.gltf.references import check_views, refuse_dangling
 

@@ -9,7 +9,9 @@ from contextlib import suppress
 from pathlib import Path, PurePosixPath
 from typing import NamedTuple
 
-from skinbake.containment import (
+from skinbake.errors import Notice, OutputError, Place
+from skinbake.files import Bytes
+from skinbake.files.bounds import (
     OutsideError,
     RefusedError,
     Spot,
@@ -20,13 +22,11 @@ from skinbake.containment import (
     relative_names,
     spot_of,
 )
-from skinbake.errors import Notice, OutputError, Place
+from skinbake.files.versions import Signature, signature_of
 from skinbake.gltf.additions import content_digest
 from skinbake.gltf.document import Document
-from skinbake.gltf.glb import Bytes
 from skinbake.gltf.json_access import JsonObject
 from skinbake.gltf.resources import FileContent, find, is_data_uri, listed, outside, shortened
-from skinbake.gltf.writing import Signature, signature_of
 
 
 class NamedFile(NamedTuple):

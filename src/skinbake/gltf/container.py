@@ -6,13 +6,13 @@ import itertools
 from collections.abc import Iterator
 from pathlib import Path
 
-from skinbake.containment import RefusedError, is_relative, path_uri, relative_names
 from skinbake.errors import Notice, OutputError, Place
+from skinbake.files import Bytes
+from skinbake.files.bounds import RefusedError, is_relative, path_uri, relative_names
 from skinbake.gltf import resources
 from skinbake.gltf.beside import files_of_extensions, is_elsewhere
 from skinbake.gltf.codecs import meshopt
 from skinbake.gltf.document import GLB_SUFFIXES, STDIO, Document
-from skinbake.gltf.glb import Bytes
 from skinbake.gltf.json_access import JsonObject
 from skinbake.gltf.packing import packed, packed_with_files
 from skinbake.wording import counted, one_or_many

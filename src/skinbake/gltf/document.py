@@ -15,12 +15,22 @@ from json import JSONDecodeError
 from pathlib import Path
 from typing import Any
 
-from skinbake import containment
-from skinbake.containment import BESIDE, NOWHERE, Bounds, OutsideError, RefusedError, relative_names
 from skinbake.errors import InputError, Place, UnsupportedFeatureError
+from skinbake.files import Bytes
+from skinbake.files.bounds import (
+    BESIDE,
+    NOWHERE,
+    Bounds,
+    OutsideError,
+    RefusedError,
+    relative_names,
+    spot_of,
+    spots,
+)
+from skinbake.files.folders import open_beneath
 from skinbake.gltf import json_access, json_text, resources
 from skinbake.gltf.budget import Budget
-from skinbake.gltf.glb import STDIN, Bytes, GlbChunks, split_glb
+from skinbake.gltf.glb import STDIN, GlbChunks, split_glb
 from skinbake.gltf.other_kinds import refuse_other_kind
 from skinbake.wording import counted, meant_file, one_or_many
 
@@ -171,7 +181,7 @@ def refuse_buffers_outside(document: Document) -> None:
         if not isinstance(uri, str) or resources.is_data_uri(uri) or uri in document.new_files:
             continue
         try:
-            containment.spots(uri, os.fspath(document.folder), document.bounds)
+            spots(uri, os.fspath(document.folder), document.bounds)
         except OutsideError as error:
             raise resources.outside(uri, str(error), document.place) from error
         except RefusedError as error:
@@ -186,7 +196,7 @@ def read_named(path: str, root: str | None) -> Bytes:
     try:
         if root is None:
             return resources.read_file(Path(path))
-        descriptor = containment.open_beneath(containment.spot_of(path, root))
+        descriptor = open_beneath(spot_of(path, root))
         try:
             return resources.read_open_file(descriptor)
         finally:

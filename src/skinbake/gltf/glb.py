@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Sequence
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 from skinbake.errors import InputError, OutputError, Place, UnsupportedFeatureError
+from skinbake.files import Bytes
 from skinbake.gltf.other_kinds import refuse_other_kind
 from skinbake.wording import counted
-
-Bytes: TypeAlias = bytes | memoryview
 
 MAGIC = b"glTF"
 CHUNK_JSON = 0x4E4F534A

@@ -6,8 +6,8 @@ from collections.abc import Container, Sequence
 from typing import Any
 
 from skinbake.errors import InputError, Notice, Place
+from skinbake.files import Bytes
 from skinbake.gltf.document import Document
-from skinbake.gltf.glb import Bytes
 from skinbake.gltf.json_access import JsonObject, index, member, reference, text
 from skinbake.gltf.resources import decode_data_uri, is_data_uri, read_resource
 from skinbake.gltf.views import view_bytes

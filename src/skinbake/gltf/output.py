@@ -7,14 +7,16 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from skinbake.containment import OutsideError, RefusedError, below, relative_names, spot_of
 from skinbake.errors import InputError, Notice, OutputError, Place
+from skinbake.files import Bytes
+from skinbake.files.bounds import OutsideError, RefusedError, below, relative_names, spot_of
+from skinbake.files.versions import Signature, Version
+from skinbake.files.writing import TakenError, check_target, write_files, write_stdout
 from skinbake.gltf import json_text
 from skinbake.gltf.beside import Beside, named_files
 from skinbake.gltf.document import STDIO, Document, refuse_buffers_outside
-from skinbake.gltf.glb import Bytes, join_glb
+from skinbake.gltf.glb import join_glb
 from skinbake.gltf.resources import find
-from skinbake.gltf.writing import Signature, TakenError, Version, check_target, write_files, write_stdout
 
 ATTEMPTS = 8
 """The number of times that an output is planned again if the files beside it change meanwhile."""

@@ -7,11 +7,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal, NamedTuple, TypeGuard
 
-from skinbake.containment import OutsideError, RefusedError, is_relative
 from skinbake.errors import InputError, Notice, Place
+from skinbake.files import Bytes
+from skinbake.files.bounds import OutsideError, RefusedError, is_relative
 from skinbake.gltf.codecs import meshopt
 from skinbake.gltf.document import Document
-from skinbake.gltf.glb import Bytes
 from skinbake.gltf.json_access import JsonObject, integer
 from skinbake.gltf.resources import decode_data_uri, find, is_data_uri, listed, read_open_file, shortened
 from skinbake.wording import one_or_many

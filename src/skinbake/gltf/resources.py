@@ -12,10 +12,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import unquote, unquote_to_bytes
 
-from skinbake import containment
-from skinbake.containment import Bounds, OutsideError, RefusedError, Spot
 from skinbake.errors import InputError, Place
-from skinbake.gltf.glb import Bytes
+from skinbake.files import Bytes
+from skinbake.files.bounds import Bounds, OutsideError, RefusedError, Spot, spots
+from skinbake.files.folders import open_beneath, open_regular
 
 BLOCK = 1 << 20
 """Number of bytes of a file that are copied at a time."""
@@ -46,7 +46,7 @@ def encode_data_uri(data: bytes) -> str:
 
 def read_file(path: Path) -> Bytes:
     """Return the bytes of a regular file that the user named; raises OSError."""
-    descriptor = containment.open_regular(os.fspath(path))
+    descriptor = open_regular(os.fspath(path))
     try:
         return read_open_file(descriptor)
     finally:
@@ -101,7 +101,7 @@ class FileContent:
 
     def __iter__(self) -> Iterator[bytes]:
         """Yield the blocks; raises OSError."""
-        descriptor = containment.open_beneath(self.spot)
+        descriptor = open_beneath(self.spot)
         try:
             while block := os.read(descriptor, BLOCK):
                 yield block
@@ -116,9 +116,9 @@ def find(uri: str, folder: Path, bounds: Bounds) -> tuple[Spot, int]:
     OSError if there is no such file, or if a link on the way leads out.
     """
     missing: OSError | None = None
-    for spot in containment.spots(uri, os.fspath(folder), bounds):
+    for spot in spots(uri, os.fspath(folder), bounds):
         try:
-            return spot, containment.open_beneath(spot)
+            return spot, open_beneath(spot)
         except (FileNotFoundError, NotADirectoryError, IsADirectoryError) as error:
             missing = missing or error
         except ValueError as error:  # not a valid name on this system

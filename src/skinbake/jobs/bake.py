@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar
 
 from skinbake.commands.bake import Baker
-from skinbake.containment import Bounds
 from skinbake.errors import SkinbakeError
+from skinbake.files.bounds import Bounds
 from skinbake.gltf.beside import files_read
 from skinbake.gltf.document import read_document
 from skinbake.gltf.output import AS_USUAL, Writing

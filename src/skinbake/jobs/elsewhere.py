@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from skinbake.errors import InputError, OutputError, Place
-from skinbake.urls import is_url
+from skinbake.files.urls import is_url
 
 if TYPE_CHECKING:
     from skinbake.gltf.output import Writing

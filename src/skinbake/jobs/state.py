@@ -21,24 +21,14 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
-from skinbake.containment import (
-    BESIDE,
-    OWN_FOLDERS,
-    Bounds,
-    RefusedError,
-    Spot,
-    Within,
-    flush,
-    open_beneath,
-    open_regular,
-    spots,
-)
 from skinbake.errors import InputError, Notice, OutputError, Place, SkinbakeError
+from skinbake.files.bounds import BESIDE, OWN_FOLDERS, Bounds, RefusedError, Spot, Within, spots
+from skinbake.files.digests import DIGITS, digest_of
+from skinbake.files.folders import flush, open_beneath, open_regular
+from skinbake.files.writing import write_file
 from skinbake.gltf.beside import named_files
-from skinbake.gltf.digests import DIGITS, digest_of
 from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.resources import FileContent
-from skinbake.gltf.writing import write_file
 from skinbake.gradients import kernel
 from skinbake.version import __version__
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from skinbake.commands.strip import strip_file
-from skinbake.containment import Within
 from skinbake.errors import SkinbakeError
+from skinbake.files.bounds import Within
 from skinbake.gltf.output import AS_USUAL, Writing
 from skinbake.jobs.elsewhere import elsewhere_of
 from skinbake.jobs.work import Job

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
 from skinbake.commands.verify import verify_file
-from skinbake.containment import Bounds
 from skinbake.errors import SkinbakeError
+from skinbake.files.bounds import Bounds
 from skinbake.jobs.elsewhere import elsewhere_of
 from skinbake.jobs.work import Job
 from skinbake.lighting.measured import VerifyOptions

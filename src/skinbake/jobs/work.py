@@ -6,8 +6,8 @@ from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Protocol, TypeAlias, TypeVar
 
-from skinbake.containment import OWN_FOLDERS, Bounds, Within
 from skinbake.errors import Notice, SkinbakeError
+from skinbake.files.bounds import OWN_FOLDERS, Bounds, Within
 
 if TYPE_CHECKING:
     from skinbake.gltf.output import Writing

@@ -12,9 +12,9 @@ import numpy as np
 import numpy.typing as npt
 
 from skinbake.errors import InputError, Notice
+from skinbake.files import Bytes
 from skinbake.geometry.skinned import FloatArray
 from skinbake.gltf.document import Document
-from skinbake.gltf.glb import Bytes
 from skinbake.gltf.images import (
     TRANSFORM,
     image_bytes,

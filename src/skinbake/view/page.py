@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from skinbake.files import Bytes
 from skinbake.geometry.skinned import FloatArray, IntArray
-from skinbake.gltf.glb import Bytes
 from skinbake.version import __version__
 from skinbake.view.sources import filled_page
 from skinbake.view.texts import packed_texts

@@ -15,17 +15,18 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Generic
 
-from skinbake.containment import Bounds, RefusedError, below, spot_of
 from skinbake.errors import ChoiceError, InputError, OutputError, Place, noticed
+from skinbake.files import Bytes
+from skinbake.files.bounds import Bounds, RefusedError, below, spot_of
+from skinbake.files.urls import is_url
+from skinbake.files.versions import Version, version_of
+from skinbake.files.writing import TakenError
 from skinbake.gltf.document import STDIO, Document, read_named
-from skinbake.gltf.glb import Bytes
 from skinbake.gltf.output import Writing, plan_output
 from skinbake.gltf.resources import FileContent, find, read_open_file
-from skinbake.gltf.writing import TakenError, Version, version_of
 from skinbake.jobs.boundary import survived
 from skinbake.jobs.remote.staging import End, Staging, needed, resources_of
 from skinbake.jobs.work import Job, ResultT, Work
-from skinbake.urls import is_url
 
 
 @dataclass(frozen=True, slots=True, eq=False)

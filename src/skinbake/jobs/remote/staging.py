@@ -20,25 +20,17 @@ from functools import lru_cache
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Protocol, TypeVar, cast
 
-from skinbake.containment import (
-    BESIDE,
-    Bounds,
-    RefusedError,
-    Within,
-    is_relative,
-    leads_up,
-    relative_names,
-)
 from skinbake.errors import InputError, OutputError, Place, SkinbakeError, noticed
+from skinbake.files.bounds import BESIDE, Bounds, RefusedError, Within, is_relative, leads_up, relative_names
+from skinbake.files.temporary import OWNER, has_ended, owner
+from skinbake.files.urls import is_url, on_disk
+from skinbake.files.writing import SAVED_ANEW
 from skinbake.gltf.beside import NamedFile, named_files
 from skinbake.gltf.document import GLB_SUFFIXES, STDIO, read_document
-from skinbake.gltf.ownership import OWNER, has_ended, owner
 from skinbake.gltf.resources import is_there
-from skinbake.gltf.writing import SAVED_ANEW
 from skinbake.jobs.remote.storages import Storage, located, reading, writing
 from skinbake.jobs.work import Makes, ResultT
 from skinbake.timing import stage
-from skinbake.urls import is_url, on_disk
 
 if TYPE_CHECKING:
     from skinbake.gltf.output import Writing

@@ -9,7 +9,7 @@ from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Protocol
 
 from skinbake.errors import InputError, OutputError, Place, SkinbakeError
-from skinbake.urls import SUFFIXES, URL, join_url
+from skinbake.files.urls import SUFFIXES, URL, join_url
 
 if TYPE_CHECKING:
     from fsspec import AbstractFileSystem  # fsspec is untyped: this is Any

@@ -6,7 +6,7 @@ import hashlib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
-from skinbake.gltf.glb import Bytes
+from skinbake.files import Bytes
 
 DIGITS = 32
 """Hexadecimal digits of SHA-256 that are kept."""

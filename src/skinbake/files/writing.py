@@ -8,14 +8,9 @@ Names are used relative to open folders, so no link leads out of the root.
 from __future__ import annotations
 
 import errno
-import hashlib
 import os
-import re
-import secrets
-import signal
 import stat
 import sys
-import threading
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, nullcontext, suppress
@@ -24,12 +19,13 @@ from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
-from skinbake.containment import BY_DESCRIPTOR, Folder, beneath, check_regular, flush
 from skinbake.errors import OutputError, Place, ReaderGoneError
-from skinbake.gltf.glb import Bytes
-from skinbake.gltf.ownership import OWNER, has_ended, owner
-from skinbake.gltf.replacing import StuckError, replaced
-from skinbake.signals import ENDING
+from skinbake.files import Bytes
+from skinbake.files.folders import BY_DESCRIPTOR, Folder, beneath, check_regular, flush
+from skinbake.files.replacing import StuckError, replaced
+from skinbake.files.temporary import remove_abandoned, temporary_name
+from skinbake.files.versions import Signature, Version, signature_of
+from skinbake.signals import interrupts_put_off
 
 if sys.platform != "win32":
     import fcntl
@@ -44,26 +40,11 @@ After that time the other run has been stopped. This run then goes on: it finds 
 lock.
 """
 
-ABANDONED = 86_400.0
-"""Seconds after which a temporary file of an unknown process counts as abandoned."""
-
-YOUNG = 1_000_000_000
-"""Nanoseconds: a file that changed so recently may change again without a later time stamp."""
-
-CHEAP = 1 << 20
-"""Bytes of a young file that are digested, to find a change that its time stamps do not show."""
-
 SHORT = 1 << 20
 """Bytes of one file during which interrupts wait. Changing handlers for each piece would take as long."""
 
 NO_LINKS = frozenset({errno.EPERM, errno.EOPNOTSUPP, errno.ENOSYS, errno.EMLINK, errno.EACCES, errno.EINVAL})
 """Error codes of systems that cannot give a file a second name."""
-
-TEMPORARY = re.compile(rf"\.skinbake-(?:{OWNER})?[0-9a-f]{{12}}\.tmp")
-"""Names of temporary files: their owner, if it is known, and a random part."""
-
-REMEMBERED = 4096
-"""Number of folders that a process remembers as cleaned of abandoned files."""
 
 _NEW = (
     os.O_WRONLY
@@ -75,68 +56,9 @@ _NEW = (
 )
 SAVED_ANEW = "another program has saved it since it was read, so it is not replaced: run this again"
 
-_putting_off: list[bool] = []
-"""Not empty while the main thread delays interrupts."""
-
-_looked_through: set[tuple[int, int]] = set()
-
-Signature = tuple[int, ...]
-"""The properties that change with a file; empty if there is none."""
-
 
 class TakenError(OutputError):
     """Another program has put or changed a file beside the output since it was planned."""
-
-
-class Version(NamedTuple):
-    """A file as it was when it was read; ``digest`` if its times alone may not show a change."""
-
-    path: str
-    signature: Signature
-    digest: str | None
-
-    @property
-    def is_current(self) -> bool:
-        """Tell whether the file is unchanged since."""
-        if signature_of(self.path) != self.signature:
-            return False
-        return self.digest is None or _digest(self.path) == self.digest
-
-    def is_in(self, folder: Folder, name: str) -> bool:
-        """Tell whether the file of a name in an open folder is this one, as it was; raises OSError.
-
-        When its inode was changed is not asked: giving it another name changes that.
-        """
-        descriptor = os.open(name, os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0), dir_fd=folder.descriptor)
-        with os.fdopen(descriptor, "rb") as file:
-            found = os.fstat(file.fileno())
-            if (found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns) != self.signature[:4]:
-                return False
-            return self.digest is None or hashlib.file_digest(file, "sha256").hexdigest() == self.digest
-
-
-def version_of(path: str) -> Version:
-    """Return the present version of a file; call it before the file is read."""
-    now, signature = time.time_ns(), signature_of(path)
-    young = bool(signature) and now - max(signature[-2:]) < YOUNG and signature[2] <= CHEAP
-    return Version(path, signature, _digest(path) if young else None)
-
-
-def signature_of(path: str | Path) -> Signature:
-    """Return the properties that change with a file: identity, size, times; empty if unknown."""
-    try:
-        found = os.stat(path)
-    except (OSError, ValueError):
-        return ()
-    return found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns, found.st_ctime_ns
-
-
-def _digest(path: str) -> str | None:
-    try:
-        with open(path, "rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
-    except OSError:
-        return None
 
 
 def check_target(path: Path, target: str) -> None:
@@ -328,7 +250,7 @@ def _opened(parts: tuple[str, ...], begun: _Begun, stack: ExitStack) -> Folder:
         with interrupts_put_off():
             folder = stack.enter_context(beneath(begun.root, parts, made))
         begun.open[parts] = folder
-        _collect(folder)
+        remove_abandoned(folder)
     return begun.open[parts]
 
 
@@ -468,35 +390,6 @@ def _sync_folders(begun: _Begun) -> None:
 
 
 @contextmanager
-def interrupts_put_off() -> Iterator[None]:
-    """Delay the signals that end the work until the block is done, so that the clean-up knows all new files.
-
-    This uses Python's handlers, not a signal mask. A mask holds for one thread, and numpy has more threads.
-    Handlers run only in the main thread.
-    """
-    if threading.current_thread() is not threading.main_thread() or _putting_off:
-        yield
-        return
-    late: list[int] = []
-    before = {
-        number: handler
-        for number in ENDING
-        if (handler := signal.getsignal(number)) not in {None, signal.SIG_IGN}
-    }
-    try:
-        for number in before:
-            signal.signal(number, lambda number, frame: late.append(number))
-        _putting_off.append(True)
-        yield
-    finally:
-        _putting_off.clear()
-        for number, handler in before.items():
-            signal.signal(number, handler)
-        for received in dict.fromkeys(late):
-            signal.raise_signal(received)
-
-
-@contextmanager
 def _locked(folders: Iterable[Folder]) -> Iterator[None]:
     """Keep other runs from naming files in these folders, if the system has locks for this.
 
@@ -538,35 +431,3 @@ def _unlock(descriptor: int) -> None:
     if sys.platform != "win32":
         with suppress(OSError):  # a file system without locks
             fcntl.flock(descriptor, fcntl.LOCK_UN)
-
-
-def temporary_name() -> str:
-    """Return a name for a temporary file that identifies its process."""
-    return f".skinbake-{owner(os.getpid())}{secrets.token_hex(6)}.tmp"
-
-
-def _collect(folder: Folder) -> None:
-    """Remove temporary files of ended processes, once for each folder, because there may be many files."""
-    with suppress(OSError):  # such files do no harm
-        found = os.stat(folder.path if folder.descriptor is None else folder.descriptor)
-        if (found.st_dev, found.st_ino) in _looked_through:
-            return
-        if len(_looked_through) >= REMEMBERED:
-            _looked_through.clear()
-        _looked_through.add((found.st_dev, found.st_ino))
-        with os.scandir(folder.path if folder.descriptor is None else folder.descriptor) as entries:
-            left = [entry for entry in entries if entry.name.startswith(".skinbake-")]
-            for entry in left:
-                if _is_left_behind(entry):
-                    os.unlink(folder.name(entry.name), dir_fd=folder.descriptor)
-
-
-def _is_left_behind(entry: os.DirEntry[str]) -> bool:
-    """Tell whether a file is a temporary file of an ended process; False if in doubt."""
-    match = TEMPORARY.fullmatch(entry.name)
-    if match is None or not entry.is_file(follow_symlinks=False):
-        return False
-    is_dead = has_ended(match)
-    if is_dead is not None:
-        return is_dead
-    return time.time() - entry.stat(follow_symlinks=False).st_mtime > ABANDONED

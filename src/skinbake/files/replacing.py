@@ -12,7 +12,7 @@ import sys
 from collections.abc import Callable
 from functools import lru_cache
 
-from skinbake.containment import Folder
+from skinbake.files.folders import Folder
 
 EXCHANGE = 2
 

@@ -13,19 +13,18 @@ from pathlib import Path, PurePosixPath, PureWindowsPath
 import pytest
 
 from fixtures.make_fixtures import FOLDER
-from skinbake import containment
-from skinbake.containment import (
+from skinbake.files import folders
+from skinbake.files.bounds import (
     NOWHERE,
     Bounds,
     OutsideError,
     RefusedError,
     Spot,
-    beneath,
     moved_uri,
-    open_beneath,
     relative_names,
     spots,
 )
+from skinbake.files.folders import beneath, open_beneath
 from tests.outside.names import uris
 from tests.support.command_line import invoke
 
@@ -79,12 +78,12 @@ WAYS = ["openat2", "part by part", "real path"]
 @pytest.fixture(params=WAYS)
 def way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
     """Open files by one of the three ways, whatever this system has."""
-    if request.param == "openat2" and containment._openat2() is None:
+    if request.param == "openat2" and folders._openat2() is None:
         pytest.skip("this kernel has no openat2")
     if request.param == "part by part":
-        monkeypatch.setattr(containment, "_openat2", lambda: None)
+        monkeypatch.setattr(folders, "_openat2", lambda: None)
     if request.param == "real path":
-        monkeypatch.setattr(containment, "BY_DESCRIPTOR", False)
+        monkeypatch.setattr(folders, "BY_DESCRIPTOR", False)
     return str(request.param)
 
 
@@ -184,7 +183,7 @@ def test_what_the_kernel_makes_up_is_no_file() -> None:
         if not Path(name).exists():
             continue
         for opened in (
-            lambda name=name: containment.open_regular(name),
+            lambda name=name: folders.open_regular(name),
             lambda name=name: open_beneath(Spot("/", name[1:])),
         ):
             _refused(opened)

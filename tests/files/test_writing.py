@@ -16,21 +16,15 @@ from typing import Any
 
 import pytest
 
-from skinbake import containment
 from skinbake.choices import Encoding
 from skinbake.errors import OutputError
-from skinbake.gltf import replacing, writing
+from skinbake.files import folders, replacing, temporary, versions, writing
+from skinbake.files.temporary import temporary_name
+from skinbake.files.versions import signature_of, version_of
+from skinbake.files.writing import TakenError, write_file, write_files
 from skinbake.gltf.document import read_document
 from skinbake.gltf.output import plan_output
-from skinbake.gltf.writing import (
-    TakenError,
-    interrupts_put_off,
-    signature_of,
-    temporary_name,
-    version_of,
-    write_file,
-    write_files,
-)
+from skinbake.signals import interrupts_put_off
 from tests.support.baking import bake_file
 from tests.support.command_line import invoke
 from tests.support.gltf_reading import read
@@ -54,7 +48,7 @@ def contents(folder: Path) -> dict[str, bytes]:
 @pytest.fixture(autouse=True)
 def _folders_are_new() -> Iterator[None]:
     """Folders of one test have identities that those of another had."""
-    writing._looked_through.clear()
+    temporary._looked_through.clear()
     yield
 
 
@@ -62,7 +56,7 @@ def _folders_are_new() -> Iterator[None]:
 def by(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
     """Both ways: relative to open folders, and by paths, as on Windows."""
     if request.param == "paths":
-        monkeypatch.setattr(containment, "BY_DESCRIPTOR", False)
+        monkeypatch.setattr(folders, "BY_DESCRIPTOR", False)
         monkeypatch.setattr(writing, "BY_DESCRIPTOR", False)
         rename = os.rename
 
@@ -296,7 +290,7 @@ class TestSignals:
 def left_behind(folder: Path) -> str:
     """Have a process die that has begun to write into a folder; return its temporary file's name."""
     script = (
-        "import os, sys; from skinbake.gltf.writing import temporary_name; "
+        "import os, sys; from skinbake.files.temporary import temporary_name; "
         "name = temporary_name(); open(os.path.join(sys.argv[1], name), 'w').close(); print(name)"
     )
     process = subprocess.run(
@@ -338,7 +332,7 @@ class TestTemporaries:
         os.utime(tmp_path / name, (hours_ago, hours_ago))
         write_file([b"x"], str(tmp_path / "a"))
         assert sorted(contents(tmp_path)) == [name, "a"]
-        writing._looked_through.clear()
+        temporary._looked_through.clear()
         days_ago = time.time() - 2 * 86_400
         os.utime(tmp_path / name, (days_ago, days_ago))
         write_file([b"x"], str(tmp_path / "a"))
@@ -668,7 +662,7 @@ class TestInPlace:
         assert before.is_current
         with path.open("r+b") as file:
             file.write(b"two")
-        now = writing.Version(before.path, signature_of(path), before.digest)
+        now = versions.Version(before.path, signature_of(path), before.digest)
         assert not now.is_current
 
     def test_an_old_file_is_not_read_twice(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

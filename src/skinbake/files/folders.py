@@ -1,34 +1,25 @@
-"""Files that a document names. They are below a folder by construction, despite any name or link.
+"""Files and folders below a folder, opened without leaving it, despite any link.
 
-A document may come from a stranger. Every name in it passes ``relative_names`` once. Only the result is
-compared, opened or written. The open walks down from a folder and never leaves it. If the system has
-``openat2`` (Linux 5.6), the open uses it with ``RESOLVE_BENEATH``. Elsewhere it opens one part of the path at
-a time. On Windows the real path is compared.
+The open walks down from a folder and never leaves it. If the system has ``openat2`` (Linux 5.6), the open
+uses it with ``RESOLVE_BENEATH``. Elsewhere it opens one part of the path at a time. On Windows the real path
+is compared.
 """
 
 from __future__ import annotations
 
 import errno
 import os
-import posixpath
-import re
 import stat
 import struct
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from functools import lru_cache
-from typing import NamedTuple
-from urllib.parse import quote, unquote
+
+from skinbake.files.bounds import Spot, below
 
 if sys.platform != "win32":
     import fcntl
-
-DEVICES = frozenset(
-    {"CON", "PRN", "AUX", "NUL", "CONIN$", "CONOUT$", "CLOCK$"}
-    | {f"{port}{number}" for port in ("COM", "LPT") for number in "0123456789¹²³"}
-)
-"""Names that mean a device in any folder of Windows, with any suffix."""
 
 MOST_LINKS = 40
 """The largest number of symbolic links on the way to one file, as on Linux."""
@@ -39,7 +30,6 @@ NO_SYNC = frozenset({errno.EINVAL, errno.EOPNOTSUPP, errno.ENOSYS, errno.EBADF, 
 BY_DESCRIPTOR = os.open in os.supports_dir_fd
 """Whether this system opens names relative to an open folder. All but Windows do."""
 
-_SCHEME = re.compile(r"^[A-Za-z][A-Za-z0-9+.\-]*:")
 _SYS_OPENAT2 = 437
 _NO_MAGIC_LINKS, _BENEATH = 0x02, 0x08
 _READ_FLAGS = (
@@ -50,175 +40,6 @@ _READ_FLAGS = (
     | getattr(os, "O_BINARY", 0)
 )
 _FOLDER_FLAGS = os.O_RDONLY | getattr(os, "O_DIRECTORY", 0) | getattr(os, "O_CLOEXEC", 0)
-
-
-class RefusedError(ValueError):
-    """A name that is never opened, even if a file is there. The text says why."""
-
-
-class OutsideError(RefusedError):
-    """A relative name that leads out of the folders that may be read."""
-
-
-NOWHERE = ""
-"""The root of a document that came without a folder. It may name no file but the allowed ones."""
-
-
-class Bounds(NamedTuple):
-    """The places to which a document's names may lead: below ``root``, or below one of ``allowed``.
-
-    They are paths, or URLs if the document has a URL. None stands for the document's own folder.
-    """
-
-    root: str | None = None
-    allowed: tuple[str, ...] = ()
-
-
-BESIDE = Bounds()
-"""A document may name the files in its own folder and below."""
-
-
-class Within(NamedTuple):
-    """The folders in which a job stays: it reads within ``bounds`` and writes below ``output``.
-
-    If ``output`` is None, it is the target's own folder.
-    """
-
-    bounds: Bounds = BESIDE
-    output: str | None = None
-
-
-OWN_FOLDERS = Within()
-"""The folders of a file that the user named, and of a target that the user named."""
-
-
-class Spot(NamedTuple):
-    """The place to which a name leads: a path below a folder, in forward slashes.
-
-    ``is_own`` tells that the folder is the document's own root.
-    """
-
-    root: str
-    name: str
-    is_own: bool = True
-
-    @property
-    def path(self) -> str:
-        """The whole path, for messages and comparison. It is not opened."""
-        return os.path.join(self.root, *self.name.split("/"))
-
-
-def relative_names(uri: str) -> tuple[str, ...]:
-    """Return the relative paths that a URI of a document may mean, the likelier first.
-
-    Percent-encoding is decoded once. ``#`` and ``?`` belong to the name. The second path is for a file whose
-    name has the URI's characters literally, as some exporters write it. Raises RefusedError if the first path
-    is not a relative path that means the same on every system: NUL, a backslash, a colon (drives, schemes and
-    streams of Windows), an absolute path, a device of Windows, or the name of no file.
-    """
-    names = [_checked(unquote(uri, errors="surrogateescape"))]
-    if "%" in uri:
-        with suppress(RefusedError):
-            names.append(_checked(uri))
-    return tuple(dict.fromkeys(names))
-
-
-def _checked(name: str) -> str:
-    """Return a relative path without inner dots to resolve. Raises RefusedError for any other."""
-    if "\0" in name:
-        raise RefusedError("it holds a NUL character")
-    if "\\" in name:
-        raise RefusedError("it holds a backslash; paths in glTF use forward slashes")
-    if name.startswith("/"):
-        raise RefusedError("it is an absolute path")
-    if ":" in name:
-        scheme = _SCHEME.match(name)
-        kind = "a drive" if scheme and scheme.end() == 2 else "a scheme" if scheme else "a colon"
-        raise RefusedError(f"it has {kind}, and is neither a relative path nor a data: URI")
-    for part in name.split("/"):
-        if part not in {"", ".", ".."} and not part.strip(". "):
-            raise RefusedError(f'"{part}" is not a valid file name on every system')
-        if part.split(".")[0].rstrip(" ").upper() in DEVICES:
-            raise RefusedError(f'"{part}" is a device on Windows')
-    normal = posixpath.normpath(name) if name else "."
-    if name.endswith(("/", "/.", "/..")) or normal in {".", ".."}:
-        raise RefusedError("it names no file")
-    return normal
-
-
-def is_relative(uri: str) -> bool:
-    """Tell whether a URI of a document names a file by a relative path."""
-    try:
-        return bool(relative_names(uri))
-    except RefusedError:
-        return False
-
-
-def leads_up(name: str) -> bool:
-    """Tell whether a normal relative path begins above its folder."""
-    return name.startswith("../")
-
-
-def path_uri(path: str) -> str:
-    """Return the relative URI of a path with forward slashes."""
-    return quote(os.fsencode(path), safe="/!$&'()*+,;=@~-._")
-
-
-def spots(uri: str, folder: str, bounds: Bounds) -> list[Spot]:
-    """Return the places to which a document's URI may lead, the likelier first. ``folder`` is the document's.
-
-    On the disk only the folders are looked at, to find their names. Raises RefusedError, and OutsideError if
-    the first name leads out of all bounds.
-    """
-    home = os.path.realpath(folder)
-    own = folder if bounds.root is None else bounds.root
-    roots = [*([own] if own != NOWHERE else []), *bounds.allowed]
-    found: list[Spot] = []
-    for name in relative_names(uri):
-        path = os.path.normpath(os.path.join(home, *name.split("/")))
-        for number, root in enumerate(map(os.path.realpath, roots)):
-            inside = below(path, root)
-            if inside is not None:
-                found.append(Spot(root, inside, number == 0 and own != NOWHERE))
-                break
-        else:
-            if not found:
-                where = f"it leads out of {own or os.curdir}" if own != NOWHERE else "it has no folder"
-                raise OutsideError(where)
-    return found
-
-
-def below(path: str, root: str) -> str | None:
-    """Return the path relative to a folder, in forward slashes, or None if it is not below the folder."""
-    prefix = root if root.endswith(os.sep) else root + os.sep
-    if not os.path.normcase(path).startswith(os.path.normcase(prefix)):
-        return None
-    return path[len(prefix) :].replace(os.sep, "/") or None
-
-
-def spot_of(path: str, root: str) -> Spot:
-    """Return the place of a path below a folder. Links below the folder are not followed.
-
-    Raises OutsideError if the path is outside.
-    """
-    folder = os.path.realpath(root)
-    given = os.path.abspath(root)
-    name = below(os.path.normpath(os.path.abspath(path)), given)
-    if name is None:
-        raise OutsideError(f"it is not below {root}")
-    return Spot(folder, name)
-
-
-def moved_uri(uri: str, folder: str, target: str) -> str:
-    """Return a relative URI, made for a document in ``folder``, as seen from the folder ``target``.
-
-    Only text is used; the disk is not read. Raises RefusedError.
-    """
-    path = os.path.normpath(os.path.join(os.path.realpath(folder), *relative_names(uri)[0].split("/")))
-    try:
-        return path_uri(os.path.relpath(path, target).replace(os.sep, "/"))
-    except ValueError as error:
-        raise RefusedError("no relative URI leads there from another drive") from error
 
 
 def open_beneath(spot: Spot) -> int:

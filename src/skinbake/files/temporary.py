@@ -1,15 +1,64 @@
-"""Names of temporary files that say which process made them. So later processes can remove what it left."""
+"""Temporary files, whose names say which process made them. So later processes remove what it left."""
 
 from __future__ import annotations
 
 import hashlib
 import os
 import re
+import secrets
+import time
+from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 
+from skinbake.files.folders import Folder
+
 OWNER = r"([0-9a-f]{8})_([0-9a-f]+)_([0-9a-f]+)_"
 """The pattern of ``owner``. Its groups are the kernel, the process, and the start time of the process."""
+
+
+TEMPORARY = re.compile(rf"\.skinbake-(?:{OWNER})?[0-9a-f]{{12}}\.tmp")
+"""Names of temporary files: their owner, if it is known, and a random part."""
+
+REMEMBERED = 4096
+"""Number of folders that a process remembers as cleaned of abandoned files."""
+
+ABANDONED = 86_400.0
+"""Seconds after which a temporary file of an unknown process counts as abandoned."""
+
+_looked_through: set[tuple[int, int]] = set()
+
+
+def temporary_name() -> str:
+    """Return a name for a temporary file that identifies its process."""
+    return f".skinbake-{owner(os.getpid())}{secrets.token_hex(6)}.tmp"
+
+
+def remove_abandoned(folder: Folder) -> None:
+    """Remove temporary files of ended processes, once for each folder, because there may be many files."""
+    with suppress(OSError):  # such files do no harm
+        found = os.stat(folder.path if folder.descriptor is None else folder.descriptor)
+        if (found.st_dev, found.st_ino) in _looked_through:
+            return
+        if len(_looked_through) >= REMEMBERED:
+            _looked_through.clear()
+        _looked_through.add((found.st_dev, found.st_ino))
+        with os.scandir(folder.path if folder.descriptor is None else folder.descriptor) as entries:
+            left = [entry for entry in entries if entry.name.startswith(".skinbake-")]
+            for entry in left:
+                if _is_left_behind(entry):
+                    os.unlink(folder.name(entry.name), dir_fd=folder.descriptor)
+
+
+def _is_left_behind(entry: os.DirEntry[str]) -> bool:
+    """Tell whether a file is a temporary file of an ended process; False if in doubt."""
+    match = TEMPORARY.fullmatch(entry.name)
+    if match is None or not entry.is_file(follow_symlinks=False):
+        return False
+    is_dead = has_ended(match)
+    if is_dead is not None:
+        return is_dead
+    return time.time() - entry.stat(follow_symlinks=False).st_mtime > ABANDONED
 
 
 @lru_cache(maxsize=1)
