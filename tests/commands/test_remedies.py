@@ -3,18 +3,24 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from skinbake.choices import Gradients
+from fixtures.builder import JsonObject
+from skinbake.choices import Gradients, Neighbours
 from skinbake.commands import remedies
 from skinbake.commands.bake import BakedDocument, Baker
-from skinbake.gltf.document import Document
+from skinbake.errors import Place
+from skinbake.gltf.document import Document, read_document
+from skinbake.lighting.measured import VerifyOptions
+from skinbake.report.verify import ErrorFigures, FileVerdict, Worst
 from tests.support import corpus
 from tests.support.baked_files import CESIUM_MAN, Answer, verify
 from tests.support.command_line import invoke
-from tests.support.models import FOLDER
+from tests.support.models import FOLDER, edited
 
 FEW = ("--poses", "animation", "--samples", "12", "--method", "lbs")
 SURFACE = ("--gradients", "surface")
@@ -115,6 +121,118 @@ def test_the_other_kinds_are_tried(
     assert f"({expected}, --neighbours drop, --crease-angle 180, " in message
     others = [False] * (1 + expected.count(","))
     assert [baker.gradients == gradients for baker in tried] == [*others, True, True, True]
+
+
+def wrung(content: JsonObject) -> None:
+    """Turn the two upper joints of the tube against each other, by 150° about an axis near its own."""
+    del content["animations"]
+    axis, half = np.array([0.38, 0.9, 0.2]), np.radians(75)
+    turn = np.sin(half) * axis / np.linalg.norm(axis)
+    content["nodes"][2]["rotation"] = [*turn, np.cos(half)]
+    content["nodes"][3]["rotation"] = [*-turn, np.cos(half)]
+
+
+def test_exact_lighting_is_named_where_only_accurate_dual_quaternions_are_worse(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Linear blend skinning gains much there, so it must not lose it. Nothing is baked anew."""
+    target = tmp_path / "baked.glb"
+    source = edited("bent_tube.glb", tmp_path / "source", wrung)
+    assert invoke("bake", source, "-o", target, "-q").exit_code == 0
+    monkeypatch.setattr(Baker, "bake_document", None)
+    answer = verify(target, "--poses", "rest")
+    truths = [answer.file[key] for key in ("normals", "normals_by_triangles")]
+
+    def least(method: str, lighting: str) -> float:
+        errors = [truth[method] for truth in truths]
+        return float(min(error["approximated"]["mean"] / error[lighting]["mean"] for error in errors))
+
+    lbs, accurate, exact = least("lbs", "accurate"), least("dqs", "accurate"), least("dqs", "exact")
+    assert lbs > 10
+    assert accurate < 0.9
+    assert exact > 5
+    message = (
+        f"accurate lighting of dual quaternions makes it worse: the DQS gain is {accurate:.2f}. "
+        f"Exact lighting gains {exact:.2f}: take that with dual quaternions, "
+        "as skinbake shader --method dqs does"
+    )
+    assert worse(answer) == [f"{message}. The LBS gain is {lbs:.2f}"]
+    assert worse(verify(target, "--poses", "rest", "--method", "dqs")) == [message]
+    assert worse(verify(target, "--poses", "rest", "--method", "lbs")) == []
+
+
+HERE = Place("hero.glb", 0, "body", 0)
+
+
+def measured(lbs: float, accurate: float, exact: float) -> FileVerdict:
+    """Return a verdict with standard errors of 1°, and these errors of the others, by both truths."""
+
+    def figures(**errors: float) -> dict[str, ErrorFigures]:
+        worst = Worst(HERE, 0, "walk", 0.0)
+        return {name: ErrorFigures(error, error, error, error, worst) for name, error in errors.items()}
+
+    normals = {
+        "lbs": figures(approximated=1.0, accurate=lbs),
+        "dqs": figures(approximated=1.0, accurate=accurate, exact=exact),
+    }
+    return FileVerdict("hero.glb", primitives=((HERE, normals),), primitives_by_triangles=((HERE, normals),))
+
+
+def told(
+    monkeypatch: pytest.MonkeyPatch, verdict: FileVerdict, others: Mapping[remedies.Remedy, FileVerdict]
+) -> list[str]:
+    """Return the messages for a verdict, if remedies lead to others."""
+
+    def tried(*_: object) -> Iterator[object]:
+        return ((remedy, remedies._gains(then)) for remedy, then in others.items())
+
+    monkeypatch.setattr(remedies, "_tried", tried)
+    document = read_document(str(FOLDER / "bent_tube.glb"))
+    return [notice.message for notice in remedies.worse_lighting(document, [], verdict, VerifyOptions())]
+
+
+BY_DROP = remedies.Remedy("--neighbours drop", neighbours=Neighbours.DROP)
+
+
+@pytest.mark.parametrize(
+    ("verdict", "then", "message"),
+    [
+        (measured(0.5, 1.0, 1.0), None, None),
+        # An error that is rounding cannot be divided by.
+        (
+            measured(0.5, 1.25, 0.0),
+            None,
+            "accurate lighting of dual quaternions makes it worse: the DQS gain is 0.80. "
+            "Exact lighting is right: take that with dual quaternions, as skinbake shader --method dqs does. "
+            "The LBS gain is 2.00",
+        ),
+        # If linear blend skinning gains, advice is for dual quaternions alone.
+        (
+            measured(0.5, 1.25, 2.0),
+            measured(0.8, 1.0, 0.625),
+            "α/β make its lighting worse: the DQS gain is 0.80, and the LBS gain is 2.00. "
+            "With --neighbours drop it is 1.25, and the LBS gain 1.25: bake so for dual quaternions",
+        ),
+        (
+            measured(0.5, 2.0, 1.25),
+            measured(0.5, 2.0, 2.0),
+            "α/β make its lighting worse: the exact DQS gain is 0.80, and the LBS gain is 2.00. "
+            "No option that was tried helps (--neighbours drop): "
+            "with dual quaternions, light it the standard way "
+            "(in skinbake-three: lighting(mesh, 'standard'))",
+        ),
+        (
+            measured(2.0, 0.5, 0.5),
+            measured(0.5, 0.5, 0.5),
+            "α/β make its lighting worse: the LBS gain is 0.50. With --neighbours drop it is 2.00: bake so",
+        ),
+    ],
+)
+def test_advice_is_for_the_method_that_is_worse(
+    monkeypatch: pytest.MonkeyPatch, verdict: FileVerdict, then: FileVerdict | None, message: str | None
+) -> None:
+    others = {} if then is None else {BY_DROP: then}
+    assert told(monkeypatch, verdict, others) == ([] if message is None else [message])
 
 
 @pytest.mark.parametrize("name", ["bent_tube.glb", pytest.param(CESIUM_MAN, marks=corpus.needed)])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -57,41 +58,65 @@ def worse_lighting(
 ) -> list[Notice]:
     """Return a notice for each primitive whose lighting α/β make worse, with an option that was tried.
 
-    A remedy is named if it brings the gain to 1 at that primitive, by all methods and truths. It is advised
-    if it brings ``LITTLE``. The file is baked once more for each remedy that differs from its own settings,
-    so at most five times, and the surfaces with such primitives are measured. A file without them takes no
-    extra time.
+    Accurate and exact lighting of dual quaternions read the same α and β: the better one counts. A remedy is
+    named if it brings the gain to 1 at that primitive, by all methods and truths. It is advised if it brings
+    ``LITTLE``. The file is baked once more for each remedy that differs from its own settings, so at most
+    five times, and the surfaces with such primitives are measured. A file without them takes no extra time.
     """
-    gains = {place: least for place, least in _gains(verdict).items() if least.factor < WORSE}
-    if not gains:
-        return []
-    meshes = {place.mesh for place in gains}
-    tried = list(_tried(document, views, options, meshes))
-    return [_notice(place, least, tried) for place, least in gains.items()]
+    found = _gains(verdict)
+    worse = {place: gains for place, gains in found.items() if gains.least < WORSE}
+    tried = list(_tried(document, views, options, {place.mesh for place in worse})) if worse else []
+    notices = [_notice(place, gains, tried) for place, gains in worse.items()]
+    return notices + [
+        _exact_is_better(place, gains)
+        for place, gains in found.items()
+        if place not in worse and gains.by_lighting.get(DQS_ACCURATE, WORSE) < WORSE
+    ]
 
 
-class _Gain(NamedTuple):
-    """A gain, and the skinning method that has it."""
+_LightingOf = tuple[str, str]
+"""A skinning method and a lighting of it."""
 
-    factor: float
-    method: str
+LBS_ACCURATE: _LightingOf = ("lbs", "accurate")
+DQS_ACCURATE: _LightingOf = ("dqs", "accurate")
+DQS_EXACT: _LightingOf = ("dqs", "exact")
 
 
-def _gains(verdict: FileVerdict) -> dict[Place, _Gain]:
-    """Return the least gain of each primitive by any method and truth."""
-    found: dict[Place, _Gain] = {}
+class _Gains(NamedTuple):
+    """The gains of a primitive, each by the worse truth."""
+
+    by_lighting: dict[_LightingOf, float]
+
+    @property
+    def least(self) -> float:
+        """Return the gain of the method that gains less, with its better lighting."""
+        return self.by_lighting[self.least_of]
+
+    @property
+    def least_of(self) -> _LightingOf:
+        """Return the method that gains less, and its better lighting."""
+        ranked = sorted(self.by_lighting, key=self.by_lighting.__getitem__)
+        better = {method: (method, lighting) for method, lighting in ranked}
+        return min(better.values(), key=self.by_lighting.__getitem__)
+
+
+def _gains(verdict: FileVerdict) -> dict[Place, _Gains]:
+    """Return the gains of the primitives that have any."""
+    found: dict[Place, _Gains] = {}
     for place, normals in (*verdict.primitives, *verdict.primitives_by_triangles):
         for method, figures in normals.items():
-            factor = gain(figures)
-            if factor is not None:
-                own = _Gain(factor, method)
-                found[place] = min(own, found.get(place, own), key=lambda one: one.factor)
+            if gain(figures) is None:
+                continue
+            own = found.setdefault(place, _Gains({})).by_lighting
+            for lighting in sorted({"accurate", "exact"} & set(figures)):
+                factor = gain(figures, lighting) or math.inf  # None: but for rounding it is right
+                own[method, lighting] = min(factor, own.get((method, lighting), math.inf))
     return found
 
 
 def _tried(
     document: Document, views: Sequence[BakedView], options: VerifyOptions, meshes: Container[int | None]
-) -> Iterator[tuple[Remedy, dict[Place, _Gain]]]:
+) -> Iterator[tuple[Remedy, dict[Place, _Gains]]]:
     """Yield each remedy that can be tried, and the gains under it on the surfaces of some meshes."""
     from skinbake.format.strip import stripped  # most files need no remedy
 
@@ -145,16 +170,38 @@ def _measured(document: Document, options: VerifyOptions, meshes: Container[int 
     return lighting.measured(surfaces, operators)
 
 
-def _notice(place: Place, least: _Gain, tried: Sequence[tuple[Remedy, dict[Place, _Gain]]]) -> Notice:
-    better = [(gains[place].factor, remedy) for remedy, gains in tried if place in gains]
-    best, remedy = max(better, key=lambda one: one[0], default=(0.0, None))
-    message = f"α/β make its lighting worse: the {least.method.upper()} gain is {least.factor:.2f}. "
+def _notice(place: Place, own: _Gains, tried: Sequence[tuple[Remedy, dict[Place, _Gains]]]) -> Notice:
+    better = [(gains[place].least, remedy, gains[place]) for remedy, gains in tried if place in gains]
+    best, remedy, then = max(better, key=lambda one: one[0], default=(0.0, None, own))
+    lbs = own.by_lighting.get(LBS_ACCURATE, 0.0)
+    only_dqs = lbs >= WORSE
+    message = f"α/β make its lighting worse: the {_called(own.least_of)} gain is {own.least:.2f}"
+    message += f", and the LBS gain is {lbs:.2f}. " if only_dqs else ". "
     if remedy is not None and best >= WORSE:
         message += f"With {remedy.words} it is {best:.2f}"
+        if only_dqs:
+            message += f", and the LBS gain {then.by_lighting.get(LBS_ACCURATE, 0.0):.2f}"
         if round(best, 2) >= LITTLE:
-            return Notice("lighting-worse", f"{message}: {BAKE_SO}", place)
+            advice = f"{BAKE_SO} for dual quaternions" if only_dqs else BAKE_SO
+            return Notice("lighting-worse", f"{message}: {advice}", place)
         message += ", which is little: "
     elif tried:
         message += f"No option that was tried helps ({', '.join(remedy.words for remedy, _ in tried)}): "
     way = "light it the standard way (in skinbake-three: lighting(mesh, 'standard'))"
-    return Notice("lighting-worse", message + way, place)
+    return Notice("lighting-worse", f"{message}{'with dual quaternions, ' if only_dqs else ''}{way}", place)
+
+
+def _exact_is_better(place: Place, own: _Gains) -> Notice:
+    """Return the notice for a primitive whose lighting only accurate dual quaternions make worse."""
+    accurate, exact = own.by_lighting[DQS_ACCURATE], own.by_lighting[DQS_EXACT]
+    better = "is right" if math.isinf(exact) else f"gains {exact:.2f}"
+    message = (
+        f"accurate lighting of dual quaternions makes it worse: the DQS gain is {accurate:.2f}. Exact "
+        f"lighting {better}: take that with dual quaternions, as skinbake shader --method dqs does"
+    )
+    lbs = own.by_lighting.get(LBS_ACCURATE)
+    return Notice("lighting-worse", message + ("" if lbs is None else f". The LBS gain is {lbs:.2f}"), place)
+
+
+def _called(one: _LightingOf) -> str:
+    return "exact DQS" if one == DQS_EXACT else one[0].upper()

@@ -143,11 +143,11 @@ class FileVerdict:
         return "not baked" if self.found_no_bake else "passed"
 
 
-def gain(figures: dict[str, ErrorFigures]) -> float | None:
-    """Return the standard mean error divided by the accurate one, None if the latter is rounding."""
-    if "accurate" not in figures or figures["accurate"].mean < ROUNDING:
+def gain(figures: dict[str, ErrorFigures], lighting: str = "accurate") -> float | None:
+    """Return the standard mean error divided by that of a lighting, None if the latter is rounding."""
+    if lighting not in figures or figures[lighting].mean < ROUNDING:
         return None
-    return figures["approximated"].mean / figures["accurate"].mean
+    return figures["approximated"].mean / figures[lighting].mean
 
 
 def by_worse_truth(verdict: FileVerdict) -> dict[str, ErrorFigures]:
