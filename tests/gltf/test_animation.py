@@ -372,8 +372,14 @@ def _sampler(json: JsonObject) -> JsonObject:
     ("change", "message"),
     [
         (lambda json: _sampler(json).pop("input"), "lacks its input or output"),
-        (lambda json: _sampler(json).pop("output"), "lacks its input or output"),
-        (lambda json: _sampler(json).update(interpolation="BEZIER"), "unknown interpolation 'BEZIER'"),
+        (
+            lambda json: _sampler(json).pop("output"),
+            'clip "animation 0", node 3: its sampler lacks its input or output',
+        ),
+        (
+            lambda json: _sampler(json).update(interpolation="BEZIER"),
+            "node 3: its sampler has the unknown interpolation 'BEZIER'",
+        ),
         (
             lambda json: _sampler(json).update(interpolation="CUBICSPLINE"),
             "needs 9 outputs of 4 components, found 3 of 4",
@@ -430,6 +436,25 @@ def test_a_sampler_of_the_wrong_size_is_told_with_its_clip_and_node() -> None:
     assert raised.value.message.endswith(
         ": its sampler for scale needs 3 outputs of 3 components, found 3 of 4 components"
     )
+
+
+@pytest.mark.parametrize(
+    ("times", "words"),
+    [
+        ([0.0, np.nan, 2.0], "a time of its keys is not a finite number"),
+        ([0.0, 1.0, np.inf], "a time of its keys is not a finite number"),
+        ([0.0, 1.5, 0.25], "the times of its keys must ascend, but 0.25 s follows 1.5 s"),
+        ([[0.0, 1.0, 2.0]] * 3, "the times of its keys must be scalars, found 3 components"),
+    ],
+)
+def test_broken_times_are_told_with_their_clip_and_node(times: object, words: str) -> None:
+    builder = arm()
+    animate(builder, times=times)
+    builder.json["animations"][0]["name"] = "walk"
+    builder.json["nodes"][3]["name"] = "hip"
+    with pytest.raises(InputError) as raised:
+        clips_of(builder)
+    assert raised.value.message == f'clip "walk", node "hip": {words}'
 
 
 def test_skins_that_say_the_same_share_their_joints(tmp_path: Path) -> None:

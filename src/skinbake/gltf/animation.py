@@ -362,20 +362,24 @@ def _channel(
     accessors = document.objects("accessors")
     source, output = (index(sampler, key, len(accessors), place) for key in ("input", "output"))
     if source is None or output is None:
-        raise InputError("an animation sampler lacks its input or output", place)
+        raise _refused(document, clip, node, "its sampler lacks its input or output")
     if source not in known:
-        known[source] = _key_times(document, source, place)
+        stored = _wide(document, source, place)
+        fault = _time_fault(stored)
+        if fault is not None:
+            raise _refused(document, clip, node, fault)
+        known[source] = stored[:, 0]
     times = known[source]
     method = text(sampler, "interpolation", place) or poses.LINEAR
     if method not in {poses.STEP, poses.LINEAR, poses.CUBICSPLINE}:
-        raise InputError(f"an animation sampler has the unknown interpolation {method!r}", place)
+        raise _refused(document, clip, node, f"its sampler has the unknown interpolation {method!r}")
     each = 3 if method == poses.CUBICSPLINE else 1
     use = (output, path, each * len(times), components)
     if use not in outputs:
         values = _wide(document, output, place)
         fault = _fault(values, each * len(times), components, path)
         if fault is not None:
-            raise InputError(f'clip "{clip}", {_called(document, node)}: {fault}', place)
+            raise _refused(document, clip, node, fault)
         by_key = values[:, [3, 0, 1, 2]] if path == "rotation" else values
         shape = (-1, 3, components) if each == 3 else (-1, components)
         outputs[use] = by_key.reshape(shape)
@@ -391,12 +395,21 @@ def _wide(document: Document, number: int, place: Place) -> Float64Array:
     return stored.wide()
 
 
-def _key_times(document: Document, number: int, place: Place) -> Float64Array:
-    """Return the times (N,) of an accessor."""
-    times = _wide(document, number, place)
-    if times.shape[1] != 1 or not np.isfinite(times).all() or (np.diff(times[:, 0]) < 0).any():
-        raise InputError("an animation sampler's times must be finite, ascending scalars", place)
-    return times[:, 0]
+def _refused(document: Document, clip: str, node: int, fault: str) -> InputError:
+    return InputError(f'clip "{clip}", {_called(document, node)}: {fault}', document.place)
+
+
+def _time_fault(times: Float64Array) -> str | None:
+    """Return why the values of an accessor (N, C) cannot be the times of keys; None if they can."""
+    if times.shape[1] != 1:
+        return f"the times of its keys must be scalars, found {times.shape[1]} components"
+    if not np.isfinite(times).all():
+        return "a time of its keys is not a finite number"
+    back = np.flatnonzero(np.diff(times[:, 0]) < 0)
+    if not len(back):
+        return None
+    before, after = times[back[0] : back[0] + 2, 0]
+    return f"the times of its keys must ascend, but {after:g} s follows {before:g} s"
 
 
 def _fault(values: Float64Array, count: int, components: int, path: str) -> str | None:
