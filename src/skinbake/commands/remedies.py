@@ -15,13 +15,19 @@ from skinbake.lighting.baked_views import BakedView, baked_views, gathered_toget
 from skinbake.lighting.expected import noted_kind, noted_sources
 from skinbake.lighting.measured import Lighting, VerifyOptions
 from skinbake.lighting.staleness import mesh_operator
-from skinbake.report.verify import BAKE_SO, LITTLE, FileVerdict, gain
+from skinbake.report.verify import BAKE_SO, LITTLE, FileVerdict, Normals, gain
 
 if TYPE_CHECKING:
     from skinbake.commands.bake import Baker
 
 WORSE = 0.995
 """The gain below which lighting is worse. From here on, it prints as 1.00."""
+
+UNSEEN = 0.5
+"""The degrees that the 99th percentile of the error must reach for lighting to be worse. Less is not seen."""
+
+KEPT = 0.98
+"""The share of the gain all in all that a remedy must keep."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,13 +66,20 @@ def worse_lighting(
 
     Accurate and exact lighting of dual quaternions read the same α and β: the better one counts. A remedy is
     named if it brings the gain to 1 at that primitive, by all methods and truths. It is advised if it brings
-    ``LITTLE``. The file is baked once more for each remedy that differs from its own settings, so at most
-    five times, and the surfaces with such primitives are measured. A file without them takes no extra time.
+    ``LITTLE``, and if the meshes with such primitives keep their gain all in all. The file is baked once more
+    for each remedy that differs from its own settings, so at most five times, and these meshes are measured.
+    A file without such primitives takes no extra time.
     """
     found = _gains(verdict)
     worse = {place: gains for place, gains in found.items() if gains.least < WORSE}
-    tried = list(_tried(document, views, options, {place.mesh for place in worse})) if worse else []
-    notices = [_notice(place, gains, tried) for place, gains in worse.items()]
+    meshes = {place.mesh for place in worse}
+    tried = list(_tried(document, views, options, meshes)) if worse else []
+    now = math.nan
+    if any(trial.gains[place].least >= LITTLE for trial in tried for place in worse if place in trial.gains):
+        with document.budget.passing():
+            alone = meshes == {place.mesh for place in found}
+            now = _all_in_all(verdict if alone else _measured(document, options, meshes))
+    notices = [_notice(place, gains, tried, now) for place, gains in worse.items()]
     return notices + [
         _exact_is_better(place, gains)
         for place, gains in found.items()
@@ -87,6 +100,19 @@ class _Gains(NamedTuple):
 
     by_lighting: dict[_LightingOf, float]
 
+    def add(self, normals: Normals) -> None:
+        """Add the gains by one truth."""
+        for method, figures in normals.items():
+            if gain(figures) is None:
+                continue
+            for lighting in sorted({"accurate", "exact"} & set(figures)):
+                found = gain(figures, lighting)
+                factor = math.inf if found is None else found  # None: but for rounding it is right
+                if figures[lighting].p99 < UNSEEN:
+                    factor = max(factor, 1.0)
+                known = self.by_lighting.get((method, lighting), math.inf)
+                self.by_lighting[method, lighting] = min(factor, known)
+
     @property
     def least(self) -> float:
         """Return the gain of the method that gains less, with its better lighting."""
@@ -100,24 +126,34 @@ class _Gains(NamedTuple):
         return min(better.values(), key=self.by_lighting.__getitem__)
 
 
+class _Trial(NamedTuple):
+    """A remedy, the gains of the primitives under it, and the least gain of their meshes all in all."""
+
+    remedy: Remedy
+    gains: dict[Place, _Gains]
+    all_in_all: float
+
+
 def _gains(verdict: FileVerdict) -> dict[Place, _Gains]:
     """Return the gains of the primitives that have any."""
     found: dict[Place, _Gains] = {}
     for place, normals in (*verdict.primitives, *verdict.primitives_by_triangles):
-        for method, figures in normals.items():
-            if gain(figures) is None:
-                continue
-            own = found.setdefault(place, _Gains({})).by_lighting
-            for lighting in sorted({"accurate", "exact"} & set(figures)):
-                factor = gain(figures, lighting) or math.inf  # None: but for rounding it is right
-                own[method, lighting] = min(factor, own.get((method, lighting), math.inf))
-    return found
+        found.setdefault(place, _Gains({})).add(normals)
+    return {place: gains for place, gains in found.items() if gains.by_lighting}
+
+
+def _all_in_all(verdict: FileVerdict) -> float:
+    """Return the least gain of all that was measured, infinite if nothing has one."""
+    found = _Gains({})
+    for normals in verdict.by_truth.values():
+        found.add(normals)
+    return found.least if found.by_lighting else math.inf
 
 
 def _tried(
     document: Document, views: Sequence[BakedView], options: VerifyOptions, meshes: Container[int | None]
-) -> Iterator[tuple[Remedy, dict[Place, _Gains]]]:
-    """Yield each remedy that can be tried, and the gains under it on the surfaces of some meshes."""
+) -> Iterator[_Trial]:
+    """Yield each remedy that can be tried on the surfaces of some meshes."""
     from skinbake.format.strip import stripped  # most files need no remedy
 
     baker = noted_baker(views[0])
@@ -129,7 +165,8 @@ def _tried(
         try:
             with document.budget.passing():
                 made = changed.bake_document(plain).document
-                yield remedy, _gains(_measured(made, options, meshes))
+                verdict = _measured(made, options, meshes)
+                yield _Trial(remedy, _gains(verdict), _all_in_all(verdict))
         except InputError:
             continue  # an option that cannot be baked is no remedy
 
@@ -170,23 +207,32 @@ def _measured(document: Document, options: VerifyOptions, meshes: Container[int 
     return lighting.measured(surfaces, operators)
 
 
-def _notice(place: Place, own: _Gains, tried: Sequence[tuple[Remedy, dict[Place, _Gains]]]) -> Notice:
-    better = [(gains[place].least, remedy, gains[place]) for remedy, gains in tried if place in gains]
-    best, remedy, then = max(better, key=lambda one: one[0], default=(0.0, None, own))
+def _notice(place: Place, own: _Gains, tried: Sequence[_Trial], now: float) -> Notice:
+    """Return the notice for a primitive. now is the gain all in all that a remedy must keep."""
     lbs = own.by_lighting.get(LBS_ACCURATE, 0.0)
     only_dqs = lbs >= WORSE
     message = f"α/β make its lighting worse: the {_called(own.least_of)} gain is {own.least:.2f}"
     message += f", and the LBS gain is {lbs:.2f}. " if only_dqs else ". "
-    if remedy is not None and best >= WORSE:
-        message += f"With {remedy.words} it is {best:.2f}"
+    helpful = [trial for trial in tried if place in trial.gains and trial.gains[place].least >= WORSE]
+    best = max(
+        helpful,
+        key=lambda trial: (not trial.all_in_all < KEPT * now, trial.gains[place].least),
+        default=None,
+    )
+    if best is not None:
+        then = best.gains[place]
+        message += f"With {best.remedy.words} it is {then.least:.2f}"
         if only_dqs:
             message += f", and the LBS gain {then.by_lighting.get(LBS_ACCURATE, 0.0):.2f}"
-        if round(best, 2) >= LITTLE:
+        if round(then.least, 2) < LITTLE:
+            message += ", which is little: "
+        elif best.all_in_all < KEPT * now:
+            message += f", but all in all the gain falls from {now:.2f} to {best.all_in_all:.2f}: "
+        else:
             advice = f"{BAKE_SO} for dual quaternions" if only_dqs else BAKE_SO
             return Notice("lighting-worse", f"{message}: {advice}", place)
-        message += ", which is little: "
     elif tried:
-        message += f"No option that was tried helps ({', '.join(remedy.words for remedy, _ in tried)}): "
+        message += f"No option that was tried helps ({', '.join(trial.remedy.words for trial in tried)}): "
     way = "light it the standard way (in skinbake-three: lighting(mesh, 'standard'))"
     return Notice("lighting-worse", f"{message}{'with dual quaternions, ' if only_dqs else ''}{way}", place)
 
