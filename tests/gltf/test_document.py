@@ -104,6 +104,16 @@ def test_other_versions_are_unsupported(version: str) -> None:
         parse(json.dumps({"asset": {"version": version}}))
 
 
+@pytest.mark.parametrize("version", [0.8, 1, 1.0])
+def test_the_number_of_an_old_version_is_told(version: float) -> None:
+    """glTF 0.8 wrote a number. Text is wanted of version 2 only."""
+    with pytest.raises(UnsupportedFeatureError, match=f'needs glTF version "{version}"; only 2'):
+        parse(json.dumps({"asset": {"version": version}}))
+    for other in (2, 2.0, True):
+        with pytest.raises(InputError, match='"version" must be a string, found'):
+            parse(json.dumps({"asset": {"version": other}}))
+
+
 def test_a_newer_minimal_version_is_unsupported() -> None:
     with pytest.raises(UnsupportedFeatureError, match=r'version "2\.1"'):
         parse('{"asset": {"version": "2.1", "minVersion": "2.1"}}')

@@ -290,7 +290,11 @@ def _parsed_size(data: bytes) -> int:
 
 
 def _check_version(asset: json_access.JsonObject, place: Place) -> None:
-    version = json_access.text(asset, "version", place)
+    number = asset.get("version")
+    if isinstance(number, int | float) and not isinstance(number, bool) and number < 2:
+        version: str | None = str(number)  # files from before 2.0 may write it so
+    else:
+        version = json_access.text(asset, "version", place)
     if version is None:
         raise InputError('its glTF version is unknown: "asset.version" is missing', place)
     least = json_access.text(asset, "minVersion", place) or "2.0"
