@@ -22,6 +22,7 @@ from skinbake.files.bounds import (
     Spot,
     moved_uri,
     relative_names,
+    spot_of,
     spots,
 )
 from skinbake.files.folders import beneath, open_beneath
@@ -98,6 +99,7 @@ def root(tmp_path: Path) -> Path:
         "chain": "in",
         "folder": "a/b/..",
         "a/dots": "b/../f.bin",
+        "a/more dots": "./b//.././f.bin",
         "out": "../secret",
         "abs": str(tmp_path / "secret"),
         "a/up": "../..",
@@ -112,7 +114,7 @@ def root(tmp_path: Path) -> Path:
 
 @pytest.mark.usefixtures("way")
 class TestOpening:
-    @pytest.mark.parametrize("name", ["a/f.bin", "in", "chain", "a/dots", "folder/f.bin"])
+    @pytest.mark.parametrize("name", ["a/f.bin", "in", "chain", "a/dots", "a/more dots", "folder/f.bin"])
     def test_files_below_are_opened(self, root: Path, name: str) -> None:
         descriptor = open_beneath(Spot(str(root), name))
         assert os.read(descriptor, 100) == b"content"
@@ -205,6 +207,16 @@ class TestBounds:
         (tmp_path / "art").mkdir()
         with pytest.raises(OutsideError):
             spots("../artificial/a.bin", str(tmp_path / "art"), Bounds())
+
+    def test_of_two_readings_the_one_inside_counts(self, tmp_path: Path) -> None:
+        """Read literally, the name leads out. Decoded, it leads back into the folder."""
+        (spot,) = spots("../%61rt/a.bin", str(tmp_path / "art"), Bounds())
+        assert (spot.root, spot.name) == (os.path.realpath(tmp_path / "art"), "a.bin")
+
+    def test_a_path_outside_has_no_spot(self, tmp_path: Path) -> None:
+        assert spot_of(str(tmp_path / "art" / "a.bin"), str(tmp_path)).name == "art/a.bin"
+        with pytest.raises(OutsideError, match="it is not below"):
+            spot_of(str(tmp_path / "a.bin"), str(tmp_path / "art"))
 
     def test_a_uri_keeps_its_meaning_in_another_folder(self, tmp_path: Path) -> None:
         home, other = tmp_path / "a" / "b", tmp_path / "out"

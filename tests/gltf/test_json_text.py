@@ -105,6 +105,11 @@ def test_numbers_that_are_not_finite_are_not_written(deep: bool) -> None:
         json_text.written(value, indent=None, ascii_only=False)
 
 
+def test_each_number_that_is_not_finite_has_its_pointer() -> None:
+    value = {"a": [1.0, float("inf"), {"b/c~": float("nan")}], "d": -float("inf"), "e": 2}
+    assert list(json_text.not_finite(value)) == ["/a/1", "/a/2/b~1c~0", "/d"]
+
+
 def test_what_is_nested_past_all_sense_is_refused() -> None:
     with pytest.raises(ValueError, match=f"nested deeper than {json_text.DEEPEST} levels"):
         json_text.parsed(nested(json_text.DEEPEST + 1, objects=False))

@@ -7,7 +7,7 @@ import os
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path, PurePosixPath
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from skinbake.errors import Notice, OutputError, Place
 from skinbake.files import Bytes
@@ -220,16 +220,15 @@ def files_of_extensions(root: JsonObject) -> list[str]:
     They are the members ``uri`` at any depth of an object ``extensions``. ``extras`` do not count.
     """
     found: dict[str, None] = {}
-    left: list[tuple[object, bool]] = [(root, False)]
+    left: list[tuple[Any, bool]] = [(root, False)]
     while left:
         node, inside = left.pop()
-        inner: list[tuple[object, bool]] = []
         if isinstance(node, dict):
             uri = node.get("uri")
             if inside and isinstance(uri, str) and not is_data_uri(uri) and is_relative(uri):
                 found[uri] = None
             inner = [(child, inside or key == "extensions") for key, child in node.items() if key != "extras"]
-        elif isinstance(node, list):
+        else:
             inner = [(child, inside) for child in node]
         left += [entry for entry in reversed(inner) if isinstance(entry[0], dict | list)]
     return list(found)
