@@ -252,7 +252,13 @@ BY_DROP = remedies.Remedy("--neighbours drop", neighbours=Neighbours.DROP)
             "light it the standard way (in skinbake-three: lighting(mesh, 'standard'))",
         ),
         # Nobody sees such errors.
-        (measured(2.0, 2.0, 2.0, p99=0.4), None, None),
+        (measured(2.0, 2.0, 2.0, p99=0.09), None, None),
+        (
+            measured(2.0, 2.0, 2.0, p99=0.11),
+            None,
+            "α/β make its lighting worse: the LBS gain is 0.50. "
+            "Light it the standard way (in skinbake-three: lighting(mesh, 'standard'))",
+        ),
     ],
 )
 def test_advice_is_for_the_method_that_is_worse(
@@ -292,7 +298,7 @@ def test_lighting_that_errs_where_standard_lighting_is_right_is_worse(
     verdict = FileVerdict("hero.glb", normals=normals, primitives=((HERE, normals),))
     assert told(monkeypatch, verdict, {}) == [
         "α/β make its lighting worse: the LBS gain is 0.00. "
-        "light it the standard way (in skinbake-three: lighting(mesh, 'standard'))"
+        "Light it the standard way (in skinbake-three: lighting(mesh, 'standard'))"
     ]
 
 

@@ -23,8 +23,11 @@ if TYPE_CHECKING:
 WORSE = 0.995
 """The gain below which lighting is worse. From here on, it prints as 1.00."""
 
-UNSEEN = 0.5
-"""The degrees that the 99th percentile of the error must reach for lighting to be worse. Less is not seen."""
+UNSEEN = 0.1
+"""The degrees that the 99th percentile of the error must reach for lighting to be worse.
+
+A smaller angle changes a light's cosine by less than half a step of 8 bits.
+"""
 
 KEPT = 0.98
 """The share of the gain all in all that a remedy must keep."""
@@ -207,18 +210,23 @@ def _measured(document: Document, options: VerifyOptions, meshes: Container[int 
     return lighting.measured(surfaces, operators)
 
 
+def _best(place: Place, tried: Sequence[_Trial], now: float) -> _Trial | None:
+    """Return the trial that helps a primitive most. One that keeps the gain all in all comes first."""
+    helpful = [trial for trial in tried if place in trial.gains and trial.gains[place].least >= WORSE]
+    return max(
+        helpful,
+        key=lambda trial: (not trial.all_in_all < KEPT * now, trial.gains[place].least),
+        default=None,
+    )
+
+
 def _notice(place: Place, own: _Gains, tried: Sequence[_Trial], now: float) -> Notice:
     """Return the notice for a primitive. now is the gain all in all that a remedy must keep."""
     lbs = own.by_lighting.get(LBS_ACCURATE, 0.0)
     only_dqs = lbs >= WORSE
     message = f"α/β make its lighting worse: the {_called(own.least_of)} gain is {own.least:.2f}"
     message += f", and the LBS gain is {lbs:.2f}. " if only_dqs else ". "
-    helpful = [trial for trial in tried if place in trial.gains and trial.gains[place].least >= WORSE]
-    best = max(
-        helpful,
-        key=lambda trial: (not trial.all_in_all < KEPT * now, trial.gains[place].least),
-        default=None,
-    )
+    best = _best(place, tried, now)
     if best is not None:
         then = best.gains[place]
         message += f"With {best.remedy.words} it is {then.least:.2f}"
@@ -233,8 +241,11 @@ def _notice(place: Place, own: _Gains, tried: Sequence[_Trial], now: float) -> N
             return Notice("lighting-worse", f"{message}: {advice}", place)
     elif tried:
         message += f"No option that was tried helps ({', '.join(trial.remedy.words for trial in tried)}): "
-    way = "light it the standard way (in skinbake-three: lighting(mesh, 'standard'))"
-    return Notice("lighting-worse", f"{message}{'with dual quaternions, ' if only_dqs else ''}{way}", place)
+    with_dqs = "with dual quaternions, " if only_dqs else ""
+    advice = f"{with_dqs}light it the standard way (in skinbake-three: lighting(mesh, 'standard'))"
+    if not tried:
+        advice = advice[0].upper() + advice[1:]  # it is a sentence of its own
+    return Notice("lighting-worse", message + advice, place)
 
 
 def _exact_is_better(place: Place, own: _Gains) -> Notice:
