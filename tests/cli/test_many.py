@@ -37,6 +37,7 @@ from tests.support.baking import bake_work
 from tests.support.command_line import LINUX, document, invoke, run
 from tests.support.models import FIXTURES, FOLDER, SHARED_BIN, sheet, write_model
 from tests.support.schemas import BAKE, PROCESS_TIMINGS, TIMINGS, VERIFY, checked
+from tests.support.signals import HEARING, NOHUP, OWNING
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -520,16 +521,6 @@ def grids(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return root
 
 
-HEARING = """
-import os, signal, sys
-signal.signal(signal.SIGINT, signal.SIG_DFL)
-os.execv(sys.executable, [sys.executable, *sys.argv[1:]])
-"""
-# Children of a shell's background job ignore Ctrl-C; this one is to hear it.
-
-NOHUP = HEARING.replace("SIGINT, signal.SIG_DFL", "SIGHUP, signal.SIG_IGN")
-
-
 def wait_for(condition: Callable[[], Any], seconds: float = 60.0) -> Any:
     end = time.monotonic() + seconds
     while not (found := condition()):
@@ -623,14 +614,6 @@ def test_an_interrupt_ends_all_and_leaves_whole_files_only(
     expected = tmp_path / "one.glb"
     invoke("bake", grids / "d0" / "00.glb", "-o", expected)
     assert {path.read_bytes() for path in done} == {expected.read_bytes()}
-
-
-OWNING = """
-import fcntl, os, sys, termios
-fcntl.ioctl(0, termios.TIOCSCTTY, 0)
-os.execv(sys.executable, [sys.executable, *sys.argv[1:]])
-"""
-# A command that is started from a terminal hears of its end.
 
 
 @pytest.mark.slow

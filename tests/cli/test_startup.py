@@ -18,6 +18,7 @@ from skinbake.cli.main import COMMANDS
 from skinbake.format.metadata import VERSION
 from tests.support.command_line import LINUX, invoke, run
 from tests.support.models import FOLDER, edited
+from tests.support.signals import HEARING
 from tests.support.strictness import missing_tool
 from tests.support.tools import required_program
 
@@ -191,14 +192,6 @@ def test_closed_streams_are_not_defects_of_skinbake(command: str) -> None:
     process = shell(f"skinbake {command.format(SEAM)}")
     assert process.returncode in {3, 4}
     assert b"should not" not in process.stderr
-
-
-HEARING = """
-import os, signal, sys
-signal.signal(signal.SIGINT, signal.SIG_DFL)
-os.execv(sys.executable, [sys.executable, *sys.argv[1:]])
-"""
-# Children of a shell's background job ignore Ctrl-C; this one is to hear it.
 
 
 @LINUX

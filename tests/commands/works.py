@@ -54,6 +54,8 @@ class Deadly(Work):
         if job in self.on:
             time.sleep(0.5)
             started.rename(f"{started}-{time.monotonic_ns()}")
+            if signal.getsignal(self.by) == signal.SIG_IGN:  # as SIGHUP is after nohup
+                signal.signal(self.by, signal.SIG_DFL)
             os.kill(os.getpid(), self.by)
         time.sleep(0.002)
         return super().__call__(job)
