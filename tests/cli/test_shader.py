@@ -305,6 +305,53 @@ class TestForFile:
         assert result.exit_code == 0
         assert "primitive 0: this shader does not fit it: it is baked in the normal frame" in result.stderr
 
+    def test_primitives_of_several_counts_get_a_text_each(self, tmp_path: Path) -> None:
+        """The joints of one sheet are in two sets. The options in each notice write the other text."""
+        file = baked(write_model(tmp_path / "mixed.glb", [sheet(), _in_two_sets(sheet())]), tmp_path)
+        result = invoke("shader", "--lang", "glsl", "--for", file)
+        assert result.exit_code == 3
+        assert "choose one with --influences" in result.stderr
+        for count, other, primitive in (("4", "8", 1), ("8", "4", 0)):
+            result = invoke("shader", "--lang", "glsl", "--for", file, "--influences", count)
+            assert result.exit_code == 0
+            assert f"{count} influences a vertex" in header(result.stdout)
+            assert f"primitive {primitive}: this shader does not fit it" in result.stderr
+            assert f"Write another shader with --frame normal --influences {other}\n" in result.stderr
+        assert "use --influences 8" not in result.stderr
+
+    def test_fewer_influences_serve_primitives_of_several_counts(self, tmp_path: Path) -> None:
+        """The second set of a sheet is empty, so it has two names for alpha and needs one."""
+        part = sheet()
+        empty = {f"{name}_1": np.zeros_like(part.attributes[f"{name}_0"]) for name in ("JOINTS", "WEIGHTS")}
+        model = write_model(tmp_path / "empty.glb", [sheet(), sheet(**empty)])
+        shader = ("shader", "--lang", "glsl", "--influences", "4", "--for")
+        result = invoke(*shader, baked(model, tmp_path))
+        assert (result.exit_code, result.stderr) == (0, "")
+        assert "_SKINBAKE_ALPHA_0" in header(result.stdout)
+        # Texture coordinates of eight influences have alpha and beta in other places than those of four.
+        result = invoke(*shader, baked(model, tmp_path, "--layout", "texcoord"))
+        assert "skinbake_alpha_0(texcoord_0, texcoord_1)" in header(result.stdout)
+        assert "primitive 1: this shader does not fit it" in result.stderr
+        assert result.stderr.endswith("--influences 8\n")
+
+    def test_the_notice_about_another_storage_names_its_option(self, tmp_path: Path) -> None:
+        model = read(baked(write_model(tmp_path / "two.glb", [sheet(), sheet()]), tmp_path))
+        other = model.content["meshes"][0]["primitives"][1]
+        for kind, name in (("alpha", "_CUSTOM0"), ("beta", "_CUSTOM1")):
+            other["attributes"][name] = other["attributes"].pop(f"_SKINBAKE_{kind.upper()}_0")
+            other["extras"][KEY][kind] = [name]
+        other["extras"][KEY]["layout"] = "custom"
+        file = rewritten(model, tmp_path / "differing.glb")
+        result = invoke("shader", "--lang", "glsl", "--for", file, "--layout", "attributes")
+        assert result.exit_code == 0
+        found = re.search(
+            r"primitive 1: this shader .*layout custom\. Write another shader with (.*)", result.stderr
+        )
+        assert found is not None
+        asked = invoke("shader", "--lang", "glsl", "--for", file, *found[1].split())
+        assert asked.exit_code == 0
+        assert "_CUSTOM0" in header(asked.stdout)
+
     def test_mirroring_joints_are_seen_to(self, tmp_path: Path) -> None:
         def mirror(content: Any) -> None:
             node = content["nodes"][content["skins"][0]["joints"][0]]
@@ -331,6 +378,18 @@ class TestForFile:
         assert result.exit_code == 3
         assert "this file does not fit --method dqs" in result.stderr
         assert invoke("shader", "--lang", "glsl", "--for", file).exit_code == 0
+
+
+def _in_two_sets(part: Part) -> Part:
+    """Return a sheet with the second of its joints in a second set."""
+    joints, weights = (np.asarray(part.attributes[name]) for name in ("JOINTS_0", "WEIGHTS_0"))
+    second = np.arange(4) == 1
+    moved = {"JOINTS_0": joints * ~second, "WEIGHTS_0": weights * ~second}
+    moved |= {
+        "JOINTS_1": np.roll(joints * second, -1, axis=1),
+        "WEIGHTS_1": np.roll(weights * second, -1, axis=1),
+    }
+    return Part({**part.attributes, **moved}, part.indices)
 
 
 def _along(part: Part) -> Any:

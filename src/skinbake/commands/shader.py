@@ -151,10 +151,10 @@ def _choices_of_file(
         raise InputError(_why_none(views, request), document.place)
     if request.target in AT_RUN_TIME:
         return _choices_at_run_time(document, serving, request)
+    if request.influences is not None:
+        serving = _with_enough(serving, request.influences)
     frame = request.frame or Frame(str(_agreed(document, serving, "frame")))
     influences = request.influences or int(_agreed(document, serving, "influences"))
-    for view in serving:
-        _refuse_fewer(view, influences)
     choices = replace(
         _made(request, frame, influences),
         encoding=Encoding(str(_agreed(document, serving, "encoding"))),
@@ -165,7 +165,8 @@ def _choices_of_file(
         choices = replace(choices, morphs=Morphs(carrier(serving)))
     choices = _with_joints(document, serving, choices)
     others += [notice for view in serving for notice in _unlike_one(view)]
-    return choices, [*others, *(_not_for(view) for view in views if not _serves(view, request))]
+    served = {view.source.place for view in serving}
+    return choices, [*others, *(_not_for(view, request) for view in views if view.source.place not in served)]
 
 
 def _choices_at_run_time(
@@ -185,8 +186,9 @@ def _with_names(
     Texture coordinates follow the existing ones of a primitive, so each primitive may have its own numbers.
     Other names are the same for all of a bake. Raises InputError if they are not, or if scales differ.
     """
-    names = {(tuple(view.metadata["alpha"]), tuple(view.metadata["beta"])): view for view in reversed(views)}
-    if len(names) > 1 and choices.layout != "texcoord":
+    sets = choices.influence_sets
+    names = {tuple(tuple(view.metadata[kind][:sets]) for kind in ("alpha", "beta")) for view in views}
+    if len(names) > 1 and choices.layout != Layout.TEXCOORD:
         found = " and ".join(sorted(", ".join(alpha) for alpha, _ in names))
         raise InputError(
             f"its primitives have different names for alpha ({found}): bake it again", document.place
@@ -198,6 +200,8 @@ def _with_names(
     first = views[0].metadata
     text = AttributeText(PurePath(document.name).name, tuple(first["alpha"]), tuple(first["beta"]))
     choices = replace(choices, attributes=text, scale=scales.pop() if choices.decodes else None)
+    if choices.layout != Layout.TEXCOORD:
+        return choices, []
     return choices, [_other_texcoords(view) for view in views if view.metadata["alpha"] != first["alpha"]]
 
 
@@ -271,18 +275,33 @@ def _agreed(document: Document, views: Sequence[BakedView], member: str) -> Any:
     return next(iter(found))
 
 
-def _refuse_fewer(view: BakedView, influences: int) -> None:
-    """Raise InputError if the shader would leave out slots that are in use."""
+def _with_enough(views: Sequence[BakedView], influences: int) -> list[BakedView]:
+    """Return the primitives that use no further slots. Raises InputError, with a remedy, if there are none.
+
+    In the texcoord layout the number of stored slots decides where α and β are. There they all have the same.
+    """
+    over = [_vertices_over(view, influences) for view in views]
+    enough = [view for view, count in zip(views, over, strict=True) if count == 0]
+    if enough:
+        fewest = min(int(view.metadata["influences"]) for view in enough)
+        return [
+            view
+            for view in enough
+            if _noted(view, "layout") != Layout.TEXCOORD or view.metadata["influences"] == fewest
+        ]
+    slots = int(views[0].metadata["influences"])
+    raise InputError(
+        f"{counted(over[0], 'vertex uses', 'vertices use')} more than {influences} of its {slots} "
+        f"influences, adopted joints included: use --influences {slots}",
+        views[0].source.place,
+    )
+
+
+def _vertices_over(view: BakedView, influences: int) -> int:
+    """Return the number of vertices with a weight, α or β in a slot that the shader would leave out."""
     weights = view.now.weights[:, influences:] != 0
     gradients = (view.alpha[:, influences - 1 :] != 0) | (view.beta[:, influences - 1 :] != 0)
-    count = int(np.count_nonzero((weights | gradients).any(axis=1)))
-    if count:
-        slots = int(view.metadata["influences"])
-        raise InputError(
-            f"{counted(count, 'vertex uses', 'vertices use')} more than {influences} of its {slots} "
-            f"influences, adopted joints included: use --influences {slots}",
-            view.source.place,
-        )
+    return int(np.count_nonzero((weights | gradients).any(axis=1)))
 
 
 def _with_joints(document: Document, views: Sequence[BakedView], choices: ShaderChoices) -> ShaderChoices:
@@ -313,11 +332,17 @@ def _posed(document: Document, views: Sequence[BakedView]) -> Iterator[tuple[Bak
             yield view, sets[skin]
 
 
-def _not_for(view: BakedView) -> Notice:
-    metadata = view.metadata
-    frame, influences = metadata["frame"], metadata["influences"]
+def _not_for(view: BakedView, request: ShaderRequest) -> Notice:
+    """Return the notice for a primitive that needs a shader of its own, with the options that write it."""
+    storage = {member: str(_noted(view, member)) for member in DEFAULTS}
+    others = {
+        member: kind for member, kind in storage.items() if getattr(request, member) not in (None, kind)
+    }
+    frame, influences = view.metadata["frame"], view.metadata["influences"]
+    stored = "".join(f", {member} {kind}" for member, kind in others.items())
+    options = "".join(f" --{member} {kind}" for member, kind in others.items())
     message = (
         f"this shader does not fit it: it is baked in the {frame} frame with {influences} "
-        f"influences. Write another shader with --frame {frame} --influences {influences}"
+        f"influences{stored}. Write another shader with --frame {frame} --influences {influences}{options}"
     )
     return Notice("shader-not-for", message, view.source.place)
