@@ -240,7 +240,7 @@ def failures(folder: Path) -> Results:
     found: Results = {}
 
     def attempt(name: str, around: Callable[[Callable[[], None]], None], **options: Any) -> None:
-        export(folder / f"{name}-plain.glb", enabled=False, **options)
+        found[f"{name}-plain"] = export(folder / f"{name}-plain.glb", enabled=False, **options)
 
         def run() -> None:
             found[name] = export(folder / f"{name}.glb", **options)

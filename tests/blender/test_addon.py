@@ -178,6 +178,14 @@ def test_the_plain_export_stays_whole(session: Session, name: str) -> None:
     assert (outcome["raised"] is not None) == (name in FAILURES)
 
 
+def test_an_export_without_a_bake_has_no_outcome_of_the_one_before(session: Session) -> None:
+    before = session.results["panel"]
+    for name in NOT_BAKED:
+        outcome = session.results["failures"][f"{name}-plain"]
+        assert (outcome["path"], outcome["status"], outcome["gain"], outcome["lines"]) == ("", "", 0, [])
+        assert outcome["panel"] == before
+
+
 def test_a_failure_leaves_no_file_behind(session: Session) -> None:
     found = {path.name for path in session.files.iterdir() if "disk_full" in path.name or "tmp" in path.name}
     assert found == {"disk_full.glb", "disk_full-plain.glb"}

@@ -19,7 +19,11 @@ GLTFPACK = Line(
 
 
 class glTF2ExportUserExtension:  # noqa: N801  # the exporter looks for this name
-    """The hook of Blender's glTF exporter, which makes one for each export."""
+    """The hooks of Blender's glTF exporter, which makes one object for each export."""
+
+    def pre_export_hook(self, export_settings: Mapping[str, Any]) -> None:
+        """Forget the outcome of the export before. This one may have the bake off, or fail."""
+        bpy.context.window_manager.skinbake.forget()
 
     def post_export_hook(self, export_settings: Mapping[str, Any]) -> None:
         """Bake the file, which the exporter has written and closed."""

@@ -62,8 +62,9 @@ class BakeLine(bpy.types.PropertyGroup):
 class BakeOutcome(bpy.types.PropertyGroup):
     """The outcome of the last export: ``window_manager.skinbake``. It is not saved.
 
-    status is ``baked``, ``unchanged`` or ``failed``, and empty before the first export. A gain of 0 was not
-    measured, or nothing bends.
+    status is ``baked``, ``unchanged`` or ``failed``. It is empty before the first export, and after one that
+    was not baked because the box was off or the exporter failed. A gain of 0 was not measured, or nothing
+    bends.
     """
 
     path: StringProperty()
@@ -78,6 +79,11 @@ class BakeOutcome(bpy.types.PropertyGroup):
         for line in outcome.lines:
             kept = self.lines.add()
             kept.level, kept.text = line.level, line.text
+
+    def forget(self) -> None:
+        """Go back to the state before the first export."""
+        self.path, self.status, self.gain = "", "", 0.0
+        self.lines.clear()
 
 
 CLASSES = (BakeSettings, BakeLine, BakeOutcome)
