@@ -33,6 +33,18 @@ ENUMERATIONS = {
 }
 
 
+SAVED = {
+    "gradients": {"rig": 0, "surface": 1, "poses": 2},
+    "frame": {"auto": 0, "tangent": 1, "normal": 2},
+    "encoding": {"float32": 0, "snorm16": 1, "packed8": 2},
+    "layout": {"attributes": 0, "texcoord": 1, "custom": 2},
+    "neighbours": {"adopt": 0, "extend": 1, "drop": 2},
+    "weld": {"mesh": 0, "skin": 1},
+    "limit_influences": {"0": 0, "4": 1, "8": 2},
+}
+"""The numbers in saved scenes. A new value gets a new number, wherever it stands in the list."""
+
+
 def baked(name: str, folder: Path, measure: bool = False, **chosen: Any) -> Any:
     """Bake a copy of a fixture as the add-on does an export."""
     copy = folder / name
@@ -46,6 +58,11 @@ def test_the_panel_offers_the_values_of_the_python_api() -> None:
     assert {name: set(values) for name, values in offered.items()} == {
         name: set(kind) for name, kind in ENUMERATIONS.items()
     }
+
+
+def test_a_saved_option_keeps_its_meaning() -> None:
+    numbers = {name: {item[0]: item[3] for item in items} for name, (_, items) in options.CHOICES.items()}
+    assert numbers == SAVED
 
 
 def test_the_defaults_are_those_of_bake() -> None:

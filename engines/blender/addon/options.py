@@ -2,63 +2,73 @@
 
 from __future__ import annotations
 
-Item = tuple[str, str, str]
-"""A value, its label, and its description."""
+Item = tuple[str, str, str, int]
+"""A value, its label, its description, and its number. Scenes save the number, so it keeps its meaning."""
 
 CHOICES: dict[str, tuple[str, tuple[Item, ...]]] = {
     "gradients": (
         "Gradients",
         (
-            ("rig", "Fitted to the rig", "Fitted to small turns of the bones: lights coarse meshes better"),
-            ("surface", "Of the surface", "The gradients of the weights on the surface, as in the paper"),
-            ("poses", "Fitted to the animations", "Fitted to the exported animations too. Takes longer"),
+            (
+                "rig",
+                "Fitted to the rig",
+                "Fitted to small turns of the bones: lights coarse meshes better",
+                0,
+            ),
+            ("surface", "Of the surface", "The gradients of the weights on the surface, as in the paper", 1),
+            ("poses", "Fitted to the animations", "Fitted to the exported animations too. Takes longer", 2),
         ),
     ),
     "frame": (
         "Tangent frame",
         (
-            ("auto", "Automatic", "From tangents if the export has good ones, else from normals"),
-            ("tangent", "Tangents", "From tangents: needs Data > Mesh > Tangents in the exporter"),
-            ("normal", "Normals", "From normals alone"),
+            ("auto", "Automatic", "From tangents if the export has good ones, else from normals", 0),
+            ("tangent", "Tangents", "From tangents: needs Data > Mesh > Tangents in the exporter", 1),
+            ("normal", "Normals", "From normals alone", 2),
         ),
     ),
     "encoding": (
         "Encoding",
         (
-            ("float32", "32-bit floats", "24 bytes for each vertex of four influences"),
-            ("snorm16", "16-bit integers", "16 bytes for each vertex of four influences"),
-            ("packed8", "8-bit integers", "8 bytes for each vertex of four influences"),
+            ("float32", "32-bit floats", "24 bytes for each vertex of four influences", 0),
+            ("snorm16", "16-bit integers", "16 bytes for each vertex of four influences", 1),
+            ("packed8", "8-bit integers", "8 bytes for each vertex of four influences", 2),
         ),
     ),
     "layout": (
         "Layout",
         (
-            ("attributes", "Own attributes", "_SKINBAKE_ALPHA_0 and _SKINBAKE_BETA_0"),
-            ("texcoord", "UV sets", "Free texture coordinate sets: for engines that pass nothing else"),
-            ("custom", "Custom (Godot)", "_CUSTOM0 and _CUSTOM1: for Godot"),
+            ("attributes", "Own attributes", "_SKINBAKE_ALPHA_0 and _SKINBAKE_BETA_0", 0),
+            ("texcoord", "UV sets", "Free texture coordinate sets: for engines that pass nothing else", 1),
+            ("custom", "Custom (Godot)", "_CUSTOM0 and _CUSTOM1: for Godot", 2),
         ),
     ),
     "neighbours": (
         "Bones of neighbours",
         (
-            ("adopt", "Adopt", "A vertex takes them into free slots, with weights too small to see"),
-            ("extend", "Extend", "Adopt, and add a set of four influences to meshes with too few free slots"),
-            ("drop", "Leave out", "Weights and joints stay as they were exported"),
+            ("adopt", "Adopt", "A vertex takes them into free slots, with weights too small to see", 0),
+            (
+                "extend",
+                "Extend",
+                "Adopt, and add a set of four influences to meshes with too few free slots",
+                1,
+            ),
+            ("drop", "Leave out", "Weights and joints stay as they were exported", 2),
         ),
     ),
     "weld": (
         "Weld",
         (
-            ("mesh", "Each mesh", "Each mesh is a surface of its own"),
-            ("skin", "Meshes of an armature", "For characters that are cut into several meshes"),
+            ("mesh", "Each mesh", "Each mesh is a surface of its own", 0),
+            ("skin", "Meshes of an armature", "For characters that are cut into several meshes", 1),
         ),
     ),
     "limit_influences": (
         "Influences",
         (
-            ("0", "As exported", "As many for each vertex as the exporter writes"),
-            ("4", "At most 4", "The four largest of each vertex. Says what that costs"),
-            ("8", "At most 8", "The eight largest of each vertex. Says what that costs"),
+            ("0", "As exported", "As many for each vertex as the exporter writes", 0),
+            ("4", "At most 4", "The four largest of each vertex. Says what that costs", 1),
+            ("8", "At most 8", "The eight largest of each vertex. Says what that costs", 2),
         ),
     ),
 }
