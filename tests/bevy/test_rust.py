@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from skinbake.choices import Frame
-from skinbake.shaders.choices import ShaderChoices
+from skinbake.shaders.choices import AttributeText, ShaderChoices
 from tests.bevy.running import WESL, chosen
 from tests.support.tools import required_program
 from tests.support.whole_fields import shader_text
@@ -68,6 +68,21 @@ def test_the_rust_lines_compile_and_add_the_attributes(
         f"{alpha} SkinbakeAlpha {vertex_format} 64 {first}",
         f"{beta} SkinbakeBeta {vertex_format} {64 + SIZES[vertex_format]} {first + 1}",
     ]
+
+
+@pytest.mark.slow
+def test_a_name_of_any_characters_arrives_whole(crates: Path, tmp_path: Path) -> None:
+    odd = AttributeText("arm.glb", alpha=('_A"\\\\n{}ü',), beta=("_☃ \t/",))
+    (tmp_path / "skinbake.rs").write_text(
+        _rust_lines(shader_text(chosen(Frame.NORMAL, attributes=odd)), tmp_path)
+    )
+    (tmp_path / "main.rs").write_text(
+        "#[allow(dead_code)]\nmod skinbake;\nfn main() {\n"
+        '    for (name, _) in &skinbake::gltf_plugin().custom_vertex_attributes { print!("{name}\\0"); }\n}\n'
+    )
+    _rustc(crates, "--extern=bevy", "--out-dir", tmp_path, tmp_path / "main.rs")
+    process = subprocess.run([tmp_path / "main"], capture_output=True, timeout=TIMEOUT_SECONDS, check=True)
+    assert process.stdout.decode().split("\0")[:-1] == ['A"\\\\n{}ü', "☃ \t/"]
 
 
 def _rust_lines(text: str, folder: Path) -> str:

@@ -55,7 +55,7 @@ class Slot:
 
 @dataclass(frozen=True, slots=True)
 class InfluenceSet:
-    """One set of four slots, in the words of the table of inputs."""
+    """One set of four slots, in the words of the table of inputs. The attributes have the file's names."""
 
     number: int
     slots: str
@@ -255,6 +255,8 @@ def _context(choices: ShaderChoices) -> dict[str, Any]:
         "dual": dual,
         "handed": handed,
         "number": _number,
+        "ascii_name": ascii_name,
+        "rust_string": _rust_string,
         "count": lambda n, noun: f"{n} {noun}{'' if n == 1 else 's'}",
         "refuse": _refuse,
         **storage_context(choices),
@@ -306,8 +308,8 @@ def _sets(choices: ShaderChoices) -> list[InfluenceSet]:
                 number,
                 _slot_words(first, last),
                 _slot_words(max(first, 1), last),
-                ascii_name(names.alpha[number]) if names else _usual_name(choices, "ALPHA", number),
-                ascii_name(names.beta[number]) if names else _usual_name(choices, "BETA", number),
+                names.alpha[number] if names else _usual_name(choices, "ALPHA", number),
+                names.beta[number] if names else _usual_name(choices, "BETA", number),
             )
         )
     return found
@@ -390,6 +392,13 @@ def _number(value: float) -> str:
     """Return a float literal of all languages."""
     text = repr(float(value))
     return text if "." in text or "e" in text else f"{text}.0"
+
+
+def _rust_string(text: str) -> str:
+    """Return a string literal of Rust, in ASCII."""
+    escaped = {'"': '\\"', "\\": "\\\\"}
+    plain = [escaped.get(c, c if c.isascii() and c.isprintable() else f"\\u{{{ord(c):x}}}") for c in text]
+    return f'"{"".join(plain)}"'
 
 
 def _refuse(reason: str) -> NoReturn:
