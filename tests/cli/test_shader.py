@@ -74,6 +74,15 @@ def test_output_goes_to_a_file_and_says_what_it_is(tmp_path: Path) -> None:
     assert target.read_text(encoding="utf-8") == shader_text(ShaderChoices(Language.WGSL))
 
 
+@pytest.mark.parametrize("target", ["three", "babylon", "godot", "playcanvas"])
+def test_a_module_for_all_files_is_not_called_one_for_a_frame(target: str, tmp_path: Path) -> None:
+    file = tmp_path / "skinbake.txt"
+    result = invoke("shader", "--target", target, "--frame", "tangent", "--cap", "0.5", "-o", file)
+    assert result.stderr == (
+        f"{file}: {target}, LBS accurate, cap 0.5; it reads frame, encoding and layout from each file\n"
+    )
+
+
 def test_a_target_that_cannot_be_written_is_exit_4(tmp_path: Path) -> None:
     file = tmp_path / "file"
     file.write_bytes(b"")

@@ -26,13 +26,11 @@ from skinbake.lighting.morphing import carrier
 from skinbake.lighting.poses import PoseRequest, PoseSet, pose_set
 from skinbake.lighting.rest_surfaces import rest_surface
 from skinbake.lighting.staleness import refuse_stale
-from skinbake.shaders.choices import BEST, AttributeText, ShaderChoices
+from skinbake.shaders.choices import AT_RUN_TIME, BEST, AttributeText, ShaderChoices
 from skinbake.shaders.text import shader_made
 from skinbake.wording import counted
 
 DEFAULT_INFLUENCES = 4
-AT_RUN_TIME = {"three", "babylon", "godot", "playcanvas"}
-"""The targets whose code reads all but the lighting from the file when it runs, and divides its weights."""
 DEFAULTS = {"encoding": Encoding.FLOAT32, "layout": Layout.ATTRIBUTES}
 """The meaning of metadata that do not say how α and β are stored."""
 

@@ -10,6 +10,9 @@ from skinbake.errors import ChoiceError
 CUSTOM_SETS = 2
 """The number of influence sets of the custom layout: Godot after 4.6 reads `_CUSTOM0` to `_CUSTOM3`."""
 
+AT_RUN_TIME = {"three", "babylon", "godot", "playcanvas"}
+"""The targets whose code reads all but the lighting from the file when it runs, and divides its weights."""
+
 ALGORITHMS = {
     (Method.LBS, Lighting.APPROXIMATED): 1,
     (Method.LBS, Lighting.DIRECT): 2,
@@ -146,6 +149,11 @@ class ShaderChoices:
         """Return the choices in a few words, for people."""
         capped = "" if self.cap is None else f", cap {self.cap:g}"
         mirrored = ", mirrored joints" if self.mirrored_joints else ""
+        if self.target in AT_RUN_TIME:
+            return (
+                f"{self.target}, {self.method.upper()} {self.lighting}{capped}{mirrored}; it reads frame, "
+                "encoding and layout from each file"
+            )
         morphed = "" if self.morphs is Morphs.NONE else f", morph targets by {self.morphs}"
         return (
             f"{self.target} {self.language.upper()}, {self.method.upper()} {self.lighting}, "
