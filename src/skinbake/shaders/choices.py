@@ -10,6 +10,9 @@ from skinbake.errors import ChoiceError
 CUSTOM_SETS = 2
 """The number of influence sets of the custom layout: Godot after 4.6 reads `_CUSTOM0` to `_CUSTOM3`."""
 
+CAPS = (1e-6, 1e6)
+"""The smallest and the largest cap: the shaders square it in float32."""
+
 AT_RUN_TIME = {"three", "babylon", "godot", "playcanvas"}
 """The targets whose code reads all but the lighting from the file when it runs, and divides its weights."""
 
@@ -90,6 +93,10 @@ class ShaderChoices:
             raise ChoiceError(f"--layout texcoord needs --encoding float32, not {self.encoding}")
         if self.cap is not None and not self.is_corrected:
             raise ChoiceError(f"--cap is for accurate and exact lighting; {self.lighting} has no correction")
+        if self.cap is not None and not CAPS[0] <= self.cap <= CAPS[1]:
+            raise ChoiceError(
+                f"--cap {self.cap:g} is not in the range {CAPS[0]:g} to {CAPS[1]:g} of a shader"
+            )
         if self.morphs is Morphs.TANGENT and self.frame != Frame.TANGENT:
             raise ChoiceError(
                 f"--morphs tangent needs --frame tangent; --frame {self.frame} needs --morphs normal"
