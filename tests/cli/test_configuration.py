@@ -336,8 +336,9 @@ class TestTrust:
         assert found.startswith('skinbake.toml:3: bake.fit-poses: expected "animations" or "random:N"')
 
     @pytest.mark.slow
-    def test_poses_without_a_file_are_fitted_to(self, project: Path) -> None:
-        (project / "skinbake.toml").write_text('[bake]\ngradients = "poses"\nfit-poses = ["random:4"]\n')
+    @pytest.mark.parametrize("value", ["random:4", "animations", "animation"])
+    def test_poses_without_a_file_are_fitted_to(self, value: str, project: Path) -> None:
+        (project / "skinbake.toml").write_text(f'[bake]\ngradients = "poses"\nfit-poses = ["{value}"]\n')
         found = document(invoke("bake", "a.glb", "--dry-run", "--json"))["files"][0]
         assert found["primitives"][0]["gradients"] == "poses"
 

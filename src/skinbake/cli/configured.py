@@ -45,7 +45,7 @@ written, or lifts a limit. An option that is not listed is refused.
 GUARDS = frozenset(("max_memory", "allow_outside", "no_sync"))
 """The options that protect the user."""
 
-POSES = re.compile("animations|random:.*", re.DOTALL)
+POSES = re.compile("animations?|random:.*", re.DOTALL)
 """The values of --fit-poses that name no file."""
 
 ANYWHERE = "**"
