@@ -65,45 +65,49 @@ def test_exit_codes_are_those_of_the_program() -> None:
     assert {int(number) for row in rows for number in row.split(",")} == known
 
 
-def options() -> Iterator[str]:
+def commands() -> dict[str, list[click.Option]]:
+    """Return the options of each command, by its name."""
     context = click.Context(main)
-    for name in main.list_commands(context):
-        command = main.get_command(context, name)
-        assert command is not None
-        for parameter in command.params:
-            if isinstance(parameter, click.Option):
-                yield max(parameter.opts, key=len)
+    found = {name: main.get_command(context, name) for name in main.list_commands(context)}
+    return {
+        name: [one for one in command.params if isinstance(one, click.Option)]
+        for name, command in found.items()
+        if command is not None
+    }
 
 
-def test_one_table_names_every_option() -> None:
-    short = {"--output": "-o", "--verbose": "-v", "--quiet": "-q"}
-    page = text(REFERENCE / "options.md")
-    missing = {option for option in options() if f"`{short.get(option, option)}" not in page}
-    assert missing <= {"--help"}
-
-
-def test_the_rows_of_shared_options_name_the_commands_that_have_them() -> None:
-    context = click.Context(main)
-    names = main.list_commands(context)
-    having: dict[str, set[str]] = {}
-    for name in names:
-        command = main.get_command(context, name)
-        assert command is not None
-        for parameter in command.params:
-            for option in parameter.opts if isinstance(parameter, click.Option) else ():
-                having.setdefault(option, set()).add(name)
-    who, found = "", 0
+def rows_of_options() -> Iterator[tuple[set[str], list[str]]]:
+    """Yield the commands and the options of each row of the table. An empty first cell repeats the last."""
+    names, who = set(commands()), ""
     for first, rest in re.findall(
         r"^\|(?: ([^|]+?))? \| (.*)$", text(REFERENCE / "options.md"), re.MULTILINE
     ):
         who = first or who
-        listed = set(re.findall(r"`([a-z]+)`", who))
-        if who.startswith("all"):
-            listed = set(names) - listed
-        for option in re.findall(r"`(-[-a-z]+)", rest.split(" | ")[0]) if len(listed) > 1 else ():
-            assert having[option] == listed, option
-            found += 1
-    assert found == 20
+        listed = set(re.findall(r"`([a-z]+)[` ]", who)) & names
+        having = names - listed if who.startswith("all") else listed
+        yield having, re.findall(r"`(-[-a-z0-9]+)", rest.split(" | ")[0])
+
+
+@pytest.mark.parametrize("name", commands())
+def test_the_rows_of_a_command_name_its_options(name: str) -> None:
+    listed = {option for having, options in rows_of_options() if name in having for option in options}
+    for option in commands()[name]:
+        assert listed & set(option.opts) or option.name == "help", option.name
+
+
+def test_the_rows_of_shared_options_name_the_commands_that_have_them() -> None:
+    having: dict[str, set[str]] = {}
+    for name, options in commands().items():
+        for option in options:
+            for spelling in option.opts:
+                having.setdefault(spelling, set()).add(name)
+    shared = [
+        (listed, option) for listed, options in rows_of_options() for option in options if len(listed) > 1
+    ]
+    assert [(option, listed) for listed, option in shared] == [
+        (option, having[option]) for _, option in shared
+    ]
+    assert len(shared) == 21
 
 
 def test_the_readme_takes_two_minutes() -> None:
