@@ -23,11 +23,9 @@ from skinbake.commands.bake_options import ENUMERATIONS, check_options, pose_sou
 from skinbake.commands.surface_bake import Aim, PrimitiveBake, SurfaceBake, unwritten
 from skinbake.errors import InputError, Notice, Place, noticed
 from skinbake.files.bounds import OWN_FOLDERS, Within
-from skinbake.files.digests import digests_of
 from skinbake.files.versions import version_of
 from skinbake.format.attribute_store import level_ignored, stored_otherwise
 from skinbake.format.baked import AttributeNames, with_baked, with_scale
-from skinbake.format.growth import draco_growth
 from skinbake.format.layouts import GradientFormat
 from skinbake.format.strip import stripped
 from skinbake.gltf.beside import files_read
@@ -116,6 +114,11 @@ class Baker:
             if planned is not None and not writing.dry_run:
                 with stage("write"):
                     planned = replace(planned, replaces=replaced).write(sync=writing.sync)
+        written: dict[str, str] = {}
+        if writing.traced and planned:
+            from skinbake.files.digests import digests_of
+
+            written = digests_of(planned.files)
         return FileResult(
             source,
             target,
@@ -124,7 +127,7 @@ class Baker:
             made.skipped,
             tuple(notices),
             encoding=made.encoding,
-            written=digests_of(planned.files) if writing.traced and planned else {},
+            written=written,
             read=files_read(document, target, pack=writing.pack) if writing.lists_read else (),
         )
 
@@ -183,6 +186,8 @@ class Baker:
             *unmeasured,
         ]
         if self.compress is Scheme.DRACO:
+            from skinbake.format.growth import draco_growth
+
             notices += draco_growth(given, written)
         primitives = tuple(
             (bake.source.place, bake.counts(self.encoding, length))

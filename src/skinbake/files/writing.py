@@ -22,7 +22,6 @@ from typing import NamedTuple
 from skinbake.errors import OutputError, Place, ReaderGoneError
 from skinbake.files import Bytes
 from skinbake.files.folders import BY_DESCRIPTOR, Folder, beneath, check_regular, flush
-from skinbake.files.replacing import StuckError, replaced
 from skinbake.files.temporary import remove_abandoned, temporary_name
 from skinbake.files.versions import Signature, Version, signature_of
 from skinbake.signals import interrupts_put_off
@@ -300,6 +299,8 @@ def _rename(begun: _Begun, replaces: Version | None, place: Place) -> None:
         _put_new(one, begun, place)
     is_new = _there(last.folder, last.name) is None
     if replaces is not None and not is_new:
+        from skinbake.files.replacing import StuckError, replaced  # most outputs replace no input
+
         expected = partial(replaces.is_in, last.folder, last.temporary)
         try:
             is_replaced = replaced(last.folder, last.temporary, last.name, expected)

@@ -14,7 +14,6 @@ from skinbake.gltf.beside import files_of_extensions, is_elsewhere
 from skinbake.gltf.codecs import meshopt
 from skinbake.gltf.document import GLB_SUFFIXES, STDIO, Document
 from skinbake.gltf.json_access import JsonObject
-from skinbake.gltf.packing import packed, packed_with_files
 from skinbake.wording import counted, one_or_many
 
 
@@ -39,10 +38,14 @@ def _converted(document: Document, target: str, *, pack: bool, moves: bool) -> t
     """Return the document in the container of the target, and notices on what stays outside or is lost."""
     if is_glb_name(target):
         glb, notices = document, list[Notice]()
-        if pack:
-            glb, notices = packed_with_files(glb if glb.is_glb else _as_glb(glb), moves=moves)
-        elif not document.is_glb:
-            glb = packed(_as_glb(document), buffer_files=target == STDIO)
+        if pack or not document.is_glb:
+            from skinbake.gltf.packing import packed, packed_with_files  # most files are GLBs, and stay so
+
+            glb = document if document.is_glb else _as_glb(document)
+            if pack:
+                glb, notices = packed_with_files(glb, moves=moves)
+            else:
+                glb = packed(glb, buffer_files=target == STDIO)
         return (_self_contained(glb), _loose_images(glb) or notices) if target == STDIO else (glb, notices)
     if pack:
         raise OutputError("--pack needs a .glb or .vrm: a .gltf has no binary chunk", Place(target))

@@ -31,7 +31,6 @@ from skinbake.files.folders import open_beneath
 from skinbake.gltf import json_access, json_text, resources
 from skinbake.gltf.budget import Budget
 from skinbake.gltf.glb import STDIN, GlbChunks, split_glb
-from skinbake.gltf.other_kinds import refuse_other_kind
 from skinbake.wording import counted, meant_file, one_or_many
 
 GLB_SUFFIXES = (".glb", ".vrm")
@@ -245,6 +244,8 @@ def parse_gltf(data: Bytes, name: str, folder: Path, bounds: Bounds = BESIDE) ->
     """Return the document in the text of a ``.gltf`` file; InputError if it is none."""
     if data[:4] == b"glTF":
         raise InputError("this is a GLB container; name it .glb instead", Place(name))
+    from skinbake.gltf.other_kinds import refuse_other_kind  # most files are GLBs
+
     refuse_other_kind(data, Place(name))
     budget = Budget(backed=len(data))
     return Document(
