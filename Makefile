@@ -10,7 +10,7 @@ PACKAGE := .venv/package.stamp
 DEV := .venv/dev.stamp
 NODE_MODULES := tests/support/node_modules/.stamp
 BLENDER := build/blender/stamp
-BUILT_FROM := pyproject.toml setup.py src/skinbake/gradients/_kernel.c src/skinbake/lighting/_loops.c
+BUILT_FROM := pyproject.toml setup.py $(wildcard src/skinbake/*/*.c src/skinbake/*/loops/*.h)
 EXAMPLE := fixtures/bent_tube.glb
 
 # What the caller's shell has set up for other projects must not leak into .venv.

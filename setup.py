@@ -6,6 +6,7 @@ Without a compiler the package installs all the same, and `bake` and `verify` ru
 
 import os
 import sys
+from pathlib import Path
 
 from setuptools import Extension, setup
 
@@ -17,10 +18,11 @@ OTHERS += ["-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math"]
 
 
 def loops(name: str, source: str) -> Extension:
-    """Return one module of compiled loops."""
+    """Return one module of compiled loops. Its headers stand in the folder loops/ beside its source."""
     return Extension(
         name,
         [source],
+        depends=sorted(header.as_posix() for header in Path(source).parent.glob("loops/*.h")),
         extra_compile_args=MICROSOFT if sys.platform == "win32" else OTHERS,
         py_limited_api=True,
         optional=True,

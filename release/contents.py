@@ -40,6 +40,6 @@ def _names(path: Path) -> set[str]:
 
 def _sources(*, with_c: bool) -> set[str]:
     """Return the files of the package, but not what Python and a compiler left beside them."""
-    left = {".pyc", ".so", ".pyd"} | (set() if with_c else {".c"})
+    left = {".pyc", ".so", ".pyd"} | (set() if with_c else {".c", ".h"})
     files = [path for path in PACKAGE.rglob("*") if path.is_file() and path.suffix not in left]
     return {path.relative_to(PACKAGE).as_posix() for path in files}

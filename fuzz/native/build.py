@@ -40,7 +40,9 @@ def build() -> Path:
 
 
 def _compiled(source: Path) -> Path:
-    recipe = hashlib.sha256(" ".join([COMPILER, *FLAGS]).encode() + source.read_bytes())
+    headers = sorted(source.parent.glob("loops/*.h"))
+    text = b"".join(path.read_bytes() for path in [source, *headers])
+    recipe = hashlib.sha256(" ".join([COMPILER, *FLAGS]).encode() + text)
     compiled = BUILD / f"{recipe.hexdigest()[:16]}.so"
     if not compiled.exists():
         _compile(source, compiled)

@@ -2,8 +2,8 @@
 
 The gradient of a weight moves the tangents of algorithm 3 exactly if the surface and the weights are smooth.
 On a coarse mesh a better number exists: the one with which the tangents follow the deformed triangles. This
-module finds it for small turns of all joints, each about its own pivot. ``_kernel.c`` does the same in its
-pass over the vertices; this module is the definition.
+module finds it for small turns of all joints, each about its own pivot. ``loops/vertex_fit.h`` does the same
+in its pass over the vertices; this module is the definition.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Weight gradients at welded vertices (Tarini et al. 2014, §4; the mean over triangles after Max 1999).
 
-This module is the definition. ``_kernel.c`` does the same in one pass over the corners of each vertex.
+This module is the definition. ``loops/ring.h`` does the same in one pass over the corners of each vertex.
 """
 
 from __future__ import annotations

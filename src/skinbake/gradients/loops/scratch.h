@@ -1,0 +1,221 @@
+/* What is known of one weld class while it is baked, and the room for it. */
+
+#pragma once
+
+#include "surface.h"
+
+/* Some members of a group. */
+typedef struct {
+    const uint32_t *first;
+    size_t count;
+} Members;
+
+/* What each copy of the loop knows beforehand: whether positions are doubles, whether gradients are fitted to a
+   rig, and how many slots there are. */
+typedef struct {
+    int wide, fits;
+    size_t slots;
+} Shape;
+
+enum { X1 = 0, Y1, Z1, X2, Y2, Z2, COMPONENTS };
+
+/* What a weight adds to the turn of the two tangents of a class, as in rig_fit.RingTurns: the arms by axis, then
+   the spins by axis, each a number for both tangents. */
+enum { ARMS = 0, SPINS = 6, TURN = 12 };
+
+/* What a weight of 1 at a neighbour adds: to the sum of gradients by axis, then to the derivatives along the two
+   tangents that the fit follows. A zero fills the last place. */
+enum { GRADIENT = 0, ALONG = 3, ADDED = 6 };
+
+/* A neighbour of a class: the edge to it, and what it adds. If it has the joints of the class it is alike, and has
+   the differences of the weights of four slots. */
+typedef struct {
+    double edge[4]; /* x, y, z, 0 */
+    double differences[AT_ONCE], added[ADDED];
+    uint32_t vertex;
+    int alike;
+} Neighbour;
+
+/* Some corners of a class at once, component by component. Edges lead to the two other corners of the triangle,
+   the vertices `ends`. The sum multiplies the differences of weights along the edges by coefficients. share is the
+   corner's weight in the mean (see corner.py). */
+typedef struct {
+    uint32_t ends[AT_ONCE][2];
+    Neighbour *neighbours[2][AT_ONCE]; /* by end: the ends in the ring, if there is one */
+    Four edges[COMPONENTS];
+    double coefficients[COMPONENTS][AT_ONCE], share[AT_ONCE];
+} Corners;
+
+/* The triangles of some corners: e1 x e2, its length, and |e1|^2 |e2|^2. */
+typedef struct {
+    Four normal[3], area, lengths;
+} Facets;
+
+/* Neighbours among which the next one is looked for; one that is met again later stands twice. */
+enum { LOOKED_BACK = 16 };
+
+/* Entries of the table that says where in the ring a vertex stands. */
+enum { PLACES = 64 };
+
+/* Corners of which a class is fitted at most, and joints that turn around one vertex or are fitted there. */
+enum { MOST_CORNERS = 4096, MOST_TURNS = 128, MOST_FITTED = 64 };
+
+/* The vertex whose normal was normalised last, and whether the normal had a direction. */
+typedef struct {
+    size_t vertex;
+    Vector unit;
+    int known, directed;
+} Latest;
+
+/* The frame of a class, in which its turns are measured. */
+typedef struct {
+    Vector normal, tangents[2];
+    Vectors along;       /* the tangents */
+    Vectors leverage[2]; /* see rig_fit._leverage: by derivative */
+    double doubt;        /* the tilt for each radian of a turn of which the fit takes half */
+    int sound;
+} RingFrame;
+
+/* A joint that may turn: which of the fitted slots it carries. */
+typedef struct {
+    int32_t joint; /* NO_JOINT: above all roots */
+    int32_t rank;
+    uint64_t members;
+    size_t row; /* of the turns */
+    int done;
+} Node;
+
+/* The turn of one node, and the node above it, which is given what it carries. Both are rows of the turns. */
+typedef struct {
+    size_t node, above;
+    int parts; /* whether it parts the slots: if it does not, nothing else happens */
+    double sign, pivot[3];
+    uint64_t members, moved; /* the slots that it carries, and those that it moves, each as a bit */
+    int32_t chain;
+    size_t curl; /* the number of its curl from 1 on, 0 for none */
+} Climb;
+
+/* All joints of a long chain that part the slots turn alike. `moved` is how that tilts the tangents for each unit of
+   a slot's gradient, and `wanted` how it should tilt them, as in rig_fit._curls. */
+typedef struct {
+    Vector moved[MOST_FITTED];
+    Vectors wanted;
+} Curl;
+
+/* The way of the turns around a vertex up the rig. It depends on joints only, and the next vertex often has the
+   same ones. */
+typedef struct {
+    int32_t *turning, *numbers;  /* the joints around the class that turn, and their local numbers */
+    size_t turnings;
+    int32_t fitted[MOST_FITTED]; /* the joints of the slots that are fitted */
+    size_t fittings;
+    int ends;                    /* 0: there are too many turns, and no fit */
+    size_t spares, climbs;       /* spares: rows of nodes that have no turn of their own */
+    size_t curls;
+    Climb *climb;                /* from the lowest node up; MOST_TURNS, and one by slot */
+} Way;
+
+/* Rows of nodes without a turn of their own: those of fitted slots, and those above all others. */
+enum { MOST_SPARES = MOST_FITTED + MOST_TURNS };
+
+/* A curl has at least two turns. */
+enum { MOST_CURLS = MOST_TURNS / 2 };
+
+/* A joint whose weight varies around the class, and its local number. */
+typedef struct {
+    int32_t joint, local;
+    int held;
+    Vector gradient;
+    double magnitude;
+} Entry;
+
+/* Room to work in, enough for any class. Local numbers: slot k of the class has k, further joints follow. */
+typedef struct {
+    int32_t *local; /* by joint: its local number, -1 elsewhere */
+    int32_t *met;   /* by local number: the joint */
+    uint64_t *seen; /* by local number: the last neighbour that has the joint */
+    uint64_t visit;
+    double *own;        /* by slot: the class's weight */
+    double *x, *y, *z;  /* by local number: the components of the sum */
+    Entry *entries;
+    Entry **foreign;
+    int32_t *named; /* by slot: the joint whose gradient it carries */
+    Latest latest;
+    int stray;      /* an index was out of range at its use */
+    /* Only with a rig: */
+    void *corner_room; /* what corners was cut out of, aligned as vectors must be */
+    Corners *corners;  /* all corners of a class */
+    Neighbour *ring;   /* the ends of these corners */
+    size_t neighbours;
+    int varies;        /* whether the weights of the ring do */
+    uint16_t places[PLACES]; /* by the last digits of a vertex: where it may stand in the ring */
+    double *turns;     /* by local number, then spare rows: TURN each */
+    size_t room;       /* the first spare row */
+    RingFrame frame;
+    Vector *gradients; /* by slot */
+    double *shares;    /* by slot: of the gradients' lengths */
+    int32_t *turning;  /* the local numbers of the joints that turn */
+    int known_turnings; /* whether the way is that of these joints */
+    Node *nodes;
+    int32_t *node_of;  /* by joint: its node, -1 elsewhere */
+    size_t node_count;
+    double *kept;      /* the turns of a class while those of one of its vertices are carried up */
+    Way way;
+    double *matrix;    /* MOST_FITTED squared */
+    Curl *curls;
+} Scratch;
+
+static void free_scratch(Scratch *w)
+{
+    free(w->local), free(w->met), free(w->seen), free(w->own), free(w->x), free(w->y), free(w->z);
+    free(w->entries), free(w->foreign), free(w->named);
+    free(w->corner_room), free(w->ring), free(w->turns), free(w->gradients), free(w->shares), free(w->nodes);
+    free(w->node_of), free(w->turning), free(w->kept), free(w->way.turning), free(w->way.numbers), free(w->way.climb);
+    free(w->matrix), free(w->curls);
+}
+
+static Status allocate_fit(Scratch *w, const Surface *s)
+{
+    size_t joints = (size_t)s->joint_count, room = joints + (size_t)s->slots;
+    w->corner_room = malloc((MOST_CORNERS / AT_ONCE + 1) * sizeof *w->corners);
+    w->corners = (Corners *)(((uintptr_t)w->corner_room + sizeof(Four) - 1) / sizeof(Four) * sizeof(Four));
+    w->ring = malloc(2 * MOST_CORNERS * sizeof *w->ring);
+    w->room = room;
+    w->turns = malloc((room + MOST_SPARES) * TURN * sizeof *w->turns);
+    w->gradients = malloc((size_t)s->slots * sizeof *w->gradients);
+    w->shares = malloc((size_t)s->slots * sizeof *w->shares);
+    w->nodes = malloc((joints + 1) * sizeof *w->nodes);
+    w->node_of = malloc((joints + 1) * sizeof *w->node_of);
+    w->matrix = malloc(MOST_FITTED * MOST_FITTED * sizeof *w->matrix);
+    w->curls = malloc(MOST_CURLS * sizeof *w->curls);
+    w->turning = malloc(room * sizeof *w->turning);
+    w->kept = malloc(room * TURN * sizeof *w->kept);
+    w->way.turning = malloc(room * sizeof *w->way.turning);
+    w->way.numbers = malloc(room * sizeof *w->way.numbers);
+    w->way.climb = malloc((MOST_TURNS + (size_t)s->slots) * sizeof *w->way.climb);
+    if (!w->corner_room || !w->ring || !w->turns || !w->gradients || !w->shares || !w->nodes || !w->node_of ||
+        !w->turning || !w->kept || !w->way.turning || !w->way.numbers || !w->way.climb || !w->matrix || !w->curls)
+        return NO_MEMORY;
+    memset(w->node_of, 0xFF, (joints + 1) * sizeof *w->node_of);
+    return DONE;
+}
+
+static Status allocate_scratch(Scratch *w, const Surface *s)
+{
+    size_t joints = (size_t)s->joint_count, room = joints + (size_t)s->slots;
+    w->local = malloc((joints + 1) * sizeof *w->local);
+    w->met = malloc(room * sizeof *w->met);
+    w->seen = calloc(room, sizeof *w->seen);
+    w->own = malloc((size_t)s->slots * sizeof *w->own);
+    w->x = malloc(room * sizeof *w->x);
+    w->y = malloc(room * sizeof *w->y);
+    w->z = malloc(room * sizeof *w->z);
+    w->entries = malloc(room * sizeof *w->entries);
+    w->foreign = malloc(room * sizeof *w->foreign);
+    w->named = malloc((size_t)s->slots * sizeof *w->named);
+    if (!w->local || !w->met || !w->seen || !w->own || !w->x || !w->y || !w->z || !w->entries ||
+        !w->foreign || !w->named)
+        return NO_MEMORY;
+    memset(w->local, 0xFF, (joints + 1) * sizeof *w->local);
+    return s->parents ? allocate_fit(w, s) : DONE;
+}

@@ -1,0 +1,147 @@
+/* The surface to bake, its results, and its corners and vertices by weld class. */
+
+#pragma once
+
+#include "vectors.h"
+
+#define NO_JOINT (-1)
+#define NO_CHAIN (-1)
+
+/* The weights of corners in the mean (see corner.py). The module has constants of these names. */
+typedef enum { BY_MAX, BY_ANGLE, BY_AREA, BY_ANGLE_AREA, WEIGHTINGS } Weighting;
+
+/* How gradients are fitted to a rig (rig_fit.py has the same names). */
+typedef struct {
+    double missing, stiffness, together, doubt, smooth, most_doubt, even, faint, unfelt, flat; /* as in surface.py */
+} FitSettings;
+
+/* The surface to bake: V vertices with K slots each, T triangles, C weld classes. Rows as in the twins. */
+typedef struct {
+    const void *positions, *normals, *tangents, *bitangents; /* (V, 3) of floats or doubles */
+    int wide_positions, wide_normals, wide_frame;            /* tangents NULL: the frame comes from normals */
+    const uint32_t *triangles; /* (T, 3) */
+    const int32_t *joints;     /* (V, K), NO_JOINT where a slot has none */
+    const double *weights;     /* (V, K) */
+    const uint8_t *unused;     /* (V, K): may adopt */
+    const int32_t *classes;    /* (V,) */
+    Py_ssize_t vertices, slots, triangle_count, class_count, joint_count;
+    Weighting weighting;
+    int adopts;
+    double negligible;
+    const int32_t *parents, *ranks; /* (J,) of the rig to fit to, NULL for none; see rig.py */
+    const double *pivots;           /* (J, 3), NaN where a joint does not turn */
+    const int32_t *chains;          /* (J,): a long chain's number, the same for all its joints, or NO_CHAIN */
+    Py_ssize_t rig_joints;
+    FitSettings fit;
+} Surface;
+
+/* The counts of one primitive: a row of float64. */
+typedef struct {
+    double adopting, overflowing; /* vertices */
+    double magnitude, unheld;     /* of all gradients; of the gradients that no slot holds */
+} Sums;
+
+typedef struct {
+    float *alpha, *beta; /* (V, K - 1) */
+    int32_t *adopted;    /* (V, K) of zeros; 1 + joint if a slot adopts one */
+    const uint64_t *ends; /* (P,): the end of the rows of each primitive */
+    size_t primitives;
+    Sums *sums; /* (P,) */
+} Baked;
+
+/* Members of every group, in ascending order. Group g has start[g] ... start[g + 1]. */
+typedef struct {
+    uint32_t *start, *members;
+} Groups;
+
+/* While the GIL is released, another thread may write to the arrays. So every index is checked at its use, on the
+   value that is used. The checks of earlier loops do not count. STRAY_INDEX means an index out of range. Members of
+   groups are zeros at first: if classes change between counting and filling, a member may never be written. */
+
+/* The class of a vertex; class_count if there is no such vertex or class. */
+static ALWAYS_INLINE size_t class_of(const Surface *s, size_t vertex)
+{
+    size_t found = vertex < (size_t)s->vertices ? (size_t)(uint32_t)s->classes[vertex] : (size_t)s->class_count;
+    return found < (size_t)s->class_count ? found : (size_t)s->class_count;
+}
+
+/* Group the corners 4 t + i by weld class, by counting. */
+static Status group_corners(const Surface *s, Groups *groups)
+{
+    size_t corners = 3 * (size_t)s->triangle_count, classes = (size_t)s->class_count;
+    groups->start = calloc(classes + 2, sizeof *groups->start);
+    groups->members = calloc(corners + 1, sizeof *groups->members);
+    if (!groups->start || !groups->members)
+        return NO_MEMORY;
+    uint32_t *next = groups->start + 1; /* one ahead: filling moves every start to its place */
+    for (size_t corner = 0; corner < corners; corner++) {
+        size_t c = class_of(s, s->triangles[corner]);
+        if (c == classes)
+            return STRAY_INDEX;
+        next[c + 1]++;
+    }
+    for (size_t c = 0; c < classes; c++)
+        next[c + 1] += next[c];
+    for (size_t t = 0; t < (size_t)s->triangle_count; t++)
+        for (size_t i = 0; i < 3; i++) {
+            size_t c = class_of(s, s->triangles[3 * t + i]);
+            if (c == classes || next[c] >= corners)
+                return STRAY_INDEX;
+            groups->members[next[c]++] = (uint32_t)(4 * t + i);
+        }
+    return DONE;
+}
+
+/* Group the vertices by weld class. If every class is one vertex of the same number, members stay NULL. */
+static Status group_vertices(const Surface *s, Groups *groups)
+{
+    size_t vertices = (size_t)s->vertices, classes = (size_t)s->class_count;
+    size_t v = 0;
+    while (v < vertices && s->classes[v] == (int32_t)v)
+        v++;
+    if (v == vertices && classes == vertices)
+        return DONE;
+    groups->start = calloc(classes + 2, sizeof *groups->start);
+    groups->members = calloc(vertices + 1, sizeof *groups->members);
+    if (!groups->start || !groups->members)
+        return NO_MEMORY;
+    uint32_t *next = groups->start + 1;
+    for (v = 0; v < vertices; v++) {
+        size_t c = class_of(s, v);
+        if (c == classes)
+            return STRAY_INDEX;
+        next[c + 1]++;
+    }
+    for (size_t c = 0; c < classes; c++)
+        next[c + 1] += next[c];
+    for (v = 0; v < vertices; v++) {
+        size_t c = class_of(s, v);
+        if (c == classes || next[c] >= vertices)
+            return STRAY_INDEX;
+        groups->members[next[c]++] = (uint32_t)v;
+    }
+    return DONE;
+}
+
+/* The corners and the vertices of a surface by weld class, and the numbers that it was made for. */
+typedef struct {
+    Groups corners, vertices;
+    Py_ssize_t joint_count, vertex_count, slots, triangle_count, class_count;
+} Grouped;
+
+static void free_grouped(Grouped *grouped)
+{
+    free(grouped->corners.start), free(grouped->corners.members);
+    free(grouped->vertices.start), free(grouped->vertices.members);
+}
+
+static Status group_all(const Surface *s, Grouped *grouped)
+{
+    *grouped = (Grouped){.joint_count = s->joint_count,
+                         .vertex_count = s->vertices,
+                         .slots = s->slots,
+                         .triangle_count = s->triangle_count,
+                         .class_count = s->class_count};
+    Status status = group_corners(s, &grouped->corners);
+    return status == DONE ? group_vertices(s, &grouped->vertices) : status;
+}

@@ -1,0 +1,430 @@
+/* The gradients of one vertex fitted to a rig (twin: rig_fit.fitted). */
+
+#pragma once
+
+#include "ring.h"
+#include "slots.h"
+
+/* The node of a joint, made with a row where there is none; NO_JOINT stands above all roots. */
+static Node *node_of(const Surface *s, int32_t joint, size_t row, Scratch *w)
+{
+    int32_t *place = &w->node_of[joint == NO_JOINT ? s->joint_count : joint];
+    if (*place < 0) {
+        *place = (int32_t)w->node_count++;
+        w->nodes[*place] = (Node){joint, joint == NO_JOINT ? -1 : s->ranks[joint], 0, row, 0};
+    }
+    return &w->nodes[*place];
+}
+
+/* The node of a joint, made with a spare row where there is none. */
+static Node *spare_node_of(const Surface *s, int32_t joint, Scratch *w)
+{
+    size_t before = w->node_count;
+    Node *node = node_of(s, joint, w->room + w->way.spares, w);
+    w->way.spares += w->node_count - before;
+    return node;
+}
+
+static void close_nodes(const Surface *s, Scratch *w)
+{
+    for (size_t n = 0; n < w->node_count; n++)
+        w->node_of[w->nodes[n].joint == NO_JOINT ? s->joint_count : w->nodes[n].joint] = -1;
+    w->node_count = 0;
+}
+
+/* Whether a turn is anything but zeros. Their bits are zeros but for the sign. */
+static ALWAYS_INLINE int turns_at_all(const double turn[TURN])
+{
+#if defined(__GNUC__)
+    Words any = (Words)load(turn) | (Words)load(turn + AT_ONCE) | (Words)load(turn + 2 * AT_ONCE);
+    return (uint64_t)(any[0] | any[1] | any[2] | any[3]) << 1 != 0;
+#else
+    int turns = 0;
+    for (int m = 0; m < TURN; m++)
+        turns |= turn[m] != 0.0;
+    return turns;
+#endif
+}
+
+/* List the joints around a class that turn. Tell whether the way begins with them. Return their number. */
+static ALWAYS_INLINE size_t find_turning(int32_t used, Scratch *w)
+{
+    const Way *way = &w->way;
+    size_t count = 0;
+    int known = 1;
+    for (int32_t n = 0; n < used; n++)
+        if (w->met[n] >= 0 && turns_at_all(w->turns + n * TURN)) {
+            known = known && count < way->turnings && way->numbers[count] == n && way->turning[count] == w->met[n];
+            w->turning[count++] = n;
+        }
+    w->known_turnings = known && count == way->turnings;
+    return count;
+}
+
+/* The slots of a vertex that are fitted. The last of them takes what the others, the unknowns, leave. */
+typedef struct {
+    size_t unknowns;
+    size_t slots[MOST_FITTED];
+    int32_t joints[MOST_FITTED];
+    double presence[MOST_FITTED]; /* the weight and the share of the gradient of each slot's joint, added */
+    Pair given[MOST_FITTED];      /* the surface's gradients along the class's tangents */
+    double stiffness;             /* the share of a turn's squared lever that pulls to the surface's gradients */
+    double reach;                 /* the squared levers of all turns that part the slots, added */
+    double tilts; /* the squared tilts that these turns by a radian give to both tangents, added */
+} Fitted;
+
+/* Choose the slots to fit, by the presence of their joints. Returns 0 where there are too few or too many. */
+static ALWAYS_INLINE int choose_slots(const Surface *s, size_t slots, size_t vertex, const Scratch *w, Fitted *fitted)
+{
+    const double *weights = s->weights + vertex * slots;
+    const int32_t *joints = s->joints + vertex * slots;
+    size_t count = 0;
+    for (size_t k = 0; k < slots; k++) {
+        const int32_t joint = w->named[k];
+        if ((size_t)(uint32_t)joint >= (size_t)s->joint_count)
+            continue;
+        double presence = w->shares[k] + (joints[k] == joint ? weights[k] : 0.0);
+        if (!(presence > s->fit.unfelt))
+            continue;
+        if (count == MOST_FITTED)
+            return 0;
+        fitted->given[count] = dots(twice(w->gradients[k]), w->frame.along);
+        fitted->presence[count] = presence;
+        fitted->joints[count] = joint;
+        fitted->slots[count++] = k;
+    }
+    fitted->unknowns = count - 1;
+    fitted->reach = fitted->tilts = 0.0;
+    return count >= 2;
+}
+
+/* The turn of a node. It parts the slots if it moves some against the last one, about a pivot. */
+static Climb climb_from(const Surface *s, const Node *node, size_t unknowns)
+{
+    const double *pivot = s->pivots + 3 * (size_t)node->joint;
+    Climb climb = {.pivot = {pivot[0], pivot[1], pivot[2]}, .members = node->members};
+    climb.chain = s->chains[node->joint];
+    /* Where it carries the last slot it moves the others the other way. */
+    int carries = node->members >> unknowns & 1;
+    climb.sign = carries ? -1.0 : 1.0;
+    climb.moved = (carries ? ~node->members : node->members) & ((UINT64_C(1) << unknowns) - 1);
+    climb.parts = climb.moved && isfinite(climb.pivot[0]) && isfinite(climb.pivot[1]) && isfinite(climb.pivot[2]);
+    return climb;
+}
+
+/* Go through all joints whose turns part the joints around a vertex, from the lowest up. Returns 0 where there are
+   too many. */
+static int climb_up(const Surface *s, Scratch *w)
+{
+    Way *way = &w->way;
+    size_t left = w->node_count;
+    for (int turn = 0; left > 1; turn++) {
+        Node *lowest = NULL;
+        for (size_t n = 0; n < w->node_count; n++)
+            if (!w->nodes[n].done && w->nodes[n].joint != NO_JOINT &&
+                (lowest == NULL || w->nodes[n].rank > lowest->rank))
+                lowest = &w->nodes[n];
+        if (lowest == NULL || turn == MOST_TURNS)
+            return 0;
+        Climb *climb = &way->climb[way->climbs++];
+        *climb = climb_from(s, lowest, way->fittings - 1);
+        int32_t parent = s->parents[lowest->joint], rank = lowest->rank;
+        if (parent < 0 || parent >= s->joint_count || s->ranks[parent] >= rank)
+            parent = NO_JOINT;
+        lowest->done = 1;
+        size_t before = w->node_count;
+        Node *above = spare_node_of(s, parent, w);
+        left -= w->node_count == before;
+        above->members |= lowest->members;
+        climb->node = lowest->row, climb->above = above->row;
+    }
+    return 1;
+}
+
+/* Number the curls: the long chains of which several joints part the slots. */
+static void number_curls(Way *way)
+{
+    way->curls = 0;
+    for (size_t n = 0; n < way->climbs; n++) {
+        Climb *climb = &way->climb[n];
+        if (!climb->parts || climb->chain == NO_CHAIN)
+            continue;
+        for (size_t m = 0; m < n && !climb->curl; m++) {
+            Climb *lower = &way->climb[m];
+            if (!lower->parts || lower->chain != climb->chain)
+                continue;
+            if (!lower->curl)
+                lower->curl = ++way->curls;
+            climb->curl = lower->curl;
+        }
+    }
+}
+
+/* Write the way of the turns of a vertex up the rig. */
+static void plan_way(const Surface *s, size_t turnings, const Fitted *fitted, Scratch *w)
+{
+    Way *way = &w->way;
+    way->turnings = turnings, way->fittings = fitted->unknowns + 1;
+    way->spares = way->climbs = 0;
+    w->node_count = 0;
+    for (size_t n = 0; n < turnings; n++) {
+        size_t row = (size_t)(way->numbers[n] = w->turning[n]);
+        way->turning[n] = w->met[row];
+        Node *node = node_of(s, way->turning[n], row, w);
+        if (node->row != row) /* two slots have the same joint */
+            way->climb[way->climbs++] = (Climb){.node = row, .above = node->row};
+    }
+    for (size_t i = 0; i < way->fittings; i++) {
+        way->fitted[i] = fitted->joints[i];
+        spare_node_of(s, fitted->joints[i], w)->members |= UINT64_C(1) << i;
+    }
+    w->known_turnings = 1;
+    way->ends = climb_up(s, w);
+    number_curls(way);
+    close_nodes(s, w);
+}
+
+/* Find the way of the turns of a vertex up the rig. It was found already if the latest vertex had the same joints. */
+static ALWAYS_INLINE const Way *find_way(const Surface *s, size_t turnings, const Fitted *fitted, Scratch *w)
+{
+    Way *way = &w->way;
+    const size_t fittings = fitted->unknowns + 1;
+    int same = w->known_turnings && way->fittings == fittings;
+    for (size_t i = 0; same && i < fittings; i++)
+        same = way->fitted[i] == fitted->joints[i];
+    if (!same)
+        plan_way(s, turnings, fitted, w);
+    return way;
+}
+
+/* Up to this number of slots, one of them for the last, the fit has copies without loops. */
+enum { FEW_FITTED = 4 };
+
+/* Bit i of a mask as a number. Branches here would be guessed wrongly half of the time. */
+static ALWAYS_INLINE double bit_of(uint64_t mask, size_t i, size_t unknowns)
+{
+    static const double few[1 << FEW_FITTED][FEW_FITTED] = {
+        {0, 0, 0, 0}, {1, 0, 0, 0}, {0, 1, 0, 0}, {1, 1, 0, 0}, {0, 0, 1, 0}, {1, 0, 1, 0}, {0, 1, 1, 0}, {1, 1, 1, 0},
+        {0, 0, 0, 1}, {1, 0, 0, 1}, {0, 1, 0, 1}, {1, 1, 0, 1}, {0, 0, 1, 1}, {1, 0, 1, 1}, {0, 1, 1, 1}, {1, 1, 1, 1},
+    };
+    return unknowns < FEW_FITTED ? few[mask % (1 << FEW_FITTED)][i] : (double)(mask >> i & 1);
+}
+
+/* The normal equations of some slots. Rows of the matrix are `stride` apart. */
+typedef struct {
+    double *matrix;
+    Pair *right;
+    size_t unknowns, stride;
+} Equations;
+
+/* Add what the turn of one joint says to the normal equations of the slots, and to its curl. The names are those of
+   rig_fit._TurnEffects. */
+static ALWAYS_INLINE void add_turn(Vector position, const Climb *climb, const double turn[TURN],
+                                   const RingFrame *frame, Fitted *fitted, Equations e, Curl *curls)
+{
+    const Vector lever = minus(position, (Vector){climb->pivot[0], climb->pivot[1], climb->pivot[2]});
+    const Vector tilt = cross(lever, frame->normal);
+    const double squared_lever = dot(lever, lever), square = dot(tilt, tilt);
+    const double pull = fitted->stiffness * squared_lever;
+    const Vectors arms = load_vectors(turn + ARMS), spins = load_vectors(turn + SPINS);
+    const Vectors wanted = plus_each(crosses(twice(lever), arms), spins);
+    const Pair aims = dots(twice(tilt), wanted);
+    Pair carried = both(0.0);
+    for (size_t i = 0; i <= e.unknowns; i++)
+        carried = add_pairs(carried, scaled(bit_of(climb->members, i, e.unknowns), fitted->given[i]));
+    const Pair off = subtract_pairs(scaled(square, carried), aims), squared_off = multiply_pairs(off, off);
+    fitted->tilts += square > 0.0 ? (part(squared_off, 0) + part(squared_off, 1)) / square : 0.0;
+    fitted->reach += squared_lever;
+    const Pair right = scaled(climb->sign, add_pairs(aims, scaled(pull, carried)));
+    for (size_t i = 0; i < e.unknowns; i++) {
+        const double mask = bit_of(climb->moved, i, e.unknowns);
+        e.right[i] = add_pairs(e.right[i], scaled(mask, right));
+        for (size_t k = 0; k <= i; k++)
+            e.matrix[i * e.stride + k] += mask * bit_of(climb->moved, k, e.unknowns) * (square + pull);
+    }
+    if (climb->curl) {
+        Curl *curl = &curls[climb->curl - 1];
+        curl->wanted = plus_each(curl->wanted, wanted);
+        for (size_t i = 0; i < e.unknowns; i++)
+            curl->moved[i] = plus(curl->moved[i], times(tilt, climb->sign * bit_of(climb->moved, i, e.unknowns)));
+    }
+}
+
+/* Add what the curls say to the normal equations of the slots. */
+static ALWAYS_INLINE void add_curls(const Surface *s, const Curl *curls, size_t count, Equations e)
+{
+    for (const Curl *curl = curls; curl < curls + count; curl++)
+        for (size_t i = 0; i < e.unknowns; i++) {
+            const Vector moved = times(curl->moved[i], s->fit.together);
+            e.right[i] = add_pairs(e.right[i], dots(twice(moved), curl->wanted));
+            for (size_t k = 0; k <= i; k++)
+                e.matrix[i * e.stride + k] += dot(moved, curl->moved[k]);
+        }
+}
+
+/* Sum up the turns along the way, in place, and what they say to the normal equations of the slots. */
+static ALWAYS_INLINE void gather_turns(const Surface *s, Vector position, const Way *way, Fitted *fitted, Equations e,
+                                       Scratch *w)
+{
+    for (size_t i = 0; i < e.unknowns; i++) {
+        e.right[i] = both(0.0);
+        for (size_t k = 0; k <= i; k++)
+            e.matrix[i * e.stride + k] = 0.0;
+    }
+    memset(w->turns + w->room * TURN, 0, way->spares * TURN * sizeof *w->turns);
+    memset(w->curls, 0, way->curls * sizeof *w->curls);
+    for (size_t n = 0; n < way->climbs; n++) {
+        const Climb *climb = &way->climb[n];
+        const double *turn = w->turns + climb->node * TURN;
+        double *above = w->turns + climb->above * TURN;
+        if (climb->parts)
+            add_turn(position, climb, turn, &w->frame, fitted, e, w->curls);
+        for (int m = 0; m < TURN; m += AT_ONCE)
+            store(above + m, add(load(above + m), load(turn + m)));
+    }
+    add_curls(s, w->curls, way->curls, e);
+}
+
+/* Solve the normal equations, by the factors L D Lt in place of the matrix. The right side becomes the solution.
+   Returns 0 where it is not finite. */
+static ALWAYS_INLINE int solve(Equations e)
+{
+    Pair finite = both(0.0);
+    for (size_t i = 0; i < e.unknowns; i++) {
+        double *row = e.matrix + i * e.stride, diagonal = row[i];
+        for (size_t k = 1; k < i; k++) /* row[k] is L[i][k] D[k] until the row is done */
+            for (size_t n = 0; n < k; n++)
+                row[k] -= row[n] * e.matrix[k * e.stride + n];
+        for (size_t k = 0; k < i; k++) {
+            double factor = row[k] * e.matrix[k * e.stride + k]; /* the diagonal holds 1 / D */
+            diagonal -= factor * row[k];
+            row[k] = factor;
+            e.right[i] = subtract_pairs(e.right[i], scaled(factor, e.right[k]));
+        }
+        row[i] = 1.0 / diagonal;
+    }
+    for (size_t i = e.unknowns; i-- > 0;) {
+        e.right[i] = scaled(e.matrix[i * e.stride + i], e.right[i]);
+        for (size_t n = i + 1; n < e.unknowns; n++)
+            e.right[i] = subtract_pairs(e.right[i], scaled(e.matrix[n * e.stride + i], e.right[n]));
+        finite = add_pairs(finite, scaled(0.0, e.right[i]));
+    }
+    return part(finite, 0) + part(finite, 1) == 0.0;
+}
+
+/* The pull of one slot to its gradient. It is strong where the joint is hardly there. */
+static ALWAYS_INLINE double pull_of(const Surface *s, const Fitted *fitted, size_t slot)
+{
+    double faint = s->fit.faint / fitted->presence[slot], more = faint > 1.0 ? faint * faint - 1.0 : 0.0;
+    return fitted->stiffness * fitted->reach * (s->fit.even + more);
+}
+
+/* Move the gradients of the fitted slots, in the plane of the class's tangents, to the solution of the least
+   squares. */
+static ALWAYS_INLINE void move_gradients(const Surface *s, const Fitted *fitted, Equations e, Scratch *w)
+{
+    const Vector *tangents = w->frame.tangents;
+    const size_t unknowns = e.unknowns;
+    double last = pull_of(s, fitted, unknowns);
+    for (size_t i = 0; i < unknowns; i++) {
+        double pull = pull_of(s, fitted, i);
+        for (size_t k = 0; k <= i; k++)
+            e.matrix[i * e.stride + k] += k == i ? last + pull : last;
+        e.right[i] = add_pairs(
+            e.right[i], subtract_pairs(scaled(pull, fitted->given[i]), scaled(last, fitted->given[unknowns])));
+    }
+    if (!solve(e))
+        return;
+    double share = fitted->tilts / (fitted->tilts + w->frame.doubt * w->frame.doubt);
+    e.right[unknowns] = both(0.0);
+    for (size_t i = 0; i < unknowns; i++)
+        e.right[unknowns] = subtract_pairs(e.right[unknowns], e.right[i]);
+    for (size_t i = 0; i <= unknowns; i++) {
+        Vector *gradient = &w->gradients[fitted->slots[i]];
+        Pair by = scaled(share, subtract_pairs(e.right[i], fitted->given[i]));
+        *gradient = plus(*gradient, plus(times(tangents[0], part(by, 0)), times(tangents[1], part(by, 1))));
+    }
+}
+
+/* Fit the gradients of some unknowns. */
+static ALWAYS_INLINE void fit_unknowns(const Surface *s, size_t unknowns, Vector position, const Way *way,
+                                       Fitted *fitted, Scratch *w)
+{
+    double few[(FEW_FITTED - 1) * (FEW_FITTED - 1)];
+    Pair right[MOST_FITTED];
+    Equations e = {few, right, unknowns, FEW_FITTED - 1};
+    if (unknowns >= FEW_FITTED)
+        e.matrix = w->matrix, e.stride = MOST_FITTED;
+    gather_turns(s, position, way, fitted, e, w);
+    if (fitted->reach > 0.0 && isfinite(fitted->tilts)) /* where levers are very long the tilts overflow */
+        move_gradients(s, fitted, e, w);
+}
+
+/* Fit the gradients by slot of one vertex to the rig. `missing` is the share of the gradients whose joints have no
+   slot. */
+FOR_PROCESSORS
+static void fit_vertex(const Surface *s, size_t vertex, size_t turnings, double missing, const Vector *position,
+                       Scratch *w)
+{
+    Fitted fitted;
+    fitted.stiffness = s->fit.stiffness * (1.0 + s->fit.missing * missing);
+    int chosen = s->slots == 4 ? choose_slots(s, 4, vertex, w, &fitted)
+                               : choose_slots(s, (size_t)s->slots, vertex, w, &fitted);
+    if (!chosen)
+        return;
+    const Way *way = find_way(s, turnings, &fitted, w);
+    if (!way->ends)
+        return;
+    switch (fitted.unknowns) {
+    case 1:
+        fit_unknowns(s, 1, *position, way, &fitted, w);
+        break;
+    case 2:
+        fit_unknowns(s, 2, *position, way, &fitted, w);
+        break;
+    case 3:
+        fit_unknowns(s, 3, *position, way, &fitted, w);
+        break;
+    default:
+        fit_unknowns(s, fitted.unknowns, *position, way, &fitted, w);
+    }
+}
+
+/* Write alpha and beta of one vertex as project does, with gradients fitted to the rig. The turns are kept unless
+   it is the last vertex of its class. */
+static ALWAYS_INLINE double project_fitted(const Surface *s, Shape shape, size_t vertex, int last,
+                                           const ClassGradients *found, const Baked *out, Scratch *w)
+{
+    const size_t slots = shape.slots;
+    Vector t, b;
+    find_frame(s, vertex, &w->latest, &t, &b);
+    double unheld = 0.0;
+    memset(w->gradients, 0, slots * sizeof *w->gradients);
+    memset(w->shares, 0, slots * sizeof *w->shares);
+    const double whole = found->magnitude > 0.0 ? 1.0 / found->magnitude : 0.0; /* sums that cancel have no shares */
+    for (size_t n = 0; n < found->entries; n++) {
+        Entry *entry = &w->entries[n];
+        size_t slot = 0;
+        while (slot < slots && w->named[slot] != entry->joint)
+            slot++;
+        entry->held = slot < slots;
+        if (entry->held)
+            w->gradients[slot] = entry->gradient, w->shares[slot] = entry->magnitude * whole;
+        else
+            unheld += entry->magnitude;
+    }
+    if (w->frame.sound) {
+        const Vector position = row3(s->positions, shape.wide, vertex);
+        const size_t size = (size_t)found->used * TURN * sizeof *w->turns;
+        if (!last)
+            memcpy(w->kept, w->turns, size);
+        fit_vertex(s, vertex, found->turnings, unheld * whole, &position, w);
+        if (!last)
+            memcpy(w->turns, w->kept, size);
+    }
+    for (size_t k = 1; k < slots; k++) {
+        out->alpha[vertex * (slots - 1) + k - 1] = stored(dot(w->gradients[k], t));
+        out->beta[vertex * (slots - 1) + k - 1] = stored(dot(w->gradients[k], b));
+    }
+    return unheld;
+}
