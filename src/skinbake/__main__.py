@@ -1,6 +1,18 @@
-"""Run the command line as ``python -m skinbake``."""
+"""The start of the command line: of ``skinbake``, and of ``python -m skinbake``."""
 
-from skinbake.cli.main import entry_point
+from __future__ import annotations
+
+import signal
+
+
+def run() -> None:
+    """Run the command line. Ctrl-C during its imports ends the process at once, without a traceback."""
+    if signal.getsignal(signal.SIGINT) == signal.default_int_handler:  # otherwise it is to be ignored
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+    from skinbake.cli.main import entry_point
+
+    entry_point()
+
 
 if __name__ == "__main__":
-    entry_point()
+    run()

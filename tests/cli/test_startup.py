@@ -206,6 +206,24 @@ def test_a_signal_at_exit_needs_no_traceback(number: signal.Signals) -> None:
 
 
 @LINUX
+def test_ctrl_c_while_click_is_imported_needs_no_traceback() -> None:
+    script = """
+import signal, sys
+class Interrupting:
+    def find_spec(self, name, path, target=None):
+        if name == "click":
+            signal.raise_signal(signal.SIGINT)
+sys.meta_path.insert(0, Interrupting())
+from skinbake.__main__ import run
+run()
+"""
+    for signals, code in ((HEARING, -signal.SIGINT), (HEARING.replace("SIG_DFL", "SIG_IGN"), 0)):
+        command = [sys.executable, "-c", signals, "-c", script, "--version"]
+        process = subprocess.run(command, capture_output=True, check=False)
+        assert (process.returncode, process.stderr) == (code, b"")
+
+
+@LINUX
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129)]

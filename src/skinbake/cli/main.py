@@ -175,9 +175,8 @@ def _watch_for_signals() -> list[int]:
 
     if current_thread() is main_thread():
         for number in ENDING:
-            usual = signal.default_int_handler if number == signal.SIGINT else signal.SIG_DFL
-            if signal.getsignal(number) == usual:  # otherwise the signal is to be ignored
-                signal.signal(number, note)
+            if signal.getsignal(number) in {signal.SIG_DFL, signal.default_int_handler}:
+                signal.signal(number, note)  # otherwise the signal is to be ignored
     return received
 
 
