@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import struct
 import sys
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ from typing import Any
 import pytest
 
 from fixtures.builder import pack_glb
+from skinbake import strip
 from skinbake.errors import InputError, UnsupportedFeatureError, printable
 from skinbake.gltf.document import Document, parse_glb, parse_gltf, read_document
 from skinbake.gltf.output import plan_output
@@ -181,6 +183,27 @@ def test_the_indentation_stays(tmp_path: Path, indent: int | str | None) -> None
         assert first == "{"
         white = indent if isinstance(indent, str) else " " * indent
         assert lines[0].startswith(f'{white}"')
+
+
+@pytest.mark.parametrize("name", ["seam.glb", SHARED])
+@pytest.mark.parametrize("ascii_only", [False, True])
+def test_escapes_of_names_stay(tmp_path: Path, name: str, ascii_only: bool) -> None:
+    """Blender escapes names that are not ASCII; other tools do not."""
+    source, is_glb = copied(name, tmp_path), name.endswith(".glb")
+    data = source.read_bytes()
+    start, end = (20, 20 + int.from_bytes(data[12:16], "little")) if is_glb else (0, len(data))
+    content = json.loads(data[start:end])
+    content["meshes"][0]["name"] = "日本 😀 Ärmel"
+    text = json.dumps(content, separators=(",", ":"), ensure_ascii=ascii_only).encode("utf-8")
+    if is_glb:
+        text += b" " * (-len(text) % 4)
+        length = len(data) - end + 20 + len(text)
+        text = struct.pack("<4sIII4s", b"glTF", 2, length, len(text), b"JSON") + text + data[end:]
+    source.write_bytes(text)
+    baked, restored = (tmp_path / f"{stem}{source.suffix}" for stem in ("baked", "restored"))
+    bake(source, baked)
+    strip(str(baked), str(restored))
+    assert restored.read_bytes() == text
 
 
 def test_numbers_and_strings_stay_what_they_were(tmp_path: Path) -> None:

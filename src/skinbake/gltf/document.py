@@ -55,6 +55,8 @@ class Document:
     - ``new_files`` are files that must be written beside it, by relative URI.
     - ``told`` are URIs of buffers and images that stay files. A notice says so, and what becomes of them.
     - ``other_chunks`` and ``trailing`` are further contents of a GLB.
+    - ``indent`` is the white space before the keys of its JSON, None for text on one line. ``escaped`` tells
+      whether the JSON spells what is not ASCII by escapes of four digits.
     - ``raw`` is the text or the container as read, None after an edit.
     - ``derived`` holds results of decoders, each under its own key, so that nothing is decoded twice.
     - ``budget`` counts the memory that it has claimed, with all edited versions.
@@ -71,6 +73,7 @@ class Document:
     new_files: dict[str, tuple[Bytes, ...]] = field(default_factory=dict)
     told: frozenset[str] = frozenset()
     indent: str | None = None
+    escaped: bool = False
     raw: Bytes | None = None
     derived: dict[str, dict[Any, Any]] = field(default_factory=dict, repr=False)
     budget: Budget = field(default_factory=Budget, repr=False, compare=False)
@@ -225,14 +228,15 @@ def _read_stdin() -> bytes:
 def parse_glb(data: Bytes, name: str, folder: Path, bounds: Bounds = BESIDE) -> Document:
     """Return the document in the bytes of a GLB; InputError if they are no GLB."""
     chunks: GlbChunks = split_glb(data, Place(name))
-    budget = Budget(backed=len(data))
+    text, budget = bytes(chunks.json), Budget(backed=len(data))
     return Document(
         name=name,
         folder=folder,
         bounds=bounds,
-        json=_parse_json(bytes(chunks.json), budget, Place(name)),
+        json=_parse_json(text, budget, Place(name)),
         is_glb=True,
         budget=budget,
+        escaped=_is_escaped(text),
         binary=None if chunks.binary is None else (chunks.binary,),
         other_chunks=chunks.others,
         trailing=chunks.trailing,
@@ -247,15 +251,16 @@ def parse_gltf(data: Bytes, name: str, folder: Path, bounds: Bounds = BESIDE) ->
     from skinbake.gltf.other_kinds import refuse_other_kind  # most files are GLBs
 
     refuse_other_kind(data, Place(name))
-    budget = Budget(backed=len(data))
+    text, budget = bytes(data), Budget(backed=len(data))
     return Document(
         name=name,
         folder=folder,
         bounds=bounds,
-        json=_parse_json(bytes(data), budget, Place(name)),
+        json=_parse_json(text, budget, Place(name)),
         is_glb=False,
         budget=budget,
-        indent=_indentation(bytes(data[:256])),
+        indent=_indentation(text),
+        escaped=_is_escaped(text),
         raw=data,
     )
 
@@ -311,3 +316,8 @@ def _indentation(data: bytes) -> str | None:
         return None
     line = rest.split(b"\n")[0]
     return line[: len(line) - len(line.lstrip())].decode("ascii", "replace")
+
+
+def _is_escaped(text: bytes) -> bool:
+    """Tell whether a JSON text is ASCII because it escapes what is not, as Blender writes it."""
+    return b"\\u" in text and text.isascii()

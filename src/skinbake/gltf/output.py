@@ -169,11 +169,11 @@ def _serialised(document: Document) -> Sequence[Bytes]:
 
 
 def _json_bytes(document: Document) -> bytes:
-    """Return the JSON as UTF-8 with its former indentation; lone surrogates are escaped."""
-    root, indent = document.json, document.indent
+    """Return the JSON as UTF-8 with its former indentation and escapes; lone surrogates are escaped."""
+    root, indent, escaped = document.json, document.indent, document.escaped
     try:
         try:
-            return _ended(json_text.written(root, indent=indent, ascii_only=False)).encode("utf-8")
+            return _ended(json_text.written(root, indent=indent, ascii_only=escaped)).encode("utf-8")
         except UnicodeEncodeError:
             return _ended(json_text.written(root, indent=indent, ascii_only=True)).encode("ascii")
     except ValueError as error:
