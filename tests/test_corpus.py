@@ -183,6 +183,7 @@ class TestRealModels:
             target.parent.mkdir()
             result = strip_file(str(run.target), str(target))
             assert {notice.code for notice in result.notices} <= {"file-missing"}
+            assert target.read_bytes() == run.source.read_bytes()
             before, after = read(run.source), read(target)
             assert json.dumps(after.content) == json.dumps(before.content)
             assert after.binary_chunk == before.binary_chunk

@@ -59,7 +59,7 @@ def test_the_wheel_has_every_file_that_is_no_code() -> None:
     project = tomllib.loads((package.parents[1] / "pyproject.toml").read_text(encoding="utf-8"))
     patterns = project["tool"]["setuptools"]["package-data"]["skinbake"]
     named = {path for pattern in patterns for path in package.glob(pattern) if path.is_file()}
-    code = {".py", ".c", ".so", ".pyd", ".pyc"}
+    code = {".py", ".c", ".h", ".so", ".pyd", ".pyc"}
     found = {path for path in package.rglob("*") if path.is_file() and path.suffix not in code}
     assert found == named
 

@@ -19,7 +19,6 @@ from skinbake.gltf.rigs import fitting_rig
 from skinbake.gradients.assumptions import assumptions, check_finite
 from skinbake.gradients.baker import BakeFindings, BakeSettings, bake_mesh
 from skinbake.gradients.normal_lean import lean_notices
-from skinbake.gradients.normals import with_smooth_normals
 from skinbake.gradients.tangents import with_straight_tangents
 from skinbake.report.bake import BakedCounts, ExtensionCost, LimitCost
 from skinbake.timing import stage
@@ -103,7 +102,7 @@ class SurfaceBake:
     ) -> SurfaceBake:
         """Read the arrays of a surface. Raises InputError if they cannot be read, or take too much memory."""
         with stage("arrays"):
-            primitives = with_smooth_normals(_read(document, sources))
+            primitives = _with_normals(_read(document, sources))
             if settings.frame is not FrameChoice.NORMAL:
                 primitives = _straight(document, sources, primitives)
         return cls(document, sources, primitives, settings, aim)
@@ -269,6 +268,15 @@ def unwritten(bakes: Sequence[PrimitiveBake]) -> list[UnwrittenBake]:
     from skinbake.lighting.unwritten import UnwrittenBake
 
     return [UnwrittenBake(bake.source, bake.primitive, bake.result) for bake in bakes]
+
+
+def _with_normals(primitives: list[SkinnedPrimitive]) -> list[SkinnedPrimitive]:
+    """Return the primitives of one mesh. Those without normals get smooth ones."""
+    if all(len(primitive.normals) for primitive in primitives):
+        return primitives
+    from skinbake.gradients.normals import with_smooth_normals  # most files have normals
+
+    return with_smooth_normals(primitives)
 
 
 def _straight(

@@ -73,18 +73,29 @@ def is_glb_name(target: str) -> bool:
 def _as_glb(document: Document) -> Document:
     buffers = document.objects("buffers")
     if not buffers or buffers[0].get("uri") is None:  # fallback buffers of meshopt have no bytes
-        return document.edited(is_glb=True, indent=None)
+        return document.edited(is_glb=True, indent=None, former=None)
     data: Bytes = document.buffer(0)
     first = {key: value for key, value in buffers[0].items() if key != "uri"}
     root = {**document.json, "buffers": [first, *buffers[1:]]}
     padding = bytes(-len(data) % 4)
     return document.edited(
-        json=root, is_glb=True, indent=None, binary=(data, padding) if padding else (data,)
+        json=root,
+        is_glb=True,
+        indent=None,
+        former=None,
+        binary=(data, padding) if padding else (data,),
     )
 
 
 def _as_gltf(document: Document, stem: str) -> tuple[Document, list[Notice]]:
-    changes = {"is_glb": False, "indent": "  ", "binary": None, "other_chunks": (), "trailing": b""}
+    changes = {
+        "is_glb": False,
+        "indent": "  ",
+        "former": None,
+        "binary": None,
+        "other_chunks": (),
+        "trailing": b"",
+    }
     notices = list(_dropped(document))
     if not document.has_binary_buffer:
         return document.edited(**changes), notices

@@ -57,6 +57,7 @@ class Document:
     - ``other_chunks`` and ``trailing`` are further contents of a GLB.
     - ``indent`` is the white space before the keys of its JSON, None for text on one line. ``escaped`` tells
       whether the JSON spells what is not ASCII by escapes of four digits.
+    - ``former`` are the JSON text as read and its value, None after a change of the container.
     - ``raw`` is the text or the container as read, None after an edit.
     - ``derived`` holds results of decoders, each under its own key, so that nothing is decoded twice.
     - ``budget`` counts the memory that it has claimed, with all edited versions.
@@ -74,6 +75,7 @@ class Document:
     told: frozenset[str] = frozenset()
     indent: str | None = None
     escaped: bool = False
+    former: tuple[Bytes, json_access.JsonObject] | None = field(default=None, repr=False, compare=False)
     raw: Bytes | None = None
     derived: dict[str, dict[Any, Any]] = field(default_factory=dict, repr=False)
     budget: Budget = field(default_factory=Budget, repr=False, compare=False)
@@ -229,14 +231,16 @@ def parse_glb(data: Bytes, name: str, folder: Path, bounds: Bounds = BESIDE) -> 
     """Return the document in the bytes of a GLB; InputError if they are no GLB."""
     chunks: GlbChunks = split_glb(data, Place(name))
     text, budget = bytes(chunks.json), Budget(backed=len(data))
+    root = _parse_json(text, budget, Place(name))
     return Document(
         name=name,
         folder=folder,
         bounds=bounds,
-        json=_parse_json(text, budget, Place(name)),
+        json=root,
         is_glb=True,
         budget=budget,
         escaped=_is_escaped(text),
+        former=(chunks.json, root),
         binary=None if chunks.binary is None else (chunks.binary,),
         other_chunks=chunks.others,
         trailing=chunks.trailing,
@@ -252,15 +256,17 @@ def parse_gltf(data: Bytes, name: str, folder: Path, bounds: Bounds = BESIDE) ->
 
     refuse_other_kind(data, Place(name))
     text, budget = bytes(data), Budget(backed=len(data))
+    root = _parse_json(text, budget, Place(name))
     return Document(
         name=name,
         folder=folder,
         bounds=bounds,
-        json=_parse_json(text, budget, Place(name)),
+        json=root,
         is_glb=False,
         budget=budget,
         indent=_indentation(text),
         escaped=_is_escaped(text),
+        former=(data, root),
         raw=data,
     )
 

@@ -16,6 +16,7 @@ from skinbake.gltf import json_text
 from skinbake.gltf.beside import Beside, named_files
 from skinbake.gltf.document import STDIO, Document, refuse_buffers_outside
 from skinbake.gltf.glb import join_glb
+from skinbake.gltf.json_rewriting import FormerText, rewritten
 from skinbake.gltf.resources import find
 
 ATTEMPTS = 8
@@ -169,17 +170,25 @@ def _serialised(document: Document) -> Sequence[Bytes]:
 
 
 def _json_bytes(document: Document) -> bytes:
-    """Return the JSON as UTF-8 with its former indentation and escapes; lone surrogates are escaped."""
-    root, indent, escaped = document.json, document.indent, document.escaped
+    """Return the JSON as UTF-8. What is unchanged keeps its former text; lone surrogates are escaped."""
     try:
         try:
-            return _ended(json_text.written(root, indent=indent, ascii_only=escaped)).encode("utf-8")
+            return _json_text(document, ascii_only=document.escaped).encode("utf-8")
         except UnicodeEncodeError:
-            return _ended(json_text.written(root, indent=indent, ascii_only=True)).encode("ascii")
+            return _json_text(document, ascii_only=True).encode("utf-8")
     except ValueError as error:
-        where = next(json_text.not_finite(root))
+        where = next(json_text.not_finite(document.json))
         message = f"its JSON cannot be written back: {where} is a number too large for any float"
         raise InputError(message, document.place) from error
+
+
+def _json_text(document: Document, *, ascii_only: bool) -> str:
+    if document.former is None:
+        return _ended(json_text.written(document.json, indent=document.indent, ascii_only=ascii_only))
+    data, value = document.former
+    former = FormerText(str(data, "utf-8"), value)
+    text = rewritten(former, document.json, indent=document.indent, ascii_only=ascii_only)
+    return text.rstrip(" ") if document.is_glb else text  # a GLB has spaces behind it, to fill its chunk
 
 
 def _ended(text: str) -> str:

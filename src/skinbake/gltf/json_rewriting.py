@@ -1,0 +1,170 @@
+"""A changed JSON value as text, in which all that is unchanged keeps its former text.
+
+The spelling of numbers and names, white space and line ends stay. So the text of a baked document differs
+from its source by the additions alone, and ``strip`` restores the source byte for byte.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+from skinbake.gltf.json_text import collector_off, written
+
+_START = re.compile("\ufeff?[ \t\n\r]*")
+_SPACE = re.compile(r"[ \t\n\r]*")
+_REMOVED: Any = object()
+
+
+class FormerText(NamedTuple):
+    """A JSON text, and its value."""
+
+    text: str
+    value: Any
+
+
+def rewritten(former: FormerText, value: Any, *, indent: str | None, ascii_only: bool) -> str:
+    """Return a text of a value, with parts of the former text.
+
+    A part of the value has its former text if it is the same object as in the former value, or an equal
+    scalar. All else is written as ``json_text.written`` writes it with these options; ValueError for numbers
+    that are not finite. Members that are new must come last in their object.
+    """
+    start = _end_of(_START, former.text, 0)
+    writer = _Rewriting(former.text, indent, ascii_only)
+    try:
+        with collector_off():
+            text, end = writer.entry(start, former.value, value, 0)
+    except (RecursionError, _OtherTextError):
+        return written(value, indent=indent, ascii_only=ascii_only)
+    return former.text[:start] + text + former.text[end:]
+
+
+class _OtherTextError(Exception):
+    """The text is not that of the value. For example, it has a member twice, and the value has the last."""
+
+
+class _Entry(NamedTuple):
+    """An entry of an object or array before and after, with its key in an object.
+
+    ``after`` is _REMOVED if it is not there any more.
+    """
+
+    key: str | None
+    before: Any
+    after: Any
+
+
+class _Rewriting:
+    def __init__(self, text: str, indent: str | None, ascii_only: bool) -> None:
+        self._text = text
+        self._indent = indent
+        self._ascii_only = ascii_only
+        self._line_end = "\r\n" if "\r\n" in text[:256] else "\n"
+        self._scan = json.JSONDecoder().raw_decode
+
+    def entry(self, at: int, before: Any, after: Any, depth: int) -> tuple[str, int]:
+        """Return the text of ``after``, and where the text of ``before`` ends, which begins at ``at``."""
+        if after is not before:
+            if isinstance(before, dict) and isinstance(after, dict):
+                members = _members(before, after)
+                if members is not None:
+                    return self._holder(at, members, _added(before, after), depth, "{}")
+            elif isinstance(before, list) and isinstance(after, list):
+                entries, more = _paired(before, after)
+                return self._holder(at, entries, more, depth, "[]")
+        end = self._scan(self._text, at)[1]
+        is_same = after is before or _are_equal_scalars(before, after)
+        return self._text[at:end] if is_same else self._fresh(after, depth), end
+
+    def _holder(
+        self, at: int, entries: Sequence[_Entry], added: Iterable[_Entry], depth: int, brackets: str
+    ) -> tuple[str, int]:
+        """Return the text of an object or array, and where its former text ends."""
+        text = self._text
+        self._expect(brackets[0], at)
+        at += 1
+        first_space = text[at : _end_of(_SPACE, text, at)] if entries else self._line(depth + 1)
+        separator, colon = f",{first_space}", ":" if self._indent is None else ": "
+        pieces: list[str] = []
+        for number, entry in enumerate(entries):
+            start = _end_of(_SPACE, text, at)
+            if number:
+                self._expect(",", start)
+                start = _end_of(_SPACE, text, start + 1)
+                separator = text[at:start]
+            value_start = start
+            if entry.key is not None:
+                key, key_end = self._scan(text, start)
+                if key != entry.key:
+                    raise _OtherTextError
+                value_start = _end_of(_SPACE, text, key_end)
+                self._expect(":", value_start)
+                value_start = _end_of(_SPACE, text, value_start + 1)
+                colon = text[key_end:value_start]
+            if entry.after is _REMOVED:
+                at = self._scan(text, value_start)[1]
+                continue
+            value, at = self.entry(value_start, entry.before, entry.after, depth + 1)
+            pieces += [separator if pieces else first_space, text[start:value_start], value]
+        end = _end_of(_SPACE, text, at)
+        self._expect(brackets[1], end)
+        last_space = text[at:end] if entries else self._line(depth)
+        for entry in added:
+            name = "" if entry.key is None else json.dumps(entry.key, ensure_ascii=self._ascii_only) + colon
+            pieces += [separator if pieces else first_space, name, self._fresh(entry.after, depth + 1)]
+        return brackets[0] + "".join([*pieces, last_space] if pieces else pieces) + brackets[1], end + 1
+
+    def _expect(self, mark: str, at: int) -> None:
+        if self._text[at : at + 1] != mark:
+            raise _OtherTextError
+
+    def _fresh(self, value: Any, depth: int) -> str:
+        text = written(value, indent=self._indent, ascii_only=self._ascii_only)
+        return text.replace("\n", self._line(depth))
+
+    def _line(self, depth: int) -> str:
+        """Return the end of a line and the white space of the next one, nothing if all is on one line."""
+        return "" if self._indent is None else self._line_end + self._indent * depth
+
+
+def _end_of(pattern: re.Pattern[str], text: str, at: int) -> int:
+    found = pattern.match(text, at)
+    return at if found is None else found.end()
+
+
+def _are_equal_scalars(before: Any, after: Any) -> bool:
+    """Tell whether two values are one and the same scalar: 1 is not 1.0, and 0.0 is not −0.0."""
+    is_scalar = not isinstance(after, dict | list)
+    return is_scalar and type(before) is type(after) and repr(before) == repr(after)
+
+
+def _members(before: Mapping[str, Any], after: Mapping[str, Any]) -> list[_Entry] | None:
+    """Return the former members of an object; None if their order is another, or new ones precede them."""
+    kept = [key for key in before if key in after]
+    if list(after)[: len(kept)] != kept:
+        return None
+    return [_Entry(key, value, after.get(key, _REMOVED)) for key, value in before.items()]
+
+
+def _added(before: Mapping[str, Any], after: Mapping[str, Any]) -> list[_Entry]:
+    return [_Entry(key, _REMOVED, value) for key, value in after.items() if key not in before]
+
+
+def _paired(before: Sequence[Any], after: Sequence[Any]) -> tuple[list[_Entry], list[_Entry]]:
+    """Return the former entries of an array, and the new ones behind them.
+
+    An object that is the same as a former one belongs to it. All others belong to the next former one.
+    """
+    places = {id(value): number for number, value in enumerate(before) if isinstance(value, dict | list)}
+    entries: list[_Entry] = []
+    for number, value in enumerate(after):
+        place = places.get(id(value), -1)
+        while len(entries) < place:
+            entries.append(_Entry(None, before[len(entries)], _REMOVED))
+        if len(entries) == len(before):
+            return entries, [_Entry(None, _REMOVED, value) for value in after[number:]]
+        entries.append(_Entry(None, before[len(entries)], value))
+    return [*entries, *(_Entry(None, value, _REMOVED) for value in before[len(entries) :])], []
