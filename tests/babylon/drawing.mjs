@@ -11,6 +11,7 @@ import { DirectionalLight } from '@babylonjs/core/Lights/directionalLight.js';
 import { ShadowGenerator } from '@babylonjs/core/Lights/Shadows/shadowGenerator.js';
 import '@babylonjs/core/Lights/Shadows/shadowGeneratorSceneComponent.js';
 import { ImportMeshAsync, LoadAssetContainerAsync } from '@babylonjs/core/Loading/sceneLoader.js';
+import { OpenPBRMaterial } from '@babylonjs/core/Materials/PBR/openpbrMaterial.js';
 import { ShaderMaterial } from '@babylonjs/core/Materials/shaderMaterial.js';
 import { StandardMaterial } from '@babylonjs/core/Materials/standardMaterial.js';
 import { RawTexture } from '@babylonjs/core/Materials/Textures/rawTexture.js';
@@ -83,10 +84,12 @@ async function load({ url, pose, morphs = [], material = 'pbr', bones = 'texture
         mesh.alwaysSelectAsActiveMesh = true;
         morphs.forEach((weight, index) => (mesh.morphTargetManager.getTarget(index).influence = weight));
         if (bones === 'uniforms') mesh.skeleton.useTextureToStoreBoneMatrices = false;
-        if (material === 'standard') mesh.material = new StandardMaterial('standard', scene);
+        if (material !== 'pbr') mesh.material = new MATERIALS[material](material, scene);
     }
     return { scene, mesh: meshes[0], loaded };
 }
+
+const MATERIALS = { standard: StandardMaterial, openpbr: OpenPBRMaterial };
 
 const skinned = (scene) => scene.meshes.filter((mesh) => mesh.geometry && mesh.skeleton);
 
@@ -146,7 +149,7 @@ const told = (root) => skinbake.report(root).map(({ lighting, reason }) => [ligh
 // A page that adds a normal map.
 function addBump(scene, { material }) {
     const texture = RawTexture.CreateRGBATexture(new Uint8Array([128, 128, 255, 255]), 1, 1, scene);
-    material.bumpTexture = texture;
+    material[material instanceof OpenPBRMaterial ? 'geometryNormalTexture' : 'bumpTexture'] = texture;
 }
 
 // What applications do after the first frame. Each returns the meshes that it leaves.

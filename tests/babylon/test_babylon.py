@@ -176,18 +176,22 @@ def with_morphed_tangents(folder: Path, source: Path) -> Path:
 
 
 @pytest.mark.parametrize(
-    ("frame", "left", "backend"),
+    ("frame", "left", "backend", "material"),
     [
-        ("normal", False, "webgl"),
-        ("tangent", True, "webgl"),
-        ("normal", True, "webgpu"),
-        ("tangent", False, "webgpu"),
+        ("normal", False, "webgl", "standard"),
+        ("tangent", True, "webgl", "standard"),
+        ("normal", True, "webgpu", "standard"),
+        ("tangent", False, "webgpu", "standard"),
+        ("normal", False, "webgl", "openpbr"),
+        ("tangent", False, "webgpu", "openpbr"),
     ],
 )
-def test_normal_maps_have_the_matrix_of_tangents(stage: Stage, frame: str, left: bool, backend: str) -> None:
+def test_normal_maps_have_the_matrix_of_tangents(
+    stage: Stage, frame: str, left: bool, backend: str, material: str
+) -> None:
     require_backend(stage, backend)
     character = stage.character(MIRRORED, RANDOM, frame)
-    found = stage.normals(character, left=left, bump=True, material="standard", backend=backend)
+    found = stage.normals(character, left=left, bump=True, material=material, backend=backend)
     right = character.expected(Algorithm.LBS_ACCURATE, Placement())
     assert right.tangents is not None
     assert character.tangents is not None

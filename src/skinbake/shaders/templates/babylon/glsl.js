@@ -110,7 +110,7 @@ vNormalW = skinbakeSide * normalize(skinbakeCofactors * skinbakeLit.normal);
 `,
     CUSTOM_VERTEX_MAIN_END: /* glsl */ `
 #if SKINBAKE > 0 && defined(TANGENT)
-#if defined(BUMP) || defined(PARALLAX) || defined(CLEARCOAT_BUMP) || defined(ANISOTROPIC)
+#if defined(BUMP) || defined(PARALLAX) || defined(CLEARCOAT_BUMP) || defined(ANISOTROPIC) || defined(GEOMETRY_NORMAL) || defined(GEOMETRY_COAT_NORMAL) || defined(FUZZ)
 #if SKINBAKE > 2
 vec3 skinbakeTangent = skinbakeLit.tangent;
 #else

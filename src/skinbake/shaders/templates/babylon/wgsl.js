@@ -121,7 +121,7 @@ vertexOutputs.vNormalW = skinbakeSide * normalize(skinbakeCofactors * skinbakeLi
 `,
     CUSTOM_VERTEX_MAIN_END: /* wgsl */ `
 #if SKINBAKE > 0 && defined(TANGENT)
-#if defined(BUMP) || defined(PARALLAX) || defined(CLEARCOAT_BUMP) || defined(ANISOTROPIC)
+#if defined(BUMP) || defined(PARALLAX) || defined(CLEARCOAT_BUMP) || defined(ANISOTROPIC) || defined(GEOMETRY_NORMAL) || defined(FUZZ)
 #if SKINBAKE > 2
 let skinbakeAlong = skinbakeLit.tangent;
 #else
