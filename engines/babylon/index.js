@@ -18,6 +18,7 @@ import { Buffer, VertexBuffer } from '@babylonjs/core/Buffers/buffer.js';
 import { Material } from '@babylonjs/core/Materials/material.js';
 import { MaterialPluginBase } from '@babylonjs/core/Materials/materialPluginBase.js';
 import { PushMaterial } from '@babylonjs/core/Materials/pushMaterial.js';
+import { DracoDecoder } from '@babylonjs/core/Meshes/Compression/dracoDecoder.js';
 import {
     registerGLTFExtension,
     unregisterGLTFExtension,
@@ -75,8 +76,9 @@ class Loading {
         const baked = bakedOf(metadata);
         const rest = this.loader._loadVertexDataAsync(context, withoutPairs(primitive, metadata), mesh);
         return this.#with(scene, baked, rest).then(async (geometry) => {
-            const accessors = namesOf(metadata).map((name) => gltf.accessors[primitive.attributes[name]]);
-            const columns = await Promise.all(accessors.map((accessor) => this.#column(accessor)));
+            const names = namesOf(metadata);
+            const accessors = names.map((name) => gltf.accessors[primitive.attributes[name]]);
+            const columns = await this.#columns(primitive, names, accessors);
             const { count } = accessors[0];
             const ordered = metadata.layout === 'texcoord' ? assembled(columns, baked.sets, count) : columns;
             for (const buffer of interleaved(scene.getEngine(), ordered, count)) {
@@ -93,7 +95,28 @@ class Loading {
         return geometry;
     }
 
-    // Return the values of an accessor row by row: as they are stored, or as floats.
+    // Return the values of attributes row by row: as they are stored, or as floats.
+    async #columns({ extensions }, names, accessors) {
+        const unpacked = await this.#unpacked(extensions?.KHR_draco_mesh_compression, names);
+        const columns = accessors.map((accessor, index) => {
+            const found = unpacked.get(names[index]);
+            return found ? { ...found, type: accessor.componentType } : this.#column(accessor);
+        });
+        return Promise.all(columns);
+    }
+
+    // Return the values of the attributes that Draco has compressed, by their names.
+    async #unpacked(draco, names) {
+        const compressed = names.filter((name) => draco?.attributes[name] !== undefined);
+        if (!compressed.length || !DracoDecoder.DefaultAvailable) return new Map();
+        const view = this.loader.gltf.bufferViews[draco.bufferView];
+        const bytes = await this.loader.loadBufferViewAsync(`/bufferViews/${view.index}`, view);
+        const numbers = Object.fromEntries(compressed.map((name) => [name, draco.attributes[name]]));
+        const { attributes } = await DracoDecoder.Default.decodeMeshToMeshDataAsync(bytes, numbers);
+        return new Map(attributes.map(({ kind, size, data }) => [kind, { size, values: data }]));
+    }
+
+    // The same for one attribute that is not compressed.
     async #column(accessor) {
         const size = Number(accessor.type.slice(3));
         const Integers = { 5120: Int8Array, 5122: Int16Array }[accessor.componentType];

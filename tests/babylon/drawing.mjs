@@ -18,6 +18,7 @@ import { RawTexture } from '@babylonjs/core/Materials/Textures/rawTexture.js';
 import { RawCubeTexture } from '@babylonjs/core/Materials/Textures/rawCubeTexture.js';
 import { SphericalPolynomial } from '@babylonjs/core/Maths/sphericalPolynomial.js';
 import { Matrix, Quaternion, Vector3 } from '@babylonjs/core/Maths/math.vector.js';
+import { DracoDecoder } from '@babylonjs/core/Meshes/Compression/dracoDecoder.js';
 import '@babylonjs/core/Meshes/instancedMesh.js';
 import '@babylonjs/core/Meshes/thinInstanceMesh.js';
 import { Scene } from '@babylonjs/core/scene.js';
@@ -32,6 +33,9 @@ WEBGPU_CAPTURE.dialect = {
     captured: 'vertexOutputs.captured',
     indexed: (code) => [code, 'vertexInputs.vertexIndex'],
 };
+
+const wasm = '/draco/draco_decoder_gltf';
+DracoDecoder.DefaultConfiguration = { wasmUrl: `${wasm}_nodejs.js`, wasmBinaryUrl: `${wasm}.wasm`, numWorkers: 0 };
 
 // SwiftShader's WebGPU cannot present to a canvas: what is drawn there goes into a texture.
 if (window.GPUCanvasContext) {

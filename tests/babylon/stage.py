@@ -29,11 +29,12 @@ def expected(
 @contextmanager
 def opened_stage(folder: Path) -> Iterator[Stage]:
     """Bundle the page, open it, and yield it. ``folder`` is empty."""
-    require_node("vite", "@babylonjs/core", "@babylonjs/loaders")
+    require_node("vite", "@babylonjs/core", "@babylonjs/loaders", "draco3dgltf")
     project = folder / "project"
     project.mkdir()
     # Babylon.js's modules are too many to be fetched one by one.
     packages = {name: str(package_folder(name)) for name in ("@babylonjs/core", "@babylonjs/loaders")}
     build_page(project, HERE / "drawing.mjs", {"skinbake-babylon": str(PACKAGE / "index.js"), **packages})
-    with opened_page(PAGE, folder, {"built": project / "dist", "three": HERE.parent / "three"}) as found:
+    folders = {"built": project / "dist", "three": HERE.parent / "three"}
+    with opened_page(PAGE, folder, {**folders, "draco": package_folder("draco3dgltf")}) as found:
         yield Stage(*found)

@@ -15,12 +15,13 @@ import numpy as np
 import pytest
 
 from fixtures.make_fixtures import FOLDER
-from skinbake.choices import Encoding, Layout
+from skinbake.choices import Encoding, Layout, Scheme
 from skinbake.format.layouts import GradientFormat
 from skinbake.skinning.algorithms import Algorithm
 from tests.babylon.stage import DEGREES, expected, opened_stage
 from tests.support import corpus, gltf_reading
 from tests.support.baked_files import Editable
+from tests.support.baking import bake_file
 from tests.support.characters import Array, Character, Placement, Pose, angles, baked, unit
 from tests.support.stage import Stage, require_backend
 from tests.three.drawn import BENT, MIRRORED, RANDOM, TUBE, largest, vectors, with_morphs
@@ -102,6 +103,18 @@ def test_encodings_and_layouts(stage: Stage, source: Path, storage: GradientForm
     character = stage.character(source, BENT if source == TUBE else RANDOM, storage=storage)
     found = stage.normals(character, material="standard")
     assert largest(found["draws"][0], expected(character)) < DEGREES
+    assert found["report"] == RIGHT
+
+
+@pytest.mark.parametrize("storage", [GradientFormat(), PACKED, TEXCOORD], ids=["float32", "packed8", "pairs"])
+def test_alpha_and_beta_that_draco_has_compressed(stage: Stage, storage: GradientFormat) -> None:
+    """Draco compresses floats. ``bake`` leaves the integers of an encoding beside them."""
+    character = stage.character(TUBE, BENT, storage=storage)
+    path = stage.models / f"draco-{character.path.name}"
+    bake_file(TUBE, path, compress=Scheme.DRACO, storage=storage)
+    url = {"url": f"/models/{path.name}"}
+    found = stage.call("normals", {**character.told(Placement()), **url, "material": "standard"})
+    assert worst(found["draws"][0], expected(character)) < DEGREES
     assert found["report"] == RIGHT
 
 

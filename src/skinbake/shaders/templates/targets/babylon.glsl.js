@@ -34,6 +34,7 @@ import { Buffer, VertexBuffer } from '@babylonjs/core/Buffers/buffer.js';
 import { Material } from '@babylonjs/core/Materials/material.js';
 import { MaterialPluginBase } from '@babylonjs/core/Materials/materialPluginBase.js';
 import { PushMaterial } from '@babylonjs/core/Materials/pushMaterial.js';
+import { DracoDecoder } from '@babylonjs/core/Meshes/Compression/dracoDecoder.js';
 import {
     registerGLTFExtension,
     unregisterGLTFExtension,
