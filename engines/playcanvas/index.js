@@ -442,6 +442,7 @@ const COMPONENTS = {
     5121: [Uint8Array, 255],
     5122: [Int16Array, 32767],
     5123: [Uint16Array, 65535],
+    5125: [Uint32Array, 1],
     5126: [Float32Array, 1],
 };
 const SIZES = { VEC2: 2, VEC3: 3, VEC4: 4 };
@@ -452,8 +453,8 @@ const isObject = (value) => typeof value === 'object' && value !== null;
 
 function takeBakes(gltf, { renders }, views, method) {
     for (const [number, { primitives }] of (gltf.meshes ?? []).entries()) {
-        const { meshes } = renders[number];
-        if (meshes.length !== primitives.length) continue;
+        const meshes = renders[number]?.meshes; // none with the option skipMeshes
+        if (meshes?.length !== primitives.length) continue;
         for (const [index, primitive] of primitives.entries()) {
             const metadata = metadataOf(gltf, primitive);
             if (metadata) bakes.set(meshes[index], bakeOf(gltf, primitive, metadata, views, method));
@@ -540,25 +541,40 @@ function misfit(accessor, encoding, layout) {
     return isEncoded ? '' : `is not encoded as ${encoding}`;
 }
 
-// The elements of an accessor as floats, or null where its buffer view is not at hand.
-function elements({ accessors, bufferViews }, number, views) {
-    const { bufferView, byteOffset = 0, componentType, count, normalized, sparse, type } = accessors[number];
+// The elements of an accessor as floats, or null where its buffer views are not at hand.
+function elements(gltf, number, views) {
+    const accessor = gltf.accessors[number];
+    const { bufferView, componentType, count, normalized, sparse, type } = accessor;
+    const size = SIZES[type];
+    const [Numbers, limit] = COMPONENTS[componentType];
+    const isZero = sparse && bufferView === undefined;
+    const values = isZero ? new Numbers(size * count) : rowsOf(gltf, accessor, count, size, views);
+    if (!values || (sparse && !replaced(gltf, accessor, values, size, views))) return null;
+    return Float32Array.from(values, (value) => (normalized ? Math.max(value / limit, -1) : value));
+}
+
+// Put the elements of a sparse accessor into their places, and return whether they are at hand.
+function replaced(gltf, { componentType, sparse }, target, size, views) {
+    const places = rowsOf(gltf, sparse.indices, sparse.count, 1, views);
+    const values = rowsOf(gltf, { ...sparse.values, componentType }, sparse.count, size, views);
+    places?.forEach((place, row) => target.set(values.subarray(size * row, size * (row + 1)), size * place));
+    return Boolean(places && values);
+}
+
+// Rows of numbers as they are stored, or null where the buffer view is not at hand.
+function rowsOf({ bufferViews }, { bufferView, byteOffset = 0, componentType }, count, size, views) {
     const description = bufferViews?.[bufferView];
     const bytes = views.get(description);
-    if (!bytes || sparse || !COMPONENTS[componentType]) return null;
-    const [Numbers, limit] = COMPONENTS[componentType];
-    const size = SIZES[type];
-    const stride = description.byteStride ?? size * Numbers.BYTES_PER_ELEMENT;
-    const result = new Float32Array(size * count);
-    for (let index = 0; index < count; index++) {
-        const row = new Numbers(size);
-        const start = byteOffset + index * stride;
-        new Uint8Array(row.buffer).set(bytes.subarray(start, start + row.byteLength));
-        for (let at = 0; at < size; at++) {
-            result[size * index + at] = normalized ? Math.max(row[at] / limit, -1) : row[at];
-        }
+    if (!bytes) return null;
+    const [Numbers] = COMPONENTS[componentType];
+    const width = size * Numbers.BYTES_PER_ELEMENT;
+    const stride = description.byteStride ?? width;
+    const packed = new Uint8Array(width * count);
+    for (let row = 0; row < count; row++) {
+        const start = byteOffset + row * stride;
+        packed.set(bytes.subarray(start, start + width), width * row);
     }
-    return result;
+    return new Numbers(packed.buffer);
 }
 
 function decoded(stored, { encoding, scale }) {

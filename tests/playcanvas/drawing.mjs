@@ -287,6 +287,13 @@ async function unloaded(app, url) {
     return material;
 }
 
+// How many animations a file has, loaded without its meshes.
+export async function animations({ url }) {
+    const { app } = await application('webgl2');
+    const asset = await started(app, url, skinbake.skinbakeOptions(app, {}, { skipMeshes: true }));
+    return asset.resource.animations.length;
+}
+
 // Load two files by one object of options. The second one begins and ends while the first waits for its texture.
 export async function together({ urls: [slow, quick] }) {
     const { app } = await application('webgl2');
@@ -341,6 +348,7 @@ export async function twice({ url, methods }) {
     for (const method of methods) await loaded(app, { url, method });
 }
 
+window.animations = animations;
 window.told = told;
 window.twice = twice;
 window.disposed = disposed;

@@ -152,6 +152,38 @@ def test_morph_targets_come_before_skinning(stage: DrawingStage, frame: str, bac
     assert largest(found["values"][0], expected(character, found).normals) < DEGREES
 
 
+def test_sparse_accessors_are_read(stage: DrawingStage) -> None:
+    """Those of α and TANGENT: every second element lies in the sparse part. β has nothing else."""
+    character = stage.character(MIRRORED, RANDOM, "tangent")
+    file = Editable(character.path)
+    names = ["_SKINBAKE_ALPHA_0", "TANGENT", "_SKINBAKE_BETA_0"]
+    for name, step in zip(names, (2, 2, 1), strict=True):
+        accessor = file.content["accessors"][file.primitive()["attributes"][name]]
+        stored = file.array(name)
+        places = np.arange(0, len(stored), step, dtype=np.uint32)
+        values = stored[places].copy()
+        stored[places] = 0
+        added = [file.add(part) for part in (places.view(np.float32)[:, None], values)]
+        views = [{"bufferView": file.content["accessors"][one]["bufferView"]} for one in added]
+        indices, substitutes = {**views[0], "componentType": 5125}, views[1]
+        accessor["sparse"] = {"count": len(places), "indices": indices, "values": substitutes}
+        if step == 1:
+            del accessor["bufferView"]
+    path = file.write(stage.models / "sparse.glb")
+    found = stage.call("draw", {**character.told(Placement()), "url": f"/models/{path.name}"})
+    assert largest(found["values"][0], expected(character, found).normals) < DEGREES
+    assert found["report"] == [["accurate", ""]]
+
+
+def test_a_container_may_be_loaded_without_its_meshes(stage: DrawingStage) -> None:
+    """PlayCanvas itself fails if one of them has a skin."""
+    file = Editable(TUBE)
+    for node in file.content["nodes"]:
+        node.pop("skin", None)
+    path = file.write(stage.models / "animation.glb")
+    assert stage.call("animations", {"url": f"/models/{path.name}"}) == 1
+
+
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_dual_quaternions_move_normals_positions_and_shadows(stage: DrawingStage, backend: str) -> None:
     require_backend(stage, backend)
