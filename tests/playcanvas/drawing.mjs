@@ -153,7 +153,7 @@ export async function draw(options) {
     if (root) place(parent, root);
     app.root.addChild(parent);
     parent.addChild(entity);
-    const changed = await CHANGES[change](one, entity);
+    const changed = await CHANGES[change](one, entity, options);
     if (changed) {
         entity.destroy();
         parent.addChild(changed);
@@ -204,6 +204,13 @@ const CHANGES = {
     },
     'another material': (_, entity) => {
         for (const instance of skinned(entity)) instance.material = new pc.StandardMaterial();
+    },
+    'another mesh': async ({ app }, entity, { other }) => {
+        app.root.addChild(entity);
+        app.render();
+        const { resource } = await loaded(app, { url: other });
+        for (const instance of skinned(entity)) instance.mesh = resource.renders[0].resource.meshes[0];
+        app.render();
     },
     'a copied material': ({ app }, entity) => {
         app.render();

@@ -293,6 +293,19 @@ def test_whatever_a_page_does_the_normals_stay_right(stage: DrawingStage, change
     assert found["report"] == [["accurate", ""]]
 
 
+@pytest.mark.parametrize("storage", [PACKED, None], ids=["baked otherwise", "not baked"])
+def test_an_instance_may_get_another_mesh(stage: DrawingStage, storage: GradientFormat | None) -> None:
+    character = stage.character(TUBE, RANDOM, storage=storage or AS_USUAL)
+    path = character.path
+    if storage is None:
+        path = stage.models / "unbaked.glb"
+        path.write_bytes(TUBE.read_bytes())
+    first = stage.character(TUBE, RANDOM)
+    found = stage.draw(first, change="another mesh", other=f"/models/{path.name}")
+    algorithm = Algorithm.LBS_APPROXIMATED if storage is None else Algorithm.LBS_ACCURATE
+    assert largest(found["values"][0], expected(character, found, algorithm).normals) < DEGREES
+
+
 @pytest.mark.parametrize(
     ("change", "backend"), [("standard", "webgl2"), ("standard", "webgpu"), ("disposed", "webgl2")]
 )

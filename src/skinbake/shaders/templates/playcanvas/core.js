@@ -183,7 +183,10 @@ const NO_STRETCH = [1, 0, 0, 0, 1, 0, 0, 0, 1];
 
 function light(app, kept, instance) {
     const bake = bakes.get(instance.mesh);
-    if (!bake) return;
+    if (!bake) {
+        unlight(kept, instance);
+        return;
+    }
     const { material } = instance;
     const isDual = !bake.problem && bake.method === 'dqs';
     const joints = isDual ? jointsOf(instance, bake.used) : { problem: '', stretch: NO_STRETCH };
@@ -191,12 +194,11 @@ function light(app, kept, instance) {
     const problem = bake.problem || problemOfMaterial(material) || prepare(app, kept, material) || joints.problem;
     if (problem) tell(instance, problem);
     if (problem || standard.has(instance)) {
-        withoutParameters(instance);
-        kept.instances.delete(instance);
+        unlight(kept, instance);
         return;
     }
     if (isDual) instance.setParameter(STRETCH, joints.stretch);
-    if (kept.instances.has(instance) && instance.getParameter(CONSTANTS)) return;
+    if (kept.instances.has(instance) && instance.getParameter(DATA)?.data === bake.texture) return;
     if (!bake.texture) {
         bake.texture = dataTexture(app.graphicsDevice, bake.values, bake.stride);
         kept.bakes.add(bake);
@@ -205,6 +207,11 @@ function light(app, kept, instance) {
     instance.setParameter(CONSTANTS, [bake.stride, isDual ? 1 : 0, 0, 0]);
     instance.setParameter(DATA, bake.texture);
     kept.instances.add(instance);
+}
+
+function unlight(kept, instance) {
+    withoutParameters(instance);
+    kept.instances.delete(instance);
 }
 
 function withoutParameters(instance) {
