@@ -280,6 +280,14 @@ def test_a_copy_of_the_scene_is_lit_too(stage: Stage) -> None:
     assert_accurate(character, stage.show(character, isCopied=True))
 
 
+def test_a_character_below_another_one_is_left_to_its_own_node(stage: Stage) -> None:
+    """Blender names each scene "Scene", so meshes of different files often have the same name."""
+    found = stage.show(stage.character(TUBE, BENT), change="nest", isDrawn=False)
+    assert found["said"] == []
+    assert [entry["mesh"] for entry in found["report"]] == ["Skeleton3D/tube"]
+    assert found["skinned"] == [False, False]
+
+
 def test_undone_the_mesh_is_skinned_and_lit_by_godot(stage: Stage) -> None:
     character = stage.character(TUBE, BENT)
     found = stage.show(character, isStandard=True)

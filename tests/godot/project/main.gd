@@ -126,7 +126,7 @@ func _show(asked: Dictionary) -> Dictionary:
 	return {
 		"report": _scene.get_node("Skinbake").report,
 		"world": _matrix(meshes[0].global_transform),
-		"skinned": meshes.map(func(mesh: MeshInstance3D) -> bool: return mesh.skin != null),
+		"skinned": _meshes().map(func(mesh: MeshInstance3D) -> bool: return mesh.skin != null),
 	}
 
 
@@ -239,6 +239,12 @@ func _override(mesh: MeshInstance3D) -> void:
 
 func _overlay(mesh: MeshInstance3D) -> void:
 	mesh.material_overlay = _plain()
+
+
+## Put another character below this one, with a mesh of the same name. It is lit by its own node.
+func _nest(mesh: MeshInstance3D) -> void:
+	var rider := _scene.duplicate()
+	mesh.get_parent().add_child(rider)
 
 
 func _unskin(mesh: MeshInstance3D) -> void:

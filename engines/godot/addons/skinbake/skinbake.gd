@@ -57,8 +57,18 @@ func _baked_meshes() -> Array[Node]:
 	if scene is MeshInstance3D:
 		found.push_front(scene)
 	return found.filter(
-		func(node: MeshInstance3D) -> bool: return node.mesh != null and records.has(node.mesh.resource_name)
+		func(node: MeshInstance3D) -> bool:
+			return node.mesh != null and records.has(node.mesh.resource_name) and _is_own(node)
 	)
+
+
+## Whether no other node of this kind lights it: that of a baked scene below this one, as of a rider on a horse.
+func _is_own(node: Node) -> bool:
+	while node != get_parent():
+		if node.get_children().any(func(child: Node) -> bool: return child.get_script() == get_script()):
+			return false
+		node = node.get_parent()
+	return true
 
 
 func _light(mesh: MeshInstance3D) -> void:
