@@ -19,6 +19,7 @@ import { RawCubeTexture } from '@babylonjs/core/Materials/Textures/rawCubeTextur
 import { SphericalPolynomial } from '@babylonjs/core/Maths/sphericalPolynomial.js';
 import { Matrix, Quaternion, Vector3 } from '@babylonjs/core/Maths/math.vector.js';
 import { DracoDecoder } from '@babylonjs/core/Meshes/Compression/dracoDecoder.js';
+import { MeshoptCompression } from '@babylonjs/core/Meshes/Compression/meshoptCompression.js';
 import '@babylonjs/core/Meshes/instancedMesh.js';
 import '@babylonjs/core/Meshes/thinInstanceMesh.js';
 import { Scene } from '@babylonjs/core/scene.js';
@@ -36,6 +37,7 @@ WEBGPU_CAPTURE.dialect = {
 
 const wasm = '/draco/draco_decoder_gltf';
 DracoDecoder.DefaultConfiguration = { wasmUrl: `${wasm}_nodejs.js`, wasmBinaryUrl: `${wasm}.wasm`, numWorkers: 0 };
+MeshoptCompression.Configuration.decoder.url = '/meshopt/meshopt_decoder.cjs';
 
 // SwiftShader's WebGPU cannot present to a canvas: what is drawn there goes into a texture.
 if (window.GPUCanvasContext) {

@@ -29,12 +29,13 @@ def expected(
 @contextmanager
 def opened_stage(folder: Path) -> Iterator[Stage]:
     """Bundle the page, open it, and yield it. ``folder`` is empty."""
-    require_node("vite", "@babylonjs/core", "@babylonjs/loaders", "draco3dgltf")
+    require_node("vite", "@babylonjs/core", "@babylonjs/loaders", "draco3dgltf", "meshoptimizer")
     project = folder / "project"
     project.mkdir()
     # Babylon.js's modules are too many to be fetched one by one.
     packages = {name: str(package_folder(name)) for name in ("@babylonjs/core", "@babylonjs/loaders")}
     build_page(project, HERE / "drawing.mjs", {"skinbake-babylon": str(PACKAGE / "index.js"), **packages})
     folders = {"built": project / "dist", "three": HERE.parent / "three"}
-    with opened_page(PAGE, folder, {**folders, "draco": package_folder("draco3dgltf")}) as found:
+    folders |= {"draco": package_folder("draco3dgltf"), "meshopt": package_folder("meshoptimizer")}
+    with opened_page(PAGE, folder, folders) as found:
         yield Stage(*found)

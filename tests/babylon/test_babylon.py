@@ -107,11 +107,12 @@ def test_encodings_and_layouts(stage: Stage, source: Path, storage: GradientForm
 
 
 @pytest.mark.parametrize("storage", [GradientFormat(), PACKED, TEXCOORD], ids=["float32", "packed8", "pairs"])
-def test_alpha_and_beta_that_draco_has_compressed(stage: Stage, storage: GradientFormat) -> None:
+@pytest.mark.parametrize("scheme", [Scheme.DRACO, Scheme.MESHOPT])
+def test_a_compressed_bake(stage: Stage, storage: GradientFormat, scheme: Scheme) -> None:
     """Draco compresses floats. ``bake`` leaves the integers of an encoding beside them."""
     character = stage.character(TUBE, BENT, storage=storage)
-    path = stage.models / f"draco-{character.path.name}"
-    bake_file(TUBE, path, compress=Scheme.DRACO, storage=storage)
+    path = stage.models / f"{scheme}-{character.path.name}"
+    bake_file(TUBE, path, compress=scheme, storage=storage)
     url = {"url": f"/models/{path.name}"}
     found = stage.call("normals", {**character.told(Placement()), **url, "material": "standard"})
     assert worst(found["draws"][0], expected(character)) < DEGREES

@@ -4,6 +4,8 @@
 import * as THREE from 'three';
 import { CSM } from 'three/addons/csm/CSM.js';
 import { GLTFExporter } from 'three/addons/exporters/GLTFExporter.js';
+import { MeshoptDecoder } from 'three/addons/libs/meshopt_decoder.module.js';
+import { DRACOLoader } from 'three/addons/loaders/DRACOLoader.js';
 import { GLTFLoader } from 'three/addons/loaders/GLTFLoader.js';
 import * as SkeletonUtils from 'three/addons/utils/SkeletonUtils.js';
 import { MToonMaterial, VRMLoaderPlugin, VRMUtils } from '@pixiv/three-vrm';
@@ -16,8 +18,10 @@ renderer.setSize(64, 64);
 document.body.append(renderer.domElement);
 const camera = new THREE.PerspectiveCamera(); // At the origin: view space is the world.
 
+const draco = new DRACOLoader().setDecoderPath('/three/examples/jsm/libs/draco/gltf/');
+
 async function load({ url, pose = {}, plugin = true, vrm = false, method, morphs }) {
-    const loader = new GLTFLoader();
+    const loader = new GLTFLoader().setDRACOLoader(draco).setMeshoptDecoder(MeshoptDecoder);
     if (vrm) loader.register((parser) => new VRMLoaderPlugin(parser));
     if (plugin) loader.register((parser) => new skinbake.SkinbakePlugin(parser, { method }));
     const gltf = await loader.loadAsync(url);

@@ -11,11 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from skinbake.choices import Encoding
+from skinbake.choices import Encoding, Scheme
 from skinbake.format.layouts import GradientFormat
 from skinbake.skinning.algorithms import Algorithm
 from tests.support import corpus, gltf_reading, gltf_transform
 from tests.support.baked_files import Editable
+from tests.support.baking import bake_file
 from tests.support.characters import AS_USUAL, Array, Character, Placement, Pose, angles, baked
 from tests.support.node import package_folder, require_node
 from tests.support.stage import opened_page, page_of
@@ -79,6 +80,17 @@ def test_every_normal_is_that_of_the_replay(
     assert found["report"] == found["loaded"] == [["accurate", ""]]
     standard = expected(character, found["world"], Algorithm.LBS_APPROXIMATED)
     assert np.percentile(angles(vectors(drawn), standard[: len(vectors(drawn))]), 99) > 100 * DEGREES
+
+
+@pytest.mark.parametrize("storage", [AS_USUAL, GradientFormat(Encoding.PACKED8)], ids=["float32", "packed8"])
+@pytest.mark.parametrize("scheme", [Scheme.DRACO, Scheme.MESHOPT])
+def test_a_compressed_bake(stage: ThreeStage, storage: GradientFormat, scheme: Scheme) -> None:
+    character = stage.character(TUBE, BENT, storage=storage)
+    path = stage.models / f"{scheme}-{character.path.name}"
+    bake_file(TUBE, path, compress=scheme, storage=storage)
+    found = stage.normals(character, url=f"/models/{path.name}")
+    assert largest(found["draws"][0], expected(character, found["world"])) < DEGREES
+    assert found["report"] == [["accurate", ""]]
 
 
 def test_where_weights_jump_across_slivers_every_normal_is_that_of_the_replay(stage: ThreeStage) -> None:
