@@ -15,6 +15,7 @@ import { OpenPBRMaterial } from '@babylonjs/core/Materials/PBR/openpbrMaterial.j
 import { ShaderMaterial } from '@babylonjs/core/Materials/shaderMaterial.js';
 import { StandardMaterial } from '@babylonjs/core/Materials/standardMaterial.js';
 import { RawTexture } from '@babylonjs/core/Materials/Textures/rawTexture.js';
+import { RenderTargetTexture } from '@babylonjs/core/Materials/Textures/renderTargetTexture.js';
 import { RawCubeTexture } from '@babylonjs/core/Materials/Textures/rawCubeTexture.js';
 import { SphericalPolynomial } from '@babylonjs/core/Maths/sphericalPolynomial.js';
 import { Matrix, Quaternion, Vector3 } from '@babylonjs/core/Maths/math.vector.js';
@@ -280,6 +281,16 @@ const api = {
             found[name] = { draws: await draw(stage.scene), report: told(stage.scene.meshes.filter((one) => one.isEnabled())) };
         }
         return found;
+    },
+
+    // The normals in a texture that has a material of its own for the mesh, and on the canvas.
+    async rendered({ url, pose }) {
+        const { scene, mesh } = await load({ url, pose });
+        const target = new RenderTargetTexture('target', 16, scene);
+        target.renderList.push(mesh);
+        scene.customRenderTargets.push(target);
+        target.setMaterialForRendering(mesh, new StandardMaterial('other', scene));
+        return draw(scene);
     },
 
     // The normals by either lighting, of materials that Babylon.js does not look at again.

@@ -253,6 +253,12 @@ def test_whatever_a_page_does_the_normals_stay_right(stage: Stage) -> None:
     assert {name: one["report"] for name, one in found.items()} == dict.fromkeys(found, RIGHT)
 
 
+def test_a_render_target_may_have_its_own_material_for_a_mesh(stage: Stage) -> None:
+    character = stage.character(TUBE, BENT)
+    draws = stage.call("rendered", character.told(Placement()))
+    assert [largest(drawn, expected(character)) < DEGREES for drawn in draws] == [True, True]
+
+
 def test_a_container_that_is_instantiated_twice(stage: Stage) -> None:
     character = stage.character(TUBE, BENT)
     found = stage.call("instantiated", character.told(Placement()))

@@ -122,7 +122,10 @@ function prepare({ geometries, meshes }) {
 }
 
 function materialsOf(mesh) {
-    return (mesh.subMeshes ?? []).map((subMesh) => subMesh.getMaterial()).filter(Boolean);
+    const usual = (mesh.subMeshes ?? []).map((subMesh) => subMesh.getMaterial());
+    // Those that setMaterialForRendering() of a render target has put in their place.
+    const others = Object.values(mesh._internalAbstractMeshDataInfo?._materialForRenderPass ?? {});
+    return [...usual, ...others.flatMap((material) => material?.subMaterials ?? material)].filter(Boolean);
 }
 
 function equip(material) {
