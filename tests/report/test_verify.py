@@ -229,6 +229,23 @@ def test_junit_counts_a_suite_a_file_and_a_case_a_check() -> None:
     assert error.get("message") == "no.glb: cannot be read"
 
 
+def test_junit_cases_of_all_files_differ_in_class_and_name() -> None:
+    """Jenkins and others show and compare cases by these two alone."""
+    root = ElementTree.fromstring(as_junit([PASSED, FAILED, UNREADABLE]))
+    cases = [(case.get("classname"), case.get("name")) for case in root.iter("testcase")]
+    assert cases[0] == ("hero.glb", "structure")
+    assert cases[-1] == ("no.glb", "read")
+    assert len(set(cases)) == len(cases) == 6
+
+
+def test_junit_has_a_case_for_a_file_that_was_not_verified_again() -> None:
+    """Jenkins fails a build whose report holds no case."""
+    (suite,) = ElementTree.fromstring(as_junit([FileVerdict("hero.glb", up_to_date=True)]))
+    (case,) = suite
+    assert (case.get("name"), len(case)) == ("up-to-date", 0)
+    assert (suite.get("tests"), suite.get("skipped")) == ("1", "0")
+
+
 def test_junit_is_well_formed_whatever_names_hold() -> None:
     name = 'a\x00\x1b<&>"\ud800\uffff ß 𝕊'
     problem = Notice("stale", name, Place(name, 0, name))

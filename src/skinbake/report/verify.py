@@ -297,15 +297,20 @@ def _figures_json(error: ErrorFigures) -> dict[str, Any]:
 
 
 def as_junit(verdicts: Sequence[FileVerdict]) -> str:
-    """Return the verdicts as JUnit XML: a suite for each file, a case for each check."""
+    """Return the verdicts as JUnit XML: a suite for each file, a case for each check.
+
+    The class of a case is its file, because many programs show and compare cases by class and name only. A
+    file that was not verified again has one case, ``up-to-date``: some programs refuse a report without any.
+    """
     from xml.etree import ElementTree  # noqa: PLC0415  # only --junit needs it
 
     root = ElementTree.Element("testsuites", name="skinbake verify")
     for verdict in verdicts:
         suite = ElementTree.SubElement(root, "testsuite", name=verdict.input)
-        cases = [_case(suite, check) for check in verdict.checks]
+        checks = (Check("up-to-date", "passed"),) if verdict.up_to_date else verdict.checks
+        cases = [_case(suite, verdict.input, check) for check in checks]
         if verdict.error is not None:
-            case = ElementTree.SubElement(suite, "testcase", name="read", classname="skinbake.lighting")
+            case = ElementTree.SubElement(suite, "testcase", name="read", classname=verdict.input)
             ElementTree.SubElement(case, "error", message=str(verdict.error))
             cases.append("error")
         suite.set("tests", str(len(cases)))
@@ -320,10 +325,10 @@ def as_junit(verdicts: Sequence[FileVerdict]) -> str:
     return XML_DECLARATION + ElementTree.tostring(root, encoding="unicode") + "\n"
 
 
-def _case(suite: ElementTree.Element, check: Check) -> str:
+def _case(suite: ElementTree.Element, file: str, check: Check) -> str:
     from xml.etree import ElementTree  # noqa: PLC0415  # likewise
 
-    case = ElementTree.SubElement(suite, "testcase", name=check.name, classname="skinbake.lighting")
+    case = ElementTree.SubElement(suite, "testcase", name=check.name, classname=file)
     if check.outcome == "failed":
         more = f" (and {len(check.problems) - 1} more)" if len(check.problems) > 1 else ""
         message = f"{check.problems[0]}{more}" if check.problems else check.remark
