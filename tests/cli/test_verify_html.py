@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import html
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +14,13 @@ import pytest
 from fixtures.make_fixtures import FOLDER
 from skinbake.cli import exit_codes
 from skinbake.commands import html_report
+from skinbake.errors import InputError, Notice, Place
+from skinbake.report.verify import Check, FileVerdict
 from skinbake.view.index import Listed, index
 from tests.support.command_line import invoke
 from tests.support.models import bake
+
+FLAT = Notice("limit", "it is flat", Place("a.glb", 2, "Body"))
 
 TUBE, SEAM = FOLDER / "bent_tube.glb", FOLDER / "seam.glb"
 
@@ -119,12 +125,91 @@ def test_files_that_are_not_baked_say_so(tmp_path: Path) -> None:
 
 def test_names_are_text_in_the_index() -> None:
     name = "<img src=x onerror=alert(1)>\"'&.glb"
-    page = index([Listed(name=name, link='x".html', outcome="failed", remark="<script>1</script>")], ["<b>"])
+    page = index([Listed(name=name, link='x".html', outcome="failed", remark="<script>1</script>")], "<b>")
     text = page.decode()
     assert "<img" not in text.replace('<img class="picture"', "")
     assert text.count("<script") == 1
     assert "<b>" not in text
     assert 'href="x&quot;.html"' in text
+
+
+def numbers(page: Path) -> list[list[str]]:
+    """Return the numbers of each file of an index as they are shown."""
+    lines = re.findall(r"<tr><td.*</tr>", page.read_text(encoding="utf-8"))
+    return [re.findall(r'class="number"[^>]*>([^<]*)<', line) for line in lines]
+
+
+def test_the_index_shows_the_figures_of_the_smaller_gain_with_two_decimals(tmp_path: Path) -> None:
+    bake(TUBE, tmp_path / "tube.glb")
+    page = tmp_path / "all.html"
+    invoke("verify", tmp_path / "tube.glb", SEAM, "--html", page)
+    entry = json.loads(invoke("verify", tmp_path / "tube.glb", "--json").stdout)["files"][0]
+    assert entry["normals"]["lbs"]["gain"] > entry["normals_by_triangles"]["lbs"]["gain"]
+    told = entry["normals_by_triangles"]["lbs"]
+    assert ["{approximated[mean]:.2f}° {accurate[mean]:.2f}° {gain:.2f}×".format(**told).split()] == [
+        row for row in numbers(page) if "—" not in row
+    ]
+    assert "by the truth with the smaller gain" in page.read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(("gain", "shown"), [(2.2, "2.20×"), (12.345, "12.35×"), (1234.5, "1234.50×")])
+def test_the_index_rounds_gains_as_the_text_of_verify_does(gain: float, shown: str, tmp_path: Path) -> None:
+    (tmp_path / "all.html").write_bytes(
+        index([Listed(name="a.glb", link=None, outcome="passed", gain=gain)], "")
+    )
+    assert numbers(tmp_path / "all.html")[0][2] == shown
+
+
+def verdict(name: str, *checks: Check, error: InputError | None = None) -> FileVerdict:
+    return FileVerdict(name, checks, error=error)
+
+
+@pytest.mark.parametrize(
+    ("told", "remark"),
+    [
+        (
+            verdict("a.glb", Check("limits", "failed", (FLAT, replace(FLAT, message="and bent")))),
+            'failed mesh 2 "Body": it is flat (and 1 more)',
+        ),
+        (
+            verdict("a.glb", error=InputError("it is flat", Place("a.glb", 2, "Body"))),
+            'failed mesh 2 "Body": it is flat',
+        ),
+        (verdict("a.glb", error=InputError("it is flat")), "failed it is flat"),
+        (
+            verdict("a.glb", Check("structure", "passed"), Check("lighting", "skipped", (), "no normals")),
+            "passed no normals",
+        ),
+        (verdict("a.glb", Check("structure", "skipped", (), "nothing in it is baked")), "not baked"),
+    ],
+)
+def test_the_index_says_why_a_file_failed_or_has_no_figures(told: FileVerdict, remark: str) -> None:
+    text = index([html_report._listed(told, None, None)], "").decode()
+    (outcome,) = re.findall(r'data-value="(?:passed|failed|not baked)">(.*?)</td>', text)
+    assert html.unescape(re.sub("<[^>]*>", "", outcome)) == remark
+
+
+def test_the_index_tells_of_limits_that_differ(tmp_path: Path) -> None:
+    (tmp_path / "skinbake.toml").write_text(
+        "[verify]\nmax-mean-error = 90\n"
+        '[[overrides]]\nfiles = ["**/seam.glb"]\nverify = { min-gain = 0.5 }\n',
+        encoding="utf-8",
+    )
+    bake(SEAM, tmp_path / "seam.glb")
+    bake(TUBE, tmp_path / "tube.glb")
+    page = tmp_path / "all.html"
+    options: list[str | Path] = ["--config", tmp_path / "skinbake.toml", "--poses", "rest", "--html", page]
+    invoke("verify", tmp_path / "seam.glb", tmp_path / "tube.glb", *options)
+    others = "others that differ between files, on their pages."
+    assert f"Limits: mean error at most 90°, {others}<" in page.read_text(encoding="utf-8")
+    invoke("verify", tmp_path / "tube.glb", tmp_path / "tube.glb", *options)
+    assert "Limits: mean error at most 90°.<" in page.read_text(encoding="utf-8")
+
+
+def test_a_name_of_several_lines_is_one_line_in_the_index() -> None:
+    text = index([Listed(name="a\nb.glb", link=None, outcome="failed", remark="c\td")], "").decode()
+    assert '<span class="name">a\\nb.glb</span>' in text
+    assert "c\\td" in text
 
 
 @pytest.mark.parametrize("source", ["-", "https://example.com/hero.glb"])

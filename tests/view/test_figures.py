@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 
 from fixtures.make_fixtures import FOLDER
@@ -23,5 +25,6 @@ def test_the_headline_is_the_smaller_gain() -> None:
         )
     (by_tangents, _, by_triangles, _), (tangents, _, triangles, _) = table
     assert by_triangles / triangles < by_tangents / tangents
+    assert re.fullmatch(r"\d\d\.\d\d×", headline), "two decimals, as in the text of verify"
     assert float(headline.rstrip("×")) == pytest.approx(by_triangles / triangles, rel=0.05)
     assert f"{triangles:.2f}° instead of {by_triangles:.2f}° in the mean, by triangles. It is " in words

@@ -14,6 +14,7 @@ from skinbake.files.bounds import Bounds
 from skinbake.files.writing import write_file, write_files
 from skinbake.gltf.document import Document, read_document
 from skinbake.lighting.measured import VerifyOptions
+from skinbake.report.totals import first_problem
 from skinbake.report.verify import FileVerdict, by_worse_truth, gain
 from skinbake.view.index import Listed, index
 
@@ -37,8 +38,9 @@ def write_report(
     """Write the page of one verdict, or an index and the pages of several in a folder of its name.
 
     ``options`` are those of each input. ``bounds`` gives the folders in which the document of an input may
-    name files. A file without figures has no page. The index tells the limits that are the same for all.
-    Raises SkinbakeError; the files that were written before stay.
+    name files. A file that cannot be read, or was not verified again, has no page. The index tells the limits
+    that are the same for all, and that there are others. Raises SkinbakeError; the files that were written
+    before stay.
     """
     if len(verdicts) == 1 and verdicts[0].error is None and not verdicts[0].up_to_date:
         source = verdicts[0].input
@@ -59,27 +61,44 @@ def write_report(
             link = f"{quote(folder.name)}/{name}"
         listed.append(_listed(verdict, link, picture))
     limits = [limits_in_words(options[verdict.input]) for verdict in verdicts]
-    common = [limit for limit in limits[0] if all(limit in others for others in limits)] if limits else []
-    write_file([index(listed, common)], target, sync=sync)
+    write_file([index(listed, _limits_of_all(limits))], target, sync=sync)
 
 
 def _listed(verdict: FileVerdict, link: str | None, picture: bytes | None) -> Listed:
     """Return the entry of a file in the index."""
     figures = by_worse_truth(verdict)
-    problems = [problem.message for check in verdict.checks for problem in check.problems]
-    remark = str(verdict.error.message) if verdict.error else "; ".join(problems[:1])
-    if verdict.up_to_date:
-        remark = "passed before, up to date"
     return Listed(
         name=verdict.input,
         link=link,
         picture=picture,
         outcome=verdict.outcome,
-        remark=remark,
+        remark=_remark(verdict),
         standard=figures["approximated"].mean if figures else None,
         accurate=figures["accurate"].mean if figures else None,
         gain=gain(figures) if figures else None,
     )
+
+
+def _remark(verdict: FileVerdict) -> str:
+    """Return why a file failed, or why it has no figures."""
+    if verdict.error is not None:
+        where = verdict.error.place.within_file if verdict.error.place else ""
+        return f"{where}: {verdict.error.message}" if where else verdict.error.message
+    if verdict.up_to_date:
+        return "passed before, up to date"
+    if not verdict.passed:
+        return first_problem(verdict)
+    skipped = [check.remark for check in verdict.checks if check.outcome == "skipped"]
+    return "" if verdict.found_no_bake else "; ".join(skipped)
+
+
+def _limits_of_all(limits: Sequence[Sequence[str]]) -> str:
+    """Return a sentence on the limits of all files, each in words."""
+    common = [limit for limit in limits[0] if all(limit in others for others in limits)]
+    if any(len(own) > len(common) for own in limits):
+        words = [*common, "others that differ between files, on their pages"]
+        return f"Limits: {', '.join(words)}."
+    return f"Limits: {', '.join(common)}." if common else "No limits were asked for."
 
 
 def limits_in_words(options: VerifyOptions) -> list[str]:

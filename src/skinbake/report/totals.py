@@ -54,7 +54,7 @@ class Totals:
         if verdict.error:
             self._add("failed", _reason(verdict.input, verdict.error), verdict.timings)
         elif not verdict.passed:
-            self._add("failed", f"{verdict.input}: {_problem(verdict)}", verdict.timings)
+            self._add("failed", f"{verdict.input}: {first_problem(verdict)}", verdict.timings)
         else:
             self.not_baked += verdict.found_no_bake
             self._add("up-to-date" if verdict.up_to_date else "passed", "", verdict.timings)
@@ -82,7 +82,8 @@ def _reason(source: str, error: SkinbakeError) -> str:
     return text if text.startswith(printable(source)) else f"{source}: {text}"
 
 
-def _problem(verdict: FileVerdict) -> str:
+def first_problem(verdict: FileVerdict) -> str:
+    """Return the first problem of a verdict that failed, and the number of further ones."""
     failed = [check for check in verdict.checks if check.outcome == "failed"]
     problems = [problem for check in failed for problem in check.problems]
     more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""

@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from skinbake.errors import printable
 from skinbake.version import __version__
 from skinbake.view.sources import filled_index
 from skinbake.wording import counted
@@ -17,8 +18,9 @@ from skinbake.wording import counted
 class Listed:
     """One file of the index: its name, the link to its page and a small PNG (None: it has none), its figures.
 
-    standard and accurate are mean errors in degrees, gain is their ratio; None if they were not measured.
-    outcome is passed, failed, or not baked. remark says why a file failed, or why it has no figures.
+    standard and accurate are mean errors in degrees by the truth with the smaller gain, gain is their ratio;
+    None if they were not measured. outcome is passed, failed, or not baked. remark says why a file failed, or
+    why it has no figures.
     """
 
     name: str
@@ -31,15 +33,15 @@ class Listed:
     gain: float | None = None
 
 
-def index(files: Sequence[Listed], limits: Sequence[str]) -> bytes:
-    """Return the index as UTF-8: files with the smallest gain first."""
+def index(files: Sequence[Listed], limits: str) -> bytes:
+    """Return the index as UTF-8: files with the smallest gain first. limits is a sentence on the limits."""
     outcomes = Counter(one.outcome for one in files)
     parts = [f"{outcomes[word]:,} {word}" for word in ("not baked", "failed") if outcomes[word]]
     summary = ", ".join([counted(len(files), "file"), *(parts or ["all passed"])])
     values = {
         "version": html.escape(__version__),
         "summary": summary,
-        "limits": html.escape(f"Limits: {', '.join(limits)}." if limits else "No limits were asked for."),
+        "limits": html.escape(limits),
         "rows": "\n".join(map(_row, sorted(files, key=_order))),
     }
     return filled_index(values).encode("utf-8", "backslashreplace")
@@ -50,17 +52,17 @@ def _order(one: Listed) -> tuple[bool, float, str]:
 
 
 def _row(one: Listed) -> str:
-    name = html.escape(one.name)
+    name = html.escape(printable(one.name))
     words = f'{_picture(one.picture)}<span class="name">{name}</span>'
     shown = words if one.link is None else f'<a href="{html.escape(one.link)}">{words}</a>'
     style = one.outcome.replace(" ", "-")
-    remark = f" {html.escape(one.remark)}" if one.remark else ""
+    remark = f" {html.escape(printable(one.remark))}" if one.remark else ""
     cells = [
         f'<td class="file">{shown}</td>',
         f'<td data-value="{one.outcome}"><span class="{style}">{one.outcome}</span>{remark}</td>',
         _number("Standard", one.standard, "{:.2f}°"),
         _number("Accurate", one.accurate, "{:.2f}°"),
-        _number("Gain", one.gain, "{:.3g}×"),
+        _number("Gain", one.gain, "{:.2f}×"),
     ]
     return f"<tr>{''.join(cells)}</tr>"
 

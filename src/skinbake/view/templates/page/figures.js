@@ -107,7 +107,7 @@ function showPrimitives(byId, primitives) {
     byId['primitives-table'].replaceChildren(table);
 }
 
-const times = (gain) => `${gain.toPrecision(3)}×`;
+const times = (gain) => `${gain.toFixed(2)}×`;
 export const degrees = (value) => (value < 10 ? `${value.toFixed(2)}°` : `${value.toFixed(1)}°`);
 
 function row(kind, texts) {
