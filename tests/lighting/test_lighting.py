@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import astuple
 from pathlib import Path
@@ -33,6 +34,7 @@ from skinbake.skinning.surface import RestSurface
 from tests.support import analytic, corpus, gltf_reading
 from tests.support.baked_files import CESIUM_MAN, Editable, baked, source, verify
 from tests.support.baking import bake_settings
+from tests.support.models import sheet, write_model
 from tests.support.replay import replay
 from tests.support.straightforward import Character, degrees
 
@@ -238,6 +240,35 @@ def test_a_limit_that_is_exceeded_fails(tmp_path: Path, options: dict[str, Any],
     assert (name, code) == ("limits", "limit")
     assert told.startswith(message), told
     assert not verdict.passed
+
+
+def test_a_figure_is_told_with_the_decimals_that_show_which_side_of_its_limit_it_is_on(
+    tmp_path: Path,
+) -> None:
+    path = baked(source("bent_tube.glb"), tmp_path, gradients="surface")
+    figures = measured(path).by_triangles
+    assert figures is not None
+    lbs = figures["lbs"]
+    mean, gain = lbs["accurate"].mean, lbs["approximated"].mean / lbs["accurate"].mean
+    for options in ({"min_gain": gain + 1e-6}, {"max_mean_error": mean - 1e-6}):
+        ((_, _, told),) = failing(measured(path, truth="triangles", **options))
+        found = re.search(r" is ([\d.]+)°? by triangles, (over|below) ([\d.]+)", told)
+        assert found is not None, told
+        assert (float(found[1]) < float(found[3])) == (found[2] == "below"), told
+    ((_, _, told),) = failing(measured(path, min_gain=100.0))
+    assert told.endswith("below 100")
+
+
+def test_without_true_normals_no_limit_can_be_met(tmp_path: Path) -> None:
+    flat = sheet(POSITION=np.zeros((20, 3), np.float32))
+    path = baked(write_model(tmp_path / "flat.glb", [flat]), tmp_path / "out")
+    verdict = measured(path, poses=PoseRequest(PoseKind.REST), min_gain=1.5, max_mean_error=2.0)
+    ((name, code, told),) = failing(verdict)
+    assert (name, code) == ("limits", "no-figures")
+    assert told == (
+        "LBS: it cannot meet --max-mean-error and --min-gain, because there is no true normal at any vertex "
+        "in these poses"
+    )
 
 
 @pytest.mark.slow

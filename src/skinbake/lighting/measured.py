@@ -502,7 +502,11 @@ def _exceeded(by_truth: Mapping[Truth, Normals], options: VerifyOptions, place: 
         found = {truth: normals.get(method, {}) for truth, normals in by_truth.items()}
         found = {truth: figures for truth, figures in found.items() if "accurate" in figures}
         if not found:
-            problems.append(Notice("no-figures", f"no lighting could be measured for {method}", place))
+            message = (
+                f"{method.upper()}: it cannot meet {' and '.join(options.limits)}, because there is no true "
+                "normal at any vertex in these poses"
+            )
+            problems.append(Notice("no-figures", message, place))
             continue
         for name, limit, values in (
             ("mean", options.max_mean_error, {by: one["accurate"].mean for by, one in found.items()}),
@@ -515,13 +519,23 @@ def _exceeded(by_truth: Mapping[Truth, Normals], options: VerifyOptions, place: 
             worst = max(values, key=lambda truth: values[truth])
             if limit is not None and not values[worst] <= limit:
                 message = (
-                    f"{method.upper()} accurate: the {name} of the error is {values[worst]:.3f}° by {worst}, "
-                    f"over {limit}°"
+                    f"{method.upper()} accurate: the {name} of the error is "
+                    f"{_told_apart(values[worst], limit, 3)}° by {worst}, over {limit:.15g}°"
                 )
                 problems.append(Notice("limit", message, place))
         gains = {truth: factor for truth, one in found.items() if (factor := gain(one)) is not None}
         least = min(gains, key=lambda truth: gains[truth], default=None)
         if options.min_gain is not None and least is not None and gains[least] < options.min_gain:
-            message = f"{method.upper()}: the gain is {gains[least]:.2f} by {least}, below {options.min_gain}"
+            found_gain = _told_apart(gains[least], options.min_gain, 2)
+            message = f"{method.upper()}: the gain is {found_gain} by {least}, below {options.min_gain:.15g}"
             problems.append(Notice("limit", message, place))
     return problems
+
+
+def _told_apart(value: float, limit: float, decimals: int) -> str:
+    """Return a value with some decimals, or with so many more that it is on the right side of a limit."""
+    text = f"{value:.{decimals}f}"
+    while value != limit and (float(text) == limit or (float(text) > limit) != (value > limit)):
+        decimals += 1
+        text = f"{value:.{decimals}f}"
+    return text
