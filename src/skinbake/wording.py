@@ -30,6 +30,11 @@ def counted(count: int, singular: str, plural: str | None = None) -> str:
     return f"{count:,} {singular if count == 1 else plural or singular + 's'}"
 
 
+def percent(share: float, decimals: int) -> str:
+    """Return a share of 1 like ``4.89 %``."""
+    return f"{100.0 * share:.{decimals}f} %"
+
+
 def one_or_many(count: int, one: str, many: str) -> str:
     """Return the words for one thing or for many, the count in the place of ``{}``."""
     return (one if count == 1 else many).format(f"{count:,}")

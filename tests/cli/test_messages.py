@@ -34,7 +34,7 @@ def test_warnings_name_file_mesh_and_primitive_and_are_aggregated(warned: Path) 
     result = invoke("bake", warned, "--dry-run")
     assert result.stderr.splitlines() == [
         f'warning: {warned}: mesh 0 "sheet", primitive 0: skipped: it has no NORMAL; '
-        "--generate-normals adds smooth ones",
+        "bake --generate-normals adds smooth ones",
         f'warning: {warned}: mesh 0 "sheet", primitive 1: the weights of 20 vertices do not sum to 1 (0.5): '
         "in a shader the correction of the normals is 100 % too strong there; normalise the weights "
         "before the bake",
@@ -80,7 +80,7 @@ def test_a_short_line_keeps_what_was_lost_and_what_was_asked_for(tmp_path: Path)
         "bake", FOLDER / "foreign_joints.glb", FOLDER / "two_sets.glb", "--dry-run", "--neighbours", "drop"
     )
     assert re.search(
-        r"foreign_joints.glb \(dry run\): baked: .* \d+\.\d% of the gradient left out", result.stdout
+        r"foreign_joints.glb \(dry run\): baked: .* \d+\.\d % of the gradient left out", result.stdout
     )
     result = invoke(
         "bake", FOLDER / "two_sets.glb", FOLDER / "seam.glb", "--dry-run", "--limit-influences", "4"
@@ -162,12 +162,12 @@ def test_the_closing_line_tells_what_was_lost(tmp_path: Path) -> None:
     weights = np.full((20, 4), 0.25, np.float32)
     path = write_model(tmp_path / "full.glb", [sheet(JOINTS_0=joints, WEIGHTS_0=weights)], joints=40)
     result = invoke("bake", path, "--dry-run")
-    told = r"20 vertices left out some joints of their neighbours \((\d+\.\d\d)% of the gradient(.*)\)"
+    told = r"20 vertices left out some joints of their neighbours \((\d+\.\d\d) % of the gradient(.*)\)"
     found = re.search(told, result.stdout)
     assert found is not None
     assert (float(found[1]) > 5, found[2]) == (True, "; try --neighbours extend")
     short = invoke("bake", path, SEAM, "--dry-run").stdout.splitlines()[0]
-    assert short.endswith("% of the gradient left out; try --neighbours extend")
+    assert short.endswith(" % of the gradient left out; try --neighbours extend")
     # The remedy leaves out less, and is not named again.
     result = invoke("bake", path, "--dry-run", "--neighbours", "extend")
     assert "try --neighbours" not in result.stdout
@@ -189,7 +189,7 @@ def test_of_a_rigid_mesh_it_is_said_that_no_weight_changes(tmp_path: Path) -> No
 def test_a_small_share_that_is_left_out_asks_for_nothing() -> None:
     result = invoke("bake", FOLDER / "two_sets.glb", "--dry-run", "--neighbours", "drop")
     found = re.search(
-        r"left out some joints of their neighbours \((.*)% of the gradient(.*?)\)", result.stdout
+        r"left out some joints of their neighbours \((.*) % of the gradient(.*?)\)", result.stdout
     )
     assert found is not None
     assert (0 < float(found[1]) < 5, found[2]) == (True, "")

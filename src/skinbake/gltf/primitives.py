@@ -198,7 +198,7 @@ def reason_to_skip(document: Document, source: PrimitiveSource, *, generate_norm
         return Notice("no-positions", "skipped: it has no POSITION", source.place)
     if "NORMAL" not in source.attributes and not generate_normals:
         return Notice(
-            "no-normals", "skipped: it has no NORMAL; --generate-normals adds smooth ones", source.place
+            "no-normals", "skipped: it has no NORMAL; bake --generate-normals adds smooth ones", source.place
         )
     if _triangle_count(document, source, mode) == 0:
         return Notice("no-triangles", "skipped: it has no whole triangle", source.place)

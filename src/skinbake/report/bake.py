@@ -9,7 +9,7 @@ from typing import Any, Literal
 from skinbake.errors import Notice, Place, SkinbakeError, printable
 from skinbake.report.notices import error_fields, notice_list, place_fields
 from skinbake.report.totals import run_json, timing_fields
-from skinbake.wording import counted
+from skinbake.wording import counted, percent
 
 SCHEMA = "skinbake.bake/1"
 
@@ -146,7 +146,7 @@ def short_line(result: FileResult, *, dry_run: bool) -> str:
     parts += [f"{result.skipped:,} skipped"] if result.skipped else []
     parts += [_limited(costs)] if (costs := [count.limited for count in counts if count.limited]) else []
     lost = _lost(counts)
-    parts += [f"{lost:.1%} of the gradient left out{_remedy(counts)}"] if lost >= SHOWN_LOSS else []
+    parts += [f"{percent(lost, 1)} of the gradient left out{_remedy(counts)}"] if lost >= SHOWN_LOSS else []
     parts += [counted(len(result.notices), "warning")] if result.notices else []
     return f"{_where(result, dry_run=dry_run)}: {', '.join(parts)}"
 
@@ -187,7 +187,7 @@ def closing_line(result: FileResult, *, dry_run: bool) -> str:
     if overflowing:
         parts.append(
             f"{counted(overflowing, 'vertex', 'vertices')} left out some joints of their neighbours "
-            f"({_lost(counts):.2%} of the gradient{_remedy(counts)})"
+            f"({percent(_lost(counts), 2)} of the gradient{_remedy(counts)})"
         )
     degenerate = sum(count.degenerate_triangles for count in counts)
     if degenerate:
@@ -200,12 +200,13 @@ def closing_line(result: FileResult, *, dry_run: bool) -> str:
 def detail_lines(result: FileResult) -> Iterator[str]:
     """Yield a line for each baked primitive, for ``--verbose``."""
     for place, count in result.primitives:
+        lost = percent(count.lost_gradient, 2)
         yield (
             f"{place}: {counted(count.vertices, 'vertex', 'vertices')}, "
             f"{counted(count.triangles, 'triangle')}, {counted(count.influences, 'slot')}, "
             f"frame from {count.frame}, "
             f"{counted(count.adopting_vertices, 'vertex', 'vertices')} adopting, "
-            f"{count.overflowing_vertices:,} leaving joints out ({count.lost_gradient:.2%} of the gradient), "
+            f"{count.overflowing_vertices:,} leaving joints out ({lost} of the gradient), "
             f"{counted(count.added_bytes, 'byte')}"
         )
 
@@ -241,7 +242,7 @@ def _limited(costs: Sequence[LimitCost]) -> str:
     left_out = sum(cost.left_out * cost.vertices for cost in costs) / max(vertices, 1)
     lost = "no weight lost"
     if vertices:
-        lost = f"{counted(vertices, 'vertex', 'vertices')} lost {left_out:.2%} of their weight"
+        lost = f"{counted(vertices, 'vertex', 'vertices')} lost {percent(left_out, 2)} of their weight"
     mean, p99 = max(cost.normals.mean for cost in costs), max(cost.normals.p99 for cost in costs)
     moved = max((cost.positions.max / cost.size for cost in costs if cost.size > 0), default=0.0)
     movement = f"positions move by at most {moved:.2g} of the size" if moved else "positions stay"
