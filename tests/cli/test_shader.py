@@ -169,7 +169,7 @@ def test_a_target_that_is_text_is_replaced(tmp_path: Path, content: str) -> None
         (["--lang", "glsl", "--lighting", "direct", "--cap"], "--cap is for accurate and exact"),
         (["--lang", "glsl", "--method", "dqs", "--mirrored-joints"], "--mirrored-joints"),
         (["--lang", "glsl", "--cap", "0"], "0"),
-        (["--lang", "glsl", "--cap", "nan"], "finite"),
+        (["--lang", "glsl", "--cap", "nan"], "expected a number above 0, found nan"),
         # WGSL compilers refuse a literal beyond float32. The square of 1e-30 is 0 in float32: no limit.
         (["--lang", "wgsl", "--cap", "1e39"], "--cap 1e+39 is not in the range 1e-06 to 1e+06 of a shader"),
         (["--lang", "glsl", "--cap", "1e-30"], "--cap 1e-30 is not in the range 1e-06 to 1e+06 of a shader"),

@@ -24,7 +24,7 @@ from skinbake.choices import (
 )
 from skinbake.cli import exit_codes
 from skinbake.cli.chosen_config import config_files, option_sets
-from skinbake.cli.console import console, finite, in_range, message_options, one_of, outside_option
+from skinbake.cli.console import console, in_range, message_options, one_of, outside_option
 from skinbake.cli.depfile import OPTION, check_depfile, clip_files_read, depfile_option, depfile_writer
 from skinbake.cli.help import Helpful
 from skinbake.cli.inputs import expanded
@@ -99,7 +99,6 @@ if TYPE_CHECKING:
     type=in_range(BAKE_RANGES["crease_angle"]),
     default=15.0,
     show_default=True,
-    callback=finite,
     metavar="DEG",
     help="Copies of a vertex form a hard edge if their normals differ by more than this angle.",
 )

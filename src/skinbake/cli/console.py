@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import errno
 import json
-import math
 import re
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -127,13 +126,6 @@ def _echo(text: str, *, err: bool, color: bool | None) -> None:
         raise OutputError(f"cannot be written: {error.strerror}", Place("<stdout>")) from error
 
 
-def finite(ctx: click.Context, param: click.Parameter, value: float | None) -> float | None:
-    """Refuse NaN, which all ranges of click accept."""
-    if value is not None and not math.isfinite(value):
-        raise click.BadParameter("must be a finite number")
-    return value
-
-
 class Words(click.Choice[str]):
     """The type of an option whose values are words. It asks about a word that is nearly one of them."""
 
@@ -146,39 +138,52 @@ class Words(click.Choice[str]):
         return f"{message} {meant[0].upper()}{meant[1:]}" if meant else message
 
 
-def _is_written(value: Any, number: type[int] | type[float]) -> bool:
-    """Tell whether a value of an option is written as a number is."""
+def _checked(kind: Number | WholeNumber, value: Any, number: type[int] | type[float]) -> str | None:
+    """Return what is wrong with the value of an option that is a number, None if it is as it should be."""
     try:
-        number(value)
+        found = number(value)
     except ValueError:
-        return False
-    return True
+        return (
+            f"expected {'a whole number like 4' if number is int else 'a number like 1.5'}, found {value!r}"
+        )
+    return None if found in kind.numbers else f"expected {kind.numbers}, found {value}"
 
 
 class Number(click.FloatRange):
-    """The type of an option whose value is a number. It says how a number is written."""
+    """The type of an option that takes finite numbers. It says how a number is written, and which fit."""
+
+    def __init__(self, numbers: Range) -> None:
+        """Take the numbers that fit."""
+        super().__init__(numbers.least, numbers.most, min_open=numbers.is_open)
+        self.numbers = numbers
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """Return the number, or fail."""
-        if not _is_written(value, float):
-            self.fail(f"expected a number like 1.5, found {value!r}", param, ctx)
+        wrong = _checked(self, value, float)
+        if wrong is not None:
+            self.fail(wrong, param, ctx)
         return super().convert(value, param, ctx)
 
 
 class WholeNumber(click.IntRange):
-    """The type of an option whose value is a whole number. It says so."""
+    """The type of an option that takes whole numbers. It says so, and which fit."""
+
+    def __init__(self, numbers: Range) -> None:
+        """Take the numbers that fit."""
+        super().__init__(numbers.least, numbers.most)
+        self.numbers = numbers
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """Return the number, or fail."""
-        if not _is_written(value, int):
-            self.fail(f"expected a whole number like 4, found {value!r}", param, ctx)
+        wrong = _checked(self, value, int)
+        if wrong is not None:
+            self.fail(wrong, param, ctx)
         return super().convert(value, param, ctx)
 
 
 def in_range(numbers: Range) -> Number | WholeNumber:
     """Return the type of an option whose values are these numbers."""
-    kind = WholeNumber if numbers.is_whole else Number
-    return kind(numbers.least, numbers.most, min_open=numbers.is_open)
+    return WholeNumber(numbers) if numbers.is_whole else Number(numbers)
 
 
 def one_of(choices: type[StrEnum]) -> Words:

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from skinbake.cli.console import WholeNumber, console, ended_by_errors, message_options, outside_option
+from skinbake.choices import Range
+from skinbake.cli.console import console, ended_by_errors, in_range, message_options, outside_option
 from skinbake.cli.help import Helpful
 from skinbake.cli.limits import memory_option
 from skinbake.cli.names import check_readable_suffix
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
 @click.argument("source", required=False, metavar="[FILE]")
 @click.option(
     "--influences",
-    type=WholeNumber(1, 64),
+    type=in_range(Range(1, 64, is_whole=True)),
     metavar="N",
     help="Print line by line for N influences per vertex, 1 to 64, instead of a table for 1 to 8.",
 )

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from skinbake.cli.console import Command, Number, finite
+from skinbake.choices import Range
+from skinbake.cli.console import Command, in_range
 from skinbake.cli.names import STDIO
 
 if TYPE_CHECKING:
@@ -49,8 +50,7 @@ def limit_options(command: Command) -> Command:
         ),
         click.option(
             "--timeout",
-            type=Number(0, min_open=True),
-            callback=finite,
+            type=in_range(Range(0, is_open=True)),
             metavar="SECONDS",
             help="Give up a file that takes longer.",
         ),

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import re
 from pathlib import Path
 from typing import Any
 
 import click
 
-from skinbake.cli.console import Words, console, ended_by_errors, finite, message_options, outside_option
+from skinbake.cli.console import Words, console, ended_by_errors, message_options, outside_option
 from skinbake.cli.help import Helpful
 from skinbake.cli.limits import memory_option
 from skinbake.cli.names import check_readable_suffix
@@ -29,6 +30,12 @@ def _size(ctx: click.Context, param: click.Parameter, value: str) -> tuple[int, 
     return size
 
 
+def _finite(ctx: click.Context, param: click.Parameter, value: float | None) -> float | None:
+    if value is not None and not math.isfinite(value):
+        raise click.BadParameter("must be a finite number")
+    return value
+
+
 @click.command(
     "render",
     cls=Helpful,
@@ -45,7 +52,7 @@ def _size(ctx: click.Context, param: click.Parameter, value: str) -> tuple[int, 
 @click.option(
     "--time",
     type=float,
-    callback=finite,
+    callback=_finite,
     metavar="SECONDS",
     help="Time in the clip. By default the pose in which standard lighting is worst, or, in .webp and .gif, "
     "the whole clip.",

@@ -9,14 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from skinbake.choices import STANDARD, Encoding, Frame, Language, Layout, Lighting, Method, Morphs
+from skinbake.choices import STANDARD, Encoding, Frame, Language, Layout, Lighting, Method, Morphs, Range
 from skinbake.cli.console import (
-    Number,
-    WholeNumber,
     Words,
     console,
     ended_by_errors,
-    finite,
+    in_range,
     message_options,
     one_of,
     outside_option,
@@ -66,7 +64,7 @@ PUBLISHED_CAP = 0.9
 )
 @click.option(
     "--influences",
-    type=WholeNumber(1, 64),
+    type=in_range(Range(1, 64, is_whole=True)),
     metavar="N",
     help="Influences per vertex, 1 to 64; by default those of --for, else 4.",
 )
@@ -77,8 +75,7 @@ PUBLISHED_CAP = 0.9
 )
 @click.option(
     "--cap",
-    type=Number(0, min_open=True),
-    callback=finite,
+    type=in_range(Range(0, is_open=True)),
     is_flag=False,
     flag_value=PUBLISHED_CAP,
     metavar="[X]",

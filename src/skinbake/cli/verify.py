@@ -15,7 +15,6 @@ from skinbake.cli.configured import OF_A_CHECK
 from skinbake.cli.console import (
     Console,
     console,
-    finite,
     in_range,
     message_options,
     one_of,
@@ -102,7 +101,6 @@ def _poses(ctx: click.Context, param: click.Parameter, value: str) -> str:
 @click.option(
     "--angle",
     type=in_range(VERIFY_RANGES["angle"]),
-    callback=finite,
     default=30.0,
     show_default=True,
     metavar="DEG",
@@ -125,27 +123,23 @@ def _poses(ctx: click.Context, param: click.Parameter, value: str) -> str:
 @click.option(
     "--cap",
     type=in_range(VERIFY_RANGES["cap"]),
-    callback=finite,
     help="Limit the correction of a tangent to this share of it (0.9 in the authors' demo); off by default.",
 )
 @click.option(
     "--max-mean-error",
     type=in_range(VERIFY_RANGES["max_mean_error"]),
-    callback=finite,
     metavar="DEG",
     help="Fail if the mean error is larger.",
 )
 @click.option(
     "--max-p95-error",
     type=in_range(VERIFY_RANGES["max_p95_error"]),
-    callback=finite,
     metavar="DEG",
     help="Fail if the 95th percentile of the error is larger.",
 )
 @click.option(
     "--min-gain",
     type=in_range(VERIFY_RANGES["min_gain"]),
-    callback=finite,
     metavar="X",
     help="Fail if the gain over standard lighting is smaller.",
 )

@@ -6,7 +6,8 @@ from typing import Any
 
 import click
 
-from skinbake.cli.console import WholeNumber, console, ended_by_errors, message_options, outside_option
+from skinbake.choices import Range
+from skinbake.cli.console import console, ended_by_errors, in_range, message_options, outside_option
 from skinbake.cli.help import Helpful
 from skinbake.cli.limits import memory_option
 from skinbake.cli.names import STDIO, check_readable_suffix
@@ -37,7 +38,7 @@ PAGES = (".html", ".htm")
 )
 @click.option(
     "--port",
-    type=WholeNumber(0, 65535),
+    type=in_range(Range(0, 65535, is_whole=True)),
     default=0,
     metavar="P",
     help="Port on this machine; by default any free one.",
