@@ -67,6 +67,16 @@ def test_a_file_that_is_not_there_is_asked_about(command: list[str], tmp_path: P
     assert "id you mean" not in said(*command, tmp_path / "none" / "animated_cta.glb")[1]
 
 
+@pytest.mark.parametrize(
+    "arguments",
+    [["inspect", ""], ["verify", SEAM, ""], ["bake", "", "--dry-run"], ["cost", ""], ["view", ""]],
+)
+def test_an_empty_name_asks_about_the_script(arguments: list[str | Path]) -> None:
+    code, text = said(*arguments)
+    assert code == 2
+    assert text.endswith("Error: the name of an input is empty; is a variable of your script not set?")
+
+
 def test_a_broken_link_is_not_meant_itself(tmp_path: Path) -> None:
     (tmp_path / "hero.glb").symlink_to("gone.glb")
     assert "id you mean" not in said("inspect", tmp_path / "hero.glb")[1]

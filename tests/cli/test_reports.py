@@ -114,6 +114,19 @@ def test_two_options_cannot_have_one_file(linked: bool, model: Path, tmp_path: P
     assert not first.exists()
 
 
+@pytest.mark.parametrize("option", ["--junit", "--html", "--summary"])
+def test_a_report_needs_the_name_of_a_file(option: str, model: Path, tmp_path: Path) -> None:
+    for name, reason in (
+        ("", f"{option}: the name is empty; is a variable of your script not set?"),
+        (str(tmp_path), f"{tmp_path} is a folder: name the file"),
+        (f"{tmp_path}/new/", f"{tmp_path}/new/ is a folder: name the file"),
+    ):
+        result = invoke("verify", model, option, name)
+        assert result.exit_code == 2
+        assert result.stderr.endswith(f"Error: {reason}\n")
+    assert not (tmp_path / "new").exists()
+
+
 def test_a_link_to_the_output_is_no_summary(model: Path, tmp_path: Path) -> None:
     (tmp_path / "log").symlink_to("out.glb")
     result = invoke("bake", model, "-o", tmp_path / "out.glb", "--summary", tmp_path / "log")
