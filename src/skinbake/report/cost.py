@@ -1,34 +1,4 @@
-"""The cost of the paper's algorithms, as short tables and as JSON.
-
-``--json`` prints one object, ``skinbake.cost/1``. *costs* are four members of it or of one of its entries,
-each an object by algorithm number ("1" … "6"):
-
-| member | values | |
-|---|---|---|
-| ``multiply_adds`` | integer | per vertex |
-| ``bytes`` | integer | read by the vertex shader, per vertex |
-| ``added_bytes`` | integer | the bytes that plain skinning does not read: α and β, or ∇w for "2" |
-| ``lines`` | object of integers | multiply-adds per vertex, by line number of the algorithm ("1" …) |
-
-With ``--influences N``: ``schema``, ``influences`` (integer, N) and *costs*.
-Without an argument: ``schema``, and ``table[]``, for each N of 1 … 8 an object of ``influences`` and *costs*.
-For a file:
-
-| member | type | |
-|---|---|---|
-| ``schema``, ``input`` | string | |
-| ``primitives[]`` | array | skinned ones with a surface: *place*, *costs*, and |
-| ``.vertices`` | integer | that its triangles refer to |
-| ``.draws`` | integer | nodes that draw its mesh with a skin: the number of times that a frame skins it |
-| ``.influences`` | integer | N: 4 × the number of ``JOINTS_n`` sets |
-| ``.baked`` | boolean | false: α and β are counted as bake would store them |
-| ``.stored`` | object of integers | bytes per vertex by attribute, in multiples of 4 as glTF aligns them |
-| ``.per_frame`` | object | ``multiply_adds``, ``bytes``, ``added_bytes`` as above, × vertices × draws |
-| ``total`` | object | ``vertices`` (× draws), and the members of ``per_frame`` over all primitives |
-| ``warnings[]`` | array of *notice* | |
-
-A missing NORMAL counts as the one that ``bake --generate-normals`` adds (warning ``no-normals``).
-"""
+"""The cost of the paper's algorithms, as tables that fit a terminal of 80 columns, and as JSON."""
 
 from __future__ import annotations
 
@@ -68,7 +38,11 @@ STORED_TYPES = (
     "frame skins each vertex of a triangle once for every node that draws it. Morph targets, and "
     "building a tangent frame from NORMAL, are not counted."
 )
-WIDTH = 100
+WIDTH = 78
+"""The longest line of a sentence."""
+
+VERTEX, FRAME = (11, 7, 7), (13, 12, 11)
+"""The widths of the columns of one vertex, and of a frame: multiply-adds, bytes, added bytes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,15 +131,15 @@ def _wrapped(sentence: str) -> list[str]:
 
 
 def _label(number: int) -> str:
-    return f"{number}  {NAMES[number]:<14}"
+    return f"{number}  {NAMES[number]:<12}"
 
 
 def _single_lines(result: InfluenceCosts) -> Iterator[str]:
     yield f"Per vertex with {counted(result.influences, 'influence')}"
-    yield f"  {'':<17}{'multiply-adds':>15}{'bytes':>8}{'added':>8}  multiply-adds line by line"
+    yield f"  {'':<15}{'multiply-adds':>15}{'bytes':>7}{'added':>7}  multiply-adds by line"
     for number, cost in result.costs.items():
-        by_line = " + ".join(str(count) for count in cost.lines.values())
-        yield f"  {_label(number)}{cost.multiply_adds:15,}{cost.bytes:8,}{cost.added_bytes:8,}  {by_line}"
+        by_line = "+".join(str(count) for count in cost.lines.values())
+        yield f"  {_label(number)}{cost.multiply_adds:15,}{cost.bytes:7,}{cost.added_bytes:7,}  {by_line}"
 
 
 def _table_lines(result: CostTable) -> Iterator[str]:
@@ -175,7 +149,7 @@ def _table_lines(result: CostTable) -> Iterator[str]:
 
 def _grid(title: str, rows: Sequence[InfluenceCosts], figure: str) -> Iterator[str]:
     yield title
-    yield f"  {'N influences':<17}" + "".join(f"{row.influences:6}" for row in rows)
+    yield f"  {'N influences':<15}" + "".join(f"{row.influences:6}" for row in rows)
     for number in NAMES:
         figures = (getattr(row.costs[number], figure) for row in rows)
         yield f"  {_label(number)}" + "".join(f"{value:6}" for value in figures)
@@ -191,10 +165,10 @@ def _file_lines(result: FileCosts) -> Iterator[str]:
     for primitive in result.primitives:
         yield from _primitive_lines(primitive)
     if len(result.primitives) > 1:
-        yield "  the whole file"
-        yield f"    {'per frame':<17}{'multiply-adds':>17}{'bytes':>15}{'added':>14}"
+        yield "  the whole file, per frame"
+        yield f"    {'':<15}" + _heads(FRAME)
         for number, frame in result.total.items():
-            yield f"    {_label(number)}{_frame_figures(frame)}"
+            yield f"    {_label(number)}{_figures(FRAME, frame)}"
     yield from _wrapped(RULES)
     yield from _wrapped(STORED_TYPES)
 
@@ -210,22 +184,25 @@ def _primitive_lines(primitive: PrimitiveCosts) -> Iterator[str]:
     )
     stored = ", ".join(f"{printable(attribute)} {size}" for attribute, size in primitive.stored.items())
     yield f"    bytes stored per vertex: {stored}" + ("" if primitive.baked else "; α, β as bake would")
-    yield f"    {'':<17}{'per vertex:':>15}{'':16}{'per frame:':>17}"
-    yield f"    {'':<17}" + "".join(
-        f"{title:>{width}}"
-        for title, width in zip(("multiply-adds", "bytes", "added") * 2, (15, 8, 8, 17, 15, 14), strict=True)
-    )
+    yield f"    {'':<15}{'per vertex:':>{VERTEX[0]}}{'per frame:':>{sum(VERTEX[1:]) + FRAME[0]}}"
+    yield f"    {'':<15}{_heads(VERTEX)}{_heads(FRAME)}"
     for number, cost in primitive.per_vertex.items():
-        vertex = f"{cost.multiply_adds:15,}{cost.bytes:8,}{cost.added_bytes:8,}"
-        yield f"    {_label(number)}{vertex}{_frame_figures(primitive.per_frame[number])}"
+        vertex = _figures(VERTEX, cost)
+        yield f"    {_label(number)}{vertex}{_figures(FRAME, primitive.per_frame[number])}"
 
 
-def _frame_figures(cost: FrameCost) -> str:
-    return f"{cost.multiply_adds:17,}{cost.bytes:15,}{cost.added_bytes:14,}"
+def _heads(widths: Sequence[int]) -> str:
+    titles = ("mul-adds", "bytes", "added")
+    return "".join(f"{title:>{width}}" for title, width in zip(titles, widths, strict=True))
+
+
+def _figures(widths: Sequence[int], cost: VertexCost | FrameCost) -> str:
+    figures = (cost.multiply_adds, cost.bytes, cost.added_bytes)
+    return "".join(f"{figure:{width},}" for figure, width in zip(figures, widths, strict=True))
 
 
 def as_json(result: CostResult) -> dict[str, Any]:
-    """Return the costs as one JSON object; the module's docstring documents its members."""
+    """Return the costs as one JSON object; docs/reference/json.md documents its members."""
     if isinstance(result, InfluenceCosts):
         return {"schema": SCHEMA, **_influences_json(result)}
     if isinstance(result, CostTable):
