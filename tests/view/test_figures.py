@@ -3,15 +3,44 @@
 from __future__ import annotations
 
 import re
+from pathlib import Path
 
+import numpy as np
 import pytest
 
 from fixtures.make_fixtures import FOLDER
 from skinbake.commands.verify import verify_file
 from skinbake.lighting.measured import VerifyOptions
+from tests.support import browser
+from tests.support.command_line import invoke
+from tests.support.models import bake, sheet, write_model
 from tests.view.pages import shown
 
 pytestmark = pytest.mark.slow
+
+
+def headings(page: browser.Page) -> list[str]:
+    """Return the headings beside the model that can be seen."""
+    found: list[str] = page.call(
+        """(() => [...document.querySelectorAll('aside h2')]
+            .filter((heading) => heading.offsetHeight > 0).map((heading) => heading.textContent.trim()))"""
+    )
+    return found
+
+
+def test_there_is_no_table_and_no_chart_without_figures_and_without_a_model(tmp_path: Path) -> None:
+    flat = write_model(tmp_path / "flat.glb", [sheet(POSITION=np.zeros((20, 3), np.float32))])
+    bake(flat, tmp_path / "baked.glb")
+    (tmp_path / "empty.gltf").write_text('{"asset": {"version": "2.0"}}', encoding="utf-8")
+    for name, expected in (
+        ("baked.glb", ["Mean error over the clip", "Checks passed"]),
+        ("empty.gltf", ["Checks not baked", "Notes"]),
+    ):
+        report, scratch = tmp_path / f"{name}.html", tmp_path / f"{name}.profile"
+        invoke("verify", tmp_path / name, "--poses", "rest", "--html", report)
+        scratch.mkdir()
+        with browser.opened_file(report, scratch) as page:
+            assert sorted(headings(page)) == sorted(expected)
 
 
 def test_the_headline_is_the_smaller_gain() -> None:

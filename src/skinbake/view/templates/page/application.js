@@ -483,6 +483,7 @@ window.ready = start().then(
     (error) => {
         byId.message.textContent = `The model cannot be shown: ${error.message}`;
         byId.message.hidden = false;
+        byId.chart.parentElement.hidden = true;
         if (!(error instanceof ReadError)) throw error;
     }
 );

@@ -11,8 +11,9 @@ export function showFigures(byId, given) {
     const { figures, by_triangles: triangles, poses } = given;
     const [least, other] = byGain(figures, triangles);
     byId.headline.hidden = !least;
-    byId.table.parentElement.hidden = !figures;
-    if (!figures) return;
+    const isMeasured = Object.keys(figures ?? {}).length > 0;
+    byId.table.parentElement.hidden = !isMeasured;
+    if (!isMeasured) return;
     if (least) {
         byId.gain.textContent = times(least.gain);
         byId['gain-words'].textContent =
