@@ -133,6 +133,14 @@ def test_names_are_text_in_the_index() -> None:
     assert 'href="x&quot;.html"' in text
 
 
+def test_a_page_says_what_the_text_says_of_the_figures(tmp_path: Path) -> None:
+    bake(TUBE, tmp_path / "tube.glb")
+    result = invoke("verify", tmp_path / "tube.glb", "--poses", "rest", "--html", tmp_path / "report.html")
+    remark = "Nothing bends in these poses: standard lighting is right already."
+    assert result.stdout.splitlines()[-1] == f"  {remark}"
+    assert given(tmp_path / "report.html")["notes"][0] == remark
+
+
 def numbers(page: Path) -> list[list[str]]:
     """Return the numbers of each file of an index as they are shown."""
     lines = re.findall(r"<tr><td.*</tr>", page.read_text(encoding="utf-8"))

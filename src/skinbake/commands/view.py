@@ -29,7 +29,7 @@ from skinbake.gltf.resources import is_data_uri, read_resource
 from skinbake.lighting.baked_views import BakedView, baked_views, is_baked
 from skinbake.lighting.expected import noted_kind
 from skinbake.lighting.measured import VerifyOptions
-from skinbake.report.verify import FileVerdict, file_json
+from skinbake.report.verify import FileVerdict, file_json, remarks
 from skinbake.timing import stage
 from skinbake.view.page import OtherGradients, Shown, page
 from skinbake.view.texts import INFLUENCES
@@ -92,7 +92,7 @@ def page_of(
         views = sound_views(document)
         missing += [notice for view in views for notice in unplaced(document, view, "page")]
         missing += _not_drawn(document, views)
-        told = [*notes, *map(_sentence, (*missing, *verdict.notices))]
+        told = [*notes, *remarks(verdict), *map(_sentence, (*missing, *verdict.notices))]
         name = "stdin" if document.place.file == STDIN else PurePath(document.name).name
         findings = {**_findings(verdict), "notes": told, "limits": limits}
         return page(Shown(name=name, glb=glb, others=others, findings=findings)), missing

@@ -170,14 +170,18 @@ def as_text(verdict: FileVerdict) -> str:
         morphs = f"; {verdict.morphs.words}" if verdict.morphs else ""
         over = f"{verdict.poses}{morphs}"
         lines.append(f"  Angle in degrees between each method's normals and the true ones, over {over}.")
-    if verdict.without_dqs:
-        lines.append(f"  Dual quaternions left out: {printable(verdict.without_dqs)}.")
-    lines += _little_to_win(verdict)
+    lines += [f"  {printable(remark)}" for remark in remarks(verdict)]
     return "\n".join(lines)
 
 
+def remarks(verdict: FileVerdict) -> list[str]:
+    """Return sentences on the figures: why a method has none, and whether there is little to win."""
+    left_out = verdict.without_dqs
+    return [*([f"Dual quaternions left out: {left_out}."] if left_out else ()), *_little_to_win(verdict)]
+
+
 def _little_to_win(verdict: FileVerdict) -> list[str]:
-    """Return a line if the poses show nothing, or hardly anything, for α/β to correct.
+    """Return a sentence if the poses show nothing, or hardly anything, for α/β to correct.
 
     It says nothing of a bake that failed a check, or if a warning advises another bake.
     """
@@ -193,12 +197,12 @@ def _little_to_win(verdict: FileVerdict) -> list[str]:
     method = found[0][0]
     errors = [figures[one].mean for _, figures in found for one in SHOWN_LIGHTINGS if one in figures]
     if max(errors) < ROUNDING:
-        return ["  Nothing bends in these poses: standard lighting is right already."]
+        return ["Nothing bends in these poses: standard lighting is right already."]
     gains = [factor for of, figures in found if of == method and (factor := gain(figures)) is not None]
     if not gains or round(min(gains), 2) >= LITTLE:
         return []
     least = f"the {method.upper()} gain is {min(gains):.2f}x, under {LITTLE}"
-    return [f"  Little to win: {least}. Leave the file unbaked."]
+    return [f"Little to win: {least}. Leave the file unbaked."]
 
 
 def _table(normals: Normals, by_triangles: Normals) -> Iterator[str]:
