@@ -22,6 +22,9 @@ BAD_LOSS = 0.05
 SEEN = 0.0001
 """Below this angle in degrees, the exact value does not matter."""
 
+SEEN_SHARE = 0.0001
+"""Below this share of the size, the exact movement of a position does not matter."""
+
 Status = Literal["baked", "unchanged", "up-to-date", "failed"]
 """``unchanged``: passed through, because nothing in it can be baked.
 
@@ -233,7 +236,9 @@ def _encoding_text(encoding: EncodingCost | None, counts: Sequence[BakedCounts])
 
 
 def _degrees(angle: float) -> str:
-    return f"{angle:.2g}°" if angle >= SEEN else f"under {SEEN}°"
+    if 0.0 < angle < SEEN:
+        return f"under {SEEN}°"
+    return f"{angle:.2g}°" if angle < 99.5 else f"{angle:.0f}°"  # 1.2e+02
 
 
 def _limited(costs: Sequence[LimitCost]) -> str:
@@ -245,10 +250,13 @@ def _limited(costs: Sequence[LimitCost]) -> str:
         lost = f"{counted(vertices, 'vertex', 'vertices')} lost {percent(left_out, 2)} of their weight"
     mean, p99 = max(cost.normals.mean for cost in costs), max(cost.normals.p99 for cost in costs)
     moved = max((cost.positions.max / cost.size for cost in costs if cost.size > 0), default=0.0)
-    movement = f"positions move by at most {moved:.2g} of the size" if moved else "positions stay"
+    movement = "positions stay"
+    if moved:
+        share = f"at most {percent(moved, 2)}" if moved >= SEEN_SHARE else f"under {percent(SEEN_SHARE, 2)}"
+        movement = f"positions move by {share} of the size"
     return (
         f"limited to {costs[0].influences} influences: {lost}, normals turn by "
-        f"{mean:.2g}° (p99 {p99:.2g}°), {movement}"
+        f"{_degrees(mean)} (p99 {_degrees(p99)}), {movement}"
     )
 
 
@@ -272,6 +280,8 @@ def _remedy(counts: Sequence[BakedCounts]) -> str:
     """Return the option that may help if much of the gradient is left out, unless the bake has used it."""
     if _lost(counts) < BAD_LOSS or any(count.extended for count in counts):
         return ""
+    if any(count.limited for count in counts):
+        return "; try a larger --limit-influences"
     return "; try --neighbours extend"
 
 
