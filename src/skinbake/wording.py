@@ -90,7 +90,10 @@ def not_gltf(path: str) -> str:
     way = OTHER_FORMATS.get(ALIASES.get(suffix, suffix))
     if way is not None:
         return f"{suffix[1:].upper()} is not glTF: {way}"
-    if path and not suffix and not os.path.lexists(path):
-        meant = did_you_mean(Path(path).name, _folders_beside(path)) or meant_file(path)
-        return f"no such file or folder; {meant}" if meant else "no such file or folder"
-    return f"expected a name that ends in {', '.join(SUFFIXES)}, or -"
+    told, meant = f"expected a name that ends in {', '.join(SUFFIXES)}, or -", ""
+    if path and not os.path.lexists(path):
+        meant = meant_file(path)
+        if not suffix:
+            told = "no such file or folder"
+            meant = did_you_mean(Path(path).name, _folders_beside(path)) or meant
+    return f"{told}; {meant}" if meant else told

@@ -77,6 +77,18 @@ def test_an_empty_name_asks_about_the_script(arguments: list[str | Path]) -> Non
     assert text.endswith("Error: the name of an input is empty; is a variable of your script not set?")
 
 
+@pytest.mark.parametrize("name", ["hero.gbl", "hero.gtlf", "hreo.glb2"])
+def test_a_mistyped_suffix_is_asked_about(name: str, tmp_path: Path) -> None:
+    shutil.copyfile(SEAM, tmp_path / "hero.glb")
+    code, text = said("inspect", tmp_path / name)
+    assert code == 2
+    assert text.endswith(
+        f"{name}: expected a name that ends in .glb, .gltf, .vrm, or -; did you mean 'hero.glb'?"
+    )
+    (tmp_path / name).touch()
+    assert "id you mean" not in said("inspect", tmp_path / name)[1], "it is there"
+
+
 def test_a_broken_link_is_not_meant_itself(tmp_path: Path) -> None:
     (tmp_path / "hero.glb").symlink_to("gone.glb")
     assert "id you mean" not in said("inspect", tmp_path / "hero.glb")[1]
