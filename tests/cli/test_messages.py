@@ -336,9 +336,26 @@ class TestInspect:
 
     def test_it_counts_defects_of_the_weights(self, warned: Path) -> None:
         result = invoke("inspect", warned)
-        assert "20 vertices not normalised" in result.stdout
+        assert "20 vertices with weights that do not sum to 1\n" in result.stdout
         assert "none: no NORMAL" in result.stdout
         assert "skipped: it has no NORMAL" in result.stderr
+
+    def test_equal_sums_of_weights_are_told_once(self, warned: Path) -> None:
+        assert ", weights sum to 0.5\n" in invoke("inspect", warned).stdout
+
+    def test_each_defect_of_the_weights_has_words(self, tmp_path: Path) -> None:
+        joints, weights = np.tile(np.array([0, 1, 0, 0], np.uint8), (20, 1)), np.zeros((20, 4), np.float32)
+        weights[1:] = [0.5, 0.5, 0, 0]
+        weights[1] = [0.5, 0.25, 0.25, 0]
+        weights[2:4] = [1.5, -0.5, 0, 0]
+        path = write_model(tmp_path / "odd.glb", [sheet(JOINTS_0=joints, WEIGHTS_0=weights)])
+        found = re.findall(r"    weights     (.*)\n", invoke("inspect", path).stdout)
+        assert set(found) == {
+            "1 vertex with no weight above 0",
+            "1 vertex with one joint in several slots",
+            "2 vertices with a negative weight",
+            "2 vertices with weights that do not sum to 1",
+        }
 
     def test_it_shows_attributes_of_any_type_that_gltf_knows(self, tmp_path: Path) -> None:
         def add(content: JsonObject) -> None:

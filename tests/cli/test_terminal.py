@@ -13,7 +13,7 @@ import pytest
 from skinbake.cli.console import json_text
 from skinbake.errors import Place, printable_lines
 from tests.support.command_line import call, run
-from tests.support.models import edited
+from tests.support.models import FOLDER, baked, edited, rewritten
 
 if sys.platform == "win32":
     pytest.skip("no file has such a name on Windows", allow_module_level=True)
@@ -104,6 +104,17 @@ def test_nothing_is_printed_raw(evil: Path) -> None:
         assert text, pattern
         assert [c for c in FORBIDDEN if c in text] == [], (pattern, text)
         assert not any(line.startswith(b"forged") for line in text.splitlines()), (pattern, text)
+
+
+def test_metadata_of_a_bake_forges_no_line(tmp_path: Path) -> None:
+    model = baked(FOLDER / "bent_tube.glb", tmp_path / "tube.glb")
+    metadata = model.content["meshes"][0]["primitives"][0]["extras"]["skinbake"]
+    names = ("generator", "gradients", "frame", "weighting", "neighbours", "encoding", "layout")
+    metadata.update({name: f"{name}\nforged: line" for name in names})
+    metadata["digest"]["POSITION\nforged: line"] = 32 * "0"
+    text = said("inspect", rewritten(model, model.path))
+    assert text.count(b"\\nforged: line") == 8
+    assert b"\nforged" not in text
 
 
 @pytest.mark.parametrize("command", [["bake", "--dry-run"], ["verify"], ["inspect"], ["cost"]])

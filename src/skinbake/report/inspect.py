@@ -15,6 +15,14 @@ from skinbake.wording import counted
 SCHEMA = "skinbake.inspect/1"
 FILES_SCHEMA = "skinbake.inspect-files/1"
 
+DEFECTS = {
+    "negative": "with a negative weight",
+    "all_zero": "with no weight above 0",
+    "not_normalised": "with weights that do not sum to 1",
+    "repeated_joint": "with one joint in several slots",
+}
+"""What vertices have whose weights need an assumption, by kind."""
+
 
 @dataclass(frozen=True, slots=True)
 class AttributeSummary:
@@ -133,14 +141,14 @@ def _primitive_lines(primitive: PrimitiveSummary) -> Iterator[str]:
         f"{counted(primitive.triangles, 'triangle')}"
         + (f", {counted(primitive.morph_targets, 'morph target')}" if primitive.morph_targets else "")
     )
-    low, high = primitive.weight_sums
+    sums = dict.fromkeys(f"{weight_sum:.6g}" for weight_sum in primitive.weight_sums)
     yield (
         f"    influences  up to {primitive.influences} of {4 * primitive.influence_sets} slots used, "
-        f"{counted(primitive.joints, 'joint')}, weights sum to {low:.6g} … {high:.6g}"
+        f"{counted(primitive.joints, 'joint')}, weights sum to {' … '.join(sums)}"
     )
     for kind, count in primitive.defects.items():
         if count:
-            yield f"    weights     {counted(count, 'vertex', 'vertices')} {kind.replace('_', ' ')}"
+            yield f"    weights     {counted(count, 'vertex', 'vertices')} {DEFECTS[kind]}"
     yield f"    frame       {primitive.frame}"
     stored = ", ".join(f"{printable(a.name)} {a.format}" for a in primitive.attributes)
     yield f"    attributes  {stored}"
@@ -154,18 +162,16 @@ def _bake_text(bake: BakeSummary | None) -> str:
         return "no"
     noted = bake.metadata
     state = f"but {', '.join(bake.changed)} changed since: bake again" if bake.changed else "up to date"
-    generator = printable(str(noted.get("generator", "skinbake")))
-    return (
-        f"by {generator}, gradients {printable(str(noted.get('gradients', Gradients.SURFACE)))}, "
+    return printable(
+        f"by {noted.get('generator', 'skinbake')}, gradients {noted.get('gradients', Gradients.SURFACE)}, "
         f"frame from {noted.get('frame')}, weighting {noted.get('weighting')}, "
-        f"neighbours {noted.get('neighbours')}, {_storage(noted)}{bake.byte_length:,} bytes, {state}"
+        f"neighbours {noted.get('neighbours')}, {_storage(noted)}{counted(bake.byte_length, 'byte')}, {state}"
     )
 
 
 def _storage(noted: dict[str, Any]) -> str:
     """Return the storage of α and β, if it is not the default."""
-    found = [f"{key} {printable(str(noted[key]))}, " for key in ("encoding", "layout") if key in noted]
-    return "".join(found)
+    return "".join(f"{key} {noted[key]}, " for key in ("encoding", "layout") if key in noted)
 
 
 def as_json(result: InspectResult) -> dict[str, Any]:
