@@ -115,6 +115,8 @@ def test_metadata_of_a_bake_forges_no_line(tmp_path: Path) -> None:
     text = said("inspect", rewritten(model, model.path))
     assert text.count(b"\\nforged: line") == 8
     assert b"\nforged" not in text
+    # Such a bake is broken, so its primitive is not counted as none.
+    assert b"\n  structure  failed\n" in said("verify", model.path)
 
 
 @pytest.mark.parametrize("command", [["bake", "--dry-run"], ["verify"], ["inspect"], ["cost"]])

@@ -43,10 +43,11 @@ def verify_document(document: Document, options: VerifyOptions) -> FileVerdict:
     with stage("read"):
         views, problems = baked_views(document, wanted)
     problems = [*lost, *problems]
-    structure = Check("structure", "failed" if problems else "passed", tuple(problems), _counted(views))
     if problems:
+        structure = Check("structure", "failed", tuple(problems))
         rest = [Check(name, "skipped", (), "structure failed") for name in ("freshness", "lighting")]
         return FileVerdict(document.name, (structure, *rest), notices=tuple(notices))
+    structure = Check("structure", "passed", (), _counted(views))
     for view in views:
         notices += weight_sum_notices(view.now, view.source.place)
         notices += lean_notices(view.now, view.source.place)
