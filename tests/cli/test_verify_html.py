@@ -214,6 +214,20 @@ def test_the_index_tells_of_limits_that_differ(tmp_path: Path) -> None:
     assert "Limits: mean error at most 90°.<" in page.read_text(encoding="utf-8")
 
 
+def test_files_without_a_gain_come_last_unless_they_failed(tmp_path: Path) -> None:
+    files = [
+        Listed(name="rigid.glb", link=None, outcome="passed"),
+        Listed(name="plain.glb", link=None, outcome="not baked"),
+        Listed(name="good.glb", link=None, outcome="passed", gain=3.0),
+        Listed(name="little.glb", link=None, outcome="passed", gain=1.1),
+        Listed(name="poor.glb", link=None, outcome="failed", gain=0.9),
+        Listed(name="broken.glb", link=None, outcome="failed"),
+    ]
+    (tmp_path / "all.html").write_bytes(index(files, ""))
+    names = ["broken.glb", "poor.glb", "little.glb", "good.glb", "plain.glb", "rigid.glb"]
+    assert [name for name, _, _ in rows(tmp_path / "all.html")] == names
+
+
 def test_a_name_of_several_lines_is_one_line_in_the_index() -> None:
     text = index([Listed(name="a\nb.glb", link=None, outcome="failed", remark="c\td")], "").decode()
     assert '<span class="name">a\\nb.glb</span>' in text

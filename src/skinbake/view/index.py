@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import html
+import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -34,7 +35,10 @@ class Listed:
 
 
 def index(files: Sequence[Listed], limits: str) -> bytes:
-    """Return the index as UTF-8: files with the smallest gain first. limits is a sentence on the limits."""
+    """Return the index as UTF-8: files that failed first, then by gain, the smallest first.
+
+    limits is a sentence on the limits.
+    """
     outcomes = Counter(one.outcome for one in files)
     parts = [f"{outcomes[word]:,} {word}" for word in ("not baked", "failed") if outcomes[word]]
     summary = ", ".join([counted(len(files), "file"), *(parts or ["all passed"])])
@@ -48,7 +52,10 @@ def index(files: Sequence[Listed], limits: str) -> bytes:
 
 
 def _order(one: Listed) -> tuple[bool, float, str]:
-    return one.outcome != "failed", 0.0 if one.gain is None else one.gain, one.name
+    """Order files that failed first. Without a gain, a file that failed comes first, and others come last."""
+    has_failed = one.outcome == "failed"
+    without = 0.0 if has_failed else math.inf
+    return not has_failed, without if one.gain is None else one.gain, one.name
 
 
 def _row(one: Listed) -> str:
