@@ -15,6 +15,7 @@ from click.testing import CliRunner, Result
 
 from skinbake.cli.main import main
 from tests.support.baked_files import Editable, baked, source
+from tests.support.models import Part, sheet, write_model
 from tests.support.schemas import VERIFY
 
 
@@ -87,6 +88,21 @@ def test_json_is_pure_and_as_documented(tmp_path: Path, name: str, options: list
     unbaked = run("--json", "--require-baked", source(name), tmp_path / "gone.glb")
     jsonschema.validate(json.loads(unbaked.stdout), VERIFY)
     assert unbaked.exit_code == 3
+
+
+@pytest.mark.parametrize(
+    ("parts", "advice"),
+    [
+        ([sheet()], "run skinbake bake"),
+        ([sheet(NORMAL=None)], "run skinbake bake --generate-normals"),
+        ([sheet(), sheet(NORMAL=None)], "run skinbake bake"),
+        ([sheet(POSITION=None)], "nothing in it can be baked; --require-baked is for characters"),
+    ],
+)
+def test_require_baked_advises_what_can_be_done(parts: list[Part], advice: str, tmp_path: Path) -> None:
+    result = run("--require-baked", write_model(tmp_path / "plain.glb", parts))
+    assert result.exit_code == 1
+    assert result.stderr.endswith(f"nothing in it is baked: {advice}\n")
 
 
 def test_animations_are_meant_by_their_plural_too(tmp_path: Path) -> None:

@@ -112,16 +112,17 @@ def _unbaked(
 ) -> FileVerdict:
     """Return the verdict for a file without a bake. Limits are for those that draw a skinned surface."""
     missing = Notice("not-baked", "nothing in it is baked", document.place)
-    needs_normals = any(notice.code == "no-normals" for notice in notices)
+    command = "skinbake bake" if wanted else ""
+    if not wanted and any(notice.code == "no-normals" for notice in notices):
+        command = "skinbake bake --generate-normals"
     if options.require_baked:
         advice = (
-            "run skinbake bake" if wanted else "nothing in it can be baked; --require-baked is for characters"
+            f"run {command}" if command else "nothing in it can be baked; --require-baked is for characters"
         )
         problem = replace(missing, message=f"nothing in it is baked: {advice}")
         return FileVerdict(document.name, (Check("structure", "failed", (problem,)),), notices=tuple(notices))
     check = Check("structure", "skipped", (), "nothing in it is baked")
-    if options.limits and (wanted or needs_normals):
-        command = "skinbake bake" if wanted else "skinbake bake --generate-normals"
+    if options.limits and command:
         limits = " and ".join(options.limits)
         message = f"it is not baked, so it cannot meet {limits}: run {command} first"
         failed = Check("limits", "failed", (replace(missing, message=message),), message)
