@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,7 @@ from skinbake.format.adoption import UNIT, with_adopted
 from skinbake.gltf.accessors import StoredArray
 from skinbake.gltf.primitives import StoredInfluences
 from skinbake.lighting.before_adoption import returned
+from tests.support.baked_files import Editable, baked, source, verify
 
 
 def stored(values: object, dtype: type) -> StoredArray:
@@ -38,3 +41,14 @@ def test_copies_that_paid_different_amounts_agree_again(units: list[int]) -> Non
     found = returned(weights, np.where(took, 1.0 / UNIT, 0.0), joints)
     assert np.any(weights[1:] != weights[0])
     assert np.array_equal(found, np.array([units] * 4) / UNIT)
+
+
+def test_a_bake_of_weights_with_a_small_sum_is_fresh(tmp_path: Path) -> None:
+    """Bake divides weights by their sum, so the unit of an adopted slot is a larger share of a small sum."""
+    model = Editable(source("weights_u8.glb"))
+    weights = model.array("WEIGHTS_0")
+    weights[:] = np.round(0.3 * weights)
+    written = baked(model.write(tmp_path / "small.glb"), tmp_path / "baked", gradients="surface")
+    assert "adopted" in Editable(written).metadata()
+    answer = verify(written, "--poses", "rest")
+    assert answer.exit_code == 0, answer.messages
