@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from skinbake.gltf.accessors import StoredArray
 from skinbake.gltf.primitives import StoredInfluences
 from skinbake.lighting.before_adoption import returned
 from tests.support.baked_files import Editable, baked, source, verify
+from tests.support.models import sheet, write_model
 
 
 def stored(values: object, dtype: type) -> StoredArray:
@@ -50,5 +52,34 @@ def test_a_bake_of_weights_with_a_small_sum_is_fresh(tmp_path: Path) -> None:
     weights[:] = np.round(0.3 * weights)
     written = baked(model.write(tmp_path / "small.glb"), tmp_path / "baked", gradients="surface")
     assert "adopted" in Editable(written).metadata()
+    answer = verify(written, "--poses", "rest")
+    assert answer.exit_code == 0, answer.messages
+
+
+@pytest.mark.parametrize("gradients", ["surface", "rig"])
+def test_a_border_of_primitives_with_one_and_two_sets_is_fresh(gradients: str, tmp_path: Path) -> None:
+    """At the border joint 4 takes the slot of joint 0. One primitive alone has further empty slots."""
+    place = sheet().attributes["POSITION"].astype(np.float64)
+    border = place[:, 0] == place[:, 0].max()
+    joints = np.where(border[:, None], [1, 2, 3, 0], [4, 0, 1, 0]).astype(np.uint8)
+    weights = np.where(border[:, None], [0.5, 0.3, 0.2, 0.0], [0.6, 0.3, 0.1, 0.0]).astype(np.float32)
+    mirrored = [2 * place[:, 0].max(), 0, 0] + place * [-1, 1, 1]
+    none = np.zeros((len(place), 4))
+    parts = [
+        sheet(JOINTS_0=joints, WEIGHTS_0=weights),
+        sheet(
+            POSITION=mirrored.astype(np.float32),
+            JOINTS_0=joints,
+            WEIGHTS_0=weights,
+            JOINTS_1=none.astype(np.uint8),
+            WEIGHTS_1=none.astype(np.float32),
+        ),
+    ]
+    parts[1] = replace(parts[1], indices=np.asarray(parts[1].indices)[:, ::-1])
+    original = write_model(tmp_path / "two.glb", parts, joints=5)
+    written = baked(original, tmp_path / "baked", gradients=gradients)
+    model = Editable(written)
+    assert (model.array("JOINTS_0", 1)[border] == [1, 2, 3, 4]).all()
+    assert not model.array("_SKINBAKE_ALPHA_1", 1)[border].any()
     answer = verify(written, "--poses", "rest")
     assert answer.exit_code == 0, answer.messages

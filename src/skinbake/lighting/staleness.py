@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -184,7 +184,31 @@ class _Surface:
 def _comparisons(
     document: Document, views: Sequence[BakedView], operator: GradientOperator, fit: Fit | None = None
 ) -> list[freshness.Comparison]:
-    return _compared(document, views, operator, expected_slots(document, views, operator, fit=fit))
+    found = _compared(document, views, operator, expected_slots(document, views, operator, fit=fit))
+    if all(comparison.agrees for comparison in found):
+        return found
+    renamed = [_without_vacated_names(document, view) for view in views]
+    if all(other is view for other, view in zip(renamed, views, strict=True)):
+        return found
+    again = _compared(document, renamed, operator, expected_slots(document, renamed, operator))
+    return again if all(comparison.agrees for comparison in again) else found
+
+
+def _without_vacated_names(document: Document, view: BakedView) -> BakedView:
+    """Return the view with other joints in empty slots whose joint lost its own slot to an adopted one.
+
+    If several empty slots name a joint, the first of them has its gradient. If that slot adopts another
+    joint, bake loses the gradient, and α and β of the others are 0. This happens only if a copy of the vertex
+    has fewer empty slots: otherwise the joint is adopted too. These slots name the joint of slot 0 here. Its
+    gradient is not theirs, so 0 is right.
+    """
+    adopts = (given_weights(document, view) > 0.0).any(axis=1, keepdims=True)
+    empty = np.zeros(view.now.joints.shape, dtype=np.bool_)
+    empty[:, 1:] = (view.alpha == 0.0) & (view.beta == 0.0) & (view.now.weights[:, 1:] == 0.0)
+    joints = np.where(adopts & empty, view.now.joints[:, :1], view.now.joints)
+    if (joints == view.now.joints).all():
+        return view
+    return replace(view, now=view.now.with_influences(joints, view.now.weights))
 
 
 def _compared(
