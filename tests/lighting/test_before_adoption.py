@@ -83,3 +83,16 @@ def test_a_border_of_primitives_with_one_and_two_sets_is_fresh(gradients: str, t
     assert not model.array("_SKINBAKE_ALPHA_1", 1)[border].any()
     answer = verify(written, "--poses", "rest")
     assert answer.exit_code == 0, answer.messages
+
+
+def test_a_joint_that_leaves_a_slot_of_negative_weight_is_fresh(tmp_path: Path) -> None:
+    """A slot of negative weight is not empty, so its joint 0 goes into another slot."""
+    place = sheet().attributes["POSITION"]
+    border = place[:, :1] == place[:, 0].max()
+    joints = np.where(border, [1, 2, 3, 0], [4, 0, 1, 0]).astype(np.uint8)
+    weights = np.where(border, [0.5, 0.3, 0.3, -0.1], [0.6, 0.3, 0.1, 0.0]).astype(np.float32)
+    original = write_model(tmp_path / "negative.glb", [sheet(JOINTS_0=joints, WEIGHTS_0=weights)], joints=5)
+    written = baked(original, tmp_path / "baked", gradients="rig", neighbours="extend")
+    assert (np.sort(Editable(written).array("JOINTS_1")[border[:, 0]]) == [0, 0, 0, 4]).all()
+    answer = verify(written, "--poses", "rest")
+    assert answer.exit_code == 0, answer.messages

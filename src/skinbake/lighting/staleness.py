@@ -195,16 +195,16 @@ def _comparisons(
 
 
 def _without_vacated_names(document: Document, view: BakedView) -> BakedView:
-    """Return the view with other joints in empty slots whose joint lost its own slot to an adopted one.
+    """Return the view with other joints in slots without weight whose joint has left them in the bake.
 
-    If several empty slots name a joint, the first of them has its gradient. If that slot adopts another
-    joint, bake loses the gradient, and α and β of the others are 0. This happens only if a copy of the vertex
-    has fewer empty slots: otherwise the joint is adopted too. These slots name the joint of slot 0 here. Its
-    gradient is not theirs, so 0 is right.
+    If several such slots name a joint, the first of them has its gradient. α and β of the others are 0 in two
+    cases. The first of them adopted another joint, and bake lost the gradient: this happens only if a copy of
+    the vertex has fewer empty slots. Or an empty slot adopted the joint, and another slot with a negative
+    weight names it. These others name the joint of slot 0 here. Its gradient is not theirs, so 0 is right.
     """
     adopts = (given_weights(document, view) > 0.0).any(axis=1, keepdims=True)
     empty = np.zeros(view.now.joints.shape, dtype=np.bool_)
-    empty[:, 1:] = (view.alpha == 0.0) & (view.beta == 0.0) & (view.now.weights[:, 1:] == 0.0)
+    empty[:, 1:] = (view.alpha == 0.0) & (view.beta == 0.0) & (view.now.weights[:, 1:] <= 0.0)
     joints = np.where(adopts & empty, view.now.joints[:, :1], view.now.joints)
     if (joints == view.now.joints).all():
         return view
