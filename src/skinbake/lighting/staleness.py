@@ -173,7 +173,8 @@ class _Surface:
         if weighting not in self._otherwise:
             with self.document.budget.passing():
                 operator = mesh_operator(self.document, self.views, weighting)
-                self._otherwise[weighting] = _comparisons(self.document, self.views, operator)
+                expected = expected_slots(self.document, self.views, operator)
+                self._otherwise[weighting] = _compared(self.document, self.views, operator, expected)
         return self._otherwise[weighting]
 
     @cached_property
@@ -182,7 +183,7 @@ class _Surface:
 
 
 def _comparisons(
-    document: Document, views: Sequence[BakedView], operator: GradientOperator, fit: Fit | None = None
+    document: Document, views: Sequence[BakedView], operator: GradientOperator, fit: Fit | None
 ) -> list[freshness.Comparison]:
     found = _compared(document, views, operator, expected_slots(document, views, operator, fit=fit))
     if all(comparison.agrees for comparison in found):
@@ -191,7 +192,7 @@ def _comparisons(
     if all(other is view for other, view in zip(renamed, views, strict=True)):
         return found
     again = _compared(document, renamed, operator, expected_slots(document, renamed, operator))
-    return again if all(comparison.agrees for comparison in again) else found
+    return [other if other.agrees else one for one, other in zip(found, again, strict=True)]
 
 
 def _without_vacated_names(document: Document, view: BakedView) -> BakedView:
