@@ -33,6 +33,24 @@ def library(tmp_path: Path) -> Path:
     return folder
 
 
+@pytest.mark.parametrize("command", ["bake", "strip"])
+def test_the_bake_of_a_later_version_stays(command: str, tmp_path: Path) -> None:
+    """What its metadata means is unknown, so nothing is undone by it."""
+    bake(FOLDER / "seam.glb", tmp_path / "baked.glb")
+    later = read(tmp_path / "baked.glb")
+    later.content["meshes"][0]["primitives"][0]["extras"]["skinbake"]["version"] = 2
+    rewritten(later, tmp_path / "later.glb")
+    before = (tmp_path / "later.glb").read_bytes()
+    for out in (["-o", tmp_path / "out.glb"], ["--in-place"]):
+        result = invoke(command, tmp_path / "later.glb", *out)
+        assert result.exit_code == 3
+        assert (
+            "primitive 0: its metadata has version 2, this skinbake reads 1: update skinbake" in result.stderr
+        )
+    assert not (tmp_path / "out.glb").exists()
+    assert (tmp_path / "later.glb").read_bytes() == before
+
+
 class TestInspect:
     def test_a_folder_has_a_line_for_each_file_and_the_worst_code(self, library: Path) -> None:
         result = invoke("inspect", library)

@@ -6,9 +6,9 @@ from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
 from skinbake.choices import Layout
-from skinbake.errors import Notice, Place
+from skinbake.errors import Notice, Place, UnsupportedFeatureError
 from skinbake.format.former import former_attributes, former_sets, former_tangent, with_former_stream
-from skinbake.format.metadata import FORMER_ATTRIBUTES, KEY, noted_names, read_metadata, slot_names
+from skinbake.format.metadata import FORMER_ATTRIBUTES, KEY, VERSION, noted_names, read_metadata, slot_names
 from skinbake.gltf import json_access
 from skinbake.gltf.additions import BUFFER_ADDED, BUFFER_LENGTH, FALLBACK_ADDED
 from skinbake.gltf.codecs import draco, meshopt
@@ -21,7 +21,8 @@ def stripped(document: Document) -> tuple[Document, int, list[Notice]]:
 
     A document without a bake is returned as it is. Accessors, buffer views and bytes are removed if they are
     still at the end, where bake put them. If another tool has rearranged the file since, they stay in it
-    unused, and a notice says so. Raises InputError if the structure of the file is broken.
+    unused, and a notice says so. Raises InputError if the structure of the file is broken, or if a later
+    version of skinbake has baked it: what its metadata means is unknown.
     """
     meshes: list[JsonObject] = []
     changed: list[tuple[JsonObject, JsonObject]] = []
@@ -35,6 +36,7 @@ def stripped(document: Document) -> tuple[Document, int, list[Notice]]:
             if note is None:
                 restored.append(primitive)
                 continue
+            _refuse_later_version(note, here)
             written, found = _restored(document, primitive, note, here)
             restored.append(written)
             changed.append((primitive, written))
@@ -47,6 +49,14 @@ def stripped(document: Document) -> tuple[Document, int, list[Notice]]:
     streams = _stream_views(old for old, _ in changed) - _stream_views(_all_primitives(root))
     removed -= _accessors_in_use(root)
     return _without(document, root, removed, streams, notices), len(changed), notices
+
+
+def _refuse_later_version(note: JsonObject, place: Place) -> None:
+    if note["version"] > VERSION:
+        message = (
+            f"its metadata has version {note['version']}, this skinbake reads {VERSION}: update skinbake"
+        )
+        raise UnsupportedFeatureError(message, place)
 
 
 def _stream_views(primitives: Iterable[JsonObject]) -> set[int]:

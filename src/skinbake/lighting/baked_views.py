@@ -109,7 +109,7 @@ def _view(document: Document, source: PrimitiveSource) -> BakedView | Notice:
         return Notice("metadata-missing", f"it {what}: {BAKE}", source.place)
     other = _other_version(metadata)
     if other is not None:
-        return Notice("version", f"{other}: {BAKE}", source.place)
+        return Notice("version", other, source.place)
     wrong = next(_wrong_members(metadata, source), None)
     if wrong is not None:
         return Notice("metadata-broken", f"its metadata is damaged: {wrong}; {BAKE}", source.place)
@@ -134,13 +134,14 @@ def _view(document: Document, source: PrimitiveSource) -> BakedView | Notice:
 
 
 def _other_version(metadata: JsonObject) -> str | None:
-    """Return which version of the metadata or of a fit is not the present one, None if both are."""
+    """Return which version of the metadata or of a fit is another one, and what to do; None if none is."""
     version, fit = metadata.get("version"), metadata.get("fit")
     if isinstance(version, bool) or version != VERSION:
-        return f"its metadata has version {shown(version)}, this skinbake reads {VERSION}"
+        remedy = "update skinbake" if isinstance(version, int) and version > VERSION else BAKE
+        return f"its metadata has version {shown(version)}, this skinbake reads {VERSION}: {remedy}"
     fitted = metadata.get("gradients", Gradients.SURFACE) != Gradients.SURFACE
     if fitted and (isinstance(fit, bool) or fit != FIT):
-        return f"its α/β come from version {shown(fit)} of the fit, this skinbake has {FIT}"
+        return f"its α/β come from version {shown(fit)} of the fit, this skinbake has {FIT}: {BAKE}"
     return None
 
 
