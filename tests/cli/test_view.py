@@ -15,7 +15,8 @@ import pytest
 
 from fixtures.make_fixtures import FOLDER
 from skinbake.cli import exit_codes
-from skinbake.commands.view import baked_in_memory
+from skinbake.commands.view import baked_in_memory, view_file
+from skinbake.errors import OutputError
 from skinbake.gltf.document import read_document
 from skinbake.gltf.json_access import JsonObject
 from tests.support.command_line import LINUX, invoke
@@ -109,6 +110,25 @@ def test_a_page_that_links_to_a_model_is_refused(tmp_path: Path) -> None:
     assert (tmp_path / "hero.gltf").read_text() == "{}"
 
 
+def test_it_replaces_pages_of_skinbake_only(tmp_path: Path) -> None:
+    page = tmp_path / "hero.html"
+    page.write_text("<!doctype html>my own page")
+    result = invoke("view", TUBE, "-o", page)
+    assert result.exit_code == exit_codes.USAGE
+    assert "exists and was not written by an earlier run" in " ".join(result.stderr.split())
+    assert page.read_text() == "<!doctype html>my own page"
+    page.write_bytes(b"")
+    for _ in range(2):
+        assert invoke("view", TUBE, "-o", page).exit_code == exit_codes.OK
+
+
+@pytest.mark.slow
+def test_pages_of_view_and_reports_of_verify_replace_each_other(tmp_path: Path) -> None:
+    page = tmp_path / "hero.html"
+    for command, option in (("verify", "--html"), ("view", "-o")) * 2:
+        assert invoke(command, TUBE, option, page).exit_code == exit_codes.OK
+
+
 def test_the_short_suffix_is_one_of_a_page_too(tmp_path: Path) -> None:
     assert invoke("view", TUBE, "-o", tmp_path / "page.HTM").exit_code == exit_codes.OK
 
@@ -131,9 +151,8 @@ def test_a_page_may_not_replace_a_file_of_the_model(tmp_path: Path) -> None:
 
     path = edited("shared_accessors.gltf", tmp_path, rename)
     (tmp_path / "shared accessors.bin").rename(tmp_path / "data.html")
-    result = invoke("view", path, "-o", tmp_path / "data.html")
-    assert result.exit_code == exit_codes.OUTPUT
-    assert "it is a file of the input" in result.stderr
+    with pytest.raises(OutputError, match="it is a file of the input"):
+        view_file(str(path), str(tmp_path / "data.html"))
 
 
 def test_a_missing_image_is_said_and_left_out(tmp_path: Path) -> None:

@@ -178,6 +178,34 @@ def test_it_refuses(
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_picture_replaces_pictures_only(tmp_path: Path) -> None:
+    target = tmp_path / "picture.png"
+    target.write_bytes(b"glTF, under a name that is not its own")
+    result = invoke("render", TUBE, "-o", target)
+    assert result.exit_code == exit_codes.USAGE
+    assert "exists and is no PNG, WebP or GIF; choose another name" in " ".join(result.stderr.split())
+    assert target.read_bytes().startswith(b"glTF")
+
+
+def test_a_picture_that_links_to_a_model_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "hero.gltf").write_text("")
+    (tmp_path / "picture.png").symlink_to(tmp_path / "hero.gltf")
+    result = invoke("render", TUBE, "-o", tmp_path / "picture.png")
+    assert result.exit_code == exit_codes.USAGE
+    assert "is the name of a model" in " ".join(result.stderr.split())
+
+
+@pytest.mark.parametrize("former", ["PNG", "WEBP", "GIF", ""])
+def test_a_picture_of_any_kind_is_replaced(tmp_path: Path, device: None, former: str) -> None:
+    target = tmp_path / "picture.png"
+    target.touch()
+    if former:
+        Image.new("RGB", (4, 4)).save(target, former)
+    drawn(TUBE, target, "--time", "0")
+    with Image.open(target) as picture:
+        assert picture.size == SIZE
+
+
 def test_a_shader_that_would_be_compiled_for_a_minute_is_refused(tmp_path: Path) -> None:
     file = Editable(TUBE)
     attributes = file.primitive()["attributes"]

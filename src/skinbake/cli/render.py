@@ -13,7 +13,7 @@ from skinbake.cli.console import Words, console, ended_by_errors, message_option
 from skinbake.cli.help import Helpful
 from skinbake.cli.limits import memory_option
 from skinbake.cli.names import check_readable_suffix
-from skinbake.cli.targets import check_named, sync_option
+from skinbake.cli.targets import check_named, check_picture_target, sync_option
 from skinbake.errors import printable
 from skinbake.files.bounds import Bounds
 
@@ -96,6 +96,7 @@ def command(source: str, output: str, **given: Any) -> None:
     suffix = Path(output).suffix.lower()
     if suffix not in SUFFIXES:
         raise click.UsageError(f"{output}: expected a name that ends in {', '.join(SUFFIXES)}")
+    check_picture_target(output)
     if given["turntable"] and suffix not in MOVING:
         raise click.UsageError(f"--turntable needs a name that ends in {' or '.join(MOVING)}")
     say = console(given)

@@ -54,7 +54,7 @@ def check_text_target(target: str) -> None:
         return
     if is_model_name(target):
         raise click.UsageError(f"{target} is the name of a model; name the file of the shader code")
-    if _identity(target) is not None and not _begins_as_text(str(on_disk(target))):
+    if _identity(target) is not None and not _is_text(_head(target)):
         raise click.UsageError(f"{target} exists and is not text; choose another name")
 
 
@@ -67,17 +67,25 @@ def is_model_name(path: str) -> bool:
     return any(name.lower().endswith(SUFFIXES) for name in (path, linked))
 
 
-def _begins_as_text(path: str) -> bool:
+def _is_text(head: bytes) -> bool:
     """Tell whether the beginning of a file is UTF-8 without a zero byte."""
     try:
-        with Path(path).open("rb") as file:
-            head = file.read(4096)
         codecs.getincrementaldecoder("utf-8")().decode(head)  # the last character may be cut
     except UnicodeDecodeError:
         return False
-    except OSError:
-        return True  # the write will report the reason
     return b"\0" not in head
+
+
+PICTURES = (b"\x89PNG", b"GIF8", b"RIFF")
+"""How pictures of ``render`` begin: PNG, GIF and WebP."""
+
+
+def check_picture_target(target: str) -> None:
+    """Raise click.UsageError if a picture would replace a model, through links too, or what is no picture."""
+    if is_model_name(target):
+        raise click.UsageError(f"{target} is the name of a model; name the file of the picture")
+    if _identity(target) is not None and (head := _head(target)) and not head.startswith(PICTURES):
+        raise click.UsageError(f"{target} exists and is no PNG, WebP or GIF; choose another name")
 
 
 def check_read(option: str, paths: Iterable[str], targets: Iterable[str | None]) -> None:
@@ -186,10 +194,16 @@ def pair_up(inputs: Sequence[Input], folder: str) -> list[tuple[Input, str]]:
 RULES = re.compile(rb"(?:\\#|[^\t\n=#])+\.(?:glb|gltf|vrm): (?:\\#|[^\t=#])*\Z", re.IGNORECASE)
 """The beginning of an earlier depfile. A Makefile has recipes, variables or comments."""
 
+
+def is_page(head: bytes) -> bool:
+    """Tell whether a file begins like a page of skinbake."""
+    return b'<meta name="generator" content="skinbake ' in head
+
+
 REPORTS: Mapping[str, Callable[[bytes], bool]] = {
     "--summary": lambda head: head.startswith(b"{"),
     "--junit": lambda head: b"<testsuite" in head,
-    "--html": lambda head: b'<meta name="generator" content="skinbake ' in head,
+    "--html": is_page,
     "--depfile": lambda head: RULES.match(head) is not None,
 }
 """The beginning of a file that an earlier run has written, by option."""
@@ -224,8 +238,17 @@ def check_reports(reports: Mapping[str, str | None], output: str | None, sources
         if identity in identities:
             raise click.UsageError(f"{identities[identity]} is an input")
     for option, path in reports.items():
-        if path is not None and option in REPORTS and _identity(path) and not _is_report(path, option):
-            raise click.UsageError(f"{option}: {path} exists and was not written by an earlier run")
+        if path is not None and option in REPORTS:
+            check_earlier(path, REPORTS[option], f"{option}: ")
+
+
+def check_earlier(path: str, is_own: Callable[[bytes], bool], option: str = "") -> None:
+    """Raise click.UsageError if a file is there that is not empty and was not written by an earlier run.
+
+    ``is_own`` tells it from the first 4096 bytes. ``option`` begins the message.
+    """
+    if _identity(path) is not None and (head := _head(path)) and not is_own(head):
+        raise click.UsageError(f"{option}{path} exists and was not written by an earlier run")
 
 
 def _keys(path: str | None) -> list[str | tuple[int, int]]:
@@ -255,14 +278,13 @@ def _identity(path: str) -> tuple[int, int] | None:
     return (found.st_dev, found.st_ino) if stat.S_ISREG(found.st_mode) else None
 
 
-def _is_report(path: str, option: str) -> bool:
-    """Tell whether a file is empty, or begins like one of an earlier run."""
+def _head(path: str) -> bytes:
+    """Return the first 4096 bytes of a file; none if it cannot be read: the write will report the reason."""
     try:
-        with Path(path).open("rb") as file:
-            head = file.read(4096)
+        with Path(str(on_disk(path))).open("rb") as file:
+            return file.read(4096)
     except OSError:
-        return True  # the write will report the reason
-    return not head or REPORTS[option](head)
+        return b""
 
 
 def target_options(command: Command) -> Command:

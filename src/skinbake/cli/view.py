@@ -11,7 +11,7 @@ from skinbake.cli.console import console, ended_by_errors, in_range, message_opt
 from skinbake.cli.help import Helpful
 from skinbake.cli.limits import memory_option
 from skinbake.cli.names import STDIO, check_readable_suffix
-from skinbake.cli.targets import check_named, is_model_name, sync_option
+from skinbake.cli.targets import check_earlier, check_named, is_model_name, is_page, sync_option
 from skinbake.errors import printable
 from skinbake.files.bounds import Bounds
 from skinbake.wording import counted
@@ -23,7 +23,7 @@ PAGES = (".html", ".htm")
 @click.command(
     "view",
     cls=Helpful,
-    second=("-o", (".html", ".htm")),
+    second=("-o", PAGES),
     examples=(
         "skinbake view hero.glb",
         "skinbake view hero.glb -o build/hero.html",
@@ -79,7 +79,7 @@ def command(source: str, output: str | None, **given: Any) -> None:
 
 
 def _check_page(output: str) -> None:
-    """Raise click.UsageError if a page's name is that of another kind of file, or of a folder."""
+    """Raise click.UsageError for the name of another kind of file, of a folder, or of a foreign file."""
     check_named(output)
     if output == STDIO:
         return
@@ -87,6 +87,7 @@ def _check_page(output: str) -> None:
         raise click.UsageError(f"{output} is the name of a model; name the page .html")
     if not output.lower().endswith(PAGES):
         raise click.UsageError(f"{output}: expected a name that ends in {' or '.join(PAGES)}, or -")
+    check_earlier(output, is_page)
 
 
 def _serve(page: bytes, given: dict[str, Any], tell: Any) -> None:
