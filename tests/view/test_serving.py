@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import http.client
 import http.server
+import socket
+import struct
 import threading
+import time
 from collections.abc import Iterator
 
 import pytest
 
 from skinbake.view import serving
 
-PAGE = b"<!doctype html><title>a page</title>"
+PAGE = b"<!doctype html><title>a page</title>" + bytes(20_000_000)
+"""More than the buffers of a connection hold."""
 
 
 @pytest.fixture
@@ -59,3 +63,17 @@ def test_it_answers_under_its_own_names_with_and_without_a_port(port: int, host:
 def test_it_answers_under_no_other_name(port: int, host: str) -> None:
     # It listens on the IPv4 address alone: [::1] never leads to it.
     assert answer(port, host)[0] == 404
+
+
+def test_a_browser_that_leaves_too_early_is_no_error(port: int, capfd: pytest.CaptureFixture[str]) -> None:
+    with socket.create_connection(("127.0.0.1", port), timeout=20) as connection:
+        connection.sendall(b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n")
+        assert connection.recv(100).startswith(b"HTTP/1.0 200")
+        # Close without the rest: the server's next bytes meet a reset.
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+    deadline = time.monotonic() + 20
+    while any("process_request" in thread.name for thread in threading.enumerate()):
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    assert capfd.readouterr().err == ""
+    assert answer(port, "localhost")[0] == 200

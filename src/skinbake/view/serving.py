@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import http.server
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
 from skinbake.errors import OutputError, Place
@@ -30,6 +31,10 @@ def serve(page: bytes, port: int, started: Callable[[str], None]) -> None:
 
 def _handler(page: bytes) -> type[http.server.BaseHTTPRequestHandler]:
     class Handler(http.server.BaseHTTPRequestHandler):
+        def handle(self) -> None:
+            with suppress(ConnectionError):  # the browser may leave before it has the page
+                super().handle()
+
         def do_GET(self) -> None:
             # Another site may let its name point here. Its pages then ask with that name.
             # Browsers leave the port out if it is 80.
