@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import http.client
+import os
 import re
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -246,6 +248,30 @@ def test_it_serves_the_page_to_this_machine_until_ctrl_c() -> None:
         finally:
             process.send_signal(signal.SIGINT)
         assert process.wait(20) == exit_codes.INTERRUPTED
+
+
+@LINUX
+@pytest.mark.slow
+def test_it_answers_a_browser_that_runs_in_the_terminal(tmp_path: Path) -> None:
+    browser, got = tmp_path / "browser.py", tmp_path / "got.html"
+    browser.write_text(
+        "import sys, urllib.request\n"
+        "page = urllib.request.urlopen(sys.argv[1], timeout=20).read()\n"
+        f"open({str(got)!r}, 'wb').write(page)\n"
+    )
+    environment = {**os.environ, "BROWSER": f"{sys.executable} {browser} %s"}
+    command = [sys.executable, "-u", "-m", "skinbake", "view", str(TUBE)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, env=environment) as process:
+        try:
+            assert process.stdout is not None
+            process.stdout.readline()
+            deadline = time.monotonic() + 25
+            while not (got.exists() and got.stat().st_size) and time.monotonic() < deadline:
+                time.sleep(0.05)
+        finally:
+            process.send_signal(signal.SIGINT)
+        assert process.wait(20) == exit_codes.INTERRUPTED
+    assert got.read_bytes().startswith(b"<!doctype html>")
 
 
 def asked(port: int, path: str, host: str | None = None) -> tuple[int, bytes]:

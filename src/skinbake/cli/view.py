@@ -92,6 +92,7 @@ def _check_page(output: str) -> None:
 
 def _serve(page: bytes, given: dict[str, Any], tell: Any) -> None:
     """Serve the page until Ctrl-C, and open the browser on it."""
+    import threading
     import webbrowser
 
     from skinbake.view.serving import serve
@@ -99,6 +100,7 @@ def _serve(page: bytes, given: dict[str, Any], tell: Any) -> None:
     def started(address: str) -> None:
         tell(f"{address} (Ctrl-C ends)")
         if not given["no_browser"]:
-            webbrowser.open(address)
+            # A browser in a terminal returns when it ends, and until then wants answers.
+            threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()
 
     serve(page, given["port"], started)
