@@ -111,6 +111,24 @@ def test_several_files_give_an_index_with_the_worst_first(tmp_path: Path) -> Non
     assert "not a GLB" in text
 
 
+def test_the_index_has_the_figures_of_the_truth_that_counts(tmp_path: Path) -> None:
+    for source in (TUBE, SEAM):
+        bake(source, tmp_path / source.name)
+    result = invoke("verify", *(tmp_path / source.name for source in (TUBE, SEAM)), "--json")
+    tube = json.loads(result.stdout)["files"][0]
+    truths = [tube[name]["lbs"] for name in ("normals", "normals_by_triangles")]
+    counts = min(truths, key=lambda figures: figures["gain"])
+    assert counts is truths[1], "a file whose truths are told apart"
+    invoke("verify", *(tmp_path / source.name for source in (TUBE, SEAM)), "--html", tmp_path / "all.html")
+    text = (tmp_path / "all.html").read_text(encoding="utf-8")
+    row = next(line for line in text.splitlines() if "bent_tube.glb" in line)
+    cells = re.findall(r'data-label="(\w+)" data-value="([^"]+)"', row)
+    values = [counts["approximated"]["mean"], counts["accurate"]["mean"], counts["gain"]]
+    assert [float(value) for _, value in cells] == pytest.approx(values)
+    assert "by the truth with the smaller gain" in text
+    assert "by tangents" not in text
+
+
 def test_files_that_are_not_baked_say_so(tmp_path: Path) -> None:
     page = tmp_path / "all.html"
     for options, outcome, summary in (

@@ -57,3 +57,24 @@ def test_the_headline_is_the_smaller_gain() -> None:
     assert re.fullmatch(r"\d\d\.\d\d×", headline), "two decimals, as in the text of verify"
     assert float(headline.rstrip("×")) == pytest.approx(by_triangles / triangles, rel=0.05)
     assert f"{triangles:.2f}° instead of {by_triangles:.2f}° in the mean, by triangles. It is " in words
+
+
+def test_primitives_have_the_figures_of_the_truth_that_counts() -> None:
+    with shown(FOLDER / "two_primitives.glb") as page:
+        rows, given, words = page.call(
+            """(() => [
+                [...document.querySelectorAll('#primitives-table tbody td')].map((cell) => cell.textContent),
+                JSON.parse(document.getElementById('given').textContent).primitives,
+                primitives.textContent,
+            ])"""
+        )
+    assert len(given) == 2
+    expected = []
+    for primitive in given:
+        truths = [primitive[name]["lbs"] for name in ("normals", "normals_by_triangles")]
+        counts = min(truths, key=lambda figures: figures["gain"])
+        expected += [f"{counts[name]['mean']:.2f}" for name in ("approximated", "accurate")]
+        assert counts is truths[1], "a file whose truths are told apart"
+    assert [text for text in rows if not text.endswith("×")] == expected
+    assert "by the truth with the smaller gain" in words
+    assert "by tangents" not in words
