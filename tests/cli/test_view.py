@@ -21,6 +21,7 @@ from skinbake.commands.view import baked_in_memory, view_file
 from skinbake.errors import OutputError
 from skinbake.gltf.document import read_document
 from skinbake.gltf.json_access import JsonObject
+from tests.support.baked_files import Editable
 from tests.support.command_line import LINUX, invoke
 from tests.support.compressed import draco_twin
 from tests.support.models import bake, edited, sheet, write_model
@@ -61,6 +62,22 @@ def test_a_baked_file_is_shown_as_it_is(tmp_path: Path) -> None:
     result = invoke("view", tmp_path / "tube.glb", "-o", tmp_path / "page.html")
     assert result.stdout.endswith(" bytes\n")
     assert "baked it in memory" not in (tmp_path / "page.html").read_text(encoding="utf-8")
+
+
+def test_a_damaged_bake_is_said_and_replaced_in_memory(tmp_path: Path) -> None:
+    bake(TUBE, tmp_path / "tube.glb")
+    file = Editable(tmp_path / "tube.glb")
+    del file.primitive()["attributes"]["_SKINBAKE_ALPHA_0"]  # as an optimiser leaves it
+    file.write(tmp_path / "lost.glb")
+    result = invoke("view", tmp_path / "lost.glb", "-o", tmp_path / "page.html")
+    assert result.exit_code == 0
+    assert result.stdout.endswith(" bytes, baked in memory\n")
+    assert "its bake is damaged, and one made in memory is shown" in " ".join(result.stderr.split())
+    page = (tmp_path / "page.html").read_text(encoding="utf-8")
+    assert "The bake of the file is damaged. This page baked it in memory" in page
+    assert "The file was not baked" not in page
+    _, notices = baked_in_memory(read_document(str(tmp_path / "lost.glb")))  # as render does
+    assert [notice.code for notice in notices] == ["bake-damaged"]
 
 
 def test_the_same_file_gives_the_same_page(tmp_path: Path) -> None:

@@ -69,10 +69,12 @@ def view_file(source: str, target: str | None = None, bounds: Bounds = BESIDE) -
         refuse_own_input(document, source, target)
     was_baked = bool(sound_views(document))
     notices: tuple[Notice, ...] = ()
+    notes: list[str] = []
     if not was_baked:
+        before = "The bake of the file is damaged." if _damaged(document) else "The file was not baked."
+        notes = [f"{before} This page baked it in memory, with the defaults."]
         document, notices = baked_in_memory(document)
     verdict = verify_document(document, VerifyOptions())
-    notes = [] if was_baked else ["The file was not baked. This page baked it in memory, with the defaults."]
     told = tuple(dict.fromkeys((*notices, *verdict.notices)))  # bake and verify say some things alike
     made, missing = page_of(document, replace(verdict, notices=told), notes)
     return ViewResult(made, was_baked, (*missing, *told))
@@ -126,7 +128,8 @@ def sound_views(document: Document) -> list[BakedView]:
 def baked_in_memory(document: Document) -> tuple[Document, tuple[Notice, ...]]:
     """Bake a document with the defaults. Raises InputError if nothing in it can be baked.
 
-    The notices are those on α and β. Nothing is stored, so those on storage are left out.
+    The notices are those on damaged bakes, and on α and β. Nothing is stored, so those on storage are left
+    out.
     """
     plain, _, _ = stripped(document)
     made = Baker(generate_normals=True).bake_document(plain)
@@ -135,7 +138,17 @@ def baked_in_memory(document: Document) -> tuple[Document, tuple[Notice, ...]]:
         reasons = "; ".join(notice.message.removeprefix(SKIPPED) for notice in skipped)
         raise InputError(f"nothing in it can be shown: {reasons or why_nothing(document)}", document.place)
     notices = [notice for notice in made.notices if notice.code not in OF_STORAGE]
-    return made.document, (*_generated(document), *notices)
+    return made.document, (*_damaged(document), *_generated(document), *notices)
+
+
+def _damaged(document: Document) -> list[Notice]:
+    """Return a notice for each primitive that holds a bake. The bake of none is sound."""
+    message = "its bake is damaged, and one made in memory is shown: skinbake verify says what is wrong"
+    return [
+        Notice("bake-damaged", message, source.place)
+        for source in skinned_sources(document)[0]
+        if is_baked(document, source)
+    ]
 
 
 def _generated(document: Document) -> list[Notice]:
