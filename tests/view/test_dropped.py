@@ -6,6 +6,7 @@ import base64
 import json
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -193,6 +194,47 @@ def test_a_file_without_skins_is_shown_at_rest(browsing: browser.Page, tmp_path:
     found = normals(browsing, "standard", clip=0, time=0.0)
     assert np.isfinite(found).all()
     assert browsing.messages() == []
+
+
+@pytest.mark.parametrize(
+    ("scenes", "drawn"),
+    [
+        ({"scenes": [{"nodes": [0, 1]}, {"nodes": [1, 5]}], "scene": 1}, [5]),
+        ({"scenes": [{}, {"nodes": [4]}, {"nodes": [1, 5]}, {"nodes": [0, 1]}], "scene": 1}, [5]),
+        ({"scenes": [{"nodes": [4]}, {"nodes": [0, 1]}]}, [0]),
+        ({"scenes": [{"nodes": [4]}]}, [0, 5]),
+        ({}, [0, 5]),
+    ],
+    ids=["the default", "not the default", "no default", "in no scene", "no scenes"],
+)
+def test_the_scene_with_a_character_is_shown(
+    browsing: browser.Page, tmp_path: Path, scenes: dict[str, Any], drawn: list[int]
+) -> None:
+    """Two nodes draw a character: 0 and 5."""
+    file = Editable(TUBE)
+    file.content["nodes"] += [{"name": "nothing"}, {"mesh": 0, "skin": 0}]
+    for name in ("scene", "scenes"):
+        del file.content[name]
+    file.content.update(scenes)
+    take(browsing, file.write(tmp_path / "scenes.glb"))
+    assert browsing.call("(() => document.getElementById('message').textContent)") == ""
+    assert browsing.call("(() => application.scene.parts.map(({ node }) => node))") == drawn
+
+
+def test_errors_far_from_the_origin_are_those_near_it(browsing: browser.Page, tmp_path: Path) -> None:
+    means = []
+    for distance in (0.0, 1e5):
+        file = Editable(TUBE)
+        file.content["nodes"].append({"translation": [distance, 0, 0], "children": [0, 1]})
+        file.content["scenes"][0]["nodes"] = [4]
+        take(browsing, file.write(tmp_path / "far.glb"))
+        means.append(
+            browsing.call(
+                "(() => { const { scene } = application; application.stopMeasuring(); "
+                "scene.pose(scene.clips[0], 0.4); return scene.errors('standard').mean; })"
+            )
+        )
+    assert means[1] == pytest.approx(means[0], rel=0.002)
 
 
 def test_the_file_that_was_dropped_last_is_shown(browsing: browser.Page, tmp_path: Path) -> None:

@@ -171,16 +171,32 @@ function readNodes(json) {
         scale: node.scale ?? [1, 1, 1],
         weights: node.weights ?? json.meshes?.[node.mesh]?.weights ?? [],
         parent: -1,
-        isShown: !json.scenes,
     }));
     list(json.nodes).forEach((node, number) => list(node.children).forEach((child) => (nodes[child].parent = number)));
-    const show = (number) => {
-        if (nodes[number].isShown) return;
-        nodes[number].isShown = true;
-        list(json.nodes[number].children).forEach(show);
-    };
-    list(json.scenes?.[json.scene ?? 0]?.nodes).forEach(show);
+    const shown = shownNodes(json, nodes);
+    nodes.forEach((node, number) => (node.isShown = shown.has(number)));
     return nodes;
+}
+
+// The nodes of the default scene, or, if it draws nothing skinned, those of the first scene that does.
+// All nodes, if no scene does. A file without skins is shown in the same way by its meshes.
+function shownNodes(json, nodes) {
+    const below = (scene) => {
+        const found = new Set();
+        const add = (number) => {
+            if (found.has(number)) return;
+            found.add(number);
+            list(json.nodes[number].children).forEach(add);
+        };
+        list(scene?.nodes).forEach(add);
+        return found;
+    };
+    const meshes = [...nodes.entries()].filter(([, { mesh }]) => mesh !== undefined);
+    const skinned = meshes.filter(([, { skin }]) => skin !== undefined);
+    const wanted = (skinned.length ? skinned : meshes).map(([number]) => number);
+    const scenes = list(json.scenes);
+    const every = [scenes[json.scene ?? 0], ...scenes].map(below);
+    return every.find((shown) => wanted.some((number) => shown.has(number))) ?? new Set(nodes.keys());
 }
 
 function parentsFirst(nodes) {
