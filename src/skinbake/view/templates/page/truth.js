@@ -172,7 +172,7 @@ export function skinned(primitive, positions, matrices, motions, found, start) {
         const at = 3 * (start + vertex);
         if (motions) byQuaternions(joints, weights, vertex, x, y, z, motions, found, at);
         else {
-            let [px, py, pz] = [0, 0, 0];
+            let px = 0, py = 0, pz = 0, sum = 0;
             for (let set = 0; set < joints.length; set++) {
                 for (let i = 4 * vertex; i < 4 * vertex + 4; i++) {
                     const w = weights[set][i];
@@ -181,9 +181,11 @@ export function skinned(primitive, positions, matrices, motions, found, start) {
                     px += w * (m[0] * x + m[4] * y + m[8] * z + m[12]);
                     py += w * (m[1] * x + m[5] * y + m[9] * z + m[13]);
                     pz += w * (m[2] * x + m[6] * y + m[10] * z + m[14]);
+                    sum += w;
                 }
             }
-            found[at] = px; found[at + 1] = py; found[at + 2] = pz;
+            // The sum of float32 weights is nearly 1, and a model may be far from the origin.
+            found[at] = px / sum; found[at + 1] = py / sum; found[at + 2] = pz / sum;
         }
     }
 }
