@@ -19,6 +19,7 @@ const LEGENDS = [2, 5, 10, 20, 30, 45, 60, 90];
 const HEAT = ['#d9dde1', '#f2d16b', '#ee8a2e', '#cf2f2f', '#5c0f3a'];
 const PATIENCE = 250; // Milliseconds that a first frame waits for its images.
 const SLICE = [10, 100]; // Milliseconds of measuring at a time: as long as it had to wait, within these.
+const LOST = 'The browser has lost the GPU. If the model does not come back, reload the page.';
 const KINDS = { textures: 'checked', moving: 'checked' };
 
 const byId = Object.fromEntries([...document.querySelectorAll('[id]')].map((element) => [element.id, element]));
@@ -61,6 +62,7 @@ class Application {
         }
         this.listenToDivider();
         this.listenToFiles();
+        this.listenToContext();
         document.addEventListener('keydown', (event) => {
             if (event.key !== ' ' || event.target.closest('button, input, select, label')) return;
             event.preventDefault();
@@ -101,11 +103,28 @@ class Application {
         });
     }
 
+    // The browser may lose the GPU, as when its driver ends, and have it back later. Without it normals are zeros.
+    listenToContext() {
+        byId.canvas.addEventListener('webglcontextlost', (event) => {
+            event.preventDefault(); // It may come back.
+            this.stopMeasuring();
+            this.play(false);
+            this.isShown = false;
+            this.tell(LOST);
+        });
+        byId.canvas.addEventListener('webglcontextrestored', async () => {
+            this.renderer.begin();
+            if (this.former) await this.show(...this.former);
+            this.tell('');
+        });
+    }
+
     // Show a file that was dropped or chosen, with the files beside it.
     // If another one is taken before it is read, that one is shown. If it cannot be shown, the former one is.
     async take(files) {
         const main = files.find(({ name }) => /\.(glb|gltf|vrm)$/i.test(name));
         if (!main) return this.tell('Expected a .glb, .gltf or .vrm file.');
+        if (this.renderer.isLost) return this.tell(LOST);
         const own = (this.taken = {});
         const { former } = this;
         try {
@@ -281,7 +300,7 @@ class Application {
     // Measure a part of a sample: its true normals, or the errors of one lighting. Return whether there is more.
     measureNext(clip) {
         const found = this.measures.get(clip);
-        if (found.next === SAMPLES) return false;
+        if (found.next === SAMPLES || this.renderer.isLost) return false;
         const number = spread(found.next);
         this.isPosed = false;
         this.scene.pose(clip, found.times[number]);
@@ -294,6 +313,7 @@ class Application {
             return true;
         }
         const { mean, worst } = this.scene.errors(lighting, found.truths[method]);
+        if (this.renderer.isLost) return false;
         found.lines[lighting][number] = mean;
         if (lighting === 'standard' && worst.error > found.worst.error) found.worst = { ...worst, time: found.times[number] };
         found.left.shift();

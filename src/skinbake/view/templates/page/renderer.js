@@ -20,9 +20,15 @@ export const LIGHTINGS = {
 export class Renderer {
     constructor(canvas) {
         const gl = canvas.getContext('webgl2', { antialias: true, alpha: true });
-        if (!gl) throw new Error('This browser has no WebGL 2.');
-        Object.assign(this, { canvas, gl, texts: {}, programs: new Map(), parts: [] });
-        this.parallel = gl.getExtension('KHR_parallel_shader_compile');
+        if (!gl) throw new Error('it is drawn by WebGL 2, which this browser does not have, or has switched off');
+        Object.assign(this, { canvas, gl, texts: {}, parts: [] });
+        this.begin();
+    }
+
+    // Make what every model needs: at first, and again when the browser has the GPU back.
+    begin() {
+        Object.assign(this, { programs: new Map(), buffers: [], arrays: [], textures: [] });
+        this.parallel = this.gl.getExtension('KHR_parallel_shader_compile');
         this.square = this.squareArray();
         this.startGround();
     }
@@ -41,6 +47,10 @@ export class Renderer {
         this.palettes = model.skins.map(({ joints }) => this.palette(joints.length));
         this.materials = model.materials.map((material) => this.material(material));
         return Promise.all(this.materials.map(({ loading }) => loading));
+    }
+
+    get isLost() {
+        return this.gl.isContextLost();
     }
 
     // Wait until the GPU has done what it was given so far.
@@ -67,15 +77,15 @@ export class Renderer {
     async compiled(programs) {
         const { gl, parallel } = this;
         for (const { program } of parallel ? programs : []) {
-            while (!gl.getProgramParameter(program, parallel.COMPLETION_STATUS_KHR) && !gl.isContextLost()) await pause(8);
+            while (!gl.getProgramParameter(program, parallel.COMPLETION_STATUS_KHR) && !this.isLost) await pause(8);
         }
     }
 
     dispose() {
         const { gl } = this;
-        for (const buffer of this.buffers ?? []) gl.deleteBuffer(buffer);
-        for (const array of this.arrays ?? []) gl.deleteVertexArray(array);
-        for (const texture of this.textures ?? []) gl.deleteTexture(texture);
+        for (const buffer of this.buffers) gl.deleteBuffer(buffer);
+        for (const array of this.arrays) gl.deleteVertexArray(array);
+        for (const texture of this.textures) gl.deleteTexture(texture);
         Object.assign(this, { buffers: [], arrays: [], textures: [] });
     }
 
