@@ -37,7 +37,8 @@ class Application {
         this.scene = new Scene(renderer);
         this.camera = new Camera(byId.canvas, () => this.changed());
         this.chart = new Chart(byId.chart, byId['chart-key'], byId['chart-words'], (time, stays) => this.look(time, stays));
-        Object.assign(this, { split: 0.5, mode: 'shaded', speed: 1, isPlaying: false, turn: 0.9, legend: 10 });
+        Object.assign(this, { split: 0.5, mode: 'shaded', speed: 1, isPlaying: false, turn: 0.9 });
+        this.setLegend(10);
         this.listen();
         new ResizeObserver(() => this.resize()).observe(byId.canvas);
         dark.addEventListener('change', () => this.changed());
@@ -159,6 +160,7 @@ class Application {
         showNotes(byId, given);
         byId.clip.replaceChildren(...this.scene.clips.map(({ name }, number) => new Option(name, number)));
         byId.clip.disabled = this.scene.clips.length < 2;
+        byId['legend-unknown'].hidden = this.scene.parts.every(({ skin }) => skin !== undefined);
         this.fillSides();
         this.renderer.prepare(this.sides, this.mode, byId.textures.checked);
         const { middle, radius, low } = this.scene.bounds();
@@ -426,6 +428,7 @@ class Application {
         if (!this.marked) return;
         const { position } = this.scene.vertex(this.marked.part, this.marked.vertex);
         const [x, y, , w] = [0, 1, 2, 3].map((row) => projected[row] * position[0] + projected[4 + row] * position[1] + projected[8 + row] * position[2] + projected[12 + row]);
+        byId.mark.hidden = w <= 0; // It is behind the camera.
         byId.mark.style.left = `${50 * (1 + x / w)}%`;
         byId.mark.style.top = `${50 * (1 - y / w)}%`;
     }

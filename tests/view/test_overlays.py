@@ -1,0 +1,75 @@
+"""What lies over the model: the legend of errors, and the mark of the worst vertex."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from fixtures.make_fixtures import FOLDER
+from tests.support import browser
+from tests.support.baked_files import Editable
+from tests.view.pages import shown, take
+
+pytestmark = pytest.mark.slow
+
+TUBE = FOLDER / "bent_tube.glb"
+
+
+@pytest.fixture(scope="module")
+def browsing() -> Iterator[browser.Page]:
+    """Open the page of a fixture in mode ``error``."""
+    with shown(TUBE) as page:
+        page.call("(() => document.querySelector('input[value=error]').click())")
+        yield page
+
+
+@pytest.mark.parametrize("size", [(1280, 800), (390, 844)], ids=str)
+def test_the_numbers_of_the_legend_stand_at_their_colours(
+    browsing: browser.Page, size: tuple[int, int]
+) -> None:
+    browsing.show_as(*size, "light")
+    browsing.call("(() => { application.stopMeasuring(); application.setLegend(20); })")
+    ramp, first, middle, last = browsing.call(
+        """(() => ['.ramp', '.ticks :first-child', '#legend-middle', '#legend-end'].map((chosen) => {
+            const range = document.createRange();
+            const element = document.querySelector(chosen);
+            element.firstChild ? range.selectNodeContents(element) : range.selectNode(element);
+            const { left, right } = range.getBoundingClientRect();
+            return [left, right];
+        }))"""
+    )
+    assert first[0] == pytest.approx(ramp[0], abs=1)
+    assert sum(middle) / 2 == pytest.approx(sum(ramp) / 2, abs=1)
+    assert last[1] == pytest.approx(ramp[1], abs=1)
+
+
+def test_the_legend_names_the_colour_of_what_is_not_skinned(browsing: browser.Page, tmp_path: Path) -> None:
+    hidden = "(() => document.getElementById('legend-unknown').hidden)"
+    file = Editable(TUBE)
+    take(browsing, TUBE)
+    assert browsing.call(hidden) is True
+    file.content["nodes"].append({"mesh": 0, "translation": [2, 0, 0]})
+    file.content["scenes"][0]["nodes"].append(len(file.content["nodes"]) - 1)
+    take(browsing, file.write(tmp_path / "beside.glb"))
+    assert browsing.call(hidden) is False
+
+
+def test_the_mark_is_hidden_behind_the_camera(browsing: browser.Page) -> None:
+    take(browsing, TUBE)
+    hidden = browsing.call(
+        """(() => {
+            const { camera, scene } = application;
+            application.stopMeasuring();
+            application.marked = { part: scene.parts[0], vertex: 0 };
+            const { position, normal } = scene.vertex(scene.parts[0], 0);
+            camera.focus(position, normal);
+            return [-0.5, 2].map((steps) => {
+                camera.target = position.map((x, i) => x + steps * (position[i] - camera.eye[i]));
+                application.draw();
+                return document.getElementById('mark').hidden;
+            });
+        })"""
+    )
+    assert hidden == [False, True]
