@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -228,6 +229,23 @@ def test_a_model_that_is_too_large_is_refused(tmp_path: Path) -> None:
     result = invoke("render", path, "-o", tmp_path / "picture.png")
     assert result.exit_code == exit_codes.INPUT
     assert "its positions are too large for a renderer" in result.stderr
+    assert not (tmp_path / "picture.png").exists()
+
+
+def test_more_vertices_than_a_device_draws_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, device: None
+) -> None:
+    class Small(Studio):
+        def __init__(self, subjects: Sequence[Subject], camera: Camera) -> None:
+            super().__init__(subjects, camera)
+            self._device = Mock(limits={"max-storage-buffer-binding-size": 176_000}, wraps=self._device)
+
+    monkeypatch.setattr(render, "Studio", Small)
+    result = invoke("render", TUBE, "-o", tmp_path / "picture.png")
+    assert result.exit_code == exit_codes.INPUT
+    assert "a primitive has 1,518 vertices, and this device draws 1,000: look at it with skinbake view" in (
+        " ".join(result.stderr.split())
+    )
     assert not (tmp_path / "picture.png").exists()
 
 

@@ -142,10 +142,21 @@ class Studio:
         subject, errors = self._subjects[number], shot.errors.get(lighting)
         if errors is not None or number in shot.morphed:
             rest = shot.morphed.get(number, subject.rest)
-            return self._buffer(_rows(subject, rest, None if errors is None else errors[number]))
+            return self._vertices(_rows(subject, rest, None if errors is None else errors[number]))
         if number not in self._at_rest:
-            self._at_rest[number] = self._buffer(_rows(subject, subject.rest, None))
+            self._at_rest[number] = self._vertices(_rows(subject, subject.rest, None))
         return self._at_rest[number]
+
+    def _vertices(self, rows: npt.NDArray[np.float32]) -> Any:
+        """Return a buffer of rows. Raises UnsupportedFeatureError for more than the device reads at once."""
+        most = self._device.limits["max-storage-buffer-binding-size"] // rows[0].nbytes
+        if len(rows) > most:
+            message = (
+                f"a primitive has {len(rows):,} vertices, and this device draws {most:,}: look at it with "
+                "skinbake view"
+            )
+            raise UnsupportedFeatureError(message, Place("render"))
+        return self._buffer(rows.tobytes())
 
     def _scene(self, subject: Subject, shot: Shot, look: Look) -> bytes:
         """Return the bytes of the uniforms: see ``Scene`` in the text of the stages."""
@@ -299,8 +310,8 @@ def shader(lighting: str, slots: int, mirrored: bool) -> str:
     return shader_made(choices)[0] + scene
 
 
-def _rows(subject: Subject, rest: RestSurface, errors: tuple[Any, Any] | None) -> bytes:
-    """Return what the vertex stage reads of each vertex, in vec4: see ``shader``."""
+def _rows(subject: Subject, rest: RestSurface, errors: tuple[Any, Any] | None) -> npt.NDArray[np.float32]:
+    """Return what the vertex stage reads of each vertex, in vec4 (V, R, 4): see ``shader``."""
     count, slots = rest.joints.shape
     padded = 4 * -(-slots // 4)
     degrees, known = (np.zeros(count), np.zeros(count)) if errors is None else errors
@@ -328,7 +339,7 @@ def _rows(subject: Subject, rest: RestSurface, errors: tuple[Any, Any] | None) -
         *slopes(rest.alpha),
         *slopes(rest.beta),
     ]
-    return np.stack(parts, axis=1).astype(np.float32).tobytes()
+    return np.stack(parts, axis=1).astype(np.float32)
 
 
 def _attachments(many: Any, target: Any, depth: Any) -> dict[str, Any]:
