@@ -14,7 +14,7 @@ from PIL import Image
 from fixtures.make_fixtures import FOLDER
 from skinbake.cli import exit_codes
 from skinbake.commands import render
-from skinbake.errors import InputError
+from skinbake.errors import ChoiceError, InputError
 from skinbake.gltf import budget
 from skinbake.gltf.json_access import JsonObject
 from skinbake.lighting.operator import GradientOperator
@@ -177,6 +177,19 @@ def test_it_refuses(
     assert result.exit_code == code
     assert words in " ".join(result.stderr.split())
     assert list(tmp_path.iterdir()) == []
+
+
+def test_clips_are_listed_without_their_control_characters(tmp_path: Path) -> None:
+    def many(content: JsonObject) -> None:
+        clip = content["animations"][0]
+        content["animations"] = [{**clip, "name": f"\x1b[2J{number}"} for number in range(300)]
+
+    path = edited("bent_tube.glb", tmp_path, many)
+    with pytest.raises(ChoiceError) as caught:
+        render.render_file(str(path), "a.png", render.RenderOptions(Look(64, 48), clip="walk"))
+    message = str(caught.value)
+    assert "it has \\x1b[2J0, \\x1b[2J1, " in message
+    assert message.endswith(", \\x1b[2J19, 280 more")
 
 
 def test_a_picture_replaces_pictures_only(tmp_path: Path) -> None:

@@ -59,6 +59,9 @@ MOST_INFLUENCES = 64
 """The most influences of a vertex that are drawn. Drivers compile a shader of 256 for a minute."""
 
 MOST_PICTURES = 120
+LISTED = 20
+"""The names of clips that a message lists."""
+
 RANDOM_ANGLE = float(np.radians(30.0))
 NAMES = {"standard": "approximated", "accurate": "accurate"}
 
@@ -248,8 +251,11 @@ def _clip(document: Document, asked: str | None) -> Clip | None:
     if not named and asked.isdecimal() and int(asked) < len(clips):
         named = [clips[int(asked)]]
     if not named:
-        listed = ", ".join(clip.name for clip in clips) or "none"
-        raise ChoiceError(f"--clip {asked}: the file has no such clip; it has {listed}")
+        listed = [printable(clip.name) for clip in clips[:LISTED]] or ["none"]
+        more = [f"{len(clips) - LISTED} more"] if len(clips) > LISTED else []
+        raise ChoiceError(
+            f"--clip {printable(asked)}: the file has no such clip; it has {', '.join(listed + more)}"
+        )
     return named[0]
 
 
