@@ -181,6 +181,24 @@ def test_a_file_that_is_not_baked_has_standard_lighting_only(browsing: browser.P
     assert [value for value, disabled in options if not disabled] == ["standard", "truth"]
 
 
+def test_random_poses_turn_joints_that_have_a_matrix(browsing: browser.Page, tmp_path: Path) -> None:
+    """The same joints, with their transforms in two ways: exporters of COLLADA write matrices."""
+    found = []
+    for has_matrix in (False, True):
+        file = Editable(TUBE)
+        for node in file.content["nodes"]:
+            if has_matrix and "translation" in node:
+                node["matrix"] = [*np.eye(4)[:3].ravel().tolist(), *node.pop("translation"), 1]
+        del file.content["animations"]
+        take(browsing, file.write(tmp_path / "still.glb"))
+        assert browsing.call("(() => application.clip.name)") == "Random poses"
+        browsing.call("(() => { application.seek(2.5, true); application.applyPose(); })")
+        found.append(matrices(browsing))
+    turned = np.linalg.norm(found[0] - np.eye(4), axis=(2, 3))
+    assert (turned > 0.05).all()
+    assert np.abs(found[1] - found[0]).max() < 1e-6
+
+
 def test_a_file_without_skins_is_shown_at_rest(browsing: browser.Page, tmp_path: Path) -> None:
     file = Editable(TUBE)
     for name in ("skins", "animations"):

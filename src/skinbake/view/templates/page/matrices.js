@@ -51,7 +51,7 @@ export function lookAt(eye, centre, up) {
     ];
 }
 
-export const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 export const minus = (a, b) => [a[0] - b[0], a[1] - b[1], a[2] - b[2]];
 export const plus = (a, b, factor = 1) => [a[0] + factor * b[0], a[1] + factor * b[1], a[2] + factor * b[2]];
 export const cross = (a, b) => [
@@ -63,15 +63,6 @@ export const cross = (a, b) => [
 export function normalised(a) {
     const length = Math.hypot(...a) || 1;
     return a.map((value) => value / length);
-}
-
-export function quaternionProduct([ax, ay, az, aw], [bx, by, bz, bw]) {
-    return [
-        aw * bx + ax * bw + ay * bz - az * by,
-        aw * by - ax * bz + ay * bw + az * bx,
-        aw * bz + ax * by - ay * bx + az * bw,
-        aw * bw - ax * bx - ay * by - az * bz,
-    ];
 }
 
 // Spherical interpolation on the shorter way.

@@ -1,10 +1,11 @@
 // Poses of a model: joint matrices and morph weights, from a clip at a time, or turned at random.
 
-import { composed, determinant, dualQuaternion, product, quaternionProduct, slerp } from './matrices.js';
+import { composed, determinant, dualQuaternion, product, slerp } from './matrices.js';
 
 const RIGID = 1e-3; // As skinbake has it: a larger deviation of a joint matrix is no rotation.
 const RANDOM_POSES = 8;
 const RANDOM_ANGLE = Math.PI / 6;
+const UNTURNED = [0, 0, 0, 1];
 
 // What a clip does at a time, in seconds. Returns joint matrices by skin, node matrices, and morph weights.
 export function poseAt(model, clip, time) {
@@ -12,13 +13,14 @@ export function poseAt(model, clip, time) {
     const touched = new Set();
     for (const channel of clip.channels) {
         moved[channel.node][channel.path] = sampled(channel, time);
-        if (channel.path !== 'weights') touched.add(channel.node);
+        if (!['weights', 'turn'].includes(channel.path)) touched.add(channel.node);
     }
     const matrices = new Array(model.nodes.length);
     for (const number of model.order) {
         const { matrix, parent } = model.nodes[number];
-        const { translation, rotation, scale } = moved[number];
-        const local = matrix && !touched.has(number) ? matrix : composed(translation, rotation, scale);
+        const { translation, rotation, scale, turn } = moved[number];
+        const own = matrix && !touched.has(number) ? matrix : composed(translation, rotation, scale);
+        const local = turn ? product(own, composed([0, 0, 0], turn, [1, 1, 1])) : own;
         matrices[number] = parent < 0 ? local : product(matrices[parent], local);
     }
     const skins = model.skins.map(({ joints, inverseBind }) => joints.map((joint, i) => product(matrices[joint], inverseBind[i])));
@@ -44,7 +46,7 @@ function sampled({ times, values, method, size, path }, time) {
     if (method === 'STEP') return at(low);
     if (method === 'CUBICSPLINE') return spline(at(low), at(low, 1), at(high), at(high, -1), share, step, path);
     const [a, b] = [at(low), at(high)];
-    return path === 'rotation' ? slerp(a, b, share) : a.map((value, i) => value + share * (b[i] - value));
+    return ['rotation', 'turn'].includes(path) ? slerp(a, b, share) : a.map((value, i) => value + share * (b[i] - value));
 }
 
 function spline(a, out, b, into, s, step, path) {
@@ -62,20 +64,16 @@ function spline(a, out, b, into, s, step, path) {
 }
 
 // A clip in which all joints turn from one random pose to the next, the first and the last being at rest.
+// Its path is `turn`: a rotation after the transform of the node, as skinbake verify has it.
 export function randomClip(model, seed = 1) {
     const random = numbers(seed);
     const joints = [...new Set(model.skins.flatMap((skin) => skin.joints))];
     const times = Float32Array.from({ length: RANDOM_POSES + 2 }, (_, i) => i);
     const channels = joints.map((node) => {
-        const rest = model.nodes[node].rotation;
-        const keys = [rest];
-        for (let i = 0; i < RANDOM_POSES; i++) keys.push(quaternionProduct(rest, randomRotation(random)));
-        keys.push(rest);
-        return { node, path: 'rotation', times, values: Float32Array.from(keys.flat()), method: 'LINEAR', size: 4 };
+        const keys = [UNTURNED, ...Array.from({ length: RANDOM_POSES }, () => randomRotation(random)), UNTURNED];
+        return { node, path: 'turn', times, values: Float32Array.from(keys.flat()), method: 'LINEAR', size: 4 };
     });
-    // A node with a matrix keeps its translation and scale only there.
-    const kept = channels.filter(({ node }) => !model.nodes[node].matrix);
-    return { name: 'Random poses', channels: kept, start: 0, end: RANDOM_POSES + 1, isRandom: true };
+    return { name: 'Random poses', channels, start: 0, end: RANDOM_POSES + 1 };
 }
 
 function randomRotation(random) {
