@@ -25,9 +25,7 @@ def encoded(pictures: Sequence[Picture], suffix: str) -> bytes:
         # One palette for all pictures, so that colours do not flicker.
         palette = images[len(images) // 2].quantize(255)
         images = [image.quantize(palette=palette, dither=Image.Dither.FLOYDSTEINBERG) for image in images]
-    options: dict[str, Any] = (
-        {"optimize": True} if suffix == ".png" else {"quality": 90} if suffix == ".webp" else {}
-    )
+    options = dict(OPTIONS[suffix])
     if len(images) > 1:
         options |= {"save_all": True, "append_images": images[1:], "duration": MILLISECONDS, "loop": 0}
     images[0].save(data, SUFFIXES[suffix], **options)

@@ -1,7 +1,7 @@
 // The page: what is chosen, what is drawn, and when.
 
 import { Camera } from './camera.js';
-import { Chart, nice } from './chart.js';
+import { Chart } from './chart.js';
 import { degrees, showFigures, showNotes } from './figures.js';
 import { fromBase64, gradientsOf, ReadError, readModel } from './reader.js';
 import { LIGHTINGS, pause, Renderer } from './renderer.js';
@@ -20,7 +20,7 @@ const HEAT = ['#d9dde1', '#f2d16b', '#ee8a2e', '#cf2f2f', '#5c0f3a'];
 const PATIENCE = 250; // Milliseconds that a first frame waits for its images.
 const SLICE = [10, 100]; // Milliseconds of measuring at a time: as long as it had to wait, within these.
 const LOST = 'The browser has lost the GPU. If the model does not come back, reload the page.';
-const KINDS = { textures: 'checked', moving: 'checked' };
+const OF_SHADED = ['textures', 'moving']; // What is chosen for this mode alone.
 
 const byId = Object.fromEntries([...document.querySelectorAll('[id]')].map((element) => [element.id, element]));
 const calm = matchMedia('(prefers-reduced-motion: reduce)');
@@ -57,7 +57,7 @@ class Application {
             this.take([...byId.open.files]);
             byId.open.value = ''; // A file may be baked anew and chosen again.
         });
-        for (const name of Object.keys(KINDS)) byId[name].addEventListener('change', () => this.changed());
+        for (const name of OF_SHADED) byId[name].addEventListener('change', () => this.changed());
         for (const radio of document.querySelectorAll('input[name=mode]')) {
             radio.addEventListener('change', () => this.setMode(radio.value));
         }
@@ -214,7 +214,7 @@ class Application {
     setMode(mode) {
         this.mode = mode;
         byId.legend.hidden = mode !== 'error';
-        for (const name of Object.keys(KINDS)) byId[name].disabled = mode !== 'shaded';
+        for (const name of OF_SHADED) byId[name].disabled = mode !== 'shaded';
         this.changed();
     }
 

@@ -19,9 +19,8 @@ export class Camera {
     }
 
     // Show a box: its middle, and half its diagonal.
-    frame(target, radius, height) {
+    frame(target, radius) {
         this.radius = radius || 1;
-        this.height = height ?? this.radius;
         this.middle = target;
         this.home();
     }

@@ -96,9 +96,9 @@ function label(text, x, y, anchor) {
 }
 
 // The next number above that reads well at the top of an axis.
-export function nice(value) {
+function nice(value) {
     const power = 10 ** Math.floor(Math.log10(value));
     return [1, 2, 3, 4, 6, 8, 10].find((step) => step * power >= value * 0.999) * power;
 }
 
-export const short = (value) => String(Number(value.toPrecision(2)));
+const short = (value) => String(Number(value.toPrecision(2)));

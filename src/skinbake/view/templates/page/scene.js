@@ -13,8 +13,7 @@ export class Scene {
         this.renderer = renderer;
     }
 
-    // Take a model; other gives α and β of the other kind by primitive.
-    // Returns a promise of its images.
+    // Take a model. Returns a promise of its images.
     show(model) {
         const rest = poseAt(model, { channels: [] }, 0);
         const moving = movingNodes(model);
