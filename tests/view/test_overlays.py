@@ -1,10 +1,11 @@
-"""What lies over the model: the legend of errors, and the mark of the worst vertex."""
+"""What is in the picture: all of the model, the legend of errors, and the mark of the worst vertex."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from fixtures.make_fixtures import FOLDER
@@ -73,3 +74,30 @@ def test_the_mark_is_hidden_behind_the_camera(browsing: browser.Page) -> None:
         })"""
     )
     assert hidden == [False, True]
+
+
+def test_all_of_the_model_is_seen_over_its_clip(browsing: browser.Page, tmp_path: Path) -> None:
+    """It bends to one side and then to the other: at the ends and in the middle it is upright."""
+    file = Editable(TUBE)
+    animation = file.content["animations"][0]
+    animation["channels"] = [{"sampler": 0, "target": {"node": 1, "path": "rotation"}}]
+    count = file.content["accessors"][animation["samplers"][0]["input"]]["count"]
+    half = np.sin(np.linspace(0, 2 * np.pi, count)) * np.pi / 4
+    turns = np.stack([0 * half, 0 * half, np.sin(half), np.cos(half)], axis=1).astype(np.float32)
+    animation["samplers"][0]["output"] = file.add(turns)
+    take(browsing, file.write(tmp_path / "bending.glb"))
+    matrix, positions = browsing.call(
+        """(() => {
+            const { camera, clip, renderer, scene } = application;
+            const { width, height } = renderer.canvas;
+            const every = Array.from({ length: 17 }, (_, i) => {
+                scene.pose(clip, clip.start + (i / 16) * (clip.end - clip.start));
+                return [...scene.positions(scene.parts[0], 1)];
+            });
+            return [camera.projected(width / height), every.flat()];
+        })"""
+    )
+    points = np.array(positions).reshape(-1, 3)
+    places = np.column_stack([points, np.ones(len(points))]) @ np.array(matrix).reshape(4, 4)
+    farthest = np.abs(places[:, :2] / places[:, 3:]).max()
+    assert 0.5 < farthest < 1

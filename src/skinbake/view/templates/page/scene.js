@@ -155,7 +155,7 @@ export class Scene {
         const low = [Infinity, Infinity, Infinity];
         const high = low.map((value) => -value);
         const step = Math.ceil(this.parts.reduce((sum, { primitive }) => sum + primitive.count, 0) / BOUNDING);
-        for (const share of [0, 0.5]) {
+        for (const share of [0, 0.25, 0.5, 0.75, 1]) {
             this.pose(clip, clip.start + share * (clip.end - clip.start));
             for (const part of this.parts) {
                 const positions = this.positions(part, step);
