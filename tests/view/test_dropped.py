@@ -153,6 +153,8 @@ def triangle(size: float) -> bytes:
         ("letter.txt", b"Dear reader", "Expected a .glb, .gltf or .vrm file."),
         ("broken.glb", b"glTF\2\0\0\0\xff\0\0\0", "the GLB has no JSON"),
         ("text.gltf", b"no JSON", "it is neither a GLB nor glTF"),
+        ("child.gltf", b'{"nodes": [{"children": [7]}]}', "it is damaged, or too large (Cannot"),
+        ("chunk.glb", b"glTF\2\0\0\0\x15\0\0\0\1\0\0\0JSON{", "it is damaged, or too large (Expected"),
         ("empty.gltf", b'{"asset": {"version": "2.0"}}', "no mesh of it is made of triangles"),
         (
             "packed.gltf",

@@ -129,7 +129,8 @@ class Application {
         const own = (this.taken = {});
         const { former } = this;
         try {
-            const model = await readModel(new Uint8Array(await main.arrayBuffer()), main.name, new Map(files.map((file) => [file.name, file])));
+            const bytes = new Uint8Array(await main.arrayBuffer());
+            const model = await readModel(bytes, main.name, new Map(files.map((file) => [file.name, file]))).catch(damaged);
             if (this.taken !== own) return;
             await this.show(model, { name: main.name });
             if (this.taken === own) this.tell('');
@@ -445,6 +446,11 @@ class Application {
 
 const idle = () => new Promise((done) => (window.requestIdleCallback ?? ((call) => setTimeout(call, 16)))(done, { timeout: 100 }));
 const rgb = (hex) => [1, 3, 5].map((at) => parseInt(hex.slice(at, at + 2), 16) / 255);
+
+// What readModel throws, in words: it checks no more of a file than it must.
+function damaged(error) {
+    throw error instanceof ReadError ? error : new ReadError(`it is damaged, or too large (${error.message})`);
+}
 
 // The order in which samples are measured: coarse at first, so that the chart soon has its shape.
 function spread(next) {
