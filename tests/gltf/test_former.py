@@ -10,7 +10,10 @@ import pytest
 from fixtures.builder import JsonObject
 from skinbake.choices import FrameChoice
 from skinbake.commands.strip import strip_file
-from skinbake.errors import InputError
+from skinbake.errors import InputError, Place
+from skinbake.gltf.accessors import StoredArray, read_accessor
+from skinbake.gltf.document import Document
+from tests.support import gltf_transform
 from tests.support.baking import bake_file
 from tests.support.gltf_reading import GltfFile, read
 from tests.support.models import FOLDER, Change, baked, copied, rewritten
@@ -61,9 +64,69 @@ def test_a_note_that_names_the_adopted_accessors_themselves_is_not_believed(tmp_
         note["adopted"] = {name: primitive["attributes"][name] for name in note["adopted"]}
 
     path = edited("foreign_joints.glb", tmp_path, change)
+    assert strip_file(str(path), str(tmp_path / "stripped.glb")).notices == ()
+    assert_influences_of_source(tmp_path / "stripped.glb")
+
+
+def assert_influences_of_source(path: Path) -> None:
+    for name in ("JOINTS_0", "WEIGHTS_0"):
+        found, wanted = (read(file).stored_attribute(name) for file in (path, FOLDER / "foreign_joints.glb"))
+        assert found.dtype == wanted.dtype
+        assert np.array_equal(found, wanted)
+
+
+@pytest.mark.parametrize("command", ["copy", "dedup", "resample", "unlit"])
+def test_former_influences_are_found_after_another_tool_has_renumbered_them(
+    command: str, tmp_path: Path
+) -> None:
+    gltf_transform.require_node()
+    source, changed, again, back = (tmp_path / f"{name}.glb" for name in ("once", "tool", "again", "back"))
+    bake_file(str(FOLDER / "foreign_joints.glb"), str(source))
+    assert gltf_transform.run([command, source, changed]).returncode == 0
+    note = read(changed).primitive(0)["extras"]["skinbake"]
+    assert note["adopted"]["WEIGHTS_0"] == read(changed).primitive(0)["attributes"]["WEIGHTS_0"]
+    strip_file(str(changed), str(back))
+    assert_influences_of_source(back)
+    result = bake_file(str(changed), str(again))
+    assert "adopted-kept" not in [notice.code for notice in result.notices]
+    for name in ("JOINTS_0", "WEIGHTS_0", "_SKINBAKE_ALPHA_0", "_SKINBAKE_BETA_0"):
+        found, wanted = (read(file).stored_attribute(name) for file in (again, source))
+        assert np.array_equal(found, wanted), name
+
+
+@pytest.mark.parametrize("broken", [None, 7, ["a"], {"JOINTS": [1], "WEIGHTS": {}}])
+def test_broken_digests_find_nothing(broken: object, tmp_path: Path) -> None:
+    def change(content: JsonObject) -> None:
+        content["meshes"][0]["primitives"][0]["extras"]["skinbake"]["formerDigest"] = broken
+
+    path = edited("foreign_joints.glb", tmp_path, change)
     result = strip_file(str(path), str(tmp_path / "stripped.glb"))
     (told,) = (notice.message for notice in result.notices if notice.code == "adopted-kept")
     assert told.endswith("A bake takes them for the file's own: bake from the source instead")
+
+
+def test_many_accessors_that_share_their_bytes_are_not_all_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def change(content: JsonObject) -> None:
+        note = content["meshes"][0]["primitives"][0]["extras"]["skinbake"]
+        like = content["accessors"][note["adopted"]["WEIGHTS_0"]]
+        content["accessors"] += [dict(like) for _ in range(20_000)]
+        note["formerDigest"]["WEIGHTS"] = "0" * 32
+
+    path, rows = edited("foreign_joints.glb", tmp_path, change), []
+
+    def counted(document: Document, number: int, place: Place) -> StoredArray:
+        stored = read_accessor(document, number, place)
+        rows.append(len(stored.values))
+        return stored
+
+    monkeypatch.setattr("skinbake.format.former.read_accessor", counted)
+    result = strip_file(str(path), str(tmp_path / "stripped.glb"))
+    assert "adopted-kept" in [notice.code for notice in result.notices]
+    size = path.stat().st_size
+    assert size < sum(rows) < 20_000 * rows[0]
+    assert sum(rows) < max(size, 1 << 19) + 10 * rows[0]
 
 
 def test_a_bake_takes_adopted_joints_that_stay_for_the_file_s_own(tmp_path: Path) -> None:

@@ -110,6 +110,16 @@ def test_strip_brings_the_former_tangents_back(twin: object, tmp_path: Path) -> 
     assert (tmp_path / "again.glb").read_bytes() == (tmp_path / "baked.glb").read_bytes()
 
 
+def test_former_tangents_are_found_under_another_number(tmp_path: Path) -> None:
+    path = leaning(SOURCE, tmp_path / "skewed.glb", 10.0, [VERTEX])
+    bake(path, tmp_path / "baked.glb")
+    for number in (0, 10_000, None):
+        file = read(tmp_path / "baked.glb")
+        file.primitive(0)["extras"]["skinbake"]["straightened"]["TANGENT"] = number
+        strip_file(str(rewritten(file, tmp_path / "changed.glb")), str(tmp_path / "back.glb"))
+        assert np.array_equal(tangents_of(read(tmp_path / "back.glb")), tangents_of(read(path)))
+
+
 def test_an_accessor_number_with_a_point_means_the_same(tmp_path: Path) -> None:
     path = leaning(SOURCE, tmp_path / "skewed.glb", 10.0, [VERTEX])
     file = read(path)

@@ -13,16 +13,18 @@ import numpy.typing as npt
 from skinbake.errors import InputError, Place
 from skinbake.format.metadata import (
     FORMER_ATTRIBUTES,
+    INFLUENCE_TYPES,
     KEY,
     STRAIGHTENED,
+    array_digest,
     influence_digests,
     noted_names,
-    tangent_digest,
 )
 from skinbake.gltf.accessors import read_accessor
+from skinbake.gltf.budget import ELEMENTS_FREE
 from skinbake.gltf.codecs import draco
 from skinbake.gltf.document import Document
-from skinbake.gltf.json_access import JsonObject, index
+from skinbake.gltf.json_access import JsonObject, index, integer, reference
 
 BEFORE, ACCESSORS = "before", "accessors"
 
@@ -63,22 +65,94 @@ def former_attributes(
     None if they must not be restored: the accessors in the metadata no longer hold the former influences, or
     the adopted ones have been edited since and the edits would be lost.
     """
-    former, noted, digest = note.get("adopted"), note.get("formerDigest"), note.get("digest")
+    former, digest = note.get("adopted"), note.get("digest")
     if former is None:
         return {}
     if not isinstance(former, dict) or not isinstance(digest, dict):
         return None
     try:
         draco.add_former_streams(document, with_former_stream)
-        count = len(document.objects("accessors"))
-        numbers = {name: index(former, name, count, place.at(name)) for name in former}
-        found = {name: number for name, number in numbers.items() if number is not None}
         now = _influence_digests(document, attributes, place)
-        before = _influence_digests(document, former_sets({**attributes, **found}, note), place)
     except InputError:
         return None
-    unedited = now == {name: digest.get(name) for name in now}
-    return found if unedited and before == noted else None
+    if now != {name: digest.get(name) for name in now}:
+        return None
+    for find in (_as_noted, _found_again):
+        try:
+            found = find(document, attributes, note, place)
+            before = _influence_digests(document, former_sets({**attributes, **found}, note), place)
+        except InputError:
+            continue
+        if before == note.get("formerDigest"):
+            return found
+    return None
+
+
+def _as_noted(document: Document, attributes: JsonObject, note: JsonObject, place: Place) -> dict[str, int]:
+    """Return the former accessors of JOINTS and WEIGHTS by the numbers in the metadata."""
+    former, count = note["adopted"], len(document.objects("accessors"))
+    numbers = {name: index(former, name, count, place.at(name)) for name in former}
+    return {name: number for name, number in numbers.items() if number is not None}
+
+
+def _found_again(
+    document: Document, attributes: JsonObject, note: JsonObject, place: Place
+) -> dict[str, int]:
+    """Return the accessors of any numbers that hold the former JOINTS_0 and WEIGHTS_0.
+
+    The digests of several sets are digests of all sets together. So they do not find one of them.
+    """
+    noted = note.get("formerDigest")
+    if not isinstance(noted, dict):
+        return {}
+    numbers = {
+        name: _with_digest(document, attributes, name, noted.get(name.removesuffix("_0")), place)
+        for name in note["adopted"]
+    }
+    return {name: number for name, number in numbers.items() if number is not None}
+
+
+def _with_digest(
+    document: Document, attributes: JsonObject, name: str, digest: object, place: Place
+) -> int | None:
+    """Return an accessor that has a digest, and as many rows of four numbers as that of an attribute."""
+    accessors = document.objects("accessors")
+    number = index(attributes, name, len(accessors), place)
+    if number is None or not isinstance(digest, str):
+        return None
+    count = integer(accessors[number], "count", place, minimum=1)
+    known: dict[int, dict[str | None, int]] = document.derived.setdefault("accessors by digest", {})
+    if count not in known:
+        alike = _of_fours(document, count)
+        known[count] = {_digest(document, other, place): other for other in reversed(alike)}
+    return known[count].get(digest)
+
+
+def _of_fours(document: Document, count: int) -> list[int]:
+    """Return the accessors of so many rows of four numbers, or some of them if there are too many.
+
+    All accessors that are looked at have room in the document, unless many share their bytes.
+    """
+    looked_at: dict[int, int] = document.derived.setdefault("rows looked at", {})
+    room = max(document.budget.backed, ELEMENTS_FREE) - sum(looked_at.values())
+    found = [
+        number
+        for number, accessor in enumerate(document.objects("accessors"))
+        if accessor.get("count") == count and accessor.get("type") == "VEC4" and "bufferView" in accessor
+    ][: room // count]
+    looked_at[count] = count * len(found)
+    return found
+
+
+def _digest(document: Document, number: int, place: Place) -> str | None:
+    """Return the digest of an accessor in the form of the metadata, None if it cannot be read."""
+    try:
+        stored = read_accessor(document, number, place)
+    except InputError:
+        return None
+    is_joints = stored.values.dtype.kind == "u" and not stored.normalized
+    values, name = (stored.values, "JOINTS") if is_joints else (stored.decoded(), "WEIGHTS")
+    return array_digest(values, INFLUENCE_TYPES[name])
 
 
 def former_tangent(
@@ -96,16 +170,17 @@ def former_tangent(
     where = place.at("TANGENT")
     try:
         draco.add_former_streams(document, with_former_stream)
-        count = len(document.objects("accessors"))
-        former, now = (index(holder, "TANGENT", count, where) for holder in (noted, attributes))
-        if former is None or now is None:
+        count, before = len(document.objects("accessors")), noted.get("digest")
+        now = index(attributes, "TANGENT", count, where)
+        if now is None or _digest(document, now, where) != digest.get("TANGENT"):
             return None
-        digests = [
-            tangent_digest(read_accessor(document, number, where).decoded()) for number in (former, now)
-        ]
+        former = reference(noted.get("TANGENT"))
+        if former is not None and 0 <= former < count and _digest(document, former, where) == before:
+            return {"TANGENT": former}
+        again = _with_digest(document, attributes, "TANGENT", before, where)
     except InputError:
         return None
-    return {"TANGENT": former} if digests == [noted.get("digest"), digest.get("TANGENT")] else None
+    return None if again is None else {"TANGENT": again}
 
 
 def former_sets(attributes: JsonObject, note: JsonObject) -> JsonObject:

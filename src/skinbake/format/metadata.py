@@ -34,6 +34,9 @@ POSES = "poses"
 STRAIGHTENED = "straightened"
 """The member that names the accessor of the TANGENT before a bake that straightened some of it."""
 
+INFLUENCE_TYPES = {"JOINTS": "<u2", "WEIGHTS": "<f4"}
+"""The types to which influences are converted for their digests."""
+
 FORMER_ATTRIBUTES = "formerAttributes"
 """The member that lists a primitive's attributes before a bake that changed the number of its influences."""
 
@@ -68,7 +71,7 @@ def influence_digests(joints: npt.NDArray[Any], weights: npt.NDArray[Any]) -> di
 def _of_influences(
     joints: npt.NDArray[Any], weights: npt.NDArray[Any]
 ) -> dict[str, tuple[npt.NDArray[Any], str]]:
-    return {"JOINTS": (joints, "<u2"), "WEIGHTS": (weights, "<f4")}
+    return {"JOINTS": (joints, INFLUENCE_TYPES["JOINTS"]), "WEIGHTS": (weights, INFLUENCE_TYPES["WEIGHTS"])}
 
 
 def array_digests(arrays: Mapping[str, tuple[npt.NDArray[Any], str]]) -> dict[str, str]:
