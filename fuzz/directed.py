@@ -88,7 +88,18 @@ def directed_seeds(plain: Model, morphed: Model, draco: Model) -> list[Model]:
             except (KeyError, IndexError, TypeError, AttributeError):
                 continue
             found.append(made)
-    return [*found, _shared(draco), *_streams(draco), _not_finite(morphed)]
+    return [*found, _shared(draco), *_streams(draco), _not_finite(morphed), *_twice(plain)]
+
+
+def _twice(model: Model) -> list[Model]:
+    """Return the model with the same member twice, before all others and behind them."""
+    first, last = model.copied(), model.copied()
+    first.json = {"extras": "@twice", **first.json}
+    last.json["extras"] = "@twice"
+    for name, made in (("first", first), ("last", last)):
+        made.name = f"directed-twice-{name}"
+        made.raw["@twice"] = '1, "extras": 2'
+    return [first, last]
 
 
 def _not_finite(model: Model) -> Model:
