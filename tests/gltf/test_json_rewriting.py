@@ -141,9 +141,11 @@ def test_any_change_is_written(entry: Any, indent: str | None, seed: int) -> Non
         ("{ }", {"b": 1}, '{\n  "b": 1\n}'),
         ('{"\\u00e4":"\\/", "a": 1}', {"a": 2}, '{"\\u00e4":"\\/", "a": 2}'),
         ('{"a":[[1e2],[3.0],[4]]}', {"a": [[4], [1, 5]]}, '{"a":[[4],[1,5]]}'),
-        ('{"a": 1, "a": 2}', {"b": 3}, '{\n  "a": 2,\n  "b": 3\n}'),
+        ('{"a": 1, "a": 2}\n', {"b": 3}, '{\n  "a": 2,\n  "b": 3\n}\n'),
+        ('{"a":{}, "a":{"n":1}}', {"a": {"n": 2}}, '{"a":{"n":2}}'),
+        ('{"a":[], "a":[1]}', {"a": [1, 2]}, '{"a":[1,2]}'),
     ],
-    ids=["colon", "line ends", "mark", "empty", "escapes", "arrays", "twice"],
+    ids=["colon", "line ends", "mark", "empty", "escapes", "arrays", "twice", "empty first", "no entry first"],
 )
 def test_new_text_looks_like_the_text_around_it(text: str, change: dict[str, Any], expected: str) -> None:
     value = json.loads(text.removeprefix("\ufeff"))

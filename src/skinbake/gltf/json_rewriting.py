@@ -30,15 +30,16 @@ def rewritten(former: FormerText, value: Any, *, indent: str | None, ascii_only:
 
     A part of the value has its former text if it is the same object as in the former value, or an equal
     scalar. All else is written as ``json_text.written`` writes it with these options; ValueError for numbers
-    that are not finite. Members that are new must come last in their object.
+    that are not finite. Members that are new must come last in their object. A text that is nested too deep,
+    or has a changed member twice, is all written anew between the white space at its ends.
     """
     start = _end_of(_START, former.text, 0)
     writer = _Rewriting(former.text, indent, ascii_only)
     try:
         with collector_off():
             text, end = writer.entry(start, former.value, value, 0)
-    except (RecursionError, _OtherTextError):
-        return written(value, indent=indent, ascii_only=ascii_only)
+    except (RecursionError, _OtherTextError, json.JSONDecodeError):
+        text, end = written(value, indent=indent, ascii_only=ascii_only), len(former.text.rstrip(" \t\n\r"))
     return former.text[:start] + text + former.text[end:]
 
 
