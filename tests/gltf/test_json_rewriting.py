@@ -154,6 +154,17 @@ def test_new_text_looks_like_the_text_around_it(text: str, change: dict[str, Any
     assert found == expected
 
 
+def test_additions_do_not_repeat_a_long_gap() -> None:
+    gap = " " * 1000
+    for text in (f'{{"a":1,{gap}"b":2}}', f'{{{gap}"a":1}}', f'{{"a":{gap}1}}'):
+        value = json.loads(text)
+        more = {f"n{number}": number for number in range(50)}
+        found = rewritten(FormerText(text, value), {**value, **more}, indent=None, ascii_only=False)
+        assert found.startswith(text.removesuffix("}") + ",")
+        assert json.loads(found) == {**value, **more}
+        assert len(found) < 2 * len(text)
+
+
 def test_a_moved_object_keeps_its_text() -> None:
     text = '{"a":[{"n":1.0e0}, {"n":2E0}, {"n":3.00}]}'
     value = json.loads(text)

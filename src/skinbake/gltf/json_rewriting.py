@@ -17,6 +17,9 @@ _START = re.compile("\ufeff?[ \t\n\r]*")
 _SPACE = re.compile(r"[ \t\n\r]*")
 _REMOVED: Any = object()
 
+LONGEST_GAP = 256
+"""The most characters of white space that additions repeat. Many of them after a long one would fill memory."""
+
 
 class FormerText(NamedTuple):
     """A JSON text, and its value."""
@@ -114,6 +117,10 @@ class _Rewriting:
         end = _end_of(_SPACE, text, at)
         self._expect(brackets[1], end)
         last_space = text[at:end] if entries else self._line(depth)
+        if len(separator) > LONGEST_GAP:
+            separator = f",{self._line(depth + 1)}"
+        if len(colon) > LONGEST_GAP:
+            colon = ": "
         for entry in added:
             name = "" if entry.key is None else json.dumps(entry.key, ensure_ascii=self._ascii_only) + colon
             pieces += [separator if pieces else first_space, name, self._fresh(entry.after, depth + 1)]
