@@ -17,8 +17,10 @@ from hypothesis import strategies as st
 
 from skinbake import strip
 from skinbake.gltf import json_text
+from skinbake.gltf.glb import join_glb
 from skinbake.gltf.json_rewriting import FormerText, rewritten
-from tests.support.models import SHARED, bake, copied
+from tests.support.gltf_reading import read
+from tests.support.models import FOLDER, SHARED, bake, copied
 
 SPACES = ["", " ", "\n", "\r\n\t", "  \n"]
 SCALARS = st.one_of(
@@ -145,13 +147,36 @@ def test_any_change_is_written(entry: Any, indent: str | None, seed: int) -> Non
         ('{"a":{}, "a":{"n":1}}', {"a": {"n": 2}}, '{"a":{"n":2}}'),
         ('{"a":[], "a":[1]}', {"a": [1, 2]}, '{"a":[1,2]}'),
     ],
-    ids=["colon", "line ends", "mark", "empty", "escapes", "arrays", "twice", "empty first", "no entry first"],
+    ids=[
+        "colon",
+        "line ends",
+        "mark",
+        "empty",
+        "escapes",
+        "arrays",
+        "twice",
+        "empty first",
+        "no entry first",
+    ],
 )
 def test_new_text_looks_like_the_text_around_it(text: str, change: dict[str, Any], expected: str) -> None:
     value = json.loads(text.removeprefix("\ufeff"))
     indent = "  " if "\n" in expected else None
     found = rewritten(FormerText(text, value), {**value, **change}, indent=indent, ascii_only=False)
     assert found == expected
+
+
+def test_members_in_another_order_keep_their_text() -> None:
+    text = '{"a" : 1e0, "b" : [2E0],\t"c" : 3.50}'
+    value = json.loads(text)
+    for order, expected in (
+        ("bca", '"b" : [2E0],\t"c" : 3.50,\t"a" : 1e0'),
+        ("anb", '"a" : 1e0,\t"n" : 5, "b" : [2E0]'),
+        ("nc", '"n" : 5,\t"c" : 3.50'),
+    ):
+        ordered = {key: {**value, "n": 5}[key] for key in order}
+        found = rewritten(FormerText(text, value), ordered, indent=None, ascii_only=False)
+        assert found == f"{{{expected}}}"
 
 
 def test_additions_do_not_repeat_a_long_gap() -> None:
@@ -203,5 +228,16 @@ def test_a_baked_text_differs_by_whole_lines(tmp_path: Path, line_end: str) -> N
         changed
     )  # a comma follows, or a number is new
     assert len(changed) < 30
+    strip(str(baked), str(restored))
+    assert restored.read_bytes() == source.read_bytes()
+
+
+def test_removed_influences_come_back_as_the_text_around_them(tmp_path: Path) -> None:
+    model = read(FOLDER / "two_sets.glb")
+    text = json.dumps(model.content, separators=(" , ", " : "), sort_keys=True)
+    source, baked, restored = (tmp_path / f"{name}.glb" for name in ("source", "baked", "restored"))
+    source.write_bytes(b"".join(join_glb(text.encode(), [model.binary_chunk or b""], ())))
+    bake(source, baked, limit_influences=4)
+    assert not read(baked).has_attribute("JOINTS_1")
     strip(str(baked), str(restored))
     assert restored.read_bytes() == source.read_bytes()

@@ -18,7 +18,7 @@ _SPACE = re.compile(r"[ \t\n\r]*")
 _REMOVED: Any = object()
 
 LONGEST_GAP = 256
-"""The most characters of white space that additions repeat. Many of them after a long one would fill memory."""
+"""The most characters of white space that additions repeat: many times a long one would fill the memory."""
 
 
 class FormerText(NamedTuple):
@@ -33,8 +33,8 @@ def rewritten(former: FormerText, value: Any, *, indent: str | None, ascii_only:
 
     A part of the value has its former text if it is the same object as in the former value, or an equal
     scalar. All else is written as ``json_text.written`` writes it with these options; ValueError for numbers
-    that are not finite. Members that are new must come last in their object. A text that is nested too deep,
-    or has a changed member twice, is all written anew between the white space at its ends.
+    that are not finite. A text that is nested too deep, or has a changed member twice, is all written anew
+    between the white space at its ends.
     """
     start = _end_of(_START, former.text, 0)
     writer = _Rewriting(former.text, indent, ascii_only)
@@ -61,6 +61,17 @@ class _Entry(NamedTuple):
     after: Any
 
 
+class _Part(NamedTuple):
+    """The text of an entry, with its key in an object.
+
+    ``separator`` is the text between it and the entry that preceded it, empty if there was none.
+    """
+
+    key: str | None
+    separator: str
+    text: str
+
+
 class _Rewriting:
     def __init__(self, text: str, indent: str | None, ascii_only: bool) -> None:
         self._text = text
@@ -74,26 +85,33 @@ class _Rewriting:
         """Return the text of ``after``, and where the text of ``before`` ends, which begins at ``at``."""
         if after is not before:
             if isinstance(before, dict) and isinstance(after, dict):
-                members = _members(before, after)
-                if members is not None:
-                    return self._holder(at, members, _added(before, after), depth, "{}")
-            elif isinstance(before, list) and isinstance(after, list):
+                members = [_Entry(key, value, after.get(key, _REMOVED)) for key, value in before.items()]
+                return self._holder(at, members, _added(before, after), depth, after)
+            if isinstance(before, list) and isinstance(after, list):
                 entries, more = _paired(before, after)
-                return self._holder(at, entries, more, depth, "[]")
+                return self._holder(at, entries, more, depth, None)
         end = self._scan(self._text, at)[1]
         is_same = after is before or _are_equal_scalars(before, after)
         return self._text[at:end] if is_same else self._fresh(after, depth), end
 
     def _holder(
-        self, at: int, entries: Sequence[_Entry], added: Iterable[_Entry], depth: int, brackets: str
+        self,
+        at: int,
+        entries: Sequence[_Entry],
+        added: Iterable[_Entry],
+        depth: int,
+        keys: Iterable[str] | None,
     ) -> tuple[str, int]:
-        """Return the text of an object or array, and where its former text ends."""
-        text = self._text
+        """Return the text of an object or array, and where its former text ends.
+
+        ``keys`` are those of the object in their new order, None for an array.
+        """
+        text, brackets = self._text, "[]" if keys is None else "{}"
         self._expect(brackets[0], at)
         at += 1
         first_space = text[at : _end_of(_SPACE, text, at)] if entries else self._line(depth + 1)
         separator, colon = f",{first_space}", ":" if self._indent is None else ": "
-        pieces: list[str] = []
+        parts: list[_Part] = []
         for number, entry in enumerate(entries):
             start = _end_of(_SPACE, text, at)
             if number:
@@ -113,7 +131,7 @@ class _Rewriting:
                 at = self._scan(text, value_start)[1]
                 continue
             value, at = self.entry(value_start, entry.before, entry.after, depth + 1)
-            pieces += [separator if pieces else first_space, text[start:value_start], value]
+            parts.append(_Part(entry.key, separator if number else "", text[start:value_start] + value))
         end = _end_of(_SPACE, text, at)
         self._expect(brackets[1], end)
         last_space = text[at:end] if entries else self._line(depth)
@@ -123,8 +141,14 @@ class _Rewriting:
             colon = ": "
         for entry in added:
             name = "" if entry.key is None else json.dumps(entry.key, ensure_ascii=self._ascii_only) + colon
-            pieces += [separator if pieces else first_space, name, self._fresh(entry.after, depth + 1)]
-        return brackets[0] + "".join([*pieces, last_space] if pieces else pieces) + brackets[1], end + 1
+            parts.append(_Part(entry.key, "", name + self._fresh(entry.after, depth + 1)))
+        if not parts:
+            return brackets, end + 1
+        if keys is not None:
+            by_key = {part.key: part for part in parts}
+            parts = [by_key[key] for key in keys]
+        pieces = [piece for part in parts for piece in (part.separator or separator, part.text)]
+        return "".join([brackets[0], first_space, *pieces[1:], last_space, brackets[1]]), end + 1
 
     def _expect(self, mark: str, at: int) -> None:
         if self._text[at : at + 1] != mark:
@@ -148,14 +172,6 @@ def _are_equal_scalars(before: Any, after: Any) -> bool:
     """Tell whether two values are one and the same scalar: 1 is not 1.0, and 0.0 is not −0.0."""
     is_scalar = not isinstance(after, dict | list)
     return is_scalar and type(before) is type(after) and repr(before) == repr(after)
-
-
-def _members(before: Mapping[str, Any], after: Mapping[str, Any]) -> list[_Entry] | None:
-    """Return the former members of an object; None if their order is another, or new ones precede them."""
-    kept = [key for key in before if key in after]
-    if list(after)[: len(kept)] != kept:
-        return None
-    return [_Entry(key, value, after.get(key, _REMOVED)) for key, value in before.items()]
 
 
 def _added(before: Mapping[str, Any], after: Mapping[str, Any]) -> list[_Entry]:
