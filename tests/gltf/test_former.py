@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+from hashlib import sha256
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from fixtures.builder import JsonObject
+from fixtures.builder import JsonObject, pack_glb
 from skinbake.choices import FrameChoice
 from skinbake.commands.strip import strip_file
 from skinbake.errors import InputError, Place
+from skinbake.format.strip import stripped
+from skinbake.gltf import json_access
 from skinbake.gltf.accessors import StoredArray, read_accessor
-from skinbake.gltf.document import Document
+from skinbake.gltf.codecs import draco
+from skinbake.gltf.document import Document, read_document
 from tests.support import gltf_transform
 from tests.support.baking import bake_file
 from tests.support.gltf_reading import GltfFile, read
@@ -127,6 +132,71 @@ def test_many_accessors_that_share_their_bytes_are_not_all_read(
     size = path.stat().st_size
     assert size < sum(rows) < 20_000 * rows[0]
     assert sum(rows) < max(size, 1 << 19) + 10 * rows[0]
+
+
+class Watched(dict[str, Any]):
+    """An object of JSON that counts how often one of its kind is looked at."""
+
+    looks = 0
+
+    def get(self, key: str, default: object = None) -> Any:
+        Watched.looks += 1
+        return super().get(key, default)
+
+
+def test_the_search_takes_time_in_proportion_to_the_primitives(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each of 300 primitives has another number of vertices, and accessors that are looked for in vain."""
+    document, count = read_document(str(many_sizes(tmp_path, 300))), 600
+    primitives: list[int] = []
+    original = draco.extension_of
+
+    def counted(primitive: JsonObject) -> JsonObject | None:
+        primitives.append(1)
+        return original(primitive)
+
+    def watched(parent: JsonObject, key: str, place: Place) -> list[JsonObject]:
+        return [Watched(entry) for entry in found(parent, key, place)]
+
+    found = json_access.objects
+    monkeypatch.setattr("skinbake.gltf.codecs.draco.extension_of", counted)
+    monkeypatch.setattr("skinbake.gltf.json_access.objects", watched)
+    Watched.looks = 0
+    _, restored, notices = stripped(document.edited())
+    assert restored == 300
+    assert [notice.code for notice in notices].count("adopted-kept") == 300
+    assert count < Watched.looks < 50 * count
+    assert 300 < len(primitives) < 50 * 300
+
+
+def many_sizes(folder: Path, count: int) -> Path:
+    """Write a file with primitives of 1, 2, 3 … vertices, whose notes name influences that are not there."""
+    model = baked(copied("foreign_joints.glb", folder), folder / "baked.glb")
+    content, data = model.content, model.binary_chunk or b""
+    version = model.primitive(0)["extras"]["skinbake"]["version"]
+    content["buffers"][0]["byteLength"] = len(data) + 16 * count
+    view = len(content["bufferViews"])
+    content["bufferViews"].append({"buffer": 0, "byteOffset": len(data), "byteLength": 16 * count})
+    content["accessors"], primitives = [], []
+    for size in range(1, count + 1):
+        for code in (5123, 5126):
+            content["accessors"].append(
+                {"bufferView": view, "componentType": code, "count": size, "type": "VEC4"}
+            )
+    for number in range(count):
+        digest = {
+            "JOINTS": sha256(bytes(8 * (number + 1))).hexdigest()[:32],
+            "WEIGHTS": sha256(bytes(16 * (number + 1))).hexdigest()[:32],
+        }
+        names = {"JOINTS_0": 2 * number, "WEIGHTS_0": 2 * number + 1}
+        former = {"adopted": names, "digest": digest, "formerDigest": {"JOINTS": "0", "WEIGHTS": "0"}}
+        note = {"version": version, "alpha": [], "beta": [], **former}
+        primitives.append({"attributes": names, "extras": {"skinbake": note}})
+    content["meshes"] = [{"primitives": primitives}]
+    path = folder / "many.glb"
+    path.write_bytes(pack_glb(content, data + bytes(16 * count)))
+    return path
 
 
 def test_a_bake_takes_adopted_joints_that_stay_for_the_file_s_own(tmp_path: Path) -> None:

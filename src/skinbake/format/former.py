@@ -133,14 +133,17 @@ def _of_fours(document: Document, count: int) -> list[int]:
 
     All accessors that are looked at have room in the document, unless many share their bytes.
     """
-    looked_at: dict[int, int] = document.derived.setdefault("rows looked at", {})
-    room = max(document.budget.backed, ELEMENTS_FREE) - sum(looked_at.values())
-    found = [
-        number
-        for number, accessor in enumerate(document.objects("accessors"))
-        if accessor.get("count") == count and accessor.get("type") == "VEC4" and "bufferView" in accessor
-    ][: room // count]
-    looked_at[count] = count * len(found)
+    known: dict[float, list[int]] | None = document.derived.get("fours by count")
+    if known is None:
+        known = document.derived["fours by count"] = {}
+        for number, accessor in enumerate(document.objects("accessors")):
+            size = accessor.get("count")
+            if isinstance(size, int | float) and accessor.get("type") == "VEC4" and "bufferView" in accessor:
+                known.setdefault(size, []).append(number)  # 4.0 is the same key as 4
+    looked_at: dict[str, int] = document.derived.setdefault("rows looked at", {"all": 0})
+    room = max(document.budget.backed, ELEMENTS_FREE) - looked_at["all"]
+    found = known.get(count, [])[: room // count]
+    looked_at["all"] += count * len(found)
     return found
 
 

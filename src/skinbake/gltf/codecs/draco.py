@@ -131,9 +131,13 @@ def _claims(document: Document) -> dict[int, list[Claim]]:
 def add_former_streams(document: Document, former: Callable[[JsonObject], JsonObject | None]) -> None:
     """Let accessors that no present stream holds be read from the streams that primitives had before an edit.
 
-    former returns a primitive of the document as it was, None where it had no other stream.
+    former returns a primitive of the document as it was, None where it had no other stream. A second call for
+    a document does nothing: every primitive that is restored makes one.
     """
-    claims = _claims(document)
+    claims, known = _claims(document), document.derived["draco"]
+    if "has former" in known:
+        return
+    known["has former"] = True
     for primitive in filter(None, map(former, _primitives(document))):
         for number, claim in _claims_of(primitive):
             claims.setdefault(number, [claim])
