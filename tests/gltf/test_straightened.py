@@ -136,6 +136,22 @@ def test_an_accessor_number_with_a_point_means_the_same(tmp_path: Path) -> None:
     assert read(tmp_path / "back.glb").content == read(path).content
 
 
+def test_an_accessor_that_cannot_be_read_is_not_restored(tmp_path: Path) -> None:
+    path = leaning(SOURCE, tmp_path / "skewed.glb", 10.0, [VERTEX])
+    bake(path, tmp_path / "baked.glb")
+    file = read(tmp_path / "baked.glb")
+    noted = file.primitive(0)["extras"]["skinbake"]["straightened"]
+    del noted["digest"]
+    file.content["accessors"][noted["TANGENT"]]["count"] = 10**6
+    broken = rewritten(file, tmp_path / "broken.glb")
+    result = strip_file(str(broken), str(tmp_path / "stripped.glb"))
+    assert [notice.code for notice in result.notices] == ["tangents-kept", "bytes-left"]
+    kept, now = (
+        read(one).primitive(0)["attributes"]["TANGENT"] for one in (broken, tmp_path / "stripped.glb")
+    )
+    assert now == kept
+
+
 def test_edited_tangents_stay_and_it_is_said(tmp_path: Path) -> None:
     path = leaning(SOURCE, tmp_path / "skewed.glb", 10.0, [VERTEX])
     bake(path, tmp_path / "baked.glb")

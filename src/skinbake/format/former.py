@@ -168,14 +168,16 @@ def former_tangent(
     noted, digest = note.get(STRAIGHTENED), note.get("digest")
     if noted is None:
         return {}
-    if not isinstance(noted, dict) or not isinstance(digest, dict):
+    before = noted.get("digest") if isinstance(noted, dict) else None
+    after = digest.get("TANGENT") if isinstance(digest, dict) else None
+    if before is None or after is None:  # so is the digest of an accessor that cannot be read
         return None
     where = place.at("TANGENT")
     try:
         draco.add_former_streams(document, with_former_stream)
-        count, before = len(document.objects("accessors")), noted.get("digest")
+        count = len(document.objects("accessors"))
         now = index(attributes, "TANGENT", count, where)
-        if now is None or _digest(document, now, where) != digest.get("TANGENT"):
+        if now is None or _digest(document, now, where) != after:
             return None
         former = reference(noted.get("TANGENT"))
         if former is not None and 0 <= former < count and _digest(document, former, where) == before:
