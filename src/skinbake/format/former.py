@@ -153,7 +153,8 @@ def _digest(document: Document, number: int, place: Place) -> str | None:
         stored = read_accessor(document, number, place)
     except InputError:
         return None
-    is_joints = stored.values.dtype.kind == "u" and not stored.normalized
+    kind = stored.values.dtype
+    is_joints = kind.kind == "u" and kind.itemsize <= 2 and not stored.normalized
     values, name = (stored.values, "JOINTS") if is_joints else (stored.decoded(), "WEIGHTS")
     return array_digest(values, INFLUENCE_TYPES[name])
 
