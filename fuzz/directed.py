@@ -88,7 +88,49 @@ def directed_seeds(plain: Model, morphed: Model, draco: Model) -> list[Model]:
             except (KeyError, IndexError, TypeError, AttributeError):
                 continue
             found.append(made)
-    return [*found, _shared(draco), *_streams(draco), _not_finite(morphed), *_twice(plain)]
+    more = [_shared(draco), *_streams(draco), _not_finite(morphed), _never(plain), _two_skins(plain)]
+    return [*found, *more, *_twice(plain), _long_gaps(plain), _matrices(plain)]
+
+
+def _never(model: Model) -> Model:
+    """Return the model with a key of its clip at a time that is no number."""
+    made = model.copied()
+    made.name = "directed-never"
+    accessor = made.json["accessors"][made.json["animations"][0]["samplers"][0]["input"]]
+    view = made.json["bufferViews"][accessor["bufferView"]]
+    start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
+    struct.pack_into("<f", made.binary, start, float("nan"))
+    return made
+
+
+def _two_skins(model: Model) -> Model:
+    """Return the model with a second node and a second skin, which say what the first ones say."""
+    made = model.copied()
+    made.name = "directed-two-skins"
+    made.json["skins"].append(dict(made.json["skins"][0]))
+    made.json["nodes"].append({"mesh": 0, "skin": len(made.json["skins"]) - 1})
+    return made
+
+
+def _long_gaps(model: Model) -> Model:
+    """Return the model with much white space where bake adds attributes."""
+    made, gap = model.copied(), " " * 300
+    made.name = "directed-gaps"
+    attributes = made.json["meshes"][0]["primitives"][0]["attributes"]
+    made.raw["@gaps"] = f'{attributes["POSITION"]},{gap}"_OTHER"{gap}: {attributes["POSITION"]}'
+    attributes["_FIRST"] = "@gaps"
+    return made
+
+
+def _matrices(model: Model) -> Model:
+    """Return the model with a matrix at each vertex, which Draco cannot store."""
+    made = model.copied()
+    made.name = "directed-matrices"
+    attributes, accessors = made.json["meshes"][0]["primitives"][0]["attributes"], made.json["accessors"]
+    count = accessors[attributes["POSITION"]]["count"]
+    attributes["_MATRIX"] = len(accessors)
+    accessors.append({"componentType": 5126, "count": count, "type": "MAT2"})
+    return made
 
 
 def _twice(model: Model) -> list[Model]:

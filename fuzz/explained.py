@@ -373,9 +373,4 @@ EXPLAINED: dict[tuple[str, str, str], str] = {
         "_left_buffer",
         'if isinstance(cause, OSError): -> return _Left(uri, "broken", f"is not packed: {error.message}", "buffer")',
     ): "the file of a buffer is there, and broken: tests/gltf/test_packing.py",
-    (
-        "gltf/animation.py",
-        "_time_fault",
-        'if not np.isfinite(times).all(): -> return "a time of its keys is not a finite number"',
-    ): "no seed of the fuzzer leads there: tests/gltf/test_animation.py",
 }

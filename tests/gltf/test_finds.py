@@ -85,6 +85,12 @@ class TestDraco:
         assert covered == 3 or np.array_equal(read(once).attribute("POSITION")[3], position)
         bake(once, twice)
         assert once.read_bytes() == twice.read_bytes()
+        # With --compress draco it gets another stream, in the first bake and not in the second.
+        for source_of, target in ((source, once), (once, twice)):
+            assert bake(source_of, target, compress="draco").notices == ()
+            assert read(target).content["extensionsUsed"] == ["KHR_draco_mesh_compression"]
+        assert once.read_bytes() == twice.read_bytes()
+        assert not any("sparse" in accessor for accessor in read(once).content["accessors"])
 
     @pytest.mark.slow
     @pytest.mark.parametrize("name", ["_WIDE", "WEIGHTS_1"])

@@ -286,10 +286,11 @@ def _pack(
 def _into_draco(
     recoder: _Recoder, sources: list[PrimitiveSource], compression: Compression
 ) -> Iterator[Notice]:
-    yield from _keep(recoder, sources, compression)
+    anew = {source.place for source in sources if _is_encoded_anew(recoder.document, source)}
+    yield from _keep(recoder, [source for source in sources if source.place not in anew], compression)
     groups: dict[tuple[object, ...], list[PrimitiveSource]] = {}
     for source in sources:
-        if draco.extension_of(source.json) is not None:
+        if draco.extension_of(source.json) is not None and source.place not in anew:
             if compression.bits:
                 message = (
                     "it is already in Draco and is not quantised again: decode it with --compress none first"
@@ -309,6 +310,13 @@ def _into_draco(
             extensions = {**member(source.json, "extensions", source.place), **changes["extensions"]}
             recoder.set_primitive(source.place, {**source.json, **changes, "extensions": extensions})
         recoder.require(draco.EXTENSION)
+
+
+def _is_encoded_anew(document: Document, source: PrimitiveSource) -> bool:
+    """Tell whether a primitive is in Draco, and gets a stream that holds what sparse accessors replace."""
+    if draco.extension_of(source.json) is None or _sparse_inside(document, source) is None:
+        return False
+    return _reason_against_draco(document, source) is None
 
 
 def _reason_against_draco(
