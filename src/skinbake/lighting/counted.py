@@ -15,6 +15,9 @@ BIN_SHIFT = 17
 BINS = 1 << (31 - BIN_SHIFT)
 """The number of bins of errors: 64 to each power of two."""
 
+FINE_BINS = 1 << 10
+"""The number of parts of one bin."""
+
 
 @dataclass(frozen=True, slots=True)
 class CountedErrors:
@@ -39,4 +42,13 @@ class CountedErrors:
 
 def bin_of(values: FloatArray) -> Int32Array:
     """Return the bin of each value: the exponent and the first bits of its float32."""
-    return np.abs(values).astype(np.float32).view(np.int32) >> BIN_SHIFT
+    return _bits_of(values) >> BIN_SHIFT
+
+
+def fine_bin_of(values: FloatArray) -> Int32Array:
+    """Return the part of its bin for each value: the next bits of its float32."""
+    return (_bits_of(values) >> (BIN_SHIFT - 10)) % FINE_BINS
+
+
+def _bits_of(values: FloatArray) -> Int32Array:
+    return np.abs(values).astype(np.float32).view(np.int32)

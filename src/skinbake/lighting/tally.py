@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
 
 import numpy as np
 
 from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray
 from skinbake.lighting import kernel
-from skinbake.lighting.counted import BIN_SHIFT, BINS, CountedErrors, bin_of
+from skinbake.lighting.counted import BIN_SHIFT, BINS, FINE_BINS, CountedErrors, bin_of, fine_bin_of
 
 _SHARES = (0.95, 0.99)
 
@@ -199,16 +198,27 @@ class _Tail:
         in_bins = np.bincount(places, weights, minlength=BINS) if self._bins is None else self._bins
         below = max(0.0, weight - float(in_bins.sum()))
         cumulative = below + np.cumsum(in_bins, dtype=np.float64)
+        found = []
+        for wanted in (share * weight for share in _SHARES):
+            own = min(_place_of(cumulative, wanted), int(places.max()))
+            inside, start = np.flatnonzero(places == own), float(cumulative[own - 1]) if own else below
+            found.append(_in_bin(values[inside], weights[inside], start, wanted))
+        return found
 
-        @cache  # two percentiles may be in one bin
-        def in_order(own: int) -> tuple[FloatArray, Float64Array]:
-            inside = np.flatnonzero(places == own)
-            order = inside[np.argsort(values[inside])]
-            return values[order], (cumulative[own - 1] if own else below) + np.cumsum(weights[order])
 
-        wanted = [share * weight for share in _SHARES]
-        owners = [min(_place_of(cumulative, one), int(places.max())) for one in wanted]
-        return [_at(*in_order(own), one) for own, one in zip(owners, wanted, strict=True)]
+def _in_bin(values: FloatArray, weights: Float64Array, below: float, wanted: float) -> float:
+    """Return the first value of one bin whose sum is at least a weight.
+
+    ``below`` is the weight of the bins below. A bin may hold many values, so only those of one fine bin are
+    sorted.
+    """
+    places = fine_bin_of(values)
+    cumulative = below + np.cumsum(np.bincount(places, weights, minlength=FINE_BINS), dtype=np.float64)
+    own = min(_place_of(cumulative, wanted), int(places.max()))
+    inside = np.flatnonzero(places == own)
+    order = inside[np.argsort(values[inside])]
+    start = float(cumulative[own - 1]) if own else below
+    return _at(values[order], start + np.cumsum(weights[order]), wanted)
 
 
 def _place_of(sums: Float64Array, weight: float) -> int:
