@@ -162,6 +162,24 @@ def test_a_tally_of_blocks_is_exact(seed: int, monkeypatch: pytest.MonkeyPatch) 
     assert summary.undefined == (np.isnan(errors) & counted).sum()
 
 
+@pytest.mark.parametrize("width", [0.003, 0.3, 3.0])
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_percentiles_of_many_errors_that_differ_little_are_exact(width: float, dtype: type) -> None:
+    """Thousands of errors are then in one bin, and hundreds in one of its parts."""
+    rng = np.random.default_rng(5)
+    errors = (4.0 + width * rng.random((50, 2000))).astype(dtype)
+    areas = rng.exponential(1.0, 2000)
+    tally = ErrorTally(50 * float(areas.sum()))
+    for pose in range(0, 50, 10):
+        tally.add(errors[pose : pose + 10], areas, start=(0, pose, 0))
+    summary = tally.summary()
+    assert summary is not None
+    order = np.argsort(errors, axis=None)
+    sums = np.cumsum(np.broadcast_to(areas, errors.shape).ravel()[order])
+    for share, found in ((0.95, summary.p95), (0.99, summary.p99)):
+        assert found == errors.ravel()[order][np.searchsorted(sums, share * sums[-1])]
+
+
 def test_blocks_that_are_counted_early_give_the_same_bits() -> None:
     """As other threads count them: before the errors so far say which ones are needed no more."""
     rng = np.random.default_rng(3)
