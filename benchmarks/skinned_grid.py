@@ -61,10 +61,22 @@ def grid_of(vertices: int, phase: float = 0.0) -> Grid:
 
     Raises ValueError for a number of vertices that no grid has: a prime, or less than 4.
     """
-    for rows in range(math.isqrt(vertices), 1, -1):
+    for rows in range(math.isqrt(max(vertices, 0)), 1, -1):
         if vertices % rows == 0:
             return Grid(rows, vertices // rows, phase)
     raise ValueError(f"there is no grid of {vertices:,} vertices: give a number with divisors")
+
+
+def grid_vertices(text: str) -> int:
+    """Read a number of vertices from a command line: the ``type`` of an argument that makes a grid.
+
+    Raises argparse.ArgumentTypeError if there is no such grid, and ValueError if the text is no number.
+    """
+    vertices = int(text)
+    try:
+        return grid_of(vertices).vertices
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from error
 
 
 def positions(grid: Grid, rows: range) -> Array:
@@ -208,7 +220,7 @@ def _bounds(grid: Grid) -> dict[str, list[float]]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("vertices", type=int)
+    parser.add_argument("vertices", type=grid_vertices)
     parser.add_argument("output", type=Path)
     parser.add_argument("--phase", type=float, default=0.0)
     arguments = parser.parse_args()

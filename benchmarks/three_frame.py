@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.results import processor
-from benchmarks.skinned_grid import grid_of, write_grid
+from benchmarks.skinned_grid import grid_of, grid_vertices, write_grid
 from fixtures.make_fixtures import FOLDER
 from skinbake.commands.bake import Baker
 from tests.support import browser
@@ -55,7 +55,7 @@ def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--rounds", type=int, default=60)
-    parser.add_argument("--vertices", type=int, default=20_000)
+    parser.add_argument("--vertices", type=grid_vertices, default=20_000)
     options = parser.parse_args()
     print(f"{processor()}, {os.cpu_count()} cores; three.js {three_version()}; drawn by SwiftShader")
     with TemporaryDirectory(prefix="skinbake-bench-") as scratch:

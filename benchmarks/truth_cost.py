@@ -19,7 +19,7 @@ from typing import Any
 from unittest.mock import patch
 
 import skinbake
-from benchmarks.skinned_grid import grid_of, write_grid
+from benchmarks.skinned_grid import grid_of, grid_vertices, write_grid
 from skinbake.choices import Method, Truth
 from skinbake.lighting.angles import lighting_errors, truths_at_rest
 
@@ -29,7 +29,7 @@ CHOICES: dict[str, Sequence[Truth]] = {**{str(truth): (truth,) for truth in Trut
 def main() -> None:
     """Print the seconds and their ratios."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("--vertices", type=int, default=34_000)
+    parser.add_argument("--vertices", type=grid_vertices, default=34_000)
     parser.add_argument("--poses", type=int, default=200)
     parser.add_argument("--runs", type=int, default=5)
     options = parser.parse_args()

@@ -21,7 +21,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from benchmarks.skinned_grid import grid_of, write_grid
+from benchmarks.skinned_grid import grid_of, grid_vertices, write_grid
 from skinbake.commands.bake import Baker
 from skinbake.commands.view import view_file
 from tests.support import browser
@@ -181,15 +181,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("model", metavar="MODEL.glb|VERTICES")
+    parser.add_argument("model", type=model_or_vertices, metavar="MODEL.glb|VERTICES")
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--frames", type=int, default=24, help="frames of a round")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        model = Path(options.model)
-        if options.model.isdecimal():
+        model = options.model
+        if isinstance(model, int):
             model = Path(folder, f"grid-{options.model}.glb")
-            write_grid(model, grid_of(int(options.model)))
+            write_grid(model, grid_of(options.model))
         found = measured(model, options.rounds, options.frames)
     busy = os.getloadavg()[0]
     print(f"{model.name}, {SIZE[0]} × {SIZE[1]} pixels, SwiftShader, {os.cpu_count()} cores, load {busy:.1f}")
@@ -197,6 +197,11 @@ def main() -> None:
         print(f"  {page:<14} first frame {first:7.0f} ms    a frame {found['frame'][page]:6.1f} ms")
     ratio = found["frame"]["skinbake view"] / found["frame"]["three.js"]
     print(f"  skinbake view takes {ratio:.2f} × the time of three.js for a frame")
+
+
+def model_or_vertices(text: str) -> Path | int:
+    """Read the argument: the path of a model, or the number of vertices of a grid."""
+    return grid_vertices(text) if text.isdecimal() else Path(text)
 
 
 if __name__ == "__main__":

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pytest
 
-from benchmarks import skinned_grid
+from benchmarks import skinned_grid, three_frame, truth_cost, view_speed
 from benchmarks.skinned_grid import JOINTS, Grid, grid_of, write_grid
 from tests.support import khronos
 from tests.support.gltf_reading import GltfFile, read
@@ -73,10 +75,32 @@ def test_it_is_as_square_as_it_can_be(vertices: int, sides: tuple[int, int]) -> 
     assert grid_of(vertices) == Grid(*sides)
 
 
-@pytest.mark.parametrize("vertices", [1, 3, 10_007])
+@pytest.mark.parametrize("vertices", [-4, 0, 1, 3, 10_007])
 def test_a_prime_makes_no_grid(vertices: int) -> None:
     with pytest.raises(ValueError, match="no grid"):
         grid_of(vertices)
+
+
+@pytest.mark.parametrize(
+    ("script", "arguments"),
+    [
+        (skinned_grid, ["10007", "grid.glb"]),
+        (three_frame, ["--vertices", "10007"]),
+        (truth_cost, ["--vertices", "10007"]),
+        (view_speed, ["10007"]),
+    ],
+)
+def test_scripts_refuse_a_number_that_makes_no_grid(
+    script: ModuleType,
+    arguments: list[str],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["script", *arguments])
+    with pytest.raises(SystemExit) as ended:
+        script.main()
+    assert ended.value.code == 2
+    assert "there is no grid of 10,007 vertices: give a number with divisors" in capsys.readouterr().err
 
 
 def test_a_phase_makes_another_file_of_the_same_size(grid_file: GltfFile, tmp_path: Path) -> None:
