@@ -59,6 +59,29 @@ def test_the_headline_is_the_smaller_gain() -> None:
     assert f"{triangles:.2f}° instead of {by_triangles:.2f}° in the mean, by triangles. It is " in words
 
 
+@pytest.mark.parametrize(("gain", "colour"), [(1.2, "rig"), (0.8, "bad")])
+def test_a_gain_below_one_has_the_colour_of_failures(gain: float, colour: str, tmp_path: Path) -> None:
+    made, scratch = tmp_path / "page.html", tmp_path / "profile"
+    invoke("view", FOLDER / "seam.glb", "-o", made)
+    text, count = re.subn(r'"gain": ?[\d.]+', f'"gain": {gain}', made.read_text(encoding="utf-8"))
+    assert count > 1
+    made.write_text(text, encoding="utf-8")
+    scratch.mkdir()
+    with browser.opened_file(made, scratch) as page:
+        headline, words, found, wanted = page.call(
+            """((name) => {
+                const words = document.getElementById('gain-words');
+                const found = [gain.textContent, words.textContent, getComputedStyle(gain).color];
+                words.style.color = `var(--${name})`;
+                return [...found, getComputedStyle(words).color];
+            })""",
+            colour,
+        )
+    assert headline == f"{gain:.2f}×"
+    assert ("is not nearer" in words) == (gain < 1)
+    assert found == wanted
+
+
 def test_primitives_have_the_figures_of_the_truth_that_counts() -> None:
     with shown(FOLDER / "two_primitives.glb") as page:
         rows, given, words = page.call(

@@ -16,6 +16,7 @@ export function showFigures(byId, given) {
     if (!isMeasured) return;
     if (least) {
         byId.gain.textContent = times(least.gain);
+        byId.gain.classList.toggle('is-loss', least.gain < 1);
         byId['gain-words'].textContent =
             (least.gain < 1
                 ? 'Accurate lighting is not nearer to the true normals of this file than standard lighting: '
