@@ -272,6 +272,21 @@ def test_it_replaces_earlier_pages_only(tmp_path: Path) -> None:
     assert page.read_text() == "<!doctype html>my own page"
 
 
+def test_it_replaces_earlier_pages_of_its_folder_only(tmp_path: Path) -> None:
+    page, own = tmp_path / "all.html", tmp_path / "all" / "0002-seam.html"
+    command = ("verify", TUBE, SEAM, "--html", page)
+    for _ in range(2):
+        assert invoke(*command).exit_code == exit_codes.OK
+    kept = page.read_bytes()
+    own.write_text("<!doctype html>my own page")
+    result = invoke(*command)
+    assert result.exit_code == exit_codes.USAGE
+    told = "".join(result.stderr.split())
+    assert f"--html:{own}existsandwasnotwrittenbyanearlierrun" in told
+    assert own.read_text() == "<!doctype html>my own page"
+    assert page.read_bytes() == kept
+
+
 def test_a_page_that_cannot_be_written_is_said(tmp_path: Path) -> None:
     bake(TUBE, tmp_path / "tube.glb")
     result = invoke("verify", tmp_path / "tube.glb", "--html", tmp_path / "tube.glb" / "report.html")

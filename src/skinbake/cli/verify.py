@@ -27,7 +27,7 @@ from skinbake.cli.limits import limit_options
 from skinbake.cli.many import Clock, Reporting, many_options, notes_of, run_of, state_path, work_through
 from skinbake.cli.names import STDIO
 from skinbake.cli.remote import cluster_option
-from skinbake.cli.targets import check_reports
+from skinbake.cli.targets import check_earlier, check_reports, is_page
 from skinbake.cli.writing import write_report
 from skinbake.errors import ChoiceError, SkinbakeError
 from skinbake.files.bounds import Bounds, Within
@@ -185,6 +185,11 @@ def command(ctx: click.Context, inputs: tuple[str, ...], **given: Unpack[VerifyG
     if given["html"] and any(entry.source == STDIO or is_url(entry.source) for entry in found):
         raise click.UsageError("--html needs files on this machine's disks, because it reads them again")
     check_reports(reports, None, (entry.source for entry in found))
+    if given["html"] and len(found) > 1:
+        from skinbake.view.index import pages
+
+        for page in pages(given["html"], [entry.source for entry in found]):
+            check_earlier(str(page), is_page, "--html: ")
     say = console(given)
     from skinbake.jobs.verify import MODULES, SECONDS_A_BYTE, SECONDS_A_FILE, Verify
     from skinbake.jobs.work import Job

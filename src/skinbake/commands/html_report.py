@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import os
-import re
 from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path, PurePath
 from urllib.parse import quote
 
 from skinbake.commands.render import small_picture
@@ -16,10 +13,7 @@ from skinbake.gltf.document import Document, read_document
 from skinbake.lighting.measured import VerifyOptions
 from skinbake.report.totals import first_problem
 from skinbake.report.verify import FileVerdict, by_worse_truth, gain
-from skinbake.view.index import Listed, index
-
-UNSAFE = re.compile("[^A-Za-z0-9._-]+")
-"""The characters of a file's name that its page's name does not have."""
+from skinbake.view.index import Listed, index, pages
 
 
 def _page(document: Document, verdict: FileVerdict, options: VerifyOptions) -> bytes:
@@ -47,18 +41,14 @@ def write_report(
         document = read_document(source, bounds(source))
         write_file([_page(document, verdicts[0], options[source])], target, sync=sync)
         return
-    folder = Path(os.path.realpath(target)).with_suffix("")
-    if folder.suffix or folder == Path(os.path.realpath(target)):
-        folder = folder.with_name(f"{folder.name}-pages")
     listed = []
-    for number, verdict in enumerate(verdicts, 1):
+    for verdict, path in zip(verdicts, pages(target, [one.input for one in verdicts]), strict=True):
         link = picture = None
         if verdict.error is None and not verdict.up_to_date:
-            name = f"{number:04}-{UNSAFE.sub('_', PurePath(verdict.input).stem)[:80]}.html"
             document = read_document(verdict.input, bounds(verdict.input))
             page, picture = _page(document, verdict, options[verdict.input]), small_picture(document)
-            write_files(folder, {folder / name: [page]}, str(folder / name), sync=sync)
-            link = f"{quote(folder.name)}/{name}"
+            write_files(path.parent, {path: [page]}, str(path), sync=sync)
+            link = f"{quote(path.parent.name)}/{path.name}"
         listed.append(_listed(verdict, link, picture))
     limits = [limits_in_words(options[verdict.input]) for verdict in verdicts]
     write_file([index(listed, _limits_of_all(limits))], target, sync=sync)

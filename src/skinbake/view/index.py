@@ -5,14 +5,20 @@ from __future__ import annotations
 import base64
 import html
 import math
+import os
+import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path, PurePath
 
 from skinbake.errors import printable
 from skinbake.version import __version__
 from skinbake.view.sources import filled_index
 from skinbake.wording import counted
+
+UNSAFE = re.compile("[^A-Za-z0-9._-]+")
+"""The characters of a file's name that its page's name does not have."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -32,6 +38,16 @@ class Listed:
     standard: float | None = None
     accurate: float | None = None
     gain: float | None = None
+
+
+def pages(target: str, inputs: Sequence[str]) -> list[Path]:
+    """Return the paths of the pages of several inputs: in a folder beside their index, ``target``."""
+    real = Path(os.path.realpath(target))
+    folder = real.with_suffix("")
+    if folder.suffix or folder == real:
+        folder = folder.with_name(f"{folder.name}-pages")
+    names = (UNSAFE.sub("_", PurePath(source).stem)[:80] for source in inputs)
+    return [folder / f"{number:04}-{name}.html" for number, name in enumerate(names, 1)]
 
 
 def index(files: Sequence[Listed], limits: str) -> bytes:
