@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import fcntl
-import importlib.util
+import importlib
 import json
 import os
 import shutil
@@ -37,12 +37,9 @@ class Session:
 
 def addon_module(name: str) -> ModuleType:
     """Import a module of the add-on that needs no Blender."""
-    spec = importlib.util.spec_from_file_location(f"skinbake_addon_{name}", ADDON / f"{name}.py")
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
+    package = sys.modules.setdefault("skinbake_addon", ModuleType("skinbake_addon"))
+    package.__path__ = [str(ADDON)]  # so that its __init__.py, which needs Blender, is not run
+    return importlib.import_module(f"skinbake_addon.{name}")
 
 
 def require_blender() -> Path:

@@ -139,6 +139,83 @@ def test_a_refused_option_keeps_the_export(tmp_path: Path) -> None:
     assert (tmp_path / "bent_tube.glb").read_bytes() == (FOLDER / "bent_tube.glb").read_bytes()
 
 
+def test_options_have_the_names_of_the_panel(tmp_path: Path) -> None:
+    outcome = baked("bent_tube.glb", tmp_path, layout="texcoord", encoding="packed8")
+    assert '"Layout: UV sets" needs "Encoding: 32-bit floats", not packed8' in outcome.lines[0].text
+    for name, (label, items) in options.CHOICES.items():
+        for value, shown, *_ in items:
+            option = f"--{name.replace('_', '-')} {value}"
+            assert baking._in_panel_words(f"try {option}.") == f'try "{label}: {shown}".'
+    assert baking._in_panel_words("with --crease-angle 180: so") == 'with "Crease angle: 180°": so'
+    assert baking._in_panel_words("--fit-poses random:60") == "--fit-poses random:60"
+
+
+def test_a_skipped_mesh_says_what_to_do_in_blender(tmp_path: Path) -> None:
+    outcome = baked("bent_tube.glb", tmp_path, frame="tangent")
+    assert [line.text for line in outcome.lines][1:] == [
+        'mesh "tube", primitive 0: skipped: it has no TANGENT; turn on Data > Mesh > Tangents in the exporter'
+    ]
+
+
+def test_bake_and_verify_say_the_same_once(tmp_path: Path) -> None:
+    file = Editable(FOLDER / "bent_tube.glb")
+    file.array("NORMAL")[:] *= -1
+    outcome = baking.bake_export(str(file.write(tmp_path / "inside.glb")), {}, measure=True)
+    warnings = [line.text for line in outcome.lines if line.level == "WARNING"]
+    assert len(warnings) == 1
+    assert warnings[0].endswith(
+        "Normals and triangles face opposite ways: turn the one or the other. In Blender: if the scale of "
+        "the mesh or of its armature is negative or uneven, select both and choose Object > Apply > Scale"
+    )
+
+
+@pytest.mark.parametrize(
+    ("losses", "said"),
+    [
+        ([{}], None),
+        (
+            [{"lost_gradient": 0.2}, {"gradient": 3.0}],
+            'joints of neighbours left out: 5.0 % of the gradient; try "Bones of neighbours: Extend"',
+        ),
+        (
+            [{"lost_gradient": 0.06, "extended": {"influences": 8}}],
+            "joints of neighbours left out: 6.0 % of the gradient",
+        ),
+        (
+            [{"lost_gradient": 0.125, "limited": {"influences": 4}}],
+            "joints of neighbours left out: 12.5 % of the gradient; try a larger limit of influences",
+        ),
+    ],
+)
+def test_a_large_loss_is_said_with_what_helps(losses: list[dict[str, Any]], said: str | None) -> None:
+    plain = {"gradient": 1.0, "lost_gradient": 0.0, "limited": None, "extended": None}
+    assert list(baking._loss([plain | loss for loss in losses])) == ([said] if said else [])
+
+
+def test_a_loss_of_a_real_bake_is_said(tmp_path: Path) -> None:
+    outcome = baked("foreign_joints.glb", tmp_path, neighbours="drop")
+    assert outcome.lines[0].text.endswith(
+        '; joints of neighbours left out: 42.3 % of the gradient; try "Bones of neighbours: Extend"'
+    )
+
+
+@pytest.mark.parametrize(("gain", "is_said"), [(1.19, True), (1.2, False)])
+def test_a_small_gain_says_to_turn_the_bake_off(
+    gain: float, is_said: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def measured(*paths: Any, **chosen: Any) -> dict[str, Any]:
+        verdict = usual(*paths, **chosen)
+        verdict["normals"]["lbs"]["gain"] = gain
+        return verdict
+
+    usual = skinbake.verify
+    monkeypatch.setattr(skinbake, "verify", measured)
+    outcome = baked("bent_tube.glb", tmp_path, measure=True)
+    assert outcome.gain == gain
+    text = "little to win: the gain is under 1.2. Turn off the bake for this file"
+    assert (baking.Line("INFO", text) in outcome.lines) == is_said
+
+
 def test_a_failure_names_the_mesh(tmp_path: Path) -> None:
     file = Editable(FOLDER / "bent_tube.glb")
     file.array("POSITION")[5, 1] = np.nan

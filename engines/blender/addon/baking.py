@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import math
+import re
 import traceback
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
+
+from .options import CHOICES, CREASE_LABEL
 
 Level = Literal["INFO", "WARNING", "ERROR"]
 """The levels of Blender's reports."""
@@ -25,11 +28,27 @@ NOTHING_SKINNED = (
     "nothing is skinned. To bake a character, turn on Data > Skinning, and export its mesh with its armature"
 )
 HINTS = {
-    "no-normals": "turn on Data > Mesh > Normals in the exporter",
-    "no-tangents": "turn on Data > Mesh > Tangents in the exporter",
-    "no-skin": "turn on Data > Skinning in the exporter, and export the armature too",
+    "no-normals": "; turn on Data > Mesh > Normals in the exporter",
+    "no-tangents": "; turn on Data > Mesh > Tangents in the exporter",
+    "no-skin": (
+        "; turn on Data > Skinning in the exporter, export the armature too, and give the mesh vertex groups "
+        "with the names of bones"
+    ),
+    "normals-off-surface": (
+        ". In Blender: if the scale of the mesh or of its armature is negative or uneven, select both and "
+        "choose Object > Apply > Scale"
+    ),
 }
-"""By the code of a notice of skinbake: what to do in Blender."""
+"""By the code of a notice of skinbake: what to do in Blender, instead of its words after ``; ``."""
+
+OPTION = re.compile(r"--([a-z-]+) ([a-z0-9]+)")
+"""An option of the command line and its value, as skinbake names them in its messages."""
+
+BAD_LOSS = 0.05
+"""The share of the gradient left out from which ``skinbake bake`` advises another option."""
+
+LITTLE = 1.2
+"""The gain under which ``skinbake verify`` advises to leave a file unbaked."""
 
 SHOWN = 0.005
 """A mean error in degrees below this value is shown as 0.00°."""
@@ -68,7 +87,8 @@ def bake_export(path: str, options: Mapping[str, Any], *, measure: bool) -> Outc
         result = skinbake.bake(path, path, **options)
     except skinbake.SkinbakeError as error:
         place = error.place.within_file if error.place else ""
-        return _failed(path, f"{place}: {error.message}" if place else error.message)
+        message = _in_panel_words(error.message)
+        return _failed(path, f"{place}: {message}" if place else message)
     except Exception as error:  # a defect of skinbake must not cost the export
         traceback.print_exc()
         return _failed(path, f"{type(error).__name__}: {error}")
@@ -79,7 +99,8 @@ def bake_export(path: str, options: Mapping[str, Any], *, measure: bool) -> Outc
     if not measure:
         return Outcome(path, "baked", lines)
     measured, gain = _measured(path)
-    return Outcome(path, "baked", (*lines, *measured), gain)
+    # Bake and verify say some things alike.
+    return Outcome(path, "baked", tuple(dict.fromkeys((*lines, *measured))), gain)
 
 
 def _failed(path: str, reason: str) -> Outcome:
@@ -99,7 +120,7 @@ def _baked(result: Mapping[str, Any]) -> str:
     vertices = sum(primitive["vertices"] for primitive in primitives)
     added = sum(primitive["added_bytes"] for primitive in primitives)
     count = "1 primitive" if len(primitives) == 1 else f"{len(primitives)} primitives"
-    costs = [*_encoding_cost(result["encoding"]), *_limit_cost(primitives)]
+    costs = [*_encoding_cost(result["encoding"]), *_limit_cost(primitives), *_loss(primitives)]
     return "; ".join([f"baked: {count}, {vertices:,} vertices, {added:,} bytes added", *costs])
 
 
@@ -113,6 +134,21 @@ def _limit_cost(primitives: Iterable[Mapping[str, Any]]) -> Iterator[str]:
     if limits:
         vertices, worst = sum(limit["vertices"] for limit in limits), max(m["normals"]["max"] for m in limits)
         yield f"{vertices:,} vertices lost influences, and normals turn by at most {worst:.2f}°"
+
+
+def _loss(primitives: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    """Yield which share of the gradient is left out, if it is large, and what helps."""
+    whole = sum(primitive["gradient"] for primitive in primitives)
+    lost = sum(primitive["lost_gradient"] * primitive["gradient"] for primitive in primitives)
+    if lost < BAD_LOSS * whole or not lost:
+        return
+    remedy = "; try --neighbours extend"
+    if any(primitive["limited"] for primitive in primitives):
+        remedy = "; try a larger limit of influences"
+    elif any(primitive["extended"] for primitive in primitives):
+        remedy = ""
+    share = f"{lost / whole:.1%}".replace("%", " %")
+    yield _in_panel_words(f"joints of neighbours left out: {share} of the gradient{remedy}")
 
 
 def _measured(path: str) -> tuple[tuple[Line, ...], float | None]:
@@ -131,6 +167,10 @@ def _measured(path: str) -> tuple[tuple[Line, ...], float | None]:
         for problem in check["problems"]
     )
     lines, gain = _figures(verdict)
+    is_advised = any(notice["code"] == "lighting-worse" for notice in verdict["warnings"])
+    if gain is not None and round(gain, 2) < LITTLE and not problems and not is_advised:
+        text = f"little to win: the gain is under {LITTLE}. Turn off the bake for this file"
+        lines = (*lines, Line("INFO", text))
     return (*problems, *lines, *_warnings(verdict["warnings"])), gain
 
 
@@ -154,7 +194,7 @@ def _warnings(notices: Iterable[Mapping[str, Any]]) -> tuple[Line, ...]:
 
 
 def _said(notice: Mapping[str, Any]) -> str:
-    """Return a notice of skinbake with its place, such as ``mesh "Body", primitive 0: …``, and a hint."""
+    """Return a notice of skinbake with its place, such as ``mesh "Body", primitive 0: …``, and its hint."""
     place = []
     if (mesh := notice.get("mesh_name") or notice.get("mesh")) is not None:
         place.append(f'mesh "{mesh}"')
@@ -162,5 +202,21 @@ def _said(notice: Mapping[str, Any]) -> str:
         place.append(f"primitive {notice['primitive']}")
     if "attribute" in notice:
         place.append(notice["attribute"])
-    parts = [", ".join(place), notice["message"], HINTS.get(notice["code"], "")]
-    return ": ".join(filter(None, parts))
+    message = _in_panel_words(notice["message"])
+    if hint := HINTS.get(notice["code"]):
+        message = message.partition("; ")[0] + hint
+    return ": ".join(filter(None, (", ".join(place), message)))
+
+
+def _in_panel_words(text: str) -> str:
+    """Return a sentence of skinbake with the names that the panel gives to options and their values."""
+    return OPTION.sub(_in_panel, text)
+
+
+def _in_panel(option: re.Match[str]) -> str:
+    name, value = option[1].replace("-", "_"), option[2]
+    if name == "crease_angle":
+        return f'"{CREASE_LABEL}: {value}°"'
+    label, items = CHOICES.get(name, ("", ()))
+    shown = {item[0]: item[1] for item in items}.get(value)
+    return f'"{label}: {shown}"' if shown else option[0]

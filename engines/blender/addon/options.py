@@ -76,3 +76,6 @@ CHOICES: dict[str, tuple[str, tuple[Item, ...]]] = {
 
 CREASE_ANGLE = 15.0
 """The default of the crease angle, in degrees."""
+
+CREASE_LABEL = "Crease angle"
+"""The name of the crease angle, which is a number."""

@@ -7,7 +7,7 @@ import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, PointerProperty, StringProperty
 
 from .baking import Outcome
-from .options import CHOICES, CREASE_ANGLE
+from .options import CHOICES, CREASE_ANGLE, CREASE_LABEL
 
 
 def _choice(name: str) -> Any:
@@ -35,7 +35,7 @@ class BakeSettings(bpy.types.PropertyGroup):
     neighbours: _choice("neighbours")
     weld: _choice("weld")
     crease_angle: FloatProperty(
-        name="Crease angle",
+        name=CREASE_LABEL,
         description="A larger angle between normals is a hard edge",
         subtype="ANGLE",
         min=0.0,
