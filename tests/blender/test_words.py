@@ -135,7 +135,7 @@ def test_an_exact_correction_has_errors_and_no_gain() -> None:
 def test_a_refused_option_keeps_the_export(tmp_path: Path) -> None:
     outcome = baked("bent_tube.glb", tmp_path, limit_influences=3)
     assert (outcome.status, [line.level for line in outcome.lines]) == ("failed", ["ERROR"])
-    assert outcome.lines[0].text.startswith("bent_tube.glb: the plain export was kept: --limit-influences 3")
+    assert outcome.lines[0].text.startswith('bent_tube.glb: the plain export was kept: "Influences" 3: ')
     assert (tmp_path / "bent_tube.glb").read_bytes() == (FOLDER / "bent_tube.glb").read_bytes()
 
 
@@ -148,6 +148,10 @@ def test_options_have_the_names_of_the_panel(tmp_path: Path) -> None:
             assert baking._in_panel_words(f"try {option}.") == f'try "{label}: {shown}".'
     assert baking._in_panel_words("with --crease-angle 180: so") == 'with "Crease angle: 180°": so'
     assert baking._in_panel_words("--fit-poses random:60") == "--fit-poses random:60"
+    outcome = baked("bent_tube.glb", tmp_path, neighbours="extend", limit_influences=4)
+    assert outcome.lines[0].text.endswith(
+        'kept: "Influences" contradicts "Bones of neighbours: Extend", which adds influences'
+    )
 
 
 def test_a_skipped_mesh_says_what_to_do_in_blender(tmp_path: Path) -> None:

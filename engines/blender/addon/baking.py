@@ -41,8 +41,8 @@ HINTS = {
 }
 """By the code of a notice of skinbake: what to do in Blender, instead of its words after ``; ``."""
 
-OPTION = re.compile(r"--([a-z-]+) ([a-z0-9]+)")
-"""An option of the command line and its value, as skinbake names them in its messages."""
+OPTION = re.compile(r"--([a-z-]+)(?: ([a-z0-9]+))?")
+"""An option of the command line and the next word, in messages of skinbake: its value, or another word."""
 
 BAD_LOSS = 0.05
 """The share of the gradient left out from which ``skinbake bake`` advises another option."""
@@ -214,9 +214,11 @@ def _in_panel_words(text: str) -> str:
 
 
 def _in_panel(option: re.Match[str]) -> str:
-    name, value = option[1].replace("-", "_"), option[2]
-    if name == "crease_angle":
-        return f'"{CREASE_LABEL}: {value}°"'
-    label, items = CHOICES.get(name, ("", ()))
-    shown = {item[0]: item[1] for item in items}.get(value)
-    return f'"{label}: {shown}"' if shown else option[0]
+    name, word = option[1].replace("-", "_"), option[2] or ""
+    if name == "crease_angle" and word.isdecimal():
+        return f'"{CREASE_LABEL}: {word}°"'
+    if name not in CHOICES:
+        return option[0]
+    label, items = CHOICES[name]
+    shown = {item[0]: item[1] for item in items}.get(word)
+    return f'"{label}: {shown}"' if shown else f'"{label}" {word}'.rstrip()
