@@ -45,7 +45,8 @@ MACHINES = {"x86_64": "x64", "amd64": "x64", "aarch64": "arm64"}
 
 def build(folder: Path, python: str, wheels: Path) -> Path:
     """Write the zip into a folder, with the libraries whose wheels lie in another one. Return its path."""
-    contents = addon_files() | {f"wheels/{path.name}": path.read_bytes() for path in _library_wheels(wheels)}
+    libraries = _library_wheels(wheels, python)
+    contents = addon_files() | {f"wheels/{path.name}": path.read_bytes() for path in libraries}
     name, wheel = skinbake_wheel()
     contents[f"wheels/{name}"] = wheel
     contents["blender_manifest.toml"] = _manifest(python, [key for key in contents if key.endswith(".whl")])
@@ -117,17 +118,25 @@ def _record(contents: Mapping[str, bytes], itself: str) -> str:
     return "".join([*lines, f"{itself},,\n"])
 
 
-def _library_wheels(folder: Path) -> list[Path]:
-    """Return one wheel of each library. Raises ValueError where there is none, or a choice."""
+def _library_wheels(folder: Path, python: str) -> list[Path]:
+    """Return one wheel of each library for a Python. Raises ValueError where there is none, or a choice."""
     found = []
+    fitting = _fitting(folder, python)
     for library in LIBRARIES:
-        wheels = [
-            path for path in folder.glob("*.whl") if path.name.lower().startswith(f"{library.lower()}-")
-        ]
+        wheels = [path for path in fitting if path.name.lower().startswith(f"{library.lower()}-")]
         if len(wheels) != 1:
-            raise ValueError(f"{folder}: expected one wheel of {library}, found {len(wheels)}")
+            raise ValueError(
+                f"{folder}: expected one wheel of {library} for Python {python}, found {len(wheels)}"
+            )
         found += wheels
     return found
+
+
+def _fitting(folder: Path, python: str) -> list[Path]:
+    """Return the wheels in a folder that fit a version of Python, by the tags in their names."""
+    tag = f"cp{python.replace('.', '')}"
+    wheels = [(path, path.stem.split("-")) for path in folder.glob("*.whl")]
+    return [path for path, parts in wheels if tag in parts[-3].split(".") or parts[-2] in {"abi3", "none"}]
 
 
 def _manifest(python: str, wheels: Iterable[str]) -> bytes:
@@ -163,7 +172,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     given = parser.parse_args(arguments)
     with tempfile.TemporaryDirectory() as temporary:
         wheels = given.wheels or Path(temporary)
-        if not any(wheels.glob("*.whl")):
+        if not _fitting(wheels, given.python):
             download(wheels, given.python)
         try:
             target = build(given.out_dir, given.python, wheels)

@@ -233,11 +233,12 @@ def test_a_failure_names_the_mesh(tmp_path: Path) -> None:
 
 @pytest.fixture
 def wheels(tmp_path: Path) -> Path:
-    """Return a folder with a file for each library: a build looks at names alone."""
+    """Return a folder with two files for each library: a build looks at names alone."""
     folder = tmp_path / "wheels"
     folder.mkdir()
     for library in build.LIBRARIES:
-        (folder / f"{library.lower()}-1.0-cp311-cp311-any.whl").write_bytes(library.encode())
+        for tag in ("cp311", "cp313"):
+            (folder / f"{library.lower()}-1.0-{tag}-{tag}-any.whl").write_bytes(library.encode())
     return folder
 
 
@@ -259,6 +260,8 @@ def test_the_zip_says_what_it_fits(
     assert manifest["platforms"] == [build.system()]
     assert {name.removeprefix("./") for name in manifest["wheels"]} <= names
     assert len(manifest["wheels"]) == len(build.LIBRARIES) + 1
+    tags = {name.split("-")[2] for name in manifest["wheels"] if "skinbake" not in name}
+    assert tags == {f"cp{python.replace('.', '')}"}
     assert manifest["permissions"]["files"]
     assert {"__init__.py", "baking.py", "options.py", "panel.py", "settings.py", "LICENSE"} <= names
 
@@ -283,6 +286,7 @@ def test_a_missing_or_doubtful_library_is_refused(tmp_path: Path, wheels: Path, 
         path.unlink()
     for number in range(count):
         (wheels / f"scipy-1.{number}-cp311-cp311-any.whl").touch()
-    with pytest.raises(ValueError, match=f"expected one wheel of scipy, found {count}"):
+    (wheels / "scipy-1.9-cp313-cp313-any.whl").touch()
+    with pytest.raises(ValueError, match=f"expected one wheel of scipy for Python 3.11, found {count}"):
         build.build(tmp_path, "3.11", wheels)
     assert not list(tmp_path.glob("*.zip"))
