@@ -162,7 +162,7 @@ def _choices_of_file(
     if request.morphs is None:
         choices = replace(choices, morphs=Morphs(carrier(serving)))
     choices = _with_joints(document, serving, choices)
-    others += [notice for view in serving for notice in _unlike_one(view)]
+    others += [notice for view in serving for notice in weight_sum_notices(view.now, view.source.place)]
     served = {view.source.place for view in serving}
     return choices, [*others, *(_not_for(view, request) for view in views if view.source.place not in served)]
 
@@ -225,11 +225,6 @@ def _views(document: Document) -> list[BakedView]:
             raise InputError(problem.message, problem.place)
     refuse_stale(document, views)
     return views
-
-
-def _unlike_one(view: BakedView) -> list[Notice]:
-    """Return a notice if weights do not sum to 1."""
-    return weight_sum_notices(view.now, view.source.place)
 
 
 def _serves(view: BakedView, request: ShaderRequest) -> bool:
