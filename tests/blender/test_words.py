@@ -161,6 +161,17 @@ def test_a_skipped_mesh_says_what_to_do_in_blender(tmp_path: Path) -> None:
     ]
 
 
+def test_meshes_of_one_name_are_named_once() -> None:
+    notice = {
+        "code": "no-normals",
+        "message": "skipped: it has no NORMAL",
+        "mesh_name": "Body",
+        "primitive": 0,
+    }
+    lines = baking._warnings([{**notice, "mesh": 0}, {**notice, "mesh": 1}])
+    assert [line.text.partition(":")[0] for line in lines] == ['mesh "Body", primitive 0']
+
+
 def test_bake_and_verify_say_the_same_once(tmp_path: Path) -> None:
     file = Editable(FOLDER / "bent_tube.glb")
     file.array("NORMAL")[:] *= -1

@@ -190,7 +190,8 @@ def _figures(verdict: Mapping[str, Any]) -> tuple[tuple[Line, ...], float | None
 
 
 def _warnings(notices: Iterable[Mapping[str, Any]]) -> tuple[Line, ...]:
-    return tuple(Line("WARNING", _said(notice)) for notice in notices if notice["code"] != "nothing-baked")
+    lines = (Line("WARNING", _said(notice)) for notice in notices if notice["code"] != "nothing-baked")
+    return tuple(dict.fromkeys(lines))  # the exporter writes one mesh several times, by one name
 
 
 def _said(notice: Mapping[str, Any]) -> str:
