@@ -20,6 +20,7 @@ from skinbake.geometry.skinned import SkinnedPrimitive
 from skinbake.gltf.document import read_document
 from skinbake.gltf.primitives import read_primitive, skinned_sources
 from skinbake.gradients.normal_lean import VERTICES, lean_notices, normal_lean
+from skinbake.gradients.normals import with_smooth_normals
 from skinbake.lighting.measured import VerifyOptions
 from skinbake.lighting.poses import PoseRequest
 from tests.support import corpus
@@ -114,6 +115,17 @@ def test_a_cube_is_sound_hard_or_smooth(normals: str) -> None:
     """Smooth normals lean 54.7° from their own side, and not from the three that meet."""
     assert lean_notices(cube(normals), HERE) == []
     assert len(lean_notices(turned(cube(normals), 180.0), HERE)) == 1
+
+
+def test_generated_normals_are_sound() -> None:
+    """At vertex 0 the tall triangle has the larger angle, and the short one the larger weight after Max."""
+    points = np.array([[0, 0, 0], [0, 10, 0], [0, 0, 10], [1, 0, 0], [0.87, 0.5, 0]], dtype=np.float64)
+    joints, weights = np.zeros((5, 4), np.uint8), np.tile([1.0, 0.0, 0.0, 0.0], (5, 1))
+    bare = SkinnedPrimitive(points, points[:0], None, joints, weights, np.array([[0, 1, 2], [0, 3, 4]]))
+    [generated] = with_smooth_normals([bare])
+    assert generated.normals[0, 2] > 0.99
+    assert lean_notices(generated, HERE) == []
+    assert len(lean_notices(turned(generated, 100.0), HERE)) == 1
 
 
 def test_normals_without_a_direction_are_another_notice() -> None:

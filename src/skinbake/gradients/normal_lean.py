@@ -6,6 +6,7 @@ wrongly in every pose. A figure that is measured against that normal does not sh
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -56,10 +57,11 @@ class NormalLean(NamedTuple):
 def normal_lean(primitive: SkinnedPrimitive) -> NormalLean:
     """Return how NORMAL (V, 3) of a primitive fits its triangles.
 
-    A normal is far if it leans over FAR from two planes. One is the mean plane of the vertex's own triangles,
-    weighted by angle. The other is the mean plane of all triangles at the vertex's position: hard edges and
-    seams have copies of a vertex, smooth ones share a normal. Vertices without an area or a normal are not
-    sampled.
+    A normal is far if it leans over FAR from three directions. The first is the mean plane of the vertex's
+    own triangles, weighted by angle. The second is the mean plane of all triangles at the vertex's position:
+    hard edges and seams have copies of a vertex, smooth ones share a normal. The third is the normal that
+    ``--generate-normals`` makes, which weights triangles in another way. Vertices without an area or a normal
+    are not sampled.
     """
     if not _is_doubtful(primitive):
         return NormalLean(0, 0, 0.0, 0.0)
@@ -71,7 +73,8 @@ def normal_lean(primitive: SkinnedPrimitive) -> NormalLean:
     suspects = leans > FAR
     if np.count_nonzero(suspects) > MOST * len(rows):
         shared = _leans(primitive, rows[suspects], kernel.label_equal_rows(primitive.positions))
-        leans[suspects] = np.fmin(leans[suspects], shared)
+        generated = _leans_from_generated(primitive, rows[suspects])
+        leans[suspects] = np.fmin(np.fmin(leans[suspects], shared), generated)
     far = leans[leans > FAR]
     middle = float(np.median(far)) if len(far) else 0.0
     return NormalLean(len(far), len(rows), middle, float(step))
@@ -144,7 +147,15 @@ def _leans(primitive: SkinnedPrimitive, rows: IntArray, labels: IntArray | None)
     planes = np.zeros((int(numbers.max(initial=0)) + 1, 3))
     for axis in range(3):
         planes[:, axis] = np.bincount(corners.T.ravel(), (shares * cross[:, axis]).ravel(), len(planes))
-    return np.asarray(np.degrees(np.arccos(_cosines(planes[numbers[own]], primitive.normals[rows]))))
+    return _degrees(planes[numbers[own]], primitive.normals[rows])
+
+
+def _leans_from_generated(primitive: SkinnedPrimitive, rows: IntArray) -> Float64Array:
+    """Return the degrees by which the normals of some vertices (N,) lean from generated ones (N,)."""
+    from skinbake.gradients.normals import with_smooth_normals  # few models need it
+
+    [generated] = with_smooth_normals([replace(primitive, normals=primitive.normals[:0])])
+    return _degrees(generated.normals[rows].astype(np.float64), primitive.normals[rows])
 
 
 def _sides(primitive: SkinnedPrimitive, triangles: IntArray) -> Float64Array:
@@ -158,6 +169,11 @@ def _cross(sides: Float64Array) -> Float64Array:
     x, y, z = sides[0].T
     u, v, w = sides[1].T
     return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], axis=1)
+
+
+def _degrees(planes: Float64Array, normals: FloatArray) -> Float64Array:
+    """Return the angle between vectors (N, 3) in degrees, NaN if one of them has no direction."""
+    return np.asarray(np.degrees(np.arccos(_cosines(planes, normals))))
 
 
 def _cosines(planes: Float64Array, normals: FloatArray) -> Float64Array:
