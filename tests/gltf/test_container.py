@@ -390,6 +390,21 @@ class TestAnotherFolder:
         assert (notice.code, notice.count) == ("file-missing", 1)
         assert "gone.png" in notice.message
 
+    def test_uris_that_name_no_file_are_counted_and_the_first_is_told(self, tmp_path: Path) -> None:
+        source = with_image(tmp_path / "in", "/one.png", None)
+        (tmp_path / "out").mkdir()
+        [alone] = bake(source, tmp_path / "out" / "one.gltf").notices
+        assert alone.message == (
+            '1 URI names no file beside it, and stays as it is: "/one.png": it is an absolute path'
+        )
+        model = read(source)
+        model.content["images"].append({"uri": "/two.png"})
+        [both] = bake(rewritten(model, source), tmp_path / "out" / "two.gltf").notices
+        assert both.message == (
+            "2 URIs name no file beside it, and stay as they are. The first is "
+            '"/one.png": it is an absolute path'
+        )
+
     @pytest.mark.parametrize(
         "uri", ["x" * 300 + ".png", "%00.png", "nul\0.png", "\ud800.png", "folder", "%2Fetc/x"]
     )

@@ -27,6 +27,7 @@ from skinbake.gltf.additions import content_digest
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject
 from skinbake.gltf.resources import FileContent, find, is_data_uri, listed, outside, shortened
+from skinbake.wording import one_or_many
 
 
 class NamedFile(NamedTuple):
@@ -192,8 +193,12 @@ class Beside:
             found.append(Notice("image-outside", message, place, count))
         if unopened := [(uri, why) for uri, why in self._refused if uri not in told]:
             count, (uri, why) = len(unopened), unopened[0]
-            names = "1 URI names" if count == 1 else f"{count} URIs name"
-            message = f'{names} no file beside it, and stays as it is: "{shortened(uri)}": {why}'
+            names = one_or_many(
+                count,
+                "1 URI names no file beside it, and stays as it is:",
+                "{} URIs name no file beside it, and stay as they are. The first is",
+            )
+            message = f'{names} "{shortened(uri)}": {why}'
             found.append(Notice("uri-refused", message, place, count))
         return found
 
