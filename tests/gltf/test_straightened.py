@@ -85,12 +85,22 @@ def test_one_vertex_is_straightened_and_the_frame_stays(degrees: float, tmp_path
 
 
 @pytest.mark.parametrize(
-    "tangent",
-    [[0, 0, 0, 1], [1, 0, 0, 0], [np.nan, 0, 0, 1], [1, 0, 0, np.inf], [3e38, 3e38, 3e38, -1]],
+    ("tangent", "fault"),
+    [
+        ([0, 0, 0, 1], "TANGENT has no direction"),
+        ([1, 0, 0, 0], "w of TANGENT is neither 1 nor −1"),
+        ([np.nan, 0, 0, 1], "TANGENT has no direction"),
+        ([1, 0, 0, np.inf], "w of TANGENT is neither 1 nor −1"),
+        ([3e38, 3e38, 3e38, -1], "TANGENT is not orthogonal to NORMAL"),
+    ],
 )
-def test_a_tangent_without_a_meaning_becomes_a_sound_one(tangent: list[float], tmp_path: Path) -> None:
+def test_a_tangent_without_a_meaning_becomes_a_sound_one(
+    tangent: list[float], fault: str, tmp_path: Path
+) -> None:
     path = with_tangents(SOURCE, tmp_path / "odd.glb", {VERTEX: np.array(tangent)})
-    assert straightening(bake(path, tmp_path / "baked.glb"))
+    ((count, message),) = straightening(bake(path, tmp_path / "baked.glb"))
+    assert count == 1
+    assert message.startswith(f"at vertex {VERTEX} {fault}")
     after = read(tmp_path / "baked.glb")
     normals = frames.unit_normals(np.asarray(after.attribute("NORMAL")))
     assert frames.tangent_deviation(normals, tangents_of(after)).max() < 0.1
@@ -235,6 +245,24 @@ def test_tangents_that_lean_and_those_without_a_handedness_are_counted_apart(tmp
         "of TANGENT is neither 1 nor −1: the output has an orthogonal one with w = 1 or −1 there, and strip "
         "restores the former; --frame normal leaves it",
     )
+
+
+@pytest.mark.parametrize(
+    ("count", "words"),
+    [
+        (2, "at 2 vertices, first at vertex 0, TANGENT has no direction, or is not orthogonal to NORMAL"),
+        (
+            20,
+            "at 20 vertices TANGENT has no direction, or TANGENT × bitangent leans more than 0.1° from "
+            "NORMAL",
+        ),
+    ],
+)
+def test_tangents_without_a_direction_are_told_as_that(count: int, words: str, tmp_path: Path) -> None:
+    path = large(tmp_path / "large.glb")
+    path = with_tangents(path, tmp_path / "odd.glb", dict.fromkeys(range(count), np.array([0, 0, 0, 1])))
+    [notice] = bake(path, tmp_path / "baked.glb").notices
+    assert notice.message.split(":")[0] == words
 
 
 def large(path: Path) -> Path:

@@ -16,6 +16,9 @@ HUGE = 1e30
 TINY_SQUARE = 1e-280
 """A squared length below which underflow may have taken digits. No float32 vector has one, except zero."""
 
+NO_DIRECTION = 180.0
+"""The deviation in degrees of a tangent without a direction or a handedness. Any other is at most 90."""
+
 
 def unit_vectors(vectors: FloatArray) -> Float64Array:
     """Return vectors (V, 3) normalised, float64; a vector without a direction becomes (0, 0, 1)."""
@@ -106,7 +109,7 @@ def straightened(normals: Float32Array, tangents: FloatArray) -> Float32Array:
 def tangent_deviation(normals: Float32Array, tangents: FloatArray) -> Float64Array:
     """Return the angle between t0 × b0 (turned by the handedness) and n0: (V,) degrees.
 
-    It is 180 if TANGENT has no finite length, or a handedness other than 1 or −1.
+    It is NO_DIRECTION if TANGENT has no finite length, or a handedness other than 1 or −1.
     """
     with np.errstate(invalid="ignore", over="ignore"):  # a signalling NaN, or a huge TANGENT
         wide = tangents.astype(np.float64)
@@ -117,4 +120,4 @@ def tangent_deviation(normals: Float32Array, tangents: FloatArray) -> Float64Arr
         cosine = np.einsum("ij,ij->i", normals.astype(np.float64), rebuilt)
         degrees = np.degrees(np.arctan2(sine, cosine))
         usable = (np.abs(handedness) == 1.0) & (np.linalg.norm(rebuilt, axis=1) > 0)
-    return np.where(usable & np.isfinite(degrees), degrees, 180.0)
+    return np.where(usable & np.isfinite(degrees), degrees, NO_DIRECTION)

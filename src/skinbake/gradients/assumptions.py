@@ -7,6 +7,7 @@ import numpy as np
 from skinbake.choices import Frame
 from skinbake.errors import InputError, Notice, Place
 from skinbake.geometry.blocks import blocks
+from skinbake.geometry.frames import NO_DIRECTION
 from skinbake.geometry.skinned import BakedPrimitive, SkinnedPrimitive
 from skinbake.gradients.baker import BakeFindings
 from skinbake.gradients.tangents import TANGENT_TOLERANCE
@@ -95,14 +96,17 @@ def _straightened(primitive: SkinnedPrimitive, place: Place) -> list[Notice]:
     skewed = sorted(set(found.vertices) - set(found.unhanded))
     parts = []
     if skewed:
-        parts.append(
-            one_or_many(
-                len(skewed),
-                f"at vertex {skewed[0]} TANGENT is not orthogonal to NORMAL ({found.lean:.3g}° off)",
-                f"at {{}} vertices, first at vertex {skewed[0]}, TANGENT is not orthogonal to NORMAL "
-                f"(up to {found.lean:.3g}° off)",
-            )
+        one, many = (
+            f"at vertex {skewed[0]} TANGENT",
+            f"at {{}} vertices, first at vertex {skewed[0]}, TANGENT",
         )
+        leans = "is not orthogonal to NORMAL"
+        if found.lean == NO_DIRECTION:
+            one, many = f"{one} has no direction", f"{many} has no direction, or {leans}"
+        else:
+            one = f"{one} {leans} ({found.lean:.3g}° off)"
+            many = f"{many} {leans} (up to {found.lean:.3g}° off)"
+        parts.append(one_or_many(len(skewed), one, many))
     if found.unhanded:
         first = found.unhanded[0]
         parts.append(
@@ -127,11 +131,11 @@ def _skewed(findings: BakeFindings) -> str:
     handed = "w of TANGENT is neither 1 nor −1"
     if findings.unhanded == findings.bad_tangents:
         return handed
+    leans = f"TANGENT × bitangent leans more than {TANGENT_TOLERANCE}° from NORMAL"
+    if findings.tangent_deviation == NO_DIRECTION and not findings.unhanded:
+        return f"TANGENT has no direction, or {leans}"
     among = f"; at {findings.unhanded:,} of them because {handed}" if findings.unhanded else ""
-    return (
-        f"TANGENT × bitangent leans more than {TANGENT_TOLERANCE}° from NORMAL "
-        f"(up to {findings.tangent_deviation:.3g}°{among})"
-    )
+    return f"{leans} (up to {findings.tangent_deviation:.3g}°{among})"
 
 
 def _of_vertices(text: str, count: int) -> str:
