@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 from unittest.mock import Mock
 
 import numpy as np
@@ -16,6 +17,8 @@ from skinbake.cli import exit_codes
 from skinbake.commands import render
 from skinbake.errors import ChoiceError, InputError
 from skinbake.gltf import budget
+from skinbake.gltf.animation import Skeleton, read_skeleton
+from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.json_access import JsonObject
 from skinbake.lighting.operator import GradientOperator
 from skinbake.render.studio import MODES, Look, Studio
@@ -148,6 +151,40 @@ def test_meshes_without_a_skin_are_counted(tmp_path: Path) -> None:
         result = invoke("render", source, "-o", tmp_path / "a.png", "--size", "64x48", "--time", "0.5")
         assert (result.exit_code, "without a skin" in result.stderr) == (0, bool(words))
         assert words in result.stderr
+
+
+@pytest.mark.parametrize(
+    ("scenes", "drawn"),
+    [
+        ({"scenes": [{"nodes": [0, 1]}, {"nodes": [1, 6]}], "scene": 1}, [1]),
+        ({"scenes": [{}, {"nodes": [4]}, {"nodes": [1, 5]}, {"nodes": [0, 1]}], "scene": 1}, [1]),
+        ({"scenes": [{"nodes": [4]}, {"nodes": [0, 1]}]}, [0]),
+        ({"scenes": [{"nodes": [0, 1, 5]}], "scene": 9}, [0, 1]),
+        ({"scenes": [{"nodes": [4]}]}, [0, 1]),
+        ({"scenes": [{"nodes": "all"}, {"nodes": [None, 70, -1]}], "scene": -1}, [0, 1]),
+        ({"scenes": "all"}, [0, 1]),
+        ({}, [0, 1]),
+    ],
+)
+def test_the_scene_with_a_character_is_drawn(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, scenes: dict[str, Any], drawn: list[int]
+) -> None:
+    """Node 0 draws a character with skin 0, node 5, a child of 6, with skin 1; the page chooses alike."""
+    file = Editable(baked(TUBE, tmp_path))
+    file.content["nodes"] += [{"name": "nothing"}, {"mesh": 0, "skin": 1}, {"children": [5]}]
+    file.content["skins"].append(file.content["skins"][0])
+    for name in ("scene", "scenes"):
+        del file.content[name]
+    file.content.update(scenes)
+    found: list[int] = []
+
+    def kept(document: Document, skin: int) -> Skeleton:
+        found.append(skin)
+        return read_skeleton(document, skin)
+
+    monkeypatch.setattr(render, "read_skeleton", kept)
+    assert render.small_picture(read_document(str(file.write(tmp_path / "scenes.glb")))) is not None
+    assert found == drawn
 
 
 def test_the_help_tells_the_bounds_of_the_size() -> None:

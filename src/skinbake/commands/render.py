@@ -30,6 +30,7 @@ from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.json_access import reference
 from skinbake.gltf.morphs import resting_weights, target_count
 from skinbake.gltf.output import refuse_own_input
+from skinbake.gltf.scenes import shown_nodes
 from skinbake.lighting.angles import MeasuredBlock, Morphing, lighting_errors, truths_at_rest
 from skinbake.lighting.baked_views import BakedView, whole_surfaces
 from skinbake.lighting.before_adoption import true_operator_of
@@ -234,10 +235,19 @@ def _still(draw: _Draw, posed: _Posed) -> Iterator[Posed]:
 
 
 def _draws(document: Document, views: Sequence[BakedView]) -> Iterator[_Draw]:
+    """Yield what the nodes of the shown scene draw."""
     clips = read_clips(document)
-    for group in whole_surfaces(document, views):
+    nodes = document.objects("nodes")
+    shown = {
+        (reference(nodes[number].get("mesh")), reference(nodes[number].get("skin")))
+        for number in shown_nodes(document)
+    }
+    meshes = {mesh for mesh, skin in shown if skin is not None}
+    for group in whole_surfaces(document, [view for view in views if view.source.mesh in meshes]):
         operator = cache(partial(true_operator_of, document, group))
         for skin, node in draws_of(document, group[0].source.mesh, clips):
+            if not any((view.source.mesh, skin) in shown for view in group):
+                continue
             rest = [rest_surface(view) for view in group]
             yield _Draw(group, rest, read_skeleton(document, skin), node, operator)
 
