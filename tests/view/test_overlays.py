@@ -76,6 +76,45 @@ def test_the_mark_is_hidden_behind_the_camera(browsing: browser.Page) -> None:
     assert hidden == [False, True]
 
 
+def test_a_character_on_a_large_stage_fills_the_picture_until_all_is_shown(
+    browsing: browser.Page, tmp_path: Path
+) -> None:
+    """The stage is the tube, thirty times as large and without its skin."""
+    look = """(() => {
+        application.stopMeasuring();
+        const { camera, renderer, scene } = application;
+        const { width, height } = renderer.canvas;
+        return [camera.projected(width / height), scene.parts.map((part) => [...scene.positions(part, 1)])];
+    })"""
+    file = Editable(TUBE)
+    file.content["nodes"].append({"mesh": 0, "scale": [30, 30, 30]})
+    file.content["scenes"][0]["nodes"].append(len(file.content["nodes"]) - 1)
+    take(browsing, TUBE)
+    alone = extents(*browsing.call(look))
+    take(browsing, file.write(tmp_path / "stage.glb"))
+    assert extents(*browsing.call(look))[0] == pytest.approx(alone[0], rel=1e-3)
+    browsing.call("(() => document.getElementById('home').click())")
+    character, stage = extents(*browsing.call(look))
+    assert character < 0.1
+    assert 0.5 < stage < 1
+    radius, distance = browsing.call(
+        "(() => { const { camera, scene } = application; camera.zoom(1e-9); "
+        "return [scene.bounds(scene.parts.slice(0, 1)).radius, camera.distance]; })"
+    )
+    assert distance == pytest.approx(0.02 * radius)
+
+
+def extents(matrix: list[float], parts: list[list[float]]) -> list[float]:
+    """Return how wide and high each part is on the screen, as a share of half of it."""
+    found = []
+    for positions in parts:
+        points = np.array(positions).reshape(-1, 3)
+        places = np.column_stack([points, np.ones(len(points))]) @ np.array(matrix).reshape(4, 4)
+        flat = places[:, :2] / places[:, 3:]
+        found.append(float(np.ptp(flat, axis=0).max() / 2))
+    return found
+
+
 def test_all_of_the_model_is_seen_over_its_clip(browsing: browser.Page, tmp_path: Path) -> None:
     """It bends to one side and then to the other: at the ends and in the middle it is upright."""
     file = Editable(TUBE)

@@ -165,10 +165,12 @@ class Application {
         this.fillSides();
         this.renderer.prepare(this.sides, this.mode, byId.textures.checked);
         const { middle, radius, low } = this.scene.bounds();
+        const skinned = this.scene.parts.filter(({ skin }) => skin !== undefined);
+        const isMixed = skinned.length > 0 && skinned.length < this.scene.parts.length;
         this.ground = [middle[0], low, middle[2], 2.4 * radius];
         this.marked = null;
         this.measures = new Map();
-        this.camera.frame(middle, radius);
+        this.camera.frame(middle, radius, isMixed ? this.scene.bounds(skinned) : undefined);
         this.choose(this.scene.clips[0]);
         await Promise.race([loading, pause(PATIENCE)]);
         if (this.showing !== own) return;

@@ -7,7 +7,7 @@ const STEEPEST = 1.5;
 
 export class Camera {
     constructor(element, changed) {
-        Object.assign(this, { element, changed, yaw: 0.45, pitch: 0.16, target: [0, 0, 0], distance: 3, radius: 1 });
+        Object.assign(this, { element, changed, yaw: 0.45, pitch: 0.16, target: [0, 0, 0], distance: 3, radius: 1, closest: 1 });
         this.pointers = new Map();
         element.addEventListener('pointerdown', (event) => this.press(event));
         element.addEventListener('pointermove', (event) => this.move(event));
@@ -18,28 +18,34 @@ export class Camera {
         element.addEventListener('contextmenu', (event) => event.preventDefault());
     }
 
-    // Show a box: its middle, and half its diagonal.
-    frame(target, radius) {
-        this.radius = radius || 1;
-        this.middle = target;
-        this.home();
+    // Take the box around all, its middle and half its diagonal, and that of a subject in it. Show the subject.
+    // Without a subject, or if it has no size, show all.
+    frame(middle, radius, subject) {
+        Object.assign(this, { middle, radius: radius || 1 });
+        const seen = subject?.radius > 0 && Number.isFinite(subject.radius) ? subject : this;
+        this.closest = seen.radius;
+        this.show(seen.middle, seen.radius);
     }
 
+    // Show all.
     home() {
-        this.target = this.middle;
-        Object.assign(this, { yaw: 0.45, pitch: 0.16, distance: this.fitting() });
+        this.show(this.middle, this.radius);
+    }
+
+    show(target, radius) {
+        Object.assign(this, { target, yaw: 0.45, pitch: 0.16, distance: this.fitting(radius) });
         this.changed();
     }
 
-    fitting() {
+    fitting(radius) {
         const { clientWidth: width, clientHeight: height } = this.element;
         const aspect = Math.min(1, (width || 1) / (height || 1));
-        return (0.98 * this.radius) / Math.sin(ANGLE / 2) / Math.max(aspect, 0.45);
+        return (0.98 * radius) / Math.sin(ANGLE / 2) / Math.max(aspect, 0.45);
     }
 
     focus(point, normal) {
         this.target = point;
-        this.distance = Math.min(this.distance, this.fitting() * 0.36);
+        this.distance = Math.min(this.distance, this.fitting(this.closest) * 0.36);
         this.yaw = Math.atan2(normal[0], normal[2]);
         this.pitch = Math.max(-1, Math.min(1, Math.asin(Math.max(-1, Math.min(1, normal[1])))));
         this.changed();
@@ -92,7 +98,7 @@ export class Camera {
     }
 
     zoom(factor) {
-        this.distance = Math.max(0.02 * this.radius, Math.min(12 * this.radius, this.distance * factor));
+        this.distance = Math.max(0.02 * this.closest, Math.min(12 * this.radius, this.distance * factor));
     }
 
     wheel(event) {

@@ -149,15 +149,15 @@ export class Scene {
         return found;
     }
 
-    // The box around the model over some poses of its clip: its middle, half its diagonal, its lowest point.
-    bounds() {
+    // The box around some parts over some poses of their clip: its middle, half its diagonal, its lowest point.
+    bounds(parts = this.parts) {
         const { clip, time } = this;
         const low = [Infinity, Infinity, Infinity];
         const high = low.map((value) => -value);
-        const step = Math.ceil(this.parts.reduce((sum, { primitive }) => sum + primitive.count, 0) / BOUNDING);
+        const step = Math.ceil(parts.reduce((sum, { primitive }) => sum + primitive.count, 0) / BOUNDING);
         for (const share of [0, 0.25, 0.5, 0.75, 1]) {
             this.pose(clip, clip.start + share * (clip.end - clip.start));
-            for (const part of this.parts) {
+            for (const part of parts) {
                 const positions = this.positions(part, step);
                 for (let i = 0; i < positions.length; i++) {
                     const axis = i % 3;
