@@ -17,8 +17,9 @@ from skinbake.commands import html_report
 from skinbake.errors import InputError, Notice, Place
 from skinbake.report.verify import Check, FileVerdict
 from skinbake.view.index import Listed, index
+from tests.support.baked_files import Editable, baked
 from tests.support.command_line import invoke
-from tests.support.models import bake
+from tests.support.models import bake, sheet, write_model
 
 FLAT = Notice("limit", "it is flat", Place("a.glb", 2, "Body"))
 
@@ -59,6 +60,19 @@ def test_one_file_gives_its_page_with_limits_and_verdict(tmp_path: Path) -> None
     wanted = json.loads(invoke("verify", tmp_path / "tube.glb", "--json").stdout)["files"][0]
     assert told["figures"] == wanted["normals"]
     assert [path.name for path in tmp_path.iterdir() if path.is_dir()] == []
+
+
+def test_a_failed_check_names_the_place_of_each_problem(tmp_path: Path) -> None:
+    file = Editable(baked(write_model(tmp_path / "pair.glb", [sheet(), sheet()]), tmp_path))
+    for number in range(2):
+        file.array("_SKINBAKE_ALPHA_0", number)[:] += 1.0
+    path, page = file.write(tmp_path / "stale.glb"), tmp_path / "report.html"
+    assert invoke("verify", path, "--poses", "rest", "--html", page).exit_code == exit_codes.VERIFICATION
+    (failed,) = (check for check in given(page)["checks"] if check["outcome"] == "failed")
+    assert [problem.split(": ")[0] for problem in failed["problems"]] == [
+        'mesh 0 "sheet", primitive 0',
+        'mesh 0 "sheet", primitive 1',
+    ]
 
 
 def test_the_page_of_one_file_takes_no_small_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -105,6 +105,11 @@ def _sentence(notice: Notice) -> str:
     return f"{notice.message} ({where})" if where else notice.message
 
 
+def _problem(notice: Notice) -> str:
+    where = notice.place.within_file
+    return f"{where}: {notice.message}" if where else notice.message
+
+
 def write_page(result: ViewResult, target: str, *, sync: bool = True) -> None:
     """Write the page to a file, whole or not at all, or to stdout. Raises OutputError."""
     if target == STDIO:
@@ -280,7 +285,7 @@ def _findings(verdict: FileVerdict) -> dict[str, Any]:
                 "name": check.name,
                 "outcome": check.outcome,
                 "remark": check.remark,
-                "problems": [problem.message for problem in check.problems],
+                "problems": list(map(_problem, check.problems)),
             }
             for check in verdict.checks
         ],
