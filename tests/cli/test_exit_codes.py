@@ -179,9 +179,9 @@ class TestUsage:
         [
             ([], "Missing argument"),
             (["{seam}"], "give one of -o/--output, --out-dir and --in-place"),
-            (["{seam}", "-o", "{dir}/a.glb", "--in-place"], "give one of"),
-            (["{seam}", "-o", "{dir}/a.glb", "--out-dir", "{dir}"], "give one of"),
-            (["{seam}", "--in-place", "--out-dir", "{dir}"], "give one of"),
+            (["{seam}", "-o", "{dir}/a.glb", "--in-place"], "give only one of"),
+            (["{seam}", "-o", "{dir}/a.glb", "--out-dir", "{dir}"], "give only one of"),
+            (["{seam}", "--in-place", "--out-dir", "{dir}"], "give only one of"),
             (["{seam}", "{tube}", "-o", "{dir}/a.glb"], "-o takes one input"),
             (["model.obj", "-o", "{dir}/a.glb"], "model.obj: OBJ is not glTF: OBJ has no skin"),
             (["model", "-o", "{dir}/a.glb"], "model: no such file or folder"),
@@ -252,7 +252,7 @@ class TestUsage:
         ("arguments", "message"),
         [
             (["strip", SEAM], "give one of -o/--output, --out-dir and --in-place"),
-            (["strip", SEAM, "-o", "a.glb", "--in-place"], "give one of"),
+            (["strip", SEAM, "-o", "a.glb", "--in-place"], "give only one of"),
             (["strip", SEAM, "-o", SEAM], "is the input; use --in-place to replace it"),
             (["strip", SEAM, "-o", "-", "--json"], "stdout cannot take both"),
             (["strip", SEAM, "-o", "a.txt"], "expected a name"),

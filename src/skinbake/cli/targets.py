@@ -111,7 +111,9 @@ def _same_file(first: str, second: str) -> bool:
 def targets_of(inputs: list[Input], given: Mapping[str, Any]) -> list[tuple[Input, str | None]]:
     """Return (input, output) pairs. Raises click.UsageError for a combination without a meaning."""
     chosen = [name for name in ("output", "out_dir", "in_place") if given[name]]
-    if len(chosen) > 1 or (not chosen and not given.get("dry_run")):
+    if len(chosen) > 1:
+        raise click.UsageError("give only one of -o/--output, --out-dir and --in-place")
+    if not chosen and not given.get("dry_run"):
         raise click.UsageError("give one of -o/--output, --out-dir and --in-place" + _meant_output(inputs))
     if given["output"]:
         if len(inputs) > 1:
