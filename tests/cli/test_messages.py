@@ -66,7 +66,7 @@ def test_the_closing_line_counts(warned: Path, tmp_path: Path) -> None:
     assert line == (
         f"{warned} -> {tmp_path / 'out.glb'}: baked: 1 primitive, 20 vertices, frame from normal, "
         "240 bytes added, 1 skinned primitive skipped, no weight changes along the surface, "
-        "so all α/β are 0, 2 warnings"
+        "so all α/β are 0 (leave it unbaked), 2 warnings"
     )
 
 
@@ -211,7 +211,9 @@ def test_of_a_rigid_mesh_it_is_said_that_no_weight_changes(tmp_path: Path) -> No
     joints, weights = np.zeros((20, 4), np.uint8), np.tile(np.array([1, 0, 0, 0], np.float32), (20, 1))
     path = write_model(tmp_path / "rigid.glb", [sheet(JOINTS_0=joints, WEIGHTS_0=weights)])
     result = invoke("bake", path, "-o", tmp_path / "out.glb")
-    assert result.stdout.endswith(", no weight changes along the surface, so all α/β are 0\n")
+    assert result.stdout.endswith(
+        ", no weight changes along the surface, so all α/β are 0 (leave it unbaked)\n"
+    )
     text = invoke("verify", tmp_path / "out.glb", "--poses", "random:2").stdout
     assert text.endswith("\n  Nothing bends in these poses: standard lighting is right already.\n")
     assert "all α/β are 0" not in invoke("bake", SEAM, "--dry-run").stdout
