@@ -165,7 +165,13 @@ class TestWhatIsSaidAtTheEnd:
         assert result.exit_code == 3
         assert "failed:" not in result.stderr
 
-    def test_so_are_checks_that_fail(self, tmp_path: Path) -> None:
+    def test_a_quiet_run_names_each_failure_once(self, mixed: Path, tmp_path: Path) -> None:
+        lines = invoke("bake", mixed, "--out-dir", tmp_path / "out", "-q").stderr.splitlines()
+        assert len(lines) == 2
+        assert lines[0].startswith(f"error: {mixed / 'broken.glb'}: ")
+        assert lines[1].startswith(f"error: {mixed / 'text.gltf'}: ")
+
+    def test_checks_that_fail_are_listed_once_more(self, tmp_path: Path) -> None:
         invoke("bake", FOLDER / "seam.glb", FOLDER / "two_sets.glb", "--out-dir", tmp_path)
         result = invoke("verify", tmp_path, "--poses", "rest", "--min-gain", "1000", "--max-mean-error", "0")
         assert result.exit_code == 1

@@ -420,7 +420,8 @@ def _outcomes(
             if totals.files > 1:
                 say.note(closing_line(totals, clock.working, interrupted=True))
             raise
-    say.listing(failure_lines(totals))
+    for line in failure_lines(totals):
+        say.note(line)
     if totals.files > FEW or len(totals.failures) > 1 or (totals.files > 1 and say.verbosity > 0):
         say.note(closing_line(totals, clock.working))
 
