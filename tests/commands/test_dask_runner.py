@@ -6,6 +6,7 @@ import json
 import os
 import re
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -285,3 +286,12 @@ def test_no_scheduler_answers(address: str, monkeypatch: pytest.MonkeyPatch) -> 
         DaskRunner(address).connect()
     assert raised.value.place is not None
     assert raised.value.place.file == address
+
+
+@pytest.mark.slow
+def test_a_scheduler_that_takes_connections_and_says_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(dask_runner, "CONNECT_SECONDS", 0.5)
+    with socket.create_server(("127.0.0.1", 0)) as listener:  # the system takes connections for it
+        address = f"tcp://127.0.0.1:{listener.getsockname()[1]}"
+        with pytest.raises(InputError, match="no Dask scheduler answers: it takes the connection, and then"):
+            DaskRunner(address).connect()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import logging
 import math
 import pickle
@@ -393,12 +394,30 @@ def _client(address: str) -> Client:
         raise InputError(message, Place(address)) from error
     _silence()
     try:
+        asyncio.run(_greeted(address))
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # about versions; ``connect`` reports the ones that matter
             return Client(address, timeout=CONNECT_SECONDS, set_as_default=False, name="skinbake")
     except Exception as error:  # an address, TLS and the network fail by exceptions of any type
         text = str(error).partition("\n")[0] or type(error).__name__
         raise InputError(f"no Dask scheduler answers: {text}", Place(address)) from error
+
+
+async def _greeted(address: str) -> None:
+    """Wait until a scheduler answers the greeting of a connection. Raises TimeoutError, and what Dask raises.
+
+    Dask's client waits without a limit for that answer. A frozen scheduler, or another program at its port,
+    takes the connection and says nothing.
+    """
+    from distributed import Security
+    from distributed.comm import connect
+
+    greeting = connect(address, timeout=CONNECT_SECONDS, **Security().get_connection_args("client"))
+    try:
+        connection = await asyncio.wait_for(greeting, CONNECT_SECONDS + 1.0)
+    except TimeoutError as error:
+        raise TimeoutError("it takes the connection, and then says nothing") from error
+    await connection.close()
 
 
 def _silence() -> None:
