@@ -77,6 +77,23 @@ def test_an_empty_name_asks_about_the_script(arguments: list[str | Path]) -> Non
     assert text.endswith("Error: the name of an input is empty; is a variable of your script not set?")
 
 
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["bake", SEAM, "--dry-run", "--allow-outside", ""],
+        ["bake", SEAM, "--dry-run", "--config", ""],
+        ["bake", SEAM, "--dry-run", "--out-dir", ""],
+        ["strip", SEAM, "--in-place", "--output", ""],
+        ["verify", SEAM, "--skip-unchanged", "--state", ""],
+        ["view", SEAM, "--output", ""],
+    ],
+)
+def test_so_does_an_option_with_an_empty_name(arguments: list[str | Path]) -> None:
+    code, text = said(*arguments)
+    assert code == 2
+    assert text.endswith(f"Error: {arguments[-2]}: the name is empty; is a variable of your script not set?")
+
+
 @pytest.mark.parametrize("name", ["hero.gbl", "hero.gtlf", "hreo.glb2"])
 def test_a_mistyped_suffix_is_asked_about(name: str, tmp_path: Path) -> None:
     shutil.copyfile(SEAM, tmp_path / "hero.glb")

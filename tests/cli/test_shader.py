@@ -174,7 +174,7 @@ def test_a_target_that_is_text_is_replaced(tmp_path: Path, content: str) -> None
         (["--lang", "wgsl", "--cap", "1e39"], "--cap 1e+39 is not in the range 1e-06 to 1e+06 of a shader"),
         (["--lang", "glsl", "--cap", "1e-30"], "--cap 1e-30 is not in the range 1e-06 to 1e+06 of a shader"),
         (["--lang", "glsl", "--influences", "0"], "0"),
-        (["--lang", "glsl", "-o", ""], "-o needs the name of a file"),
+        (["--lang", "glsl", "-o", ""], "--output: the name is empty"),
         (["--lang", "glsl", "--layout", "custom", "--influences", "9"], "--layout custom holds 8 influences"),
         (["--lang", "glsl", "--for", "hero.fbx"], "hero.fbx"),
     ],

@@ -66,11 +66,19 @@ PAGE = "skinbake"
 
 
 class PathName(click.types.StringParamType):
-    """Text that a shell completes as a path. Unlike click.Path it is any text, URLs and ``-`` included."""
+    """Text that a shell completes as a path. It may be a URL or ``-``, unlike that of click.Path."""
 
     def __init__(self, kind: str) -> None:
         """Take ``file`` or ``dir``."""
         self._kind = kind
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the path. Raises click.UsageError if it is empty, because a script's variable may be."""
+        if not value:
+            option = f"{param.opts[-1]}: " if isinstance(param, click.Option) else ""
+            name = "the name" if option else "the name of an input"
+            raise click.UsageError(f"{option}{name} is empty; is a variable of your script not set?", ctx)
+        return super().convert(value, param, ctx)
 
     def shell_complete(
         self, ctx: click.Context, param: click.Parameter, incomplete: str

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import click
 
-from skinbake.cli.names import STDIO, check_not_empty, check_readable_suffix
+from skinbake.cli.names import STDIO, check_readable_suffix
 from skinbake.cli.remote import behind
 from skinbake.errors import InputError
 from skinbake.files.urls import SUFFIXES, is_url, on_disk
@@ -47,10 +47,8 @@ def expanded(arguments: Sequence[str], *, but: str | None = None) -> list[Input]
     unless a search begins there. Hidden files and folders, and linked folders, are skipped. An argument that
     names something that exists is no pattern, even if it has pattern characters. A name that does not
     show its kind of file is missing, so that the others are tried. Raises click.UsageError if it is the only
-    argument, if an argument is empty, and if stdin is to be read twice.
+    argument, and if stdin is to be read twice.
     """
-    for argument in arguments:
-        check_not_empty(argument)
     if list(arguments).count(STDIO) > 1:
         raise click.UsageError("stdin can be read only once")
     if is_one_file(arguments) and _is_name(arguments[0]):

@@ -19,15 +19,8 @@ LARGEST_CONFIG = 1 << 20
 """The size in bytes of the largest configuration file that is read."""
 
 
-def check_not_empty(source: str) -> None:
-    """Raise click.UsageError if an input has no name at all: a script's variable may be empty."""
-    if not source:
-        raise click.UsageError("the name of an input is empty; is a variable of your script not set?")
-
-
 def check_readable_suffix(source: str) -> None:
     """Raise click.UsageError if an input's name does not show its kind of file, or is that of a folder."""
-    check_not_empty(source)
     if os.path.isdir(source):  # noqa: PTH112  # pathlib fails for long names
         raise click.UsageError(f"{source} is a folder: name one file in it")
     if source != STDIO and Path(source).suffix.lower() not in SUFFIXES:

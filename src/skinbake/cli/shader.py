@@ -126,8 +126,6 @@ def command(source: str | None, output: str, **given: Any) -> None:
     The text is self-contained. It has pure functions on values, for the algorithms 1 to 6. Its header says
     which attributes it reads, and how to call it.
     """
-    if not output:
-        raise click.UsageError("-o needs the name of a file, or - for stdout")
     check_named(output)
     if source is not None:
         check_readable_suffix(source)

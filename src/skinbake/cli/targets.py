@@ -214,7 +214,7 @@ REPORTS: Mapping[str, Callable[[bytes], bool]] = {
 def check_reports(reports: Mapping[str, str | None], output: str | None, sources: Iterable[str]) -> None:
     """Raise click.UsageError if an option's file is an input, an output, another option's, or a folder.
 
-    An empty name is refused too. Files are compared by identity, through links of both kinds. ``reports`` are
+    Files are compared by identity, through links of both kinds. ``reports`` are
     the files by option. An existing file is replaced only if an earlier run may have written it, because it
     might otherwise be a file of a model.
     """
@@ -223,8 +223,6 @@ def check_reports(reports: Mapping[str, str | None], output: str | None, sources
     for option, path in reports.items():
         if path is None:
             continue
-        if not path:
-            raise click.UsageError(f"{option}: the name is empty; is a variable of your script not set?")
         check_named(path)
         keys = _keys(path)
         if is_model_name(path):
