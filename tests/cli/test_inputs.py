@@ -144,6 +144,12 @@ def test_in_place_takes_folders_and_bakes_each_file_once(tree: Path) -> None:
     assert set(before) <= set(files(tree))
 
 
+def test_in_place_keeps_the_order_in_which_files_are_first_named(tree: Path) -> None:
+    result = invoke("bake", tree / "b.glb", tree / "a", tree / "b.glb", "--in-place", "--json")
+    found = [Path(file["input"]).relative_to(tree).as_posix() for file in document(result)["files"]]
+    assert found == ["b.glb", "a/B.GLB", "a/deep/er/x.vrm", "a/z.glb"]
+
+
 def test_inputs_named_twice_by_folders_and_patterns_are_baked_once(tree: Path, tmp_path: Path) -> None:
     arguments: list[str | Path] = [tree, f"{tree}/**", f"{tree}/**/*.glb", tree]
     result = invoke("bake", *arguments, "--out-dir", tmp_path / "out", "--json")

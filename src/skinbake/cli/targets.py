@@ -313,8 +313,11 @@ def sync_option(command: Command) -> Command:
 
 
 def once(inputs: Sequence[Input]) -> list[Input]:
-    """Return the inputs, each file once, even if it has several names."""
-    return list({canonical(entry.source): entry for entry in reversed(inputs)}.values())[::-1]
+    """Return the inputs, each file once, by the first of its names."""
+    first: dict[str, Input] = {}
+    for entry in inputs:
+        first.setdefault(canonical(entry.source), entry)
+    return list(first.values())
 
 
 class _Found:
