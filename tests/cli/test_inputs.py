@@ -181,6 +181,30 @@ def test_what_cannot_go_together_is_said_before_anything_is_written(
     assert {name: (tmp_path / name).read_bytes() for name in files(tmp_path)} == before
 
 
+def test_outputs_of_one_name_in_other_letters_meet_where_the_disk_ignores_case(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    put(tmp_path, "one/Hero.glb", "two/hero.glb")
+    arguments: list[str | Path] = ["bake", tmp_path / "one", tmp_path / "two", "--out-dir", tmp_path / "out"]
+    monkeypatch.setattr("skinbake.cli.targets.IGNORES_CASE", True)
+    result = invoke(*arguments)
+    assert result.exit_code == 2
+    assert "would both become" in result.stderr
+    assert not (tmp_path / "out").exists()
+    monkeypatch.setattr("skinbake.cli.targets.IGNORES_CASE", False)
+    assert invoke(*arguments).exit_code == 0
+
+
+@LINKS
+def test_outputs_that_meet_through_a_linked_folder_are_refused(tmp_path: Path) -> None:
+    put(tmp_path, "in/a/x.glb", "in/b/x.glb")
+    (tmp_path / "out/a").mkdir(parents=True)
+    (tmp_path / "out/b").symlink_to("a")
+    result = invoke("bake", tmp_path / "in", "--out-dir", tmp_path / "out")
+    assert result.exit_code == 2
+    assert "would both become" in result.stderr
+
+
 def test_one_file_of_a_folder_may_go_to_a_name(tmp_path: Path) -> None:
     put(tmp_path, "in/x.glb")
     assert invoke("bake", tmp_path / "in", "-o", tmp_path / "out.glb").exit_code == 0

@@ -7,6 +7,7 @@ import os
 import re
 import stat
 import struct
+import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,6 +23,9 @@ from skinbake.files.urls import SUFFIXES, canonical, is_url, join_url, on_disk
 if TYPE_CHECKING:
     from skinbake.cli.given import Given
     from skinbake.jobs.work import Job
+
+IGNORES_CASE = sys.platform in {"darwin", "win32"}
+"""Whether the usual disks of this system take ``A.glb`` and ``a.glb`` for one file."""
 
 GLB_HEADERS = struct.Struct("<4sIIII")
 """The header of a GLB, and the header of its first chunk, which is its JSON."""
@@ -183,11 +187,12 @@ def pair_up(inputs: Sequence[Input], folder: str) -> list[tuple[Input, str]]:
             raise click.UsageError("--out-dir needs inputs that have a name; use -o for stdin")
         target = join_url(folder, entry.kept) if is_url(folder) else str(Path(folder, entry.kept))
         if entry.missing is None:
-            if target in taken:
-                raise click.UsageError(f"{taken[target]} and {source} would both become {target}")
-            taken[target] = source
+            key = found.real(target)
+            if key in taken:
+                raise click.UsageError(f"{taken[key]} and {source} would both become {target}")
+            taken[key] = source
             check_target(source, target)
-            if found.real(target) in sources:
+            if key in sources:
                 raise click.UsageError(f"{source} would be written to {target}, which is also an input")
         pairs.append((entry, target))
     return pairs
@@ -321,7 +326,7 @@ def once(inputs: Sequence[Input]) -> list[Input]:
 
 
 class _Found:
-    """Real paths. Each folder is looked up once."""
+    """Real paths, equal for two names of one file. Each folder is looked up once."""
 
     def __init__(self) -> None:
         self._folders: dict[str, str] = {}
@@ -333,7 +338,8 @@ class _Found:
         folder, name = os.path.split(path)
         if folder not in self._folders:
             self._folders[folder] = os.path.realpath(folder)
-        return os.path.join(self._folders[folder], name)  # noqa: PTH118  # likewise
+        whole = os.path.join(self._folders[folder], name)  # noqa: PTH118  # likewise
+        return whole.casefold() if IGNORES_CASE else whole
 
 
 def in_turns(inputs: Sequence[Input]) -> list[int]:
