@@ -118,6 +118,7 @@ def test_two_options_cannot_have_one_file(linked: bool, model: Path, tmp_path: P
 def test_a_report_needs_the_name_of_a_file(option: str, model: Path, tmp_path: Path) -> None:
     for name, reason in (
         ("", f"{option}: the name is empty; is a variable of your script not set?"),
+        ("-", f"{option} needs the name of a file, not -; stdout has other text already"),
         (str(tmp_path), f"{tmp_path} is a folder: name the file"),
         (f"{tmp_path}/new/", f"{tmp_path}/new/ is a folder: name the file"),
     ):

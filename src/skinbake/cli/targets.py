@@ -131,6 +131,8 @@ def targets_of(inputs: list[Input], given: Mapping[str, Any]) -> list[tuple[Inpu
         if any(entry.source == STDIO for entry in inputs):
             raise click.UsageError("--in-place needs files, not - for stdin")
         return [(entry, entry.source) for entry in once(inputs)]
+    if given["out_dir"] == STDIO:
+        raise click.UsageError("--out-dir needs the name of a folder, not -; -o - writes to stdout")
     if given["out_dir"]:
         return list(pair_up(inputs, given["out_dir"]))
     return [(entry, None) for entry in inputs]
@@ -228,6 +230,8 @@ def check_reports(reports: Mapping[str, str | None], output: str | None, sources
     for option, path in reports.items():
         if path is None:
             continue
+        if path == STDIO:
+            raise click.UsageError(f"{option} needs the name of a file, not -; stdout has other text already")
         check_named(path)
         keys = _keys(path)
         if is_model_name(path):
