@@ -160,6 +160,14 @@ class TestValues:
         (project / "skinbake.toml").write_text('[bake]\nencoding = "snorm16"\n')
         assert encodings("a.glb", "--encoding", "packed8") == {"a.glb": "packed8"}
 
+    def test_the_mark_before_the_text_of_some_editors_is_passed_over(self, project: Path) -> None:
+        (project / "skinbake.toml").write_bytes(b'\xef\xbb\xbf[bake]\r\nencoding = "snorm16"\r\n')
+        assert encodings("a.glb") == {"a.glb": "snorm16"}
+        (project / "skinbake.toml").write_bytes(b'\xef\xbb\xbf[bake]\nencoding = "snorm6"\n')
+        result = invoke("bake", "a.glb", "--dry-run")
+        assert result.exit_code == 2
+        assert "skinbake.toml:2: bake.encoding" in result.stderr
+
     def test_each_command_has_its_table(self, project: Path) -> None:
         (project / "skinbake.toml").write_text("[cost]\ninfluences = 4\njson = true\n")
         assert document(invoke("cost"))["influences"] == 4
@@ -181,7 +189,7 @@ class TestValues:
             ('gradients = ["rig"]', "bake.gradients: ['rig']: expected a text in quotes"),
             ('fit-poses = "animations"', "bake.fit-poses: 'animations': expected an array of texts"),
             ("jobs = -1", "bake.jobs: must be a number of processes, 0 or auto"),
-            ("jobs = 1.5", "bake.jobs: 1.5: expected a text in quotes"),
+            ("jobs = 1.5", "bake.jobs: 1.5: expected an integer, or a text in quotes"),
             (
                 "encodng = 1",
                 "bake.encodng: there is nothing of this name: expected an option of skinbake bake",

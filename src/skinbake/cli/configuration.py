@@ -74,7 +74,7 @@ def read_configuration(path: str) -> Configuration | None:
     import tomllib
 
     try:
-        text = data.decode("utf-8").replace("\r\n", "\n")
+        text = data.decode("utf-8-sig").replace("\r\n", "\n")
         tables = tomllib.loads(text)
     except (ValueError, RecursionError) as error:
         raise ConfigurationError(f"{path} is no valid TOML: {error}") from error

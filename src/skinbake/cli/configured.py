@@ -280,8 +280,9 @@ def _kind_missed(option: click.Option, value: Any) -> str | None:
         return None if is_whole else "an integer"
     if isinstance(option.type, click.types.FloatParamType):
         return None if is_whole or isinstance(value, float) else "a number"
-    # The callbacks of --jobs and --threads read a number from text.
-    return None if isinstance(value, str) or (option.callback and is_whole) else "a text in quotes"
+    if option.callback:  # those of --jobs and --threads read a number from text
+        return None if isinstance(value, str) or is_whole else "an integer, or a text in quotes"
+    return None if isinstance(value, str) else "a text in quotes"
 
 
 def _toml(value: Any) -> str:
