@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from pathlib import Path
+from zipfile import ZipFile
 
 import pytest
 
@@ -97,6 +98,21 @@ def test_one_url_to_another_and_in_place(library: Path) -> None:
     assert stored("memory://new") == {"a.glb": tree(library / "here")[path]}
     assert invoke("bake", url, "--in-place").exit_code == 0
     assert stored("memory://lib")[path] == tree(library / "here")[path]
+
+
+def test_a_file_in_an_archive_behind_a_url(tmp_path: Path) -> None:
+    archive, model = tmp_path / "art.zip", FOLDER / "seam.glb"
+    with ZipFile(archive, "w") as file:
+        file.write(model, "heroes/knight.glb")
+    url = f"zip://heroes/knight.glb::file://{archive.as_posix()}"
+    assert invoke("bake", url, "--out-dir", tmp_path / "out").exit_code == 0
+    assert invoke("bake", model, "-o", tmp_path / "same.glb").exit_code == 0
+    assert (tmp_path / "out" / "knight.glb").read_bytes() == (tmp_path / "same.glb").read_bytes()
+    shown = invoke("inspect", url)
+    assert "surface     198 vertices" in shown.stdout  # in full, as one file
+    result = invoke("bake", f"zip://heroes::file://{archive.as_posix()}", "--dry-run")
+    assert result.exit_code == exit_codes.INPUT
+    assert "folders and patterns of chained URLs are not expanded" in result.stderr
 
 
 def test_what_cannot_be_had_is_one_sentence_a_file(library: Path) -> None:

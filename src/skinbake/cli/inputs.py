@@ -13,7 +13,7 @@ import click
 from skinbake.cli.names import STDIO, check_readable_suffix
 from skinbake.cli.remote import behind
 from skinbake.errors import InputError
-from skinbake.files.urls import SUFFIXES, is_url, on_disk
+from skinbake.files.urls import SUFFIXES, file_part, is_url, on_disk
 from skinbake.wording import not_gltf
 
 MAGIC = frozenset("*?[")
@@ -70,7 +70,7 @@ def is_one_file(arguments: Sequence[str]) -> bool:
         return False
     (argument,) = arguments
     if is_url(argument):
-        return argument.lower().endswith(SUFFIXES) and MAGIC.isdisjoint(argument)
+        return file_part(argument).lower().endswith(SUFFIXES) and MAGIC.isdisjoint(argument)
     return argument == STDIO or _is_name(argument)
 
 

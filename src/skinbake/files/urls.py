@@ -18,6 +18,11 @@ def is_url(path: str) -> bool:
     return URL.match(path) is not None
 
 
+def file_part(url: str) -> str:
+    """Return the part of a URL that names the file: ``zip://a.glb`` of ``zip://a.glb::s3://b/c.zip``."""
+    return next((part for part in url.split("::") if "://" in part), url)
+
+
 def join_url(folder: str, relative: str) -> str:
     """Return the URL of a file by its path relative to a folder's URL."""
     return f"{folder}{relative}" if folder.endswith("/") else f"{folder}/{relative}"

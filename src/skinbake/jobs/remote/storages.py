@@ -9,7 +9,7 @@ from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Protocol
 
 from skinbake.errors import InputError, OutputError, Place, SkinbakeError
-from skinbake.files.urls import SUFFIXES, URL, join_url
+from skinbake.files.urls import SUFFIXES, URL, file_part, join_url
 
 if TYPE_CHECKING:
     from fsspec import AbstractFileSystem  # fsspec is untyped: this is Any
@@ -201,9 +201,9 @@ def expand_url(url: str) -> list[tuple[str, str]]:
     folder. A pattern with ``*``, ``**``, ``?`` or ``[…]`` means the files that match, relative to the folder
     before its first wildcard. Raises InputError if the storage cannot be read, or if there are no files.
     """
-    wildcard = WILDCARDS.search(url)
-    if wildcard is None and PurePosixPath(url).suffix.lower() in SUFFIXES:
-        return [(url, PurePosixPath(url).name)]
+    wildcard, file = WILDCARDS.search(url), PurePosixPath(file_part(url))
+    if wildcard is None and file.suffix.lower() in SUFFIXES:
+        return [(url, file.name)]
     if "::" in url:
         raise InputError("folders and patterns of chained URLs are not expanded; name the files", Place(url))
     filesystem, path = _filesystem(url)
