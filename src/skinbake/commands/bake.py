@@ -6,26 +6,15 @@ import math
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
-from skinbake.choices import (
-    Encoding,
-    FrameChoice,
-    Gradients,
-    Layout,
-    Neighbours,
-    Scheme,
-    Weighting,
-    Weld,
-    member_of,
-)
-from skinbake.commands.bake_options import ENUMERATIONS, check_options, pose_sources
+from skinbake.choices import FrameChoice, Gradients, Neighbours, Scheme, Weld
+from skinbake.commands.bake_options import CheckedOptions
 from skinbake.commands.surface_bake import Aim, PrimitiveBake, SurfaceBake, unwritten
 from skinbake.errors import InputError, Notice, Place, noticed
 from skinbake.files.bounds import OWN_FOLDERS, Within
 from skinbake.files.versions import version_of
 from skinbake.format.attribute_store import level_ignored, stored_otherwise
-from skinbake.format.baked import AttributeNames, with_baked, with_scale
+from skinbake.format.baked import with_baked, with_scale
 from skinbake.format.layouts import GradientFormat
 from skinbake.format.strip import stripped
 from skinbake.gltf.beside import files_read
@@ -44,45 +33,10 @@ from skinbake.gradients.baker import BakeSettings
 from skinbake.report.bake import BakedCounts, EncodingCost, FileResult
 from skinbake.timing import stage
 
-if TYPE_CHECKING:
-    from skinbake.lighting.poses_to_fit import PoseSource
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Baker:
-    """Bake files and documents. The fields are the options of ``skinbake bake``, under the same names.
-
-    crease_angle is in degrees. Enumerations may be given by their values. fit_poses are ``animations``,
-    ``random:N`` and files, which are read at once. Raises ChoiceError for a value that does not exist and for
-    options that contradict each other, and InputError for a file that cannot be read.
-    """
-
-    gradients: Gradients = Gradients.RIG
-    fit_poses: tuple[PoseSource, ...] = ()
-    weighting: Weighting = Weighting.MAX
-    crease_angle: float = 15.0
-    weld: Weld = Weld.MESH
-    neighbours: Neighbours = Neighbours.ADOPT
-    frame: FrameChoice = FrameChoice.AUTO
-    limit_influences: int | None = None
-    generate_normals: bool = False
-    alpha_name: str | None = None
-    beta_name: str | None = None
-    compress: Scheme = Scheme.KEEP
-    compress_level: int | None = None
-    position_bits: int | None = None
-    normal_bits: int | None = None
-    texcoord_bits: int | None = None
-    encoding: Encoding = Encoding.FLOAT32
-    layout: Layout = Layout.ATTRIBUTES
-    require_baked: bool = False
-    warnings_as_errors: bool = False
-
-    def __post_init__(self) -> None:
-        for name, kind in ENUMERATIONS.items():
-            object.__setattr__(self, name, member_of(kind, getattr(self, name), name))
-        object.__setattr__(self, "fit_poses", pose_sources(self))
-        check_options(self)
+class Baker(CheckedOptions):
+    """Bake files and documents with these options."""
 
     def with_gradients(self, kind: Gradients) -> Baker:
         """Return a baker of another kind of gradients. Only gradients fitted to poses have poses."""
@@ -230,12 +184,6 @@ class Baker:
     def settings(self) -> BakeSettings:
         """Return the options of the gradients."""
         return BakeSettings(self.weighting, math.radians(self.crease_angle), self.neighbours, self.frame)
-
-    @property
-    def attribute_names(self) -> AttributeNames:
-        """Return the patterns of the attributes' names."""
-        usual = AttributeNames()
-        return AttributeNames(self.alpha_name or usual.alpha, self.beta_name or usual.beta)
 
     @property
     def _bits(self) -> dict[str, int]:
