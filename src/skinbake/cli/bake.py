@@ -253,8 +253,16 @@ def _reporting(
     given: Given, say: Console, write: Callable[[Sequence[FileResult]], int] | None, *, is_one: bool
 ) -> Reporting[FileResult]:
     """Return how results of bake are reported, counted and written. The line of a single file is in full."""
-    from skinbake.report.bake import SCHEMA, as_json, closing_line, detail_lines, file_json, short_line
-    from skinbake.report.totals import BAKE_OUTCOMES, Totals
+    from skinbake.report.bake import (
+        OUTCOMES,
+        SCHEMA,
+        as_json,
+        closing_line,
+        count,
+        detail_lines,
+        file_json,
+        short_line,
+    )
 
     dry_run = given.get("dry_run", False)
     line_of = closing_line if is_one or given["verbose"] else short_line
@@ -269,9 +277,9 @@ def _reporting(
 
     return Reporting(
         schema=SCHEMA,
-        outcomes=BAKE_OUTCOMES,
+        outcomes=OUTCOMES,
         tell=tell,
-        count=Totals.add_baked,
+        count=count,
         code=lambda result: exit_codes.of_error(result.error),
         file_json=file_json,
         document=partial(as_json, dry_run=dry_run),

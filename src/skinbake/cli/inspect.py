@@ -69,8 +69,16 @@ def command(inputs: tuple[str, ...], **some: Unpack[Given]) -> None:
 
 def _reporting(given: Given, say: Console, *, is_one: bool) -> Reporting[FileSummary]:
     """Return how summaries are reported and counted. ``is_one``: of one file, which has its own schema."""
-    from skinbake.report.inspect import FILES_SCHEMA, as_line, as_text, file_json, files_json, one_json
-    from skinbake.report.totals import INSPECT_OUTCOMES, Totals
+    from skinbake.report.inspect import (
+        FILES_SCHEMA,
+        OUTCOMES,
+        as_line,
+        as_text,
+        count,
+        file_json,
+        files_json,
+        one_json,
+    )
 
     def tell(result: FileSummary) -> None:
         say.notices(result.notices)
@@ -82,9 +90,9 @@ def _reporting(given: Given, say: Console, *, is_one: bool) -> Reporting[FileSum
 
     return Reporting(
         schema=FILES_SCHEMA,
-        outcomes=INSPECT_OUTCOMES,
+        outcomes=OUTCOMES,
         tell=tell,
-        count=Totals.add_inspected,
+        count=count,
         code=lambda result: exit_codes.of_error(result.error),
         file_json=file_json,
         document=of_one(one_json) if is_one else files_json,

@@ -80,8 +80,15 @@ def _reporting(
     given: Given, say: Console, write: Callable[[Sequence[StripResult]], int] | None, *, is_one: bool
 ) -> Reporting[StripResult]:
     """Return how results are reported and counted. ``is_one``: of one file, which has its own schema."""
-    from skinbake.report.strip import FILES_SCHEMA, closing_line, file_json, files_json, one_json
-    from skinbake.report.totals import STRIP_OUTCOMES, Totals
+    from skinbake.report.strip import (
+        FILES_SCHEMA,
+        OUTCOMES,
+        closing_line,
+        count,
+        file_json,
+        files_json,
+        one_json,
+    )
 
     def tell(result: StripResult) -> None:
         say.notices(result.notices)
@@ -92,9 +99,9 @@ def _reporting(
 
     return Reporting(
         schema=FILES_SCHEMA,
-        outcomes=STRIP_OUTCOMES,
+        outcomes=OUTCOMES,
         tell=tell,
-        count=Totals.add_stripped,
+        count=count,
         code=lambda result: exit_codes.of_error(result.error),
         file_json=file_json,
         document=of_one(one_json) if is_one else files_json,

@@ -230,8 +230,7 @@ def _reporting(
     searched: Mapping[str, str | None],
 ) -> Reporting[FileVerdict]:
     """Return how verdicts are reported, counted and written."""
-    from skinbake.report.totals import VERIFY_OUTCOMES, Totals
-    from skinbake.report.verify import SCHEMA, as_json, as_junit, as_text, file_json
+    from skinbake.report.verify import OUTCOMES, SCHEMA, as_json, as_junit, as_text, count, file_json
 
     junit, page = given["junit"], given["html"]
 
@@ -266,9 +265,9 @@ def _reporting(
 
     return Reporting(
         schema=SCHEMA,
-        outcomes=VERIFY_OUTCOMES,
+        outcomes=OUTCOMES,
         tell=tell,
-        count=Totals.add_verified,
+        count=count,
         code=_code,
         file_json=file_json,
         document=as_json,

@@ -8,10 +8,11 @@ from typing import Any, Literal
 
 from skinbake.errors import Notice, Place, SkinbakeError, printable
 from skinbake.report.notices import error_fields, notice_list, place_fields
-from skinbake.report.totals import run_json, timing_fields
+from skinbake.report.totals import Totals, reason_of, run_json, timing_fields
 from skinbake.wording import counted, percent
 
 SCHEMA = "skinbake.bake/1"
+OUTCOMES = ("baked", "unchanged", "up-to-date", "failed")
 
 SHOWN_LOSS = 0.0005
 """The share of the gradient from which a short line tells its loss."""
@@ -137,6 +138,11 @@ class FileResult:
     record: bytes | None = None
     timings: dict[str, float] | None = None
     read: tuple[str, ...] = ()
+
+
+def count(totals: Totals, result: FileResult) -> None:
+    """Count a file."""
+    totals.add(result.status, reason_of(result.input, result.error), result.timings)
 
 
 def short_line(result: FileResult, *, dry_run: bool) -> str:

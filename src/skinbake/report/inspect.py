@@ -9,11 +9,12 @@ from typing import Any
 from skinbake.choices import Gradients
 from skinbake.errors import Notice, Place, SkinbakeError, printable
 from skinbake.report.notices import error_fields, notice_list, place_fields
-from skinbake.report.totals import run_json, timing_fields
+from skinbake.report.totals import Totals, reason_of, run_json, timing_fields
 from skinbake.wording import counted
 
 SCHEMA = "skinbake.inspect/1"
 FILES_SCHEMA = "skinbake.inspect-files/1"
+OUTCOMES = ("inspected", "failed")
 
 DEFECTS = {
     "negative": "with a negative weight",
@@ -98,6 +99,12 @@ class FileSummary:
         if self.summary is not None:
             return self.summary.notices
         return () if self.error is None else self.error.notices
+
+
+def count(totals: Totals, result: FileSummary) -> None:
+    """Count a file."""
+    reason = reason_of(result.input, result.error)
+    totals.add("failed" if result.error else "inspected", reason, result.timings)
 
 
 def as_line(result: InspectResult) -> str:

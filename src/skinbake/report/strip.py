@@ -8,11 +8,12 @@ from typing import Any, Literal
 
 from skinbake.errors import Notice, SkinbakeError, printable
 from skinbake.report.notices import error_fields, notice_list
-from skinbake.report.totals import run_json, timing_fields
+from skinbake.report.totals import Totals, reason_of, run_json, timing_fields
 from skinbake.wording import counted
 
 SCHEMA = "skinbake.strip/1"
 FILES_SCHEMA = "skinbake.strip-files/1"
+OUTCOMES = ("stripped", "unchanged", "failed")
 
 Status = Literal["stripped", "unchanged", "failed"]
 """``unchanged``: passed through, because it holds no bake."""
@@ -41,6 +42,11 @@ class StripResult:
         if self.error is not None:
             return "failed"
         return "stripped" if self.primitives else "unchanged"
+
+
+def count(totals: Totals, result: StripResult) -> None:
+    """Count a file."""
+    totals.add(result.status, reason_of(result.input, result.error), result.timings)
 
 
 def closing_line(result: StripResult) -> str:

@@ -5,24 +5,13 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from skinbake.errors import SkinbakeError, printable
 from skinbake.wording import counted
 
-if TYPE_CHECKING:  # bake need not load the XML modules of verify
-    from skinbake.report.bake import FileResult
-    from skinbake.report.inspect import FileSummary
-    from skinbake.report.strip import StripResult
-    from skinbake.report.verify import FileVerdict
-
 LISTED = 100
 """The number of failures that the end lists."""
-
-BAKE_OUTCOMES = ("baked", "unchanged", "up-to-date", "failed")
-VERIFY_OUTCOMES = ("passed", "up-to-date", "failed")
-INSPECT_OUTCOMES = ("inspected", "failed")
-STRIP_OUTCOMES = ("stripped", "unchanged", "failed")
 
 
 @dataclass(slots=True)
@@ -44,32 +33,8 @@ class Totals:
         """Return the number of finished files."""
         return self.counts.total()
 
-    def add_baked(self, result: FileResult) -> None:
-        """Count a file of bake."""
-        reason = _reason(result.input, result.error) if result.error else ""
-        self._add(result.status, reason, result.timings)
-
-    def add_verified(self, verdict: FileVerdict) -> None:
-        """Count a file of verify."""
-        if verdict.error:
-            self._add("failed", _reason(verdict.input, verdict.error), verdict.timings)
-        elif not verdict.passed:
-            self._add("failed", f"{verdict.input}: {first_problem(verdict)}", verdict.timings)
-        else:
-            self.not_baked += verdict.found_no_bake
-            self._add("up-to-date" if verdict.up_to_date else "passed", "", verdict.timings)
-
-    def add_inspected(self, result: FileSummary) -> None:
-        """Count a file of inspect."""
-        reason = _reason(result.input, result.error) if result.error else ""
-        self._add("failed" if result.error else "inspected", reason, result.timings)
-
-    def add_stripped(self, result: StripResult) -> None:
-        """Count a file of strip."""
-        reason = _reason(result.input, result.error) if result.error else ""
-        self._add(result.status, reason, result.timings)
-
-    def _add(self, outcome: str, reason: str, timings: Mapping[str, float] | None) -> None:
+    def add(self, outcome: str, reason: str, timings: Mapping[str, float] | None) -> None:
+        """Count a file. ``reason`` names it and says why it failed, if it did."""
         self.counts[outcome] += 1
         if outcome == "failed":
             self.failures.append(reason)
@@ -77,20 +42,12 @@ class Totals:
             self.timings[stage] = self.timings.get(stage, 0.0) + seconds
 
 
-def _reason(source: str, error: SkinbakeError) -> str:
+def reason_of(source: str, error: SkinbakeError | None) -> str:
+    """Return the error of a file with the file's name, or nothing if there is none."""
+    if error is None:
+        return ""
     text = str(error)
     return text if text.startswith(printable(source)) else f"{source}: {text}"
-
-
-def first_problem(verdict: FileVerdict) -> str:
-    """Return the first problem of a verdict that failed, and the number of further ones."""
-    failed = [check for check in verdict.checks if check.outcome == "failed"]
-    problems = [problem for check in failed for problem in check.problems]
-    more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
-    if not problems:
-        return ", ".join(f"{check.name} failed" for check in failed)
-    where = problems[0].place.within_file
-    return f"{f'{where}: ' if where else ''}{problems[0].message}{more}"
 
 
 def failure_lines(totals: Totals) -> Iterator[str]:

@@ -11,12 +11,13 @@ from typing import TYPE_CHECKING, Any, Literal
 from skinbake.choices import Truth
 from skinbake.errors import Notice, Place, SkinbakeError, printable
 from skinbake.report.notices import error_fields, notice_list, place_fields
-from skinbake.report.totals import run_json, timing_fields
+from skinbake.report.totals import Totals, reason_of, run_json, timing_fields
 
 if TYPE_CHECKING:
     from xml.etree import ElementTree
 
 SCHEMA = "skinbake.verify/1"
+OUTCOMES = ("passed", "up-to-date", "failed")
 
 Outcome = Literal["passed", "failed", "skipped"]
 
@@ -154,6 +155,28 @@ def by_worse_truth(verdict: FileVerdict) -> dict[str, ErrorFigures]:
     """Return the figures of the first method by the truth with the smaller gain; empty without figures."""
     every = [next(iter(normals.values())) for normals in verdict.by_truth.values() if normals]
     return min(every, key=lambda figures: gain(figures) or math.inf, default={})
+
+
+def count(totals: Totals, verdict: FileVerdict) -> None:
+    """Count a file."""
+    if verdict.error:
+        totals.add("failed", reason_of(verdict.input, verdict.error), verdict.timings)
+    elif not verdict.passed:
+        totals.add("failed", f"{verdict.input}: {first_problem(verdict)}", verdict.timings)
+    else:
+        totals.not_baked += verdict.found_no_bake
+        totals.add("up-to-date" if verdict.up_to_date else "passed", "", verdict.timings)
+
+
+def first_problem(verdict: FileVerdict) -> str:
+    """Return the first problem of a verdict that failed, and the number of further ones."""
+    failed = [check for check in verdict.checks if check.outcome == "failed"]
+    problems = [problem for check in failed for problem in check.problems]
+    more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
+    if not problems:
+        return ", ".join(f"{check.name} failed" for check in failed)
+    where = problems[0].place.within_file
+    return f"{f'{where}: ' if where else ''}{problems[0].message}{more}"
 
 
 def as_text(verdict: FileVerdict) -> str:
