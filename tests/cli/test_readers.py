@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -60,6 +61,31 @@ def test_a_reader_that_has_left_is_141(arguments: list[str]) -> None:
 )
 def test_nobody_reads_the_error_either(arguments: list[str]) -> None:
     assert without_reader(*arguments, stream="stderr").returncode == 141
+
+
+def with_closed(streams: str, *command: str) -> subprocess.CompletedProcess[bytes]:
+    """Run Python with some of its standard streams closed, like ``2>&-``."""
+    shell = ["sh", "-c", f'exec "$@" {streams}', "sh", sys.executable, *command]
+    return subprocess.run(shell, stdout=subprocess.PIPE, check=False, timeout=60)
+
+
+@pytest.mark.slow
+def test_long_work_needs_no_stderr(tmp_path: Path) -> None:
+    for number in range(25):  # so many that progress would be shown at once
+        (tmp_path / f"{number}.glb").touch()
+    process = with_closed("2>&-", "-m", "skinbake", "verify", str(tmp_path), "--json")
+    assert process.returncode == 3
+    assert len(json.loads(process.stdout)["files"]) == 25
+
+
+@pytest.mark.slow
+def test_no_file_gets_the_number_of_a_closed_stream() -> None:
+    code = (
+        "import os, sys; from skinbake.cli.main import entry_point; sys.argv[1:] = ['--version']\n"
+        "try: entry_point()\n"
+        "except SystemExit: sys.exit(os.open(os.devnull, os.O_RDONLY) > 2)"
+    )
+    assert with_closed("<&- 2>&-", "-c", code).returncode == 1
 
 
 @pytest.mark.slow

@@ -106,6 +106,7 @@ def main() -> None:
 
 def entry_point() -> None:
     """Run the command line. No fault of a file, a disk or a terminal ends in a traceback."""
+    _fill_standard_descriptors()
     # No work here needs a thread of numpy's linear algebra, and its threads take a tenth of a second to
     # start.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -119,6 +120,20 @@ def entry_point() -> None:
         if not _settled(stream):
             code = exit_codes.READER_GONE
     sys.exit(code)
+
+
+def _fill_standard_descriptors() -> None:
+    """Open the null device for each standard stream that is closed.
+
+    Otherwise a file would get its number, and text that a library or a worker prints would go there.
+    """
+    for descriptor in range(3):
+        try:
+            os.fstat(descriptor)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # it gets the lowest free number, this one
+    if sys.stderr is None:  # so messages, and a look whether it is a terminal, need no care
+        sys.stderr = os.fdopen(2, "w", closefd=False)
 
 
 def _code(received: list[int]) -> int:
