@@ -125,3 +125,13 @@ def test_a_bake_that_is_given_up_leaves_nothing(tmp_path: Path) -> None:
     assert result.returncode == 3
     assert b"not baked: it took longer than 0.01 s (--timeout)" in result.stderr
     assert list((tmp_path / "out").iterdir()) == []
+
+
+@POSIX
+@pytest.mark.slow
+def test_the_folder_of_temporary_files_may_be_too_long_for_a_socket(tmp_path: Path) -> None:
+    folder = tmp_path / ("t" * 100)
+    folder.mkdir()
+    result = run("inspect", SEAM, "--isolate", env={"TMPDIR": str(folder)})
+    assert (result.returncode, result.stderr) == (0, b"")
+    assert b"skinned primitive" in result.stdout

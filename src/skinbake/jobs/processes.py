@@ -68,6 +68,12 @@ ATTEMPTS = 2
 PAUSE = 0.1
 """The seconds before the start of a worker is tried again. The system has removed a dead server by then."""
 
+LONGEST_FOLDER = 107 - len("/pymp-12345678/listener-12345678")
+"""The longest path, in bytes, of a folder of temporary files that can hold the socket of the server.
+
+Linux takes 107 bytes for the path of a socket.
+"""
+
 SPARE_DESCRIPTORS = 32
 """The number of files that this process can still open when it starts a further worker."""
 
@@ -273,7 +279,9 @@ class _Pool(Generic[JobT, ReturnT]):
                 if failures < ATTEMPTS:
                     time.sleep(PAUSE)
                     continue
-                reason = getattr(error, "strerror", None) or "the system allows no more processes"
+                reason = (
+                    getattr(error, "strerror", None) or str(error) or "the system allows no more processes"
+                )
                 if not self._workers:
                     raise SkinbakeError(_not_started(reason)) from error
                 self._size = len(self._workers)
@@ -379,13 +387,24 @@ def _cause_of_death(process: BaseProcess) -> str:
 def _context(modules: Sequence[str]) -> SpawnContext | ForkServerContext:
     """Return how processes start: as forks of a server that has done the imports, or from scratch.
 
-    They are never forks of this process, because this process may have threads by then.
+    They are never forks of this process, because this process may have threads by then. From scratch takes
+    longer, and needs no socket.
     """
-    if sys.platform != "linux":
+    if sys.platform != "linux" or not _has_place_for_a_socket():
         return multiprocessing.get_context("spawn")
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(list(modules))
     return context
+
+
+def _has_place_for_a_socket() -> bool:
+    """Tell whether the folder of temporary files can hold a socket. TMPDIR may be long, or no folder."""
+    import tempfile
+
+    try:
+        return len(os.fsencode(tempfile.gettempdir())) <= LONGEST_FOLDER
+    except OSError:
+        return False
 
 
 def _check_descriptors() -> None:
