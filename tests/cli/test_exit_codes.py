@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -315,3 +316,13 @@ def test_the_codes_leave_the_process(tmp_path: Path) -> None:
         run("bake", SEAM, "-o", tmp_path / "broken.glb" / "a.glb").returncode,
     ]
     assert found == [0, 2, 3, 4]
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows deletes no current folder")
+@pytest.mark.parametrize("arguments", [["config"], ["bake", FOLDER / "seam.glb", "--out-dir", "out"]])
+def test_a_current_folder_that_was_deleted(arguments: list[str | Path], tmp_path: Path) -> None:
+    code = "import os, sys; from skinbake.__main__ import run; os.rmdir(os.getcwd()); sys.exit(run())"
+    result = run(*arguments, command=("-c", code), folder=tmp_path)
+    assert result.returncode == exit_codes.INPUT
+    assert result.stderr == b"error: the current folder was deleted: change to another one\n"

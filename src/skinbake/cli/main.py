@@ -10,6 +10,7 @@ import signal
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from pathlib import Path
 from threading import current_thread, main_thread
 from typing import Any
 
@@ -157,6 +158,8 @@ def _failed(error: Exception) -> int:
     """Report an error, which may be a defect of skinbake, and return the exit code."""
     if isinstance(error, SkinbakeError):
         return _said(f"error: {error}", exit_codes.of_error(error))
+    if isinstance(error, FileNotFoundError) and _is_nowhere():
+        return _said("error: the current folder was deleted: change to another one", exit_codes.INPUT)
     import logging  # it takes a sixth of the time of --help
 
     logging.getLogger(__name__).debug("where it failed", exc_info=True)
@@ -165,6 +168,15 @@ def _failed(error: Exception) -> int:
         "Please report it with the file that caused it; -vv shows where.",
         exit_codes.INPUT,
     )
+
+
+def _is_nowhere() -> bool:
+    """Tell whether the current folder was deleted, so that no relative path has a meaning."""
+    try:
+        Path.cwd()
+    except OSError:
+        return True
+    return False
 
 
 def _said(text: str, code: int) -> int:
