@@ -213,6 +213,36 @@ def test_an_unknown_keyword_is_a_type_error(tmp_path: Path) -> None:
         skinbake.bake(TUBE)
 
 
+def test_one_text_in_the_place_of_a_list_is_a_type_error(tmp_path: Path) -> None:
+    """Its letters would be names: the first of /textures allows every folder."""
+    with pytest.raises(TypeError, match="allow_outside is a text: expected a list"):
+        skinbake.bake(TUBE, tmp_path / "out.glb", allow_outside="/textures")
+    with pytest.raises(TypeError, match="allow_outside is a text"):
+        skinbake.inspect(TUBE, allow_outside="/textures")
+    with pytest.raises(TypeError, match="fit_poses is a text"):
+        skinbake.bake(TUBE, tmp_path / "out.glb", gradients="poses", fit_poses="animations")
+    with pytest.raises(TypeError, match=r"methods is a text: expected a list, like \['lbs'\]"):
+        skinbake.verify(TUBE, methods="lbs")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("name", ["notes.txt", "hero", "s3://bucket/hero.glb", "-"])
+def test_targets_are_named_like_models_of_this_machine(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(skinbake.OutputError, match=r"expected a name that ends in|only the command line"):
+        skinbake.bake(TUBE, name)
+    with pytest.raises(skinbake.OutputError, match=r"expected a name that ends in|only the command line"):
+        skinbake.strip(TUBE, name)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_source_is_a_file_of_this_machine() -> None:
+    with pytest.raises(skinbake.InputError, match="only the command line reads URLs"):
+        skinbake.inspect("s3://bucket/hero.glb")
+
+
 def test_a_failure_writes_nothing_and_has_its_notices(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(skinbake.OutputError) as caught:
@@ -264,6 +294,11 @@ class TestModels:
         assert skinbake.bake(model).to_json() == model.to_json()
         with pytest.raises(skinbake.InputError, match="nothing in it can be baked"):
             skinbake.bake(model, require_baked=True)
+
+    def test_a_model_is_written_nowhere(self, tmp_path: Path) -> None:
+        model = pygltflib.GLTF2().load(TUBE)
+        with pytest.raises(TypeError, match="returns the new GLTF2"):
+            skinbake.bake(model, tmp_path / "out.glb")
 
     def test_what_is_no_model_is_refused(self) -> None:
         with pytest.raises(TypeError, match="takes a path or a GLTF2 of pygltflib, not dict"):

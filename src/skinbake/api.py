@@ -31,8 +31,9 @@ from skinbake.choices import (
     check_range,
     member_of,
 )
-from skinbake.errors import ChoiceError
+from skinbake.errors import ChoiceError, InputError, OutputError, Place
 from skinbake.files.bounds import Bounds, Within
+from skinbake.files.urls import SUFFIXES, is_url
 from skinbake.geometry.skinned import Float32Array, IntArray, SkinnedPrimitive
 from skinbake.threads import LARGEST, threads_limited
 
@@ -147,11 +148,16 @@ def bake(
     from skinbake.commands.bake import Baker
     from skinbake.gltf.output import Writing
 
+    _check_several("fit_poses", options.get("fit_poses", ()))
     baker = Baker(**options)  # type: ignore[arg-type]  # it takes the values of enumerations too
     with threads_limited(_thread_count(threads)):
         if not isinstance(source, str | os.PathLike):
             from skinbake.pygltflib_models import baked_model
 
+            if target is not None or dry_run or pack or allow_outside:
+                raise TypeError(
+                    "bake() returns the new GLTF2: it takes no target, dry_run, pack or allow_outside"
+                )
             return baked_model(source, baker)
         if target is None:
             raise TypeError("bake() needs a target for a file")
@@ -159,7 +165,7 @@ def bake(
 
         writing = Writing(dry_run=dry_run, sync=sync, pack=pack)
         within = Within(_bounds(allow_outside))
-        return file_json(baker.bake_file(os.fspath(source), os.fspath(target), writing, within))
+        return file_json(baker.bake_file(_source(source), _target(target), writing, within))
 
 
 def verify(
@@ -232,6 +238,7 @@ def verify(
     from skinbake.lighting.measured import VerifyOptions
     from skinbake.report.verify import file_json
 
+    _check_several("methods", methods)
     options = VerifyOptions.of(
         methods=methods,
         poses=poses,
@@ -248,7 +255,7 @@ def verify(
         warnings_as_errors=warnings_as_errors,
     )
     with threads_limited(_thread_count(threads)):
-        return file_json(verify_file(os.fspath(source), options, bounds=_bounds(allow_outside)))
+        return file_json(verify_file(_source(source), options, bounds=_bounds(allow_outside)))
 
 
 def inspect(source: FilePath, *, allow_outside: Sequence[FilePath] = ()) -> dict[str, Any]:
@@ -280,7 +287,7 @@ def inspect(source: FilePath, *, allow_outside: Sequence[FilePath] = ()) -> dict
     from skinbake.commands.inspect import inspect_file
     from skinbake.report.inspect import as_json
 
-    return as_json(inspect_file(os.fspath(source), _bounds(allow_outside)))
+    return as_json(inspect_file(_source(source), _bounds(allow_outside)))
 
 
 def strip(
@@ -328,7 +335,7 @@ def strip(
     from skinbake.report.strip import as_json
 
     bounds = _bounds(allow_outside)
-    paths = os.fspath(source), os.fspath(target)
+    paths = _source(source), _target(target)
     return as_json(strip_file(*paths, warnings_as_errors=warnings_as_errors, sync=sync, bounds=bounds))
 
 
@@ -341,7 +348,32 @@ def _thread_count(threads: int | str) -> int | None:
     raise ChoiceError(f"--threads {threads}: expected a number from 1 to {LARGEST}, or auto")
 
 
+def _source(path: FilePath) -> str:
+    """Return the path of a file to read. Raises InputError for a URL."""
+    name = os.fspath(path)
+    if is_url(name):
+        raise InputError("only the command line reads URLs", Place(name))
+    return name
+
+
+def _target(path: FilePath) -> str:
+    """Return the path of a file to write. Raises OutputError for a URL, and for a name that is no model's."""
+    name = os.fspath(path)
+    if is_url(name):
+        raise OutputError("only the command line writes to URLs", Place(name))
+    if not name.lower().endswith(SUFFIXES):
+        raise OutputError(f"expected a name that ends in {', '.join(SUFFIXES)}", Place(name))
+    return name
+
+
+def _check_several(name: str, values: object) -> None:
+    """Raise TypeError for one text in the place of a list. Its letters would be taken one by one."""
+    if isinstance(values, str):
+        raise TypeError(f"{name} is a text: expected a list, like [{values!r}]")
+
+
 def _bounds(allow_outside: Sequence[FilePath]) -> Bounds:
+    _check_several("allow_outside", allow_outside)
     return Bounds(None, tuple(os.fspath(folder) for folder in allow_outside))
 
 
@@ -454,7 +486,6 @@ def weight_gradients(
     Tarini, Panozzo, Sorkine-Hornung 2014, section 4: doi:10.1111/cgf.12330.
 
     """
-    from skinbake.errors import Place
     from skinbake.gradients.assumptions import check_finite
     from skinbake.gradients.baker import BakeSettings, ChosenFrame, bake_mesh, frame_vectors
 
