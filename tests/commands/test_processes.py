@@ -250,8 +250,11 @@ def test_a_system_that_allows_no_worker_ends_the_run(
         raise error
 
     monkeypatch.setattr(processes, "_started", refused)
-    with pytest.raises(SkinbakeError, match=r"cannot be started \(.*(unavailable|no more).*: try --jobs 1"):
+    with pytest.raises(SkinbakeError, match=r"cannot be started \(.*(unavailable|no more).*: try --jobs 1$"):
         outcomes(Work(), 4)
+    limited = Processes(1, limits=Limits(seconds=60.0))
+    with pytest.raises(SkinbakeError, match="try --jobs 1 without --timeout and --isolate"):
+        next(limited.run(Work(), range(4)))
 
 
 def test_a_start_that_fails_once_is_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -283,7 +283,7 @@ class _Pool(Generic[JobT, ReturnT]):
                     getattr(error, "strerror", None) or str(error) or "the system allows no more processes"
                 )
                 if not self._workers:
-                    raise SkinbakeError(_not_started(reason)) from error
+                    raise SkinbakeError(_not_started(reason, self._limits)) from error
                 self._size = len(self._workers)
                 logger.info("no more than %d workers: %s", self._size, reason)
             else:
@@ -351,7 +351,7 @@ class _Pool(Generic[JobT, ReturnT]):
         if not worker.is_warm:
             self._stillborn += 1
             if self._stillborn >= ATTEMPTS * self._size:
-                raise SkinbakeError(_not_started(how))
+                raise SkinbakeError(_not_started(how, self._limits))
             self._back.extendleft(reversed(worker.sent))
             return
         if not worker.sent:
@@ -372,8 +372,9 @@ class _Pool(Generic[JobT, ReturnT]):
         yield number, self._work.lost(self._jobs[number], reason)
 
 
-def _not_started(why: str) -> str:
-    return f"worker processes cannot be started ({why}): try --jobs 1"
+def _not_started(why: str, limits: Limits) -> str:
+    without = "" if limits == Limits() else " without --timeout and --isolate"
+    return f"worker processes cannot be started ({why}): try --jobs 1{without}"
 
 
 def _cause_of_death(process: BaseProcess) -> str:
