@@ -168,6 +168,17 @@ class TestValues:
         assert result.exit_code == 2
         assert "skinbake.toml:2: bake.encoding" in result.stderr
 
+    def test_v_and_q_of_the_command_line_win(self, project: Path) -> None:
+        """Neither has an opposite on the command line."""
+        (project / "skinbake.toml").write_text("[bake]\nquiet = true\n")
+        assert invoke("bake", "a.glb", "--dry-run").stdout == ""
+        assert "a.glb (dry run): baked" in invoke("bake", "a.glb", "--dry-run", "-v").stdout
+        (project / "skinbake.toml").write_text("[bake]\nverbose = 2\n")
+        assert "sets verbose" in invoke("bake", "a.glb", "--dry-run").stderr
+        for arguments in (["-q"], ["-q", "-v"]):
+            result = invoke("bake", "a.glb", "--dry-run", *arguments)
+            assert (result.stdout, result.stderr) == ("", "")
+
     def test_each_command_has_its_table(self, project: Path) -> None:
         (project / "skinbake.toml").write_text("[cost]\ninfluences = 4\njson = true\n")
         assert document(invoke("cost"))["influences"] == 4
@@ -398,6 +409,12 @@ class TestOverrides:
         text = '[[overrides]]\nfiles = ["heroes/**"]\nbake = { encoding = "snorm16" }\n'
         found = refused(text, "bake", ".", "--dry-run", "--layout", "texcoord")
         assert found.startswith("skinbake.toml:2: overrides[0]: --layout texcoord needs --encoding float32")
+
+    def test_a_contradiction_names_no_override_of_another_command(self, project: Path) -> None:
+        other = '[[overrides]]\nfiles = ["heroes/**"]\nverify = { min-gain = 2 }\n'
+        text = '[[overrides]]\nfiles = ["heroes/**"]\nbake = { encoding = "snorm16" }\n'
+        found = refused(f"{other}{text}{other}", "bake", ".", "--dry-run", "--layout", "texcoord")
+        assert found.startswith("skinbake.toml:5: overrides[1]: --layout texcoord needs --encoding float32")
 
     def test_limits_of_verify_differ_by_file(self, project: Path) -> None:
         invoke("bake", ".", "--in-place")

@@ -86,12 +86,14 @@ class Configured:
     overrides: tuple[Override, ...]
 
     def overrides_of(self, source: str) -> tuple[int, ...]:
-        """Return the numbers of the overrides for an input, in order."""
+        """Return the numbers of the overrides that set options for an input, in order."""
         parts = _parts_below(self.configuration.folder, source) if self.overrides else None
         if parts is None:
             return ()
         return tuple(
-            number for number, one in enumerate(self.overrides) if one.pattern_for(parts) is not None
+            number
+            for number, one in enumerate(self.overrides)
+            if one.settings and one.pattern_for(parts) is not None
         )
 
     def given_by(self, chosen: Iterable[int]) -> dict[str, Any]:

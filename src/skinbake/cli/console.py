@@ -237,7 +237,7 @@ def console(given: Mapping[str, Any], *, results_on_stderr: bool = False) -> Con
 
     verbose, auto = given["verbose"], False if os.environ.get("NO_COLOR") else None
     chosen = {"always": True, "never": False, "auto": auto}[given["color"]]
-    if verbose:
+    if verbose and not given["quiet"]:
         import logging  # it takes some milliseconds
 
         from skinbake.jobs.logs import log_to_stderr

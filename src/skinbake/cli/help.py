@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import click
+from click.core import ParameterSource
 from click.shell_completion import CompletionItem
 
 from skinbake.cli.chosen_config import config_options, configured_in
@@ -154,7 +155,8 @@ class Helpful(click.Command):
         configured = configured_in(ctx)
         if configured is None:
             return super().invoke(ctx)
-        if ctx.params.get("verbose"):
+        _let_the_command_line_win(ctx)
+        if ctx.params.get("verbose") and not ctx.params.get("quiet"):
             click.echo(printable(configured.in_words()), err=True)
         try:
             return super().invoke(ctx)
@@ -173,6 +175,16 @@ class Helpful(click.Command):
             with formatter.section("Examples"):
                 for line in self.examples:
                     formatter.write(f"{'':>{formatter.current_indent}}{line}\n")
+
+
+def _let_the_command_line_win(ctx: click.Context) -> None:
+    """Drop quiet of a file if -v is on the command line, and verbose of a file if -q is."""
+    for typed, other in (("verbose", "quiet"), ("quiet", "verbose")):
+        if (
+            ctx.get_parameter_source(typed) is ParameterSource.COMMANDLINE
+            and ctx.get_parameter_source(other) is ParameterSource.DEFAULT_MAP
+        ):
+            ctx.params[other] = 0
 
 
 def grouped(command: click.Command, ctx: click.Context) -> Iterator[tuple[str, list[tuple[str, str]]]]:
