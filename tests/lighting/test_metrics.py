@@ -167,7 +167,7 @@ def test_a_tally_of_blocks_is_exact(seed: int, monkeypatch: pytest.MonkeyPatch) 
 def test_percentiles_of_many_errors_that_differ_little_are_exact(width: float, dtype: type) -> None:
     """Thousands of errors are then in one bin, and hundreds in one of its parts."""
     rng = np.random.default_rng(5)
-    errors = (4.0 + width * rng.random((50, 2000))).astype(dtype)
+    errors: npt.NDArray[np.floating] = (4.0 + width * rng.random((50, 2000))).astype(dtype)
     areas = rng.exponential(1.0, 2000)
     tally = ErrorTally(50 * float(areas.sum()))
     for pose in range(0, 50, 10):
