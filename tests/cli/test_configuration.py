@@ -199,7 +199,8 @@ class TestValues:
             ("require-baked = 1", "bake.require-baked: 1: expected true or false"),
             ('gradients = ["rig"]', "bake.gradients: ['rig']: expected a text in quotes"),
             ('fit-poses = "animations"', "bake.fit-poses: 'animations': expected an array of texts"),
-            ("jobs = -1", "bake.jobs: must be a number of processes, 0 or auto"),
+            ("jobs = -1", "bake.jobs: must be a number of processes up to 256, or auto"),
+            ("jobs = 100000", "bake.jobs: must be a number of processes up to 256, or auto"),
             ("jobs = 1.5", "bake.jobs: 1.5: expected an integer, or a text in quotes"),
             (
                 "encodng = 1",

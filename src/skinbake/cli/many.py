@@ -39,6 +39,9 @@ STATE_NAME = ".skinbake-state.jsonl"
 FEW = 5
 """The number of files whose lines tell enough. If there are more, a last line has the totals."""
 
+MOST_PROCESSES = 256
+"""The largest number for --jobs. A configuration file of a stranger may ask for any number."""
+
 ResultT = TypeVar("ResultT", bound="Result")
 ResultT_contra = TypeVar("ResultT_contra", bound="Result", contravariant=True)
 
@@ -46,8 +49,8 @@ ResultT_contra = TypeVar("ResultT_contra", bound="Result", contravariant=True)
 def _jobs(ctx: click.Context, param: click.Parameter, value: str) -> int:
     if value == "auto":
         return 0
-    if not (value.isdecimal() and len(value) < 9):
-        raise click.BadParameter("must be a number of processes, 0 or auto")
+    if not (value.isdecimal() and len(value) < 9 and int(value) <= MOST_PROCESSES):
+        raise click.BadParameter(f"must be a number of processes up to {MOST_PROCESSES}, or auto")
     return int(value)
 
 
