@@ -128,3 +128,15 @@ def test_flat_and_broken_triangles_add_nothing() -> None:
         assert not vertex_normals(alone, posed).any()
         assert np.isfinite(vertex_normals(operator, posed)).all()
     assert vertex_normals(alone, np.ascontiguousarray(rest.T[:, :, None])).any()
+
+
+def test_triangles_that_cancel_out_leave_no_normal() -> None:
+    """With each triangle there twice, once for each side, the rest of the sum is rounding."""
+    primitive = analytic_surface(200, "jittered").primitive
+    triangles = primitive.triangles
+    once, both = triangles[:40], np.concatenate([triangles[40:], triangles[40:, [1, 0, 2]]])
+    doubled = replace(primitive, triangles=np.concatenate([once, both]))
+    found = true_normals(doubled, primitive.positions[None].astype(np.float64))[0]
+    lit, cancelled = np.unique(once), np.setdiff1d(both, once)
+    assert np.isnan(found[cancelled]).all() and len(cancelled) > 50
+    assert angular_errors(found[lit], primitive.normals[lit]).max() < 1e-6

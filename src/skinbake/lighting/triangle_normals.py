@@ -23,6 +23,12 @@ from skinbake.skinning.components import Vector, cross, dot, minus_scaled, scale
 FLAT_TRIANGLE = 1e10
 """A deformed triangle with a corner of a larger cotangent is a line or a point, and has no normal."""
 
+CANCELLED = 1e-9
+"""Radians. Triangles that sum to less at a point cancel out. The direction of what is left is rounding.
+
+This happens where a mesh has each triangle twice, once for each side, on the same vertices.
+"""
+
 CORNER_SAMPLES = 1 << 15
 """The corners × poses in work at a time. The temporaries of a block stay in the processor's cache."""
 
@@ -128,10 +134,11 @@ def carried_normals(
 ) -> CarriedNormals:
     """Return the coordinates of the normals n0 (V, 3) on the mesh before skinning, with positions (V, 3).
 
-    classes are as in ``vertex_normals``.
+    A vertex whose triangles cancel out has none. classes are as in ``vertex_normals``.
     """
     components = np.ascontiguousarray(np.asarray(positions, dtype=np.float64).T)[:, :, None]
     sums = vertex_normals(operator, components, classes)
+    sums[:, np.einsum("icp,icp->cp", sums, sums) < CANCELLED**2] = 0.0
     coefficients = np.full((3, len(positions)), np.nan)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # what has no frame gets NaN
         for part, derivatives in zip(rest.parts, rest.tangents, strict=True):
