@@ -10,8 +10,10 @@ import pytest
 
 from skinbake.format.adoption import UNIT, with_adopted
 from skinbake.gltf.accessors import StoredArray
-from skinbake.gltf.primitives import StoredInfluences
-from skinbake.lighting.before_adoption import returned
+from skinbake.gltf.document import read_document
+from skinbake.gltf.primitives import StoredInfluences, skinned_sources
+from skinbake.lighting.baked_views import baked_views
+from skinbake.lighting.before_adoption import before_adoption, returned
 from tests.support.baked_files import Editable, baked, source, verify
 from tests.support.models import sheet, write_model
 
@@ -56,9 +58,8 @@ def test_a_bake_of_weights_with_a_small_sum_is_fresh(tmp_path: Path) -> None:
     assert answer.exit_code == 0, answer.messages
 
 
-@pytest.mark.parametrize("gradients", ["surface", "rig"])
-def test_a_border_of_primitives_with_one_and_two_sets_is_fresh(gradients: str, tmp_path: Path) -> None:
-    """At the border joint 4 takes the slot of joint 0. One primitive alone has further empty slots."""
+def two_primitives(folder: Path, gradients: str) -> Editable:
+    """Bake two primitives, at whose border joint 4 takes the slot of joint 0. One has further empty slots."""
     place = sheet().attributes["POSITION"].astype(np.float64)
     border = place[:, 0] == place[:, 0].max()
     joints = np.where(border[:, None], [1, 2, 3, 0], [4, 0, 1, 0]).astype(np.uint8)
@@ -76,13 +77,41 @@ def test_a_border_of_primitives_with_one_and_two_sets_is_fresh(gradients: str, t
         ),
     ]
     parts[1] = replace(parts[1], indices=np.asarray(parts[1].indices)[:, ::-1])
-    original = write_model(tmp_path / "two.glb", parts, joints=5)
-    written = baked(original, tmp_path / "baked", gradients=gradients)
-    model = Editable(written)
+    original = write_model(folder / "two.glb", parts, joints=5)
+    model = Editable(baked(original, folder / "baked", gradients=gradients))
     assert (model.array("JOINTS_0", 1)[border] == [1, 2, 3, 4]).all()
     assert not model.array("_SKINBAKE_ALPHA_1", 1)[border].any()
-    answer = verify(written, "--poses", "rest")
+    return model
+
+
+@pytest.mark.parametrize("gradients", ["surface", "rig"])
+def test_a_border_of_primitives_with_one_and_two_sets_is_fresh(gradients: str, tmp_path: Path) -> None:
+    model = two_primitives(tmp_path, gradients)
+    answer = verify(model.write(tmp_path / "fresh.glb"), "--poses", "rest")
     assert answer.exit_code == 0, answer.messages
+
+
+def test_damage_beside_slots_whose_joint_has_left_them_is_found_where_it_is(tmp_path: Path) -> None:
+    model = two_primitives(tmp_path, "surface")
+    alpha = model.array("_SKINBAKE_ALPHA_0", 0)
+    alpha[np.abs(alpha).max(axis=1).argmax()] *= -1.0
+    answer = verify(model.write(tmp_path / "damaged.glb"), "--poses", "rest")
+    assert [(one["primitive"], one["count"]) for one in answer.problems("freshness")] == [(0, 1)]
+
+
+def test_a_slot_that_lost_its_gradient_is_no_slot_whose_joint_has_left_it(tmp_path: Path) -> None:
+    """A joint leaves a slot only for a slot that adopts it, and no slot of this bake adopts any."""
+    steps = np.digitize(sheet().attributes["POSITION"][:, 0], [-0.6, 0.1])
+    joints = np.array([[0, 1, 0, 0], [1, 2, 0, 0], [2, 1, 0, 0]])[steps].astype(np.uint8)
+    weights = np.tile(np.array([1, 0, 0, 0], np.float32), (len(steps), 1))
+    original = write_model(tmp_path / "hard.glb", [sheet(JOINTS_0=joints, WEIGHTS_0=weights)], joints=3)
+    model = Editable(baked(original, tmp_path / "baked", gradients="surface", neighbours="drop"))
+    for name in ("_SKINBAKE_ALPHA_0", "_SKINBAKE_BETA_0"):
+        slots = model.array(name)
+        assert slots[:, 0].any()
+        slots[:] = 0.0
+    answer = verify(model.write(tmp_path / "zeroed.glb"), "--poses", "rest")
+    assert answer.failed == ["freshness"], answer.messages
 
 
 def test_a_joint_that_leaves_a_slot_of_negative_weight_is_fresh(tmp_path: Path) -> None:
@@ -96,3 +125,44 @@ def test_a_joint_that_leaves_a_slot_of_negative_weight_is_fresh(tmp_path: Path) 
     assert (np.sort(Editable(written).array("JOINTS_1")[border[:, 0]]) == [0, 0, 0, 4]).all()
     answer = verify(written, "--poses", "rest")
     assert answer.exit_code == 0, answer.messages
+
+
+@pytest.mark.parametrize("gradients", ["surface", "rig"])
+@pytest.mark.parametrize(
+    ("kind", "multiples"),
+    [(np.uint8, [1, 2, 12]), (np.uint16, [30, 7, 3000]), (np.float32, [1.0, 0.25, 2**-6])],
+)
+def test_copies_that_store_other_multiples_of_their_weights_are_fresh(
+    kind: type, multiples: list[float], gradients: str, tmp_path: Path
+) -> None:
+    """They are one point of the surface. What an adopted slot takes is another share of each of them."""
+    part = sheet()
+    place, corners = part.attributes["POSITION"], np.asarray(part.indices).ravel()
+    steps = np.digitize(place[:, 0], [-0.6, 0.1, 0.6])
+    joints = np.array([[0, 1, 0, 0], [1, 2, 0, 0], [3, 0, 0, 0], [4, 3, 0, 0]])[steps][corners]
+    weights = np.array([[12, 8, 0, 0], [15, 5, 0, 0], [20, 0, 0, 0], [11, 9, 0, 0]])[steps][corners]
+    multiple = np.array(multiples)[np.arange(len(corners)) % 3][:, None] * (0.05 if kind is np.float32 else 1)
+    arrays = {name: array[corners] for name, array in part.attributes.items()}
+    arrays |= {"JOINTS_0": joints.astype(np.uint8), "WEIGHTS_0": (weights * multiple).astype(kind)}
+    corner_by_corner = replace(part, attributes=arrays, indices=np.arange(len(corners)).reshape(-1, 3))
+    original = write_model(tmp_path / "multiples.glb", [corner_by_corner], joints=5)
+    written = baked(original, tmp_path / "baked", gradients=gradients)
+    assert "adopted" in Editable(written).metadata()
+    answer = verify(written, "--poses", "rest")
+    assert answer.exit_code == 0, answer.messages
+
+
+def test_float_weights_beside_integer_ones_come_back_as_they_were(tmp_path: Path) -> None:
+    """Only integer weights paid for adopted slots, in whole units."""
+    part = sheet()
+    joints = np.array([[0, 1, 0, 0], [1, 2, 0, 0]])[(part.attributes["POSITION"][:, 0] > 0.1).astype(int)]
+    shares = np.tile([0.7654321, 1.0 - 0.7654321, 0, 0], (len(joints), 1))
+    kinds = shares.astype(np.float32), np.round(255 * shares).astype(np.uint8)
+    parts = [sheet(JOINTS_0=joints.astype(np.uint8), WEIGHTS_0=weights) for weights in kinds]
+    written = baked(write_model(tmp_path / "two.glb", parts, joints=3), tmp_path / "baked")
+    document = read_document(str(written))
+    views, problems = baked_views(document, skinned_sources(document)[0])
+    assert not problems and all("adopted" in view.metadata for view in views)
+    found = [primitive.weights for primitive in before_adoption(document, views)]
+    assert np.array_equal(found[0], kinds[0])
+    assert np.array_equal(found[1], kinds[1] / 255.0)

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from skinbake.format.adoption import UNIT
+from skinbake.format.adoption import TINY_WEIGHT, UNIT
 from skinbake.geometry.skinned import Float64Array, FloatArray, IntArray, SkinnedPrimitive
 from skinbake.gltf.document import Document
 from skinbake.lighting.baked_views import BakedView
@@ -28,7 +28,7 @@ def before_adoption(document: Document, views: Sequence[BakedView]) -> list[Skin
     if max(own.sum(axis=1).max(initial=0.0) for own in given) < NO_PAYMENT:
         return [view.now for view in views]
     return [
-        replace(view.now, weights=returned(view.now.weights, own, view.now.joints))
+        replace(view.now, weights=weights_before(view.now, own))
         for view, own in zip(views, given, strict=True)
     ]
 
@@ -43,6 +43,16 @@ def true_operator_of(document: Document, views: Sequence[BakedView]) -> Gradient
         before_adoption(document, views),
         claim=lambda size: document.budget.claim_welding(size, views[0].source.place),
     )
+
+
+def weights_before(primitive: SkinnedPrimitive, given: Float64Array) -> FloatArray:
+    """Return the weights (V, K) as bake read them, without the given ones (V, K) of ``given_weights``.
+
+    Nothing paid for weights that were given to FLOAT slots.
+    """
+    if given.max(initial=0.0) <= TINY_WEIGHT:
+        return np.where(given > 0.0, 0.0, primitive.weights)
+    return returned(primitive.weights, given, primitive.joints)
 
 
 def returned(weights: FloatArray, given: Float64Array, joints: IntArray) -> Float64Array:

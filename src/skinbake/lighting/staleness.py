@@ -16,7 +16,7 @@ from skinbake.gltf.accessors import read_accessor
 from skinbake.gltf.document import Document
 from skinbake.lighting import freshness
 from skinbake.lighting.baked_views import BakedView, gathered_together
-from skinbake.lighting.before_adoption import NO_PAYMENT
+from skinbake.lighting.before_adoption import NO_PAYMENT, weights_before
 from skinbake.lighting.expected import Expected, Fit, expected_slots, given_weights, noted_kind, rig_fit
 from skinbake.lighting.operator import GradientOperator, gradient_operator
 from skinbake.lighting.without_poses import (
@@ -188,11 +188,28 @@ def _comparisons(
     found = _compared(document, views, operator, expected_slots(document, views, operator, fit=fit))
     if all(comparison.agrees for comparison in found):
         return found
-    renamed = [_without_vacated_names(document, view) for view in views]
-    if all(other is view for other, view in zip(renamed, views, strict=True)):
+    before = [_before_adoption(document, view) for view in views]
+    if all(other is view for other, view in zip(before, views, strict=True)):
         return found
-    again = _compared(document, renamed, operator, expected_slots(document, renamed, operator))
+    with document.budget.passing():
+        welded = mesh_operator(document, before)
+        expected = expected_slots(document, before, welded)
+        again = _compared(document, before, welded, expected, _roundings(document, views, operator))
     return [other if other.agrees else one for one, other in zip(found, again, strict=True)]
+
+
+def _before_adoption(document: Document, view: BakedView) -> BakedView:
+    """Return the view with its influences as they were before slots adopted joints.
+
+    Copies of a vertex may have stored other multiples of the same weights, from which adoption takes other
+    shares. So only the weights from before it tell which vertices were welded.
+    """
+    named = _without_vacated_names(document, view)
+    given = given_weights(document, view)
+    if not given.any():
+        return named
+    weights = weights_before(view.now, given)
+    return replace(named, now=named.now.with_influences(named.now.joints, weights))
 
 
 def _without_vacated_names(document: Document, view: BakedView) -> BakedView:
@@ -213,9 +230,14 @@ def _without_vacated_names(document: Document, view: BakedView) -> BakedView:
 
 
 def _compared(
-    document: Document, views: Sequence[BakedView], operator: GradientOperator, expected: Expected
+    document: Document,
+    views: Sequence[BakedView],
+    operator: GradientOperator,
+    expected: Expected,
+    roundings: Sequence[Float64Array] | None = None,
 ) -> list[freshness.Comparison]:
-    roundings = _roundings(document, views, operator)
+    """Compare α and β of each view with expected ones. roundings are those of ``_roundings``."""
+    roundings = roundings or _roundings(document, views, operator)
     found = [
         freshness.compare((view.alpha, view.beta), slots, rounding=rounding)
         for view, slots, rounding in zip(views, expected, roundings, strict=True)
