@@ -10,6 +10,7 @@ from typing import Any
 from xml.etree import ElementTree
 
 import jsonschema
+import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 
@@ -111,6 +112,22 @@ def test_animations_are_meant_by_their_plural_too(tmp_path: Path) -> None:
     found = [run("--poses", word, *options, path).stdout for word in ("animation", "animations")]
     assert json.loads(found[0])["files"][0]["poses"] == "2 poses of 1 clip (0.958 s)"
     assert found[0] == found[1]
+
+
+def test_broken_clips_stop_only_the_poses_of_animations(tmp_path: Path) -> None:
+    model = Editable(baked(source("bent_tube.glb"), tmp_path))
+    model.stored(model.content["animations"][0]["samplers"][0]["input"])[0] = np.nan
+    path = model.write(tmp_path / "broken.glb")
+    fault = 'clip "bend", node "tube_joint1": a time of its keys is not a finite number'
+    refused = run("--method", "lbs", path)
+    assert refused.exit_code == 3
+    assert refused.stderr == (
+        f"error: {path}: {fault}; skinbake verify --poses random measures without its clips\n"
+    )
+    for poses in ("random", "rest"):
+        result = run("--poses", poses, "--method", "lbs", path)
+        assert result.exit_code == 0
+        assert result.stderr == (f"warning: {path}: its animations are broken, and were not read ({fault})\n")
 
 
 def test_samples_are_of_clips(good: Path) -> None:

@@ -22,7 +22,7 @@ from skinbake.choices import (
 )
 from skinbake.errors import InputError, Notice, Place
 from skinbake.geometry.skinned import Float64Array
-from skinbake.gltf.animation import read_clips
+from skinbake.gltf.animation import Clip, read_clips
 from skinbake.gltf.document import Document
 from skinbake.lighting.angles import (
     METHODS,
@@ -161,7 +161,7 @@ class Lighting:
     def __init__(self, document: Document, options: VerifyOptions) -> None:
         self._document, self._options = document, options
         with stage("poses"):
-            self._clips = read_clips(document)
+            self._clips, self._unread = _readable_clips(document, options.poses.kind)
         self._done, self._total, self._identity = 0.0, 0, 0.0
         self._samples = 0
         self._segments: list[_Segment] = []
@@ -206,7 +206,8 @@ class Lighting:
             with stage("figures"):
                 verdict = self._verdict(drawn, reason if not_rigid else None)
         morphs = morph_count(self._document, [(draw.views[0].source.mesh, draw.poses) for draw in drawn])
-        return replace(verdict, notices=tuple(dict.fromkeys(_mirrored(drawn))), morphs=morphs)
+        notices = *self._unread, *dict.fromkeys(_mirrored(drawn))
+        return replace(verdict, notices=notices, morphs=morphs)
 
     def _drawn(
         self, meshes: Sequence[Sequence[BakedView]], operators: Sequence[GradientOperator]
@@ -413,6 +414,18 @@ class Lighting:
 
 def _views_key(views: Sequence[BakedView]) -> tuple[int, ...]:
     return tuple(map(id, views))
+
+
+def _readable_clips(document: Document, kind: PoseKind) -> tuple[list[Clip], list[Notice]]:
+    """Return the clips of a document. Broken ones give a notice, or InputError if their poses are wanted."""
+    try:
+        return read_clips(document), []
+    except InputError as error:
+        if kind is PoseKind.ANIMATION:
+            advice = "skinbake verify --poses random measures without its clips"
+            raise InputError(f"{error.message}; {advice}", error.place) from error
+        message = f"its animations are broken, and were not read ({error.message})"
+        return [], [Notice("animations-broken", message, document.place)]
 
 
 def _true_operator(
