@@ -199,8 +199,8 @@ WRONG_ARRAYS: list[tuple[dict[str, AnyArray | None], str]] = [
     ({"TANGENT": constant(1, F4, columns=3)}, "TANGENT: it has 3 components, 4 are needed"),
     ({"JOINTS_0": constant(0, U16, columns=2)}, "JOINTS_0: it has 2 components, 4 are needed"),
     ({"JOINTS_0": constant(0, F4)}, "JOINTS_0: joints must be unsigned bytes or shorts"),
-    ({"WEIGHTS_0": None}, "it has no WEIGHTS_0"),
-    ({"JOINTS_1": constant(0, U8)}, "it has no WEIGHTS_1"),
+    ({"WEIGHTS_0": None}, "it has JOINTS_0 and no WEIGHTS_0: write the weights, or remove the joints"),
+    ({"JOINTS_1": constant(0, U8)}, "it has JOINTS_1 and no WEIGHTS_1: write the weights"),
 ]
 
 

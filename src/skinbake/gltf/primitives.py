@@ -267,6 +267,9 @@ def read_influences(document: Document, source: PrimitiveSource, count: int) -> 
             f"it has {source.influence_sets} influence sets; the limit is {MOST_SETS}", source.place
         )
     for number in range(source.influence_sets):
+        if f"WEIGHTS_{number}" not in source.attributes:
+            lacks = f"it has JOINTS_{number} and no WEIGHTS_{number}"
+            raise InputError(f"{lacks}: write the weights, or remove the joints", source.place)
         joints = _stored(document, source, f"JOINTS_{number}", 4, count)
         weights = _stored(document, source, f"WEIGHTS_{number}", 4, count)
         sets.append(StoredInfluences(joints, weights))
