@@ -456,6 +456,14 @@ def test_a_bake_that_has_lost_its_normals_is_refused(tmp_path: Path) -> None:
     assert "it has lost what α/β are for (skipped: it has no NORMAL" in result.stderr
 
 
+def test_very_small_sums_of_weights_are_told_in_a_few_digits(tmp_path: Path) -> None:
+    model = Editable(TUBE)
+    model.array("WEIGHTS_0")[:3] *= np.float32(2.0**-40)
+    result = invoke("inspect", model.write(tmp_path / "small.glb"))
+    assert "3 vertices do not sum to 1 (9.09e-13)" in result.stderr
+    assert "the correction of the normals is 1.1e+12 times too strong there;" in result.stderr
+
+
 def test_weights_of_another_sum_are_told_by_every_command(tmp_path: Path) -> None:
     model = Editable(TUBE)
     weights = model.array("WEIGHTS_0")

@@ -9,6 +9,9 @@ from skinbake.geometry.skinned import SkinnedPrimitive
 from skinbake.gradients.influences import SUM_TOLERANCE
 from skinbake.wording import one_or_many
 
+LARGE = 100.0
+"""The factor from which on a percentage would have too many digits."""
+
 
 def weight_sum_notices(primitive: SkinnedPrimitive, place: Place) -> list[Notice]:
     """Return a notice if weights (V, K) do not sum to 1, with negative ones counted as 0, else none.
@@ -25,13 +28,18 @@ def weight_sum_notices(primitive: SkinnedPrimitive, place: Place) -> list[Notice
     vertices = one_or_many(len(off), "1 vertex", "{} vertices")
     sums_told = _span(low, high)
     up_to = "up to " if "…" in sums_told else ""
-    parts = [f"{up_to}{_percent(1.0 / low - 1.0)} too strong"] if low < 1.0 else []
+    parts = [f"{up_to}{_excess(1.0 / low)} too strong"] if low < 1.0 else []
     parts += [f"{up_to}{_percent(1.0 - 1.0 / high)} too weak"] if high > 1.0 else []
     message = (
         f"the weights of {vertices} do not sum to 1 ({sums_told}): in a shader the correction of the "
         f"normals is {' or '.join(parts)} there; normalise the weights before the bake"
     )
     return [Notice("weights-sum", message, place, len(off))]
+
+
+def _excess(factor: float) -> str:
+    """Return by how much a factor is more than 1, in percent if it is not very large."""
+    return _percent(factor - 1.0) if factor < LARGE else f"{factor:.3g} times"
 
 
 def _percent(share: float) -> str:
