@@ -459,6 +459,25 @@ def test_the_identity_check_fails_when_an_algorithm_is_wrong(
     assert "algorithms 2 and 3" in message
 
 
+def test_the_identity_check_passes_where_joints_hide_most_of_a_mesh(tmp_path: Path) -> None:
+    """Joint 1 is scaled to 0, and joint 2 with it. They move most vertices to one point."""
+    part = sheet()
+    x = part.attributes["POSITION"][:, 0].astype(np.float64)
+    share = np.interp(x, [-0.6, 1.0], [0.9, 0.2])
+    hidden = x > -0.9
+    joints = np.where(hidden[:, None], [1, 2, 0, 0], 0).astype(np.uint8)
+    weights = np.stack([np.where(hidden, share, 1.0), np.where(hidden, 1 - share, 0.0), 0 * x, 0 * x], axis=1)
+    parts = [sheet(JOINTS_0=joints, WEIGHTS_0=weights.astype(np.float32))]
+
+    def hide(content: dict[str, Any]) -> None:
+        content["nodes"][content["skins"][0]["joints"][1]]["scale"] = [0.0, 0.0, 0.0]
+
+    original = write_model(tmp_path / "hidden.glb", parts, joints=3, change=hide)
+    path = baked(original, tmp_path / "baked", neighbours="drop")
+    verdict = measured(path, methods=("lbs",), poses=PoseRequest(PoseKind.RANDOM, 6))
+    assert list(failing(verdict)) == []
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["two_primitives.glb", "bent_tube.glb"])
 def test_the_figures_do_not_depend_on_blocks(

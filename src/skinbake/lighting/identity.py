@@ -21,6 +21,13 @@ IDENTITY_TOLERANCE = 1e-4
 WELL_CONDITIONED = 1e-3
 """The sine between t' and b', relative to their lengths, below which a fold has no normal to compare."""
 
+COLLAPSED = 1e-9
+"""The length of t' × b', relative to the longest one, below which only rounding is left.
+
+Joints that are scaled to 0 hide parts of a character. If these parts have most of its vertices, the median of
+the lengths is rounding too.
+"""
+
 Compared: TypeAlias = tuple[FloatArray, FloatArray]
 """What ``compared_normals`` returns for a block."""
 
@@ -64,7 +71,7 @@ class Identity:
 
     In a fold that turns the surface inside out (det J < 0), J⁻ᵀ n keeps to the side of J n, and t' × b' does
     not. A very sharp fold amplifies rounding. Its normal nearly vanishes beside the pose's median, and it is
-    left out.
+    left out. So is a vertex of a part that its joints collapse.
     """
 
     def __init__(self) -> None:
@@ -90,7 +97,8 @@ class Identity:
             ratios, lengths = (
                 np.concatenate([block[pose] for block in values]) for values in (self._ratios, self._lengths)
             )
-            sound = lengths > WELL_CONDITIONED * _median(lengths)
+            longest = lengths[np.isfinite(lengths)].max(initial=0.0)
+            sound = lengths > max(WELL_CONDITIONED * _median(lengths), COLLAPSED * longest)
             self.largest = max(self.largest, _angle(np.fmax.reduce(ratios[sound], initial=0.0)))
         self._ratios, self._lengths = [], []
 
