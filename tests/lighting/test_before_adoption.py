@@ -152,6 +152,24 @@ def test_copies_that_store_other_multiples_of_their_weights_are_fresh(
     assert answer.exit_code == 0, answer.messages
 
 
+def test_copies_whose_payer_cannot_be_told_are_fresh(tmp_path: Path) -> None:
+    """34 and 32 units are left of 36 and 32, or of 34 and 34. The file still has the weights from before."""
+    part = sheet()
+    place, corners = part.attributes["POSITION"], np.asarray(part.indices).ravel()
+    steps = (place[:, 0] > 0.1).astype(int)
+    joints = np.array([[0, 1, 0, 0], [2, 3, 0, 0]])[steps][corners]
+    multiple = np.array([4, 5, 400])[np.arange(len(corners)) % 3][:, None]
+    arrays = {name: array[corners] for name, array in part.attributes.items()}
+    arrays["JOINTS_0"] = joints.astype(np.uint8)
+    arrays["WEIGHTS_0"] = (multiple * [9, 8, 0, 0]).astype(np.uint16)
+    corner_by_corner = replace(part, attributes=arrays, indices=np.arange(len(corners)).reshape(-1, 3))
+    original = write_model(tmp_path / "ties.glb", [corner_by_corner], joints=4)
+    written = baked(original, tmp_path / "baked", gradients="surface")
+    assert [34, 32] in Editable(written).array("WEIGHTS_0")[:, :2].tolist()
+    answer = verify(written, "--poses", "rest")
+    assert answer.exit_code == 0, answer.messages
+
+
 def test_float_weights_beside_integer_ones_come_back_as_they_were(tmp_path: Path) -> None:
     """Only integer weights paid for adopted slots, in whole units."""
     part = sheet()

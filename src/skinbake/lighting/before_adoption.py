@@ -45,14 +45,24 @@ def true_operator_of(document: Document, views: Sequence[BakedView]) -> Gradient
     )
 
 
-def weights_before(primitive: SkinnedPrimitive, given: Float64Array) -> FloatArray:
+def weights_before(
+    primitive: SkinnedPrimitive, given: Float64Array, former: FloatArray | None = None
+) -> FloatArray:
     """Return the weights (V, K) as bake read them, without the given ones (V, K) of ``given_weights``.
 
-    Nothing paid for weights that were given to FLOAT slots.
+    former are the ``former_weights`` (V, K), if there are any. They count at each vertex at which adoption
+    makes the present weights of them. Nothing paid for weights that were given to FLOAT slots.
     """
+    weights = primitive.weights
     if given.max(initial=0.0) <= TINY_WEIGHT:
-        return np.where(given > 0.0, 0.0, primitive.weights)
-    return returned(primitive.weights, given, primitive.joints)
+        return np.where(given > 0.0, 0.0, weights)
+    found = returned(weights, given, primitive.joints)
+    if former is None or former.shape != found.shape:
+        return found
+    due = np.rint(UNIT * former) - np.rint(UNIT * (np.asarray(weights, dtype=np.float64) - given))
+    paid_by_one = (due >= 0.0).all(axis=1) & (np.count_nonzero(due, axis=1) <= 1)
+    explains = paid_by_one & (due.sum(axis=1) == np.rint(UNIT * given.sum(axis=1)))
+    return np.where(explains[:, None], former, found)
 
 
 def returned(weights: FloatArray, given: Float64Array, joints: IntArray) -> Float64Array:

@@ -65,13 +65,13 @@ def given_weights(document: Document, view: BakedView) -> Float64Array:
     if "adopted" not in view.metadata:
         return np.zeros(weights.shape)
     given = (weights == TINY_WEIGHT) | (np.abs(weights * UNIT - 1.0) < ROUNDING)
-    before = _former_weights(document, view)
+    before = former_weights(document, view)
     if before is not None and before.shape == given.shape:
         given &= before == 0.0
     return np.where(given, weights, 0.0)
 
 
-def _former_weights(document: Document, view: BakedView) -> FloatArray | None:
+def former_weights(document: Document, view: BakedView) -> FloatArray | None:
     """Return the weights (V, K) before the bake. None if they are gone, or if a limit changed their slots."""
     attributes, place = view.source.attributes, view.source.place
     former = former_attributes(document, attributes, view.metadata, place)

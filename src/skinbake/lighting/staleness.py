@@ -17,7 +17,15 @@ from skinbake.gltf.document import Document
 from skinbake.lighting import freshness
 from skinbake.lighting.baked_views import BakedView, gathered_together
 from skinbake.lighting.before_adoption import NO_PAYMENT, weights_before
-from skinbake.lighting.expected import Expected, Fit, expected_slots, given_weights, noted_kind, rig_fit
+from skinbake.lighting.expected import (
+    Expected,
+    Fit,
+    expected_slots,
+    former_weights,
+    given_weights,
+    noted_kind,
+    rig_fit,
+)
 from skinbake.lighting.operator import GradientOperator, gradient_operator
 from skinbake.lighting.without_poses import (
     BAKE_AGAIN,
@@ -208,7 +216,7 @@ def _before_adoption(document: Document, view: BakedView) -> BakedView:
     given = given_weights(document, view)
     if not given.any():
         return named
-    weights = weights_before(view.now, given)
+    weights = weights_before(view.now, given, former_weights(document, view))
     return replace(named, now=named.now.with_influences(named.now.joints, weights))
 
 
