@@ -196,6 +196,11 @@ def test_the_help_tells_the_bounds_of_the_size() -> None:
     [
         (["-o", "picture.jpg"], exit_codes.USAGE, "expected a name that ends in .png, .webp, .gif"),
         (["-o", "picture.png", "--turntable"], exit_codes.USAGE, "--turntable needs a name that ends in"),
+        (
+            ["-o", "picture.png", "--split", "--lighting", "standard"],
+            exit_codes.USAGE,
+            "leave out --lighting",
+        ),
         (["-o", "picture.png", "--size", "9x9"], exit_codes.USAGE, "must be like 960x600"),
         (["-o", "picture.png", "--size", "2049x16"], exit_codes.USAGE, "each side from 16 to 2048"),
         (["-o", "picture.png", "--size", "2048x15"], exit_codes.USAGE, "each side from 16 to 2048"),

@@ -67,9 +67,7 @@ def _finite(ctx: click.Context, param: click.Parameter, value: float | None) -> 
 @click.option(
     "--lighting",
     type=Words(["standard", "accurate"]),
-    default="accurate",
-    show_default=True,
-    help="Lighting without --split.",
+    help="Lighting without --split, accurate by default.",
 )
 @click.option("--split", is_flag=True, help="Standard lighting on the left, accurate lighting on the right.")
 @click.option("--clay", is_flag=True, help="Without the colours and images of the materials.")
@@ -99,6 +97,8 @@ def command(source: str, output: str, **given: Any) -> None:
     check_picture_target(output)
     if given["turntable"] and suffix not in MOVING:
         raise click.UsageError(f"--turntable needs a name that ends in {' or '.join(MOVING)}")
+    if given["split"] and given["lighting"]:
+        raise click.UsageError("--split shows both lightings: leave out --lighting")
     say = console(given)
     from skinbake.commands.render import RenderOptions, render_file
     from skinbake.gltf.budget import memory_limited
@@ -107,7 +107,7 @@ def command(source: str, output: str, **given: Any) -> None:
     width, height = given["size"]
     options = RenderOptions(
         look=Look(width, height, given["mode"]),
-        sides=("standard", "accurate") if given["split"] else (given["lighting"],),
+        sides=("standard", "accurate") if given["split"] else (given["lighting"] or "accurate",),
         clip=given["clip"],
         time=given["time"],
         turntable=given["turntable"],

@@ -261,7 +261,7 @@ def _agreed(document: Document, views: Sequence[BakedView], member: str) -> Any:
     if len(found) > 1:
         listed = ", ".join(f"{value} in {place}" for value, place in found.items())
         raise InputError(
-            f"its primitives have different values of {member} ({listed}), and each kind needs its "
+            f"its primitives differ in {member} ({listed}), and each kind needs its "
             f"own shader: choose one with --{member}",
             document.place,
         )
