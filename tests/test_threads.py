@@ -10,8 +10,8 @@ import pytest
 from skinbake.choices import PoseKind
 from skinbake.commands.verify import verify_file
 from skinbake.lighting import angles, blending
-from skinbake.lighting.measured import VerifyOptions
 from skinbake.lighting.poses import PoseRequest
+from skinbake.lighting.verify_options import VerifyOptions
 from skinbake.threads import MOST, Threads, thread_count, threads_limited
 from tests.support.baked_files import baked, source
 

@@ -235,7 +235,7 @@ def verify(
 
     """
     from skinbake.commands.verify import verify_file
-    from skinbake.lighting.measured import VerifyOptions
+    from skinbake.lighting.verify_options import VerifyOptions
     from skinbake.report.verify import file_json
 
     _check_several("methods", methods)

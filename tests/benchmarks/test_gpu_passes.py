@@ -26,8 +26,8 @@ from skinbake.commands.bake import Baker
 from skinbake.commands.verify import verify_file
 from skinbake.format.encodings import rounded
 from skinbake.geometry import frames
-from skinbake.lighting.measured import VerifyOptions
 from skinbake.lighting.poses import PoseRequest
+from skinbake.lighting.verify_options import VerifyOptions
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.surface import RestSurface
 from tests.benchmarks.gpu_outputs import Outputs, matrices, smooth_sheet, split_sheet

@@ -18,7 +18,7 @@ from skinbake.jobs.boundary import survived
 from skinbake.jobs.file_work import FileWork
 from skinbake.jobs.verify import Verify
 from skinbake.jobs.work import Job
-from skinbake.lighting.measured import VerifyOptions
+from skinbake.lighting.verify_options import VerifyOptions
 from tests.support.models import FOLDER, sheet, write_model
 
 MEMORY = "it needs more memory than there is or --max-memory allows"

@@ -26,8 +26,8 @@ from skinbake.gltf.codecs.recode import Compression, recoded
 from skinbake.gltf.compaction import compacted
 from skinbake.gltf.document import read_document
 from skinbake.gltf.primitives import skinned_sources
-from skinbake.lighting.measured import VerifyOptions
 from skinbake.lighting.poses import PoseRequest
+from skinbake.lighting.verify_options import VerifyOptions
 from tests.support import corpus, khronos
 from tests.support.baking import bake_file, bake_settings
 from tests.support.compressed import EXT, KHR, content_of, draco_twin, meshopt_twin

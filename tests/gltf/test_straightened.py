@@ -13,8 +13,8 @@ from skinbake.commands.inspect import inspect_file
 from skinbake.commands.strip import strip_file
 from skinbake.commands.verify import verify_file
 from skinbake.geometry import frames
-from skinbake.lighting.measured import VerifyOptions
 from skinbake.lighting.poses import PoseRequest
+from skinbake.lighting.verify_options import VerifyOptions
 from skinbake.report.bake import FileResult
 from tests.support.baking import bake_settings
 from tests.support.compressed import draco_twin, meshopt_twin

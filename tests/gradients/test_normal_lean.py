@@ -21,8 +21,8 @@ from skinbake.gltf.document import read_document
 from skinbake.gltf.primitives import read_primitive, skinned_sources
 from skinbake.gradients.normal_lean import VERTICES, lean_notices, normal_lean
 from skinbake.gradients.normals import with_smooth_normals
-from skinbake.lighting.measured import VerifyOptions
 from skinbake.lighting.poses import PoseRequest
+from skinbake.lighting.verify_options import VerifyOptions
 from tests.support import corpus
 from tests.support.analytic import grid, sample, triangles
 from tests.support.baked_arrays import CESIUM_MAN, FIXTURES, meshes_of, path_of

@@ -19,7 +19,7 @@ def test_verify_imports_without_its_heavy_libraries() -> None:
 def test_verify_runs_without_what_takes_longer_to_import_than_a_file_to_verify(tmp_path: Path) -> None:
     program = (
         "import sys\n"
-        "from skinbake.lighting.measured import VerifyOptions\n"
+        "from skinbake.lighting.verify_options import VerifyOptions\n"
         "from skinbake.commands.verify import verify_file\n"
         "assert verify_file(sys.argv[1], VerifyOptions()).passed\n"
         "from skinbake.lighting import kernel\n"

@@ -24,9 +24,9 @@ from skinbake.lighting import blending, identity, tally, triangle_normals
 from skinbake.lighting.baked_views import baked_views
 from skinbake.lighting.blending import BlendedSurface
 from skinbake.lighting.influences import normalised_weights
-from skinbake.lighting.measured import VerifyOptions
 from skinbake.lighting.poses import PoseRequest
 from skinbake.lighting.staleness import mesh_operator
+from skinbake.lighting.verify_options import VerifyOptions
 from skinbake.report.verify import FileVerdict, Normals
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.components import Vector

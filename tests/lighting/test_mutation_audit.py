@@ -19,8 +19,8 @@ import pytest
 from skinbake.choices import Gradients, PoseKind
 from skinbake.commands.bake import Baker
 from skinbake.commands.verify import verify_file
-from skinbake.lighting.measured import VerifyOptions
 from skinbake.lighting.poses import PoseRequest
+from skinbake.lighting.verify_options import VerifyOptions
 from tests.lighting.mutations import HARMFUL, HARMLESS, Mutation, mutated
 from tests.lighting.replay import accurate_normals, largest_angle
 from tests.support import corpus, corpus_folder, gltf_transform

@@ -15,8 +15,8 @@ from skinbake.format.metadata import array_digest
 from skinbake.jobs.file_work import FileWork
 from skinbake.jobs.verify import Verify
 from skinbake.jobs.work import Job
-from skinbake.lighting.measured import VerifyOptions
 from skinbake.lighting.poses import PoseRequest
+from skinbake.lighting.verify_options import VerifyOptions
 from tests.support import corpus, gltf_reading
 from tests.support.baked_files import CESIUM_MAN, Editable, baked, source, verify
 from tests.support.baking import bake_settings

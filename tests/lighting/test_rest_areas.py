@@ -12,9 +12,9 @@ from skinbake.choices import PoseKind
 from skinbake.commands.verify import verify_file
 from skinbake.gltf.document import read_document
 from skinbake.gltf.primitives import read_primitive, skinned_sources
-from skinbake.lighting.measured import VerifyOptions
 from skinbake.lighting.poses import PoseRequest
 from skinbake.lighting.rest_areas import RestAreas
+from skinbake.lighting.verify_options import VerifyOptions
 from skinbake.report.verify import FileVerdict
 from tests.support import corpus
 from tests.support.baked_files import Editable, baked, source

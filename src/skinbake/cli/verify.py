@@ -36,7 +36,7 @@ from skinbake.files.urls import is_url
 if TYPE_CHECKING:
     from typing import Unpack
 
-    from skinbake.lighting.measured import VerifyOptions
+    from skinbake.lighting.verify_options import VerifyOptions
     from skinbake.report.verify import FileVerdict
 
 
@@ -283,6 +283,6 @@ def _code(verdict: FileVerdict) -> int:
 
 def _options(given: Mapping[str, Any]) -> VerifyOptions:
     """Return the VerifyOptions of the command line."""
-    from skinbake.lighting.measured import VerifyOptions
+    from skinbake.lighting.verify_options import VerifyOptions
 
     return VerifyOptions.of(**{name: given[name] for name in OF_A_CHECK})

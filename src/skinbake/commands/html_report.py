@@ -10,7 +10,7 @@ from skinbake.commands.view import page_of
 from skinbake.files.bounds import Bounds
 from skinbake.files.writing import write_file, write_files
 from skinbake.gltf.document import Document, read_document
-from skinbake.lighting.measured import VerifyOptions
+from skinbake.lighting.verify_options import VerifyOptions
 from skinbake.report.verify import FileVerdict, by_worse_truth, first_problem, gain
 from skinbake.view.index import Listed, index, pages
 

@@ -13,8 +13,9 @@ from skinbake.gltf.document import Document
 from skinbake.gltf.primitives import skinned_sources
 from skinbake.lighting.baked_views import BakedView, baked_views, gathered_together, is_baked
 from skinbake.lighting.expected import noted_kind, noted_sources
-from skinbake.lighting.measured import Lighting, VerifyOptions
+from skinbake.lighting.measured import Lighting
 from skinbake.lighting.staleness import mesh_operator
+from skinbake.lighting.verify_options import VerifyOptions
 from skinbake.report.verify import BAKE_SO, LITTLE, FileVerdict, Normals, gain
 
 if TYPE_CHECKING:

@@ -14,9 +14,10 @@ from skinbake.gltf.primitives import PrimitiveSource, reason_to_skip, skinned_so
 from skinbake.gradients.normal_lean import lean_notices
 from skinbake.gradients.weight_sums import weight_sum_notices
 from skinbake.lighting.baked_views import BakedView, baked_views, gathered_together, is_baked
-from skinbake.lighting.measured import Lighting, VerifyOptions
+from skinbake.lighting.measured import Lighting
 from skinbake.lighting.operator import GradientOperator
 from skinbake.lighting.staleness import fits_begun, freshness_check, mesh_operator
+from skinbake.lighting.verify_options import VerifyOptions
 from skinbake.report.verify import Check, FileVerdict
 from skinbake.threads import Threads, thread_count
 from skinbake.timing import stage

@@ -28,7 +28,7 @@ from skinbake.gltf.primitives import reason_to_skip, skinned_sources, why_nothin
 from skinbake.gltf.resources import is_data_uri, read_resource
 from skinbake.lighting.baked_views import BakedView, baked_views, is_baked
 from skinbake.lighting.expected import noted_kind
-from skinbake.lighting.measured import VerifyOptions
+from skinbake.lighting.verify_options import VerifyOptions
 from skinbake.report.verify import FileVerdict, file_json, remarks
 from skinbake.timing import stage
 from skinbake.view.page import OtherGradients, Shown, page
