@@ -25,6 +25,7 @@ from skinbake.lighting.angles import (
 )
 from skinbake.lighting.baked_views import BakedView, whole_surfaces
 from skinbake.lighting.before_adoption import true_operator_of
+from skinbake.lighting.error_limits import limits_check
 from skinbake.lighting.identity import IDENTITY_TOLERANCE
 from skinbake.lighting.metrics import total_area
 from skinbake.lighting.morphing import morph_count, morphing_of
@@ -41,7 +42,6 @@ from skinbake.report.verify import (
     FileVerdict,
     Normals,
     Worst,
-    gain,
 )
 from skinbake.skinning.surface import Options, RestSurface
 from skinbake.threads import Threads, thread_count
@@ -324,7 +324,7 @@ class Lighting:
             yield Check("lighting", "skipped", (), "there is no true normal at any vertex in these poses")
         if self._options.limits:
             held = {truth: by_truth[truth] for truth in Truth if self._options.truth in {None, truth}}
-            yield _limits_check(held, self._options, self._document.place)
+            yield limits_check(held, self._options, self._document.place)
 
     def _figures(self, tallies: _Tallies, truth: str) -> Normals:
         """Return the figures by one truth, by method and lighting. All poses weigh the same."""
@@ -411,16 +411,6 @@ def _strain(draw: _Draw) -> tuple[float, str]:
     return (math.inf if math.isnan(strain) else strain), draw.poses.joint_names[worst]
 
 
-def _limits_check(by_truth: Mapping[Truth, Normals], options: VerifyOptions, place: Place) -> Check:
-    """Return whether the accurate lighting keeps the limits by all of the truths."""
-    problems = _exceeded(by_truth, options, place)
-    if problems:
-        return Check("limits", "failed", tuple(problems), "; ".join(problem.message for problem in problems))
-    bends = any(gain(figures) is not None for normals in by_truth.values() for figures in normals.values())
-    remark = "no gain to hold to --min-gain: nothing bends in these poses"
-    return Check("limits", "passed", (), remark if options.min_gain is not None and not bends else "")
-
-
 def _morphed_size(rest: RestSurface) -> int:
     """Return the memory of a surface in one pose of its morph targets, with the data that truths need."""
     vertices, slots = rest.joints.shape
@@ -436,49 +426,3 @@ def without_dqs(joints: Sequence[str]) -> str:
     shown = ", ".join(joints[:4]) + (", …" if len(joints) > 4 else "")
     verb = "is" if len(joints) == 1 else "are"
     return f"{shown} {verb} not rigid up to one scale common to all joints"
-
-
-def _exceeded(by_truth: Mapping[Truth, Normals], options: VerifyOptions, place: Place) -> list[Notice]:
-    """Return a problem for each limit that the accurate lighting of a method exceeds, by the worst truth."""
-    problems = []
-    for method in options.methods or ("lbs",):
-        found = {truth: normals.get(method, {}) for truth, normals in by_truth.items()}
-        found = {truth: figures for truth, figures in found.items() if "accurate" in figures}
-        if not found:
-            message = (
-                f"{method.upper()}: it cannot meet {' and '.join(options.limits)}, because there is no true "
-                "normal at any vertex in these poses"
-            )
-            problems.append(Notice("no-figures", message, place))
-            continue
-        for name, limit, values in (
-            ("mean", options.max_mean_error, {by: one["accurate"].mean for by, one in found.items()}),
-            (
-                "95th percentile",
-                options.max_p95_error,
-                {by: one["accurate"].p95 for by, one in found.items()},
-            ),
-        ):
-            worst = max(values, key=lambda truth: values[truth])
-            if limit is not None and not values[worst] <= limit:
-                message = (
-                    f"{method.upper()} accurate: the {name} of the error is "
-                    f"{_told_apart(values[worst], limit, 3)}° by {worst}, over {limit:.15g}°"
-                )
-                problems.append(Notice("limit", message, place))
-        gains = {truth: factor for truth, one in found.items() if (factor := gain(one)) is not None}
-        least = min(gains, key=lambda truth: gains[truth], default=None)
-        if options.min_gain is not None and least is not None and gains[least] < options.min_gain:
-            found_gain = _told_apart(gains[least], options.min_gain, 2)
-            message = f"{method.upper()}: the gain is {found_gain} by {least}, below {options.min_gain:.15g}"
-            problems.append(Notice("limit", message, place))
-    return problems
-
-
-def _told_apart(value: float, limit: float, decimals: int) -> str:
-    """Return a value with some decimals, or with so many more that it is on the right side of a limit."""
-    text = f"{value:.{decimals}f}"
-    while value != limit and (float(text) == limit or (float(text) > limit) != (value > limit)):
-        decimals += 1
-        text = f"{value:.{decimals}f}"
-    return text
