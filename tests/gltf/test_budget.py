@@ -272,13 +272,13 @@ def test_a_mesh_that_is_drawn_more_often_than_its_file_is_long_is_not_measured(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from skinbake.commands.verify import verify_file
-    from skinbake.lighting import measured
+    from skinbake.lighting import draws
     from skinbake.lighting.verify_options import VerifyOptions
 
     baked(write_model(tmp_path / "in.glb", [sheet()]), tmp_path / "out.glb")
     assert verify_file(str(tmp_path / "out.glb"), VerifyOptions()).checks
-    monkeypatch.setattr(measured, "SAMPLES_FREE", 20 * 24 - 1)
-    monkeypatch.setattr(measured, "SAMPLES_A_BYTE", 0)
+    monkeypatch.setattr(draws, "SAMPLES_FREE", 20 * 24 - 1)
+    monkeypatch.setattr(draws, "SAMPLES_A_BYTE", 0)
     with pytest.raises(InputError, match="480 vertices times poses"):
         verify_file(str(tmp_path / "out.glb"), VerifyOptions())
 

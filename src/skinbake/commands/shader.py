@@ -19,9 +19,8 @@ from skinbake.gltf.document import STDIO, Document, read_document
 from skinbake.gltf.output import refuse_own_input
 from skinbake.gltf.primitives import reason_to_skip, skinned_sources
 from skinbake.gradients.weight_sums import weight_sum_notices
-from skinbake.lighting.angles import not_rigid_joints
 from skinbake.lighting.baked_views import BakedView, baked_views, is_baked
-from skinbake.lighting.measured import without_dqs
+from skinbake.lighting.joint_checks import joints_without_dqs, without_dqs
 from skinbake.lighting.morphing import carrier
 from skinbake.lighting.poses import PoseRequest, PoseSet, pose_set
 from skinbake.lighting.rest_surfaces import rest_surface
@@ -303,12 +302,10 @@ def _with_joints(document: Document, views: Sequence[BakedView], choices: Shader
     for view, poses in _posed(document, views):
         surface = rest_surface(view)
         if choices.method is Method.DQS:
-            joints = not_rigid_joints([surface], poses.joint_matrices)
+            joints = joints_without_dqs([surface], poses)
             if joints:
                 raise InputError(
-                    "this file does not fit --method dqs: "
-                    f"{without_dqs([poses.joint_names[j] for j in joints])}",
-                    view.source.place,
+                    f"this file does not fit --method dqs: {without_dqs(joints)}", view.source.place
                 )
         used = surface.joints_in_use(poses.joint_matrices.shape[1])
         mirrors |= bool((np.linalg.det(poses.joint_matrices[:, used, :3, :3]) < 0).any())

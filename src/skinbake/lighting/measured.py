@@ -11,7 +11,6 @@ import numpy as np
 
 from skinbake.choices import PoseKind, Truth
 from skinbake.errors import InputError, Notice, Place
-from skinbake.geometry.skinned import Float64Array
 from skinbake.gltf.animation import Clip, read_clips
 from skinbake.gltf.document import Document
 from skinbake.lighting.angles import (
@@ -20,19 +19,16 @@ from skinbake.lighting.angles import (
     MeasuredBlock,
     Morphing,
     lighting_errors,
-    not_rigid_joints,
     truths_at_rest,
 )
-from skinbake.lighting.baked_views import BakedView, whole_surfaces
-from skinbake.lighting.before_adoption import true_operator_of
+from skinbake.lighting.baked_views import BakedView
+from skinbake.lighting.draws import Draw, draws, true_surfaces
 from skinbake.lighting.error_limits import limits_check
-from skinbake.lighting.identity import IDENTITY_TOLERANCE
+from skinbake.lighting.joint_checks import identity_check, joints_without_dqs, mirrored, without_dqs
 from skinbake.lighting.metrics import total_area
 from skinbake.lighting.morphing import morph_count, morphing_of
-from skinbake.lighting.operator import TRUE_CREASE_ANGLE, TRUE_WEIGHTING, GradientOperator
-from skinbake.lighting.poses import SHARED_SAMPLES, PoseSet, described, draws_of, pose_set
-from skinbake.lighting.rest_areas import RestAreas
-from skinbake.lighting.rest_surfaces import rest_surface
+from skinbake.lighting.operator import GradientOperator
+from skinbake.lighting.poses import PoseSet, described
 from skinbake.lighting.tally import ErrorTally
 from skinbake.lighting.truths import Truths
 from skinbake.lighting.verify_options import VerifyOptions
@@ -46,31 +42,9 @@ from skinbake.report.verify import (
 from skinbake.skinning.surface import Options, RestSurface
 from skinbake.threads import Threads, thread_count
 from skinbake.timing import stage, tell_steps
-from skinbake.wording import counted
-
-BYTES_A_SAMPLE = 32
-"""The memory of one vertex in one pose, at most: its errors, while they may be among the largest."""
-
-SAMPLES_A_BYTE, SAMPLES_FREE = 24, 1_000_000
-"""The vertices × poses that a file may need, for each of its bytes and in addition. Each takes 3 µs.
-
-A mesh is measured once for each skin that draws it, and in at least three poses of each clip. Fifty soldiers
-of one mesh of 3,000 vertices need 20 a byte, a character of a million vertices needs 0.5.
-"""
 
 MORPHED_BYTES = 64 << 20
 """The memory in which morphed surfaces wait for the second method. Those that need more are made again."""
-
-
-@dataclass(frozen=True, slots=True)
-class _Draw:
-    """One mesh as one skin draws it: baked primitives, their surfaces for the replay, their areas (V,)."""
-
-    views: Sequence[BakedView]
-    operator: GradientOperator
-    rest: Sequence[RestSurface]
-    areas: Sequence[Float64Array]
-    poses: PoseSet
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,11 +67,9 @@ class Lighting:
         with stage("poses"):
             self._clips, self._unread = _readable_clips(document, options.poses.kind)
         self._done, self._total, self._identity = 0.0, 0, 0.0
-        self._samples = 0
         self._segments: list[_Segment] = []
         self._whole: _Tallies = {}
         self._by_place: dict[Place, _Tallies] = {}
-        self._poses: dict[tuple[int, int | None], PoseSet] = {}
         self._at_rest: tuple[tuple[int, int, bool], Truths] | None = None
         self._morphed: dict[int, Morphing] = {}
         self._room = MORPHED_BYTES
@@ -107,18 +79,15 @@ class Lighting:
     ) -> FileVerdict:
         """Return a verdict with the lighting checks and figures.
 
-        operators have the settings of the bakes. The truths reuse an operator if the bake had the same
-        surface, and the truths' weighting and crease angle. Otherwise they build their own.
+        meshes are the surfaces of the bakes. operators have the settings of the bakes, one for each of them.
         """
         with stage("gradient operator"):
-            whole = whole_surfaces(self._document, [view for views in meshes for view in views])
-            of_bake = {_views_key(views): one for views, one in zip(meshes, operators, strict=True)}
-            true_ones = [
-                _true_operator(self._document, views, of_bake.get(_views_key(views))) for views in whole
-            ]
+            surfaces = true_surfaces(self._document, meshes, operators)
         with stage("poses"):
-            drawn = list(self._drawn(whole, true_ones))
-        not_rigid = list(dict.fromkeys(n for draw in drawn for n in _not_rigid(draw.rest, draw.poses)))
+            drawn = list(draws(self._document, surfaces, self._clips, self._options.poses))
+        not_rigid = list(
+            dict.fromkeys(n for draw in drawn for n in joints_without_dqs(draw.rest, draw.poses))
+        )
         methods = self._options.methods or (("lbs",) if not_rigid else ("lbs", "dqs"))
         reason = without_dqs(not_rigid)
         if "dqs" in methods and not_rigid:
@@ -136,40 +105,10 @@ class Lighting:
             with stage("figures"):
                 verdict = self._verdict(drawn, reason if not_rigid else None)
         morphs = morph_count(self._document, [(draw.views[0].source.mesh, draw.poses) for draw in drawn])
-        notices = *self._unread, *dict.fromkeys(_mirrored(drawn))
+        notices = *self._unread, *dict.fromkeys(mirrored(drawn))
         return replace(verdict, notices=notices, morphs=morphs)
 
-    def _drawn(
-        self, meshes: Sequence[Sequence[BakedView]], operators: Sequence[GradientOperator]
-    ) -> Iterator[_Draw]:
-        for views, operator in zip(meshes, operators, strict=True):
-            rest = [rest_surface(view) for view in views]
-            for skin, poses in self._pose_sets(views[0].source.mesh):
-                self._claim(views, poses)
-                space = RestAreas(self._document, skin)
-                areas = [space.of(view.now) for view in views]
-                yield _Draw(views, operator, rest, areas, poses)
-
-    def _claim(self, views: Sequence[BakedView], poses: PoseSet) -> None:
-        """Count the work of measuring a draw, and refuse it if it is far out of proportion to the file."""
-        vertices, count = sum(len(view.now.positions) for view in views), len(poses.clips)
-        place = replace(views[0].source.place, primitive=None)
-        self._document.budget.claim(
-            BYTES_A_SAMPLE * vertices * count,
-            f"{counted(vertices, 'vertex', 'vertices')} in {counted(count, 'pose')}",
-            place,
-        )
-        asked = self._options.poses.samples
-        self._samples += vertices * (count if asked is None else -(-count // asked) * SHARED_SAMPLES)
-        most = SAMPLES_FREE + SAMPLES_A_BYTE * self._document.budget.backed
-        if self._samples > most:
-            raise InputError(
-                f"it asks for {self._samples:,} vertices times poses, as often as nodes draw it and clips "
-                f"move it: over the {most:,} that a file of its size may ask for",
-                place,
-            )
-
-    def _expect(self, method: str, drawn: Sequence[_Draw]) -> None:
+    def _expect(self, method: str, drawn: Sequence[Draw]) -> None:
         """Prepare to count the results of a method. A tally must know how much weight may come."""
         weights: dict[Place, float] = {}
         for draw in drawn:
@@ -185,14 +124,7 @@ class Lighting:
                 tallies = self._whole[truth, method] if len(weights) == 1 else own
                 self._by_place.setdefault(place, {})[truth, method] = tallies
 
-    def _pose_sets(self, mesh: int) -> Iterator[tuple[int, PoseSet]]:
-        for skin, node in draws_of(self._document, mesh, self._clips):
-            if (skin, node) not in self._poses:
-                found = pose_set(self._document, skin, self._clips, self._options.poses, node)
-                self._poses[skin, node] = found
-            yield skin, self._poses[skin, node]
-
-    def _measure(self, method: str, draw: _Draw, *, again: bool) -> None:
+    def _measure(self, method: str, draw: Draw, *, again: bool) -> None:
         """Measure a draw by a method; ``again``: another method follows."""
         morphing = self._morphing(draw, again=again)
         first = len(self._segments)
@@ -211,7 +143,7 @@ class Lighting:
         )
         self._identity = max(self._identity, identity)
 
-    def _morphing(self, draw: _Draw, *, again: bool) -> Morphing | None:
+    def _morphing(self, draw: Draw, *, again: bool) -> Morphing | None:
         """Return the morph targets of a draw, and keep its morphed surfaces for the next method if small."""
         key = id(draw)
         if key in self._morphed:
@@ -224,7 +156,7 @@ class Lighting:
         self._morphed[key] = replace(morphing, kept={})
         return self._morphed[key]
 
-    def _truths(self, draw: _Draw, morphing: Morphing | None) -> Truths:
+    def _truths(self, draw: Draw, morphing: Morphing | None) -> Truths:
         """Return the data of a mesh at rest. The last ones serve again for the same mesh in as many poses."""
         key = id(draw.operator), len(draw.poses.clips), morphing is None
         if self._at_rest is None or self._at_rest[0] != key:
@@ -244,7 +176,7 @@ class Lighting:
             for _ in threads.each(ErrorTally.summary, found.values()):
                 pass
 
-    def _count(self, method: str, draw: _Draw, first: int, block: MeasuredBlock) -> Callable[[], None]:
+    def _count(self, method: str, draw: Draw, first: int, block: MeasuredBlock) -> Callable[[], None]:
         """Count a block of a draw whose segments begin with ``first``. Return what adds it to its tallies."""
         areas = draw.areas[block.surface][block.vertex : block.vertex + block.errors.shape[1]]
         start = first + block.surface, block.pose, block.vertex
@@ -266,22 +198,7 @@ class Lighting:
         if round(self._done) != before:
             tell_steps(round(self._done), self._total)
 
-    def _identity_check(self, drawn: Sequence[_Draw]) -> Check:
-        remark = f"direct and accurate (algorithms 2 and 3) agree within {self._identity:.1g}°"
-        if self._identity <= IDENTITY_TOLERANCE:
-            return Check("identity", "passed", (), remark)
-        message = f"direct and accurate normals (algorithms 2 and 3) differ by {self._identity:.2g}°"
-        strained = max((_strain(draw) for draw in drawn), default=(0.0, ""))
-        if strained[0] > STRAINED:
-            message += (
-                f": its joint matrices are singular or too unlike in size, {strained[1]} most of all, and "
-                "rounding takes over: mend the nodes, inverse bind matrices or animations that make them"
-            )
-        else:
-            message += ", and should agree to rounding: this is a fault of skinbake, please report it"
-        return Check("identity", "failed", (Notice("identity", message, self._document.place),))
-
-    def _verdict(self, drawn: Sequence[_Draw], without_dqs: str | None) -> FileVerdict:
+    def _verdict(self, drawn: Sequence[Draw], without_dqs: str | None) -> FileVerdict:
         by_truth = {truth: self._figures(self._whole, truth) for truth in Truth}
         self._refuse_overflow(by_truth)
         primitives = {
@@ -315,11 +232,11 @@ class Lighting:
                 self._document.place,
             )
 
-    def _checks(self, by_truth: Mapping[Truth, Normals], drawn: Sequence[_Draw]) -> Iterator[Check]:
+    def _checks(self, by_truth: Mapping[Truth, Normals], drawn: Sequence[Draw]) -> Iterator[Check]:
         """Yield the checks of the lighting. One that does not apply is left out."""
         normals = by_truth[Truth.TANGENTS]
         if "lbs" in normals:
-            yield self._identity_check(drawn)
+            yield identity_check(self._identity, drawn, self._document.place)
         if not normals:
             yield Check("lighting", "skipped", (), "there is no true normal at any vertex in these poses")
         if self._options.limits:
@@ -342,10 +259,6 @@ class Lighting:
         return result
 
 
-def _views_key(views: Sequence[BakedView]) -> tuple[int, ...]:
-    return tuple(map(id, views))
-
-
 def _readable_clips(document: Document, kind: PoseKind) -> tuple[list[Clip], list[Notice]]:
     """Return the clips of a document. Broken ones give a notice, or InputError if their poses are wanted."""
     try:
@@ -358,71 +271,7 @@ def _readable_clips(document: Document, kind: PoseKind) -> tuple[list[Clip], lis
         return [], [Notice("animations-broken", message, document.place)]
 
 
-def _true_operator(
-    document: Document, views: Sequence[BakedView], operator: GradientOperator | None
-) -> GradientOperator:
-    """Return the operator of one surface with the settings of the truths, not with those of the bake.
-
-    ``operator`` is the bake's own one, or None if the bake had other surfaces.
-    """
-    noted = views[0].metadata
-    usual = noted["weighting"] == TRUE_WEIGHTING and math.isclose(noted["creaseAngle"], TRUE_CREASE_ANGLE)
-    if operator is not None and usual:
-        return operator
-    return true_operator_of(document, views)
-
-
-def _mirrored(drawn: Sequence[_Draw]) -> Iterator[Notice]:
-    """Yield a notice for each mesh that a mirroring joint draws inside out."""
-    counts: dict[int, int] = {}
-    for draw in drawn:
-        poses = draw.poses
-        if id(poses) not in counts:
-            mirrors = np.linalg.det(poses.joint_matrices[..., :3, :3]) < 0
-            counts[id(poses)] = int(np.count_nonzero(mirrors.any(axis=0)))
-        count = counts[id(poses)]
-        if count:
-            mirrors = counted(count, "joint mirrors", "joints mirror")
-            message = (
-                f"{mirrors} the surface (negative determinant): write the shader with --for this file, or "
-                "with --mirrored-joints, so that normals stay outside"
-            )
-            yield Notice("joints-mirror", message, replace(draw.views[0].source.place, primitive=None), count)
-
-
-STRAINED = 1e6
-"""The ratio of joint matrix sizes above which rounding alone can separate algorithms 2 and 3."""
-
-
-def _strain(draw: _Draw) -> tuple[float, str]:
-    """Return the ratio of the largest to the least scaling of a frame by joints, and the joint to blame."""
-    matrices = draw.poses.joint_matrices
-    stretches = np.linalg.svd(matrices[..., :3, :3], compute_uv=False)
-    extent = max(float(np.abs(rest.positions).max(initial=0.0)) for rest in draw.rest)
-    slope = max(float(np.abs([rest.alpha, rest.beta]).max(initial=0.0)) for rest in draw.rest)
-    reach = stretches[..., 0] * extent + np.abs(matrices[..., :3, 3]).max(axis=-1)
-    largest = (stretches[..., 0] + reach * slope).max(axis=0)
-    least = stretches[..., 2].min(axis=0)
-    # A joint that scales by 0 strains without limit.
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        too_large, too_small = largest / np.median(largest), np.median(least) / least
-        strain = float(largest.max() / least.min())
-        worst = int(np.argmax(np.nan_to_num(np.maximum(too_large, too_small), nan=np.inf)))
-    return (math.inf if math.isnan(strain) else strain), draw.poses.joint_names[worst]
-
-
 def _morphed_size(rest: RestSurface) -> int:
     """Return the memory of a surface in one pose of its morph targets, with the data that truths need."""
     vertices, slots = rest.joints.shape
     return int(vertices * 8 * (4 * 3 + 3 * slots + 8))
-
-
-def _not_rigid(rest: Sequence[RestSurface], poses: PoseSet) -> list[str]:
-    return [poses.joint_names[joint] for joint in not_rigid_joints(rest, poses.joint_matrices)]
-
-
-def without_dqs(joints: Sequence[str]) -> str:
-    """Return why dual quaternions cannot represent these joints, by name."""
-    shown = ", ".join(joints[:4]) + (", …" if len(joints) > 4 else "")
-    verb = "is" if len(joints) == 1 else "are"
-    return f"{shown} {verb} not rigid up to one scale common to all joints"
