@@ -13,7 +13,7 @@ from skinbake.gltf.document import Document
 from skinbake.gltf.primitives import skinned_sources
 from skinbake.lighting.baked_views import BakedView, baked_views, gathered_together, is_baked
 from skinbake.lighting.expected import noted_kind, noted_sources
-from skinbake.lighting.measured import Lighting
+from skinbake.lighting.measured import lighting_verdict
 from skinbake.lighting.staleness import mesh_operator
 from skinbake.lighting.verify_options import VerifyOptions
 from skinbake.report.verify import BAKE_SO, LITTLE, FileVerdict, Normals, gain
@@ -207,8 +207,7 @@ def _measured(document: Document, options: VerifyOptions, meshes: Container[int 
         if any(view.source.mesh in meshes for view in surface)
     ]
     operators = [mesh_operator(document, surface) for surface in surfaces]
-    lighting = Lighting(document, replace(options, min_gain=None))
-    return lighting.measured(surfaces, operators)
+    return lighting_verdict(document, replace(options, min_gain=None), surfaces, operators)
 
 
 def _best(place: Place, tried: Sequence[_Trial], now: float) -> _Trial | None:

@@ -14,7 +14,7 @@ from skinbake.gltf.primitives import PrimitiveSource, reason_to_skip, skinned_so
 from skinbake.gradients.normal_lean import lean_notices
 from skinbake.gradients.weight_sums import weight_sum_notices
 from skinbake.lighting.baked_views import BakedView, baked_views, gathered_together, is_baked
-from skinbake.lighting.measured import Lighting
+from skinbake.lighting.measured import lighting_verdict
 from skinbake.lighting.operator import GradientOperator
 from skinbake.lighting.staleness import fits_begun, freshness_check, mesh_operator
 from skinbake.lighting.verify_options import VerifyOptions
@@ -54,8 +54,7 @@ def verify_document(document: Document, options: VerifyOptions) -> FileVerdict:
         notices += lean_notices(view.now, view.source.place)
     surfaces = gathered_together(document, views)
     operators, fresh = _operators_and_freshness(document, surfaces)
-    lighting = Lighting(document, options)
-    verdict = lighting.measured(surfaces, operators)
+    verdict = lighting_verdict(document, options, surfaces, operators)
     if fresh.outcome == "passed":
         with stage("remedies"):
             notices += worse_lighting(document, views, verdict, options)

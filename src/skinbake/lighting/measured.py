@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import partial
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from skinbake.choices import PoseKind, Truth
-from skinbake.errors import InputError, Notice, Place
+from skinbake.errors import InputError, Notice
 from skinbake.gltf.animation import Clip, read_clips
 from skinbake.gltf.document import Document
 from skinbake.lighting.angles import (
-    METHODS,
-    NOT_MEASURED,
-    MeasuredBlock,
     Morphing,
     lighting_errors,
     truths_at_rest,
@@ -24,63 +20,52 @@ from skinbake.lighting.angles import (
 from skinbake.lighting.baked_views import BakedView
 from skinbake.lighting.draws import Draw, draws, true_surfaces
 from skinbake.lighting.error_limits import limits_check
+from skinbake.lighting.file_tallies import FileTallies
 from skinbake.lighting.joint_checks import identity_check, joints_without_dqs, mirrored, without_dqs
-from skinbake.lighting.metrics import total_area
 from skinbake.lighting.morphing import morph_count, morphing_of
 from skinbake.lighting.operator import GradientOperator
-from skinbake.lighting.poses import PoseSet, described
-from skinbake.lighting.tally import ErrorTally
+from skinbake.lighting.poses import described
 from skinbake.lighting.truths import Truths
 from skinbake.lighting.verify_options import VerifyOptions
-from skinbake.report.verify import (
-    Check,
-    ErrorFigures,
-    FileVerdict,
-    Normals,
-    Worst,
-)
+from skinbake.report.verify import Check, FileVerdict, Normals
 from skinbake.skinning.surface import Options, RestSurface
-from skinbake.threads import Threads, thread_count
 from skinbake.timing import stage, tell_steps
 
 MORPHED_BYTES = 64 << 20
 """The memory in which morphed surfaces wait for the second method. Those that need more are made again."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Segment:
-    """One primitive under one skin: its place and its poses."""
+def lighting_verdict(
+    document: Document,
+    options: VerifyOptions,
+    meshes: Sequence[Sequence[BakedView]],
+    operators: Sequence[GradientOperator],
+) -> FileVerdict:
+    """Measure the lighting of a document. Return a verdict with the checks of the lighting and its figures.
 
-    place: Place
-    poses: PoseSet
+    meshes are the surfaces of the bakes. operators have the settings of the bakes, one for each surface.
+    Raises InputError if the file cannot be posed, or asks for work out of proportion to its size.
+    """
+    return _Measurement(document, options).verdict(meshes, operators)
 
 
-_Tallies = dict[tuple[str, str], dict[str, ErrorTally]]
-"""Tallies by truth and method, then by lighting."""
-
-
-class Lighting:
-    """Measure the lighting of a document, mesh by mesh and skin by skin."""
+class _Measurement:
+    """The measurement of a document, draw by draw, with what serves more than one draw or method."""
 
     def __init__(self, document: Document, options: VerifyOptions) -> None:
         self._document, self._options = document, options
         with stage("poses"):
             self._clips, self._unread = _readable_clips(document, options.poses.kind)
         self._done, self._total, self._identity = 0.0, 0, 0.0
-        self._segments: list[_Segment] = []
-        self._whole: _Tallies = {}
-        self._by_place: dict[Place, _Tallies] = {}
+        self._tallies = FileTallies()
         self._at_rest: tuple[tuple[int, int, bool], Truths] | None = None
         self._morphed: dict[int, Morphing] = {}
         self._room = MORPHED_BYTES
 
-    def measured(
+    def verdict(
         self, meshes: Sequence[Sequence[BakedView]], operators: Sequence[GradientOperator]
     ) -> FileVerdict:
-        """Return a verdict with the lighting checks and figures.
-
-        meshes are the surfaces of the bakes. operators have the settings of the bakes, one for each of them.
-        """
+        """Return the verdict; the arguments are those of ``lighting_verdict``."""
         with stage("gradient operator"):
             surfaces = true_surfaces(self._document, meshes, operators)
         with stage("poses"):
@@ -98,44 +83,26 @@ class Lighting:
         # The figures are checked to be finite.
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             for method in methods:
-                self._expect(method, drawn)
+                self._tallies.expect(method, drawn)
                 for draw in drawn:
                     self._measure(method, draw, again=method != methods[-1])
-                self._sum_up()
+                self._tallies.sum_up()
             with stage("figures"):
                 verdict = self._verdict(drawn, reason if not_rigid else None)
         morphs = morph_count(self._document, [(draw.views[0].source.mesh, draw.poses) for draw in drawn])
         notices = *self._unread, *dict.fromkeys(mirrored(drawn))
         return replace(verdict, notices=notices, morphs=morphs)
 
-    def _expect(self, method: str, drawn: Sequence[Draw]) -> None:
-        """Prepare to count the results of a method. A tally must know how much weight may come."""
-        weights: dict[Place, float] = {}
-        for draw in drawn:
-            for view, areas in zip(draw.views, draw.areas, strict=True):
-                weight = len(draw.poses.clips) * total_area(areas)
-                weights[view.source.place] = weights.get(view.source.place, 0.0) + weight
-        for truth in Truth:
-            lightings = [one for one in METHODS[method] if (truth, one) not in NOT_MEASURED]
-            self._whole[truth, method] = {one: ErrorTally(sum(weights.values())) for one in lightings}
-            for place, weight in weights.items():
-                # A single primitive has the figures of the whole, so nothing is counted twice.
-                own = {one: ErrorTally(weight) for one in lightings}
-                tallies = self._whole[truth, method] if len(weights) == 1 else own
-                self._by_place.setdefault(place, {})[truth, method] = tallies
-
     def _measure(self, method: str, draw: Draw, *, again: bool) -> None:
         """Measure a draw by a method; ``again``: another method follows."""
         morphing = self._morphing(draw, again=again)
-        first = len(self._segments)
-        self._segments += [_Segment(view.source.place, draw.poses) for view in draw.views]
         identity = lighting_errors(
             draw.operator,
             draw.rest,
             draw.poses.joint_matrices,
             method,
             lambda add: add(),
-            count=partial(self._count, method, draw, first),
+            count=self._tallies.counting(method, draw),
             options=Options(self._options.cap, self._options.baseline),
             morphing=morphing,
             at_rest=self._truths(draw, morphing),
@@ -164,47 +131,15 @@ class Lighting:
             self._at_rest = key, truths_at_rest(draw.operator, draw.rest, key[1], morphing)
         return self._at_rest[1]
 
-    def _sum_up(self) -> None:
-        """Summarise the tallies that are complete. Their largest errors take memory until then."""
-        found = {
-            id(tally): tally
-            for tallies in (self._whole, *self._by_place.values())
-            for lightings in tallies.values()
-            for tally in lightings.values()
-        }
-        with stage("figures"), Threads(thread_count()) as threads:
-            for _ in threads.each(ErrorTally.summary, found.values()):
-                pass
-
-    def _count(self, method: str, draw: Draw, first: int, block: MeasuredBlock) -> Callable[[], None]:
-        """Count a block of a draw whose segments begin with ``first``. Return what adds it to its tallies."""
-        areas = draw.areas[block.surface][block.vertex : block.vertex + block.errors.shape[1]]
-        start = first + block.surface, block.pose, block.vertex
-        by_place = self._by_place[draw.views[block.surface].source.place]
-        whole, own = (tallies[block.truth, method][block.lighting] for tallies in (self._whole, by_place))
-        tallies = [whole] if own is whole else [whole, own]
-        with stage("figures"):
-            counts = [tally.counted(block.errors, areas, valid=block.valid) for tally in tallies]
-
-        def add() -> None:
-            with stage("figures"):
-                for tally, count in zip(tallies, counts, strict=True):
-                    tally.take(count, start)
-
-        return add
-
     def _advance(self, poses: float) -> None:
         before, self._done = round(self._done), self._done + poses
         if round(self._done) != before:
             tell_steps(round(self._done), self._total)
 
     def _verdict(self, drawn: Sequence[Draw], without_dqs: str | None) -> FileVerdict:
-        by_truth = {truth: self._figures(self._whole, truth) for truth in Truth}
+        by_truth = {truth: self._tallies.figures(truth) for truth in Truth}
         self._refuse_overflow(by_truth)
-        primitives = {
-            truth: tuple((place, self._figures(tallies, truth)) for place, tallies in self._by_place.items())
-            for truth in Truth
-        }
+        primitives = {truth: self._tallies.figures_of_primitives(truth) for truth in Truth}
         seconds = sum(clip.duration - clip.start for clip in self._clips)
         return FileVerdict(
             self._document.name,
@@ -242,21 +177,6 @@ class Lighting:
         if self._options.limits:
             held = {truth: by_truth[truth] for truth in Truth if self._options.truth in {None, truth}}
             yield limits_check(held, self._options, self._document.place)
-
-    def _figures(self, tallies: _Tallies, truth: str) -> Normals:
-        """Return the figures by one truth, by method and lighting. All poses weigh the same."""
-        result: Normals = {}
-        for (of, method), lightings in tallies.items():
-            for lighting, tally in lightings.items() if of == truth else ():
-                summary = tally.summary()
-                if summary is not None:
-                    segment, pose = self._segments[summary.worst_part], summary.worst_pose
-                    clip, time = segment.poses.clips[pose], segment.poses.times[pose]
-                    worst = Worst(segment.place, summary.worst_vertex, clip, time)
-                    result.setdefault(method, {})[lighting] = ErrorFigures(
-                        summary.mean, summary.p95, summary.p99, summary.max, worst
-                    )
-        return result
 
 
 def _readable_clips(document: Document, kind: PoseKind) -> tuple[list[Clip], list[Notice]]:
