@@ -12,7 +12,7 @@ from skinbake.geometry.frames import frame_from_normal, unit_normals
 from skinbake.geometry.rig import NO_PARENT, Rig
 from skinbake.geometry.skinned import BakedPrimitive, Float64Array, SkinnedPrimitive
 from skinbake.gradients.baker import BakeSettings, bake_mesh
-from skinbake.gradients.surface import (
+from skinbake.gradients.fit_rules import (
     DOUBT,
     EVEN,
     FAINT,

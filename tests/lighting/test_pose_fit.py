@@ -15,7 +15,7 @@ from skinbake.geometry.poses import random_rotations, rotation_matrices
 from skinbake.geometry.rig import NO_PARENT, Rig
 from skinbake.geometry.skinned import Float64Array, FloatArray, SkinnedPrimitive
 from skinbake.gradients.baker import bake_mesh
-from skinbake.gradients.surface import EVEN, FAINT
+from skinbake.gradients.fit_rules import EVEN, FAINT
 from skinbake.lighting.operator import GradientOperator, true_operator
 from skinbake.lighting.pose_fit import STIFFNESS, FitPoses, fitted_to_poses, tilts
 from skinbake.lighting.truths import Truths

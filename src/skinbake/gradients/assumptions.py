@@ -11,7 +11,6 @@ from skinbake.geometry.frames import NO_DIRECTION
 from skinbake.geometry.skinned import BakedPrimitive, SkinnedPrimitive
 from skinbake.gradients.baker import BakeFindings
 from skinbake.gradients.tangents import TANGENT_TOLERANCE
-from skinbake.gradients.weight_sums import weight_sum_notices
 from skinbake.wording import counted, one_or_many
 
 COARSE = 0.5
@@ -80,12 +79,18 @@ def assumptions(
             + ("; remove NORMAL and bake with --generate-normals" if all_zero else ""),
         ),
     ]
-    sums = weight_sum_notices(primitive, place) if weights.not_normalised else []
     return [
-        *sums,
+        *(_weight_sums(primitive, place) if weights.not_normalised else []),
         *_straightened(primitive, place),
         *(Notice(code, _of_vertices(text, count), place, count) for code, count, text in table if count),
     ]
+
+
+def _weight_sums(primitive: SkinnedPrimitive, place: Place) -> list[Notice]:
+    """Return a notice on weights that do not sum to 1."""
+    from skinbake.gradients.weight_sums import weight_sum_notices  # in most files they do
+
+    return weight_sum_notices(primitive, place)
 
 
 def _straightened(primitive: SkinnedPrimitive, place: Place) -> list[Notice]:

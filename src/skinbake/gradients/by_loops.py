@@ -17,22 +17,20 @@ from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray, IntAr
 from skinbake.geometry.triangles import DEGENERATE_AREA
 from skinbake.gradients import _kernel
 from skinbake.gradients.field import WeightDefects, WeightField
-from skinbake.gradients.labels import Labels
-from skinbake.gradients.surface import (
+from skinbake.gradients.fit_rules import (
     DOUBT,
     EVEN,
     FAINT,
     FLAT,
     MISSING,
     MOST_DOUBT,
-    NEGLIGIBLE,
     SMOOTH,
     STIFFNESS,
     TOGETHER,
     UNFELT,
-    Surface,
-    SurfaceSlots,
 )
+from skinbake.gradients.labels import Labels
+from skinbake.gradients.surface import NEGLIGIBLE, Surface, SurfaceSlots
 from skinbake.timing import tell_steps
 
 NO_RIG = Rig(np.empty(0, dtype=np.int32), np.empty((0, 3)))

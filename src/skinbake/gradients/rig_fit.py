@@ -19,7 +19,7 @@ from skinbake.geometry.rig import NO_CHAIN, Lineage, Rig
 from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray, IntArray
 from skinbake.gradients.corner import ROOT
 from skinbake.gradients.field import NO_JOINT, WeightField
-from skinbake.gradients.surface import (
+from skinbake.gradients.fit_rules import (
     DOUBT,
     EVEN,
     FAINT,
@@ -30,8 +30,8 @@ from skinbake.gradients.surface import (
     STIFFNESS,
     TOGETHER,
     UNFELT,
-    Surface,
 )
+from skinbake.gradients.surface import Surface
 from skinbake.gradients.weight_gradients import (
     VertexGradients,
     corner_differences,

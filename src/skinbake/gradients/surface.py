@@ -16,50 +16,6 @@ It changes the correction of a tangent by a ten-thousandth. At a correction as l
 that is less than 0.01°.
 """
 
-STIFFNESS = 0.12
-"""The share of a turn's squared lever that pulls the fitted gradients to the surface's gradients."""
-
-TOGETHER = 10.0
-"""How much more it counts that all joints of a long chain turn alike than that one joint turns by itself."""
-
-MISSING = 15.0
-"""How much STIFFNESS grows with the share of a vertex's gradients whose joints have no slot there.
-
-The fit would let another joint stand in for a missing one, because both turn when their parent does. In clips
-they turn differently.
-"""
-
-DOUBT = 0.01
-"""The tilt of the tangents, for each radian that a joint turns, of which the fit takes half.
-
-The true normals of a mesh are themselves off a smooth surface. So a fit would spoil gradients whose tangents
-follow them this closely. Of a tilt e, the fit takes the share e² / (e² + doubt²).
-"""
-
-SMOOTH, MOST_DOUBT = 0.2, 4.0
-"""The spread of the triangles' normals below which a surface is smooth, and how much the doubt grows there.
-
-The spread of a class is 1 − |Σ area × normal| / Σ area. At a spread s the doubt is (SMOOTH / s)³ times
-DOUBT, but at least DOUBT, and at most MOST_DOUBT times it. Triangles that lie nearly in one plane stand for a
-smooth surface, and the gradient follows that surface better than they do.
-"""
-
-EVEN = 1e-4
-"""A pull at every slot, a share of that of all turns. It decides where no turn parts two slots."""
-
-FAINT = 0.1
-"""The presence below which a joint's gradient is pulled harder, by the inverse square of the presence.
-
-The presence of a joint at a vertex is its weight there, plus its share of the gradients' lengths. A joint
-that is hardly there would make up for errors of others, at the end of a long lever.
-"""
-
-UNFELT = 1e-4
-"""The presence up to which a joint is not fitted."""
-
-FLAT = 1e-6
-"""The sine between the two derivatives of the positions below which a class has no normal of its own."""
-
 
 @dataclass(frozen=True, slots=True)
 class Surface:

@@ -21,7 +21,7 @@ import numpy as np
 
 from skinbake.choices import Truth
 from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray, IntArray
-from skinbake.gradients.surface import EVEN, FAINT, UNFELT
+from skinbake.gradients.fit_rules import EVEN, FAINT, UNFELT
 from skinbake.lighting.angles import sides_of
 from skinbake.lighting.blending import BlendedSurface, chunks
 from skinbake.lighting.operator import GradientOperator

@@ -10,9 +10,9 @@
 /* The weights of corners in the mean (see corner.py). The module has constants of these names. */
 typedef enum { BY_MAX, BY_ANGLE, BY_AREA, BY_ANGLE_AREA, WEIGHTINGS } Weighting;
 
-/* How gradients are fitted to a rig (rig_fit.py has the same names). */
+/* How gradients are fitted to a rig: the constants of fit_rules.py. */
 typedef struct {
-    double missing, stiffness, together, doubt, smooth, most_doubt, even, faint, unfelt, flat; /* as in surface.py */
+    double missing, stiffness, together, doubt, smooth, most_doubt, even, faint, unfelt, flat;
 } FitSettings;
 
 /* The surface to bake: V vertices with K slots each, T triangles, C weld classes. Rows as in the twins. */
