@@ -31,11 +31,11 @@ from skinbake.errors import SkinbakeError
 from skinbake.geometry import rig
 from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.primitives import read_primitive, skinned_sources
-from skinbake.gradients import by_loops, by_numpy, corner, fit_rules, kernel, rig_fit
+from skinbake.gradients import by_loops, by_numpy, corner, fit_rules, kernel, rig_fit, ring_turns
 
 START, END = "<!-- rule figures: begin -->", "<!-- rule figures: end -->"
 
-HOLDERS = (fit_rules, rig_fit, by_loops, rig)
+HOLDERS = (fit_rules, rig_fit, ring_turns, by_loops, rig)
 """The modules that hold the constants of the fit, or name them."""
 
 TUBES = ((11, 16), (17, 24))

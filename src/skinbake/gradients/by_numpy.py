@@ -13,7 +13,8 @@ from skinbake.geometry.skinned import Float32Array, Float64Array, FloatArray
 from skinbake.geometry.triangles import mark_proper
 from skinbake.gradients.field import NO_JOINT, WeightDefects, WeightField
 from skinbake.gradients.labels import Labels, bit_patterns, number_as_met
-from skinbake.gradients.rig_fit import FittedVertices, fitted, ring_turns
+from skinbake.gradients.rig_fit import FittedVertices, fitted
+from skinbake.gradients.ring_turns import ring_turns
 from skinbake.gradients.slots import assign, shared_capacity
 from skinbake.gradients.surface import Surface, SurfaceSlots
 from skinbake.gradients.weight_gradients import weight_gradients

@@ -2,168 +2,29 @@
 
 The gradient of a weight moves the tangents of algorithm 3 exactly if the surface and the weights are smooth.
 On a coarse mesh a better number exists: the one with which the tangents follow the deformed triangles. This
-module finds it for small turns of all joints, each about its own pivot. ``loops/vertex_fit.h`` does the same
-in its pass over the vertices; this module is the definition.
+module finds it for small turns of all joints, each about its own pivot. ``ring_turns`` finds how triangles
+turn then. ``loops/vertex_fit.h`` does the same in its pass over the vertices; this module is the definition.
 """
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
 
-from skinbake.geometry.frames import frame_from_normal, has_direction, unit_normals
 from skinbake.geometry.rig import NO_CHAIN, Lineage, Rig
 from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray, IntArray
-from skinbake.gradients.corner import ROOT
 from skinbake.gradients.field import NO_JOINT, WeightField
-from skinbake.gradients.fit_rules import (
-    DOUBT,
-    EVEN,
-    FAINT,
-    FLAT,
-    MISSING,
-    MOST_DOUBT,
-    SMOOTH,
-    STIFFNESS,
-    TOGETHER,
-    UNFELT,
-)
-from skinbake.gradients.surface import Surface
-from skinbake.gradients.weight_gradients import (
-    VertexGradients,
-    corner_differences,
-    corners_of,
-    summed_by_key,
-    summed_rows,
-)
-
-MOST_CORNERS = 4096
-"""The corners of triangles at one point. With more of them, its vertices keep their gradients."""
+from skinbake.gradients.fit_rules import EVEN, FAINT, MISSING, STIFFNESS, TOGETHER, UNFELT
+from skinbake.gradients.ring_turns import RingTurns
+from skinbake.gradients.weight_gradients import VertexGradients, summed_rows
 
 MOST_TURNS = 128
 """The joints that part those around a vertex. With more of them, the vertex keeps its gradients."""
 
 MOST_FITTED = 64
 """The joints of a vertex. With more of them, the vertex keeps its gradients."""
-
-
-@dataclass(frozen=True, slots=True)
-class RingTurns:
-    """How the neighbourhoods of C weld classes turn with their joints, in rows like CSR.
-
-    Class c has the entries offsets[c] … offsets[c + 1]. An entry is a joint, and what its weight adds to the
-    turn of the class's two tangents: arms (E, 2, 3) act through the lever from the pivot, 1 / length unit;
-    spins (E, 2, 3) act by themselves. normals, and tangents (C, 2, 3), are the orthonormal frames in which
-    this holds. sound (C,) tells which classes can be fitted. doubts (C,) are the tilts, for each radian of a
-    turn, of which the fit takes half.
-    """
-
-    offsets: IntArray
-    joints: IntArray
-    arms: Float64Array
-    spins: Float64Array
-    normals: Float64Array
-    tangents: Float64Array
-    sound: BoolArray
-    doubts: Float64Array
-
-
-def ring_turns(surface: Surface) -> RingTurns:
-    """Return the turns of all classes of a surface.
-
-    The turn is that of the normal across the two derivatives of the positions. These are means over the
-    triangles, with the weights ROOT of corner.py: between those of both truths of verify.
-    """
-    classes = surface.classes.astype(np.int64)
-    count = int(classes.max(initial=-1)) + 1
-    normals, directed = _normals_of_classes(surface, classes, count)
-    tangents = np.stack(frame_from_normal(normals.astype(np.float32)), axis=1).astype(np.float64)
-    total, areas = np.zeros(count), np.zeros(count)
-    derivatives, faces = np.zeros((count, 2, 3)), np.zeros((count, 3))
-    keys, values = [], []
-    joint_count = int(surface.field.joints.max(initial=0)) + 1
-    for corners in corners_of(surface.positions, surface.triangles, ROOT):
-        at = classes[corners.origin]
-        total += np.bincount(at, corners.weight, count)
-        areas += np.bincount(at, np.linalg.norm(corners.faces, axis=1), count)
-        faces += _summed(at, corners.faces, count)
-        for neighbour, edges, coefficients in corners.ends():
-            along = np.einsum("cti,ci->ct", tangents[at], coefficients)
-            products = along[:, :, None] * edges[:, None, :]
-            derivatives += _summed(at, products, count)
-            corner, joints, difference = corner_differences(surface.field, corners.origin, neighbour)
-            added = np.concatenate([along, products.reshape(-1, 6)], axis=1)
-            keys.append(at[corner] * joint_count + joints)
-            values.append(added[corner] * difference[:, None])
-    # In a class without an area all of this is NaN, and it is not sound.
-    derivatives /= total[:, None, None]
-    leverage, area = _leverage(derivatives, tangents, normals)
-    lengths = np.linalg.norm(derivatives, axis=2)
-    alignment = np.nan_to_num(np.linalg.norm(faces, axis=1) / areas)
-    sound = (area > FLAT * lengths[:, 0] * lengths[:, 1]) & (alignment > FLAT) & directed
-    sound &= np.bincount(classes[surface.triangles.ravel()], minlength=count) <= MOST_CORNERS
-    offsets, joints, sums = summed_by_key(keys, values, joint_count, count)
-    owner = np.repeat(np.arange(count), np.diff(offsets))
-    sums = np.where(sound[owner, None], sums / total[owner, None], 0.0)
-    along, products = sums[:, :2], sums[:, 2:].reshape(-1, 2, 3)
-    levers = np.where(sound[owner, None, None, None], leverage[owner], 0.0)
-    arms = np.einsum("ed,etdi->eti", along, levers)
-    spins = np.cross(products[:, None], levers).sum(axis=2)
-    return RingTurns(offsets, joints, arms, spins, normals, tangents, sound, _doubts(alignment))
-
-
-def _doubts(alignment: Float64Array) -> Float64Array:
-    """Return the doubt of each class (C,) from the length of its mean normal, 1 where all are alike."""
-    smoothness = SMOOTH / np.maximum(1.0 - alignment, FLAT)
-    return np.asarray(DOUBT * np.clip(smoothness**3, 1.0, MOST_DOUBT))
-
-
-def _normals_of_classes(surface: Surface, classes: IntArray, count: int) -> tuple[Float64Array, BoolArray]:
-    """Return a unit normal (C, 3) of each class, and whether it has one: the mean over the class's corners.
-
-    The mean depends neither on the order of the vertices nor on how often a vertex is stored.
-    """
-    units = np.where(has_direction(surface.normals)[:, None], unit_normals(surface.normals), 0.0)
-    corners = surface.triangles.ravel().astype(np.int64)
-    sums = summed_rows(classes[corners], units[corners].astype(np.float64), count)
-    lengths = np.linalg.norm(sums, axis=1)
-    directed = lengths > FLAT * np.bincount(classes[corners], minlength=count)
-    sums[~directed] = 0.0, 0.0, 1.0
-    return unit_normals(sums).astype(np.float64), directed
-
-
-def _summed(at: IntArray, values: Float64Array, count: int) -> Float64Array:
-    """Sum rows of values (N, …) by their class."""
-    flat = values.reshape(len(values), math.prod(values.shape[1:]))
-    sums = summed_rows(at, flat, count)
-    return sums.reshape(count, *values.shape[1:])
-
-
-def _leverage(
-    derivatives: Float64Array, tangents: Float64Array, normals: Float64Array
-) -> tuple[Float64Array, Float64Array]:
-    """Return u of F along the tangents (C, 2, 2, 3), and the area between the derivatives (C,).
-
-    F maps the derivatives a, b and ĉ of the rest positions to those of the deformed ones. If a turns by
-    ω × A and b by ω × B, then n0 · dF(ω) t0 = ω · (A × u[0] + B × u[1]) for the first tangent.
-    """
-    a, b = derivatives[:, 0], derivatives[:, 1]
-    c = np.cross(a, b)
-    area = np.linalg.norm(c, axis=1)
-    unit = c / area[:, None]
-    lean = normals - 0.5 * unit * np.einsum("ci,ci->c", unit, normals)[:, None]
-    found = np.empty((len(a), 2, 2, 3))
-    for number in range(2):
-        t = tangents[:, number]
-        by_a = np.einsum("ci,ci->c", np.cross(t, b), c) / area**2
-        by_b = np.einsum("ci,ci->c", np.cross(a, t), c) / area**2
-        q = (np.einsum("ci,ci->c", t, unit) / area)[:, None] * lean
-        found[:, number, 0] = by_a[:, None] * normals + np.cross(b, q)
-        found[:, number, 1] = by_b[:, None] * normals + np.cross(q, a)
-    return found, area
 
 
 @dataclass(frozen=True, slots=True)

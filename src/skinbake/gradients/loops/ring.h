@@ -1,5 +1,5 @@
 /* Sums over the ring of a weld class: its gradients, and how turns of joints tilt its tangents (twins:
-   weight_gradients.py and rig_fit.RingTurns). */
+   weight_gradients.py and ring_turns.RingTurns). */
 
 #pragma once
 
@@ -48,7 +48,7 @@ static ALWAYS_INLINE Vector sum_normals(const Surface *s, Members corners, Membe
     return dot(sum, sum) > least * least ? sum : (Vector){0.0, 0.0, 0.0};
 }
 
-/* The doubt of a class from the length of its mean normal, 1 where all are alike (twin: rig_fit._doubts). */
+/* The doubt of a class from the length of its mean normal, 1 where all are alike (twin: ring_turns._doubts). */
 static ALWAYS_INLINE double doubt_of(const Surface *s, double alignment)
 {
     double spread = 1.0 - alignment > s->fit.flat ? 1.0 - alignment : s->fit.flat;

@@ -19,7 +19,7 @@ typedef struct {
 
 enum { X1 = 0, Y1, Z1, X2, Y2, Z2, COMPONENTS };
 
-/* What a weight adds to the turn of the two tangents of a class, as in rig_fit.RingTurns: the arms by axis, then
+/* What a weight adds to the turn of the two tangents of a class, as in ring_turns.RingTurns: the arms by axis, then
    the spins by axis, each a number for both tangents. */
 enum { ARMS = 0, SPINS = 6, TURN = 12 };
 
@@ -71,7 +71,7 @@ typedef struct {
 typedef struct {
     Vector normal, tangents[2];
     Vectors along;       /* the tangents */
-    Vectors leverage[2]; /* see rig_fit._leverage: by derivative */
+    Vectors leverage[2]; /* see ring_turns._leverage: by derivative */
     double doubt;        /* the tilt for each radian of a turn of which the fit takes half */
     int sound;
 } RingFrame;

@@ -1,0 +1,177 @@
+"""How the tangents of a mesh turn with its joints: the geometry of docs/fitted.md, once for each weld class.
+
+The true normal of a deformed mesh tilts against the tangents of algorithm 3. This module finds the tilt r for
+small turns of all joints, to first order, from the rest pose alone. ``rig_fit`` fits α and β to it. The
+letters are those of that page. ``loops/ring.h`` does the same; this module is the definition.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from skinbake.geometry.frames import frame_from_normal, has_direction, unit_normals
+from skinbake.geometry.skinned import BoolArray, Float64Array, IntArray
+from skinbake.gradients.corner import ROOT
+from skinbake.gradients.fit_rules import DOUBT, FLAT, MOST_DOUBT, SMOOTH
+from skinbake.gradients.surface import Surface
+from skinbake.gradients.weight_gradients import (
+    corner_differences,
+    corners_of,
+    summed_by_key,
+    summed_rows,
+)
+
+MOST_CORNERS = 4096
+"""The corners of triangles at one point. With more of them, its vertices keep their gradients."""
+
+
+@dataclass(frozen=True, slots=True)
+class RingTurns:
+    """How the neighbourhoods of C weld classes turn with their joints, in rows like CSR.
+
+    Class c has the entries offsets[c] … offsets[c + 1]. An entry is a joint i, and what its weight adds to r,
+    the turn of the class's two tangents. With Δw = w_ki − w_i for the neighbours k, arms (E, 2, 3) are Σ Δw
+    a_k, in 1 / length unit, and act through the lever from the pivot. spins (E, 2, 3) are Σ Δw e_k × a_k, and
+    act by themselves. normals (C, 3) and tangents (C, 2, 3) are the orthonormal frames in which this holds.
+    sound (C,) tells which classes can be fitted. doubts (C,) are e0, the tilts, for each radian of a turn, of
+    which the fit takes half.
+    """
+
+    offsets: IntArray
+    joints: IntArray
+    arms: Float64Array
+    spins: Float64Array
+    normals: Float64Array
+    tangents: Float64Array
+    sound: BoolArray
+    doubts: Float64Array
+
+
+def ring_turns(surface: Surface) -> RingTurns:
+    """Return the turns of all classes of a surface.
+
+    The turn is that of the normal across the two derivatives of the positions. These are means over the
+    triangles, with the weights ROOT of corner.py: between those of both truths of verify.
+    """
+    classes = surface.classes.astype(np.int64)
+    count = int(classes.max(initial=-1)) + 1
+    normals, directed = _normals_of_classes(surface, classes, count)
+    tangents = np.stack(frame_from_normal(normals.astype(np.float32)), axis=1).astype(np.float64)
+    ring = _ring_sums(surface, classes, tangents)
+    # In a class without an area all of this is NaN, and it is not sound.
+    derivatives = ring.derivatives / ring.weights[:, None, None]
+    leverage, area = _leverage(derivatives, tangents, normals)
+    lengths = np.linalg.norm(derivatives, axis=2)
+    alignment = np.nan_to_num(np.linalg.norm(ring.faces, axis=1) / ring.areas)
+    sound = (area > FLAT * lengths[:, 0] * lengths[:, 1]) & (alignment > FLAT) & directed
+    sound &= np.bincount(classes[surface.triangles.ravel()], minlength=count) <= MOST_CORNERS
+    owner = np.repeat(np.arange(count), np.diff(ring.offsets))
+    changes = np.where(sound[owner, None], ring.changes / ring.weights[owner, None], 0.0)
+    by_coefficient, by_edge = changes[:, :2], changes[:, 2:].reshape(-1, 2, 3)
+    own = np.where(sound[owner, None, None, None], leverage[owner], 0.0)
+    arms = np.einsum("ed,etdi->eti", by_coefficient, own)
+    spins = np.cross(by_edge[:, None], own).sum(axis=2)
+    doubts = _doubts(alignment)
+    return RingTurns(ring.offsets, ring.joints, arms, spins, normals, tangents, sound, doubts)
+
+
+@dataclass(frozen=True, slots=True)
+class _RingSums:
+    """Sums over the corners of C weld classes, not yet divided by the weights of the corners (C,).
+
+    derivatives (C, 2, 3) are those of the positions along both tangents. faces (C, 3) is the sum of the
+    triangles' normals, each as long as twice its area, and areas (C,) that of their lengths. Class c has the
+    entries offsets[c] … offsets[c + 1], each of a joint. changes (E, 8) sum up the change Δw of its weight
+    along each edge e, times the coefficients of the edge: Σ Δw (g, h), then Σ Δw g e and Σ Δw h e.
+    """
+
+    weights: Float64Array
+    derivatives: Float64Array
+    faces: Float64Array
+    areas: Float64Array
+    offsets: IntArray
+    joints: IntArray
+    changes: Float64Array
+
+
+def _ring_sums(surface: Surface, classes: IntArray, tangents: Float64Array) -> _RingSums:
+    """Sum up the corners of all classes, whose tangents are (C, 2, 3)."""
+    count = len(tangents)
+    weights, areas = np.zeros(count), np.zeros(count)
+    derivatives, faces = np.zeros((count, 2, 3)), np.zeros((count, 3))
+    keys, values = [], []
+    joint_count = int(surface.field.joints.max(initial=0)) + 1
+    for corners in corners_of(surface.positions, surface.triangles, ROOT):
+        at = classes[corners.origin]
+        weights += np.bincount(at, corners.weight, count)
+        areas += np.bincount(at, np.linalg.norm(corners.faces, axis=1), count)
+        faces += _summed(at, corners.faces, count)
+        for neighbour, edges, coefficients in corners.ends():
+            along = np.einsum("cti,ci->ct", tangents[at], coefficients)  # g and h
+            products = along[:, :, None] * edges[:, None, :]
+            derivatives += _summed(at, products, count)
+            corner, joints, difference = corner_differences(surface.field, corners.origin, neighbour)
+            added = np.concatenate([along, products.reshape(-1, 6)], axis=1)
+            keys.append(at[corner] * joint_count + joints)
+            values.append(added[corner] * difference[:, None])
+    offsets, joints, changes = summed_by_key(keys, values, joint_count, count)
+    return _RingSums(weights, derivatives, faces, areas, offsets, joints, changes)
+
+
+def _doubts(alignment: Float64Array) -> Float64Array:
+    """Return the doubt of each class (C,) from the length of its mean normal, 1 where all are alike."""
+    smoothness = SMOOTH / np.maximum(1.0 - alignment, FLAT)
+    return np.asarray(DOUBT * np.clip(smoothness**3, 1.0, MOST_DOUBT))
+
+
+def _normals_of_classes(surface: Surface, classes: IntArray, count: int) -> tuple[Float64Array, BoolArray]:
+    """Return a unit normal (C, 3) of each class, and whether it has one: the mean over the class's corners.
+
+    The mean depends neither on the order of the vertices nor on how often a vertex is stored.
+    """
+    units = np.where(has_direction(surface.normals)[:, None], unit_normals(surface.normals), 0.0)
+    corners = surface.triangles.ravel().astype(np.int64)
+    sums = summed_rows(classes[corners], units[corners].astype(np.float64), count)
+    lengths = np.linalg.norm(sums, axis=1)
+    directed = lengths > FLAT * np.bincount(classes[corners], minlength=count)
+    sums[~directed] = 0.0, 0.0, 1.0
+    return unit_normals(sums).astype(np.float64), directed
+
+
+def _summed(at: IntArray, values: Float64Array, count: int) -> Float64Array:
+    """Sum rows of values (N, …) by their class."""
+    flat = values.reshape(len(values), math.prod(values.shape[1:]))
+    sums = summed_rows(at, flat, count)
+    return sums.reshape(count, *values.shape[1:])
+
+
+def _leverage(
+    derivatives: Float64Array, tangents: Float64Array, normals: Float64Array
+) -> tuple[Float64Array, Float64Array]:
+    """Return u and v of both tangents (C, 2, 2, 3), and the area between the derivatives (C,).
+
+    derivatives (C, 2, 3) are a and b, those of the rest positions along the tangents (C, 2, 3). F maps a, b
+    and ĉ, the unit vector of c = a × b, to those of the deformed positions. If a turns by ω × A and b by
+    ω × B, then n · dF(ω) t = ω · (A × u + B × v) for a tangent t. The normals (C, 3) are n.
+
+    Let t = t_a a + t_b b + (t · ĉ) ĉ. The first two terms give u = t_a n and v = t_b n. F scales ĉ by
+    sqrt(|c'| / |c|), as in the truth by tangents, so Fĉ changes by (dc − ĉ (ĉ · dc) / 2) / |c|. In the third
+    term, its product with n is q · dc, where dc = da × b + a × db. That adds b × q to u, and q × a to v.
+    """
+    a, b = derivatives[:, 0], derivatives[:, 1]
+    c = np.cross(a, b)
+    area = np.linalg.norm(c, axis=1)
+    unit = c / area[:, None]
+    lean = normals - 0.5 * unit * np.einsum("ci,ci->c", unit, normals)[:, None]
+    found = np.empty((len(a), 2, 2, 3))
+    for number in range(2):
+        t = tangents[:, number]
+        t_a = np.einsum("ci,ci->c", np.cross(t, b), c) / area**2
+        t_b = np.einsum("ci,ci->c", np.cross(a, t), c) / area**2
+        q = (np.einsum("ci,ci->c", t, unit) / area)[:, None] * lean
+        found[:, number, 0] = t_a[:, None] * normals + np.cross(b, q)
+        found[:, number, 1] = t_b[:, None] * normals + np.cross(q, a)
+    return found, area
