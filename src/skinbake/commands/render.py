@@ -31,11 +31,11 @@ from skinbake.gltf.json_access import reference
 from skinbake.gltf.morphs import resting_weights, target_count
 from skinbake.gltf.output import refuse_own_input
 from skinbake.gltf.scenes import shown_nodes
-from skinbake.lighting.angles import MeasuredBlock, Morphing, lighting_errors, truths_at_rest
+from skinbake.lighting.angles import MeasuredBlock, lighting_errors, truths_at_rest
 from skinbake.lighting.baked_views import BakedView, whole_surfaces
 from skinbake.lighting.before_adoption import true_operator_of
 from skinbake.lighting.metrics import vertex_areas
-from skinbake.lighting.morphing import morphing_of
+from skinbake.lighting.morphing import Morphing, morphing_of
 from skinbake.lighting.operator import GradientOperator
 from skinbake.lighting.poses import PoseSet, draws_of
 from skinbake.lighting.rest_surfaces import rest_surface

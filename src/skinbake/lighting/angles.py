@@ -11,17 +11,16 @@ import numpy as np
 
 from skinbake.choices import Truth
 from skinbake.geometry import dual_quaternions
-from skinbake.geometry.morphs import MorphTargets
 from skinbake.geometry.skinned import BoolArray, Float32Array, Float64Array
 from skinbake.lighting import kernel
 from skinbake.lighting.blending import BlendedSurface, chunks
 from skinbake.lighting.identity import Compared, Identity, compared_normals, surface_for_direct
+from skinbake.lighting.morphing import Morphing
 from skinbake.lighting.operator import GradientOperator
 from skinbake.lighting.triangle_normals import ClassSums
 from skinbake.lighting.truths import ChunkMemory, Truths, VertexBlock
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.components import Vector, scaled
-from skinbake.skinning.morphs import morphed
 from skinbake.skinning.run import Skinning, joints_in_use
 from skinbake.skinning.surface import Options, RestSurface
 from skinbake.threads import Threads, thread_count
@@ -48,40 +47,6 @@ NOT_MEASURED = {(Truth.TRIANGLES, "direct")}
 
 IDENTITY_SAMPLES = 1 << 21
 """The approximate number of vertices × poses for algorithm 2: evenly spread, if there are more."""
-
-
-@dataclass(frozen=True, slots=True)
-class Morphing:
-    """The morph targets of one mesh by primitive (None: no targets), and their weights (P, N) in P poses.
-
-    kept, if it is there, keeps each pose's surfaces and truths when they are first made, for another method.
-    """
-
-    targets: tuple[MorphTargets | None, ...]
-    weights: Float64Array
-    kept: dict[int, tuple[Sequence[RestSurface], Truths]] | None = None
-
-    def surfaces(self, surfaces: Sequence[RestSurface], pose: int) -> list[RestSurface]:
-        """Return the primitives as they are in one pose, before skinning."""
-        return [
-            surface if targets is None else morphed(surface, targets, self.weights[pose])
-            for surface, targets in zip(surfaces, self.targets, strict=True)
-        ]
-
-    def posed(
-        self, surfaces: Sequence[RestSurface], truths: Truths, pose: int
-    ) -> tuple[Sequence[RestSurface], Truths]:
-        """Return the primitives as they are in one pose, before skinning, and their truths.
-
-        surfaces and truths are those without morph targets.
-        """
-        if not self.weights[pose].any():
-            return surfaces, truths
-        kept = {} if self.kept is None else self.kept
-        if pose not in kept:
-            moved = self.surfaces(surfaces, pose)
-            kept[pose] = moved, truths.moved(moved)
-        return kept[pose]
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,6 @@ from skinbake.errors import InputError, Notice
 from skinbake.gltf.animation import Clip, read_clips
 from skinbake.gltf.document import Document
 from skinbake.lighting.angles import (
-    Morphing,
     lighting_errors,
     truths_at_rest,
 )
@@ -22,7 +21,7 @@ from skinbake.lighting.draws import Draw, draws, true_surfaces
 from skinbake.lighting.error_limits import limits_check
 from skinbake.lighting.file_tallies import FileTallies
 from skinbake.lighting.joint_checks import identity_check, joints_without_dqs, mirrored, without_dqs
-from skinbake.lighting.morphing import morph_count, morphing_of
+from skinbake.lighting.morphing import Morphing, morph_count, morphing_of
 from skinbake.lighting.operator import GradientOperator
 from skinbake.lighting.poses import described
 from skinbake.lighting.truths import Truths
@@ -101,7 +100,7 @@ class _Measurement:
             draw.rest,
             draw.poses.joint_matrices,
             method,
-            lambda add: add(),
+            lambda add: add(),  # what the tallies return for a block
             count=self._tallies.counting(method, draw),
             options=Options(self._options.cap, self._options.baseline),
             morphing=morphing,

@@ -3,15 +3,54 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 
 from skinbake.choices import Frame
+from skinbake.geometry.morphs import MorphTargets
+from skinbake.geometry.skinned import Float64Array
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import objects
 from skinbake.gltf.morphs import read_targets, target_count
-from skinbake.lighting.angles import Morphing
 from skinbake.lighting.baked_views import BakedView
 from skinbake.lighting.poses import PoseSet
+from skinbake.lighting.truths import Truths
 from skinbake.report.verify import MorphCount
+from skinbake.skinning.morphs import morphed
+from skinbake.skinning.surface import RestSurface
+
+
+@dataclass(frozen=True, slots=True)
+class Morphing:
+    """The morph targets of one mesh by primitive (None: no targets), and their weights (P, N) in P poses.
+
+    kept, if it is there, keeps each pose's surfaces and truths when they are first made, for another method.
+    """
+
+    targets: tuple[MorphTargets | None, ...]
+    weights: Float64Array
+    kept: dict[int, tuple[Sequence[RestSurface], Truths]] | None = None
+
+    def surfaces(self, surfaces: Sequence[RestSurface], pose: int) -> list[RestSurface]:
+        """Return the primitives as they are in one pose, before skinning."""
+        return [
+            surface if targets is None else morphed(surface, targets, self.weights[pose])
+            for surface, targets in zip(surfaces, self.targets, strict=True)
+        ]
+
+    def posed(
+        self, surfaces: Sequence[RestSurface], truths: Truths, pose: int
+    ) -> tuple[Sequence[RestSurface], Truths]:
+        """Return the primitives as they are in one pose, before skinning, and their truths.
+
+        surfaces and truths are those without morph targets.
+        """
+        if not self.weights[pose].any():
+            return surfaces, truths
+        kept = {} if self.kept is None else self.kept
+        if pose not in kept:
+            moved = self.surfaces(surfaces, pose)
+            kept[pose] = moved, truths.moved(moved)
+        return kept[pose]
 
 
 def morphing_of(document: Document, views: Sequence[BakedView], poses: PoseSet) -> Morphing | None:
