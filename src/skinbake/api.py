@@ -487,7 +487,8 @@ def weight_gradients(
 
     """
     from skinbake.gradients.assumptions import check_finite
-    from skinbake.gradients.baker import BakeSettings, ChosenFrame, bake_mesh, frame_vectors
+    from skinbake.gradients.baker import BakeSettings, bake_mesh
+    from skinbake.gradients.tangents import ChosenFrame, frame_vectors
 
     check_range("crease_angle", crease_angle, BAKE_RANGES["crease_angle"])
     settings = BakeSettings(

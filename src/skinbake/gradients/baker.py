@@ -1,4 +1,7 @@
-"""Bake the primitives of one mesh: weight field, welded surface, gradients, slots."""
+"""Bake the primitives of one surface: weight field, welded surface, gradients, slots.
+
+A surface is one mesh, or all meshes that the same skins draw.
+"""
 
 from __future__ import annotations
 
@@ -9,14 +12,13 @@ import numpy as np
 
 from skinbake.choices import Frame, FrameChoice, Neighbours, Weighting
 from skinbake.geometry import frames
-from skinbake.geometry.blocks import blocks
 from skinbake.geometry.rig import Rig
 from skinbake.geometry.skinned import BakedPrimitive, BoolArray, FloatArray, IntArray, SkinnedPrimitive
 from skinbake.gradients import kernel
 from skinbake.gradients.field import WeightDefects, WeightField, concatenate_fields
 from skinbake.gradients.influences import weight_field
 from skinbake.gradients.surface import Surface, SurfaceSlots
-from skinbake.gradients.tangents import leaning, unhanded
+from skinbake.gradients.tangents import chosen_frame, frame_vectors
 from skinbake.gradients.weld import weld
 from skinbake.timing import stage
 
@@ -37,8 +39,8 @@ class BakeFindings:
 
     tangent_deviation is the largest angle in degrees between t0 × b0 and n0, 0 without TANGENT. bad_tangents
     is the number of vertices that exceed TANGENT_TOLERANCE, unhanded that of those among them at which
-    TANGENT.w is neither 1 nor −1. magnitude is the summed length of the gradients,
-    in 1 / length unit. lost is the share of it that no slot holds.
+    TANGENT.w is neither 1 nor −1. magnitude is the summed length of the gradients, in 1 / length unit. lost
+    is the share of it that no slot holds.
     """
 
     weights: WeightDefects
@@ -56,10 +58,11 @@ class BakeFindings:
 def bake_mesh(
     primitives: Sequence[SkinnedPrimitive], settings: BakeSettings, rig: Rig | None = None
 ) -> list[tuple[BakedPrimitive, BakeFindings]]:
-    """Return α and β of every primitive of one mesh, gathered across their borders.
+    """Return α and β of every primitive of one surface, gathered across their borders.
 
-    All primitives to bake are given, in mesh space, all skinned by the same joints. With
-    ``frame="tangent"`` every primitive must have tangents. With a rig, α and β are fitted to its turns.
+    All primitives to bake are given, in the same mesh space, all skinned by the same joints. With
+    ``frame="tangent"`` every primitive must have tangents. With a rig, α and β are fitted to its turns. The
+    result has the order of the primitives.
     """
     gathered = _gathered(primitives, settings.crease_angle)
     with stage("frames"):
@@ -179,47 +182,3 @@ def _concatenate_triangles(
 def _concatenate(arrays: Sequence[FloatArray]) -> FloatArray:
     """Return the rows of several arrays in one array. A single array is not copied."""
     return arrays[0] if len(arrays) == 1 else np.concatenate(arrays)
-
-
-@dataclass(frozen=True, slots=True)
-class ChosenFrame:
-    """The frame of one primitive's bake, and the quality of its TANGENT.
-
-    kind is ``tangent`` or ``normal``. deviation is the largest angle in degrees by which t0 × b0 leans from
-    n0 at a vertex of a triangle. deviating is the number of vertices that lean more than TANGENT_TOLERANCE.
-    """
-
-    kind: str
-    deviation: float = 0.0
-    deviating: int = 0
-    unhanded: int = 0
-
-
-def chosen_frame(primitive: SkinnedPrimitive, choice: str) -> ChosenFrame:
-    """Return the frame of a primitive with normals. choice is ``auto``, ``tangent`` or ``normal``.
-
-    ``auto`` uses TANGENT if it is orthonormal enough at every vertex, else the frame from NORMAL.
-    """
-    if primitive.tangents is None or choice == Frame.NORMAL:
-        return ChosenFrame(Frame.NORMAL)
-    if primitive.straightened is not None:  # it has been looked at
-        return ChosenFrame(Frame.TANGENT, primitive.straightened.lean)
-    deviation, vertices = leaning(primitive, primitive.tangents)
-    fits = choice == Frame.TANGENT or not vertices
-    wrong = len(unhanded(primitive.tangents, vertices))
-    return ChosenFrame(Frame.TANGENT if fits else Frame.NORMAL, deviation, len(vertices), wrong)
-
-
-def frame_vectors(primitive: SkinnedPrimitive, choice: ChosenFrame) -> tuple[FloatArray, FloatArray]:
-    """Return the tangents t0 and bitangents b0, each (V, 3), of the chosen frame."""
-    given = primitive.tangents if choice.kind == Frame.TANGENT else None
-    dtype = np.result_type(np.float32, np.float32 if given is None else given.dtype)
-    tangents, bitangents = (np.empty(primitive.normals.shape, dtype=dtype) for _ in range(2))
-    for rows in blocks(len(tangents)):
-        normals = frames.unit_normals(primitive.normals[rows])
-        tangents[rows], bitangents[rows] = (
-            frames.frame_from_normal(normals)
-            if given is None
-            else frames.frame_from_tangent(normals, given[rows])
-        )
-    return tangents, bitangents

@@ -1,12 +1,13 @@
-"""Tangents of single vertices that lean from the surface, made orthogonal to their normals."""
+"""The tangent frame of a bake, from TANGENT or from NORMAL alone, and the mending of few wrong tangents."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from skinbake.choices import Frame
 from skinbake.geometry import frames
 from skinbake.geometry.blocks import blocks
 from skinbake.geometry.skinned import FloatArray, SkinnedPrimitive, Straightened
@@ -65,3 +66,47 @@ def unhanded(tangents: FloatArray, vertices: Sequence[int]) -> list[int]:
     with np.errstate(invalid="ignore"):  # a signalling NaN
         found: list[int] = rows[np.abs(tangents[rows, 3]) != 1.0].tolist()
     return found
+
+
+@dataclass(frozen=True, slots=True)
+class ChosenFrame:
+    """The frame of one primitive's bake, and the quality of its TANGENT.
+
+    kind is ``tangent`` or ``normal``. deviation is the largest angle in degrees by which t0 × b0 leans from
+    n0 at a vertex of a triangle. deviating is the number of vertices that lean more than TANGENT_TOLERANCE.
+    """
+
+    kind: str
+    deviation: float = 0.0
+    deviating: int = 0
+    unhanded: int = 0
+
+
+def chosen_frame(primitive: SkinnedPrimitive, choice: str) -> ChosenFrame:
+    """Return the frame of a primitive with normals. choice is ``auto``, ``tangent`` or ``normal``.
+
+    ``auto`` uses TANGENT if it is orthonormal enough at every vertex, else the frame from NORMAL.
+    """
+    if primitive.tangents is None or choice == Frame.NORMAL:
+        return ChosenFrame(Frame.NORMAL)
+    if primitive.straightened is not None:  # it has been looked at
+        return ChosenFrame(Frame.TANGENT, primitive.straightened.lean)
+    deviation, vertices = leaning(primitive, primitive.tangents)
+    fits = choice == Frame.TANGENT or not vertices
+    wrong = len(unhanded(primitive.tangents, vertices))
+    return ChosenFrame(Frame.TANGENT if fits else Frame.NORMAL, deviation, len(vertices), wrong)
+
+
+def frame_vectors(primitive: SkinnedPrimitive, choice: ChosenFrame) -> tuple[FloatArray, FloatArray]:
+    """Return the tangents t0 and bitangents b0, each (V, 3), of the chosen frame."""
+    given = primitive.tangents if choice.kind == Frame.TANGENT else None
+    dtype = np.result_type(np.float32, np.float32 if given is None else given.dtype)
+    tangents, bitangents = (np.empty(primitive.normals.shape, dtype=dtype) for _ in range(2))
+    for rows in blocks(len(tangents)):
+        normals = frames.unit_normals(primitive.normals[rows])
+        tangents[rows], bitangents[rows] = (
+            frames.frame_from_normal(normals)
+            if given is None
+            else frames.frame_from_tangent(normals, given[rows])
+        )
+    return tangents, bitangents

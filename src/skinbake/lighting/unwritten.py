@@ -9,7 +9,7 @@ import numpy as np
 from skinbake.geometry import frames
 from skinbake.geometry.skinned import BakedPrimitive, SkinnedPrimitive
 from skinbake.gltf.primitives import PrimitiveSource
-from skinbake.gradients.baker import ChosenFrame, frame_vectors
+from skinbake.gradients.tangents import ChosenFrame, frame_vectors
 from skinbake.lighting.influences import normalised_weights
 from skinbake.skinning.surface import RestSurface
 
