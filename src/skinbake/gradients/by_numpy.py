@@ -114,6 +114,7 @@ def bake_surface(surface: Surface, *, weighting: str, adopt: bool) -> SurfaceSlo
 
 
 def _bake_parts(surface: Surface, *, weighting: str, adopt: bool) -> SurfaceSlots:
+    """Bake the primitives one after the other, with the gradients of the whole surface."""
     field, classes = surface.field, surface.classes
     gradients = weight_gradients(surface.positions, surface.triangles, field, classes, weighting=weighting)
     capacity = shared_capacity(field, classes) if adopt else None
@@ -127,18 +128,18 @@ def _bake_parts(surface: Surface, *, weighting: str, adopt: bool) -> SurfaceSlot
         part = assign(gradients, classes[rows], field.rows(rows), frame, room)
         if surface.rig is not None and turns is not None:
             vertices = FittedVertices(
-                classes[rows],
-                field.rows(rows),
-                part.named,
-                surface.positions[rows],
-                frame,
-                part.alpha,
-                part.beta,
+                classes=classes[rows],
+                field=field.rows(rows),
+                named=part.named,
+                positions=surface.positions[rows],
+                frame=frame,
+                alpha=part.alpha,
+                beta=part.beta,
             )
             alpha, beta = fitted(vertices, gradients, turns, surface.rig)
             part = replace(part, alpha=alpha, beta=beta)
         takers = np.count_nonzero((part.adopted != NO_JOINT).any(axis=1))
-        counts.append([takers, part.overflowing, part.magnitude, part.lost * part.magnitude])
+        counts.append([takers, part.overflowing, part.magnitude, part.unheld])
         parts.append(part)
         start = end
     adopted = np.concatenate([part.adopted for part in parts])

@@ -5,6 +5,9 @@ that is linear on the triangle is
 
     ∇w = (w1 − w0) (e2 × n) / A2² + (w2 − w0) (n × e1) / A2²
 
+The two vectors are the gradients of hats. A hat is the linear function that is 1 at one corner and 0 at both
+others; here it is 1 at the end of e1, and of e2.
+
 The vertex takes the mean of its corners' ∇w under one of four weightings. The default is Max's, 1 / (|e1|²
 |e2|²) times A2: N. Max, *Weights for Computing Vertex Normals from Facet Normals*, Journal of Graphics Tools
 4(2), 1999. The fit to a rig (rig_fit.py) takes its own weights, ROOT: 1 / (|e1| |e2|)^1.5 times A2. They lie

@@ -22,9 +22,8 @@ class SlotGradients:
     alpha, beta (V, K) float64 include slot 0. adopted (V, K) int64 is the joint that a slot adopts, −1
     elsewhere. named (V, K) int64 is the joint whose gradient a slot holds, −1 for none. overflowing is the
     number of vertices with more foreign joints than free slots. Without adoption, it is the number of
-    vertices with any foreign joints. magnitude is the length of all joints'
-    gradients summed over the vertices, in 1 / length unit. lost is the share of it that no slot holds, and
-    that goes to s0.
+    vertices with any foreign joints. magnitude is the length of all joints' gradients summed over the
+    vertices, in 1 / length unit. unheld is the part of that sum that no slot holds, and that goes to s0.
     """
 
     alpha: Float64Array
@@ -33,7 +32,7 @@ class SlotGradients:
     named: IntArray
     overflowing: int
     magnitude: float
-    lost: float
+    unheld: float
 
 
 def assign(
@@ -54,7 +53,7 @@ def assign(
     alpha, beta = np.empty(field.joints.shape), np.empty(field.joints.shape)
     adopted = np.full(field.joints.shape, NO_JOINT, dtype=np.int64)
     named = np.full(field.joints.shape, NO_JOINT, dtype=np.int64)
-    overflowing, homeless, total = 0, 0.0, 0.0
+    overflowing, magnitude, unheld = 0, 0.0, 0.0
     for start in range(0, len(classes), BLOCK):
         rows = slice(start, start + BLOCK)
         entries = _Entries(gradients, classes[rows])
@@ -64,12 +63,11 @@ def assign(
         if capacity is not None and len(foreign.vertices):
             adopted[rows] = _adopt(foreign, part, capacity[rows])
             named[rows] = _named_slots(adopted[rows], part)
-        alpha[rows], beta[rows], unheld = _project(entries, named[rows], (frame[0][rows], frame[1][rows]))
+        alpha[rows], beta[rows], left = _project(entries, named[rows], (frame[0][rows], frame[1][rows]))
         placed = (named[rows][foreign.vertices] == foreign.joints[:, None]).any(axis=1)
         overflowing += len(np.unique(foreign.vertices[~placed]))
-        homeless, total = homeless + unheld, total + float(entries.sums.sum())
-    lost = homeless / total if total > 0 else 0.0
-    return SlotGradients(alpha, beta, adopted, named, overflowing, total, lost)
+        magnitude, unheld = magnitude + float(entries.sums.sum()), unheld + left
+    return SlotGradients(alpha, beta, adopted, named, overflowing, magnitude, unheld)
 
 
 def shared_capacity(field: WeightField, classes: IntArray) -> IntArray:
@@ -93,7 +91,10 @@ class _Rank:
 
 
 class _Entries:
-    """The entries of the gradients as V vertices see them, by rank: all first ones, then all second ones."""
+    """The entries of the gradients as V vertices see them, by rank: all first ones, then all second ones.
+
+    sums (V,) are the lengths of the gradients of all joints, added up for each vertex.
+    """
 
     def __init__(self, gradients: VertexGradients, classes: IntArray) -> None:
         start = gradients.offsets[classes]
@@ -111,7 +112,10 @@ class _Entries:
 
 @dataclass(frozen=True, slots=True)
 class _Foreign:
-    """Joints of neighbours that vary at a vertex: vertex, joint, gradient magnitude, all (F,)."""
+    """The foreign joints of some vertices: vertex, joint, length of the gradient there, all (F,).
+
+    A foreign joint is one that only neighbours of the vertex have (docs/reference/gradients.md).
+    """
 
     vertices: IntArray
     joints: IntArray
@@ -119,6 +123,7 @@ class _Foreign:
 
 
 def _foreign(entries: _Entries, field: WeightField) -> _Foreign:
+    """Return the entries whose joints have no positive weight at their vertex, but for negligible ones."""
     empty = np.empty(0, dtype=np.int64)
     found: list[tuple[IntArray, IntArray, Float64Array]] = [(empty, empty, np.empty(0))]
     own_joints = np.ascontiguousarray(np.where(field.weights > 0, field.joints, NO_JOINT).T)

@@ -73,7 +73,8 @@ class ChosenFrame:
     """The frame of one primitive's bake, and the quality of its TANGENT.
 
     kind is ``tangent`` or ``normal``. deviation is the largest angle in degrees by which t0 × b0 leans from
-    n0 at a vertex of a triangle. deviating is the number of vertices that lean more than TANGENT_TOLERANCE.
+    n0 at a vertex of a triangle. deviating is the number of vertices that lean more than TANGENT_TOLERANCE,
+    unhanded that of those among them at which TANGENT.w is neither 1 nor −1.
     """
 
     kind: str

@@ -67,7 +67,7 @@ class Corners:
 
     origin, first and second (T,) are its vertex and the two others. edges (2, T, 3) lead to these. weight
     (T,) is the corner's weight in the mean, coefficients (2, T, 3) the weight times the gradients of both
-    hats. faces (T, 3) are the normals of the triangles, as long as twice their areas.
+    hats (see corner.py). faces (T, 3) are the normals of the triangles, as long as twice their areas.
     """
 
     origin: IntArray
@@ -100,7 +100,11 @@ def corners_of(positions: FloatArray, triangles: IntArray, weighting: int) -> It
 def corner_differences(
     field: WeightField, origin: IntArray, neighbour: IntArray
 ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64], Float64Array]:
-    """Return each difference of a joint's weight between two ends: (pair, joint, w_neighbour − w_origin)."""
+    """Return each difference of a joint's weight between two ends of edges, where it is not 0.
+
+    origin and neighbour (N,) are vertices. Returns three arrays (D,): the edge, the joint, and w_neighbour −
+    w_origin. A joint that only one end has weighs 0 at the other.
+    """
     joints0, weights0 = field.joints[origin], field.weights[origin]
     joints1, weights1 = field.joints[neighbour], field.weights[neighbour]
     same = joints1[:, :, None] == joints0[:, None, :]
