@@ -43,7 +43,7 @@ def expected_slots(
 ) -> Expected:
     """Return α and β (V, K − 1) of each view of one surface, of the kind that is noted if none is given.
 
-    fit is the result of ``rig_fit``, if it is there already.
+    fit is the result of ``prepared_rig_fit``, if it is there already.
 
     The gradients of a surface come from the operator, which shares no code with bake. Fitted gradients come
     from bake's own loops: how good they are is measured against the true normals, not here.
@@ -51,7 +51,7 @@ def expected_slots(
     kind = kind or noted_kind(views[0])
     if kind is Gradients.SURFACE:
         return surface_slots(views, operator)
-    fit = fit or rig_fit(document, views, operator.weighting)
+    fit = fit or prepared_rig_fit(document, views, operator.weighting)
     slots = fit() if fit else surface_slots(views, operator)
     return slots if kind is Gradients.RIG else posed_slots(document, views, slots)
 
@@ -105,7 +105,7 @@ def surface_slots(views: Sequence[BakedView], operator: GradientOperator) -> Exp
     return [(alpha[:, 1:], beta[:, 1:]) for alpha, beta in expected]
 
 
-def rig_fit(document: Document, views: Sequence[BakedView], weighting: Weighting) -> Fit | None:
+def prepared_rig_fit(document: Document, views: Sequence[BakedView], weighting: Weighting) -> Fit | None:
     """Prepare the fit of the gradients of one surface to its rig. None: no joint of it can turn.
 
     It gives α and β (V, K − 1) of each view, of the joints that the slots name. It no longer reads the

@@ -24,7 +24,7 @@ from skinbake.lighting.expected import (
     former_weights,
     given_weights,
     noted_kind,
-    rig_fit,
+    prepared_rig_fit,
 )
 from skinbake.lighting.operator import GradientOperator, gradient_operator
 from skinbake.lighting.without_poses import (
@@ -82,7 +82,7 @@ def fits_begun(
     fits: list[Fit | None] = []
     for views in surfaces:
         is_fitted = noted_kind(views[0]) is Gradients.RIG
-        fit = rig_fit(document, views, views[0].metadata["weighting"]) if is_fitted else None
+        fit = prepared_rig_fit(document, views, views[0].metadata["weighting"]) if is_fitted else None
         fits.append(threads.begun(fit) if fit else None)
     return fits
 
