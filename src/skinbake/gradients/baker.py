@@ -18,7 +18,7 @@ from skinbake.gradients import kernel
 from skinbake.gradients.field import WeightDefects, WeightField, concatenate_fields
 from skinbake.gradients.influences import weight_field
 from skinbake.gradients.surface import Surface, SurfaceSlots
-from skinbake.gradients.tangents import chosen_frame, frame_vectors
+from skinbake.gradients.tangents import ChosenFrame, chosen_frame, frame_vectors
 from skinbake.gradients.weld import weld
 from skinbake.timing import stage
 
@@ -75,33 +75,40 @@ def bake_mesh(
         surface = gathered.surface(frame, rig)
         adopt = settings.neighbours != Neighbours.DROP
         slots = kernel.bake_surface(surface, weighting=settings.weighting, adopt=adopt)
-    ends, results = gathered.ends, []
-    for number, (primitive, choice) in enumerate(zip(primitives, chosen, strict=True)):
-        rows = slice(ends[number] - len(primitive.positions), ends[number])
-        adopting, overflowing, magnitude, unheld = slots.counts[number].tolist()
-        findings = BakeFindings(
-            weights=gathered.defects[number],
-            degenerate_triangles=gathered.degenerate[number],
-            zero_normals=frames.without_direction(primitive.normals),
-            tangent_deviation=choice.deviation,
-            bad_tangents=choice.deviating,
-            unhanded=choice.unhanded,
-            adopting_vertices=int(adopting),
-            overflowing_vertices=int(overflowing),
-            magnitude=magnitude,
-            lost=unheld / magnitude if magnitude > 0 else 0.0,
-        )
-        influences = primitive.joints.shape[1]
-        own = slice(*np.searchsorted(slots.adopting, [rows.start, rows.stop]))
-        result = BakedPrimitive(
-            alpha=slots.alpha[rows, : influences - 1],
-            beta=slots.beta[rows, : influences - 1],
-            adopting=slots.adopting[own] - rows.start,
-            adopted=slots.adopted[own, :influences],
-            frame=choice.kind,
-        )
-        results.append((result, findings))
-    return results
+    return [
+        _of_primitive(number, primitive, choice, gathered, slots)
+        for number, (primitive, choice) in enumerate(zip(primitives, chosen, strict=True))
+    ]
+
+
+def _of_primitive(
+    number: int, primitive: SkinnedPrimitive, choice: ChosenFrame, gathered: _Gathered, slots: SurfaceSlots
+) -> tuple[BakedPrimitive, BakeFindings]:
+    """Take the part of one primitive out of the result of its surface."""
+    end, influences = gathered.ends[number], primitive.joints.shape[1]
+    rows = slice(end - len(primitive.positions), end)
+    adopting, overflowing, magnitude, unheld = slots.counts[number].tolist()
+    findings = BakeFindings(
+        weights=gathered.defects[number],
+        degenerate_triangles=gathered.degenerate[number],
+        zero_normals=frames.without_direction(primitive.normals),
+        tangent_deviation=choice.deviation,
+        bad_tangents=choice.deviating,
+        unhanded=choice.unhanded,
+        adopting_vertices=int(adopting),
+        overflowing_vertices=int(overflowing),
+        magnitude=magnitude,
+        lost=unheld / magnitude if magnitude > 0 else 0.0,
+    )
+    own = slice(*np.searchsorted(slots.adopting, [rows.start, rows.stop]))
+    result = BakedPrimitive(
+        alpha=slots.alpha[rows, : influences - 1],
+        beta=slots.beta[rows, : influences - 1],
+        adopting=slots.adopting[own] - rows.start,
+        adopted=slots.adopted[own, :influences],
+        frame=choice.kind,
+    )
+    return result, findings
 
 
 def slots_of_surface(
@@ -123,7 +130,11 @@ def slots_of_surface(
 
 @dataclass(frozen=True, slots=True)
 class _Gathered:
-    """The arrays of all primitives of one surface, one after the other; see ``Surface``."""
+    """The arrays of all primitives of one surface, one after the other; see ``Surface``.
+
+    defects and degenerate have an entry for each primitive: what its weights needed, and how many of its
+    triangles have no area and were left out.
+    """
 
     positions: FloatArray
     triangles: IntArray

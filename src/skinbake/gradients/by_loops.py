@@ -100,20 +100,26 @@ def mark_proper(positions: FloatArray, triangles: IntArray) -> BoolArray:
 
 
 def bake_surface(surface: Surface, *, weighting: str, adopt: bool) -> SurfaceSlots:
-    """Return α and β of a surface. Large surfaces are baked by several threads, with the same result."""
+    """Return α and β of a surface, as ``by_numpy`` does.
+
+    Several threads bake a large surface. The result does not depend on their number.
+    """
     vertices, slots = surface.field.joints.shape
     alpha, beta = (np.empty((vertices, slots - 1), dtype=np.float32) for _ in range(2))
     adopted = np.zeros((vertices, slots), dtype=np.int32)  # memory stays untouched if no slot adopts
     tangents, bitangents = surface.frame or (np.zeros((0, 3)), np.zeros((0, 3)))
     rig = surface.rig or NO_RIG
+    triangles = np.ascontiguousarray(surface.triangles, dtype=np.uint32)
+    classes = np.ascontiguousarray(surface.classes, dtype=np.int32)
+    count = int(classes.max(initial=-1)) + 1
     bake = partial(
         _kernel.bake_surface,
         positions=np.ascontiguousarray(surface.positions),
-        triangles=(triangles := np.ascontiguousarray(surface.triangles, dtype=np.uint32)),
+        triangles=triangles,
         joints=surface.field.joints,
         weights=surface.field.weights,
         free=surface.field.free,
-        classes=(classes := np.ascontiguousarray(surface.classes, dtype=np.int32)),
+        classes=classes,
         normals=np.ascontiguousarray(surface.normals),
         tangents=np.ascontiguousarray(tangents),
         bitangents=np.ascontiguousarray(bitangents),
@@ -125,7 +131,7 @@ def bake_surface(surface: Surface, *, weighting: str, adopt: bool) -> SurfaceSlo
         ranks=np.ascontiguousarray(rig.ranks, dtype=np.int32),
         pivots=np.ascontiguousarray(rig.pivots, dtype=np.float64),
         chains=np.ascontiguousarray(rig.chains, dtype=np.int32),
-        class_count=(count := int(classes.max(initial=-1)) + 1),
+        class_count=count,
         weighting=WEIGHTINGS[weighting],
         adopts=adopt,
         negligible=NEGLIGIBLE,
