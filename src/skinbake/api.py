@@ -488,7 +488,7 @@ def weight_gradients(
     """
     from skinbake.gradients.assumptions import check_finite
     from skinbake.gradients.baker import BakeSettings, bake_mesh
-    from skinbake.gradients.tangents import ChosenFrame, frame_vectors
+    from skinbake.gradients.tangents import frame_vectors
 
     check_range("crease_angle", crease_angle, BAKE_RANGES["crease_angle"])
     settings = BakeSettings(
@@ -504,7 +504,7 @@ def weight_gradients(
     primitive = _surface(positions, normals, triangles, joints, weights, tangents)
     [(baked, findings)] = bake_mesh([primitive], settings)
     check_finite(primitive, baked, Place("weight_gradients"))
-    t0, b0 = frame_vectors(primitive, ChosenFrame(baked.frame))
+    t0, b0 = frame_vectors(primitive, baked.frame)
     adopted = baked.adopted_joints
     return WeightGradients(
         baked.alpha,

@@ -30,7 +30,7 @@ from skinbake.gradients.corner import WEIGHTINGS
 from skinbake.gradients.field import WeightDefects, concatenate_fields
 from skinbake.gradients.influences import weight_field
 from skinbake.gradients.surface import Surface, SurfaceSlots
-from skinbake.gradients.tangents import chosen_frame, frame_vectors
+from skinbake.gradients.tangents import frame_vectors
 from skinbake.gradients.weight_gradients import VertexGradients, weight_gradients
 from skinbake.gradients.weld import weld
 from skinbake.threads import threads_limited
@@ -269,7 +269,7 @@ def test_the_kernels_frame_from_normals_is_the_contracts_bit_by_bit() -> None:
     normals[:4] = np.array([[0, 0, 0], [np.nan, 0, 1], [0, 0, -1], [0, 0, -0.0]])
     part = replace(primitives[0], normals=normals, tangents=None)
     own = surface_of([part])
-    vectors = frame_vectors(part, chosen_frame(part, "normal"))
+    vectors = frame_vectors(part, "normal")
     given = replace(own, frame=vectors)
     one, other = (bake(surface) for surface in (own, given))
     assert np.array_equal(one.alpha, other.alpha)

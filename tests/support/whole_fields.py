@@ -30,7 +30,7 @@ class RestFrame:
 def rest_frame(primitive: SkinnedPrimitive, choice: str) -> RestFrame:
     """Return the frame at rest of a primitive with normals; choice as for ``chosen_frame``."""
     chosen = chosen_frame(primitive, choice)
-    return RestFrame(chosen.kind, *frame_vectors(primitive, chosen))
+    return RestFrame(chosen.kind, *frame_vectors(primitive, chosen.kind))
 
 
 def shader_text(choices: ShaderChoices) -> str:

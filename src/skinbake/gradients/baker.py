@@ -69,7 +69,10 @@ def bake_mesh(
         chosen = [chosen_frame(primitive, settings.frame) for primitive in primitives]
         frame = None
         if any(choice.kind == Frame.TANGENT for choice in chosen):
-            pairs = [frame_vectors(*one) for one in zip(primitives, chosen, strict=True)]
+            pairs = [
+                frame_vectors(primitive, choice.kind)
+                for primitive, choice in zip(primitives, chosen, strict=True)
+            ]
             frame = _concatenate([pair[0] for pair in pairs]), _concatenate([pair[1] for pair in pairs])
     with stage("gradients"):
         surface = gathered.surface(frame, rig)

@@ -98,9 +98,13 @@ def chosen_frame(primitive: SkinnedPrimitive, choice: str) -> ChosenFrame:
     return ChosenFrame(Frame.TANGENT if fits else Frame.NORMAL, deviation, len(vertices), wrong)
 
 
-def frame_vectors(primitive: SkinnedPrimitive, choice: ChosenFrame) -> tuple[FloatArray, FloatArray]:
-    """Return the tangents t0 and bitangents b0, each (V, 3), of the chosen frame."""
-    given = primitive.tangents if choice.kind == Frame.TANGENT else None
+def frame_vectors(primitive: SkinnedPrimitive, kind: str) -> tuple[FloatArray, FloatArray]:
+    """Return the tangents t0 and bitangents b0 of a primitive at rest, each (V, 3).
+
+    kind is ``tangent`` or ``normal``; the former needs TANGENT. NORMAL counts at length 1. With ``tangent``,
+    t0 has the length of TANGENT, and both have its type. With ``normal``, both are float32 unit vectors.
+    """
+    given = primitive.tangents if kind == Frame.TANGENT else None
     dtype = np.result_type(np.float32, np.float32 if given is None else given.dtype)
     tangents, bitangents = (np.empty(primitive.normals.shape, dtype=dtype) for _ in range(2))
     for rows in blocks(len(tangents)):

@@ -20,7 +20,7 @@ from skinbake.gltf.json_access import JsonObject, is_number
 from skinbake.gltf.morphs import target_count
 from skinbake.gltf.primitives import PrimitiveSource, read_primitive
 from skinbake.gltf.skin_groups import meshes_of_one_skin
-from skinbake.gradients.tangents import TANGENT_TOLERANCE
+from skinbake.gradients.tangents import TANGENT_TOLERANCE, frame_vectors
 from skinbake.timing import stage
 from skinbake.version import FIT
 from skinbake.wording import counted
@@ -191,12 +191,9 @@ def _names_poses(noted: object) -> bool:
 
 def _rest_frame(primitive: SkinnedPrimitive, kind: str) -> tuple[FloatArray, FloatArray] | None:
     """Return (t0, b0) of the frame that the metadata names, or None if its TANGENT is gone."""
-    normals = frames.unit_normals(primitive.normals)
-    if kind == Frame.NORMAL:
-        return frames.frame_from_normal(normals)
-    if primitive.tangents is None:
+    if kind == Frame.TANGENT and primitive.tangents is None:
         return None
-    return frames.frame_from_tangent(normals, primitive.tangents)
+    return frame_vectors(primitive, kind)
 
 
 def _skewed(view: BakedView) -> Iterator[Notice]:

@@ -9,7 +9,7 @@ import numpy as np
 from skinbake.geometry import frames
 from skinbake.geometry.skinned import BakedPrimitive, SkinnedPrimitive
 from skinbake.gltf.primitives import PrimitiveSource
-from skinbake.gradients.tangents import ChosenFrame, frame_vectors
+from skinbake.gradients.tangents import frame_vectors
 from skinbake.lighting.influences import normalised_weights
 from skinbake.skinning.surface import RestSurface
 
@@ -25,7 +25,7 @@ class UnwrittenBake:
     def rest_surface(self) -> RestSurface:
         """Return it as float64. Adopted joints have weight 0, and joints past the skin become 0."""
         primitive, baked = self.primitive, self.baked
-        tangents, bitangents = frame_vectors(primitive, ChosenFrame(baked.frame))
+        tangents, bitangents = frame_vectors(primitive, baked.frame)
         named = np.where(baked.adopted_joints >= 0, baked.adopted_joints, primitive.joints)
         joints = np.where(named < self.source.joint_count, named, 0)
         return RestSurface(
