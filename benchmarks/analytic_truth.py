@@ -150,10 +150,10 @@ def measured(
     with Threads(1) as threads:
         sums = truths.sums(deformed, threads)
     found = {truth: np.empty(exact.shape) for truth in Truth}
-    for piece in truths.pieces:
-        normals, _ = truths.normals(piece.number, deformed, sums, None)
+    for block in truths.vertex_blocks:
+        normals, _ = truths.normals(block.number, deformed, sums, None)
         for truth, vectors in zip(Truth, normals, strict=True):
-            found[truth][:, piece.part] = vectors.T
+            found[truth][:, block.part] = vectors.T
     areas = vertex_areas(primitive.positions, primitive.triangles)
 
     def mean(one: FloatArray, other: FloatArray) -> float:

@@ -144,10 +144,10 @@ def true_normals(character: Character, method: Method) -> dict[Truth, tuple[Wide
     exist = np.empty(normals.shape[:-1], np.bool_)
     with Threads(1) as threads:
         sums = truths.sums(deformed, threads)
-    for piece in truths.pieces:
-        found, sound = truths.normals(piece.number, deformed, sums, None)
-        normals[:, :, piece.part] = np.transpose(found, (0, 3, 2, 1))
-        exist[:, :, piece.part] = np.swapaxes(sound, 1, 2)
+    for block in truths.vertex_blocks:
+        found, sound = truths.normals(block.number, deformed, sums, None)
+        normals[:, :, block.part] = np.transpose(found, (0, 3, 2, 1))
+        exist[:, :, block.part] = np.swapaxes(sound, 1, 2)
     return {truth: (normals[number], exist[number]) for number, truth in enumerate(Truth)}
 
 

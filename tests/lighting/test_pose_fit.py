@@ -80,7 +80,7 @@ def true_normals(operator: GradientOperator, surface: RestSurface, matrices: Flo
     deformed = np.ascontiguousarray(positions.transpose(2, 1, 0), dtype=np.float64)
     with threads.Threads(1) as one:
         sums = truths.sums(deformed, one)
-    blocks = [truths.normals(block.number, deformed, sums, None)[0] for block in truths.pieces]
+    blocks = [truths.normals(block.number, deformed, sums, None)[0] for block in truths.vertex_blocks]
     by_tangents, by_triangles = np.concatenate(blocks, axis=2).transpose(0, 3, 2, 1)
     normals = 0.7 * by_tangents + 0.3 * by_triangles
     return np.asarray(normals / np.linalg.norm(normals, axis=2, keepdims=True))

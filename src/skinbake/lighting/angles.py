@@ -107,8 +107,8 @@ def lighting_errors(  # noqa: PLR0913  # five arguments are optional, and by key
                 sums = chunk.truths.sums(deformed, threads, memory)
             with stage("normals"):
                 work = partial(chunk.measured, deformed, sums, count)
-                found = threads.each(work, truths.pieces)
-                for block, (results, compared) in zip(truths.pieces, found, strict=True):
+                found = threads.each(work, truths.vertex_blocks)
+                for block, (results, compared) in zip(truths.vertex_blocks, found, strict=True):
                     for result in results:
                         record(result)
                     identity.take(compared)
@@ -216,7 +216,7 @@ class _Chunk:
             with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
                 deformed[:, block.part] = self.skinned[block.surface].positions(self.at, block.rows)
 
-        threads.done(place, self.truths.pieces)
+        threads.done(place, self.truths.vertex_blocks)
         return deformed
 
     def measured(

@@ -140,10 +140,10 @@ def _seen(operator: GradientOperator, surfaces: Sequence[RestSurface], group: Fi
     with Threads(thread_count()) as threads:
         for poses in parts:
             deformed = np.empty((3, count, poses.stop - poses.start))
-            for block in truths.pieces:
+            for block in truths.vertex_blocks:
                 deformed[:, block.part] = blended[block.surface].positions(poses, block.rows)
             sums = truths.sums(deformed, threads)
-            for block in truths.pieces:
+            for block in truths.vertex_blocks:
                 side = None if sides is None else sides[poses, block.part]
                 normals = _mean(*truths.normals(block.number, deformed, sums, side))
                 yield _Seen(block.surface, block.rows, poses, normals, 1.0 / len(matrices))

@@ -35,13 +35,14 @@ from skinbake.threads import Threads
 class Truths:
     """The data of one mesh that both truths need: blocks of vertices and of weld classes, the rest pose.
 
-    names are one or both of ``Truth``, in the order of ``Truth``.
+    names are one or both of ``Truth``, in the order of ``Truth``. frames are for the truth by tangents.
+    carried is for the truth by triangles, None without it; then there are no class_blocks.
     """
 
     operator: GradientOperator
     names: Sequence[str]
-    pieces: Sequence[VertexBlock]
-    classes: Sequence[ClassBlock]
+    vertex_blocks: Sequence[VertexBlock]
+    class_blocks: Sequence[ClassBlock]
     frames: RestFrames
     carried: CarriedNormals | None
 
@@ -50,22 +51,24 @@ class Truths:
         cls, operator: GradientOperator, surfaces: Sequence[RestSurface], poses: int, names: Sequence[str]
     ) -> Truths:
         """Measure a mesh at rest, for chunks of so many poses."""
-        pieces = _vertex_blocks(operator.slices, poses)
+        blocks_of_vertices = _vertex_blocks(operator.slices, poses)
         positions, normals = (_joined(surfaces, name) for name in ("positions", "normals"))
-        parts = tuple(piece.part for piece in pieces)
+        parts = tuple(block.part for block in blocks_of_vertices)
         frames = rest_frames(operator, positions, normals, parts=parts)
-        classes: list[ClassBlock] = []
+        blocks_of_classes: list[ClassBlock] = []
         carried = None
         if Truth.TRIANGLES in names:
-            classes = class_blocks(operator)
-            carried = carried_normals(operator, frames, positions, normals, classes)
-        return cls(operator, names, pieces, classes, frames, carried)
+            blocks_of_classes = class_blocks(operator)
+            carried = carried_normals(operator, frames, positions, normals, blocks_of_classes)
+        return cls(operator, names, blocks_of_vertices, blocks_of_classes, frames, carried)
 
     def moved(self, surfaces: Sequence[RestSurface]) -> Truths:
         """Measure the mesh under morph targets, before skinning."""
         positions, normals = (_joined(surfaces, name) for name in ("positions", "normals"))
         frames = morphed_frames(self.frames, positions, normals)
-        carried = self.carried and carried_normals(self.operator, frames, positions, normals, self.classes)
+        carried = self.carried and carried_normals(
+            self.operator, frames, positions, normals, self.class_blocks
+        )
         return replace(self, frames=frames, carried=carried)
 
     def sums(
@@ -80,7 +83,7 @@ class Truths:
         def sum_up(block: ClassBlock) -> None:
             total[:, block.part] = kernel.class_sums(self.operator, deformed, block)
 
-        threads.done(sum_up, self.classes)
+        threads.done(sum_up, self.class_blocks)
         return ClassSums(self.carried, self.operator.classes, total)
 
     def normals(
