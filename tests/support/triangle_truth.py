@@ -23,7 +23,7 @@ def true_normals(
     posed = np.ascontiguousarray(deformed.transpose(2, 1, 0))
     sums = vertex_normals(operator, posed)
     found = np.empty(deformed.shape)
-    for part, derivatives in zip(rest.parts, rest.tangents, strict=True):
+    for part, derivatives in zip(rest.parts, rest.derivatives, strict=True):
         side = None if sides is None else sides[:, part]
         tangent = posed_tangents(derivatives, posed)[0]
         vectors, valid = triangle_normals(

@@ -92,7 +92,7 @@ def reference_normals(
     for start in range(0, len(deformed), count):
         block = slice(start, start + count)
         posed = np.ascontiguousarray(np.transpose(deformed[block], (2, 1, 0)), dtype=np.float64)
-        for part, derivatives in zip(rest.parts, rest.tangents, strict=True):
+        for part, derivatives in zip(rest.parts, rest.derivatives, strict=True):
             side = None if sides is None else sides[block, part]
             found, _ = tangent_normals(rest, part, posed_tangents(derivatives, posed), side)
             normals[block, part] = np.stack(found, axis=2)

@@ -145,7 +145,7 @@ def true_normals(
     part = rest.parts[number]
     shape = (1 if by_triangles is None else 2, 3, part.stop - part.start, positions.shape[2])
     normals, exist = np.empty(shape), np.empty((shape[0], *shape[2:]), dtype=np.bool_)
-    along_t, along_b = rest.tangents[number]
+    along_t, along_b = rest.derivatives[number]
     _loops.true_normals(
         along_t.starts,
         along_t.columns,

@@ -167,7 +167,7 @@ def true_normals(
     those of all vertices after deformation. sides (P, B) is −1 if the joints mirror a vertex.
     """
     part = rest.parts[number]
-    tangents = posed_tangents(rest.tangents[number], positions)
+    tangents = posed_tangents(rest.derivatives[number], positions)
     found = [tangent_normals(rest, part, tangents, sides)]
     if by_triangles is not None:
         sums = block_sums(by_triangles.classes, by_triangles.sums, part)

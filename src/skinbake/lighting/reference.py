@@ -28,13 +28,14 @@ FLAT_FRAME = 1e-6
 class RestFrames:
     """The data of the rest pose that the truth by tangents needs.
 
-    parts are blocks of vertices. tangents are their derivatives along t0 and b0. coefficients (3, V): n0 in
-    the rest frame (a, b, ĉ), with c = a × b, divided by |c|. areas (V,): |c|.
-    valid (V,): the frame and n0 are usable. Under morph targets all fields but the first two change.
+    parts are blocks of B vertices. derivatives are two operators of each block, along t0 and b0: sparse (B,
+    V). They make a and b of the positions. coefficients (3, V) are those of n0 in the frame (a, b, ĉ) at
+    rest, with c = a × b, divided by |c|. areas (V,) are |c|. valid (V,) tells where the frame and n0 are
+    usable. Under morph targets all fields but the first two change.
     """
 
     parts: tuple[slice, ...]
-    tangents: tuple[tuple[SparseRows, SparseRows], ...]
+    derivatives: tuple[tuple[SparseRows, SparseRows], ...]
     coefficients: Float64Array
     areas: Float64Array
     valid: BoolArray
@@ -90,7 +91,7 @@ def morphed_frames(rest: RestFrames, positions: FloatArray, normals: FloatArray)
     the surface as t0 and b0 at rest. So it is their image under the differential of the morph. If skinning is
     the identity, the reference returns these normals exactly.
     """
-    return _measured(rest.parts, rest.tangents, positions, normals)
+    return _measured(rest.parts, rest.derivatives, positions, normals)
 
 
 def perpendicular(normals: FloatArray) -> tuple[Float64Array, Float64Array]:
@@ -114,6 +115,7 @@ def _measured(
     positions: FloatArray,
     normals: FloatArray,
 ) -> RestFrames:
+    """Measure the frames (a, b, ĉ) of all blocks, and find the coefficients of the normals n0 in them."""
     components = np.ascontiguousarray(np.asarray(positions, dtype=np.float64).T)[:, :, None]
     count = len(positions)
     coefficients, areas, valid = np.zeros((3, count)), np.zeros(count), np.zeros(count, dtype=np.bool_)
@@ -134,10 +136,12 @@ def _measured(
 def tangent_normals(
     rest: RestFrames, part: slice, tangents: tuple[Vector, Vector], sides: FloatArray | None = None
 ) -> tuple[Vector, BoolArray]:
-    """Return the true normals of a block of vertices, by components (P, B).
+    """Return the true normals of a block of vertices by tangents, components (P, B), and a mask of them.
 
-    tangents are the block's tangents after deformation (``posed_tangents``). sides (P, B) belongs to the
-    block. All arrays are stored vertex by vertex.
+    tangents are a' and b', the block's tangents after deformation (``posed_tangents``). With c' = a' × b' and
+    m = c' / sqrt(|c'| |c|), F is [a' b' m] [a b ĉ]⁻¹. So cof(F) n0 is cof([a' b' m]) times the coefficients
+    of ``RestFrames``. A uniform scale of the joints scales m as it scales a' and b'. sides (P, B) is −1 if
+    the joints mirror a vertex, because c' points inside there. All arrays are stored vertex by vertex.
     """
     along_a, along_b, along_c = rest.coefficients[:, part]
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # what is not finite is not sound

@@ -141,7 +141,7 @@ def carried_normals(
     sums[:, np.einsum("icp,icp->cp", sums, sums) < CANCELLED**2] = 0.0
     coefficients = np.full((3, len(positions)), np.nan)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # what has no frame gets NaN
-        for part, derivatives in zip(rest.parts, rest.tangents, strict=True):
+        for part, derivatives in zip(rest.parts, rest.derivatives, strict=True):
             tangent = posed_tangent(derivatives[0], components)
             frame = _frame(tangent, block_sums(operator.classes, sums, part))
             n0 = tuple(np.asarray(normals[part], dtype=np.float64).T[:, None])
