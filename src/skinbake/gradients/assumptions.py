@@ -10,6 +10,7 @@ from skinbake.geometry.blocks import blocks
 from skinbake.geometry.frames import NO_DIRECTION
 from skinbake.geometry.skinned import BakedPrimitive, SkinnedPrimitive
 from skinbake.gradients.baker import BakeFindings
+from skinbake.gradients.field import WeightDefects
 from skinbake.gradients.tangents import TANGENT_TOLERANCE
 from skinbake.wording import counted, one_or_many
 
@@ -34,17 +35,48 @@ def assumptions(
 
     joint_count is the number of joints of the skin. fitted tells that the gradients are fitted to a rig.
     """
-    weights = findings.weights
-    outside = 0
-    if primitive.joints.max() >= joint_count:
-        unused = (primitive.joints >= joint_count) & (primitive.weights == 0)
-        outside = int(np.count_nonzero(unused.any(axis=1)))
-    forced = baked.frame == Frame.TANGENT
     count = len(primitive.positions)
-    coarse = 0 if fitted or findings.adopting_vertices <= COARSE * count else findings.adopting_vertices
+    forced = baked.frame == Frame.TANGENT
     consequence = "used all the same, as asked" if forced else "the frame is taken from NORMAL instead"
-    all_zero = findings.zero_normals == count
+    coarse = 0 if fitted or findings.adopting_vertices <= COARSE * count else findings.adopting_vertices
+    remedy = "; remove NORMAL and bake with --generate-normals" if findings.zero_normals == count else ""
     table = [
+        *_of_influences(findings.weights, _naming_outside(primitive, joint_count), joint_count),
+        (
+            "tangents-skewed",
+            findings.bad_tangents,
+            f"at {{vertices}} {_skewed(findings)}: {consequence}",
+        ),
+        (
+            "lighting-doubtful",
+            coarse,
+            f"{{count:,}} of {count:,} vertices take joints of their neighbours: so coarse a mesh is often "
+            "lit worse by --gradients surface; measure it with skinbake verify, or take --gradients rig",
+        ),
+        (
+            "normals-zero",
+            findings.zero_normals,
+            f"{{vertices}} {{have}} a NORMAL without a direction: taken as (0, 0, 1){remedy}",
+        ),
+    ]
+    return [
+        *(_weight_sums(primitive, place) if findings.weights.not_normalised else []),
+        *_straightened(primitive, place),
+        *(Notice(code, _of_vertices(text, count), place, count) for code, count, text in table if count),
+    ]
+
+
+def _naming_outside(primitive: SkinnedPrimitive, joint_count: int) -> int:
+    """Return the number of vertices that name a joint past the skin's, at weight 0."""
+    if primitive.joints.max() < joint_count:
+        return 0
+    unused = (primitive.joints >= joint_count) & (primitive.weights == 0)
+    return int(np.count_nonzero(unused.any(axis=1)))
+
+
+def _of_influences(weights: WeightDefects, outside: int, joint_count: int) -> list[tuple[str, int, str]]:
+    """Return code, number of vertices and text of each assumption about joints and weights."""
+    return [
         ("weights-negative", weights.negative, "{vertices} {have} negative weights: taken as 0"),
         (
             "weights-zero",
@@ -61,28 +93,6 @@ def assumptions(
             outside,
             f"{{vertices}} {{name}} a joint past the skin's {joint_count}, at weight 0: ignored",
         ),
-        (
-            "tangents-skewed",
-            findings.bad_tangents,
-            f"at {{vertices}} {_skewed(findings)}: {consequence}",
-        ),
-        (
-            "lighting-doubtful",
-            coarse,
-            f"{{count:,}} of {count:,} vertices take joints of their neighbours: so coarse a mesh is often "
-            "lit worse by --gradients surface; measure it with skinbake verify, or take --gradients rig",
-        ),
-        (
-            "normals-zero",
-            findings.zero_normals,
-            "{vertices} {have} a NORMAL without a direction: taken as (0, 0, 1)"
-            + ("; remove NORMAL and bake with --generate-normals" if all_zero else ""),
-        ),
-    ]
-    return [
-        *(_weight_sums(primitive, place) if weights.not_normalised else []),
-        *_straightened(primitive, place),
-        *(Notice(code, _of_vertices(text, count), place, count) for code, count, text in table if count),
     ]
 
 
