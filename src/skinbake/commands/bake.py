@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 from skinbake.choices import FrameChoice, Gradients, Neighbours, Scheme, Weld
 from skinbake.commands.bake_options import CheckedOptions
-from skinbake.commands.surface_bake import Aim, PrimitiveBake, SurfaceBake, unwritten
+from skinbake.commands.surface_bake import FitTarget, PrimitiveBake, SurfaceBake, unwritten
 from skinbake.errors import InputError, Notice, Place, noticed
 from skinbake.files.bounds import OWN_FOLDERS, Within
 from skinbake.files.versions import version_of
@@ -118,13 +118,7 @@ class Baker(CheckedOptions):
         with stage("compress"):
             document, kept = self._recoded(document, sources)
         sources = [source.in_document(document) for source in sources]
-        surfaces, apart = _surfaces(document, sources, self.weld)
-        aims = [Aim.of(document, surface, self.gradients, self.fit_poses) for surface in surfaces]
-        bakes = [
-            bake
-            for surface, aim in zip(surfaces, aims, strict=True)
-            for bake in self._baked(SurfaceBake.of(document, surface, self.settings, aim))
-        ]
+        bakes, remarks = self._bakes(document, sources)
         storage = with_scale(GradientFormat(self.encoding, self.layout), [bake.result for bake in bakes])
         with stage("store"):
             to_store = [bake.to_store(self._noted_settings) for bake in bakes]
@@ -132,8 +126,7 @@ class Baker(CheckedOptions):
             written, lengths = with_baked(document, to_store, names, storage, level=level)
         with stage("encoding"):
             cost, unmeasured = _encoding_cost(document, bakes, storage)
-        unfitted = [notice for aim in aims for notice in aim.notices]
-        notices = [*kept, *reasons, *apart, *unfitted, *(notice for bake in bakes for notice in bake.notices)]
+        notices = [*kept, *reasons, *remarks, *(notice for bake in bakes for notice in bake.notices)]
         notices += [
             *stored_otherwise(document, sources),
             *level_ignored(document, sources, level),
@@ -148,6 +141,22 @@ class Baker(CheckedOptions):
             for bake, length in zip(bakes, lengths, strict=True)
         )
         return BakedDocument(written, primitives, skipped, tuple(notices), cost)
+
+    def _bakes(
+        self, document: Document, sources: Sequence[PrimitiveSource]
+    ) -> tuple[list[PrimitiveBake], list[Notice]]:
+        """Bake primitives, surface by surface, and return notices on surfaces that stay apart or unfitted.
+
+        All poses to fit to are read before the first surface is baked.
+        """
+        surfaces, apart = _surfaces(document, sources, self.weld)
+        targets = [FitTarget.of(document, surface, self.gradients, self.fit_poses) for surface in surfaces]
+        bakes = [
+            bake
+            for surface, target in zip(surfaces, targets, strict=True)
+            for bake in self._baked(SurfaceBake.of(document, surface, self.settings, target))
+        ]
+        return bakes, [*apart, *(notice for target in targets for notice in target.notices)]
 
     def _recoded(self, document: Document, sources: list[PrimitiveSource]) -> tuple[Document, list[Notice]]:
         """Return the document with its geometry compressed as chosen, and notices on the exceptions."""

@@ -35,7 +35,7 @@ BYTES_A_VERTEX, BYTES_A_SLOT, BYTES_A_TRIANGLE = 128, 48, 24
 
 
 @dataclass(frozen=True, slots=True)
-class Aim:
+class FitTarget:
     """The rig and the poses to which a surface is fitted, None for none, and notices about them.
 
     pose_names are the sources of the poses, as the metadata names them.
@@ -53,7 +53,7 @@ class Aim:
         sources: Sequence[PrimitiveSource],
         kind: Gradients,
         fit_poses: Sequence[PoseSource],
-    ) -> Aim:
+    ) -> FitTarget:
         """Return what the primitives of a surface are fitted to for a kind of gradients."""
         if kind is Gradients.SURFACE:
             return cls()
@@ -94,18 +94,18 @@ class SurfaceBake:
     sources: Sequence[PrimitiveSource]
     primitives: Sequence[SkinnedPrimitive]
     settings: BakeSettings
-    aim: Aim
+    target: FitTarget
 
     @classmethod
     def of(
-        cls, document: Document, sources: Sequence[PrimitiveSource], settings: BakeSettings, aim: Aim
+        cls, document: Document, sources: Sequence[PrimitiveSource], settings: BakeSettings, target: FitTarget
     ) -> SurfaceBake:
         """Read the arrays of a surface. Raises InputError if they cannot be read, or take too much memory."""
         with stage("arrays"):
             primitives = _with_normals(_read(document, sources))
             if settings.frame is not FrameChoice.NORMAL:
                 primitives = _straight(document, sources, primitives)
-        return cls(document, sources, primitives, settings, aim)
+        return cls(document, sources, primitives, settings, target)
 
     def plain(self) -> list[PrimitiveBake]:
         """Bake with the influences of the file."""
@@ -150,13 +150,15 @@ class SurfaceBake:
         return [part.primitive if part else one for part, one in zip(parts, self.primitives, strict=True)]
 
     def _bakes(self, primitives: Sequence[SkinnedPrimitive]) -> list[PrimitiveBake]:
-        outcomes = bake_mesh(primitives, self.settings, self.aim.rig)
-        noted = self.aim.noted
+        outcomes = bake_mesh(primitives, self.settings, self.target.rig)
+        noted = self.target.noted
         bakes = [
             PrimitiveBake(source, primitive, *outcome, fitted=noted)
             for source, primitive, outcome in zip(self.sources, primitives, outcomes, strict=True)
         ]
-        return bakes if self.aim.poses is None else _fitted_to_poses(self.document, bakes, self.aim.poses)
+        return (
+            bakes if self.target.poses is None else _fitted_to_poses(self.document, bakes, self.target.poses)
+        )
 
 
 @dataclass(frozen=True, slots=True)
