@@ -75,12 +75,18 @@ window.prepare = async ({ name, url, count, size }) => {
             }
         } else {
             kinds[kind].report = module.applySkinbake(scene, { method: kind === 'dqs' ? 'dqs' : 'lbs' });
-            if (kind === 'standard') module.lighting(scene, 'standard');
         }
-        for (let frame = 0; frame < 4; frame++) {
-            renderer.render(scene, camera);
-            await finish();
-        }
+        const draw = async () => {
+            for (let frame = 0; frame < 4; frame++) {
+                renderer.render(scene, camera);
+                await finish();
+            }
+        };
+        await draw();
+        if (kind !== 'standard') continue;
+        module.lighting(scene, 'standard');
+        await new Promise((resolve) => setTimeout(resolve, 1100)); // Then three.js's own program draws.
+        await draw();
     }
     window.prepared = { kinds, renderer, finish };
     return true;

@@ -9,8 +9,9 @@ shader is nearly all of a frame; and 25 characters of 1518 vertices in a picture
 
 A round draws one frame of each lighting, in turn, and the turn shifts from round to round. Each ratio is of
 two frames of one round; printed are the median of the rounds and the quartiles. "three.js" is untouched: its
-program was compiled before the package came, and its meshes have no hooks. "switched off" is
-``lighting(scene, 'standard')``. A frame ends when it has been drawn.
+program was compiled before the package came, and its meshes have no hooks. "switched off" is over a second
+after ``lighting(scene, 'standard')``, in a scene that was drawn accurately before. A frame ends when it is
+drawn.
 """
 
 from __future__ import annotations

@@ -11,7 +11,7 @@ import * as SkeletonUtils from 'three/addons/utils/SkeletonUtils.js';
 import { MToonMaterial, VRMLoaderPlugin, VRMUtils } from '@pixiv/three-vrm';
 import * as skinbake from 'skinbake-three';
 import { base64 } from '/support/base64.mjs';
-import { parented, posed, skinnedMeshes, stretch } from './posed.mjs';
+import { parented, pass, posed, skinnedMeshes, stretch } from './posed.mjs';
 
 const renderer = new THREE.WebGLRenderer({ antialias: false });
 renderer.setSize(64, 64);
@@ -335,6 +335,56 @@ const api = {
         return { draws, again, disposed, world, attributes: Object.keys(skinnedMeshes(model)[0].geometry.attributes) };
     },
 
+    // Normals of each draw of two characters, and the attributes that its program reads: while one is switched, then
+    // both, a second after that, and when they are switched back. Then how many programs there are after each of more
+    // such rounds, and how often the material was renewed while one was switched in each frame.
+    async switched(options) {
+        const by = new THREE.WebGLRenderer();
+        const gl = by.getContext();
+        const { scene: model } = await load(options);
+        const other = SkeletonUtils.clone(model);
+        skinnedMeshes(other).forEach((mesh) => (mesh.frustumCulled = false));
+        const scene = new THREE.Scene();
+        scene.add(model, other);
+        const found = [];
+        const look = async () => {
+            const draws = await draw(scene, 3, by);
+            found.push(
+                draws.map(({ values, program }) => {
+                    const count = gl.getProgramParameter(program, gl.ACTIVE_ATTRIBUTES);
+                    const names = Array.from({ length: count }, (_, index) => gl.getActiveAttrib(program, index).name);
+                    return { values: base64(values), names };
+                }),
+            );
+        };
+        await look();
+        const programs = [];
+        for (let round = 0; round < 3; round++) {
+            skinbake.lighting(other, 'standard');
+            pass(1001);
+            await look();
+            skinbake.lighting(model, 'standard');
+            await look();
+            pass(1001);
+            await look();
+            skinbake.lighting(scene, 'accurate');
+            await look();
+            programs.push(by.info.programs.length);
+        }
+        const [{ material }] = skinnedMeshes(model);
+        const { version } = material;
+        for (let frame = 0; frame < 6; frame++) {
+            skinbake.lighting(scene, frame % 2 ? 'accurate' : 'standard');
+            pass(400);
+            by.render(scene, camera);
+        }
+        const renewed = material.version - version;
+        const world = skinnedMeshes(model)[0].matrixWorld.toArray();
+        skinbake.dispose(scene);
+        by.dispose();
+        return { found, programs, renewed, world };
+    },
+
     // How many programs draw so many characters of some files.
     async programs({ urls, count }) {
         const scene = new THREE.Scene();
@@ -373,10 +423,11 @@ const api = {
     },
 
     // Where a shadow's draw puts vertices, in clip space, and the cameras of the frame.
-    async shadows(options) {
+    async shadows({ lighting, ...options }) {
         const renderer = new THREE.WebGLRenderer();
         CAPTURE.names = ['gl_Position'];
         const { scene: model } = await load(options);
+        if (lighting) skinbake.lighting(model, lighting);
         const light = new THREE.DirectionalLight();
         light.position.set(1, 2, 3);
         light.castShadow = true;

@@ -11,7 +11,7 @@ import { WebGLNodesHandler } from 'three/addons/tsl/WebGLNodesHandler.js';
 import * as chunks from 'skinbake-three';
 import * as skinbake from 'skinbake-three/webgpu';
 import { base64 } from '/support/base64.mjs';
-import { parented, posed, skinnedMeshes, stretch } from './posed.mjs';
+import { parented, pass, posed, skinnedMeshes, stretch } from './posed.mjs';
 
 CAPTURE.names = ['v_normalViewGeometry'];
 
@@ -51,10 +51,10 @@ async function draw(renderer, scene, camera) {
     capture.on = false;
     if (capture === CAPTURE) return capture.draws;
     const read = [];
-    for (const one of capture.draws) read.push(await WEBGPU_CAPTURE.read(one));
+    for (const one of capture.draws) read.push({ ...(await WEBGPU_CAPTURE.read(one)), text: one.pipeline.code });
     return read
         .filter(({ name }) => name)
-        .map(({ varying, position }) => ({ values: varying.filter((_, index) => index % 4 < 3), position }));
+        .map(({ varying, position, text }) => ({ values: varying.filter((_, index) => index % 4 < 3), position, text }));
 }
 
 // What applications do after the first frames.
@@ -180,6 +180,75 @@ const api = {
         skinbake.dispose(original);
         await look();
         return { found, world: mesh.matrixWorld.toArray() };
+    },
+
+    // Normals and vertex shader of each draw of two characters, while one is switched, a second after that, and when
+    // it is switched back. Then how many programs there are after each of more such rounds, and how many were made
+    // while it was switched in each frame.
+    async switched({ backend, plain, ...options }) {
+        const renderer = await rendererOf(backend);
+        const camera = new THREE.PerspectiveCamera();
+        const { scene: model } = await load({ ...options, plugin: !plain });
+        const other = SkeletonUtils.clone(model);
+        skinnedMeshes(other).forEach((mesh) => (mesh.frustumCulled = false));
+        const scene = new THREE.Scene();
+        scene.add(model, new THREE.DirectionalLight());
+        if (!plain) scene.add(other);
+        const found = [];
+        const look = async () => {
+            const draws = await draw(renderer, scene, camera);
+            found.push(draws.map(({ values, text }) => ({ values: base64(values), text })));
+        };
+        const change = async (lighting, milliseconds = 0) => {
+            skinbake.lighting(other, lighting);
+            pass(milliseconds);
+            await look();
+        };
+        await look();
+        const programs = [];
+        let made = 0;
+        for (let round = 0; round < 3 && !plain; round++) {
+            await change('standard');
+            await change('standard', 1001);
+            await change('accurate');
+            programs.push(renderer.info.memory.programs);
+        }
+        const { createProgram } = renderer.info;
+        renderer.info.createProgram = function (...parameters) {
+            made++;
+            createProgram.apply(this, parameters);
+        };
+        for (let frame = 0; frame < 6 && !plain; frame++) {
+            skinbake.lighting(other, frame % 2 ? 'accurate' : 'standard');
+            pass(400);
+            renderer.render(scene, camera);
+        }
+        renderer.info.createProgram = createProgram;
+        const world = skinnedMeshes(model)[0].matrixWorld.toArray();
+        skinbake.dispose(scene);
+        return { found, programs, made, world };
+    },
+
+    // A character of a group that is drawn from a bundle, switched.
+    async bundled({ backend, ...options }) {
+        const renderer = await rendererOf(backend);
+        const { scene: model } = await load(options);
+        const scene = new THREE.Scene();
+        const group = new THREE.BundleGroup();
+        scene.add(group.add(model));
+        skinbake.lighting(scene, 'standard');
+        const camera = new THREE.PerspectiveCamera();
+        await draw(renderer, scene, camera);
+        pass(1001);
+        await draw(renderer, scene, camera);
+        skinbake.lighting(scene, 'accurate');
+        if (renderer.backend.isWebGPUBackend) renderer.setRenderTarget(new THREE.RenderTarget(SIZE, SIZE));
+        const version = group.version;
+        const report = skinbake.applySkinbake(scene).meshes;
+        renderer.render(scene, camera);
+        const found = { version, report: report.map((one) => [one.lighting, one.reason]) };
+        skinbake.dispose(scene);
+        return found;
     },
 
     // The draws of one frame with an ArrayCamera, or of two renders. Each camera is turned by its number.
@@ -347,9 +416,10 @@ const api = {
     },
 
     // Where a shadow's draw puts vertices, in clip space, and the cameras of the frame.
-    async shadows(options) {
+    async shadows({ lighting, ...options }) {
         const renderer = await rendererOf('webgpu');
         const { scene: model } = await load(options);
+        if (lighting) skinbake.lighting(model, lighting);
         const light = new THREE.DirectionalLight();
         light.position.set(1, 2, 3);
         light.castShadow = true;

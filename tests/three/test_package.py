@@ -316,6 +316,35 @@ def test_shadows_follow_the_method(stage: ThreeStage, method: str) -> None:
     assert blended == [method == "lbs", method == "dqs"]
 
 
+def test_the_shadow_of_a_switched_mesh_is_three_s_own(stage: ThreeStage) -> None:
+    character = stage.character(TUBE, BENT)
+    told = {**character.told(Placement()), "method": "dqs", "lighting": "standard"}
+    found = stage.call("shadows", told)
+    assert shadow_is_of(character, found, Algorithm.LBS_APPROXIMATED)
+
+
+@pytest.mark.parametrize("method", ["lbs", "dqs"])
+def test_a_material_whose_meshes_stay_switched_has_three_s_own_program(
+    stage: ThreeStage, method: str
+) -> None:
+    """Both meshes have the same material."""
+    character = stage.character(TUBE, BENT)
+    found = stage.call("switched", {**character.told(Placement()), "method": method})
+    lit = Algorithm.LBS_ACCURATE if method == "lbs" else Algorithm.DQS_EXACT
+    accurate = expected(character, found["world"], lit)
+    standard = expected(character, found["world"], Algorithm.LBS_APPROXIMATED)
+    first, *rounds = found["found"]
+    steps = [(True, True, True), (True, False, True), (False, False, True), (False, False, False)]
+    for draws, (one, other, ours) in zip(
+        [first, *rounds], [steps[0], *[*steps[1:], steps[0]] * 3], strict=True
+    ):
+        for draw, is_accurate in zip(draws, (one, other), strict=True):
+            assert largest(draw["values"], accurate if is_accurate else standard) < DEGREES
+            assert any("Skinbake" in name for name in draw["names"]) == ours
+    assert len(set(found["programs"])) == 1
+    assert found["renewed"] == 0
+
+
 @pytest.mark.parametrize("custom", [False, True])
 @pytest.mark.parametrize("light", ["DirectionalLight", "PointLight"])
 def test_shadows_follow_the_method_where_others_cast_them_before(

@@ -199,6 +199,49 @@ def test_shadows_follow_the_method(stage: ThreeStage, method: str) -> None:
     assert blended == [method == "lbs", method == "dqs"]
 
 
+def test_the_shadow_of_a_switched_mesh_is_three_s_own(stage: ThreeStage) -> None:
+    require_backend(stage, "webgpu")
+    character = stage.character(TUBE, BENT)
+    told = {**character.told(Placement()), "method": "dqs", "lighting": "standard"}
+    found = stage.call("shadows", told)
+    assert shadow_is_of(character, found, Algorithm.LBS_APPROXIMATED)
+
+
+@pytest.mark.parametrize("method", ["lbs", "dqs"])
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_a_mesh_that_stays_switched_has_three_s_own_program(
+    stage: ThreeStage, backend: str, method: str
+) -> None:
+    require_backend(stage, backend)
+    character = stage.character(TUBE, BENT)
+    told = {**character.told(Placement()), "backend": backend, "method": method}
+    plain = stage.call("switched", {**told, "plain": True})
+    ((own,),) = plain["found"]
+    found = stage.call("switched", told)
+    lit = Algorithm.LBS_ACCURATE if method == "lbs" else Algorithm.DQS_EXACT
+    accurate = expected(character, found["world"], lit)
+    standard = expected(character, found["world"], Algorithm.LBS_APPROXIMATED)
+    first, *rounds = found["found"]
+    text = first[0]["text"]
+    assert "morphSkinbakeAlpha" in text
+    assert "morphSkinbakeAlpha" not in own["text"]
+    after = [(accurate, text), (standard, text), (standard, own["text"]), (accurate, text)]
+    for draws, (normals, shader) in zip([first, *rounds], [after[0], *after[1:] * 3], strict=True):
+        one, other = draws
+        assert largest(one["values"], accurate) < DEGREES
+        assert largest(other["values"], normals) < DEGREES
+        assert (one["text"], other["text"]) == (text, shader)
+    assert len(set(found["programs"])) == 1
+    assert found["made"] == 0
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_a_bundle_is_recorded_again_when_its_mesh_is_switched(stage: ThreeStage, backend: str) -> None:
+    require_backend(stage, backend)
+    found = stage.call("bundled", {**stage.character(TUBE, BENT).told(Placement()), "backend": backend})
+    assert found == {"version": 2, "report": [["accurate", ""]]}
+
+
 @pytest.mark.parametrize(("root", "other", "detached"), PARENTS)
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_a_parent_moves_dual_quaternions_as_a_whole(

@@ -44,7 +44,7 @@ export { dispose, lighting } from './core.js';
 @{ "" }
 
 const DECLARATIONS = /* glsl */ `
-#ifdef USE_SKINNING
+#if defined(USE_SKINNING) && !defined(SKINBAKE_STANDARD)
 
 attribute vec4 morphSkinbakeAlpha;
 attribute vec4 morphSkinbakeBeta;
@@ -97,7 +97,7 @@ skinbake_Vertex skinbake_turned(vec3 p, skinbake_Frame frame, mat4 M[4], vec3 al
 `;
 
 const BEFORE_NORMAL = /* glsl */ `
-#ifdef USE_SKINNING
+#if defined(USE_SKINNING) && !defined(SKINBAKE_STANDARD)
 vec3 skinbakeMorphedNormal = objectNormal;
 #endif
 `;
@@ -105,7 +105,7 @@ vec3 skinbakeMorphedNormal = objectNormal;
 // After three.js's own chunk, whose results are overwritten. three.js has M[s] = bindMatrixInverse * bone *
 // bindMatrix; the outer two act on vectors here, which is cheaper.
 const AFTER_NORMAL = /* glsl */ `
-#ifdef USE_SKINNING
+#if defined(USE_SKINNING) && !defined(SKINBAKE_STANDARD)
 if (skinbake_isBaked()) {
     vec3 p;
     {
@@ -162,13 +162,13 @@ if (skinbake_isBaked()) {
 `;
 
 const BEFORE_POSITION = /* glsl */ `
-#ifdef USE_SKINNING
+#if defined(USE_SKINNING) && !defined(SKINBAKE_STANDARD)
 vec3 skinbakeUnskinned = transformed;
 #endif
 `;
 
 const AFTER_POSITION = /* glsl */ `
-#ifdef USE_SKINNING
+#if defined(USE_SKINNING) && !defined(SKINBAKE_STANDARD)
 if (skinbake_isBaked() && skinbake_hasDualQuaternions()) {
     skinbake_Frame frame = skinbake_frame(vec3(0.0, 0.0, 1.0));
     mat4 M[4] = mat4[4](boneMatX, boneMatY, boneMatZ, boneMatW);
@@ -209,6 +209,15 @@ function renew(material) {
     material.needsUpdate = true;
 }
 
+// With this define, the program of a material is three.js's own.
+function choose(mesh, material, isPlain) {
+    const { defines = {}, isRawShaderMaterial, isNodeMaterial } = material;
+    if ((defines.SKINBAKE_STANDARD !== undefined) === isPlain || isRawShaderMaterial || isNodeMaterial) return;
+    const { SKINBAKE_STANDARD, ...others } = defines;
+    material.defines = isPlain ? { ...others, SKINBAKE_STANDARD: '' } : others;
+    material.needsUpdate = true;
+}
+
 // Look at the program that drew a mesh: the compiler drops attributes that nothing reads.
 function verifyProgram(renderer, mesh, material, before) {
     const program = renderer.properties.get(material).currentProgram;
@@ -230,6 +239,13 @@ function verifyProgram(renderer, mesh, material, before) {
 }
 
 function serveWebGL() {
-    const backend = { text: CHUNKED, install: changeChunks, uninstall: restoreChunks, verify: verifyProgram, renew };
+    const backend = {
+        text: CHUNKED,
+        install: changeChunks,
+        uninstall: restoreChunks,
+        choose,
+        verify: verifyProgram,
+        renew,
+    };
     serve('webgl', backend, { BufferAttribute, InstancedBufferAttribute, SkinnedMesh });
 }

@@ -16,9 +16,10 @@ const state = (globalThis[Symbol.for('skinbake.three')] ??= {
     methods: new WeakMap(), // metadata -> method, of geometries that were asked for: their clones have them too
     meshes: new WeakMap(), // mesh -> WeakMap of material -> { program, lighting, reason, repaired }
     standard: new WeakSet(), // meshes that lighting() has switched
+    lit: new WeakMap(), // material (WebGLRenderer) or mesh (WebGPURenderer) -> time of its last accurate draw
     told: new WeakMap(), // mesh -> messages
     passed: new WeakSet(), // geometries that were not asked for: they are told of once
-    backends: new Map(), // name -> { install, uninstall, verify, renew }
+    backends: new Map(), // name -> { install, uninstall, choose, verify, renew }
     count: 0,
 });
 
@@ -59,6 +60,10 @@ function lighting(root, which) {
     for (const mesh of skinnedMeshes(root)) {
         if (which === 'standard') state.standard.add(mesh);
         else state.standard.delete(mesh);
+        // A bundle keeps the program that it was recorded with.
+        mesh.traverseAncestors((group) => {
+            if (group.isBundleGroup) group.needsUpdate = true;
+        });
     }
 }
 
@@ -411,11 +416,11 @@ function takeOwnHooks(mesh) {
     }
 }
 
-function beforeDraw(renderer, scene, camera, geometry) {
+function beforeDraw(renderer, scene, camera, geometry, material) {
     const adopted = state.geometries.get(geometry);
     if (!adopted) meet(renderer, this, geometry);
     else if (!adopted.problem && !isIntact(geometry, adopted)) adoptDrawn(renderer, this, geometry, adopted.method);
-    hide(renderer, this, geometry, adopted);
+    prepare(renderer, this, geometry, material);
 }
 
 // A geometry that is drawn for the first time: a clone of one that was asked for, or one that was not.
@@ -443,7 +448,7 @@ function adoptDrawn(renderer, mesh, geometry, method) {
 function afterDraw(renderer, scene, camera, geometry, material) {
     const adopted = state.geometries.get(geometry);
     if (!adopted || adopted.problem) return;
-    show(this, geometry, adopted);
+    show(geometry, adopted);
     if (state.standard.has(this) || adopted.unfit.has(this) || !isIntact(geometry, adopted)) return;
     const drawn = state.meshes.get(this) ?? state.meshes.set(this, new WeakMap()).get(this);
     const backend = state.backends.get(renderer.isWebGLRenderer ? 'webgl' : 'webgpu');
@@ -464,23 +469,44 @@ const UNSERVED = {
 // All meshes share the material of shadows, and dual quaternions move them too.
 function beforeShadow(renderer, object, camera, shadowCamera, geometry, material) {
     const adopted = state.geometries.get(geometry);
-    hide(renderer, this, geometry, adopted);
+    prepare(renderer, this, geometry, material);
     if (renderer.isWebGLRenderer && adopted?.method === 'dqs') state.backends.get('webgl')?.renew(material);
 }
 
 function afterShadow(renderer, object, camera, shadowCamera, geometry) {
-    show(this, geometry, state.geometries.get(geometry));
+    show(geometry, state.geometries.get(geometry));
 }
 
-// WebGLRenderer draws a mesh without these constants as three.js does.
-function hide(renderer, mesh, geometry, adopted) {
-    if (!adopted || adopted.problem || adopted.hidden) return;
-    if (!renderer.isWebGLRenderer || !isStandard(mesh, adopted)) return;
+// WebGLRenderer draws a mesh without these constants as three.js does, by either program. WebGPURenderer makes
+// another program for a geometry without them: three.js's own.
+function prepare(renderer, mesh, geometry, material) {
+    const adopted = state.geometries.get(geometry);
+    if (!adopted || adopted.problem) return;
+    const { isWebGLRenderer } = renderer;
+    const isOff = isWebGLRenderer ? isStandard(mesh, adopted) : state.standard.has(mesh) || adopted.unfit.has(mesh);
+    const isPlain = isSettled(isWebGLRenderer ? material : mesh, isOff);
+    state.backends.get(isWebGLRenderer ? 'webgl' : 'webgpu')?.choose(mesh, material, isPlain);
+    show(geometry, adopted);
+    if (isWebGLRenderer ? isOff : isPlain) hide(geometry, adopted);
+}
+
+const SETTLED = 1000; // milliseconds
+
+// Whether three.js's own program draws. For a second after the last accurate draw, the program of accurate lighting
+// draws standard lighting too: a page that switches in each frame needs no other program in each frame. The subject
+// is a material of WebGLRenderer, whose meshes share a program, or a mesh of WebGPURenderer.
+function isSettled(subject, isOff) {
+    if (isOff) return performance.now() - (state.lit.get(subject) ?? -Infinity) > SETTLED;
+    state.lit.set(subject, performance.now());
+    return false;
+}
+
+function hide(geometry, adopted) {
     adopted.hidden = geometry.attributes[STORAGE];
     delete geometry.attributes[STORAGE];
 }
 
-function show(mesh, geometry, adopted) {
+function show(geometry, adopted) {
     if (!adopted?.hidden) return;
     define(geometry.attributes, STORAGE, adopted.hidden, true);
     adopted.hidden = undefined;

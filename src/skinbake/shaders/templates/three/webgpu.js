@@ -51,6 +51,17 @@ const OFF = new Vector4();
 const asked = new WeakMap();
 let usual;
 
+// Meshes that three.js's own program draws.
+const plain = new WeakSet();
+
+// The version lets WebGPURenderer look whether it needs another program.
+function choose(mesh, material, isPlain) {
+    if (plain.has(mesh) === isPlain) return;
+    if (isPlain) plain.add(mesh);
+    else plain.delete(mesh);
+    for (const one of new Set([mesh.material, material].flat())) one.needsUpdate = true;
+}
+
 // Scale; frame: 2 normal, 3 tangent.
 function constantsOf(object, isDual) {
     asked.set(object, isDual);
@@ -63,7 +74,7 @@ function constantsOf(object, isDual) {
 // displacement maps, instances and nodes of the application follow.
 function setupPosition(builder) {
     const { object, geometry } = builder;
-    if (!object.isSkinnedMesh || !isBaked(geometry)) return usual.call(this, builder);
+    if (!object.isSkinnedMesh || !isBaked(geometry) || plain.has(object)) return usual.call(this, builder);
     const { morphAttributes } = geometry;
     if (morphAttributes.position || morphAttributes.normal || morphAttributes.color) morphReference(object);
     const position = positionLocal.toVar();
@@ -306,6 +317,12 @@ function verifyMaterial(renderer, mesh, material, before) {
 }
 
 function serveWebGPU() {
-    const backend = { text: 'tsl', install: changeMaterials, uninstall: restoreMaterials, verify: verifyMaterial };
+    const backend = {
+        text: 'tsl',
+        install: changeMaterials,
+        uninstall: restoreMaterials,
+        choose,
+        verify: verifyMaterial,
+    };
     serve('webgpu', backend, { BufferAttribute, InstancedBufferAttribute, SkinnedMesh });
 }
