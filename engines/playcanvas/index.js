@@ -37,6 +37,7 @@ const bakes = new WeakMap(); // Mesh -> { problem, values, stride, method, textu
 const watched = new Map(); // Application -> { stop }
 const methods = new WeakMap(); // hooks of skinbakeOptions() -> method
 const standard = new WeakSet(); // mesh instances that lighting() has switched
+const lit = new WeakMap(); // material -> time when it last lit a mesh accurately
 const problems = new WeakMap(); // material -> why it cannot have the chunks, or empty
 const uneven = new WeakMap(); // mesh instance -> why its joints do not suit dual quaternions, or empty
 const ownChunks = new Map(); // a chunk with ours -> the material's own one, undefined if it had none
@@ -95,7 +96,8 @@ export function lighting(root, which) {
     if (which !== 'standard' && which !== 'accurate') {
         throw new Error(`skinbake: lighting ${which} is neither standard nor accurate`);
     }
-    for (const instance of skinned(root)) {
+    // Those of disabled entities have no skin.
+    for (const instance of drawnBy(root)) {
         if (which === 'standard') standard.add(instance);
         else standard.delete(instance);
     }
@@ -145,10 +147,13 @@ function found(instance) {
     return ['standard', `its material "${instance.material.name}" does not use the chunk normalVS`];
 }
 
-function skinned(root) {
+function drawnBy(root) {
     const components = [...root.findComponents('render'), ...root.findComponents('model')];
-    const instances = components.flatMap(({ meshInstances }) => meshInstances ?? []);
-    return instances.filter(({ skinInstance }) => skinInstance);
+    return components.flatMap(({ meshInstances }) => meshInstances ?? []);
+}
+
+function skinned(root) {
+    return drawnBy(root).filter(({ skinInstance }) => skinInstance);
 }
 
 // A set that keeps nothing alive.
@@ -206,7 +211,19 @@ function lightAll(app, kept) {
     const layers = app.scene.layers.layerList;
     const drawn = new Set(layers.flatMap(({ meshInstances, shadowCasters }) => [...meshInstances,
             ...shadowCasters]));
-    for (const instance of drawn) if (instance.skinInstance) light(app, kept, instance);
+    const instances = [...drawn].filter(({ skinInstance }) => skinInstance);
+    for (const instance of instances) light(app, kept, instance);
+    for (const instance of instances) {
+        if (standard.has(instance) && isSettled(instance.material)) withoutChunks(instance.material);
+    }
+}
+
+const SETTLED = 1000; // milliseconds
+
+// Whether a material has lit nothing accurately for a second. Until then it keeps the chunks: a page that switches in
+// each frame needs no other program in each frame.
+function isSettled(material) {
+    return performance.now() - (lit.get(material) ?? -Infinity) > SETTLED;
 }
 
 const CONSTANTS = 'skinbakeConstants';
@@ -221,16 +238,21 @@ function light(app, kept, instance) {
         return;
     }
     const { material } = instance;
+    if (standard.has(instance) && !bake.problem) {
+        unlight(kept, instance);
+        return;
+    }
     const isDual = !bake.problem && bake.method === 'dqs';
     const joints = isDual ? jointsOf(instance, bake.used) : { problem: '', stretch: NO_STRETCH };
     if (isDual) uneven.set(instance, joints.problem);
     const problem = bake.problem || problemOfMaterial(material) || prepare(app, kept,
             material) || joints.problem;
     if (problem) tell(instance, problem);
-    if (problem || standard.has(instance)) {
+    if (problem) {
         unlight(kept, instance);
         return;
     }
+    lit.set(material, performance.now());
     if (isDual) instance.setParameter(STRETCH, joints.stretch);
     if (kept.instances.has(instance) && instance.getParameter(DATA)?.data === bake.texture) return;
     if (!bake.texture) {

@@ -195,6 +195,19 @@ function map(app, material) {
     material.update();
 }
 
+let later = 0;
+const now = performance.now.bind(performance);
+performance.now = () => now() + later;
+
+// Draw accurately, then switch, and draw again after more than a second.
+function switchedForLong({ app }, entity) {
+    app.render();
+    skinbake.lighting(entity, 'standard');
+    app.render();
+    later += 1001;
+    app.render();
+}
+
 const CHANGES = {
     '': () => null,
     clone: ({ app }, entity) => {
@@ -221,6 +234,29 @@ const CHANGES = {
         skinbake.lighting(entity, 'standard');
         app.render();
         skinbake.lighting(entity, 'accurate');
+    },
+    'standard just now': ({ app }, entity) => {
+        app.render();
+        skinbake.lighting(entity, 'standard');
+    },
+    'standard for long': (one, entity) => switchedForLong(one, entity),
+    'and back after long': (one, entity) => {
+        for (let round = 0; round < 2; round++) {
+            switchedForLong(one, entity);
+            skinbake.lighting(entity, 'accurate');
+            one.app.render();
+        }
+    },
+    'standard while disabled': (_, entity) => {
+        entity.enabled = false;
+        skinbake.lighting(entity, 'standard');
+        entity.enabled = true;
+    },
+    'a clone is standard for long': ({ app }, entity) => {
+        const other = entity.clone();
+        app.root.addChild(other);
+        switchedForLong({ app }, other);
+        other.destroy();
     },
     'an own chunk': (_, entity) => {
         for (const { material } of skinned(entity)) {

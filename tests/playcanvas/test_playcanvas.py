@@ -284,7 +284,16 @@ def test_a_scaled_joint_keeps_a_mesh_from_dual_quaternions(stage: DrawingStage, 
 
 
 @pytest.mark.parametrize(
-    "change", ["clone", "another material", "a copied material", "and back", "disposed and again"]
+    "change",
+    [
+        "clone",
+        "another material",
+        "a copied material",
+        "and back",
+        "and back after long",
+        "a clone is standard for long",
+        "disposed and again",
+    ],
 )
 def test_whatever_a_page_does_the_normals_stay_right(stage: DrawingStage, change: str) -> None:
     character = stage.character(TUBE, RANDOM)
@@ -318,6 +327,28 @@ def test_without_it_a_mesh_has_the_engine_s_own_normals(
     wanted = expected(character, found, Algorithm.LBS_APPROXIMATED).normals
     assert largest(found["values"][0], wanted) < DEGREES
     assert found["report"][0][0] != "accurate"
+
+
+@pytest.mark.parametrize(
+    ("change", "programs"),
+    [
+        ("standard", [False]),
+        ("standard while disabled", [False]),
+        ("standard just now", [True]),
+        ("standard for long", [False]),
+    ],
+)
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_a_mesh_that_stays_switched_has_the_engine_s_own_program(
+    stage: DrawingStage, change: str, programs: list[bool], backend: str
+) -> None:
+    require_backend(stage, backend)
+    character = stage.character(TUBE, RANDOM)
+    found = stage.draw(character, change=change, backend=backend)
+    assert found["programs"] == programs
+    assert found["report"] == [["standard", "lighting() has switched it"]]
+    wanted = expected(character, found, Algorithm.LBS_APPROXIMATED).normals
+    assert largest(found["values"][0], wanted) < DEGREES
 
 
 def test_dispose_leaves_the_chunks_of_the_application(stage: DrawingStage) -> None:
