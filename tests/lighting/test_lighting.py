@@ -376,6 +376,21 @@ def test_mirroring_joints_are_told_and_measured(tmp_path: Path) -> None:
     ]["accurate"]["max"] == pytest.approx(0, abs=1e-4)
 
 
+def test_a_mirroring_joint_that_no_vertex_uses_is_not_told(tmp_path: Path) -> None:
+    def told(joint: int) -> list[int]:
+        model = Editable(source("bent_tube.glb"))
+        del model.content["skins"][0]["inverseBindMatrices"]
+        model.content["nodes"].append({})
+        model.content["skins"][0]["joints"].append(len(model.content["nodes"]) - 1)
+        model.content["nodes"][model.content["skins"][0]["joints"][joint]]["scale"] = [-1, 1, 1]
+        path = model.write(tmp_path / f"mirrored_{joint}.glb")
+        warnings = verify(baked(path, tmp_path / f"baked_{joint}.glb"), "--samples", "2").file["warnings"]
+        return [notice["count"] for notice in warnings if notice["code"] == "joints-mirror"]
+
+    assert told(-1) == []
+    assert told(-2) == [1], "one that a part of the vertices uses is told"
+
+
 def with_keys(path: Path, target: Path, keys: list[int], times: list[float], method: str) -> Path:
     """Keep some keys of every rotation of bent_tube's clip, under another interpolation."""
     model = Editable(path)

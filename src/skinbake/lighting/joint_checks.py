@@ -9,28 +9,29 @@ from dataclasses import replace
 import numpy as np
 
 from skinbake.errors import Notice, Place
+from skinbake.geometry.skinned import BoolArray
 from skinbake.lighting.angles import not_rigid_joints
 from skinbake.lighting.draws import Draw
 from skinbake.lighting.identity import IDENTITY_TOLERANCE
 from skinbake.lighting.poses import PoseSet
 from skinbake.report.verify import Check
+from skinbake.skinning.run import joints_in_use
 from skinbake.skinning.surface import RestSurface
 from skinbake.wording import counted
 
 
 def mirrored(drawn: Sequence[Draw]) -> Iterator[Notice]:
-    """Yield a notice for each mesh that a mirroring joint draws inside out."""
-    counts: dict[int, int] = {}
+    """Yield a notice for each draw with joints in use that mirror, and turn the surface inside out."""
+    mirrors: dict[int, BoolArray] = {}
     for draw in drawn:
-        poses = draw.poses
-        if id(poses) not in counts:
-            mirrors = np.linalg.det(poses.joint_matrices[..., :3, :3]) < 0
-            counts[id(poses)] = int(np.count_nonzero(mirrors.any(axis=0)))
-        count = counts[id(poses)]
+        key, matrices = id(draw.poses), draw.poses.joint_matrices
+        if key not in mirrors:
+            mirrors[key] = (np.linalg.det(matrices[..., :3, :3]) < 0).any(axis=0)
+        count = int(np.count_nonzero(mirrors[key] & joints_in_use(draw.rest, matrices.shape[1])))
         if count:
-            mirrors = counted(count, "joint mirrors", "joints mirror")
+            joints = counted(count, "joint mirrors", "joints mirror")
             message = (
-                f"{mirrors} the surface (negative determinant): write the shader with --for this file, or "
+                f"{joints} the surface (negative determinant): write the shader with --for this file, or "
                 "with --mirrored-joints, so that normals stay outside"
             )
             yield Notice("joints-mirror", message, replace(draw.views[0].source.place, primitive=None), count)
