@@ -59,6 +59,7 @@ ANY: tuple[Edit, ...] = (
     _set("extensionsUsed", to=["MSFT_texture_dds"]),
     _set("accessors", 0, "sparse", to={"count": 1, "indices": {"componentType": 5121}, "values": {}}),
     _set("accessors", 0, "type", to="VEC9"),
+    _set("accessors", 0, "count", to=int("9" * 4300)),
     _set("buffers", 1, to={"byteLength": 4, "uri": "data:text/plain,%00%01%02%03"}),
     _set("buffers", 1, to={"byteLength": 4, "uri": "data:nothing"}),
     _set("accessors", 0, "min", to=[1e300, 0, 0]),

@@ -218,7 +218,9 @@ REJECTIONS: list[tuple[tuple[str | int, ...], str, Any, str]] = [
     (ACCESSOR, "count", True, '"count" must be'),
     (ACCESSOR, "count", None, '"count" must be'),
     (ACCESSOR, "count", 7, "7 elements need 52 bytes of buffer view 0, which has 48"),
-    (ACCESSOR, "count", 10**30, "which has 48"),
+    (ACCESSOR, "count", 2**53, "which has 48"),
+    (ACCESSOR, "count", 2**53 + 1, '"count" must be an integer of at most 9,007,199,254,740,992, found 9007'),
+    (ACCESSOR, "count", 1e300, '"count" must be an integer of at most'),
     (ACCESSOR, "bufferView", 3, '"bufferView" refers to entry 3 of an array of 3'),
     (ACCESSOR, "bufferView", -1, '"bufferView" must be'),
     (ACCESSOR, "bufferView", "0", '"bufferView" must be'),
@@ -226,7 +228,7 @@ REJECTIONS: list[tuple[tuple[str | int, ...], str, Any, str]] = [
     (ACCESSOR, "byteOffset", 5, "6 elements need 49 bytes of buffer view 0, which has 48"),
     (ACCESSOR, "byteOffset", -4, '"byteOffset" must be'),
     (ACCESSOR, "byteOffset", False, '"byteOffset" must be'),
-    (ACCESSOR, "byteOffset", 10**30, "which has 48"),
+    (ACCESSOR, "byteOffset", 2**53, "which has 48"),
     (ACCESSOR, "sparse", [], '"sparse" must be an object'),
     (VIEW, "byteStride", 3, "byteStride 3 for elements of 4 bytes"),
     (VIEW, "byteStride", 0, '"byteStride" must be'),
@@ -307,12 +309,21 @@ def test_missing_members_are_refused(remove: Callable[[JsonObject], Any], messag
         read(made)
 
 
+@pytest.mark.parametrize("member", ["count", "byteOffset"])
+def test_integers_of_all_digits_that_python_reads_are_refused(member: str) -> None:
+    """Their sums and products have more digits, and Python cannot write those in a message."""
+    made = plain()
+    made["accessors"][0][member] = int("9" * 4300)
+    with pytest.raises(InputError, match=f'"{member}" must be an integer of at most'):
+        read(made)
+
+
 def test_the_plain_accessor_is_fine() -> None:
     """The document that the rejections start from would pass."""
     assert read(plain()).values.tolist() == [[0, 0], [7, 8], [2, -2], [3, -3], [4, -4], [5, -5]]
 
 
-@pytest.mark.parametrize("count", [2**21, 2**31, 2**63, 10**30])
+@pytest.mark.parametrize("count", [2**21, 2**31, 2**53])
 def test_huge_counts_without_data_take_no_memory(count: int) -> None:
     parsed = document(content(b"\0", {"componentType": 5126, "count": count, "type": "VEC4"}, []))
     tracemalloc.start()

@@ -139,7 +139,8 @@ def test_a_top_level_array_of_anything_but_objects_is_refused(value: str) -> Non
         ({"uri": "data:;base64,AAAAAA=="}, '"byteLength" must be'),
         ({"byteLength": True, "uri": "data:;base64,AAAAAA=="}, '"byteLength" must be'),
         ({"byteLength": 4, "uri": 4}, '"uri" must be a string'),
-        ({"byteLength": 10**30, "uri": "data:;base64,AAAAAA=="}, "4 are there"),
+        ({"byteLength": 2**53, "uri": "data:;base64,AAAAAA=="}, "4 are there"),
+        ({"byteLength": 10**30, "uri": "data:;base64,AAAAAA=="}, '"byteLength" must be'),
     ],
 )
 def test_a_buffer_without_its_bytes_is_refused(buffer: dict[str, Any], message: str) -> None:

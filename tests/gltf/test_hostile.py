@@ -316,6 +316,14 @@ def test_members_of_a_wrong_type_are_named(
     assert message in refused(path, "--compress", compression)
 
 
+@pytest.mark.parametrize("compression", COMPRESSIONS)
+def test_counts_of_all_digits_that_python_reads_are_refused(tmp_path: Path, compression: str) -> None:
+    """Python cannot write the sum of such counts in a message, because it has more digits."""
+    change = set_member("accessors", 0, "count", value=int("9" * 4300))
+    path = edited("foreign_joints.glb", tmp_path, change)
+    assert '"count" must be an integer of at most' in refused(path, "--compress", compression)
+
+
 @pytest.mark.parametrize("compression", ["draco", "meshopt"])
 @pytest.mark.parametrize("key", ["extensionsUsed", "extensionsRequired"])
 @pytest.mark.parametrize("value", [["A_b", {}], {}, [[]], [None], "A_b"])

@@ -10,6 +10,12 @@ from skinbake.wording import counted
 
 JsonObject: TypeAlias = dict[str, Any]
 
+LARGEST_INTEGER = 1 << 53
+"""The largest integer that a count, a length or an index may be: every JSON parser reads it exactly.
+
+Python reads integers of up to 4,300 digits, and then cannot write their sums and products in a message.
+"""
+
 
 def objects(parent: Mapping[str, Any], key: str, place: Place) -> list[JsonObject]:
     """Return the array of objects under ``key``, empty if there is none.
@@ -45,10 +51,11 @@ def integer(
 ) -> int:
     """Return the integer under ``key``; InputError if it is missing without default, or out of range.
 
+    The range is from ``minimum`` to LARGEST_INTEGER.
     ``owner`` names the parent in messages, if the place does not tell it.
     """
     value = parent.get(key, default)
-    if type(value) is int and value >= minimum:
+    if type(value) is int and minimum <= value <= LARGEST_INTEGER:
         return value
     if value is None and default is not None:
         return default  # some exporters write null
@@ -56,6 +63,9 @@ def integer(
         value = int(value)  # some exporters write 3.0
     if isinstance(value, bool) or not isinstance(value, int) or value < minimum:
         message = f'"{key}" must be an integer of at least {minimum}, found {shown(value)}'
+        raise InputError(_of(owner, message), place)
+    if value > LARGEST_INTEGER:
+        message = f'"{key}" must be an integer of at most {LARGEST_INTEGER:,}, found {shown(value)}'
         raise InputError(_of(owner, message), place)
     return value
 

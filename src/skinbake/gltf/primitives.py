@@ -17,7 +17,16 @@ from skinbake.gltf.accessors import StoredArray, element_count, read_accessor
 from skinbake.gltf.codecs import draco
 from skinbake.gltf.document import Document
 from skinbake.gltf.formats import COMPONENT_NAMES
-from skinbake.gltf.json_access import JsonObject, index, integer, joints_of, member, objects, text
+from skinbake.gltf.json_access import (
+    LARGEST_INTEGER,
+    JsonObject,
+    index,
+    integer,
+    joints_of,
+    member,
+    objects,
+    text,
+)
 from skinbake.wording import counted
 
 FLOAT = ("f4", False)
@@ -152,10 +161,10 @@ def _element_count(source: PrimitiveSource, counts: Sequence[int]) -> int:
 
 
 def _whole(value: object) -> int | None:
-    """Return a whole number of at least 0, as JSON may spell it, or None."""
+    """Return a whole number from 0 to LARGEST_INTEGER, as JSON may spell it, or None."""
     if isinstance(value, float) and value.is_integer():
         value = int(value)
-    return value if isinstance(value, int) and value >= 0 else None
+    return value if isinstance(value, int) and 0 <= value <= LARGEST_INTEGER else None
 
 
 def _joint_counts(document: Document) -> dict[int, int]:
