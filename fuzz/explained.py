@@ -28,13 +28,13 @@ EXPLAINED: dict[tuple[str, str, str], str] = {
     (
         "gltf/budget.py",
         "claim",
-        "if self.spent > max(FREE, RATIO * self.backed): -> raise InputError(",
+        "if self.spent > max(FREE, RATIO * self.backed): -> raise self._refusal(",
     ): LARGE,
-    ("gltf/budget.py", "claim_welding", "if self.welded > most: -> raise InputError("): COPIES,
+    ("gltf/budget.py", "claim_welding", "if self.welded > most: -> raise self._refusal("): COPIES,
     (
         "gltf/budget.py",
         "claim_unpacked",
-        "if self.unpacked > max(UNPACKED_RATIO * self.packed, UNPACKED_FREE): -> raise InputError(",
+        "if self.unpacked > max(UNPACKED_RATIO * self.packed, UNPACKED_FREE): -> raise self._refusal(",
     ): LARGE,
     (
         "gltf/budget.py",

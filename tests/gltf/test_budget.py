@@ -14,13 +14,15 @@ from typing import Any
 
 import pytest
 
+from fixtures.builder import pack_glb
 from skinbake.errors import InputError, Place, UnsupportedFeatureError
+from skinbake.format.strip import stripped
 from skinbake.gltf import budget as budgets
 from skinbake.gltf.animation import read_clips
 from skinbake.gltf.budget import Budget, memory_limited, shown
 from skinbake.gltf.codecs import draco
 from skinbake.gltf.compaction import _Shifts
-from skinbake.gltf.document import parse_gltf, read_document
+from skinbake.gltf.document import Document, parse_glb, parse_gltf, read_document
 from skinbake.gltf.json_access import JsonObject
 from skinbake.gltf.primitives import MOST_SETS, read_primitive, skinned_sources
 from tests.support.corpus import require_corpus
@@ -322,6 +324,53 @@ def test_influence_sets_past_all_measure_are_refused(tmp_path: Path) -> None:
     (source,), _ = skinned_sources(document)
     with pytest.raises(UnsupportedFeatureError, match="has 65 influence sets; the limit is 64"):
         read_primitive(document, source)
+
+
+def sharing(attributes: JsonObject, note: JsonObject, primitives: int) -> Document:
+    """Return a document of primitives that share accessors of 1,000 vertices, the first with metadata."""
+    accessors: list[JsonObject] = [
+        {"bufferView": 0, "componentType": code, "count": 1000, "type": "VEC4"} for code in (5121, 5121, 5126)
+    ]
+    accessors[0]["extras"] = {"skinbake": {"version": 1, **note}}
+    accessors[1]["normalized"] = True
+    content = {
+        "asset": {"version": "2.0"},
+        "buffers": [{"byteLength": 16_000}],
+        "bufferViews": [{"buffer": 0, "byteLength": 16_000}],
+        "accessors": accessors,
+        "meshes": [{"primitives": [{"attributes": attributes}] * primitives}],
+    }
+    return parse_glb(pack_glb(content, bytes(16_000)), "x.glb", Path())
+
+
+INFLUENCES = {"JOINTS_0": 0, "WEIGHTS_0": 1}
+MANY_SETS = {name: value for n in range(40) for name, value in ((f"JOINTS_{n}", 0), (f"WEIGHTS_{n}", 1))}
+STRAIGHTENED = {"straightened": {"TANGENT": 2, "digest": "x"}, "digest": {"TANGENT": "y"}}
+
+
+@pytest.mark.parametrize(
+    ("attributes", "note", "primitives", "claim"),
+    [
+        (INFLUENCES, {"adopted": {}, "digest": {}}, 40, "its digest"),
+        (MANY_SETS, {"adopted": {}, "digest": {}}, 1, "its digest"),
+        ({"TANGENT": 2, "_OURS": 0}, STRAIGHTENED, 40, "its digest"),
+        ({"_OURS": 0}, {"alpha": ["x"] * 1000}, 40, "reading the metadata of accessor 0"),
+        ({"_OURS": 0}, {"alpha": [[[]] * 1000]}, 40, "reading the metadata of accessor 0"),
+    ],
+)
+def test_metadata_that_primitives_share_is_counted_at_each_use(
+    attributes: JsonObject, note: JsonObject, primitives: int, claim: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A file of 1 MiB could let strip work for hours, or take any amount of memory."""
+    few = sharing(dict(list(attributes.items())[-2:]), note, 1)
+    document = sharing(attributes, note, primitives)
+    monkeypatch.setattr(budgets, "FREE", 4_000_000)
+    monkeypatch.setattr(budgets, "RATIO", 1)
+    held = few.budget.held
+    assert stripped(few)[1] == 1
+    assert few.budget.held == held
+    with pytest.raises(InputError, match=f"{claim} would take .* whatever --max-memory says"):
+        stripped(document)
 
 
 def test_channels_of_one_sampler_share_its_values(tmp_path: Path) -> None:

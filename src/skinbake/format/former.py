@@ -20,13 +20,16 @@ from skinbake.format.metadata import (
     influence_digests,
     noted_names,
 )
-from skinbake.gltf.accessors import read_accessor
+from skinbake.gltf.accessors import StoredArray, read_accessor
 from skinbake.gltf.budget import ELEMENTS_FREE
 from skinbake.gltf.codecs import draco
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject, index, integer, reference
 
 BEFORE, ACCESSORS = "before", "accessors"
+
+BYTES_A_NUMBER = 32
+"""The approximate memory in which the digest of a number is made, at most."""
 
 
 def note_former_stream(former: JsonObject, accessors: JsonObject) -> JsonObject:
@@ -73,7 +76,9 @@ def former_attributes(
     try:
         draco.add_former_streams(document, with_former_stream)
         now = _influence_digests(document, attributes, place)
-    except InputError:
+    except InputError as error:
+        if error is document.budget.refusal:
+            raise
         return None
     if now != {name: digest.get(name) for name in now}:
         return None
@@ -81,7 +86,9 @@ def former_attributes(
         try:
             found = find(document, attributes, note, place)
             before = _influence_digests(document, former_sets({**attributes, **found}, note), place)
-        except InputError:
+        except InputError as error:
+            if error is document.budget.refusal:
+                raise
             continue
         if before == note.get("formerDigest"):
             return found
@@ -150,13 +157,23 @@ def _of_fours(document: Document, count: int) -> list[int]:
 def _digest(document: Document, number: int, place: Place) -> str | None:
     """Return the digest of an accessor in the form of the metadata, None if it cannot be read."""
     try:
-        stored = read_accessor(document, number, place)
-    except InputError:
+        stored = _read(document, number, place)
+    except InputError as error:
+        if error is document.budget.refusal:
+            raise
         return None
     kind = stored.values.dtype
     is_joints = kind.kind == "u" and kind.itemsize <= 2 and not stored.normalized
     values, name = (stored.values, "JOINTS") if is_joints else (stored.decoded(), "WEIGHTS")
     return array_digest(values, INFLUENCE_TYPES[name])
+
+
+def _read(document: Document, number: int, place: Place) -> StoredArray:
+    """Return an accessor, and count the memory of its digest: many primitives may name it."""
+    stored = read_accessor(document, number, place)
+    with document.budget.passing():
+        document.budget.claim(BYTES_A_NUMBER * stored.values.size, "its digest", place)
+    return stored
 
 
 def former_tangent(
@@ -184,7 +201,9 @@ def former_tangent(
         if former is not None and 0 <= former < count and _digest(document, former, where) == before:
             return {"TANGENT": former}
         again = _with_digest(document, attributes, "TANGENT", before, where)
-    except InputError:
+    except InputError as error:
+        if error is document.budget.refusal:
+            raise
         return None
     return None if again is None else {"TANGENT": again}
 
@@ -193,7 +212,7 @@ def former_sets(attributes: JsonObject, note: JsonObject) -> JsonObject:
     """Return the attributes without the influence sets that bake added."""
     if FORMER_ATTRIBUTES not in note:
         return attributes
-    noted = noted_names(note, FORMER_ATTRIBUTES)
+    noted = set(noted_names(note, FORMER_ATTRIBUTES))
     return {
         name: number
         for name, number in attributes.items()
@@ -210,7 +229,7 @@ def _influence_digests(document: Document, attributes: JsonObject, place: Place)
             number = index(attributes, f"{kind}_{len(arrays)}", count, place)
             if number is None:
                 raise InputError(f"it has no {kind}_{len(arrays)}", place)
-            stored = read_accessor(document, number, place)
+            stored = _read(document, number, place)
             arrays.append(stored.values if kind == "JOINTS" else stored.decoded())
     for kind, arrays in sets.items():
         if not arrays or len({len(values) for values in arrays}) > 1:

@@ -13,7 +13,7 @@ from skinbake.choices import Frame
 from skinbake.geometry.blocks import blocks
 from skinbake.geometry.skinned import SkinnedPrimitive
 from skinbake.gltf.document import Document
-from skinbake.gltf.json_access import JsonObject, is_deeper, reference
+from skinbake.gltf.json_access import JsonObject, entries_inside, is_deeper, reference
 from skinbake.threads import Threads, thread_count
 from skinbake.version import FILE_FORMAT
 
@@ -27,6 +27,9 @@ LARGE = 1 << 23
 
 DEEPEST_NOTE = 32
 """The most levels of a note of skinbake; bake writes two."""
+
+BYTES_AN_ENTRY = 256
+"""The approximate memory that the reading of a note takes for each of its entries, at most."""
 
 POSES = "poses"
 """The member that names the poses of a fit: their sources, a fingerprint of them, and a digest of α and β."""
@@ -115,7 +118,8 @@ def read_metadata(document: Document, primitive: JsonObject) -> JsonObject | Non
     """Return the metadata of a primitive, None if it is not baked.
 
     It is in the ``extras`` of the primitive. If these are not an object, it is in the ``extras`` of its first
-    α accessor.
+    α accessor. Raises InputError if primitives share the metadata of an accessor so often that reading it
+    would take too much memory.
     """
     found = _noted(primitive)
     if found is not None:
@@ -124,10 +128,24 @@ def read_metadata(document: Document, primitive: JsonObject) -> JsonObject | Non
     for value in attributes.values() if isinstance(attributes, dict) else ():
         number = reference(value)
         if number is not None and 0 <= number < len(accessors):
-            found = _noted(accessors[number])
+            found = _noted_in_accessor(document, number)
             if found is not None:
                 return found
     return None
+
+
+def _noted_in_accessor(document: Document, number: int) -> JsonObject | None:
+    """Return the metadata in the extras of an accessor, which many primitives may name."""
+    known: dict[int, tuple[JsonObject | None, int]] = document.derived.setdefault("notes", {})
+    if number not in known:
+        note = _noted(document.objects("accessors")[number])
+        known[number] = note, entries_inside(note)
+    note, entries = known[number]
+    if note is not None:
+        with document.budget.passing():
+            what = f"reading the metadata of accessor {number}"
+            document.budget.claim(BYTES_AN_ENTRY * entries, what, document.place)
+    return note
 
 
 def noted_names(note: JsonObject, key: str) -> list[str]:

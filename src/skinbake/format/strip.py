@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Set
 from typing import NamedTuple
 
 from skinbake.choices import Layout
@@ -104,7 +104,7 @@ def _restored(
         notices.append(_kept_tangent(place))
     if former is not None:
         attributes = former_sets(attributes, note)
-    ours = [name for name in json_access.member(primitive, "attributes", place) if name not in attributes]
+    ours = json_access.member(primitive, "attributes", place).keys() - attributes.keys()
     attributes = _in_former_order({**attributes, **(former or {}), **(tangent or {})}, note)
     written = {**primitive, "attributes": attributes} if "attributes" in primitive else dict(primitive)
     if draco.extension_of(primitive) is not None:
@@ -165,7 +165,7 @@ def _removed(attributes: JsonObject, note: JsonObject, place: Place) -> list[Not
 
 
 def _extensions_before(
-    document: Document, primitive: JsonObject, ours: list[str], complete: bool, place: Place
+    document: Document, primitive: JsonObject, ours: Set[str], complete: bool, place: Place
 ) -> JsonObject:
     """Return the extensions of a primitive with the former Draco stream, if that still exists.
 

@@ -110,7 +110,8 @@ class Budget:
     """The memory that a document has claimed so far, in all its edited versions together.
 
     limit is the most that it may hold at a time, None for the default. backed is the size of its files. held
-    is the memory that it has claimed and not released. spent is all that it has ever claimed.
+    is the memory that it has claimed and not released. spent is all that it has ever claimed. refusal is the
+    last error of this class: a search that passes over what cannot be read must not pass over it.
     """
 
     limit: int | None = field(default_factory=_limit.get)
@@ -121,6 +122,7 @@ class Budget:
     unpacked: int = 0
     packed: int = 0
     welded: int = 0
+    refusal: InputError | None = None
     _zeros_of: set[int] = field(default_factory=set)
     _files: set[str] = field(default_factory=set)
 
@@ -140,7 +142,7 @@ class Budget:
         self.held += size
         self.spent += size
         if self.spent > max(FREE, RATIO * self.backed):
-            raise InputError(
+            raise self._refusal(
                 f"{what} would take {shown(size)}, so the file would take {shown(self.spent)} in "
                 f"all. The limit is {RATIO:,} times its {shown(self.backed)}, whatever --max-memory "
                 "says",
@@ -151,7 +153,7 @@ class Budget:
         if self.limit is None:
             self.limit = default_limit()
         if self.held > self.limit:
-            raise InputError(
+            raise self._refusal(
                 f"{what} would take {shown(size)}, so the file would take {shown(self.held)} in "
                 f"all. The limit is {shown(self.limit)}: raise --max-memory",
                 place,
@@ -164,7 +166,7 @@ class Budget:
             self.zeros += size
         most = ZEROS_RATIO * self.backed + ZEROS_FREE
         if self.zeros > most:
-            raise InputError(
+            raise self._refusal(
                 f"accessor {accessor} has no buffer view and claims {shown(size)} of zeros, "
                 f"{shown(self.zeros)} with others. A file of {shown(self.backed)} may claim at most "
                 f"{shown(most)}, whatever --max-memory says",
@@ -177,7 +179,7 @@ class Budget:
         self.unpacked += size
         self.packed += stored
         if self.unpacked > max(UNPACKED_RATIO * self.packed, UNPACKED_FREE):
-            raise InputError(
+            raise self._refusal(
                 f"{self.packed} bytes of compressed data, this included, would expand to "
                 f"{self.unpacked}. The limit is {UNPACKED_RATIO} times as many",
                 place,
@@ -188,7 +190,7 @@ class Budget:
         """Hold the vertices and triangles of all skinned primitives against the size of the document."""
         most = ELEMENTS_RATIO * self.backed + ELEMENTS_FREE
         if count > most:
-            raise InputError(
+            raise self._refusal(
                 f"its skinned primitives have {count:,} vertices and triangles, each counted as often as a "
                 f"primitive uses it. A file of {shown(self.backed)} may have at most {most:,}",
                 place,
@@ -199,12 +201,16 @@ class Budget:
         self.welded += size
         most = WELDING_RATIO * self.backed + WELDING_FREE
         if self.welded > most:
-            raise InputError(
+            raise self._refusal(
                 f"its vertices have so many copies at one place that welding them would take "
                 f"{shown(self.welded)}. A file of {shown(self.backed)} may take at most {shown(most)} for it",
                 place,
             )
         self.claim(size, "welding it", place)
+
+    def _refusal(self, message: str, place: Place) -> InputError:
+        self.refusal = InputError(message, place)
+        return self.refusal
 
     @contextmanager
     def passing(self) -> Iterator[None]:

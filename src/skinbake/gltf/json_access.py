@@ -123,6 +123,18 @@ def every_object(root: object) -> Iterator[JsonObject]:
             left += node
 
 
+def entries_inside(value: object) -> int:
+    """Return the number of entries of all arrays and objects in a value, at any depth."""
+    left, count = [value], 0
+    while left:
+        node = left.pop()
+        inner = list(node.values()) if isinstance(node, dict) else node
+        if isinstance(inner, list):
+            left += inner
+            count += len(inner)
+    return count
+
+
 def is_deeper(value: object, levels: int) -> bool:
     """Tell whether arrays and objects have more than this many levels."""
     layer = [value]
