@@ -9,7 +9,7 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -18,8 +18,10 @@ import pytest
 
 from skinbake.commands.strip import strip_file
 from skinbake.errors import InputError, OutputError
-from skinbake.files import folders, replacing
+from skinbake.files import Bytes, folders, replacing
 from skinbake.files.bounds import Spot
+from skinbake.gltf import beside
+from skinbake.gltf.additions import content_digest
 from skinbake.gltf.document import read_document
 from skinbake.gltf.output import plan_output
 from tests.support.baking import bake_file
@@ -388,3 +390,26 @@ def test_a_number_past_all_floats_stays_or_is_named(extras: str, pointer: str, t
         f"its JSON cannot be written back: {pointer} is a number too large for any float"
     )
     assert not (tmp_path / "out.glb").exists()
+
+
+def test_a_file_of_many_spellings_is_compared_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A small document can spell one name in thousands of ways, and the file may be large."""
+    spellings = ["a.png", "%61.png", "./a.png", "././%61.png", "a%2Epng"]
+    content = {"asset": {"version": "2.0"}, "images": [{"uri": uri} for uri in spellings]}
+    source = tmp_path / "in" / "model.gltf"
+    target = tmp_path / "out" / "model.gltf"
+    for path in (source, target):
+        path.parent.mkdir()
+        path.with_name("a.png").write_bytes(b"pixels")
+    source.write_text(json.dumps(content))
+    digested: list[object] = []
+
+    def counted(pieces: Iterable[Bytes]) -> str:
+        digested.append(pieces)
+        return content_digest(pieces)
+
+    monkeypatch.setattr(beside, "content_digest", counted)
+    planned = plan_output(read_document(str(source)), str(target))
+    assert len(digested) == 2
+    assert list(planned.files) == [target]
+    assert list(planned.serving) == [target.with_name("a.png")]

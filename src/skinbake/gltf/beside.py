@@ -53,6 +53,7 @@ class Beside:
         self._home = Path(os.path.realpath(document.folder))
         self._files: dict[Path, Iterable[Bytes]] = {}
         self._serving: dict[Path, Signature] = {}
+        self._names: dict[tuple[str, object], str] = {}
         self._missing: list[str] = []
         self._outside: list[str] = []
         self._refused: list[tuple[str, str]] = []
@@ -128,6 +129,16 @@ class Beside:
 
     def _copied(self, uri: str, name: str, pieces: Iterable[Bytes]) -> str:
         """Return the URI of a copied file: its own name, or another one if that is taken."""
+        key = name, pieces if isinstance(pieces, FileContent) else id(pieces)
+        if key not in self._names:  # many URIs may be spellings of one name
+            self._names[key] = self._planned_name(name, pieces)
+        free = self._names[key]
+        meant = relative_names(uri)[0]  # the literal name is tried if this one does not exist
+        stays = free == name and (name == meant or not self._will_exist(meant))
+        return uri if stays else path_uri(free)
+
+    def _planned_name(self, name: str, pieces: Iterable[Bytes]) -> str:
+        """Return the name of a copy, and note the file that will be written or serves."""
         before = signature_of(self._path(name))  # read before the content, so that a later change shows
         free = self._free_name(name, pieces)
         path = Path(self._path(free))
@@ -135,9 +146,7 @@ class Beside:
             self._files[path] = pieces
         else:
             self._serving[path] = before if free == name else signature_of(path)
-        meant = relative_names(uri)[0]  # the literal name is tried if this one does not exist
-        stays = free == name and (name == meant or not self._will_exist(meant))
-        return uri if stays else path_uri(free)
+        return free
 
     def _free_name(self, name: str, pieces: Iterable[Bytes]) -> str:
         """Return ``name``, or a name made from the content if another file has or will have that name."""
