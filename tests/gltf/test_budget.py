@@ -426,3 +426,31 @@ def test_streams_that_share_accessors_are_compared_once_each(
         read_primitive(document, source)
     assert len(sources) == count
     assert count <= len(calls) <= count * (attributes + 1)
+
+
+def test_streams_that_primitives_share_are_compared_within_the_memory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Accessors of many primitives may stand for two streams, which are compared for each accessor."""
+    from tests.support.compressed import draco_twin
+
+    def share(content: JsonObject) -> None:
+        mesh = content["meshes"][0]
+        one = mesh["primitives"][0]
+        former = one["extensions"][draco.EXTENSION]
+        content["bufferViews"].append(content["bufferViews"][former["bufferView"]])
+        now = {**former, "bufferView": len(content["bufferViews"]) - 1}
+        now["extras"] = {"skinbake": {"before": former}}
+        mesh["primitives"] = []
+        for _ in range(40):
+            first = len(content["accessors"])
+            content["accessors"] += [content["accessors"][number] for number in one["attributes"].values()]
+            primitive = {**one, "extensions": {draco.EXTENSION: now}, "extras": {"skinbake": {"version": 1}}}
+            primitive["attributes"] = {name: first + at for at, name in enumerate(one["attributes"])}
+            mesh["primitives"].append(primitive)
+
+    document = read_document(str(draco_twin(FOLDER / "bent_tube.glb", tmp_path / "in.glb", change=share)))
+    monkeypatch.setattr(budgets, "FREE", 1_000_000)
+    monkeypatch.setattr(budgets, "RATIO", 1)
+    with pytest.raises(InputError, match=r"Draco streams? would take .* whatever --max-memory says"):
+        stripped(document)

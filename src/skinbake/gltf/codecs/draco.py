@@ -81,7 +81,8 @@ def decoded_accessor(
 def holds_the_same(document: Document, primitive: JsonObject, before: JsonObject, place: Place) -> bool:
     """Tell whether the stream of ``before`` has the data of a primitive's stream, where both name it.
 
-    False if it cannot be read, because another tool has moved or removed the buffer view since.
+    False if it cannot be read, because another tool has moved or removed the buffer view since. Raises
+    InputError if primitives share streams so often that comparing them would take too much memory.
     """
     now, then = dict(_claims_of(primitive)), dict(_claims_of(before))
     known = document.derived.setdefault("draco pairs", {})
@@ -91,11 +92,16 @@ def holds_the_same(document: Document, primitive: JsonObject, before: JsonObject
             key = number, *(_data_of(claim) for claim in pair)
             if key not in known:
                 shape = _shape(document, number, place)
-                known[key] = _equal(*(_claimed(document, claim, shape, place) for claim in pair))
+                values = [_claimed(document, claim, shape, place) for claim in pair]
+                with document.budget.passing():
+                    document.budget.claim(2 * values[0].nbytes, "comparing its Draco streams", place)
+                known[key] = _equal(*values)
             if not known[key]:
                 return False
         return read_stream(document, before, place).faces.size > 0
-    except InputError:
+    except InputError as error:
+        if error is document.budget.refusal:
+            raise
         return False
 
 
