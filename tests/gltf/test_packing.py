@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import json
 from pathlib import Path
 
 import pytest
@@ -186,6 +187,22 @@ def test_a_buffer_that_is_cut_short_is_named_and_copied(tmp_path: Path) -> None:
         "only 3 are there"
     )
     assert (tmp_path / "out" / "short.bin").read_bytes() == b"123"
+
+
+def test_a_view_that_is_compressed_under_both_names_moves_with_both(tmp_path: Path) -> None:
+    """A reader that knows only one name must find the bytes too."""
+    place = {"buffer": 1, "byteOffset": 4, "byteLength": 8}
+    extensions = {f"{prefix}_meshopt_compression": place for prefix in ("KHR", "EXT")}
+    uris = ["data:;base64,AAAAAA==", "data:;base64,AAAAAAAAAAAAAAAAAAAAAA=="]
+    content = {
+        "asset": {"version": "2.0"},
+        "buffers": [{"byteLength": length, "uri": uri} for length, uri in zip((4, 16), uris, strict=True)],
+        "bufferViews": [{"buffer": 1, "byteLength": 16, "extensions": extensions}],
+    }
+    (tmp_path / "in.gltf").write_text(json.dumps(content))
+    invoke("strip", tmp_path / "in.gltf", "-o", tmp_path / "out.glb")
+    (view,) = read(tmp_path / "out.glb").content["bufferViews"]
+    assert list(view["extensions"].values()) == [{"buffer": 0, "byteOffset": 8, "byteLength": 8}] * 2
 
 
 def test_a_glb_with_buffers_in_files_gets_a_chunk(tmp_path: Path) -> None:

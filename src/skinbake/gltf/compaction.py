@@ -85,8 +85,7 @@ def _renumbered(root: JsonObject, numbers: dict[int, int]) -> JsonObject:
 def _holders(view: JsonObject, place: Place) -> Iterator[JsonObject]:
     """Yield the objects of a buffer view that name a range of a buffer."""
     yield view
-    name = meshopt.extension_of(view, place)
-    if name is not None:
+    for name in meshopt.extensions_of(view, place):
         yield member(member(view, "extensions", place), name, place)
 
 
@@ -153,9 +152,8 @@ def _moved(view: JsonObject, shifts: dict[int, _Shifts], gone: list[int], place:
         return {**moved, "byteOffset": start - shift} if shift else moved
 
     result = placed(view)
-    name = meshopt.extension_of(view, place)
-    if name is not None:
-        result["extensions"] = {**view["extensions"], name: placed(view["extensions"][name])}
+    for name in meshopt.extensions_of(view, place):
+        result["extensions"] = {**result["extensions"], name: placed(view["extensions"][name])}
     return result
 
 

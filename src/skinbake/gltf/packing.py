@@ -12,7 +12,7 @@ from skinbake.files import Bytes
 from skinbake.files.bounds import OutsideError, RefusedError, is_relative
 from skinbake.gltf.codecs import meshopt
 from skinbake.gltf.document import Document
-from skinbake.gltf.json_access import JsonObject, integer
+from skinbake.gltf.json_access import JsonObject, integer, member
 from skinbake.gltf.resources import decode_data_uri, find, is_data_uri, listed, read_open_file, shortened
 from skinbake.wording import one_or_many
 
@@ -178,12 +178,11 @@ def _left_buffer(uri: str, error: InputError) -> _Left:
 
 
 def _moved_view(view: JsonObject, places: dict[int, tuple[int, int]], document: Document) -> JsonObject:
-    """Return a buffer view, and its compressed twin, with the new places of their buffers."""
+    """Return a buffer view, and its compressed twins, with the new places of their buffers."""
     changed = _moved(view, places, document)
-    name = meshopt.extension_of(view, document.place)
-    if name is not None:
-        extensions = view["extensions"]
-        changed["extensions"] = {**extensions, name: _moved(extensions[name], places, document)}
+    for name in meshopt.extensions_of(view, document.place):
+        moved = _moved(member(view["extensions"], name, document.place), places, document)
+        changed["extensions"] = {**changed["extensions"], name: moved}
     return changed
 
 

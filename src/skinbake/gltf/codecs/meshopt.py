@@ -51,6 +51,12 @@ class Packing:
     stride: int
 
 
+def extensions_of(holder: JsonObject, place: Place) -> list[str]:
+    """Return the extensions that a buffer view has: one, or both for readers that know only one."""
+    extensions = member(holder, "extensions", place)
+    return [name for name in EXTENSIONS if name in extensions]
+
+
 def extension_of(holder: JsonObject, place: Place) -> str | None:
     """Return the extension that a buffer view or buffer has, None if it has neither."""
     extensions = member(holder, "extensions", place)
