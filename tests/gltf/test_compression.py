@@ -712,6 +712,21 @@ def test_a_broken_primitive_that_none_would_decode_is_an_input_error(tmp_path: P
     bake(path, tmp_path / "out.glb")
 
 
+def test_views_that_are_compressed_under_both_names_are_decoded_under_both(tmp_path: Path) -> None:
+    def name_twice(content: JsonObject) -> None:
+        for holder in [*content["bufferViews"], *content["buffers"]]:
+            if "extensions" in holder:
+                holder["extensions"][KHR] = holder["extensions"][EXT]
+        content["extensionsUsed"] = content["extensionsRequired"] = [EXT, KHR]
+
+    path = meshopt_twin(FOLDER / ADOPTING, tmp_path / "twin.glb", change=name_twice)
+    assert sum("extensions" in view for view in read(path).content["bufferViews"]) > 2
+    bake_file(str(path), str(tmp_path / "out.glb"), **compress(Scheme.NONE))
+    content = read(tmp_path / "out.glb").content
+    assert "meshopt" not in json.dumps({**content, "extras": None})
+    assert verify_file(str(tmp_path / "out.glb"), REST).passed
+
+
 def test_no_bytes_are_cut_off_by_a_view_without_a_buffer() -> None:
     document = read_document(str(FOLDER / "seam.glb"))
     views = [{"byteLength": 4}, *document.objects("bufferViews")[1:]]

@@ -279,9 +279,7 @@ def _at_the_end(document: Document, first: int, undo: JsonObject) -> _Tail | Non
 
 def _stored_ranges(view: JsonObject, place: Place) -> Iterator[tuple[int, int, int]]:
     """Yield (buffer, start, end) of the bytes of a buffer view, and of its compressed bytes."""
-    name = meshopt.extension_of(view, place)
-    extensions = json_access.member(view, "extensions", place)
-    for holder in (view, *((json_access.member(extensions, name, place),) if name is not None else ())):
+    for holder in meshopt.ranges_of(view, place):
         start = integer(holder, "byteOffset", place, default=0)
         yield integer(holder, "buffer", place), start, start + integer(holder, "byteLength", place)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from itertools import accumulate
 from typing import Any, NamedTuple
 
@@ -14,7 +14,7 @@ from skinbake.gltf import resources
 from skinbake.gltf.additions import content_digest
 from skinbake.gltf.codecs import meshopt
 from skinbake.gltf.document import Document
-from skinbake.gltf.json_access import JsonObject, index, integer, member, names, reference
+from skinbake.gltf.json_access import JsonObject, index, integer, names, reference
 from skinbake.gltf.references import views_in_use
 
 Range = tuple[int, int]
@@ -82,18 +82,11 @@ def _renumbered(root: JsonObject, numbers: dict[int, int]) -> JsonObject:
     return result
 
 
-def _holders(view: JsonObject, place: Place) -> Iterator[JsonObject]:
-    """Yield the objects of a buffer view that name a range of a buffer."""
-    yield view
-    for name in meshopt.extensions_of(view, place):
-        yield member(member(view, "extensions", place), name, place)
-
-
 def _by_buffer(document: Document, views: Sequence[JsonObject]) -> dict[int, list[Range]]:
     found: dict[int, list[Range]] = defaultdict(list)
     place, count = document.place, len(document.objects("buffers"))
     for view in views:
-        for holder in _holders(view, place):
+        for holder in meshopt.ranges_of(view, place):
             start = integer(holder, "byteOffset", place, default=0)
             length = integer(holder, "byteLength", place)
             buffer = index(holder, "buffer", count, place)

@@ -11,7 +11,6 @@ from skinbake.gltf.json_access import (
     entries_of,
     every_object,
     integer,
-    member,
     reference,
     values_of,
 )
@@ -59,9 +58,7 @@ def check_views(views: Sequence[JsonObject], length: int | None, place: Place) -
     """
     for number, view in enumerate(views):
         where = place.at(f"buffer view {number}")
-        name = meshopt.extension_of(view, where)
-        packed = [] if name is None else [member(member(view, "extensions", where), name, where)]
-        for holder in (view, *packed):
+        for holder in meshopt.ranges_of(view, where):
             buffer = integer(holder, "buffer", where)
             start = integer(holder, "byteOffset", where, default=0)
             end = start + integer(holder, "byteLength", where, minimum=1)

@@ -6,6 +6,7 @@ read in the same way, whichever of the two names it uses.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -55,6 +56,13 @@ def extensions_of(holder: JsonObject, place: Place) -> list[str]:
     """Return the extensions that a buffer view has: one, or both for readers that know only one."""
     extensions = member(holder, "extensions", place)
     return [name for name in EXTENSIONS if name in extensions]
+
+
+def ranges_of(view: JsonObject, place: Place) -> Iterator[JsonObject]:
+    """Yield the objects of a buffer view that name a range of a buffer: itself, and its extensions."""
+    yield view
+    for name in extensions_of(view, place):
+        yield member(member(view, "extensions", place), name, place)
 
 
 def extension_of(holder: JsonObject, place: Place) -> str | None:

@@ -168,12 +168,12 @@ def _decompress(recoder: _Recoder) -> None:
     for place, primitive in _draco_primitives(document):
         _leave_draco(recoder, place, primitive, None, done)
     for number, view in enumerate(document.objects("bufferViews")):
-        name = meshopt.extension_of(view, document.place)
-        if name is None:
+        names = meshopt.extensions_of(view, document.place)
+        if not names:
             continue
         data = recoder.additions.add_data(view_bytes(document, number, document.place))
         kept = {key: value for key, value in view.items() if key != "extensions"}
-        others = {key: value for key, value in view["extensions"].items() if key != name}
+        others = {key: value for key, value in view["extensions"].items() if key not in names}
         recoder.set_view(number, {**kept, **data, **({"extensions": others} if others else {})})
         opened.add(number)
     for number, accessor in enumerate(document.objects("accessors")):
