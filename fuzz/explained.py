@@ -373,4 +373,9 @@ EXPLAINED: dict[tuple[str, str, str], str] = {
         "_left_buffer",
         'if isinstance(cause, OSError): -> return _Left(uri, "broken", f"is not packed: {error.message}", "buffer")',
     ): "the file of a buffer is there, and broken: tests/gltf/test_packing.py",
+    (
+        "gltf/primitives.py",
+        "_accessor_index",
+        'if number is None: -> raise InputError(f"it has no {attribute}", source.place)',
+    ): BEFORE + "tests/gltf/test_primitives.py",
 }

@@ -277,3 +277,16 @@ def test_an_index_past_the_vertices_is_refused(tmp_path: Path) -> None:
     path = write_model(tmp_path / "sheet.glb", [Part(sheet().attributes, np.array([0, 1, 20]))])
     with pytest.raises(InputError, match="indices: index 20 is too large for 20 vertices"):
         primitive_of(path)
+
+
+@pytest.mark.parametrize("attribute", ["POSITION", "NORMAL"])
+def test_a_primitive_without_an_attribute_that_arrays_need_is_refused(tmp_path: Path, attribute: str) -> None:
+    """Commands skip it before they read its arrays."""
+
+    def without(content: JsonObject) -> None:
+        del content["meshes"][0]["primitives"][0]["attributes"][attribute]
+
+    document, (source,) = sources(edited("seam.glb", tmp_path, without))
+    assert reason_to_skip(document, source, generate_normals=False) is not None
+    with pytest.raises(InputError, match=f"it has no {attribute}"):
+        read_primitive(document, source)
