@@ -127,9 +127,9 @@ def test_a_worker_is_one_thread() -> None:
 @POSIX
 def test_closing_ends_what_is_at_work_and_undoes_it(tmp_path: Path) -> None:
     start = time.monotonic()
-    results = Processes(2).run(Slow(tmp_path), [0.0, 60.0, 60.0, 60.0])
+    results = Processes(2).run(Slow(tmp_path), [0.0, 600.0, 600.0, 600.0])
     assert next(results)[0] == 0
-    while len(list(tmp_path.iterdir())) < 2 and time.monotonic() - start < 20:
+    while len(list(tmp_path.iterdir())) < 2 and time.monotonic() - start < 100:
         time.sleep(0.01)
     busy = [int(path.stem) for path in tmp_path.iterdir()]
     results.close()
@@ -137,7 +137,7 @@ def test_closing_ends_what_is_at_work_and_undoes_it(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
     for pid in busy:
         assert not Path(f"/proc/{pid}").exists() or "Z" in Path(f"/proc/{pid}/stat").read_text()
-    assert time.monotonic() - start < 30
+    assert time.monotonic() - start < 300
 
 
 def test_one_slow_job_does_not_fill_memory_with_the_others(

@@ -82,6 +82,8 @@ def test_a_character_on_a_large_stage_fills_the_picture_until_all_is_shown(
     """The stage is the tube, thirty times as large and without its skin."""
     look = """(() => {
         application.stopMeasuring();
+        application.seek(application.clip.end, true);
+        application.applyPose();
         const { camera, renderer, scene } = application;
         const { width, height } = renderer.canvas;
         return [camera.projected(width / height), scene.parts.map((part) => [...scene.positions(part, 1)])];
