@@ -31,22 +31,32 @@ def _places(random: np.random.Generator, shape: int | tuple[int, ...], count: in
 
 def _blends(loops: Any, random: np.random.Generator) -> list[Call]:
     """Return the loops that blend the rows of a table."""
-    vertices, width, rows, poses = (_size(random, 64, 300) for _ in range(4))
-    forms = int(random.choice([1, 2, 3]))
-    blend = {
-        "entries": floats(random, (forms, vertices, width), "f8"),
-        "columns": _places(random, (vertices, width), rows),
-        "table": floats(random, (rows, 3, poses), "f8"),
-    }
+    vertices, slots, poses = (_size(random, 40, 300) for _ in range(3))
+    joints, forms, first_row = _size(random), int(random.choice([1, 2, 3])), int(random.integers(0, 3))
     normals = floats(random, (vertices, 3), "f8") if random.random() < 0.5 else None
+
+    def arguments(count: int) -> dict[str, Any]:
+        directions, changes = (
+            floats(random, (count, vertices, size), "f8") if random.random() < 0.7 else None
+            for size in (3, slots)
+        )
+        return {
+            "joints": _places(random, (vertices, slots), joints),
+            "weights": floats(random, (vertices, slots), "f8"),
+            "points": floats(random, (vertices, 3), "f8"),
+            "directions": directions,
+            "changes": changes,
+            "table": floats(random, (4 * joints, 3, poses), "f8"),
+        }
+
+    out = np.empty((forms, 3, vertices + 2, poses))
     crossed = {
-        **blend,
-        "entries": floats(random, (2 if normals is None else 3, vertices, width), "f8"),
+        **arguments(2 if normals is None else 3),
         "normals": normals,
         "out": np.empty((3, vertices, poses)),
     }
     return [
-        (loops.blend, {**blend, "out": np.empty((forms, 3, vertices, poses))}, False),
+        (loops.blend, {**arguments(forms), "out": out, "first_row": first_row}, False),
         (loops.blended_normals, crossed, False),
     ]
 
@@ -55,14 +65,14 @@ def _turns(loops: Any, random: np.random.Generator) -> list[Call]:
     """Return the loops of dual quaternions."""
     vertices, joints, poses = (_size(random, 40) for _ in range(3))
     slots = int(random.choice([0, 1, 2, 4, 9]))
-    first = int(random.integers(0, 3))
+    first, first_row = (int(random.integers(0, 3)) for _ in range(2))
     moved = {
         "motions": floats(random, (8, joints, first + poses), "f8"),
         "scales": floats(random, (first + poses,), "f8") if random.random() < 0.5 else None,
         "joints": _places(random, (vertices, slots), joints),
         "weights": floats(random, (vertices, slots), "f8"),
         "positions": floats(random, (vertices, 3), "f8"),
-        "out": np.empty((3, vertices, poses)),
+        "out": np.empty((3, vertices + 2, poses)),
     }
     turned = {
         **moved,
@@ -74,7 +84,7 @@ def _turns(loops: Any, random: np.random.Generator) -> list[Call]:
         "first": first,
     }
     return [
-        (loops.dqs_positions, {**moved, "first": first}, False),
+        (loops.dqs_positions, {**moved, "first": first, "first_row": first_row}, False),
         (loops.dqs_normals, turned, False),
     ]
 

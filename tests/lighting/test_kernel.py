@@ -21,6 +21,7 @@ from skinbake.errors import ChoiceError
 from skinbake.geometry.skinned import Float64Array
 from skinbake.lighting import by_numpy, kernel, triangle_normals
 from skinbake.lighting.counted import BIN_SHIFT, BINS
+from skinbake.lighting.forms import Forms
 from skinbake.lighting.influences import Int32Array
 from skinbake.lighting.operator import GradientOperator, gradient_operator
 from skinbake.lighting.reference import RestFrames, rest_frames
@@ -73,48 +74,107 @@ class Mesh:
         self.sums = ClassSums(carried, self.operator.classes, np.concatenate(sums, axis=1))
 
 
+def random_forms(count: int, slots: int) -> Forms:
+    """Return forms of 19 vertices with 15 joints; some slots hold nothing, as does vertex 4."""
+    rng = np.random.default_rng(count + slots)
+    weights = rng.random((19, slots)) * (rng.random((19, slots)) < 0.7)
+    changes = rng.normal(size=(count, 19, slots)) * (rng.random((count, 19, slots)) < 0.7)
+    weights[4], changes[:, 4] = 0.0, 0.0
+    joints = rng.integers(0, 15, (19, slots))
+    return Forms(joints, weights, rng.normal(size=(19, 3)), rng.normal(size=(count, 19, 3)), changes)
+
+
+def random_table(poses: int) -> Float64Array:
+    """Return the columns of the matrices of 15 joints."""
+    return np.random.default_rng(poses).normal(size=(60, 3, poses))
+
+
+def blended(operations: Any, forms: Forms, count: int, table: Float64Array) -> Float64Array:
+    out = np.full((count, 3, len(forms.joints), table.shape[2]), np.nan)
+    operations.blend(forms, table, out)
+    return out
+
+
+def by_definition(forms: Forms, table: Float64Array) -> Float64Array:
+    """Return Σ w M u + Σ c M p̃: (F, 3, B, P)."""
+    assert forms.directions is not None
+    assert forms.changes is not None
+    matrices = table.reshape(-1, 4, 3, table.shape[2])[forms.joints]
+    found = np.einsum("vk,fvj,vkjip->fivp", forms.weights, forms.directions, matrices[:, :, :3])
+    found += np.einsum("fvk,vj,vkjip->fivp", forms.changes, forms.points, matrices[:, :, :3])
+    return np.asarray(found + np.einsum("fvk,vkip->fivp", forms.changes, matrices[:, :, 3]))
+
+
 @pytest.mark.parametrize("poses", POSES)
-@pytest.mark.parametrize(("forms", "slots"), [(1, 1), (2, 4), (5, 8), (2, 40)])
-def test_linear_blending_is_that_of_numpy(poses: int, forms: int, slots: int) -> None:
-    rng = np.random.default_rng(poses + slots)
-    table = rng.normal(size=(60, 3, poses))
-    columns = rng.integers(0, 60, (19, 4 * slots)).astype(np.int32)
-    entries = rng.normal(size=(forms, 19, 4 * slots)) * (rng.random((forms, 19, 4 * slots)) < 0.7)
-    entries[:, 4] = 0.0
-    found = by_loops.blend(entries, columns, table)
+@pytest.mark.parametrize(("count", "slots"), [(1, 1), (2, 4), (5, 8), (2, 16), (2, 17), (2, 40)])
+def test_linear_blending_is_that_of_numpy(poses: int, count: int, slots: int) -> None:
+    forms, table = random_forms(count, slots), random_table(poses)
+    found = blended(by_loops, forms, count, table)
     # pytest.approx compares numbers one by one, which takes a second here.
-    np.testing.assert_allclose(found, by_numpy.blend(entries, columns, table), rtol=1e-12, atol=1e-12)
-    directly = np.einsum("fvw,vwip->fivp", entries, table[columns])
-    np.testing.assert_allclose(found, directly, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(found, blended(by_numpy, forms, count, table), rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(found, by_definition(forms, table), rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("operations", [by_loops, by_numpy])
+def test_forms_without_directions_or_changes_are_those_of_points_and_zeros(operations: Any) -> None:
+    forms, table = random_forms(2, 4), random_table(9)
+    unchanged = blended(operations, replace(forms, changes=None), 2, table)
+    zeros = np.zeros((2, 19, 4))
+    expected = by_definition(replace(forms, changes=zeros), table)
+    np.testing.assert_allclose(unchanged, expected, rtol=1e-12, atol=1e-12)
+    moved = blended(operations, replace(forms, directions=None, changes=None), 1, table)[0]
+    matrices = table.reshape(-1, 4, 3, 9)[forms.joints]
+    points = np.concatenate([forms.points, np.ones((19, 1))], axis=1)
+    expected = np.einsum("vk,vkjip,vj->ivp", forms.weights, matrices, points)
+    np.testing.assert_allclose(moved, expected, rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("operations", [by_loops, by_numpy])
+def test_only_the_rows_of_the_block_are_written(operations: Any) -> None:
+    forms, table = random_forms(2, 4), random_table(9)
+    alone = blended(operations, forms, 2, table)
+    out = np.full((2, 3, 30, 9), 7.0)
+    operations.blend(forms, table, out, 5)
+    np.testing.assert_array_equal(out[:, :, 5:24], alone)
+    assert (out[:, :, :5] == 7.0).all()
+    assert (out[:, :, 24:] == 7.0).all()
+    skinning = moved_by_dqs(9, 4, scaled=False)
+    all_of_it, some = np.empty((3, 23, 9)), np.full((3, 30, 9), 7.0)
+    operations.dqs_positions(skinning, slice(0, 9), slice(0, 23), all_of_it)
+    operations.dqs_positions(skinning, slice(0, 9), slice(3, 20), some, 4)
+    np.testing.assert_array_equal(some[:, 4:21], all_of_it[:, 3:20])
+    assert (some[:, :4] == 7.0).all()
+    assert (some[:, 21:] == 7.0).all()
 
 
 @pytest.mark.parametrize("poses", POSES)
 @pytest.mark.parametrize("slots", [1, 4, 40])
 def test_blended_normals_are_those_of_numpy(poses: int, slots: int) -> None:
-    rng = np.random.default_rng(poses + slots)
-    table = rng.normal(size=(60, 3, poses))
-    columns = rng.integers(0, 60, (19, 4 * slots)).astype(np.int32)
-    entries = rng.normal(size=(3, 19, 4 * slots))
-    entries[:, 4] = 0.0
-    entries[2, 7] = entries[1, 7]
-    normals = rng.normal(size=(19, 3))
-    t, b = np.einsum("fvw,vwip->fvpi", entries[:2], table[columns])
-    crossed = by_loops.blended_normals(entries[:2], columns, table)
+    forms, table = random_forms(3, slots), random_table(poses)
+    assert forms.directions is not None
+    assert forms.changes is not None
+    forms.weights[5:] += 0.1
+    for of_forms in (forms.directions, forms.changes):
+        of_forms[2, 7] = of_forms[1, 7]
+    normals = np.random.default_rng(5).normal(size=(19, 3))
+    pair = replace(forms, directions=forms.directions[:2], changes=forms.changes[:2])
+    t, b = np.moveaxis(by_definition(pair, table), 1, -1)
+    crossed = by_loops.blended_normals(pair, table)
     np.testing.assert_allclose(crossed, np.moveaxis(np.cross(t, b), 2, 0), rtol=1e-9, atol=1e-9)
-    np.testing.assert_allclose(
-        crossed, by_numpy.blended_normals(entries[:2], columns, table), rtol=1e-9, atol=1e-9
-    )
-    found = by_loops.blended_normals(entries, columns, table, normals)
+    np.testing.assert_allclose(crossed, by_numpy.blended_normals(pair, table), rtol=1e-9, atol=1e-9)
+    found = by_loops.blended_normals(forms, table, normals)
     assert not found[:, 4].any(), "a matrix of zeros has no inverse, and its cofactors are zero"
-    assert np.isfinite(np.delete(found, 7, axis=1)).all()
-    matrices = np.einsum("fvw,vwip->vpif", entries, table[columns])
-    sound = np.flatnonzero(~np.isin(np.arange(19), (4, 7)))
+    matrices = by_definition(forms, table).transpose(2, 3, 1, 0)
+    determinants = np.linalg.det(matrices)
+    sound = np.setdiff1d(np.flatnonzero((np.abs(determinants) > 1e-12).all(axis=1)), [7])
+    assert len(sound) > 10
+    assert np.isfinite(found[:, sound]).all()
+    determinants = determinants[sound]
     # Near a singular matrix, only the product with its determinant is exact.
-    determinants = np.linalg.det(matrices[sound])
     inverted = np.linalg.solve(np.swapaxes(matrices[sound], -1, -2), normals[sound][:, None, :, None])
     expected = np.moveaxis(inverted[..., 0], 2, 0) * determinants
     np.testing.assert_allclose(found[:, sound] * determinants, expected, rtol=1e-6, atol=1e-6)
-    numpys = by_numpy.blended_normals(entries, columns, table, normals)[:, sound]
+    numpys = by_numpy.blended_normals(forms, table, normals)[:, sound]
     np.testing.assert_allclose(found[:, sound] * determinants, numpys * determinants, rtol=1e-6, atol=1e-9)
 
 
@@ -152,9 +212,9 @@ def test_dual_quaternions_are_those_of_numpy(poses: int, slots: int, scaled: boo
     for pose in (slice(0, poses), slice(poses // 3, max(poses - 1, 1))):
         for part in (slice(0, 23), slice(3, 20), slice(5, 5)):
             shape = 3, part.stop - part.start, pose.stop - pose.start
-            moved = by_loops.dqs_positions(skinning, pose, part)
-            assert moved.shape == shape
-            expected = by_numpy.dqs_positions(skinning, pose, part)
+            moved, expected = np.empty((2, *shape))
+            by_loops.dqs_positions(skinning, pose, part, moved)
+            by_numpy.dqs_positions(skinning, pose, part, expected)
             np.testing.assert_allclose(moved, expected, rtol=1e-12, atol=1e-13)
             normals = by_loops.dqs_normals(skinning, pose, part)
             assert normals.shape == (3, *shape)
@@ -168,7 +228,8 @@ def test_dual_quaternions_that_cancel_out_leave_the_vertex() -> None:
     still = replace(skinning.vertices, rest=replace(skinning.vertices.rest, weights=np.zeros((23, 1))))
     nowhere = replace(skinning, vertices=still)
     for operations in (by_loops, by_numpy):
-        moved = operations.dqs_positions(nowhere, slice(0, 5), slice(0, 23))
+        moved = np.empty((3, 23, 5))
+        operations.dqs_positions(nowhere, slice(0, 5), slice(0, 23), moved)
         assert np.allclose(moved, still.rest.positions.T[:, :, None], rtol=1e-14)
         normals = operations.dqs_normals(nowhere, slice(0, 5), slice(0, 23))
         assert np.allclose(np.abs(np.einsum("aivp,vi->avp", normals, still.rest.normals)), 1.0)
@@ -345,9 +406,8 @@ def test_no_vertices_and_no_poses_are_no_errors() -> None:
     for shape in ((0, 5), (5, 0)):
         found = by_loops.count_errors(np.zeros(shape, dtype=np.float32).T, np.ones(shape[0]), None, 0.0)
         assert (found.samples, found.largest, len(found.tail)) == (0, -1.0, 0)
-    assert (
-        by_loops.blend(np.zeros((2, 0, 4)), np.zeros((0, 4), dtype=np.int32), np.zeros((4, 3, 5))).size == 0
-    )
+    nothing = Forms(np.zeros((0, 4), dtype=np.int32), np.zeros((0, 4)), np.zeros((0, 3)), np.zeros((2, 0, 3)))
+    assert by_loops.blended_normals(nothing, np.zeros((4, 3, 5))).shape == (3, 0, 5)
 
 
 def figures_of(path: Path) -> list[float]:
@@ -417,8 +477,14 @@ def test_without_any_optimisation_the_bits_are_the_same(
         sums = by_loops.class_sums(mesh.operator, mesh.deformed, ClassBlock.of(mesh.operator, part))
         skinning = moved_by_dqs(45, 4, scaled=True)
         here = skinning, slice(0, 45), slice(0, 23)
-        moved = [by_loops.dqs_positions(*here), by_loops.dqs_normals(*here)]
-        return [*moved, normals, exist, errors, sums, counted.tail, counted.total, counted.largest]
+        posed = np.empty((3, 23, 45))
+        by_loops.dqs_positions(*here, posed)
+        forms, table = random_forms(2, 4), random_table(67)
+        turned = by_loops.dqs_normals(*here)
+        forms, table = random_forms(2, 4), random_table(67)
+        linear = [blended(by_loops, forms, 2, table), by_loops.blended_normals(forms, table)]
+        figures = counted.tail, counted.total, counted.largest
+        return [posed, turned, *linear, normals, exist, errors, sums, *figures]
 
     expected = results()
     monkeypatch.setattr(by_loops, "_loops", other)
@@ -434,15 +500,20 @@ class TestArguments:
     """Wrong arguments of the compiled loops are an exception, never memory read past its end."""
 
     BLEND: tuple[Any, ...] = (
-        np.zeros((2, 5, 4)),
-        np.zeros((5, 4), np.int32),
-        np.zeros((6, 3, 7)),
-        np.zeros((2, 3, 5, 7)),
+        np.zeros((5, 2), np.int32),
+        np.zeros((5, 2)),
+        np.zeros((5, 3)),
+        np.zeros((2, 5, 3)),
+        np.zeros((2, 5, 2)),
+        np.zeros((8, 3, 7)),
+        np.zeros((2, 3, 9, 7)),
+        4,
     )
     FORMS: tuple[Any, ...] = (
-        np.zeros((3, 5, 4)),
-        np.zeros((5, 4), np.int32),
-        np.zeros((6, 3, 7)),
+        *BLEND[:3],
+        np.zeros((3, 5, 3)),
+        np.zeros((3, 5, 2)),
+        BLEND[5],
         np.zeros((5, 3)),
         np.zeros((3, 5, 7)),
     )
@@ -452,8 +523,9 @@ class TestArguments:
         np.zeros((5, 3), np.int32),
         np.zeros((5, 3)),
         np.zeros((5, 3)),
-        np.zeros((3, 5, 4)),
+        np.zeros((3, 9, 4)),
         3,
+        4,
     )
     TURNED: tuple[Any, ...] = (
         np.zeros((8, 6, 7)),
@@ -521,25 +593,36 @@ class TestArguments:
     BINNED: tuple[Any, ...] = (np.ones(5, np.float32), np.ones(5), np.zeros(BINS), BIN_SHIFT)
 
     CASES: tuple[tuple[Callable[..., Any], tuple[Any, ...], int, Any, type[Exception]], ...] = (
-        (_loops.blend, BLEND, 1, np.full((5, 4), 6, np.int32), IndexError),
-        (_loops.blend, BLEND, 1, np.full((5, 4), -1, np.int32), IndexError),
-        (_loops.blend, BLEND, 1, np.zeros((5, 4), np.int64), TypeError),
-        (_loops.blend, BLEND, 1, np.zeros((5, 3), np.int32), ValueError),
-        (_loops.blend, BLEND, 0, np.zeros((2, 5, 4), np.float32), TypeError),
-        (_loops.blend, BLEND, 0, np.zeros((2, 10, 4))[:, ::2], ValueError),
-        (_loops.blend, BLEND, 2, np.zeros((6, 4, 7)), ValueError),
-        (_loops.blend, BLEND, 3, np.zeros((2, 3, 5, 8)), ValueError),
-        (_loops.blend, BLEND, 3, np.zeros((3, 3, 5, 7)), ValueError),
-        (_loops.blend, BLEND, 3, None, TypeError),
-        (_loops.blended_normals, FORMS, 0, np.zeros((2, 5, 4)), ValueError),
-        (_loops.blended_normals, FORMS, 0, np.zeros((4, 5, 4)), ValueError),
-        (_loops.blended_normals, FORMS, 1, np.full((5, 4), 6, np.int32), IndexError),
-        (_loops.blended_normals, FORMS, 1, np.full((5, 4), -1, np.int32), IndexError),
-        (_loops.blended_normals, FORMS, 2, np.zeros((6, 4, 7)), ValueError),
-        (_loops.blended_normals, FORMS, 3, None, ValueError),
-        (_loops.blended_normals, FORMS, 3, np.zeros((4, 3)), ValueError),
-        (_loops.blended_normals, FORMS, 3, np.zeros((5, 3), np.float32), TypeError),
-        (_loops.blended_normals, FORMS, 4, np.zeros((3, 5, 8)), ValueError),
+        (_loops.blend, BLEND, 0, np.full((5, 2), 2, np.int32), IndexError),
+        (_loops.blend, BLEND, 0, np.full((5, 2), -1, np.int32), IndexError),
+        (_loops.blend, BLEND, 0, np.full((5, 2), 2**30, np.int32), IndexError),
+        (_loops.blend, BLEND, 0, np.zeros((5, 2), np.int64), TypeError),
+        (_loops.blend, BLEND, 0, np.zeros((5, 3), np.int32), ValueError),
+        (_loops.blend, BLEND, 1, np.zeros((4, 2)), ValueError),
+        (_loops.blend, BLEND, 1, np.zeros((10, 2))[::2], ValueError),
+        (_loops.blend, BLEND, 2, np.zeros((5, 3), np.float32), TypeError),
+        (_loops.blend, BLEND, 2, np.zeros((5, 4)), ValueError),
+        (_loops.blend, BLEND, 2, None, TypeError),
+        (_loops.blend, BLEND, 3, np.zeros((2, 4, 3)), ValueError),
+        (_loops.blend, BLEND, 3, np.zeros((1, 5, 3)), ValueError),
+        (_loops.blend, BLEND, 4, np.zeros((2, 5, 1)), ValueError),
+        (_loops.blend, BLEND, 5, np.zeros((8, 4, 7)), ValueError),
+        (_loops.blend, BLEND, 5, np.zeros((3, 3, 7)), IndexError),
+        (_loops.blend, BLEND, 6, np.zeros((2, 3, 9, 8)), ValueError),
+        (_loops.blend, BLEND, 6, np.zeros((3, 3, 9, 7)), ValueError),
+        (_loops.blend, BLEND, 6, np.zeros((2, 3, 4, 7)), ValueError),
+        (_loops.blend, BLEND, 6, None, TypeError),
+        (_loops.blend, BLEND, 7, 5, ValueError),
+        (_loops.blend, BLEND, 7, -1, ValueError),
+        (_loops.blended_normals, FORMS, 0, np.full((5, 2), 2, np.int32), IndexError),
+        (_loops.blended_normals, FORMS, 0, np.full((5, 2), -1, np.int32), IndexError),
+        (_loops.blended_normals, FORMS, 3, np.zeros((2, 5, 3)), ValueError),
+        (_loops.blended_normals, FORMS, 4, np.zeros((4, 5, 2)), ValueError),
+        (_loops.blended_normals, FORMS, 5, np.zeros((8, 4, 7)), ValueError),
+        (_loops.blended_normals, FORMS, 6, None, ValueError),
+        (_loops.blended_normals, FORMS, 6, np.zeros((4, 3)), ValueError),
+        (_loops.blended_normals, FORMS, 6, np.zeros((5, 3), np.float32), TypeError),
+        (_loops.blended_normals, FORMS, 7, np.zeros((3, 5, 8)), ValueError),
         (_loops.dqs_positions, MOVED, 0, np.zeros((7, 6, 7)), ValueError),
         (_loops.dqs_positions, MOVED, 0, np.zeros((8, 0, 7)), IndexError),
         (_loops.dqs_positions, MOVED, 0, np.zeros((8, 6, 6)), ValueError),
@@ -548,9 +631,12 @@ class TestArguments:
         (_loops.dqs_positions, MOVED, 2, np.full((5, 3), -1, np.int32), IndexError),
         (_loops.dqs_positions, MOVED, 3, np.zeros((5, 4)), ValueError),
         (_loops.dqs_positions, MOVED, 4, np.zeros((5, 3), np.float32), TypeError),
-        (_loops.dqs_positions, MOVED, 5, np.zeros((3, 5, 5)), ValueError),
+        (_loops.dqs_positions, MOVED, 5, np.zeros((3, 9, 5)), ValueError),
+        (_loops.dqs_positions, MOVED, 5, np.zeros((3, 4, 4)), ValueError),
         (_loops.dqs_positions, MOVED, 6, 4, ValueError),
         (_loops.dqs_positions, MOVED, 6, -1, ValueError),
+        (_loops.dqs_positions, MOVED, 7, 5, ValueError),
+        (_loops.dqs_positions, MOVED, 7, -1, ValueError),
         (_loops.dqs_normals, TURNED, 0, np.zeros((8, 6, 6)), ValueError),
         (_loops.dqs_normals, TURNED, 1, np.zeros(6), ValueError),
         (_loops.dqs_normals, TURNED, 2, np.array([[0, 1, 6]] * 5, np.int32), IndexError),
@@ -683,11 +769,11 @@ for turn in range(12):
             *(starts, columns, np.ones(7 * V)) * 2, positions, np.ones((3, V)), np.ones(V),
             np.ones(V, np.bool_), np.ones((3, V)), classes, sums, None,
             np.zeros((2, 3, V, P)), np.zeros((2, V, P), np.bool_), 1e-6)
-        _loops.blend(
-            np.ones((2, V, 7)), columns.reshape(V, 7), positions.reshape(V, 3, P), np.zeros((2, 3, V, P)))
+        forms = columns.reshape(V, 7), np.ones((V, 7)), np.ones((V, 3))
+        table = np.ones((4 * V, 3, P))
+        _loops.blend(*forms, None, None, table, np.zeros((2, 3, V, P)), 0)
         _loops.blended_normals(
-            np.ones((3, V, 7)), columns.reshape(V, 7), positions.reshape(V, 3, P), np.ones((V, 3)),
-            np.zeros((3, V, P)))
+            *forms, np.ones((3, V, 3)), np.ones((3, V, 7)), table, np.ones((V, 3)), np.zeros((3, V, P)))
         _loops.dqs_normals(
             np.ones((8, V, 9)), None, columns.reshape(V, 7), np.ones((V, 7)), np.ones((V, 3)),
             np.zeros((3, 3, V, 9)), np.ones((3, 3, V)), np.ones((V, 6)), np.ones((V, 6)), np.ones(V), 0)

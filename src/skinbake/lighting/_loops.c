@@ -22,11 +22,12 @@
 #include "loops/true_normals.h"
 
 static PyMethodDef functions[] = {
-    {"blend", blend, METH_VARARGS, "blend(entries, columns, table, out): fill out."},
+    {"blend", blend, METH_VARARGS,
+     "blend(joints, weights, points, directions, changes, table, out, first_row): fill rows of out."},
     {"blended_normals", blended_normals, METH_VARARGS,
-     "blended_normals(entries, columns, table, normals, out): fill out."},
+     "blended_normals(joints, weights, points, directions, changes, table, normals, out): fill out."},
     {"dqs_positions", dqs_positions, METH_VARARGS,
-     "dqs_positions(motions, scales, joints, weights, positions, out, first): fill out."},
+     "dqs_positions(motions, scales, joints, weights, positions, out, first, first_row): fill rows of out."},
     {"dqs_normals", dqs_normals, METH_VARARGS, "dqs_normals(...): fill out; see _loops.pyi."},
     {"gradient_rows", gradient_rows, METH_VARARGS, "gradient_rows(...): fill starts, columns and values; see _loops.pyi."},
     {"class_sums", class_sums, METH_VARARGS,

@@ -10,13 +10,28 @@ import numpy.typing as npt
 from skinbake.geometry.skinned import BoolArray, Float32Array, Float64Array, FloatArray
 
 def blend(
-    entries: Float64Array, columns: npt.NDArray[np.int32], table: Float64Array, out: Float64Array, /
+    joints: npt.NDArray[np.int32],
+    weights: Float64Array,
+    points: Float64Array,
+    directions: Float64Array | None,
+    changes: Float64Array | None,
+    table: Float64Array,
+    out: Float64Array,
+    first_row: int,
+    /,
 ) -> None:
-    """Fill out (F, 3, B, P) with Σ entries (F, B, W) × the rows of table (R, 3, P) in columns (B, W)."""
+    """Fill the rows of out (F, 3, V, P) from ``first_row`` on with F forms of B vertices, those of ``Forms``.
+
+    joints, weights (B, K), points (B, 3), directions (F, B, 3), changes (F, B, K). Row 4 j + i of table
+    (R, 3, P) is column i of the matrices of joint j.
+    """
 
 def blended_normals(
-    entries: Float64Array,
-    columns: npt.NDArray[np.int32],
+    joints: npt.NDArray[np.int32],
+    weights: Float64Array,
+    points: Float64Array,
+    directions: Float64Array | None,
+    changes: Float64Array | None,
     table: Float64Array,
     normals: Float64Array | None,
     out: Float64Array,
@@ -25,7 +40,7 @@ def blended_normals(
     """Fill out (3, B, P) with the cross product of two forms, each blended as by ``blend``.
 
     With normals (B, 3), the forms are the three columns of a matrix M, and out is M⁻ᵀ n, or cof(M) n if
-    det M is 0. entries are (F, B, W).
+    det M is 0. One of directions and changes must be given.
     """
 
 def dqs_positions(
@@ -36,12 +51,13 @@ def dqs_positions(
     positions: Float64Array,
     out: Float64Array,
     first: int,
+    first_row: int,
     /,
 ) -> None:
-    """Fill out (3, B, P) with the positions by dual quaternions, in P poses from ``first`` on.
+    """Fill the rows of out (3, V, P) from ``first_row`` on with the positions by dual quaternions.
 
-    motions (8, J, Q) are dual quaternions in Q poses, scales (Q,) the scale of each pose. joints and weights
-    (B, K). positions (B, 3).
+    The poses are the P from ``first`` on. motions (8, J, Q) are dual quaternions in Q poses, scales (Q,) the
+    scale of each pose. joints and weights (B, K). positions (B, 3).
     """
 
 def dqs_normals(

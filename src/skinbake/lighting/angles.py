@@ -214,7 +214,8 @@ class _Chunk:
         def place(block: VertexBlock) -> None:
             # A position may be past all numbers.
             with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-                deformed[:, block.part] = self.skinned[block.surface].positions(self.at, block.rows)
+                skinned = self.skinned[block.surface]
+                skinned.put_positions(self.at, block.rows, deformed, block.part.start)
 
         threads.done(place, self.truths.vertex_blocks)
         return deformed
@@ -263,8 +264,8 @@ def _truths_of(lighting: str, names: Sequence[str]) -> list[str]:
 class _Skinned(Protocol):
     """A surface that is skinned block by block, by poses and vertices."""
 
-    def positions(self, pose: slice, part: slice) -> Float64Array:
-        """Return the positions of a block: (3, V, P)."""
+    def put_positions(self, pose: slice, part: slice, out: Float64Array, first_row: int) -> None:
+        """Write the positions of some vertices to the rows of out (3, V, P) from ``first_row`` on."""
 
     def normals(self, algorithms: Sequence[Algorithm], pose: slice, part: slice) -> list[Vector]:
         """Return the normals that algorithms give a block."""
@@ -276,9 +277,9 @@ class SteppedSurface:
     def __init__(self, skinning: Skinning) -> None:
         self._skinning = skinning
 
-    def positions(self, pose: slice, part: slice) -> Float64Array:
-        """Return the positions of a block: (3, V, P)."""
-        return kernel.dqs_positions(self._skinning, pose, part)
+    def put_positions(self, pose: slice, part: slice, out: Float64Array, first_row: int) -> None:
+        """Write the positions of some vertices to the rows of out (3, V, P) from ``first_row`` on."""
+        kernel.dqs_positions(self._skinning, pose, part, out, first_row)
 
     def normals(self, algorithms: Sequence[Algorithm], pose: slice, part: slice) -> list[Vector]:
         """Return the normals that algorithms 4–6 give a block."""

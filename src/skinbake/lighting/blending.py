@@ -15,20 +15,16 @@ vertex, times the joint matrices of all poses.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
-from typing import TypeAlias
 
 import numpy as np
 
 from skinbake.choices import Baseline
-from skinbake.geometry.skinned import Float64Array, FloatArray, IntArray
+from skinbake.geometry.skinned import Float64Array, FloatArray
 from skinbake.lighting import kernel
+from skinbake.lighting.forms import Forms
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.components import Vector, cofactors, corrected, cross
-from skinbake.skinning.surface import Options, RestSurface, all_slots
-
-Form: TypeAlias = tuple[FloatArray, FloatArray | None]
-"""The arguments of F: u (V, 3) or (3,), a direction, and c (V, K), or None for zeros."""
+from skinbake.skinning.surface import Options, RestSurface
 
 CHUNK_SAMPLES = 1 << 21
 """Vertices × poses that are deformed before they are measured: 50 MB of positions."""
@@ -85,85 +81,71 @@ class BlendedSurface:
                 turned[..., row, :3] = np.stack(entries, axis=-1)
             self._cofactors = _Table(turned)
 
+    def put_positions(self, pose: slice, part: slice, out: Float64Array, first_row: int) -> None:
+        """Write p' of some vertices to the rows of out (3, V, P) from ``first_row`` on."""
+        kernel.blend(self._forms(part), self._matrices.of(pose), out[None], first_row)
+
     def positions(self, pose: slice, part: slice) -> Float64Array:
-        """Return p' of a block: (3, V, P)."""
-        block = self._block(part)
-        posed: Float64Array = self._matrices.product(block, [block.weights * block.points], pose)[0]
+        """Return p' of some vertices: (3, B, P)."""
+        posed = np.empty((3, part.stop - part.start, pose.stop - pose.start))
+        self.put_positions(pose, part, posed, 0)
         return posed
 
     def normals(self, algorithms: Sequence[Algorithm], pose: slice, part: slice) -> list[Vector]:
-        """Return the normals that algorithms 1–3 give a block. They are not of unit length."""
+        """Return the normals that algorithms 1–3 give some vertices. They are not of unit length."""
         steps = {
             Algorithm.LBS_APPROXIMATED: self._approximated,
             Algorithm.LBS_DIRECT: self._direct_normals,
             Algorithm.LBS_ACCURATE: self._accurate,
         }
-        block = self._block(part)
-        return [tuple(axis.T for axis in steps[algorithm](block, pose)) for algorithm in algorithms]
+        return [tuple(axis.T for axis in steps[algorithm](pose, part)) for algorithm in algorithms]
 
-    def _block(self, part: slice) -> _Block:
-        positions = self._rest.positions[part]
-        points = np.concatenate([positions, np.ones((len(positions), 1))], axis=1)
-        columns = 4 * self._rest.joints[part].astype(np.int32)[:, :, None] + np.arange(4, dtype=np.int32)
-        flat = np.asarray(columns.reshape(len(columns), -1), dtype=np.int32)
-        return _Block(part, self._rest.weights[part, :, None], points[:, None], flat)
+    def _forms(
+        self, part: slice, directions: FloatArray | None = None, changes: FloatArray | None = None
+    ) -> Forms:
+        rest = self._rest
+        return Forms(rest.joints[part], rest.weights[part], rest.positions[part], directions, changes)
 
-    def _approximated(self, block: _Block, pose: slice) -> Float64Array:
-        """Return T n, T⁻ᵀ n or Σ w cof(M[s]) n: (3, V, P)."""
-        normal = self._rest.normals[block.part]
+    def _approximated(self, pose: slice, part: slice) -> Float64Array:
+        """Return T n, T⁻ᵀ n or Σ w cof(M[s]) n: (3, B, P)."""
+        normal = self._rest.normals[part]
         if self._options.baseline is Baseline.INVERSE_TRANSPOSE:
-            axes: list[Form] = [(axis, None) for axis in np.eye(3)]
-            return self._matrices.normals(block, axes, pose, normal)
+            columns = self._forms(part, _axes(len(normal)))
+            return kernel.blended_normals(columns, self._matrices.of(pose), normal)
         table = self._cofactors or self._matrices
-        found: Float64Array = table.product(block, [block.entries((normal, None))], pose)[0]
+        found = np.empty((3, len(normal), pose.stop - pose.start))
+        kernel.blend(self._forms(part, normal[None]), table.of(pose), found[None])
         return found
 
-    def _direct_normals(self, block: _Block, pose: slice) -> Float64Array:
-        """Return J⁻ᵀ n: (3, V, P)."""
+    def _direct_normals(self, pose: slice, part: slice) -> Float64Array:
+        """Return J⁻ᵀ n: (3, B, P)."""
         if self._direct is None:
             raise ValueError("algorithm 2 was not prepared for")
-        rest = self._direct(block.part)
-        gradients = rest.weight_gradients()
-        axes: list[Form] = [(axis, gradients[:, :, i]) for i, axis in enumerate(np.eye(3))]
-        return self._matrices.normals(block, axes, pose, rest.normals)
+        rest = self._direct(part)
+        gradients = np.moveaxis(rest.weight_gradients(), 2, 0)
+        columns = self._forms(part, _axes(len(rest.normals)), gradients)
+        return kernel.blended_normals(columns, self._matrices.of(pose), rest.normals)
 
-    def _accurate(self, block: _Block, pose: slice) -> Float64Array:
-        """Return ± t' × b' with the sign of b': (3, V, P)."""
-        sign = self._handedness[block.part, None]
-        frame = self._rest.tangents[block.part], sign * self._rest.bitangents[block.part]
-        alpha, beta = (
-            all_slots(np.asarray(others[block.part], dtype=np.float64))
-            for others in (self._rest.alpha, self._rest.beta)
-        )
-        changes = alpha, sign * beta
+    def _accurate(self, pose: slice, part: slice) -> Float64Array:
+        """Return ± t' × b' with the sign of b': (3, B, P)."""
+        rest, table = self._rest, self._matrices.of(pose)
+        sign = self._handedness[part, None]
+        frame = np.stack([rest.tangents[part], sign * rest.bitangents[part]])
+        others = np.stack([rest.alpha[part], sign * rest.beta[part]], dtype=np.float64)
+        changes = np.concatenate([-others.sum(axis=2, keepdims=True), others], axis=2)
         cap = self._options.cap
-        if cap is None or changes[0].shape[1] == 1:
-            return self._matrices.normals(block, list(zip(frame, changes, strict=True)), pose)
-        still: list[Form] = [(vector, None) for vector in frame]
-        moved: list[Form] = [(np.zeros(3), change) for change in changes]
-        entries = [block.entries(form) for form in still + moved]
-        t, b, by_t, by_b = map(tuple, self._matrices.product(block, entries, pose))
-        return np.stack(cross(corrected(t, by_t, cap), corrected(b, by_b, cap)))
+        if cap is None or changes.shape[2] == 1:
+            return kernel.blended_normals(self._forms(part, frame, changes), table)
+        still, moved = np.empty((2, 2, 3, len(sign), pose.stop - pose.start))
+        kernel.blend(self._forms(part, frame), table, still)
+        kernel.blend(self._forms(part, np.zeros_like(frame), changes), table, moved)
+        t, b = (corrected(tuple(v), tuple(by), cap) for v, by in zip(still, moved, strict=True))
+        return np.stack(cross(t, b))
 
 
-@dataclass(frozen=True, slots=True)
-class _Block:
-    """Some vertices: weights (V, K, 1), points p̃ (V, 1, 4) and columns of the joint matrices (V, 4 K)."""
-
-    part: slice
-    weights: FloatArray
-    points: FloatArray
-    columns: IntArray
-
-    def entries(self, form: Form) -> Float64Array:
-        """Return the entries (V, K, 4) of F's sparse matrix for one form."""
-        direction, change = form
-        wide = np.zeros((*direction.shape[:-1], 1, 4))
-        wide[..., 0, :3] = direction
-        entries = np.asarray(self.weights * wide, dtype=np.float64)
-        if change is not None:
-            entries += change[:, :, None] * self.points
-        return entries
+def _axes(count: int) -> Float64Array:
+    """Return the three axes as directions of so many vertices: (3, B, 3)."""
+    return np.broadcast_to(np.eye(3)[:, None], (3, count, 3))
 
 
 class _Table:
@@ -174,30 +156,14 @@ class _Table:
         self._pose: slice | None = None
         self._table: Float64Array = np.empty(0)
 
-    def product(self, block: _Block, data: Sequence[Float64Array], pose: slice) -> Float64Array:
-        """Multiply matrices with entries (V, K, 4) by the matrices of some poses: (forms, 3, V, P)."""
-        return kernel.blend(_stacked(block, data), block.columns, self._of(pose))
-
-    def normals(
-        self, block: _Block, forms: Sequence[Form], pose: slice, normal: FloatArray | None = None
-    ) -> Float64Array:
-        """Return the cross product of two forms, or M⁻ᵀ n, the forms being M's columns: (3, V, P)."""
-        entries = _stacked(block, [block.entries(form) for form in forms])
-        return kernel.blended_normals(entries, block.columns, self._of(pose), normal)
-
-    def _of(self, pose: slice) -> Float64Array:
-        """Return the table of some poses. The last one is kept."""
+    def of(self, pose: slice) -> Float64Array:
+        """Return the columns of the matrices of some poses: (4 J, 3, P). The last result is kept."""
         if pose != self._pose:
             rows = np.transpose(self._matrices[pose, :, :3], (1, 3, 2, 0))
             # This order matters: other threads look at the pose first.
             self._table = np.ascontiguousarray(rows, dtype=np.float64).reshape(rows.shape[0] * 4, 3, -1)
             self._pose = pose
         return self._table
-
-
-def _stacked(block: _Block, data: Sequence[Float64Array]) -> Float64Array:
-    """Return the entries of several forms, each (V, K, 4): (forms, V, 4 K)."""
-    return np.stack(data).reshape(len(data), *block.columns.shape)
 
 
 def blended_blocks(

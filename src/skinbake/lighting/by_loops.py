@@ -13,9 +13,10 @@ import numpy.typing as npt
 from numpy.typing import DTypeLike
 
 from skinbake.choices import Weighting
-from skinbake.geometry.skinned import BoolArray, Float32Array, Float64Array, FloatArray, IntArray
+from skinbake.geometry.skinned import BoolArray, Float32Array, Float64Array, FloatArray
 from skinbake.lighting import _loops, by_numpy
 from skinbake.lighting.counted import BIN_SHIFT, CountedErrors
+from skinbake.lighting.forms import Forms
 from skinbake.lighting.operator import GradientOperator
 from skinbake.lighting.reference import FLAT_FRAME, RestFrames
 from skinbake.lighting.sparse_rows import SparseRows
@@ -25,21 +26,16 @@ from skinbake.skinning.run import Skinning
 from skinbake.skinning.surface import RestSurface
 
 
-def blend(entries: Float64Array, columns: IntArray, table: Float64Array) -> Float64Array:
-    """Return F of a block: (forms, 3, B, P)."""
-    out = np.empty((entries.shape[0], 3, entries.shape[1], table.shape[2]))
-    _loops.blend(np.ascontiguousarray(entries), np.ascontiguousarray(columns, dtype=np.int32), table, out)
-    return out
+def blend(forms: Forms, table: Float64Array, out: Float64Array, first_row: int = 0) -> None:
+    """Write F of B vertices to rows of out (F, 3, V, P)."""
+    _loops.blend(*_taken(forms), table, out, first_row)
 
 
-def blended_normals(
-    entries: Float64Array, columns: IntArray, table: Float64Array, normals: FloatArray | None = None
-) -> Float64Array:
-    """Return F × G of a block, or M⁻ᵀ n: (3, B, P)."""
-    out = np.empty((3, entries.shape[1], table.shape[2]))
+def blended_normals(forms: Forms, table: Float64Array, normals: FloatArray | None = None) -> Float64Array:
+    """Return F × G of B vertices, or M⁻ᵀ n: (3, B, P)."""
+    out = np.empty((3, len(forms.joints), table.shape[2]))
     _loops.blended_normals(
-        np.ascontiguousarray(entries),
-        np.ascontiguousarray(columns, dtype=np.int32),
+        *_taken(forms),
         table,
         None if normals is None else np.ascontiguousarray(normals, dtype=np.float64),
         out,
@@ -47,12 +43,28 @@ def blended_normals(
     return out
 
 
-def dqs_positions(skinning: Skinning, pose: slice, part: slice) -> Float64Array:
-    """Return p' by dual quaternions for some vertices: (3, B, P)."""
+_Taken: TypeAlias = tuple[
+    npt.NDArray[np.int32], Float64Array, Float64Array, Float64Array | None, Float64Array | None
+]
+
+
+def _taken(forms: Forms) -> _Taken:
+    """Return joints, weights, points, directions and changes, in the types that the loops read."""
+    return (
+        np.ascontiguousarray(forms.joints, dtype=np.int32),
+        np.ascontiguousarray(forms.weights, dtype=np.float64),
+        np.ascontiguousarray(forms.points, dtype=np.float64),
+        None if forms.directions is None else np.ascontiguousarray(forms.directions, dtype=np.float64),
+        None if forms.changes is None else np.ascontiguousarray(forms.changes, dtype=np.float64),
+    )
+
+
+def dqs_positions(
+    skinning: Skinning, pose: slice, part: slice, out: Float64Array, first_row: int = 0
+) -> None:
+    """Write p' by dual quaternions for some vertices to rows of out (3, V, P)."""
     rest = skinning.vertices.rest.rows(part)
-    out = np.empty((3, len(rest.joints), pose.stop - pose.start))
-    _loops.dqs_positions(*_moved_by_dqs(skinning, rest), out, pose.start)
-    return out
+    _loops.dqs_positions(*_moved_by_dqs(skinning, rest), out, pose.start, first_row)
 
 
 def dqs_normals(skinning: Skinning, pose: slice, part: slice) -> Float64Array:

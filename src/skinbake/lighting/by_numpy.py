@@ -9,6 +9,7 @@ from numpy.typing import DTypeLike
 
 from skinbake.geometry.skinned import BoolArray, Float32Array, Float64Array, FloatArray, IntArray
 from skinbake.lighting.counted import CountedErrors, bin_of
+from skinbake.lighting.forms import Forms
 from skinbake.lighting.metrics import angles_of_units, unit_vectors
 from skinbake.lighting.operator import GradientOperator, weights_of_corners
 from skinbake.lighting.reference import RestFrames, posed_tangents, tangent_normals
@@ -45,38 +46,42 @@ GATHERED = 1 << 17
 """The numbers that dense products gather at a time: 1 MB, which stays in the cache."""
 
 
-def blend(entries: Float64Array, columns: IntArray, table: Float64Array) -> Float64Array:
-    """Return F of a block (``blending``): (forms, 3, B, P).
+def blend(forms: Forms, table: Float64Array, out: Float64Array, first_row: int = 0) -> None:
+    """Write F of B vertices to the rows of out (F, 3, V, P) from ``first_row`` on.
 
-    entries (forms, B, W) multiply the rows of table (R, 3, P) that columns (B, W) name.
+    Row 4 j + i of table (R, 3, P) is column i of the matrices of joint j.
     """
+    entries, columns = _entries(forms), _columns(forms)
     flat = table.reshape(len(table), -1)
     product = _sparse if len(entries) * flat.shape[1] < DENSE else _dense
     found = product(entries, columns, flat).reshape(*entries.shape[:2], 3, -1)
-    # Arithmetic on components that are not contiguous takes three times as long.
-    return np.ascontiguousarray(np.swapaxes(found, 1, 2))
+    # Components are contiguous in out. Arithmetic takes three times as long on those that are not.
+    out[:, :, first_row : first_row + len(columns)] = np.swapaxes(found, 1, 2)
 
 
-def blended_normals(
-    entries: Float64Array, columns: IntArray, table: Float64Array, normals: FloatArray | None = None
-) -> Float64Array:
-    """Return the cross product of two forms of a block, by entries as in ``blend``: (3, B, P).
+def blended_normals(forms: Forms, table: Float64Array, normals: FloatArray | None = None) -> Float64Array:
+    """Return the cross product of two forms of B vertices: (3, B, P).
 
     With normals (B, 3), the forms are the three columns of a matrix M. The result is M⁻ᵀ n, or cof(M) n if
     det M is 0.
     """
-    forms = blend(entries, columns, table)
+    found = np.empty((2 if normals is None else 3, 3, len(forms.joints), table.shape[2]))
+    blend(forms, table, found)
     if normals is None:
-        return np.stack(cross(*forms))
-    rows: Rows = tuple(zip(*forms, strict=True))
+        return np.stack(cross(*found))
+    rows: Rows = tuple(zip(*found, strict=True))
     turned = cofactors(rows)
     reciprocal = quotient(1.0, dot(rows[0], turned[0]))
     return np.stack(scaled(reciprocal, linear(turned, tuple(normals.T[:, :, None]))))
 
 
-def dqs_positions(skinning: Skinning, pose: slice, part: slice) -> Float64Array:
-    """Return p' by dual quaternions for some vertices: (3, B, P)."""
-    return np.stack([component.T for component in skinning.positions(pose, part)])
+def dqs_positions(
+    skinning: Skinning, pose: slice, part: slice, out: Float64Array, first_row: int = 0
+) -> None:
+    """Write p' by dual quaternions for some vertices to the rows of out (3, V, P) from ``first_row`` on."""
+    rows = slice(first_row, first_row + part.stop - part.start)
+    for component, moved in zip(out, skinning.positions(pose, part), strict=True):
+        component[rows] = moved.T
 
 
 def dqs_normals(skinning: Skinning, pose: slice, part: slice) -> Float64Array:
@@ -84,6 +89,25 @@ def dqs_normals(skinning: Skinning, pose: slice, part: slice) -> Float64Array:
     algorithms = [algorithm for algorithm in Algorithm if algorithm.uses_dual_quaternions]
     found = skinning.run(algorithms, pose, part)
     return np.stack([np.stack([component.T for component in posed.normal]) for posed in found])
+
+
+def _entries(forms: Forms) -> Float64Array:
+    """Return what F multiplies the table with: w u + c p̃ for each slot, (F, B, 4 K)."""
+    points = np.concatenate([forms.points, np.ones((len(forms.points), 1))], axis=1)
+    if forms.directions is None:
+        directions = points[None]
+    else:
+        directions = np.concatenate([forms.directions, np.zeros((*forms.directions.shape[:2], 1))], axis=2)
+    entries = forms.weights[:, :, None] * directions[:, :, None]
+    if forms.changes is not None:
+        entries = entries + forms.changes[..., None] * points[:, None]
+    return np.asarray(entries.reshape(*entries.shape[:2], -1), dtype=np.float64)
+
+
+def _columns(forms: Forms) -> IntArray:
+    """Return the rows of the table that the entries multiply: (B, 4 K)."""
+    columns = 4 * forms.joints.astype(np.int32)[:, :, None] + np.arange(4, dtype=np.int32)
+    return np.asarray(columns.reshape(len(columns), -1), dtype=np.int32)
 
 
 def _sparse(entries: Float64Array, columns: IntArray, table: Float64Array) -> Float64Array:

@@ -141,7 +141,7 @@ def _seen(operator: GradientOperator, surfaces: Sequence[RestSurface], group: Fi
         for poses in parts:
             deformed = np.empty((3, count, poses.stop - poses.start))
             for block in truths.vertex_blocks:
-                deformed[:, block.part] = blended[block.surface].positions(poses, block.rows)
+                blended[block.surface].put_positions(poses, block.rows, deformed, block.part.start)
             sums = truths.sums(deformed, threads)
             for block in truths.vertex_blocks:
                 side = None if sides is None else sides[poses, block.part]

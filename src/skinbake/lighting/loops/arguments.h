@@ -130,3 +130,12 @@ static PyObject *none_unless(int stray)
     PyErr_SetString(PyExc_IndexError, "an index names what is not there");
     return NULL;
 }
+
+/* Tell whether B rows from `first` on are among V rows. If not, raise ValueError. */
+static int has_rows(const Py_ssize_t *sizes, Py_ssize_t first)
+{
+    if (first >= 0 && SIZE('B') <= SIZE('V') && first <= SIZE('V') - SIZE('B'))
+        return 1;
+    PyErr_SetString(PyExc_ValueError, "out has fewer rows than are asked for");
+    return 0;
+}

@@ -98,6 +98,12 @@ static ALWAYS_INLINE Py_ssize_t take_entries(const Table *table, const double *v
     return looked;
 }
 
+static ALWAYS_INLINE void add_strips(Strips *to, const Strips *more, Py_ssize_t count)
+{
+    for (Py_ssize_t p = 0; p < count; p++)
+        to->x[p] += more->x[p], to->y[p] += more->y[p], to->z[p] += more->z[p];
+}
+
 /* Write Σ value × row of a table in up to STRIP poses, for any number of entries. Return 1 for a stray row. */
 static ALWAYS_INLINE int combine_entries(const Table *table, const double *values, const int32_t *columns,
                                          Py_ssize_t count, Py_ssize_t first, Py_ssize_t poses, Strips *out)
@@ -114,8 +120,7 @@ static ALWAYS_INLINE int combine_entries(const Table *table, const double *value
         if (looked < 0)
             return 1;
         combine(table, factors, rows, taken, first, poses, &more);
-        for (Py_ssize_t p = 0; p < poses; p++)
-            out->x[p] += more.x[p], out->y[p] += more.y[p], out->z[p] += more.z[p];
+        add_strips(out, &more, poses);
     }
     return 0;
 }

@@ -138,7 +138,7 @@ enum {
 
 static const Requirement dqs_arrays[DQS_ARRAYS] = {
     DQS_REQUIREMENTS,
-    [MOVED] = {"out", "d", "3BP", WRITTEN},
+    [MOVED] = {"out", "d", "3VP", WRITTEN},
 };
 
 static const Requirement dqs_normal_arrays[DQS_NORMAL_ARRAYS] = {
@@ -156,6 +156,7 @@ typedef struct {
     const double *weights, *positions, *frame, *alpha, *beta, *handedness;
     double *out;
     Py_ssize_t rows, slots, joint_count, poses, all_poses, first_pose, apart;
+    Py_ssize_t all_rows, first_row; /* of positions: out has the row `first_row` first */
 } Dqs;
 
 /* Some poses of a vertex, from `first` on. pivots are the motions of its slot 0. */
@@ -288,8 +289,8 @@ static int move_by_dqs(const Dqs *s)
             const Posing at = posing_of(s, row, first);
             if (mix_motions(s, &at, mix))
                 return 1;
-            double *out = s->out + row * s->poses + first;
-            const Py_ssize_t apart = s->rows * s->poses;
+            double *out = s->out + (s->first_row + row) * s->poses + first;
+            const Py_ssize_t apart = s->all_rows * s->poses;
             for (Py_ssize_t p = 0; p < at.poses; p++) {
                 const DualQuaternion unit = normalised(mixed_at(mix, p));
                 const Vector point = scaled(at.scale[p], rest);
@@ -356,14 +357,16 @@ static PyObject *dqs_positions(PyObject *Py_UNUSED(module), PyObject *args)
 {
     PyObject *o[DQS_ARRAYS], *result = NULL;
     Array a[DQS_ARRAYS];
-    Py_ssize_t sizes[26], first;
+    Py_ssize_t sizes[26], first, first_row;
     Dqs work;
     memset(a, 0, sizeof a);
-    if (!PyArg_ParseTuple(args, "OOOOOOn", &o[MOTIONS], &o[SCALES], &o[MOTION_JOINTS], &o[MOTION_WEIGHTS],
-                          &o[REST_POSITIONS], &o[MOVED], &first))
+    if (!PyArg_ParseTuple(args, "OOOOOOnn", &o[MOTIONS], &o[SCALES], &o[MOTION_JOINTS], &o[MOTION_WEIGHTS],
+                          &o[REST_POSITIONS], &o[MOVED], &first, &first_row))
         return NULL;
-    if (read_arrays(o, dqs_arrays, DQS_ARRAYS, a, sizes) < 0 || read_dqs(a, sizes, first, &work) < 0)
+    if (read_arrays(o, dqs_arrays, DQS_ARRAYS, a, sizes) < 0 || read_dqs(a, sizes, first, &work) < 0 ||
+        !has_rows(sizes, first_row))
         goto done;
+    work.all_rows = SIZE('V'), work.first_row = first_row;
     int stray;
     Py_BEGIN_ALLOW_THREADS
     stray = move_by_dqs(&work);

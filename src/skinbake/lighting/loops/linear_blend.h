@@ -4,61 +4,134 @@
 
 #include "combinations.h"
 
-enum { ENTRIES, COLUMNS, TABLE, BLENDED, BLEND_ARRAYS };
+/* The forms F(u, c) of some vertices, as in blending.py. */
+typedef struct {
+    Table table; /* row 4 j + i holds column i of the matrices of joint j */
+    const int32_t *joints;
+    const double *weights, *points, *directions, *changes; /* directions NULL: u is p̃; changes NULL: c is 0 */
+    Py_ssize_t count, rows, slots;
+} Forms;
 
-static const Requirement blend_arrays[BLEND_ARRAYS] = {
-    [ENTRIES] = {"entries", "d", "FBW", READ},
-    [COLUMNS] = {"columns", "i", "BW", READ},
-    [TABLE] = {"table", "d", "R3P", READ},
-    [BLENDED] = {"out", "d", "F3BP", WRITTEN},
-};
+enum { FORM_JOINTS, FORM_WEIGHTS, FORM_POINTS, FORM_DIRECTIONS, FORM_CHANGES, FORM_TABLE, FORM_ARRAYS };
+
+#define FORM_REQUIREMENTS                                       \
+    [FORM_JOINTS] = {"joints", "i", "BK", READ},                \
+    [FORM_WEIGHTS] = {"weights", "d", "BK", READ},              \
+    [FORM_POINTS] = {"points", "d", "B3", READ},                \
+    [FORM_DIRECTIONS] = {"directions", "d", "FB3", OR_NONE},    \
+    [FORM_CHANGES] = {"changes", "d", "FBK", OR_NONE},          \
+    [FORM_TABLE] = {"table", "d", "R3P", READ}
+
+static Forms forms_of(const Array *a, const Py_ssize_t *sizes, Py_ssize_t count)
+{
+    return (Forms){
+        .table = {DATA(FORM_TABLE), SIZE('R'), 3 * SIZE('P'), SIZE('P')},
+        .joints = DATA(FORM_JOINTS),
+        .weights = DATA(FORM_WEIGHTS),
+        .points = DATA(FORM_POINTS),
+        .directions = DATA(FORM_DIRECTIONS),
+        .changes = DATA(FORM_CHANGES),
+        .count = count,
+        .rows = SIZE('B'),
+        .slots = SIZE('K'),
+    };
+}
+
+/* What F multiplies the table with, from some slots of a vertex: entries w u + c p̃ that are not 0. */
+typedef struct {
+    double factors[WIDEST];
+    int32_t rows[WIDEST];
+    Py_ssize_t count;
+} Entries;
+
+/* Take the entries of up to WIDEST / 4 slots. Return 1 for a stray joint. */
+static ALWAYS_INLINE int take_slots(const Forms *f, Py_ssize_t form, Py_ssize_t row, Py_ssize_t first, Entries *to)
+{
+    const Py_ssize_t last = least(f->slots, first + WIDEST / 4);
+    const double *weights = f->weights + row * f->slots;
+    const double *changes = f->changes ? f->changes + (form * f->rows + row) * f->slots : NULL;
+    const Vector p = vertex_at(f->points, row);
+    const Vector u = f->directions ? vertex_at(f->directions, form * f->rows + row) : p;
+    const double direction[4] = {u.x, u.y, u.z, f->directions ? 0.0 : 1.0}, point[4] = {p.x, p.y, p.z, 1.0};
+    to->count = 0;
+    for (Py_ssize_t slot = first; slot < last; slot++) {
+        const int32_t joint = f->joints[row * f->slots + slot];
+        if (joint < 0 || joint >= f->table.count / 4)
+            return 1;
+        for (int i = 0; i < 4; i++) {
+            const double factor = weights[slot] * direction[i] + (changes ? changes[slot] * point[i] : 0.0);
+            if (factor != 0.0)
+                to->factors[to->count] = factor, to->rows[to->count++] = 4 * joint + i;
+        }
+    }
+    return 0;
+}
+
+/* Write a form of a vertex in up to STRIP poses. Return 1 for a stray joint. */
+static ALWAYS_INLINE int blend_form(const Forms *f, Py_ssize_t form, Py_ssize_t row, Py_ssize_t first,
+                                    Py_ssize_t poses, Strips *out)
+{
+    Entries entries;
+    if (take_slots(f, form, row, 0, &entries))
+        return 1;
+    combine(&f->table, entries.factors, entries.rows, entries.count, first, poses, out);
+    for (Py_ssize_t slot = WIDEST / 4; slot < f->slots; slot += WIDEST / 4) {
+        Strips more;
+        if (take_slots(f, form, row, slot, &entries))
+            return 1;
+        combine(&f->table, entries.factors, entries.rows, entries.count, first, poses, &more);
+        add_strips(out, &more, poses);
+    }
+    return 0;
+}
 
 typedef struct {
-    Table table;
-    const double *entries;
-    const int32_t *columns;
-    double *out;
-    Py_ssize_t forms, rows, width, poses;
+    Forms forms;
+    double *out; /* (forms, 3, all_rows, poses), from the row `first_row` on */
+    Py_ssize_t poses, all_rows, first_row;
 } Blend;
 
 FOR_PROCESSORS
 static int blend_rows(const Blend *b)
 {
     Strips found;
-    for (Py_ssize_t form = 0; form < b->forms; form++)
-        for (Py_ssize_t row = 0; row < b->rows; row++) {
-            const double *entries = b->entries + (form * b->rows + row) * b->width;
-            double *out = b->out + (3 * form * b->rows + row) * b->poses;
+    for (Py_ssize_t form = 0; form < b->forms.count; form++)
+        for (Py_ssize_t row = 0; row < b->forms.rows; row++) {
+            double *out = b->out + (3 * form * b->all_rows + b->first_row + row) * b->poses;
             for (Py_ssize_t first = 0; first < b->poses; first += STRIP) {
                 const Py_ssize_t poses = least(STRIP, b->poses - first);
-                const int32_t *columns = b->columns + row * b->width;
-                if (combine_entries(&b->table, entries, columns, b->width, first, poses, &found))
+                if (blend_form(&b->forms, form, row, first, poses, &found))
                     return 1;
-                store_strips(&found, poses, out + first, b->rows * b->poses);
+                store_strips(&found, poses, out + first, b->all_rows * b->poses);
             }
         }
     return 0;
 }
 
+enum { BLENDED = FORM_ARRAYS, BLEND_ARRAYS };
+
+static const Requirement blend_arrays[BLEND_ARRAYS] = {
+    FORM_REQUIREMENTS,
+    [BLENDED] = {"out", "d", "F3VP", WRITTEN},
+};
+
 static PyObject *blend(PyObject *Py_UNUSED(module), PyObject *args)
 {
     PyObject *o[BLEND_ARRAYS], *result = NULL;
     Array a[BLEND_ARRAYS];
-    Py_ssize_t sizes[26];
+    Py_ssize_t sizes[26], first_row;
     memset(a, 0, sizeof a);
-    if (!PyArg_ParseTuple(args, "OOOO", &o[ENTRIES], &o[COLUMNS], &o[TABLE], &o[BLENDED]))
+    if (!PyArg_ParseTuple(args, "OOOOOOOn", &o[FORM_JOINTS], &o[FORM_WEIGHTS], &o[FORM_POINTS], &o[FORM_DIRECTIONS],
+                          &o[FORM_CHANGES], &o[FORM_TABLE], &o[BLENDED], &first_row))
         return NULL;
-    if (read_arrays(o, blend_arrays, BLEND_ARRAYS, a, sizes) < 0)
+    if (read_arrays(o, blend_arrays, BLEND_ARRAYS, a, sizes) < 0 || !has_rows(sizes, first_row))
         goto done;
     const Blend work = {
-        .table = {DATA(TABLE), SIZE('R'), 3 * SIZE('P'), SIZE('P')},
-        .entries = DATA(ENTRIES),
-        .columns = DATA(COLUMNS),
+        .forms = forms_of(a, sizes, SIZE('F')),
         .out = DATA(BLENDED),
-        .forms = SIZE('F'),
-        .rows = SIZE('B'),
-        .width = SIZE('W'),
         .poses = SIZE('P'),
+        .all_rows = SIZE('V'),
+        .first_row = first_row,
     };
     int stray;
     Py_BEGIN_ALLOW_THREADS
@@ -70,22 +143,11 @@ done:
     return result;
 }
 
-enum { FORM_ENTRIES, FORM_COLUMNS, FORM_TABLE, REST_NORMALS, BLENDED_NORMALS, FORM_ARRAYS };
-
-static const Requirement form_arrays[FORM_ARRAYS] = {
-    [FORM_ENTRIES] = {"entries", "d", "FBW", READ},
-    [FORM_COLUMNS] = {"columns", "i", "BW", READ},
-    [FORM_TABLE] = {"table", "d", "R3P", READ},
-    [REST_NORMALS] = {"normals", "d", "B3", OR_NONE},
-    [BLENDED_NORMALS] = {"out", "d", "3BP", WRITTEN},
-};
-
 typedef struct {
-    Table table;
-    const double *entries, *normals; /* normals: NULL for the cross product of two forms */
-    const int32_t *columns;
+    Forms forms;
+    const double *normals; /* NULL for the cross product of two forms */
     double *out;
-    Py_ssize_t rows, width, poses;
+    Py_ssize_t poses;
 } BlendNormals;
 
 /* Return M⁻ᵀ n for a matrix given by its columns, or cof(M) n if det M is 0. */
@@ -103,16 +165,13 @@ static ALWAYS_INLINE Vector in_strips(const Strips *from, Py_ssize_t p)
     return (Vector){from->x[p], from->y[p], from->z[p]};
 }
 
-/* Write the normals of a vertex in up to STRIP poses to the first strips. Return 1 for a stray row. */
+/* Write the normals of a vertex in up to STRIP poses to the first strips. Return 1 for a stray joint. */
 static ALWAYS_INLINE int normals_of_forms(const BlendNormals *b, Py_ssize_t row, Py_ssize_t first, Py_ssize_t poses,
                                           Strips *forms)
 {
-    const int32_t *columns = b->columns + row * b->width;
-    for (Py_ssize_t form = 0; form < (b->normals ? 3 : 2); form++) {
-        const double *entries = b->entries + (form * b->rows + row) * b->width;
-        if (combine_entries(&b->table, entries, columns, b->width, first, poses, &forms[form]))
+    for (Py_ssize_t form = 0; form < (b->normals ? 3 : 2); form++)
+        if (blend_form(&b->forms, form, row, first, poses, &forms[form]))
             return 1;
-    }
     const Vector normal = b->normals ? vertex_at(b->normals, row) : (Vector){0.0, 0.0, 0.0};
     for (Py_ssize_t p = 0; p < poses; p++) {
         const Vector one = in_strips(&forms[0], p), other = in_strips(&forms[1], p);
@@ -127,39 +186,44 @@ FOR_PROCESSORS
 static int blend_normals_of_rows(const BlendNormals *b)
 {
     Strips forms[3];
-    for (Py_ssize_t row = 0; row < b->rows; row++)
+    const Py_ssize_t rows = b->forms.rows;
+    for (Py_ssize_t row = 0; row < rows; row++)
         for (Py_ssize_t first = 0; first < b->poses; first += STRIP) {
             const Py_ssize_t poses = least(STRIP, b->poses - first);
             if (normals_of_forms(b, row, first, poses, forms))
                 return 1;
-            store_strips(&forms[0], poses, b->out + row * b->poses + first, b->rows * b->poses);
+            store_strips(&forms[0], poses, b->out + row * b->poses + first, rows * b->poses);
         }
     return 0;
 }
 
+enum { REST_NORMALS = FORM_ARRAYS, BLENDED_NORMALS, NORMAL_ARRAYS };
+
+static const Requirement normal_arrays[NORMAL_ARRAYS] = {
+    FORM_REQUIREMENTS,
+    [REST_NORMALS] = {"normals", "d", "B3", OR_NONE},
+    [BLENDED_NORMALS] = {"out", "d", "3BP", WRITTEN},
+};
+
 static PyObject *blended_normals(PyObject *Py_UNUSED(module), PyObject *args)
 {
-    PyObject *o[FORM_ARRAYS], *result = NULL;
-    Array a[FORM_ARRAYS];
+    PyObject *o[NORMAL_ARRAYS], *result = NULL;
+    Array a[NORMAL_ARRAYS];
     Py_ssize_t sizes[26];
     memset(a, 0, sizeof a);
-    if (!PyArg_ParseTuple(args, "OOOOO", &o[FORM_ENTRIES], &o[FORM_COLUMNS], &o[FORM_TABLE], &o[REST_NORMALS],
-                          &o[BLENDED_NORMALS]))
+    if (!PyArg_ParseTuple(args, "OOOOOOOO", &o[FORM_JOINTS], &o[FORM_WEIGHTS], &o[FORM_POINTS], &o[FORM_DIRECTIONS],
+                          &o[FORM_CHANGES], &o[FORM_TABLE], &o[REST_NORMALS], &o[BLENDED_NORMALS]))
         return NULL;
-    if (read_arrays(o, form_arrays, FORM_ARRAYS, a, sizes) < 0)
+    if (read_arrays(o, normal_arrays, NORMAL_ARRAYS, a, sizes) < 0)
         goto done;
     if (SIZE('F') != (a[REST_NORMALS].held ? 3 : 2)) {
         PyErr_SetString(PyExc_ValueError, "normals take three forms, a cross product takes two");
         goto done;
     }
     const BlendNormals work = {
-        .table = {DATA(FORM_TABLE), SIZE('R'), 3 * SIZE('P'), SIZE('P')},
-        .entries = DATA(FORM_ENTRIES),
+        .forms = forms_of(a, sizes, SIZE('F')),
         .normals = DATA(REST_NORMALS),
-        .columns = DATA(FORM_COLUMNS),
         .out = DATA(BLENDED_NORMALS),
-        .rows = SIZE('B'),
-        .width = SIZE('W'),
         .poses = SIZE('P'),
     };
     int stray;
@@ -168,6 +232,6 @@ static PyObject *blended_normals(PyObject *Py_UNUSED(module), PyObject *args)
     Py_END_ALLOW_THREADS
     result = none_unless(stray);
 done:
-    release_arrays(a, FORM_ARRAYS);
+    release_arrays(a, NORMAL_ARRAYS);
     return result;
 }
