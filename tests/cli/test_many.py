@@ -106,7 +106,7 @@ def test_few_small_files_start_no_process(
     def refused(*arguments: object) -> object:
         raise AssertionError("a process was started")
 
-    monkeypatch.setattr(processes, "_started", refused)
+    monkeypatch.setattr(processes, "started", refused)
     models = [FOLDER / "seam.glb", FOLDER / "two_sets.glb"]
     assert invoke("bake", *models, "--out-dir", tmp_path, *jobs).exit_code == 0
     with pytest.raises(AssertionError, match="a process was started"):

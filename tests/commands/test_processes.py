@@ -16,9 +16,10 @@ from typing import Any
 import pytest
 
 from skinbake.errors import SkinbakeError
-from skinbake.jobs import processes
-from skinbake.jobs.processes import Limits, Processes
+from skinbake.jobs import processes, starting
+from skinbake.jobs.processes import Processes
 from skinbake.jobs.runners import FirstThese, InThisProcess, in_order
+from skinbake.jobs.worker import BASE, Limits
 from tests.commands.works import (
     Crashing,
     Deadly,
@@ -232,7 +233,7 @@ def test_fewer_workers_do_where_the_system_allows_no_more() -> None:
     import resource
 
     before = resource.getrlimit(resource.RLIMIT_NOFILE)
-    free = processes.SPARE_DESCRIPTORS + 10
+    free = starting.SPARE_DESCRIPTORS + 10
     resource.setrlimit(resource.RLIMIT_NOFILE, (len(list(Path("/proc/self/fd").iterdir())) + free, before[1]))
     try:
         found = outcomes(Work(), 200, workers=100)
@@ -249,7 +250,7 @@ def test_a_system_that_allows_no_worker_ends_the_run(
     def refused(*arguments: object) -> object:
         raise error
 
-    monkeypatch.setattr(processes, "_started", refused)
+    monkeypatch.setattr(processes, "started", refused)
     with pytest.raises(SkinbakeError, match=r"cannot be started \(.*(unavailable|no more).*: try --jobs 1$"):
         outcomes(Work(), 4)
     limited = Processes(1, limits=Limits(seconds=60.0))
@@ -259,7 +260,7 @@ def test_a_system_that_allows_no_worker_ends_the_run(
 
 def test_a_start_that_fails_once_is_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
     """The system kills the server that forks workers, and the next start brings up another."""
-    started, calls = processes._started, []
+    started, calls = starting.started, []
 
     def fails_first(*arguments: Any) -> Any:
         calls.append(arguments)
@@ -267,7 +268,7 @@ def test_a_start_that_fails_once_is_tried_again(monkeypatch: pytest.MonkeyPatch)
             raise EOFError
         return started(*arguments)
 
-    monkeypatch.setattr(processes, "_started", fails_first)
+    monkeypatch.setattr(processes, "started", fails_first)
     found = outcomes(Work(), 40)
     assert {number: result[0] for number, result in found.items()} == {n: 2 * n for n in range(40)}
     assert len(calls) == 3
@@ -276,7 +277,7 @@ def test_a_start_that_fails_once_is_tried_again(monkeypatch: pytest.MonkeyPatch)
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux holds to the limit")
 def test_a_worker_has_no_more_memory_than_its_limit() -> None:
     size = 64 << 20
-    found = limited(Hungry(), [size, processes.BASE + 2 * size], Limits(memory=size))
+    found = limited(Hungry(), [size, BASE + 2 * size], Limits(memory=size))
     assert found[0][0] == size
     assert found[1][0] == "too much"
 

@@ -15,7 +15,7 @@ from skinbake.cli.names import STDIO
 
 if TYPE_CHECKING:
     from skinbake.cli.given import Given
-    from skinbake.jobs.processes import Limits
+    from skinbake.jobs.worker import Limits
 
 SIZE = re.compile(r"(\d+(?:\.\d+)?) ?([KMGT]?)(?:i?B)?", re.IGNORECASE)
 
@@ -76,7 +76,7 @@ def worker_limits(given: Given, sources: Sequence[str]) -> Limits | None:
         )
     if STDIO in {*sources, given.get("output")}:
         raise click.UsageError(f"{named[0]} needs files, not - for stdin or stdout")
-    from skinbake.jobs.processes import Limits
+    from skinbake.jobs.worker import Limits
 
     return Limits(given["timeout"], memory_of_each(given, sources) if given["isolate"] else None)
 

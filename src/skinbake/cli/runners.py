@@ -15,8 +15,8 @@ from skinbake.files.urls import is_url
 
 if TYPE_CHECKING:
     from skinbake.cli.given import Given
-    from skinbake.jobs.processes import Limits
     from skinbake.jobs.work import Job, Result, Runner
+    from skinbake.jobs.worker import Limits
 
 ResultT = TypeVar("ResultT", bound="Result")
 
@@ -70,7 +70,8 @@ def chosen_runner(
     alone = count == 1 or len(sources) == 1 or STDIO in sources
     if limits is None and (alone or seconds_of(sources, guess) <= WORTHWHILE):
         return InThisProcess()
-    from skinbake.jobs.processes import Limits, Processes
+    from skinbake.jobs.processes import Processes
+    from skinbake.jobs.worker import Limits
     from skinbake.threads import usable_cores
 
     limits = limits or Limits()

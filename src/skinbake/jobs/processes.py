@@ -7,32 +7,22 @@ worker had, and it ends all other workers in the middle of their jobs. Here each
 from __future__ import annotations
 
 import logging
-import multiprocessing
-import os
 import signal
-import sys
-import threading
 import time
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
-from contextlib import ExitStack, contextmanager, nullcontext, suppress
+from contextlib import suppress
 from dataclasses import dataclass, field
-from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from multiprocessing.reduction import ForkingPickler
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic
+from typing import Any, Generic
 
 from skinbake.errors import SkinbakeError
-from skinbake.jobs.boundary import survived
-from skinbake.jobs.logs import log_to_stderr
+from skinbake.jobs.starting import check_descriptors, context_for, no_interrupts, started
 from skinbake.jobs.work import JobT, ReturnT, Work
-from skinbake.signals import ENDING
-from skinbake.timing import Told, heard, is_heard, tell
-
-if TYPE_CHECKING:
-    from multiprocessing.context import ForkServerContext, SpawnContext
+from skinbake.jobs.worker import Limits
+from skinbake.timing import Told, tell
 
 WINDOW = 4096
 """The number of jobs that may be done ahead of a slow one. Their results wait in memory."""
@@ -47,9 +37,6 @@ While a worker sends a large result, it reads nothing. To send it more than the 
 ever.
 """
 
-TOLD_AFTER, TOLD_EVERY = 0.5, 0.25
-"""The seconds after which a worker first tells of a file, and between two words of it."""
-
 PATIENCE = 10.0
 """The seconds that a worker has for tidying up after it was told to stop."""
 
@@ -59,36 +46,11 @@ GRACE = 3.0
 LONGEST_WAIT = 3600.0
 """The seconds of one wait for messages. The system's call takes no more than some weeks."""
 
-BASE = 1 << 30
-"""Bytes of addresses that a worker has besides its limit: for code, stacks and mapped files."""
-
 ATTEMPTS = 2
 """The number of times that a job is tried if its worker dies, and that the start of a worker is tried."""
 
 PAUSE = 0.1
 """The seconds before the start of a worker is tried again. The system has removed a dead server by then."""
-
-LONGEST_FOLDER = 107 - len("/pymp-12345678/listener-12345678")
-"""The longest path, in bytes, of a folder of temporary files that can hold the socket of the server.
-
-Linux takes 107 bytes for the path of a socket.
-"""
-
-SPARE_DESCRIPTORS = 32
-"""The number of files that this process can still open when it starts a further worker."""
-
-ENVIRONMENT = {
-    **dict.fromkeys(
-        ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"), "1"
-    ),
-    "MALLOC_MMAP_THRESHOLD_": str(16 << 20),
-    "MALLOC_TRIM_THRESHOLD_": str(64 << 20),
-}
-"""The environment of a worker, for each variable that the user has not set.
-
-Linear algebra uses one thread, because the processes are the parallelism. glibc keeps memory from one file to
-the next: fresh pages for the arrays of each file take a quarter of the work on small files.
-"""
 
 
 logger = logging.getLogger(__name__)
@@ -109,14 +71,6 @@ class _Worker:
     is_warm: bool = False
     begun: float = 0.0
     late: float | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class Limits:
-    """The limits of a job: seconds, and bytes of memory in a process that does nothing else (None: any)."""
-
-    seconds: float | None = None
-    memory: int | None = None
 
 
 def _none(jobs: Sequence[Any]) -> Sequence[int]:
@@ -159,7 +113,7 @@ class _Pool(Generic[JobT, ReturnT]):
         self._work, self._jobs, self._limits = work, jobs, runner.limits
         self._retired: list[BaseProcess] = []
         self._size = min(runner.workers, len(jobs))
-        self._context = _context(runner.modules)
+        self._context = context_for(runner.modules)
         self._workers: list[_Worker] = []
         self._next = 0
         self._early = deque(runner.early(jobs))
@@ -228,7 +182,7 @@ class _Pool(Generic[JobT, ReturnT]):
 
     def stop(self) -> None:
         """End all workers. Idle workers see their pipe close, and busy workers get a signal."""
-        with _no_interrupts():
+        with no_interrupts():
             for worker in self._workers:
                 if worker.sent:
                     worker.process.terminate()
@@ -272,8 +226,8 @@ class _Pool(Generic[JobT, ReturnT]):
         while len(self._workers) < min(self._size, self._unfinished):
             try:
                 if self._workers:
-                    _check_descriptors()
-                worker = _started(self._context, self._work, self._limits)
+                    check_descriptors()
+                worker = _Worker(*started(self._context, self._work, self._limits))
             except (OSError, EOFError) as error:  # EOFError: the server has died
                 failures += 1
                 if failures < ATTEMPTS:
@@ -383,176 +337,3 @@ def _cause_of_death(process: BaseProcess) -> str:
         return f"exit code {code}"
     name = signal.Signals(-code).name if -code in set(signal.Signals) else f"signal {-code}"
     return f"{name}; is there too little memory?" if name == "SIGKILL" else name
-
-
-def _context(modules: Sequence[str]) -> SpawnContext | ForkServerContext:
-    """Return how processes start: as forks of a server that has done the imports, or from scratch.
-
-    They are never forks of this process, because this process may have threads by then. From scratch takes
-    longer, and needs no socket.
-    """
-    if sys.platform != "linux" or not _has_place_for_a_socket():
-        return multiprocessing.get_context("spawn")
-    context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(list(modules))
-    return context
-
-
-def _has_place_for_a_socket() -> bool:
-    """Tell whether the folder of temporary files can hold a socket. TMPDIR may be long, or no folder."""
-    import tempfile
-
-    try:
-        return len(os.fsencode(tempfile.gettempdir())) <= LONGEST_FOLDER
-    except OSError:
-        return False
-
-
-def _check_descriptors() -> None:
-    """Raise OSError if this process can open few more files: the pipes of a worker, reports, outputs.
-
-    A start that fails midway would also end the server that forks workers.
-    """
-    with ExitStack() as held:
-        for _ in range(SPARE_DESCRIPTORS):
-            held.enter_context(Path(os.devnull).open("rb"))
-
-
-def _started(context: SpawnContext | ForkServerContext, work: Work[JobT, ReturnT], limits: Limits) -> _Worker:
-    here, there = context.Pipe()
-    with _quiet_start():
-        process = context.Process(
-            target=_serve,
-            args=(there, work, limits, logging.getLogger().level, _handles_logs(), is_heard()),
-            daemon=True,
-        )
-        process.start()
-    there.close()
-    return _Worker(process, here)
-
-
-def _handles_logs() -> bool:
-    return bool(logging.getLogger().handlers)
-
-
-@contextmanager
-def _quiet_start() -> Iterator[None]:
-    """Give the processes that start here their environment, and block Ctrl-C until they are ready."""
-    if sys.platform != "win32":
-        resource_tracker.ensure_running()  # the tracker lifts the block when it starts
-    missing = {name: value for name, value in ENVIRONMENT.items() if name not in os.environ}
-    os.environ.update(missing)
-    try:
-        with _no_interrupts():
-            yield
-    finally:
-        for name in missing:
-            os.environ.pop(name, None)
-
-
-@contextmanager
-def _no_interrupts() -> Iterator[None]:
-    """Delay the signals that end the work until the block is done."""
-    if not hasattr(signal, "pthread_sigmask"):
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, ENDING)
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-class _Relay:
-    """Tell of files that take long, as a worker: its newest word, a few times a second."""
-
-    def __init__(self, connection: Connection) -> None:
-        self._connection, self._source, self._due = connection, "", 0.0
-
-    def __call__(self, told: Told) -> None:
-        """Send the word to the process that shows it."""
-        now = time.monotonic()
-        if told.source != self._source:
-            self._source, self._due = told.source, now + TOLD_AFTER
-        elif now >= self._due:
-            self._due = now + TOLD_EVERY
-            with suppress(OSError):  # the other end has closed: the worker sees that next
-                self._connection.send(told)
-
-
-def _serve(
-    connection: Connection,
-    work: Work[JobT, ReturnT],
-    limits: Limits,
-    level: int,
-    logs: bool,
-    listens: bool,
-) -> None:
-    """Do jobs as they arrive, until the pipe closes or a signal says stop. It is the main of a worker."""
-    stopped = threading.Event()
-    try:
-        _hear_signals(stopped)
-        if logs:
-            log_to_stderr(level)
-        if limits.memory is not None:
-            _limit_memory(limits.memory)
-        connection.send(None)
-        with heard(_Relay(connection)) if listens else nullcontext():
-            while not stopped.is_set():
-                number, job = connection.recv()
-                message = _message(work, number, job)
-                if not stopped.is_set():  # an interrupt may have become another exception
-                    connection.send_bytes(message)
-    except (EOFError, OSError, KeyboardInterrupt):
-        pass  # the other end has closed, or this worker must stop
-
-
-def _limit_memory(size: int) -> None:
-    """Limit this process to ``size`` more bytes and forbid core dumps, if the system can do that."""
-    try:
-        import resource
-
-        pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
-        used = pages * resource.getpagesize()
-    except ImportError:
-        return
-    except (OSError, ValueError):
-        used = 0  # not Linux: BASE includes the memory in use
-    wanted = {resource.RLIMIT_AS: used + size + BASE, resource.RLIMIT_CORE: 0}
-    for kind, limit in wanted.items():
-        _, hard = resource.getrlimit(kind)
-        with suppress(OSError, ValueError, OverflowError):  # a system that has no such limit
-            resource.setrlimit(kind, (limit if hard == resource.RLIM_INFINITY else min(limit, hard), hard))
-
-
-def _message(work: Work[JobT, ReturnT], number: int, job: JobT) -> bytes:
-    """Do a job, and return its message: the number, the result and the seconds that it took.
-
-    A work that raises, or a result that cannot be pickled, is a defect of skinbake. Only that job is lost.
-    """
-    start = time.perf_counter()
-
-    def pickled(result: ReturnT) -> bytes:
-        return bytes(ForkingPickler.dumps((number, result, time.perf_counter() - start)))
-
-    return survived(
-        lambda: pickled(work(job)), lambda error: pickled(work.lost(job, error.message)), f"job {number}"
-    )
-
-
-def _hear_signals(stopped: threading.Event) -> None:
-    """Let the signals that end the work raise an exception. The job in work is undone on the way out.
-
-    A SIGHUP that is to be ignored, as after ``nohup``, stays ignored.
-    """
-
-    def stop(signum: int, frame: object) -> None:
-        if not stopped.is_set():  # a second signal must not disturb the tidying up
-            stopped.set()
-            raise KeyboardInterrupt
-
-    for number in ENDING:
-        if number in {signal.SIGINT, signal.SIGTERM} or signal.getsignal(number) == signal.SIG_DFL:
-            signal.signal(number, stop)
-    if hasattr(signal, "pthread_sigmask"):
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDING)

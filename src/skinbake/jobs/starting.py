@@ -1,0 +1,127 @@
+"""The start of worker processes: how they begin, in which environment, and without signals in between."""
+
+from __future__ import annotations
+
+import logging
+import multiprocessing
+import os
+import signal
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from multiprocessing import resource_tracker
+from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from skinbake.jobs.work import JobT, ReturnT, Work
+from skinbake.jobs.worker import Limits, serve
+from skinbake.signals import ENDING
+from skinbake.timing import is_heard
+
+if TYPE_CHECKING:
+    from multiprocessing.context import ForkServerContext, SpawnContext
+
+LONGEST_FOLDER = 107 - len("/pymp-12345678/listener-12345678")
+"""The longest path, in bytes, of a folder of temporary files that can hold the socket of the server.
+
+Linux takes 107 bytes for the path of a socket.
+"""
+
+SPARE_DESCRIPTORS = 32
+"""The number of files that this process can still open when it starts a further worker."""
+
+ENVIRONMENT = {
+    **dict.fromkeys(
+        ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"), "1"
+    ),
+    "MALLOC_MMAP_THRESHOLD_": str(16 << 20),
+    "MALLOC_TRIM_THRESHOLD_": str(64 << 20),
+}
+"""The environment of a worker, for each variable that the user has not set.
+
+Linear algebra uses one thread, because the processes are the parallelism. glibc keeps memory from one file to
+the next: fresh pages for the arrays of each file take a quarter of the work on small files.
+"""
+
+
+def context_for(modules: Sequence[str]) -> SpawnContext | ForkServerContext:
+    """Return how processes start: as forks of a server that has done the imports, or from scratch.
+
+    They are never forks of this process, because this process may have threads by then. From scratch takes
+    longer, and needs no socket.
+    """
+    if sys.platform != "linux" or not _has_place_for_a_socket():
+        return multiprocessing.get_context("spawn")
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(list(modules))
+    return context
+
+
+def _has_place_for_a_socket() -> bool:
+    """Tell whether the folder of temporary files can hold a socket. TMPDIR may be long, or no folder."""
+    import tempfile
+
+    try:
+        return len(os.fsencode(tempfile.gettempdir())) <= LONGEST_FOLDER
+    except OSError:
+        return False
+
+
+def check_descriptors() -> None:
+    """Raise OSError if this process can open few more files: the pipes of a worker, reports, outputs.
+
+    A start that fails midway would also end the server that forks workers.
+    """
+    with ExitStack() as held:
+        for _ in range(SPARE_DESCRIPTORS):
+            held.enter_context(Path(os.devnull).open("rb"))
+
+
+def started(
+    context: SpawnContext | ForkServerContext, work: Work[JobT, ReturnT], limits: Limits
+) -> tuple[BaseProcess, Connection]:
+    """Start a worker, and return its process and this end of its pipe. Raises OSError or EOFError."""
+    here, there = context.Pipe()
+    with _quiet_start():
+        process = context.Process(
+            target=serve,
+            args=(there, work, limits, logging.getLogger().level, _handles_logs(), is_heard()),
+            daemon=True,
+        )
+        process.start()
+    there.close()
+    return process, here
+
+
+def _handles_logs() -> bool:
+    return bool(logging.getLogger().handlers)
+
+
+@contextmanager
+def _quiet_start() -> Iterator[None]:
+    """Give the processes that start here their environment, and block Ctrl-C until they are ready."""
+    if sys.platform != "win32":
+        resource_tracker.ensure_running()  # the tracker lifts the block when it starts
+    missing = {name: value for name, value in ENVIRONMENT.items() if name not in os.environ}
+    os.environ.update(missing)
+    try:
+        with no_interrupts():
+            yield
+    finally:
+        for name in missing:
+            os.environ.pop(name, None)
+
+
+@contextmanager
+def no_interrupts() -> Iterator[None]:
+    """Delay the signals that end the work until the block is done."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, ENDING)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
