@@ -23,7 +23,7 @@ from skinbake.files.urls import is_url, join_url
 from skinbake.jobs import verify
 from skinbake.jobs.bake import Bake
 from skinbake.jobs.file_work import FileWork
-from skinbake.jobs.remote import staging
+from skinbake.jobs.remote import private_folder
 from skinbake.jobs.remote.staging import Staging
 from skinbake.jobs.remote.storages import expand_url
 from skinbake.jobs.work import Job
@@ -355,8 +355,8 @@ def test_in_place_a_file_that_was_saved_meanwhile_stays(tmp_path: Path) -> None:
 @pytest.mark.skipif(sys.platform != "linux", reason="needs /proc")
 def test_a_folder_of_a_process_that_was_killed_is_removed_by_the_next(tmp_path: Path) -> None:
     script = (
-        "import os, sys; from skinbake.jobs.remote.staging import _PrivateFolder; "
-        "folder = _PrivateFolder(sys.argv[1]); open(folder.root / 'fetched.glb', 'w').close(); "
+        "import os, sys; from skinbake.jobs.remote.private_folder import PrivateFolder; "
+        "folder = PrivateFolder(sys.argv[1]); open(folder.root / 'fetched.glb', 'w').close(); "
         "print(folder.root, flush=True); sys.stdin.read(); os._exit(9)"
     )
     started = [
@@ -370,8 +370,8 @@ def test_a_folder_of_a_process_that_was_killed_is_removed_by_the_next(tmp_path: 
     other = tmp_path / "skinbake-of-another"
     other.mkdir()
     assert (killed / "fetched.glb").exists()
-    staging._remove_abandoned.cache_clear()
-    with staging._PrivateFolder(str(tmp_path)) as own:
+    private_folder._remove_abandoned.cache_clear()
+    with private_folder.PrivateFolder(str(tmp_path)) as own:
         assert sorted(tmp_path.iterdir()) == sorted([living, other, own.root])
     started[1].communicate()
     assert sorted(tmp_path.iterdir()) == sorted([living, other])
