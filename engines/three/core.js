@@ -372,8 +372,8 @@ function install() {
     const { prototype } = state.three.SkinnedMesh;
     if (Object.hasOwn(prototype, 'onBeforeRender')) return;
     // They stay after dispose(), because they hold what is assigned to meshes.
-    for (const [name, act] of Object.entries(HOOKS)) Object.defineProperty(prototype, name,
-            hook(prototype[name], act));
+    for (const name of Object.keys(HOOKS)) Object.defineProperty(prototype, name, hook(name,
+            prototype[name]));
 }
 
 const HOOKS = {
@@ -382,21 +382,28 @@ const HOOKS = {
     onBeforeShadow: beforeShadow,
     onAfterShadow: afterShadow,
 };
+// name of a hook -> meshes whose method runs: it may call the one that was there before, or that of its class.
+const running = Object.fromEntries(Object.keys(HOOKS).map((name) => [name, new WeakSet()]));
+const acting = new WeakMap(); // method that acts -> name of its hook
 
 // A method that acts, and calls what is assigned to it.
-function hook(inherited, act) {
-    const running = new WeakSet(); // An assigned method may call the one that was there before.
-    const calling = (assigned) =>
-        function (...parameters) {
-            if (running.has(this)) return assigned.apply(this, parameters);
-            running.add(this);
+function hook(name, inherited) {
+    const calling = (assigned) => {
+        // A page may put back what it has read here, in every frame.
+        if (acting.get(assigned) === name) return assigned;
+        const method = function (...parameters) {
+            if (running[name].has(this)) return assigned.apply(this, parameters);
+            running[name].add(this);
             try {
                 assigned.apply(this, parameters);
             } finally {
-                running.delete(this);
+                running[name].delete(this);
             }
-            return act.apply(this, parameters);
+            return HOOKS[name].apply(this, parameters);
         };
+        acting.set(method, name);
+        return method;
+    };
     const usual = calling(inherited);
     const assigned = new WeakMap();
     return {
@@ -412,11 +419,11 @@ function hook(inherited, act) {
 
 // A mesh may have hooks of its own from before, or from a class of its own.
 function takeOwnHooks(mesh) {
-    for (const [name, act] of Object.entries(HOOKS)) {
+    for (const name of Object.keys(HOOKS)) {
         let holder = mesh;
         while (!Object.hasOwn(holder, name)) holder = Object.getPrototypeOf(holder);
         if (!Object.getOwnPropertyDescriptor(holder, name).get) {
-            Object.defineProperty(mesh, name, hook(mesh[name], act));
+            Object.defineProperty(mesh, name, hook(name, mesh[name]));
         }
     }
 }

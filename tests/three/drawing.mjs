@@ -3,6 +3,7 @@
 
 import * as THREE from 'three';
 import { CSM } from 'three/addons/csm/CSM.js';
+import { OutlineEffect } from 'three/addons/effects/OutlineEffect.js';
 import { GLTFExporter } from 'three/addons/exporters/GLTFExporter.js';
 import { MeshoptDecoder } from 'three/addons/libs/meshopt_decoder.module.js';
 import { DRACOLoader } from 'three/addons/loaders/DRACOLoader.js';
@@ -316,6 +317,21 @@ const api = {
         const report = told(skinbake.applySkinbake(other).meshes);
         skinbake.dispose(scene);
         return { draws, report, hooked: own.userData.hooked, world: own.matrixWorld.toArray() };
+    },
+
+    // Normals of a character after frames with outlines, and whether its hook is the one from before. The effect
+    // replaces it in each frame, and puts it back.
+    async outlined(options) {
+        const { scene } = await load(options);
+        const [mesh] = skinnedMeshes(scene);
+        const { onBeforeRender } = mesh;
+        const effect = new OutlineEffect(renderer);
+        for (let frame = 0; frame < 3; frame++) effect.render(scene, camera);
+        const isSame = mesh.onBeforeRender === onBeforeRender;
+        const draws = (await draw(scene)).map(({ values }) => base64(values));
+        const report = told(skinbake.applySkinbake(scene).meshes);
+        skinbake.dispose(scene);
+        return { isSame, draws, report, world: mesh.matrixWorld.toArray() };
     },
 
     // Two characters that share all but what clone() of SkeletonUtils makes anew; one is switched to standard.

@@ -391,19 +391,33 @@ const api = {
         return { found, world };
     },
 
-    // The version of a material after each frame, where a later hook calls the one that was there before.
-    async chained(options) {
+    // The version of a material after each frame, where a later hook calls the one that was there before, or that of
+    // a class calls the one that it inherits.
+    async chained({ classed, ...options }) {
         const renderer = await rendererOf('webgl');
         const { scene: model } = await load(options);
         const scene = new THREE.Scene();
         scene.add(model);
-        const [mesh] = skinnedMeshes(model);
-        const before = mesh.onAfterRender;
+        let [mesh] = skinnedMeshes(model);
         let calls = 0;
-        mesh.onAfterRender = function (...parameters) {
-            before.apply(this, parameters);
-            calls++;
-        };
+        if (classed) {
+            class Own extends THREE.SkinnedMesh {
+                onAfterRender(...parameters) {
+                    super.onAfterRender(...parameters);
+                    calls++;
+                }
+            }
+            const own = new Own(mesh.geometry, mesh.material);
+            own.bind(mesh.skeleton, mesh.bindMatrix);
+            replace(mesh, own);
+            mesh = own;
+        } else {
+            const before = mesh.onAfterRender;
+            mesh.onAfterRender = function (...parameters) {
+                before.apply(this, parameters);
+                calls++;
+            };
+        }
         const report = skinbake.applySkinbake(scene);
         const versions = [];
         for (let frame = 0; frame < 5; frame++) {

@@ -308,6 +308,14 @@ def test_classes_with_hooks_are_served_and_those_of_another_three_told_of(stage:
     ]
 
 
+def test_hooks_that_an_effect_puts_back_do_not_pile_up(stage: ThreeStage) -> None:
+    character = stage.character(TUBE, BENT)
+    found = stage.call("outlined", character.told(Placement()))
+    assert found["isSame"]
+    assert largest(found["draws"][0], expected(character, found["world"])) < DEGREES
+    assert found["report"] == [["accurate", ""]]
+
+
 @pytest.mark.parametrize("method", ["lbs", "dqs"])
 def test_shadows_follow_the_method(stage: ThreeStage, method: str) -> None:
     character = stage.character(TUBE, BENT)

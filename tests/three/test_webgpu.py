@@ -276,8 +276,10 @@ def test_joints_that_are_not_rigid_are_drawn_as_three_js_does_and_told_of(
     assert reports == [[["standard", STRETCHED]], [["standard", STRETCHED]], [["accurate", ""]]]
 
 
-def test_a_hook_that_calls_the_one_before_leaves_the_material_alone(stage: ThreeStage) -> None:
-    found = stage.call("chained", stage.character(TUBE, BENT).told(Placement()))
+@pytest.mark.parametrize("classed", [False, True], ids=["assigned", "of a class"])
+def test_a_hook_that_calls_the_one_before_leaves_the_material_alone(stage: ThreeStage, classed: bool) -> None:
+    told = stage.character(TUBE, BENT).told(Placement())
+    found = stage.call("chained", {**told, "classed": classed})
     assert found["calls"] == 5
     assert len(set(found["versions"])) == 1
     assert found["report"] == [["accurate", ""]]
