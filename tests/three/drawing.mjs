@@ -104,6 +104,13 @@ const CHANGES = {
         replace(mesh, other);
     },
     'geometry.clone()': ({ mesh }) => (mesh.geometry = mesh.geometry.clone()),
+    'toJSON()': ({ scene, model }) => {
+        model.updateMatrixWorld(true);
+        const read = new THREE.ObjectLoader().parse(JSON.parse(JSON.stringify(model.toJSON())));
+        skinnedMeshes(read).forEach((one) => (one.frustumCulled = false));
+        model.removeFromParent();
+        scene.add(read);
+    },
     'geometry.copy()': ({ mesh }) => mesh.geometry.copy(mesh.geometry.clone()),
     'onBeforeRender of its own': ({ mesh }) => {
         const before = mesh.onBeforeRender;
@@ -128,6 +135,13 @@ const CHANGES = {
 for (const [name, Material] of Object.entries(MATERIALS)) {
     CHANGES[name] = ({ mesh }) => (mesh.material = new Material());
 }
+
+const COPIES = {
+    'clone()': (geometry) => geometry.clone(),
+    'copy()': (geometry) => geometry.copy(geometry.clone()),
+    InstancedBufferGeometry: (geometry) =>
+        Object.assign(new THREE.InstancedBufferGeometry().copy(geometry), { instanceCount: 1 }),
+};
 
 const VIEWS = {
     ArrayCamera: () => {},
@@ -317,6 +331,28 @@ const api = {
         const report = told(skinbake.applySkinbake(other).meshes);
         skinbake.dispose(scene);
         return { draws, report, hooked: own.userData.hooked, world: own.matrixWorld.toArray() };
+    },
+
+    // Normals of the first frame and of the next one in which a mesh has a copy of its geometry, and what is reported
+    // before both and after them. Then what is reported after dispose().
+    async copied({ copy, ...options }) {
+        const { scene } = await load(options);
+        const [mesh] = skinnedMeshes(scene);
+        const original = mesh.clone();
+        await draw(scene, 1);
+        const [report] = skinbake.applySkinbake(mesh).meshes;
+        mesh.geometry = COPIES[copy](mesh.geometry);
+        const frames = [];
+        const reports = [report.lighting];
+        for (let frame = 0; frame < 2; frame++) {
+            const [{ values }] = await draw(scene, 0);
+            frames.push(base64(values));
+            await null;
+        }
+        reports.push(report.lighting);
+        skinbake.dispose(scene);
+        skinbake.dispose(original);
+        return { frames, reports, disposed: [report.lighting, report.reason], world: mesh.matrixWorld.toArray() };
     },
 
     // Normals of a character after frames with outlines, and whether its hook is the one from before. The effect

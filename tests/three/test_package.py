@@ -221,6 +221,22 @@ def test_whatever_a_page_does_the_normals_stay_right(stage: ThreeStage, when: st
 NOT_DRAWN = "it has not been drawn yet"
 
 
+@pytest.mark.parametrize("frame", ["normal", "tangent"])
+@pytest.mark.parametrize("copy", ["clone()", "copy()", "InstancedBufferGeometry"])
+def test_a_copy_of_a_geometry_has_the_lighting_from_its_first_or_second_frame(
+    stage: ThreeStage, copy: str, frame: str
+) -> None:
+    character = stage.character(MIRRORED, RANDOM, frame)
+    found = stage.call("copied", {**character.told(Placement()), "copy": copy})
+    accurate = expected(character, found["world"])
+    standard = expected(character, found["world"], Algorithm.LBS_APPROXIMATED)
+    first, second = found["frames"]
+    assert largest(first, accurate if copy == "clone()" else standard) < DEGREES
+    assert largest(second, accurate) < DEGREES
+    assert found["reports"] == ["accurate" if copy == "copy()" else "not drawn", "accurate"]
+    assert found["disposed"] == ["standard", "applySkinbake has not been called for it"]
+
+
 def test_without_the_module_three_has_its_own_normals(stage: ThreeStage) -> None:
     """Else the tests above would not see it. The page has used the module before, and disposed of it."""
     character = stage.character(TUBE, BENT)

@@ -13,7 +13,8 @@ const ENCODINGS = { packed8: Int8Array, snorm16: Int16Array };
 // Copies of this module on one page share what they know.
 const state = (globalThis[Symbol.for('skinbake.three')] ??= {
     geometries: new WeakMap(), // geometry -> { problem, constants, unfit }
-    methods: new WeakMap(), // metadata -> method, of geometries that were asked for: their clones have them too
+    // metadata -> method, of geometries that were asked for; undefined after dispose(). Their clones have it too.
+    methods: new WeakMap(),
     meshes: new WeakMap(), // mesh -> WeakMap of material -> { program, lighting, reason, repaired }
     standard: new WeakSet(), // meshes that lighting() has switched
     lit: new WeakMap(), // material (WebGLRenderer) or mesh (WebGPURenderer) -> time of its last accurate draw
@@ -77,7 +78,7 @@ function dispose(root) {
         state.standard.delete(mesh);
         state.meshes.delete(mesh);
         const { userData } = mesh.geometry;
-        if (isObject(userData.skinbake)) state.methods.delete(userData.skinbake);
+        if (isObject(userData.skinbake)) state.methods.set(userData.skinbake, undefined);
         state.passed.add(mesh.geometry);
         forget(mesh.geometry);
     }
@@ -120,16 +121,19 @@ class MeshReport {
     }
 
     #found() {
-        const problem = strangeness(this.mesh) || (state.geometries.get(this.mesh.geometry)?.problem ?? NOT_BAKED);
+        const { geometry } = this.mesh;
+        const adopted = state.geometries.get(geometry);
+        const problem = strangeness(this.mesh) || (adopted ?? { problem: problemOf(geometry) }).problem;
         if (problem) return ['standard', problem];
+        if (!adopted) return methodOf(geometry) ? UNDRAWN : ['standard', NOT_ASKED];
         if (state.standard.has(this.mesh)) return ['standard', 'lighting() has switched it'];
-        const unfit = state.geometries.get(this.mesh.geometry).unfit.get(this.mesh);
+        const unfit = adopted.unfit.get(this.mesh);
         if (unfit) return ['standard', unfit];
         const drawn = state.meshes.get(this.mesh) ?? new WeakMap();
         const found = [this.mesh.material].flat().map((material) => drawn.get(material));
         const standard = found.find((one) => one?.lighting === 'standard');
         if (standard) return ['standard', standard.reason];
-        if (!found.every((one) => one && one.lighting !== 'not drawn')) return ['not drawn', 'it has not been drawn yet'];
+        if (!found.every((one) => one && one.lighting !== 'not drawn')) return UNDRAWN;
         if (found.every((one) => one.lighting === 'unlit')) return ['unlit', 'its materials read no normals'];
         return ['accurate', ''];
     }
@@ -137,6 +141,7 @@ class MeshReport {
 
 const NOT_BAKED = 'it is not baked';
 const NOT_ASKED = 'applySkinbake has not been called for it';
+const UNDRAWN = ['not drawn', 'it has not been drawn yet'];
 
 function strangeness(mesh) {
     const Mesh = Object.getPrototypeOf(state.three.SkinnedMesh);
@@ -202,13 +207,12 @@ function madeOf(geometry, method) {
     const names = coordinatesOf(metadata);
     const sources = names.map((name) => [name, attributes[name]]);
     const isOwn = metadata.layout === 'texcoord';
-    const [alpha, beta] = isOwn ? assembled(sources) : sources.map(([, source]) => source);
+    const [alpha, beta] = isOwn ? ownOf(attributes, sources) : sources.map(([, source]) => source);
     define(attributes, ALPHA, alpha, isOwn);
     define(attributes, BETA, beta, isOwn);
     if (metadata.frame === 'tangent') define(attributes, TANGENT, attributes.tangent, false);
-    const scale = metadata.encoding ? metadata.scale : 1;
-    const constants = [scale, FRAMES[metadata.frame], METHODS[method], 1];
-    const storage = storageOf(geometry, constants);
+    const constants = constantsOf(metadata, method);
+    const storage = hasStorage(geometry, method) ? attributes[STORAGE] : storageOf(geometry, constants);
     define(attributes, STORAGE, storage, true);
     // Nothing reads it: WebGPURenderer makes other programs for geometries that have attributes of other names.
     if (method === 'dqs') define(attributes, DUAL, storage, true);
@@ -274,12 +278,25 @@ function hasProduct(e, a, b, product) {
     return Math.abs(e[a] * e[b] + e[a + 1] * e[b + 1] + e[a + 2] * e[b + 2] - product) <= RIGID;
 }
 
+function constantsOf({ encoding, scale, frame }, method) {
+    return [encoding ? scale : 1, FRAMES[frame], METHODS[method], 1];
+}
+
+const FOR_ALL = 1 << 30; // instances
+
+// Whether a geometry has the constants already, as a clone has.
+function hasStorage({ attributes, userData, isInstancedBufferGeometry }, method) {
+    const { array, meshPerAttribute } = attributes[STORAGE] ?? {};
+    if (isInstancedBufferGeometry || meshPerAttribute !== FOR_ALL) return false;
+    return constantsOf(userData.skinbake, method).every((value, index) => Math.fround(value) === array[index]);
+}
+
 // One element for all vertices and instances. Where the attributes say how many instances there are, one for each
 // vertex: it must not say so.
 function storageOf(geometry, constants) {
     const { BufferAttribute, InstancedBufferAttribute } = state.three;
     if (!geometry.isInstancedBufferGeometry) {
-        return new InstancedBufferAttribute(new Float32Array(constants), 4, false, 1 << 30);
+        return new InstancedBufferAttribute(new Float32Array(constants), 4, false, FOR_ALL);
     }
     const { count } = geometry.attributes.position;
     return new BufferAttribute(Float32Array.from({ length: 4 * count }, (_, index) => constants[index % 4]), 4);
@@ -341,6 +358,11 @@ function misfit(attribute, encoding, layout) {
     const { array } = attribute.isInterleavedBufferAttribute ? attribute.data : attribute;
     if (!encoding) return array instanceof Float32Array ? '' : 'is not of floats';
     return array instanceof ENCODINGS[encoding] && attribute.normalized ? '' : `is not encoded as ${encoding}`;
+}
+
+// Alpha and beta of the layout texcoord. A clone has them already.
+function ownOf(attributes, sources) {
+    return attributes[ALPHA] ? [attributes[ALPHA], attributes[BETA]] : assembled(sources);
 }
 
 // The layout texcoord has alpha 1, alpha 2 | alpha 3, beta 1 | beta 2, beta 3.
@@ -424,31 +446,43 @@ function takeOwnHooks(mesh) {
 }
 
 function beforeDraw(renderer, scene, camera, geometry, material) {
-    const adopted = state.geometries.get(geometry);
-    if (!adopted) meet(renderer, this, geometry);
-    else if (!adopted.problem && !isIntact(geometry, adopted)) adoptDrawn(renderer, this, geometry, adopted.method);
+    meet(renderer, this, geometry);
     prepare(renderer, this, geometry, material);
 }
 
-// A geometry that is drawn for the first time: a clone of one that was asked for, or one that was not.
+// Look whether a geometry has what the shader reads. A new one has not, and one that was changed.
 function meet(renderer, mesh, geometry) {
-    const metadata = geometry.userData.skinbake;
-    if (isObject(metadata) && state.methods.has(metadata)) {
-        adoptDrawn(renderer, mesh, geometry, state.methods.get(metadata));
-    } else if (state.count > 0 && !state.passed.has(geometry)) {
+    const adopted = state.geometries.get(geometry);
+    if (adopted && (adopted.problem || isIntact(geometry, adopted))) return;
+    forget(geometry);
+    const method = adopted?.method ?? methodOf(geometry);
+    if (method) adoptDrawn(renderer, mesh, geometry, method);
+    else if (state.count > 0 && !state.passed.has(geometry)) {
         state.passed.add(geometry);
-        const problem = problemOf(geometry, metadata);
+        const problem = problemOf(geometry);
         if (problem !== NOT_BAKED) tell(mesh, problem || NOT_ASKED);
     }
+    // Without alpha and beta, the shader must not take it for a baked one.
+    if (!state.geometries.has(geometry)) delete geometry.attributes[STORAGE];
 }
 
-// WebGLRenderer does not upload attributes that come during a frame. WebGPURenderer needs them in it.
+// Return the method of a geometry that was asked for, or of a clone of it: also one that toJSON() has written, whose
+// metadata is another object.
+function methodOf({ attributes, userData: { skinbake } }) {
+    if (!isObject(skinbake) || state.backends.size === 0) return undefined;
+    if (state.methods.has(skinbake)) return state.methods.get(skinbake);
+    if (!attributes[STORAGE]) return undefined;
+    return attributes[DUAL] ? 'dqs' : 'lbs';
+}
+
+// WebGLRenderer does not upload attributes that come during a frame: then the next frame has them. Those of a clone
+// are there. WebGPURenderer needs all in this frame.
 function adoptDrawn(renderer, mesh, geometry, method) {
     const act = () => {
         const { problem } = adopt(geometry, method);
         if (problem) tell(mesh, problem);
     };
-    if (renderer.isWebGLRenderer) queueMicrotask(act);
+    if (renderer.isWebGLRenderer && !hasStorage(geometry, method)) queueMicrotask(act);
     else act();
 }
 
@@ -475,8 +509,9 @@ const UNSERVED = {
 
 // All meshes share the material of shadows, and dual quaternions move them too.
 function beforeShadow(renderer, object, camera, shadowCamera, geometry, material) {
-    const adopted = state.geometries.get(geometry);
+    meet(renderer, this, geometry);
     prepare(renderer, this, geometry, material);
+    const adopted = state.geometries.get(geometry);
     if (renderer.isWebGLRenderer && adopted?.method === 'dqs') state.backends.get('webgl')?.renew(material);
 }
 
