@@ -365,7 +365,9 @@ if (skinbake_isBaked()) {
     vec3 p;
     {
         #include <begin_vertex>
+#ifdef SKINBAKE_HAS_MORPHS
         #include <morphtarget_vertex>
+#endif
         p = transformed;
     }
     vec3 n0 = dot(normal, normal) > 0.0 ? normalize(normal) : vec3(0.0, 0.0, 1.0);
@@ -423,6 +425,8 @@ if (skinbake_isBaked() && skinbake_hasDualQuaternions()) {
 `;
 
 const CHUNKS = {
+    // A ShaderMaterial that skins may lack this one.
+    morphtarget_pars_vertex: ['', '\n#define SKINBAKE_HAS_MORPHS\n'],
     skinning_pars_vertex: ['', DECLARATIONS],
     skinnormal_vertex: [BEFORE_NORMAL, AFTER_NORMAL],
     skinning_vertex: [BEFORE_POSITION, AFTER_POSITION],

@@ -474,6 +474,44 @@ const api = {
         return report;
     },
 
+    // Normals of a morphed character by a material that skins, but does not morph.
+    async unmorphed(options) {
+        const { scene } = await load(options);
+        const [mesh] = skinnedMeshes(scene);
+        mesh.material = new THREE.ShaderMaterial({
+            vertexShader: `varying vec3 vNormal;
+                #include <skinning_pars_vertex>
+                void main() {
+                    #include <beginnormal_vertex>
+                    #include <skinbase_vertex>
+                    #include <skinnormal_vertex>
+                    #include <begin_vertex>
+                    #include <skinning_vertex>
+                    #include <project_vertex>
+                    vNormal = normalMatrix * objectNormal;
+                }`,
+            fragmentShader: `varying vec3 vNormal; void main() { gl_FragColor = vec4(vNormal, 1.0); }`,
+        });
+        const draws = (await draw(scene)).map(({ values }) => base64(values));
+        skinbake.dispose(scene);
+        return { draws, world: mesh.matrixWorld.toArray() };
+    },
+
+    // What is thrown where a root is not an Object3D.
+    async roots(options) {
+        const gltf = await load({ ...options, plugin: false });
+        const { applySkinbake, dispose, lighting } = skinbake;
+        return [gltf, undefined].flatMap((root) =>
+            [() => applySkinbake(root), () => lighting(root, 'standard'), () => dispose(root)].map((call) => {
+                try {
+                    return call();
+                } catch (error) {
+                    return error.message;
+                }
+            }),
+        );
+    },
+
     // Where a shadow's draw puts vertices, in clip space, and the cameras of the frame.
     async shadows({ lighting, ...options }) {
         const renderer = new THREE.WebGLRenderer();

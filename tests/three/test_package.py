@@ -440,6 +440,18 @@ def test_a_material_with_a_shader_of_its_own_is_told_of_once(stage: ThreeStage) 
     assert stage.page.messages() == [f'skinbake: "hero" has three.js\'s standard lighting: {reason}']
 
 
+def test_a_material_that_skins_without_morphing_compiles(stage: ThreeStage) -> None:
+    path = baked(with_morphs(stage.models, TUBE), stage.models)
+    found = stage.call("unmorphed", Character(path, BENT, (0.7, -0.4)).told(Placement()))
+    assert largest(found["draws"][0], expected(Character(path, BENT), found["world"])) < DEGREES
+
+
+def test_a_root_that_is_not_an_object_is_refused(stage: ThreeStage) -> None:
+    told = stage.character(TUBE, BENT).told(Placement())
+    message = "skinbake: the root is not an Object3D: pass gltf.scene, not gltf"
+    assert stage.call("roots", told) == [message] * 6
+
+
 def test_an_exporter_writes_the_file_s_own_attributes(stage: ThreeStage) -> None:
     told = stage.character(TUBE, BENT).told(Placement())
     names = stage.call("exported", told)

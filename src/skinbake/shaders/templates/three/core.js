@@ -151,6 +151,9 @@ function strangeness(mesh) {
 }
 
 function skinnedMeshes(root) {
+    if (!root?.isObject3D) {
+        throw new Error('skinbake: the root is not an Object3D: pass gltf.scene, not gltf');
+    }
     const found = [];
     root.traverse((object) => {
         if (object.isSkinnedMesh) found.push(object);
