@@ -319,6 +319,7 @@ function forget(geometry) {
     state.geometries.delete(geometry);
     if (adopted.problem) return;
     state.count--;
+    adopted.image?.dispose();
     for (const name of ATTRIBUTES) delete geometry.attributes[name];
 }
 
@@ -561,4 +562,5 @@ function show(geometry, adopted) {
     define(geometry.attributes, STORAGE, adopted.hidden, true);
     adopted.hidden = undefined;
 }
-export { apply, applyToAll, dispose, DUAL, isBaked, isStandard, lighting, serve, state };
+export { ALPHA, apply, applyToAll, ATTRIBUTES, BETA, coordinatesOf, dispose, DUAL, isBaked, isStandard,
+        lighting, serve, state };

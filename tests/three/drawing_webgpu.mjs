@@ -317,6 +317,43 @@ const api = {
         return { found, lightings: [...new Set(lightings)] };
     },
 
+    // The normals of characters in one scene whose materials read as many attributes as the device has vertex buffers,
+    // alpha and beta aside. Then how many textures their geometries free.
+    async crowded({ backend, characters }) {
+        const renderer = await rendererOf(backend);
+        const scene = new THREE.Scene();
+        scene.add(new THREE.DirectionalLight());
+        const grey = [0, 1].map((channel) => {
+            const one = new THREE.DataTexture(new Uint8Array([128, 128, 255, 255]), 1, 1);
+            return Object.assign(one, { channel, needsUpdate: true });
+        });
+        const reports = [];
+        for (const options of characters) {
+            const { scene: model, userData } = await load(options);
+            scene.add(model);
+            reports.push(...userData.skinbake.meshes);
+            const [{ geometry }] = skinnedMeshes(model);
+            const { count } = geometry.attributes.position;
+            geometry.setAttribute('color', new THREE.BufferAttribute(new Float32Array(3 * count).fill(1), 3));
+            const [map, aoMap] = grey;
+            const maps = { map, normalMap: map };
+            if (!geometry.attributes.uv1) {
+                geometry.setAttribute('uv1', new THREE.BufferAttribute(new Float32Array(2 * count), 2));
+                Object.assign(maps, { aoMap });
+            }
+            skinnedMeshes(model)[0].material = new THREE.MeshStandardMaterial({ vertexColors: true, ...maps });
+        }
+        const draws = (await draw(renderer, scene, new THREE.PerspectiveCamera())).map(({ values }) => base64(values));
+        const report = reports.map((one) => [one.lighting, one.reason]);
+        const meshes = skinnedMeshes(scene);
+        const before = renderer.info.memory.textures;
+        for (const { geometry } of meshes) geometry.dispose();
+        const freed = before - renderer.info.memory.textures;
+        skinbake.dispose(scene);
+        const names = Object.keys(meshes[0].geometry.attributes);
+        return { draws, freed, names, report, world: meshes[0].matrixWorld.toArray() };
+    },
+
     // The tangents of a character, which normal maps need.
     async tangents(options) {
         CAPTURE.names = ['v_tangentView'];

@@ -276,6 +276,26 @@ def test_joints_that_are_not_rigid_are_drawn_as_three_js_does_and_told_of(
     assert reports == [[["standard", STRETCHED]], [["standard", STRETCHED]], [["accurate", ""]]]
 
 
+@pytest.mark.parametrize("storage", [STORAGES[0], STORAGES[1], STORAGES[3]], ids=["float", "packed8", "uv"])
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_alpha_and_beta_need_no_vertex_buffers_where_there_are_too_few(
+    stage: ThreeStage, backend: str, storage: GradientFormat
+) -> None:
+    """Both characters have the same program, and alpha and beta of their own."""
+    require_backend(stage, backend)
+    pair = [stage.character(MIRRORED, RANDOM, frame, storage) for frame in ("normal", "tangent")]
+    told = [character.told(Placement()) for character in pair]
+    found = stage.call("crowded", {"backend": backend, "characters": told})
+    assert {"tangent", "uv", "uv1", "color"} <= set(found["names"])
+    wanted = [expected(character, found["world"]) for character in pair]
+    assert len(found["draws"]) == 2
+    orders = (wanted, wanted[::-1])
+    errors = [max(map(largest, found["draws"], order)) for order in orders]
+    assert min(errors) < DEGREES
+    assert found["report"] == [["accurate", ""]] * 2
+    assert found["freed"] == (2 if backend == "webgpu" else 0)
+
+
 @pytest.mark.parametrize("classed", [False, True], ids=["assigned", "of a class"])
 def test_a_hook_that_calls_the_one_before_leaves_the_material_alone(stage: ThreeStage, classed: bool) -> None:
     told = stage.character(TUBE, BENT).told(Placement())

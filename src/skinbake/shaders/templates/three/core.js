@@ -316,6 +316,7 @@ function forget(geometry) {
     state.geometries.delete(geometry);
     if (adopted.problem) return;
     state.count--;
+    adopted.image?.dispose();
     for (const name of ATTRIBUTES) delete geometry.attributes[name];
 }
 
@@ -558,7 +559,7 @@ function show(geometry, adopted) {
 }
 //% if package
 
-export { apply, applyToAll, dispose, DUAL, isBaked, isStandard, lighting, serve, state };
+export { ALPHA, apply, applyToAll, ATTRIBUTES, BETA, coordinatesOf, dispose, DUAL, isBaked, isStandard, lighting, serve, state };
 //% else
 
 export { dispose, lighting };

@@ -11,7 +11,15 @@
 // Computer Graphics Forum 33(2), 2014, doi:10.1111/cgf.12330. Dual quaternions: algorithm 6 of skinbake, the exact
 // derivative of their blend. Frame: T. Duff et al., "Building an Orthonormal Basis, Revisited", JCGT 6(1), 2017.
 
-import { BufferAttribute, InstancedBufferAttribute, NodeMaterial, SkinnedMesh, Vector4 } from 'three/webgpu';
+import {
+    BufferAttribute,
+    DataTexture,
+    FloatType,
+    InstancedBufferAttribute,
+    NodeMaterial,
+    SkinnedMesh,
+    Vector4,
+} from 'three/webgpu';
 import {
     attribute,
     cross,
@@ -38,8 +46,21 @@ import {
     uniform,
     vec3,
     vec4,
+    vertexIndex,
 } from 'three/tsl';
-import { apply, applyToAll, DUAL, isBaked, isStandard, serve, state } from './core.js';
+import {
+    ALPHA,
+    apply,
+    applyToAll,
+    ATTRIBUTES,
+    BETA,
+    coordinatesOf,
+    DUAL,
+    isBaked,
+    isStandard,
+    serve,
+    state,
+} from './core.js';
 
 export { dispose, lighting } from './core.js';
 
@@ -109,12 +130,13 @@ function light(builder, position, normal) {
             bitangent: turned(bind, frame.bitangent).toVar(),
         };
         const bones = boneMatrices(builder);
+        const stored = gradients(builder);
         const joints = attribute('skinIndex', 'uvec4');
         const slots = {
             M: [joints.x, joints.y, joints.z, joints.w].map((joint) => bones.element(joint).toVar()),
             weights: attribute('skinWeight', 'vec4'),
-            alpha: decoded('morphSkinbakeAlpha', constants.x),
-            beta: decoded('morphSkinbakeBeta', constants.x),
+            alpha: decoded(stored(0), constants.x),
+            beta: decoded(stored(1), constants.x),
         };
         const found = isDual ? dualQuaternions(moved, slots) : blended(moved, slots);
         if (isDual) positionLocal.assign(back.mul(vec4(found.position, 1)).xyz);
@@ -129,8 +151,60 @@ function light(builder, position, normal) {
     });
 }
 
-function decoded(name, scale) {
-    const stored = attribute(name, 'vec4');
+const GRADIENTS = [ALPHA, BETA];
+
+// Return what reads alpha (0) or beta (1) as it is stored. WebGPU has eight vertex buffers, if the page does not ask
+// for more, and three.js has each attribute in one. Where the other attributes leave too few, a texture has both.
+function gradients({ geometry, renderer }) {
+    const { maxVertexBuffers = Infinity } = renderer.backend?.device?.limits ?? {};
+    // Geometries whose attributes have the same names share a program.
+    if (othersOf(geometry).length + GRADIENTS.length <= maxVertexBuffers) {
+        return (which) => attribute(GRADIENTS[which], 'vec4');
+    }
+    const image = texture(imageOf(geometry));
+    OnObjectUpdate(({ object }) => {
+        if (isBaked(object.geometry)) image.value = imageOf(object.geometry);
+    });
+    return (which) => {
+        const texel = int(vertexIndex).mul(GRADIENTS.length).add(which).toVar();
+        const y = texel.div(WIDTH).toVar();
+        return image.load(ivec2(texel.sub(y.mul(WIDTH)), y));
+    };
+}
+
+// Names of the attributes that materials may read.
+function othersOf(geometry) {
+    const own = new Set([...coordinatesOf(geometry.userData.skinbake), ...ATTRIBUTES]);
+    return Object.keys(geometry.attributes).filter((name) => !own.has(name));
+}
+
+const WIDTH = 2048; // texels
+
+// One texel for alpha, and the next one for beta.
+function imageOf(geometry) {
+    const adopted = state.geometries.get(geometry);
+    if (adopted.image) return adopted.image;
+    const { attributes } = geometry;
+    const { count, itemSize } = attributes[ALPHA];
+    const height = Math.ceil((GRADIENTS.length * count) / WIDTH);
+    const values = new Float32Array(4 * WIDTH * height).fill(1); // w, where nothing is encoded
+    for (let texel = 0; texel < GRADIENTS.length * count; texel++) {
+        const source = attributes[GRADIENTS[texel % 2]];
+        for (let part = 0; part < itemSize; part++) {
+            values[4 * texel + part] = source.getComponent(Math.floor(texel / 2), part);
+        }
+    }
+    adopted.image = new DataTexture(values, WIDTH, height, undefined, FloatType);
+    adopted.image.needsUpdate = true;
+    geometry.addEventListener('dispose', freeImage);
+    return adopted.image;
+}
+
+function freeImage({ target }) {
+    state.geometries.get(target)?.image?.dispose();
+}
+
+function decoded(stored, scale) {
     return stored.xyz.mul(scale.mul(stored.w).mul(stored.w)).toVar();
 }
 
