@@ -214,7 +214,10 @@ function madeOf(geometry, method) {
     const [alpha, beta] = isOwn ? ownOf(attributes, sources) : sources.map(([, source]) => source);
     define(attributes, ALPHA, alpha, isOwn);
     define(attributes, BETA, beta, isOwn);
-    if (metadata.frame === 'tangent') define(attributes, TANGENT, attributes.tangent, false);
+    if (metadata.frame === 'tangent') {
+        define(attributes, TANGENT, attributes.tangent, false);
+        sources.push(['tangent', attributes.tangent]);
+    }
     const constants = constantsOf(metadata, method);
     const storage = hasStorage(geometry, method) ? attributes[STORAGE] : storageOf(geometry, constants);
     define(attributes, STORAGE, storage, true);

@@ -112,6 +112,11 @@ const CHANGES = {
         scene.add(read);
     },
     'geometry.copy()': ({ mesh }) => mesh.geometry.copy(mesh.geometry.clone()),
+    'tangents anew': ({ mesh: { geometry } }) => {
+        const { tangent } = geometry.attributes;
+        if (tangent) geometry.setAttribute('tangent', tangent.clone());
+    },
+    'no tangents': ({ mesh }) => mesh.geometry.deleteAttribute('tangent'),
     'onBeforeRender of its own': ({ mesh }) => {
         const before = mesh.onBeforeRender;
         mesh.onBeforeRender = function (...parameters) {

@@ -140,6 +140,21 @@ def test_both_frames_have_the_same_module(stage: ThreeStage, frame: str) -> None
     assert largest(found["draws"][0], expected(character, found["world"])) < DEGREES
 
 
+@pytest.mark.parametrize("when", ["before", "after"])
+def test_tangents_of_a_frame_may_be_others_but_must_be_there(stage: ThreeStage, when: str) -> None:
+    character = stage.character(MIRRORED, RANDOM, "tangent")
+    anew = stage.normals(character, change="tangents anew", when=when)
+    assert largest(anew["draws"][0], expected(character, anew["world"])) < DEGREES
+    told = {**character.told(Placement()), "change": "no tangents", "when": when}
+    without = stage.page.call("normals", told)
+    wanted = expected(character, without["world"], Algorithm.LBS_APPROXIMATED)
+    assert largest(without["draws"][0], wanted) < DEGREES
+    reason = "it has lost the attribute tangent, which its bake needs: bake last"
+    assert without["report"] == [["standard", reason]]
+    (message,) = stage.page.messages()
+    assert message.endswith(f"has three.js's standard lighting: {reason}")
+
+
 @pytest.mark.parametrize("frame", ["normal", "tangent"])
 def test_morph_targets_come_before_skinning(stage: ThreeStage, frame: str) -> None:
     path = baked(with_morphs(stage.models, MIRRORED), stage.models, frame)
