@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 from fixtures.make_fixtures import FOLDER
 from tests.support import browser
 from tests.support.baked_files import Editable
+from tests.support.models import sheet, write_model
 from tests.view.pages import shown, take
 
 pytestmark = pytest.mark.slow
@@ -55,6 +57,41 @@ def test_the_legend_names_the_colour_of_what_is_not_skinned(browsing: browser.Pa
     file.content["scenes"][0]["nodes"].append(len(file.content["nodes"]) - 1)
     take(browsing, file.write(tmp_path / "beside.glb"))
     assert browsing.call(hidden) is False
+    assert browsing.call("(() => document.getElementById('legend-unknown').textContent)") == "Not skinned"
+
+
+@pytest.mark.parametrize(("doubled", "is_whole"), [("all of it", True), ("a corner", False)])
+def test_what_has_no_true_normal_has_no_error_and_a_colour_with_a_name(
+    browsing: browser.Page, tmp_path: Path, doubled: str, is_whole: bool
+) -> None:
+    """A triangle that is there twice, once for each side, shows no side of the surface."""
+    flat = sheet()
+    triangles = np.asarray(flat.indices).reshape(-1, 3)
+    twice = triangles if doubled == "all of it" else triangles[(triangles == 0).any(axis=1)]
+    assert 0 < len(twice) < len(triangles) or is_whole
+    doubled_sheet = replace(flat, indices=np.concatenate([triangles, twice[:, ::-1]]))
+    take(browsing, write_model(tmp_path / "doubled.glb", [doubled_sheet]))
+    legend, reading, points = browsing.call(
+        """(async () => {
+            const { clip, measures } = application;
+            application.stopMeasuring();
+            application.measure(clip);
+            const { lines } = measures.get(clip);
+            const wait = () => new Promise((done) => setTimeout(done, 20));
+            while (lines.standard.includes(undefined)) await wait();
+            application.draw();
+            const unknown = document.getElementById('legend-unknown');
+            const drawn = [...document.querySelectorAll('#chart polyline')];
+            return [
+                unknown.hidden ? '' : unknown.textContent,
+                document.getElementById('left-error').textContent,
+                drawn.reduce((sum, line) => sum + line.points.length, 0),
+            ];
+        })"""
+    )
+    assert legend == "No true normal"
+    assert (reading == "no true normals") == is_whole
+    assert (points == 0) == is_whole
 
 
 def test_the_mark_is_hidden_behind_the_camera(browsing: browser.Page) -> None:

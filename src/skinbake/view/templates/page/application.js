@@ -1,7 +1,7 @@
 // The page: what is chosen, what is drawn, and when.
 
 import { Camera } from './camera.js';
-import { Chart } from './chart.js';
+import { Chart, isKnown } from './chart.js';
 import { degrees, showFigures, showNotes } from './figures.js';
 import { fromBase64, gradientsOf, ReadError, readModel } from './reader.js';
 import { LIGHTINGS, pause, Renderer } from './renderer.js';
@@ -161,7 +161,7 @@ class Application {
         showNotes(byId, given);
         byId.clip.replaceChildren(...this.scene.clips.map(({ name }, number) => new Option(name, number)));
         byId.clip.disabled = this.scene.clips.length < 2;
-        byId['legend-unknown'].hidden = this.scene.parts.every(({ skin }) => skin !== undefined);
+        this.nameUnknown(false);
         this.fillSides();
         this.renderer.prepare(this.sides, this.mode, byId.textures.checked);
         const { middle, radius, low } = this.scene.bounds();
@@ -225,6 +225,13 @@ class Application {
         this.legend = LEGENDS.find((one) => one >= most) ?? 90;
         byId['legend-middle'].textContent = `${this.legend / 2}°`;
         byId['legend-end'].textContent = `${this.legend}° and more`;
+    }
+
+    // Say in the legend what has no error. isPartial: some vertices have no true normal.
+    nameUnknown(isPartial) {
+        const hasRigid = this.scene.parts.some(({ skin }) => skin === undefined);
+        byId['legend-unknown'].hidden = !hasRigid && !isPartial;
+        byId['legend-unknown'].textContent = !isPartial ? 'Not skinned' : hasRigid ? 'Not skinned, or no true normal' : 'No true normal';
     }
 
     choose(clip) {
@@ -317,10 +324,13 @@ class Application {
             found.truths[method] = this.scene.truths(method);
             return true;
         }
-        const { mean, worst } = this.scene.errors(lighting, found.truths[method]);
+        const { mean, worst, isPartial } = this.scene.errors(lighting, found.truths[method]);
         if (this.renderer.isLost) return false;
         found.lines[lighting][number] = mean;
-        if (lighting === 'standard' && worst.error > found.worst.error) found.worst = { ...worst, time: found.times[number] };
+        if (lighting === 'standard') {
+            found.isPartial ||= isPartial;
+            if (worst.error > found.worst.error) found.worst = { ...worst, time: found.times[number] };
+        }
         found.left.shift();
         if (found.left.length) return true;
         Object.assign(found, { left: null, truths: null, next: found.next + 1 });
@@ -330,7 +340,8 @@ class Application {
 
     showMeasures(found) {
         byId.worst.disabled = found.worst.error < 0;
-        this.setLegend(4 * Math.max(...found.lines.standard.filter((mean) => mean !== undefined)));
+        this.nameUnknown(found.isPartial);
+        this.setLegend(4 * Math.max(...found.lines.standard.filter(isKnown)));
         this.showChart();
         this.changed();
     }
@@ -422,8 +433,8 @@ class Application {
 
     showReadings(projected) {
         this.sides.forEach((side, i) => {
-            const mean = LIGHTINGS[side].isTrue ? 0 : this.chart.at(side, this.time);
-            const text = mean === undefined ? '…' : LIGHTINGS[side].isTrue ? 'by triangles' : `${degrees(mean)} mean error`;
+            const mean = this.chart.at(side, this.time);
+            const text = LIGHTINGS[side].isTrue ? 'by triangles' : isKnown(mean) ? `${degrees(mean)} mean error` : mean === null ? 'no true normals' : '…';
             const output = byId[i ? 'right-error' : 'left-error'];
             if (output.textContent !== text) output.textContent = text;
         });

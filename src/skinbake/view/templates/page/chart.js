@@ -13,7 +13,7 @@ export class Chart {
         new ResizeObserver(() => this.redraw()).observe(element);
     }
 
-    // lines hold the means by lighting, with times; a mean that is not known yet is undefined.
+    // lines hold the means by lighting, with times. A mean is undefined while it is not known, and null if there is none.
     set(clip, times, lines, shown, names) {
         Object.assign(this, { clip, times, lines, shown, names });
         this.redraw();
@@ -23,7 +23,7 @@ export class Chart {
         const { element, clip, times, lines, shown } = this;
         if (!clip || !times) return;
         const [width, height] = [element.clientWidth, element.clientHeight];
-        const known = shown.flatMap((lighting) => lines[lighting].filter((mean) => mean !== undefined));
+        const known = shown.flatMap((lighting) => lines[lighting].filter(isKnown));
         this.most = nice(Math.max(0.1, ...known));
         this.x = (time) => LEFT + ((time - clip.start) / (clip.end - clip.start || 1)) * (width - LEFT - 2);
         const y = (mean) => TOP + (1 - mean / this.most) * (height - TOP - BOTTOM);
@@ -36,7 +36,7 @@ export class Chart {
         svg.append(label(`${clip.start.toFixed(1)} s`, LEFT, height - 4, 'start'));
         svg.append(label(`${clip.end.toFixed(1)} s`, width - 2, height - 4, 'end'));
         for (const lighting of shown) {
-            const points = times.flatMap((time, i) => (lines[lighting][i] === undefined ? [] : [`${this.x(time)},${y(lines[lighting][i])}`]));
+            const points = times.flatMap((time, i) => (isKnown(lines[lighting][i]) ? [`${this.x(time)},${y(lines[lighting][i])}`] : []));
             svg.append(make('polyline', { class: `line is-${lighting}`, points: points.join(' ') }));
         }
         this.now = make('line', { class: 'now', y1: TOP, y2: height - BOTTOM });
@@ -59,17 +59,18 @@ export class Chart {
         for (const end of ['x1', 'x2']) this.now.setAttribute(end, this.x(time));
     }
 
-    // The mean of a lighting at a time, between its known neighbours; undefined where none is known yet.
+    // The mean of a lighting at a time, between its known neighbours. Without any: null if there is none, else undefined.
     at(lighting, time) {
         const { times, lines } = this;
         const means = lines[lighting];
         if (!times || !means) return undefined;
         let [low, high] = [-1, -1];
         times.forEach((one, i) => {
-            if (means[i] === undefined) return;
+            if (!isKnown(means[i])) return;
             if (one <= time) low = i;
             else if (high < 0) high = i;
         });
+        if (low < 0 && high < 0) return means.find((mean) => mean === null);
         if (low < 0 || high < 0) return means[Math.max(low, high)];
         return means[low] + ((means[high] - means[low]) * (time - times[low])) / (times[high] - times[low]);
     }
@@ -82,6 +83,8 @@ export class Chart {
         this.look(clip.start + Math.max(0, Math.min(1, share)) * (clip.end - clip.start), stays);
     }
 }
+
+export const isKnown = (mean) => mean !== undefined && mean !== null;
 
 function make(name, attributes) {
     const made = document.createElementNS(SVG, name);

@@ -109,18 +109,22 @@ export class Scene {
     }
 
     // The mean error of a lighting in this pose, in degrees, weighted by rest area, and its largest one.
+    // The mean is null if no vertex has a true normal. isPartial: some vertex of a triangle has none.
     errors(lighting, truths = this.truths(LIGHTINGS[lighting].method)) {
         let [sum, total] = [0, 0];
-        let worst = { error: -1 };
+        let [worst, isPartial] = [{ error: -1 }, false];
         this.allSurfaces().forEach(({ parts, surface }, number) => {
             const truth = truths[number];
+            isPartial ||= !truth;
             if (!truth) return;
             parts.forEach((part, i) => {
                 const { normals } = this.renderer.captured(part, lighting);
                 for (let vertex = 0; vertex < part.primitive.count; vertex++) {
                     const at = surface.starts[i] + vertex;
                     const area = surface.areas[at];
-                    if (!truth[4 * at + 3] || !area) continue;
+                    if (!area) continue;
+                    isPartial ||= !truth[4 * at + 3];
+                    if (!truth[4 * at + 3]) continue;
                     const error = angle(normals, 3 * vertex, truth, 4 * at);
                     if (!(error >= 0)) continue;
                     sum += area * error;
@@ -129,7 +133,7 @@ export class Scene {
                 }
             });
         });
-        return { mean: total ? sum / total : 0, worst };
+        return { mean: total ? sum / total : null, worst, isPartial };
     }
 
     // A vertex as it is now: its position and its normal.

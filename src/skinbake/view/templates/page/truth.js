@@ -9,6 +9,7 @@ import { determinant } from './matrices.js';
 const CREASE = (15 * Math.PI) / 180;
 const DEGENERATE = 1e-10;
 const FLAT = 1e10;
+const CANCELLED = 1e-9; // Radians. Triangles that sum to less cancel out: each is there twice, once for each side.
 const CROWDED = 4096; // As in bake: of more different normals at one place, only equal ones are one.
 const TINY_WEIGHT = 1.5 * 2 ** -30; // The weight of an adopted joint does not tell copies of a vertex apart.
 
@@ -74,9 +75,13 @@ export class Surface {
     }
 
     // Keep the coordinates of the normals in the frames before skinning: at rest, or under morph targets.
+    // A vertex whose triangles cancel out has none.
     carry(positions, normals) {
         this.measure(positions);
-        const { carried, count } = this;
+        const { carried, count, sums } = this;
+        for (let i = 0; i < sums.length; i += 3) {
+            if (Math.hypot(sums[i], sums[i + 1], sums[i + 2]) < CANCELLED) sums.fill(0, i, i + 3);
+        }
         const frame = new Float64Array(9);
         for (let vertex = 0; vertex < count; vertex++) {
             this.frameOf(vertex, frame);
