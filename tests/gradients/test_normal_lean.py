@@ -81,6 +81,17 @@ def test_a_surface_that_is_inside_out_is_told_from_odd_normals() -> None:
 
 
 @pytest.mark.slow
+def test_triangles_that_are_there_twice_have_no_plane_to_lean_from() -> None:
+    """Each triangle is there once for each side. What rounding leaves of their sum is no direction."""
+    one_side = smooth()
+    both_sides = np.concatenate([one_side.triangles, one_side.triangles[:, ::-1]])
+    lean = normal_lean(replace(one_side, triangles=both_sides))
+    assert (lean.far, lean.looked_at) == (0, 0)
+    partly = replace(one_side, triangles=both_sides[: len(both_sides) * 3 // 4])
+    assert lean_notices(partly, HERE) == []
+    assert lean_notices(turned(partly, 60.0), HERE) != []
+
+
 def test_of_a_large_mesh_some_are_looked_at() -> None:
     whole = turned(smooth(300, 200), 60.0, 0.5)
     lean = normal_lean(whole)

@@ -37,6 +37,10 @@ is taken, so that the check takes only some milliseconds.
 """
 
 
+CANCELLED = 1e-9
+"""Radians. Triangles that sum to less at a point cancel out: each is there twice, once for each side."""
+
+
 class NormalLean(NamedTuple):
     """The number of sampled vertices with a far normal, and their median lean in degrees.
 
@@ -147,6 +151,7 @@ def _leans(primitive: SkinnedPrimitive, rows: IntArray, labels: IntArray | None)
     planes = np.zeros((int(numbers.max(initial=0)) + 1, 3))
     for axis in range(3):
         planes[:, axis] = np.bincount(corners.T.ravel(), (shares * cross[:, axis]).ravel(), len(planes))
+    planes[np.einsum("ij,ij->i", planes, planes) < CANCELLED**2] = 0.0
     return _degrees(planes[numbers[own]], primitive.normals[rows])
 
 
