@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -41,6 +42,26 @@ def test_there_is_no_table_and_no_chart_without_figures_and_without_a_model(tmp_
         scratch.mkdir()
         with browser.opened_file(report, scratch) as page:
             assert sorted(headings(page)) == sorted(expected)
+
+
+def test_a_page_that_cannot_draw_its_model_has_no_controls(tmp_path: Path) -> None:
+    """Twelve influences: the figures are there, and nothing that a reader could press in vain."""
+    weights = np.tile(np.array([0.2, 0.1, 0.05, 0.05], np.float32), (20, 1))
+    joints = np.tile(np.arange(4, dtype=np.uint8), (20, 1))
+    sets: dict[str, Any] = {}
+    for number in range(3):
+        sets |= {f"JOINTS_{number}": joints + 4 * number, f"WEIGHTS_{number}": weights}
+    sets["WEIGHTS_2"] = weights / 2
+    write_model(tmp_path / "twelve.glb", [sheet(**sets)], joints=12)
+    bake(tmp_path / "twelve.glb", tmp_path / "baked.glb")
+    with shown(tmp_path / "baked.glb") as page:
+        words, seen = page.call(
+            """(() => [message.textContent, [...document.querySelectorAll('body *')]
+                .filter((element) => element.tabIndex >= 0 && element.offsetHeight > 0)
+                .map(({ id }) => id)])"""
+        )
+    assert words.startswith("The model cannot be shown: it has 12 influences")
+    assert seen == ["table"], "it scrolls where it is too wide"
 
 
 def test_the_headline_is_the_smaller_gain() -> None:

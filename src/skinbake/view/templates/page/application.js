@@ -20,6 +20,7 @@ const HEAT = ['#d9dde1', '#f2d16b', '#ee8a2e', '#cf2f2f', '#5c0f3a'];
 const PATIENCE = 250; // Milliseconds that a first frame waits for its images.
 const SLICE = [10, 100]; // Milliseconds of measuring at a time: as long as it had to wait, within these.
 const LOST = 'The browser has lost the GPU. If the model does not come back, reload the page.';
+const CONTROLS = 'canvas, .open, .side, .divider, .bar, .transport';
 const OF_SHADED = ['textures', 'moving']; // What is chosen for this mode alone.
 
 const byId = Object.fromEntries([...document.querySelectorAll('[id]')].map((element) => [element.id, element]));
@@ -526,6 +527,7 @@ window.ready = start().then(
         byId.message.textContent = `The model cannot be shown: ${error.message}`;
         byId.message.hidden = false;
         byId.chart.parentElement.hidden = true;
+        for (const control of document.querySelectorAll(CONTROLS)) control.hidden = true; // They would do nothing.
         if (!(error instanceof ReadError)) throw error;
     }
 );
