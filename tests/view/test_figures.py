@@ -14,7 +14,7 @@ from skinbake.commands.verify import verify_file
 from skinbake.lighting.verify_options import VerifyOptions
 from tests.support import browser
 from tests.support.command_line import invoke
-from tests.support.models import bake, sheet, write_model
+from tests.support.models import bake, edited, sheet, write_model
 from tests.view.pages import shown
 
 pytestmark = pytest.mark.slow
@@ -77,7 +77,8 @@ def test_the_headline_is_the_smaller_gain() -> None:
     assert by_triangles / triangles < by_tangents / tangents
     assert re.fullmatch(r"\d\d\.\d\d×", headline), "two decimals, as in the text of verify"
     assert float(headline.rstrip("×")) == pytest.approx(by_triangles / triangles, rel=0.05)
-    assert f"{triangles:.2f}° instead of {by_triangles:.2f}° in the mean, by triangles. It is " in words
+    means = f"{triangles:.2f}° instead of {by_triangles:.2f}° in the mean, by triangles. "
+    assert f"{means}The gain by tangents is " in words
 
 
 @pytest.mark.parametrize(("gain", "colour"), [(1.2, "rig"), (0.8, "bad")])
@@ -101,6 +102,28 @@ def test_a_gain_below_one_has_the_colour_of_failures(gain: float, colour: str, t
     assert headline == f"{gain:.2f}×"
     assert ("is not nearer" in words) == (gain < 1)
     assert found == wanted
+
+
+def test_a_name_does_not_turn_the_words_after_it_around(tmp_path: Path) -> None:
+    """Hebrew runs from right to left. A browser puts the number after it to its left, unless it is told."""
+
+    def rename(content: dict[str, Any]) -> None:
+        content["meshes"][0]["name"] = "שלום"
+
+    with shown(edited("two_primitives.glb", tmp_path, rename)) as page:
+        name, number = page.call(
+            """(() => {
+                const { firstChild: text } = document.querySelector('#primitives-table tbody th');
+                const left = (at) => {
+                    const range = document.createRange();
+                    range.setStart(text, at);
+                    range.setEnd(text, at + 1);
+                    return range.getBoundingClientRect().left;
+                };
+                return [left(text.data.indexOf('ש')), left(text.data.indexOf('0'))];
+            })"""
+        )
+    assert number > name
 
 
 def test_primitives_have_the_figures_of_the_truth_that_counts() -> None:

@@ -2,7 +2,7 @@
 
 import { Camera } from './camera.js';
 import { Chart, isKnown } from './chart.js';
-import { degrees, showFigures, showNotes } from './figures.js';
+import { degrees, isolated, showFigures, showNotes } from './figures.js';
 import { fromBase64, gradientsOf, ReadError, readModel } from './reader.js';
 import { LIGHTINGS, pause, Renderer } from './renderer.js';
 import { Scene } from './scene.js';
@@ -364,7 +364,7 @@ class Application {
         this.marked = worst;
         this.camera.focus(position, normal);
         const { name, index } = worst.part.primitive;
-        this.tell(`Standard lighting is wrong by ${degrees(worst.error)} here: “${name}”, primitive ${index}, vertex ${worst.vertex}, at ${worst.time.toFixed(2)} s.`);
+        this.tell(`Standard lighting is wrong by ${degrees(worst.error)} here: ${isolated(`“${name}”`)}, primitive ${index}, vertex ${worst.vertex}, at ${worst.time.toFixed(2)} s.`);
     }
 
     goHome() {

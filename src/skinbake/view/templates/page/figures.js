@@ -22,7 +22,7 @@ export function showFigures(byId, given) {
                 ? 'Accurate lighting is not nearer to the true normals of this file than standard lighting: '
                 : 'Accurate lighting is that much nearer to the true normals than standard lighting: ') +
             `${degrees(least.accurate.mean)} instead of ${degrees(least.approximated.mean)} in the mean, ${least.truth}.` +
-            (other ? ` It is ${times(other.gain)} ${other.truth}.` : '');
+            (other ? ` The gain ${other.truth} is ${times(other.gain)}.` : '');
     }
     byId.table.replaceChildren(tableOf(figures, triangles));
     byId['table-words'].textContent = `By skinbake verify, over ${poses}. Two truths, found in two ways.`;
@@ -100,7 +100,7 @@ function showPrimitives(byId, primitives) {
     for (const { mesh, mesh_name: name, primitive, normals, normals_by_triangles: triangles } of rows) {
         const { approximated, accurate, gain } = byGain(normals, triangles)[0] ?? normals.lbs ?? normals.dqs;
         const line = row('td', [approximated.mean.toFixed(2), accurate.mean.toFixed(2), gain ? times(gain) : '—']);
-        const title = element('th', `${name ?? `mesh ${mesh}`}, ${primitive}`);
+        const title = element('th', `${isolated(name ?? `mesh ${mesh}`)}, ${primitive}`);
         title.scope = 'row';
         line.prepend(title);
         body.append(line);
@@ -109,6 +109,8 @@ function showPrimitives(byId, primitives) {
     byId['primitives-table'].replaceChildren(table);
 }
 
+// A name in a sentence. Its letters may run from right to left, and do not turn the words after it around.
+export const isolated = (name) => `\u2068${name}\u2069`;
 const times = (gain) => `${gain.toFixed(2)}×`;
 export const degrees = (value) => (value < 10 ? `${value.toFixed(2)}°` : `${value.toFixed(1)}°`);
 
