@@ -221,6 +221,7 @@ def verdict(name: str, *checks: Check, error: InputError | None = None) -> FileV
             "passed no normals",
         ),
         (verdict("a.glb", Check("structure", "skipped", (), "nothing in it is baked")), "not baked"),
+        (FileVerdict("a.glb", up_to_date=True), "passed before, up to date"),
     ],
 )
 def test_the_index_says_why_a_file_failed_or_has_no_figures(told: FileVerdict, remark: str) -> None:

@@ -74,7 +74,7 @@ def _remark(verdict: FileVerdict) -> str:
         where = verdict.error.place.within_file if verdict.error.place else ""
         return f"{where}: {verdict.error.message}" if where else verdict.error.message
     if verdict.up_to_date:
-        return "passed before, up to date"
+        return "before, up to date"  # after the outcome: passed
     if not verdict.passed:
         return first_problem(verdict)
     skipped = [check.remark for check in verdict.checks if check.outcome == "skipped"]
