@@ -126,6 +126,19 @@ def test_a_name_does_not_turn_the_words_after_it_around(tmp_path: Path) -> None:
     assert number > name
 
 
+def test_a_long_name_leaves_room_for_the_figures(tmp_path: Path) -> None:
+    def rename(content: dict[str, Any]) -> None:
+        content["meshes"][0]["name"] = "SK_Hero_Outfit_Winter_Coat_LOD0_Mesh_Part_03_Collar_And_Sleeves"
+
+    with shown(edited("two_primitives.glb", tmp_path, rename)) as page:
+        page.show_as(1280, 800, "light")
+        wide, room = page.call(
+            """(() => ['scrollWidth', 'clientWidth'].map((one) =>
+                document.getElementById('primitives-table')[one]))"""
+        )
+    assert wide <= room
+
+
 def test_primitives_have_the_figures_of_the_truth_that_counts() -> None:
     with shown(FOLDER / "two_primitives.glb") as page:
         rows, given, words = page.call(
