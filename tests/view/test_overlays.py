@@ -94,6 +94,24 @@ def test_what_has_no_true_normal_has_no_error_and_a_colour_with_a_name(
     assert (points == 0) == is_whole
 
 
+def test_a_reading_waits_for_the_samples_around_its_time(browsing: browser.Page) -> None:
+    """The mean at the start of a clip, often 0°, is not the mean at its end."""
+    take(browsing, TUBE)
+    found = browsing.call(
+        """(() => {
+            application.stopMeasuring();
+            const { chart } = application;
+            const at = (means) => {
+                chart.set({ start: 0, end: 4 }, [0, 1, 2, 3, 4], { standard: means }, ['standard'], {});
+                return [0.5, 2.5, 4].map((time) => String(chart.at('standard', time)));
+            };
+            const none = undefined;
+            return [[0, none, none, none, none], [0, none, 2, none, 6], [null, none, 2, none, null]].map(at);
+        })"""
+    )
+    assert found == [["undefined"] * 3, ["0.5", "3", "6"], ["2", "2", "null"]]
+
+
 def test_the_mark_is_hidden_behind_the_camera(browsing: browser.Page) -> None:
     take(browsing, TUBE)
     hidden = browsing.call(

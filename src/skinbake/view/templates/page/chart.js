@@ -59,19 +59,20 @@ export class Chart {
         for (const end of ['x1', 'x2']) this.now.setAttribute(end, this.x(time));
     }
 
-    // The mean of a lighting at a time, between its known neighbours. Without any: null if there is none, else undefined.
+    // The mean of a lighting at a time, between the samples around it: undefined until both are measured, null without a mean.
     at(lighting, time) {
         const { times, lines } = this;
         const means = lines[lighting];
         if (!times || !means) return undefined;
         let [low, high] = [-1, -1];
         times.forEach((one, i) => {
-            if (!isKnown(means[i])) return;
+            if (means[i] === undefined) return;
             if (one <= time) low = i;
             else if (high < 0) high = i;
         });
-        if (low < 0 && high < 0) return means.find((mean) => mean === null);
-        if (low < 0 || high < 0) return means[Math.max(low, high)];
+        if (low === means.length - 1) return means[low];
+        if (low < 0 || high < 0) return undefined;
+        if (!isKnown(means[low]) || !isKnown(means[high])) return means[low] ?? means[high];
         return means[low] + ((means[high] - means[low]) * (time - times[low])) / (times[high] - times[low]);
     }
 
