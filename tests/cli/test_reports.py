@@ -162,3 +162,36 @@ def test_inspect_names_the_kind_of_gradients(tmp_path: Path, kind: str) -> None:
     target = tmp_path / "tube.glb"
     assert invoke("bake", MODELS / "bent_tube.glb", "-o", target, "-q", "--gradients", kind).exit_code == 0
     assert f", gradients {kind}, frame from normal, " in invoke("inspect", target).stdout
+
+
+def test_verify_says_which_reports_it_has_written(model: Path, tmp_path: Path) -> None:
+    page, junit, summary = (tmp_path / f"report.{suffix}" for suffix in ("html", "xml", "jsonl"))
+    reports: list[str | Path] = ["--html", page, "--junit", junit, "--summary", summary]
+    command = ["verify", model, "--poses", "rest", *reports]
+    lines = [f"{junit}: written", f"{page}: written", f"{summary}: written"]
+    assert invoke(*command).stdout.splitlines()[-3:] == lines
+    assert invoke(*command, "-q").output == ""
+    assert "input" in json.loads(invoke(*command, "--json").stdout)["files"][0]
+    several = invoke(*command, copied("bent_tube.glb", tmp_path))
+    lines[1] = f"{page}: written, its pages in {tmp_path / 'report'}"
+    assert several.stdout.splitlines()[-3:] == lines
+    (tmp_path / "broken.glb").touch()
+    alone = invoke("verify", tmp_path / "broken.glb", "--html", page)
+    assert alone.stdout.splitlines()[-1] == f"{page}: written", "an index without pages"
+
+
+def test_a_report_that_was_not_written_is_not_said_to_be(model: Path, tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    names = [tmp_path / "file" / f"report.{suffix}" for suffix in ("html", "xml")]
+    result = invoke("verify", model, "--poses", "rest", "--html", names[0], "--junit", names[1])
+    assert result.exit_code == 4
+    assert "written" not in result.stdout
+
+
+@pytest.mark.parametrize("command", [["bake", "-o"], ["strip", "-o"], ["inspect"]])
+def test_other_commands_say_it_of_the_summary(command: list[str], model: Path, tmp_path: Path) -> None:
+    baked, summary = tmp_path / "baked.glb", tmp_path / "summary.jsonl"
+    bake(model, baked)
+    output = [tmp_path / "out.glb"] if command[1:] else []
+    result = invoke(command[0], baked, *command[1:], *output, "--summary", summary)
+    assert result.stdout.splitlines()[-1] == f"{summary}: written"

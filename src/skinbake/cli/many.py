@@ -19,6 +19,7 @@ from skinbake.cli.limits import memory_of_each
 from skinbake.cli.progress import Progress
 from skinbake.cli.runners import LONG, runner_of, seconds_of, threads_of_each
 from skinbake.cli.targets import sync_option
+from skinbake.cli.writing import tell_of_report
 from skinbake.errors import OutputError, Place
 from skinbake.files.folders import flush
 from skinbake.threads import LARGEST
@@ -387,6 +388,8 @@ def work_through(
         code = max(code, exit_codes.OUTPUT if notes.failed else code)
         summary.line(totals_json(totals, clock.working, schema=reporting.schema, exit_code=code))
     code = max(code, exit_codes.OUTPUT if summary.failed else code)
+    if given["summary"] and not summary.failed:
+        tell_of_report(given["summary"], given, say)
     if given["timings"]:  # at any verbosity, because it was asked for
         say.listing(timing_lines(totals, clock.process()))
     if given["as_json"]:
@@ -432,13 +435,17 @@ def _outcomes(
 def _told(
     run: Run[ResultT], tell: Callable[[ResultT], None], progress: Progress
 ) -> Generator[ResultT, None, None]:
-    """Yield the results in order as they come, each reported above the bar. Closing it ends the work."""
+    """Yield the results in order as they come, each reported above the bar. Closing it ends the work.
+
+    After the last one no bar is shown: what is written of all results is reported below them.
+    """
     from skinbake.jobs.runners import in_order
 
     with closing(in_order(_counted(run, progress))) as results:
         for _, result in zip(run.jobs, results, strict=True):
             progress.print(partial(tell, result))
             yield result
+    progress.pause()
 
 
 def _counted(run: Run[ResultT], progress: Progress) -> Generator[tuple[int, ResultT], None, None]:

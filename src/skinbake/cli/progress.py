@@ -50,7 +50,7 @@ class Progress:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         """Remove the bars, and print the messages that were held back."""
-        self._pause()
+        self.pause()
 
     def print(self, action: Callable[[], None]) -> None:
         """Print a message without disturbing the bars: now, or together with messages that follow soon."""
@@ -91,11 +91,11 @@ class Progress:
             self._bar = _bar(self._say)
         if self._bar.disable:
             self._log(now)
-            self._pause()
+            self.pause()
         elif at_once or now - self._shown >= REFRESH_EVERY:
             self._shown = now
             if self._held:
-                self._pause()
+                self.pause()
             self._draw(now)
 
     def _draw(self, now: float) -> None:
@@ -122,7 +122,8 @@ class Progress:
             self._tasks[key], description=escape(what), completed=done, total=total or None, state=state
         )
 
-    def _pause(self) -> None:
+    def pause(self) -> None:
+        """Remove the bars until there is progress to show, and print the messages that were held back."""
         if self._bar is not None:
             self._bar.stop()
         held, self._held = self._held, []

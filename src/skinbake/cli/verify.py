@@ -28,7 +28,7 @@ from skinbake.cli.many import Clock, Reporting, many_options, notes_of, run_of, 
 from skinbake.cli.names import STDIO
 from skinbake.cli.remote import cluster_option
 from skinbake.cli.targets import check_earlier, check_reports, is_page
-from skinbake.cli.writing import write_report
+from skinbake.cli.writing import tell_of_report, write_report
 from skinbake.errors import ChoiceError, SkinbakeError
 from skinbake.files.bounds import Bounds, Within
 from skinbake.files.urls import is_url
@@ -246,6 +246,8 @@ def _reporting(
         code = exit_codes.OK
         if junit is not None:
             code = write_report(junit, as_junit(verdicts), say, sync=not given["no_sync"])
+            if code == exit_codes.OK:
+                tell_of_report(junit, given, say)
         if page is not None:
             code = max(code, write_page(page, verdicts))
         return code
@@ -257,10 +259,11 @@ def _reporting(
             return Bounds(searched.get(source), given["allow_outside"])
 
         try:
-            write_report(verdicts, options, target, bounds, sync=not given["no_sync"])
+            folder = write_report(verdicts, options, target, bounds, sync=not given["no_sync"])
         except SkinbakeError as error:
             say.error(error)
             return exit_codes.of_error(error)
+        tell_of_report(target, given, say, pages=folder)
         return exit_codes.OK
 
     return Reporting(

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from skinbake.cli import exit_codes
-from skinbake.errors import OutputError, Place
+from skinbake.errors import OutputError, Place, printable
 
 if TYPE_CHECKING:
     from skinbake.cli.console import Console
@@ -44,3 +44,9 @@ def write_report(path: str, text: str, say: Console, *, sync: bool) -> int:
         say.error(OutputError(f"cannot be written: {message}", Place(path)))
         return exit_codes.OUTPUT
     return exit_codes.OK
+
+
+def tell_of_report(path: str, given: Given, say: Console, *, pages: Path | None = None) -> None:
+    """Say that a report was written, and where its pages are, unless the result on stdout is JSON."""
+    if not given["as_json"]:
+        say.result(f"{printable(path)}: written{f', its pages in {printable(str(pages))}' if pages else ''}")
