@@ -35,6 +35,20 @@ def percent(share: float, decimals: int) -> str:
     return f"{100.0 * share:.{decimals}f} %"
 
 
+def told_apart(value: float, limit: float, decimals: int) -> str:
+    """Return a value with some decimals, or with so many more that it is on the right side of a limit."""
+    text = f"{value:.{decimals}f}"
+    while value != limit and (float(text) == limit or (float(text) > limit) != (value > limit)):
+        decimals += 1
+        text = f"{value:.{decimals}f}"
+    return text
+
+
+def gain_in_words(gain: float) -> str:
+    """Return a gain like ``2.20``. A loss is never ``1.00``: it has the decimals that keep it under 1."""
+    return told_apart(gain, 1.0, 2) if gain < 1.0 else f"{gain:.2f}"
+
+
 def one_or_many(count: int, one: str, many: str) -> str:
     """Return the words for one thing or for many, the count in the place of ``{}``."""
     return (one if count == 1 else many).format(f"{count:,}")

@@ -7,6 +7,7 @@ from xml.etree import ElementTree
 import jsonschema
 import pytest
 
+from skinbake.cli.terminal import with_colours
 from skinbake.errors import InputError, Notice, Place
 from skinbake.report.verify import (
     Check,
@@ -23,6 +24,7 @@ from skinbake.report.verify import (
 )
 from tests.support.schemas import VERIFY
 
+GREEN, RED = "\x1b[32m", "\x1b[31m"
 PLACE = Place("hero.glb", 2, "Body", 1)
 
 """The JSON document, with no member that is not listed; docs/reference/json.md says it in words."""
@@ -86,6 +88,24 @@ def test_json_is_as_the_schema_has_it() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(
+    ("factor", "shown", "colour"),
+    [
+        (2.2, "2.20x", GREEN),
+        (1.0, "1.00x", GREEN),
+        (1.004, "1.00x", GREEN),
+        (0.996, "0.996x", RED),
+        (0.99996, "0.99996x", RED),
+        (0.994, "0.99x", RED),
+    ],
+)
+def test_a_loss_never_reads_as_a_gain_of_one(factor: float, shown: str, colour: str) -> None:
+    figures = {"lbs": lit(factor)["lbs"]}
+    text = with_colours(as_text(replace(PASSED, normals=figures, by_triangles=None)))
+    assert f"{colour}{shown}\x1b[0m by tangents" in text
+    assert f"the LBS gain is {shown}, under 1.2" in text or factor > 2.0
+
+
 @pytest.mark.parametrize(
     "member", ["normals", "normals_by_triangles", "checks", "primitives", "without_dqs", "input", "error"]
 )

@@ -17,6 +17,7 @@ from skinbake.lighting.measured import lighting_verdict
 from skinbake.lighting.staleness import mesh_operator
 from skinbake.lighting.verify_options import VerifyOptions
 from skinbake.report.verify import BAKE_SO, LITTLE, FileVerdict, Normals, gain
+from skinbake.wording import gain_in_words
 
 if TYPE_CHECKING:
     from skinbake.commands.bake import Baker
@@ -224,18 +225,19 @@ def _notice(place: Place, own: _Gains, tried: Sequence[_Trial], now: float) -> N
     """Return the notice for a primitive. now is the gain all in all that a remedy must keep."""
     lbs = own.by_lighting.get(LBS_ACCURATE, 0.0)
     only_dqs = lbs >= WORSE
-    message = f"α/β make its lighting worse: the {_called(own.least_of)} gain is {own.least:.2f}"
-    message += f", and the LBS gain is {lbs:.2f}. " if only_dqs else ". "
+    message = f"α/β make its lighting worse: the {_called(own.least_of)} gain is {gain_in_words(own.least)}"
+    message += f", and the LBS gain is {gain_in_words(lbs)}. " if only_dqs else ". "
     best = _best(place, tried, now)
     if best is not None:
         then = best.gains[place]
-        message += f"With {best.remedy.words} it is {then.least:.2f}"
+        message += f"With {best.remedy.words} it is {gain_in_words(then.least)}"
         if only_dqs:
-            message += f", and the LBS gain {then.by_lighting.get(LBS_ACCURATE, 0.0):.2f}"
+            message += f", and the LBS gain {gain_in_words(then.by_lighting.get(LBS_ACCURATE, 0.0))}"
         if round(then.least, 2) < LITTLE:
             message += ", which is little: "
         elif best.all_in_all < KEPT * now:
-            message += f", but all in all the gain falls from {now:.2f} to {best.all_in_all:.2f}: "
+            kept = gain_in_words(best.all_in_all)
+            message += f", but all in all the gain falls from {gain_in_words(now)} to {kept}: "
         else:
             advice = f"{BAKE_SO} for dual quaternions" if only_dqs else BAKE_SO
             return Notice("lighting-worse", f"{message}: {advice}", place)
@@ -251,13 +253,16 @@ def _notice(place: Place, own: _Gains, tried: Sequence[_Trial], now: float) -> N
 def _exact_is_better(place: Place, own: _Gains) -> Notice:
     """Return the notice for a primitive whose lighting only accurate dual quaternions make worse."""
     accurate, exact = own.by_lighting[DQS_ACCURATE], own.by_lighting[DQS_EXACT]
-    better = "is right" if math.isinf(exact) else f"gains {exact:.2f}"
+    better = "is right" if math.isinf(exact) else f"gains {gain_in_words(exact)}"
     message = (
-        f"accurate lighting of dual quaternions makes it worse: the DQS gain is {accurate:.2f}. Exact "
-        f"lighting {better}: take that with dual quaternions, as skinbake shader --method dqs does"
+        "accurate lighting of dual quaternions makes it worse: the DQS gain is "
+        f"{gain_in_words(accurate)}. Exact lighting {better}: take that with dual quaternions, as skinbake "
+        "shader --method dqs does"
     )
     lbs = own.by_lighting.get(LBS_ACCURATE)
-    return Notice("lighting-worse", message + ("" if lbs is None else f". The LBS gain is {lbs:.2f}"), place)
+    return Notice(
+        "lighting-worse", message + ("" if lbs is None else f". The LBS gain is {gain_in_words(lbs)}"), place
+    )
 
 
 def _called(one: _LightingOf) -> str:

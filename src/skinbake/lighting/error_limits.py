@@ -9,6 +9,7 @@ from skinbake.choices import Truth
 from skinbake.errors import Notice, Place
 from skinbake.lighting.verify_options import VerifyOptions
 from skinbake.report.verify import Check, ErrorFigures, Normals, gain
+from skinbake.wording import told_apart
 
 
 def limits_check(by_truth: Mapping[Truth, Normals], options: VerifyOptions, place: Place) -> Check:
@@ -51,7 +52,7 @@ def _errors_over(method: str, found: _OfTruths, options: VerifyOptions, place: P
         if limit is not None and not values[worst] <= limit:
             message = (
                 f"{method.upper()} accurate: the {name} of the error is "
-                f"{_told_apart(values[worst], limit, 3)}° by {worst}, over {limit:.15g}°"
+                f"{told_apart(values[worst], limit, 3)}° by {worst}, over {limit:.15g}°"
             )
             yield Notice("limit", message, place)
 
@@ -61,15 +62,6 @@ def _gain_under(method: str, found: _OfTruths, options: VerifyOptions, place: Pl
     gains = {truth: factor for truth, one in found.items() if (factor := gain(one)) is not None}
     least = min(gains, key=lambda truth: gains[truth], default=None)
     if options.min_gain is not None and least is not None and gains[least] < options.min_gain:
-        found_gain = _told_apart(gains[least], options.min_gain, 2)
+        found_gain = told_apart(gains[least], options.min_gain, 2)
         message = f"{method.upper()}: the gain is {found_gain} by {least}, below {options.min_gain:.15g}"
         yield Notice("limit", message, place)
-
-
-def _told_apart(value: float, limit: float, decimals: int) -> str:
-    """Return a value with some decimals, or with so many more that it is on the right side of a limit."""
-    text = f"{value:.{decimals}f}"
-    while value != limit and (float(text) == limit or (float(text) > limit) != (value > limit)):
-        decimals += 1
-        text = f"{value:.{decimals}f}"
-    return text

@@ -12,6 +12,7 @@ from skinbake.choices import Truth
 from skinbake.errors import Notice, Place, SkinbakeError, printable
 from skinbake.report.notices import error_fields, notice_list, place_fields
 from skinbake.report.totals import Totals, reason_of, run_json, timing_fields
+from skinbake.wording import gain_in_words
 
 if TYPE_CHECKING:
     from xml.etree import ElementTree
@@ -224,7 +225,7 @@ def _little_to_win(verdict: FileVerdict) -> list[str]:
     gains = [factor for of, figures in found if of == method and (factor := gain(figures)) is not None]
     if not gains or round(min(gains), 2) >= LITTLE:
         return []
-    least = f"the {method.upper()} gain is {min(gains):.2f}x, under {LITTLE}"
+    least = f"the {method.upper()} gain is {gain_in_words(min(gains))}x, under {LITTLE}"
     return [f"Little to win: {least}. Leave the file unbaked."]
 
 
@@ -242,7 +243,9 @@ def _table(normals: Normals, by_triangles: Normals) -> Iterator[str]:
                 numbers += f"{'—':>10}{'—':>8}" if other is None else f"{other.mean:10.2f}{other.p95:8.2f}"
                 yield f"  {method.upper() + ' ' + shown:<16}{numbers}  {_where(error.worst)}"
         factors = {Truth.TANGENTS: gain(figures), Truth.TRIANGLES: gain(others)}
-        told = [f"{factor:.2f}x by {truth}" for truth, factor in factors.items() if factor is not None]
+        told = [
+            f"{gain_in_words(factor)}x by {truth}" for truth, factor in factors.items() if factor is not None
+        ]
         if told:
             yield f"  {method.upper() + ' gain':<16}  {', '.join(told)}  (standard mean / accurate mean)"
 

@@ -8,14 +8,14 @@ import math
 import os
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePath
 
 from skinbake.errors import printable
 from skinbake.version import __version__
 from skinbake.view.sources import filled_index
-from skinbake.wording import counted
+from skinbake.wording import counted, gain_in_words
 
 UNSAFE = re.compile("[^A-Za-z0-9._-]+")
 """The characters of a file's name that its page's name does not have."""
@@ -83,9 +83,9 @@ def _row(one: Listed) -> str:
     cells = [
         f'<td class="file">{shown}</td>',
         f'<td data-value="{one.outcome}"><span class="{style}">{one.outcome}</span>{remark}</td>',
-        _number("Standard", one.standard, "{:.2f}°"),
-        _number("Accurate", one.accurate, "{:.2f}°"),
-        _number("Gain", one.gain, "{:.2f}×"),
+        _number("Standard", one.standard, "{:.2f}°".format),
+        _number("Accurate", one.accurate, "{:.2f}°".format),
+        _number("Gain", one.gain, lambda gain: f"{gain_in_words(gain)}×"),
     ]
     return f"<tr>{''.join(cells)}</tr>"
 
@@ -98,7 +98,7 @@ def _picture(png: bytes | None) -> str:
     return f'<img class="picture" src="data:image/png;base64,{data}" width="96" height="72" alt="">'
 
 
-def _number(label: str, value: float | None, shown: str) -> str:
-    text = "—" if value is None else shown.format(value)
+def _number(label: str, value: float | None, shown: Callable[[float], str]) -> str:
+    text = "—" if value is None else shown(value)
     key = -1.0 if value is None else value
     return f'<td class="number" data-label="{label}" data-value="{key!r}">{text}</td>'

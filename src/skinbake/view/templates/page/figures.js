@@ -111,7 +111,14 @@ function showPrimitives(byId, primitives) {
 
 // A name in a sentence. Its letters may run from right to left, and do not turn the words after it around.
 export const isolated = (name) => `\u2068${name}\u2069`;
-const times = (gain) => `${gain.toFixed(2)}×`;
+
+// A loss is never 1.00: it has the decimals that keep it under 1, as in the text of skinbake verify.
+function times(gain) {
+    let decimals = 2;
+    while (gain < 1 && Number(gain.toFixed(decimals)) === 1) decimals += 1;
+    return `${gain.toFixed(decimals)}×`;
+}
+
 export const degrees = (value) => (value < 10 ? `${value.toFixed(2)}°` : `${value.toFixed(1)}°`);
 
 function row(kind, texts) {
