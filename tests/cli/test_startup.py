@@ -194,6 +194,31 @@ def test_closed_streams_are_not_defects_of_skinbake(command: str) -> None:
     assert b"should not" not in process.stderr
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("command", "code"),
+    [
+        ("verify {} --poses rest --json", 4),
+        ("verify {} --poses rest", 4),
+        ("verify {} --poses rest -q", 0),
+        ("inspect {}", 4),
+        ("inspect {} --json", 4),
+        ("cost {}", 4),
+        ("cost --json", 4),
+        ("config", 4),
+        ("shader --lang glsl", 4),
+        ("bake {} --dry-run --json", 4),
+        ("bake {} -o out.glb", 0),
+        ("view {} -o page.html", 0),
+    ],
+)
+def test_a_result_that_closed_stdout_cannot_take_is_an_error(command: str, code: int, tmp_path: Path) -> None:
+    process = shell(f"cd {tmp_path}; skinbake {command.format(SEAM)} >&-")
+    said = b"error: <stdout>: cannot be written: it is closed\n" if code else b""
+    errors = [line for line in process.stderr.splitlines(keepends=True) if not line.startswith(b"warning: ")]
+    assert (process.returncode, b"".join(errors)) == (code, said)
+
+
 @LINUX
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_at_exit_needs_no_traceback(number: signal.Signals) -> None:

@@ -273,7 +273,7 @@ def _reporting(
             say.error(result.error)
         say.details(detail_lines(result))
         if not given["as_json"]:
-            say.verdict(line_of(result, dry_run=dry_run))
+            say.written(line_of(result, dry_run=dry_run))
 
     return Reporting(
         schema=SCHEMA,

@@ -51,6 +51,11 @@ class Console:
         if self.verbosity >= 0:
             self._fitted(with_colours(printable_lines(text)), err=self.results_on_stderr)
 
+    def written(self, line: str) -> None:
+        """Print the line on a file that was to be written. It may be lost: the file is the result."""
+        if self.results_on_stderr or sys.stdout is not None:
+            self.verdict(line)
+
     def document(self, content: Any) -> None:
         """Print a JSON document at any verbosity, because it is the result that scripts asked for."""
         text = json_text(content, indent=2)
@@ -118,6 +123,8 @@ def _encodable(text: str) -> bool:
 
 def _echo(text: str, *, err: bool, color: bool | None) -> None:
     """Print a line. Raises OutputError if the stream cannot take it, unless its reader has left."""
+    if not err and sys.stdout is None:  # ``>&-``: click prints nothing then, and says nothing of it
+        raise OutputError("cannot be written: it is closed", Place("<stdout>"))
     try:
         click.echo(text, err=err, color=color)
     except OSError as error:

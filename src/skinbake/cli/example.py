@@ -33,4 +33,4 @@ def command(output: str, **given: Any) -> None:
     with ended_by_errors(say):
         size = write_example(output, sync=not given["no_sync"])
     if output != STDIO:
-        say.result(f"{printable(output)}: an arm that bends, {size:,} bytes")
+        say.written(f"{printable(output)}: an arm that bends, {size:,} bytes")

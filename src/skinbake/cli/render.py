@@ -123,4 +123,4 @@ def command(source: str, output: str, **given: Any) -> None:
         )
     say.notices(result.notices)
     count = f"{result.pictures} pictures, " if result.pictures > 1 else ""
-    say.result(f"{printable(source)} -> {printable(output)}: {count}{printable(result.pose)}")
+    say.written(f"{printable(source)} -> {printable(output)}: {count}{printable(result.pose)}")

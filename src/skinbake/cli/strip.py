@@ -95,7 +95,7 @@ def _reporting(
         if result.error is not None:
             say.error(result.error)
         if not (given["as_json"] or (is_one and result.error)):
-            say.verdict(closing_line(result))
+            say.written(closing_line(result))
 
     return Reporting(
         schema=FILES_SCHEMA,

@@ -73,7 +73,7 @@ def command(source: str, output: str | None, **given: Any) -> None:
             write_page(result, output, sync=not given["no_sync"])
     if output != STDIO:
         how = "" if result.was_baked else ", baked in memory"
-        say.result(
+        say.written(
             f"{printable(source)} -> {printable(str(output))}: {counted(len(result.page), 'byte')}{how}"
         )
 

@@ -49,4 +49,4 @@ def write_report(path: str, text: str, say: Console, *, sync: bool) -> int:
 def tell_of_report(path: str, given: Given, say: Console, *, pages: Path | None = None) -> None:
     """Say that a report was written, and where its pages are, unless the result on stdout is JSON."""
     if not given["as_json"]:
-        say.result(f"{printable(path)}: written{f', its pages in {printable(str(pages))}' if pages else ''}")
+        say.written(f"{printable(path)}: written{f', its pages in {printable(str(pages))}' if pages else ''}")
