@@ -199,6 +199,33 @@ def test_an_output_without_its_option_is_seen(command: str, tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize(
+    "arguments",
+    [
+        ["bake", "--", "-x.glb", "--dry-run"],
+        ["bake", "-o", "a.glb", "--", "-x.glb", "--dry-run"],
+        ["bake", "--", "-x.glb", "--out-dir=build"],
+        ["bake", "--", "-x.glb", "-q"],
+        ["verify", "--", "-x.glb", "--json"],
+        ["cost", "--", "-x.glb", "--json"],
+        ["cost", "--", "--json"],
+        ["shader", "--", "--lang"],
+    ],
+)
+def test_an_option_after_two_hyphens_is_told_where_options_stand(arguments: list[str]) -> None:
+    code, text = said(*arguments)
+    why = "was taken for the name of a file, because it stands after --. Write options before --"
+    assert (code, text.endswith(f"Error: {arguments[-1]} {why}")) == (2, True)
+
+
+def test_a_file_may_have_the_name_of_an_option(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "--json").mkdir()
+    shutil.copyfile(SEAM, tmp_path / "--json" / "-x.glb")
+    assert said("inspect", "--", "--json")[0] == 0
+    assert said("inspect", "--", "--json/-x.glb")[0] == 0
+
+
+@pytest.mark.parametrize(
     ("arguments", "message"),
     [
         (["shader", "--lang", "glsl", "b/a.glb"], "unexpected argument b/a.glb; write --for b/a.glb"),

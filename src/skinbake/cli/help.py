@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from typing import Any
 
@@ -121,9 +122,24 @@ class Helpful(click.Command):
                 ctx.fail(f"{error.message} A name that begins with - is written ./{dashed}")
             raise
         ctx.allow_extra_args = False
-        if left and not ctx.resilient_parsing:
-            ctx.fail(self._unexpected(left))
+        if not ctx.resilient_parsing:
+            self._refuse_options_as_names(ctx, left)
+            if left:
+                ctx.fail(self._unexpected(left))
         return left
+
+    def _refuse_options_as_names(self, ctx: click.Context, left: list[str]) -> None:
+        """Fail if an option was read as the name of a file, because it stands after ``--``."""
+        names = list(left)
+        for param in self.params:
+            if isinstance(param, click.Argument):
+                value = ctx.params.get(str(param.name)) or ()
+                names += [value] if isinstance(value, str) else value
+        known = {name for param in self.params for name in param.opts if isinstance(param, click.Option)}
+        for name in names:
+            if name.partition("=")[0] in known and not os.path.lexists(name):
+                why = "was taken for the name of a file, because it stands after --"
+                ctx.fail(f"{name} {why}. Write options before --")
 
     def _dashed(self, given: list[str], unknown: str) -> str | None:
         """Return the name of a model that was read as the unknown option, or None if there is none.
