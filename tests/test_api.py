@@ -9,6 +9,7 @@ import math
 import pathlib
 import subprocess
 import sys
+from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -213,17 +214,75 @@ def test_an_unknown_keyword_is_a_type_error(tmp_path: Path) -> None:
         skinbake.bake(TUBE)
 
 
-def test_one_text_in_the_place_of_a_list_is_a_type_error(tmp_path: Path) -> None:
+def test_one_text_in_the_place_of_a_list_is_refused(tmp_path: Path) -> None:
     """Its letters would be names: the first of /textures allows every folder."""
-    with pytest.raises(TypeError, match="allow_outside is a text: expected a list"):
+    with pytest.raises(skinbake.ChoiceError, match="--allow-outside '/textures': expected a list of names"):
         skinbake.bake(TUBE, tmp_path / "out.glb", allow_outside="/textures")
-    with pytest.raises(TypeError, match="allow_outside is a text"):
+    with pytest.raises(skinbake.ChoiceError, match="--allow-outside '/textures'"):
         skinbake.inspect(TUBE, allow_outside="/textures")
-    with pytest.raises(TypeError, match="fit_poses is a text"):
+    with pytest.raises(skinbake.ChoiceError, match="--fit-poses 'animations': expected a list of names"):
         skinbake.bake(TUBE, tmp_path / "out.glb", gradients="poses", fit_poses="animations")
-    with pytest.raises(TypeError, match=r"methods is a text: expected a list, like \['lbs'\]"):
+    with pytest.raises(skinbake.ChoiceError, match="--methods 'lbs': expected a list of names"):
         skinbake.verify(TUBE, methods="lbs")
     assert not list(tmp_path.iterdir())
+
+
+ODD: list[Any] = [object(), [], {}, [3], 3, 1.5, b"x", math.nan, np.zeros((2, 2))]
+SQUARE: list[Any] = [
+    [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]],
+    [[0, 0, 1]] * 4,
+    [[0, 1, 2]],
+    [[0, 1]] * 4,
+    [[1, 0], [0, 1], [0, 1], [1, 0]],
+]
+CALLS: dict[str, tuple[Callable[..., Any], list[Any]]] = {
+    "bake": (skinbake.bake, [TUBE, "out.glb"]),
+    "verify": (skinbake.verify, [TUBE]),
+    "inspect": (skinbake.inspect, [TUBE]),
+    "strip": (skinbake.strip, [TUBE, "out.glb"]),
+    "weight_gradients": (skinbake.weight_gradients, SQUARE),
+}
+
+
+@pytest.mark.parametrize("name", CALLS)
+def test_a_value_of_another_type_is_refused_by_the_name_of_its_option(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each option of each function, with values of many types: it takes one, or says what it takes."""
+    monkeypatch.chdir(tmp_path)
+    function, given = CALLS[name]
+    options = {
+        one.name for one in inspect.signature(function).parameters.values() if one.kind is one.KEYWORD_ONLY
+    }
+    options |= set(api.BakeOptions.__annotations__) if name == "bake" else set()
+    for option in options - {"tangents"}:
+        for value in (*ODD, None):
+            try:
+                function(*given, **{option: value})
+            except skinbake.ChoiceError as error:
+                assert f"--{option.replace('_', '-').removesuffix('s')}" in str(error)
+                assert "expected" in str(error) or " need" in str(error) or "contradicts" in str(error)
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "message"),
+    [
+        ("bake", {"alpha_name": 3}, "--alpha-name 3: expected a text"),
+        ("bake", {"crease_angle": None}, "--crease-angle None: expected a number from 0 to 180"),
+        ("bake", {"dry_run": "no"}, "--dry-run 'no': expected True or False"),
+        ("bake", {"allow_outside": None}, "--allow-outside None: expected a list of names"),
+        ("verify", {"angle": None}, "--angle None: expected a number from 0 to 180"),
+        ("verify", {"poses": 3}, "--poses 3: expected one of animation, random, rest"),
+        ("verify", {"methods": None}, "--methods None: expected a list of names"),
+        ("strip", {"sync": 1}, "--sync 1: expected True or False"),
+        ("weight_gradients", {"crease_angle": None}, "--crease-angle None: expected a number from 0 to 180"),
+    ],
+)
+def test_a_value_of_another_type_is_told_what_fits(name: str, options: dict[str, Any], message: str) -> None:
+    function, given = CALLS[name]
+    with pytest.raises(skinbake.ChoiceError) as caught:
+        function(*given, **options)
+    assert str(caught.value) == message
 
 
 @pytest.mark.parametrize("name", ["notes.txt", "hero", "s3://bucket/hero.glb", "-"])

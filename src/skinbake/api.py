@@ -35,12 +35,13 @@ from skinbake.errors import ChoiceError, InputError, OutputError, Place
 from skinbake.files.bounds import Bounds, Within
 from skinbake.files.urls import SUFFIXES, is_url
 from skinbake.geometry.skinned import Float32Array, IntArray, SkinnedPrimitive
+from skinbake.option_types import check_types
 from skinbake.threads import LARGEST, threads_limited
 
 if TYPE_CHECKING:
     from pygltflib import GLTF2
 
-FilePath: TypeAlias = "str | os.PathLike[str]"
+FilePath: TypeAlias = str | os.PathLike[str]
 
 
 class BakeOptions(TypedDict, total=False):
@@ -132,7 +133,8 @@ def bake(
     Raises
     ------
     skinbake.ChoiceError
-        An option has a value that does not exist, or two options contradict each other.
+        An option has a value of another type, or one that does not exist, or two options contradict each
+        other.
     skinbake.InputError
         The source cannot be read, or cannot be baked.
     skinbake.OutputError
@@ -148,7 +150,8 @@ def bake(
     from skinbake.commands.bake import Baker
     from skinbake.gltf.output import Writing
 
-    _check_several("fit_poses", options.get("fit_poses", ()))
+    check_types(BakeOptions, options)
+    check_types(bake, {"allow_outside": allow_outside, "dry_run": dry_run, "pack": pack, "sync": sync})
     baker = Baker(**options)  # type: ignore[arg-type]  # it takes the values of enumerations too
     with threads_limited(_thread_count(threads)):
         if not isinstance(source, str | os.PathLike):
@@ -238,22 +241,23 @@ def verify(
     from skinbake.lighting.verify_options import VerifyOptions
     from skinbake.report.verify import file_json
 
-    _check_several("methods", methods)
-    options = VerifyOptions.of(
-        methods=methods,
-        poses=poses,
-        samples=samples,
-        angle=angle,
-        seed=seed,
-        baseline=baseline,
-        cap=cap,
-        max_mean_error=max_mean_error,
-        max_p95_error=max_p95_error,
-        min_gain=min_gain,
-        truth=truth,
-        require_baked=require_baked,
-        warnings_as_errors=warnings_as_errors,
-    )
+    given: dict[str, Any] = {
+        "methods": methods,
+        "poses": poses,
+        "samples": samples,
+        "angle": angle,
+        "seed": seed,
+        "baseline": baseline,
+        "cap": cap,
+        "max_mean_error": max_mean_error,
+        "max_p95_error": max_p95_error,
+        "min_gain": min_gain,
+        "truth": truth,
+        "require_baked": require_baked,
+        "warnings_as_errors": warnings_as_errors,
+    }
+    check_types(verify, {**given, "allow_outside": allow_outside})
+    options = VerifyOptions.of(**given)
     with threads_limited(_thread_count(threads)):
         return file_json(verify_file(_source(source), options, bounds=_bounds(allow_outside)))
 
@@ -287,6 +291,7 @@ def inspect(source: FilePath, *, allow_outside: Sequence[FilePath] = ()) -> dict
     from skinbake.commands.inspect import inspect_file
     from skinbake.report.inspect import as_json
 
+    check_types(inspect, {"allow_outside": allow_outside})
     return as_json(inspect_file(_source(source), _bounds(allow_outside)))
 
 
@@ -334,6 +339,8 @@ def strip(
     from skinbake.commands.strip import strip_file
     from skinbake.report.strip import as_json
 
+    given = {"warnings_as_errors": warnings_as_errors, "sync": sync, "allow_outside": allow_outside}
+    check_types(strip, given)
     bounds = _bounds(allow_outside)
     paths = _source(source), _target(target)
     return as_json(strip_file(*paths, warnings_as_errors=warnings_as_errors, sync=sync, bounds=bounds))
@@ -341,10 +348,10 @@ def strip(
 
 def _thread_count(threads: int | str) -> int | None:
     """Return the number of threads asked for, or None for ``auto``. Raises ChoiceError."""
-    if threads == "auto":
-        return None
     if isinstance(threads, int) and 1 <= threads <= LARGEST:
         return threads
+    if isinstance(threads, str) and threads == "auto":
+        return None
     raise ChoiceError(f"--threads {threads}: expected a number from 1 to {LARGEST}, or auto")
 
 
@@ -366,14 +373,7 @@ def _target(path: FilePath) -> str:
     return name
 
 
-def _check_several(name: str, values: object) -> None:
-    """Raise TypeError for one text in the place of a list. Its letters would be taken one by one."""
-    if isinstance(values, str):
-        raise TypeError(f"{name} is a text: expected a list, like [{values!r}]")
-
-
 def _bounds(allow_outside: Sequence[FilePath]) -> Bounds:
-    _check_several("allow_outside", allow_outside)
     return Bounds(None, tuple(os.fspath(folder) for folder in allow_outside))
 
 
@@ -490,6 +490,7 @@ def weight_gradients(
     from skinbake.gradients.baker import BakeSettings, bake_mesh
     from skinbake.gradients.tangents import frame_vectors
 
+    check_types(weight_gradients, {"crease_angle": crease_angle})
     check_range("crease_angle", crease_angle, BAKE_RANGES["crease_angle"])
     settings = BakeSettings(
         member_of(Weighting, weighting, "weighting"),
